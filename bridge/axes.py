@@ -1,0 +1,25 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The one place where coordinate conventions are converted.
+
+World space is Blender's everywhere: metres, Z up. A camera in Blender (and in NeRF's
+``transforms.json``) looks down its −Z with +Y up ("OpenGL axes"). Rasterisers work in
+"OpenCV axes": +Z forward, +Y down. Rotations are quaternions in wxyz order, as Blender and
+3DGS files store them.
+"""
+
+import numpy as np
+
+#: Turns camera coordinates from OpenGL axes into OpenCV axes (its own inverse).
+OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+def world_to_camera_opencv(camera_to_world: np.ndarray) -> np.ndarray:
+    """The 4×4 world-to-camera matrix in OpenCV axes of a 4×4 camera-to-world matrix in OpenGL axes.
+
+    ``camera_to_world`` must be rigid (orthonormal rotation): its inverse is taken as such.
+    """
+    rotation = camera_to_world[:3, :3]
+    inverse = np.eye(4)
+    inverse[:3, :3] = rotation.T
+    inverse[:3, 3] = -rotation.T @ camera_to_world[:3, 3]
+    return OPENGL_TO_OPENCV @ inverse

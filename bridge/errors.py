@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The base of every error that a user may see: what was wrong, and what to do next.
+
+A subclass names one cause. Command lines print ``str(error)`` without a traceback and exit with 1.
+"""
+
+
+class PhysHDRError(Exception):
+    """Something the user can mend.
+
+    ``message`` says what was wrong, with the file or value; ``hint`` says what to do next.
+    """
+
+    def __init__(self, message: str, hint: str = "") -> None:
+        super().__init__(message)
+        self.message = message
+        self.hint = hint
+
+    def __str__(self) -> str:
+        return f"{self.message}\n  {self.hint}" if self.hint else self.message
+
+
+class FileMissingError(PhysHDRError):
+    """A file or folder that is needed is not there."""
+
+
+class FileDamagedError(PhysHDRError):
+    """A file is there, but what it holds cannot be read as what it should be."""
+
+
+class DataMismatchError(PhysHDRError):
+    """Two things that must agree do not: sizes, counts, keys."""
+
+
+class BadValueError(PhysHDRError):
+    """A value is outside what is allowed: NaN, an unknown name, a wrong range."""
+
+
+class OutputError(PhysHDRError):
+    """Something cannot be written: no permission, a full disk, a path in the way."""
