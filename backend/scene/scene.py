@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What every reader of a data set returns: cameras, exposures, pictures on demand, first points.
+
+A scene knows nothing of the true radiance (``train_hdr/``, ``relit/`` …): a method that is given a scene
+cannot read it. Evaluation asks ``backend/evaluate/truth.py``.
+"""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...bridge.errors import BadValueError, DataMismatchError
+from .camera import Camera
+from .pictures import read_png
+
+#: Decoded pictures are kept up to this many bytes: all of HDR-NeRF-Syn at 400×400 (84 MB) with room to spare.
+CACHE_BYTES = 1 << 30
+
+
+class PictureCache:
+    """Decoded 8-bit pictures, the least recently used forgotten first, at most ``budget`` bytes."""
+
+    def __init__(self, budget: int = CACHE_BYTES) -> None:
+        self.budget = budget
+        self.bytes_held = 0
+        self._pictures: OrderedDict[Path, np.ndarray] = OrderedDict()
+        self._lock = threading.Lock()  # the preview server renders from another thread than the trainer
+
+    def get(self, path: Path) -> np.ndarray:
+        """``[H, W, 3]`` uint8, read-only; raises what ``read_png`` raises."""
+        with self._lock:
+            if path in self._pictures:
+                self._pictures.move_to_end(path)
+                return self._pictures[path]
+            picture = read_png(path)
+            picture.setflags(write=False)
+            self._pictures[path] = picture
+            self.bytes_held += picture.nbytes
+            while self.bytes_held > self.budget and len(self._pictures) > 1:
+                self.bytes_held -= self._pictures.popitem(last=False)[1].nbytes
+            return picture
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One pose with its bracket of pictures.
+
+    ``name``: as the data set names it (``train/r_3``). ``index``: the pose's number (3), which also names
+    its true radiance (``hdr_003.exr``). ``exposures``: seconds, one for each of ``image_paths``.
+    ``lighting_level``: ambient light relative to the standard views, 1 for those.
+    """
+
+    name: str
+    camera: Camera
+    exposures: tuple[float, ...]
+    image_paths: tuple[Path, ...]
+    index: int
+    lighting_level: float = 1.0
+    cache: PictureCache = field(default_factory=PictureCache, repr=False)
+
+    def __post_init__(self) -> None:
+        if len(self.exposures) != len(self.image_paths) or not self.exposures:
+            raise DataMismatchError(
+                f"view '{self.name}' has {len(self.exposures)} exposures, {len(self.image_paths)} pictures",
+                "Give each picture of a view one exposure.",
+            )
+
+    def image(self, k: int) -> np.ndarray:
+        """The picture at exposure ``k``: ``[H, W, 3]`` uint8, read-only, decoded once and then kept.
+
+        Raises ``FileMissingError`` or ``FileDamagedError`` if it cannot be decoded, ``DataMismatchError``
+        if it is not of the camera's size, ``BadValueError`` if the view has no exposure ``k``.
+        """
+        if not 0 <= k < len(self.image_paths):
+            raise BadValueError(
+                f"view '{self.name}' has no exposure {k}",
+                f"Choose an exposure index from 0 to {len(self.image_paths) - 1}.",
+            )
+        path = self.image_paths[k]
+        picture = self.cache.get(path)
+        if picture.shape[:2] != (self.camera.height, self.camera.width):
+            raise DataMismatchError(
+                f"{path} is {picture.shape[1]}×{picture.shape[0]}, the camera of view '{self.name}' is "
+                f"{self.camera.width}×{self.camera.height}",
+                "The picture changed after the data set was opened: render it again, or open the set again.",
+            )
+        return picture
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """The first points: ``positions`` ``[P, 3]`` float32, metres; ``colours`` ``[P, 3]`` float32, 0…1."""
+
+    positions: np.ndarray
+    colours: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A data set that is ready for training: nothing in it leads to the true radiance.
+
+    ``lit``: extra training views under other ambient light. ``response_anchor``: one known point of the
+    camera's response, (exposure × radiance, code value in 0…1), or None where the data name none.
+    ``info``: ``dataset.json`` as read, or ``{}``.
+    """
+
+    root: Path
+    name: str
+    train: list[View]
+    test: list[View]
+    lit: list[View]
+    points: Points | None = None
+    response_anchor: tuple[float, float] | None = None
+    info: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def splits(self) -> dict[str, list[View]]:
+        """The views by the name of their split: train, test, lit."""
+        return {"train": self.train, "test": self.test, "lit": self.lit}
+
+    def find(self, split: str, index: int) -> View:
+        """The view of pose ``index`` in ``split``; raises ``BadValueError`` naming those there are."""
+        if split not in self.splits:
+            raise BadValueError(f"there is no split '{split}'", "Choose from train, test, lit.")
+        views = self.splits[split]
+        for view in views:
+            if view.index == index:
+                return view
+        there = ", ".join(str(view.index) for view in views) or "none"
+        raise BadValueError(
+            f"{self.root} has no pose {index} in split '{split}'", f"Choose from these poses: {there}."
+        )
+
+    def pictures(self) -> Iterator[tuple[View, int]]:
+        """Every (view, exposure index) of every split, for checks that touch all of them."""
+        for views in self.splits.values():
+            for view in views:
+                for k in range(len(view.exposures)):
+                    yield view, k
