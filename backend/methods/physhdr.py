@@ -1,0 +1,257 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""PhysHDR-GS on the 3DGS backbone: the forward pass and the losses, as the paper states them.
+
+Each Gaussian has a reflectance H_r and an ambient illumination L_a. The image-exposure (IE) branch renders
+c = g(L_a, H_r) and multiplies the picture by the exposure t; the Gaussian-illumination (GI) branch renders
+ĉ = g(φ(L_a, l), H_r), relit to the level l. A tone mapper turns both into LDR and fuses them crosswise.
+"""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import torch
+from torch import nn
+
+from ...bridge.errors import BadValueError
+from ..model.gaussians import Gaussians
+from ..model.radiance import AdditiveModulator, LearnedComposer, LearnedModulator, ProductComposer
+from ..model.tone_mapper import ToneMapper, ToneMapperConfig
+from ..rasterize import Implementation, Rasterization, rasterize
+from ..scene.camera import Camera
+from ..train.losses import LossConfig, consistency_loss, reconstruction_loss
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhysHDRConfig:
+    """What the method is made of. The defaults are the preset ``default``; see docs/method.md for the why."""
+
+    #: Which branches are rendered. One branch costs three channels, both cost six (and the context).
+    branches: Literal["both", "image-exposure", "illumination"] = "illumination"
+    #: l: the exposure of the picture (the paper) or the lighting level that the data give for the view.
+    lighting_level: Literal["exposure", "view"] = "view"
+    #: g: the physical product L_a · H_r, or the product times what a network learns (the paper).
+    composer: Literal["product", "learned"] = "product"
+    #: φ: additive (a share of each Gaussian's light is ambient), or a network (the paper).
+    modulator: Literal["additive", "learned"] = "additive"
+    composer_hidden: int = 64
+    sh_degree: int = 3
+    #: f_mix stays at its start (a plain mean) for this share of the training (the paper: 10 k of 30 k).
+    mix_frozen_until: float = 1.0 / 3.0
+    #: I_LDR: the mean of the two fused images, or their sum as eq. 11 has it (which cannot fit; method.md).
+    aggregate: Literal["mean", "sum"] = "mean"
+    #: Add the global image to L_rec, so that L_unit binds the curve that is in use.
+    global_supervision: float = 0.0
+    tone_mapper: ToneMapperConfig = field(default_factory=ToneMapperConfig)
+    loss: LossConfig = field(default_factory=LossConfig)
+
+    def __post_init__(self) -> None:
+        if self.tone_mapper.mix and not (self.tone_mapper.local and self.branches == "both"):
+            raise BadValueError(
+                "f_mix fuses global and local images of both branches",
+                "Set --method.branches both and --method.tone-mapper.local, or leave mix off.",
+            )
+        if self.branches == "image-exposure" and self.lighting_level == "view":
+            raise BadValueError(
+                "the image-exposure branch alone has no lighting level",
+                "Set --method.lighting-level exposure, or --method.branches both or illumination.",
+            )
+        if not 0 <= self.sh_degree <= 3:
+            raise BadValueError(f"the SH degree must be 0 to 3, got {self.sh_degree}")
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """One training view: scene-linear images, LDR images, and what densification reads.
+
+    ``exposed``: what the response sees, I_HDR · t ``[3, H, W]`` (or Î · t where only the GI branch is drawn).
+    ``relit``: Î_HDR, only with both branches. ``ldr``: the prediction. ``supervised``: every LDR image that
+    L_rec compares with the picture. ``illumination_deviation``: |L_a − L̂_a| ``[N]``.
+    """
+
+    exposed: torch.Tensor
+    relit: torch.Tensor | None
+    ldr: torch.Tensor
+    supervised: list[torch.Tensor]
+    global_ldr: torch.Tensor
+    illumination_deviation: torch.Tensor | None
+    rasterization: Rasterization
+
+
+class PhysHDR(nn.Module):
+    """The method: Gaussians and three networks. ``config`` alone decides what it computes."""
+
+    def __init__(
+        self,
+        config: PhysHDRConfig,
+        gaussians: Gaussians,
+        anchor: tuple[float, float] | None,
+        implementation: Implementation = "auto",
+    ) -> None:
+        super().__init__()
+        self.config = config
+        self.gaussians = gaussians
+        self.implementation: Implementation = implementation
+        hidden = config.composer_hidden
+        self.composer = ProductComposer() if config.composer == "product" else LearnedComposer(hidden)
+        self.modulator = AdditiveModulator() if config.modulator == "additive" else LearnedModulator(hidden)
+        self.tone_mapper = ToneMapper(config.tone_mapper, anchor)
+        #: SH coefficients above this degree are not used yet (3DGS's schedule raises it).
+        self.active_sh_degree = config.sh_degree
+
+    # -- radiance of the Gaussians -------------------------------------------------------------------
+
+    def _viewpoint(self, camera: Camera) -> torch.Tensor:
+        return torch.as_tensor(camera.position, dtype=torch.float32, device=self.gaussians.means.device)
+
+    def log_modulated_illumination(self, level: float) -> torch.Tensor:
+        """ln L̂_a = ln φ(L_a, l) (eq. 7), ``[N, 1 or 3]``."""
+        share = self.gaussians.ambient_share if self.config.modulator == "additive" else None
+        return self.modulator(self.gaussians.log_illumination, level, share)
+
+    def radiance(self, viewpoint: torch.Tensor, level: float | None) -> torch.Tensor:
+        """Scene-linear radiance ``[N, 3]`` toward ``viewpoint``: c (eq. 5), or ĉ when a level is given."""
+        log_reflectance = self.gaussians.log_reflectance(viewpoint, self.active_sh_degree)
+        if level is None:
+            log_illumination = self.gaussians.log_illumination
+        else:
+            log_illumination = self.log_modulated_illumination(level)
+        return self.composer(log_illumination, log_reflectance)
+
+    # -- training --------------------------------------------------------------------------------------
+
+    def render(
+        self,
+        camera: Camera,
+        exposure: float,
+        view_level: float = 1.0,
+        screen_offsets: torch.Tensor | None = None,
+    ) -> Rendering:
+        """Render a view as a camera with ``exposure`` seconds would record it under ``view_level``."""
+        config, gaussians = self.config, self.gaussians
+        by_exposure = config.lighting_level == "exposure"
+        level = exposure if by_exposure else view_level
+        viewpoint = self._viewpoint(camera)
+        log_reflectance = gaussians.log_reflectance(viewpoint, self.active_sh_degree)
+
+        channels, log_relit = [], None
+        if config.branches != "illumination":
+            channels.append(self.composer(gaussians.log_illumination, log_reflectance))  # c, eq. 5
+        if config.branches != "image-exposure":
+            log_relit = self.log_modulated_illumination(level)  # ln L̂_a, eq. 7
+            channels.append(self.composer(log_relit, log_reflectance))  # ĉ
+        if config.tone_mapper.local:
+            channels.append(gaussians.context)
+        # One pass for everything: both branches share the geometry.
+        drawn = self._rasterize(torch.cat(channels, dim=1), camera, screen_offsets)
+        context = drawn.image[-config.tone_mapper.context_size :] if config.tone_mapper.local else None
+
+        if config.branches == "both":
+            exposed, relit = drawn.image[:3] * exposure, drawn.image[3:6]
+            if not by_exposure:
+                # l says how the scene was lit, not how it was exposed: both branches need the exposure,
+                # and a view under other light can only be explained by the GI branch.
+                relit = relit * exposure
+                exposed = exposed if view_level == 1.0 else relit
+            ldr, supervised, glo = self._fuse(exposed, relit, context)
+        else:
+            exposed, relit = drawn.image[:3], None
+            if config.branches == "image-exposure" or not by_exposure:
+                exposed = exposed * exposure
+            glo, loc = self.tone_mapper.tone_map(exposed, context)
+            ldr = glo if loc is None else loc
+            supervised = [ldr]
+
+        deviation = None
+        if log_relit is not None:
+            with torch.no_grad():
+                deviation = (gaussians.log_illumination.exp() - log_relit.exp()).abs().mean(dim=1)
+        return Rendering(exposed, relit, ldr, supervised, glo, deviation, drawn)
+
+    def _fuse(
+        self, exposed: torch.Tensor, relit: torch.Tensor, context: torch.Tensor | None
+    ) -> tuple[torch.Tensor, list[torch.Tensor], torch.Tensor]:
+        """Tone-map both branches and fuse them crosswise (eq. 8–11)."""
+        glo, loc = self.tone_mapper.tone_map(exposed, context)
+        relit_glo, relit_loc = self.tone_mapper.tone_map(relit, context)
+        if loc is None or relit_loc is None:
+            loc, relit_loc = glo, relit_glo
+        if self.config.tone_mapper.mix:
+            ldr_ig = self.tone_mapper.mix(glo, relit_loc)  # eq. 9
+            # Eq. 10 lacks its hats; GI is the GI branch's global with the IE branch's local image.
+            ldr_gi = self.tone_mapper.mix(relit_glo, loc)
+        else:
+            ldr_ig, ldr_gi = 0.5 * (glo + relit_loc), 0.5 * (relit_glo + loc)
+        ldr = ldr_ig + ldr_gi
+        if self.config.aggregate == "mean":
+            ldr = 0.5 * ldr
+        return ldr, [ldr, ldr_ig, ldr_gi], glo
+
+    def losses(self, rendering: Rendering, picture: torch.Tensor) -> dict[str, torch.Tensor]:
+        """The weighted terms of L_total (eq. 16) for a picture ``[3, H, W]`` in [0, 1]; sum them."""
+        loss = self.config.loss
+        terms = {
+            "rec": torch.stack(
+                [reconstruction_loss(image, picture, loss) for image in rendering.supervised]
+            ).sum()
+        }
+        if self.config.global_supervision:
+            terms["global"] = self.config.global_supervision * reconstruction_loss(
+                rendering.global_ldr, picture, loss
+            )
+        if loss.consistency_weight and rendering.relit is not None:
+            terms["cons"] = loss.consistency_weight * consistency_loss(
+                rendering.exposed, rendering.relit, loss
+            )
+        if loss.unit_weight and self.tone_mapper.anchor is not None:
+            terms["unit"] = loss.unit_weight * self.tone_mapper.unit_exposure_error()
+        return terms
+
+    # -- use --------------------------------------------------------------------------------------------
+
+    @torch.no_grad()
+    def hdr(self, camera: Camera, lighting_level: float = 1.0) -> torch.Tensor:
+        """Scene-linear radiance ``[3, H, W]``: I_HDR, or Î_HDR where the lighting level is not 1."""
+        level = None if lighting_level == 1.0 or not self.can_relight else lighting_level
+        colours = self.radiance(self._viewpoint(camera), level)
+        if level is None and lighting_level != 1.0:
+            colours = colours * lighting_level
+        return self._rasterize(colours, camera).image
+
+    @torch.no_grad()
+    def ldr(self, camera: Camera, exposure: float, lighting_level: float = 1.0) -> torch.Tensor:
+        """The picture ``[3, H, W]`` in [0, 1] that a camera with ``exposure`` seconds would record.
+
+        The paper ties l to the exposure; under another lighting level its image-exposure branch sees the
+        relit radiance times t, and its illumination branch the level times t.
+        """
+        if self.config.lighting_level == "view" or lighting_level == 1.0:
+            return self.render(camera, exposure, lighting_level).ldr
+        if self.config.branches == "image-exposure":
+            return self.render(camera, exposure * lighting_level).ldr
+        viewpoint = self._viewpoint(camera)
+        colours = [self.radiance(viewpoint, level) for level in (lighting_level, lighting_level * exposure)]
+        if self.config.tone_mapper.local:
+            colours.append(self.gaussians.context)
+        drawn = self._rasterize(torch.cat(colours, dim=1), camera).image
+        context = drawn[6:] if self.config.tone_mapper.local else None
+        return self._fuse(drawn[:3] * exposure, drawn[3:6], context)[0]
+
+    @property
+    def can_relight(self) -> bool:
+        """Whether there is an illumination branch; without one a lighting level only scales."""
+        return self.config.branches != "image-exposure"
+
+    def _rasterize(
+        self, colours: torch.Tensor, camera: Camera, screen_offsets: torch.Tensor | None = None
+    ) -> Rasterization:
+        g = self.gaussians
+        return rasterize(
+            g.means,
+            g.quaternions,
+            g.scales,
+            g.opacities,
+            colours,
+            camera,
+            screen_offsets=screen_offsets,
+            implementation=self.implementation,
+        )

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The scene: anisotropic Gaussians, each with a reflectance and an ambient illumination."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.spatial import KDTree
+
+from ...bridge.errors import BadValueError
+from ..kernels_tmp import evaluate_sh
+
+#: Bounds of ln radiance: 6e-6 … 8e3. Keeps exp() and its gradient finite (method.md section 9).
+LOG_RADIANCE_RANGE = (-12.0, 9.0)
+
+#: SH of degree 0: a constant function of the direction.
+SH_C0 = 0.28209479177387814
+
+
+@dataclass
+class Gaussians:
+    """Parameters of N Gaussians by name; every tensor is a leaf that requires a gradient.
+
+    ========================  ==========  ==============================================================
+    ``means``                 [N, 3]      metres, Blender's world
+    ``log_scales``            [N, 3]      ln of the standard deviations in metres
+    ``quaternions``           [N, 4]      wxyz, any length
+    ``opacity_logits``        [N]
+    ``reflectance_dc``        [N, 1, 3]   ln H_r(ω) = SH: the constant coefficient …
+    ``reflectance_rest``      [N, K−1, 3] … and the others
+    ``log_illumination``      [N, 1]      ln L_a, ambient illumination (eq. 4: no direction)
+    ``ambient_share_logits``  [N, 3]      only with the additive modulator: s = sigmoid(·)
+    ``context``               [N, 4]      only with a local tone mapper: what is rendered as its context
+    ========================  ==========  ==============================================================
+    """
+
+    parameters: dict[str, torch.Tensor]
+
+    def __getattr__(self, name: str) -> torch.Tensor:
+        try:
+            return self.__dict__["parameters"][name]
+        except KeyError:
+            raise AttributeError(f"these Gaussians have no parameter {name!r}") from None
+
+    def __len__(self) -> int:
+        return self.parameters["means"].shape[0]
+
+    @property
+    def scales(self) -> torch.Tensor:
+        """Standard deviations ``[N, 3]``, metres."""
+        return self.log_scales.exp()
+
+    @property
+    def opacities(self) -> torch.Tensor:
+        """``[N]`` in (0, 1)."""
+        return self.opacity_logits.sigmoid()
+
+    @property
+    def ambient_share(self) -> torch.Tensor:
+        """``[N, 3]`` in (0, 1): how much of each colour's radiance the ambient light causes."""
+        return self.ambient_share_logits.sigmoid()
+
+    def log_reflectance(self, viewpoint: torch.Tensor, degree: int) -> torch.Tensor:
+        """ln H_r(ω_o) ``[N, 3]`` as seen from ``viewpoint`` (``[3]``, metres), SH up to ``degree``."""
+        return evaluate_sh(self.reflectance_dc, self.reflectance_rest, self.means, viewpoint, degree)
+
+
+def initial_gaussians(
+    positions: np.ndarray,
+    log_radiance: np.ndarray,
+    *,
+    sh_degree: int,
+    opacity: float,
+    scale_factor: float,
+    ambient_share: float | None,
+    context_size: int,
+    seed: int,
+) -> Gaussians:
+    """Isotropic Gaussians at ``positions`` ``[P, 3]`` with constant radiance exp(``log_radiance`` ``[P, 3]``).
+
+    Standard deviation: ``scale_factor`` × the root mean square distance to the three nearest neighbours
+    (3DGS's rule with factor 1). ``ambient_share=None`` and ``context_size=0`` leave those parameters out.
+    """
+    count = positions.shape[0]
+    if count < 4:
+        raise BadValueError(
+            f"{count} initial points are too few to start from",
+            "Give the data set a points3d.ply with more points, or train with --initial-points random.",
+        )
+    distances, _ = KDTree(positions).query(positions, k=4, workers=-1)
+    spacing = np.sqrt(np.mean(distances[:, 1:] ** 2, axis=1)).clip(1e-5)
+    generator = torch.Generator().manual_seed(seed)
+    coefficients = (sh_degree + 1) ** 2
+    parameters = {
+        "means": torch.tensor(positions, dtype=torch.float32),
+        "log_scales": torch.tensor(np.log(scale_factor * spacing), dtype=torch.float32)[:, None].repeat(1, 3),
+        "quaternions": torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
+        "opacity_logits": torch.full((count,), float(np.log(opacity / (1.0 - opacity)))),
+        "reflectance_dc": torch.tensor(log_radiance / SH_C0, dtype=torch.float32)[:, None, :],
+        "reflectance_rest": torch.zeros(count, coefficients - 1, 3),
+        "log_illumination": torch.zeros(count, 1),
+    }
+    if ambient_share is not None:
+        logit = float(np.log(ambient_share / (1.0 - ambient_share)))
+        parameters["ambient_share_logits"] = torch.full((count, 3), logit)
+    if context_size:
+        parameters["context"] = 0.01 * torch.randn(count, context_size, generator=generator)
+    return Gaussians({name: tensor.contiguous().requires_grad_() for name, tensor in parameters.items()})

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The tone mapper f = (f_tm, f_mix): exposed radiance in, LDR out (paper section 4.2, figure 3)."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import nn
+
+from ..kernels_tmp import Activation, curve_mlp
+from .radiance import SmallNetwork
+
+#: Added to exposed radiance before its logarithm, as in GaussHDR.
+LOG_EPSILON = 1e-5
+
+#: x ~ U(−3, 3) in batches of 1024, Adam at 5e-4: HDR-NeRF's and GaussHDR's warm start of the curves.
+WARM_START_RANGE = 3.0
+WARM_START_BATCH = 1024
+WARM_START_LEARNING_RATE = 5e-4
+
+
+@dataclass(frozen=True, kw_only=True)
+class ToneMapperConfig:
+    """f_tm and f_mix. The defaults are those of the preset ``default``; see docs/method.md."""
+
+    hidden: int = 64
+    activation: Activation = "softplus"
+    #: Pass through the data set's anchor (a known exposure × radiance and its code value) by construction:
+    #: the absolute scale of the radiance then cannot drift. Needs a data set that names an anchor.
+    anchored: bool = True
+    #: Slope of logit(LDR) over ln(exposure) at the start; the network learns the rest, from zero.
+    #: ``None``: no such line, the network is warm-started instead (``warm_start_steps``).
+    initial_slope: float | None = 0.6
+    #: Local curves beside the global ones, which see a rendered context feature (GaussHDR).
+    local: bool = False
+    context_size: int = 4
+    #: Fuse the branches by f_mix (needs both branches).
+    mix: bool = False
+    #: Adam steps on the global curves before training (the paper's lineage: 1000).
+    warm_start_steps: int = 0
+
+
+class ToneMapper(nn.Module):
+    """Global and local response curves per colour channel, and the fusion network.
+
+    ``anchor``: (exposure × radiance, code value), or ``None`` where the data name none.
+    """
+
+    def __init__(self, config: ToneMapperConfig, anchor: tuple[float, float] | None) -> None:
+        super().__init__()
+        self.config = config
+        hidden = config.hidden
+        # Three nets 1 → H → 1, one a colour channel. ln-exposures span about ±8: spread the bends there.
+        self.w1 = nn.Parameter(torch.empty(3, hidden).uniform_(-1.0, 1.0))
+        self.b1 = nn.Parameter(torch.empty(3, hidden).uniform_(-1.0, 1.0))
+        bound = 1.0 / math.sqrt(hidden)
+        self.w2 = nn.Parameter(torch.empty(3, hidden).uniform_(-bound, bound))
+        self.b2 = nn.Parameter(torch.zeros(3))
+        if config.initial_slope is not None:
+            self.slope = nn.Parameter(torch.full((3, 1), config.initial_slope))
+            nn.init.zeros_(self.w2)
+            # One bend for each unit, at evenly spread exposures, so that early steps can shape the curve.
+            with torch.no_grad():
+                centres = torch.linspace(-8.0, 8.0, hidden)
+                self.w1.copy_(torch.where(torch.arange(hidden) % 2 == 0, 1.0, -1.0).expand(3, hidden))
+                self.b1.copy_(-self.w1 * centres)
+        if config.local:
+            self.local_curves = nn.ModuleList(SmallNetwork(1 + config.context_size, hidden, 1) for _ in range(3))
+        if config.mix:
+            self.fusion = SmallNetwork(6, hidden, 3)
+        self.anchor = anchor
+
+    def curve_logits(self, log_exposure: torch.Tensor) -> torch.Tensor:
+        """The global response before its sigmoid: ln(exposure × radiance) ``[3, P]`` → ``[3, P]``."""
+        logits = curve_mlp(log_exposure, self.w1, self.b1, self.w2, self.b2, self.config.activation)
+        if self.config.initial_slope is not None:
+            logits = logits + self.slope * log_exposure
+        if self.config.anchored and self.anchor is not None:
+            # Shift each channel's curve so that it meets the anchor, whatever the network says.
+            exposure, value = self.anchor
+            at_anchor = log_exposure.new_full((3, 1), math.log(exposure))
+            offset = curve_mlp(at_anchor, self.w1, self.b1, self.w2, self.b2, self.config.activation)
+            if self.config.initial_slope is not None:
+                offset = offset + self.slope * at_anchor
+            logits = logits + (math.log(value / (1.0 - value)) - offset)
+        return logits
+
+    def tone_map(
+        self, exposed: torch.Tensor, context: torch.Tensor | None
+    ) -> tuple[torch.Tensor, torch.Tensor | None]:
+        """f_tm: exposed radiance ``[3, H, W]`` → global LDR and, if there are local curves, local LDR.
+
+        ``context``: ``[4, H, W]``, rendered. The local curve is a correction of the global one,
+        clip(global + local − ½) (GaussHDR).
+        """
+        shape = exposed.shape
+        log_exposure = (exposed.clamp_min(0.0) + LOG_EPSILON).log().reshape(3, -1)
+        glo = self.curve_logits(log_exposure).sigmoid()
+        loc = None
+        if self.config.local:
+            assert context is not None, "local curves need the rendered context feature"
+            features = context.reshape(self.config.context_size, -1)
+            corrections = [
+                curve(torch.cat([log_exposure[c : c + 1], features]))
+                for c, curve in enumerate(self.local_curves)
+            ]
+            loc = (glo + torch.cat(corrections).sigmoid() - 0.5).clamp(0.0, 1.0).reshape(shape)
+        return glo.reshape(shape), loc
+
+    def mix(self, glo: torch.Tensor, loc: torch.Tensor) -> torch.Tensor:
+        """f_mix: fuse a global and a local LDR image ``[3, H, W]`` by a learned weight in [0, 1]."""
+        pair = torch.cat([glo, loc]).reshape(6, -1)
+        weight = self.fusion(pair).sigmoid().reshape(glo.shape)
+        return weight * glo + (1.0 - weight) * loc
+
+    def unit_exposure_error(self) -> torch.Tensor:
+        """L_unit: mean over channels of (f(anchor's exposure) − anchor's value)² (HDR-NeRF)."""
+        assert self.anchor is not None, "L_unit needs the data set's anchor"
+        exposure, value = self.anchor
+        x = self.w1.new_full((3, 1), math.log(exposure))
+        return (self.curve_logits(x).sigmoid() - value).square().mean()
+
+    def inverse(self, ldr: torch.Tensor) -> torch.Tensor:
+        """ln(exposure × radiance) at which the global response gives ``ldr`` ``[3, P]``, by table."""
+        with torch.no_grad():
+            x = torch.linspace(-12.0, 12.0, 2049)
+            y = self.curve_logits(x.expand(3, -1).contiguous()).sigmoid().cummax(dim=1).values
+            index = torch.searchsorted(y.contiguous(), ldr.contiguous()).clamp(max=x.numel() - 1)
+            return x[index]
+
+    def warm_start(self, seed: int) -> None:
+        """Fit the global curves to clip(ln(1 + eˣ), 0, 1), as HDR-NeRF and GaussHDR do before training."""
+        generator = torch.Generator().manual_seed(seed)
+        curves = [self.w1, self.b1, self.w2, self.b2]
+        optimiser = torch.optim.Adam(curves, lr=WARM_START_LEARNING_RATE)
+        for _ in range(self.config.warm_start_steps):
+            x = torch.empty(3, WARM_START_BATCH).uniform_(
+                -WARM_START_RANGE, WARM_START_RANGE, generator=generator
+            )
+            target = nn.functional.softplus(x).clamp(0.0, 1.0)
+            error = torch.linalg.vector_norm(self.curve_logits(x).sigmoid() - target, dim=0).mean()
+            optimiser.zero_grad(set_to_none=True)
+            error.backward()
+            optimiser.step()

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A run's whole configuration, its presets, and its file ``config.json``."""
+
+import dataclasses
+import json
+import os
+import types
+import typing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError, OutputError
+from ..methods.physhdr import PhysHDRConfig
+from ..model.tone_mapper import ToneMapperConfig
+from .densify import DensifyConfig
+from .losses import LossConfig
+from .optimisers import OptimiserConfig
+
+CONFIG_FILE = "config.json"
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainConfig:
+    """Everything that decides a run's result. Defaults are the preset ``default``."""
+
+    iterations: int = 4000
+    seed: int = 0
+    #: exp3: every iteration draws one of the training exposures; exp1: one is drawn for each view and kept.
+    exposure_mode: Literal["exp3", "exp1"] = "exp3"
+    #: Indices of the exposures that training may see (LDR-OE of the paper).
+    training_exposures: tuple[int, ...] = (0, 2, 4)
+    #: Start from the data set's points, or from random ones in the cameras' frusta.
+    initial_points: Literal["file", "random"] = "file"
+    random_points: int = 20_000
+    initial_opacity: float = 0.1
+    #: Initial size of a Gaussian over the distance to its neighbours (3DGS: 1).
+    initial_scale: float = 1.0
+    initial_ambient_share: float = 0.5
+    #: The SH degree rises by one after this many iterations (3DGS: 1000).
+    sh_degree_every: int = 500
+    method: PhysHDRConfig = field(default_factory=PhysHDRConfig)
+    optimiser: OptimiserConfig = field(default_factory=OptimiserConfig)
+    densify: DensifyConfig = field(default_factory=DensifyConfig)
+
+    def __post_init__(self) -> None:
+        if self.iterations < 1:
+            raise BadValueError(f"--iterations must be at least 1, got {self.iterations}")
+        if not self.training_exposures:
+            raise BadValueError("there must be at least one training exposure", "For example 0 2 4.")
+
+
+def paper(iterations: int = 30_000) -> TrainConfig:
+    """The paper's Algorithm 1 with the open points filled as in docs/method.md; l = t."""
+    return TrainConfig(
+        iterations=iterations,
+        sh_degree_every=1000,
+        method=PhysHDRConfig(
+            branches="both",
+            lighting_level="exposure",
+            composer="learned",
+            modulator="learned",
+            tone_mapper=ToneMapperConfig(
+                anchored=False, initial_slope=None, local=True, mix=True, warm_start_steps=1000
+            ),
+            loss=LossConfig(
+                pixel="mse",
+                pixel_weight=0.2,
+                dssim_weight=1.0,
+                consistency_weight=0.5,
+                consistency_domain="linear",
+                unit_weight=0.5,
+            ),
+        ),
+        densify=DensifyConfig(
+            start=500, stop=0.5, scaling_strength=1.0, reset_every=3000, budget=0, threshold=2e-4
+        ),
+    )
+
+
+def baseline(iterations: int = 4000) -> TrainConfig:
+    """The yardstick: the image-exposure branch alone under one global tone mapper."""
+    return TrainConfig(
+        iterations=iterations,
+        method=PhysHDRConfig(
+            branches="image-exposure",
+            lighting_level="exposure",
+            composer="product",
+            tone_mapper=ToneMapperConfig(anchored=False, initial_slope=None, warm_start_steps=1000),
+            loss=LossConfig(unit_weight=0.5),
+        ),
+    )
+
+
+#: The presets by name. They differ in config fields only.
+PRESETS: dict[str, TrainConfig] = {"default": TrainConfig(), "paper": paper(), "baseline": baseline()}
+
+
+def write_config(path: Path, config: TrainConfig, data: Path, preset: str) -> None:
+    """Write ``config.json``: with the data set it reproduces the run. Raises ``OutputError``."""
+    content = {"data": str(data.resolve()), "preset": preset, "config": dataclasses.asdict(config)}
+    temporary = path.with_suffix(".partial")
+    try:
+        temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+        os.replace(temporary, path)
+    except OSError as error:
+        raise OutputError(f"cannot write {path}: {error}", "Choose another --out.") from error
+
+
+def read_config(path: Path) -> tuple[TrainConfig, Path, str]:
+    """The configuration, the data set's folder and the preset's name that ``write_config`` wrote."""
+    if not path.is_file():
+        raise FileMissingError(
+            f"there is no {path}", "Name the folder of a run, as given to physhdr train --out."
+        )
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        config = _from_dict(TrainConfig, content["config"])
+        return config, Path(content["data"]), content["preset"]
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise FileDamagedError(f"{path} is not a run's configuration: {error}", "Train again.") from error
+
+
+def _from_dict(cls: type, values: dict[str, Any]) -> Any:
+    """A dataclass from the nested dictionary that ``dataclasses.asdict`` gave; unknown keys are refused."""
+    hints = typing.get_type_hints(cls)
+    arguments = {}
+    for name, value in values.items():
+        if name not in hints:
+            raise KeyError(f"unknown setting {name!r}")
+        hint = hints[name]
+        if dataclasses.is_dataclass(hint) and isinstance(hint, type):
+            value = _from_dict(hint, value)
+        elif typing.get_origin(hint) is tuple or isinstance(hint, types.GenericAlias):
+            value = tuple(value)
+        arguments[name] = value
+    return cls(**arguments)

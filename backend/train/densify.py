@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Adaptive density control with illumination-guided gradient scaling (paper section 4.3).
+
+Functions over an explicit state. A Gaussian whose mean screen gradient, times s_a, exceeds τ_p is cloned
+when it is small and split when it is large; transparent and oversized ones are pruned; opacity is reset now
+and then so that what nobody needs can vanish (all 3DGS's).
+"""
+
+from dataclasses import dataclass
+
+import torch
+
+from ..methods.physhdr import PhysHDR, Rendering
+from ..model.gaussians import Gaussians
+from ..rasterize.reference import rotation_matrices
+from ..scene.camera import Camera
+from .optimisers import Optimiser
+
+#: A split makes two, each this much smaller (3DGS).
+SPLIT_SHRINK = 1.6
+#: Screen-size pruning begins only after the first opacity reset (3DGS); its bound in pixels.
+SCREEN_SIZE_LIMIT = 20.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class DensifyConfig:
+    """When and what to densify. Defaults: preset ``default``; see docs/method.md."""
+
+    start: int = 300
+    every: int = 100
+    #: Share of the training after which the number of Gaussians stays.
+    stop: float = 0.6
+    #: τ_p: mean norm of ∂L/∂(NDC position).
+    threshold: float = 2e-4
+    #: s of s_a = s·σ(|L_a − L̂_a|) + 1 (eq. 14); 0 switches the scaling off.
+    scaling_strength: float = 0.0
+    #: Clone up to this size, split above (share of the scene's extent).
+    clone_below: float = 0.01
+    prune_opacity: float = 0.005
+    #: Prune Gaussians larger than this share of the extent (after the first reset).
+    prune_scale: float = 0.1
+    #: Iterations between opacity resets; 0: never.
+    reset_every: int = 0
+    reset_opacity: float = 0.01
+    #: Never more Gaussians than this; those with the largest gradients come first. 0: no bound.
+    budget: int = 60_000
+
+
+@dataclass
+class DensifyState:
+    """Per-Gaussian statistics since the last densification."""
+
+    gradient_sum: torch.Tensor
+    visits: torch.Tensor
+    largest_radius: torch.Tensor
+
+    @classmethod
+    def empty(cls, gaussians: Gaussians) -> "DensifyState":
+        zeros = torch.zeros(len(gaussians), device=gaussians.means.device)
+        return cls(zeros, zeros.clone(), zeros.clone())
+
+
+def gradient_scaling(deviation: torch.Tensor, strength: float) -> torch.Tensor:
+    """s_a = s · σ(|L_a − L̂_a|) + 1 (eq. 14), ``[N]``."""
+    return strength * deviation.sigmoid() + 1.0
+
+
+def observe(
+    state: DensifyState,
+    screen_gradient: torch.Tensor,
+    rendering: Rendering,
+    camera: Camera,
+    config: DensifyConfig,
+) -> None:
+    """Add one view's screen gradient ``[N, 2]`` (per pixel) to the statistics, in NDC and times s_a."""
+    to_ndc = screen_gradient.new_tensor([0.5 * camera.width, 0.5 * camera.height])
+    norm = torch.linalg.vector_norm(screen_gradient * to_ndc, dim=1)
+    if config.scaling_strength and rendering.illumination_deviation is not None:
+        norm = norm * gradient_scaling(rendering.illumination_deviation, config.scaling_strength)
+    visible = rendering.rasterization.radii > 0
+    state.gradient_sum += torch.where(visible, norm, torch.zeros_like(norm))
+    state.visits += visible
+    torch.maximum(state.largest_radius, rendering.rasterization.radii, out=state.largest_radius)
+
+
+def is_due(iteration: int, iterations: int, config: DensifyConfig) -> bool:
+    """Whether to densify after this iteration (counted from 1)."""
+    return config.start < iteration < config.stop * iterations and iteration % config.every == 0
+
+
+def reset_is_due(iteration: int, iterations: int, config: DensifyConfig) -> bool:
+    """Whether to reset the opacity after this iteration (counted from 1)."""
+    return (
+        config.reset_every > 0 and iteration % config.reset_every == 0 and iteration < config.stop * iterations
+    )
+
+
+@torch.no_grad()
+def densify(
+    method: PhysHDR,
+    optimiser: Optimiser,
+    state: DensifyState,
+    iteration: int,
+    config: DensifyConfig,
+    generator: torch.Generator,
+) -> DensifyState:
+    """Clone, split and prune in one resampling; returns fresh statistics."""
+    gaussians, extent = method.gaussians, optimiser.extent
+    count = len(gaussians)
+    gradient = state.gradient_sum / state.visits.clamp_min(1.0)
+    scales, opacities = gaussians.scales, gaussians.opacities
+    largest = scales.max(dim=1).values
+
+    pruned = opacities < config.prune_opacity
+    if config.reset_every and iteration > config.reset_every:
+        pruned |= (largest > config.prune_scale * extent) | (state.largest_radius > SCREEN_SIZE_LIMIT)
+
+    grows = (gradient > config.threshold) & ~pruned
+    if config.budget:
+        room = max(config.budget - int((~pruned).sum()), 0)
+        if int(grows.sum()) > room:
+            kept = torch.where(grows, gradient, torch.full_like(gradient, -1.0)).topk(room).indices
+            grows = torch.zeros_like(grows).index_fill_(0, kept, True)
+    splits = grows & (largest > config.clone_below * extent)
+    clones = grows & ~splits
+
+    index = torch.arange(count, device=gaussians.means.device)
+    stay, clone, split = index[~pruned & ~splits], index[clones], index[splits]
+    source = torch.cat([stay, clone, split, split])
+    fresh = torch.arange(len(source), device=source.device) >= len(stay)
+    rotation = rotation_matrices(gaussians.quaternions[split])
+    optimiser.resample(method, source, fresh)
+
+    children = slice(len(stay) + len(clone), len(source))
+    noise = torch.randn(2, len(split), 3, generator=generator).to(scales)
+    offsets = (rotation @ (noise * scales[split])[..., None]).squeeze(-1)
+    gaussians.means[children] += offsets.reshape(-1, 3)
+    gaussians.log_scales[children] -= torch.log(torch.tensor(SPLIT_SHRINK)).item()
+    return DensifyState.empty(gaussians)
+
+
+@torch.no_grad()
+def reset_opacity(method: PhysHDR, optimiser: Optimiser, config: DensifyConfig) -> None:
+    """Lower every opacity to at most ``reset_opacity``; what matters grows back."""
+    logits = method.gaussians.opacity_logits
+    limit = torch.logit(torch.tensor(config.reset_opacity)).item()
+    logits.clamp_(max=limit)
+    optimiser.clear_moments(logits)

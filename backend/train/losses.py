@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The loss terms, each a function of images ``[3, H, W]``."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+
+from ..kernels_tmp import gaussian_blur, ssim
+
+
+@dataclass(frozen=True, kw_only=True)
+class LossConfig:
+    """Weights and forms of the loss. The defaults are those of the preset ``default``; see docs/method.md."""
+
+    #: Pixel term of L_rec: the paper states MSE (eq. 12); L1 is what 3DGS uses.
+    pixel: Literal["l1", "mse"] = "l1"
+    #: γ, the weight of the pixel term …
+    pixel_weight: float = 0.8
+    #: … and that of 1 − SSIM.
+    dssim_weight: float = 0.2
+    #: λ2, the weight of L_cons (needs both branches).
+    consistency_weight: float = 0.0
+    #: Compare radiance, or ln(1 + radiance): the linear form drags the absolute scale (docs/method.md).
+    consistency_domain: Literal["linear", "log"] = "log"
+    #: The blur 𝒢 of L_cons: width in pixels (odd) and σ.
+    blur_size: int = 11
+    blur_sigma: float = 3.0
+    #: λ3, the weight of L_unit; used only where the data name an anchor.
+    unit_weight: float = 0.0
+
+
+def reconstruction_loss(prediction: torch.Tensor, target: torch.Tensor, config: LossConfig) -> torch.Tensor:
+    """One summand of L_rec (eq. 12): γ · pixel term + weight · (1 − SSIM)."""
+    difference = prediction - target
+    pixel = difference.abs().mean() if config.pixel == "l1" else difference.square().mean()
+    return config.pixel_weight * pixel + config.dssim_weight * (1.0 - ssim(prediction, target))
+
+
+def consistency_loss(exposed: torch.Tensor, relit: torch.Tensor, config: LossConfig) -> torch.Tensor:
+    """L_cons (eq. 13): mean |𝒢(I_HDR · t) − 𝒢(Î_HDR)|, both branches receive a gradient."""
+    pair = torch.cat([exposed, relit])
+    if config.consistency_domain == "log":
+        pair = pair.clamp_min(0.0).log1p()
+    blurred = gaussian_blur(pair, config.blur_size, config.blur_sigma)
+    return (blurred[:3] - blurred[3:]).abs().mean()

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Adam for Gaussians and networks, their learning rates over time, and surgery on Adam's moments."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+
+from ..methods.physhdr import PhysHDR
+
+#: 3DGS's epsilon: Gaussians' gradients are tiny, and Adam's default would damp them.
+ADAM_EPSILON = 1e-15
+
+
+@dataclass(frozen=True, kw_only=True)
+class OptimiserConfig:
+    """Learning rates; ``means`` are multiplied by the scene's extent (3DGS). Defaults: preset ``default``."""
+
+    means: float = 1.6e-4
+    means_final: float = 1.6e-6
+    log_scales: float = 5e-3
+    quaternions: float = 1e-3
+    opacity_logits: float = 5e-2
+    reflectance_dc: float = 2.5e-3
+    reflectance_rest: float = 1.25e-4
+    log_illumination: float = 2.5e-3
+    ambient_share_logits: float = 2.5e-2
+    context: float = 2.5e-3
+    #: g and φ (the paper: 6e-5), f (the paper: 2e-4).
+    radiance_networks: float = 6e-5
+    tone_mapper: float = 2e-4
+    #: What is annealed by a cosine to zero: the networks, or the Gaussians' appearance and shape as well.
+    cosine: str = "networks"
+
+
+class Optimiser:
+    """One fused Adam with a named group for each Gaussian parameter and one for each network."""
+
+    def __init__(self, method: PhysHDR, config: OptimiserConfig, extent: float, iterations: int) -> None:
+        self.config = config
+        self.extent = extent
+        self.iterations = iterations
+        networks = {
+            "radiance_networks": [*method.composer.parameters(), *method.modulator.parameters()],
+            "tone_mapper": list(method.tone_mapper.parameters()),
+        }
+        groups = [
+            {"name": name, "params": [tensor], "lr": 0.0}
+            for name, tensor in method.gaussians.parameters.items()
+        ]
+        groups += [{"name": name, "params": params, "lr": 0.0} for name, params in networks.items() if params]
+        self.adam = torch.optim.Adam(groups, lr=0.0, eps=ADAM_EPSILON, fused=True)
+
+    def learning_rate(self, name: str, iteration: int) -> float:
+        """The rate of a group at an iteration (counted from 0)."""
+        progress = iteration / self.iterations
+        if name == "means":
+            start, end = self.config.means, self.config.means_final
+            return self.extent * start * (end / start) ** progress
+        rate = getattr(self.config, name)
+        is_network = name in ("radiance_networks", "tone_mapper")
+        if is_network or self.config.cosine == "all":
+            rate *= 0.5 * (1.0 + math.cos(math.pi * progress))
+        return rate
+
+    def step(self, iteration: int) -> None:
+        """Apply the gradients that are there with the rates of ``iteration``, then clear them."""
+        for group in self.adam.param_groups:
+            group["lr"] = self.learning_rate(group["name"], iteration)
+        self.adam.step()
+        self.adam.zero_grad(set_to_none=True)
+
+    def resample(self, method: PhysHDR, source: torch.Tensor, fresh: torch.Tensor) -> None:
+        """Make Gaussian j a copy of the old Gaussian ``source[j]``, moments included.
+
+        ``source`` ``[M]`` int64; ``fresh`` ``[M]`` bool: these start with zero moments. Cloning, splitting,
+        pruning and reordering are all of this form.
+        """
+        parameters = method.gaussians.parameters
+        for group in self.adam.param_groups:
+            name = group["name"]
+            if name not in parameters:
+                continue
+            old = parameters[name]
+            new = old.detach()[source].contiguous().requires_grad_()
+            state = self.adam.state.pop(old, None)
+            if state:
+                for moment in ("exp_avg", "exp_avg_sq"):
+                    moved = state[moment][source]
+                    moved[fresh] = 0.0
+                    state[moment] = moved
+                self.adam.state[new] = state
+            group["params"] = [new]
+            parameters[name] = new
+
+    def clear_moments(self, tensor: torch.Tensor) -> None:
+        """Forget what Adam knows of a parameter that was set by hand."""
+        state = self.adam.state.get(tensor)
+        if state:
+            state["exp_avg"].zero_()
+            state["exp_avg_sq"].zero_()
+
+    def state_tensors(self) -> dict[str, torch.Tensor]:
+        """Adam's state as named tensors, for a checkpoint."""
+        return {
+            f"adam.{group['name']}.{index}.{key}": value
+            for group in self.adam.param_groups
+            for index, tensor in enumerate(group["params"])
+            for key, value in self.adam.state.get(tensor, {}).items()
+        }
+
+    def load_state_tensors(self, tensors: dict[str, torch.Tensor]) -> None:
+        """Restore what ``state_tensors`` gave; parameters that had no state then have none now."""
+        self.adam.state.clear()
+        for group in self.adam.param_groups:
+            for index, tensor in enumerate(group["params"]):
+                prefix = f"adam.{group['name']}.{index}."
+                state = {k[len(prefix) :]: v.clone() for k, v in tensors.items() if k.startswith(prefix)}
+                if state:
+                    self.adam.state[tensor] = state

@@ -1,0 +1,247 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The training loop, top to bottom: it yields events and knows nothing of who listens."""
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from ...bridge.errors import BadValueError, DataMismatchError, PhysHDRError
+from ..methods.physhdr import PhysHDR
+from ..model.gaussians import Gaussians, initial_gaussians
+from ..model.tone_mapper import ToneMapper
+from ..rasterize import Implementation
+from ..scene.scene import Scene, View
+from . import densify as density
+from .checkpoint import load_checkpoint, save_checkpoint
+from .config import TrainConfig
+from .events import Event, Finished, Progress, Saved, Started
+from .initialise import initial_points, merged_log_radiance, scene_extent
+from .optimisers import Optimiser
+
+CHECKPOINT_FILE = "checkpoint.safetensors"
+
+#: Streams of random numbers, so that no two purposes draw the same ones.
+STREAM_VIEWS, STREAM_EXPOSURES, STREAM_SPLIT = range(3)
+
+#: Measures a fixed test view; given the method, returns named numbers.
+Monitor = Callable[[PhysHDR], dict[str, float]]
+
+
+class TrainingDivergedError(PhysHDRError):
+    """The loss is no longer a number."""
+
+
+class Trainer:
+    """A run: the method, its optimiser, densification's statistics and the iteration.
+
+    ``implementation`` picks the rasteriser. Raises ``BadValueError`` or ``DataMismatchError`` where the
+    scene cannot be trained with ``config``.
+    """
+
+    def __init__(
+        self, scene: Scene, config: TrainConfig, implementation: Implementation = "auto"
+    ) -> None:
+        self.scene, self.config = scene, config
+        self.iteration = 0
+        uses_light = config.method.lighting_level == "view"
+        self.views = [*scene.train, *(scene.lit if uses_light else [])]
+        if not self.views:
+            raise BadValueError(f"{scene.root} has no training views")
+        self.exposures = [self._allowed_exposures(view, index) for index, view in enumerate(self.views)]
+
+        torch.manual_seed(config.seed)  # initial values of the networks
+        tone_mapper = ToneMapper(config.method.tone_mapper, scene.response_anchor)
+        tone_mapper.warm_start(config.seed)
+        self.method = PhysHDR(config.method, self._start(tone_mapper), scene.response_anchor, implementation)
+        self.method.tone_mapper.load_state_dict(tone_mapper.state_dict())
+        self.optimiser = Optimiser(
+            self.method, config.optimiser, scene_extent(scene.train), config.iterations
+        )
+        self.statistics = density.DensifyState.empty(self.method.gaussians)
+
+    def _allowed_exposures(self, view: View, index: int) -> tuple[int, ...]:
+        allowed = tuple(k for k in self.config.training_exposures if k < len(view.exposures))
+        if not allowed:
+            raise DataMismatchError(
+                f"view {view.name} has {len(view.exposures)} exposures, training wants "
+                f"{list(self.config.training_exposures)}",
+                "Set --training-exposures to indices that the data set has.",
+            )
+        if self.config.exposure_mode == "exp1":
+            rng = np.random.default_rng([self.config.seed, STREAM_EXPOSURES, index])
+            return (int(rng.choice(allowed)),)
+        return allowed
+
+    def _start(self, tone_mapper: ToneMapper) -> Gaussians:
+        config, method = self.config, self.config.method
+        points = initial_points(self.scene, config.initial_points, config.random_points, config.seed)
+        # Only views under the standard light say how bright a point is at level 1.
+        standard = [(v, e) for v, e in zip(self.views, self.exposures, strict=True) if v.lighting_level == 1.0]
+        log_radiance = merged_log_radiance(
+            points, [v for v, _ in standard], [e for _, e in standard], tone_mapper
+        )
+        return initial_gaussians(
+            points,
+            log_radiance,
+            sh_degree=method.sh_degree,
+            opacity=config.initial_opacity,
+            scale_factor=config.initial_scale,
+            ambient_share=config.initial_ambient_share if method.modulator == "additive" else None,
+            context_size=method.tone_mapper.context_size if method.tone_mapper.local else 0,
+            seed=config.seed,
+        )
+
+    # -- one iteration -----------------------------------------------------------------------------------
+
+    def draw(self, iteration: int) -> tuple[View, int]:
+        """The view and the exposure index of an iteration (from 0): a shuffle of all views each epoch."""
+        epoch, position = divmod(iteration, len(self.views))
+        order = np.random.default_rng([self.config.seed, STREAM_VIEWS, epoch]).permutation(len(self.views))
+        index = int(order[position])
+        rng = np.random.default_rng([self.config.seed, STREAM_EXPOSURES, 1 << 32, iteration])
+        return self.views[index], int(rng.choice(self.exposures[index]))
+
+    def step(self) -> dict[str, torch.Tensor]:
+        """One iteration; returns the weighted loss terms (detached)."""
+        config, method, iteration = self.config, self.method, self.iteration
+        view, k = self.draw(iteration)
+        picture = torch.from_numpy(view.image(k).transpose(2, 0, 1).astype(np.float32) / 255.0)
+        self._follow_schedules(iteration)
+
+        screen_offsets = torch.zeros(len(method.gaussians), 2, requires_grad=True)
+        rendering = method.render(view.camera, view.exposures[k], view.lighting_level, screen_offsets)
+        terms = method.losses(rendering, picture)
+        total = torch.stack(list(terms.values())).sum()
+        total.backward()
+
+        if iteration < config.densify.stop * config.iterations and screen_offsets.grad is not None:
+            density.observe(self.statistics, screen_offsets.grad, rendering, view.camera, config.densify)
+        self.optimiser.step(iteration)
+        self.iteration = iteration + 1
+        self._control_density()
+        return {name: term.detach() for name, term in terms.items()}
+
+    def _follow_schedules(self, iteration: int) -> None:
+        """The SH degree and the freezing of f_mix at an iteration (functions of it alone)."""
+        config, method = self.config, self.method
+        method.active_sh_degree = min(config.method.sh_degree, iteration // config.sh_degree_every)
+        if config.method.tone_mapper.mix:
+            learning = iteration >= config.method.mix_frozen_until * config.iterations
+            method.tone_mapper.fusion.requires_grad_(learning)
+
+    def _control_density(self) -> None:
+        config, total = self.config, self.config.iterations
+        if density.is_due(self.iteration, total, config.densify):
+            seed = np.random.SeedSequence([config.seed, STREAM_SPLIT, self.iteration]).generate_state(1)[0]
+            generator = torch.Generator().manual_seed(int(seed))
+            self.statistics = density.densify(
+                self.method, self.optimiser, self.statistics, self.iteration, config.densify, generator
+            )
+        if density.reset_is_due(self.iteration, total, config.densify):
+            density.reset_opacity(self.method, self.optimiser, config.densify)
+
+    # -- the loop ----------------------------------------------------------------------------------------
+
+    def run(
+        self,
+        folder: Path,
+        *,
+        should_stop: Callable[[], bool] = lambda: False,
+        monitor: Monitor | None = None,
+        progress_every: int = 20,
+        monitor_every: int = 200,
+        checkpoint_every: int = 2000,
+    ) -> Iterator[Event]:
+        """Train until done or told to stop, yielding events; a checkpoint is written on every way out."""
+        total, begun = self.config.iterations, time.perf_counter()
+        yield Started(self.iteration, total, len(self.method.gaussians))
+        sums: dict[str, torch.Tensor] = {}
+        window_start, window_first = time.perf_counter(), self.iteration
+        sound = True
+        try:
+            while self.iteration < total and not should_stop():
+                for name, value in self.step().items():
+                    sums[name] = sums.get(name, 0.0) + value
+                done = self.iteration
+                if done % progress_every == 0 or done == total:
+                    losses = {name: float(value) / (done - window_first) for name, value in sums.items()}
+                    self._refuse_nan(losses)
+                    rate = (done - window_first) / (time.perf_counter() - window_start)
+                    due = monitor is not None and (done % monitor_every == 0 or done == total)
+                    measured = monitor(self.method) if due and monitor is not None else {}
+                    yield Progress(
+                        done, total, len(self.method.gaussians), losses, rate, (total - done) / rate, measured
+                    )
+                    sums, window_start, window_first = {}, time.perf_counter(), done
+                if done % checkpoint_every == 0 and done < total:
+                    yield self.save(folder)
+        except TrainingDivergedError:
+            sound = False  # the last good checkpoint is worth more than this state
+            raise
+        finally:
+            if sound:
+                saved = self.save(folder)
+        yield saved
+        yield Finished(self.iteration, time.perf_counter() - begun, stopped=self.iteration < total)
+
+    def _refuse_nan(self, losses: dict[str, float]) -> None:
+        bad = [name for name, value in losses.items() if not math.isfinite(value)]
+        if bad:
+            raise TrainingDivergedError(
+                f"the loss term '{bad[0]}' is not a number at iteration {self.iteration}",
+                "Lower the learning rates, or report this with the run's config.json.",
+            )
+
+    # -- checkpoints ---------------------------------------------------------------------------------------
+
+    def save(self, folder: Path) -> Saved:
+        """Write everything that ``resume`` needs; raises ``OutputError``."""
+        tensors = {f"gaussians.{k}": v for k, v in self.method.gaussians.parameters.items()}
+        tensors |= {f"networks.{k}": v for k, v in self.method.state_dict().items()}
+        tensors |= {f"statistics.{k}": v for k, v in vars(self.statistics).items()}
+        tensors |= self.optimiser.state_tensors()
+        path = folder / CHECKPOINT_FILE
+        save_checkpoint(path, tensors, {"iteration": str(self.iteration)})
+        return Saved(self.iteration, str(path))
+
+    def resume(self, folder: Path) -> None:
+        """Go on from the checkpoint in ``folder``: the run continues bit-identically on the CPU."""
+        tensors, metadata = load_checkpoint(folder / CHECKPOINT_FILE)
+        restore_method(self.method, tensors)
+        self.optimiser = Optimiser(
+            self.method, self.config.optimiser, self.optimiser.extent, self.config.iterations
+        )
+        self.optimiser.load_state_tensors(tensors)
+        self.statistics = density.DensifyState(
+            **{k.removeprefix("statistics."): v for k, v in tensors.items() if k.startswith("statistics.")}
+        )
+        self.iteration = int(metadata["iteration"])
+        self._follow_schedules(self.iteration)
+
+
+def restore_method(method: PhysHDR, tensors: dict[str, torch.Tensor]) -> None:
+    """Put a checkpoint's Gaussians and networks into ``method``."""
+    method.gaussians.parameters = {
+        k.removeprefix("gaussians."): v.clone().requires_grad_()
+        for k, v in tensors.items()
+        if k.startswith("gaussians.")
+    }
+    method.load_state_dict(
+        {k.removeprefix("networks."): v for k, v in tensors.items() if k.startswith("networks.")}
+    )
+
+
+def load_method(
+    folder: Path, config: TrainConfig, anchor: tuple[float, float] | None, implementation: Implementation = "auto"
+) -> tuple[PhysHDR, int]:
+    """The trained method of a run's folder, for rendering, and the iteration it is at."""
+    tensors, metadata = load_checkpoint(folder / CHECKPOINT_FILE)
+    method = PhysHDR(config.method, Gaussians({}), anchor, implementation)
+    restore_method(method, tensors)
+    iteration = int(metadata["iteration"])
+    method.active_sh_degree = min(config.method.sh_degree, max(iteration - 1, 0) // config.sh_degree_every)
+    return method, iteration
