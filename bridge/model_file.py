@@ -1,0 +1,369 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The model file: what the trainer exports and Blender imports (``docs/formats.md``).
+
+A safetensors container, read and written here with numpy alone, because Blender has no safetensors:
+8 bytes of little-endian header length, a JSON header, then the tensors' raw little-endian data.
+"""
+
+import json
+import math
+import mmap
+import os
+import secrets
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Literal
+
+import numpy as np
+
+from . import spherical_harmonics
+from .errors import BadValueError, DataMismatchError, FileDamagedError, FileMissingError, OutputError
+
+FORMAT = "physhdr-model"
+VERSION = 1
+WORKING_SPACE = "Linear Rec.709"
+#: The safetensors library's own limit; a larger number is a file of something else.
+HEADER_BYTES_MAX = 100_000_000
+
+Modulator = Literal["additive", "baked-levels"]
+
+#: Tensor name → its shape in words. N, K, L and M must agree over the whole file.
+SHAPES: dict[str, tuple[str | int, ...]] = {
+    "position": ("N", 3),
+    "rotation": ("N", 4),
+    "scale": ("N", 3),
+    "opacity": ("N",),
+    "log_radiance_sh": ("N", "K", 3),
+    "ambient_share": ("N", 3),
+    "level_log_gain": ("L", "N", 3),
+    "tone_curve_log_exposure": ("M",),
+    "tone_curve": ("M", 3),
+}
+REQUIRED = ("position", "rotation", "scale", "opacity", "log_radiance_sh")
+#: Metadata that has a field or a fixed value of its own; anything else lands in ``Model.metadata``.
+RESERVED_METADATA = ("format", "version", "modulator", "levels", "sh_degree", "working_space", "exposures")
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """N Gaussians with HDR radiance that can be relit. All arrays float32; see ``docs/formats.md``.
+
+    Exactly one of ``ambient_share`` (modulator ``additive``) and ``level_log_gain`` with ``levels``
+    (modulator ``baked-levels``) is given. Building one checks every shape and value; raises
+    ``DataMismatchError`` and ``BadValueError``.
+    """
+
+    #: ``[N, 3]`` metres, Blender's world.
+    position: np.ndarray
+    #: ``[N, 4]`` quaternions, wxyz; readers normalise.
+    rotation: np.ndarray
+    #: ``[N, 3]`` standard deviations in metres.
+    scale: np.ndarray
+    #: ``[N]`` in [0, 1].
+    opacity: np.ndarray
+    #: ``[N, K, 3]``: radiance at level 1 is exp(Σ_k sh_k Y_k(ω)), ω from the camera to the Gaussian.
+    log_radiance_sh: np.ndarray
+    #: ``[N, 3]``: the share of the radiance that the ambient light causes.
+    ambient_share: np.ndarray | None = None
+    #: ``[L, N, 3]``: ln(radiance(level) / radiance(1)) at each of ``levels``.
+    level_log_gain: np.ndarray | None = None
+    #: L lighting levels, positive and rising.
+    levels: tuple[float, ...] = ()
+    #: ``[M]`` ln(exposure × radiance), rising, and ``[M, 3]`` the learned response there.
+    tone_curve_log_exposure: np.ndarray | None = None
+    tone_curve: np.ndarray | None = None
+    #: Exposure times of the training pictures in seconds.
+    exposures: tuple[float, ...] = ()
+    #: Free text about where it comes from: ``scene``, ``method``, ``iteration``, …
+    metadata: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+
+    def __post_init__(self) -> None:
+        _check_shapes({name: array.shape for name, array in self.tensors().items()}, "the model")
+        _check_values(self)
+
+    @property
+    def count(self) -> int:
+        """N, the number of Gaussians."""
+        return self.position.shape[0]
+
+    @property
+    def sh_degree(self) -> int:
+        return spherical_harmonics.degree_of(self.log_radiance_sh.shape[1])
+
+    @property
+    def modulator(self) -> Modulator:
+        return "baked-levels" if self.level_log_gain is not None else "additive"
+
+    def tensors(self) -> dict[str, np.ndarray]:
+        """The arrays that are there, by the file's tensor names."""
+        arrays = {name: getattr(self, name) for name in SHAPES}
+        return {name: array for name, array in arrays.items() if array is not None}
+
+    def radiance(self, directions: np.ndarray, level: float = 1.0) -> np.ndarray:
+        """Scene-linear radiance ``[N, 3]`` toward cameras seen along ``directions``, in their dtype.
+
+        ``directions``: ``[N, 3]`` unit vectors from the camera to each Gaussian. ``level`` ≥ 0: the
+        ambient light's factor. A baked-levels model knows nothing outside its ``levels``: ``level`` is
+        limited to their range.
+        """
+        if not level >= 0.0:
+            raise BadValueError(f"the lighting level must be 0 or more, got {level}")
+        Y = spherical_harmonics.basis(directions, self.sh_degree)
+        log_radiance = np.einsum("nk,nkc->nc", Y, self.log_radiance_sh.astype(Y.dtype, copy=False))
+        if self.level_log_gain is not None:
+            weights = level_weights(self.levels, level)
+            log_radiance += np.einsum("l,lnc->nc", weights.astype(Y.dtype), self.level_log_gain)
+            return np.exp(log_radiance)
+        assert self.ambient_share is not None  # checked when the model was made
+        radiance = np.exp(log_radiance)
+        return radiance * (1.0 - self.ambient_share) + level * (radiance * self.ambient_share)
+
+
+def level_weights(levels: tuple[float, ...], level: float) -> np.ndarray:
+    """Weights ``[L]`` of linear interpolation over log2(level), held constant outside ``levels``."""
+    log_levels = np.log2(levels)
+    at = math.log2(min(max(level, levels[0]), levels[-1]))
+    return np.array([np.interp(at, log_levels, row) for row in np.eye(len(levels))])
+
+
+def read_model(path: str | os.PathLike[str]) -> Model:
+    """Read a model file; the big arrays stay memory-mapped, read-only.
+
+    Everything is checked: the container's bounds, types, shapes, and that every value is finite and in
+    its range. Raises ``FileMissingError``, ``FileDamagedError`` (not a model, truncated),
+    ``DataMismatchError`` (shapes) and ``BadValueError`` (NaN, a newer version), all with the path.
+    """
+    path = Path(path)
+    data = _map_file(path)
+    header, data_start = _read_header(data, path)
+    metadata = _read_metadata(header, path)
+    tensors = {
+        name: _read_tensor(name, header[name], data, data_start, path) for name in SHAPES if name in header
+    }
+    missing = [name for name in REQUIRED if name not in tensors]
+    if missing:
+        raise _damaged(path, f"has no {', '.join(missing)}")
+    wanted = {"additive": "ambient_share", "baked-levels": "level_log_gain"}
+    modulator = metadata.get("modulator", "")
+    if modulator not in wanted:
+        raise BadValueError(f"{path}: unknown modulator {modulator!r}", _NEWER_HINT)
+    if wanted[modulator] not in tensors:
+        raise _damaged(path, f"has modulator {modulator!r} but no {wanted[modulator]}")
+    for other in set(wanted.values()) - {wanted[modulator]}:
+        tensors.pop(other, None)
+    try:
+        model = Model(
+            **tensors,
+            levels=_numbers(metadata, "levels", path) if modulator == "baked-levels" else (),
+            exposures=_numbers(metadata, "exposures", path),
+            metadata=MappingProxyType({k: v for k, v in metadata.items() if k not in RESERVED_METADATA}),
+        )
+    except (DataMismatchError, BadValueError) as error:
+        raise type(error)(f"{path}: {error.message}", error.hint) from error
+    stated = metadata.get("sh_degree", str(model.sh_degree))
+    if stated != str(model.sh_degree):
+        raise DataMismatchError(f"{path}: sh_degree is {stated}, but log_radiance_sh has {model.sh_degree}")
+    return model
+
+
+def write_model(path: str | os.PathLike[str], model: Model) -> None:
+    """Write a model file in one step: it is there complete or not at all, an older one until then.
+
+    Raises ``OutputError`` where it cannot be written.
+    """
+    path = Path(path)
+    metadata = {
+        **{str(key): str(value) for key, value in model.metadata.items()},
+        "format": FORMAT,
+        "version": str(VERSION),
+        "modulator": model.modulator,
+        "sh_degree": str(model.sh_degree),
+        "working_space": WORKING_SPACE,
+        "exposures": json.dumps(list(model.exposures)),
+    }
+    if model.modulator == "baked-levels":
+        metadata["levels"] = json.dumps(list(model.levels))
+    arrays = {name: np.ascontiguousarray(array, "<f4") for name, array in model.tensors().items()}
+    header: dict[str, Any] = {"__metadata__": metadata}
+    end = 0
+    for name, array in arrays.items():
+        start, end = end, end + array.nbytes
+        header[name] = {"dtype": "F32", "shape": list(array.shape), "data_offsets": [start, end]}
+    header_bytes = json.dumps(header, separators=(",", ":")).encode()
+    header_bytes += b" " * (-len(header_bytes) % 8)  # aligns the data, as the safetensors library does
+
+    # Beside the target, because only a rename within one file system is atomic.
+    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+    try:
+        with open(temporary, "xb") as file:
+            file.write(len(header_bytes).to_bytes(8, "little"))
+            file.write(header_bytes)
+            for array in arrays.values():
+                file.write(array.data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except OSError as error:
+        raise OutputError(
+            f"cannot write the model file {path}: {error.strerror or error}",
+            "Check that the folder exists, that you may write there and that the disk has room.",
+        ) from error
+    finally:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+_NEWER_HINT = "It may come from a newer PhysHDR: update PhysHDR here, or export the model again."
+
+
+def _damaged(path: Path, what: str) -> FileDamagedError:
+    return FileDamagedError(f"{path} {what}", "Export the model again (physhdr export).")
+
+
+def _map_file(path: Path) -> memoryview:
+    """The file's bytes, memory-mapped; the map lives as long as an array that uses it."""
+    try:
+        with open(path, "rb") as file:
+            size = os.fstat(file.fileno()).st_size
+            if size < 8:
+                raise _damaged(path, f"is not a PhysHDR model: it has only {size} bytes")
+            return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
+    except FileNotFoundError:
+        raise FileMissingError(
+            f"there is no model file {path}", "Export one with physhdr export, or choose another file."
+        ) from None
+    except IsADirectoryError:
+        raise FileMissingError(
+            f"{path} is a folder, not a model file", "Choose a .safetensors file."
+        ) from None
+    except OSError as error:
+        raise FileDamagedError(
+            f"cannot read {path}: {error.strerror or error}", "Check the file's permissions."
+        ) from error
+
+
+def _read_header(data: memoryview, path: Path) -> tuple[dict[str, Any], int]:
+    """The JSON header and the offset at which the tensors' data start."""
+    length = int.from_bytes(data[:8], "little")
+    if length > HEADER_BYTES_MAX or bytes(data[8:9]) not in (b"{", b""):
+        raise _damaged(path, "is not a PhysHDR model: no safetensors header")
+    if 8 + length > len(data):
+        raise _damaged(path, f"is truncated: its header needs {8 + length} bytes, the file has {len(data)}")
+    try:
+        header = json.loads(bytes(data[8 : 8 + length]).decode("utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise _damaged(path, f"is damaged: its header is not JSON ({error})") from error
+    if not isinstance(header, dict):
+        raise _damaged(path, "is not a PhysHDR model: its header is not an object")
+    return header, 8 + length
+
+
+def _read_metadata(header: dict[str, Any], path: Path) -> dict[str, str]:
+    metadata = header.get("__metadata__", {})
+    if not isinstance(metadata, dict) or metadata.get("format") != FORMAT:
+        raise _damaged(path, "is a safetensors file, but not a PhysHDR model")
+    if not all(isinstance(value, str) for value in metadata.values()):
+        raise _damaged(path, "is damaged: its metadata are not all text")
+    if metadata.get("version") != str(VERSION):
+        raise BadValueError(
+            f"{path}: version {metadata.get('version')} of the model file, this PhysHDR reads {VERSION}",
+            _NEWER_HINT,
+        )
+    working_space = metadata.get("working_space", WORKING_SPACE)
+    if working_space != WORKING_SPACE:
+        raise BadValueError(f"{path}: working space {working_space!r}, only {WORKING_SPACE!r} is supported")
+    return metadata
+
+
+def _read_tensor(name: str, entry: Any, data: memoryview, data_start: int, path: Path) -> np.ndarray:
+    """One tensor as a read-only view of the file, its bounds checked before anything is made."""
+    match entry:
+        case {"dtype": "F32", "shape": [*shape], "data_offsets": [int(start), int(end)]} if all(
+            type(size) is int and size >= 0 for size in shape
+        ):
+            pass
+        case {"dtype": str(dtype)} if dtype != "F32":
+            raise _damaged(path, f"has {name} as {dtype}; it must be F32")
+        case _:
+            raise _damaged(path, f"is damaged: the header's entry of {name} is not valid")
+    if not 0 <= start <= end or end - start != 4 * math.prod(shape):
+        raise _damaged(path, f"is damaged: {name} of shape {shape} cannot be {end - start} bytes")
+    if data_start + end > len(data):
+        raise _damaged(
+            path, f"is truncated: {name} ends at byte {data_start + end}, the file has {len(data)}"
+        )
+    return np.ndarray(tuple(shape), "<f4", data, data_start + start)
+
+
+def _numbers(metadata: Mapping[str, str], key: str, path: Path) -> tuple[float, ...]:
+    """A JSON list of finite numbers in the metadata; empty where there is none."""
+    try:
+        values = json.loads(metadata.get(key, "[]"))
+    except (ValueError, RecursionError) as error:
+        raise _damaged(path, f"is damaged: {key} is not JSON") from error
+    if not isinstance(values, list) or not all(
+        isinstance(value, int | float) and math.isfinite(value) for value in values
+    ):
+        raise _damaged(path, f"is damaged: {key} is not a list of numbers")
+    return tuple(float(value) for value in values)
+
+
+def _check_shapes(shapes: dict[str, tuple[int, ...]], whose: str) -> None:
+    """Every tensor has its number of axes, and N, K, L and M agree."""
+    sizes: dict[str, tuple[int, str]] = {}
+    for name, shape in shapes.items():
+        expected = SHAPES[name]
+        if len(shape) != len(expected):
+            raise DataMismatchError(f"{whose}: {name} has shape {list(shape)}, expected {list(expected)}")
+        for size, axis in zip(shape, expected, strict=True):
+            if isinstance(axis, int):
+                if size != axis:
+                    raise DataMismatchError(f"{name} has shape {list(shape)}, expected {list(expected)}")
+                continue
+            known, by = sizes.setdefault(axis, (size, name))
+            if known != size:
+                raise DataMismatchError(f"{name} has {axis} = {size}, but {by} has {axis} = {known}")
+
+
+def _check_values(model: Model) -> None:
+    if model.count == 0:
+        raise BadValueError("there are no Gaussians", "Train longer, or check the pruning settings.")
+    try:
+        spherical_harmonics.degree_of(model.log_radiance_sh.shape[1])
+    except ValueError as error:
+        raise DataMismatchError(f"log_radiance_sh: {error}") from error
+    for name, array in model.tensors().items():
+        if array.dtype != np.dtype("<f4"):
+            raise DataMismatchError(f"{name} is {array.dtype}, it must be float32")
+        finite = np.isfinite(array)
+        if not finite.all():
+            wrong = int(array.size - np.count_nonzero(finite))
+            raise BadValueError(
+                f"{name} has {wrong} values that are NaN or infinite",
+                "Training diverged: export an earlier checkpoint.",
+            )
+    if (np.square(model.rotation).sum(axis=1) < 1e-12).any():
+        raise BadValueError("rotation has a quaternion of length 0")
+    if (model.scale < 0.0).any():
+        raise BadValueError("scale has a negative value", "It must be linear (metres), not a logarithm.")
+    if (model.opacity < 0.0).any() or (model.opacity > 1.0).any():
+        raise BadValueError("opacity has a value outside [0, 1]", "It must be activated, not a logit.")
+    if (model.ambient_share is None) == (model.level_log_gain is None):
+        raise DataMismatchError("exactly one of ambient_share and level_log_gain must be there")
+    if model.ambient_share is not None:
+        outside = (model.ambient_share < 0.0) | (model.ambient_share > 1.0)
+        if outside.any():
+            raise BadValueError("ambient_share has a value outside [0, 1]")
+    else:
+        levels = np.array(model.levels)
+        if model.level_log_gain is None or len(levels) != model.level_log_gain.shape[0] or len(levels) == 0:
+            raise DataMismatchError(f"there are {len(levels)} levels, but level_log_gain has another count")
+        if not (np.isfinite(levels).all() and levels[0] > 0.0 and (np.diff(levels) > 0.0).all()):
+            raise BadValueError(f"levels must be positive and rising, got {list(model.levels)}")
+    if (model.tone_curve is None) != (model.tone_curve_log_exposure is None):
+        raise DataMismatchError("tone_curve and tone_curve_log_exposure belong together")
+    if model.tone_curve_log_exposure is not None and (np.diff(model.tone_curve_log_exposure) <= 0.0).any():
+        raise BadValueError("tone_curve_log_exposure must rise")

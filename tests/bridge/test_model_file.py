@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The model file: what is written comes back, what is damaged is refused with one clear message."""
+
+import dataclasses
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from physhdr.bridge import spherical_harmonics
+from physhdr.bridge.errors import (
+    BadValueError,
+    DataMismatchError,
+    FileDamagedError,
+    FileMissingError,
+    OutputError,
+)
+from physhdr.bridge.model_file import Model, read_model, write_model
+
+
+def make_model(count: int = 7, degree: int = 1, modulator: str = "additive", seed: int = 0) -> Model:
+    rng = np.random.default_rng(seed)
+
+    def random(*shape: int, low: float = -1.0, high: float = 1.0) -> np.ndarray:
+        return rng.uniform(low, high, shape).astype(np.float32)
+
+    light = (
+        {"ambient_share": random(count, 3, low=0.0)}
+        if modulator == "additive"
+        else {"level_log_gain": random(3, count, 3), "levels": (0.25, 1.0, 2.0)}
+    )
+    return Model(
+        position=random(count, 3),
+        rotation=random(count, 4),
+        scale=random(count, 3, low=0.01),
+        opacity=random(count, low=0.0),
+        log_radiance_sh=random(count, (degree + 1) ** 2, 3),
+        **light,
+        tone_curve_log_exposure=np.linspace(-5, 5, 11, dtype=np.float32),
+        tone_curve=random(11, 3, low=0.0),
+        exposures=(0.125, 0.5, 2.0),
+        metadata={"scene": "küche", "method": "physhdr", "iteration": "3000"},
+    )
+
+
+def rewrite(path: Path, change) -> None:
+    """Pass the header (a dict) and the data through ``change(header, data) -> data`` and write them back."""
+    raw = path.read_bytes()
+    length = int.from_bytes(raw[:8], "little")
+    header, data = json.loads(raw[8 : 8 + length]), bytearray(raw[8 + length :])
+    data = change(header, data) or data
+    text = json.dumps(header).encode()
+    path.write_bytes(len(text).to_bytes(8, "little") + text + bytes(data))
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    write_model(tmp_path / "model.safetensors", make_model())
+    return tmp_path / "model.safetensors"
+
+
+@pytest.mark.parametrize("modulator", ["additive", "baked-levels"])
+@pytest.mark.parametrize("degree", [0, 3])
+def test_round_trip_is_exact(tmp_path: Path, modulator: str, degree: int):
+    model = make_model(degree=degree, modulator=modulator)
+    write_model(tmp_path / "m.safetensors", model)
+    back = read_model(tmp_path / "m.safetensors")
+    assert back.modulator == modulator
+    assert back.sh_degree == degree
+    assert (back.count, back.levels, back.exposures) == (7, model.levels, model.exposures)
+    assert dict(back.metadata) == model.metadata
+    assert back.tensors().keys() == model.tensors().keys()
+    for name, array in model.tensors().items():
+        np.testing.assert_array_equal(getattr(back, name), array)
+    assert os.listdir(tmp_path) == ["m.safetensors"]
+
+
+def test_safetensors_library_reads_what_we_write(path: Path):
+    safetensors = pytest.importorskip("safetensors")
+    from safetensors.numpy import load_file
+
+    tensors = load_file(path)
+    for name, array in make_model().tensors().items():
+        np.testing.assert_array_equal(tensors[name], array)
+    with safetensors.safe_open(path, "numpy") as file:
+        assert file.metadata()["format"] == "physhdr-model"
+        assert file.metadata()["scene"] == "küche"
+
+
+def test_we_read_what_the_safetensors_library_writes(tmp_path: Path):
+    pytest.importorskip("safetensors")
+    from safetensors.numpy import save_file
+
+    model = make_model(modulator="baked-levels")
+    metadata = {"format": "physhdr-model", "version": "1", "modulator": "baked-levels", "sh_degree": "1"}
+    metadata |= {"levels": "[0.25, 1, 2]", "working_space": "Linear Rec.709", "exposures": "[1]"}
+    save_file(model.tensors(), tmp_path / "m.safetensors", metadata)
+    back = read_model(tmp_path / "m.safetensors")
+    for name, array in model.tensors().items():
+        np.testing.assert_array_equal(getattr(back, name), array)
+
+
+def test_additive_radiance_by_hand():
+    """One Gaussian, degree 0: radiance 2 at level 1, of which 0, ½ and all is ambient."""
+    model = dataclasses.replace(
+        make_model(count=1, degree=0),
+        log_radiance_sh=np.full((1, 1, 3), np.log(2.0) / spherical_harmonics.C0, np.float32),
+        ambient_share=np.array([[0.0, 0.5, 1.0]], np.float32),
+    )
+    direction = np.array([[0.0, 0.0, -1.0]])
+    np.testing.assert_allclose(model.radiance(direction, 1.0), [[2.0, 2.0, 2.0]], rtol=1e-6)
+    np.testing.assert_allclose(model.radiance(direction, 4.0), [[2.0, 5.0, 8.0]], rtol=1e-6)
+    np.testing.assert_allclose(model.radiance(direction, 0.0), [[2.0, 1.0, 0.0]], rtol=1e-6)
+
+
+def test_baked_levels_interpolate_in_stops_and_hold_outside():
+    model = dataclasses.replace(
+        make_model(count=1, degree=0, modulator="baked-levels"),
+        log_radiance_sh=np.zeros((1, 1, 3), np.float32),
+        level_log_gain=np.array([[[-1.0] * 3], [[0.0] * 3], [[0.5] * 3]], np.float32),
+    )
+    direction = np.array([[1.0, 0.0, 0.0]])
+    for level, gain in [(0.0, -1.0), (0.25, -1.0), (0.5, -0.5), (1.0, 0.0), (2**0.5, 0.25), (8.0, 0.5)]:
+        np.testing.assert_allclose(
+            model.radiance(direction, level), np.exp(gain) * np.ones((1, 3)), rtol=1e-6
+        )
+
+
+def test_radiance_depends_on_the_direction():
+    """Only the z coefficient of degree 1: exp(C1 z), brightest seen from below (ω up)."""
+    log_radiance_sh = np.zeros((2, 4, 3), np.float32)
+    log_radiance_sh[:, 2] = 1.0
+    model = dataclasses.replace(make_model(count=2), log_radiance_sh=log_radiance_sh)
+    up_and_down = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
+    expected = np.exp(spherical_harmonics.C1 * np.array([[1.0] * 3, [-1.0] * 3]))
+    np.testing.assert_allclose(model.radiance(up_and_down), expected, rtol=1e-6)
+
+
+def test_missing_file_and_folder(tmp_path: Path):
+    with pytest.raises(FileMissingError, match="no model file"):
+        read_model(tmp_path / "none.safetensors")
+    with pytest.raises(FileMissingError, match="folder"):
+        read_model(tmp_path)
+
+
+@pytest.mark.parametrize("size", [0, 5, 8, 9, 300, -1])
+def test_truncated_anywhere(path: Path, size: int):
+    path.write_bytes(path.read_bytes()[:size])
+    with pytest.raises(FileDamagedError, match=r"truncated|only|no safetensors"):
+        read_model(path)
+
+
+def test_not_ours(path: Path, tmp_path: Path):
+    (tmp_path / "picture.png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(100))
+    with pytest.raises(FileDamagedError, match="not a PhysHDR model"):
+        read_model(tmp_path / "picture.png")
+    rewrite(path, lambda header, data: header["__metadata__"].update(format="other"))
+    with pytest.raises(FileDamagedError, match="not a PhysHDR model"):
+        read_model(path)
+
+
+def test_newer_version(path: Path):
+    rewrite(path, lambda header, data: header["__metadata__"].update(version="2"))
+    with pytest.raises(BadValueError, match=r"version 2[\s\S]*update PhysHDR"):
+        read_model(path)
+
+
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        ({"dtype": "F16", "shape": [7, 3], "data_offsets": [0, 42]}, "F16"),
+        ({"dtype": "F32", "shape": [7, 3], "data_offsets": [0, 80]}, "cannot be 80 bytes"),
+        ({"dtype": "F32", "shape": [7, 3], "data_offsets": [-84, 0]}, "cannot be"),
+        ({"dtype": "F32", "shape": [2**40, 3], "data_offsets": [0, 12 * 2**40]}, "truncated"),
+        ({"dtype": "F32", "shape": [7, "3"], "data_offsets": [0, 84]}, "not valid"),
+        ({"dtype": "F32", "shape": [-7, -3], "data_offsets": [0, 84]}, "not valid"),
+        ({"dtype": "F32"}, "not valid"),
+        ("nonsense", "not valid"),
+    ],
+)
+def test_damaged_header_entries(path: Path, entry, message: str):
+    rewrite(path, lambda header, data: header.update(position=entry))
+    with pytest.raises(FileDamagedError, match=message):
+        read_model(path)
+
+
+def test_missing_tensor_and_shapes_that_disagree(path: Path):
+    rewrite(path, lambda header, data: header.pop("scale") and None)
+    with pytest.raises(FileDamagedError, match="no scale"):
+        read_model(path)
+    write_model(path, make_model())
+    rewrite(path, lambda header, data: header["opacity"].update(shape=[6], data_offsets=[0, 24]))
+    with pytest.raises(DataMismatchError, match=r"opacity has N = 6, but position has N = 7"):
+        read_model(path)
+
+
+@pytest.mark.parametrize(
+    ("tensor", "value", "message"),
+    [
+        ("position", np.nan, "position has 1 values that are NaN"),
+        ("log_radiance_sh", np.inf, "NaN or infinite"),
+        ("opacity", 1.5, "opacity"),
+        ("scale", -1.0, "negative"),
+        ("ambient_share", 2.0, "ambient_share"),
+    ],
+)
+def test_bad_values(path: Path, tensor: str, value: float, message: str):
+    def spoil(header, data):
+        start = header[tensor]["data_offsets"][0]
+        data[start : start + 4] = np.float32(value).tobytes()
+
+    rewrite(path, spoil)
+    with pytest.raises(BadValueError, match=message):
+        read_model(path)
+
+
+def test_a_quaternion_of_length_zero():
+    with pytest.raises(BadValueError, match="quaternion"):
+        dataclasses.replace(make_model(), rotation=np.zeros((7, 4), np.float32))
+
+
+def test_levels_must_be_there_and_rise():
+    model = make_model(modulator="baked-levels")
+    with pytest.raises(DataMismatchError, match="2 levels"):
+        dataclasses.replace(model, levels=(1.0, 2.0))
+    with pytest.raises(BadValueError, match="rising"):
+        dataclasses.replace(model, levels=(1.0, 0.5, 2.0))
+
+
+def test_a_path_that_cannot_be_written_leaves_nothing(tmp_path: Path):
+    with pytest.raises(OutputError, match=r"cannot write[\s\S]*folder exists"):
+        write_model(tmp_path / "none" / "m.safetensors", make_model())
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(OutputError):
+        write_model(tmp_path / "folder", make_model())
+    assert os.listdir(tmp_path) == ["folder"]
+
+
+def test_writing_replaces_a_file_that_is_being_read(path: Path):
+    old = read_model(path)
+    write_model(path, make_model(seed=1))
+    np.testing.assert_array_equal(old.position, make_model().position)
+    np.testing.assert_array_equal(read_model(path).position, make_model(seed=1).position)
