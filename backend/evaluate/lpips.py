@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""LPIPS v0.1 with AlexNet (Zhang et al. 2018), written anew: no package offers it without torchvision.
+
+The weights are not ours to ship: the user gives the path of an ``.npz`` with AlexNet's five convolutions
+(``conv{0,3,6,8,10}.weight/.bias``) and the five linear heads (``lin0`` … ``lin4``).
+"""
+
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch.nn import functional
+
+from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
+
+#: (name, stride, padding, max-pooled before) of AlexNet's convolutions, torchvision's numbering.
+LAYERS = (("conv0", 4, 2, False), ("conv3", 1, 2, True), ("conv6", 1, 1, True), ("conv8", 1, 1, False))
+LAYERS += (("conv10", 1, 1, False),)
+#: ImageNet's mean and deviation, as LPIPS states them for inputs in −1…1.
+SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
+#: Smaller pictures vanish in the second pooling.
+SMALLEST_SIDE = 31
+EPSILON = 1e-10  # of the original's unit normalisation
+
+
+class Lpips:
+    """The distance of two pictures: 0 for equal ones. Weights stay on the CPU unless ``to`` moves them."""
+
+    def __init__(self, weights: dict[str, torch.Tensor]) -> None:
+        self._weights = weights
+
+    @classmethod
+    def from_file(cls, path: Path) -> "Lpips":
+        """Load the weights; raises ``FileMissingError`` or ``FileDamagedError``."""
+        path = Path(path)
+        remedy = "Give the path of lpips_alex_v0.1_float32.npz, or none to leave LPIPS out."
+        if not path.is_file():
+            raise FileMissingError(f"the LPIPS weights {path} are missing", remedy)
+        names = [f"{layer[0]}.{kind}" for layer in LAYERS for kind in ("weight", "bias")]
+        names += [f"lin{i}" for i in range(len(LAYERS))]
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                arrays = {name: np.asarray(file[name], np.float32) for name in names}
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            raise FileDamagedError(f"{path} does not hold the weights of LPIPS: {error}", remedy) from error
+        return cls({name: torch.from_numpy(array) for name, array in arrays.items()})
+
+    def to(self, device: torch.device | str) -> "Lpips":
+        """The same distance, computed on ``device``."""
+        return Lpips({name: weight.to(device) for name, weight in self._weights.items()})
+
+    def __call__(self, picture: torch.Tensor, truth: torch.Tensor) -> float:
+        """Canonical ``lpips``: ``[3, H, W]`` pictures in 0…1 are scaled to −1…1, as LPIPS is defined."""
+        return self.raw(2.0 * picture - 1.0, 2.0 * truth - 1.0)
+
+    def unscaled(self, picture: torch.Tensor, truth: torch.Tensor) -> float:
+        """``lpips_01``: pictures in 0…1 are fed as they are, as 3DGS, GaussHDR and the paper do (lower)."""
+        return self.raw(picture, truth)
+
+    @torch.no_grad()
+    def raw(self, picture: torch.Tensor, truth: torch.Tensor) -> float:
+        """The distance of ``[3, H, W]`` inputs as they are; raises ``BadValueError`` if they are too small."""
+        if min(picture.shape[1:]) < SMALLEST_SIDE:
+            raise BadValueError(
+                f"LPIPS needs pictures of at least {SMALLEST_SIDE}×{SMALLEST_SIDE}, got {tuple(picture.shape)}",
+                "Use a higher resolution, or leave LPIPS out.",
+            )
+        device = self._weights["lin0"].device
+        x = torch.stack([picture, truth]).to(device, torch.float32)
+        x = (x - x.new_tensor(SHIFT).view(1, 3, 1, 1)) / x.new_tensor(SCALE).view(1, 3, 1, 1)
+        distance = x.new_zeros(())
+        for i, (name, stride, padding, pooled) in enumerate(LAYERS):
+            if pooled:
+                x = functional.max_pool2d(x, 3, 2)
+            weight, bias = self._weights[f"{name}.weight"], self._weights[f"{name}.bias"]
+            x = functional.relu(functional.conv2d(x, weight, bias, stride, padding))
+            unit = x / (x.square().sum(dim=1, keepdim=True).sqrt() + EPSILON)
+            difference = (unit[0] - unit[1]).square().mean(dim=(1, 2))
+            distance = distance + (difference * self._weights[f"lin{i}"].flatten()).sum()
+        return distance.item()

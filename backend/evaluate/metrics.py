@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""PSNR, SSIM, μ-law and the HDR comparison, by the conventions of the paper's code lineage.
+
+Pictures are ``[3, H, W]`` tensors, in 0…1 unless they are radiance. Numbers are computed in float64: the
+variances of SSIM are differences of squares, and float32 loses the fifth digit in flat regions.
+"""
+
+import functools
+import math
+from dataclasses import dataclass
+
+import torch
+
+from ...bridge.errors import BadValueError, DataMismatchError
+
+#: Of the μ-law with which HDR pictures are compared (HDR-NeRF, GaussHDR, the paper).
+MU = 5000.0
+#: SSIM's window and constants: 3DGS, after Wang et al. 2004.
+SSIM_WINDOW, SSIM_SIGMA = 11, 1.5
+SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2
+#: Channel values below this share of the picture's median say nothing of the scale: noise and black.
+SCALE_FLOOR = 0.01
+#: Render and truth may differ in aspect by this much (odd sizes, halved) and still be the same picture.
+ASPECT_TOLERANCE = 0.02
+
+
+def quantise(picture: torch.Tensor) -> torch.Tensor:
+    """The picture as an 8-bit PNG would give it back: clamped to 0…1, rounded half up, float64."""
+    return torch.floor(picture.double().clamp(0.0, 1.0) * 255.0 + 0.5) / 255.0
+
+
+def psnr(picture: torch.Tensor, truth: torch.Tensor) -> float:
+    """Peak signal-to-noise ratio in dB for a range of 1; infinite for equal pictures."""
+    _require_same_shape(picture, truth)
+    error = (picture.double() - truth.double()).square().mean().item()
+    return math.inf if error == 0.0 else -10.0 * math.log10(error)
+
+
+@functools.cache
+def _ssim_kernel() -> torch.Tensor:
+    """``[11]`` float64, sums to 1."""
+    offset = torch.arange(SSIM_WINDOW, dtype=torch.float64) - SSIM_WINDOW // 2
+    weight = torch.exp(-offset.square() / (2.0 * SSIM_SIGMA**2))
+    return weight / weight.sum()
+
+
+def _window_mean(planes: torch.Tensor) -> torch.Tensor:
+    """The Gaussian-weighted mean around each pixel of ``[B, H, W]``, zeros outside (separable)."""
+    kernel = _ssim_kernel().to(planes.device)
+    pad = SSIM_WINDOW // 2
+    planes = torch.nn.functional.conv2d(planes[:, None], kernel.view(1, 1, -1, 1), padding=(pad, 0))
+    return torch.nn.functional.conv2d(planes, kernel.view(1, 1, 1, -1), padding=(0, pad))[:, 0]
+
+
+def ssim_map(picture: torch.Tensor, truth: torch.Tensor) -> torch.Tensor:
+    """SSIM at each pixel and channel, ``[3, H, W]`` float64; the padding counts as black, as in 3DGS."""
+    _require_same_shape(picture, truth)
+    x, y = picture.double(), truth.double()
+    mean_x, mean_y = _window_mean(x), _window_mean(y)
+    variance_x = _window_mean(x * x) - mean_x * mean_x
+    variance_y = _window_mean(y * y) - mean_y * mean_y
+    covariance = _window_mean(x * y) - mean_x * mean_y
+    luminance = (2.0 * mean_x * mean_y + SSIM_C1) / (mean_x.square() + mean_y.square() + SSIM_C1)
+    return luminance * (2.0 * covariance + SSIM_C2) / (variance_x + variance_y + SSIM_C2)
+
+
+def ssim(picture: torch.Tensor, truth: torch.Tensor) -> float:
+    """Mean SSIM over all pixels and channels: 11×11 Gaussian window, σ 1.5, zero-padded (3DGS)."""
+    return ssim_map(picture, truth).mean().item()
+
+
+def mu_law(x: torch.Tensor, mu: float = MU) -> torch.Tensor:
+    """ln(1 + μx) / ln(1 + μ) for ``x`` in 0…1."""
+    return torch.log1p(mu * x) / math.log1p(mu)
+
+
+def hdr_normaliser(truth: torch.Tensor) -> float:
+    """M of the HDR protocol: the largest channel value of the full-resolution truth.
+
+    Raises ``BadValueError`` if the truth is black.
+    """
+    largest = truth.max().item()
+    if not largest > 0.0:
+        raise BadValueError(
+            f"the largest radiance of the true picture is {largest}: nothing to normalise by",
+            "Check that this EXR is not black, or remove the view from the test split.",
+        )
+    return largest
+
+
+def display(radiance: torch.Tensor, normaliser: float) -> torch.Tensor:
+    """Radiance as the HDR protocol sees it: μ-law(clip(radiance / M, 0, 1)), float64, not quantised."""
+    return mu_law((radiance.double() / normaliser).clamp(0.0, 1.0))
+
+
+def resize_to(picture: torch.Tensor, height: int, width: int) -> torch.Tensor:
+    """Bilinear with aligned corners (GaussHDR's choice); raises ``DataMismatchError`` on another aspect."""
+    if picture.shape[1:] == (height, width):
+        return picture
+    if abs(picture.shape[2] / picture.shape[1] * height / width - 1.0) > ASPECT_TOLERANCE:
+        raise DataMismatchError(
+            f"the true picture is {picture.shape[2]}×{picture.shape[1]}, the render {width}×{height}",
+            "Give truth and pictures of one aspect.",
+        )
+    return torch.nn.functional.interpolate(
+        picture[None], (height, width), mode="bilinear", align_corners=True
+    )[0]
+
+
+@dataclass(frozen=True)
+class HdrPair:
+    """Prediction and truth, μ-law'd and quantised, ``[3, H, W]`` in 0…1, ready for any LDR metric."""
+
+    prediction: torch.Tensor
+    truth: torch.Tensor
+    normaliser: float
+
+
+def hdr_pair(prediction: torch.Tensor, truth: torch.Tensor) -> HdrPair:
+    """The HDR protocol of GaussHDR and the paper (shared/data.md): no alignment of scale.
+
+    ``prediction`` ``[3, h, w]`` and ``truth`` ``[3, H, W]`` are radiance. M is the maximum of the truth at
+    its full resolution; the truth is μ-law'd there and then resized to the prediction; both pass 8 bit.
+    """
+    normaliser = hdr_normaliser(truth)
+    shown = resize_to(display(truth, normaliser), prediction.shape[1], prediction.shape[2])
+    return HdrPair(quantise(display(prediction, normaliser)), quantise(shown), normaliser)
+
+
+def scale_ratio(prediction: torch.Tensor, truth: torch.Tensor) -> float:
+    """The median of prediction / truth: how far the absolute scale of the radiance is off (1: not).
+
+    Over all pixels and all three channels whose truth is above ``SCALE_FLOOR`` × the truth's median: black
+    has no scale. The truth is resized to the prediction. NaN if no channel value qualifies.
+    """
+    truth = resize_to(truth.double(), prediction.shape[1], prediction.shape[2])
+    lit = truth > SCALE_FLOOR * truth.median().clamp(min=0.0)
+    return (prediction.double()[lit] / truth[lit]).median().item() if bool(lit.any()) else math.nan
+
+
+def _require_same_shape(picture: torch.Tensor, truth: torch.Tensor) -> None:
+    if picture.shape != truth.shape:
+        raise DataMismatchError(
+            f"pictures of different shapes are compared: {tuple(picture.shape)} and {tuple(truth.shape)}",
+            "Render at the size of the data set's pictures.",
+        )
