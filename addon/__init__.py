@@ -1,1 +1,25 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
+"""The user's hands in Blender: operators and panels. bpy and numpy; torch never.
+
+A module that has classes to register is named in ``_MODULES``, in the order in which they depend on
+each other, and has a ``register`` and an ``unregister`` of its own.
+"""
+
+from importlib import import_module
+from types import ModuleType
+
+_MODULES = ("model_import",)
+
+
+def _modules() -> list[ModuleType]:
+    return [import_module(f"{__name__}.{name}") for name in _MODULES]
+
+
+def register() -> None:
+    for module in _modules():
+        module.register()
+
+
+def unregister() -> None:
+    for module in reversed(_modules()):
+        module.unregister()
