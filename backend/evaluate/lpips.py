@@ -60,10 +60,10 @@ class Lpips:
 
     @torch.no_grad()
     def raw(self, picture: torch.Tensor, truth: torch.Tensor) -> float:
-        """The distance of ``[3, H, W]`` inputs as they are; raises ``BadValueError`` if they are too small."""
+        """The distance of ``[3, H, W]`` inputs as they are; ``BadValueError`` if they are too small."""
         if min(picture.shape[1:]) < SMALLEST_SIDE:
             raise BadValueError(
-                f"LPIPS needs pictures of at least {SMALLEST_SIDE}×{SMALLEST_SIDE}, got {tuple(picture.shape)}",
+                f"LPIPS needs pictures of at least {SMALLEST_SIDE} pixels a side, got {tuple(picture.shape)}",
                 "Use a higher resolution, or leave LPIPS out.",
             )
         device = self._weights["lin0"].device

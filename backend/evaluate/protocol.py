@@ -10,7 +10,6 @@ Relit: the μ-law PSNR under other ambient light, beside what scaling a picture 
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
@@ -22,11 +21,8 @@ from ..scene.camera import Camera
 from ..scene.scene import Scene, View
 from . import truth
 from .lpips import SMALLEST_SIDE, Lpips
-from .metrics import MU, hdr_pair, psnr, quantise, resize_to, scale_ratio, ssim
-
-#: Exposure indices of the paper's two columns.
-OBSERVED_EXPOSURES = (0, 2, 4)
-NOVEL_EXPOSURES = (1, 3)
+from .metrics import hdr_pair, psnr, quantise, resize_to, scale_ratio, ssim
+from .results import Evaluation, HdrRow, LdrRow, Metrics, RelitRow
 
 
 class Renderer(Protocol):
@@ -39,166 +35,6 @@ class Renderer(Protocol):
     def ldr(self, camera: Camera, exposure: float, lighting_level: float = 1.0) -> torch.Tensor:
         """``[3, H, W]`` in 0…1: the picture that the camera would take at ``exposure`` seconds."""
         ...
-
-
-@dataclass(frozen=True)
-class Metrics:
-    """PSNR in dB; LPIPS both ways (``lpips`` canonical, ``lpips_01`` as in the paper), None where left out."""
-
-    psnr: float
-    ssim: float
-    lpips: float | None = None
-    lpips_01: float | None = None
-
-
-@dataclass(frozen=True)
-class LdrRow:
-    """One test view at one exposure (seconds)."""
-
-    view: str
-    index: int
-    exposure_index: int
-    exposure: float
-    metrics: Metrics
-
-
-@dataclass(frozen=True)
-class HdrRow:
-    """One test view: M, its own median scale ratio, the metrics as they are and with the scale aligned."""
-
-    view: str
-    index: int
-    normaliser: float
-    scale_ratio: float
-    metrics: Metrics
-    aligned: Metrics
-
-
-@dataclass(frozen=True)
-class RelitRow:
-    """One test view under other ambient light: PSNR in dB of three pictures against the relit truth.
-
-    ``scaled_truth`` is level × the true radiance at level 1, ``scaled_ours`` level × ours at level 1.
-    """
-
-    level: float
-    view: str
-    index: int
-    normaliser: float
-    scale_ratio: float
-    ours: float
-    scaled_truth: float
-    scaled_ours: float
-
-    @property
-    def gain_over_scaled_truth(self) -> float:
-        """dB by which ours is nearer to the relit truth than the true picture times the level."""
-        return self.ours - self.scaled_truth
-
-    @property
-    def gain_over_scaled_ours(self) -> float:
-        """dB by which ours is nearer than our own picture times the level."""
-        return self.ours - self.scaled_ours
-
-
-@dataclass(frozen=True)
-class RelitMeans:
-    """Means in dB over the views of one level, or over everything."""
-
-    ours: float
-    scaled_truth: float
-    scaled_ours: float
-
-    @property
-    def gain_over_scaled_truth(self) -> float:
-        return self.ours - self.scaled_truth
-
-    @property
-    def gain_over_scaled_ours(self) -> float:
-        return self.ours - self.scaled_ours
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """Every number, row by row; the means are computed from the rows. ``messages``: what was left out, why."""
-
-    scene: str
-    split: str
-    exposure_mode: str
-    resolution: tuple[int, int]
-    ldr: list[LdrRow]
-    hdr: list[HdrRow]
-    relit: list[RelitRow]
-    messages: list[str] = field(default_factory=list)
-    mu: float = MU
-    seconds: float = 0.0
-
-    def ldr_mean(self, exposure_indices: tuple[int, ...]) -> Metrics | None:
-        """Mean over the views for each exposure, then over ``exposure_indices``; None if there are none."""
-        each = [
-            mean_metrics([row.metrics for row in self.ldr if row.exposure_index == k])
-            for k in exposure_indices
-        ]
-        return mean_metrics([metrics for metrics in each if metrics is not None])
-
-    @property
-    def ldr_oe(self) -> Metrics | None:
-        """LDR at the exposures that training saw."""
-        return self.ldr_mean(OBSERVED_EXPOSURES)
-
-    @property
-    def ldr_ne(self) -> Metrics | None:
-        """LDR at novel exposures."""
-        return self.ldr_mean(NOVEL_EXPOSURES)
-
-    @property
-    def hdr_mean(self) -> Metrics | None:
-        """HDR by the paper's protocol, scale not aligned."""
-        return mean_metrics([row.metrics for row in self.hdr])
-
-    @property
-    def hdr_aligned_mean(self) -> Metrics | None:
-        """HDR after dividing all predictions by the one ``scale_ratio``."""
-        return mean_metrics([row.aligned for row in self.hdr])
-
-    @property
-    def scale_ratio(self) -> float | None:
-        """The median over the views of their median prediction / truth; 1 is right."""
-        return float(np.median([row.scale_ratio for row in self.hdr])) if self.hdr else None
-
-    @property
-    def relit_levels(self) -> list[float]:
-        """The ambient levels there is truth for, rising."""
-        return sorted({row.level for row in self.relit})
-
-    def relit_mean(self, level: float | None = None) -> RelitMeans | None:
-        """Means over the views at ``level``, or over all rows; None if there are none."""
-        rows = [row for row in self.relit if level is None or row.level == level]
-        if not rows:
-            return None
-        return RelitMeans(
-            _mean([row.ours for row in rows]),
-            _mean([row.scaled_truth for row in rows]),
-            _mean([row.scaled_ours for row in rows]),
-        )
-
-
-def mean_metrics(rows: list[Metrics]) -> Metrics | None:
-    """The mean of each metric; LPIPS only if every row has it; None for no rows."""
-    if not rows:
-        return None
-    lpips = [row.lpips for row in rows if row.lpips is not None]
-    lpips_01 = [row.lpips_01 for row in rows if row.lpips_01 is not None]
-    return Metrics(
-        _mean([row.psnr for row in rows]),
-        _mean([row.ssim for row in rows]),
-        _mean(lpips) if len(lpips) == len(rows) else None,
-        _mean(lpips_01) if len(lpips_01) == len(rows) else None,
-    )
-
-
-def _mean(values: list[float]) -> float:
-    return sum(values) / len(values)
 
 
 @torch.no_grad()

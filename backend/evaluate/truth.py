@@ -42,7 +42,7 @@ class RelitTruth:
 def relit_truth(root: Path) -> list[RelitTruth]:
     """All relit true pictures, ordered by level and pose; empty if the data set has none.
 
-    Raises ``BadValueError`` on a folder ``relit/level_…`` whose name is no positive number.
+    Raises ``BadValueError`` on a folder ``relit/level_…`` whose name is no level.
     """
     found = []
     for folder in (Path(root) / "relit").glob("level_*"):

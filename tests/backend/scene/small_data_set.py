@@ -10,7 +10,7 @@ from PIL import Image
 
 EXPOSURES = (0.125, 0.5, 2.0, 8.0, 32.0)
 RELIT_LEVELS = (0.25, 4.0)
-WIDTH, HEIGHT = 24, 16
+WIDTH, HEIGHT = 48, 36
 
 
 def camera_to_world(index: int) -> np.ndarray:

@@ -87,7 +87,7 @@ def test_exposures_that_no_pose_uses_are_ignored(data_set: Path) -> None:
 
 def test_the_picture_cache_forgets_the_oldest(data_set: Path) -> None:
     paths = sorted((data_set / "train").glob("*.png"))
-    size = 24 * 16 * 3
+    size = 48 * 36 * 3
     cache = PictureCache(budget=3 * size)
     for path in paths:
         cache.get(path)
@@ -308,7 +308,7 @@ def test_truncated_picture_is_found_when_it_is_decoded(data_set: Path) -> None:
 
 def test_wrong_sized_picture_in_a_bracket(data_set: Path) -> None:
     Image.new("RGB", (8, 9)).save(data_set / "train" / "r_2_1.png")
-    refusal(data_set, DataMismatchError, "r_2_1.png is 8×9", "r_2_0.png is 24×16", "one size")
+    refusal(data_set, DataMismatchError, "r_2_1.png is 8×9", "r_2_0.png is 48×36", "one size")
 
 
 def test_wrong_sized_bracket(data_set: Path) -> None:

@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""An evaluation as files and tables: JSON, CSV for each row, Markdown, and a table for the terminal."""
+
+import csv
+import dataclasses
+import io
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from rich import box
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from ..scene.pictures import atomic_path
+from .results import NOVEL_EXPOSURES, OBSERVED_EXPOSURES, Evaluation, Metrics, RelitMeans
+
+#: What an empty cell of a table shows: not computed.
+NONE = "–"
+
+METRIC_COLUMNS = ("PSNR dB", "SSIM", "LPIPS", "LPIPS 01")
+RELIT_COLUMNS = ("ours dB", "level × truth dB", "level × ours dB", "gain dB")
+
+
+def to_dict(evaluation: Evaluation) -> dict[str, Any]:
+    """Everything, ready for JSON: the conditions, the means, then the rows. Infinity becomes None."""
+    content = {
+        "format": "physhdr-evaluation",
+        "version": 1,
+        "conditions": {
+            "scene": evaluation.scene,
+            "split": evaluation.split,
+            "exposure_mode": evaluation.exposure_mode,
+            "resolution": list(evaluation.resolution),
+            "mu": evaluation.mu,
+            "hdr_normaliser": "maximum of the full-resolution true picture, for each view",
+            "hdr_normaliser_range": _normaliser_range(evaluation),
+            "ldr_oe_exposure_indices": list(OBSERVED_EXPOSURES),
+            "ldr_ne_exposure_indices": list(NOVEL_EXPOSURES),
+            "eight_bit": True,
+        },
+        "scale_ratio": evaluation.scale_ratio,
+        "means": {name: metrics and dataclasses.asdict(metrics) for name, metrics in _means(evaluation)},
+        "relit_means": {
+            label: _relit_dict(means) for label, means in _relit_means(evaluation) if means is not None
+        },
+        "ldr": [dataclasses.asdict(row) for row in evaluation.ldr],
+        "hdr": [dataclasses.asdict(row) for row in evaluation.hdr],
+        "relit": [
+            dataclasses.asdict(row)
+            | {
+                "gain_over_scaled_truth": row.gain_over_scaled_truth,
+                "gain_over_scaled_ours": row.gain_over_scaled_ours,
+            }
+            for row in evaluation.relit
+        ],
+        "messages": evaluation.messages,
+        "seconds": round(evaluation.seconds, 2),
+    }
+    return _without_infinity(content)
+
+
+def write_report(evaluation: Evaluation, folder: Path) -> list[Path]:
+    """Write ``evaluation.json``, ``.csv`` (one line for each row) and ``.md`` into ``folder``, atomically.
+
+    Returns the three paths; raises ``OutputError``.
+    """
+    contents = {
+        "evaluation.json": json.dumps(to_dict(evaluation), indent=1, allow_nan=False) + "\n",
+        "evaluation.csv": to_csv(evaluation),
+        "evaluation.md": to_markdown(evaluation),
+    }
+    paths = []
+    for name, text in contents.items():
+        path = Path(folder) / name
+        with atomic_path(path) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+        paths.append(path)
+    return paths
+
+
+def to_csv(evaluation: Evaluation) -> str:
+    """One line for each comparison, for spreadsheets: what it is, then its numbers."""
+    columns = ["part", "view", "index", "exposure_index", "exposure", "level", "normaliser", "scale_ratio"]
+    columns += ["psnr", "ssim", "lpips", "lpips_01", "psnr_scaled_truth", "psnr_scaled_ours"]
+    stream = io.StringIO()
+    writer = csv.DictWriter(stream, columns, restval="", lineterminator="\n")
+    writer.writeheader()
+    for row in evaluation.ldr:
+        content = dataclasses.asdict(row)
+        writer.writerow({"part": "ldr"} | content.pop("metrics") | content)
+    for row in evaluation.hdr:
+        shared = {"view": row.view, "index": row.index, "normaliser": row.normaliser}
+        shared["scale_ratio"] = row.scale_ratio
+        writer.writerow({"part": "hdr"} | shared | dataclasses.asdict(row.metrics))
+        writer.writerow({"part": "hdr aligned"} | shared | dataclasses.asdict(row.aligned))
+    for row in evaluation.relit:
+        content = dataclasses.asdict(row)
+        content["psnr"] = content.pop("ours")
+        content["psnr_scaled_truth"] = content.pop("scaled_truth")
+        content["psnr_scaled_ours"] = content.pop("scaled_ours")
+        writer.writerow({"part": "relit"} | content)
+    return stream.getvalue()
+
+
+def to_markdown(evaluation: Evaluation) -> str:
+    """The tables as Markdown, with the conditions under them."""
+    parts = [_markdown_table(("", *METRIC_COLUMNS), _metric_cells(evaluation))]
+    if evaluation.relit:
+        parts.append(_markdown_table(("relit", *RELIT_COLUMNS), _relit_cells(evaluation)))
+    parts.append("\n".join(f"- {line}" for line in [*conditions(evaluation), *evaluation.messages]))
+    return "\n\n".join(parts) + "\n"
+
+
+def to_terminal(evaluation: Evaluation) -> Group:
+    """The tables and conditions for ``rich.console.Console.print``."""
+    parts: list[Table | Text] = [
+        _rich_table(f"{evaluation.scene}, test views", ("", *METRIC_COLUMNS), _metric_cells(evaluation))
+    ]
+    if evaluation.relit:
+        title = "relit: μ-law PSNR against the relit truth"
+        parts.append(_rich_table(title, ("ambient", *RELIT_COLUMNS), _relit_cells(evaluation)))
+    parts += [Text(line, style="dim") for line in conditions(evaluation)]
+    parts += [Text(line, style="yellow") for line in evaluation.messages]
+    return Group(*parts)
+
+
+def conditions(evaluation: Evaluation) -> list[str]:
+    """What must stand beside the numbers: split, exposure mode, normaliser, μ, scale ratio."""
+    width, height = evaluation.resolution
+    views = len({row.view for row in evaluation.ldr})
+    lines = [
+        f"split {evaluation.split}: {views} views at {width}×{height}; exposure mode "
+        f"{evaluation.exposure_mode}; every picture through 8 bit",
+        f"LDR-OE: exposure indices {_listed(OBSERVED_EXPOSURES)}; LDR-NE: {_listed(NOVEL_EXPOSURES)}; SSIM "
+        "11×11, σ 1.5, zero-padded; LPIPS: AlexNet v0.1, inputs in −1…1; LPIPS 01: "
+        "inputs in 0…1, as in the paper",
+    ]
+    normalisers = _normaliser_range(evaluation)
+    ratio = evaluation.scale_ratio
+    if normalisers is not None and ratio is not None:
+        lowest, highest = normalisers
+        lines.append(
+            f"HDR: μ-law, μ = {evaluation.mu:g}; normaliser: maximum of each full-resolution true picture "
+            f"({lowest:.4g} … {highest:.4g}); scale not aligned"
+        )
+        lines.append(f"HDR scale ratio (median of prediction / truth, median over views): {ratio:.4f}")
+    if evaluation.relit:
+        lines.append("gain: ours − level × truth, the picture that scaling even the true one would give")
+    return lines
+
+
+def _means(evaluation: Evaluation) -> list[tuple[str, Metrics | None]]:
+    return [
+        ("LDR-OE", evaluation.ldr_oe),
+        ("LDR-NE", evaluation.ldr_ne),
+        ("HDR", evaluation.hdr_mean),
+        ("HDR, scale aligned", evaluation.hdr_aligned_mean),
+    ]
+
+
+def _relit_means(evaluation: Evaluation) -> list[tuple[str, RelitMeans | None]]:
+    levels = [(f"{level:g}", evaluation.relit_mean(level)) for level in evaluation.relit_levels]
+    return [*levels, ("all", evaluation.relit_mean())]
+
+
+def _relit_dict(means: RelitMeans) -> dict[str, float]:
+    return dataclasses.asdict(means) | {
+        "gain_over_scaled_truth": means.gain_over_scaled_truth,
+        "gain_over_scaled_ours": means.gain_over_scaled_ours,
+    }
+
+
+def _metric_cells(evaluation: Evaluation) -> list[tuple[str, ...]]:
+    return [
+        (name, _cell(m.psnr, 2), _cell(m.ssim, 4), _cell(m.lpips, 4), _cell(m.lpips_01, 4))
+        for name, m in _means(evaluation)
+        if m is not None
+    ]
+
+
+def _relit_cells(evaluation: Evaluation) -> list[tuple[str, ...]]:
+    return [
+        (
+            f"× {label}" if label != "all" else label,
+            _cell(means.ours, 2),
+            _cell(means.scaled_truth, 2),
+            _cell(means.scaled_ours, 2),
+            f"{means.gain_over_scaled_truth:+.2f}",
+        )
+        for label, means in _relit_means(evaluation)
+        if means is not None
+    ]
+
+
+def _cell(value: float | None, digits: int) -> str:
+    return NONE if value is None else f"{value:.{digits}f}"
+
+
+def _listed(indices: tuple[int, ...]) -> str:
+    return ", ".join(str(index) for index in indices)
+
+
+def _normaliser_range(evaluation: Evaluation) -> list[float] | None:
+    values = [row.normaliser for row in evaluation.hdr]
+    return [min(values), max(values)] if values else None
+
+
+def _markdown_table(columns: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    rule = "|".join(["---"] + ["---:"] * (len(columns) - 1))
+    lines = [f"| {' | '.join(columns)} |", f"|{rule}|", *(f"| {' | '.join(row)} |" for row in rows)]
+    return "\n".join(lines)
+
+
+def _rich_table(title: str, columns: tuple[str, ...], rows: list[tuple[str, ...]]) -> Table:
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
+    for i, column in enumerate(columns):
+        table.add_column(column, justify="left" if i == 0 else "right", no_wrap=True)
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def _without_infinity(value: Any) -> Any:
+    """JSON has no infinity (the PSNR of equal pictures) and no NaN (the scale of a black one): None."""
+    if isinstance(value, dict):
+        return {key: _without_infinity(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_infinity(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

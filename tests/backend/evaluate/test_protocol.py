@@ -1,0 +1,269 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The protocol with renderers whose errors are known."""
+
+import csv
+import json
+import shutil
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+import torch
+from physhdr.backend.evaluate.protocol import evaluate, lpips_from
+from physhdr.backend.evaluate.report import to_dict, to_markdown, to_terminal, write_report
+from physhdr.backend.evaluate.results import Evaluation, LdrRow, Metrics
+from physhdr.backend.evaluate.sheets import comparison_sheet, labelled_grid
+from physhdr.backend.scene import Camera, read_scene
+from physhdr.bridge.errors import (
+    BadValueError,
+    DataMismatchError,
+    FileDamagedError,
+    FileMissingError,
+    OutputError,
+)
+from rich.console import Console
+
+LPIPS_WEIGHTS = Path(__file__).resolve().parents[4] / "shared" / "lpips" / "lpips_alex_v0.1_float32.npz"
+
+
+class Oracle:
+    """Renders the small data set's own radiance, ``scale`` times too bright; ``relights`` or scales."""
+
+    def __init__(self, small: ModuleType, scale: float = 1.0, relights: bool = True) -> None:
+        self.small, self.scale, self.relights = small, scale, relights
+
+    def hdr(self, camera: Camera, lighting_level: float = 1.0) -> torch.Tensor:
+        index = round(float(camera.position[0]))
+        light = self.small.radiance(index, lighting_level if self.relights else 1.0)
+        light = light * (1.0 if self.relights else lighting_level)
+        return torch.from_numpy(np.float32(self.scale) * light).permute(2, 0, 1)
+
+    def ldr(self, camera: Camera, exposure: float, lighting_level: float = 1.0) -> torch.Tensor:
+        light = self.hdr(camera, lighting_level) / self.scale * exposure
+        return torch.from_numpy(self.small.response(light.numpy()))
+
+
+def mu_psnr(small: ModuleType, prediction: np.ndarray, truth: np.ndarray) -> float:
+    """The HDR protocol once more, in numpy, from its words in shared/data.md."""
+
+    def shown(radiance: np.ndarray) -> np.ndarray:
+        share = np.clip(radiance.astype(np.float64) / truth.max(), 0, 1)
+        return small.to_8_bit(np.log(1 + 5000 * share) / np.log(5001)).astype(np.float64) / 255
+
+    return -10 * np.log10(np.mean((shown(prediction) - shown(truth)) ** 2))
+
+
+def test_a_perfect_renderer(data_set: Path, small: ModuleType) -> None:
+    result = evaluate(Oracle(small), read_scene(data_set), exposure_mode="exp3")
+    assert len(result.ldr) == 2 * 5 and len(result.hdr) == 2 and len(result.relit) == 2
+    assert result.ldr_oe is not None and result.ldr_oe.psnr > 60 and result.ldr_oe.ssim > 0.9999
+    assert result.hdr_mean is not None and result.hdr_mean.psnr == np.inf
+    assert result.scale_ratio == pytest.approx(1.0)
+    assert result.messages == ["LPIPS left out: no weights were given."]
+
+
+def test_hdr_psnr_and_scale_of_a_renderer_that_is_too_bright(data_set: Path, small: ModuleType) -> None:
+    result = evaluate(Oracle(small, scale=1.1), read_scene(data_set))
+    assert result.scale_ratio == pytest.approx(1.1, rel=1e-5)
+    for row in result.hdr:
+        truth = small.radiance(row.index)
+        assert row.normaliser == pytest.approx(truth.max())
+        assert row.metrics.psnr == pytest.approx(mu_psnr(small, np.float32(1.1) * truth, truth), abs=0.05)
+        assert row.aligned.psnr > 55
+    assert result.hdr_mean is not None and 36 < result.hdr_mean.psnr < 42
+
+
+def test_relighting_is_judged_beside_scaling(data_set: Path, small: ModuleType) -> None:
+    result = evaluate(Oracle(small, scale=1.02), read_scene(data_set))
+    assert result.relit_levels == [0.25, 4.0]
+    for row in result.relit:
+        truth, standard = small.radiance(3, row.level), small.radiance(3)
+        scaled = mu_psnr(small, np.float32(row.level) * standard, truth)
+        assert row.index == 3
+        assert row.scaled_truth == pytest.approx(scaled, abs=0.02)
+        assert row.scaled_ours == pytest.approx(
+            mu_psnr(small, np.float32(1.02 * row.level) * standard, truth), abs=0.02
+        )
+        assert row.gain_over_scaled_truth == pytest.approx(row.ours - scaled, abs=0.02)
+        assert row.gain_over_scaled_truth > 6
+        assert row.scale_ratio == pytest.approx(1.02, rel=1e-5)
+    mean = result.relit_mean()
+    assert mean is not None
+    assert mean.gain_over_scaled_truth == pytest.approx(
+        np.mean([row.gain_over_scaled_truth for row in result.relit])
+    )
+
+
+def test_a_renderer_that_only_scales_gains_nothing(data_set: Path, small: ModuleType) -> None:
+    result = evaluate(Oracle(small, relights=False), read_scene(data_set))
+    mean = result.relit_mean()
+    assert mean is not None
+    assert mean.gain_over_scaled_truth == pytest.approx(0.0, abs=1e-6)
+    assert mean.gain_over_scaled_ours == pytest.approx(0.0, abs=1e-6)
+
+
+def test_oe_and_ne_average_each_exposure_first() -> None:
+    rows = [LdrRow(f"r_{i}", i, k, 2.0**k, Metrics(10.0 * k + i, 0.1 * k)) for i in (0, 1) for k in range(5)]
+    result = Evaluation("s", "test", "exp3", (8, 8), rows, [], [])
+    assert result.ldr_oe == Metrics(pytest.approx(20.5), pytest.approx(0.2))
+    assert result.ldr_ne == Metrics(pytest.approx(20.5), pytest.approx(0.2))
+    only_first = [row for row in rows if row.exposure_index < 2]
+    result = Evaluation("s", "test", "exp3", (8, 8), only_first, [], [])
+    assert result.ldr_oe == Metrics(pytest.approx(0.5), 0.0)
+    assert result.ldr_ne == Metrics(pytest.approx(10.5), pytest.approx(0.1))
+
+
+@pytest.mark.skipif(not LPIPS_WEIGHTS.is_file(), reason=f"the LPIPS weights are not at {LPIPS_WEIGHTS}")
+def test_lpips_is_in_every_row_where_weights_are_given(data_set: Path, small: ModuleType) -> None:
+    result = evaluate(Oracle(small, scale=1.5), read_scene(data_set), lpips=lpips_from(LPIPS_WEIGHTS))
+    assert result.messages == []
+    assert result.hdr_mean is not None and result.ldr_oe is not None
+    assert result.hdr_mean.lpips is not None and result.hdr_mean.lpips_01 is not None
+    assert result.hdr_mean.lpips > 1e-4 and result.ldr_oe.lpips is not None
+
+
+def test_without_truth_parts_are_absent_with_a_message(small: ModuleType, tmp_path: Path) -> None:
+    root = small.write_data_set(tmp_path / "dog", original=True)
+    result = evaluate(Oracle(small), read_scene(root))
+    assert result.hdr and not result.relit
+    assert any("Relit left out" in message for message in result.messages)
+    shutil.rmtree(root / "test_hdr")
+    result = evaluate(Oracle(small), read_scene(root))
+    assert not result.hdr and result.ldr and result.scale_ratio is None and result.hdr_mean is None
+    assert any("HDR and relit left out" in message and "test_hdr" in message for message in result.messages)
+    assert "HDR" not in to_markdown(result).split("\n\n")[0]
+
+
+def test_progress_counts_to_the_end(data_set: Path, small: ModuleType) -> None:
+    seen: list[tuple[int, int, str]] = []
+    evaluate(Oracle(small), read_scene(data_set), progress=lambda *step: seen.append(step))
+    assert [done for done, _, _ in seen] == list(range(7))
+    assert {total for _, total, _ in seen} == {6} and seen[-1][2] == "done"
+
+
+# ---- reports -----------------------------------------------------------------------------------------
+
+
+def test_reports(data_set: Path, small: ModuleType, tmp_path: Path) -> None:
+    result = evaluate(Oracle(small, scale=1.1), read_scene(data_set), exposure_mode="exp3")
+    paths = write_report(result, tmp_path / "run")
+    assert [path.name for path in paths] == ["evaluation.json", "evaluation.csv", "evaluation.md"]
+    content = json.loads(paths[0].read_text())
+    assert content["means"]["HDR"]["psnr"] == pytest.approx(result.hdr_mean.psnr)  # type: ignore[union-attr]
+    assert content["conditions"]["exposure_mode"] == "exp3" and content["conditions"]["mu"] == 5000
+    assert content["scale_ratio"] == pytest.approx(1.1, rel=1e-5)
+    assert set(content["relit_means"]) == {"0.25", "4", "all"}
+    with paths[1].open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert [row["part"] for row in rows].count("ldr") == 10
+    assert float(rows[0]["psnr"]) == result.ldr[0].metrics.psnr
+    assert {row["part"] for row in rows} == {"ldr", "hdr", "hdr aligned", "relit"}
+    console = Console(width=160, record=True, file=open("/dev/null", "w"))  # noqa: SIM115
+    console.print(to_terminal(result))
+    for text in (paths[2].read_text(), console.export_text()):
+        for word in (
+            "LDR-OE",
+            "LDR-NE",
+            "HDR, scale aligned",
+            "μ = 5000",
+            "1.1000",
+            "exp3",
+            "split test",
+            "× 4",
+        ):
+            assert word in text
+
+
+def test_infinity_becomes_null_in_json(data_set: Path, small: ModuleType) -> None:
+    content = to_dict(evaluate(Oracle(small), read_scene(data_set)))
+    assert content["hdr"][0]["metrics"]["psnr"] is None
+    json.dumps(content, allow_nan=False)
+
+
+def test_a_report_that_cannot_be_written(data_set: Path, small: ModuleType, tmp_path: Path) -> None:
+    (tmp_path / "run").write_text("in the way")
+    with pytest.raises(OutputError, match=r"cannot write .*evaluation.json"):
+        write_report(evaluate(Oracle(small), read_scene(data_set)), tmp_path / "run")
+
+
+# ---- bad input ---------------------------------------------------------------------------------------
+
+
+def test_missing_truth_of_one_view(data_set: Path, small: ModuleType) -> None:
+    (data_set / "test_hdr" / "hdr_003.exr").unlink()
+    with pytest.raises(FileMissingError, match=r"test_hdr/hdr_003.exr is missing\n"):
+        evaluate(Oracle(small), read_scene(data_set))
+
+
+def test_damaged_relit_truth(data_set: Path, small: ModuleType) -> None:
+    (data_set / "relit" / "level_4" / "hdr_003.exr").write_bytes(b"v/1\x01 nothing")
+    with pytest.raises(FileDamagedError, match=r"level_4/hdr_003.exr is not a readable OpenEXR"):
+        evaluate(Oracle(small), read_scene(data_set))
+
+
+def test_relit_names_that_mean_nothing(data_set: Path, small: ModuleType) -> None:
+    shutil.copytree(data_set / "relit" / "level_4", data_set / "relit" / "level_bright")
+    with pytest.raises(BadValueError, match=r"level_bright does not name a lighting level\n.*Rename"):
+        evaluate(Oracle(small), read_scene(data_set))
+    shutil.rmtree(data_set / "relit" / "level_bright")
+    path = data_set / "relit" / "level_4" / "hdr_003.exr"
+    path.rename(path.with_name("hdr_007.exr"))
+    with pytest.raises(BadValueError, match=r"no pose 7 in split 'test'\n.*1, 3"):
+        evaluate(Oracle(small), read_scene(data_set))
+
+
+def test_no_test_views(data_set: Path, small: ModuleType) -> None:
+    (data_set / "transforms_test.json").unlink()
+    (data_set / "exposure_test.json").unlink()
+    with pytest.raises(DataMismatchError, match=r"has no test views\n.*transforms_test.json"):
+        evaluate(Oracle(small), read_scene(data_set))
+
+
+def test_a_model_that_renders_nan(data_set: Path, small: ModuleType) -> None:
+    with pytest.raises(BadValueError, match=r"renders NaN or infinity: test/r_1 at 0.125 s\n.*Train again"):
+        evaluate(Oracle(small, scale=float("nan")), read_scene(data_set))
+
+
+# ---- sheets ------------------------------------------------------------------------------------------
+
+
+def test_comparison_sheet_has_a_row_for_each_thing_compared(data_set: Path, small: ModuleType) -> None:
+    scene = read_scene(data_set)
+    whole = comparison_sheet(Oracle(small), scene)
+    ldr_only = comparison_sheet(Oracle(small), scene, poses=[3], exposure_indices=(2,))
+    assert whole.dtype == np.uint8 and whole.shape[2] == 3
+    assert whole.shape[1] == ldr_only.shape[1]
+    row = (whole.shape[0] - ldr_only.shape[0]) / 2
+    assert row > 180, "six rows against four: the difference is two"
+    # a perfect renderer: the LDR residual (third column) is black
+    cell = 240
+    column = slice(24 + 2 * (cell + 14) + 10, 24 + 2 * (cell + 14) + cell - 10)
+    assert (whole[-60:-40, column] == 0).all()
+
+
+def test_labelled_grid_keeps_pictures_as_they_are() -> None:
+    rng = np.random.default_rng(0)
+    large = rng.integers(0, 256, (30, 300, 3), dtype=np.uint8)
+    small = rng.integers(0, 256, (20, 60, 3), dtype=np.uint8)
+    sheet = labelled_grid(
+        [[("large", large)], [("small, μ × 4", small), ("more", small)]], "A title", "a note"
+    )
+    assert find(sheet, large) and find(sheet, small.repeat(4, 0).repeat(4, 1))
+    assert (sheet[:10] == 255).all() and (sheet[-10:] == 255).all() and (sheet[:, :10] == 255).all()
+
+
+def find(sheet: np.ndarray, picture: np.ndarray) -> bool:
+    height, width = picture.shape[:2]
+    windows = np.lib.stride_tricks.sliding_window_view(sheet[..., 0], (width,), axis=1)
+    ys, xs = np.nonzero((windows[:, :, :50] == picture[0, :50, 0]).all(axis=2))
+    return any(
+        np.array_equal(sheet[y : y + height, x : x + width], picture) for y, x in zip(ys, xs, strict=True)
+    )
+
+
+def test_labelled_grid_of_nothing() -> None:
+    with pytest.raises(BadValueError, match="at least one picture"):
+        labelled_grid([[]], "nothing")
+    with pytest.raises(BadValueError, match="cell 'x'"):
+        labelled_grid([[("x", np.zeros((4, 4), np.uint8))]], "wrong")
