@@ -2,6 +2,7 @@
 """Bring a trained model into the scene: the function for scripts and the operator for people."""
 
 from pathlib import Path
+from typing import ClassVar
 
 import bpy
 from bpy_extras.io_utils import ImportHelper
@@ -36,7 +37,7 @@ class PHYSHDR_OT_model_import(bpy.types.Operator, ImportHelper):
 
     bl_idname = "physhdr.model_import"
     bl_label = "Import PhysHDR model"
-    bl_options = {"REGISTER", "UNDO"}
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     filename_ext = ".safetensors"
     filter_glob: bpy.props.StringProperty(default="*.safetensors", options={"HIDDEN"})

@@ -20,7 +20,7 @@ Operand = "Field | float | tuple[float, float, float]"
 
 
 class Field:
-    """An output socket with arithmetic: ``+ − * /`` make math nodes, vector ones where a vector is involved."""
+    """An output socket with arithmetic: ``+ − * /`` make math nodes (vector math with a vector)."""
 
     def __init__(self, builder: NodeBuilder, socket: bpy.types.NodeSocket) -> None:
         self.builder = builder
@@ -69,7 +69,7 @@ class NodeBuilder:
         self._frame = outer
 
     def node(self, kind: str, *inputs: Any, label: str = "", **properties: Any) -> bpy.types.Node:
-        """A node of type ``kind`` with ``properties`` set; ``inputs`` are linked or set in the sockets' order.
+        """A node of type ``kind`` with ``properties``; ``inputs`` are linked or set in the sockets' order.
 
         Sockets that the node's mode hides are not counted; ``None`` leaves a socket as it is.
         """

@@ -12,6 +12,7 @@ instance of a proxy mesh that ``material`` shades:
   camera's picture is the trainer's own.
 """
 
+import itertools
 from typing import Any
 
 import bpy
@@ -293,7 +294,7 @@ class _Assembly:
         limited = make.math("MAXIMUM", self.inputs[LIGHTING_LEVEL], levels[0])
         stops = make.math("LOGARITHM", limited, 2.0)
         rises: list[Field | float] = [1.0]
-        for low, high in zip(levels, levels[1:], strict=False):
+        for low, high in itertools.pairwise(levels):
             start = make.math("LOGARITHM", low, 2.0)
             end = make.math("LOGARITHM", high, 2.0)
             rises.append(make.field("ShaderNodeMapRange", stops, start, end, 0.0, 1.0, clamp=True))
@@ -322,9 +323,7 @@ class _Assembly:
         with make.frame("Ellipsoid: σ² + widening"):
             ellipsoid_scale = make.vector("POWER", scale * scale + widening, 0.5) * reach
             icosphere = make.field("GeometryNodeMeshIcoSphere", ICOSPHERE_RADIUS, 1)
-            ellipsoid = make.field(
-                "GeometryNodeSetMaterial", icosphere, None, splat_material("ellipsoid")
-            )
+            ellipsoid = make.field("GeometryNodeSetMaterial", icosphere, None, splat_material("ellipsoid"))
         card_rotation, card_scale = self._card(rotation, scale, widening)
         with make.frame("Camera splat: a card"):
             card_scale = card_scale * reach

@@ -11,16 +11,21 @@ from ..bridge.errors import OutputError
 
 #: Gaussians a ray may pass. Cycles' own limit is 1024; a ray through a trained room meets hundreds.
 TRANSPARENT_BOUNCES = 1024
+#: As many it passes for certain; then Cycles ends rays at random, the only noise there is. With 20 k
+#: large Gaussians: 128 gives 72 dB to our rasteriser, 1024 75 dB in 1.6 times the time, 32 only 14 dB.
+CERTAIN_BOUNCES = 128
+#: The narrowest pixel filter of Cycles: every ray goes through its pixel's centre.
+POINT_SAMPLING = 0.01
 CLIP_START = 0.01
 CLIP_END = 1000.0
 
 
-def prepare_cycles(scene: bpy.types.Scene, samples: int = 1) -> None:
+def prepare_cycles(scene: bpy.types.Scene, samples: int = 1, filter_width: float = POINT_SAMPLING) -> None:
     """Set Cycles so that Gaussians come out as their radiance: no bounces, no clamp, no denoiser.
 
     One ray through the centre of each pixel: nothing in the materials is random, so the picture is free
-    of noise at 1 sample, and it is what the trainer's rasterisers draw. More samples change nothing
-    unless the pixel filter (``scene.cycles.filter_width``) is widened for antialiasing.
+    of noise at 1 sample, and it is what the trainer's rasterisers draw. More samples help only with a
+    ``filter_width`` (in pixels) near 1, for other objects' edges.
     """
     scene.render.engine = "CYCLES"
     scene.render.film_transparent = True
@@ -34,10 +39,9 @@ def prepare_cycles(scene: bpy.types.Scene, samples: int = 1) -> None:
     cycles.film_exposure = 1.0
     cycles.max_bounces = 0
     cycles.transparent_max_bounces = TRANSPARENT_BOUNCES
-    # Rays are never ended at random: that would be the only noise.
-    cycles.min_transparent_bounces = TRANSPARENT_BOUNCES
+    cycles.min_transparent_bounces = CERTAIN_BOUNCES
     cycles.pixel_filter_type = "BOX"
-    cycles.filter_width = 0.01
+    cycles.filter_width = filter_width
     cycles.use_light_tree = False
 
 
@@ -65,7 +69,7 @@ def add_camera(
 
 def render_exr(scene: bpy.types.Scene, path: Path) -> None:
     """Render to a 32-bit float EXR: scene-linear, premultiplied, untouched by the view transform."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    _make_folder_of(path)
     settings = scene.render.image_settings
     settings.media_type = "IMAGE"
     settings.file_format = "OPEN_EXR"
@@ -73,11 +77,30 @@ def render_exr(scene: bpy.types.Scene, path: Path) -> None:
     settings.color_depth = "32"
     settings.exr_codec = "ZIP"
     scene.render.use_file_extension = False
-    scene.render.filepath = str(path)
+    scene.render.filepath = str(path.resolve())
     try:
         bpy.ops.render.render(write_still=True, scene=scene.name)
     except RuntimeError as error:
         raise OutputError(f"cannot render to {path}: {error}", "Check that you may write there.") from error
+
+
+def save_blend(path: Path) -> None:
+    """Save the open file at ``path``, packed into itself as far as Gaussians are concerned."""
+    _make_folder_of(path)
+    try:
+        bpy.ops.wm.save_as_mainfile(filepath=str(path.resolve()), check_existing=False)
+    except RuntimeError as error:
+        raise OutputError(f"cannot save {path}: {error}", "Check that you may write there.") from error
+
+
+def _make_folder_of(path: Path) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(
+            f"cannot make the folder {path.parent}: {error.strerror or error}",
+            "Choose another place, or mend its permissions.",
+        ) from error
 
 
 def read_exr(path: Path) -> np.ndarray:
