@@ -59,6 +59,12 @@ class PhysHDRConfig:
             raise BadValueError(f"the SH degree must be 0 to 3, got {self.sh_degree}")
 
 
+    @property
+    def has_ambient_share(self) -> bool:
+        """Whether each Gaussian learns which share of its light is ambient."""
+        return self.modulator == "additive" and self.branches != "image-exposure"
+
+
 @dataclass(frozen=True)
 class Rendering:
     """One training view: scene-linear images, LDR images, and what densification reads.
@@ -105,7 +111,7 @@ class PhysHDR(nn.Module):
 
     def log_modulated_illumination(self, level: float) -> torch.Tensor:
         """ln L̂_a = ln φ(L_a, l) (eq. 7), ``[N, 1 or 3]``."""
-        share = self.gaussians.ambient_share if self.config.modulator == "additive" else None
+        share = self.gaussians.ambient_share if self.config.has_ambient_share else None
         return self.modulator(self.gaussians.log_illumination, level, share)
 
     def radiance(self, viewpoint: torch.Tensor, level: float | None) -> torch.Tensor:

@@ -55,6 +55,14 @@ class Camera:
         focal = 0.5 * width / math.tan(0.5 * angle_x)
         return cls(camera_to_world, width, height, focal, focal, 0.5 * width, 0.5 * height)
 
+    def resized(self, width: int) -> "Camera":
+        """The same view with ``width`` pixels across; the height follows the aspect."""
+        if width < 1:
+            raise BadValueError(f"a picture must be at least 1 pixel wide, got {width}")
+        height = max(1, round(width * self.height / self.width))
+        x, y = width / self.width, height / self.height
+        return Camera(self.camera_to_world, width, height, self.fx * x, self.fy * y, self.cx * x, self.cy * y)
+
     @cached_property
     def world_to_camera(self) -> np.ndarray:
         """``[4, 4]`` float64, OpenCV axes (+Z forward, +Y down): what rasterisers use."""

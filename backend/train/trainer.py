@@ -90,7 +90,7 @@ class Trainer:
             sh_degree=method.sh_degree,
             opacity=config.initial_opacity,
             scale_factor=config.initial_scale,
-            ambient_share=config.initial_ambient_share if method.modulator == "additive" else None,
+            ambient_share=config.initial_ambient_share if method.has_ambient_share else None,
             context_size=method.tone_mapper.context_size if method.tone_mapper.local else 0,
             seed=config.seed,
         )

@@ -1,0 +1,33 @@
+# PhysHDR: `make demo` runs everything once; `make test` proves that it works.
+# Both set up what they need first (tools/setup.py) and work again when run twice.
+
+BACKEND := .venvs/backend/bin/python
+BLENDER := .venvs/run-blender
+PYTHON ?= python3
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test benchmark extension lint clean
+
+help: ## Show this list
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
+
+setup: ## Set up both environments (.venvs/), or say what to install
+	@$(PYTHON) tools/setup.py backend blender
+
+demo: setup ## Scene → data → training → relit picture: runs/demo/result.png
+	@$(BACKEND) tools/demo.py
+
+test: setup ## All tests, both sides of the house
+	@$(PYTHON) tools/run_tests.py
+
+benchmark: setup ## Speed of the kernels against their alternatives, in one run
+	@$(BACKEND) benchmarks/run.py
+
+extension: setup ## Validate and build the Blender extension: dist/physhdr-*.zip
+	@$(PYTHON) tools/build_extension.py
+
+lint: setup ## ruff and pyright
+	@.venvs/backend/bin/ruff check . && .venvs/backend/bin/ruff format --check . && .venvs/backend/bin/pyright
+
+clean: ## Remove what was built (data, runs and environments stay)
+	@rm -rf build dist .pytest_cache .ruff_cache

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""``physhdr export``: the model file for Blender and the two PLY files."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+import tyro
+
+from ...bridge.errors import BadValueError
+from ...bridge.model_file import write_model
+from ..export.baked import baked_colour_sh, network_comments, parameter_columns
+from ..export.blender_model import to_model
+from ..export.ply import write_lossless_ply, write_standard_ply
+from .progress import console
+from .run_folder import open_run, writable_folder
+
+MODEL_FILE = "model.safetensors"
+
+
+@dataclass(frozen=True)
+class Export:
+    """Write RUN/model.safetensors (for Blender), a standard 3DGS PLY and the lossless PLY."""
+
+    #: Folder of the run.
+    folder: tyro.conf.Positional[Path]
+    #: Folder to write into; default: the run's own.
+    out: Path | None = None
+    #: Exposure in EV (log2 of seconds) at which the standard PLY is baked.
+    exposure_ev: float = 1.0
+    #: Lighting level at which the standard PLY is baked.
+    lighting_level: float = 1.0
+    #: The data set, where it has moved since training.
+    data: Path | None = None
+
+    def run(self) -> int:
+        if not self.lighting_level > 0.0 or not math.isfinite(self.exposure_ev):
+            raise BadValueError(
+                f"cannot bake at EV {self.exposure_ev} and lighting level {self.lighting_level}",
+                "Give a finite EV and a lighting level above 0.",
+            )
+        run = open_run(self.folder, self.data)
+        out = writable_folder(self.out or self.folder)
+        method, gaussians = run.method, run.method.gaussians
+        provenance = {
+            "scene": run.scene.name,
+            "method": f"physhdr, preset {run.preset}",
+            "iteration": str(run.iteration),
+        }
+        viewpoint = np.mean([view.camera.position for view in run.scene.train], axis=0)
+        exposures = run.scene.train[0].exposures
+        write_model(out / MODEL_FILE, to_model(method, viewpoint, exposures, provenance))
+        console.print(f"wrote {out / MODEL_FILE}: {len(gaussians)} Gaussians, for Blender")
+
+        look = f"EV {self.exposure_ev:g}, lighting level {self.lighting_level:g}"
+        with torch.no_grad():
+            standard = {
+                "positions": gaussians.means.numpy(),
+                "rotations": torch.nn.functional.normalize(gaussians.quaternions, dim=1).numpy(),
+                "scales": gaussians.scales.numpy(),
+                "opacities": gaussians.opacities.numpy(),
+                "colour_sh": baked_colour_sh(method, 2.0**self.exposure_ev, self.lighting_level),
+            }
+        comments = [f"PhysHDR {key}: {value}" for key, value in provenance.items()]
+        comments.append(f"display-referred colour through the learned response, baked at {look}")
+        write_standard_ply(out / "baked.ply", **standard, comments=comments)
+        console.print(f"wrote {out / 'baked.ply'}: for any 3DGS viewer, baked at {look}")
+
+        comments.append("phys_ columns and phys_network lines hold the model itself: scene-linear, lossless")
+        write_lossless_ply(
+            out / "lossless.ply",
+            **standard,
+            columns=parameter_columns(gaussians),
+            comments=comments + network_comments(method),
+        )
+        console.print(f"wrote {out / 'lossless.ply'}: every parameter")
+        return 0

@@ -1,0 +1,36 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A fixed test view, measured while training. What it sees is shown and logged, never learned from."""
+
+import numpy as np
+import torch
+
+from ...bridge.errors import PhysHDRError
+from ..evaluate.metrics import psnr, scale_ratio
+from ..evaluate.truth import hdr_truth
+from ..methods.physhdr import PhysHDR
+from ..scene import Scene
+from ..train.trainer import Monitor
+
+
+def view_monitor(scene: Scene) -> Monitor | None:
+    """PSNR of the middle test view at its middle exposure and, where the truth is there, the HDR scale.
+
+    ``None`` where the data set has no test views.
+    """
+    if not scene.test:
+        return None
+    view = scene.test[len(scene.test) // 2]
+    k = len(view.exposures) // 2
+    try:
+        truth = hdr_truth(scene.root, "test", view.index)
+    except PhysHDRError:
+        truth = None  # shown only if it is there; evaluation says what is wrong with it
+
+    def measure(method: PhysHDR) -> dict[str, float]:
+        picture = torch.from_numpy(view.image(k).transpose(2, 0, 1).astype(np.float32) / 255.0)
+        measured = {"PSNR": psnr(method.ldr(view.camera, view.exposures[k], view.lighting_level), picture)}
+        if truth is not None:
+            measured["HDR scale"] = scale_ratio(method.hdr(view.camera, view.lighting_level), truth)
+        return measured
+
+    return measure

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""``physhdr render``: one picture from a trained run, scene-linear EXR or LDR PNG."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import tyro
+
+from ...bridge.errors import BadValueError
+from ..rasterize import Implementation
+from ..scene import Camera, Scene
+from ..scene.pictures import write_exr, write_png
+from .progress import console
+from .run_folder import open_run
+
+
+def camera_named(scene: Scene, name: str) -> Camera:
+    """The camera of ``test/3``, ``train/0`` or ``lit/2``; raises ``BadValueError`` naming what there is."""
+    split, slash, index = name.partition("/")
+    index = index.removeprefix("r_")
+    if not slash or not index.isdigit():
+        raise BadValueError(f"--view must be like test/3, got '{name}'", "SPLIT/POSE, split train, test or lit.")
+    return scene.find(split, int(index)).camera
+
+
+@dataclass(frozen=True)
+class Render:
+    """Render a camera of the data set at any exposure and lighting level."""
+
+    #: Folder of the run.
+    folder: tyro.conf.Positional[Path]
+    #: The picture to write: .exr (scene-linear radiance) or .png (through the learned response).
+    out: Path
+    #: Which camera: SPLIT/POSE.
+    view: str = "test/0"
+    #: Seconds; for .png only. Default: the middle exposure of the data set.
+    exposure: float | None = None
+    #: Ambient light relative to the standard views.
+    lighting_level: float = 1.0
+    #: Width in pixels (the height follows); default: the data set's.
+    width: int | None = None
+    #: The data set, where it has moved since training.
+    data: Path | None = None
+    rasteriser: Implementation = "auto"
+
+    def run(self) -> int:
+        kind = self.out.suffix.lower()
+        if kind not in (".exr", ".png"):
+            raise BadValueError(f"--out must end in .exr or .png, got {self.out.name}")
+        if not self.lighting_level > 0.0:
+            raise BadValueError(f"--lighting-level must be above 0, got {self.lighting_level}")
+        if self.exposure is not None and not self.exposure > 0.0:
+            raise BadValueError(f"--exposure must be above 0 seconds, got {self.exposure}")
+        run = open_run(self.folder, self.data, self.rasteriser)
+        camera = camera_named(run.scene, self.view)
+        if self.width is not None:
+            camera = camera.resized(self.width)
+        if kind == ".exr":
+            write_exr(self.out, _planes_last(run.method.hdr(camera, self.lighting_level).numpy()))
+        else:
+            exposures = run.scene.train[0].exposures
+            exposure = self.exposure or exposures[len(exposures) // 2]
+            ldr = _planes_last(run.method.ldr(camera, exposure, self.lighting_level).numpy())
+            write_png(self.out, np.round(255.0 * ldr.clip(0.0, 1.0)).astype(np.uint8))
+        console.print(f"wrote {self.out}")
+        return 0
+
+
+def _planes_last(image: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(image.transpose(1, 2, 0))

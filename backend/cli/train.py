@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""``physhdr train``: run the trainer, show its events, keep its logs."""
+
+import signal
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from ...bridge.errors import BadValueError, DataMismatchError
+from ..rasterize import Implementation
+from ..scene import read_scene
+from ..train.config import CONFIG_FILE, PRESETS, TrainConfig, read_config, write_config
+from ..train.trainer import CHECKPOINT_FILE, Trainer
+from .monitor import view_monitor
+from .progress import EventLog, console
+from .run_folder import writable_folder
+
+
+def preset_named(argv: list[str]) -> TrainConfig:
+    """The configuration of the ``--preset`` in ``argv`` (the default one if there is none)."""
+    name = "default"
+    for i, word in enumerate(argv):
+        if word == "--preset" and i + 1 < len(argv):
+            name = argv[i + 1]
+        elif word.startswith("--preset="):
+            name = word.partition("=")[2]
+    if name not in PRESETS:
+        raise BadValueError(f"there is no preset '{name}'", f"Choose from: {', '.join(PRESETS)}.")
+    return PRESETS[name]
+
+
+@dataclass(frozen=True)
+class Train:
+    """Train PhysHDR-GS on a data set. CTRL-C saves a checkpoint; --resume goes on from it."""
+
+    config: Annotated[TrainConfig, tyro.conf.arg(name="")]
+    #: Folder of the data set.
+    data: tyro.conf.Positional[Path | None] = None
+    #: Folder of the run: configuration, checkpoint, logs.
+    out: Path | None = None
+    #: Go on with this run, bit-identically on the CPU; its own configuration is used.
+    resume: Path | None = None
+    #: Start again where --out already holds a run, replacing it.
+    overwrite: bool = False
+    #: Where the other options' defaults come from.
+    preset: Literal["default", "paper", "baseline"] = "default"
+    #: What draws the Gaussians; auto: CUDA where there is one, else the CPU kernels.
+    rasteriser: Implementation = "auto"
+    #: Iterations between checkpoints.
+    checkpoint_every: int = 2000
+
+    def run(self) -> int:
+        trainer, folder = self._resumed() if self.resume else self._fresh()
+        stop = _StopOnInterrupt()
+        monitor = view_monitor(trainer.scene)
+        with stop, EventLog(folder) as log:
+            events = trainer.run(
+                folder, should_stop=lambda: stop.requested, monitor=monitor, checkpoint_every=self.checkpoint_every
+            )
+            for event in events:
+                log.show(event)
+        if stop.requested:
+            console.print(f"stopped; go on with: physhdr train --resume {folder}")
+            return 130
+        return 0
+
+    def _fresh(self) -> tuple[Trainer, Path]:
+        if self.data is None or self.out is None:
+            raise BadValueError(
+                "a data set and --out are needed", "Call: physhdr train DATA --out RUN, or: physhdr train --resume RUN"
+            )
+        if (self.out / CHECKPOINT_FILE).exists() and not self.overwrite:
+            raise DataMismatchError(
+                f"{self.out} already holds a run",
+                "Go on with it by --resume, replace it by --overwrite, or choose another --out.",
+            )
+        scene = read_scene(self.data)
+        folder = writable_folder(self.out)
+        trainer = Trainer(scene, self.config, self.rasteriser)
+        EventLog.clear(folder)
+        write_config(folder / CONFIG_FILE, self.config, self.data, self.preset)
+        return trainer, folder
+
+    def _resumed(self) -> tuple[Trainer, Path]:
+        assert self.resume is not None
+        config, data, _ = read_config(self.resume / CONFIG_FILE)
+        trainer = Trainer(read_scene(self.data or data), config, self.rasteriser)
+        trainer.resume(self.resume)
+        return trainer, writable_folder(self.resume)
+
+
+class _StopOnInterrupt:
+    """While active, the first CTRL-C asks for a stop after the iteration; a second one interrupts."""
+
+    def __init__(self) -> None:
+        self.requested = False
+
+    def __enter__(self) -> "_StopOnInterrupt":
+        self._previous = signal.signal(signal.SIGINT, self._handle)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        signal.signal(signal.SIGINT, self._previous)
+
+    def _handle(self, *_: object) -> None:
+        if self.requested:
+            raise KeyboardInterrupt
+        self.requested = True
+        console.print("stopping after this iteration and saving; CTRL-C again to leave at once")

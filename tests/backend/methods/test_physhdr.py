@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The forward pass and the losses, from their equations, on a handful of random Gaussians."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from physhdr.backend.methods.physhdr import PhysHDR, PhysHDRConfig
+from physhdr.backend.model.gaussians import initial_gaussians
+from physhdr.backend.model.tone_mapper import ToneMapperConfig
+from physhdr.backend.rasterize.reference import rasterize
+from physhdr.backend.scene.camera import Camera
+from physhdr.backend.train.config import PRESETS
+from physhdr.backend.train.losses import LossConfig, consistency_loss, reconstruction_loss
+from physhdr.bridge.errors import BadValueError
+
+ANCHOR = (1.0, 0.73)
+
+
+@pytest.fixture
+def camera():
+    pose = np.eye(4)
+    pose[2, 3] = 3.0
+    return Camera.from_field_of_view(pose, 24, 20, 0.8)
+
+
+def make(preset: str, trained: bool = True) -> PhysHDR:
+    """A method with the preset's parts; ``trained``: nothing is where it started."""
+    config = PRESETS[preset].method
+    rng = np.random.default_rng(5)
+    gaussians = initial_gaussians(
+        rng.uniform(-0.6, 0.6, (30, 3)), rng.uniform(-1.5, 0.5, (30, 3)), sh_degree=config.sh_degree,
+        opacity=0.6, scale_factor=1.0, ambient_share=0.3 if config.has_ambient_share else None,
+        context_size=4 if config.tone_mapper.local else 0, seed=0,
+    )
+    torch.manual_seed(2)
+    method = PhysHDR(config, gaussians, ANCHOR, "reference")
+    if trained:
+        generator = torch.Generator().manual_seed(4)
+        with torch.no_grad():
+            for name, tensor in [*method.named_parameters(), *gaussians.parameters.items()]:
+                if name not in ("means", "log_scales"):
+                    tensor += 0.1 * torch.randn(tensor.shape, generator=generator)
+    return method
+
+
+def raster64(method, colours, camera):
+    g = method.gaussians
+    arrays = (g.means, g.quaternions, g.scales, g.opacities, colours)
+    return rasterize(*(a.detach().double() for a in arrays), camera).image.float()
+
+
+def test_the_paper_fuses_crosswise(camera):
+    """Eq. 5–11 step by step: two renders, four tone-mapped images, two fused ones, their mean."""
+    method, t = make("paper"), 2.0
+    mapper = method.tone_mapper
+    viewpoint = torch.tensor(camera.position, dtype=torch.float32)
+    with torch.no_grad():
+        hdr = raster64(method, method.radiance(viewpoint, None), camera)
+        relit = raster64(method, method.radiance(viewpoint, t), camera)
+        context = raster64(method, method.gaussians.context, camera)
+        glo, loc = mapper.tone_map(hdr * t, context)
+        relit_glo, relit_loc = mapper.tone_map(relit, context)  # not multiplied by t: l = t does that
+        ldr_ig, ldr_gi = mapper.mix(glo, relit_loc), mapper.mix(relit_glo, loc)
+        rendering = method.render(camera, t)
+    assert torch.allclose(rendering.exposed, hdr * t, atol=1e-4)
+    assert torch.allclose(rendering.relit, relit, atol=1e-4)
+    for got, expected in zip(rendering.supervised, (0.5 * (ldr_ig + ldr_gi), ldr_ig, ldr_gi), strict=True):
+        assert torch.allclose(got, expected, atol=1e-4)
+    assert not torch.allclose(ldr_ig, ldr_gi, atol=1e-3)
+
+
+def test_untrained_branches_of_the_paper_agree(camera):
+    """g starts as the product and φ as a scaling by l = t, so that L_cons starts at zero."""
+    method = make("paper", trained=False)
+    rendering = method.render(camera, 8.0)
+    assert torch.allclose(rendering.exposed, rendering.relit, rtol=1e-4)
+    assert method.losses(rendering, torch.rand(3, 20, 24))["cons"] < 1e-5
+
+
+def test_losses_are_weighted_sums_of_their_definitions(camera):
+    method = make("paper")
+    rendering = method.render(camera, 2.0)
+    picture = torch.rand(3, 20, 24)
+    terms = method.losses(rendering, picture)
+    config = method.config.loss
+    # L_rec: γ = 0.2 times MSE; SSIM is checked where it is implemented.
+    image = rendering.supervised[0]
+    without_ssim = dataclasses.replace(config, dssim_weight=0.0)
+    mse = np.mean((image.detach().numpy() - picture.numpy()) ** 2)
+    assert math.isclose(reconstruction_loss(image, picture, without_ssim).item(), 0.2 * mse, rel_tol=1e-5)
+    each = [reconstruction_loss(i, picture, config) for i in rendering.supervised]
+    assert torch.allclose(terms["rec"], torch.stack(each).sum())
+    assert torch.allclose(
+        terms["cons"], 0.5 * consistency_loss(rendering.exposed, rendering.relit, config)
+    )
+    assert torch.allclose(terms["unit"], 0.5 * method.tone_mapper.unit_exposure_error())
+
+
+def test_consistency_is_blurred_and_blind_to_fine_detail():
+    config = LossConfig(consistency_domain="linear")
+    flat = torch.full((3, 40, 40), 2.0)
+    assert math.isclose(consistency_loss(flat, flat + 0.5, config).item(), 0.5, rel_tol=1e-5)
+    checker = flat + 0.5 * (-1.0) ** (torch.arange(40)[:, None] + torch.arange(40)[None])
+    assert consistency_loss(flat, checker, config) < 0.01  # |difference| is 0.5 everywhere
+    logarithmic = LossConfig(consistency_domain="log")
+    expected = math.log1p(2.5) - math.log1p(2.0)
+    assert math.isclose(consistency_loss(flat, flat + 0.5, logarithmic).item(), expected, rel_tol=1e-4)
+
+
+def test_relighting_of_the_default_is_exactly_linear(camera):
+    method = make("default")
+    at = {level: method.hdr(camera, level) for level in (0.25, 1.0, 3.0)}
+    fixed = (at[0.25] - 0.25 * at[1.0]) / 0.75
+    assert torch.allclose(at[3.0], fixed + 3.0 * (at[1.0] - fixed), atol=1e-4)
+    assert (at[3.0] - 3.0 * at[1.0]).abs().max() > 0.05  # not a mere scaling
+    # and its picture is the response at radiance × exposure
+    ldr = method.ldr(camera, 2.0, 3.0)
+    expected, _ = method.tone_mapper.tone_map(at[3.0] * 2.0, None)
+    assert torch.allclose(ldr, expected, atol=1e-5)
+
+
+def test_without_an_illumination_branch_a_level_only_scales(camera):
+    method = make("baseline")
+    assert torch.allclose(method.hdr(camera, 3.0), 3.0 * method.hdr(camera), rtol=1e-4)
+    assert torch.allclose(method.ldr(camera, 2.0, 3.0), method.ldr(camera, 6.0), atol=1e-5)
+
+
+def test_every_parameter_of_every_preset_receives_a_gradient(camera):
+    for preset in PRESETS:
+        method = make(preset)
+        terms = method.losses(method.render(camera, 2.0, 1.0), torch.rand(3, 20, 24))
+        if method.config.lighting_level == "view":  # a share shows only under other light
+            lit = method.losses(method.render(camera, 2.0, 4.0), torch.rand(3, 20, 24))
+            terms["lit"] = lit["rec"]
+        torch.stack(list(terms.values())).sum().backward()
+        for name, tensor in [*method.named_parameters(), *method.gaussians.parameters.items()]:
+            if preset == "default" and name == "tone_mapper.b2":
+                continue  # the anchor takes the place of a constant
+            assert tensor.grad is not None and tensor.grad.abs().sum() > 0, (preset, name)
+
+
+def test_settings_that_contradict_each_other_are_refused():
+    with pytest.raises(BadValueError, match="f_mix"):
+        PhysHDRConfig(tone_mapper=ToneMapperConfig(mix=True))
+    with pytest.raises(BadValueError, match="image-exposure"):
+        PhysHDRConfig(branches="image-exposure")
+    with pytest.raises(BadValueError, match="SH degree"):
+        PhysHDRConfig(sh_degree=4)

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Composer, modulator and tone mapper against closed forms."""
+
+import math
+
+import pytest
+import torch
+
+from physhdr.backend.model.radiance import (
+    AdditiveModulator,
+    LearnedComposer,
+    LearnedModulator,
+    ProductComposer,
+)
+from physhdr.backend.model.tone_mapper import ToneMapper, ToneMapperConfig
+
+ANCHOR = (1.0, 0.5 ** (1.0 / 2.2))
+
+
+def randomised(module: torch.nn.Module) -> torch.nn.Module:
+    """As after training: no weight is where it started."""
+    generator = torch.Generator().manual_seed(3)
+    with torch.no_grad():
+        for parameter in module.parameters():
+            parameter += 0.3 * torch.randn(parameter.shape, generator=generator)
+    return module
+
+
+def test_the_product_is_the_product():
+    log_a, log_h = torch.randn(50, 1), torch.randn(50, 3)
+    assert torch.allclose(ProductComposer()(log_a, log_h), log_a.exp() * log_h.exp())
+
+
+def test_learned_networks_start_as_the_physical_law():
+    log_a, log_h = torch.randn(50, 1), torch.randn(50, 3)
+    assert torch.allclose(LearnedComposer(64)(log_a, log_h), (log_a + log_h).exp())
+    assert torch.allclose(LearnedModulator(64)(log_a, 8.0), log_a + math.log(8.0))
+
+
+def test_the_additive_modulator_is_linear_in_light():
+    log_a, share = torch.randn(50, 1), torch.rand(50, 3)
+    modulate = AdditiveModulator()
+    at = {level: modulate(log_a, level, share).exp() for level in (0.0, 0.25, 1.0, 4.0)}
+    assert torch.allclose(at[1.0], log_a.exp().expand(-1, 3))
+    for level, value in at.items():
+        assert torch.allclose(value, at[0.0] + level * (at[1.0] - at[0.0]), atol=1e-5)
+    assert torch.allclose(at[0.0], log_a.exp() * (1.0 - share), atol=1e-5)
+
+
+@pytest.mark.parametrize("slope", [None, 0.6])
+def test_an_anchored_response_meets_its_anchor_whatever_it_learns(slope):
+    mapper = randomised(ToneMapper(ToneMapperConfig(initial_slope=slope), ANCHOR))
+    x = torch.full((3, 1), math.log(ANCHOR[0]))
+    assert torch.allclose(mapper.curve_logits(x).sigmoid(), torch.tensor(ANCHOR[1]), atol=1e-6)
+    assert mapper.unit_exposure_error() < 1e-10
+    free = randomised(ToneMapper(ToneMapperConfig(initial_slope=slope, anchored=False), ANCHOR))
+    error = free.unit_exposure_error()
+    assert torch.allclose(error, (free.curve_logits(x).sigmoid() - ANCHOR[1]).square().mean())
+    assert error > 1e-4
+
+
+def test_the_warm_start_fits_the_curve_of_hdr_nerf():
+    torch.manual_seed(0)
+    config = ToneMapperConfig(anchored=False, initial_slope=None, warm_start_steps=1000)
+    mapper = ToneMapper(config, None)
+    mapper.warm_start(0)
+    x = torch.linspace(-3.0, 3.0, 61).expand(3, -1).contiguous()
+    error = (mapper.curve_logits(x).sigmoid() - torch.log1p(x.exp()).clamp(0.0, 1.0)).abs()
+    assert error.mean() < 0.03
+
+
+def test_the_inverse_undoes_the_response():
+    mapper = ToneMapper(ToneMapperConfig(), ANCHOR)
+    x = torch.linspace(-6.0, 4.0, 50).expand(3, -1).contiguous()
+    assert torch.allclose(mapper.inverse(mapper.curve_logits(x).sigmoid()), x, atol=0.02)
+
+
+def test_local_curves_correct_the_global_one_and_mixing_stays_between():
+    torch.manual_seed(1)
+    mapper = randomised(ToneMapper(ToneMapperConfig(local=True, mix=True), ANCHOR))
+    exposed, context = torch.rand(3, 5, 7) * 4.0, torch.randn(4, 5, 7)
+    glo, loc = mapper.tone_map(exposed, context)
+    assert loc.shape == glo.shape == (3, 5, 7)
+    assert loc.min() >= 0.0 and loc.max() <= 1.0
+    # The correction of one pixel and channel, from its definition.
+    x = (exposed[1, 2, 3] + 1e-5).log()
+    delta = mapper.local_curves[1](torch.cat([x[None], context[:, 2, 3]])[:, None]).sigmoid()
+    assert torch.allclose(loc[1, 2, 3], (glo[1, 2, 3] + delta[0, 0] - 0.5).clamp(0, 1), atol=1e-6)
+    mixed = mapper.mix(glo, loc)
+    assert (mixed <= torch.maximum(glo, loc) + 1e-6).all() and (mixed >= torch.minimum(glo, loc) - 1e-6).all()

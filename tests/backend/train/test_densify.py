@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Density control on hand-made Gaussians, where what must happen can be counted."""
+
+import dataclasses
+import math
+
+import numpy as np
+import torch
+
+from physhdr.backend.methods.physhdr import PhysHDR
+from physhdr.backend.model.gaussians import initial_gaussians
+from physhdr.backend.train.config import PRESETS
+from physhdr.backend.train.densify import (
+    DensifyConfig,
+    DensifyState,
+    densify,
+    gradient_scaling,
+    reset_opacity,
+)
+from physhdr.backend.train.optimisers import Optimiser
+
+
+def make(count=8):
+    config = PRESETS["default"]
+    points = np.random.default_rng(0).normal(size=(count, 3))
+    gaussians = initial_gaussians(
+        points,
+        np.zeros((count, 3)),
+        sh_degree=1,
+        opacity=0.5,
+        scale_factor=1.0,
+        ambient_share=0.5,
+        context_size=0,
+        seed=0,
+    )
+    method = PhysHDR(config.method, gaussians, (1.0, 0.73))
+    optimiser = Optimiser(method, config.optimiser, extent=1.0, iterations=100)
+    for tensor in gaussians.parameters.values():  # one step, so that Adam has moments
+        tensor.grad = torch.ones_like(tensor)
+    optimiser.step(0)
+    return method, optimiser
+
+
+def control(method, optimiser, gradients, **changes):
+    config = dataclasses.replace(DensifyConfig(threshold=1.0, clone_below=0.01, budget=0), **changes)
+    state = DensifyState.empty(method.gaussians)
+    state.gradient_sum += torch.tensor(gradients) * 3.0
+    state.visits += 3.0  # the mean over visits is what counts
+    return densify(method, optimiser, state, 1, config, torch.Generator().manual_seed(0))
+
+
+def test_small_ones_are_cloned_large_ones_split_and_transparent_ones_pruned():
+    method, optimiser = make()
+    g = method.gaussians
+    with torch.no_grad():
+        g.log_scales[0] = np.log(0.001)
+        g.log_scales[1] = np.log(0.5)
+        g.opacity_logits[2] = -10.0
+    before = {name: tensor.detach().clone() for name, tensor in g.parameters.items()}
+    state = control(method, optimiser, [2.0, 2.0, 2.0, 0.9, 0.0, 0.0, 0.0, 0.0])
+    # 8, −1 pruned, +1 clone, −1 +2 split
+    assert len(method.gaussians) == 9 == len(state.visits)
+    assert torch.equal(g.means[:1], before["means"][:1])  # 0 stays first …
+    assert torch.equal(g.means[6], before["means"][0])  # … and its clone follows those that stay
+    children = slice(7, 9)
+    assert torch.allclose(g.scales[children], torch.full((2, 3), 0.5 / 1.6))
+    assert not torch.equal(g.means[7], g.means[8])
+    assert (g.means[children] - before["means"][1]).norm(dim=1).max() < 5 * 0.5
+    # Adam: old ones keep their moments, new ones start from nothing
+    moments = optimiser.adam.state[g.means]["exp_avg"]
+    assert moments[:6].abs().min() > 0 and moments[6:].abs().max() == 0
+
+
+def test_the_budget_goes_to_the_largest_gradients():
+    method, optimiser = make()
+    with torch.no_grad():
+        method.gaussians.log_scales.fill_(np.log(0.001))
+    before = method.gaussians.means.detach().clone()
+    control(method, optimiser, [5.0, 2.0, 9.0, 3.0, 0.0, 0.0, 0.0, 0.0], budget=10)
+    assert len(method.gaussians) == 10
+    clones = method.gaussians.means[8:]
+    assert {tuple(c.tolist()) for c in clones} == {tuple(before[i].tolist()) for i in (0, 2)}
+
+
+def test_gradient_scaling_is_equation_14():
+    deviation = torch.tensor([0.0, 1.0, 100.0])
+    expected = torch.tensor([1.5, 1.0 + 1.0 / (1.0 + math.exp(-1.0)), 2.0])
+    assert torch.allclose(gradient_scaling(deviation, 1.0), expected)
+    assert torch.equal(gradient_scaling(deviation, 0.0), torch.ones(3))
+
+
+def test_an_opacity_reset_lowers_and_never_raises():
+    method, optimiser = make()
+    with torch.no_grad():
+        method.gaussians.opacity_logits[0] = -9.0
+    reset_opacity(method, optimiser, DensifyConfig())
+    opacities = method.gaussians.opacities
+    assert torch.allclose(opacities[1:], torch.tensor(0.01)) and opacities[0] < 0.001
+    assert optimiser.adam.state[method.gaussians.opacity_logits]["exp_avg"].abs().max() == 0

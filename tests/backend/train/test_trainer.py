@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Training as a whole, on a data set of 60 Gaussians whose truth is known."""
+
+import dataclasses
+import shutil
+
+import numpy as np
+import pytest
+import torch
+
+from physhdr.backend.scene import read_scene
+from physhdr.backend.scene.pictures import read_exr, write_exr
+from physhdr.backend.train.checkpoint import load_checkpoint
+from physhdr.backend.train.config import PRESETS, read_config, write_config
+from physhdr.backend.train.trainer import CHECKPOINT_FILE, Trainer, TrainingDivergedError, load_method
+from physhdr.bridge.errors import BadValueError, DataMismatchError, FileDamagedError, FileMissingError
+
+
+def short(preset: str, iterations: int = 40, **changes):
+    """A preset, shortened so that densification and an opacity reset still happen."""
+    config = PRESETS[preset]
+    density = dataclasses.replace(config.densify, start=5, every=10, stop=0.8, threshold=1e-5, reset_every=25)
+    return dataclasses.replace(config, iterations=iterations, densify=density, sh_degree_every=10, **changes)
+
+
+def train(scene, config, folder, stop_at=None):
+    folder.mkdir(parents=True, exist_ok=True)
+    trainer = Trainer(scene, config)
+    for _ in trainer.run(folder, should_stop=lambda: stop_at is not None and trainer.iteration >= stop_at):
+        pass
+    return trainer
+
+
+def weights(folder):
+    return load_checkpoint(folder / CHECKPOINT_FILE)[0]
+
+
+def assert_identical(first, second):
+    assert first.keys() == second.keys()
+    for name in first:
+        assert torch.equal(first[name], second[name]), name
+
+
+@pytest.mark.parametrize("preset", list(PRESETS))
+def test_a_stopped_and_resumed_run_is_bit_identical(preset, tiny_data, tmp_path):
+    scene, config = read_scene(tiny_data), short(preset)
+    whole = train(scene, config, tmp_path / "whole")
+    train(scene, config, tmp_path / "parts", stop_at=17)
+    assert load_checkpoint(tmp_path / "parts" / CHECKPOINT_FILE)[1]["iteration"] == "17"
+    resumed = Trainer(scene, config)
+    resumed.resume(tmp_path / "parts")
+    for _ in resumed.run(tmp_path / "parts"):
+        pass
+    assert len(whole.method.gaussians) > 60  # densification took part
+    assert_identical(weights(tmp_path / "whole"), weights(tmp_path / "parts"))
+
+
+@pytest.mark.parametrize("preset", list(PRESETS))
+def test_ground_truth_is_not_read(preset, tiny_data, tmp_path):
+    """Law 6: with every true radiance replaced by noise, training gives the same weights."""
+    spoiled = tmp_path / "spoiled"
+    shutil.copytree(tiny_data, spoiled)
+    rng = np.random.default_rng(1)
+    truths = [*spoiled.glob("*_hdr/*.exr"), *spoiled.glob("relit/*/*.exr")]
+    assert len(truths) == 6 + 2 + 2
+    for path in truths:
+        write_exr(path, rng.uniform(0, 100, read_exr(path).shape).astype(np.float32))
+    config = short(preset, iterations=20)
+    train(read_scene(tiny_data), config, tmp_path / "clean_run")
+    train(read_scene(spoiled), config, tmp_path / "spoiled_run")
+    assert_identical(weights(tmp_path / "clean_run"), weights(tmp_path / "spoiled_run"))
+
+
+def test_training_recovers_radiance_and_light(tiny_data, tmp_path):
+    """After a few hundred iterations test views, their absolute HDR scale and relighting are right."""
+    scene = read_scene(tiny_data)
+    config = dataclasses.replace(PRESETS["default"], iterations=400, sh_degree_every=1000)
+    trainer = train(scene, config, tmp_path / "run")
+    view = scene.test[0]
+
+    def db(image, truth, peak):
+        return -10 * np.log10(np.mean((image - truth) ** 2) / peak**2)
+
+    truth = read_exr(tiny_data / "test_hdr" / "hdr_000.exr")
+    hdr = trainer.method.hdr(view.camera).numpy().transpose(1, 2, 0)
+    ratio = np.median(hdr / truth)
+    assert 0.9 < ratio < 1.1
+    relit_truth = read_exr(tiny_data / "relit" / "level_2" / "hdr_000.exr")
+    relit = trainer.method.hdr(view.camera, 2.0).numpy().transpose(1, 2, 0)
+    assert db(relit, relit_truth, relit_truth.max()) > db(2.0 * truth, relit_truth, relit_truth.max()) + 3
+
+
+def test_exp1_keeps_one_exposure_for_each_view(tiny_data):
+    scene = read_scene(tiny_data)
+    trainer = Trainer(scene, short("default", exposure_mode="exp1"))
+    seen = {}
+    for iteration in range(60):
+        view, k = trainer.draw(iteration)
+        seen.setdefault(view.name, set()).add(k)
+    assert all(len(ks) == 1 for ks in seen.values()) and len(seen) == 5
+    everything = Trainer(scene, short("default"))
+    drawn = [everything.draw(i) for i in range(300)]
+    assert {k for _, k in drawn} == {0, 2, 4}
+    # each epoch shows each view once
+    assert len({view.name for view, _ in drawn[:5]}) == 5
+
+
+def test_lit_views_are_used_only_where_the_method_knows_light(tiny_data):
+    scene = read_scene(tiny_data)
+    assert len(Trainer(scene, short("default")).views) == 5
+    assert len(Trainer(scene, short("paper")).views) == 3
+    assert len(Trainer(scene, short("baseline")).views) == 3
+
+
+def test_the_saved_method_renders_as_the_trained_one(tiny_data, tmp_path):
+    scene, config = read_scene(tiny_data), short("paper")
+    trainer = train(scene, config, tmp_path)
+    method, iteration = load_method(tmp_path, config, scene.response_anchor)
+    assert iteration == 40
+    camera = scene.test[0].camera
+    assert torch.equal(method.ldr(camera, 2.0), trainer.method.ldr(camera, 2.0))
+
+
+def test_a_diverged_run_says_so_and_keeps_the_last_good_checkpoint(tiny_data, tmp_path):
+    scene, config = read_scene(tiny_data), short("default")
+    trainer = Trainer(scene, config)
+    good = trainer.save(tmp_path)
+    with torch.no_grad():
+        trainer.method.tone_mapper.b1.fill_(float("nan"))
+    with pytest.raises(TrainingDivergedError, match="not a number at iteration 20"):
+        list(trainer.run(tmp_path))
+    assert load_checkpoint(tmp_path / CHECKPOINT_FILE)[1]["iteration"] == str(good.iteration)
+
+
+def test_random_points_need_no_file(tiny_data, tmp_path):
+    data = tmp_path / "data"
+    shutil.copytree(tiny_data, data)
+    (data / "points3d.ply").unlink()
+    scene = read_scene(data)
+    with pytest.raises(BadValueError, match=r"points3d\.ply(.|\n)*--initial-points random"):
+        Trainer(scene, short("default"))
+    trainer = Trainer(scene, short("default", initial_points="random", random_points=200))
+    assert len(trainer.method.gaussians) == 200
+    trainer.step()
+
+
+def test_exposures_that_the_data_do_not_have_are_refused(tiny_data):
+    with pytest.raises(DataMismatchError, match="--training-exposures"):
+        Trainer(read_scene(tiny_data), short("default", training_exposures=(7,)))
+
+
+def test_a_configuration_file_reproduces_the_configuration(tmp_path):
+    for name, config in PRESETS.items():
+        write_config(tmp_path / "config.json", config, tmp_path, name)
+        assert read_config(tmp_path / "config.json") == (config, tmp_path.resolve(), name)
+    (tmp_path / "config.json").write_text('{"data": "x", "preset": "y", "config": {"wrong": 1}}')
+    with pytest.raises(FileDamagedError, match="wrong"):
+        read_config(tmp_path / "config.json")
+    with pytest.raises(FileMissingError):
+        read_config(tmp_path / "none.json")
+
+
+def test_a_damaged_checkpoint_is_refused(tiny_data, tmp_path):
+    trainer = Trainer(read_scene(tiny_data), short("default"))
+    trainer.save(tmp_path)
+    path = tmp_path / CHECKPOINT_FILE
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(FileDamagedError, match=CHECKPOINT_FILE):
+        load_checkpoint(path)
+    with pytest.raises(FileMissingError, match="physhdr train"):
+        load_checkpoint(tmp_path / "none.safetensors")
