@@ -327,7 +327,7 @@ class _Assembly:
         card_rotation, card_scale = self._card(rotation, scale, widening)
         with make.frame("Camera splat: a card"):
             card_scale = card_scale * reach
-            card = make.field("GeometryNodeMeshGrid", 2.0, 2.0, 2, 2)
+            card = make.field("GeometryNodeMeshCircle", 8, 1.0823922, fill_type="NGON")
             card = make.field("GeometryNodeSetMaterial", card, None, splat_material("splat"))
             in_front = make.math("GREATER_THAN", self.camera.depth, NEAR_PLANE)
         with make.frame("Instances"):

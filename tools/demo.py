@@ -63,7 +63,14 @@ def main() -> int:
 
     table = (out / "evaluation.md").read_text(encoding="utf-8")
     sys.stdout.write(f"\n{table}\n{note}\n\n")
-    for name in ("result.png", "comparison.png", "evaluation.json", "model.safetensors", "baked.ply", "relit.blend"):
+    for name in (
+        "result.png",
+        "comparison.png",
+        "evaluation.json",
+        "model.safetensors",
+        "baked.ply",
+        "relit.blend",
+    ):
         sys.stdout.write(f"{out / name}\n")
     say(f"demo finished in {time.perf_counter() - begun:.0f} s")
     return 0
@@ -148,7 +155,9 @@ def write_result(run: Run, data: Path, pose: int, relit: Path, path: Path) -> st
     title = f"PhysHDR: {run.scene.name}, test view {pose}, {run.iteration} iterations"
     picture = labelled_grid([[(text, as_picture(image)) for text, image in row] for row in grid], title)
     write_png(path, picture)
-    values = ", ".join(f"{value:.1f} dB at × {level:g}" for level, value in zip(LEVELS, agreement, strict=True))
+    values = ", ".join(
+        f"{value:.1f} dB at × {level:g}" for level, value in zip(LEVELS, agreement, strict=True)
+    )
     return f"the Cycles render of the point cloud against our own render (μ-law PSNR): {values}"
 
 

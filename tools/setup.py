@@ -137,7 +137,9 @@ def make_environment(name: str, python: str, requirement: str) -> int:
     pip = [folder / "bin" / "python", "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
     installed = run([*pip, "--editable", requirement])
     if installed.returncode:
-        return fail(f"pip failed:\n{installed.stderr.strip()}", "Check the network and the disk, then try again.")
+        return fail(
+            f"pip failed:\n{installed.stderr.strip()}", "Check the network and the disk, then try again."
+        )
     stamp.write_text(fingerprint(python))
     return 0
 

@@ -20,7 +20,9 @@ def camera_named(scene: Scene, name: str) -> Camera:
     split, slash, index = name.partition("/")
     index = index.removeprefix("r_")
     if not slash or not index.isdigit():
-        raise BadValueError(f"--view must be like test/3, got '{name}'", "SPLIT/POSE, split train, test or lit.")
+        raise BadValueError(
+            f"--view must be like test/3, got '{name}'", "SPLIT/POSE, split train, test or lit."
+        )
     return scene.find(split, int(index)).camera
 
 

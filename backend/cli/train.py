@@ -57,7 +57,10 @@ class Train:
         monitor = view_monitor(trainer.scene)
         with stop, EventLog(folder) as log:
             events = trainer.run(
-                folder, should_stop=lambda: stop.requested, monitor=monitor, checkpoint_every=self.checkpoint_every
+                folder,
+                should_stop=lambda: stop.requested,
+                monitor=monitor,
+                checkpoint_every=self.checkpoint_every,
             )
             for event in events:
                 log.show(event)
@@ -69,7 +72,8 @@ class Train:
     def _fresh(self) -> tuple[Trainer, Path]:
         if self.data is None or self.out is None:
             raise BadValueError(
-                "a data set and --out are needed", "Call: physhdr train DATA --out RUN, or: physhdr train --resume RUN"
+                "a data set and --out are needed",
+                "Call: physhdr train DATA --out RUN, or: physhdr train --resume RUN",
             )
         if (self.out / CHECKPOINT_FILE).exists() and not self.overwrite:
             raise DataMismatchError(

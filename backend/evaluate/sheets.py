@@ -16,7 +16,7 @@ RESIDUAL_GAIN = 8.0
 #: Cells narrower than this (pixels) are enlarged by a whole factor, so that labels fit and faults show.
 SMALLEST_CELL = 240
 
-PAPER, INK, FAINT = (255, 255, 255), (24, 24, 28), (96, 96, 104)
+PAPER, INK, FAINT, FRAME = (255, 255, 255), (24, 24, 28), (96, 96, 104), (200, 200, 206)
 TITLE_SIZE, LABEL_SIZE = 26, 17
 MARGIN, GAP, LABEL_GAP = 24, 14, 5
 #: Pillow's built-in font draws boxes for these.
@@ -66,7 +66,11 @@ def labelled_grid(rows: list[list[Cell]], title: str, note: str = "") -> np.ndar
             top = y + label_height - len(lines) * _line_height(label_font)
             for i, line in enumerate(lines):
                 draw.text((x, top + i * _line_height(label_font)), line, INK, label_font)
-            sheet.paste(Image.fromarray(picture), (x, y + label_height + LABEL_GAP))
+            corner = (x, y + label_height + LABEL_GAP)
+            # A hairline outside the picture: a saturated one would melt into the paper.
+            far = (corner[0] + picture.shape[1], corner[1] + picture.shape[0])
+            draw.rectangle((corner[0] - 1, corner[1] - 1, *far), outline=FRAME)
+            sheet.paste(Image.fromarray(picture), corner)
             x += width + GAP
         y += label_height + LABEL_GAP + picture_height + GAP
     return np.asarray(sheet)

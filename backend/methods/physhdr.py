@@ -37,7 +37,7 @@ class PhysHDRConfig:
     sh_degree: int = 3
     #: f_mix stays at its start (a plain mean) for this share of the training (the paper: 10 k of 30 k).
     mix_frozen_until: float = 1.0 / 3.0
-    #: I_LDR: the mean of the two fused images, or their sum as eq. 11 has it (which cannot fit; method.md).
+    #: I_LDR: the mean of the two fused images, or their sum as eq. 14 has it (which cannot fit; method.md).
     aggregate: Literal["mean", "sum"] = "mean"
     #: Add the global image to L_rec, so that L_unit binds the curve that is in use.
     global_supervision: float = 0.0
@@ -57,7 +57,6 @@ class PhysHDRConfig:
             )
         if not 0 <= self.sh_degree <= 3:
             raise BadValueError(f"the SH degree must be 0 to 3, got {self.sh_degree}")
-
 
     @property
     def has_ambient_share(self) -> bool:
@@ -110,12 +109,12 @@ class PhysHDR(nn.Module):
         return torch.as_tensor(camera.position, dtype=torch.float32, device=self.gaussians.means.device)
 
     def log_modulated_illumination(self, level: float) -> torch.Tensor:
-        """ln L̂_a = ln φ(L_a, l) (eq. 7), ``[N, 1 or 3]``."""
+        """ln L̂_a = ln φ(L_a, l) (eq. 10), ``[N, 1 or 3]``."""
         share = self.gaussians.ambient_share if self.config.has_ambient_share else None
         return self.modulator(self.gaussians.log_illumination, level, share)
 
     def radiance(self, viewpoint: torch.Tensor, level: float | None) -> torch.Tensor:
-        """Scene-linear radiance ``[N, 3]`` toward ``viewpoint``: c (eq. 5), or ĉ when a level is given."""
+        """Scene-linear radiance ``[N, 3]`` toward ``viewpoint``: c (eq. 8), or ĉ when a level is given."""
         log_reflectance = self.gaussians.log_reflectance(viewpoint, self.active_sh_degree)
         if level is None:
             log_illumination = self.gaussians.log_illumination
@@ -141,9 +140,9 @@ class PhysHDR(nn.Module):
 
         channels, log_relit = [], None
         if config.branches != "illumination":
-            channels.append(self.composer(gaussians.log_illumination, log_reflectance))  # c, eq. 5
+            channels.append(self.composer(gaussians.log_illumination, log_reflectance))  # c, eq. 8
         if config.branches != "image-exposure":
-            log_relit = self.log_modulated_illumination(level)  # ln L̂_a, eq. 7
+            log_relit = self.log_modulated_illumination(level)  # ln L̂_a, eq. 10
             channels.append(self.composer(log_relit, log_reflectance))  # ĉ
         if config.tone_mapper.local:
             channels.append(gaussians.context)
@@ -176,14 +175,14 @@ class PhysHDR(nn.Module):
     def _fuse(
         self, exposed: torch.Tensor, relit: torch.Tensor, context: torch.Tensor | None
     ) -> tuple[torch.Tensor, list[torch.Tensor], torch.Tensor]:
-        """Tone-map both branches and fuse them crosswise (eq. 8–11)."""
+        """Tone-map both branches and fuse them crosswise (eq. 12–14)."""
         glo, loc = self.tone_mapper.tone_map(exposed, context)
         relit_glo, relit_loc = self.tone_mapper.tone_map(relit, context)
         if loc is None or relit_loc is None:
             loc, relit_loc = glo, relit_glo
         if self.config.tone_mapper.mix:
-            ldr_ig = self.tone_mapper.mix(glo, relit_loc)  # eq. 9
-            # Eq. 10 lacks its hats; GI is the GI branch's global with the IE branch's local image.
+            ldr_ig = self.tone_mapper.mix(glo, relit_loc)  # eq. 12
+            # Eq. 13 lacks its hats; GI is the GI branch's global with the IE branch's local image.
             ldr_gi = self.tone_mapper.mix(relit_glo, loc)
         else:
             ldr_ig, ldr_gi = 0.5 * (glo + relit_loc), 0.5 * (relit_glo + loc)
@@ -193,7 +192,7 @@ class PhysHDR(nn.Module):
         return ldr, [ldr, ldr_ig, ldr_gi], glo
 
     def losses(self, rendering: Rendering, picture: torch.Tensor) -> dict[str, torch.Tensor]:
-        """The weighted terms of L_total (eq. 16) for a picture ``[3, H, W]`` in [0, 1]; sum them."""
+        """The weighted terms of L_total (eq. 19) for a picture ``[3, H, W]`` in [0, 1]; sum them."""
         loss = self.config.loss
         terms = {
             "rec": torch.stack(

@@ -28,7 +28,7 @@ class Gaussians:
     ``opacity_logits``        [N]
     ``reflectance_dc``        [N, 1, 3]   ln H_r(ω) = SH: the constant coefficient …
     ``reflectance_rest``      [N, K−1, 3] … and the others
-    ``log_illumination``      [N, 1]      ln L_a, ambient illumination (eq. 4: no direction)
+    ``log_illumination``      [N, 1]      ln L_a, ambient illumination (eq. 5: no direction)
     ``ambient_share_logits``  [N, 3]      only with the additive modulator: s = sigmoid(·)
     ``context``               [N, 4]      only with a local tone mapper: what is rendered as its context
     ========================  ==========  ==============================================================

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From reflectance and illumination to radiance: the composer g (eq. 5) and the modulator φ (eq. 7).
+"""From reflectance and illumination to radiance: the composer g (eq. 8) and the modulator φ (eq. 10).
 
 Both work on logarithms, where a product is a sum and every radiance is positive. A network's last layer
 starts at zero, so that training starts from the physical product and learns only what it misses.
@@ -28,7 +28,7 @@ class SmallNetwork(nn.Module):
 
 
 class ProductComposer(nn.Module):
-    """c = L_a · H_r: eq. 4 with the emission absorbed. No parameters; exactly linear in light."""
+    """c = L_a · H_r: eq. 5 with the emission absorbed. No parameters; exactly linear in light."""
 
     def forward(self, log_illumination: torch.Tensor, log_reflectance: torch.Tensor) -> torch.Tensor:
         """ln L_a ``[N, 1 or 3]``, ln H_r ``[N, 3]`` → radiance c ``[N, 3]``."""

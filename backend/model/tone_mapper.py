@@ -65,7 +65,9 @@ class ToneMapper(nn.Module):
                 self.w1.copy_(torch.where(torch.arange(hidden) % 2 == 0, 1.0, -1.0).expand(3, hidden))
                 self.b1.copy_(-self.w1 * centres)
         if config.local:
-            self.local_curves = nn.ModuleList(SmallNetwork(1 + config.context_size, hidden, 1) for _ in range(3))
+            self.local_curves = nn.ModuleList(
+                SmallNetwork(1 + config.context_size, hidden, 1) for _ in range(3)
+            )
         if config.mix:
             self.fusion = SmallNetwork(6, hidden, 3)
         self.anchor = anchor

@@ -42,7 +42,8 @@ def load_checkpoint(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]
     """Tensors and metadata of a checkpoint; errors name the file and what to do."""
     if not path.is_file():
         raise FileMissingError(
-            f"there is no checkpoint {path}", "Train first: physhdr train DATA --out RUN, or name another run."
+            f"there is no checkpoint {path}",
+            "Train first: physhdr train DATA --out RUN, or name another run.",
         )
     try:
         with safe_open(path, framework="pt") as file:

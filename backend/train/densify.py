@@ -32,7 +32,7 @@ class DensifyConfig:
     stop: float = 0.6
     #: τ_p: mean norm of ∂L/∂(NDC position).
     threshold: float = 2e-4
-    #: s of s_a = s·σ(|L_a − L̂_a|) + 1 (eq. 14); 0 switches the scaling off.
+    #: s of s_a = s·σ(|L_a − L̂_a|) + 1 (eq. 17); 0 switches the scaling off.
     scaling_strength: float = 0.0
     #: Clone up to this size, split above (share of the scene's extent).
     clone_below: float = 0.01
@@ -61,7 +61,7 @@ class DensifyState:
 
 
 def gradient_scaling(deviation: torch.Tensor, strength: float) -> torch.Tensor:
-    """s_a = s · σ(|L_a − L̂_a|) + 1 (eq. 14), ``[N]``."""
+    """s_a = s · σ(|L_a − L̂_a|) + 1 (eq. 17), ``[N]``."""
     return strength * deviation.sigmoid() + 1.0
 
 
@@ -91,7 +91,9 @@ def is_due(iteration: int, iterations: int, config: DensifyConfig) -> bool:
 def reset_is_due(iteration: int, iterations: int, config: DensifyConfig) -> bool:
     """Whether to reset the opacity after this iteration (counted from 1)."""
     return (
-        config.reset_every > 0 and iteration % config.reset_every == 0 and iteration < config.stop * iterations
+        config.reset_every > 0
+        and iteration % config.reset_every == 0
+        and iteration < config.stop * iterations
     )
 
 

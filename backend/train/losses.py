@@ -13,7 +13,7 @@ from ..kernels_tmp import gaussian_blur, ssim
 class LossConfig:
     """Weights and forms of the loss. The defaults are those of the preset ``default``; see docs/method.md."""
 
-    #: Pixel term of L_rec: the paper states MSE (eq. 12); L1 is what 3DGS uses.
+    #: Pixel term of L_rec: the paper states MSE (eq. 15); L1 is what 3DGS uses.
     pixel: Literal["l1", "mse"] = "l1"
     #: γ, the weight of the pixel term …
     pixel_weight: float = 0.8
@@ -31,14 +31,14 @@ class LossConfig:
 
 
 def reconstruction_loss(prediction: torch.Tensor, target: torch.Tensor, config: LossConfig) -> torch.Tensor:
-    """One summand of L_rec (eq. 12): γ · pixel term + weight · (1 − SSIM)."""
+    """One summand of L_rec (eq. 15): γ · pixel term + weight · (1 − SSIM)."""
     difference = prediction - target
     pixel = difference.abs().mean() if config.pixel == "l1" else difference.square().mean()
     return config.pixel_weight * pixel + config.dssim_weight * (1.0 - ssim(prediction, target))
 
 
 def consistency_loss(exposed: torch.Tensor, relit: torch.Tensor, config: LossConfig) -> torch.Tensor:
-    """L_cons (eq. 13): mean |𝒢(I_HDR · t) − 𝒢(Î_HDR)|, both branches receive a gradient."""
+    """L_cons (eq. 16): mean |𝒢(I_HDR · t) − 𝒢(Î_HDR)|, both branches receive a gradient."""
     pair = torch.cat([exposed, relit])
     if config.consistency_domain == "log":
         pair = pair.clamp_min(0.0).log1p()

@@ -42,9 +42,7 @@ class Trainer:
     scene cannot be trained with ``config``.
     """
 
-    def __init__(
-        self, scene: Scene, config: TrainConfig, implementation: Implementation = "auto"
-    ) -> None:
+    def __init__(self, scene: Scene, config: TrainConfig, implementation: Implementation = "auto") -> None:
         self.scene, self.config = scene, config
         self.iteration = 0
         uses_light = config.method.lighting_level == "view"
@@ -80,7 +78,9 @@ class Trainer:
         config, method = self.config, self.config.method
         points = initial_points(self.scene, config.initial_points, config.random_points, config.seed)
         # Only views under the standard light say how bright a point is at level 1.
-        standard = [(v, e) for v, e in zip(self.views, self.exposures, strict=True) if v.lighting_level == 1.0]
+        standard = [
+            (v, e) for v, e in zip(self.views, self.exposures, strict=True) if v.lighting_level == 1.0
+        ]
         log_radiance = merged_log_radiance(
             points, [v for v, _ in standard], [e for _, e in standard], tone_mapper
         )
@@ -236,7 +236,10 @@ def restore_method(method: PhysHDR, tensors: dict[str, torch.Tensor]) -> None:
 
 
 def load_method(
-    folder: Path, config: TrainConfig, anchor: tuple[float, float] | None, implementation: Implementation = "auto"
+    folder: Path,
+    config: TrainConfig,
+    anchor: tuple[float, float] | None,
+    implementation: Implementation = "auto",
 ) -> tuple[PhysHDR, int]:
     """The trained method of a run's folder, for rendering, and the iteration it is at."""
     tensors, metadata = load_checkpoint(folder / CHECKPOINT_FILE)

@@ -32,9 +32,14 @@ def make(preset: str, trained: bool = True) -> PhysHDR:
     config = PRESETS[preset].method
     rng = np.random.default_rng(5)
     gaussians = initial_gaussians(
-        rng.uniform(-0.6, 0.6, (30, 3)), rng.uniform(-1.5, 0.5, (30, 3)), sh_degree=config.sh_degree,
-        opacity=0.6, scale_factor=1.0, ambient_share=0.3 if config.has_ambient_share else None,
-        context_size=4 if config.tone_mapper.local else 0, seed=0,
+        rng.uniform(-0.6, 0.6, (30, 3)),
+        rng.uniform(-1.5, 0.5, (30, 3)),
+        sh_degree=config.sh_degree,
+        opacity=0.6,
+        scale_factor=1.0,
+        ambient_share=0.3 if config.has_ambient_share else None,
+        context_size=4 if config.tone_mapper.local else 0,
+        seed=0,
     )
     torch.manual_seed(2)
     method = PhysHDR(config, gaussians, ANCHOR, "reference")
@@ -54,7 +59,7 @@ def raster64(method, colours, camera):
 
 
 def test_the_paper_fuses_crosswise(camera):
-    """Eq. 5–11 step by step: two renders, four tone-mapped images, two fused ones, their mean."""
+    """Eq. 8–14 step by step: two renders, four tone-mapped images, two fused ones, their mean."""
     method, t = make("paper"), 2.0
     mapper = method.tone_mapper
     viewpoint = torch.tensor(camera.position, dtype=torch.float32)
@@ -94,9 +99,7 @@ def test_losses_are_weighted_sums_of_their_definitions(camera):
     assert math.isclose(reconstruction_loss(image, picture, without_ssim).item(), 0.2 * mse, rel_tol=1e-5)
     each = [reconstruction_loss(i, picture, config) for i in rendering.supervised]
     assert torch.allclose(terms["rec"], torch.stack(each).sum())
-    assert torch.allclose(
-        terms["cons"], 0.5 * consistency_loss(rendering.exposed, rendering.relit, config)
-    )
+    assert torch.allclose(terms["cons"], 0.5 * consistency_loss(rendering.exposed, rendering.relit, config))
     assert torch.allclose(terms["unit"], 0.5 * method.tone_mapper.unit_exposure_error())
 
 

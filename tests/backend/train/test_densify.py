@@ -82,7 +82,7 @@ def test_the_budget_goes_to_the_largest_gradients():
     assert {tuple(c.tolist()) for c in clones} == {tuple(before[i].tolist()) for i in (0, 2)}
 
 
-def test_gradient_scaling_is_equation_14():
+def test_gradient_scaling_is_equation_17():
     deviation = torch.tensor([0.0, 1.0, 100.0])
     expected = torch.tensor([1.5, 1.0 + 1.0 / (1.0 + math.exp(-1.0)), 2.0])
     assert torch.allclose(gradient_scaling(deviation, 1.0), expected)
