@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Gaussians as PLY: the standard 3DGS layout for every viewer, and a lossless one with our own columns.
+
+The standard layout (shared/data.md): binary little-endian, one element ``vertex``, float32 ``x y z``,
+``nx ny nz`` (zero), ``f_dc_0…2``, ``f_rest_*`` channel-major (all red, then green, then blue), ``opacity``
+(logit), ``scale_0…2`` (natural logarithm, metres), ``rot_0…3`` (wxyz). Its colour 0.28209479·f_dc + 0.5 + …
+is display-referred: scene-linear radiance must be baked at an exposure before it comes here.
+
+The lossless layout has the same columns first, so that viewers draw it, and then ``phys_…`` columns, which
+they ignore and keep.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import plyfile
+
+from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError, FileMissingError
+from ..scene.pictures import atomic_path
+
+#: The constant spherical harmonic Y_0, with the digits that 3DGS's viewers use.
+SH_C0 = 0.28209479
+#: What our own columns begin with, so that no other program's are taken for ours.
+EXTRA_PREFIX = "phys_"
+#: Opacities are kept this far from 0 and 1, where the logit is infinite: ±15.9 in float32.
+OPACITY_MARGIN = 1.2e-7
+COLOUR_COMMENT = "colour = 0.28209479 * f_dc + 0.5 + higher SH, display-referred, clamp to 0..1"
+SPACE_COMMENT = (
+    "space: metres, Z up (Blender's world); rot_0..3 = w x y z; scale = ln(metres); opacity = logit"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class GaussianPly:
+    """A PLY of Gaussians as it is on disk: ``columns`` in order, each ``[N]`` float32, and comment lines."""
+
+    columns: dict[str, np.ndarray]
+    comments: list[str] = field(default_factory=list)
+
+    @property
+    def extra(self) -> dict[str, np.ndarray]:
+        """Our own columns, ``phys_…``."""
+        return {name: column for name, column in self.columns.items() if name.startswith(EXTRA_PREFIX)}
+
+
+def standard_names(sh_coefficients: int) -> list[str]:
+    """The standard columns, in order, for K = ``sh_coefficients`` (1, 4, 9 or 16)."""
+    rest = [f"f_rest_{i}" for i in range(3 * (sh_coefficients - 1))]
+    names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *rest, "opacity"]
+    return [*names, "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
+
+
+def standard_columns(
+    positions: np.ndarray,
+    rotations: np.ndarray,
+    scales: np.ndarray,
+    opacities: np.ndarray,
+    colour_sh: np.ndarray,
+) -> dict[str, np.ndarray]:
+    """The standard columns, each ``[N]`` float32, from natural values.
+
+    ``positions`` ``[N, 3]`` metres; ``rotations`` ``[N, 4]`` wxyz; ``scales`` ``[N, 3]`` standard deviations,
+    metres; ``opacities`` ``[N]`` 0…1; ``colour_sh`` ``[N, K, 3]`` display-referred, colour = SH_C0·sh_0 +
+    0.5 + higher. Raises ``DataMismatchError`` for shapes, ``BadValueError`` for values.
+    """
+    count = len(positions)
+    shapes = {
+        "positions": (positions, (count, 3)),
+        "rotations": (rotations, (count, 4)),
+        "scales": (scales, (count, 3)),
+        "opacities": (opacities, (count,)),
+    }
+    for name, (array, shape) in shapes.items():
+        if array.shape != shape:
+            raise DataMismatchError(f"PLY export: {name} are {array.shape}, expected {shape}")
+    if colour_sh.ndim != 3 or colour_sh.shape[0] != count or colour_sh.shape[2] != 3:
+        raise DataMismatchError(f"PLY export: colour_sh is {colour_sh.shape}, expected ({count}, K, 3)")
+    if colour_sh.shape[1] not in (1, 4, 9, 16):
+        raise BadValueError(
+            f"PLY export: {colour_sh.shape[1]} SH coefficients", "Viewers read degrees 0 to 3: 1, 4, 9 or 16."
+        )
+    if count and not (scales.min() > 0.0 and opacities.min() >= 0.0 and opacities.max() <= 1.0):
+        raise BadValueError(
+            "PLY export: scales must be above 0 and opacities in 0…1 (natural values, not log and logit)",
+            "Apply the activations before exporting; NaN means that training diverged.",
+        )
+    # float64, so that the logarithm and logit are the nearest float32
+    opacity = np.clip(opacities.astype(np.float64), OPACITY_MARGIN, 1.0 - OPACITY_MARGIN)
+    # [N, K−1, 3] → [N, 3, K−1]: all coefficients of red, then green, then blue
+    rest = colour_sh[:, 1:].transpose(0, 2, 1).reshape(count, 3 * (colour_sh.shape[1] - 1))
+    blocks = [
+        positions,
+        np.zeros((count, 3)),
+        colour_sh[:, 0],
+        rest,
+        np.log(opacity / (1.0 - opacity))[:, None],
+        np.log(scales.astype(np.float64)),
+        rotations,
+    ]
+    names = standard_names(colour_sh.shape[1])
+    columns = [column for block in blocks for column in np.asarray(block).T]
+    return {name: column.astype(np.float32) for name, column in zip(names, columns, strict=True)}
+
+
+def write_standard_ply(
+    path: Path,
+    positions: np.ndarray,
+    rotations: np.ndarray,
+    scales: np.ndarray,
+    opacities: np.ndarray,
+    colour_sh: np.ndarray,
+    comments: Sequence[str] = (),
+) -> None:
+    """Write the standard 3DGS PLY, atomically; arguments and errors as ``standard_columns``, ``OutputError``.
+
+    ``comments``: lines for the header, such as the exposure and lighting level that were baked.
+    """
+    columns = standard_columns(positions, rotations, scales, opacities, colour_sh)
+    _write(path, columns, [COLOUR_COMMENT, SPACE_COMMENT, *comments])
+
+
+def write_lossless_ply(
+    path: Path,
+    columns: Mapping[str, np.ndarray],
+    extra: Mapping[str, np.ndarray],
+    comments: Sequence[str] = (),
+) -> None:
+    """Write the standard ``columns`` (of ``standard_columns``), then ``extra`` ones, atomically, bit for bit.
+
+    Each column is ``[N]``, float32; the names of ``extra`` begin with ``phys_``. ``comments`` say what
+    the extra columns mean. Raises ``BadValueError``, ``DataMismatchError`` or ``OutputError``.
+    """
+    expected = standard_names(1 + sum(name.startswith("f_rest_") for name in columns) // 3)
+    if list(columns) != expected:
+        missing = sorted(set(expected) ^ set(columns)) or "in another order"
+        raise DataMismatchError(
+            f"PLY export: these standard columns are missing or unknown: {missing}", "Use standard_columns()."
+        )
+    for name in extra:
+        if re.fullmatch(EXTRA_PREFIX + r"\w+", name, re.ASCII) is None:
+            raise BadValueError(
+                f"PLY export: '{name}' cannot be the name of an extra column",
+                "Name it phys_… in letters and digits.",
+            )
+    _write(path, {**columns, **extra}, [COLOUR_COMMENT, SPACE_COMMENT, *comments])
+
+
+def _write(path: Path, columns: Mapping[str, np.ndarray], comments: Sequence[str]) -> None:
+    count = len(columns["x"])
+    table = np.empty(count, dtype=[(name, "<f4") for name in columns])
+    for name, column in columns.items():
+        if column.shape != (count,) or column.dtype != np.float32:
+            raise DataMismatchError(
+                f"PLY export: column '{name}' is {column.dtype} {column.shape}, expected float32 ({count},)"
+            )
+        if not np.isfinite(column).all():
+            raise BadValueError(
+                f"PLY export: column '{name}' holds NaN or infinity",
+                "Use a checkpoint before training diverged.",
+            )
+        table[name] = column
+    # A PLY header is ASCII, and a comment is one line of it.
+    lines = [
+        " ".join(line.split()).encode("ascii", "backslashreplace").decode("ascii")
+        for comment in comments
+        for line in comment.splitlines()
+    ]
+    element = plyfile.PlyElement.describe(table, "vertex")
+    ply = plyfile.PlyData([element], text=False, byte_order="<", comments=[line for line in lines if line])
+    with atomic_path(path) as temporary:
+        ply.write(str(temporary))
+
+
+def read_ply(path: Path) -> GaussianPly:
+    """Read a standard or lossless PLY of Gaussians, ours or another program's; values as they are on disk.
+
+    Raises ``FileMissingError``; ``FileDamagedError`` if it is no PLY, truncated, or lacks a standard column
+    (the normals may be absent).
+    """
+    path = Path(path)
+    remedy = "Export the run again with 'physhdr export'."
+    if not path.is_file():
+        raise FileMissingError(f"{path} is missing", remedy)
+    try:
+        ply = plyfile.PlyData.read(str(path))
+        vertex = ply["vertex"]
+        columns = {
+            prop.name: np.array(vertex[prop.name], dtype=np.float32)
+            for prop in vertex.properties
+            if not isinstance(prop, plyfile.PlyListProperty)
+        }
+    except (
+        plyfile.PlyParseError,
+        ValueError,
+        KeyError,
+        OSError,
+        EOFError,
+        MemoryError,
+        OverflowError,
+    ) as error:
+        raise FileDamagedError(f"{path} is not a readable PLY: {error}", remedy) from error
+    rest = sum(name.startswith("f_rest_") for name in columns)
+    lacking = set(standard_names(1 + rest // 3)) - {"nx", "ny", "nz"} - set(columns)
+    if lacking or rest % 3:
+        what = ", ".join(sorted(lacking)) or "some f_rest_ columns"
+        raise FileDamagedError(
+            f"{path} is not a PLY of Gaussians: it lacks {what}",
+            remedy,
+        )
+    return GaussianPly(columns, list(ply.comments))
+
+
+#: The same reader under the name of the layout that keeps our columns: nothing is dropped.
+read_lossless_ply = read_ply

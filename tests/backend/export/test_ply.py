@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""PLY export, read back by a parser that knows only the format's own rules."""
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from physhdr.backend.export.ply import (
+    SH_C0,
+    read_lossless_ply,
+    read_ply,
+    standard_columns,
+    standard_names,
+    write_lossless_ply,
+    write_standard_ply,
+)
+from physhdr.bridge.errors import (
+    BadValueError,
+    DataMismatchError,
+    FileDamagedError,
+    FileMissingError,
+    OutputError,
+)
+
+COUNT = 50
+
+
+@pytest.fixture
+def gaussians() -> dict[str, np.ndarray]:
+    """50 Gaussians of SH degree 2, natural values, float32."""
+    rng = np.random.default_rng(0)
+    rotations = rng.normal(size=(COUNT, 4))
+    arrays = {
+        "positions": rng.normal(size=(COUNT, 3)),
+        "rotations": rotations / np.linalg.norm(rotations, axis=1, keepdims=True),
+        "scales": rng.lognormal(-4.0, 1.0, size=(COUNT, 3)),
+        "opacities": rng.uniform(0.01, 0.99, size=COUNT),
+        "colour_sh": rng.normal(size=(COUNT, 9, 3)),
+    }
+    return {name: array.astype(np.float32) for name, array in arrays.items()}
+
+
+def parse(path: Path) -> tuple[list[str], dict[str, list[float]], list[str]]:
+    """(names, values, comments) of a little-endian PLY of floats: an independent minimal parser."""
+    header, body = path.read_bytes().split(b"end_header\n", 1)
+    lines = header.decode("ascii").splitlines()
+    assert lines[:2] == ["ply", "format binary_little_endian 1.0"]
+    words = [line.split() for line in lines[2:]]
+    (element,) = [line for line in words if line[0] == "element"]
+    assert element[1] == "vertex"
+    names = [line[2] for line in words if line[0] == "property"]
+    assert all(line[1] in ("float", "float32") for line in words if line[0] == "property")
+    rows = list(struct.iter_unpack(f"<{len(names)}f", body))
+    assert len(rows) == int(element[2])
+    comments = [line.removeprefix("comment ") for line in lines if line.startswith("comment ")]
+    return names, {name: [row[i] for row in rows] for i, name in enumerate(names)}, comments
+
+
+def test_the_standard_layout_column_by_column(gaussians: dict[str, np.ndarray], tmp_path: Path) -> None:
+    path = tmp_path / "new" / "splat.ply"
+    write_standard_ply(path, **gaussians, comments=["exposure 2 s", "level 1"])
+    names, values, comments = parse(path)
+    assert names == (
+        ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]
+        + [f"f_rest_{i}" for i in range(24)]
+        + ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
+    )
+    for i, axis in enumerate("xyz"):
+        np.testing.assert_array_equal(values[axis], gaussians["positions"][:, i])
+        np.testing.assert_array_equal(values["n" + axis], 0.0)
+        np.testing.assert_allclose(np.exp(values[f"scale_{i}"]), gaussians["scales"][:, i], rtol=1e-6)
+    for i in range(4):
+        np.testing.assert_array_equal(values[f"rot_{i}"], gaussians["rotations"][:, i])
+    np.testing.assert_allclose(
+        1 / (1 + np.exp(-np.array(values["opacity"]))), gaussians["opacities"], rtol=1e-6
+    )
+    for channel in range(3):
+        np.testing.assert_array_equal(values[f"f_dc_{channel}"], gaussians["colour_sh"][:, 0, channel])
+        for k in range(1, 9):  # channel-major: 8 of red, 8 of green, 8 of blue
+            column = values[f"f_rest_{8 * channel + k - 1}"]
+            np.testing.assert_array_equal(column, gaussians["colour_sh"][:, k, channel])
+    assert comments[-2:] == ["exposure 2 s", "level 1"]
+    assert any("display-referred" in line and "0.28209479" in line for line in comments)
+    assert pytest.approx(0.5 / np.sqrt(np.pi), abs=1e-8) == SH_C0
+    assert [file.name for file in path.parent.iterdir()] == ["splat.ply"], "no temporary file is left"
+
+
+def test_round_trip_is_bit_exact(gaussians: dict[str, np.ndarray], tmp_path: Path) -> None:
+    write_standard_ply(tmp_path / "a.ply", **gaussians)
+    expected = standard_columns(**gaussians)
+    read = read_ply(tmp_path / "a.ply")
+    assert list(read.columns) == list(expected)
+    for name, column in expected.items():
+        assert column.tobytes() == read.columns[name].tobytes(), name
+
+
+@pytest.mark.parametrize("coefficients", [1, 4, 9, 16])
+def test_every_degree(gaussians: dict[str, np.ndarray], tmp_path: Path, coefficients: int) -> None:
+    gaussians["colour_sh"] = np.ones((COUNT, coefficients, 3), np.float32)
+    write_standard_ply(tmp_path / "a.ply", **gaussians)
+    names, _, _ = parse(tmp_path / "a.ply")
+    assert names == standard_names(coefficients) and len(names) == 14 + 3 * coefficients
+
+
+def test_no_gaussians(gaussians: dict[str, np.ndarray], tmp_path: Path) -> None:
+    write_standard_ply(tmp_path / "a.ply", **{name: array[:0] for name, array in gaussians.items()})
+    assert len(read_ply(tmp_path / "a.ply").columns["x"]) == 0
+
+
+def test_opacities_of_zero_and_one_stay_finite(gaussians: dict[str, np.ndarray], tmp_path: Path) -> None:
+    gaussians["opacities"][:2] = (0.0, 1.0)
+    write_standard_ply(tmp_path / "a.ply", **gaussians)
+    opacity = read_ply(tmp_path / "a.ply").columns["opacity"]
+    assert -17 < opacity[0] < -15 and 15 < opacity[1] < 17
+
+
+def test_lossless_keeps_our_columns_after_the_standard_ones(
+    gaussians: dict[str, np.ndarray], tmp_path: Path
+) -> None:
+    rng = np.random.default_rng(1)
+    extra = {f"phys_ambient_share_{i}": rng.normal(size=COUNT).astype(np.float32) * 10.0**i for i in range(3)}
+    extra["phys_tiny"] = np.full(COUNT, 1e-42, np.float32)  # denormal: kept, too
+    standard = standard_columns(**gaussians)
+    comments = ["phys_ambient_share: s in 0..1", "scene Küche\nsecond line"]
+    write_lossless_ply(tmp_path / "a.ply", standard, extra, comments)
+    names, values, written = parse(tmp_path / "a.ply")
+    assert names == [*standard, *extra]
+    read = read_lossless_ply(tmp_path / "a.ply")
+    assert list(read.extra) == list(extra)
+    for name, column in {**standard, **extra}.items():
+        assert column.tobytes() == read.columns[name].tobytes() == np.float32(values[name]).tobytes(), name
+    assert written[-3:] == read.comments[-3:]
+    assert written[-3:] == ["phys_ambient_share: s in 0..1", "scene K\\xfcche", "second line"]
+
+
+# ---- bad input ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("positions", np.nan, "column 'x' holds NaN"),
+        ("colour_sh", np.inf, "column 'f_dc_0' holds NaN or infinity"),
+        ("scales", 0.0, "scales must be above 0"),
+        ("scales", np.nan, "scales must be above 0"),
+        ("opacities", 1.5, "opacities in 0…1"),
+    ],
+)
+def test_values_that_no_viewer_can_draw(
+    gaussians: dict[str, np.ndarray], tmp_path: Path, name: str, value: float, words: str
+) -> None:
+    gaussians[name][(0,) * gaussians[name].ndim] = value
+    with pytest.raises(BadValueError, match=words) as caught:
+        write_standard_ply(tmp_path / "a.ply", **gaussians)
+    assert caught.value.hint
+    assert not list(tmp_path.iterdir()), "nothing is written"
+
+
+def test_shapes_that_do_not_match(gaussians: dict[str, np.ndarray], tmp_path: Path) -> None:
+    gaussians["scales"] = gaussians["scales"][:-1]
+    with pytest.raises(DataMismatchError, match=r"scales are \(49, 3\), expected \(50, 3\)"):
+        write_standard_ply(tmp_path / "a.ply", **gaussians)
+
+
+def test_five_coefficients(gaussians: dict[str, np.ndarray], tmp_path: Path) -> None:
+    gaussians["colour_sh"] = gaussians["colour_sh"][:, :5]
+    with pytest.raises(BadValueError, match=r"5 SH coefficients\n.*degrees 0 to 3"):
+        write_standard_ply(tmp_path / "a.ply", **gaussians)
+
+
+def test_extra_columns_must_be_ours(gaussians: dict[str, np.ndarray], tmp_path: Path) -> None:
+    standard = standard_columns(**gaussians)
+    for name in ("share", "phys_", "phys_a b"):
+        with pytest.raises(BadValueError, match=f"'{name}' cannot be the name"):
+            write_lossless_ply(tmp_path / "a.ply", standard, {name: standard["x"]})
+    with pytest.raises(DataMismatchError, match=r"'phys_a' is float64 \(50,\), expected float32"):
+        write_lossless_ply(tmp_path / "a.ply", standard, {"phys_a": np.zeros(COUNT)})
+    del standard["rot_3"]
+    with pytest.raises(DataMismatchError, match=r"rot_3[\s\S]*standard_columns"):
+        write_lossless_ply(tmp_path / "a.ply", standard, {})
+
+
+@pytest.mark.parametrize("spoil", ["empty", "truncated", "text", "bomb", "no opacity"])
+def test_damaged_ply(gaussians: dict[str, np.ndarray], tmp_path: Path, spoil: str) -> None:
+    path = tmp_path / "a.ply"
+    write_standard_ply(path, **gaussians)
+    raw = path.read_bytes()
+    damaged = {
+        "empty": b"",
+        "truncated": raw[:-7],
+        "text": b"hello\n",
+        "bomb": raw.replace(b"vertex 50\n", b"vertex 4000000000\n"),
+        "no opacity": raw.replace(b"float opacity", b"float oracity"),
+    }
+    path.write_bytes(damaged[spoil])
+    with pytest.raises(FileDamagedError, match=r"a.ply is not a [\s\S]*physhdr export"):
+        read_ply(path)
+
+
+def test_missing_ply(tmp_path: Path) -> None:
+    with pytest.raises(FileMissingError, match=r"gone.ply is missing\n.*physhdr export"):
+        read_ply(tmp_path / "gone.ply")
+
+
+def test_a_folder_in_the_way(gaussians: dict[str, np.ndarray], tmp_path: Path) -> None:
+    (tmp_path / "a.ply").mkdir()
+    with pytest.raises(OutputError, match=r"a.ply: a folder is there\n.*another file name"):
+        write_standard_ply(tmp_path / "a.ply", **gaussians)
