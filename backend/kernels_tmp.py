@@ -1,6 +1,8 @@
-import torch
 from typing import Literal
+
+import torch
 import torch.nn.functional as F
+
 Activation = Literal["relu", "softplus"]
 _act = {"relu": torch.relu, "softplus": F.softplus}
 def curve_mlp(x, w1, b1, w2, b2, activation):

@@ -14,6 +14,7 @@ import time
 from pathlib import Path
 
 import torch
+
 from physhdr.backend.cli.run_folder import Run, open_run
 from physhdr.backend.evaluate.metrics import display, hdr_normaliser, hdr_pair, psnr
 from physhdr.backend.evaluate.sheets import as_picture, labelled_grid

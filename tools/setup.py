@@ -104,7 +104,8 @@ def set_up_blender_binary() -> int:
         return fail("pytest could not be installed for Blender's Python", "Check the network, try again.")
     write_launcher(
         f'export PYTHONPATH="{site}"\nscript="$1"; shift\n'
-        f'exec "{blender}" -b --factory-startup --python-use-system-env --python-exit-code 1 -P "$script" "$@"'
+        f'exec "{blender}" -b --factory-startup --python-use-system-env --python-exit-code 1 '
+        '-P "$script" "$@"'
     )
     stamp.write_text(fingerprint(blender))
     return 0

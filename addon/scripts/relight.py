@@ -75,6 +75,7 @@ class Report:
 
 def run(options: argparse.Namespace) -> None:
     import bpy
+
     from physhdr.addon import camera_file, model_import, nodes, render
 
     report = Report()

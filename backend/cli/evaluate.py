@@ -7,6 +7,7 @@ from pathlib import Path
 import tyro
 from rich.progress import Progress
 
+from ..device import DeviceName
 from ..evaluate.protocol import evaluate, lpips_from
 from ..evaluate.report import to_terminal, write_report
 from ..evaluate.sheets import comparison_sheet
@@ -31,9 +32,10 @@ class Evaluate:
     #: The data set, where it has moved since training.
     data: Path | None = None
     rasteriser: Implementation = "auto"
+    device: DeviceName = "auto"
 
     def run(self) -> int:
-        run = open_run(self.folder, self.data, self.rasteriser)
+        run = open_run(self.folder, self.data, self.rasteriser, self.device)
         out = writable_folder(self.out or self.folder)
         lpips = lpips_from(self.lpips_weights)
         with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:

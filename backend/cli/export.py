@@ -13,7 +13,7 @@ from ...bridge.errors import BadValueError
 from ...bridge.model_file import write_model
 from ..export.baked import baked_colour_sh, network_comments, parameter_columns
 from ..export.blender_model import to_model
-from ..export.ply import write_lossless_ply, write_standard_ply
+from ..export.ply import standard_columns, write_lossless_ply, write_standard_ply
 from .progress import console
 from .run_folder import open_run, writable_folder
 
@@ -71,9 +71,9 @@ class Export:
         comments.append("phys_ columns and phys_network lines hold the model itself: scene-linear, lossless")
         write_lossless_ply(
             out / "lossless.ply",
-            **standard,
-            columns=parameter_columns(gaussians),
-            comments=comments + network_comments(method),
+            standard_columns(**standard),
+            parameter_columns(gaussians),
+            comments + network_comments(method),
         )
         console.print(f"wrote {out / 'lossless.ply'}: every parameter")
         return 0

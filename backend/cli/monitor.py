@@ -28,9 +28,11 @@ def view_monitor(scene: Scene) -> Monitor | None:
 
     def measure(method: PhysHDR) -> dict[str, float]:
         picture = torch.from_numpy(view.image(k).transpose(2, 0, 1).astype(np.float32) / 255.0)
-        measured = {"PSNR": psnr(method.ldr(view.camera, view.exposures[k], view.lighting_level), picture)}
+        measured = {
+            "PSNR": psnr(method.ldr(view.camera, view.exposures[k], view.lighting_level).cpu(), picture)
+        }
         if truth is not None:
-            measured["HDR scale"] = scale_ratio(method.hdr(view.camera, view.lighting_level), truth)
+            measured["HDR scale"] = scale_ratio(method.hdr(view.camera, view.lighting_level).cpu(), truth)
         return measured
 
     return measure

@@ -8,6 +8,7 @@ import numpy as np
 import tyro
 
 from ...bridge.errors import BadValueError
+from ..device import DeviceName
 from ..rasterize import Implementation
 from ..scene import Camera, Scene
 from ..scene.pictures import write_exr, write_png
@@ -45,6 +46,7 @@ class Render:
     #: The data set, where it has moved since training.
     data: Path | None = None
     rasteriser: Implementation = "auto"
+    device: DeviceName = "auto"
 
     def run(self) -> int:
         kind = self.out.suffix.lower()
@@ -54,16 +56,16 @@ class Render:
             raise BadValueError(f"--lighting-level must be above 0, got {self.lighting_level}")
         if self.exposure is not None and not self.exposure > 0.0:
             raise BadValueError(f"--exposure must be above 0 seconds, got {self.exposure}")
-        run = open_run(self.folder, self.data, self.rasteriser)
+        run = open_run(self.folder, self.data, self.rasteriser, self.device)
         camera = camera_named(run.scene, self.view)
         if self.width is not None:
             camera = camera.resized(self.width)
         if kind == ".exr":
-            write_exr(self.out, _planes_last(run.method.hdr(camera, self.lighting_level).numpy()))
+            write_exr(self.out, _planes_last(run.method.hdr(camera, self.lighting_level).cpu().numpy()))
         else:
             exposures = run.scene.train[0].exposures
             exposure = self.exposure or exposures[len(exposures) // 2]
-            ldr = _planes_last(run.method.ldr(camera, exposure, self.lighting_level).numpy())
+            ldr = _planes_last(run.method.ldr(camera, exposure, self.lighting_level).cpu().numpy())
             write_png(self.out, np.round(255.0 * ldr.clip(0.0, 1.0)).astype(np.uint8))
         console.print(f"wrote {self.out}")
         return 0

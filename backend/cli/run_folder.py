@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ...bridge.errors import OutputError
+from ..device import DeviceName, choose_device
 from ..methods.physhdr import PhysHDR
 from ..rasterize import Implementation
 from ..scene import Scene, read_scene
@@ -25,11 +26,15 @@ class Run:
     iteration: int
 
 
-def open_run(folder: Path, data: Path | None = None, rasteriser: Implementation = "auto") -> Run:
+def open_run(
+    folder: Path, data: Path | None = None, rasteriser: Implementation = "auto", device: DeviceName = "cpu"
+) -> Run:
     """Open a trained run; ``data`` stands in for the folder it was trained on, where that has moved."""
     config, trained_on, preset = read_config(folder / CONFIG_FILE)
     scene = read_scene(data or trained_on)
-    method, iteration = load_method(folder, config, scene.response_anchor, rasteriser)
+    method, iteration = load_method(
+        folder, config, scene.response_anchor, rasteriser, choose_device(device)[0]
+    )
     return Run(folder, preset, config, scene, method, iteration)
 
 

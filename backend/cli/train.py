@@ -6,9 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
+import torch
 import tyro
 
 from ...bridge.errors import BadValueError, DataMismatchError
+from ..device import DeviceName, choose_device
 from ..rasterize import Implementation
 from ..scene import read_scene
 from ..train.config import CONFIG_FILE, PRESETS, TrainConfig, read_config, write_config
@@ -48,6 +50,8 @@ class Train:
     preset: Literal["default", "paper", "baseline"] = "default"
     #: What draws the Gaussians; auto: CUDA where there is one, else the CPU kernels.
     rasteriser: Implementation = "auto"
+    #: Where to compute; auto: a CUDA card if there is one that works, else the CPU.
+    device: DeviceName = "auto"
     #: Iterations between checkpoints.
     checkpoint_every: int = 2000
 
@@ -82,7 +86,7 @@ class Train:
             )
         scene = read_scene(self.data)
         folder = writable_folder(self.out)
-        trainer = Trainer(scene, self.config, self.rasteriser)
+        trainer = Trainer(scene, self.config, self.rasteriser, self._device())
         EventLog.clear(folder)
         write_config(folder / CONFIG_FILE, self.config, self.data, self.preset)
         return trainer, folder
@@ -90,9 +94,14 @@ class Train:
     def _resumed(self) -> tuple[Trainer, Path]:
         assert self.resume is not None
         config, data, _ = read_config(self.resume / CONFIG_FILE)
-        trainer = Trainer(read_scene(self.data or data), config, self.rasteriser)
+        trainer = Trainer(read_scene(self.data or data), config, self.rasteriser, self._device())
         trainer.resume(self.resume)
         return trainer, writable_folder(self.resume)
+
+    def _device(self) -> torch.device:
+        device, why = choose_device(self.device)
+        console.print(f"training {why}")
+        return device
 
 
 class _StopOnInterrupt:

@@ -103,6 +103,13 @@ class PhysHDR(nn.Module):
         #: SH coefficients above this degree are not used yet (3DGS's schedule raises it).
         self.active_sh_degree = config.sh_degree
 
+    def to_device(self, device: torch.device) -> None:
+        """Move Gaussians and networks; an optimiser must be made after this."""
+        self.to(device)
+        parameters = self.gaussians.parameters
+        for name, tensor in parameters.items():
+            parameters[name] = tensor.detach().to(device).requires_grad_()
+
     # -- radiance of the Gaussians -------------------------------------------------------------------
 
     def _viewpoint(self, camera: Camera) -> torch.Tensor:

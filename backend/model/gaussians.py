@@ -76,8 +76,9 @@ def initial_gaussians(
     context_size: int,
     seed: int,
 ) -> Gaussians:
-    """Isotropic Gaussians at ``positions`` ``[P, 3]`` with constant radiance exp(``log_radiance`` ``[P, 3]``).
+    """Isotropic Gaussians at ``positions`` with the same radiance exp(``log_radiance``) in every direction.
 
+    ``positions`` ``[P, 3]`` metres, ``log_radiance`` ``[P, 3]``.
     Standard deviation: ``scale_factor`` × the root mean square distance to the three nearest neighbours
     (3DGS's rule with factor 1). ``ambient_share=None`` and ``context_size=0`` leave those parameters out.
     """

@@ -11,6 +11,9 @@ from torch import nn
 from ..kernels_tmp import small_mlp
 from .gaussians import LOG_RADIANCE_RANGE
 
+#: The least that modulation leaves of an illumination.
+DARKEST = 1e-6
+
 
 class SmallNetwork(nn.Module):
     """One hidden ReLU layer, ``[I, P]`` → ``[O, P]``, the last layer zero at the start."""
@@ -59,7 +62,9 @@ class AdditiveModulator(nn.Module):
         self, log_illumination: torch.Tensor, lighting_level: float, ambient_share: torch.Tensor
     ) -> torch.Tensor:
         """ln L_a ``[N, 1]``, s ``[N, 3]`` → ln L̂_a ``[N, 3]``."""
-        return log_illumination + torch.log1p(ambient_share * (lighting_level - 1.0))
+        # At l = 0 and s = 1 nothing is left, and its logarithm would have no gradient.
+        change = (ambient_share * (lighting_level - 1.0)).clamp_min(DARKEST - 1.0)
+        return log_illumination + torch.log1p(change)
 
 
 class LearnedModulator(nn.Module):

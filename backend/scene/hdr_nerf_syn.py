@@ -26,6 +26,9 @@ from .camera import Camera
 from .pictures import png_size
 from .scene import PictureCache, Points, Scene, View
 
+#: The response of HDR-NeRF-Syn at exposure × radiance = 1: the constant of its unit-exposure loss.
+ORIGINAL_ANCHOR = (1.0, 0.73)
+
 NAME = "HDR-NeRF-Syn"
 #: What a folder must hold to be taken for this layout.
 LOOKS_FOR = "transforms_train.json"
@@ -121,7 +124,12 @@ def _read_info(root: Path) -> dict[str, Any]:
 
 
 def _read_anchor(root: Path, info: dict[str, Any]) -> tuple[float, float] | None:
-    """(exposure × radiance, code value), or None where ``dataset.json`` names none."""
+    """(exposure × radiance, code value); None where a ``dataset.json`` names none.
+
+    Folders without one are HDR-NeRF's own, whose anchor is known.
+    """
+    if not info:
+        return ORIGINAL_ANCHOR
     response = info.get("response")
     anchor = response.get("anchor") if isinstance(response, dict) else None
     if anchor is None:

@@ -50,7 +50,10 @@ def initial_points(scene: Scene, source: str, random_count: int, seed: int) -> n
 
 
 def _pixels(points: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Which of ``points`` ``[P, 3]`` the camera sees (no occlusion): ``[P]`` bool; and their pixels ``[P, 2]``."""
+    """Which ``points`` are in the picture, ``[P]`` bool, and their pixels (row, column) ``[P, 2]``.
+
+    Occlusion is not considered.
+    """
     in_camera = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
     depth = in_camera[:, 2].clip(1e-6)
     column = np.floor(camera.fx * in_camera[:, 0] / depth + camera.cx)

@@ -3,6 +3,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 
@@ -30,7 +31,7 @@ class OptimiserConfig:
     radiance_networks: float = 6e-5
     tone_mapper: float = 2e-4
     #: What is annealed by a cosine to zero: the networks, or the Gaussians' appearance and shape as well.
-    cosine: str = "networks"
+    cosine: Literal["networks", "all"] = "networks"
 
 
 class Optimiser:

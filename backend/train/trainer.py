@@ -38,12 +38,18 @@ class TrainingDivergedError(PhysHDRError):
 class Trainer:
     """A run: the method, its optimiser, densification's statistics and the iteration.
 
-    ``implementation`` picks the rasteriser. Raises ``BadValueError`` or ``DataMismatchError`` where the
-    scene cannot be trained with ``config``.
+    ``device``: where everything is computed; ``implementation`` picks the rasteriser. Raises
+    ``BadValueError`` or ``DataMismatchError`` where the scene cannot be trained with ``config``.
     """
 
-    def __init__(self, scene: Scene, config: TrainConfig, implementation: Implementation = "auto") -> None:
-        self.scene, self.config = scene, config
+    def __init__(
+        self,
+        scene: Scene,
+        config: TrainConfig,
+        implementation: Implementation = "auto",
+        device: torch.device | str = "cpu",
+    ) -> None:
+        self.scene, self.config, self.device = scene, config, torch.device(device)
         self.iteration = 0
         uses_light = config.method.lighting_level == "view"
         self.views = [*scene.train, *(scene.lit if uses_light else [])]
@@ -56,6 +62,7 @@ class Trainer:
         tone_mapper.warm_start(config.seed)
         self.method = PhysHDR(config.method, self._start(tone_mapper), scene.response_anchor, implementation)
         self.method.tone_mapper.load_state_dict(tone_mapper.state_dict())
+        self.method.to_device(self.device)
         self.optimiser = Optimiser(
             self.method, config.optimiser, scene_extent(scene.train), config.iterations
         )
@@ -109,10 +116,10 @@ class Trainer:
         """One iteration; returns the weighted loss terms (detached)."""
         config, method, iteration = self.config, self.method, self.iteration
         view, k = self.draw(iteration)
-        picture = torch.from_numpy(view.image(k).transpose(2, 0, 1).astype(np.float32) / 255.0)
+        picture = torch.tensor(view.image(k), device=self.device).permute(2, 0, 1).float() / 255.0
         self._follow_schedules(iteration)
 
-        screen_offsets = torch.zeros(len(method.gaussians), 2, requires_grad=True)
+        screen_offsets = torch.zeros(len(method.gaussians), 2, device=self.device, requires_grad=True)
         rendering = method.render(view.camera, view.exposures[k], view.lighting_level, screen_offsets)
         terms = method.losses(rendering, picture)
         total = torch.stack(list(terms.values())).sum()
@@ -212,12 +219,17 @@ class Trainer:
         """Go on from the checkpoint in ``folder``: the run continues bit-identically on the CPU."""
         tensors, metadata = load_checkpoint(folder / CHECKPOINT_FILE)
         restore_method(self.method, tensors)
+        self.method.to_device(self.device)
         self.optimiser = Optimiser(
             self.method, self.config.optimiser, self.optimiser.extent, self.config.iterations
         )
-        self.optimiser.load_state_tensors(tensors)
+        self.optimiser.load_state_tensors({k: v.to(self.device) for k, v in tensors.items()})
         self.statistics = density.DensifyState(
-            **{k.removeprefix("statistics."): v for k, v in tensors.items() if k.startswith("statistics.")}
+            **{
+                k.removeprefix("statistics."): v.to(self.device)
+                for k, v in tensors.items()
+                if k.startswith("statistics.")
+            }
         )
         self.iteration = int(metadata["iteration"])
         self._follow_schedules(self.iteration)
@@ -240,11 +252,13 @@ def load_method(
     config: TrainConfig,
     anchor: tuple[float, float] | None,
     implementation: Implementation = "auto",
+    device: torch.device | str = "cpu",
 ) -> tuple[PhysHDR, int]:
     """The trained method of a run's folder, for rendering, and the iteration it is at."""
     tensors, metadata = load_checkpoint(folder / CHECKPOINT_FILE)
     method = PhysHDR(config.method, Gaussians({}), anchor, implementation)
     restore_method(method, tensors)
+    method.to_device(torch.device(device))
     iteration = int(metadata["iteration"])
     method.active_sh_degree = min(config.method.sh_degree, max(iteration - 1, 0) // config.sh_degree_every)
     return method, iteration

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from physhdr.bridge import spherical_harmonics
 from physhdr.bridge.errors import (
     BadValueError,

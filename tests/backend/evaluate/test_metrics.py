@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 import pytorch_msssim
 import torch
+from skimage.metrics import structural_similarity
+
 from physhdr.backend.evaluate.lpips import Lpips
 from physhdr.backend.evaluate.metrics import (
     display,
@@ -21,7 +23,6 @@ from physhdr.backend.evaluate.metrics import (
 )
 from physhdr.backend.scene.pictures import read_png
 from physhdr.bridge.errors import BadValueError, DataMismatchError, FileDamagedError, FileMissingError
-from skimage.metrics import structural_similarity
 
 LPIPS_FOLDER = Path(__file__).resolve().parents[4] / "shared" / "lpips"
 LPIPS_WEIGHTS = LPIPS_FOLDER / "lpips_alex_v0.1_float32.npz"

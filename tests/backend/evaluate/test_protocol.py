@@ -10,6 +10,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 import torch
+from rich.console import Console
+
 from physhdr.backend.evaluate.protocol import evaluate, lpips_from
 from physhdr.backend.evaluate.report import to_dict, to_markdown, to_terminal, write_report
 from physhdr.backend.evaluate.results import Evaluation, LdrRow, Metrics
@@ -22,7 +24,6 @@ from physhdr.bridge.errors import (
     FileMissingError,
     OutputError,
 )
-from rich.console import Console
 
 LPIPS_WEIGHTS = Path(__file__).resolve().parents[4] / "shared" / "lpips" / "lpips_alex_v0.1_float32.npz"
 

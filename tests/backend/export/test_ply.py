@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from physhdr.backend.export.ply import (
     SH_C0,
     read_lossless_ply,

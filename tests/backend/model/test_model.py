@@ -45,6 +45,7 @@ def test_the_additive_modulator_is_linear_in_light():
     for level, value in at.items():
         assert torch.allclose(value, at[0.0] + level * (at[1.0] - at[0.0]), atol=1e-5)
     assert torch.allclose(at[0.0], log_a.exp() * (1.0 - share), atol=1e-5)
+    assert modulate(log_a, 0.0, torch.ones(50, 3)).isfinite().all()
 
 
 @pytest.mark.parametrize("slope", [None, 0.6])

@@ -8,6 +8,8 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from PIL import Image
+
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.scene import PictureCache
 from physhdr.bridge.errors import (
@@ -17,7 +19,6 @@ from physhdr.bridge.errors import (
     FileMissingError,
     PhysHDRError,
 )
-from PIL import Image
 
 
 def edit_json(path: Path, change) -> None:
@@ -71,7 +72,7 @@ def test_the_original_data_sets_have_less_and_are_read(small: ModuleType, tmp_pa
     scene = read_scene(small.write_data_set(tmp_path / "dog", original=True))
     assert (len(scene.train), len(scene.test), len(scene.lit)) == (3, 2, 0)
     assert scene.name == "dog"
-    assert scene.points is None and scene.response_anchor is None and scene.info == {}
+    assert scene.points is None and scene.response_anchor == (1.0, 0.73) and scene.info == {}
 
 
 def test_nothing_of_the_true_radiance_is_needed(data_set: Path) -> None:

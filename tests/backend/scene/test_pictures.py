@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 import pytest
+from PIL import Image
+
 from physhdr.backend.scene.pictures import read_exr, read_png, write_exr, write_png
 from physhdr.bridge.errors import BadValueError, FileDamagedError, FileMissingError, OutputError
-from PIL import Image
 
 
 @pytest.fixture

@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The command as a user calls it: what it writes, and one clear message for everything that can be wrong."""
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import OpenEXR
+import pytest
+import torch
+from PIL import Image
+from plyfile import PlyData
+
+from physhdr.backend.cli import main
+from physhdr.backend.cli.run_folder import open_run
+from physhdr.backend.export.baked import networks_from_comments, parameters_from_columns
+from physhdr.backend.methods.physhdr import PhysHDR
+from physhdr.backend.train.checkpoint import load_checkpoint
+from physhdr.bridge.model_file import read_model
+
+SHORT = ["--iterations", "30", "--sh-degree-every", "5"]
+
+
+@pytest.fixture(scope="module", params=["default", "paper", "baseline"])
+def run(request, tiny_data, tmp_path_factory):
+    """A short run of each preset, trained by the command."""
+    folder = tmp_path_factory.mktemp("runs") / request.param
+    assert main(["train", str(tiny_data), "--out", str(folder), "--preset", request.param, *SHORT]) == 0
+    return folder
+
+
+def fails(capsys, *argv):
+    """Run a command that must fail; returns its message, which must be clean."""
+    status = main([str(word) for word in argv])
+    message = capsys.readouterr().err
+    assert status == 1 and message.startswith("error: ") and "Traceback" not in message
+    return message
+
+
+def test_training_leaves_configuration_checkpoint_and_logs(run):
+    events = [json.loads(line) for line in (run / "log.jsonl").read_text().splitlines()]
+    assert [event["event"] for event in events] == ["started", "progress", "progress", "saved", "finished"]
+    assert events[2]["iteration"] == 30 and events[2]["monitor"]["PSNR"] > 5
+    assert list((run / "tensorboard").iterdir())
+    assert json.loads((run / "config.json").read_text())["config"]["iterations"] == 30
+
+
+def test_evaluation_is_printed_and_saved(run, capsys):
+    assert main(["evaluate", str(run)]) == 0
+    printed = capsys.readouterr().out
+    assert all(word in printed for word in ("LDR-OE", "LDR-NE", "HDR", "LPIPS left out"))
+    assert json.loads((run / "evaluation.json").read_text())["format"] == "physhdr-evaluation"
+    assert Image.open(run / "comparison.png").size[0] > 300
+
+
+def test_the_model_file_renders_as_the_method(run):
+    """In Blender radiance comes from the file alone; it must be the method's own."""
+    assert main(["export", str(run)]) == 0
+    opened = open_run(run)
+    model = read_model(run / "model.safetensors")
+    camera = opened.scene.test[0].camera
+    directions = model.position - camera.position
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    viewpoint = torch.as_tensor(camera.position, dtype=torch.float32)
+    with torch.no_grad():
+        exact = opened.config.method.composer == "product"
+        ours = opened.method.radiance(viewpoint, None).numpy()
+        np.testing.assert_allclose(model.radiance(directions), ours, rtol=1e-3 if exact else 0.05)
+        if not opened.method.can_relight:
+            relit = 2.0 * ours
+        elif exact:
+            relit = opened.method.radiance(viewpoint, 2.0).numpy()
+        else:  # the file relights radiance at level 1 by φ's gain: c · ĉ(2)/ĉ(1)
+            gain = opened.method.radiance(viewpoint, 2.0) / opened.method.radiance(viewpoint, 1.0)
+            relit = ours * gain.numpy()
+        np.testing.assert_allclose(model.radiance(directions, 2.0), relit, rtol=1e-3 if exact else 0.06)
+
+
+def test_the_lossless_ply_holds_the_whole_model(run):
+    assert main(["export", str(run)]) == 0
+    opened = open_run(run)
+    ply = PlyData.read(str(run / "lossless.ply"))
+    vertices = ply["vertex"]
+    columns = {p.name: np.array(vertices[p.name]) for p in vertices.properties}
+    gaussians = parameters_from_columns(columns)
+    method = PhysHDR(opened.config.method, gaussians, opened.scene.response_anchor)
+    method.load_state_dict(networks_from_comments(ply.comments))
+    method.active_sh_degree = opened.method.active_sh_degree
+    camera = opened.scene.test[0].camera
+    assert torch.equal(method.ldr(camera, 2.0), opened.method.ldr(camera, 2.0))
+
+
+def test_the_standard_ply_is_the_baked_look(run):
+    """A viewer blends display colours; where one Gaussian dominates, that is our own picture."""
+    assert main(["export", str(run), "--exposure-ev", "3", "--lighting-level", "2"]) == 0
+    opened = open_run(run)
+    vertices = PlyData.read(str(run / "baked.ply"))["vertex"]
+    assert [p.name for p in vertices.properties][:6] == ["x", "y", "z", "nx", "ny", "nz"]
+    dc = np.stack([vertices[f"f_dc_{c}"] for c in range(3)], axis=1)
+    colour = 0.28209479177387814 * dc + 0.5  # the mean over directions
+    model = read_model(run / "model.safetensors")
+    rng = np.random.default_rng(0)
+    total = np.zeros_like(colour)
+    for direction in rng.normal(size=(200, 3)):
+        toward = np.broadcast_to(direction / np.linalg.norm(direction), (model.count, 3))
+        x = torch.tensor(np.log(model.radiance(toward, 2.0) * 8.0).T, dtype=torch.float32)
+        with torch.no_grad():
+            total += opened.method.tone_mapper.curve_logits(x.contiguous()).sigmoid().T.numpy()
+    np.testing.assert_allclose(colour, total / 200, atol=0.03)
+
+
+def test_render_writes_radiance_and_pictures(run, tmp_path):
+    assert main(["render", str(run), "--out", str(tmp_path / "a.exr"), "--lighting-level", "2"]) == 0
+    assert (
+        main(["render", str(run), "--out", str(tmp_path / "a.png"), "--exposure", "8", "--width", "50"]) == 0
+    )
+    opened = open_run(run)
+    radiance = OpenEXR.File(str(tmp_path / "a.exr")).channels()["RGB"].pixels
+    expected = opened.method.hdr(opened.scene.test[0].camera, 2.0).numpy().transpose(1, 2, 0)
+    np.testing.assert_array_equal(radiance, expected)
+    assert Image.open(tmp_path / "a.png").size == (50, 50)
+
+
+def test_an_interrupt_saves_and_resume_finishes(tiny_data, tmp_path):
+    """A real process and a real CTRL-C."""
+    folder = tmp_path / "run"
+    command = [sys.executable, "-m", "physhdr.backend.cli", "train", tiny_data, "--out", folder]
+    process = subprocess.Popen([str(c) for c in command] + ["--iterations", "100000"], stdout=subprocess.PIPE)
+    deadline = time.monotonic() + 120
+    while not (folder / "log.jsonl").exists() or '"progress"' not in (folder / "log.jsonl").read_text():
+        assert process.poll() is None and time.monotonic() < deadline
+        time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    output, _ = process.communicate(timeout=60)
+    assert process.returncode == 130 and b"--resume" in output
+    stopped_at = int(load_checkpoint(folder / "checkpoint.safetensors")[1]["iteration"])
+    assert 0 < stopped_at < 100000
+    config = json.loads((folder / "config.json").read_text())
+    config["config"]["iterations"] = stopped_at + 5
+    (folder / "config.json").write_text(json.dumps(config))
+    assert main(["train", "--resume", str(folder)]) == 0
+    assert load_checkpoint(folder / "checkpoint.safetensors")[1]["iteration"] == str(stopped_at + 5)
+
+
+def test_a_run_is_not_overwritten_by_mistake(tiny_data, tmp_path, capsys):
+    command = ["train", str(tiny_data), "--out", str(tmp_path), "--iterations", "3"]
+    assert main(command) == 0
+    before = (tmp_path / "checkpoint.safetensors").read_bytes()
+    assert "--overwrite" in fails(capsys, *command)
+    assert (tmp_path / "checkpoint.safetensors").read_bytes() == before
+    assert main([*command, "--overwrite", "--seed", "1"]) == 0
+    assert (tmp_path / "checkpoint.safetensors").read_bytes() != before
+
+
+def test_bad_input_is_one_clear_message(tiny_data, tmp_path, capsys):
+    out = tmp_path / "out"
+    train = ("train", tiny_data, "--out", out)
+    assert "does not exist" in fails(capsys, "train", tmp_path / "nothing", "--out", out)
+    (tmp_path / "empty").mkdir()
+    assert "empty" in fails(capsys, "train", tmp_path / "empty", "--out", out)
+    assert "'nonsense'" in fails(capsys, *train, "--preset", "nonsense")
+    assert "--out" in fails(capsys, "train", tiny_data)
+    assert "f_mix" in fails(capsys, *train, "--method.tone-mapper.mix")
+    assert "iterations" in fails(capsys, *train, "--iterations", "0")
+    (tmp_path / "file").touch()
+    assert "cannot write" in fails(capsys, "train", tiny_data, "--out", tmp_path / "file" / "run")
+    assert "config.json" in fails(capsys, "evaluate", tmp_path / "empty")
+    assert not out.exists()
+
+    damaged = tmp_path / "damaged"
+    shutil.copytree(tiny_data, damaged)
+    picture = damaged / "train" / "r_0_2.png"
+    picture.write_bytes(picture.read_bytes()[:200])
+    assert "r_0_2.png" in fails(capsys, "train", damaged, "--out", out, *SHORT)
+
+
+def test_render_and_export_refuse_bad_values(tiny_data, tmp_path, capsys):
+    assert main(["train", str(tiny_data), "--out", str(tmp_path), "--iterations", "2"]) == 0
+    render = ("render", tmp_path, "--out")
+    assert ".exr or .png" in fails(capsys, *render, tmp_path / "x.jpg")
+    assert "test/3" in fails(capsys, *render, tmp_path / "x.png", "--view", "third")
+    assert "no pose 99" in fails(capsys, *render, tmp_path / "x.png", "--view", "test/99")
+    assert "--lighting-level" in fails(capsys, *render, tmp_path / "x.png", "--lighting-level", "-1")
+    assert "--exposure" in fails(capsys, *render, tmp_path / "x.png", "--exposure", "0")
+    assert "lighting level" in fails(capsys, "export", tmp_path, "--lighting-level", "0")
+    assert (
+        "cannot compute on CUDA" in fails(capsys, *render, tmp_path / "x.png", "--device", "cuda")
+        or torch.cuda.is_available()
+    )
+    assert not list(tmp_path.glob("x.*"))
