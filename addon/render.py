@@ -52,6 +52,11 @@ def set_resolution(scene: bpy.types.Scene, width: int, height: int) -> None:
     render.use_border = False
 
 
+def to_matrix(array: np.ndarray) -> mathutils.Matrix:
+    """Blender's matrix of a ``[4, 4]`` array."""
+    return mathutils.Matrix(np.asarray(array, float).tolist())
+
+
 def add_camera(
     scene: bpy.types.Scene, camera_to_world: np.ndarray, angle_x: float, name: str = "PhysHDR camera"
 ) -> bpy.types.Object:
@@ -61,7 +66,7 @@ def add_camera(
     data.angle_x = angle_x
     data.clip_start, data.clip_end = CLIP_START, CLIP_END
     camera = bpy.data.objects.new(name, data)
-    camera.matrix_world = mathutils.Matrix(np.asarray(camera_to_world, float).tolist())
+    camera.matrix_world = to_matrix(camera_to_world)
     scene.collection.objects.link(camera)
     scene.camera = camera
     return camera

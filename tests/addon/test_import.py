@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Registering, importing, and what happens to files that cannot be imported."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from physhdr.bridge import spherical_harmonics
+
+bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
+
+import physhdr  # noqa: E402
+from physhdr.addon import model_import, point_cloud  # noqa: E402
+
+
+@pytest.fixture
+def registered(scene):
+    physhdr.register()
+    yield
+    physhdr.unregister()
+
+
+def test_registers_and_unregisters_cleanly_twice(scene):
+    for _ in range(2):
+        physhdr.register()
+        assert "model_import" in dir(bpy.ops.physhdr)
+        physhdr.unregister()
+        assert not hasattr(bpy.types, "PHYSHDR_OT_model_import")
+
+
+def test_blender_side_never_imports_torch():
+    code = "import sys, bpy, physhdr; physhdr.register(); sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.parametrize("modulator", ["additive", "baked-levels"])
+@pytest.mark.parametrize("degree", [0, 2])
+def test_every_attribute_arrives_exactly(scene, make_model, write, modulator: str, degree: int):
+    model = make_model(degree=degree, modulator=modulator)
+    cloud = model_import.import_model(write(model)).data
+
+    def read(name: str) -> np.ndarray:
+        return point_cloud.read_attribute(cloud, name)
+
+    for name in ("position", "scale"):
+        np.testing.assert_array_equal(read(name), getattr(model, name))
+    unit = model.rotation / np.linalg.norm(model.rotation, axis=1, keepdims=True)
+    np.testing.assert_allclose(read("rotation"), unit, atol=1e-7)
+    np.testing.assert_array_equal(read("radiance:base")[:, 3], model.opacity)
+    for k in range((degree + 1) ** 2):
+        np.testing.assert_array_equal(read(f"physhdr:log_sh_{k}"), model.log_radiance_sh[:, k])
+    if modulator == "additive":
+        np.testing.assert_array_equal(read("physhdr:ambient_share"), model.ambient_share)
+    else:
+        for index in range(4):
+            np.testing.assert_array_equal(
+                read(f"physhdr:level_log_gain_{index}"), model.level_log_gain[index]
+            )
+    types = {attribute.name: attribute.data_type for attribute in cloud.attributes}
+    assert types["rotation"] == "QUATERNION"
+    assert types["radiance:base"] == "FLOAT4"
+    assert types["physhdr:log_sh_0"] == "FLOAT_VECTOR"
+
+
+def test_linear_attributes_show_the_mean_radiance_in_3dgs_terms(scene, make_model, write):
+    """0.5 + C0 · base is the radiance averaged over all directions, by quadrature here."""
+    model = make_model(degree=1)
+    cloud = model_import.import_model(write(model)).data
+    directions, weights = spherical_harmonics.quadrature(20)
+    expected = sum(
+        w * model.radiance(np.broadcast_to(d, (model.count, 3)))
+        for d, w in zip(directions, weights, strict=True)
+    ) / (4 * np.pi)
+    base = point_cloud.read_attribute(cloud, "radiance:base")[:, :3]
+    np.testing.assert_allclose(0.5 + spherical_harmonics.C0 * base, expected, rtol=1e-4, atol=1e-6)
+    assert "radiance:sh_2" in cloud.attributes
+    assert "radiance:sh_3" not in cloud.attributes
+
+
+def test_provenance_is_kept(scene, make_model, write):
+    path = write(make_model())
+    cloud = model_import.import_model(path).data
+    assert cloud["physhdr_scene"] == "test"
+    assert cloud["physhdr_iteration"] == "100"
+    assert cloud["physhdr_modulator"] == "additive"
+    assert list(cloud["physhdr_exposures"]) == [0.25, 1.0, 4.0]
+    assert cloud["physhdr_file"] == str(path)
+    assert len(cloud[point_cloud.IDENTITY]) == 32
+
+
+def test_operator_imports_selects_and_names(registered, make_model, write):
+    assert bpy.ops.physhdr.model_import(filepath=str(write(make_model())), name="Room") == {"FINISHED"}
+    assert bpy.context.active_object.name == "Room"
+    assert len(bpy.context.active_object.data.points) == 40
+
+
+def test_two_models_of_one_kind_share_the_tree_and_the_materials(registered, make_model, write):
+    path = str(write(make_model()))
+    for _ in range(2):
+        bpy.ops.physhdr.model_import(filepath=path)
+    assert len(bpy.data.node_groups) == 1
+    assert len(bpy.data.materials) == 2
+    first, second = bpy.data.objects
+    assert first.data[point_cloud.IDENTITY] != second.data[point_cloud.IDENTITY]
+
+
+def test_operator_reports_what_is_wrong_and_makes_nothing(registered, make_model, write, tmp_path):
+    path = write(make_model())
+    path.write_bytes(path.read_bytes()[:-20])
+    with pytest.raises(RuntimeError, match="is truncated"):  # bpy.ops raises what was reported
+        bpy.ops.physhdr.model_import(filepath=str(path))
+    with pytest.raises(RuntimeError, match="there is no model file"):
+        bpy.ops.physhdr.model_import(filepath=str(tmp_path / "none.safetensors"))
+    assert len(bpy.data.objects) == len(bpy.data.pointclouds) == 0
+
+
+def test_undo_and_redo_of_an_import(registered, make_model, write):
+    bpy.ops.ed.undo_push(message="before")
+    bpy.ops.physhdr.model_import(filepath=str(write(make_model())))
+    bpy.ops.ed.undo_push(message="import")
+    bpy.ops.ed.undo()
+    assert len(bpy.data.objects) == 0
+    bpy.ops.ed.redo()
+    assert len(bpy.data.objects[0].data.points) == 40
+    assert bpy.data.objects[0].modifiers[0].node_group is not None
+
+
+def test_a_million_gaussians_in_seconds(scene, make_model):
+    """Attributes only: at most 5 s is asked for; measured 1.9 s on two cores."""
+    import time
+
+    model = make_model(count=1_000_000, degree=1)
+    start = time.perf_counter()
+    point_cloud.build_point_cloud(model, "large")
+    assert time.perf_counter() - start < 5.0
