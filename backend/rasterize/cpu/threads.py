@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The threads that run Numba's ``nogil`` kernels.
+
+Kernels never depend on how the work was split: they write disjoint outputs, and sums over jobs are
+taken afterwards in a fixed order. So results are bit-identical for any number of threads.
+"""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from ....bridge.errors import BadValueError
+
+
+class _Pool:
+    """``count`` threads, the caller's being one of them."""
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+        self._helpers = ThreadPoolExecutor(count - 1, "physhdr") if count > 1 else None
+
+    def run(self, job: Callable[[int], object]) -> None:
+        """Call ``job(0) … job(count − 1)`` at the same time and wait for all of them."""
+        waiting = [self._helpers.submit(job, i) for i in range(1, self.count)] if self._helpers else []
+        try:
+            job(0)
+        finally:
+            for future in waiting:
+                future.result()
+
+    def close(self) -> None:
+        if self._helpers:
+            self._helpers.shutdown()
+
+
+_pool = _Pool(max(1, os.cpu_count() or 1))
+
+
+def set_threads(count: int) -> None:
+    """Use ``count`` threads from now on. Results do not depend on it."""
+    global _pool
+    if count < 1:
+        raise BadValueError(f"the number of threads must be at least 1, got {count}")
+    if count != _pool.count:
+        _pool.close()
+        _pool = _Pool(count)
+
+
+def thread_count() -> int:
+    """How many threads kernels run on."""
+    return _pool.count
+
+
+def run_parallel(job: Callable[[int], object]) -> None:
+    """Call ``job(worker)`` once on every thread; workers share the work by a ticket counter or by range."""
+    _pool.run(job)
+
+
+def run_ranges(kernel: Callable[..., object], count: int, *arguments: object, minimum: int = 1024) -> None:
+    """Call ``kernel(first, last, *arguments)`` on contiguous ranges that cover ``range(count)``."""
+    if count < minimum or _pool.count == 1:
+        kernel(0, count, *arguments)
+        return
+    # Multiples of 16 keep SIMD groups (and cache lines of outputs) whole.
+    edges = (np.linspace(0, count, _pool.count + 1) / 16).astype(np.int64) * 16
+    edges[-1] = count
+    _pool.run(lambda i: kernel(edges[i], edges[i + 1], *arguments))
