@@ -13,6 +13,7 @@ instance of a proxy mesh that ``material`` shades:
 """
 
 import itertools
+from dataclasses import dataclass
 from typing import Any
 
 import bpy
@@ -132,6 +133,7 @@ def _declare_interface(tree: bpy.types.NodeTree) -> None:
     )
 
 
+@dataclass(frozen=True, eq=False)
 class _Camera:
     """The active camera's fields, in the object's space."""
 
@@ -187,36 +189,36 @@ class _Assembly:
         return self.make.field("GeometryNodeSwitch", condition, off, on, input_type=kind)
 
     def _camera(self) -> _Camera:
-        make, camera = self.make, _Camera()
+        make = self.make
         with make.frame("Active camera, in the object's space"):
             active = make.field("GeometryNodeInputActiveCamera")
             info = make.node("GeometryNodeObjectInfo", active, transform_space="RELATIVE")
             transform = make.output(info, "Transform")
             lens = make.node("GeometryNodeCameraInfo", active)
-            # A missing camera has a focal length of 0.
-            camera.exists = make.math("GREATER_THAN", make.output(lens, "Focal Length"), 0.0, label="exists")
-            camera.is_orthographic = make.output(lens, "Is Orthographic")
-            camera.offset = self.position - make.output(info, "Location")
+            is_orthographic = make.output(lens, "Is Orthographic")
+            offset = self.position - make.output(info, "Location")
 
             def axis(*components: float) -> Field:
                 return make.field("FunctionNodeTransformDirection", components, transform)
 
-            right = axis(1.0, 0.0, 0.0)
-            camera.unit = make.vector("LENGTH", right)
-            camera.right = make.vector("NORMALIZE", right, label="right")
-            camera.up = make.vector("NORMALIZE", axis(0.0, 1.0, 0.0), label="up")
-            camera.back = make.vector("NORMALIZE", axis(0.0, 0.0, 1.0), label="back")
-            camera.depth = 0.0 - make.dot(camera.offset, camera.back)
-            camera.direction = self.switch(
-                camera.is_orthographic,
-                make.vector("NORMALIZE", camera.offset),
-                camera.back * -1.0,
-                "VECTOR",
-            )
+            right, up, back = axis(1.0, 0.0, 0.0), axis(0.0, 1.0, 0.0), axis(0.0, 0.0, 1.0)
+            unit_back = make.vector("NORMALIZE", back, label="back")
+            direction = make.vector("NORMALIZE", offset)
             matrix = make.node("FunctionNodeSeparateMatrix", make.output(lens, "Projection Matrix"))
-            camera.half_width = 1.0 / make.output(matrix, "Column 1 Row 1")
-            camera.half_height = 1.0 / make.output(matrix, "Column 2 Row 2")
-        return camera
+            return _Camera(
+                # A missing camera has a focal length of 0.
+                exists=make.math("GREATER_THAN", make.output(lens, "Focal Length"), 0.0, label="exists"),
+                is_orthographic=is_orthographic,
+                offset=offset,
+                direction=self.switch(is_orthographic, direction, unit_back * -1.0, "VECTOR"),
+                right=make.vector("NORMALIZE", right, label="right"),
+                up=make.vector("NORMALIZE", up, label="up"),
+                back=unit_back,
+                depth=make.dot(offset, unit_back * -1.0),
+                half_width=1.0 / make.output(matrix, "Column 1 Row 1"),
+                half_height=1.0 / make.output(matrix, "Column 2 Row 2"),
+                unit=make.vector("LENGTH", right),
+            )
 
     def _log_radiance(self, sh_degree: int) -> Field:
         """Σ_k sh_k Y_k(ω); only the constant term without a camera or a wish for the view."""
