@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The data set's folder: who it belongs to, atomic writes, and the state that a resumed run compares with.
+
+While a run is under way ``dataset.partial.json`` holds the options (and the noise floor once measured);
+it becomes ``dataset.json`` when all is there. A file under its final name is always whole.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from .errors import ConflictError, DamagedFileError, OutputFolderError
+
+FINAL, PARTIAL = "dataset.json", "dataset.partial.json"
+FORMAT, VERSION = "physhdr-dataset", 1
+
+
+def temporary(path: Path) -> Path:
+    """The name a file has until it is whole."""
+    return path.with_name(f".{path.name}.tmp")
+
+
+def write(path: Path, data: bytes) -> None:
+    """Write under a temporary name, then rename: a reader never sees half a file."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with open(temporary(path), "wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(temporary(path), path)
+
+
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    write(path, (json.dumps(content, indent=1, ensure_ascii=False) + "\n").encode("utf-8"))
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """
+    Raises:
+        DamagedFileError: not JSON, or not an object.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise DamagedFileError(f"'{path}' is damaged ({error}): delete it, or choose another --out") from error
+    if not isinstance(content, dict):
+        raise DamagedFileError(f"'{path}' is damaged (no object): delete it, or choose another --out")
+    return content
+
+
+def open_folder(folder: Path, options: dict[str, Any]) -> dict[str, Any]:
+    """Make or enter the folder; the state of an earlier run with the same options, or {} for a new one.
+
+    Raises:
+        OutputFolderError: cannot be made or written, or holds files of somebody else.
+        ConflictError: holds a data set made with other options.
+        DamagedFileError: its dataset.json cannot be read.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = folder / ".write-probe.tmp"
+        probe.write_bytes(b"")
+        probe.unlink()
+        held = [entry.name for entry in folder.iterdir()]
+    except OSError as error:
+        raise OutputFolderError(
+            f"cannot write to the output folder '{folder}': {error.strerror or error}. Choose another --out"
+        ) from error
+    names = [name for name in (FINAL, PARTIAL) if name in held]
+    if not names:
+        if any(not name.startswith(".") for name in held):
+            raise OutputFolderError(
+                f"'{folder}' holds files but no {FINAL}: choose a new or empty folder (nothing was changed)"
+            )
+        return {}
+    state = read_json(folder / names[0])
+    if state.get("format") != FORMAT or state.get("version") != VERSION or "options" not in state:
+        raise OutputFolderError(f"'{folder / names[0]}' is not of this program: choose another --out")
+    earlier = state["options"]
+    differing = [key for key in options if earlier.get(key) != options[key]]
+    if differing:
+        what = "; ".join(f"{key} is {earlier.get(key)} there, {options[key]} asked" for key in differing)
+        raise ConflictError(
+            f"'{folder}' holds a data set made with other options: {what}. "
+            "Choose another --out, or delete that folder (nothing was changed)"
+        )
+    return state

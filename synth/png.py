@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Writes and reads 8-bit RGBA PNG without colour management: code values in, the same code values on disk."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+
+import numpy as np
+
+SIGNATURE = b"\x89PNG\r\n\x1a\n"
+
+
+def quantise(code: np.ndarray) -> np.ndarray:
+    """Code values 0…1 → 0…255, to the nearest."""
+    return np.floor(np.clip(code, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+
+
+def encode(image: np.ndarray) -> bytes:
+    """PNG file of an image [height, width, 3] uint8, opaque."""
+    height, width, _ = image.shape
+    rows = np.zeros((height, 1 + 4 * width), np.uint8)  # filter type 0 before each row
+    rows[:, 1:] = np.dstack([image, np.full((height, width, 1), 255, np.uint8)]).reshape(height, -1)
+    header = struct.pack(">IIBBBBB", width, height, 8, 6, 0, 0, 0)
+    return SIGNATURE + _chunk(b"IHDR", header) + _chunk(b"IDAT", zlib.compress(rows.tobytes(), 9)) + _chunk(b"IEND", b"")
+
+
+def decode(data: bytes) -> np.ndarray:
+    """Image [height, width, 3] uint8 of a file that ``encode`` made."""
+    width, height = struct.unpack_from(">II", data, 16)
+    (size,) = struct.unpack_from(">I", data, 33)
+    rows = np.frombuffer(zlib.decompress(data[41 : 41 + size]), np.uint8).reshape(height, 1 + 4 * width)
+    return rows[:, 1:].reshape(height, width, 4)[..., :3]
+
+
+def _chunk(kind: bytes, payload: bytes) -> bytes:
+    return struct.pack(">I", len(payload)) + kind + payload + struct.pack(">I", zlib.crc32(kind + payload))

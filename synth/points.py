@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Points on visible surfaces, as structure from motion would give: exact ray hits from the training cameras."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+from mathutils import Vector
+
+WANTED = 18_000
+
+_PLY_TYPE = np.dtype(
+    [(name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz")] + [(name, "u1") for name in ("red", "green", "blue")]
+)
+
+
+def cast(
+    scene: bpy.types.Scene, poses: list[np.ndarray], pictures: list[np.ndarray], angle_x: float, seed: int
+) -> np.ndarray:
+    """Surface points seen from ``poses``, coloured from ``pictures`` ([height, width, 3] uint8, one a pose).
+
+    Rays go through a jittered raster of pixel positions; a ray that meets only sky gives no point.
+
+    Returns:
+        Structured array of the PLY's columns: position (metres), normal toward the camera, colour.
+    """
+    dice = np.random.default_rng(seed)
+    scene.view_layers[0].update()
+    depsgraph = scene.view_layers[0].depsgraph
+    height, width = pictures[0].shape[:2]
+    half = np.tan(angle_x / 2)
+    a_view = min(WANTED / len(poses), width * height)  # rays
+    columns = max(1, round((a_view * width / height) ** 0.5))
+    rows = max(1, round(a_view / columns))
+    found = []
+    for pose, picture in zip(poses, pictures, strict=True):
+        jitter = dice.random((rows, columns, 2))
+        x = (np.arange(columns)[None, :] + jitter[..., 0]) * width / columns
+        y = (np.arange(rows)[:, None] + jitter[..., 1]) * height / rows
+        camera = np.stack([(2 * x / width - 1) * half, (1 - 2 * y / height) * half * height / width, -np.ones_like(x)], -1)
+        directions = (camera / np.linalg.norm(camera, axis=-1, keepdims=True)) @ pose[:3, :3].T
+        origin = Vector(pose[:3, 3])
+        for direction, px, py in zip(directions.reshape(-1, 3), x.flat, y.flat, strict=True):
+            hit, place, normal, *_ = scene.ray_cast(depsgraph, origin, Vector(direction))
+            if hit:
+                normal = -normal if normal.dot(Vector(direction)) > 0 else normal
+                colour = picture[min(int(py), height - 1), min(int(px), width - 1)]
+                found.append((*place, *normal, *colour.tolist()))
+    return np.array(found, _PLY_TYPE)
+
+
+def encode(points: np.ndarray) -> bytes:
+    """The binary little-endian PLY of an array that ``cast`` made."""
+    lines = ["ply", "format binary_little_endian 1.0", "comment surface points by ray casting, PhysHDR synth"]
+    lines.append(f"element vertex {len(points)}")
+    for name in _PLY_TYPE.names:
+        lines.append(f"property {'uchar' if _PLY_TYPE[name].kind == 'u' else 'float'} {name}")
+    return ("\n".join([*lines, "end_header"]) + "\n").encode("ascii") + points.tobytes()

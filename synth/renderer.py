@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Renders one pose at one lighting level to an EXR that appears under its name only when it is whole."""
+
+from __future__ import annotations
+
+import os
+import sys
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from . import exr
+from .errors import RenderError
+from .folder import temporary
+from .scenes.stage import Stage
+
+
+def view_seed(seed: int, name: str) -> int:
+    """Cycles seed of a picture: a hash of ``--seed`` and the file's name, so that no two share their noise."""
+    return zlib.crc32(f"{seed}/{name}".encode()) & 0x7FFFFFFF
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Blender reports each saved file on the process's stdout: keep it off (errors still raise)."""
+    sys.stdout.flush()
+    kept = os.dup(1)
+    sink = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(sink, 1)
+        yield
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(sink)
+
+
+class Renderer:
+    """A camera in a built stage. The scene's settings must be applied (``settings.applied``) around its use."""
+
+    def __init__(self, stage: Stage) -> None:
+        self.stage = stage
+        data = bpy.data.cameras.new("physhdr camera")
+        data.sensor_fit = "HORIZONTAL"
+        data.angle = stage.cameras.angle_x
+        data.clip_start, data.clip_end = 0.01, 1000.0
+        self.camera = bpy.data.objects.new("physhdr camera", data)
+        stage.scene.collection.objects.link(self.camera)
+        stage.scene.camera = self.camera
+
+    def render(self, path: Path, pose: np.ndarray, level: float, seed: int) -> np.ndarray:
+        """Render, move into place, and return what was read back: [height, width, 3] float32.
+
+        Raises:
+            RenderError: Blender failed, or wrote nothing.
+        """
+        scene, pending = self.stage.scene, temporary(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        pending.unlink(missing_ok=True)
+        self.camera.matrix_world = Matrix(pose.tolist())
+        self.stage.set_ambient(level)
+        scene.cycles.seed = seed
+        scene.render.filepath = str(pending.absolute())
+        try:
+            with quiet():
+                bpy.ops.render.render(write_still=True, scene=scene.name)
+        except RuntimeError as error:
+            raise RenderError(f"Blender could not render '{path}': {str(error).strip()}") from error
+        finally:
+            self.stage.set_ambient(1.0)
+        if not pending.exists():
+            raise RenderError(f"Blender wrote no picture for '{path}': is the disk full?")
+        image = exr.read(pending)
+        os.replace(pending, path)
+        return image

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Camera rigs: each maps (u, v) in 0…1 to a camera that looks at the scene's target.
+
+Poses are 4 × 4 camera-to-world matrices in Blender's world (metres); the camera looks down its −Z, +Y is up.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from .errors import OptionError, UnknownNameError
+from .scenes.stage import CameraHints
+
+GRID_ASPECT = 7 / 5  # columns over rows: 35 views are 5 × 7, as in HDR-NeRF's data
+
+
+def look_at(position: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Camera-to-world [4, 4] at ``position`` looking at ``target``, world Z upward in the picture."""
+    back = position - target
+    back = back / np.linalg.norm(back)
+    right = np.cross([0.0, 0.0, 1.0], back)
+    right = right / np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = right, np.cross(back, right), back, position
+    return pose
+
+
+def grid(hints: CameraHints, u: float, v: float) -> np.ndarray:
+    """A flat grid that faces the scene: u to the right, v downward."""
+    centre, target = np.array(hints.centre), np.array(hints.target)
+    frame = look_at(centre, target)
+    right = np.cross([0.0, 0.0, 1.0], [frame[0, 2], frame[1, 2], 0.0])
+    right /= np.linalg.norm(right)
+    offset = right * (u - 0.5) * hints.extent[0] + np.array([0.0, 0.0, 0.5 - v]) * hints.extent[1]
+    return look_at(centre + offset, target)
+
+
+def hemisphere(hints: CameraHints, u: float, v: float) -> np.ndarray:
+    """On a sphere about the target: u is azimuth, v elevation (0 the highest)."""
+    target = np.array(hints.target)
+    toward = np.array(hints.centre) - target
+    azimuth = math.atan2(toward[1], toward[0]) + (u - 0.5) * hints.orbit_arc
+    low, high = hints.elevation
+    elevation = high + (low - high) * v
+    direction = [math.cos(azimuth) * math.cos(elevation), math.sin(azimuth) * math.cos(elevation), math.sin(elevation)]
+    return look_at(target + hints.orbit_radius * np.array(direction), target)
+
+
+def orbit(hints: CameraHints, u: float, v: float) -> np.ndarray:
+    """On an arc about the target at the middle elevation; v does not matter."""
+    return hemisphere(hints, u, 0.5)
+
+
+RIGS: dict[str, Callable[[CameraHints, float, float], np.ndarray]] = {
+    "grid": grid,
+    "orbit": orbit,
+    "hemisphere": hemisphere,
+}
+
+
+@dataclass(frozen=True)
+class RigPoses:
+    """Camera-to-world matrices [4, 4] of each split."""
+
+    train: list[np.ndarray]
+    test: list[np.ndarray]
+    lit: list[np.ndarray]
+
+
+def poses(name: str, hints: CameraHints, views: int, lit_views: int) -> RigPoses:
+    """The cameras of a rig: a grid split like a chess board into training and test, and ``lit`` between them.
+
+    35 views are a 5 × 7 grid (18 training, 17 test). Other counts fill the grid nearest to that shape row by
+    row. An orbit is one row. The lit views follow a low-discrepancy sequence over the same area, so that any
+    run of them is spread out.
+
+    Raises:
+        UnknownNameError, OptionError
+    """
+    if name not in RIGS:
+        raise UnknownNameError("camera rig", name, list(RIGS))
+    if views < 2:
+        raise OptionError(f"--views {views}: at least 2 are needed, one to train on and one to test")
+    place = RIGS[name]
+    rows = 1 if name == "orbit" else max(1, round(math.sqrt(views / GRID_ASPECT)))
+    columns = math.ceil(views / rows)
+    train, test = [], []
+    for index in range(views):
+        row, column = divmod(index, columns)
+        u = column / (columns - 1) if columns > 1 else 0.5
+        v = row / (rows - 1) if rows > 1 else 0.5
+        (train if (row + column) % 2 == 0 else test).append(place(hints, u, v))
+    lit = [place(hints, *_spread(index)) for index in range(lit_views)]
+    return RigPoses(train, test, lit)
+
+
+def _spread(index: int) -> tuple[float, float]:
+    """Point ``index`` of the R2 low-discrepancy sequence (Roberts 2018) in the unit square."""
+    plastic = 1.32471795724474602596
+    return (0.5 + (index + 1) / plastic) % 1.0, (0.5 + (index + 1) / plastic**2) % 1.0
+
+
+def spread_indices(total: int, wanted: int) -> list[int]:
+    """``wanted`` distinct indices spread evenly over 0 … total − 1."""
+    return [int((k + 0.5) * total / wanted) for k in range(wanted)]
