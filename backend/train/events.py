@@ -40,10 +40,14 @@ class Saved:
 
 @dataclass(frozen=True)
 class Finished:
-    """Training ended: by itself, or because somebody asked (``stopped``)."""
+    """Training ended: by itself, or because somebody asked (``stopped``).
+
+    ``seconds`` on the clock, ``cpu_seconds`` of all cores together.
+    """
 
     iteration: int
     seconds: float
+    cpu_seconds: float
     stopped: bool
 
 

@@ -164,14 +164,19 @@ class Trainer:
         checkpoint_every: int = 2000,
     ) -> Iterator[Event]:
         """Train until done or told to stop, yielding events; a checkpoint is written on every way out."""
-        total, begun = self.config.iterations, time.perf_counter()
+        total = self.config.iterations
+        begun, begun_cpu = time.perf_counter(), time.process_time()
         yield Started(self.iteration, total, len(self.method.gaussians))
         sums: dict[str, torch.Tensor] = {}
         window_start, window_first = time.perf_counter(), self.iteration
         sound = True
         try:
             while self.iteration < total and not should_stop():
-                for name, value in self.step().items():
+                try:
+                    terms = self.step()
+                except BadValueError as error:  # the rasteriser refuses NaN and says where
+                    raise self._diverged(str(error)) from error
+                for name, value in terms.items():
                     sums[name] = sums.get(name, 0.0) + value
                 done = self.iteration
                 if done % progress_every == 0 or done == total:
@@ -193,15 +198,24 @@ class Trainer:
             if sound:
                 saved = self.save(folder)
         yield saved
-        yield Finished(self.iteration, time.perf_counter() - begun, stopped=self.iteration < total)
+        yield Finished(
+            self.iteration,
+            time.perf_counter() - begun,
+            time.process_time() - begun_cpu,
+            stopped=self.iteration < total,
+        )
 
     def _refuse_nan(self, losses: dict[str, float]) -> None:
         bad = [name for name, value in losses.items() if not math.isfinite(value)]
         if bad:
-            raise TrainingDivergedError(
-                f"the loss term '{bad[0]}' is not a number at iteration {self.iteration}",
-                "Lower the learning rates, or report this with the run's config.json.",
-            )
+            raise self._diverged(f"the loss term '{bad[0]}' is not a number")
+
+    def _diverged(self, what: str) -> TrainingDivergedError:
+        return TrainingDivergedError(
+            f"training diverged at iteration {self.iteration}: {what}",
+            "Lower the learning rates, or report this with the run's config.json. "
+            "The last good checkpoint is untouched.",
+        )
 
     # -- checkpoints ---------------------------------------------------------------------------------------
 

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import OpenEXR
@@ -128,7 +129,8 @@ def test_render_writes_radiance_and_pictures(run, tmp_path):
 def test_an_interrupt_saves_and_resume_finishes(tiny_data, tmp_path):
     """A real process and a real CTRL-C."""
     folder = tmp_path / "run"
-    command = [sys.executable, "-m", "physhdr.backend.cli", "train", tiny_data, "--out", folder]
+    physhdr = Path(sys.executable).with_name("physhdr")
+    command = [physhdr, "train", tiny_data, "--out", folder]
     process = subprocess.Popen([str(c) for c in command] + ["--iterations", "100000"], stdout=subprocess.PIPE)
     deadline = time.monotonic() + 120
     while not (folder / "log.jsonl").exists() or '"progress"' not in (folder / "log.jsonl").read_text():
