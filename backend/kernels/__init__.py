@@ -1,1 +1,26 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
+"""The costly small parts of an iteration, fused: SSIM, blur, networks, spherical harmonics.
+
+Each function is differentiable, has a plain-torch twin (``…_reference``: the oracle of the tests), and
+goes to it by itself for tensors that are not float32 on the CPU.
+"""
+
+from .blur import gaussian_blur, gaussian_blur_reference
+from .mlp import Activation, curve_mlp, curve_mlp_reference, small_mlp, small_mlp_reference
+from .spherical_harmonics import evaluate_sh, evaluate_sh_reference
+from .ssim import SsimTarget, ssim, ssim_reference
+
+__all__ = [
+    "Activation",
+    "SsimTarget",
+    "curve_mlp",
+    "curve_mlp_reference",
+    "evaluate_sh",
+    "evaluate_sh_reference",
+    "gaussian_blur",
+    "gaussian_blur_reference",
+    "small_mlp",
+    "small_mlp_reference",
+    "ssim",
+    "ssim_reference",
+]

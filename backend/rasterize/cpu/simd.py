@@ -368,13 +368,52 @@ def exp2_of_8(typing, t):
     """
 
     def generate(context, builder, sig, args):
-        t = args[0]
-        value = _constant(_EXP2[-1])
-        for coefficient in _EXP2[-2::-1]:
-            value = _fma(builder, value, t, _constant(coefficient))
+        value = _polynomial(builder, _EXP2, args[0])
         for _ in range(3):
             value = builder.fmul(value, value)
         return value
+
+    return vector(vector), generate
+
+
+#: 2^f ≈ Σ c_k f^k for −½ ≤ f ≤ ½, relative error below 7.5e-8.
+_EXP2_CENTRED = (1.000000072, 0.6931469671, 0.2402211972, 0.05550713274, 0.009675541385, 0.001327647205)
+
+#: ln(1 + e) ≈ Σ c_k e^k, k = 1 …, for 0 ≤ e ≤ 1, relative error below 3.1e-8.
+_LOG1P = (
+    *(0.9999999699, -0.4999949314, 0.3331909684, -0.248429824, 0.191060073),
+    *(-0.1366324666, 0.0782259597, -0.02950524237, 0.005232694905),
+)
+
+
+def _polynomial(builder, coefficients, x):
+    value = _constant(coefficients[-1])
+    for coefficient in coefficients[-2::-1]:
+        value = _fma(builder, value, x, _constant(coefficient))
+    return value
+
+
+@intrinsic
+def exp_of_negative(typing, x):
+    """``e ** x`` for x ≤ 0; 0 is never reached, what would be below 2^−126 becomes that."""
+
+    def generate(context, builder, sig, args):
+        t = builder.fmul(args[0], _constant(1.4426950408889634))
+        t = builder.select(builder.fcmp_ordered(">", t, _constant(-126.0)), t, _constant(-126.0))
+        whole = _call(builder, f"llvm.rint.v{LANES}f32", _VECTOR, t)
+        value = _polynomial(builder, _EXP2_CENTRED, builder.fsub(t, whole))
+        shifted = builder.shl(builder.fptosi(whole, _IVECTOR), ir.Constant(_IVECTOR, [23] * LANES))
+        return builder.bitcast(builder.add(builder.bitcast(value, _IVECTOR), shifted), _VECTOR)
+
+    return vector(vector), generate
+
+
+@intrinsic
+def log1p_of_fraction(typing, e):
+    """``ln(1 + e)`` for 0 ≤ e ≤ 1."""
+
+    def generate(context, builder, sig, args):
+        return builder.fmul(_polynomial(builder, _LOG1P, args[0]), args[0])
 
     return vector(vector), generate
 

@@ -51,7 +51,9 @@ def test_covariance_is_that_of_projected_samples():
         [VIEW.fx * points[:, 0] / -points[:, 2], VIEW.fy * -points[:, 1] / -points[:, 2]], dim=1
     )
     sampled = torch.cov(screen.T)
-    torch.testing.assert_close(covariance[0] - 0.3 * torch.eye(2, dtype=torch.float64), sampled, rtol=0.02, atol=1e-5)
+    torch.testing.assert_close(
+        covariance[0] - 0.3 * torch.eye(2, dtype=torch.float64), sampled, rtol=0.02, atol=1e-5
+    )
 
 
 def test_pixel_of_two_gaussians_in_closed_form():

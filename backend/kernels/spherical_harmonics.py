@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""View-dependent values from real spherical harmonics, degree 0 to 3, and their gradient.
+
+value = Σ_b Y_b(d) k_b with d the direction from the viewpoint to the Gaussian; constants and signs as in
+3DGS. Linear in the coefficients, so the backward pass is ∂L/∂k_b = Y_b(d) ∂L/∂value. The direction is
+taken as constant: no gradient reaches the means through it.
+"""
+
+from typing import Any
+
+import numpy as np
+import torch
+from numba import njit
+
+from ..rasterize.cpu.threads import run_ranges
+
+Y0 = 0.28209479177387814
+Y1 = 0.4886025119029199
+Y2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
+Y3 = (0.5900435899266435, 2.890611442640554, 0.4570457994644658, 0.3731763325901154, 1.445305721320277)
+
+
+def evaluate_sh(
+    dc: torch.Tensor, rest: torch.Tensor, means: torch.Tensor, viewpoint: torch.Tensor, degree: int
+) -> torch.Tensor:
+    """``dc`` ``[N, 3]`` (or ``[N, 1, 3]``), ``rest`` ``[N, ≥ (degree + 1)² − 1, 3]``, → ``[N, 3]``.
+
+    ``means`` ``[N, 3]``, ``viewpoint`` ``[3]``: metres, in the world. Float32 on the CPU is fused; anything
+    else goes to ``evaluate_sh_reference``.
+    """
+    dc = dc.reshape(-1, 3)
+    if degree == 0:
+        return Y0 * dc
+    if dc.dtype != torch.float32 or dc.is_cuda:
+        return evaluate_sh_reference(dc, rest, means, viewpoint, degree)
+    return _Evaluate.apply(dc, rest, means, viewpoint, degree)
+
+
+def evaluate_sh_reference(
+    dc: torch.Tensor, rest: torch.Tensor, means: torch.Tensor, viewpoint: torch.Tensor, degree: int
+) -> torch.Tensor:
+    """The same in plain torch, for any dtype and device."""
+    x, y, z = torch.nn.functional.normalize(means.detach() - viewpoint, dim=1).unbind(1)
+    basis = [-Y1 * y, Y1 * z, -Y1 * x]
+    if degree > 1:
+        basis += [Y2[0] * x * y, -Y2[0] * y * z, Y2[1] * (2 * z * z - x * x - y * y)]
+        basis += [-Y2[0] * x * z, Y2[2] * (x * x - y * y)]
+    if degree > 2:
+        basis += [
+            -Y3[0] * y * (3 * x * x - y * y),
+            Y3[1] * x * y * z,
+            -Y3[2] * y * (4 * z * z - x * x - y * y),
+        ]
+        basis += [Y3[3] * z * (2 * z * z - 3 * x * x - 3 * y * y), -Y3[2] * x * (4 * z * z - x * x - y * y)]
+        basis += [Y3[4] * z * (x * x - y * y), -Y3[0] * x * (x * x - 3 * y * y)]
+    stacked = torch.stack(basis[: (degree + 1) ** 2 - 1], dim=1)
+    return Y0 * dc.reshape(-1, 3) + torch.einsum("nk,nkc->nc", stacked, rest[:, : stacked.shape[1]])
+
+
+class _Evaluate(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, dc, rest, means, viewpoint, degree: int) -> torch.Tensor:
+        means, viewpoint = means.detach().contiguous().numpy(), viewpoint.detach().to(torch.float32).numpy()
+        result = torch.empty(dc.shape)
+        kept = (degree + 1) ** 2 - 1
+        flat = rest.detach().contiguous().numpy()
+        run_ranges(
+            _evaluate,
+            dc.shape[0],
+            dc.detach().contiguous().numpy(),
+            flat,
+            means,
+            viewpoint,
+            kept,
+            result.numpy(),
+        )
+        ctx.directions = (means, viewpoint, kept, rest.shape)
+        return result
+
+    @staticmethod
+    def backward(ctx: Any, grad: torch.Tensor):
+        means, viewpoint, kept, shape = ctx.directions
+        grad_rest = None
+        if ctx.needs_input_grad[1]:
+            grad_rest = torch.empty(shape)
+            run_ranges(
+                *(
+                    _evaluate_backward,
+                    shape[0],
+                    grad.contiguous().numpy(),
+                    means,
+                    viewpoint,
+                    kept,
+                    grad_rest.numpy(),
+                )
+            )
+        return Y0 * grad, grad_rest, None, None, None
+
+
+@njit(error_model="numpy", fastmath={"contract", "nsz"})
+def _basis(means, viewpoint, i, basis):
+    """Y₁ … of the direction to Gaussian i (all fifteen: cheaper than to ask which are needed)."""
+    x, y, z = means[i, 0] - viewpoint[0], means[i, 1] - viewpoint[1], means[i, 2] - viewpoint[2]
+    scale = np.float32(1.0) / max(np.sqrt(x * x + y * y + z * z), np.float32(1e-12))
+    x, y, z = x * scale, y * scale, z * scale
+    xx, yy, zz = x * x, y * y, z * z
+    f = np.float32
+    basis[0], basis[1], basis[2] = -f(Y1) * y, f(Y1) * z, -f(Y1) * x
+    basis[3], basis[4], basis[5] = f(Y2[0]) * x * y, -f(Y2[0]) * y * z, f(Y2[1]) * (f(2) * zz - xx - yy)
+    basis[6], basis[7] = -f(Y2[0]) * x * z, f(Y2[2]) * (xx - yy)
+    basis[8], basis[9] = -f(Y3[0]) * y * (f(3) * xx - yy), f(Y3[1]) * x * y * z
+    basis[10], basis[12] = -f(Y3[2]) * y * (f(4) * zz - xx - yy), -f(Y3[2]) * x * (f(4) * zz - xx - yy)
+    basis[11] = f(Y3[3]) * z * (f(2) * zz - f(3) * xx - f(3) * yy)
+    basis[13], basis[14] = f(Y3[4]) * z * (xx - yy), -f(Y3[0]) * x * (xx - f(3) * yy)
+
+
+@njit(nogil=True, cache=True, fastmath={"contract", "nsz"})
+def _evaluate(first, last, dc, rest, means, viewpoint, kept, result):
+    basis = np.empty(15, np.float32)
+    for i in range(first, last):
+        _basis(means, viewpoint, i, basis)
+        r, g, b = np.float32(Y0) * dc[i, 0], np.float32(Y0) * dc[i, 1], np.float32(Y0) * dc[i, 2]
+        for k in range(kept):
+            r += basis[k] * rest[i, k, 0]
+            g += basis[k] * rest[i, k, 1]
+            b += basis[k] * rest[i, k, 2]
+        result[i, 0], result[i, 1], result[i, 2] = r, g, b
+
+
+@njit(nogil=True, cache=True)
+def _evaluate_backward(first, last, grad, means, viewpoint, kept, grad_rest):
+    basis = np.empty(15, np.float32)
+    for i in range(first, last):
+        _basis(means, viewpoint, i, basis)
+        for k in range(kept):
+            for c in range(3):
+                grad_rest[i, k, c] = basis[k] * grad[i, c]
+        grad_rest[i, kept:] = 0.0

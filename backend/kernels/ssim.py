@@ -1,0 +1,231 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Mean structural similarity (Wang et al. 2004) as 3DGS takes it, and its gradient.
+
+11 × 11 Gaussian window, σ 1.5, separable, zero padding, C₁ = 0.01², C₂ = 0.03², mean over all pixels and
+channels. With 𝒢 the window, x the prediction, y the target:
+
+    μ₁ = 𝒢x   μ₂ = 𝒢y   σ₁ = 𝒢x² − μ₁²   σ₂ = 𝒢y² − μ₂²   σ₁₂ = 𝒢xy − μ₁μ₂
+    S = A₁A₂ / (B₁B₂),   A₁ = 2μ₁μ₂ + C₁,  A₂ = 2σ₁₂ + C₂,  B₁ = μ₁² + μ₂² + C₁,  B₂ = σ₁ + σ₂ + C₂
+
+Backward: S depends on x through 𝒢x, 𝒢x² and 𝒢xy, and 𝒢 is its own adjoint (symmetric, zero padding), so
+
+    ∂ΣS/∂x = 𝒢p + 2x 𝒢q + y 𝒢r,    r = ∂S/∂(𝒢xy) = 2A₁/(B₁B₂),    q = ∂S/∂(𝒢x²) = −S/B₂,
+                                    p = ∂S/∂(𝒢x) = 2μ₂(A₂ − A₁)/(B₁B₂) − 2μ₁S (1/B₁ − 1/B₂)
+
+Both passes are three separable blurs at once, row by row: down the columns into three row buffers, then
+along them. μ₂ and σ₂ do not change while the target does not: ``SsimTarget`` keeps them.
+"""
+
+import functools
+from typing import Any
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from numba import njit
+
+from ..rasterize.cpu.simd import LANES, fma, lane_numbers, load, select, splat, store, store_strided, total
+from ..rasterize.cpu.threads import run_ranges
+
+TAPS = 11
+SIGMA = 1.5
+C1 = 0.01**2
+C2 = 0.03**2
+
+_R = TAPS // 2
+_WINDOW = np.exp(-((np.arange(TAPS) - _R) ** 2) / (2.0 * SIGMA**2))
+_WINDOW /= _WINDOW.sum()
+
+
+class SsimTarget:
+    """A target image ``[C, H, W]`` with what SSIM needs of it computed once (three times its size)."""
+
+    def __init__(self, image: torch.Tensor) -> None:
+        self.shape = tuple(image.shape)
+        self.padded = _padded(image)
+        self.mean, self.variance = (np.empty_like(self.padded) for _ in range(2))
+        channels, height, _ = self.shape
+        plane, row = self.padded.shape[1:]
+        run_ranges(
+            *(_target_rows, channels * height, height, plane, row, self.padded.reshape(-1)),
+            *(_window(), self.mean.reshape(-1), self.variance.reshape(-1)),
+            minimum=32,
+        )
+
+
+def ssim(prediction: torch.Tensor, target: torch.Tensor | SsimTarget) -> torch.Tensor:
+    """Mean SSIM of two images ``[C, H, W]``, a scalar, differentiable in ``prediction``.
+
+    Float32 on the CPU is fused; anything else goes to ``ssim_reference``. The target gets no gradient
+    from the fused path.
+    """
+    if isinstance(target, SsimTarget):
+        return _Ssim.apply(prediction, target)
+    if prediction.dtype == torch.float32 and not prediction.is_cuda and not target.requires_grad:
+        return _Ssim.apply(prediction, SsimTarget(target))
+    return ssim_reference(prediction, target)
+
+
+def ssim_reference(prediction: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+    """The same in plain torch, for any dtype and device."""
+    window = torch.from_numpy(_WINDOW).to(prediction)
+    stacked = torch.stack(
+        [prediction, target, prediction * prediction, target * target, prediction * target], dim=1
+    )
+    flat = stacked.reshape(-1, 1, *prediction.shape[1:])
+    flat = F.conv2d(flat, window.view(1, 1, 1, TAPS), padding=(0, _R))
+    flat = F.conv2d(flat, window.view(1, 1, TAPS, 1), padding=(_R, 0))
+    m1, m2, xx, yy, xy = flat.reshape(stacked.shape).unbind(1)
+    a1, a2 = 2 * m1 * m2 + C1, 2 * (xy - m1 * m2) + C2
+    b1, b2 = m1 * m1 + m2 * m2 + C1, xx - m1 * m1 + yy - m2 * m2 + C2
+    return (a1 * a2 / (b1 * b2)).mean()
+
+
+class _Ssim(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, prediction: torch.Tensor, target: SsimTarget) -> torch.Tensor:
+        channels, height, width = target.shape
+        padded = _padded(prediction)
+        row_sums = np.empty(channels * height)
+        wanted = ctx.needs_input_grad[0]
+        partials = [np.zeros_like(padded) if wanted else np.empty((0, 0, 0), np.float32) for _ in range(3)]
+        run_ranges(
+            *(_ssim_rows, channels * height, height, width, padded.shape[1], padded.shape[2]),
+            *(padded.reshape(-1), target.padded.reshape(-1), target.mean.reshape(-1)),
+            *(target.variance.reshape(-1), _window(), row_sums, *(p.reshape(-1) for p in partials)),
+            minimum=32,
+        )
+        ctx.saved = (padded, target, partials)
+        return torch.tensor(row_sums.sum() / (channels * height * width), dtype=torch.float32)
+
+    @staticmethod
+    def backward(ctx: Any, grad: torch.Tensor):
+        padded, target, partials = ctx.saved
+        channels, height, width = target.shape
+        result = torch.empty(target.shape)
+        scale = np.float32(grad.item() / result.numel())
+        run_ranges(
+            *(_ssim_backward_rows, channels * height, height, width, padded.shape[1], padded.shape[2]),
+            *(padded.reshape(-1), target.padded.reshape(-1), *(p.reshape(-1) for p in partials)),
+            *(_window(), scale, result.numpy().reshape(-1)),
+            minimum=32,
+        )
+        return result, None
+
+
+def _padded(image: torch.Tensor) -> np.ndarray:
+    """``[C, H + 10, W′]`` with a border of zeros; W′ leaves room to read whole vectors beyond it."""
+    channels, height, width = image.shape
+    result = np.zeros((channels, height + 2 * _R, -(-width // LANES) * LANES + 2 * _R + LANES), np.float32)
+    result[:, _R : _R + height, _R : _R + width] = image.detach().numpy()
+    return result
+
+
+@functools.cache
+def _window() -> np.ndarray:
+    return _WINDOW.astype(np.float32)
+
+
+@njit(nogil=True, cache=True)
+def _target_rows(first, last, height, plane, row, y, window, mean, variance):
+    """𝒢y and 𝒢y² − (𝒢y)² of rows ``first … last − 1`` (counted over channels), at their padded places."""
+    column = np.zeros((2, row), np.float32)
+    mean_column, square_column = column[0], column[1]
+    for line in range(first, last):
+        top = (line // height * plane + line % height) * row  # of the window's first row
+        for x in range(0, row - LANES + 1, LANES):
+            m, s = splat(0.0), splat(0.0)
+            for k in range(TAPS):
+                value, weight = load(y, top + k * row + x), splat(window[k])
+                weighted = value * weight
+                m, s = m + weighted, fma(weighted, value, s)
+            store(m, mean_column, x)
+            store(s, square_column, x)
+        centre = top + _R * row + _R
+        for x in range(0, row - 2 * _R - LANES + 1, LANES):
+            m, s = splat(0.0), splat(0.0)
+            for k in range(TAPS):
+                weight = splat(window[k])
+                m = fma(weight, load(mean_column, x + k), m)
+                s = fma(weight, load(square_column, x + k), s)
+            store(m, mean, centre + x)
+            store(s - m * m, variance, centre + x)
+
+
+@njit(nogil=True, cache=True)
+def _ssim_rows(
+    first, last, height, width, plane, row, x_image, y_image, mean, variance, window, row_sums, p, q, r
+):  # fmt: skip
+    """Σ S of rows ``first … last − 1`` into ``row_sums``; p, q, r of the pixels unless their size is 0."""
+    columns = np.zeros((3, row), np.float32)
+    column_x, column_xx, column_xy = columns[0], columns[1], columns[2]
+    lanes = lane_numbers()
+    for line in range(first, last):
+        top = (line // height * plane + line % height) * row
+        for i in range(0, row - LANES + 1, LANES):
+            sx, sxx, sxy = splat(0.0), splat(0.0), splat(0.0)
+            for k in range(TAPS):
+                at = top + k * row + i
+                value = load(x_image, at)
+                weighted = value * window[k]
+                sx, sxx, sxy = sx + weighted, fma(weighted, value, sxx), fma(weighted, load(y_image, at), sxy)
+            store(sx, column_x, i)
+            store(sxx, column_xx, i)
+            store(sxy, column_xy, i)
+        centre = top + _R * row + _R
+        line_sum = splat(0.0)
+        for i in range(0, width, LANES):
+            m1, xx, xy = splat(0.0), splat(0.0), splat(0.0)
+            for k in range(TAPS):
+                weight = splat(window[k])
+                m1 = fma(weight, load(column_x, i + k), m1)
+                xx = fma(weight, load(column_xx, i + k), xx)
+                xy = fma(weight, load(column_xy, i + k), xy)
+            m2 = load(mean, centre + i)
+            product, square = m1 * m2, m1 * m1
+            a1, a2 = 2.0 * product + C1, 2.0 * (xy - product) + C2
+            b1, b2 = fma(m2, m2, square) + C1, xx - square + load(variance, centre + i) + C2
+            inverse = 1.0 / (b1 * b2)
+            s = a1 * a2 * inverse
+            inside = lanes < float(width - i)
+            line_sum = line_sum + select(inside, s, 0.0)
+            if p.size:
+                # 1/B₁ = B₂ · inverse, 1/B₂ = B₁ · inverse
+                through_mean = 2.0 * inverse * (m2 * (a2 - a1) - m1 * s * (b2 - b1))
+                store(select(inside, through_mean, 0.0), p, centre + i)
+                store(select(inside, -s * b1 * inverse, 0.0), q, centre + i)
+                store(select(inside, 2.0 * a1 * inverse, 0.0), r, centre + i)
+        row_sums[line] = total(line_sum)
+
+
+@njit(nogil=True, cache=True)
+def _ssim_backward_rows(
+    first, last, height, width, plane, row, x_image, y_image, p, q, r, window, scale, result
+):  # fmt: skip
+    """``scale`` · (𝒢p + 2x 𝒢q + y 𝒢r) of rows ``first … last − 1``, into ``result`` (not padded)."""
+    columns = np.zeros((3, row), np.float32)
+    column_p, column_q, column_r = columns[0], columns[1], columns[2]
+    for line in range(first, last):
+        top = (line // height * plane + line % height) * row
+        for i in range(0, row - LANES + 1, LANES):
+            sp, sq, sr = splat(0.0), splat(0.0), splat(0.0)
+            for k in range(TAPS):
+                at, weight = top + k * row + i, splat(window[k])
+                sp, sq = fma(weight, load(p, at), sp), fma(weight, load(q, at), sq)
+                sr = fma(weight, load(r, at), sr)
+            store(sp, column_p, i)
+            store(sq, column_q, i)
+            store(sr, column_r, i)
+        centre = top + _R * row + _R
+        for i in range(0, width, LANES):
+            sp, sq, sr = splat(0.0), splat(0.0), splat(0.0)
+            for k in range(TAPS):
+                weight = splat(window[k])
+                sp = fma(weight, load(column_p, i + k), sp)
+                sq = fma(weight, load(column_q, i + k), sq)
+                sr = fma(weight, load(column_r, i + k), sr)
+            value = fma(load(y_image, centre + i), sr, fma(2.0 * load(x_image, centre + i), sq, sp)) * scale
+            if i + LANES <= width:
+                store(value, result, line * width + i)
+            else:
+                store_strided(value, result, line * width + i, 1, width - i)
