@@ -85,7 +85,9 @@ def make(out: Path, options: Options) -> None:
     folder.write_json(out / folder.FINAL, content)
     (out / folder.PARTIAL).unlink(missing_ok=True)
     stops = content["dynamic_range"]["stops"]
-    say(f"noise floor {floor['psnr']} dB at {list(options.exposures)} s, HDR {floor['hdr_psnr']} dB; {stops} stops")
+    say(
+        f"noise floor {floor['psnr']} dB at {list(options.exposures)} s, HDR {floor['hdr_psnr']} dB; {stops} stops"
+    )
     say(f"data set {out}: complete in {time.monotonic() - began:.0f} s")
 
 
@@ -115,8 +117,11 @@ def _check_existing(out: Path, pictures: list[Picture], options: Options) -> Non
 
 def _render(out: Path, missing: list[Picture], renderer: Renderer, options: Options) -> None:
     progress = Progress("render", len(missing))
-    for picture in missing:
-        renderer.render(out / picture.name, picture.pose, picture.level, view_seed(options.seed, picture.name))
+    order = {picture.level: at for at, picture in reversed(list(enumerate(missing)))}
+    for picture in sorted(missing, key=lambda picture: order[picture.level]):  # a new level costs a new sync
+        renderer.render(
+            out / picture.name, picture.pose, picture.level, view_seed(options.seed, picture.name)
+        )
         progress.advance(picture.name)
 
 
@@ -129,7 +134,9 @@ def _write_brackets(out: Path, pictures: list[Picture], response: Response, opti
         if absent:
             radiance = exr.read(out / picture.name).astype(np.float64)
             for k in absent:
-                folder.write(out / picture.bracket(k), encode(quantise(response(radiance * options.exposures[k]))))
+                folder.write(
+                    out / picture.bracket(k), encode(quantise(response(radiance * options.exposures[k])))
+                )
 
 
 def _write_points(
@@ -190,7 +197,9 @@ def _describe(
     floor: dict[str, Any],
 ) -> dict[str, Any]:
     """The content of dataset.json."""
-    counts = {split: sum(picture.split == split for picture in pictures) for split in ("train", "test", "lit")}
+    counts = {
+        split: sum(picture.split == split for picture in pictures) for split in ("train", "test", "lit")
+    }
     radiance = [exr.read(out / picture.name) for picture in pictures if picture.split == "train"]
     luminance = np.stack(radiance).astype(np.float64) @ LUMINANCE
     low, high = float(np.percentile(luminance, 1)), float(luminance.max())

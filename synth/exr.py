@@ -33,7 +33,9 @@ def read(path: Path) -> np.ndarray:
     except OSError as error:
         raise DamagedFileError(f"cannot read '{path}': {error.strerror or error}") from error
     except (ValueError, KeyError, IndexError, struct.error, zlib.error) as error:
-        raise DamagedFileError(f"'{path}' is damaged ({error}): delete it and run again to render it anew") from error
+        raise DamagedFileError(
+            f"'{path}' is damaged ({error}): delete it and run again to render it anew"
+        ) from error
     if not np.isfinite(image).all():
         raise DamagedFileError(f"'{path}' holds values that are not finite: delete it and run again")
     return image

@@ -45,7 +45,9 @@ def read_json(path: Path) -> dict[str, Any]:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise DamagedFileError(f"'{path}' is damaged ({error}): delete it, or choose another --out") from error
+        raise DamagedFileError(
+            f"'{path}' is damaged ({error}): delete it, or choose another --out"
+        ) from error
     if not isinstance(content, dict):
         raise DamagedFileError(f"'{path}' is damaged (no object): delete it, or choose another --out")
     return content

@@ -51,8 +51,18 @@ def parser() -> argparse.ArgumentParser:
         help="relit truth: factors on sky, sun and fill; the lamps stay",
     )
     add("--relit-views", type=int, default=default.relit_views, help="test poses that get the relit truth")
-    add("--lit-levels", default=listed(default.lit_levels), metavar="L,L,…", help="levels of the extra training views")
-    add("--lit-views", type=int, default=default.lit_views, help="extra training views at other ambient levels")
+    add(
+        "--lit-levels",
+        default=listed(default.lit_levels),
+        metavar="L,L,…",
+        help="levels of the extra training views",
+    )
+    add(
+        "--lit-views",
+        type=int,
+        default=default.lit_views,
+        help="extra training views at other ambient levels",
+    )
     add("--denoise", action=argparse.BooleanOptionalAction, default=default.denoise, help="denoise with OIDN")
     return made
 
@@ -85,7 +95,9 @@ def main(arguments: list[str]) -> int:
         sys.stderr.write(f"error: {error}\n")
         return 1
     except OSError as error:
-        sys.stderr.write(f"error: {error.strerror or error}: '{error.filename or given.out}'. Is the disk full?\n")
+        sys.stderr.write(
+            f"error: {error.strerror or error}: '{error.filename or given.out}'. Is the disk full?\n"
+        )
         return 1
     except KeyboardInterrupt:
         sys.stderr.write("interrupted: the same command goes on where it stopped\n")

@@ -24,10 +24,15 @@ def mu_law(radiance: np.ndarray, maximum: float) -> np.ndarray:
     return np.log1p(MU * np.clip(radiance.astype(np.float64) / maximum, 0.0, 1.0)) / np.log1p(MU)
 
 
-def floor(first: np.ndarray, second: np.ndarray, response: Response, exposures: tuple[float, ...]) -> dict[str, object]:
+def floor(
+    first: np.ndarray, second: np.ndarray, response: Response, exposures: tuple[float, ...]
+) -> dict[str, object]:
     """``psnr`` at each exposure after response and 8 bit, and ``hdr_psnr`` (μ-law over the first's maximum)."""
     brackets = [
-        psnr(quantise(response(first.astype(np.float64) * t)), quantise(response(second.astype(np.float64) * t)))
+        psnr(
+            quantise(response(first.astype(np.float64) * t)),
+            quantise(response(second.astype(np.float64) * t)),
+        )
         for t in exposures
     ]
     maximum = float(first.max()) or 1.0

@@ -22,7 +22,7 @@ class Options:
 
     scene: str = "interior"
     resolution: tuple[int, int] = (200, 200)
-    samples: int = 64
+    samples: int = 32
     views: int = 35
     exposures: tuple[float, ...] = DEFAULT_EXPOSURES
     crf: str = "reinhard-gamma"
@@ -87,7 +87,9 @@ def parse_numbers(name: str, text: str) -> tuple[float, ...]:
         try:
             values.append(float(Fraction(part)))
         except (ValueError, ZeroDivisionError, OverflowError):
-            raise OptionError(f"{name} '{text}': '{part}' is not a number (write 0.125,0.5,2 or 1/4,1/2,2)") from None
+            raise OptionError(
+                f"{name} '{text}': '{part}' is not a number (write 0.125,0.5,2 or 1/4,1/2,2)"
+            ) from None
     return tuple(values)
 
 

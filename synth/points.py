@@ -10,7 +10,8 @@ from mathutils import Vector
 WANTED = 18_000
 
 _PLY_TYPE = np.dtype(
-    [(name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz")] + [(name, "u1") for name in ("red", "green", "blue")]
+    [(name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz")]
+    + [(name, "u1") for name in ("red", "green", "blue")]
 )
 
 
@@ -37,7 +38,9 @@ def cast(
         jitter = dice.random((rows, columns, 2))
         x = (np.arange(columns)[None, :] + jitter[..., 0]) * width / columns
         y = (np.arange(rows)[:, None] + jitter[..., 1]) * height / rows
-        camera = np.stack([(2 * x / width - 1) * half, (1 - 2 * y / height) * half * height / width, -np.ones_like(x)], -1)
+        camera = np.stack(
+            [(2 * x / width - 1) * half, (1 - 2 * y / height) * half * height / width, -np.ones_like(x)], -1
+        )
         directions = (camera / np.linalg.norm(camera, axis=-1, keepdims=True)) @ pose[:3, :3].T
         origin = Vector(pose[:3, 3])
         for direction, px, py in zip(directions.reshape(-1, 3), x.flat, y.flat, strict=True):

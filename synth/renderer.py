@@ -71,8 +71,6 @@ class Renderer:
                 bpy.ops.render.render(write_still=True, scene=scene.name)
         except RuntimeError as error:
             raise RenderError(f"Blender could not render '{path}': {str(error).strip()}") from error
-        finally:
-            self.stage.set_ambient(1.0)
         if not pending.exists():
             raise RenderError(f"Blender wrote no picture for '{path}': is the disk full?")
         image = exr.read(pending)

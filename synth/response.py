@@ -105,10 +105,14 @@ def from_file(path: Path) -> Response:
     except (ValueError, TypeError) as error:
         raise ResponseFileError(f"response file '{path}' is not a list of number pairs: {error}") from error
     if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2 or not np.isfinite(points).all():
-        raise ResponseFileError(f"response file '{path}' must hold at least two pairs: exposure × radiance, code 0…1")
+        raise ResponseFileError(
+            f"response file '{path}' must hold at least two pairs: exposure × radiance, code 0…1"
+        )
     x, code = points.T
     if x[0] < 0 or (np.diff(x) <= 0).any() or (np.diff(code) < 0).any() or code[0] < 0 or code[-1] > 1:
-        raise ResponseFileError(f"response file '{path}': both columns must rise, from 0 upward, codes within 0…1")
+        raise ResponseFileError(
+            f"response file '{path}': both columns must rise, from 0 upward, codes within 0…1"
+        )
     if x[0] > 0:
         x, code = np.insert(x, 0, 0.0), np.insert(code, 0, 0.0)
     return Response("file", lambda exposed: np.interp(exposed, x, code), points.tolist())

@@ -46,7 +46,11 @@ def hemisphere(hints: CameraHints, u: float, v: float) -> np.ndarray:
     azimuth = math.atan2(toward[1], toward[0]) + (u - 0.5) * hints.orbit_arc
     low, high = hints.elevation
     elevation = high + (low - high) * v
-    direction = [math.cos(azimuth) * math.cos(elevation), math.sin(azimuth) * math.cos(elevation), math.sin(elevation)]
+    direction = [
+        math.cos(azimuth) * math.cos(elevation),
+        math.sin(azimuth) * math.cos(elevation),
+        math.sin(elevation),
+    ]
     return look_at(target + hints.orbit_radius * np.array(direction), target)
 
 

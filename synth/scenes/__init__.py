@@ -13,7 +13,17 @@ from .stage import Stage
 
 SCENES: dict[str, Callable[[bpy.types.Scene], Stage]] = {"interior": interior.build}
 
-_SCRATCH = ("objects", "meshes", "lights", "cameras", "materials", "worlds", "collections", "textures", "images")
+_SCRATCH = (
+    "objects",
+    "meshes",
+    "lights",
+    "cameras",
+    "materials",
+    "worlds",
+    "collections",
+    "textures",
+    "images",
+)
 
 
 @contextmanager

@@ -22,10 +22,11 @@ from .stage import CameraHints, LightKnob, Stage
 WIDTH, BACK, FRONT, HEIGHT = 4.2, 1.8, -2.6, 2.5
 WINDOW = (-1.45, -0.15, 0.92, 2.12)  # x0, x1, z0, z1
 
-BULB_RADIANCE = 300.0
-SKY_RADIANCE = 7.0  # at the horizon; W / m² / sr, any unit does
-SUN_IRRADIANCE = 14.0
-FILL_POWER = 14.0  # watts
+BULB_RADIANCE = 200.0
+BULB_COLOUR = (1.0, 0.72, 0.42)
+SKY_RADIANCE = 10.0  # at the horizon; W / m² / sr, any unit does
+SUN_IRRADIANCE = 20.0
+FILL_POWER = 22.0  # watts
 
 
 def build(scene: bpy.types.Scene) -> Stage:
@@ -71,7 +72,13 @@ def _shell(room: bpy.types.Collection) -> None:
     box(room, "wall west", (-half - wall / 2, middle, HEIGHT / 2), (wall, depth + 2 * wall, HEIGHT), green)
     box(room, "wall east", (half + wall / 2, middle, HEIGHT / 2), (wall, depth + 2 * wall, HEIGHT), warm)
     box(room, "wall behind", (0, FRONT - wall / 2, HEIGHT / 2), (WIDTH, wall, HEIGHT), green)
-    box(room, "ceiling", (0, middle, HEIGHT + 0.05), (WIDTH, depth, 0.1), m.plaster("ceiling", (0.72, 0.70, 0.66), 0.15))
+    box(
+        room,
+        "ceiling",
+        (0, middle, HEIGHT + 0.05),
+        (WIDTH, depth, 0.1),
+        m.plaster("ceiling", (0.72, 0.70, 0.66), 0.15),
+    )
     beam = m.wood("beam", (0.07, 0.035, 0.018), (0.17, 0.09, 0.045), "X")
     for index, at in enumerate((-1.4, -0.2, 1.0)):
         box(room, f"beam {index}", (0, at, HEIGHT - 0.07), (WIDTH, 0.13, 0.14), beam, bevel=0.012)
@@ -117,7 +124,14 @@ def _outside(room: bpy.types.Collection, dice: random.Random) -> None:
     hedge = m.fabric("hedge", (0.03, 0.07, 0.02), (0.13, 0.20, 0.05), 3.0)
     trunk = m.plain("trunk", (0.10, 0.06, 0.04), 0.9)
     for index, (x, y, radius) in enumerate(
-        ((-6.2, 13.0, 1.5), (-3.3, 15.5, 1.7), (2.6, 14.0, 1.6), (4.8, 20.0, 2.3), (-10.0, 20.0, 2.6), (-0.4, 24.0, 2.0))
+        (
+            (-6.2, 13.0, 1.5),
+            (-3.3, 15.5, 1.7),
+            (2.6, 14.0, 1.6),
+            (4.8, 20.0, 2.3),
+            (-10.0, 20.0, 2.6),
+            (-0.4, 24.0, 2.0),
+        )
     ):
         top = dice.uniform(1.2, 1.9)
         ball(room, f"tree {index}", (x, y, top), radius, hedge, 4, 0.28 * radius, seed=index * 1.7)
@@ -154,7 +168,9 @@ def _sky(scene: bpy.types.Scene) -> list[LightKnob]:
     graph = m.Graph(world.node_tree)
     direction = graph.add("ShaderNodeTexCoord").outputs["Generated"]
     height = graph.add("ShaderNodeSeparateXYZ", {"Vector": direction}).outputs["Z"]
-    blue = graph.ramp(height, [(0.0, (1.0, 0.86, 0.68)), (0.10, (0.85, 0.90, 0.98)), (0.5, (0.30, 0.50, 0.85))])
+    blue = graph.ramp(
+        height, [(0.0, (1.0, 0.86, 0.68)), (0.10, (0.85, 0.90, 0.98)), (0.5, (0.30, 0.50, 0.85))]
+    )
     stretched = graph.add("ShaderNodeMapping", {"Vector": direction, "Scale": (1.0, 1.0, 2.6)}).outputs[0]
     clouds = graph.noise(stretched, 4.5, 3.0, 0.3)
     white = graph.ramp(clouds, [(0.45, (0.0,) * 3), (0.68, (1.0,) * 3)])
@@ -196,22 +212,42 @@ def _fill(room: bpy.types.Collection) -> list[LightKnob]:
 
 
 def _bulbs(room: bpy.types.Collection) -> list[LightKnob]:
-    """Two bare bulbs: one on a cord over the chair, one on the standing lamp by the shelf."""
+    """Two bare bulbs: one on a cord over the chair, one on the standing lamp by the shelf.
+
+    Each is a sphere that the camera sees, and a point light of the same size and radiance that lights the
+    room: Cycles samples the latter by its solid angle, with less noise and time than a luminous mesh.
+    """
     metal = m.plain("socket", (0.05, 0.045, 0.04), 0.3, 1.0)
     knobs = []
     for name, (x, y, z), radius, up in (
         ("pendant", (0.72, -0.05, 1.72), 0.045, True),
         ("standing", (0.34, 1.42, 1.38), 0.035, False),
     ):
-        glow, strength = m.emission(f"bulb {name}", (1.0, 0.72, 0.42), BULB_RADIANCE)
+        glow, strength = m.emission(f"bulb {name}", BULB_COLOUR, BULB_RADIANCE)
+        glow.cycles.emission_sampling = "NONE"
         bulb = ball(room, f"bulb {name}", (x, y, z), radius, glow, 3)
-        bulb.visible_shadow = False  # it would only shade its own socket
+        for ray in ("diffuse", "glossy", "transmission", "shadow"):
+            setattr(bulb, f"visible_{ray}", False)
         knobs.append(LightKnob(strength, "default_value", BULB_RADIANCE))
+        light = bpy.data.lights.new(f"bulb {name}", "POINT")
+        light.shadow_soft_size, light.use_soft_falloff, light.color = radius, False, BULB_COLOUR
+        light.energy = 4.0 * math.pi**2 * radius**2 * BULB_RADIANCE  # watts of a sphere of that radiance
+        knobs.append(LightKnob(light, "energy", light.energy))
+        shining = bpy.data.objects.new(f"bulb light {name}", light)
+        shining.location, shining.visible_camera = (x, y, z), False
+        room.objects.link(shining)
         sign = 1.0 if up else -1.0
         rod(room, f"socket {name}", (x, y, z + sign * 0.04), (x, y, z + sign * 0.11), 0.022, metal)
         if up:
             rod(room, "cord", (x, y, z + 0.1), (x, y, HEIGHT), 0.008, metal, sides=8)
         else:
-            rod(room, "pole", (x, y, 0.02), (x, y, z - 0.1), 0.014, m.plain("pole", (0.6, 0.42, 0.18), 0.3, 1.0))
+            rod(
+                room,
+                "pole",
+                (x, y, 0.02),
+                (x, y, z - 0.1),
+                0.014,
+                m.plain("pole", (0.6, 0.42, 0.18), 0.3, 1.0),
+            )
             rod(room, "foot", (x, y, 0.0), (x, y, 0.03), 0.15, metal, sides=24)
     return knobs

@@ -58,11 +58,15 @@ class Graph:
         inputs = {"Vector": vector, "Scale": scale, "Distortion": distortion, "Detail": 1.0}
         return self.add("ShaderNodeTexWave", inputs, **attributes).outputs["Factor"]
 
-    def voronoi(self, vector: Socket, scale: float, output: str = "Distance", randomness: float = 1.0) -> Socket:
+    def voronoi(
+        self, vector: Socket, scale: float, output: str = "Distance", randomness: float = 1.0
+    ) -> Socket:
         inputs = {"Vector": vector, "Scale": scale, "Randomness": randomness}
         return self.add("ShaderNodeTexVoronoi", inputs).outputs[output]
 
-    def ramp(self, factor: Socket, stops: Sequence[tuple[float, Colour]], interpolation: str = "LINEAR") -> Socket:
+    def ramp(
+        self, factor: Socket, stops: Sequence[tuple[float, Colour]], interpolation: str = "LINEAR"
+    ) -> Socket:
         """Colour looked up in a ramp of (position 0…1, colour)."""
         node = self.add("ShaderNodeValToRGB", {"Fac": factor})
         ramp = node.color_ramp
@@ -90,8 +94,6 @@ def _principled(
     colour: Socket,
     roughness: float = 0.6,
     metallic: float = 0.0,
-    bump: Socket | None = None,
-    bump_height: float = 0.01,
     specular: float = 0.3,
 ) -> None:
     inputs: dict[str, Socket] = {
@@ -100,9 +102,6 @@ def _principled(
         "Metallic": metallic,
         "Specular IOR Level": specular,
     }
-    if bump is not None:
-        bump_inputs = {"Height": bump, "Strength": 0.6, "Distance": bump_height}
-        inputs["Normal"] = graph.add("ShaderNodeBump", bump_inputs).outputs["Normal"]
     graph.finish(graph.add("ShaderNodeBsdfPrincipled", inputs).outputs["BSDF"])
 
 
@@ -118,7 +117,9 @@ def plain(name: str, colour: Colour, roughness: float = 0.6, metallic: float = 0
     return material
 
 
-def speckled(name: str, base: Colour, spot: Colour, scale: float, roughness: float = 0.25) -> bpy.types.Material:
+def speckled(
+    name: str, base: Colour, spot: Colour, scale: float, roughness: float = 0.25
+) -> bpy.types.Material:
     """Glazed ceramic with soft spots."""
     material, graph = _new(name)
     spots = graph.voronoi(graph.coordinates(), scale)
@@ -145,8 +146,10 @@ def wood(
     across = "Y" if axis == "X" else "X"
     grain = graph.wave(vector, scale, distortion=5.0, direction=across)
     streaks = graph.noise(vector, scale * 2.2, detail=2.0, distortion=0.6)
-    colour = graph.mix(0.5, graph.ramp(grain, [(0.1, dark), (0.9, light)]), graph.ramp(streaks, [(0.3, dark), (0.7, light)]))
-    _principled(graph, colour, roughness, bump=streaks, bump_height=0.003)
+    colour = graph.mix(
+        0.5, graph.ramp(grain, [(0.1, dark), (0.9, light)]), graph.ramp(streaks, [(0.3, dark), (0.7, light)])
+    )
+    _principled(graph, colour, roughness)
     return material
 
 
@@ -172,7 +175,7 @@ def floorboards(name: str) -> bpy.types.Material:
     grain = graph.noise(graph.coordinates(scale=(9.0, 1.1, 1.0)), 2.2, detail=3.0, distortion=1.2)
     tone = graph.ramp(grain, [(0.25, (0.45, 0.42, 0.4)), (0.75, (1.25, 1.22, 1.18))])
     colour = graph.mix(1.0, brick.outputs["Color"], tone, "MULTIPLY")
-    _principled(graph, colour, 0.38, bump=brick.outputs["Factor"], bump_height=-0.004, specular=0.35)
+    _principled(graph, colour, 0.38, specular=0.35)
     return material
 
 
@@ -182,7 +185,9 @@ def wallpaper(name: str, ground: Colour, stripe: Colour, motif: Colour) -> bpy.t
     vector = graph.coordinates()
     stripes = graph.wave(vector, 0.95, direction="X")
     base = graph.ramp(stripes, [(0.42, ground), (0.58, stripe)])
-    cells = graph.voronoi(graph.coordinates(scale=(5.4, 5.4, 5.4), rotation=(0.0, 0.6, 0.0)), 1.0, randomness=0.25)
+    cells = graph.voronoi(
+        graph.coordinates(scale=(5.4, 5.4, 5.4), rotation=(0.0, 0.6, 0.0)), 1.0, randomness=0.25
+    )
     printed = graph.mix(graph.ramp(cells, [(0.2, (1, 1, 1)), (0.3, (0, 0, 0))]), base, motif)
     stains = graph.ramp(graph.noise(vector, 1.6, 4.0), [(0.3, (0.78, 0.76, 0.72)), (0.7, (1.05, 1.04, 1.02))])
     _principled(graph, graph.mix(1.0, printed, stains, "MULTIPLY"), 0.85, specular=0.1)
@@ -195,13 +200,13 @@ def plaster(name: str, colour: Colour, contrast: float = 0.25) -> bpy.types.Mate
     vector = graph.coordinates()
     dark = tuple(channel * (1.0 - contrast) for channel in colour)
     cloud = graph.noise(vector, 2.6, 4.0, 0.8)
-    _principled(
-        graph, graph.ramp(cloud, [(0.3, dark), (0.7, colour)]), 0.9, bump=graph.noise(vector, 9.0, 3.0), specular=0.1
-    )
+    _principled(graph, graph.ramp(cloud, [(0.3, dark), (0.7, colour)]), 0.9, specular=0.1)
     return material
 
 
-def cloth(name: str, warp: Colour, weft: Colour, scale: float = 5.0, angle: float = 0.0) -> bpy.types.Material:
+def cloth(
+    name: str, warp: Colour, weft: Colour, scale: float = 5.0, angle: float = 0.0
+) -> bpy.types.Material:
     """Plaid: two crossing sets of bands."""
     material, graph = _new(name)
     vector = graph.coordinates(rotation=(angle, angle, angle))
@@ -214,7 +219,7 @@ def cloth(name: str, warp: Colour, weft: Colour, scale: float = 5.0, angle: floa
 
 
 def fabric(name: str, dark: Colour, light: Colour, scale: float = 11.0) -> bpy.types.Material:
-    """Heavy woven cover: mottled, with soft creases in the bump."""
+    """Heavy woven cover: mottled."""
     material, graph = _new(name)
     vector = graph.coordinates()
     weave = graph.noise(vector, scale, 3.0)
@@ -222,8 +227,6 @@ def fabric(name: str, dark: Colour, light: Colour, scale: float = 11.0) -> bpy.t
         graph,
         graph.ramp(weave, [(0.32, dark), (0.68, light)]),
         0.95,
-        bump=graph.noise(vector, 5.0, 2.0),
-        bump_height=0.02,
         specular=0.05,
     )
     return material

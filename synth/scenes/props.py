@@ -98,7 +98,8 @@ def lathe(
     for radius, height in profile:
         angles = [2.0 * math.pi * k / sides for k in range(sides)]
         ring = [
-            mesh.verts.new((max(radius, 1e-4) * math.cos(a), max(radius, 1e-4) * math.sin(a), height)) for a in angles
+            mesh.verts.new((max(radius, 1e-4) * math.cos(a), max(radius, 1e-4) * math.sin(a), height))
+            for a in angles
         ]
         rings.append(ring)
     for lower, upper in zip(rings, rings[1:], strict=False):
@@ -125,7 +126,9 @@ def ball(
     if lumps > 0.0:
         for vertex in mesh.verts:
             p = vertex.co / radius * 3.0
-            wobble = math.sin(p.x * 2.1 + seed) * math.sin(p.y * 2.7 + 2 * seed) + 0.6 * math.sin(p.z * 3.3 + seed)
+            wobble = math.sin(p.x * 2.1 + seed) * math.sin(p.y * 2.7 + 2 * seed) + 0.6 * math.sin(
+                p.z * 3.3 + seed
+            )
             vertex.co += vertex.co.normalized() * lumps * wobble
     item = finish(collection, name, mesh, material, smooth=True)
     item.location = centre

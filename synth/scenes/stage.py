@@ -36,6 +36,12 @@ class LightKnob:
     attribute: str
     base: float
 
+    def set(self, level: float) -> None:
+        """Set to ``level`` × base; untouched where it is so already, for Cycles then keeps its scene."""
+        value = self.base * level
+        if abs(getattr(self.owner, self.attribute) - value) > 1e-6 * abs(value):
+            setattr(self.owner, self.attribute, value)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Stage:
@@ -49,9 +55,9 @@ class Stage:
     def set_ambient(self, level: float) -> None:
         """Multiply sky, sun and fill by ``level``; lamps stay. Light transport is linear in it."""
         for knob in self.ambient:
-            setattr(knob.owner, knob.attribute, knob.base * level)
+            knob.set(level)
 
     def set_lamps(self, level: float) -> None:
         """Multiply the lamps by ``level``; the ambient light stays."""
         for knob in self.lamps:
-            setattr(knob.owner, knob.attribute, knob.base * level)
+            knob.set(level)
