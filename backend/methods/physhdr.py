@@ -13,6 +13,7 @@ import torch
 from torch import nn
 
 from ...bridge.errors import BadValueError
+from ..kernels.ssim import SsimTarget
 from ..model.gaussians import Gaussians
 from ..model.radiance import AdditiveModulator, LearnedComposer, LearnedModulator, ProductComposer
 from ..model.tone_mapper import ToneMapper, ToneMapperConfig
@@ -201,14 +202,15 @@ class PhysHDR(nn.Module):
     def losses(self, rendering: Rendering, picture: torch.Tensor) -> dict[str, torch.Tensor]:
         """The weighted terms of L_total (eq. 19) for a picture ``[3, H, W]`` in [0, 1]; sum them."""
         loss = self.config.loss
+        ssim_target = None if picture.is_cuda else SsimTarget(picture)
         terms = {
             "rec": torch.stack(
-                [reconstruction_loss(image, picture, loss) for image in rendering.supervised]
+                [reconstruction_loss(image, picture, loss, ssim_target) for image in rendering.supervised]
             ).sum()
         }
         if self.config.global_supervision:
             terms["global"] = self.config.global_supervision * reconstruction_loss(
-                rendering.global_ldr, picture, loss
+                rendering.global_ldr, picture, loss, ssim_target
             )
         if loss.consistency_weight and rendering.relit is not None:
             terms["cons"] = loss.consistency_weight * consistency_loss(

@@ -8,7 +8,7 @@ import torch
 from scipy.spatial import KDTree
 
 from ...bridge.errors import BadValueError
-from ..kernels_tmp import evaluate_sh
+from ..kernels.spherical_harmonics import evaluate_sh
 
 #: Bounds of ln radiance: 6e-6 … 8e3. Keeps exp() and its gradient finite (method.md section 9).
 LOG_RADIANCE_RANGE = (-12.0, 9.0)

@@ -8,7 +8,7 @@ starts at zero, so that training starts from the physical product and learns onl
 import torch
 from torch import nn
 
-from ..kernels_tmp import small_mlp
+from ..kernels.mlp import small_mlp
 from .gaussians import LOG_RADIANCE_RANGE
 
 #: The least that modulation leaves of an illumination.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import nn
 
-from ..kernels_tmp import Activation, curve_mlp
+from ..kernels.mlp import Activation, curve_mlp
 from .radiance import SmallNetwork
 
 #: Added to exposed radiance before its logarithm, as in GaussHDR.

@@ -6,7 +6,8 @@ from typing import Literal
 
 import torch
 
-from ..kernels_tmp import gaussian_blur, ssim
+from ..kernels.blur import gaussian_blur
+from ..kernels.ssim import SsimTarget, ssim
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,11 +31,19 @@ class LossConfig:
     unit_weight: float = 0.0
 
 
-def reconstruction_loss(prediction: torch.Tensor, target: torch.Tensor, config: LossConfig) -> torch.Tensor:
-    """One summand of L_rec (eq. 15): γ · pixel term + weight · (1 − SSIM)."""
+def reconstruction_loss(
+    prediction: torch.Tensor,
+    target: torch.Tensor,
+    config: LossConfig,
+    ssim_target: SsimTarget | None = None,
+) -> torch.Tensor:
+    """One summand of L_rec (eq. 15): γ · pixel term + weight · (1 − SSIM).
+
+    ``ssim_target``: what SSIM needs of ``target``, where several predictions are compared with it.
+    """
     difference = prediction - target
     pixel = difference.abs().mean() if config.pixel == "l1" else difference.square().mean()
-    return config.pixel_weight * pixel + config.dssim_weight * (1.0 - ssim(prediction, target))
+    return config.pixel_weight * pixel + config.dssim_weight * (1.0 - ssim(prediction, ssim_target or target))
 
 
 def consistency_loss(exposed: torch.Tensor, relit: torch.Tensor, config: LossConfig) -> torch.Tensor:
