@@ -13,7 +13,8 @@ SITE_PACKAGES = ROOT / ".venvs" / "blender" / "lib"
 
 def extension_tool() -> list[str] | None:
     """The command of Blender's extension tool: inside the bpy wheel, or the blender on PATH."""
-    for script in SITE_PACKAGES.glob("python3.*/site-packages/bpy/*/scripts/addons_core/bl_pkg/cli/blender_ext.py"):
+    pattern = "python3.*/site-packages/bpy/*/scripts/addons_core/bl_pkg/cli/blender_ext.py"
+    for script in SITE_PACKAGES.glob(pattern):
         return [str(ROOT / ".venvs" / "blender" / "bin" / "python"), str(script)]
     blender = shutil.which("blender")
     return [blender, "--command", "extension"] if blender else None

@@ -35,7 +35,8 @@ def main() -> int:
         for seed in arguments.seeds:
             folder = arguments.out / f"{preset}-{seed}"
             if not (folder / "evaluation.json").exists():
-                iterations = train_to_budget(arguments.data, folder, preset, seed, arguments.seconds, iterations)
+                budget = arguments.seconds
+                iterations = train_to_budget(arguments.data, folder, preset, seed, budget, iterations)
                 subprocess.check_call([PHYSHDR, "evaluate", folder], stdout=subprocess.DEVNULL)
             rows.append(summary(folder, preset, seed))
     table = markdown(rows)
@@ -81,8 +82,8 @@ def summary(folder: Path, preset: str, seed: int) -> dict:
 
 
 def markdown(rows: list[dict]) -> str:
-    head = "| preset | seed | iterations | CPU s | Gaussians | LDR-OE | LDR-NE | HDR | aligned | scale | relit | gain |"
-    lines = [head, "|---|" + "---:|" * 11]
+    columns = "preset seed iterations CPU_s Gaussians LDR-OE LDR-NE HDR aligned scale relit gain".split()
+    lines = [f"| {' | '.join(columns).replace('_', ' ')} |", "|---|" + "---:|" * (len(columns) - 1)]
     for row in rows:
         psnr = {name: metrics["psnr"] for name, metrics in row["means"].items()}
         relit = row["relit"].get("all", {})

@@ -16,8 +16,8 @@ from pathlib import Path
 import torch
 
 from physhdr.backend.cli.run_folder import Run, open_run
-from physhdr.backend.evaluate.metrics import display, hdr_normaliser, hdr_pair, psnr
-from physhdr.backend.evaluate.sheets import as_picture, labelled_grid
+from physhdr.backend.evaluate.metrics import display, hdr_pair, psnr
+from physhdr.backend.evaluate.sheets import as_picture, display_white, labelled_grid
 from physhdr.backend.evaluate.truth import hdr_truth, relit_truth
 from physhdr.backend.scene.pictures import read_exr, write_png
 from physhdr.backend.train.checkpoint import load_checkpoint
@@ -122,10 +122,10 @@ def write_result(run: Run, data: Path, pose: int, relit: Path, path: Path) -> st
         label = f"{view.exposures[k]:g} s"
         rows.append([(f"truth, {label}", truth), (f"ours, {psnr(ours, truth):.1f} dB", ours)])
     truth = hdr_truth(data, "test", pose)
-    normaliser = hdr_normaliser(truth)
+    white = display_white(truth)
 
     def shown(radiance: torch.Tensor) -> torch.Tensor:
-        return display(radiance, normaliser).float()
+        return display(radiance, white).float()
 
     ours = method.hdr(view.camera)
     pair = hdr_pair(ours, truth)

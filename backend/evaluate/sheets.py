@@ -8,11 +8,13 @@ from PIL import Image, ImageDraw, ImageFont
 from ...bridge.errors import BadValueError
 from ..scene.scene import Scene, View
 from . import truth
-from .metrics import MU, display, hdr_normaliser, psnr, quantise, resize_to
+from .metrics import MU, display, hdr_pair, psnr, quantise, resize_to
 from .protocol import Renderer
 
 #: Residuals are shown this many times too bright: 1/8 of the range is white.
 RESIDUAL_GAIN = 8.0
+#: What is shown as white in HDR pictures. The metrics keep the protocol's own normaliser, the maximum.
+WHITE_QUANTILE = 0.999
 #: Cells narrower than this (pixels) are enlarged by a whole factor, so that labels fit and faults show.
 SMALLEST_CELL = 240
 
@@ -141,7 +143,8 @@ def comparison_sheet(
                 label = f"{view.name} ambient × {item.level:g}"
                 rows.append(_hdr_row(renderer, view, item.level, item.radiance(), label, gain))
     note = (
-        f"residual: absolute difference × {gain:g}; HDR and relit rows: μ-law, μ = {MU:g}, / maximum of truth"
+        f"residual: absolute difference × {gain:g}; HDR and relit rows: μ-law, μ = {MU:g}, "
+        f"white is the {100.0 * WHITE_QUANTILE:g}th percentile of the truth"
     )
     return labelled_grid(rows, f"{scene.name}: truth, ours, residual", note)
 
@@ -156,15 +159,26 @@ def _ldr_row(renderer: Renderer, view: View, k: int, gain: float) -> list[Cell]:
 def _hdr_row(
     renderer: Renderer, view: View, level: float, reference: torch.Tensor, label: str, gain: float
 ) -> list[Cell]:
-    normaliser = hdr_normaliser(reference)
     radiance = renderer.hdr(view.camera, level).detach().cpu()
-    shown = resize_to(display(reference, normaliser), radiance.shape[1], radiance.shape[2])
-    return _row(label, quantise(display(radiance, normaliser)), quantise(shown), gain)
+    pair = hdr_pair(radiance, reference)
+    white = display_white(reference)
+    shown = resize_to(display(reference, white), radiance.shape[1], radiance.shape[2])
+    decibels = psnr(pair.prediction, pair.truth)
+    return _row(label, quantise(display(radiance, white)), quantise(shown), gain, decibels)
 
 
-def _row(label: str, ours: torch.Tensor, reference: torch.Tensor, gain: float) -> list[Cell]:
+def display_white(radiance: torch.Tensor) -> float:
+    """The radiance to show as white: a high percentile, because a bare bulb would leave the rest black."""
+    flat = radiance.flatten().double()
+    return max(float(torch.quantile(flat[:: max(1, flat.numel() // 1_000_000)], WHITE_QUANTILE)), 1e-6)
+
+
+def _row(
+    label: str, ours: torch.Tensor, reference: torch.Tensor, gain: float, decibels: float | None = None
+) -> list[Cell]:
+    decibels = psnr(ours, reference) if decibels is None else decibels
     return [
         (f"{label}: truth", as_picture(reference)),
-        (f"ours, {psnr(ours, reference):.2f} dB", as_picture(ours)),
+        (f"ours, {decibels:.2f} dB", as_picture(ours)),
         (f"residual × {gain:g}", residual(ours, reference, gain)),
     ]
