@@ -20,7 +20,7 @@ from .renderer import Renderer, view_seed
 from .response import Response, by_name
 from .scenes import built
 
-GENERATOR = {"name": "physhdr synth", "version": "0.1.0"}
+GENERATOR = {"name": "physhdr synth", "version": "0.1.1"}
 DENOISER = "OpenImageDenoise"
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec.709
 
@@ -63,13 +63,16 @@ def make(out: Path, options: Options) -> None:
         _check_existing(out, [picture for picture in pictures if picture not in missing], options)
         kept = len(pictures) - len(missing)
         say(f"data set {out}: {len(pictures)} pictures of '{options.scene}', {kept} already there")
-        if missing and state.get("blender", bpy.app.version_string) != bpy.app.version_string:
+        if (out / folder.FINAL).exists() and not missing and _is_complete(out, pictures, options):
+            say(f"data set {out}: complete already, nothing to do")
+            return
+        maker = {**GENERATOR, "blender": bpy.app.version_string}
+        if state and state.get("generator") != maker:
             raise ConflictError(
-                f"'{out}' was begun with Blender {state['blender']}, this is {bpy.app.version_string}: "
-                "go on with that one, or choose another --out"
+                f"'{out}' was begun by {_told(state.get('generator'))}, this is {_told(maker)}: "
+                "go on with that one, or choose another --out (nothing was changed)"
             )
-        head = {"format": folder.FORMAT, "version": folder.VERSION, "options": asked}
-        head["blender"] = bpy.app.version_string
+        head = {"format": folder.FORMAT, "version": folder.VERSION, "generator": maker, "options": asked}
         if not (out / folder.FINAL).exists():
             folder.write_json(out / folder.PARTIAL, {**head, "noise_floor": state.get("noise_floor")})
         _write_poses(out, pictures, options, stage.cameras.angle_x)
@@ -85,9 +88,8 @@ def make(out: Path, options: Options) -> None:
     folder.write_json(out / folder.FINAL, content)
     (out / folder.PARTIAL).unlink(missing_ok=True)
     stops = content["dynamic_range"]["stops"]
-    say(
-        f"noise floor {floor['psnr']} dB at {list(options.exposures)} s, HDR {floor['hdr_psnr']} dB; {stops} stops"
-    )
+    say(f"noise floor {floor['psnr']} dB at {list(options.exposures)} s, HDR {floor['hdr_psnr']} dB")
+    say(f"dynamic range of the training views: {stops} stops")
     say(f"data set {out}: complete in {time.monotonic() - began:.0f} s")
 
 
@@ -96,7 +98,9 @@ def plan(poses: rig.RigPoses, options: Options) -> list[Picture]:
     train = [Picture("train", k, pose, 1.0) for k, pose in enumerate(poses.train)]
     test = [Picture("test", k, pose, 1.0) for k, pose in enumerate(poses.test)]
     levels = options.lit_levels
-    lit = [Picture("lit", k, pose, levels[k % len(levels)]) for k, pose in enumerate(poses.lit)]
+    lit = [
+        Picture("lit", k, pose, levels[k * len(levels) // len(poses.lit)]) for k, pose in enumerate(poses.lit)
+    ]
     relit = [
         Picture("", k, poses.test[k], level)
         for level in options.ambient_levels
@@ -105,13 +109,31 @@ def plan(poses: rig.RigPoses, options: Options) -> list[Picture]:
     return [*train, *test, *lit, *relit]
 
 
+def _told(maker: Any) -> str:
+    return (
+        ", ".join(f"{value}" for value in maker.values()) if isinstance(maker, dict) else "an unknown version"
+    )
+
+
+def _is_complete(out: Path, pictures: list[Picture], options: Options) -> bool:
+    """Whether everything beside the EXRs is there."""
+    splits = {picture.split for picture in pictures if picture.split}
+    names = [
+        "points3d.ply",
+        *(f"{kind}_{split}.json" for split in splits for kind in ("transforms", "exposure")),
+    ]
+    names += [p.bracket(k) for p in pictures if p.split for k in range(len(options.exposures))]
+    return all((out / name).exists() for name in names)
+
+
 def _check_existing(out: Path, pictures: list[Picture], options: Options) -> None:
     width, height = options.resolution
     for picture in pictures:
         shape = exr.read(out / picture.name).shape
         if shape != (height, width, 3):
             raise DamagedFileError(
-                f"'{out / picture.name}' is {shape[1]} × {shape[0]}, not {width} × {height}: delete it and run again"
+                f"'{out / picture.name}' is {shape[1]} × {shape[0]}, not {width} × {height}: "
+                "delete it and run again"
             )
 
 
@@ -207,7 +229,7 @@ def _describe(
     return {
         "format": head["format"],
         "version": head["version"],
-        "generator": {**GENERATOR, "blender": head["blender"]},
+        "generator": head["generator"],
         "scene": options.scene,
         "seed": options.seed,
         "resolution": list(options.resolution),
@@ -225,6 +247,5 @@ def _describe(
         },
         "noise_floor": floor,
         "dynamic_range": {"percentile_1": low, "maximum": high, "stops": stops},
-        "blender": head["blender"],
         "options": head["options"],
     }

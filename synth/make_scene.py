@@ -13,15 +13,16 @@ import argparse
 import sys
 from pathlib import Path
 
-if __package__ in (None, ""):  # run as a script: the repository's root is not on the path
+if not globals().get("__package__"):  # run as a script: make it a module of the package `synth` (PEP 366)
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+    __package__ = "synth"
 
 
 def parser() -> argparse.ArgumentParser:
-    from synth.options import Options
-    from synth.response import BUILT_IN
-    from synth.rig import RIGS
-    from synth.scenes import SCENES
+    from .options import Options
+    from .response import BUILT_IN
+    from .rig import RIGS
+    from .scenes import SCENES
 
     default = Options()
 
@@ -50,7 +51,12 @@ def parser() -> argparse.ArgumentParser:
         metavar="L,L,…",
         help="relit truth: factors on sky, sun and fill; the lamps stay",
     )
-    add("--relit-views", type=int, default=default.relit_views, help="test poses that get the relit truth")
+    add(
+        "--relit-views",
+        type=int,
+        default=argparse.SUPPRESS,
+        help=f"test poses that get the relit truth (default: {default.relit_views}, or all if fewer)",
+    )
     add(
         "--lit-levels",
         default=listed(default.lit_levels),
@@ -69,9 +75,9 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: list[str]) -> int:
     """Exit code: 0 done, 1 an error the message explains, 2 wrong usage, 130 interrupted."""
-    from synth.dataset import make
-    from synth.errors import SynthError
-    from synth.options import Options, parse_numbers, parse_resolution
+    from .dataset import make
+    from .errors import SynthError
+    from .options import Options, parse_numbers, parse_resolution
 
     given = parser().parse_args(arguments)
     try:
@@ -84,7 +90,7 @@ def main(arguments: list[str]) -> int:
             crf=given.crf,
             seed=given.seed,
             ambient_levels=parse_numbers("--ambient-levels", given.ambient_levels),
-            relit_views=given.relit_views,
+            relit_views=getattr(given, "relit_views", min(Options.relit_views, given.views // 2)),
             lit_levels=parse_numbers("--lit-levels", given.lit_levels),
             lit_views=given.lit_views,
             camera_rig=given.camera_rig,

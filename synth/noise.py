@@ -27,7 +27,7 @@ def mu_law(radiance: np.ndarray, maximum: float) -> np.ndarray:
 def floor(
     first: np.ndarray, second: np.ndarray, response: Response, exposures: tuple[float, ...]
 ) -> dict[str, object]:
-    """``psnr`` at each exposure after response and 8 bit, and ``hdr_psnr`` (μ-law over the first's maximum)."""
+    """``psnr`` at each exposure after response and 8 bit; ``hdr_psnr``: μ-law over the first's maximum."""
     brackets = [
         psnr(
             quantise(response(first.astype(np.float64) * t)),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Points on visible surfaces, as structure from motion would give: exact ray hits from the training cameras."""
+"""Points on visible surfaces, as from structure from motion: exact ray hits of the training cameras."""
 
 from __future__ import annotations
 

@@ -4,10 +4,7 @@
 from __future__ import annotations
 
 import os
-import sys
 import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import bpy
@@ -17,31 +14,17 @@ from mathutils import Matrix
 from . import exr
 from .errors import RenderError
 from .folder import temporary
+from .progress import quiet
 from .scenes.stage import Stage
 
 
 def view_seed(seed: int, name: str) -> int:
-    """Cycles seed of a picture: a hash of ``--seed`` and the file's name, so that no two share their noise."""
+    """Cycles seed of a picture: a hash of ``--seed`` and the file's name, so that no two share noise."""
     return zlib.crc32(f"{seed}/{name}".encode()) & 0x7FFFFFFF
 
 
-@contextmanager
-def quiet() -> Iterator[None]:
-    """Blender reports each saved file on the process's stdout: keep it off (errors still raise)."""
-    sys.stdout.flush()
-    kept = os.dup(1)
-    sink = os.open(os.devnull, os.O_WRONLY)
-    try:
-        os.dup2(sink, 1)
-        yield
-    finally:
-        os.dup2(kept, 1)
-        os.close(kept)
-        os.close(sink)
-
-
 class Renderer:
-    """A camera in a built stage. The scene's settings must be applied (``settings.applied``) around its use."""
+    """A camera in a built stage. ``settings.applied`` must be around its use."""
 
     def __init__(self, stage: Stage) -> None:
         self.stage = stage

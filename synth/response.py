@@ -84,7 +84,7 @@ BUILT_IN: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 
 
 def from_file(path: Path) -> Response:
-    """A measured curve: JSON ``[[x, code], …]``, or text with two numbers a line (``#`` comments, commas allowed).
+    """A measured curve: JSON ``[[x, code], …]``, or text with two numbers a line (``#`` starts a comment).
 
     x (exposure × radiance) and code rise; between points the curve is linear in x, below the first it goes
     to 0 at x = 0, above the last it stays.

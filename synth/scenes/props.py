@@ -6,6 +6,7 @@ Only bmesh and the data API are used, no operators: they work without a window o
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 
@@ -102,7 +103,7 @@ def lathe(
             for a in angles
         ]
         rings.append(ring)
-    for lower, upper in zip(rings, rings[1:], strict=False):
+    for lower, upper in itertools.pairwise(rings):
         for k in range(sides):
             mesh.faces.new((lower[k], lower[(k + 1) % sides], upper[(k + 1) % sides], upper[k]))
     item = finish(collection, name, mesh, material, smooth=True)

@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Camera responses against closed forms, published points and Blender's own output."""
+
+from __future__ import annotations
+
+import json
+
+import bpy
+import numpy as np
+import pytest
+
+from physhdr.synth import noise, response
+from physhdr.synth.errors import ResponseFileError, UnknownNameError
+from physhdr.synth.png import quantise
+
+
+def test_reinhard_gamma_meets_the_published_point():
+    """HDR-NeRF's unit-exposure loss uses 0.73 at 1."""
+    curve = response.by_name("reinhard-gamma")
+    assert curve(np.array(1.0)) == pytest.approx(0.73, abs=5e-4)
+    assert curve.anchor() == [1.0, pytest.approx(0.5 ** (1 / 2.2))]
+    assert curve(np.array([0.0, 1e9])) == pytest.approx([0.0, 1.0], abs=1e-6)
+
+
+def test_srgb_meets_the_standard():
+    """IEC 61966-2-1: 8-bit code 128 is linear 0.21586, the linear part has slope 12.92; 1 saturates."""
+    curve = response.by_name("srgb")
+    assert curve(np.array(0.2158605)) == pytest.approx(128 / 255, abs=1e-5)
+    assert curve(np.array(0.001)) == pytest.approx(0.01292)
+    assert curve(np.array(7.0)) == pytest.approx(1.0)
+    assert curve.anchor() == [0.18, pytest.approx(0.46135, abs=1e-4)]
+
+
+@pytest.mark.parametrize(
+    ("name", "transform", "look"), [("srgb", "Standard", "None"), ("filmic", "Filmic", "Medium Contrast")]
+)
+def test_blender_saves_the_same_brackets(tmp_path, name, transform, look):
+    """Blender's own 8-bit save of greys over 18 stops, to one code."""
+    scene = bpy.data.scenes.new("save")
+    try:
+        scene.view_settings.view_transform, scene.view_settings.look = transform, look
+        scene.render.dither_intensity = 0.0
+        picture = scene.render.image_settings
+        picture.file_format, picture.color_mode, picture.color_depth = "PNG", "RGB", "8"
+        grey = np.exp2(np.linspace(-12.2, 5.8, 512)).astype(np.float32)
+        image = bpy.data.images.new("greys", 512, 1, float_buffer=True)
+        image.colorspace_settings.name = "Linear Rec.709"
+        image.pixels.foreach_set(np.stack([grey, grey, grey, np.ones_like(grey)], -1).ravel())
+        image.save_render(str(tmp_path / "greys.png"), scene=scene)
+        saved = bpy.data.images.load(str(tmp_path / "greys.png"))
+        saved.colorspace_settings.name = "Non-Color"
+        codes = np.empty(512 * 4, np.float32)
+        saved.pixels.foreach_get(codes)
+        bpy.data.images.remove(saved)
+        bpy.data.images.remove(image)
+    finally:
+        bpy.data.scenes.remove(scene)
+    theirs = np.round(codes.reshape(-1, 4)[:, 0] * 255)
+    ours = quantise(response.by_name(name)(grey)).astype(int)
+    assert theirs.min() < 10 and theirs.max() == 255
+    assert np.abs(ours - theirs).max() <= 1
+
+
+@pytest.mark.parametrize("name", sorted(response.BUILT_IN))
+def test_a_response_rises_and_its_anchor_tells_the_scale(name):
+    curve = response.by_name(name)
+    x = np.concatenate([[0.0], np.exp2(np.linspace(-15, 12, 400))])
+    code = curve(x)
+    assert (np.diff(code) >= 0).all() and code[0] == 0 and code[-1] == pytest.approx(1.0, abs=1e-3)
+    at, value = curve.anchor()
+    assert value == curve(np.array(at)) and 0.1 < value < 0.95
+    assert curve(np.array(at * 1.05)) > value + 1e-3  # 5 % of radiance can be told there
+
+
+def test_a_curve_from_a_file(tmp_path):
+    text = tmp_path / "curve.txt"
+    text.write_text("# exposure code\n0.5, 0.4\n1.0, 0.6\n4.0, 0.96\n")
+    curve = response.by_name(str(text))
+    assert curve(np.array([0.0, 0.25, 0.75, 4.0, 100.0])) == pytest.approx([0.0, 0.2, 0.5, 0.96, 0.96])
+    assert curve.describe() == {
+        "name": "file",
+        "anchor": [1.0, 0.6],
+        "curve": [[0.5, 0.4], [1.0, 0.6], [4.0, 0.96]],
+    }
+    (tmp_path / "curve.json").write_text(json.dumps([[0.5, 0.4], [1.0, 0.6], [4.0, 0.96]]))
+    assert response.by_name(str(tmp_path / "curve.json")).describe() == curve.describe()
+
+
+@pytest.mark.parametrize(
+    "content", ["", "1 2\n", "a b\n1 2\n", "0 0\n1 0.5\n1 0.6\n", "0 0\n1 0.5\n2 0.4\n", "0 0\n1 2\n"]
+)
+def test_a_bad_curve_is_refused(tmp_path, content):
+    path = tmp_path / "curve.txt"
+    path.write_text(content)
+    with pytest.raises(ResponseFileError, match=r"curve\.txt"):
+        response.by_name(str(path))
+
+
+def test_unknown_names_are_told_the_known_ones():
+    with pytest.raises(UnknownNameError, match="filmic, reinhard-gamma, srgb"):
+        response.by_name("agx")
+
+
+def test_psnr_and_mu_law_against_closed_forms():
+    a = np.full((4, 4, 3), 100, np.uint8)
+    assert noise.psnr(a, a + 5) == pytest.approx(20 * np.log10(255 / 5))
+    assert noise.psnr(a, a) == noise.CEILING
+    assert noise.mu_law(np.array([0.0, 2.0, 8.0]), 4.0) == pytest.approx([0, np.log(2501) / np.log(5001), 1])
+    radiance = np.full((2, 2, 3), 1.0)
+    floor = noise.floor(radiance, radiance * 3, response.by_name("srgb"), (0.05, 10.0))
+    # 0.05 and 0.15 through sRGB are codes 63 and 108; at 10 both are white
+    assert floor["psnr"] == [pytest.approx(20 * np.log10(255 / (108 - 63)), abs=1e-3), noise.CEILING]
