@@ -209,6 +209,38 @@ def store(typing, value, array, index):
 
 
 @intrinsic
+def load_halves(typing, array, first, second):
+    """Half a vector from ``array[first:]``, the other half from ``array[second:]``."""
+
+    def generate(context, builder, sig, args):
+        half = ir.VectorType(_FLOAT, LANES // 2)
+        parts = []
+        for index in args[1:]:
+            pointer = _pointer(context, builder, sig.args[0], args[0], index)
+            parts.append(builder.load(builder.bitcast(pointer, half.as_pointer()), align=4))
+        return builder.shuffle_vector(*parts, ir.Constant(_IVECTOR, list(range(LANES))))
+
+    return vector(array, types.intp, types.intp), generate
+
+
+@intrinsic
+def store_halves(typing, value, array, first, second):
+    """The first half of ``value`` to ``array[first:]``, the second to ``array[second:]``."""
+
+    def generate(context, builder, sig, args):
+        half = ir.VectorType(_FLOAT, LANES // 2)
+        for part, index in enumerate(args[2:]):
+            lanes = [part * LANES // 2 + i for i in range(LANES // 2)]
+            indices = ir.Constant(ir.VectorType(_I32, LANES // 2), lanes)
+            value = builder.shuffle_vector(args[0], ir.Constant(_VECTOR, ir.Undefined), indices)
+            pointer = _pointer(context, builder, sig.args[1], args[1], index)
+            builder.store(value, builder.bitcast(pointer, half.as_pointer()), align=4)
+        return context.get_dummy_value()
+
+    return types.void(vector, array, types.intp, types.intp), generate
+
+
+@intrinsic
 def load_strided(typing, array, index, stride, count):
     """``array[index + stride * lane]`` for the first ``count ≥ 1`` lanes; the others repeat the last."""
 
@@ -550,10 +582,10 @@ def store_totals(typing, values, array, index):
 
 @intrinsic
 def lowest_bit(typing, bits):
-    """The number of the lowest bit set; ``bits`` must not be 0."""
+    """The number of the lowest bit set, 64 if none is."""
 
     def generate(context, builder, sig, args):
-        return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))
+        return builder.cttz(args[0], ir.Constant(ir.IntType(1), 0))
 
     return types.int64(types.uint64), generate
 

@@ -41,6 +41,7 @@ from .simd import (
     lane_numbers,
     load,
     load_each,
+    load_halves,
     lowest_bit,
     maximum,
     minimum,
@@ -52,6 +53,7 @@ from .simd import (
     square_root,
     store,
     store_each,
+    store_halves,
     store_totals,
     take_ticket,
     zero_each,
@@ -62,7 +64,7 @@ BLOCK_HEIGHT = 2
 BLOCKS_X = TILE_WIDTH // BLOCK_WIDTH
 BLOCKS_Y = TILE_HEIGHT // BLOCK_HEIGHT
 BLOCKS = BLOCKS_X * BLOCKS_Y
-assert BLOCKS_X <= 8 and BLOCKS_Y == 8, "block (x, y) is bit 8 y + x of a uint64"
+assert BLOCKS_X == 8 and BLOCKS_Y == 8, "block (x, y) is bit 8 y + x of a uint64"
 
 #: How many Gaussians ahead their records are fetched; measured, flat between 2 and 8.
 AHEAD = 4
@@ -112,51 +114,56 @@ def _lane_rows():
 
 
 @njit
-def _read_tile(image, plane, width, height, left, top, state, offset, step, outside):
-    """Copy a tile of one plane of a planar image to ``state[offset + block · step :]``, block by block."""
-    for row in range(TILE_HEIGHT):
-        y = top + row
-        for block_x in range(BLOCKS_X):
-            block = (row // BLOCK_HEIGHT) * BLOCKS_X + block_x
-            to = offset + block * step + (row % BLOCK_HEIGHT) * BLOCK_WIDTH
-            x = left + block_x * BLOCK_WIDTH
-            at = (plane * height + y) * width + x
-            if y < height and x + BLOCK_WIDTH <= width:
-                for i in range(BLOCK_WIDTH):
-                    state[to + i] = image[at + i]
-            else:
-                for i in range(BLOCK_WIDTH):
-                    state[to + i] = image[at + i] if y < height and x + i < width else outside
+def _block_corners():
+    """x and y of every block's corner in its tile, by bit.
+
+    Tables, because converting an integer in the inner loop (vcvtsi2ss) makes every block wait for the one
+    before: the instruction depends on the old value of its target register. Measured: 2 × slower.
+    """
+    bits = np.arange(BLOCKS + 1)
+    return (bits % 8 * BLOCK_WIDTH).astype(np.float32), (bits // 8 * BLOCK_HEIGHT).astype(np.float32)
 
 
 @njit
-def _write_tile(image, plane, width, height, left, top, state, offset, step):
-    """The way back of ``_read_tile``."""
-    for row in range(min(TILE_HEIGHT, height - top)):
-        for block_x in range(BLOCKS_X):
-            block = (row // BLOCK_HEIGHT) * BLOCKS_X + block_x
-            from_ = offset + block * step + (row % BLOCK_HEIGHT) * BLOCK_WIDTH
-            x = left + block_x * BLOCK_WIDTH
-            at = (plane * height + top + row) * width + x
-            if x + BLOCK_WIDTH <= width:
-                for i in range(BLOCK_WIDTH):
-                    image[at + i] = state[from_ + i]
-            else:
-                for i in range(width - x):
-                    image[at + i] = state[from_ + i]
+def _exponent(l11, l21, minus_q, bias, dx, dy):
+    """t: alpha is 2^(8 t)."""
+    u = fma(l11, dx, l21 * dy)
+    return fma(-u, u, fma(minus_q, dy * dy, bias))
+
+
+@njit
+def _read_edge_block(image, at, x, y, width, height, pixels):
+    """A block of a plane that the image's border cuts, zero outside; ``at``: its pixel (x, y)."""
+    for i in range(LANES):
+        inside = x + i % BLOCK_WIDTH < width and y + i // BLOCK_WIDTH < height
+        pixels[i] = image[at + i // BLOCK_WIDTH * width + i % BLOCK_WIDTH] if inside else 0.0
+    return load(pixels, 0)
+
+
+@njit
+def _write_edge_block(value, image, at, x, y, width, height, pixels):
+    """The way back of ``_read_edge_block``."""
+    store(value, pixels, 0)
+    for i in range(LANES):
+        if x + i % BLOCK_WIDTH < width and y + i // BLOCK_WIDTH < height:
+            image[at + i // BLOCK_WIDTH * width + i % BLOCK_WIDTH] = pixels[i]
 
 
 @njit
 def _start_tile(width, height, left, top, state, step):
     """Set T of every block: 1 inside the image, −1 (finished) outside. Returns the blocks with pixels."""
+    state[BLOCKS * step : BLOCKS * step + LANES] = -1.0  # the spare block
     alive = _ZERO
     for block in range(BLOCKS):
         x, y = left + block % BLOCKS_X * BLOCK_WIDTH, top + block // BLOCKS_X * BLOCK_HEIGHT
-        for i in range(LANES):
-            inside = x + i % BLOCK_WIDTH < width and y + i // BLOCK_WIDTH < height
-            state[block * step + i] = 1.0 if inside else -1.0
         if x < width and y < height:
-            alive |= _ONE << np.uint64(block // BLOCKS_X * 8 + block % BLOCKS_X)
+            alive |= _ONE << np.uint64(block)
+        if x + BLOCK_WIDTH <= width and y + BLOCK_HEIGHT <= height:
+            store(splat(1.0), state, block * step)
+        else:
+            for i in range(LANES):
+                inside = x + i % BLOCK_WIDTH < width and y + i // BLOCK_WIDTH < height
+                state[block * step + i] = 1.0 if inside else -1.0
     return alive
 
 
@@ -170,8 +177,10 @@ def draw(counter, tile_order, tile_starts, tile_ranks, tile_slots, records, stri
     blocks to which the (Gaussian, tile) pair contributed.
     """
     step = (1 + len(channels)) * LANES
-    state = np.empty(BLOCKS * step, np.float32)
+    state = np.zeros((BLOCKS + 1) * step, np.float32)
+    edge = np.empty(LANES, np.float32)
     columns, rows = _lane_columns(), _lane_rows()
+    corner_x, corner_y = _block_corners()
     group_rows = lane_numbers() * float(BLOCK_HEIGHT)
     keep_blocks = slot_blocks.size > 0
     while True:
@@ -180,13 +189,14 @@ def draw(counter, tile_order, tile_starts, tile_ranks, tile_slots, records, stri
             break
         tile = tile_order[ticket]
         left, top = tile % tiles_x * TILE_WIDTH, tile // tiles_x * TILE_HEIGHT
-        state[:] = 0.0
+        left_f, top_f = np.float32(left), np.float32(top)
+        state[: BLOCKS * step] = 0.0
         alive = _start_tile(width, height, left, top, state, step)
         end = tile_starts[tile + 1]
         for entry in range(tile_starts[tile], end):
             prefetch(records, tile_ranks[min(entry + AHEAD, end - 1)] * stride)
             at = tile_ranks[entry] * stride
-            mean_x, mean_y = records[at + MEAN_X] - left, records[at + MEAN_Y] - top
+            mean_x, mean_y = records[at + MEAN_X] - left_f, records[at + MEAN_Y] - top_f
             scalar_l11, scalar_l21 = records[at + L11], records[at + L21]
             blocks = alive & _blocks(
                 mean_x,
@@ -205,37 +215,58 @@ def draw(counter, tile_order, tile_starts, tile_ranks, tile_slots, records, stri
             colours = splat_each(channels, records, at + RECORD_HEAD)
             contributed = _ZERO
             while blocks != _ZERO:
-                bit = lowest_bit(blocks)
+                # Two blocks at a time; an odd one out is paired with the spare block, which is finished.
+                bit0 = lowest_bit(blocks)
                 blocks &= blocks - _ONE
-                here = ((bit >> 3) * BLOCKS_X + (bit & 7)) * step
-                dx = lane_x + np.float32((bit & 7) * BLOCK_WIDTH)
-                dy = lane_y + np.float32((bit >> 3) * BLOCK_HEIGHT)
-                u = fma(l11, dx, l21 * dy)
-                t = fma(-u, u, fma(minus_q, dy * dy, bias))
-                a = minimum(exp2_of_8(t), ALPHA_MAX)
-                seen = t >= T_MIN
-                a = select(seen, a, 0.0)
-                T = load(state, here)
-                after = fma(-a, T, T)
-                goes_on = after > TRANSMITTANCE_MIN
-                weight = select(goes_on, a * T, 0.0)
-                T = select(goes_on, after, -absolute(T))
-                store(T, state, here)
-                drawn = load_each(channels, state, here + LANES, LANES)
-                store_each(fma_each(weight, colours, drawn), state, here + LANES, LANES)
-                if keep_blocks and any_lane(goes_on & seen):
-                    contributed |= _ONE << np.uint64(bit)
-                if not any_lane(T > 0.0):
-                    alive &= ~(_ONE << np.uint64(bit))
+                bit1 = lowest_bit(blocks)
+                blocks &= blocks - _ONE
+                here0, here1 = bit0 * step, bit1 * step
+                dx0, dy0 = lane_x + corner_x[bit0], lane_y + corner_y[bit0]
+                dx1, dy1 = lane_x + corner_x[bit1], lane_y + corner_y[bit1]
+                t0, t1 = (
+                    _exponent(l11, l21, minus_q, bias, dx0, dy0),
+                    _exponent(l11, l21, minus_q, bias, dx1, dy1),
+                )
+                T0, T1 = load(state, here0), load(state, here1)
+                seen0, seen1 = t0 >= T_MIN, t1 >= T_MIN
+                a0 = select(seen0, minimum(exp2_of_8(t0), ALPHA_MAX), 0.0)
+                a1 = select(seen1, minimum(exp2_of_8(t1), ALPHA_MAX), 0.0)
+                after0, after1 = fma(-a0, T0, T0), fma(-a1, T1, T1)
+                on0, on1 = after0 > TRANSMITTANCE_MIN, after1 > TRANSMITTANCE_MIN
+                weight0, weight1 = select(on0, a0 * T0, 0.0), select(on1, a1 * T1, 0.0)
+                T0, T1 = select(on0, after0, -absolute(T0)), select(on1, after1, -absolute(T1))
+                store(T0, state, here0)
+                store(T1, state, here1)
+                drawn0 = fma_each(weight0, colours, load_each(channels, state, here0 + LANES, LANES))
+                drawn1 = fma_each(weight1, colours, load_each(channels, state, here1 + LANES, LANES))
+                store_each(drawn0, state, here0 + LANES, LANES)
+                store_each(drawn1, state, here1 + LANES, LANES)
+                if keep_blocks:
+                    contributed |= np.uint64(any_lane(on0 & seen0)) << np.uint64(bit0)
+                    contributed |= np.uint64(any_lane(on1 & seen1)) << np.uint64(bit1 & 63)
+                if not any_lane(T0 > 0.0):
+                    alive &= ~(_ONE << np.uint64(bit0))
+                if bit1 < BLOCKS and not any_lane(T1 > 0.0):
+                    alive &= ~(_ONE << np.uint64(bit1))
             if keep_blocks:
                 slot_blocks[tile_slots[entry]] = contributed
             if alive == _ZERO:
                 break
         for block in range(BLOCKS):
-            store(1.0 - absolute(load(state, block * step)), state, block * step)
-        _write_tile(alpha, 0, width, height, left, top, state, 0, step)
-        for c in range(len(channels)):
-            _write_tile(image, c, width, height, left, top, state, (1 + c) * LANES, step)
+            x, y = left + block % BLOCKS_X * BLOCK_WIDTH, top + block // BLOCKS_X * BLOCK_HEIGHT
+            if x >= width or y >= height:
+                continue
+            whole = x + BLOCK_WIDTH <= width and y + BLOCK_HEIGHT <= height
+            for plane in range(1 + len(channels)):
+                value, at = load(state, block * step + plane * LANES), y * width + x
+                if plane == 0:
+                    value, target = 1.0 - absolute(value), alpha
+                else:
+                    target, at = image, at + (plane - 1) * height * width
+                if whole:
+                    store_halves(value, target, at, at + width)
+                else:
+                    _write_edge_block(value, target, at, x, y, width, height, edge)
 
 
 @njit(nogil=True, cache=True, error_model="numpy")
@@ -247,66 +278,95 @@ def draw_backward(counter, tile_order, tile_starts, tile_ranks, tile_slots, reco
     Arguments as of ``draw``; ``image`` and ``alpha`` as it drew them.
     """
     step = (3 + len(channels)) * LANES  # T, rest, g_A, g …
-    state = np.empty(BLOCKS * step, np.float32)
+    state = np.zeros((BLOCKS + 1) * step, np.float32)
+    edge = np.empty(LANES, np.float32)
     columns, rows = _lane_columns(), _lane_rows()
+    corner_x, corner_y = _block_corners()
     while True:
         ticket = take_ticket(counter)
         if ticket >= tile_order.size:
             break
         tile = tile_order[ticket]
         left, top = tile % tiles_x * TILE_WIDTH, tile // tiles_x * TILE_HEIGHT
-        # rest = ⟨C, g⟩ + A g_A, with each plane of C passing through T's place.
-        _read_tile(grad_alpha, 0, width, height, left, top, state, 2 * LANES, step, 0.0)
-        _read_tile(alpha, 0, width, height, left, top, state, 0, step, 0.0)
-        for here in range(0, BLOCKS * step, step):
-            store(load(state, here) * load(state, here + 2 * LANES), state, here + LANES)
-        for c in range(len(channels)):
-            _read_tile(grad_image, c, width, height, left, top, state, (3 + c) * LANES, step, 0.0)
-            _read_tile(image, c, width, height, left, top, state, 0, step, 0.0)
-            for here in range(0, BLOCKS * step, step):
-                rest = fma(load(state, here), load(state, here + (3 + c) * LANES), load(state, here + LANES))
-                store(rest, state, here + LANES)
+        left_f, top_f = np.float32(left), np.float32(top)
+        for block in range(BLOCKS):
+            x, y = left + block % BLOCKS_X * BLOCK_WIDTH, top + block // BLOCKS_X * BLOCK_HEIGHT
+            if x >= width or y >= height:
+                continue
+            whole = x + BLOCK_WIDTH <= width and y + BLOCK_HEIGHT <= height
+            here, at = block * step, y * width + x
+            if whole:
+                g, drawn = load_halves(grad_alpha, at, at + width), load_halves(alpha, at, at + width)
+            else:
+                g = _read_edge_block(grad_alpha, at, x, y, width, height, edge)
+                drawn = _read_edge_block(alpha, at, x, y, width, height, edge)
+            store(g, state, here + 2 * LANES)
+            rest = drawn * g
+            for c in range(len(channels)):
+                if whole:
+                    g, drawn = load_halves(grad_image, at, at + width), load_halves(image, at, at + width)
+                else:
+                    g = _read_edge_block(grad_image, at, x, y, width, height, edge)
+                    drawn = _read_edge_block(image, at, x, y, width, height, edge)
+                store(g, state, here + (3 + c) * LANES)
+                rest = fma(drawn, g, rest)
+                at += height * width
+            store(rest, state, here + LANES)
         _start_tile(width, height, left, top, state, step)
 
         end = tile_starts[tile + 1]
         for entry in range(tile_starts[tile], end):
             prefetch(records, tile_ranks[min(entry + AHEAD, end - 1)] * stride)
+            prefetch(slot_blocks, tile_slots[min(entry + AHEAD, end - 1)])
             slot = tile_slots[entry]
             blocks = slot_blocks[slot]
+            prefetch(slots, slot * slot_size)
             if blocks == _ZERO:
                 continue
             at = tile_ranks[entry] * stride
             l11, l21, minus_q = splat(records[at + L11]), splat(records[at + L21]), splat(-records[at + Q])
             bias = splat(records[at + BIAS])
-            lane_x, lane_y = columns - (records[at + MEAN_X] - left), rows - (records[at + MEAN_Y] - top)
+            lane_x, lane_y = columns - (records[at + MEAN_X] - left_f), rows - (records[at + MEAN_Y] - top_f)
             colours = splat_each(channels, records, at + RECORD_HEAD)
             sum_v, sum_x, sum_y = splat(0.0), splat(0.0), splat(0.0)
             sum_xx, sum_xy, sum_yy = splat(0.0), splat(0.0), splat(0.0)
             grad_colours = zero_each(channels)
             while blocks != _ZERO:
-                bit = lowest_bit(blocks)
+                bit0 = lowest_bit(blocks)
                 blocks &= blocks - _ONE
-                here = ((bit >> 3) * BLOCKS_X + (bit & 7)) * step
-                dx = lane_x + np.float32((bit & 7) * BLOCK_WIDTH)
-                dy = lane_y + np.float32((bit >> 3) * BLOCK_HEIGHT)
-                u = fma(l11, dx, l21 * dy)
-                t = fma(-u, u, fma(minus_q, dy * dy, bias))
-                unclamped = exp2_of_8(t)
-                a = select(t >= T_MIN, minimum(unclamped, ALPHA_MAX), 0.0)
-                T = load(state, here)
-                after = fma(-a, T, T)
-                goes_on = after > TRANSMITTANCE_MIN
-                weight = select(goes_on, a * T, 0.0)
-                store(select(goes_on, after, -absolute(T)), state, here)
-                g = load_each(channels, state, here + 3 * LANES, LANES)
-                q = dot_each(colours, g, load(state, here + 2 * LANES))
-                rest = fma(-weight, q, load(state, here + LANES))
-                store(rest, state, here + LANES)
-                grad_a = fma(T, q, -rest / (1.0 - a))
-                v = select(goes_on & (unclamped <= ALPHA_MAX), a * grad_a, 0.0)
-                vx, vy = v * dx, v * dy
-                sum_v, sum_x, sum_y = sum_v + v, sum_x + vx, sum_y + vy
-                sum_xx, sum_xy, sum_yy = fma(vx, dx, sum_xx), fma(vx, dy, sum_xy), fma(vy, dy, sum_yy)
-                grad_colours = fma_each(weight, g, grad_colours)
+                bit1 = lowest_bit(blocks)
+                blocks &= blocks - _ONE
+                here0, here1 = bit0 * step, bit1 * step
+                dx0, dy0 = lane_x + corner_x[bit0], lane_y + corner_y[bit0]
+                dx1, dy1 = lane_x + corner_x[bit1], lane_y + corner_y[bit1]
+                t0, t1 = (
+                    _exponent(l11, l21, minus_q, bias, dx0, dy0),
+                    _exponent(l11, l21, minus_q, bias, dx1, dy1),
+                )
+                e0, e1 = exp2_of_8(t0), exp2_of_8(t1)
+                a0 = select(t0 >= T_MIN, minimum(e0, ALPHA_MAX), 0.0)
+                a1 = select(t1 >= T_MIN, minimum(e1, ALPHA_MAX), 0.0)
+                T0, T1 = load(state, here0), load(state, here1)
+                after0, after1 = fma(-a0, T0, T0), fma(-a1, T1, T1)
+                on0, on1 = after0 > TRANSMITTANCE_MIN, after1 > TRANSMITTANCE_MIN
+                weight0, weight1 = select(on0, a0 * T0, 0.0), select(on1, a1 * T1, 0.0)
+                store(select(on0, after0, -absolute(T0)), state, here0)
+                store(select(on1, after1, -absolute(T1)), state, here1)
+                g0 = load_each(channels, state, here0 + 3 * LANES, LANES)
+                g1 = load_each(channels, state, here1 + 3 * LANES, LANES)
+                q0 = dot_each(colours, g0, load(state, here0 + 2 * LANES))
+                q1 = dot_each(colours, g1, load(state, here1 + 2 * LANES))
+                rest0 = fma(-weight0, q0, load(state, here0 + LANES))
+                rest1 = fma(-weight1, q1, load(state, here1 + LANES))
+                store(rest0, state, here0 + LANES)
+                store(rest1, state, here1 + LANES)
+                v0 = select(on0 & (e0 <= ALPHA_MAX), a0 * fma(T0, q0, -rest0 / (1.0 - a0)), 0.0)
+                v1 = select(on1 & (e1 <= ALPHA_MAX), a1 * fma(T1, q1, -rest1 / (1.0 - a1)), 0.0)
+                vx0, vx1, vy0, vy1 = v0 * dx0, v1 * dx1, v0 * dy0, v1 * dy1
+                sum_v, sum_x, sum_y = sum_v + (v0 + v1), sum_x + (vx0 + vx1), sum_y + (vy0 + vy1)
+                sum_xx = fma(vx1, dx1, fma(vx0, dx0, sum_xx))
+                sum_xy = fma(vx1, dy1, fma(vx0, dy0, sum_xy))
+                sum_yy = fma(vy1, dy1, fma(vy0, dy0, sum_yy))
+                grad_colours = fma_each(weight1, g1, fma_each(weight0, g0, grad_colours))
             sums = (sum_v, sum_x, sum_y, sum_xx, sum_xy, sum_yy) + grad_colours
             store_totals(sums, slots, slot * slot_size)
