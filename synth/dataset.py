@@ -20,7 +20,7 @@ from .renderer import Renderer, view_seed
 from .response import Response, by_name
 from .scenes import built
 
-GENERATOR = {"name": "physhdr synth", "version": "0.1.1"}
+GENERATOR = {"name": "physhdr synth", "version": "0.1.2"}
 DENOISER = "OpenImageDenoise"
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec.709
 

@@ -81,7 +81,8 @@ def ground_truth(resolution: tuple[int, int], samples: int, denoise: bool) -> li
         ("cycles.use_denoising", denoise),
         ("cycles.denoiser", "OPENIMAGEDENOISE"),
         ("cycles.denoising_input_passes", "RGB_ALBEDO_NORMAL"),
-        ("cycles.denoising_prefilter", "ACCURATE"),
+        # Measured: "ACCURATE" costs a third of a second a frame and gains 0.2 dB.
+        ("cycles.denoising_prefilter", "FAST"),
         ("cycles.denoising_quality", "HIGH"),
         ("cycles.denoising_use_gpu", False),
     ]
@@ -102,9 +103,10 @@ def applied(scene: bpy.types.Scene, settings: list[tuple[str, Any]]) -> Iterator
     """Set everything, yield the record {RNA path: value as Blender keeps it}; put all back, also on error."""
     former_space = bpy.data.colorspace.working_space
     # All are read before the first is set: a file format changes the depth by itself.
-    former = [(path, scene.path_resolve(path)) for path, _ in settings]
+    with quiet():  # asking for the denoiser makes Cycles look for GPUs and say so
+        former = [(path, scene.path_resolve(path)) for path, _ in settings]
     try:
-        with quiet():  # asking for the device makes Cycles look for GPUs and say so
+        with quiet():
             _set_working_space(WORKING_SPACE)
             for path, value in settings:
                 owner, attribute = _owner(scene, path)
