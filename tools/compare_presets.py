@@ -82,8 +82,9 @@ def summary(folder: Path, preset: str, seed: int) -> dict:
 
 
 def markdown(rows: list[dict]) -> str:
-    columns = "preset seed iterations CPU_s Gaussians LDR-OE LDR-NE HDR aligned scale relit gain".split()
-    lines = [f"| {' | '.join(columns).replace('_', ' ')} |", "|---|" + "---:|" * (len(columns) - 1)]
+    columns = ["preset", "seed", "iterations", "CPU s", "Gaussians", "LDR-OE", "LDR-NE", "HDR", "aligned"]
+    columns += ["scale", "relit", "gain"]
+    lines = ["| " + " | ".join(columns) + " |", "|---|" + "---:|" * (len(columns) - 1)]
     for row in rows:
         psnr = {name: metrics["psnr"] for name, metrics in row["means"].items()}
         relit = row["relit"].get("all", {})
