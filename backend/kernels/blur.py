@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 import torch
-import torch.nn.functional as F
-from numba import njit
+from torch.nn import functional
 
 from ...bridge.errors import BadValueError
+from ..rasterize.cpu.compiling import kernel
 from ..rasterize.cpu.simd import LANES, fma, load, splat, store
 from ..rasterize.cpu.threads import run_ranges
 
@@ -39,8 +39,10 @@ def gaussian_blur_reference(image: torch.Tensor, size: int, sigma: float) -> tor
     """The same in plain torch, for any dtype and device."""
     r = size // 2
     window = torch.from_numpy(_window(size, sigma)).to(image)
-    padded = F.pad(image[None], (r, r, r, r), mode="reflect")[0][:, None]
-    return F.conv2d(F.conv2d(padded, window.view(1, 1, 1, size)), window.view(1, 1, size, 1))[:, 0]
+    padded = functional.pad(image[None], (r, r, r, r), mode="reflect")[0][:, None]
+    return functional.conv2d(
+        functional.conv2d(padded, window.view(1, 1, 1, size)), window.view(1, 1, size, 1)
+    )[:, 0]
 
 
 @functools.cache
@@ -85,7 +87,7 @@ def _blur_inside(padded: np.ndarray, size: int, sigma: float) -> np.ndarray:
     return result
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _blur_rows(first, last, height, width, plane, row, image, window, result):
     """Rows ``first … last − 1``, counted over channels: down the columns into a buffer, then along it."""
     taps = window.size

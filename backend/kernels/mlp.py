@@ -21,6 +21,7 @@ import numpy as np
 import torch
 from numba import njit
 
+from ..rasterize.cpu.compiling import kernel
 from ..rasterize.cpu.simd import (
     LANES,
     absolute,
@@ -61,7 +62,10 @@ def curve_mlp(
     b2: torch.Tensor,
     activation: Activation,
 ) -> torch.Tensor:
-    """A network 1 → H → 1 per channel: ``x`` ``[C, P]``, ``w1, b1, w2`` ``[C, H]``, ``b2`` ``[C]`` → ``[C, P]``."""
+    """A network 1 → H → 1 per channel → ``[C, P]``.
+
+    ``x`` ``[C, P]``; ``w1``, ``b1``, ``w2`` ``[C, H]``; ``b2`` ``[C]``.
+    """
     if not _can_fuse(x, w1):
         return curve_mlp_reference(x, w1, b1, w2, b2, activation)
     return _Networks.apply(x[:, None], w1[:, :, None], b1, w2[:, None, :], b2[:, None], activation)[:, 0]
@@ -97,7 +101,10 @@ def _can_fuse(x: torch.Tensor, weights: torch.Tensor) -> bool:
 
 
 class _Networks(torch.autograd.Function):
-    """G networks side by side: x ``[G, I, P]``, w1 ``[G, H, I]``, b1 ``[G, H]``, w2 ``[G, O, H]``, b2 ``[G, O]``."""
+    """G networks side by side.
+
+    x ``[G, I, P]``, w1 ``[G, H, I]``, b1 ``[G, H]``, w2 ``[G, O, H]``, b2 ``[G, O]`` → ``[G, O, P]``.
+    """
 
     @staticmethod
     def forward(ctx: Any, x, w1, b1, w2, b2, activation: Activation) -> torch.Tensor:
@@ -164,7 +171,7 @@ def _forward_pair(inputs, outputs, kind, x, at, x_stride, w1, b1, w2, b2, y, to,
     store_each(y1, y, to + LANES, y_stride)
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _forward(counter, inputs, outputs, kind, x, w1, b1, w2, b2, y):
     """y of the chunks of points whose tickets are drawn from ``counter``."""
     groups, _, points = x.shape
@@ -219,7 +226,7 @@ def _backward_pair(inputs, outputs, kind, x, grad, at, stride, w1, b1, w2, sums,
     store_each(dx1, grad_x, at + LANES, stride)
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _backward(counter, inputs, outputs, weights, kind, x, w1, b1, w2, grad, grad_x, partials):
     """``grad_x`` and ``partials[group, chunk, h]`` of the chunks whose tickets are drawn from ``counter``."""
     groups, _, points = x.shape

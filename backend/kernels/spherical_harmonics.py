@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from numba import njit
 
+from ..rasterize.cpu.compiling import kernel
 from ..rasterize.cpu.threads import run_ranges
 
 Y0 = 0.28209479177387814
@@ -97,7 +98,7 @@ class _Evaluate(torch.autograd.Function):
         return Y0 * grad, grad_rest, None, None, None
 
 
-@njit(error_model="numpy", fastmath={"contract", "nsz"})
+@njit(error_model="numpy")
 def _basis(means, viewpoint, i, basis):
     """Y₁ … of the direction to Gaussian i (all fifteen: cheaper than to ask which are needed)."""
     x, y, z = means[i, 0] - viewpoint[0], means[i, 1] - viewpoint[1], means[i, 2] - viewpoint[2]
@@ -114,7 +115,7 @@ def _basis(means, viewpoint, i, basis):
     basis[13], basis[14] = f(Y3[4]) * z * (xx - yy), -f(Y3[0]) * x * (xx - f(3) * yy)
 
 
-@njit(nogil=True, cache=True, fastmath={"contract", "nsz"})
+@kernel
 def _evaluate(first, last, dc, rest, means, viewpoint, kept, result):
     basis = np.empty(15, np.float32)
     for i in range(first, last):
@@ -127,7 +128,7 @@ def _evaluate(first, last, dc, rest, means, viewpoint, kept, result):
         result[i, 0], result[i, 1], result[i, 2] = r, g, b
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _evaluate_backward(first, last, grad, means, viewpoint, kept, grad_rest):
     basis = np.empty(15, np.float32)
     for i in range(first, last):

@@ -21,9 +21,9 @@ from typing import Any
 
 import numpy as np
 import torch
-import torch.nn.functional as F
-from numba import njit
+from torch.nn import functional
 
+from ..rasterize.cpu.compiling import kernel
 from ..rasterize.cpu.simd import LANES, fma, lane_numbers, load, select, splat, store, store_strided, total
 from ..rasterize.cpu.threads import run_ranges
 
@@ -73,8 +73,8 @@ def ssim_reference(prediction: torch.Tensor, target: torch.Tensor) -> torch.Tens
         [prediction, target, prediction * prediction, target * target, prediction * target], dim=1
     )
     flat = stacked.reshape(-1, 1, *prediction.shape[1:])
-    flat = F.conv2d(flat, window.view(1, 1, 1, TAPS), padding=(0, _R))
-    flat = F.conv2d(flat, window.view(1, 1, TAPS, 1), padding=(_R, 0))
+    flat = functional.conv2d(flat, window.view(1, 1, 1, TAPS), padding=(0, _R))
+    flat = functional.conv2d(flat, window.view(1, 1, TAPS, 1), padding=(_R, 0))
     m1, m2, xx, yy, xy = flat.reshape(stacked.shape).unbind(1)
     a1, a2 = 2 * m1 * m2 + C1, 2 * (xy - m1 * m2) + C2
     b1, b2 = m1 * m1 + m2 * m2 + C1, xx - m1 * m1 + yy - m2 * m2 + C2
@@ -126,7 +126,7 @@ def _window() -> np.ndarray:
     return _WINDOW.astype(np.float32)
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _target_rows(first, last, height, plane, row, y, window, mean, variance):
     """𝒢y and 𝒢y² − (𝒢y)² of rows ``first … last − 1`` (counted over channels), at their padded places."""
     column = np.zeros((2, row), np.float32)
@@ -152,10 +152,10 @@ def _target_rows(first, last, height, plane, row, y, window, mean, variance):
             store(s - m * m, variance, centre + x)
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _ssim_rows(
     first, last, height, width, plane, row, x_image, y_image, mean, variance, window, row_sums, p, q, r
-):  # fmt: skip
+):
     """Σ S of rows ``first … last − 1`` into ``row_sums``; p, q, r of the pixels unless their size is 0."""
     columns = np.zeros((3, row), np.float32)
     column_x, column_xx, column_xy = columns[0], columns[1], columns[2]
@@ -198,10 +198,10 @@ def _ssim_rows(
         row_sums[line] = total(line_sum)
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _ssim_backward_rows(
     first, last, height, width, plane, row, x_image, y_image, p, q, r, window, scale, result
-):  # fmt: skip
+):
     """``scale`` · (𝒢p + 2x 𝒢q + y 𝒢r) of rows ``first … last − 1``, into ``result`` (not padded)."""
     columns = np.zeros((3, row), np.float32)
     column_p, column_q, column_r = columns[0], columns[1], columns[2]

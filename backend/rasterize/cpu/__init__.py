@@ -13,7 +13,7 @@ import torch
 from ....bridge.errors import BadValueError
 from ...scene.camera import Camera
 from ..contract import Rasterization
-from .binning import RECORD_HEAD, TILE_HEIGHT, TILE_WIDTH, fill, gather, sort_by_depth
+from .binning import NEAR, RECORD_HEAD, TILE_HEIGHT, TILE_WIDTH, fill, gather, sort_by_depth
 from .projection import FOOTPRINT, camera_array, project, project_backward
 from .simd import LANES
 from .threads import run_parallel, run_ranges, set_threads, thread_count
@@ -48,7 +48,7 @@ def rasterize(
     for name, tensor in tensors.items():
         if tensor is not None and (tensor.dtype != torch.float32 or tensor.device.type != "cpu"):
             raise BadValueError(
-                f"{name} must be float32 on the CPU for this rasteriser, got {tensor.dtype} on {tensor.device}",
+                f"{name} must be float32 on the CPU here, got {tensor.dtype} on {tensor.device}",
                 "Convert it, or choose the implementation 'reference' (any dtype) or 'cuda'.",
             )
     image, alpha, radii = _Rasterize.apply(camera, *tensors.values())
@@ -130,13 +130,14 @@ def _draw(camera: Camera, tensors: tuple[torch.Tensor | None, ...], keep: bool):
     stride = RECORD_HEAD + -(-channels // 8) * 8
     records = np.empty(drawn * stride, np.float32)
     touched = np.zeros(count + 1, np.int64)
+    counts, near_tiles = np.empty(drawn, np.int32), np.empty(NEAR * drawn, np.int32)
     histograms = np.zeros((workers, tiles), np.int64)
     edges = np.linspace(0, drawn, workers + 1).astype(np.int64)
     flat_colours = _flat(colours)
     run_parallel(
         lambda i: gather(
             *(edges[i], edges[i + 1], order, footprints, flat_colours, channels, width, height, tiles_x),
-            *(records, stride, touched, histograms[i]),
+            *(records, stride, touched, histograms[i], counts, near_tiles),
         )
     )
     per_tile = histograms.sum(0)
@@ -151,7 +152,7 @@ def _draw(camera: Camera, tensors: tuple[torch.Tensor | None, ...], keep: bool):
         np.cumsum(touched[:-1], out=slot_starts[1:])
     run_parallel(
         lambda i: fill(
-            *(edges[i], edges[i + 1], order, footprints, width, height, tiles_x),
+            *(edges[i], edges[i + 1], order, footprints, width, height, tiles_x, counts, near_tiles),
             *(cursors[i], slot_starts, tile_ranks, tile_slots),
         )
     )
@@ -225,5 +226,5 @@ def _refuse(tensors: tuple[torch.Tensor | None, ...]) -> None:
             row = int((~torch.isfinite(tensor)).nonzero()[0, 0])
             raise BadValueError(
                 f"{name}[{row}] of the Gaussians is not finite: {tensor[row].tolist()}",
-                "Training has diverged or a model file is damaged: lower the learning rates, or load an earlier checkpoint.",
+                "Training diverged or a model file is damaged: lower the learning rates, or load another.",
             )

@@ -3,7 +3,7 @@
 
 1. ``sort_by_depth``: the drawn Gaussians, nearest first, ties by index (a radix sort).
 2. ``gather``: in that order, a record for the tile kernels (footprint and colours side by side, so that
-   a tile touches one cache line per Gaussian), and how many Gaussians every tile and tiles every Gaussian has.
+   a tile touches one cache line per Gaussian), and the numbers of tiles per Gaussian and the reverse.
 3. ``fill``: the lists (a counting sort). Each worker takes a contiguous part of the depth order and has
    its own cursor into every tile's list, so the lists do not depend on the number of workers.
 
@@ -17,6 +17,7 @@ import numpy as np
 from numba import njit
 
 from ..contract import ALPHA_MIN
+from .compiling import kernel
 from .projection import (
     BIAS,
     FOOTPRINT,
@@ -30,9 +31,10 @@ from .projection import (
     RIGHTMOST_Y,
     Q,
 )
+from .simd import LANES, prefetch
 
 #: Pixels of a tile. 32 × 16 is 64 blocks of 4 × 2 pixels: one uint64 says which blocks matter.
-TILE_WIDTH = 32
+TILE_WIDTH = 4 * LANES
 TILE_HEIGHT = 16
 
 #: Floats of a record before the colours: the first seven of the footprint, and one unused.
@@ -41,12 +43,18 @@ RECORD_HEAD = 8
 #: t at which alpha = 1/255 (see projection.py).
 T_MIN = float(np.log2(ALPHA_MIN)) / 8.0
 
+#: Most Gaussians touch at most this many tiles; ``gather`` notes them down for ``fill``.
+NEAR = 4
+
+#: How many Gaussians ahead memory is asked for.
+AHEAD = 12
+
 #: Widening of the ellipse's rows, against rounding: pixels, and a fraction of the distances involved.
 MARGIN = 0.01
 RELATIVE_MARGIN = 4e-7
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def sort_by_depth(keys, order, scratch_keys, scratch_order):
     """Write the indices of drawn Gaussians to ``order`` ``[N]`` by ascending key; return how many.
 
@@ -122,7 +130,7 @@ def _tile_span(footprints, at, tile_y, width):
     return int(first) // TILE_WIDTH, int(last) // TILE_WIDTH
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def gather(
     first,
     last,
@@ -137,13 +145,22 @@ def gather(
     stride,
     touched,
     histogram,
+    counts,
+    near_tiles,
 ):
     """Records of the Gaussians at ranks ``first … last − 1`` of the depth order, and tile counts.
 
     Out: ``records[stride · rank :]``, ``touched[g]`` tiles of Gaussian g, ``histogram`` ``[tiles]`` of this
-    part of the order (to be zero before).
+    part of the order (to be zero before); ``counts[rank]`` tiles, of which the first ``NEAR`` are
+    ``near_tiles[NEAR · rank :]``.
     """
     for rank in range(first, last):
+        # The order of depth is no order in memory: without this, waiting for it is half of the time.
+        ahead = order[min(rank + AHEAD, last - 1)]
+        prefetch(footprints, FOOTPRINT * ahead)
+        prefetch(footprints, FOOTPRINT * ahead + FOOTPRINT - 1)
+        prefetch(colours, channels * ahead)
+        prefetch(touched, ahead)
         g = order[rank]
         at = FOOTPRINT * g
         for field in range(RECORD_HEAD - 1):
@@ -155,30 +172,59 @@ def gather(
         for tile_y in range(top, bottom + 1):
             left, right = _tile_span(footprints, at, tile_y, width)
             for tile_x in range(left, right + 1):
-                histogram[tile_y * tiles_x + tile_x] += 1
-            count += right - left + 1
+                tile = tile_y * tiles_x + tile_x
+                histogram[tile] += 1
+                if count < NEAR:
+                    near_tiles[NEAR * rank + count] = tile
+                count += 1
         touched[g] = count
+        counts[rank] = count
 
 
-@njit(nogil=True, cache=True)
-def fill(first, last, order, footprints, width, height, tiles_x, cursor, slot_starts, tile_ranks, tile_slots):
+@kernel
+def fill(
+    first,
+    last,
+    order,
+    footprints,
+    width,
+    height,
+    tiles_x,
+    counts,
+    near_tiles,
+    cursor,
+    slot_starts,
+    tile_ranks,
+    tile_slots,
+):
     """Append ranks ``first … last − 1`` to the lists of the tiles that they touch.
 
-    ``cursor`` ``[tiles]``: where this part of the order begins in every tile's list. Out: ``tile_ranks``
-    ``[pairs]``, and ``tile_slots`` ``[pairs]`` (size 0: not wanted): the number of the (Gaussian, tile) pair
-    counted Gaussian by Gaussian, in the order of indices.
+    ``counts``, ``near_tiles``: from ``gather``; ``cursor`` ``[tiles]``: where this part begins in
+    every tile's list. Out: ``tile_ranks`` ``[pairs]``; ``tile_slots`` ``[pairs]`` (size 0: not wanted), the
+    number of the (Gaussian, tile) pair counted Gaussian by Gaussian, in the order of indices.
     """
+    keep_slots = tile_slots.size > 0
     for rank in range(first, last):
+        if keep_slots:
+            prefetch(slot_starts, order[min(rank + AHEAD, last - 1)])
         g = order[rank]
-        at = FOOTPRINT * g
-        slot = slot_starts[g] if tile_slots.size else 0
-        top, bottom = _tile_rows(footprints, at, height)
-        for tile_y in range(top, bottom + 1):
-            left, right = _tile_span(footprints, at, tile_y, width)
-            for tile_x in range(left, right + 1):
-                place = cursor[tile_y * tiles_x + tile_x]
-                cursor[tile_y * tiles_x + tile_x] = place + 1
+        slot = slot_starts[g] if keep_slots else 0
+        if counts[rank] <= NEAR:
+            for k in range(counts[rank]):
+                tile = near_tiles[NEAR * rank + k]
+                place = cursor[tile]
+                cursor[tile] = place + 1
                 tile_ranks[place] = rank
-                if tile_slots.size:
+                if keep_slots:
+                    tile_slots[place] = slot + k
+            continue
+        top, bottom = _tile_rows(footprints, FOOTPRINT * g, height)
+        for tile_y in range(top, bottom + 1):
+            left, right = _tile_span(footprints, FOOTPRINT * g, tile_y, width)
+            for tile in range(tile_y * tiles_x + left, tile_y * tiles_x + right + 1):
+                place = cursor[tile]
+                cursor[tile] = place + 1
+                tile_ranks[place] = rank
+                if keep_slots:
                     tile_slots[place] = slot
                     slot += 1

@@ -27,6 +27,7 @@ from numba import njit
 
 from ...scene.camera import NEAR_PLANE, Camera
 from ..contract import ALPHA_MIN, JACOBIAN_MARGIN, LOW_PASS
+from .compiling import kernel
 from .simd import (
     LANES,
     fma,
@@ -150,7 +151,7 @@ def _load_gaussians(i, n, means, quaternions, scales):
     return x, y, z, w * unit, qx * unit, qy * unit, qz * unit, s0, s1, s2, unit
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def project(
     first, last, means, quaternions, scales, opacities, offsets, camera, footprints, keys, radii, finite
 ):
@@ -230,7 +231,7 @@ def project(
         finite[0] = False
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@kernel
 def project_backward(
     first,
     last,
@@ -294,7 +295,7 @@ def project_backward(
         P, A, B = _to_screen(camera, x, y, z, w, qx, qy, qz, s0, s1, s2)
         _, inverse_z, tan_x, tan_y, limited_x, limited_y, jx, jy = P
         a00, a01, a02, a10, a11, a12 = A
-        b00, b01, b02, b10, b11, b12, b20, b21, b22 = B
+        b20, b21, b22 = B[6:]
         xx, xy, yy, inverse_determinant = _covariance(A)
 
         # K = Σ⁻¹; the screen mean; G = K M K (= 2 ∂L/∂Σ); ∂L/∂A = G A.

@@ -27,6 +27,7 @@ from numba import njit
 
 from ..contract import ALPHA_MAX, TRANSMITTANCE_MIN
 from .binning import MARGIN, RECORD_HEAD, RELATIVE_MARGIN, T_MIN, TILE_HEIGHT, TILE_WIDTH
+from .compiling import kernel
 from .projection import BIAS, INVERSE_L11, L11, L21, MEAN_X, MEAN_Y, Q
 from .simd import (
     LANES,
@@ -167,14 +168,28 @@ def _start_tile(width, height, left, top, state, step):
     return alive
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
-def draw(counter, tile_order, tile_starts, tile_ranks, tile_slots, records, stride, width, height, tiles_x,
-         channels, image, alpha, slot_blocks):  # fmt: skip
+@kernel
+def draw(
+    counter,
+    tile_order,
+    tile_starts,
+    tile_ranks,
+    tile_slots,
+    records,
+    stride,
+    width,
+    height,
+    tiles_x,
+    channels,
+    image,
+    alpha,
+    slot_blocks,
+):
     """Draw the tiles whose turn it is: tickets of ``counter`` index ``tile_order``.
 
     ``channels``: a tuple as long as there are channels (its type is what counts). Out, flat: ``image``
     ``[C · H · W]``, ``alpha`` ``[H · W]``; unless its size is 0, ``slot_blocks[slot]`` (zero before): the
-    blocks to which the (Gaussian, tile) pair contributed.
+    blocks that the (Gaussian, tile) pair visited.
     """
     step = (1 + len(channels)) * LANES
     state = np.zeros((BLOCKS + 1) * step, np.float32)
@@ -213,7 +228,8 @@ def draw(counter, tile_order, tile_starts, tile_ranks, tile_slots, records, stri
             bias = splat(records[at + BIAS])
             lane_x, lane_y = columns - mean_x, rows - mean_y
             colours = splat_each(channels, records, at + RECORD_HEAD)
-            contributed = _ZERO
+            if keep_blocks:
+                slot_blocks[tile_slots[entry]] = blocks
             while blocks != _ZERO:
                 # Two blocks at a time; an odd one out is paired with the spare block, which is finished.
                 bit0 = lowest_bit(blocks)
@@ -228,9 +244,8 @@ def draw(counter, tile_order, tile_starts, tile_ranks, tile_slots, records, stri
                     _exponent(l11, l21, minus_q, bias, dx1, dy1),
                 )
                 T0, T1 = load(state, here0), load(state, here1)
-                seen0, seen1 = t0 >= T_MIN, t1 >= T_MIN
-                a0 = select(seen0, minimum(exp2_of_8(t0), ALPHA_MAX), 0.0)
-                a1 = select(seen1, minimum(exp2_of_8(t1), ALPHA_MAX), 0.0)
+                a0 = select(t0 >= T_MIN, minimum(exp2_of_8(t0), ALPHA_MAX), 0.0)
+                a1 = select(t1 >= T_MIN, minimum(exp2_of_8(t1), ALPHA_MAX), 0.0)
                 after0, after1 = fma(-a0, T0, T0), fma(-a1, T1, T1)
                 on0, on1 = after0 > TRANSMITTANCE_MIN, after1 > TRANSMITTANCE_MIN
                 weight0, weight1 = select(on0, a0 * T0, 0.0), select(on1, a1 * T1, 0.0)
@@ -241,15 +256,10 @@ def draw(counter, tile_order, tile_starts, tile_ranks, tile_slots, records, stri
                 drawn1 = fma_each(weight1, colours, load_each(channels, state, here1 + LANES, LANES))
                 store_each(drawn0, state, here0 + LANES, LANES)
                 store_each(drawn1, state, here1 + LANES, LANES)
-                if keep_blocks:
-                    contributed |= np.uint64(any_lane(on0 & seen0)) << np.uint64(bit0)
-                    contributed |= np.uint64(any_lane(on1 & seen1)) << np.uint64(bit1 & 63)
                 if not any_lane(T0 > 0.0):
                     alive &= ~(_ONE << np.uint64(bit0))
                 if bit1 < BLOCKS and not any_lane(T1 > 0.0):
                     alive &= ~(_ONE << np.uint64(bit1))
-            if keep_blocks:
-                slot_blocks[tile_slots[entry]] = contributed
             if alive == _ZERO:
                 break
         for block in range(BLOCKS):
@@ -269,10 +279,27 @@ def draw(counter, tile_order, tile_starts, tile_ranks, tile_slots, records, stri
                     _write_edge_block(value, target, at, x, y, width, height, edge)
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
-def draw_backward(counter, tile_order, tile_starts, tile_ranks, tile_slots, records, stride, width, height, tiles_x,
-                  channels, image, alpha, grad_image, grad_alpha, slot_blocks,
-                  slots, slot_size):  # fmt: skip
+@kernel
+def draw_backward(
+    counter,
+    tile_order,
+    tile_starts,
+    tile_ranks,
+    tile_slots,
+    records,
+    stride,
+    width,
+    height,
+    tiles_x,
+    channels,
+    image,
+    alpha,
+    grad_image,
+    grad_alpha,
+    slot_blocks,
+    slots,
+    slot_size,
+):
     """Fill ``slots[slot_size · slot :]`` of every pair with ``slot_blocks[slot] != 0``: see above.
 
     Arguments as of ``draw``; ``image`` and ``alpha`` as it drew them.

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from physhdr.backend.rasterize import rasterize
-from physhdr.backend.rasterize import cpu
+from physhdr.backend.rasterize import cpu, rasterize
 from physhdr.backend.scene.camera import Camera
 from physhdr.bridge.errors import BadValueError
 
