@@ -15,7 +15,7 @@ from ..methods.physhdr import PhysHDRConfig
 from ..model.tone_mapper import ToneMapperConfig
 from .densify import DensifyConfig
 from .losses import LossConfig
-from .optimisers import OptimiserConfig
+from .optimisers import STOCK_3DGS, OptimiserConfig
 
 CONFIG_FILE = "config.json"
 
@@ -24,7 +24,7 @@ CONFIG_FILE = "config.json"
 class TrainConfig:
     """Everything that decides a run's result. Defaults are the preset ``default``."""
 
-    iterations: int = 4000
+    iterations: int = 3000
     seed: int = 0
     #: exp3: every iteration draws one of the training exposures; exp1: one is drawn for each view and kept.
     exposure_mode: Literal["exp3", "exp1"] = "exp3"
@@ -72,13 +72,14 @@ def paper(iterations: int = 30_000) -> TrainConfig:
                 unit_weight=0.5,
             ),
         ),
+        optimiser=STOCK_3DGS,
         densify=DensifyConfig(
             start=500, stop=0.5, scaling_strength=1.0, reset_every=3000, budget=0, threshold=2e-4
         ),
     )
 
 
-def baseline(iterations: int = 4000) -> TrainConfig:
+def baseline(iterations: int = 3000) -> TrainConfig:
     """The yardstick: the image-exposure branch alone under one global tone mapper."""
     return TrainConfig(
         iterations=iterations,
