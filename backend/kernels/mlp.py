@@ -43,6 +43,7 @@ from ..rasterize.cpu.simd import (
     zero_each,
 )
 from ..rasterize.cpu.threads import run_parallel
+from .curve_table import MAX_WEIGHT, interpolate, knots_for
 
 Activation = Literal["relu", "softplus", "silu"]
 
@@ -68,7 +69,33 @@ def curve_mlp(
     """
     if not _can_fuse(x, w1):
         return curve_mlp_reference(x, w1, b1, w2, b2, activation)
+    if activation != "relu" and x.numel() and w1.detach().abs().max() <= MAX_WEIGHT:
+        knots = knots_for(x)
+        if knots is not None:
+            at_knots = knots.expand(x.shape[0], -1).contiguous()
+            values = _curves(at_knots, w1, b1, w2, b2, activation)
+            slopes = _curve_slopes(at_knots, w1, b1, w2, activation)
+            return interpolate(x, knots, values, slopes)
+    return _curves(x, w1, b1, w2, b2, activation)
+
+
+def _curves(x, w1, b1, w2, b2, activation: Activation) -> torch.Tensor:
+    """``curve_mlp``, every point for itself."""
     return _Networks.apply(x[:, None], w1[:, :, None], b1, w2[:, None, :], b2[:, None], activation)[:, 0]
+
+
+def _curve_slopes(x, w1, b1, w2, activation: Activation) -> torch.Tensor:
+    """∂y/∂x of the curves ``[C, P]``: what the backward kernel makes of a gradient of ones."""
+    weights = [t.detach().contiguous() for t in (w1, b1, w2)]
+    grad_x, _ = _run_backward(
+        x[:, None],
+        weights[0][..., None],
+        weights[1],
+        weights[2][..., None],
+        torch.ones_like(x)[:, None],
+        activation,
+    )
+    return grad_x[:, 0]
 
 
 def small_mlp(
@@ -123,19 +150,25 @@ class _Networks(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, grad: torch.Tensor):
         x, w1, b1, w2 = ctx.saved_tensors
-        groups, inputs, points = x.shape
-        hidden, outputs = w2.shape[1:]
-        grad_x = torch.empty_like(x)
-        chunks = -(-points // CHUNK)
-        partials = np.zeros((groups, chunks, hidden, inputs + 1 + outputs), np.float32)
-        if points:
-            arrays = [t.numpy() for t in (x, w1, b1, w2, grad.contiguous(), grad_x)]
-            markers = ((0,) * inputs, (0,) * outputs, (0,) * (inputs + 1 + outputs), _KIND[ctx.activation])
-            counter = np.zeros(1, np.int64)
-            run_parallel(lambda _: _backward(counter, *markers, *arrays, partials))
-        sums = torch.from_numpy(partials.sum(axis=1, dtype=np.float64).astype(np.float32))
+        inputs, outputs = x.shape[1], w2.shape[2]
+        grad_x, sums = _run_backward(x, w1, b1, w2, grad.contiguous(), ctx.activation)
         grad_w1, grad_b1, grad_w2 = sums.split([inputs, 1, outputs], dim=2)
         return grad_x, grad_w1, grad_b1[..., 0], grad_w2.transpose(1, 2), grad.sum(2), None
+
+
+def _run_backward(x, w1, b1, w2, grad, activation: Activation) -> tuple[torch.Tensor, torch.Tensor]:
+    """∂L/∂x, and ``[G, H, I + 1 + O]``: ∂L/∂W₁, ∂L/∂b₁, ∂L/∂W₂ of every unit; ``w2`` ``[G, H, O]``."""
+    groups, inputs, points = x.shape
+    hidden, outputs = w2.shape[1:]
+    grad_x = torch.empty_like(x)
+    chunks = -(-points // CHUNK)
+    partials = np.zeros((groups, chunks, hidden, inputs + 1 + outputs), np.float32)
+    if points:
+        arrays = [t.numpy() for t in (x, w1, b1, w2, grad, grad_x)]
+        markers = ((0,) * inputs, (0,) * outputs, (0,) * (inputs + 1 + outputs), _KIND[activation])
+        counter = np.zeros(1, np.int64)
+        run_parallel(lambda _: _backward(counter, *markers, *arrays, partials))
+    return grad_x, torch.from_numpy(partials.sum(axis=1, dtype=np.float64).astype(np.float32))
 
 
 @njit

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from physhdr.backend import kernels
+from physhdr.backend.kernels import curve_table
 from physhdr.backend.rasterize import cpu
 from physhdr.bridge.errors import BadValueError
 
@@ -120,8 +121,42 @@ def test_curve_mlp(activation, points):
     )
 
 
-@pytest.mark.parametrize(("inputs", "outputs"), [(6, 3), (4, 3), (2, 1), (5, 1)])
-@pytest.mark.parametrize("activation", ["relu", "softplus"])
+@pytest.mark.parametrize("activation", ["softplus", "silu"])
+def test_curve_mlp_by_table(activation):
+    """Many points in a narrow range: values by interpolation, as exact as the direct way."""
+    tensors = [
+        *(
+            3.0 * torch.rand(3, 20_001, generator=torch.Generator().manual_seed(0)) - 2.0,
+            random(3, 64, seed=1),
+        ),
+        *(random(3, 64, seed=2), random(3, 64, seed=3), random(3, seed=4)),
+    ]
+    assert curve_table.knots_for(tensors[0]) is not None
+    assert_same(
+        lambda *t: kernels.curve_mlp(*t, activation),
+        lambda *t: kernels.curve_mlp_reference(*t, activation),
+        tensors,
+    )
+
+
+def test_curve_mlp_steep():
+    """Weights too large for the table go the direct way; just below its limit it still holds."""
+    for weight in (11.9, 40.0):
+        x = 3.0 * torch.rand(3, 20_000, generator=torch.Generator().manual_seed(0)) - 2.0
+        w1 = weight * torch.linspace(-1.0, 1.0, 64).expand(3, 64)
+        tensors = [x, w1, w1 * 0.5, random(3, 64, seed=3), random(3, seed=4)]
+        assert_same(
+            lambda *t: kernels.curve_mlp(*t, "softplus"),
+            lambda *t: kernels.curve_mlp_reference(*t, "softplus"),
+            tensors,
+            value=5e-6,
+            gradient=3e-5,
+        )
+
+
+@pytest.mark.parametrize(
+    ("inputs", "outputs", "activation"), [(6, 3, "relu"), (5, 1, "relu"), (2, 1, "softplus")]
+)
 def test_small_mlp(inputs, outputs, activation):
     tensors = [
         *(random(inputs, 4500), random(64, inputs, seed=1), random(64, seed=2)),
@@ -152,12 +187,16 @@ def test_no_points():
 
 
 def test_networks_threads():
+    curve = [random(3, 64), random(3, 64), random(3)]
     tensors = [random(6, 20_000), random(64, 6, seed=1), random(64, seed=2), random(3, 64, seed=3), random(3)]
 
     def run():
         inputs = [t.clone().requires_grad_() for t in tensors]
         output = kernels.small_mlp(*inputs, "relu")
-        return output.detach(), *torch.autograd.grad(output.square().sum(), inputs)
+        x, w1, b1, w2, b2 = [inputs[0][:3] * 0.2, *(t[:, :3].T for t in inputs[1:2]), *curve]
+        response = kernels.curve_mlp(x, w1, b1, w2, b2, "softplus")
+        gradients = torch.autograd.grad(output.square().sum() + response.square().sum(), inputs)
+        return output.detach(), response.detach(), *gradients
 
     same_bits_for_threads(run)
 
