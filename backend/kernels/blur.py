@@ -61,7 +61,8 @@ class _Blur(torch.autograd.Function):
         return torch.from_numpy(_blur_inside(mirrored, size, sigma))
 
     @staticmethod
-    def backward(ctx: Any, grad: torch.Tensor):
+    def backward(ctx: Any, *grads: Any):
+        (grad,) = grads
         size, sigma = ctx.window
         r = size // 2
         _, height, width = ctx.shape

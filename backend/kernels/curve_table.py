@@ -76,7 +76,8 @@ class _Interpolate(torch.autograd.Function):
         return y
 
     @staticmethod
-    def backward(ctx: Any, grad: torch.Tensor):
+    def backward(ctx: Any, *grads: Any):
+        (grad,) = grads
         x, slopes, start = ctx.saved
         chunks = -(-x.shape[1] // CHUNK)
         partials = np.zeros((x.shape[0], chunks, slopes.shape[1], 4), np.float32)

@@ -148,7 +148,8 @@ class _Networks(torch.autograd.Function):
         return result
 
     @staticmethod
-    def backward(ctx: Any, grad: torch.Tensor):
+    def backward(ctx: Any, *grads: Any):
+        (grad,) = grads
         x, w1, b1, w2 = ctx.saved_tensors
         inputs, outputs = x.shape[1], w2.shape[2]
         grad_x, sums = _run_backward(x, w1, b1, w2, grad.contiguous(), ctx.activation)

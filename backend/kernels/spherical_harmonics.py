@@ -79,7 +79,8 @@ class _Evaluate(torch.autograd.Function):
         return result
 
     @staticmethod
-    def backward(ctx: Any, grad: torch.Tensor):
+    def backward(ctx: Any, *grads: Any):
+        (grad,) = grads
         means, viewpoint, kept, shape = ctx.directions
         grad_rest = None
         if ctx.needs_input_grad[1]:

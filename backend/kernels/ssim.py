@@ -99,7 +99,8 @@ class _Ssim(torch.autograd.Function):
         return torch.tensor(row_sums.sum() / (channels * height * width), dtype=torch.float32)
 
     @staticmethod
-    def backward(ctx: Any, grad: torch.Tensor):
+    def backward(ctx: Any, *grads: Any):
+        (grad,) = grads
         padded, target, partials = ctx.saved
         channels, height, width = target.shape
         result = torch.empty(target.shape)

@@ -84,7 +84,8 @@ class _Rasterize(torch.autograd.Function):
         return image, alpha, radii
 
     @staticmethod
-    def backward(ctx: Any, grad_image: torch.Tensor | None, grad_alpha: torch.Tensor | None, _: None):
+    def backward(ctx: Any, *grads: Any):
+        grad_image, grad_alpha, _ = grads
         image, alpha, *geometry = ctx.saved_tensors
         grad_image = torch.zeros_like(image) if grad_image is None else grad_image.contiguous()
         grad_alpha = torch.zeros_like(alpha) if grad_alpha is None else grad_alpha.contiguous()
@@ -97,7 +98,7 @@ def _flat(tensor: torch.Tensor) -> np.ndarray:
     return tensor.detach().numpy().reshape(-1)
 
 
-def _draw(camera: Camera, tensors: tuple[torch.Tensor | None, ...], keep: bool):
+def _draw(camera: Camera, tensors: tuple[Any, ...], keep: bool):
     """(image, alpha, radii, drawing or None) of contiguous tensors; ``keep``: for a backward pass."""
     means, quaternions, scales, opacities, colours, offsets = tensors
     count, channels = colours.shape

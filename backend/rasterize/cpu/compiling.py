@@ -20,8 +20,8 @@ _SOURCES = (_HERE, _HERE.parents[1] / "kernels", _HERE.parent / "contract.py")
 
 def kernel(function: Callable[..., Any]) -> Any:
     """Compile for several threads (without Python's lock), keep the result on disk, divide as numpy does."""
-    compiled = njit(nogil=True, cache=True, error_model="numpy")(function)
-    file = getattr(compiled._cache, "_cache_file", None)
+    compiled: Any = njit(nogil=True, cache=True, error_model="numpy")(function)
+    file: Any = getattr(compiled._cache, "_cache_file", None)
     if hasattr(file, "_source_stamp"):
         file._source_stamp = (file._source_stamp, _fingerprint())
     return compiled

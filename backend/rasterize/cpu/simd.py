@@ -13,15 +13,23 @@ bounds-checked.
 """
 
 import operator
+from typing import Any
 
 from llvmlite import ir
+from numba import extending
 from numba.core import cgutils, types
-from numba.core.typing import signature
-from numba.core.typing.templates import AbstractTemplate, infer_global
-from numba.extending import intrinsic, lower_builtin, models, register_model
+from numba.core.typing import templates
+from numba.core.typing.templates import AbstractTemplate
+from numba.extending import models, register_model
 
 #: Floats in a vector: 8 fills an AVX2 register. Measured against 16 in docs/performance.md.
 LANES = 8
+
+# Numba's decorators have no types that a checker could follow.
+intrinsic: Any = extending.intrinsic
+lower_builtin: Any = extending.lower_builtin
+infer_global: Any = templates.infer_global
+signature: Any = templates.signature
 
 _FLOAT = ir.FloatType()
 _I32 = ir.IntType(32)
