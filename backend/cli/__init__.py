@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The command ``physhdr``: train, evaluate, export, render."""
+"""The command ``physhdr``: train, evaluate, export, render, warmup."""
 
 import sys
 from typing import Annotated
@@ -11,6 +11,7 @@ from .evaluate import Evaluate
 from .export import Export
 from .render import Render
 from .train import Train, preset_named
+from .warmup import Warmup
 
 __all__ = ["main"]
 
@@ -26,6 +27,7 @@ def main(argv: list[str] | None = None) -> int:
             | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
             | Annotated[Export, tyro.conf.subcommand("export")]
             | Annotated[Render, tyro.conf.subcommand("render")]
+            | Annotated[Warmup, tyro.conf.subcommand("warmup")]
         )
         command = tyro.cli(commands, prog="physhdr", description=__doc__, args=argv)
         return command.run()

@@ -69,7 +69,8 @@ class EventLog:
             self._show_progress(event)
         elif isinstance(event, events.Finished):
             state = "stopped" if event.stopped else "finished"
-            console.print(f"{state} at iteration {event.iteration} after {event.seconds:.0f} s ({event.cpu_seconds:.0f} CPU seconds)")
+            used = f"{event.seconds:.0f} s ({event.cpu_seconds:.0f} CPU seconds)"
+            console.print(f"{state} at iteration {event.iteration} after {used}")
 
     def _show_progress(self, event: events.Progress) -> None:
         self._monitor |= event.monitor

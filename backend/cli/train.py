@@ -18,6 +18,7 @@ from ..train.trainer import CHECKPOINT_FILE, Trainer
 from .monitor import view_monitor
 from .progress import EventLog, console
 from .run_folder import writable_folder
+from .warmup import compile_kernels
 
 
 def preset_named(argv: list[str]) -> TrainConfig:
@@ -57,6 +58,8 @@ class Train:
 
     def run(self) -> int:
         trainer, folder = self._resumed() if self.resume else self._fresh()
+        if trainer.device.type == "cpu" and self.rasteriser in ("auto", "cpu"):
+            compile_kernels([trainer.method.channels])
         stop = _StopOnInterrupt()
         monitor = view_monitor(trainer.scene)
         with stop, EventLog(folder) as log:

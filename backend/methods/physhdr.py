@@ -111,6 +111,12 @@ class PhysHDR(nn.Module):
         for name, tensor in parameters.items():
             parameters[name] = tensor.detach().to(device).requires_grad_()
 
+    @property
+    def channels(self) -> int:
+        """How many channels one pass draws."""
+        context = self.config.tone_mapper.context_size if self.config.tone_mapper.local else 0
+        return (6 if self.config.branches == "both" else 3) + context
+
     # -- radiance of the Gaussians -------------------------------------------------------------------
 
     def _viewpoint(self, camera: Camera) -> torch.Tensor:

@@ -36,9 +36,10 @@ def rotation_matrices(quaternions: torch.Tensor) -> torch.Tensor:
 def project(
     means: torch.Tensor, quaternions: torch.Tensor, scales: torch.Tensor, camera: Camera
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """EWA projection (paper eq. 1–2): screen means ``[N, 2]`` px, covariances ``[N, 2, 2]`` px², depths ``[N]``.
+    """EWA projection (paper eq. 1): where and how large Gaussians are on the screen.
 
-    The low-pass filter is included. Entries behind the near plane are finite and meaningless.
+    Returns means ``[N, 2]`` px, covariances ``[N, 2, 2]`` px² and depths ``[N]`` m. The
+    low-pass filter is included. Entries behind the near plane are finite and meaningless.
     """
     view = camera.view_matrix(means)
     R, t = view[:3, :3], view[:3, 3]

@@ -51,6 +51,7 @@ class Trainer:
     ) -> None:
         self.scene, self.config, self.device = scene, config, torch.device(device)
         self.iteration = 0
+        self._sound = True  # whether the state is one that a checkpoint may hold
         uses_light = config.method.lighting_level == "view"
         self.views = [*scene.train, *(scene.lit if uses_light else [])]
         if not self.views:
@@ -127,9 +128,11 @@ class Trainer:
 
         if iteration < config.densify.stop * config.iterations and screen_offsets.grad is not None:
             density.observe(self.statistics, screen_offsets.grad, rendering, view.camera, config.densify)
+        self._sound = False
         self.optimiser.step(iteration)
         self.iteration = iteration + 1
         self._control_density()
+        self._sound = True
         return {name: term.detach() for name, term in terms.items()}
 
     def _follow_schedules(self, iteration: int) -> None:
@@ -169,7 +172,6 @@ class Trainer:
         yield Started(self.iteration, total, len(self.method.gaussians))
         sums: dict[str, torch.Tensor] = {}
         window_start, window_first = time.perf_counter(), self.iteration
-        sound = True
         try:
             while self.iteration < total and not should_stop():
                 try:
@@ -191,13 +193,11 @@ class Trainer:
                     sums, window_start, window_first = {}, time.perf_counter(), done
                 if done % checkpoint_every == 0 and done < total:
                     yield self.save(folder)
-        except TrainingDivergedError:
-            sound = False  # the last good checkpoint is worth more than this state
-            raise
         finally:
-            if sound:
-                saved = self.save(folder)
-        yield saved
+            # A diverged state, or one caught in the middle of an update, is worth less than the last file.
+            if self._sound:
+                self.save(folder)
+        yield Saved(self.iteration, str(folder / CHECKPOINT_FILE))
         yield Finished(
             self.iteration,
             time.perf_counter() - begun,
@@ -211,6 +211,7 @@ class Trainer:
             raise self._diverged(f"the loss term '{bad[0]}' is not a number")
 
     def _diverged(self, what: str) -> TrainingDivergedError:
+        self._sound = False
         return TrainingDivergedError(
             f"training diverged at iteration {self.iteration}: {what}",
             "Lower the learning rates, or report this with the run's config.json. "

@@ -38,7 +38,10 @@ def data(tmp_path_factory):
 @pytest.fixture(scope="module")
 def run(data):
     folder = data.parent / "run"
-    assert main(["train", str(data), "--out", str(folder), "--iterations", "300", "--sh-degree-every", "80"]) == 0
+    assert (
+        main(["train", str(data), "--out", str(folder), "--iterations", "300", "--sh-degree-every", "80"])
+        == 0
+    )
     assert main(["evaluate", str(folder)]) == 0
     assert main(["export", str(folder)]) == 0
     return folder

@@ -126,6 +126,11 @@ def test_render_writes_radiance_and_pictures(run, tmp_path):
     assert Image.open(tmp_path / "a.png").size == (50, 50)
 
 
+def test_kernels_can_be_compiled_ahead(capsys):
+    assert main(["warmup"]) == 0
+    assert "kernels ready" in capsys.readouterr().out
+
+
 def test_an_interrupt_saves_and_resume_finishes(tiny_data, tmp_path):
     """A real process and a real CTRL-C."""
     folder = tmp_path / "run"

@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""``physhdr warmup``: compile the CPU kernels ahead, with progress; training does it when it has to."""
+
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from rich.progress import Progress
+
+from ..kernels.warmup import CHANNELS, warmup
+from .progress import console
+
+#: Shorter than this nothing was compiled, and nothing is said.
+COMPILED_SECONDS = 5.0
+
+
+def compile_kernels(channels: Iterable[int] = CHANNELS) -> float:
+    """Compile what is not in the cache, showing a bar; returns the seconds it took."""
+    begun = time.perf_counter()
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task("kernels", total=None)
+        warmup(
+            lambda what, done, total: bar.update(
+                task, completed=done, total=total, description=f"compiling {what}"
+            ),
+            channels,
+        )
+    seconds = time.perf_counter() - begun
+    if seconds > COMPILED_SECONDS:
+        console.print(f"kernels compiled in {seconds:.0f} s; later starts find them in the cache")
+    return seconds
+
+
+@dataclass(frozen=True)
+class Warmup:
+    """Compile every CPU kernel now; the first training then starts at once."""
+
+    def run(self) -> int:
+        console.print(f"kernels ready after {compile_kernels():.1f} s")
+        return 0
