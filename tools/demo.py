@@ -114,52 +114,56 @@ def write_result(run: Run, data: Path, pose: int, relit: Path, path: Path) -> st
 
     Returns a line that says how well the Cycles render agrees with our own.
     """
-    view = run.scene.find("test", pose)
-    method, rows = run.method, []
+    view, method = run.scene.find("test", pose), run.method
+    truths = {item.level: item.radiance() for item in relit_truth(data) if item.index == pose}
+    truths[1.0] = hdr_truth(data, "test", pose)
+    ours = {level: method.hdr(view.camera, level) for level in LEVELS}
+    cycles = {level: read_cycles(relit / f"level_{level:g}.exr") for level in LEVELS}
+
+    exposures = []
     for k in (0, 2, 4):
         truth = torch.from_numpy(view.image(k).copy()).permute(2, 0, 1) / 255.0
-        ours = method.ldr(view.camera, view.exposures[k])
+        picture = method.ldr(view.camera, view.exposures[k])
         label = f"{view.exposures[k]:g} s"
-        rows.append([(f"truth, {label}", truth), (f"ours, {psnr(ours, truth):.1f} dB", ours)])
-    truth = hdr_truth(data, "test", pose)
-    white = display_white(truth)
+        exposures += [(f"truth, {label}", truth), (f"ours, {psnr(picture, truth):.1f} dB", picture)]
 
-    def shown(radiance: torch.Tensor) -> torch.Tensor:
-        return display(radiance, white).float()
+    white = display_white(truths[1.0])
+    hdr = [("true HDR, μ-law", display(truths[1.0], white).float())]
+    hdr.append((f"our HDR, {decibels(ours[1.0], truths[1.0])}", display(ours[1.0], white).float()))
+    exposure = view.exposures[len(view.exposures) // 2]
 
-    ours = method.hdr(view.camera)
-    pair = hdr_pair(ours, truth)
-    hdr_row = [("true HDR, μ-law", shown(truth))]
-    hdr_row.append((f"our HDR, {psnr(pair.prediction, pair.truth):.1f} dB", shown(ours)))
-    relit_rows = []
-    agreement = []
-    truths = {item.level: item for item in relit_truth(data) if item.index == pose}
-    for level in LEVELS:
-        ours = method.hdr(view.camera, level)
-        cycles = torch.from_numpy(read_exr(relit / f"level_{level:g}.exr")).permute(2, 0, 1)
-        pair = hdr_pair(cycles, ours)
-        agreement.append(psnr(pair.prediction, pair.truth))
-        true = truths[level].radiance() if level in truths else truth
-        match = hdr_pair(ours, true)
-        relit_rows.append(
+    def developed(radiance: torch.Tensor) -> torch.Tensor:
+        return method.tone_mapper.tone_map(radiance * exposure, None)[0].detach()
+
+    rows = [exposures]
+    for level in sorted({level for level in LEVELS if level in truths and level != 1.0}):
+        rows.append(
             [
-                (f"truth, ambient × {level:g}", shown(true)),
-                (f"ours relit, {psnr(match.prediction, match.truth):.1f} dB", shown(ours)),
-                ("the point cloud in Cycles", shown(cycles)),
+                (f"truth, ambient × {level:g}", developed(truths[level])),
+                (f"ours relit, {decibels(ours[level], truths[level])}", developed(ours[level])),
+                ("its point cloud in Cycles", developed(cycles[level])),
+                (f"not relighting: truth × {level:g}", developed(level * truths[1.0])),
             ]
         )
-    grid = [
-        [cell for row in rows for cell in row],
-        [*hdr_row, *relit_rows[0], relit_rows[1][2]],
-        [*relit_rows[1][1:2], *relit_rows[2]],
-    ]
+    rows[1] += hdr
+    rows[-1] += [("ours, ambient × 1", developed(ours[1.0])), ("the same in Cycles", developed(cycles[1.0]))]
     title = f"PhysHDR: {run.scene.name}, test view {pose}, {run.iteration} iterations"
-    picture = labelled_grid([[(text, as_picture(image)) for text, image in row] for row in grid], title)
-    write_png(path, picture)
-    values = ", ".join(
-        f"{value:.1f} dB at × {level:g}" for level, value in zip(LEVELS, agreement, strict=True)
-    )
-    return f"the Cycles render of the point cloud against our own render (μ-law PSNR): {values}"
+    note = f"relit pictures: {exposure:g} s through the learned response; dB: μ-law PSNR of the HDR pictures"
+    grid = [[(text, as_picture(image)) for text, image in row] for row in rows]
+    write_png(path, labelled_grid(grid, title, note))
+    agreement = ", ".join(f"{decibels(cycles[level], ours[level])} at × {level:g}" for level in LEVELS)
+    return f"the Cycles render of the point cloud against our own render (μ-law PSNR): {agreement}"
+
+
+def read_cycles(path: Path) -> torch.Tensor:
+    """A render of relight.py as ``[3, H, W]``."""
+    return torch.from_numpy(read_exr(path)).permute(2, 0, 1).contiguous()
+
+
+def decibels(radiance: torch.Tensor, truth: torch.Tensor) -> str:
+    """μ-law PSNR by the paper's protocol, in words."""
+    pair = hdr_pair(radiance, truth)
+    return f"{psnr(pair.prediction, pair.truth):.1f} dB"
 
 
 if __name__ == "__main__":
