@@ -17,9 +17,9 @@ class LossConfig:
     #: Pixel term of L_rec: the paper states MSE (eq. 15); L1 is what 3DGS uses.
     pixel: Literal["l1", "mse"] = "l1"
     #: γ, the weight of the pixel term …
-    pixel_weight: float = 0.8
+    pixel_weight: float = 0.7
     #: … and that of 1 − SSIM.
-    dssim_weight: float = 0.2
+    dssim_weight: float = 0.3
     #: λ2, the weight of L_cons (needs both branches).
     consistency_weight: float = 0.0
     #: Compare radiance, or ln(1 + radiance): the linear form drags the absolute scale (docs/method.md).
