@@ -42,12 +42,13 @@ def main() -> int:
     begun = time.perf_counter()
 
     step("1/6 render the data set with Cycles", [BLENDER, "synth/make_scene.py", "--", "--out", data])
-    if is_trained(out):
+    iteration = trained_iterations(out)
+    if iteration == PRESETS["default"].iterations:
         say("2/6 train: done already")
-    elif (out / CHECKPOINT_FILE).exists():
+    elif iteration:
         step("2/6 train, from where it stopped", [PHYSHDR, "train", "--resume", out])
     else:
-        step("2/6 train", [PHYSHDR, "train", data, "--out", out])
+        step("2/6 train", [PHYSHDR, "train", data, "--out", out, "--overwrite"])
     step("3/6 evaluate", [PHYSHDR, "evaluate", out])
     step("4/6 export", [PHYSHDR, "export", out])
     run = open_run(out)
@@ -93,14 +94,14 @@ def step(title: str, command: list) -> None:
     say(f"    took {time.perf_counter() - begun:.0f} s")
 
 
-def is_trained(out: Path) -> bool:
-    """Whether ``out`` holds a finished run of the preset as it is today."""
+def trained_iterations(out: Path) -> int:
+    """How far ``out`` is with the preset as it is today; 0 where it holds no such run."""
     try:
         config, _, preset = read_config(out / CONFIG_FILE)
         _, metadata = load_checkpoint(out / CHECKPOINT_FILE)
     except PhysHDRError:
-        return False
-    return config == PRESETS[preset] and int(metadata["iteration"]) == config.iterations
+        return 0
+    return int(metadata["iteration"]) if (config, preset) == (PRESETS["default"], "default") else 0
 
 
 def list_position(data: Path, pose: int) -> int:
