@@ -27,6 +27,7 @@ def save_checkpoint(path: Path, tensors: dict[str, torch.Tensor], metadata: dict
     metadata = {"format": FORMAT, "version": str(VERSION), **metadata}
     try:
         save_file({k: v.detach().cpu().contiguous() for k, v in tensors.items()}, temporary, metadata)
+        temporary.chmod(0o644)  # safetensors makes files that only their owner reads
         with open(temporary, "rb") as file:
             os.fsync(file.fileno())
         os.replace(temporary, path)
