@@ -24,7 +24,7 @@ CONFIG_FILE = "config.json"
 class TrainConfig:
     """Everything that decides a run's result. Defaults are the preset ``default``."""
 
-    iterations: int = 4500
+    iterations: int = 3500
     seed: int = 0
     #: exp3: every iteration draws one of the training exposures; exp1: one is drawn for each view and kept.
     exposure_mode: Literal["exp3", "exp1"] = "exp3"
@@ -79,7 +79,7 @@ def paper(iterations: int = 30_000) -> TrainConfig:
     )
 
 
-def baseline(iterations: int = 4500) -> TrainConfig:
+def baseline(iterations: int = 3500) -> TrainConfig:
     """The yardstick: the image-exposure branch alone under one global tone mapper."""
     return TrainConfig(
         iterations=iterations,
