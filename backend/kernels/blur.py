@@ -17,6 +17,7 @@ from ...bridge.errors import BadValueError
 from ..rasterize.cpu.compiling import kernel
 from ..rasterize.cpu.simd import LANES, fma, load, splat, store
 from ..rasterize.cpu.threads import run_ranges
+from .plain import can_fuse
 
 
 def gaussian_blur(image: torch.Tensor, size: int, sigma: float) -> torch.Tensor:
@@ -30,7 +31,7 @@ def gaussian_blur(image: torch.Tensor, size: int, sigma: float) -> torch.Tensor:
             f"cannot blur an image of {list(image.shape[1:])} pixels with a window of {size}",
             "The window must be odd, and the image larger than half of it.",
         )
-    if image.dtype == torch.float32 and not image.is_cuda:
+    if can_fuse(image):
         return _Blur.apply(image, size, sigma)
     return gaussian_blur_reference(image, size, sigma)
 

@@ -44,6 +44,7 @@ from ..rasterize.cpu.simd import (
 )
 from ..rasterize.cpu.threads import run_parallel
 from .curve_table import MAX_WEIGHT, interpolate, knots_for
+from .plain import can_fuse
 
 Activation = Literal["relu", "softplus", "silu"]
 
@@ -67,7 +68,7 @@ def curve_mlp(
 
     ``x`` ``[C, P]``; ``w1``, ``b1``, ``w2`` ``[C, H]``; ``b2`` ``[C]``.
     """
-    if not _can_fuse(x, w1):
+    if not can_fuse(x, w1):
         return curve_mlp_reference(x, w1, b1, w2, b2, activation)
     if activation != "relu" and x.numel() and w1.detach().abs().max() <= MAX_WEIGHT:
         knots = knots_for(x)
@@ -107,7 +108,7 @@ def small_mlp(
     activation: Activation,
 ) -> torch.Tensor:
     """``x`` ``[I, P]``, ``w1`` ``[H, I]``, ``b1`` ``[H]``, ``w2`` ``[O, H]``, ``b2`` ``[O]`` → ``[O, P]``."""
-    if not _can_fuse(x, w1):
+    if not can_fuse(x, w1):
         return small_mlp_reference(x, w1, b1, w2, b2, activation)
     return _Networks.apply(x[None], w1[None], b1[None], w2[None], b2[None], activation)[0]
 
@@ -121,10 +122,6 @@ def curve_mlp_reference(x, w1, b1, w2, b2, activation: Activation) -> torch.Tens
 def small_mlp_reference(x, w1, b1, w2, b2, activation: Activation) -> torch.Tensor:
     """``small_mlp`` in plain torch, for any dtype and device."""
     return w2 @ _TORCH[activation](w1 @ x + b1[:, None]) + b2[:, None]
-
-
-def _can_fuse(x: torch.Tensor, weights: torch.Tensor) -> bool:
-    return x.dtype == weights.dtype == torch.float32 and not x.is_cuda
 
 
 class _Networks(torch.autograd.Function):

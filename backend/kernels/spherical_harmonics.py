@@ -14,6 +14,7 @@ from numba import njit
 
 from ..rasterize.cpu.compiling import kernel
 from ..rasterize.cpu.threads import run_ranges
+from .plain import can_fuse
 
 Y0 = 0.28209479177387814
 Y1 = 0.4886025119029199
@@ -32,7 +33,7 @@ def evaluate_sh(
     dc = dc.reshape(-1, 3)
     if degree == 0:
         return Y0 * dc
-    if dc.dtype != torch.float32 or dc.is_cuda:
+    if not can_fuse(dc):
         return evaluate_sh_reference(dc, rest, means, viewpoint, degree)
     return _Evaluate.apply(dc, rest, means, viewpoint, degree)
 

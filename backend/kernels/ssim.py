@@ -26,6 +26,7 @@ from torch.nn import functional
 from ..rasterize.cpu.compiling import kernel
 from ..rasterize.cpu.simd import LANES, fma, lane_numbers, load, select, splat, store, store_strided, total
 from ..rasterize.cpu.threads import run_ranges
+from .plain import can_fuse
 
 TAPS = 11
 SIGMA = 1.5
@@ -52,6 +53,12 @@ class SsimTarget:
             minimum=32,
         )
 
+    @property
+    def image(self) -> torch.Tensor:
+        """The target itself, ``[C, H, W]``."""
+        _, height, width = self.shape
+        return torch.from_numpy(self.padded[:, _R : _R + height, _R : _R + width])
+
 
 def ssim(prediction: torch.Tensor, target: torch.Tensor | SsimTarget) -> torch.Tensor:
     """Mean SSIM of two images ``[C, H, W]``, a scalar, differentiable in ``prediction``.
@@ -60,8 +67,10 @@ def ssim(prediction: torch.Tensor, target: torch.Tensor | SsimTarget) -> torch.T
     from the fused path.
     """
     if isinstance(target, SsimTarget):
-        return _Ssim.apply(prediction, target)
-    if prediction.dtype == torch.float32 and not prediction.is_cuda and not target.requires_grad:
+        if can_fuse(prediction):
+            return _Ssim.apply(prediction, target)
+        return ssim_reference(prediction, target.image.to(prediction))
+    if can_fuse(prediction, target) and not target.requires_grad:
         return _Ssim.apply(prediction, SsimTarget(target))
     return ssim_reference(prediction, target)
 

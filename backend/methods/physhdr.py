@@ -13,6 +13,7 @@ import torch
 from torch import nn
 
 from ...bridge.errors import BadValueError
+from ..kernels.plain import can_fuse
 from ..kernels.ssim import SsimTarget
 from ..model.gaussians import Gaussians
 from ..model.radiance import AdditiveModulator, LearnedComposer, LearnedModulator, ProductComposer
@@ -208,7 +209,7 @@ class PhysHDR(nn.Module):
     def losses(self, rendering: Rendering, picture: torch.Tensor) -> dict[str, torch.Tensor]:
         """The weighted terms of L_total (eq. 19) for a picture ``[3, H, W]`` in [0, 1]; sum them."""
         loss = self.config.loss
-        ssim_target = None if picture.is_cuda else SsimTarget(picture)
+        ssim_target = SsimTarget(picture) if can_fuse(picture) else None
         terms = {
             "rec": torch.stack(
                 [reconstruction_loss(image, picture, loss, ssim_target) for image in rendering.supervised]
