@@ -6,6 +6,7 @@ when it is small and split when it is large; transparent and oversized ones are 
 and then so that what nobody needs can vanish (all 3DGS's).
 """
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -14,6 +15,7 @@ from ..methods.physhdr import PhysHDR, Rendering
 from ..model.gaussians import Gaussians
 from ..rasterize.reference import rotation_matrices
 from ..scene.camera import Camera
+from .morton import morton_order
 from .optimisers import Optimiser
 
 #: A split makes two, each this much smaller (3DGS).
@@ -106,7 +108,10 @@ def densify(
     config: DensifyConfig,
     generator: torch.Generator,
 ) -> DensifyState:
-    """Clone, split and prune in one resampling; returns fresh statistics."""
+    """Clone, split and prune in one resampling, which also sorts by place (``morton``).
+
+    Returns fresh statistics.
+    """
     gaussians, extent = method.gaussians, optimiser.extent
     count = len(gaussians)
     gradient = state.gradient_sum / state.visits.clamp_min(1.0)
@@ -130,14 +135,19 @@ def densify(
     stay, clone, split = index[~pruned & ~splits], index[clones], index[splits]
     source = torch.cat([stay, clone, split, split])
     fresh = torch.arange(len(source), device=source.device) >= len(stay)
-    rotation = rotation_matrices(gaussians.quaternions[split])
-    optimiser.resample(method, source, fresh)
+    is_child = torch.arange(len(source), device=source.device) >= len(stay) + len(clone)
 
-    children = slice(len(stay) + len(clone), len(source))
+    rotation = rotation_matrices(gaussians.quaternions[split])
     noise = torch.randn(2, len(split), 3, generator=generator).to(scales)
     offsets = (rotation @ (noise * scales[split])[..., None]).squeeze(-1)
-    gaussians.means[children] += offsets.reshape(-1, 3)
-    gaussians.log_scales[children] -= torch.log(torch.tensor(SPLIT_SHRINK)).item()
+    means = gaussians.means.detach()[source]
+    means[is_child] += offsets.reshape(-1, 3)
+
+    # Where each Gaussian of the new list goes in memory: neighbours in space beside each other.
+    order = morton_order(means)
+    optimiser.resample(method, source[order], fresh[order])
+    gaussians.means.copy_(means[order])
+    gaussians.log_scales[is_child[order]] -= math.log(SPLIT_SHRINK)
     return DensifyState.empty(gaussians)
 
 

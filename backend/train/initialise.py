@@ -11,6 +11,7 @@ from ..model.gaussians import LOG_RADIANCE_RANGE
 from ..model.tone_mapper import ToneMapper
 from ..scene.camera import Camera
 from ..scene.scene import Scene, View
+from .morton import morton_order
 
 #: Random points lie between these depths (metres) of the training cameras, evenly in log depth.
 RANDOM_DEPTH_RANGE = (0.5, 20.0)
@@ -38,7 +39,15 @@ def random_points(views: list[View], count: int, seed: int) -> np.ndarray:
 
 
 def initial_points(scene: Scene, source: str, random_count: int, seed: int) -> np.ndarray:
-    """The data set's points ``[P, 3]``, or random ones where asked for (``source`` = "random")."""
+    """The data set's points ``[P, 3]``, or random ones where asked for (``source`` = "random").
+
+    Sorted by place (``morton``), as densification keeps them.
+    """
+    points = _points(scene, source, random_count, seed)
+    return points[morton_order(torch.as_tensor(points)).numpy()]
+
+
+def _points(scene: Scene, source: str, random_count: int, seed: int) -> np.ndarray:
     if source == "random":
         return random_points(scene.train, random_count, seed)
     if scene.points is None:
