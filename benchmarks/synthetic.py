@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Gaussians, pictures and whole training runs made of random numbers: no data set is needed."""
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from physhdr.backend.scene.camera import Camera
+from physhdr.backend.scene.scene import PictureCache, Points, Scene, View
+from physhdr.backend.train.config import PRESETS, TrainConfig
+from physhdr.backend.train.optimisers import OptimiserConfig
+from physhdr.backend.train.trainer import Trainer
+
+SIZE = 400  # pixels of a side
+EXPOSURES = (0.125, 0.5, 2.0, 8.0, 32.0)
+ANCHOR = (1.0, 0.5 ** (1.0 / 2.2))
+
+#: Where in a training the timed iterations are: SH at its full degree, f_mix learning.
+PROGRESS = 0.9
+
+#: So small that nothing moves: every timed iteration then does the same work.
+STANDSTILL = OptimiserConfig(
+    **{f.name: 1e-12 for f in dataclasses.fields(OptimiserConfig) if f.type is float}
+)
+
+
+def gaussians(
+    count: int, channels: int, size: int = SIZE, seed: int = 0
+) -> tuple[list[torch.Tensor], Camera]:
+    """Gaussians spread over the view, 1–5 m away; opacity 0.1–0.9; footprints of 7 px on average (at 400²).
+
+    Means, quaternions, scales, opacities, colours as ``rasterize`` takes them, and the camera.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    depth = 1.0 + 4.0 * torch.rand(count, generator=generator)
+    x, y = (torch.rand(2, count, generator=generator) - 0.5) * 1.2 * depth
+    tensors = [
+        torch.stack([x, y, -depth], dim=1),
+        torch.randn(count, 4, generator=generator),
+        0.005 * torch.exp(torch.rand(count, 3, generator=generator) * math.log(4.0)),
+        0.1 + 0.8 * torch.rand(count, generator=generator),
+        torch.rand(count, channels, generator=generator),
+    ]
+    return [t.requires_grad_() for t in tensors], camera(np.zeros(3), size)
+
+
+def camera(position: np.ndarray, size: int = SIZE) -> Camera:
+    """At ``position``, looking down −Z."""
+    pose = np.eye(4)
+    pose[:3, 3] = position
+    return Camera.from_field_of_view(pose, size, size, 2.0 * math.atan(0.5))
+
+
+class MadeUpPictures(PictureCache):
+    """Smooth random pictures with a little noise in place of files; each is made once and kept."""
+
+    def __init__(self, size: int) -> None:
+        super().__init__()
+        self.size = size
+        self._made: dict[Path, np.ndarray] = {}
+
+    def get(self, path: Path) -> np.ndarray:
+        """``[H, W, 3]`` uint8."""
+        if path not in self._made:
+            generator = torch.Generator().manual_seed(len(self._made))
+            coarse = torch.rand(1, 3, 12, 12, generator=generator)
+            smooth = torch.nn.functional.interpolate(coarse, (self.size, self.size), mode="bicubic")[0]
+            noisy = smooth + 0.05 * torch.randn(3, self.size, self.size, generator=generator)
+            self._made[path] = (255.0 * noisy.clamp(0, 1)).byte().permute(1, 2, 0).contiguous().numpy()
+        return self._made[path]
+
+
+def scene(points: np.ndarray, views: int, size: int = SIZE) -> Scene:
+    """``views`` training views beside each other, a bracket of five exposures each, and ``points``."""
+    pictures = MadeUpPictures(size)
+    train = [
+        View(
+            name=f"train/r_{i}",
+            camera=camera(np.array([0.1 * math.cos(i), 0.1 * math.sin(i), 0.0]), size),
+            exposures=EXPOSURES,
+            image_paths=tuple(Path(f"r_{i}_{k}.png") for k in range(len(EXPOSURES))),
+            index=i,
+            cache=pictures,
+        )
+        for i in range(views)
+    ]
+    grey = np.full_like(points, 0.5)
+    return Scene(Path("synthetic"), "synthetic", train, [], [], Points(points, grey), ANCHOR)
+
+
+def trainer(config: TrainConfig, count: int, views: int = 5, size: int = SIZE) -> Trainer:
+    """A training run of ``config`` whose Gaussians have the shapes and opacities of ``gaussians``."""
+    (means, quaternions, scales, opacities, _), _ = gaussians(count, 3, size)
+    result = Trainer(scene(means.detach().numpy(), views, size), config)
+    parameters = result.method.gaussians.parameters
+    with torch.no_grad():
+        parameters["quaternions"].copy_(quaternions)
+        parameters["log_scales"].copy_(scales.log())
+        parameters["opacity_logits"].copy_(opacities.logit())
+    return result
+
+
+def steady_trainer(preset: str, count: int, size: int = SIZE) -> Trainer:
+    """A run whose every step is an iteration of late training: full SH, f_mix learning, gradients observed.
+
+    Densification is not due, and the learning rates are next to nothing, so that the work stays the same.
+    """
+    config = PRESETS[preset]
+    result = trainer(
+        dataclasses.replace(
+            config,
+            iterations=30_000,
+            optimiser=STANDSTILL,
+            densify=dataclasses.replace(config.densify, stop=1.0, every=1 << 30, reset_every=0),
+            method=dataclasses.replace(
+                config.method,
+                tone_mapper=dataclasses.replace(config.method.tone_mapper, warm_start_steps=0),
+            ),
+        ),
+        count,
+        size=size,
+    )
+    result.iteration = int(PROGRESS * result.config.iterations)
+    return result
