@@ -11,6 +11,7 @@ import torch
 from physhdr.backend.scene.camera import Camera
 from physhdr.backend.scene.scene import PictureCache, Points, Scene, View
 from physhdr.backend.train.config import PRESETS, TrainConfig
+from physhdr.backend.train.morton import morton_order
 from physhdr.backend.train.optimisers import OptimiserConfig
 from physhdr.backend.train.trainer import Trainer
 
@@ -44,7 +45,8 @@ def gaussians(
         0.1 + 0.8 * torch.rand(count, generator=generator),
         torch.rand(count, channels, generator=generator),
     ]
-    return [t.requires_grad_() for t in tensors], camera(np.zeros(3), size)
+    order = morton_order(tensors[0])  # as training keeps them
+    return [t[order].requires_grad_() for t in tensors], camera(np.zeros(3), size)
 
 
 def camera(position: np.ndarray, size: int = SIZE) -> Camera:
