@@ -39,11 +39,17 @@ def gaussian_blur(image: torch.Tensor, size: int, sigma: float) -> torch.Tensor:
 def gaussian_blur_reference(image: torch.Tensor, size: int, sigma: float) -> torch.Tensor:
     """The same in plain torch, for any dtype and device."""
     r = size // 2
-    window = torch.from_numpy(_window(size, sigma)).to(image)
+    window = _window_on(size, sigma, image.device, image.dtype)
     padded = functional.pad(image[None], (r, r, r, r), mode="reflect")[0][:, None]
     return functional.conv2d(
         functional.conv2d(padded, window.view(1, 1, 1, size)), window.view(1, 1, size, 1)
     )[:, 0]
+
+
+@functools.cache
+def _window_on(size: int, sigma: float, device: torch.device, dtype: torch.dtype) -> torch.Tensor:
+    """Kept, because a copy to a CUDA card makes the host wait for the card."""
+    return torch.from_numpy(_window(size, sigma)).to(device, dtype)
 
 
 @functools.cache

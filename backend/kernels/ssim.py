@@ -77,7 +77,7 @@ def ssim(prediction: torch.Tensor, target: torch.Tensor | SsimTarget) -> torch.T
 
 def ssim_reference(prediction: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
     """The same in plain torch, for any dtype and device."""
-    window = torch.from_numpy(_WINDOW).to(prediction)
+    window = _window_on(prediction.device, prediction.dtype)
     stacked = torch.stack(
         [prediction, target, prediction * prediction, target * target, prediction * target], dim=1
     )
@@ -129,6 +129,12 @@ def _padded(image: torch.Tensor) -> np.ndarray:
     result = np.zeros((channels, height + 2 * _R, -(-width // LANES) * LANES + 2 * _R + LANES), np.float32)
     result[:, _R : _R + height, _R : _R + width] = image.detach().numpy()
     return result
+
+
+@functools.cache
+def _window_on(device: torch.device, dtype: torch.dtype) -> torch.Tensor:
+    """Kept, because a copy to a CUDA card makes the host wait for the card."""
+    return torch.from_numpy(_WINDOW).to(device, dtype)
 
 
 @functools.cache

@@ -13,12 +13,14 @@ import torch
 from torch import nn
 
 from ...bridge.errors import BadValueError
+from ..device import use_whole_float32
 from ..kernels.plain import can_fuse
 from ..kernels.ssim import SsimTarget
 from ..model.gaussians import Gaussians
 from ..model.radiance import AdditiveModulator, LearnedComposer, LearnedModulator, ProductComposer
 from ..model.tone_mapper import ToneMapper, ToneMapperConfig
 from ..rasterize import Implementation, Rasterization, rasterize
+from ..resident import camera_tensors
 from ..scene.camera import Camera
 from ..train.losses import LossConfig, consistency_loss, reconstruction_loss
 
@@ -107,6 +109,8 @@ class PhysHDR(nn.Module):
 
     def to_device(self, device: torch.device) -> None:
         """Move Gaussians and networks; an optimiser must be made after this."""
+        if device.type == "cuda":
+            use_whole_float32()
         self.to(device)
         parameters = self.gaussians.parameters
         for name, tensor in parameters.items():
@@ -121,7 +125,7 @@ class PhysHDR(nn.Module):
     # -- radiance of the Gaussians -------------------------------------------------------------------
 
     def _viewpoint(self, camera: Camera) -> torch.Tensor:
-        return torch.as_tensor(camera.position, dtype=torch.float32, device=self.gaussians.means.device)
+        return camera_tensors(camera, self.gaussians.means).position
 
     def log_modulated_illumination(self, level: float) -> torch.Tensor:
         """ln L̂_a = ln φ(L_a, l) (eq. 10), ``[N, 1 or 3]``."""

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy.spatial import KDTree
 
 from ...bridge.errors import BadValueError
 from ..kernels.spherical_harmonics import evaluate_sh
@@ -62,7 +61,11 @@ class Gaussians:
 
     def log_reflectance(self, viewpoint: torch.Tensor, degree: int) -> torch.Tensor:
         """ln H_r(ω_o) ``[N, 3]`` as seen from ``viewpoint`` (``[3]``, metres), SH up to ``degree``."""
-        return evaluate_sh(self.reflectance_dc, self.reflectance_rest, self.means, viewpoint, degree)
+        if self.means.is_cuda and degree > 0 and len(self) > 0:
+            from ..rasterize.cuda import evaluate_sh as evaluate  # imports gsplat
+        else:
+            evaluate = evaluate_sh
+        return evaluate(self.reflectance_dc, self.reflectance_rest, self.means, viewpoint, degree)
 
 
 def initial_gaussians(
@@ -88,6 +91,8 @@ def initial_gaussians(
             f"{count} initial points are too few to start from",
             "Give the data set a points3d.ply with more points, or train with --initial-points random.",
         )
+    from scipy.spatial import KDTree  # here, because only this needs SciPy
+
     distances, _ = KDTree(positions).query(positions, k=4, workers=-1)
     spacing = np.sqrt(np.mean(distances[:, 1:] ** 2, axis=1)).clip(1e-5)
     generator = torch.Generator().manual_seed(seed)

@@ -78,6 +78,7 @@ class LearnedModulator(nn.Module):
         self, log_illumination: torch.Tensor, lighting_level: float, ambient_share: torch.Tensor | None = None
     ) -> torch.Tensor:
         """ln L_a ``[N, 1]`` → ln L̂_a ``[N, 1]``."""
-        log_level = torch.tensor(lighting_level).log().to(log_illumination)
-        inputs = torch.cat([log_illumination, log_level.expand_as(log_illumination)], dim=1)
+        # In float32 as the Gaussians are, but on the host: a copy to the card would make it wait.
+        log_level = torch.tensor(lighting_level).log().item()
+        inputs = torch.cat([log_illumination, torch.full_like(log_illumination, log_level)], dim=1)
         return log_illumination + log_level + self.network(inputs.T.contiguous()).T

@@ -14,6 +14,7 @@ import torch
 from ..methods.physhdr import PhysHDR, Rendering
 from ..model.gaussians import Gaussians
 from ..rasterize.reference import rotation_matrices
+from ..resident import camera_tensors
 from ..scene.camera import Camera
 from .morton import morton_order
 from .optimisers import Optimiser
@@ -75,7 +76,7 @@ def observe(
     config: DensifyConfig,
 ) -> None:
     """Add one view's screen gradient ``[N, 2]`` (per pixel) to the statistics, in NDC and times s_a."""
-    to_ndc = screen_gradient.new_tensor([0.5 * camera.width, 0.5 * camera.height])
+    to_ndc = camera_tensors(camera, screen_gradient).half_size
     norm = torch.linalg.vector_norm(screen_gradient * to_ndc, dim=1)
     if config.scaling_strength and rendering.illumination_deviation is not None:
         norm = norm * gradient_scaling(rendering.illumination_deviation, config.scaling_strength)

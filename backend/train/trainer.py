@@ -14,6 +14,7 @@ from ..methods.physhdr import PhysHDR
 from ..model.gaussians import Gaussians, initial_gaussians
 from ..model.tone_mapper import ToneMapper
 from ..rasterize import Implementation
+from ..resident import Pictures
 from ..scene.scene import Scene, View
 from . import densify as density
 from .checkpoint import load_checkpoint, save_checkpoint
@@ -50,6 +51,7 @@ class Trainer:
         device: torch.device | str = "cpu",
     ) -> None:
         self.scene, self.config, self.device = scene, config, torch.device(device)
+        self.pictures = Pictures(self.device)
         self.iteration = 0
         self._sound = True  # whether the state is one that a checkpoint may hold
         uses_light = config.method.lighting_level == "view"
@@ -117,7 +119,7 @@ class Trainer:
         """One iteration; returns the weighted loss terms (detached)."""
         config, method, iteration = self.config, self.method, self.iteration
         view, k = self.draw(iteration)
-        picture = torch.tensor(view.image(k), device=self.device).permute(2, 0, 1).float() / 255.0
+        picture = self.pictures.get(view, k)
         self._follow_schedules(iteration)
 
         screen_offsets = torch.zeros(len(method.gaussians), 2, device=self.device, requires_grad=True)

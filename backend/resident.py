@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is put where the computation is once, and then stays there: cameras and pictures.
+
+A copy from ordinary host memory to a CUDA card makes the host wait for the card. An iteration must not do
+that (issue 3), so matrices and pictures are copied at their first use and kept.
+"""
+
+import weakref
+from dataclasses import dataclass
+
+import torch
+
+from .scene.camera import Camera
+from .scene.scene import View
+
+#: Pictures beyond this many bytes are copied anew at each use: a card has to hold the Gaussians, too. All of
+#: HDR-NeRF-Syn at 400×400 (35 views × 5 exposures) takes 84 MB.
+PICTURE_BYTES = 1 << 30
+
+
+@dataclass(frozen=True)
+class CameraTensors:
+    """A camera where the Gaussians are, in their precision.
+
+    ``view`` ``[4, 4]``: world to camera, OpenCV axes. ``intrinsics`` ``[3, 3]``, pixels. ``position``
+    ``[3]``, metres. ``half_size`` ``[2]``: half of width and height, pixels (one unit of NDC).
+    """
+
+    view: torch.Tensor
+    intrinsics: torch.Tensor
+    position: torch.Tensor
+    half_size: torch.Tensor
+
+
+# A camera never changes (frozen, compared by identity); its tensors go when it goes.
+_cameras: weakref.WeakKeyDictionary[Camera, dict[tuple[torch.device, torch.dtype], CameraTensors]] = (
+    weakref.WeakKeyDictionary()
+)
+
+
+def camera_tensors(camera: Camera, like: torch.Tensor) -> CameraTensors:
+    """The camera with the device and dtype of ``like``; copied once, do not write into it."""
+    kept = _cameras.setdefault(camera, {})
+    key = (like.device, like.dtype)
+    if key not in kept:
+        K = [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]]
+        kept[key] = CameraTensors(
+            view=camera.view_matrix(like),
+            intrinsics=torch.tensor(K, dtype=like.dtype, device=like.device),
+            # .copy(): the position is a view into the pose, and as_tensor would share its memory.
+            position=torch.as_tensor(camera.position.copy(), dtype=like.dtype, device=like.device),
+            half_size=torch.tensor(
+                [0.5 * camera.width, 0.5 * camera.height], dtype=like.dtype, device=like.device
+            ),
+        )
+    return kept[key]
+
+
+class Pictures:
+    """Training pictures as float images on ``device``, kept there as 8 bits a channel.
+
+    On the CPU nothing is kept: the scene's own cache already holds the decoded pictures.
+    """
+
+    def __init__(self, device: torch.device, budget: int = PICTURE_BYTES) -> None:
+        self.device = device
+        self.budget = budget
+        self.bytes_held = 0
+        self._kept: dict[tuple[View, int], torch.Tensor] = {}
+
+    def get(self, view: View, exposure: int) -> torch.Tensor:
+        """The picture ``[3, H, W]`` in [0, 1]; raises what ``View.image`` raises."""
+        codes = self._kept.get((view, exposure))
+        if codes is None:
+            codes = torch.tensor(view.image(exposure), device=self.device).permute(2, 0, 1)
+            if self.device.type != "cpu":
+                codes = codes.contiguous()
+                if self.bytes_held + codes.nbytes <= self.budget:
+                    self._kept[view, exposure] = codes
+                    self.bytes_held += codes.nbytes
+        return codes.float() / 255.0

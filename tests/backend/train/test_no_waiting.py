@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""An iteration never makes the host wait for a card, and never copies to it (issue 3).
+
+Shown without a card, on torch's ``meta`` device: its tensors have shapes and no values, so that whatever asks
+for one fails; copies from the host and tensors that are made of Python numbers are refused here.
+"""
+
+import dataclasses
+
+import pytest
+import torch
+from torch.overrides import TorchFunctionMode
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from physhdr.backend import rasterize as rasterizers
+from physhdr.backend.rasterize import Rasterization
+from physhdr.backend.scene import read_scene
+from physhdr.backend.train import densify
+from physhdr.backend.train.config import PRESETS
+from physhdr.backend.train.trainer import Trainer
+
+aten = torch.ops.aten
+
+
+class RefusedError(AssertionError):
+    pass
+
+
+class RefuseCopies(TorchDispatchMode):
+    """No value is read from the device and none is copied to it."""
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        kwargs = kwargs or {}
+        tensors = [a for a in args if isinstance(a, torch.Tensor)]
+        devices = {t.device.type for t in tensors}
+        if func is aten._to_copy.default:
+            devices.add(torch.device(kwargs.get("device") or tensors[0].device).type)
+        if func in (aten._to_copy.default, aten.copy_.default) and len(devices) > 1:
+            raise RefusedError(f"{func} between {sorted(devices)}")
+        reads = (aten._local_scalar_dense.default, aten.nonzero.default, aten.masked_select.default)
+        if func in reads and "meta" in devices:
+            raise RefusedError(f"{func} reads from the device")
+        return func(*args, **kwargs)
+
+
+class RefuseNumbers(TorchFunctionMode):
+    """No tensor on the device is made of Python numbers: torch copies those from the host."""
+
+    def __torch_function__(self, func, types, args=(), kwargs=None):
+        kwargs = kwargs or {}
+        device = kwargs.get("device")
+        if (
+            func in (torch.tensor, torch.as_tensor)
+            and device is not None
+            and torch.device(device).type != "cpu"
+        ):
+            raise RefusedError(f"{func.__name__} on {device}")
+        if func is torch.Tensor.new_tensor and args[0].device.type != "cpu":
+            raise RefusedError("new_tensor")
+        return func(*args, **kwargs)
+
+
+def draw_nothing(means, quaternions, scales, opacities, colours, camera, screen_offsets=None):
+    """A rasteriser of the right shapes that depends on every input; gsplat's own read-back is not in it."""
+    geometry = sum(t.sum() for t in (means, quaternions, scales, opacities, screen_offsets))
+    image = colours.new_zeros(colours.shape[1], camera.height, camera.width) + colours.sum() * geometry
+    return Rasterization(image, image[0], means.detach()[:, 0])
+
+
+@pytest.fixture
+def trainer_elsewhere(tiny_data, monkeypatch):
+    """Makes a trainer whose tensors are on the meta device, one iteration before its last."""
+
+    def make(preset: str) -> Trainer:
+        config = PRESETS[preset]
+        tone_mapper = dataclasses.replace(config.method.tone_mapper, warm_start_steps=0)
+        method = dataclasses.replace(config.method, tone_mapper=tone_mapper)
+        config = dataclasses.replace(config, iterations=40, sh_degree_every=2, method=method)
+        trainer = Trainer(read_scene(tiny_data), config)
+        device = torch.device("meta")
+        trainer.device = trainer.pictures.device = device
+        trainer.method.to_device(device)
+        trainer.statistics = densify.DensifyState.empty(trainer.method.gaussians)
+        monkeypatch.setattr(rasterizers, "_implementation", lambda name, means: draw_nothing)
+        # Torch's fused Adam does not know this device; on CUDA it keeps its step count there.
+        monkeypatch.setattr(trainer.optimiser, "step", lambda iteration: None)
+        for view in trainer.views:  # at first use cameras and pictures are copied
+            for k in range(len(view.exposures)):
+                trainer.pictures.get(view, k)
+        with torch.no_grad():
+            for view in trainer.views:
+                trainer.method.render(view.camera, 1.0, 1.0, torch.zeros(1, 2, device=device))
+        trainer.step()
+        trainer.iteration = 19
+        return trainer
+
+    return make
+
+
+@pytest.mark.parametrize("preset", list(PRESETS))
+def test_a_step_neither_waits_nor_copies(preset, trainer_elsewhere):
+    trainer = trainer_elsewhere(preset)
+    gaussians = trainer.method.gaussians
+    for parameter in gaussians.parameters.values():
+        parameter.grad = None
+    with RefuseCopies(), RefuseNumbers():
+        terms = trainer.step()
+    assert all(term.device.type == "meta" for term in terms.values())
+    learned = [name for name, parameter in gaussians.parameters.items() if parameter.grad is not None]
+    assert {"means", "opacity_logits", "reflectance_dc", "reflectance_rest"} <= set(learned)
+
+
+@pytest.mark.parametrize(
+    "slip",
+    [
+        lambda t: t.item(),
+        lambda t: bool(t > 0),
+        lambda t: torch.zeros(3, device=t.device)[torch.zeros(3, device=t.device) > 0],
+        lambda t: torch.tensor([1.0, 2.0], device=t.device),
+        lambda t: t.new_tensor([1.0, 2.0]),
+        lambda t: torch.ones(3).to(t),
+        lambda t: t * torch.tensor(2.0).to(t.device),
+    ],
+)
+def test_every_slip_is_noticed(slip):
+    with RefuseCopies(), RefuseNumbers(), pytest.raises((RefusedError, NotImplementedError, RuntimeError)):
+        slip(torch.zeros((), device="meta"))
