@@ -9,19 +9,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from torch.nn import functional
 
 from ....bridge.errors import BadValueError
 from ...scene.camera import Camera
 from ..contract import Rasterization
-from .binning import NEAR, RECORD_HEAD, TILE_HEIGHT, TILE_WIDTH, fill, gather, sort_by_depth
-from .projection import FOOTPRINT, camera_array, project, project_backward
+from .binning import fill_lists
+from .projection import RECORD_HEAD, TILE_HEIGHT, TILE_WIDTH, camera_array, project, project_backward
 from .simd import LANES
-from .threads import run_parallel, run_ranges, set_threads, thread_count
-from .tiles import draw, draw_backward
+from .threads import ranges, run_parallel, run_ranges, set_threads, thread_count
+from .tiles import BLOCK_HEIGHT, BLOCK_WIDTH, MOMENTS, draw, draw_backward
 
 __all__ = ["rasterize", "set_threads", "thread_count"]
-
-MOMENTS = 6  # floats in a slot before the colours' gradients
 
 
 def rasterize(
@@ -59,15 +58,14 @@ class _Drawing(NamedTuple):
     """What the backward pass needs of a forward pass, flat arrays (see the kernels for their meaning)."""
 
     camera: np.ndarray
-    image_size: tuple[int, int, int]
     tile_order: np.ndarray
     tile_starts: np.ndarray
-    tile_ranks: np.ndarray
+    tile_gaussians: np.ndarray
     tile_slots: np.ndarray
     records: np.ndarray
     stride: int
     slot_starts: np.ndarray
-    slot_blocks: np.ndarray
+    entry_blocks: np.ndarray
 
 
 class _Rasterize(torch.autograd.Function):
@@ -81,14 +79,15 @@ class _Rasterize(torch.autograd.Function):
         if keep:
             ctx.drawing = drawing
             ctx.save_for_backward(image, alpha, *tensors[:4])
-        return image, alpha, radii
+        width, height = camera.width, camera.height
+        return image[:, :height, :width].contiguous(), alpha[:height, :width].contiguous(), radii
 
     @staticmethod
     def backward(ctx: Any, *grads: Any):
         grad_image, grad_alpha, _ = grads
         image, alpha, *geometry = ctx.saved_tensors
-        grad_image = torch.zeros_like(image) if grad_image is None else grad_image.contiguous()
-        grad_alpha = torch.zeros_like(alpha) if grad_alpha is None else grad_alpha.contiguous()
+        grad_image = torch.zeros_like(image) if grad_image is None else _in_whole_blocks(grad_image)
+        grad_alpha = torch.zeros_like(alpha) if grad_alpha is None else _in_whole_blocks(grad_alpha)
         gradients = _draw_backward(ctx.drawing, image, alpha, grad_image, grad_alpha, geometry)
         wanted = zip(gradients, ctx.needs_input_grad[1:], strict=True)
         return None, *(gradient if needed else None for gradient, needed in wanted)
@@ -98,118 +97,113 @@ def _flat(tensor: torch.Tensor) -> np.ndarray:
     return tensor.detach().numpy().reshape(-1)
 
 
+def _whole_blocks(width: int, height: int) -> tuple[int, int]:
+    """The size of an image that is not cut by its border in the middle of a block."""
+    return -(-width // BLOCK_WIDTH) * BLOCK_WIDTH, -(-height // BLOCK_HEIGHT) * BLOCK_HEIGHT
+
+
+def _in_whole_blocks(planes: torch.Tensor) -> torch.Tensor:
+    """``planes`` ``[…, H, W]``, contiguous, with zeros at the right and below up to whole blocks."""
+    height, width = planes.shape[-2:]
+    whole_width, whole_height = _whole_blocks(width, height)
+    return functional.pad(planes, (0, whole_width - width, 0, whole_height - height)).contiguous()
+
+
 def _draw(camera: Camera, tensors: tuple[Any, ...], keep: bool):
-    """(image, alpha, radii, drawing or None) of contiguous tensors; ``keep``: for a backward pass."""
-    means, quaternions, scales, opacities, colours, offsets = tensors
+    """(image, alpha, radii, drawing or None) of contiguous tensors; ``keep``: for a backward pass.
+
+    Image and alpha are as large as ``_whole_blocks`` says.
+    """
+    *geometry, colours, offsets = tensors
     count, channels = colours.shape
     width, height = camera.width, camera.height
-    image = torch.empty(channels, height, width)
-    alpha = torch.empty(height, width)
+    tiles_x, tiles_y = -(-width // TILE_WIDTH), -(-height // TILE_HEIGHT)
+    tiles = tiles_x * tiles_y
+    whole_width, whole_height = size = _whole_blocks(width, height)
+    image, alpha = torch.empty(channels, whole_height, whole_width), torch.empty(whole_height, whole_width)
     radii = torch.empty(count)
 
     view = camera_array(camera)
-    footprints = np.empty(FOOTPRINT * count, np.float32)
-    keys = np.empty(count, np.uint32)
+    stride = RECORD_HEAD + -(-channels // 8) * 8
+    records = np.empty((count + LANES) * stride, np.float32)
+    keys, slot_starts = np.empty(count, np.uint32), np.empty(count + 1, np.int32)
+    edges = ranges(count)
     finite = np.ones(1, np.bool_)
-    flat_offsets = np.empty(0, np.float32) if offsets is None else _flat(offsets)
-    geometry = [_flat(t) for t in (means, quaternions, scales, opacities)]
-    run_ranges(project, count, *geometry, flat_offsets, view, footprints, keys, _flat(radii), finite)
+    flat = [_flat(t) for t in geometry]
+    flat += [np.empty(0, np.float32) if offsets is None else _flat(offsets), _flat(colours)]
+
+    def project_part(part: int, slot_tiles: np.ndarray):
+        histogram = np.zeros(tiles, np.int32)
+        pairs = project(
+            *(edges[part], edges[part + 1], *flat, channels, view, tiles_x, records, stride, keys),
+            *(_flat(radii), slot_starts, slot_tiles, histogram, finite),
+        )
+        return (
+            (slot_tiles[:pairs], histogram)
+            if pairs <= slot_tiles.size
+            else project_part(part, np.empty(pairs, np.int32))
+        )
+
+    # Most Gaussians touch one or two tiles; where that is too few, the part is done again.
+    parts = run_parallel(lambda i: project_part(i, np.empty(2 * (edges[i + 1] - edges[i]) + 64, np.int32)))
     if not finite[0] or not _all_finite(colours):
         _refuse(tensors)
-
-    order, scratch_keys, scratch_order = (
-        np.empty(count, np.int32),
-        np.empty_like(keys),
-        np.empty(count, np.int32),
-    )
-    drawn = sort_by_depth(keys, order, scratch_keys, scratch_order)
-    order = order[:drawn]
-
-    # Tile lists: a histogram for every worker's part of the order, then everybody's cursors.
-    tiles_x, tiles_y = -(-width // TILE_WIDTH), -(-height // TILE_HEIGHT)
-    tiles, workers = tiles_x * tiles_y, thread_count()
-    stride = RECORD_HEAD + -(-channels // 8) * 8
-    records = np.empty(drawn * stride, np.float32)
-    touched = np.zeros(count + 1, np.int64)
-    counts, near_tiles = np.empty(drawn, np.int32), np.empty(NEAR * drawn, np.int32)
-    histograms = np.zeros((workers, tiles), np.int64)
-    edges = np.linspace(0, drawn, workers + 1).astype(np.int64)
-    flat_colours = _flat(colours)
-    run_parallel(
-        lambda i: gather(
-            *(edges[i], edges[i + 1], order, footprints, flat_colours, channels, width, height, tiles_x),
-            *(records, stride, touched, histograms[i], counts, near_tiles),
-        )
-    )
-    per_tile = histograms.sum(0)
+    slot_tiles = np.concatenate([tiles_of_part for tiles_of_part, _ in parts])
+    before = 0
+    for (tiles_of_part, _), first, last in zip(parts, edges, edges[1:], strict=False):
+        slot_starts[first:last] += before
+        before += tiles_of_part.size
+    slot_starts[count] = pairs = before
+    per_tile = np.sum([histogram for _, histogram in parts], axis=0)
     tile_starts = np.zeros(tiles + 1, np.int64)
     np.cumsum(per_tile, out=tile_starts[1:])
-    cursors = tile_starts[:-1] + np.cumsum(histograms, 0) - histograms
-    pairs = int(tile_starts[-1])
-    tile_ranks = np.empty(pairs, np.int32)
+
+    tile_gaussians = np.empty(pairs, np.int32)
     tile_slots = np.empty(pairs if keep else 0, np.int32)
-    slot_starts = np.zeros(count + 1 if keep else 0, np.int64)
-    if keep:
-        np.cumsum(touched[:-1], out=slot_starts[1:])
+    # Ranges of tiles with about as many pairs.
+    shares = np.searchsorted(tile_starts, np.linspace(0, pairs, thread_count() + 1)[1:-1])
+    bounds = [0, *shares, tiles]
     run_parallel(
-        lambda i: fill(
-            *(edges[i], edges[i + 1], order, footprints, width, height, tiles_x, counts, near_tiles),
-            *(cursors[i], slot_starts, tile_ranks, tile_slots),
+        lambda i: fill_lists(
+            *(bounds[i], bounds[i + 1], keys, slot_starts, slot_tiles, tile_starts),
+            *(tile_gaussians, tile_slots),
         )
     )
 
     # The longest lists first, so that no thread is left with one at the end.
     tile_order = np.argsort(-per_tile, kind="stable")
-    slot_blocks = np.zeros(pairs if keep else 0, np.uint64)
+    entry_blocks = np.zeros(pairs if keep else 0, np.uint64)
     counter = np.zeros(1, np.int64)
-    marker = (0,) * channels
-    run_parallel(
-        lambda _: draw(
-            *(
-                counter,
-                tile_order,
-                tile_starts,
-                tile_ranks,
-                tile_slots,
-                records,
-                stride,
-                width,
-                height,
-                tiles_x,
-            ),
-            *(marker, _flat(image), _flat(alpha), slot_blocks),
-        )
-    )
+    lists = (tile_order, tile_starts, tile_gaussians)
+    targets = ((0,) * channels, _flat(image), _flat(alpha), entry_blocks)
+    run_parallel(lambda _: draw(counter, *lists, records, stride, *size, tiles_x, *targets))
     if not keep:
         return image, alpha, radii, None
-    size = (channels, height, width)
-    drawing = _Drawing(
-        view, size, tile_order, tile_starts, tile_ranks, tile_slots, records, stride, slot_starts, slot_blocks
-    )
+    drawing = _Drawing(view, *lists, tile_slots, records, stride, slot_starts, entry_blocks)
     return image, alpha, radii, drawing
 
 
 def _draw_backward(drawing: _Drawing, image, alpha, grad_image, grad_alpha, geometry) -> list[torch.Tensor]:
     """Gradients of means, quaternions, scales, opacities, colours and screen offsets."""
-    channels, height, width = drawing.image_size
-    count = geometry[0].shape[0]
+    channels, height, width = image.shape
+    count, pairs = geometry[0].shape[0], drawing.entry_blocks.size
     slot_size = -(-(MOMENTS + channels) // LANES) * LANES
-    slots = np.empty(drawing.slot_blocks.size * slot_size, np.float32)
+    slots, slot_drawn = np.empty(pairs * slot_size, np.float32), np.zeros(pairs, np.uint8)
     counter = np.zeros(1, np.int64)
     marker = (0,) * channels
     planes = [_flat(t) for t in (image, alpha, grad_image, grad_alpha)]
     run_parallel(
         lambda _: draw_backward(
-            *(counter, drawing.tile_order, drawing.tile_starts, drawing.tile_ranks, drawing.tile_slots),
+            *(counter, drawing.tile_order, drawing.tile_starts, drawing.tile_gaussians, drawing.tile_slots),
             *(drawing.records, drawing.stride, width, height, -(-width // TILE_WIDTH)),
-            *(marker, *planes, drawing.slot_blocks, slots, slot_size),
+            *(marker, *planes, drawing.entry_blocks, slots, slot_size, slot_drawn),
         )
     )
     gradients = [torch.empty(count, *shape) for shape in ((3,), (4,), (3,), (), (channels,), (2,))]
     outputs = [_flat(gradients[i]) for i in (0, 1, 2, 3, 5, 4)]
     run_ranges(
         *(project_backward, count, *(_flat(t) for t in geometry), drawing.camera, drawing.slot_starts),
-        *(slots, slot_size, drawing.slot_blocks, channels, *outputs),
+        *(slots, slot_size, slot_drawn, channels, *outputs),
     )
     return gradients
 

@@ -30,9 +30,13 @@ from ..contract import ALPHA_MIN, JACOBIAN_MARGIN, LOW_PASS
 from .compiling import kernel
 from .simd import (
     LANES,
+    absolute,
+    ceil,
+    floor,
     fma,
     load,
     load_strided,
+    log2_of_positive,
     maximum,
     minimum,
     select,
@@ -40,15 +44,26 @@ from .simd import (
     square_root,
     store,
     store_strided,
+    store_transposed,
     total,
 )
 
-#: Floats per Gaussian that ``project`` writes. Every tile kernel reads the first seven.
-(MEAN_X, MEAN_Y, L11, L21, Q, BIAS, INVERSE_L11, HALF_WIDTH, HALF_HEIGHT, RIGHTMOST_Y) = range(10)
-FOOTPRINT = 10
+#: Floats of a Gaussian's record; its colours follow after ``RECORD_HEAD`` of them. A record of six channels
+#: is one cache line.
+(MEAN_X, MEAN_Y, L11, L21, Q, BIAS, INVERSE_L11) = range(7)
+RECORD_HEAD = 8
+assert RECORD_HEAD <= LANES
 
-#: Key of a Gaussian that is not drawn: behind every depth.
-NOT_DRAWN = np.uint32(0xFFFFFFFF)
+#: Pixels of a tile. 32 × 16 is 64 blocks of 4 × 2 pixels: one uint64 says which blocks matter.
+TILE_WIDTH = 4 * LANES
+TILE_HEIGHT = 16
+
+#: t at which alpha = 1/255 (see above).
+T_MIN = float(np.log2(ALPHA_MIN)) / 8.0
+
+#: Widening of ellipses, against rounding: pixels, and a fraction of the distances involved.
+MARGIN = 0.01
+RELATIVE_MARGIN = 4e-7
 
 KAPPA = 1.0 / (16.0 * np.log(2.0))
 _EPSILON = 1e-12  # torch.nn.functional.normalize's
@@ -151,22 +166,87 @@ def _load_gaussians(i, n, means, quaternions, scales):
     return x, y, z, w * unit, qx * unit, qy * unit, qz * unit, s0, s1, s2, unit
 
 
+@njit(error_model="numpy")
+def _pixels_between(middle, half, size):
+    """First and last of ``size`` pixels whose centres lie within ``middle`` ± ``half``; first > last if none.
+
+    As whole floats, clamped before they become integers: huge Gaussians reach beyond what an integer holds.
+    """
+    half = half + (absolute(middle) + half) * RELATIVE_MARGIN + MARGIN
+    first, last = maximum(ceil(middle - half - 0.5), 0.0), minimum(floor(middle + half - 0.5), size - 1.0)
+    return minimum(first, size), maximum(last, -1.0)
+
+
+@njit(error_model="numpy")
+def _tile_span(record, half_width, half_height, tile_y, width):
+    """First and last tile column that a Gaussian touches in row ``tile_y``; first > last if none.
+
+    On a pixel row at dy, the ellipse {alpha ≥ 1/255} reaches from −s dy − ρ to −s dy + ρ about its mean,
+    s = l₂₁/l₁₁ and ρ = √(R − q dy²)/l₁₁ with R = bias − t_min. The right edge is concave in dy, with its
+    maximum where dy = −l₂₁ √(R / (q (q + l₂₁²))), so over the rows of a tile it is largest at the dy nearest
+    to that; likewise the left edge, by symmetry about the mean.
+    """
+    mean_x, mean_y, q, l21 = record[MEAN_X], record[MEAN_Y], record[Q], record[L21]
+    inverse_l11 = record[INVERSE_L11]
+    low = np.float32(tile_y * TILE_HEIGHT) + np.float32(0.5) - mean_y
+    high = low + np.float32(TILE_HEIGHT - 1)
+    low, high = max(low, -half_height), min(high, half_height)
+    slope = l21 * inverse_l11
+    extent = record[BIAS] - np.float32(T_MIN)
+    peak = -l21 * np.sqrt(extent / (q * (q + l21 * l21)))
+    dy = min(max(peak, low), high)
+    right = np.sqrt(max(extent - q * dy * dy, np.float32(0.0))) * inverse_l11 - slope * dy
+    dy = min(max(-peak, low), high)
+    left = -np.sqrt(max(extent - q * dy * dy, np.float32(0.0))) * inverse_l11 - slope * dy
+    margin = np.float32(MARGIN) + np.float32(RELATIVE_MARGIN) * (abs(mean_x) + half_width)
+    first = max(np.ceil(mean_x + left - margin - np.float32(0.5)), np.float32(0.0))
+    last = min(np.floor(mean_x + right + margin - np.float32(0.5)), np.float32(width - 1))
+    if last < first:
+        return 0, -1
+    return int(first) // TILE_WIDTH, int(last) // TILE_WIDTH
+
+
 @kernel
 def project(
-    first, last, means, quaternions, scales, opacities, offsets, camera, footprints, keys, radii, finite
+    first,
+    last,
+    means,
+    quaternions,
+    scales,
+    opacities,
+    offsets,
+    colours,
+    channels,
+    camera,
+    tiles_x,
+    records,
+    stride,
+    keys,
+    radii,
+    slot_starts,
+    slot_tiles,
+    histogram,
+    finite,
 ):
-    """Project Gaussians ``first … last − 1``.
+    """Project Gaussians ``first … last − 1`` and find the tiles that each touches; return how many pairs.
 
     In: ``means`` ``[3N]``, ``quaternions`` ``[4N]``, ``scales`` ``[3N]``, ``opacities`` ``[N]``, ``offsets``
-    ``[2N]`` or ``[0]``, all flat; ``camera`` of ``camera_array``. Out: ``footprints`` ``[FOOTPRINT · N]``,
-    ``keys`` ``[N]`` uint32: the depth's bits (which sort like the depth, as it is positive) or ``NOT_DRAWN``,
-    ``radii`` ``[N]`` px; ``finite[0]`` becomes False if any input is NaN or infinite.
+    ``[2N]`` or ``[0]``, ``colours`` ``[C · N]``, all flat; ``camera`` of ``camera_array``.
+    Out: ``records[stride · g :]`` of what is drawn (with room for ``LANES`` more at the end); ``keys``
+    ``[N]`` uint32, the depth's bits, which sort like the depth, as it is positive; ``radii`` ``[N]`` px, 0
+    where nothing is drawn; ``finite[0]`` becomes False if any input is NaN or infinite. A (Gaussian, tile)
+    pair has a slot, counted here from 0 in the order of Gaussians: ``slot_starts[g]`` is Gaussian g's first,
+    ``slot_tiles[slot]`` its tile (not written beyond the array's size: then call again with a larger one),
+    ``histogram`` ``[tiles]`` (zero before) the pairs of every tile.
     """
-    group = np.empty(FOOTPRINT * LANES + LANES, np.float32)  # one group of Gaussians, field by field
-    bits = group.view(np.uint32)
-    opacity_row, depth_row = BIAS * LANES, FOOTPRINT * LANES
-    all_finite = True
+    # One group of Gaussians, field by field, for what is done one by one.
+    fields = np.empty((8, LANES), np.float32)
+    half_widths, half_heights, first_columns, last_columns = fields[0], fields[1], fields[2], fields[3]
+    first_rows, last_rows, depths, drawn = fields[4], fields[5], fields[6], fields[7]
+    bits = depths.view(np.uint32)
     checksum = splat(0.0)
+    width, height = camera[_WIDTH], camera[_HEIGHT]
+    pairs = 0
     for i in range(first, last, LANES):
         n = min(LANES, last - i)
         x, y, z, w, qx, qy, qz, s0, s1, s2, unit = _load_gaussians(i, n, means, quaternions, scales)
@@ -178,57 +258,70 @@ def project(
         depth, _, tan_x, tan_y, _, _, _, _ = P
         xx, xy, yy, inverse_determinant = _covariance(A)
         l11 = square_root(KAPPA * yy * inverse_determinant)
-        store(fma(splat(camera[_FX]), tan_x, splat(camera[_CX])), group, MEAN_X * LANES)
-        store(fma(splat(camera[_FY]), tan_y, splat(camera[_CY])), group, MEAN_Y * LANES)
-        store(l11, group, L11 * LANES)
-        store(-(KAPPA * xy * inverse_determinant) / l11, group, L21 * LANES)
-        store(KAPPA / yy, group, Q * LANES)
-        store(opacity, group, opacity_row)
-        store(1.0 / l11, group, INVERSE_L11 * LANES)
-        store(square_root(xx), group, HALF_WIDTH * LANES)
-        store(square_root(yy), group, HALF_HEIGHT * LANES)
-        store(xy / square_root(xx), group, RIGHTMOST_Y * LANES)
-        store(depth, group, depth_row)
+        mean_x = fma(splat(camera[_FX]), tan_x, splat(camera[_CX]))
+        mean_y = fma(splat(camera[_FY]), tan_y, splat(camera[_CY]))
+        if offsets.size:
+            offset_x, offset_y = load_strided(offsets, 2 * i, 2, n), load_strided(offsets, 2 * i + 1, 2, n)
+            checksum = checksum + (offset_x + offset_y) * 0.0
+            mean_x, mean_y = mean_x + offset_x, mean_y + offset_y
+        inverse_l11 = 1.0 / l11
+        l21 = -(KAPPA * xy * inverse_determinant) * inverse_l11
+        bias = log2_of_positive(opacity) * 0.125
+        # Where alpha falls to 1/255: dᵀ Σ⁻¹ d = (bias − t_min) / κ; its bounding box.
+        reach = square_root(maximum((bias - T_MIN) * (1.0 / KAPPA), 0.0))
+        half_width, half_height = reach * square_root(xx), reach * square_root(yy)
+        # A covariance that overflows float32 (footprints of 10^9 px) is not drawn.
+        is_drawn = (opacity >= ALPHA_MIN) & (depth >= NEAR_PLANE) & (l11 > 0.0)
+        is_drawn = is_drawn & (mean_x + half_width > 0.0) & (mean_x - half_width < width)
+        is_drawn = is_drawn & (mean_y + half_height > 0.0) & (mean_y - half_height < height)
+
+        store_transposed(
+            (mean_x, mean_y, l11, l21, KAPPA / yy, bias, inverse_l11, splat(0.0)), records, i * stride, stride
+        )
+        left, right = _pixels_between(mean_x, half_width, width)
+        top, bottom = _pixels_between(mean_y, half_height, height)
+        store(left, first_columns, 0)
+        store(right, last_columns, 0)
+        store(top, first_rows, 0)
+        store(bottom, last_rows, 0)
+        store(half_width, half_widths, 0)
+        store(half_height, half_heights, 0)
+        store(depth, depths, 0)
+        store(select(is_drawn, splat(1.0), 0.0), drawn, 0)
 
         for lane in range(n):
             g = i + lane
-            mean_x, mean_y = group[MEAN_X * LANES + lane], group[MEAN_Y * LANES + lane]
-            if offsets.size:
-                mean_x += offsets[2 * g]
-                mean_y += offsets[2 * g + 1]
-                all_finite = all_finite and np.isfinite(offsets[2 * g]) and np.isfinite(offsets[2 * g + 1])
-            keys[g] = NOT_DRAWN
+            slot_starts[g] = pairs
             radii[g] = 0.0
-            opacity_here = group[opacity_row + lane]
-            if not (opacity_here >= ALPHA_MIN and group[depth_row + lane] >= NEAR_PLANE):
+            if drawn[lane] == 0.0:
                 continue
-            # Where alpha falls to 1/255: dᵀ Σ⁻¹ d = 2 ln(255 · opacity); its bounding box.
-            reach = np.float32(np.sqrt(max(2.0 * np.log(opacity_here / ALPHA_MIN), 0.0)))
-            half_width = reach * group[HALF_WIDTH * LANES + lane]
-            half_height = reach * group[HALF_HEIGHT * LANES + lane]
-            # A covariance that overflows float32 (footprints of 10^9 px) is not drawn.
-            if (
-                group[L11 * LANES + lane] > 0
-                and mean_x + half_width > 0
-                and mean_x - half_width < camera[_WIDTH]
-                and mean_y + half_height > 0
-                and mean_y - half_height < camera[_HEIGHT]
-            ):
-                at = FOOTPRINT * g
-                footprints[at + MEAN_X], footprints[at + MEAN_Y] = mean_x, mean_y
-                footprints[at + L11], footprints[at + L21] = (
-                    group[L11 * LANES + lane],
-                    group[L21 * LANES + lane],
-                )
-                footprints[at + Q] = group[Q * LANES + lane]
-                footprints[at + BIAS] = np.log2(opacity_here) * 0.125
-                footprints[at + INVERSE_L11] = group[INVERSE_L11 * LANES + lane]
-                footprints[at + HALF_WIDTH], footprints[at + HALF_HEIGHT] = half_width, half_height
-                footprints[at + RIGHTMOST_Y] = reach * group[RIGHTMOST_Y * LANES + lane]
-                keys[g] = bits[depth_row + lane]
-                radii[g] = max(half_width, half_height)
-    if not (all_finite and total(checksum) == 0.0):
+            keys[g] = bits[lane]
+            radii[g] = max(half_widths[lane], half_heights[lane])
+            for c in range(channels):
+                records[g * stride + RECORD_HEAD + c] = colours[g * channels + c]
+            if last_columns[lane] < first_columns[lane] or last_rows[lane] < first_rows[lane]:
+                continue  # between the centres of pixels
+            tile_left = int(first_columns[lane]) // TILE_WIDTH
+            tile_right = int(last_columns[lane]) // TILE_WIDTH
+            tile_top, tile_bottom = int(first_rows[lane]) // TILE_HEIGHT, int(last_rows[lane]) // TILE_HEIGHT
+            in_corners = tile_left < tile_right and tile_top < tile_bottom
+            for tile_y in range(tile_top, tile_bottom + 1):
+                if in_corners:  # only then can a tile of the bounding box be missed by the ellipse
+                    tile_left, tile_right = _tile_span(
+                        records[g * stride : g * stride + RECORD_HEAD],
+                        half_widths[lane],
+                        half_heights[lane],
+                        tile_y,
+                        width,
+                    )
+                for tile in range(tile_y * tiles_x + tile_left, tile_y * tiles_x + tile_right + 1):
+                    histogram[tile] += 1
+                    if pairs < slot_tiles.size:
+                        slot_tiles[pairs] = tile
+                    pairs += 1
+    if total(checksum) != 0.0:  # NaN is not 0 either
         finite[0] = False
+    return pairs
 
 
 @kernel
@@ -243,7 +336,7 @@ def project_backward(
     slot_starts,
     slots,
     slot_size,
-    slot_blocks,
+    slot_drawn,
     channels,
     grad_means,
     grad_quaternions,
@@ -256,7 +349,7 @@ def project_backward(
 
     ``slots[slot_size · k :]`` has the moments S, Sx, Sy, Sxx, Sxy, Syy and then the colour gradients from
     the k-th (Gaussian, tile) pair; Gaussian g has the pairs ``slot_starts[g] … slot_starts[g + 1] − 1``, of
-    which those with ``slot_blocks[k] == 0`` contributed nothing and were never written. Outputs are flat
+    which those with ``slot_drawn[k] == 0`` contributed nothing and were never written. Outputs are flat
     arrays as in ``project``, ``grad_colours`` ``[C · N]``.
     """
     moments = np.empty(LANES * slot_size, np.float32)
@@ -271,7 +364,7 @@ def project_backward(
         any_active = False
         for lane in range(n):
             for k in range(slot_starts[i + lane], slot_starts[i + lane + 1]):
-                if slot_blocks[k] != 0:
+                if slot_drawn[k] != 0:
                     active[lane] = 1.0
                     any_active = True
                     for part in range(0, slot_size, LANES):

@@ -196,6 +196,16 @@ def lane_numbers(typing):
 
 
 @intrinsic
+def peek(typing, array, index):
+    """``array[index]``, a number. Numba's own indexing spends three instructions on negative indices."""
+
+    def generate(context, builder, sig, args):
+        return builder.load(_pointer(context, builder, sig.args[0], *args))
+
+    return array.dtype(array, types.intp), generate
+
+
+@intrinsic
 def load(typing, array, index):
     """``array[index : index + LANES]``, aligned or not."""
 
@@ -458,6 +468,30 @@ def log1p_of_fraction(typing, e):
     return vector(vector), generate
 
 
+#: log2(1 + x) / x ≈ Σ c_k x^k for √½ ≤ 1 + x ≤ √2, relative error below 2.7e-8.
+_LOG2 = (
+    *(1.442695005, -0.7213471993, 0.4809102799, -0.360716264, 0.2879390904),
+    *(-0.2386756731, 0.2152122897, -0.2089338863, 0.1292642753),
+)
+_SQRT_HALF_BITS = 0x3F3504F3
+
+
+@intrinsic
+def log2_of_positive(typing, x):
+    """``log2(x)`` for x ≥ 2^−126; meaningless below, but finite wherever x is."""
+
+    def generate(context, builder, sig, args):
+        bits = builder.bitcast(args[0], _IVECTOR)
+        shift = ir.Constant(_IVECTOR, [23] * LANES)
+        exponent = builder.ashr(builder.sub(bits, ir.Constant(_IVECTOR, [_SQRT_HALF_BITS] * LANES)), shift)
+        mantissa = builder.bitcast(builder.sub(bits, builder.shl(exponent, shift)), _VECTOR)
+        fraction = builder.fsub(mantissa, _constant(1.0))
+        logarithm = builder.fmul(_polynomial(builder, _LOG2, fraction), fraction)
+        return builder.fadd(builder.sitofp(exponent, _VECTOR), logarithm)
+
+    return vector(vector), generate
+
+
 # ---- tuples of vectors ---------------------------------------------------------------------------
 
 
@@ -532,6 +566,34 @@ def store_each(typing, values, array, index, stride):
 
 
 @intrinsic
+def store_transposed(typing, values, array, index, stride):
+    """Lane k of all ``LANES`` vectors side by side at ``index + k * stride``.
+
+    Halves of ever smaller blocks change places, as when a matrix of 2 × 2 blocks is transposed.
+    """
+    assert values.count == LANES
+
+    def generate(context, builder, sig, args):
+        rows = _unpack(builder, args[0], LANES)
+        distance = LANES // 2
+        while distance:
+            upper = [j if not j & distance else LANES + j - distance for j in range(LANES)]
+            lower = [j + distance if not j & distance else LANES + j for j in range(LANES)]
+            for i in (i for i in range(LANES) if not i & distance):
+                pair = rows[i], rows[i + distance]
+                rows[i] = builder.shuffle_vector(*pair, ir.Constant(_IVECTOR, upper))
+                rows[i + distance] = builder.shuffle_vector(*pair, ir.Constant(_IVECTOR, lower))
+            distance //= 2
+        at = args[2]
+        for row in rows:
+            _store(context, builder, row, sig.args[1], args[1], at)
+            at = builder.add(at, args[3])
+        return context.get_dummy_value()
+
+    return types.void(values, array, types.intp, types.intp), generate
+
+
+@intrinsic
 def fma_each(typing, weight, values, sums):
     """``weight * values[k] + sums[k]`` for every k."""
     count = values.count
@@ -557,6 +619,18 @@ def dot_each(typing, a, b, start):
     return vector(a, b, vector), generate
 
 
+def _halves_within_quads():
+    """Masks for even and odd lanes of a and b, quad by quad: a₀ a₂ b₀ b₂ | a₄ a₆ b₄ b₆ …; one instruction."""
+    even = [lane for quad in range(0, LANES, 4) for lane in (quad, quad + 2, LANES + quad, LANES + quad + 2)]
+    return ir.Constant(_IVECTOR, even), ir.Constant(_IVECTOR, [lane + 1 for lane in even])
+
+
+def _alternate_quads():
+    """Masks for every other quad of a, then of b."""
+    even = [quad + i for quad in range(0, 2 * LANES, 8) for i in range(4)]
+    return ir.Constant(_IVECTOR, even), ir.Constant(_IVECTOR, [lane + 4 for lane in even])
+
+
 @intrinsic
 def store_totals(typing, values, array, index):
     """``array[index + k] = total(values[k])``; up to a multiple of ``LANES`` the rest becomes zero.
@@ -568,16 +642,17 @@ def store_totals(typing, values, array, index):
 
     def generate(context, builder, sig, args):
         values = _unpack(builder, args[0], count)
-        even = ir.Constant(_IVECTOR, list(range(0, 2 * LANES, 2)))
-        odd = ir.Constant(_IVECTOR, list(range(1, 2 * LANES, 2)))
         for first in range(0, count, LANES):
             group = values[first : first + LANES]
             group += [_constant(0.0)] * (LANES - len(group))
+            width = 1
             while len(group) > 1:
+                even, odd = _halves_within_quads() if width < 4 else _alternate_quads()
                 group = [
                     builder.fadd(builder.shuffle_vector(a, b, even), builder.shuffle_vector(a, b, odd))
                     for a, b in zip(group[0::2], group[1::2], strict=True)
                 ]
+                width *= 2
             at = builder.add(args[2], ir.Constant(_I64, first))
             _store(context, builder, group[0], sig.args[1], args[1], at)
         return context.get_dummy_value()

@@ -8,10 +8,13 @@ taken afterwards in a fixed order. So results are bit-identical for any number o
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
 
 import numpy as np
 
 from ....bridge.errors import BadValueError
+
+T = TypeVar("T")
 
 
 class _Pool:
@@ -21,14 +24,14 @@ class _Pool:
         self.count = count
         self._helpers = ThreadPoolExecutor(count - 1, "physhdr") if count > 1 else None
 
-    def run(self, job: Callable[[int], object]) -> None:
-        """Call ``job(0) … job(count − 1)`` at the same time and wait for all of them."""
+    def run(self, job: Callable[[int], T]) -> list[T]:
+        """Call ``job(0) … job(count − 1)`` at the same time, wait for all of them, return what they did."""
         waiting = [self._helpers.submit(job, i) for i in range(1, self.count)] if self._helpers else []
         try:
-            job(0)
+            mine = job(0)
         finally:
-            for future in waiting:
-                future.result()
+            others = [future.result() for future in waiting]
+        return [mine, *others]
 
     def close(self) -> None:
         if self._helpers:
@@ -53,9 +56,17 @@ def thread_count() -> int:
     return _pool.count
 
 
-def run_parallel(job: Callable[[int], object]) -> None:
+def run_parallel(job: Callable[[int], T]) -> list[T]:
     """Call ``job(worker)`` once on every thread; workers share the work by a ticket counter or by range."""
-    _pool.run(job)
+    return _pool.run(job)
+
+
+def ranges(count: int) -> np.ndarray:
+    """Edges ``[threads + 1]`` of contiguous ranges that cover ``range(count)``, one a thread."""
+    # Multiples of 16 keep SIMD groups (and cache lines of outputs) whole.
+    edges = (np.linspace(0, count, _pool.count + 1) / 16).astype(np.int64) * 16
+    edges[-1] = count
+    return edges
 
 
 def run_ranges(kernel: Callable[..., object], count: int, *arguments: object, minimum: int = 1024) -> None:
@@ -63,7 +74,5 @@ def run_ranges(kernel: Callable[..., object], count: int, *arguments: object, mi
     if count < minimum or _pool.count == 1:
         kernel(0, count, *arguments)
         return
-    # Multiples of 16 keep SIMD groups (and cache lines of outputs) whole.
-    edges = (np.linspace(0, count, _pool.count + 1) / 16).astype(np.int64) * 16
-    edges[-1] = count
+    edges = ranges(count)
     _pool.run(lambda i: kernel(edges[i], edges[i + 1], *arguments))

@@ -26,9 +26,22 @@ import numpy as np
 from numba import njit
 
 from ..contract import ALPHA_MAX, TRANSMITTANCE_MIN
-from .binning import MARGIN, RECORD_HEAD, RELATIVE_MARGIN, T_MIN, TILE_HEIGHT, TILE_WIDTH
 from .compiling import kernel
-from .projection import BIAS, INVERSE_L11, L11, L21, MEAN_X, MEAN_Y, Q
+from .projection import (
+    BIAS,
+    INVERSE_L11,
+    L11,
+    L21,
+    MARGIN,
+    MEAN_X,
+    MEAN_Y,
+    RECORD_HEAD,
+    RELATIVE_MARGIN,
+    T_MIN,
+    TILE_HEIGHT,
+    TILE_WIDTH,
+    Q,
+)
 from .simd import (
     LANES,
     absolute,
@@ -46,6 +59,7 @@ from .simd import (
     lowest_bit,
     maximum,
     minimum,
+    peek,
     prefetch,
     select,
     span_bits,
@@ -67,8 +81,14 @@ BLOCKS_Y = TILE_HEIGHT // BLOCK_HEIGHT
 BLOCKS = BLOCKS_X * BLOCKS_Y
 assert BLOCKS_X == 8 and BLOCKS_Y == 8, "block (x, y) is bit 8 y + x of a uint64"
 
-#: How many Gaussians ahead their records are fetched; measured, flat between 2 and 8.
-AHEAD = 4
+#: Gaussians whose blocks are found together, ahead of drawing them: one by one, each would wait for its own.
+CHUNK = 32
+
+#: Floats of a slot before the colours' gradients: Σ v, Σ v dx, Σ v dy, Σ v dx², Σ v dx dy, Σ v dy².
+MOMENTS = 6
+
+#: How many Gaussians ahead their records are fetched.
+AHEAD = 8
 
 _ONE = np.uint64(1)
 _ZERO = np.uint64(0)
@@ -79,9 +99,9 @@ def _blocks(mean_x, mean_y, bias, l21, q, inverse_l11, group_rows):
     """The blocks of a tile that {alpha ≥ 1/255} reaches; the mean is relative to the tile's corner.
 
     Lane g is the g-th row of blocks, whose pixel rows are ``group_rows`` + 0.5 and + 1.5. On a row, the
-    ellipse's edges are mean_x − s dy ± √(R − q dy²)/l₁₁ (see binning.py).
+    ellipse's edges are mean_x − s dy ± √(R − q dy²)/l₁₁ (see projection.py).
     """
-    extent = splat((bias - T_MIN) * 1.00001)
+    extent = splat((bias - np.float32(T_MIN)) * np.float32(1.00001))
     slope = splat(-l21 * inverse_l11)
     left, right = splat(1e9), splat(-1e9)
     for j in range(BLOCK_HEIGHT):
@@ -116,13 +136,16 @@ def _lane_rows():
 
 @njit
 def _block_corners():
-    """x and y of every block's corner in its tile, by bit.
+    """x and y of every block's corner in its tile.
 
-    Tables, because converting an integer in the inner loop (vcvtsi2ss) makes every block wait for the one
-    before: the instruction depends on the old value of its target register. Measured: about 10 % slower.
+    Tables, because converting an integer in the loop (vcvtsi2ss) makes every block wait for the one before:
+    the instruction depends on the old value of its target register.
     """
-    bits = np.arange(BLOCKS + 1)
-    return (bits % 8 * BLOCK_WIDTH).astype(np.float32), (bits // 8 * BLOCK_HEIGHT).astype(np.float32)
+    blocks = np.arange(BLOCKS)
+    return (
+        (blocks % BLOCKS_X * BLOCK_WIDTH).astype(np.float32),
+        (blocks // BLOCKS_X * BLOCK_HEIGHT).astype(np.float32),
+    )
 
 
 @njit
@@ -133,39 +156,13 @@ def _exponent(l11, l21, minus_q, bias, dx, dy):
 
 
 @njit
-def _read_edge_block(image, at, x, y, width, height, pixels):
-    """A block of a plane that the image's border cuts, zero outside; ``at``: its pixel (x, y)."""
-    for i in range(LANES):
-        inside = x + i % BLOCK_WIDTH < width and y + i // BLOCK_WIDTH < height
-        pixels[i] = image[at + i // BLOCK_WIDTH * width + i % BLOCK_WIDTH] if inside else 0.0
-    return load(pixels, 0)
-
-
-@njit
-def _write_edge_block(value, image, at, x, y, width, height, pixels):
-    """The way back of ``_read_edge_block``."""
-    store(value, pixels, 0)
-    for i in range(LANES):
-        if x + i % BLOCK_WIDTH < width and y + i // BLOCK_WIDTH < height:
-            image[at + i // BLOCK_WIDTH * width + i % BLOCK_WIDTH] = pixels[i]
-
-
-@njit
-def _start_tile(width, height, left, top, state, step):
-    """Set T of every block: 1 inside the image, −1 (finished) outside. Returns the blocks with pixels."""
-    state[BLOCKS * step : BLOCKS * step + LANES] = -1.0  # the spare block
-    alive = _ZERO
+def _blocks_inside(width, height, left, top):
+    """The blocks of a tile that have pixels."""
+    inside = _ZERO
     for block in range(BLOCKS):
-        x, y = left + block % BLOCKS_X * BLOCK_WIDTH, top + block // BLOCKS_X * BLOCK_HEIGHT
-        if x < width and y < height:
-            alive |= _ONE << np.uint64(block)
-        if x + BLOCK_WIDTH <= width and y + BLOCK_HEIGHT <= height:
-            store(splat(1.0), state, block * step)
-        else:
-            for i in range(LANES):
-                inside = x + i % BLOCK_WIDTH < width and y + i // BLOCK_WIDTH < height
-                state[block * step + i] = 1.0 if inside else -1.0
-    return alive
+        if left + block % BLOCKS_X * BLOCK_WIDTH < width and top + block // BLOCKS_X * BLOCK_HEIGHT < height:
+            inside |= _ONE << np.uint64(block)
+    return inside
 
 
 @kernel
@@ -173,8 +170,7 @@ def draw(
     counter,
     tile_order,
     tile_starts,
-    tile_ranks,
-    tile_slots,
+    tile_gaussians,
     records,
     stride,
     width,
@@ -183,21 +179,21 @@ def draw(
     channels,
     image,
     alpha,
-    slot_blocks,
+    entry_blocks,
 ):
     """Draw the tiles whose turn it is: tickets of ``counter`` index ``tile_order``.
 
     ``channels``: a tuple as long as there are channels (its type is what counts). Out, flat: ``image``
-    ``[C · H · W]``, ``alpha`` ``[H · W]``; unless its size is 0, ``slot_blocks[slot]`` (zero before): the
-    blocks that the (Gaussian, tile) pair visited.
+    ``[C · H · W]``, ``alpha`` ``[H · W]``, of whole blocks; unless its size is 0, ``entry_blocks``
+    ``[pairs]`` (zero before): the blocks that every entry of the tiles' lists may have drawn on.
     """
-    step = (1 + len(channels)) * LANES
-    state = np.zeros((BLOCKS + 1) * step, np.float32)
-    edge = np.empty(LANES, np.float32)
+    step = (1 + len(channels)) * LANES  # T, channels
+    state = np.empty((BLOCKS + 1) * step, np.float32)  # one block to spare, always finished
+    masks = np.empty(CHUNK, np.uint64)
     columns, rows = _lane_columns(), _lane_rows()
     corner_x, corner_y = _block_corners()
     group_rows = lane_numbers() * float(BLOCK_HEIGHT)
-    keep_blocks = slot_blocks.size > 0
+    keep_blocks = entry_blocks.size > 0
     while True:
         ticket = take_ticket(counter)
         if ticket >= tile_order.size:
@@ -205,78 +201,78 @@ def draw(
         tile = tile_order[ticket]
         left, top = tile % tiles_x * TILE_WIDTH, tile // tiles_x * TILE_HEIGHT
         left_f, top_f = np.float32(left), np.float32(top)
-        state[: BLOCKS * step] = 0.0
-        alive = _start_tile(width, height, left, top, state, step)
+        state[:] = 0.0
+        for block in range(BLOCKS):
+            store(splat(1.0), state, block * step)
+        store(splat(-1.0), state, BLOCKS * step)
+        inside = _blocks_inside(width, height, left, top)
+        alive = inside
         end = tile_starts[tile + 1]
-        for entry in range(tile_starts[tile], end):
-            prefetch(records, tile_ranks[min(entry + AHEAD, end - 1)] * stride)
-            at = tile_ranks[entry] * stride
-            mean_x, mean_y = records[at + MEAN_X] - left_f, records[at + MEAN_Y] - top_f
-            scalar_l11, scalar_l21 = records[at + L11], records[at + L21]
-            blocks = alive & _blocks(
-                mean_x,
-                mean_y,
-                records[at + BIAS],
-                scalar_l21,
-                records[at + Q],
-                records[at + INVERSE_L11],
-                group_rows,
-            )
-            if blocks == _ZERO:
-                continue
-            l11, l21, minus_q = splat(scalar_l11), splat(scalar_l21), splat(-records[at + Q])
-            bias = splat(records[at + BIAS])
-            lane_x, lane_y = columns - mean_x, rows - mean_y
-            colours = splat_each(channels, records, at + RECORD_HEAD)
-            if keep_blocks:
-                slot_blocks[tile_slots[entry]] = blocks
-            while blocks != _ZERO:
-                # Two blocks at a time; an odd one out is paired with the spare block, which is finished.
-                bit0 = lowest_bit(blocks)
-                blocks &= blocks - _ONE
-                bit1 = lowest_bit(blocks)
-                blocks &= blocks - _ONE
-                here0, here1 = bit0 * step, bit1 * step
-                dx0, dy0 = lane_x + corner_x[bit0], lane_y + corner_y[bit0]
-                dx1, dy1 = lane_x + corner_x[bit1], lane_y + corner_y[bit1]
-                t0, t1 = (
-                    _exponent(l11, l21, minus_q, bias, dx0, dy0),
-                    _exponent(l11, l21, minus_q, bias, dx1, dy1),
-                )
-                T0, T1 = load(state, here0), load(state, here1)
-                a0 = select(t0 >= T_MIN, minimum(exp2_of_8(t0), ALPHA_MAX), 0.0)
-                a1 = select(t1 >= T_MIN, minimum(exp2_of_8(t1), ALPHA_MAX), 0.0)
-                after0, after1 = fma(-a0, T0, T0), fma(-a1, T1, T1)
-                on0, on1 = after0 > TRANSMITTANCE_MIN, after1 > TRANSMITTANCE_MIN
-                weight0, weight1 = select(on0, a0 * T0, 0.0), select(on1, a1 * T1, 0.0)
-                T0, T1 = select(on0, after0, -absolute(T0)), select(on1, after1, -absolute(T1))
-                store(T0, state, here0)
-                store(T1, state, here1)
-                drawn0 = fma_each(weight0, colours, load_each(channels, state, here0 + LANES, LANES))
-                drawn1 = fma_each(weight1, colours, load_each(channels, state, here1 + LANES, LANES))
-                store_each(drawn0, state, here0 + LANES, LANES)
-                store_each(drawn1, state, here1 + LANES, LANES)
-                if not any_lane(T0 > 0.0):
-                    alive &= ~(_ONE << np.uint64(bit0))
-                if bit1 < BLOCKS and not any_lane(T1 > 0.0):
-                    alive &= ~(_ONE << np.uint64(bit1))
+        for begin in range(tile_starts[tile], end, CHUNK):
             if alive == _ZERO:
                 break
+            count = min(CHUNK, end - begin)
+            for k in range(count):
+                prefetch(records, peek(tile_gaussians, min(begin + k + AHEAD, end - 1)) * stride)
+                at = peek(tile_gaussians, begin + k) * stride
+                masks[k] = _blocks(
+                    peek(records, at + MEAN_X) - left_f,
+                    peek(records, at + MEAN_Y) - top_f,
+                    peek(records, at + BIAS),
+                    peek(records, at + L21),
+                    peek(records, at + Q),
+                    peek(records, at + INVERSE_L11),
+                    group_rows,
+                )
+            for k in range(count):
+                blocks = alive & masks[k]
+                if keep_blocks:
+                    entry_blocks[begin + k] = blocks
+                if blocks == _ZERO:
+                    continue
+                at = peek(tile_gaussians, begin + k) * stride
+                l11, l21 = splat(peek(records, at + L11)), splat(peek(records, at + L21))
+                minus_q, bias = splat(-peek(records, at + Q)), splat(peek(records, at + BIAS))
+                lane_x = columns - (peek(records, at + MEAN_X) - left_f)
+                lane_y = rows - (peek(records, at + MEAN_Y) - top_f)
+                colours = splat_each(channels, records, at + RECORD_HEAD)
+                while blocks != _ZERO:
+                    # Two blocks at a time; an odd one out is paired with the spare block.
+                    bit0 = lowest_bit(blocks)
+                    blocks &= blocks - _ONE
+                    bit1 = lowest_bit(blocks)
+                    blocks &= blocks - _ONE
+                    here0, here1 = bit0 * step, bit1 * step
+                    dx0, dy0 = lane_x + peek(corner_x, bit0), lane_y + peek(corner_y, bit0)
+                    dx1, dy1 = lane_x + peek(corner_x, bit1), lane_y + peek(corner_y, bit1)
+                    t0 = _exponent(l11, l21, minus_q, bias, dx0, dy0)
+                    t1 = _exponent(l11, l21, minus_q, bias, dx1, dy1)
+                    T0, T1 = load(state, here0), load(state, here1)
+                    a0 = select(t0 >= T_MIN, minimum(exp2_of_8(t0), ALPHA_MAX), 0.0)
+                    a1 = select(t1 >= T_MIN, minimum(exp2_of_8(t1), ALPHA_MAX), 0.0)
+                    after0, after1 = fma(-a0, T0, T0), fma(-a1, T1, T1)
+                    on0, on1 = after0 > TRANSMITTANCE_MIN, after1 > TRANSMITTANCE_MIN
+                    weight0, weight1 = select(on0, a0 * T0, 0.0), select(on1, a1 * T1, 0.0)
+                    T0, T1 = select(on0, after0, -absolute(T0)), select(on1, after1, -absolute(T1))
+                    store(T0, state, here0)
+                    store(T1, state, here1)
+                    drawn0 = fma_each(weight0, colours, load_each(channels, state, here0 + LANES, LANES))
+                    drawn1 = fma_each(weight1, colours, load_each(channels, state, here1 + LANES, LANES))
+                    store_each(drawn0, state, here0 + LANES, LANES)
+                    store_each(drawn1, state, here1 + LANES, LANES)
+                    if not any_lane(T0 > 0.0):
+                        alive &= ~(_ONE << np.uint64(bit0))
+                    if bit1 < BLOCKS and not any_lane(T1 > 0.0):
+                        alive &= ~(_ONE << np.uint64(bit1))
         for block in range(BLOCKS):
-            x, y = left + block % BLOCKS_X * BLOCK_WIDTH, top + block // BLOCKS_X * BLOCK_HEIGHT
-            if x >= width or y >= height:
-                continue
-            whole = x + BLOCK_WIDTH <= width and y + BLOCK_HEIGHT <= height
-            for plane in range(1 + len(channels)):
-                value, at = load(state, block * step + plane * LANES), y * width + x
-                if plane == 0:
-                    value, target = 1.0 - absolute(value), alpha
-                else:
-                    target, at = image, at + (plane - 1) * height * width
-                if whole:
-                    store_halves(value, target, at, at + width)
-                else:
-                    _write_edge_block(value, target, at, x, y, width, height, edge)
+            if inside >> np.uint64(block) & _ONE:
+                here = block * step
+                at = (top + block // BLOCKS_X * BLOCK_HEIGHT) * width + left + block % BLOCKS_X * BLOCK_WIDTH
+                store_halves(1.0 - absolute(load(state, here)), alpha, at, at + width)
+                for _ in range(len(channels)):
+                    here += LANES
+                    store_halves(load(state, here), image, at, at + width)
+                    at += height * width
 
 
 @kernel
@@ -284,7 +280,7 @@ def draw_backward(
     counter,
     tile_order,
     tile_starts,
-    tile_ranks,
+    tile_gaussians,
     tile_slots,
     records,
     stride,
@@ -296,17 +292,18 @@ def draw_backward(
     alpha,
     grad_image,
     grad_alpha,
-    slot_blocks,
+    entry_blocks,
     slots,
     slot_size,
+    slot_drawn,
 ):
-    """Fill ``slots[slot_size · slot :]`` of every pair with ``slot_blocks[slot] != 0``: see above.
+    """Fill ``slots[slot_size · slot :]`` of every pair that was drawn, and set ``slot_drawn[slot]``.
 
-    Arguments as of ``draw``; ``image`` and ``alpha`` as it drew them.
+    Arguments as of ``draw``; ``image`` and ``alpha`` as ``draw`` made them; ``slot_drawn`` ``[pairs]`` uint8,
+    zero before.
     """
-    step = (3 + len(channels)) * LANES  # T, rest, g_A, g …
+    step = (4 + len(channels)) * LANES  # T, rest, v, g_A, g …
     state = np.zeros((BLOCKS + 1) * step, np.float32)
-    edge = np.empty(LANES, np.float32)
     columns, rows = _lane_columns(), _lane_rows()
     corner_x, corner_y = _block_corners()
     while True:
@@ -316,60 +313,49 @@ def draw_backward(
         tile = tile_order[ticket]
         left, top = tile % tiles_x * TILE_WIDTH, tile // tiles_x * TILE_HEIGHT
         left_f, top_f = np.float32(left), np.float32(top)
+        store(splat(-1.0), state, BLOCKS * step)
+        inside = _blocks_inside(width, height, left, top)
         for block in range(BLOCKS):
-            x, y = left + block % BLOCKS_X * BLOCK_WIDTH, top + block // BLOCKS_X * BLOCK_HEIGHT
-            if x >= width or y >= height:
-                continue
-            whole = x + BLOCK_WIDTH <= width and y + BLOCK_HEIGHT <= height
-            here, at = block * step, y * width + x
-            if whole:
-                g, drawn = load_halves(grad_alpha, at, at + width), load_halves(alpha, at, at + width)
-            else:
-                g = _read_edge_block(grad_alpha, at, x, y, width, height, edge)
-                drawn = _read_edge_block(alpha, at, x, y, width, height, edge)
-            store(g, state, here + 2 * LANES)
-            rest = drawn * g
-            for c in range(len(channels)):
-                if whole:
-                    g, drawn = load_halves(grad_image, at, at + width), load_halves(image, at, at + width)
-                else:
-                    g = _read_edge_block(grad_image, at, x, y, width, height, edge)
-                    drawn = _read_edge_block(image, at, x, y, width, height, edge)
-                store(g, state, here + (3 + c) * LANES)
-                rest = fma(drawn, g, rest)
-                at += height * width
-            store(rest, state, here + LANES)
-        _start_tile(width, height, left, top, state, step)
+            if inside >> np.uint64(block) & _ONE:
+                here = block * step
+                at = (top + block // BLOCKS_X * BLOCK_HEIGHT) * width + left + block % BLOCKS_X * BLOCK_WIDTH
+                store(splat(1.0), state, here)
+                g = load_halves(grad_alpha, at, at + width)
+                rest = g * load_halves(alpha, at, at + width)
+                store(g, state, here + 3 * LANES)
+                for c in range(len(channels)):
+                    g = load_halves(grad_image, at, at + width)
+                    rest = fma(g, load_halves(image, at, at + width), rest)
+                    store(g, state, here + (4 + c) * LANES)
+                    at += height * width
+                store(rest, state, here + LANES)
 
         end = tile_starts[tile + 1]
         for entry in range(tile_starts[tile], end):
-            prefetch(records, tile_ranks[min(entry + AHEAD, end - 1)] * stride)
-            prefetch(slot_blocks, tile_slots[min(entry + AHEAD, end - 1)])
-            slot = tile_slots[entry]
-            blocks = slot_blocks[slot]
-            prefetch(slots, slot * slot_size)
-            if blocks == _ZERO:
+            ahead = min(entry + AHEAD, end - 1)
+            prefetch(records, peek(tile_gaussians, ahead) * stride)
+            prefetch(slots, peek(tile_slots, ahead) * slot_size)
+            visited = peek(entry_blocks, entry)
+            if visited == _ZERO:
                 continue
-            at = tile_ranks[entry] * stride
-            l11, l21, minus_q = splat(records[at + L11]), splat(records[at + L21]), splat(-records[at + Q])
-            bias = splat(records[at + BIAS])
-            lane_x, lane_y = columns - (records[at + MEAN_X] - left_f), rows - (records[at + MEAN_Y] - top_f)
+            at = peek(tile_gaussians, entry) * stride
+            l11, l21 = splat(peek(records, at + L11)), splat(peek(records, at + L21))
+            minus_q, bias = splat(-peek(records, at + Q)), splat(peek(records, at + BIAS))
+            lane_x = columns - (peek(records, at + MEAN_X) - left_f)
+            lane_y = rows - (peek(records, at + MEAN_Y) - top_f)
             colours = splat_each(channels, records, at + RECORD_HEAD)
-            sum_v, sum_x, sum_y = splat(0.0), splat(0.0), splat(0.0)
-            sum_xx, sum_xy, sum_yy = splat(0.0), splat(0.0), splat(0.0)
             grad_colours = zero_each(channels)
+            blocks = visited
             while blocks != _ZERO:
                 bit0 = lowest_bit(blocks)
                 blocks &= blocks - _ONE
                 bit1 = lowest_bit(blocks)
                 blocks &= blocks - _ONE
                 here0, here1 = bit0 * step, bit1 * step
-                dx0, dy0 = lane_x + corner_x[bit0], lane_y + corner_y[bit0]
-                dx1, dy1 = lane_x + corner_x[bit1], lane_y + corner_y[bit1]
-                t0, t1 = (
-                    _exponent(l11, l21, minus_q, bias, dx0, dy0),
-                    _exponent(l11, l21, minus_q, bias, dx1, dy1),
-                )
+                dx0, dy0 = lane_x + peek(corner_x, bit0), lane_y + peek(corner_y, bit0)
+                dx1, dy1 = lane_x + peek(corner_x, bit1), lane_y + peek(corner_y, bit1)
+                t0 = _exponent(l11, l21, minus_q, bias, dx0, dy0)
+                t1 = _exponent(l11, l21, minus_q, bias, dx1, dy1)
                 e0, e1 = exp2_of_8(t0), exp2_of_8(t1)
                 a0 = select(t0 >= T_MIN, minimum(e0, ALPHA_MAX), 0.0)
                 a1 = select(t1 >= T_MIN, minimum(e1, ALPHA_MAX), 0.0)
@@ -379,21 +365,32 @@ def draw_backward(
                 weight0, weight1 = select(on0, a0 * T0, 0.0), select(on1, a1 * T1, 0.0)
                 store(select(on0, after0, -absolute(T0)), state, here0)
                 store(select(on1, after1, -absolute(T1)), state, here1)
-                g0 = load_each(channels, state, here0 + 3 * LANES, LANES)
-                g1 = load_each(channels, state, here1 + 3 * LANES, LANES)
-                q0 = dot_each(colours, g0, load(state, here0 + 2 * LANES))
-                q1 = dot_each(colours, g1, load(state, here1 + 2 * LANES))
+                g0 = load_each(channels, state, here0 + 4 * LANES, LANES)
+                g1 = load_each(channels, state, here1 + 4 * LANES, LANES)
+                q0 = dot_each(colours, g0, load(state, here0 + 3 * LANES))
+                q1 = dot_each(colours, g1, load(state, here1 + 3 * LANES))
                 rest0 = fma(-weight0, q0, load(state, here0 + LANES))
                 rest1 = fma(-weight1, q1, load(state, here1 + LANES))
                 store(rest0, state, here0 + LANES)
                 store(rest1, state, here1 + LANES)
                 v0 = select(on0 & (e0 <= ALPHA_MAX), a0 * fma(T0, q0, -rest0 / (1.0 - a0)), 0.0)
                 v1 = select(on1 & (e1 <= ALPHA_MAX), a1 * fma(T1, q1, -rest1 / (1.0 - a1)), 0.0)
-                vx0, vx1, vy0, vy1 = v0 * dx0, v1 * dx1, v0 * dy0, v1 * dy1
-                sum_v, sum_x, sum_y = sum_v + (v0 + v1), sum_x + (vx0 + vx1), sum_y + (vy0 + vy1)
-                sum_xx = fma(vx1, dx1, fma(vx0, dx0, sum_xx))
-                sum_xy = fma(vx1, dy1, fma(vx0, dy0, sum_xy))
-                sum_yy = fma(vy1, dy1, fma(vy0, dy0, sum_yy))
+                store(v0, state, here0 + 2 * LANES)
+                store(v1, state, here1 + 2 * LANES)
                 grad_colours = fma_each(weight1, g1, fma_each(weight0, g0, grad_colours))
+            # Moments in a loop of their own: there are registers for their sums or the colours', not both.
+            sum_v, sum_x, sum_y = splat(0.0), splat(0.0), splat(0.0)
+            sum_xx, sum_xy, sum_yy = splat(0.0), splat(0.0), splat(0.0)
+            blocks = visited
+            while blocks != _ZERO:
+                bit = lowest_bit(blocks)
+                blocks &= blocks - _ONE
+                v = load(state, bit * step + 2 * LANES)
+                dx, dy = lane_x + peek(corner_x, bit), lane_y + peek(corner_y, bit)
+                vx, vy = v * dx, v * dy
+                sum_v, sum_x, sum_y = sum_v + v, sum_x + vx, sum_y + vy
+                sum_xx, sum_xy, sum_yy = fma(vx, dx, sum_xx), fma(vx, dy, sum_xy), fma(vy, dy, sum_yy)
+            slot = peek(tile_slots, entry)
+            slot_drawn[slot] = 1
             sums = (sum_v, sum_x, sum_y, sum_xx, sum_xy, sum_yy) + grad_colours
             store_totals(sums, slots, slot * slot_size)
