@@ -4,9 +4,11 @@
 BACKEND := .venvs/backend/bin/python
 BLENDER := .venvs/run-blender
 PYTHON ?= python3
+# A machine with a card may have torch and gsplat in its own Python, and no .venvs/.
+WITH_TORCH := $(if $(wildcard $(BACKEND)),$(BACKEND),$(PYTHON))
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test benchmark extension lint clean
+.PHONY: help setup demo test benchmark gpu-check extension lint clean
 
 help: ## Show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -22,6 +24,9 @@ test: setup ## All tests, both sides of the house
 
 benchmark: setup ## Speed of the kernels against their alternatives, in one run
 	@$(BACKEND) benchmarks/run.py
+
+gpu-check: ## Is the CUDA path right, and how fast? Says so and ends where there is no card
+	@$(WITH_TORCH) tools/gpu_check.py
 
 extension: setup ## Validate and build the Blender extension: dist/physhdr-*.zip
 	@$(PYTHON) tools/build_extension.py

@@ -1,0 +1,177 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Is the CUDA path right, and how fast is it? Runs by itself on a machine with a card, torch and gsplat.
+
+    make gpu-check
+    python3 tools/gpu_check.py --json gpu.json --profile
+
+Compares pictures, gradients, whole iterations and short trainings on the card with the CPU's, then measures.
+Ends with 0 where all comparisons hold, with 1 where one fails; where there is no card it says so and ends
+with 0. ``--rehearse`` runs every line of it on the CPU in small sizes, without a card.
+"""
+
+import argparse
+import json
+import platform
+import sys
+import time
+from dataclasses import asdict, dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """How much is computed."""
+
+    channels: tuple[int, ...] = (1, 3, 4, 6, 7, 10, 13)
+    gaussians: int = 5000
+    picture: int = 64
+    training_gaussians: int = 400
+    iterations: int = 300
+    trainings: int = 5
+    figure_gaussians: int = 200_000
+    figure_picture: int = 400
+    figure_views: int = 35
+    repeats: int = 200
+
+
+#: Without Numba the oracle is plain torch, which is slow.
+PLAIN = Sizes(gaussians=600, picture=40, training_gaussians=150, trainings=3)
+REHEARSAL = Sizes(
+    channels=(3, 10),
+    gaussians=60,
+    picture=16,
+    training_gaussians=30,
+    iterations=4,
+    trainings=1,
+    figure_gaussians=60,
+    figure_picture=16,
+    figure_views=2,
+    repeats=2,
+)
+PRESET_NAMES = ("default", "paper")
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--json", type=Path, help="also write everything to this file")
+    parser.add_argument("--profile", action="store_true", help="also say which kernels take the time")
+    parser.add_argument("--rehearse", action="store_true", help="everything on the CPU, in small sizes")
+    parser.add_argument("--bare", action="store_true", help="as if only torch and NumPy were installed")
+    arguments = parser.parse_args()
+
+    try:
+        import torch
+    except ImportError:
+        return _skip(f"this Python has no torch ({sys.executable})")
+    if not arguments.rehearse and not torch.cuda.is_available():
+        return _skip("torch sees no CUDA device")
+
+    from gpu.loading import DISPENSABLE, load_physhdr
+
+    absent = load_physhdr(without=DISPENSABLE if arguments.bare else ())
+    if absent:
+        _say(f"not installed, not needed: {', '.join(absent)}")
+    started = time.perf_counter()
+    unusable = None if arguments.rehearse else _unusable()
+    if unusable:
+        _say(f"FAILED: {unusable}")
+        return 1
+    report: dict[str, Any] = {"machine": _machine(), "kernels_ready_s": time.perf_counter() - started}
+    _say(f"{report['machine']}; kernels ready after {report['kernels_ready_s']:.0f} s")
+
+    passed = _check(arguments, "numba" not in absent, report)
+    if arguments.json:
+        arguments.json.parent.mkdir(parents=True, exist_ok=True)
+        arguments.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
+    _say("all comparisons hold" if passed else "FAILED: the card does not compute what the CPU computes")
+    return 0 if passed else 1
+
+
+def _check(arguments: argparse.Namespace, has_numba: bool, report: dict[str, Any]) -> bool:
+    """Compare, then measure; fills ``report`` and says whether every comparison holds."""
+    import torch
+    from gpu import figures, parity
+    from gpu.side import Side, oracle
+
+    judge = oracle(has_numba)
+    if arguments.rehearse:
+        side, sizes = Side("rehearsal", torch.device("cpu"), "reference", plain=True), REHEARSAL
+    else:
+        side, sizes = Side("card", torch.device("cuda"), "cuda"), Sizes() if has_numba else PLAIN
+
+    findings: list[parity.Finding] = []
+
+    def found(finding: parity.Finding) -> None:
+        findings.append(finding)
+        verdict = "ok" if finding.passed else "FAILED"
+        _say(f"{finding.what:<72} {finding.error:9.2g} ≤ {finding.allowed:g} {finding.unit:<2} {verdict}")
+
+    _say(f"\nagainst {judge.name}: relative errors")
+    for channels in sizes.channels:
+        for finding in parity.rasteriser(side, judge, sizes.gaussians, channels):
+            found(finding)
+    picture, count = sizes.picture, sizes.training_gaussians
+    for name in PRESET_NAMES:
+        for finding in parity.iteration(side, judge, name, picture, count):
+            found(finding)
+    for name in PRESET_NAMES:
+        found(parity.training(side, judge, name, picture, count, sizes.iterations, sizes.trainings))
+    report["parity"] = [asdict(f) | {"passed": f.passed} for f in findings]
+
+    measured: list[figures.Figure] = []
+    size = sizes.figure_picture
+    _say(f"\n{sizes.figure_gaussians} Gaussians, {size}×{size} pixels")
+    for name in PRESET_NAMES:
+        for figure in figures.preset(
+            side, name, sizes.figure_gaussians, size, sizes.figure_views, sizes.repeats
+        ):
+            measured.append(figure)
+            _say(f"{figure.what:<60} {figure.value:10.3g} {figure.unit:<6} {figure.target}")
+    report["figures"] = [asdict(f) | {"target": f.target} for f in measured]
+    if arguments.profile:
+        report["profile"] = {}
+        for name in PRESET_NAMES:
+            table = figures.profile(side, name, sizes.figure_gaussians, size)
+            report["profile"][name] = table
+            _say(f"\npreset {name}, ten iterations\n{table}")
+    return all(f.passed for f in findings)
+
+
+def _unusable() -> str | None:
+    """Make the kernels ready; why they cannot be used, or ``None``."""
+    from physhdr.backend.device import choose_device
+    from physhdr.bridge.errors import BadValueError
+
+    try:
+        choose_device("cuda", report=_say)
+    except BadValueError as error:
+        return str(error)
+    return None
+
+
+def _machine() -> str:
+    import torch
+
+    try:
+        gsplat = metadata.version("gsplat")
+    except metadata.PackageNotFoundError:
+        gsplat = "none"
+    card = torch.cuda.get_device_name() if torch.cuda.is_available() else "no card"
+    return f"{card}, torch {torch.__version__}, gsplat {gsplat}, Python {platform.python_version()}"
+
+
+def _skip(why: str) -> int:
+    _say(f"skipped: {why}")
+    return 0
+
+
+def _say(line: str) -> None:
+    sys.stdout.write(line + "\n")
+    sys.stdout.flush()  # the next step may take minutes
+
+
+if __name__ == "__main__":
+    sys.exit(main())
