@@ -38,7 +38,7 @@ class Sizes:
 
 
 #: Without Numba the oracle is plain torch, which is slow.
-PLAIN = Sizes(gaussians=600, picture=40, training_gaussians=150, trainings=3)
+PLAIN = Sizes(gaussians=600, picture=40, training_gaussians=150)
 REHEARSAL = Sizes(
     channels=(3, 10),
     gaussians=60,

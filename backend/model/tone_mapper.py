@@ -125,7 +125,7 @@ class ToneMapper(nn.Module):
     def inverse(self, ldr: torch.Tensor) -> torch.Tensor:
         """ln(exposure × radiance) at which the global response gives ``ldr`` ``[3, P]``, by table."""
         with torch.no_grad():
-            x = torch.linspace(-12.0, 12.0, 2049)
+            x = torch.linspace(-12.0, 12.0, 2049, device=self.w1.device)
             y = self.curve_logits(x.expand(3, -1).contiguous()).sigmoid().cummax(dim=1).values
             index = torch.searchsorted(y.contiguous(), ldr.contiguous()).clamp(max=x.numel() - 1)
             return x[index]

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The CPU is chosen, with a reason, wherever the CUDA path cannot be used; nothing of it crashes."""
+
+import sys
+import types
+
+import numpy as np
+import pytest
+import torch
+
+from physhdr.backend import device as devices
+from physhdr.backend.device import BUILDING, choose_device
+from physhdr.backend.rasterize import cuda
+from physhdr.backend.resident import Pictures, camera_tensors
+from physhdr.backend.scene import read_scene
+from physhdr.backend.scene.camera import Camera
+from physhdr.bridge.errors import BadValueError
+
+
+@pytest.fixture
+def card(monkeypatch):
+    """A machine that has a card, as far as torch says."""
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "get_device_name", lambda: "a card")
+    monkeypatch.setattr(devices, "unavailable_reason", cuda.unavailable_reason.__wrapped__)
+
+
+def install_gsplat(monkeypatch, backend: types.ModuleType | Exception) -> None:
+    class Backend(types.ModuleType):
+        def __getattr__(self, name: str):
+            if isinstance(backend, Exception):
+                raise backend
+            return getattr(backend, name)
+
+    package = types.ModuleType("gsplat")
+    package.__path__ = []
+    monkeypatch.setitem(sys.modules, "gsplat", package)
+    monkeypatch.setitem(sys.modules, "gsplat.cuda", types.ModuleType("gsplat.cuda"))
+    monkeypatch.setitem(sys.modules, "gsplat.cuda._backend", Backend("gsplat.cuda._backend"))
+
+
+def backend_with(kernels: object) -> types.ModuleType:
+    module = types.ModuleType("backend")
+    module._C = kernels
+    return module
+
+
+def test_without_a_card(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    monkeypatch.setattr(devices, "unavailable_reason", cuda.unavailable_reason.__wrapped__)
+    assert choose_device("auto") == (torch.device("cpu"), "on the CPU (torch sees no CUDA device)")
+
+
+def test_without_gsplat(card, monkeypatch):
+    monkeypatch.setitem(sys.modules, "gsplat", None)
+    device, why = choose_device("auto")
+    assert device.type == "cpu" and "gsplat cannot be imported" in why
+
+
+@pytest.mark.parametrize(
+    ("backend", "reason"),
+    [
+        (RuntimeError("ninja: build stopped\nmore"), "could not be built: ninja: build stopped"),
+        (backend_with(None), "there is no nvcc"),
+        (backend_with(object()), "gsplat's kernels do not run"),
+    ],
+)
+def test_kernels_that_cannot_be_used(card, monkeypatch, backend, reason):
+    install_gsplat(monkeypatch, backend)
+    monkeypatch.setattr(devices, "is_built", lambda: True)
+    device, why = choose_device("auto")
+    assert device.type == "cpu" and reason in why and "\n" not in why
+    with pytest.raises(BadValueError, match="cannot compute on CUDA"):
+        choose_device("cuda")
+
+
+def test_kernels_that_draw_wrongly_are_not_used(card, monkeypatch):
+    install_gsplat(monkeypatch, backend_with(object()))
+    monkeypatch.setattr(devices, "is_built", lambda: True)
+    monkeypatch.setattr(cuda, "try_out", lambda device: float("nan"))
+    assert "draw a Gaussian wrongly" in choose_device("auto")[1]
+    monkeypatch.setattr(cuda, "try_out", lambda device: 1e-6)
+    assert choose_device("auto") == (torch.device("cuda"), "on a card")
+
+
+def test_a_build_is_announced_before_it_begins(card, monkeypatch):
+    said: list[str] = []
+    monkeypatch.setattr(devices, "is_built", lambda: False)
+    monkeypatch.setattr(devices, "unavailable_reason", lambda: said.append("built") or None)
+    choose_device("auto", report=said.append)
+    assert said == [BUILDING, "built"]
+
+
+def test_cameras_and_pictures_are_copied_once(tiny_data):
+    elsewhere = torch.device("meta")
+    camera = Camera(np.eye(4), 4, 2, 4.0, 5.0, 2.0, 1.0)
+    like = torch.zeros(1, device=elsewhere)
+    assert camera_tensors(camera, like) is camera_tensors(camera, like)
+    here = camera_tensors(camera, torch.zeros(1, dtype=torch.float64))
+    assert here.intrinsics.tolist() == [[4, 0, 2], [0, 5, 1], [0, 0, 1]] and here.half_size.tolist() == [2, 1]
+
+    view = read_scene(tiny_data).train[0]
+    size = view.image(0).nbytes
+    pictures = Pictures(elsewhere, budget=2 * size)
+    for k in (0, 1, 2, 0):
+        assert pictures.get(view, k).shape == (3, 32, 32)
+    assert pictures.bytes_held == 2 * size  # the third did not fit
+    found = Pictures(torch.device("cpu")).get(view, 2)
+    np.testing.assert_array_equal(found.numpy(), view.image(2).transpose(2, 0, 1) / np.float32(255))
