@@ -64,7 +64,10 @@ class EventLog:
         self._file.flush()
         if isinstance(event, events.Started):
             self._bar.update(self._task, total=event.iterations, completed=event.iteration)
-            console.print(f"training from iteration {event.iteration}: {event.gaussians} Gaussians")
+            console.print(
+                f"training from iteration {event.iteration}: {event.gaussians} Gaussians; {event.message}",
+                soft_wrap=True,
+            )
         elif isinstance(event, events.Progress):
             self._show_progress(event)
         elif isinstance(event, events.Finished):

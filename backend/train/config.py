@@ -30,8 +30,9 @@ class TrainConfig:
     exposure_mode: Literal["exp3", "exp1"] = "exp3"
     #: Indices of the exposures that training may see (LDR-OE of the paper).
     training_exposures: tuple[int, ...] = (0, 2, 4)
-    #: Start from the data set's points, or from random ones in the cameras' frusta.
-    initial_points: Literal["file", "random"] = "file"
+    #: Start from the data set's points, from stereo between the training views, or from random ones in the
+    #: cameras' frusta; auto: the data set's if it has any, else stereo's.
+    initial_points: Literal["auto", "file", "stereo", "random"] = "auto"
     random_points: int = 20_000
     initial_opacity: float = 0.1
     #: Initial size of a Gaussian over the distance to its neighbours (3DGS: 1).

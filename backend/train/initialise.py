@@ -2,6 +2,8 @@
 """Where Gaussians start, and how bright: points and colours, merged from the training brackets."""
 
 import math
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import torch
@@ -11,22 +13,33 @@ from ..model.gaussians import LOG_RADIANCE_RANGE
 from ..model.tone_mapper import ToneMapper
 from ..scene.camera import Camera
 from ..scene.scene import Scene, View
+from .brackets import Votes, log_radiance_picture
 from .morton import morton_order
+from .stereo import stereo_points, stereo_view
 
-#: Random points lie between these depths (metres) of the training cameras, evenly in log depth.
+#: Metres; what cameras in one place have.
+SMALLEST_EXTENT = 1e-3
+
+Source = Literal["auto", "file", "stereo", "random"]
+
+#: Random points lie between these depths of the training cameras, evenly in log depth, in units of the
+#: cameras' extent (``scene_extent``).
 RANDOM_DEPTH_RANGE = (0.5, 20.0)
+#: With fewer points than this, stereo has failed; more are thinned: densification knows better where.
+FEWEST_STEREO_POINTS, MOST_STEREO_POINTS = 100, 40_000
 
 
 def scene_extent(views: list[View]) -> float:
     """1.1 × the largest distance of a training camera from their mean (3DGS), metres."""
     centres = np.array([view.camera.position for view in views])
-    return float(1.1 * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max().clip(1e-3))
+    return float(1.1 * np.linalg.norm(centres - centres.mean(axis=0), axis=1).max().clip(SMALLEST_EXTENT))
 
 
 def random_points(views: list[View], count: int, seed: int) -> np.ndarray:
-    """``[count, 3]`` points in the views' frusta, for data sets without points."""
+    """``[count, 3]`` points in the views' frusta, where nothing better is known."""
     rng = np.random.default_rng(seed)
-    near, far = np.log(RANDOM_DEPTH_RANGE)
+    extent = scene_extent(views)
+    near, far = np.log(np.array(RANDOM_DEPTH_RANGE) * (extent if extent > SMALLEST_EXTENT else 1.0))
     cameras = [views[i].camera for i in rng.integers(len(views), size=count)]
     points = np.empty((count, 3))
     for i, camera in enumerate(cameras):
@@ -38,24 +51,76 @@ def random_points(views: list[View], count: int, seed: int) -> np.ndarray:
     return points
 
 
-def initial_points(scene: Scene, source: str, random_count: int, seed: int) -> np.ndarray:
-    """The data set's points ``[P, 3]``, or random ones where asked for (``source`` = "random").
+@dataclass(frozen=True)
+class FirstPoints:
+    """Where Gaussians start, ``positions`` ``[P, 3]`` (metres), and whence: a line for the user."""
 
-    Sorted by place (``morton``), as densification keeps them.
+    positions: np.ndarray
+    message: str
+
+
+def initial_points(
+    scene: Scene,
+    views: list[View],
+    exposures: list[tuple[int, ...]],
+    tone_mapper: ToneMapper,
+    *,
+    source: Source,
+    random_count: int,
+    seed: int,
+) -> FirstPoints:
+    """The data set's points, or those of stereo, or random ones, as ``source`` says.
+
+    ``auto``: the data set's if it has any, else stereo's; where views do not overlap, random ones. Stereo
+    reads ``views`` (of one light) at ``exposures``, their indices that training may see. Sorted by place
+    (``morton``), as densification keeps them. Raises ``BadValueError`` where ``source`` has none.
     """
-    points = _points(scene, source, random_count, seed)
-    return points[morton_order(torch.as_tensor(points)).numpy()]
+    points = _points(scene, views, exposures, tone_mapper, source, random_count, seed)
+    order = morton_order(torch.as_tensor(points.positions)).numpy()
+    return FirstPoints(points.positions[order], points.message)
 
 
-def _points(scene: Scene, source: str, random_count: int, seed: int) -> np.ndarray:
-    if source == "random":
-        return random_points(scene.train, random_count, seed)
-    if scene.points is None:
+def _points(
+    scene: Scene,
+    views: list[View],
+    exposures: list[tuple[int, ...]],
+    tone_mapper: ToneMapper,
+    source: Source,
+    random_count: int,
+    seed: int,
+) -> FirstPoints:
+    if source == "file" and scene.points is None:
         raise BadValueError(
             f"{scene.root} has no points3d.ply",
-            "Train with --initial-points random, or give the data set the points of structure from motion.",
+            "Train with --initial-points auto, which finds points by stereo, or give the data set the points "
+            "of structure from motion.",
         )
-    return scene.points.positions.astype(np.float64)
+    if source in ("auto", "file") and scene.points is not None:
+        positions = scene.points.positions.astype(np.float64)
+        return FirstPoints(positions, f"{len(positions)} points of the data set")
+    why = "as asked for"
+    if source != "random":
+        votes = Votes(tone_mapper)
+        positions = stereo_points(
+            [
+                stereo_view(view.camera, *log_radiance_picture(view, indices, votes))
+                for view, indices in zip(views, exposures, strict=True)
+            ]
+        )
+        if len(positions) > MOST_STEREO_POINTS:
+            along = morton_order(torch.as_tensor(positions)).numpy()  # so that what stays is evenly spread
+            positions = positions[along[np.linspace(0, len(along) - 1, MOST_STEREO_POINTS).astype(int)]]
+        if len(positions) >= FEWEST_STEREO_POINTS:
+            return FirstPoints(positions, f"{len(positions)} points by stereo from the training views")
+        if source == "stereo":
+            raise BadValueError(
+                f"stereo found {len(positions)} points on {scene.root}, too few to start from",
+                "Its views overlap too little: train with --initial-points random.",
+            )
+        why = "the data set has no points and its views overlap too little for stereo"
+    return FirstPoints(
+        random_points(scene.train, random_count, seed), f"{random_count} random points ({why})"
+    )
 
 
 def _pixels(points: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
@@ -82,23 +147,18 @@ def merged_log_radiance(
 ) -> np.ndarray:
     """ln radiance ``[P, 3]`` of points, merged from the pictures that training may see.
 
-    Each picture votes with f⁻¹(code) − ln t, f being the response as it is now; a code near black or white
-    says little and weighs little (the hat of Debevec and Malik). ``exposures[i]`` are the indices allowed
-    for ``views[i]``. Points that nobody sees get the mean.
+    ``exposures[i]`` are the indices allowed for ``views[i]``. Points that nobody sees get the mean.
     """
     total = np.zeros((len(points), 3))
     weight_sum = np.full((len(points), 3), 1e-6)
-    codes = torch.arange(256) / 255.0
-    log_exposure_of_code = tone_mapper.inverse(codes.expand(3, -1).contiguous()).numpy()
-    hat = np.minimum(np.arange(256), 255 - np.arange(256)) / 127.5 + 1e-3
+    votes = Votes(tone_mapper)
     for view, indices in zip(views, exposures, strict=True):
         seen, pixel = _pixels(points, view.camera)
         row, column = pixel[seen].T
         for k in indices:
-            code = view.image(k)[row, column]
-            log_exposure = np.stack([log_exposure_of_code[c][code[:, c]] for c in range(3)], axis=1)
-            total[seen] += hat[code] * (log_exposure - math.log(view.exposures[k]))
-            weight_sum[seen] += hat[code]
+            vote, weight = votes.cast(view.image(k)[row, column], view.exposures[k])
+            total[seen] += vote
+            weight_sum[seen] += weight
     merged = total / weight_sum
     unseen = weight_sum[:, 0] < 1e-4
     if unseen.any() and not unseen.all():

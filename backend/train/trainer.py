@@ -86,17 +86,24 @@ class Trainer:
 
     def _start(self, tone_mapper: ToneMapper) -> Gaussians:
         config, method = self.config, self.config.method
-        points = initial_points(self.scene, config.initial_points, config.random_points, config.seed)
         # Only views under the standard light say how bright a point is at level 1.
         standard = [
             (v, e) for v, e in zip(self.views, self.exposures, strict=True) if v.lighting_level == 1.0
         ]
-        log_radiance = merged_log_radiance(
-            points, [v for v, _ in standard], [e for _, e in standard], tone_mapper
+        views, exposures = [v for v, _ in standard], [e for _, e in standard]
+        points = initial_points(
+            self.scene,
+            views,
+            exposures,
+            tone_mapper,
+            source=config.initial_points,
+            random_count=config.random_points,
+            seed=config.seed,
         )
+        self.start_message = points.message
         return initial_gaussians(
-            points,
-            log_radiance,
+            points.positions,
+            merged_log_radiance(points.positions, views, exposures, tone_mapper),
             sh_degree=method.sh_degree,
             opacity=config.initial_opacity,
             scale_factor=config.initial_scale,
@@ -171,7 +178,8 @@ class Trainer:
         """Train until done or told to stop, yielding events; a checkpoint is written on every way out."""
         total = self.config.iterations
         begun, begun_cpu = time.perf_counter(), time.process_time()
-        yield Started(self.iteration, total, len(self.method.gaussians))
+        message = f"started from {self.start_message}"
+        yield Started(self.iteration, total, len(self.method.gaussians), message)
         sums: dict[str, torch.Tensor] = {}
         window_start, window_first = time.perf_counter(), self.iteration
         try:
@@ -249,6 +257,7 @@ class Trainer:
             }
         )
         self.iteration = int(metadata["iteration"])
+        self.start_message = f"the checkpoint in {folder}"
         self._follow_schedules(self.iteration)
 
 

