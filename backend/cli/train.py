@@ -12,6 +12,7 @@ import tyro
 from ...bridge.errors import BadValueError, DataMismatchError
 from ..device import DeviceName, choose_device
 from ..rasterize import Implementation
+from ..rasterize.cpu import set_threads
 from ..scene import read_scene
 from ..train.config import CONFIG_FILE, PRESETS, TrainConfig, read_config, write_config
 from ..train.trainer import CHECKPOINT_FILE, Trainer
@@ -53,10 +54,15 @@ class Train:
     rasteriser: Implementation = "auto"
     #: Where to compute; auto: a CUDA card if there is one that works, else the CPU.
     device: DeviceName = "auto"
+    #: CPU threads; 0: one for each core. The result depends on it by rounding alone.
+    threads: int = 0
     #: Iterations between checkpoints.
     checkpoint_every: int = 2000
 
     def run(self) -> int:
+        if self.threads:
+            set_threads(self.threads)
+            torch.set_num_threads(self.threads)
         trainer, folder = self._resumed() if self.resume else self._fresh()
         if trainer.device.type == "cpu" and self.rasteriser in ("auto", "cpu"):
             compile_kernels([trainer.method.channels])

@@ -38,7 +38,7 @@ class Votes:
 
 
 def log_radiance_picture(view: View, indices: tuple[int, ...], votes: Votes) -> tuple[np.ndarray, np.ndarray]:
-    """A view's ln radiance ``[H, W, 3]`` float64, merged from its exposures ``indices``, and where it is known.
+    """A view's ln radiance ``[H, W, 3]`` float64, merged from its exposures ``indices``; where it is known.
 
     Known, ``[H, W]`` bool: not black or white in every picture and channel.
     """
