@@ -14,9 +14,7 @@ import torch
 from torch.nn import functional
 
 from ...bridge.errors import BadValueError
-from ..rasterize.cpu.compiling import kernel
-from ..rasterize.cpu.simd import LANES, fma, load, splat, store
-from ..rasterize.cpu.threads import run_ranges
+from ..simd import LANES, fma, kernel, load, run_ranges, splat, store
 from .plain import can_fuse
 
 

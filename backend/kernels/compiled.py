@@ -62,7 +62,7 @@ def _works() -> bool:
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
         warnings.warn(
             f"torch.compile does not work here ({reason}): networks run unfused on the card, which is slower "
-            "and takes about 1 GB more for a picture of 400×400",
+            "and takes about half a GB more for a picture of 400×400",
             stacklevel=2,
         )
         return False

@@ -19,9 +19,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..rasterize.cpu.compiling import kernel
-from ..rasterize.cpu.simd import take_ticket
-from ..rasterize.cpu.threads import run_parallel
+from ..simd import kernel, run_parallel, take_ticket
 
 #: Knots per unit; a power of two, so that knots are exact in float32.
 KNOTS_PER_UNIT = 128

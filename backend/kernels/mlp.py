@@ -21,18 +21,19 @@ import numpy as np
 import torch
 from numba import njit
 
-from ..rasterize.cpu.compiling import kernel
-from ..rasterize.cpu.simd import (
+from ..simd import (
     LANES,
     absolute,
     dot_each,
     exp_of_negative,
     fma,
     fma_each,
+    kernel,
     load,
     load_each,
     log1p_of_fraction,
     maximum,
+    run_parallel,
     select,
     splat,
     splat_each,
@@ -42,7 +43,6 @@ from ..rasterize.cpu.simd import (
     total,
     zero_each,
 )
-from ..rasterize.cpu.threads import run_parallel
 from .compiled import compiled_on_cuda
 from .curve_table import MAX_WEIGHT, interpolate, knots_for
 from .plain import can_fuse

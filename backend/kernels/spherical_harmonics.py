@@ -12,8 +12,7 @@ import numpy as np
 import torch
 from numba import njit
 
-from ..rasterize.cpu.compiling import kernel
-from ..rasterize.cpu.threads import run_ranges
+from ..simd import kernel, run_ranges
 from .plain import can_fuse
 
 Y0 = 0.28209479177387814

@@ -23,9 +23,19 @@ import numpy as np
 import torch
 from torch.nn import functional
 
-from ..rasterize.cpu.compiling import kernel
-from ..rasterize.cpu.simd import LANES, fma, lane_numbers, load, select, splat, store, store_strided, total
-from ..rasterize.cpu.threads import run_ranges
+from ..simd import (
+    LANES,
+    fma,
+    kernel,
+    lane_numbers,
+    load,
+    run_ranges,
+    select,
+    splat,
+    store,
+    store_strided,
+    total,
+)
 from .plain import can_fuse
 
 TAPS = 11

@@ -13,11 +13,10 @@ from torch.nn import functional
 
 from ....bridge.errors import BadValueError
 from ...scene.camera import Camera
+from ...simd import LANES, ranges, run_parallel, run_ranges, set_threads, thread_count
 from ..contract import Rasterization
 from .binning import fill_lists
 from .projection import RECORD_HEAD, TILE_HEIGHT, TILE_WIDTH, camera_array, project, project_backward
-from .simd import LANES
-from .threads import ranges, run_parallel, run_ranges, set_threads, thread_count
 from .tiles import BLOCK_HEIGHT, BLOCK_WIDTH, MOMENTS, draw, draw_backward
 
 __all__ = ["rasterize", "set_threads", "thread_count"]
@@ -126,7 +125,7 @@ def _draw(camera: Camera, tensors: tuple[Any, ...], keep: bool):
     view = camera_array(camera)
     stride = RECORD_HEAD + -(-channels // 8) * 8
     records = np.empty((count + LANES) * stride, np.float32)
-    keys, slot_starts = np.empty(count, np.uint32), np.empty(count + 1, np.int32)
+    keys, slot_starts = np.empty(count, np.int32), np.empty(count + 1, np.int32)
     edges = ranges(count)
     finite = np.ones(1, np.bool_)
     flat = [_flat(t) for t in geometry]
@@ -163,10 +162,11 @@ def _draw(camera: Camera, tensors: tuple[Any, ...], keep: bool):
     # Ranges of tiles with about as many pairs.
     shares = np.searchsorted(tile_starts, np.linspace(0, pairs, thread_count() + 1)[1:-1])
     bounds = [0, *shares, tiles]
+    scratch = np.empty((thread_count(), 4, count), np.int32)
     run_parallel(
         lambda i: fill_lists(
             *(bounds[i], bounds[i + 1], keys, slot_starts, slot_tiles, tile_starts),
-            *(tile_gaussians, tile_slots),
+            *(scratch[i], tile_gaussians, tile_slots),
         )
     )
 

@@ -8,8 +8,7 @@ anybody, and the lists do not depend on the number of workers.
 
 import numpy as np
 
-from .compiling import kernel
-from .simd import prefetch
+from ...simd import kernel, prefetch
 
 #: How many Gaussians ahead memory is asked for: the order of depth is no order in memory.
 AHEAD = 12
@@ -19,16 +18,17 @@ _DIGIT = 2048
 
 
 @kernel
-def fill_lists(first_tile, last_tile, keys, slot_starts, slot_tiles, tile_starts, tile_gaussians, tile_slots):
+def fill_lists(
+    first_tile, last_tile, keys, slot_starts, slot_tiles, tile_starts, scratch, tile_gaussians, tile_slots
+):
     """Make the lists of tiles ``first_tile … last_tile − 1``, nearest Gaussian first, ties by index.
 
     ``keys`` ``[N]``, ``slot_starts`` ``[N + 1]``, ``slot_tiles``: from ``project`` (of a Gaussian's slots the
-    tiles ascend); ``tile_starts`` ``[tiles + 1]``: where every list begins. Out: ``tile_gaussians``
-    ``[pairs]`` and, unless its size is 0, ``tile_slots`` ``[pairs]``.
+    tiles ascend); ``tile_starts`` ``[tiles + 1]``: where every list begins; ``scratch`` ``[4, N]``
+    int32. Out: ``tile_gaussians`` ``[pairs]`` and, unless its size is 0, ``tile_slots`` ``[pairs]``.
     """
     count = keys.size
-    order, scratch_order = np.empty(count, np.int32), np.empty(count, np.int32)
-    sorted_keys, scratch_keys = np.empty(count, np.uint32), np.empty(count, np.uint32)
+    order, scratch_order, sorted_keys, scratch_keys = scratch[0], scratch[1], scratch[2], scratch[3]
     histogram = np.zeros((3, _DIGIT), np.int32)
     mine = 0
     for g in range(count):

@@ -26,14 +26,13 @@ import numpy as np
 from numba import njit
 
 from ...scene.camera import NEAR_PLANE, Camera
-from ..contract import ALPHA_MIN, JACOBIAN_MARGIN, LOW_PASS
-from .compiling import kernel
-from .simd import (
+from ...simd import (
     LANES,
     absolute,
     ceil,
     floor,
     fma,
+    kernel,
     load,
     load_strided,
     log2_of_positive,
@@ -47,6 +46,7 @@ from .simd import (
     store_transposed,
     total,
 )
+from ..contract import ALPHA_MIN, JACOBIAN_MARGIN, LOW_PASS
 
 #: Floats of a Gaussian's record; its colours follow after ``RECORD_HEAD`` of them. A record of six channels
 #: is one cache line.
@@ -233,7 +233,7 @@ def project(
     In: ``means`` ``[3N]``, ``quaternions`` ``[4N]``, ``scales`` ``[3N]``, ``opacities`` ``[N]``, ``offsets``
     ``[2N]`` or ``[0]``, ``colours`` ``[C · N]``, all flat; ``camera`` of ``camera_array``.
     Out: ``records[stride · g :]`` of what is drawn (with room for ``LANES`` more at the end); ``keys``
-    ``[N]`` uint32, the depth's bits, which sort like the depth, as it is positive; ``radii`` ``[N]`` px, 0
+    ``[N]`` int32, the depth's bits, which sort like the depth, as it is positive; ``radii`` ``[N]`` px, 0
     where nothing is drawn; ``finite[0]`` becomes False if any input is NaN or infinite. A (Gaussian, tile)
     pair has a slot, counted here from 0 in the order of Gaussians: ``slot_starts[g]`` is Gaussian g's first,
     ``slot_tiles[slot]`` its tile (not written beyond the array's size: then call again with a larger one),
@@ -243,7 +243,7 @@ def project(
     fields = np.empty((8, LANES), np.float32)
     half_widths, half_heights, first_columns, last_columns = fields[0], fields[1], fields[2], fields[3]
     first_rows, last_rows, depths, drawn = fields[4], fields[5], fields[6], fields[7]
-    bits = depths.view(np.uint32)
+    bits = depths.view(np.int32)
     checksum = splat(0.0)
     width, height = camera[_WIDTH], camera[_HEIGHT]
     pairs = 0

@@ -25,24 +25,7 @@ v is 0 where alpha was clamped. Per Gaussian and tile, Σ v and its moments abou
 import numpy as np
 from numba import njit
 
-from ..contract import ALPHA_MAX, TRANSMITTANCE_MIN
-from .compiling import kernel
-from .projection import (
-    BIAS,
-    INVERSE_L11,
-    L11,
-    L21,
-    MARGIN,
-    MEAN_X,
-    MEAN_Y,
-    RECORD_HEAD,
-    RELATIVE_MARGIN,
-    T_MIN,
-    TILE_HEIGHT,
-    TILE_WIDTH,
-    Q,
-)
-from .simd import (
+from ...simd import (
     LANES,
     absolute,
     any_lane,
@@ -52,6 +35,7 @@ from .simd import (
     floor,
     fma,
     fma_each,
+    kernel,
     lane_numbers,
     load,
     load_each,
@@ -72,6 +56,22 @@ from .simd import (
     store_totals,
     take_ticket,
     zero_each,
+)
+from ..contract import ALPHA_MAX, TRANSMITTANCE_MIN
+from .projection import (
+    BIAS,
+    INVERSE_L11,
+    L11,
+    L21,
+    MARGIN,
+    MEAN_X,
+    MEAN_Y,
+    RECORD_HEAD,
+    RELATIVE_MARGIN,
+    T_MIN,
+    TILE_HEIGHT,
+    TILE_WIDTH,
+    Q,
 )
 
 BLOCK_WIDTH = LANES // 2

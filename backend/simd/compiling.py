@@ -15,7 +15,8 @@ from typing import Any
 from numba import njit
 
 _HERE = Path(__file__).parent
-_SOURCES = (_HERE, _HERE.parents[1] / "kernels", _HERE.parent / "contract.py")
+_RASTERIZE = _HERE.parent / "rasterize"
+_SOURCES = (_HERE, _HERE.parent / "kernels", _RASTERIZE / "cpu", _RASTERIZE / "contract.py")
 
 
 def kernel(function: Callable[..., Any]) -> Any:

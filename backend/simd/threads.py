@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from ....bridge.errors import BadValueError
+from ...bridge.errors import BadValueError
 
 T = TypeVar("T")
 

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What every CPU kernel is written with: explicit SIMD inside Numba, threads, a cache of compiled kernels.
+
+Numba's auto-vectoriser is unreliable, so the kernels say what they mean: ``vector`` is LLVM's
+``<LANES x float>``, ``mask`` is ``<LANES x i1>``. Functions that end in ``_each`` work on a tuple of vectors.
+Array arguments are one-dimensional and contiguous.
+
+``vector`` the types · ``operators`` · ``memory`` loads and stores · ``maths`` · ``powers`` exponentials and
+logarithms · ``tuples`` · ``bits`` · ``compiling`` · ``threads`` · ``heap``.
+"""
+
+from . import operators as operators  # registers + − < … with Numba
+from .bits import lowest_bit, span_bits, take_ticket
+from .compiling import kernel
+from .heap import keep_freed_memory
+from .maths import (
+    absolute,
+    any_lane,
+    ceil,
+    floor,
+    fma,
+    maximum,
+    minimum,
+    select,
+    square_root,
+    total,
+)
+from .memory import (
+    lane_numbers,
+    load,
+    load_halves,
+    load_strided,
+    peek,
+    prefetch,
+    splat,
+    store,
+    store_halves,
+    store_strided,
+)
+from .powers import exp2_of_8, exp_of_negative, log1p_of_fraction, log2_of_positive
+from .threads import ranges, run_parallel, run_ranges, set_threads, thread_count
+from .tuples import (
+    dot_each,
+    fma_each,
+    load_each,
+    splat_each,
+    store_each,
+    store_totals,
+    store_transposed,
+    zero_each,
+)
+from .vector import LANES
+
+__all__ = [
+    "LANES",
+    "absolute",
+    "any_lane",
+    "ceil",
+    "dot_each",
+    "exp2_of_8",
+    "exp_of_negative",
+    "floor",
+    "fma",
+    "fma_each",
+    "keep_freed_memory",
+    "kernel",
+    "lane_numbers",
+    "load",
+    "load_each",
+    "load_halves",
+    "load_strided",
+    "log1p_of_fraction",
+    "log2_of_positive",
+    "lowest_bit",
+    "maximum",
+    "minimum",
+    "peek",
+    "prefetch",
+    "ranges",
+    "run_parallel",
+    "run_ranges",
+    "select",
+    "set_threads",
+    "span_bits",
+    "splat",
+    "splat_each",
+    "square_root",
+    "store",
+    "store_each",
+    "store_halves",
+    "store_strided",
+    "store_totals",
+    "store_transposed",
+    "take_ticket",
+    "thread_count",
+    "total",
+    "zero_each",
+]
+
+keep_freed_memory()
