@@ -100,7 +100,7 @@ def _check(arguments: argparse.Namespace, has_numba: bool, report: dict[str, Any
     if arguments.rehearse:
         side, sizes = Side("rehearsal", torch.device("cpu"), "reference", plain=True), REHEARSAL
     else:
-        side, sizes = Side("card", torch.device("cuda"), "cuda"), Sizes() if has_numba else PLAIN
+        side, sizes = Side("card", torch.device("cuda"), "cuda"), PLAIN if judge.plain else Sizes()
 
     findings: list[parity.Finding] = []
 

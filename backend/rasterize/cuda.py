@@ -22,7 +22,9 @@ before a Gaussian is added, order by depth and then by index. Different:
   only place in an iteration where the host waits for the card.
 """
 
+import os
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -62,14 +64,16 @@ def unavailable_reason() -> str | None:
 
 def is_built() -> bool:
     """Whether gsplat's kernels lie compiled on this machine; if not, first use compiles them (minutes)."""
-    from importlib.util import find_spec
-
-    if find_spec("gsplat") is None or find_spec("gsplat.csrc") is not None:
-        return True  # nothing to build, or built when it was installed
+    package = find_spec("gsplat")  # found, not imported: it may lack what it needs
+    if package is None:
+        return True  # nothing to build
+    places = [Path(place) for place in package.submodule_search_locations or ()]
+    if any(file.suffix in (".so", ".pyd") for place in places for file in place.glob("csrc*")):
+        return True  # built when it was installed
     from torch.utils.cpp_extension import get_default_build_root
 
-    root = Path(get_default_build_root())
-    return any(root.glob("**/gsplat_cuda/gsplat_cuda.so")) or any(root.glob("**/gsplat_cuda/gsplat_cuda.pyd"))
+    build = Path(os.environ.get("TORCH_EXTENSIONS_DIR") or get_default_build_root())
+    return any(file.suffix in (".so", ".pyd") for file in build.glob("**/gsplat_cuda/gsplat_cuda.*"))
 
 
 def try_out(device: torch.device) -> float:

@@ -107,3 +107,19 @@ def test_cameras_and_pictures_are_copied_once(tiny_data):
     assert pictures.bytes_held == 2 * size  # the third did not fit
     found = Pictures(torch.device("cpu")).get(view, 2)
     np.testing.assert_array_equal(found.numpy(), view.image(2).transpose(2, 0, 1) / np.float32(255))
+
+
+def test_whether_the_kernels_are_built_is_seen_without_importing_gsplat(tmp_path, monkeypatch):
+    package, builds = tmp_path / "gsplat", tmp_path / "builds"
+    package.mkdir()
+    (package / "__init__.py").write_text("raise ImportError('something it needs is missing')")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("TORCH_EXTENSIONS_DIR", str(builds))
+    assert not cuda.is_built()
+    (builds / "py311" / "gsplat_cuda").mkdir(parents=True)
+    (builds / "py311" / "gsplat_cuda" / "gsplat_cuda.so").touch()
+    assert cuda.is_built()
+    monkeypatch.setenv("TORCH_EXTENSIONS_DIR", str(tmp_path / "nothing"))
+    assert not cuda.is_built()
+    (package / "csrc.cpython-311-x86_64-linux-gnu.so").touch()
+    assert cuda.is_built()

@@ -6,10 +6,12 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 
 from physhdr.backend.kernels import plain_torch
-from physhdr.backend.rasterize import Implementation
+from physhdr.backend.rasterize import Implementation, rasterize
+from physhdr.backend.scene.camera import Camera
 
 
 @dataclass(frozen=True)
@@ -53,8 +55,19 @@ class Side:
 
 
 def oracle(has_numba: bool) -> Side:
-    """The CPU's kernels, or plain torch where there is no Numba."""
+    """The CPU's kernels; plain torch where there is no Numba, or one that cannot compile them."""
     cpu = torch.device("cpu")
-    if has_numba:
-        return Side("CPU kernels", cpu, "cpu")
-    return Side("plain torch on the CPU", cpu, "reference", plain=True)
+    if not has_numba:
+        return Side("plain torch on the CPU", cpu, "reference", plain=True)
+    camera = Camera(np.eye(4), 4, 4, 4.0, 4.0, 2.0, 2.0)
+    try:
+        rasterize(
+            torch.tensor([[0.0, 0.0, -1.0]]),
+            *(torch.ones(1, 4), torch.ones(1, 3), torch.full((1,), 0.5), torch.ones(1, 3)),
+            camera,
+            implementation="cpu",
+        )
+    except Exception as error:  # noqa: BLE001 (a Numba of another version can fail in any way)
+        name = f"plain torch on the CPU (its kernels cannot be compiled: {type(error).__name__})"
+        return Side(name, cpu, "reference", plain=True)
+    return Side("CPU kernels", cpu, "cpu")

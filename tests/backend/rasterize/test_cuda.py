@@ -233,3 +233,9 @@ def test_a_compiled_twin_takes_any_number_of_points(monkeypatch):
     for points in (40, 41, 1):
         x = torch.randn(3, points, generator=rng)
         torch.testing.assert_close(copy(x, *weights, "softplus"), twin(x, *weights, "softplus"))
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a card")
+def test_where_nothing_can_be_compiled_a_warning_says_so():
+    with pytest.warns(UserWarning, match=r"torch\.compile does not work here .*networks run unfused"):
+        assert not compiled._works.__wrapped__()
