@@ -15,7 +15,7 @@ SIZES = (100, 200, 400, 800)
 #: Gaussians while the resolution changes.
 COUNT = 50_000
 
-PANEL, MARGIN = (460, 360), (70, 50, 20, 60)  # pixels: panel; left, top, right, bottom of it
+PANEL, MARGIN = (460, 380), (70, 66, 20, 60)  # pixels: panel; left, top, right, bottom of it
 COLOURS = {"default": (31, 119, 180), "paper": (214, 69, 65)}
 INK, FAINT, PAPER = (24, 24, 28), (210, 210, 214), (255, 255, 255)
 
@@ -56,7 +56,7 @@ def slopes(growth: Growth) -> dict[str, float]:
 def plot(growth: Growth, path: Path) -> None:
     """Two panels, both axes logarithmic, beside a dashed line of linear growth; written as PNG."""
     sheet = Image.new("RGB", (len(growth) * PANEL[0], PANEL[1]), PAPER)
-    titles = {"Gaussians": f"{SIZE} × {SIZE} pixels", "pixels": f"{COUNT // 1000} k Gaussians"}
+    titles = {"Gaussians": f"{SIZE}x{SIZE} pixels", "pixels": f"{COUNT // 1000} k Gaussians"}
     for i, (axis, series) in enumerate(growth.items()):
         _panel(ImageDraw.Draw(sheet), i * PANEL[0], axis, titles[axis], series)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -88,15 +88,16 @@ def _panel(
         draw.text((place, y1 + 6), f"{x / 1000:g} k", INK, small, anchor="ma")
     draw.rectangle([x0, y0, x1, y1], outline=INK)
     draw.text(((x0 + x1) / 2, y1 + 26), axis, INK, font, anchor="ma")
-    draw.text((x0, y0 - 8), f"ms per iteration, {title}", INK, font, anchor="ls")
+    draw.text((x0, y0 - 30), f"ms per iteration, {title}", INK, font, anchor="ls")
+    legend = [*COLOURS.items(), ("- - linear growth", INK)]
+    for number, (label, colour) in enumerate(legend):
+        draw.text((x0 + 90 * number, y0 - 9), label, colour, small, anchor="ls")
 
-    for number, preset in enumerate(PRESETS):
+    for preset in PRESETS:
         points = [at(x, y) for x, y in zip(series[axis], series[preset], strict=True)]
         draw.line(points, COLOURS[preset], 2)
         for x, y in points:
             draw.ellipse([x - 4, y - 4, x + 4, y + 4], COLOURS[preset])
-        draw.text((x0 + 10, y0 + 10 + 20 * number), preset, COLOURS[preset], font)
-    draw.text((x0 + 10, y0 + 10 + 20 * len(PRESETS)), "- - linear", INK, font)
     # Linear growth through the largest case of the first preset.
     x_end, y_end = series[axis][-1], series[PRESETS[0]][-1]
     x_start = max(x_range[0], x_end * y_range[0] / y_end)

@@ -3,6 +3,7 @@
 
 import json
 import os
+import platform
 import statistics
 import subprocess
 import sys
@@ -123,8 +124,10 @@ def environment_of(processor: str, cache: str) -> dict[str, str]:
     return {"NUMBA_CACHE_DIR": cache, "NUMBA_CPU_NAME": processor, "NUMBA_CPU_FEATURES": features}
 
 
-def processor_times(names: list[str], rounds: int = 3) -> dict[str, dict[str, float] | str]:
+def processor_times(names: list[str], rounds: int = 2) -> dict[str, dict[str, float] | str]:
     """By processor: milliseconds by work, medians of processes in turn; or why it does not run."""
+    if platform.machine().lower() not in ("x86_64", "amd64"):
+        raise WorkerError(f"{', '.join(names)} are x86 processors, this is {platform.machine()}")
     samples: dict[str, list[dict[str, float]]] = {name: [] for name in (NATIVE, *names)}
     failures: dict[str, str] = {}
     with tempfile.TemporaryDirectory() as folder:
