@@ -38,6 +38,8 @@ class TrainConfig:
     #: Initial size of a Gaussian over the distance to its neighbours (3DGS: 1).
     initial_scale: float = 1.0
     initial_ambient_share: float = 0.5
+    #: Share of the training at whose start views are seen at half their width and height.
+    half_size_until: float = 0.0
     #: The SH degree rises by one after this many iterations (3DGS: 1000).
     sh_degree_every: int = 500
     method: PhysHDRConfig = field(default_factory=PhysHDRConfig)

@@ -22,6 +22,7 @@ from .config import TrainConfig
 from .events import Event, Finished, Progress, Saved, Started
 from .initialise import initial_points, merged_log_radiance, scene_extent
 from .optimisers import Optimiser
+from .warm_up import halved
 
 CHECKPOINT_FILE = "checkpoint.safetensors"
 
@@ -126,17 +127,19 @@ class Trainer:
         """One iteration; returns the weighted loss terms (detached)."""
         config, method, iteration = self.config, self.method, self.iteration
         view, k = self.draw(iteration)
-        picture = self.pictures.get(view, k)
+        camera, picture = view.camera, self.pictures.get(view, k)
+        if iteration < config.half_size_until * config.iterations:
+            camera, picture = halved(camera, picture)
         self._follow_schedules(iteration)
 
         screen_offsets = torch.zeros(len(method.gaussians), 2, device=self.device, requires_grad=True)
-        rendering = method.render(view.camera, view.exposures[k], view.lighting_level, screen_offsets)
+        rendering = method.render(camera, view.exposures[k], view.lighting_level, screen_offsets)
         terms = method.losses(rendering, picture)
         total = torch.stack(list(terms.values())).sum()
         total.backward()
 
         if iteration < config.densify.stop * config.iterations and screen_offsets.grad is not None:
-            density.observe(self.statistics, screen_offsets.grad, rendering, view.camera, config.densify)
+            density.observe(self.statistics, screen_offsets.grad, rendering, camera, config.densify)
         self._sound = False
         self.optimiser.step(iteration)
         self.iteration = iteration + 1
