@@ -11,8 +11,6 @@ from ..methods.physhdr import PhysHDR
 
 #: 3DGS's epsilon: Gaussians' gradients are tiny, and Adam's default would damp them.
 ADAM_EPSILON = 1e-15
-#: What the tail leaves of a rate at the last iteration.
-TAIL_END = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,8 +36,6 @@ class OptimiserConfig:
     tone_mapper: float = 2e-4
     #: What is annealed by a cosine to zero: the networks, or the Gaussians' appearance and shape as well.
     cosine: Literal["networks", "all"] = "networks"
-    #: Share of the training at whose end the Gaussians' rates fall, linearly to a tenth.
-    tail: float = 0.0
 
 
 #: What 3DGS uses over 30,000 iterations.
@@ -69,14 +65,11 @@ class Optimiser:
     def learning_rate(self, name: str, iteration: int) -> float:
         """The rate of a group at an iteration (counted from 0)."""
         progress = iteration / self.iterations
-        is_network = name in ("radiance_networks", "tone_mapper")
-        ending = 1.0
-        if self.config.tail and not is_network:
-            ending = 1.0 - (1.0 - TAIL_END) * max(0.0, (progress - 1.0) / self.config.tail + 1.0)
         if name == "means":
             start, end = self.config.means, self.config.means_final
-            return ending * self.extent * start * (end / start) ** progress
-        rate = ending * getattr(self.config, name)
+            return self.extent * start * (end / start) ** progress
+        rate = getattr(self.config, name)
+        is_network = name in ("radiance_networks", "tone_mapper")
         if is_network or self.config.cosine == "all":
             rate *= 0.5 * (1.0 + math.cos(math.pi * progress))
         return rate
