@@ -49,7 +49,7 @@ class Train:
     #: Start again where --out already holds a run, replacing it.
     overwrite: bool = False
     #: Where the other options' defaults come from.
-    preset: Literal["default", "paper", "baseline"] = "default"
+    preset: Literal["default", "fast", "paper", "baseline"] = "default"
     #: What draws the Gaussians; auto: CUDA where there is one, else the CPU kernels.
     rasteriser: Implementation = "auto"
     #: Where to compute; auto: a CUDA card if there is one that works, else the CPU.

@@ -96,8 +96,23 @@ def baseline(iterations: int = 3500) -> TrainConfig:
     )
 
 
+def fast(iterations: int = 1500) -> TrainConfig:
+    """``default`` for the impatient: Gaussians and SH degrees come early, the start at half resolution."""
+    return TrainConfig(
+        iterations=iterations,
+        half_size_until=0.2,
+        sh_degree_every=150,
+        densify=DensifyConfig(start=100, threshold=1e-4),
+    )
+
+
 #: The presets by name. They differ in config fields only.
-PRESETS: dict[str, TrainConfig] = {"default": TrainConfig(), "paper": paper(), "baseline": baseline()}
+PRESETS: dict[str, TrainConfig] = {
+    "default": TrainConfig(),
+    "fast": fast(),
+    "paper": paper(),
+    "baseline": baseline(),
+}
 
 
 def write_config(path: Path, config: TrainConfig, data: Path, preset: str) -> None:
