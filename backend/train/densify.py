@@ -29,12 +29,12 @@ SCREEN_SIZE_LIMIT = 20.0
 class DensifyConfig:
     """When and what to densify. Defaults: preset ``default``; see docs/method.md."""
 
-    start: int = 300
+    start: int = 100
     every: int = 100
     #: Share of the training after which the number of Gaussians stays.
     stop: float = 0.6
     #: τ_p: mean norm of ∂L/∂(NDC position).
-    threshold: float = 2e-4
+    threshold: float = 1e-4
     #: s of s_a = s·σ(|L_a − L̂_a|) + 1 (eq. 17); 0 switches the scaling off.
     scaling_strength: float = 0.0
     #: Clone up to this size, split above (share of the scene's extent).
