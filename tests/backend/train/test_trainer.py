@@ -10,7 +10,7 @@ import torch
 
 from physhdr.backend.cli.monitor import view_monitor
 from physhdr.backend.scene import read_scene
-from physhdr.backend.scene.pictures import read_exr, write_exr
+from physhdr.backend.scene.pictures import read_exr, write_exr, write_png
 from physhdr.backend.train.checkpoint import load_checkpoint
 from physhdr.backend.train.config import PRESETS, read_config, write_config
 from physhdr.backend.train.densify import DensifyConfig
@@ -165,6 +165,30 @@ def test_training_works_without_a_points_file(tiny_data, tmp_path):
     assert "150 random points (the data set has no points" in first_message(trainer, tmp_path / "one view")
     with pytest.raises(BadValueError, match=r"stereo found 0 points(.|\n)*--initial-points random"):
         Trainer(lonely, short("default", initial_points="stereo"))
+
+
+def test_stereo_sees_only_what_training_may(tiny_data, tmp_path):
+    """Points by stereo stay the same when everything is noise that is not for training at this light."""
+    clean, spoiled = tmp_path / "clean", tmp_path / "spoiled"
+    shutil.copytree(tiny_data, clean)
+    (clean / "points3d.ply").unlink()
+    shutil.copytree(clean, spoiled)
+    rng = np.random.default_rng(1)
+    for path in [*spoiled.glob("*_hdr/*.exr"), *spoiled.glob("relit/*/*.exr")]:
+        write_exr(path, rng.uniform(0, 100, read_exr(path).shape).astype(np.float32))
+    unseen = [*spoiled.glob("test/*.png"), *spoiled.glob("lit/*.png"), *spoiled.glob("train/r_?_[13].png")]
+    assert len(unseen) == 15 + 10 + 6
+    for path in unseen:
+        write_png(path, rng.integers(0, 256, (32, 32, 3), dtype=np.uint8))
+
+    def means(data):
+        return Trainer(read_scene(data), short("default", initial_points="stereo")).method.gaussians.means
+
+    assert len(means(clean)) > 100
+    assert torch.equal(means(clean), means(spoiled))
+    for path in spoiled.glob("train/r_?_[024].png"):  # and what it may see, it does see
+        write_png(path, rng.integers(0, 256, (32, 32, 3), dtype=np.uint8))
+    assert not torch.equal(means(clean)[:100], means(spoiled)[:100])
 
 
 def test_exposures_that_the_data_do_not_have_are_refused(tiny_data):
