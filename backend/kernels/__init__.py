@@ -6,13 +6,15 @@ goes to it by itself for tensors that are not float32 on the CPU, and inside ``p
 """
 
 from .blur import gaussian_blur, gaussian_blur_reference
+from .local_curves import local_curves, local_curves_reference
 from .mlp import Activation, curve_mlp, curve_mlp_reference, small_mlp, small_mlp_reference
 from .plain import can_fuse, plain_torch
 from .spherical_harmonics import evaluate_sh, evaluate_sh_reference
-from .ssim import SsimTarget, ssim, ssim_reference
+from .ssim import PixelError, SsimTarget, ssim, ssim_and_error, ssim_reference
 
 __all__ = [
     "Activation",
+    "PixelError",
     "SsimTarget",
     "can_fuse",
     "curve_mlp",
@@ -21,9 +23,12 @@ __all__ = [
     "evaluate_sh_reference",
     "gaussian_blur",
     "gaussian_blur_reference",
+    "local_curves",
+    "local_curves_reference",
     "plain_torch",
     "small_mlp",
     "small_mlp_reference",
     "ssim",
+    "ssim_and_error",
     "ssim_reference",
 ]

@@ -27,9 +27,10 @@ KNOTS_PER_UNIT = 128
 #: Above this the curve may bend too fast for the knots.
 MAX_WEIGHT = 12.0
 
-#: Points of a job, and how many more points than knots make the table worth while.
+#: Points of a job; how many more points than knots, and at least how many, make the table worth while.
 CHUNK = 16384
 WORTH_WHILE = 2
+FEW = 1000
 
 #: Rows: values at knots −1, 0, 1, 2 around the interval; columns: c₀ … c₃.
 _CUBIC = np.array(
@@ -41,7 +42,7 @@ def knots_for(x: torch.Tensor) -> torch.Tensor | None:
     """Knots ``[K]`` that surround all of ``x``, or ``None`` if it has too few points for its range."""
     low, high = (float(v) for v in torch.aminmax(x.detach()))
     # Written so that NaN and infinity fail it, too.
-    if not (high - low) * KNOTS_PER_UNIT * WORTH_WHILE < x.shape[-1]:
+    if not (high - low) * KNOTS_PER_UNIT * WORTH_WHILE + FEW < x.shape[-1]:
         return None
     first, last = (int(np.floor(v * KNOTS_PER_UNIT)) for v in (low, high))
     return torch.arange(first - 1, last + 3, dtype=torch.float32) / KNOTS_PER_UNIT

@@ -12,12 +12,14 @@ Backward: S depends on x through 𝒢x, 𝒢x² and 𝒢xy, and 𝒢 is its own 
     ∂ΣS/∂x = 𝒢p + 2x 𝒢q + y 𝒢r,    r = ∂S/∂(𝒢xy) = 2A₁/(B₁B₂),    q = ∂S/∂(𝒢x²) = −S/B₂,
                                     p = ∂S/∂(𝒢x) = 2μ₂(A₂ − A₁)/(B₁B₂) − 2μ₁S (1/B₁ − 1/B₂)
 
+The mean absolute or squared difference x − y, the other half of L_rec, comes along: the pixels are at hand.
+
 Both passes are three separable blurs at once, row by row: down the columns into three row buffers, then
 along them. μ₂ and σ₂ do not change while the target does not: ``SsimTarget`` keeps them.
 """
 
 import functools
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -25,6 +27,7 @@ from torch.nn import functional
 
 from ..simd import (
     LANES,
+    absolute,
     fma,
     kernel,
     lane_numbers,
@@ -37,6 +40,8 @@ from ..simd import (
     total,
 )
 from .plain import can_fuse
+
+PixelError = Literal["l1", "mse"]
 
 TAPS = 11
 SIGMA = 1.5
@@ -76,17 +81,26 @@ def ssim(prediction: torch.Tensor, target: torch.Tensor | SsimTarget) -> torch.T
     Float32 on the CPU is fused; anything else goes to ``ssim_reference``. The target gets no gradient
     from the fused path.
     """
+    return ssim_and_error(prediction, target, "l1")[0]
+
+
+def ssim_and_error(
+    prediction: torch.Tensor, target: torch.Tensor | SsimTarget, error: PixelError
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """``ssim``, and the mean absolute (``l1``) or squared (``mse``) difference, from one pass."""
     if isinstance(target, SsimTarget):
         if can_fuse(prediction):
-            return _Ssim.apply(prediction, target)
-        return ssim_reference(prediction, target.image.to(prediction))
-    if can_fuse(prediction, target) and not target.requires_grad:
-        return _Ssim.apply(prediction, SsimTarget(target))
-    return ssim_reference(prediction, target)
+            return _Ssim.apply(prediction, target, error)
+        target = target.image.to(prediction)
+    elif can_fuse(prediction, target) and not target.requires_grad:
+        return _Ssim.apply(prediction, SsimTarget(target), error)
+    difference = prediction - target
+    pixel = difference.abs().mean() if error == "l1" else difference.square().mean()
+    return ssim_reference(prediction, target), pixel
 
 
 def ssim_reference(prediction: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-    """The same in plain torch, for any dtype and device."""
+    """``ssim`` in plain torch, for any dtype and device."""
     window = _window_on(prediction.device, prediction.dtype)
     stacked = torch.stack(
         [prediction, target, prediction * prediction, target * target, prediction * target], dim=1
@@ -102,35 +116,37 @@ def ssim_reference(prediction: torch.Tensor, target: torch.Tensor) -> torch.Tens
 
 class _Ssim(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, prediction: torch.Tensor, target: SsimTarget) -> torch.Tensor:
+    def forward(ctx: Any, prediction: torch.Tensor, target: SsimTarget, error: PixelError):
         channels, height, width = target.shape
         padded = _padded(prediction)
-        row_sums = np.empty(channels * height)
+        row_sums = np.empty((channels * height, 2))
         wanted = ctx.needs_input_grad[0]
         partials = [np.zeros_like(padded) if wanted else np.empty((0, 0, 0), np.float32) for _ in range(3)]
         run_ranges(
             *(_ssim_rows, channels * height, height, width, padded.shape[1], padded.shape[2]),
             *(padded.reshape(-1), target.padded.reshape(-1), target.mean.reshape(-1)),
-            *(target.variance.reshape(-1), _window(), row_sums, *(p.reshape(-1) for p in partials)),
+            *(target.variance.reshape(-1), _window(), error == "mse", row_sums),
+            *(p.reshape(-1) for p in partials),
             minimum=32,
         )
-        ctx.saved = (padded, target, partials)
-        return torch.tensor(row_sums.sum() / (channels * height * width), dtype=torch.float32)
+        ctx.saved = (padded, target, partials, error)
+        ctx.set_materialize_grads(False)
+        similarity, pixel = row_sums.sum(axis=0) / (channels * height * width)
+        return torch.tensor(similarity, dtype=torch.float32), torch.tensor(pixel, dtype=torch.float32)
 
     @staticmethod
     def backward(ctx: Any, *grads: Any):
-        (grad,) = grads
-        padded, target, partials = ctx.saved
+        padded, target, partials, error = ctx.saved
         channels, height, width = target.shape
         result = torch.empty(target.shape)
-        scale = np.float32(grad.item() / result.numel())
+        scales = [np.float32(0.0 if g is None else g.item() / result.numel()) for g in grads]
         run_ranges(
             *(_ssim_backward_rows, channels * height, height, width, padded.shape[1], padded.shape[2]),
             *(padded.reshape(-1), target.padded.reshape(-1), *(p.reshape(-1) for p in partials)),
-            *(_window(), scale, result.numpy().reshape(-1)),
+            *(_window(), error == "mse", *scales, result.numpy().reshape(-1)),
             minimum=32,
         )
-        return result, None
+        return result, None, None
 
 
 def _padded(image: torch.Tensor) -> np.ndarray:
@@ -180,9 +196,27 @@ def _target_rows(first, last, height, plane, row, y, window, mean, variance):
 
 @kernel
 def _ssim_rows(
-    first, last, height, width, plane, row, x_image, y_image, mean, variance, window, row_sums, p, q, r
+    first,
+    last,
+    height,
+    width,
+    plane,
+    row,
+    x_image,
+    y_image,
+    mean,
+    variance,
+    window,
+    squared,
+    row_sums,
+    p,
+    q,
+    r,
 ):
-    """Σ S of rows ``first … last − 1`` into ``row_sums``; p, q, r of the pixels unless their size is 0."""
+    """Rows ``first … last − 1``: Σ S and Σ |x − y| (or its square) into ``row_sums`` ``[rows, 2]``.
+
+    p, q, r of the pixels unless their size is 0.
+    """
     columns = np.zeros((3, row), np.float32)
     column_x, column_xx, column_xy = columns[0], columns[1], columns[2]
     lanes = lane_numbers()
@@ -199,7 +233,7 @@ def _ssim_rows(
             store(sxx, column_xx, i)
             store(sxy, column_xy, i)
         centre = top + _R * row + _R
-        line_sum = splat(0.0)
+        line_sum, line_error = splat(0.0), splat(0.0)
         for i in range(0, width, LANES):
             m1, xx, xy = splat(0.0), splat(0.0), splat(0.0)
             for k in range(TAPS):
@@ -215,20 +249,41 @@ def _ssim_rows(
             s = a1 * a2 * inverse
             inside = lanes < float(width - i)
             line_sum = line_sum + select(inside, s, 0.0)
+            # Beyond the width both images are zero.
+            difference = load(x_image, centre + i) - load(y_image, centre + i)
+            line_error = line_error + (difference * difference if squared else absolute(difference))
             if p.size:
                 # 1/B₁ = B₂ · inverse, 1/B₂ = B₁ · inverse
                 through_mean = 2.0 * inverse * (m2 * (a2 - a1) - m1 * s * (b2 - b1))
                 store(select(inside, through_mean, 0.0), p, centre + i)
                 store(select(inside, -s * b1 * inverse, 0.0), q, centre + i)
                 store(select(inside, 2.0 * a1 * inverse, 0.0), r, centre + i)
-        row_sums[line] = total(line_sum)
+        row_sums[line, 0], row_sums[line, 1] = total(line_sum), total(line_error)
 
 
 @kernel
 def _ssim_backward_rows(
-    first, last, height, width, plane, row, x_image, y_image, p, q, r, window, scale, result
+    first,
+    last,
+    height,
+    width,
+    plane,
+    row,
+    x_image,
+    y_image,
+    p,
+    q,
+    r,
+    window,
+    squared,
+    scale,
+    error_scale,
+    result,
 ):
-    """``scale`` · (𝒢p + 2x 𝒢q + y 𝒢r) of rows ``first … last − 1``, into ``result`` (not padded)."""
+    """``scale`` · (𝒢p + 2x 𝒢q + y 𝒢r) + ``error_scale`` · (sign(x − y), or 2(x − y)), into ``result``.
+
+    Rows ``first … last − 1``; ``result`` is not padded.
+    """
     columns = np.zeros((3, row), np.float32)
     column_p, column_q, column_r = columns[0], columns[1], columns[2]
     for line in range(first, last):
@@ -250,7 +305,11 @@ def _ssim_backward_rows(
                 sp = fma(weight, load(column_p, i + k), sp)
                 sq = fma(weight, load(column_q, i + k), sq)
                 sr = fma(weight, load(column_r, i + k), sr)
-            value = fma(load(y_image, centre + i), sr, fma(2.0 * load(x_image, centre + i), sq, sp)) * scale
+            x, y = load(x_image, centre + i), load(y_image, centre + i)
+            difference = x - y
+            slope = 2.0 * difference if squared else select(difference > 0.0, splat(1.0), 0.0)
+            slope = slope if squared else select(difference < 0.0, splat(-1.0), slope)
+            value = fma(fma(y, sr, fma(2.0 * x, sq, sp)), scale, slope * error_scale)
             if i + LANES <= width:
                 store(value, result, line * width + i)
             else:

@@ -167,10 +167,12 @@ class PhysHDR(nn.Module):
             channels.append(gaussians.context)
         # One pass for everything: both branches share the geometry.
         drawn = self._rasterize(torch.cat(channels, dim=1), camera, screen_offsets)
-        context = drawn.image[-config.tone_mapper.context_size :] if config.tone_mapper.local else None
+        # Split, not sliced: the gradient of a slice is a whole picture of zeros with the slice in it.
+        images = list(drawn.image.split([colours.shape[1] for colours in channels]))
+        context = images.pop() if config.tone_mapper.local else None
 
         if config.branches == "both":
-            exposed, relit = drawn.image[:3] * exposure, drawn.image[3:6]
+            exposed, relit = images[0] * exposure, images[1]
             if not by_exposure:
                 # l says how the scene was lit, not how it was exposed: both branches need the exposure,
                 # and a view under other light can only be explained by the GI branch.
@@ -178,7 +180,7 @@ class PhysHDR(nn.Module):
                 exposed = exposed if view_level == 1.0 else relit
             ldr, supervised, glo = self._fuse(exposed, relit, context)
         else:
-            exposed, relit = drawn.image[:3], None
+            exposed, relit = images[0], None
             if config.branches == "image-exposure" or not by_exposure:
                 exposed = exposed * exposure
             glo, loc = self.tone_mapper.tone_map(exposed, context)
@@ -195,10 +197,9 @@ class PhysHDR(nn.Module):
         self, exposed: torch.Tensor, relit: torch.Tensor, context: torch.Tensor | None
     ) -> tuple[torch.Tensor, list[torch.Tensor], torch.Tensor]:
         """Tone-map both branches and fuse them crosswise (eq. 12–14)."""
-        glo, loc = self.tone_mapper.tone_map(exposed, context)
-        relit_glo, relit_loc = self.tone_mapper.tone_map(relit, context)
-        if loc is None or relit_loc is None:
-            loc, relit_loc = glo, relit_glo
+        glos, locs = self.tone_mapper.tone_map(torch.stack([exposed, relit], dim=1), context)
+        glo, relit_glo = glos.unbind(1)
+        loc, relit_loc = (glos if locs is None else locs).unbind(1)
         if self.config.tone_mapper.mix:
             ldr_ig = self.tone_mapper.mix(glo, relit_loc)  # eq. 12
             # Eq. 13 lacks its hats; GI is the GI branch's global with the IE branch's local image.

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import nn
 
+from ..kernels.local_curves import local_curves
 from ..kernels.mlp import Activation, curve_mlp
 from .radiance import SmallNetwork
 
@@ -92,22 +93,25 @@ class ToneMapper(nn.Module):
     ) -> tuple[torch.Tensor, torch.Tensor | None]:
         """f_tm: exposed radiance ``[3, H, W]`` → global LDR and, if there are local curves, local LDR.
 
-        ``context``: ``[4, H, W]``, rendered. The local curve is a correction of the global one,
-        clip(global + local − ½) (GaussHDR).
+        Both branches at once are ``[3, 2, H, W]``. ``context``: ``[4, H, W]``, rendered, the same for both.
+        The local curve is a correction of the global one, clip(global + local − ½) (GaussHDR).
         """
         shape = exposed.shape
-        log_exposure = (exposed.clamp_min(0.0) + LOG_EPSILON).log().reshape(3, -1)
-        glo = self.curve_logits(log_exposure).sigmoid()
+        log_exposure = (exposed.clamp_min(0.0) + LOG_EPSILON).log()
+        glo = self.curve_logits(log_exposure.reshape(3, -1)).sigmoid().reshape(shape)
         loc = None
         if self.config.local:
             assert context is not None, "local curves need the rendered context feature"
             features = context.reshape(self.config.context_size, -1)
-            corrections = [
-                curve(torch.cat([log_exposure[c : c + 1], features]))
-                for c, curve in enumerate(self.local_curves)
-            ]
-            loc = (glo + torch.cat(corrections).sigmoid() - 0.5).clamp(0.0, 1.0).reshape(shape)
-        return glo.reshape(shape), loc
+            curves = list(self.local_curves)
+            correction = local_curves(
+                log_exposure.reshape(3, -1, features.shape[1]),
+                features,
+                *(torch.stack([curve.get_parameter(name) for curve in curves]) for name in ("w1", "b1")),
+                *(torch.cat([curve.get_parameter(name) for curve in curves]) for name in ("w2", "b2")),
+            ).reshape(shape)
+            loc = (glo + correction.sigmoid() - 0.5).clamp(0.0, 1.0)
+        return glo, loc
 
     def mix(self, glo: torch.Tensor, loc: torch.Tensor) -> torch.Tensor:
         """f_mix: fuse a global and a local LDR image ``[3, H, W]`` by a learned weight in [0, 1]."""

@@ -43,10 +43,13 @@ from .tuples import (
     dot_each,
     fma_each,
     load_each,
+    positive_each,
+    repeat_each,
     splat_each,
     store_each,
     store_totals,
     store_transposed,
+    where_positive_each,
     zero_each,
 )
 from .vector import LANES
@@ -75,8 +78,10 @@ __all__ = [
     "maximum",
     "minimum",
     "peek",
+    "positive_each",
     "prefetch",
     "ranges",
+    "repeat_each",
     "run_parallel",
     "run_ranges",
     "select",
@@ -94,6 +99,7 @@ __all__ = [
     "take_ticket",
     "thread_count",
     "total",
+    "where_positive_each",
     "zero_each",
 ]
 

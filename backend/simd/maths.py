@@ -9,7 +9,7 @@ from .vector import I32, IVECTOR, LANES, VECTOR, as_vector, call_llvm, fma_llvm,
 
 @intrinsic
 def fma(typing, a, b, c):
-    """``a * b + c``, rounded once."""
+    """``a * b + c``, rounded once where the processor can."""
 
     def generate(context, builder, sig, args):
         return fma_llvm(

@@ -49,6 +49,39 @@ def zero_each(typing, channels):
 
 
 @intrinsic
+def repeat_each(typing, channels, value):
+    """A tuple of as many ``value`` as ``channels`` is long."""
+    count = len(channels)
+    return tuple_of(count)(channels, vector), lambda context, builder, sig, args: pack(
+        builder, [args[1]] * count
+    )
+
+
+@intrinsic
+def positive_each(typing, values):
+    """max(values[k], 0) for every k."""
+
+    def generate(context, builder, sig, args):
+        zero = constant(0.0)
+        values = unpack(builder, args[0], sig.args[0].count)
+        return pack(builder, [builder.select(builder.fcmp_ordered(">", v, zero), v, zero) for v in values])
+
+    return values(values), generate
+
+
+@intrinsic
+def where_positive_each(typing, conditions, values):
+    """``values[k]`` where ``conditions[k]`` is positive, else 0, for every k."""
+
+    def generate(context, builder, sig, args):
+        zero, count = constant(0.0), sig.args[0].count
+        pairs = zip(unpack(builder, args[0], count), unpack(builder, args[1], count), strict=True)
+        return pack(builder, [builder.select(builder.fcmp_ordered(">", c, zero), v, zero) for c, v in pairs])
+
+    return values(conditions, values), generate
+
+
+@intrinsic
 def load_each(typing, channels, array, index, stride):
     """The vectors at ``index + k * stride``, as many as ``channels`` is long."""
     count = len(channels)

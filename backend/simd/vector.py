@@ -77,7 +77,8 @@ def call_llvm(builder, name: str, result, *args):
 
 
 def fma_llvm(builder, a, b, c):
-    return call_llvm(builder, f"llvm.fma.v{LANES}f32", VECTOR, a, b, c)
+    # Not llvm.fma: a processor without the instruction would call a function of the C library for every lane.
+    return call_llvm(builder, f"llvm.fmuladd.v{LANES}f32", VECTOR, a, b, c)
 
 
 def address(context, builder, array_type, array, index):

@@ -7,7 +7,7 @@ from typing import Literal
 import torch
 
 from ..kernels.blur import gaussian_blur
-from ..kernels.ssim import SsimTarget, ssim
+from ..kernels.ssim import PixelError, SsimTarget, ssim_and_error
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -15,7 +15,7 @@ class LossConfig:
     """Weights and forms of the loss. The defaults are those of the preset ``default``; see docs/method.md."""
 
     #: Pixel term of L_rec: the paper states MSE (eq. 15); L1 is what 3DGS uses.
-    pixel: Literal["l1", "mse"] = "l1"
+    pixel: PixelError = "l1"
     #: γ, the weight of the pixel term …
     pixel_weight: float = 0.7
     #: … and that of 1 − SSIM.
@@ -41,9 +41,8 @@ def reconstruction_loss(
 
     ``ssim_target``: what SSIM needs of ``target``, where several predictions are compared with it.
     """
-    difference = prediction - target
-    pixel = difference.abs().mean() if config.pixel == "l1" else difference.square().mean()
-    return config.pixel_weight * pixel + config.dssim_weight * (1.0 - ssim(prediction, ssim_target or target))
+    similarity, pixel = ssim_and_error(prediction, ssim_target or target, config.pixel)
+    return config.pixel_weight * pixel + config.dssim_weight * (1.0 - similarity)
 
 
 def consistency_loss(exposed: torch.Tensor, relit: torch.Tensor, config: LossConfig) -> torch.Tensor:
@@ -52,4 +51,5 @@ def consistency_loss(exposed: torch.Tensor, relit: torch.Tensor, config: LossCon
     if config.consistency_domain == "log":
         pair = pair.clamp_min(0.0).log1p()
     blurred = gaussian_blur(pair, config.blur_size, config.blur_sigma)
-    return (blurred[:3] - blurred[3:]).abs().mean()
+    blurred_exposed, blurred_relit = blurred.chunk(2)
+    return (blurred_exposed - blurred_relit).abs().mean()
