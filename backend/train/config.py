@@ -14,6 +14,7 @@ from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError, 
 from ..methods.physhdr import PhysHDRConfig
 from ..model.tone_mapper import ToneMapperConfig
 from .densify import DensifyConfig
+from .initialise import Source
 from .losses import LossConfig
 from .optimisers import STOCK_3DGS, OptimiserConfig
 
@@ -32,7 +33,7 @@ class TrainConfig:
     training_exposures: tuple[int, ...] = (0, 2, 4)
     #: Start from the data set's points, from stereo between the training views, or from random ones in the
     #: cameras' frusta; auto: the data set's if it has any, else stereo's.
-    initial_points: Literal["auto", "file", "stereo", "random"] = "auto"
+    initial_points: Source = "auto"
     random_points: int = 20_000
     initial_opacity: float = 0.1
     #: Initial size of a Gaussian over the distance to its neighbours (3DGS: 1).
