@@ -12,6 +12,7 @@ from ..rasterize import Implementation
 from ..scene import Scene, read_scene
 from ..train.config import CONFIG_FILE, TrainConfig, read_config
 from ..train.trainer import load_method
+from .progress import console
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ def open_run(
     config, trained_on, preset = read_config(folder / CONFIG_FILE)
     scene = read_scene(data or trained_on)
     method, iteration = load_method(
-        folder, config, scene.response_anchor, rasteriser, choose_device(device)[0]
+        folder, config, scene.response_anchor, rasteriser, choose_device(device, console.print)[0]
     )
     return Run(folder, preset, config, scene, method, iteration)
 

@@ -19,7 +19,7 @@ from ..train.trainer import CHECKPOINT_FILE, Trainer
 from .monitor import view_monitor
 from .progress import EventLog, console
 from .run_folder import writable_folder
-from .warmup import compile_kernels
+from .warmup import compile_kernels, needs_of
 
 
 def preset_named(argv: list[str]) -> TrainConfig:
@@ -65,7 +65,7 @@ class Train:
             torch.set_num_threads(self.threads)
         trainer, folder = self._resumed() if self.resume else self._fresh()
         if trainer.device.type == "cpu" and self.rasteriser in ("auto", "cpu"):
-            compile_kernels([trainer.method.channels])
+            compile_kernels(needs_of(trainer.method))
         stop = _StopOnInterrupt()
         monitor = view_monitor(trainer.scene)
         with stop, EventLog(folder) as log:
@@ -108,7 +108,7 @@ class Train:
         return trainer, writable_folder(self.resume)
 
     def _device(self) -> torch.device:
-        device, why = choose_device(self.device)
+        device, why = choose_device(self.device, console.print)
         console.print(f"training {why}")
         return device
 

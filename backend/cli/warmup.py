@@ -2,28 +2,46 @@
 """``physhdr warmup``: compile the CPU kernels ahead, with progress; training does it when it has to."""
 
 import time
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 from rich.progress import Progress
 
-from ..kernels.warmup import CHANNELS, warmup
+from ..kernels.warmup import COMPOSER, FUSION, MODULATOR, Needs, warmup
+from ..methods.physhdr import PhysHDR
 from .progress import console
 
 #: Shorter than this nothing was compiled, and nothing is said.
 COMPILED_SECONDS = 5.0
 
 
-def compile_kernels(channels: Iterable[int] = CHANNELS) -> float:
-    """Compile what is not in the cache, showing a bar; returns the seconds it took."""
+def needs_of(method: PhysHDR) -> Needs:
+    """The kernels that training ``method`` calls."""
+    config = method.config
+    wanted = {
+        COMPOSER: config.composer == "learned",
+        MODULATOR: config.modulator == "learned" and config.branches != "image-exposure",
+        FUSION: config.tone_mapper.mix,
+    }
+    local = (2 if config.branches == "both" else 1,) if config.tone_mapper.local else ()
+    return Needs(
+        channels=tuple(sorted({3, method.channels})),  # three: the view that is shown
+        networks=tuple(shape for shape, is_wanted in wanted.items() if is_wanted),
+        activation=config.tone_mapper.activation,
+        local_branches=local,
+        blur=config.branches == "both" and config.loss.consistency_weight > 0,
+    )
+
+
+def compile_kernels(needs: Needs | None = None) -> float:
+    """Compile what is not in the cache (all, or what ``needs`` says), with a bar; returns the seconds."""
     begun = time.perf_counter()
     with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("kernels", total=None)
+        task = bar.add_task("compiling kernels", total=None)
         warmup(
             lambda what, done, total: bar.update(
-                task, completed=done, total=total, description=f"compiling {what}"
+                task, completed=done, total=total, description=f"compiled {what}"
             ),
-            channels,
+            needs,
         )
     seconds = time.perf_counter() - begun
     if seconds > COMPILED_SECONDS:

@@ -1,49 +1,107 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Compile every kernel ahead of its first use; what is compiled stays on disk for the next start."""
 
+import multiprocessing
+import os
 from collections.abc import Callable, Iterable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 
 from ..rasterize import rasterize
 from ..scene.camera import Camera
-from . import curve_mlp, evaluate_sh, gaussian_blur, small_mlp, ssim
+from . import curve_mlp, evaluate_sh, gaussian_blur, local_curves, small_mlp, ssim
+from .mlp import Activation
+from .ssim import _ssim_rows
 
 #: Channels that the methods draw: radiance; with its ambient part, context or depth; all of them.
 CHANNELS = (3, 4, 6, 7, 10)
 
-#: (inputs, outputs) of the method's networks with one hidden layer: g, φ, f_mix, local curves.
-NETWORKS = ((4, 3), (2, 1), (6, 3), (5, 1))
+#: (inputs, outputs) of the method's networks with one hidden layer: g, φ, f_mix.
+COMPOSER, MODULATOR, FUSION = (4, 3), (2, 1), (6, 3)
+
+#: The context of the local curves.
+CONTEXT = 4
 
 
-def warmup(report: Callable[[str, int, int], None] | None = None, channels: Iterable[int] = CHANNELS) -> None:
-    """Run everything once on a few numbers. ``report(what, done, total)`` is called before each step.
+@dataclass(frozen=True)
+class Needs:
+    """What a training calls. The defaults are all that the presets have."""
 
-    About 25 s on two cores where nothing is cached, else a second.
+    channels: tuple[int, ...] = CHANNELS
+    networks: tuple[tuple[int, int], ...] = (COMPOSER, MODULATOR, FUSION)
+    #: Of the global curves.
+    activation: Activation = "softplus"
+    #: Branches that ask the local curves at once.
+    local_branches: tuple[int, ...] = (1, 2)
+    blur: bool = True
+
+
+def warmup(report: Callable[[str, int, int], None] | None = None, needs: Needs | None = None) -> None:
+    """Run everything once on a few numbers. ``report(what, done, total)`` is called when something is done.
+
+    About 25 s on two cores where nothing is cached, else a second. The compiler works on one core, so
+    where nothing is cached several processes share the work and leave the results on disk.
     """
-    steps = [(f"rasteriser, {c} channels", lambda c=c: _rasterise(c)) for c in channels]
-    steps += [("SSIM, blur, spherical harmonics", _images)]
-    steps += [(f"network {i} → {o}", lambda i=i, o=o: _network(i, o)) for i, o in NETWORKS]
-    steps += [("response curves", _curves)]
-    for done, (what, step) in enumerate(steps):
+    jobs = _jobs(needs or Needs())
+    if not _are_cached() and (os.cpu_count() or 1) > 1:
+        context = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(min(os.cpu_count() or 1, len(jobs)), context) as pool:
+            names = {pool.submit(job): name for name, job in jobs.items()}
+            for done, future in enumerate(as_completed(names), start=1):
+                future.result()
+                if report:
+                    report(names[future], done, len(jobs))
+    for done, (name, job) in enumerate(jobs.items(), start=1):
+        job()
         if report:
-            report(what, done, len(steps))
-        step()
-    if report:
-        report("done", len(steps), len(steps))
+            report(name, done, len(jobs))
 
 
-def _rasterise(channels: int) -> None:
+def _jobs(needs: Needs) -> dict[str, Callable[[], None]]:
+    """By name; the longest first, so that they are not last."""
+    jobs: dict[str, Callable[[], None]] = {"rasteriser": partial(_rasterise, needs.channels)}
+    jobs["response curves"] = partial(_curves, needs.activation)
+    jobs["SSIM"] = _ssim
+    for inputs, outputs in needs.networks:
+        jobs[f"network {inputs} → {outputs}"] = partial(_network, inputs, outputs)
+    for branches in needs.local_branches:
+        jobs[f"local curves, {branches} at once"] = partial(_local_curves, branches)
+    jobs["spherical harmonics"] = _spherical_harmonics
+    if needs.blur:
+        jobs["blur"] = _blur
+    return jobs
+
+
+def _are_cached() -> bool:
+    """Whether Numba's cache has anything of ours, so that there is little or nothing to compile."""
+    kernel: Any = _ssim_rows
+    return any(Path(kernel.stats.cache_path).glob("ssim._ssim_rows-*.nbi"))
+
+
+def _rasterise(channels: Iterable[int]) -> None:
     camera = Camera(np.eye(4), 8, 8, 8.0, 8.0, 4.0, 4.0)
-    means = torch.tensor([[0.0, 0.0, -2.0]], requires_grad=True)
     shapes = torch.tensor([[1.0, 0.0, 0.0, 0.0]]), torch.full((1, 3), 0.1), torch.full((1,), 0.5)
-    rasterize(means, *shapes, torch.ones(1, channels), camera, implementation="cpu").image.sum().backward()
+    for count in channels:
+        means = torch.tensor([[0.0, 0.0, -2.0]], requires_grad=True)
+        drawn = rasterize(means, *shapes, torch.ones(1, count), camera, implementation="cpu")
+        drawn.image.sum().backward()
 
 
-def _images() -> None:
-    image = torch.rand(3, 16, 16, requires_grad=True)
-    (ssim(image, torch.rand(3, 16, 16)) + gaussian_blur(image, 11, 3.0).sum()).backward()
+def _ssim() -> None:
+    ssim(torch.rand(3, 16, 16, requires_grad=True), torch.rand(3, 16, 16)).backward()
+
+
+def _blur() -> None:
+    gaussian_blur(torch.rand(3, 16, 16, requires_grad=True), 11, 3.0).sum().backward()
+
+
+def _spherical_harmonics() -> None:
     rest = torch.zeros(2, 15, 3, requires_grad=True)
     evaluate_sh(torch.zeros(2, 3), rest, torch.ones(2, 3), torch.zeros(3), 3).sum().backward()
 
@@ -53,8 +111,13 @@ def _network(inputs: int, outputs: int) -> None:
     small_mlp(torch.zeros(inputs, 20), w1, torch.zeros(8), w2, torch.zeros(outputs), "relu").sum().backward()
 
 
-def _curves() -> None:
+def _local_curves(branches: int) -> None:
+    w1, rest = torch.ones(3, 8, 1 + CONTEXT, requires_grad=True), torch.zeros(3, 8)
+    x, context = torch.zeros(3, branches, 20), torch.zeros(CONTEXT, 20)
+    local_curves(x, context, w1, rest, rest, rest[:, 0]).sum().backward()
+
+
+def _curves(activation: Activation) -> None:
     w1, rest = torch.ones(3, 8, requires_grad=True), torch.zeros(3, 8)
-    for activation in ("relu", "softplus"):
-        for points in (20, 20_000):
-            curve_mlp(torch.zeros(3, points), w1, rest, rest, rest[:, 0], activation).sum().backward()
+    for points in (20, 20_000):  # one by one, and by the table
+        curve_mlp(torch.zeros(3, points), w1, rest, rest, rest[:, 0], activation).sum().backward()

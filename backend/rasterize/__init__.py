@@ -69,6 +69,10 @@ def _implementation(name: Implementation, means: torch.Tensor):
         name = "cuda" if means.is_cuda else "reference" if means.dtype == torch.float64 else "cpu"
     # Imported late: Numba and gsplat are heavy, and only one of them is needed.
     if name == "cuda":
+        if not means.is_cuda:
+            raise BadValueError(
+                "the rasteriser 'cuda' cannot draw what is on the CPU", "Choose --device cuda as well."
+            )
         from .cuda import rasterize as draw
     elif name == "cpu":
         from .cpu import rasterize as draw
