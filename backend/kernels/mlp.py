@@ -71,14 +71,19 @@ def curve_mlp(
     """
     if not can_fuse(x, w1):
         return curve_mlp_reference(x, w1, b1, w2, b2, activation)
-    if activation != "relu" and x.numel() and w1.detach().abs().max() <= MAX_WEIGHT:
-        knots = knots_for(x)
-        if knots is not None:
-            at_knots = knots.expand(x.shape[0], -1).contiguous()
-            values = _curves(at_knots, w1, b1, w2, b2, activation)
-            slopes = _curve_slopes(at_knots, w1, b1, w2, activation)
-            return interpolate(x, knots, values, slopes)
-    return _curves(x, w1, b1, w2, b2, activation)
+    knots = curve_knots(x, w1, activation)
+    if knots is None:
+        return _curves(x, w1, b1, w2, b2, activation)
+    at_knots = knots.expand(x.shape[0], -1).contiguous()
+    values = _curves(at_knots, w1, b1, w2, b2, activation)
+    return interpolate(x, knots, values, curve_slopes(at_knots, w1, b1, w2, activation))
+
+
+def curve_knots(x: torch.Tensor, w1: torch.Tensor, activation: Activation) -> torch.Tensor | None:
+    """Knots for a table of ``curve_mlp`` at ``x``; ``None`` where every point is better done for itself."""
+    if not can_fuse(x, w1) or activation == "relu" or not x.numel():
+        return None
+    return knots_for(x) if w1.detach().abs().max() <= MAX_WEIGHT else None
 
 
 def _curves(x, w1, b1, w2, b2, activation: Activation) -> torch.Tensor:
@@ -86,8 +91,8 @@ def _curves(x, w1, b1, w2, b2, activation: Activation) -> torch.Tensor:
     return _Networks.apply(x[:, None], w1[:, :, None], b1, w2[:, None, :], b2[:, None], activation)[:, 0]
 
 
-def _curve_slopes(x, w1, b1, w2, activation: Activation) -> torch.Tensor:
-    """∂y/∂x of the curves ``[C, P]``: what the backward kernel makes of a gradient of ones."""
+def curve_slopes(x, w1, b1, w2, activation: Activation) -> torch.Tensor:
+    """∂y/∂x of ``curve_mlp`` ``[C, P]``, not differentiable: what backward makes of a gradient of ones."""
     weights = [t.detach().contiguous() for t in (w1, b1, w2)]
     grad_x, _ = _run_backward(
         x[:, None],

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Composer, modulator and tone mapper against closed forms."""
 
+import copy
 import math
 
 import pytest
@@ -89,3 +90,30 @@ def test_local_curves_correct_the_global_one_and_mixing_stays_between():
     assert torch.allclose(loc[1, 2, 3], (glo[1, 2, 3] + delta[0, 0] - 0.5).clamp(0, 1), atol=1e-6)
     mixed = mapper.mix(glo, loc)
     assert (mixed <= torch.maximum(glo, loc) + 1e-6).all() and (mixed >= torch.minimum(glo, loc) - 1e-6).all()
+
+
+def test_response_by_table_is_the_response():
+    """20,000 points are read from a table, few are not: the same values and gradients to float32."""
+    torch.manual_seed(0)
+    mapper = ToneMapper(ToneMapperConfig(), ANCHOR)
+    with torch.no_grad():
+        mapper.w2.uniform_(-0.5, 0.5)
+    many = (4.0 * torch.randn(3, 20_000)).clamp(-8.0, 8.0).requires_grad_()
+    exact = copy.deepcopy(mapper).double()
+    same = many.detach().double().requires_grad_()
+    values, truth = mapper.response(many), exact.curve_logits(same).sigmoid()
+    weights = torch.randn(values.shape)
+    (values * weights).sum().backward()
+    (truth * weights).sum().backward()
+    assert (values - truth).abs().max() < 2e-6
+    assert (many.grad - same.grad).norm() < 1e-5 * same.grad.norm()
+    for name, tensor in mapper.named_parameters():
+        if name != "b2":  # the anchor takes the place of a constant
+            expected = exact.get_parameter(name).grad
+            assert (tensor.grad - expected).norm() < 1e-4 * expected.norm(), name
+
+
+def test_a_response_too_steep_for_the_table_goes_the_direct_way():
+    mapper = ToneMapper(ToneMapperConfig(initial_slope=50.0), ANCHOR)
+    x = torch.randn(3, 20_000)
+    assert torch.equal(mapper.response(x), mapper.curve_logits(x).sigmoid())
