@@ -9,7 +9,6 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
-from torch.utils.tensorboard import SummaryWriter
 
 from ..train import events
 
@@ -37,7 +36,7 @@ class EventLog:
         shutil.rmtree(folder / TENSORBOARD_FOLDER, ignore_errors=True)
 
     def __enter__(self) -> "EventLog":
-        self._board = SummaryWriter(str(self.folder / TENSORBOARD_FOLDER))
+        self._board = None
         self._file = open(self.folder / LOG_FILE, "a", encoding="utf-8")
         self._bar = Progress(
             TextColumn("train"),
@@ -54,7 +53,8 @@ class EventLog:
 
     def __exit__(self, *_: object) -> None:
         self._bar.stop()
-        self._board.close()
+        if self._board:
+            self._board.close()
         self._file.close()
 
     def show(self, event: events.Event) -> None:
@@ -78,6 +78,11 @@ class EventLog:
     def _show_progress(self, event: events.Progress) -> None:
         self._monitor |= event.monitor
         step = event.iteration
+        if self._board is None:
+            # Only now: importing TensorBoard takes a second, in which the first iterations are already done.
+            from torch.utils.tensorboard import SummaryWriter
+
+            self._board = SummaryWriter(str(self.folder / TENSORBOARD_FOLDER))
         for name, value in event.losses.items():
             self._board.add_scalar(f"loss/{name}", value, step)
         for name, value in event.monitor.items():

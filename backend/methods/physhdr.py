@@ -197,15 +197,16 @@ class PhysHDR(nn.Module):
         self, exposed: torch.Tensor, relit: torch.Tensor, context: torch.Tensor | None
     ) -> tuple[torch.Tensor, list[torch.Tensor], torch.Tensor]:
         """Tone-map both branches and fuse them crosswise (eq. 12–14)."""
-        glos, locs = self.tone_mapper.tone_map(torch.stack([exposed, relit], dim=1), context)
-        glo, relit_glo = glos.unbind(1)
-        loc, relit_loc = (glos if locs is None else locs).unbind(1)
+        globals_, locals_ = self.tone_mapper.tone_map(torch.stack([exposed, relit], dim=1), context)
+        # Crosswise: each branch's global image with the other's local one. Eq. 13 lacks its hats; GI is the
+        # GI branch's global with the IE branch's local image.
+        others = (globals_ if locals_ is None else locals_).flip(1)
         if self.config.tone_mapper.mix:
-            ldr_ig = self.tone_mapper.mix(glo, relit_loc)  # eq. 12
-            # Eq. 13 lacks its hats; GI is the GI branch's global with the IE branch's local image.
-            ldr_gi = self.tone_mapper.mix(relit_glo, loc)
+            fused = self.tone_mapper.mix(globals_, others)  # eq. 12, 13
         else:
-            ldr_ig, ldr_gi = 0.5 * (glo + relit_loc), 0.5 * (relit_glo + loc)
+            fused = 0.5 * (globals_ + others)
+        ldr_ig, ldr_gi = fused.unbind(1)
+        glo = globals_[:, 0]
         ldr = ldr_ig + ldr_gi
         if self.config.aggregate == "mean":
             ldr = 0.5 * ldr

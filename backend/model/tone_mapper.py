@@ -10,6 +10,7 @@ from torch import nn
 from ..kernels.curve_table import interpolate
 from ..kernels.local_curves import local_curves
 from ..kernels.mlp import Activation, curve_knots, curve_mlp, curve_slopes
+from ..kernels.pointwise import blend, corrected, log_of_exposure
 from .radiance import SmallNetwork
 
 #: Added to exposed radiance before its logarithm, as in GaussHDR.
@@ -122,7 +123,7 @@ class ToneMapper(nn.Module):
         The local curve is a correction of the global one, clip(global + local − ½) (GaussHDR).
         """
         shape = exposed.shape
-        log_exposure = (exposed.clamp_min(0.0) + LOG_EPSILON).log()
+        log_exposure = log_of_exposure(exposed, LOG_EPSILON)
         glo = self.response(log_exposure.reshape(3, -1)).reshape(shape)
         loc = None
         if self.config.local:
@@ -135,14 +136,13 @@ class ToneMapper(nn.Module):
                 *(torch.stack([curve.get_parameter(name) for curve in curves]) for name in ("w1", "b1")),
                 *(torch.cat([curve.get_parameter(name) for curve in curves]) for name in ("w2", "b2")),
             ).reshape(shape)
-            loc = (glo + correction.sigmoid() - 0.5).clamp(0.0, 1.0)
+            loc = corrected(glo, correction)
         return glo, loc
 
     def mix(self, glo: torch.Tensor, loc: torch.Tensor) -> torch.Tensor:
-        """f_mix: fuse a global and a local LDR image ``[3, H, W]`` by a learned weight in [0, 1]."""
+        """f_mix: fuse global and local LDR images ``[3, …, H, W]`` by a learned weight in [0, 1]."""
         pair = torch.cat([glo, loc]).reshape(6, -1)
-        weight = self.fusion(pair).sigmoid().reshape(glo.shape)
-        return weight * glo + (1.0 - weight) * loc
+        return blend(glo, loc, self.fusion(pair).reshape(glo.shape))
 
     def unit_exposure_error(self) -> torch.Tensor:
         """L_unit: mean over channels of (f(anchor's exposure) − anchor's value)² (HDR-NeRF)."""
