@@ -7,6 +7,7 @@ from pathlib import Path
 from PIL import Image, ImageDraw, ImageFont
 
 PANEL, MARGIN = (560, 460), (64, 44, 24, 56)  # pixels: panel; left, top, right, bottom of it
+LINE = 20  # of the legend, below the axis
 INK, FAINT, PAPER = (24, 24, 28), (222, 222, 226), (255, 255, 255)
 COLOURS = {
     "fast": (44, 140, 60),
@@ -24,7 +25,7 @@ Points = list[dict[str, float]]
 def plot(curves: dict[str, Points], path: Path) -> None:
     """Draw ``curves`` (preset → points with ``seconds`` and the metrics in dB) and write a PNG."""
     metrics = [m for m in METRICS if all(m in point for points in curves.values() for point in points)]
-    sheet = Image.new("RGB", (len(metrics) * PANEL[0], PANEL[1]), PAPER)
+    sheet = Image.new("RGB", (len(metrics) * PANEL[0], PANEL[1] + LINE * len(curves)), PAPER)
     for i, metric in enumerate(metrics):
         _panel(ImageDraw.Draw(sheet), i * PANEL[0], metric, curves)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -66,4 +67,4 @@ def _panel(draw: ImageDraw.ImageDraw, left: int, metric: str, curves: dict[str, 
         draw.ellipse([x - 6, y - 6, x + 6, y + 6], PAPER, colour, 3)
         end = points[-1]
         label = f"{preset}: {end[metric]:.1f} dB after {end['seconds']:.0f} s, {end['iteration']} iterations"
-        draw.text((x1 - 10, y1 - 12 - 20 * (len(curves) - 1 - number)), label, colour, font, anchor="rs")
+        draw.text((x0, y1 + 52 + LINE * number), label, colour, font, anchor="la")
