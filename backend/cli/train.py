@@ -13,7 +13,7 @@ from ...bridge.errors import BadValueError, DataMismatchError
 from ..device import DeviceName, choose_device
 from ..rasterize import Implementation
 from ..rasterize.cpu import set_threads
-from ..scene import read_scene
+from ..scene import Scene, read_scene
 from ..train.config import CONFIG_FILE, PRESETS, TrainConfig, read_config, write_config
 from ..train.trainer import CHECKPOINT_FILE, Trainer
 from .monitor import view_monitor
@@ -64,8 +64,6 @@ class Train:
             set_threads(self.threads)
             torch.set_num_threads(self.threads)
         trainer, folder = self._resumed() if self.resume else self._fresh()
-        if trainer.device.type == "cpu" and self.rasteriser in ("auto", "cpu"):
-            compile_kernels(needs_of(trainer.method))
         stop = _StopOnInterrupt()
         monitor = view_monitor(trainer.scene)
         with stop, EventLog(folder) as log:
@@ -95,7 +93,7 @@ class Train:
             )
         scene = read_scene(self.data)
         folder = writable_folder(self.out)
-        trainer = Trainer(scene, self.config, self.rasteriser, self._device())
+        trainer = self._trainer(scene, self.config)
         EventLog.clear(folder)
         write_config(folder / CONFIG_FILE, self.config, self.data, self.preset)
         return trainer, folder
@@ -103,14 +101,16 @@ class Train:
     def _resumed(self) -> tuple[Trainer, Path]:
         assert self.resume is not None
         config, data, _ = read_config(self.resume / CONFIG_FILE)
-        trainer = Trainer(read_scene(self.data or data), config, self.rasteriser, self._device())
+        trainer = self._trainer(read_scene(self.data or data), config)
         trainer.resume(self.resume)
         return trainer, writable_folder(self.resume)
 
-    def _device(self) -> torch.device:
+    def _trainer(self, scene: Scene, config: TrainConfig) -> Trainer:
         device, why = choose_device(self.device, console.print)
         console.print(f"training {why}")
-        return device
+        if device.type == "cpu" and self.rasteriser in ("auto", "cpu"):
+            compile_kernels(needs_of(config.method))  # before the trainer, which calls some of them
+        return Trainer(scene, config, self.rasteriser, device)
 
 
 class _StopOnInterrupt:

@@ -7,16 +7,15 @@ from dataclasses import dataclass
 from rich.progress import Progress
 
 from ..kernels.warmup import COMPOSER, FUSION, MODULATOR, Needs, warmup
-from ..methods.physhdr import PhysHDR
+from ..methods.physhdr import PhysHDRConfig
 from .progress import console
 
 #: Shorter than this nothing was compiled, and nothing is said.
 COMPILED_SECONDS = 5.0
 
 
-def needs_of(method: PhysHDR) -> Needs:
-    """The kernels that training ``method`` calls."""
-    config = method.config
+def needs_of(config: PhysHDRConfig) -> Needs:
+    """The kernels that training this method calls."""
     wanted = {
         COMPOSER: config.composer == "learned",
         MODULATOR: config.modulator == "learned" and config.branches != "image-exposure",
@@ -24,7 +23,7 @@ def needs_of(method: PhysHDR) -> Needs:
     }
     local = (2 if config.branches == "both" else 1,) if config.tone_mapper.local else ()
     return Needs(
-        channels=tuple(sorted({3, method.channels})),  # three: the view that is shown
+        channels=tuple(sorted({3, config.channels})),  # three: the view that is shown
         networks=tuple(shape for shape, is_wanted in wanted.items() if is_wanted),
         activation=config.tone_mapper.activation,
         local_branches=local,

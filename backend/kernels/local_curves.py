@@ -147,11 +147,8 @@ def _forward(counter, branches, features, x, context, w1, b1, w2, b2, y):
     channels, _, points = x.shape
     chunks = (points + CHUNK - 1) // CHUNK
     flat_context = context.reshape(-1)
-    tail_x, tail_y = (
-        np.zeros((len(branches), LANES), np.float32),
-        np.empty((len(branches), LANES), np.float32),
-    )
-    tail_context = np.zeros((len(features), LANES), np.float32)
+    tail_x, tail_y = np.zeros(len(branches) * LANES, np.float32), np.zeros(len(branches) * LANES, np.float32)
+    tail_context = np.zeros(len(features) * LANES, np.float32)
     while True:
         ticket = take_ticket(counter)
         if ticket >= channels * chunks:
@@ -159,17 +156,19 @@ def _forward(counter, branches, features, x, context, w1, b1, w2, b2, y):
         c, begin = ticket // chunks, ticket % chunks * CHUNK
         xc, yc, w1c, b1c, w2c = x[c].reshape(-1), y[c].reshape(-1), w1[c].reshape(-1), b1[c], w2[c]
         end = min(begin + CHUNK, points)
-        for p in range(begin, end - LANES + 1, LANES):
-            _forward_vector(branches, features, xc, flat_context, p, points, w1c, b1c, w2c, b2[c], yc)
         left = (end - begin) % LANES
         if left:
-            tail_x[:, :left] = x[c, :, end - left : end]
-            tail_context[:, :left] = context[:, end - left : end]
-            _forward_vector(
-                *(branches, features, tail_x.reshape(-1), tail_context.reshape(-1), 0, LANES),
-                *(w1c, b1c, w2c, b2[c], tail_y.reshape(-1)),
-            )
-            y[c, :, end - left : end] = tail_y[:, :left]
+            _copy_rows(xc, end - left, points, tail_x, 0, LANES, len(branches), left)
+            _copy_rows(flat_context, end - left, points, tail_context, 0, LANES, len(features), left)
+        # One call for both, as it is compiled into each: whole vectors, and the copy of what is left.
+        for is_tail in range(2 if left else 1):
+            own, shared, target, stride, first, last = xc, flat_context, yc, points, begin, end - left
+            if is_tail:
+                own, shared, target, stride, first, last = tail_x, tail_context, tail_y, LANES, 0, LANES
+            for p in range(first, last, LANES):
+                _forward_vector(branches, features, own, shared, p, stride, w1c, b1c, w2c, b2[c], target)
+        if left:
+            _copy_rows(tail_y, 0, LANES, yc, end - left, points, len(branches), left)
 
 
 @kernel
@@ -183,12 +182,10 @@ def _backward(counter, branches, features, x, context, w1, b1, w2, grad, grad_x,
     units, size = b1.shape[1], 3 + len(features)
     flat_context, flat_grad_context = context.reshape(-1), grad_context.reshape(-1)
     sums = np.empty(units * size * LANES, np.float32)
-    tail_x, tail_grad = (
-        np.zeros((len(branches), LANES), np.float32),
-        np.zeros((len(branches), LANES), np.float32),
-    )
-    tail_dx, tail_dc = np.empty_like(tail_x), np.empty((len(features), LANES), np.float32)
-    tail_context = np.zeros((len(features), LANES), np.float32)
+    # Lanes without a point have no gradient and add nothing.
+    tail_x, tail_dx = np.zeros(len(branches) * LANES, np.float32), np.zeros(len(branches) * LANES, np.float32)
+    tail_grad, tail_context = np.zeros_like(tail_x), np.zeros(len(features) * LANES, np.float32)
+    tail_dc = np.zeros_like(tail_context)
     while True:
         chunk = take_ticket(counter)
         if chunk >= chunks:
@@ -199,26 +196,32 @@ def _backward(counter, branches, features, x, context, w1, b1, w2, grad, grad_x,
             xc, gc, dxc, w1c = x[c].reshape(-1), grad[c].reshape(-1), grad_x[c].reshape(-1), w1[c].reshape(-1)
             b1c, w2c = b1[c], w2[c]
             sums[:] = 0.0
-            for p in range(begin, end - LANES + 1, LANES):
-                _backward_vector(
-                    *(branches, features, xc, flat_context, gc, p, points, w1c, b1c, w2c, sums, dxc),
-                    flat_grad_context,
-                )
             if left:
-                # Lanes without a point have no gradient and add nothing.
-                tail_grad[:], tail_dc[:] = 0.0, 0.0
-                tail_x[:, :left], tail_grad[:, :left] = (
-                    x[c, :, end - left : end],
-                    grad[c, :, end - left : end],
-                )
-                tail_context[:, :left] = context[:, end - left : end]
-                _backward_vector(
-                    *(branches, features, tail_x.reshape(-1), tail_context.reshape(-1)),
-                    *(tail_grad.reshape(-1), 0, LANES, w1c, b1c, w2c, sums, tail_dx.reshape(-1)),
-                    tail_dc.reshape(-1),
-                )
-                grad_x[c, :, end - left : end] = tail_dx[:, :left]
-                grad_context[:, end - left : end] += tail_dc[:, :left]
+                _copy_rows(xc, end - left, points, tail_x, 0, LANES, len(branches), left)
+                _copy_rows(gc, end - left, points, tail_grad, 0, LANES, len(branches), left)
+                _copy_rows(flat_context, end - left, points, tail_context, 0, LANES, len(features), left)
+                _copy_rows(flat_grad_context, end - left, points, tail_dc, 0, LANES, len(features), left)
+            for is_tail in range(2 if left else 1):
+                own, shared, g, stride, first, last = xc, flat_context, gc, points, begin, end - left
+                dx, dc = dxc, flat_grad_context
+                if is_tail:
+                    own, shared, g, stride, first, last = tail_x, tail_context, tail_grad, LANES, 0, LANES
+                    dx, dc = tail_dx, tail_dc
+                for p in range(first, last, LANES):
+                    _backward_vector(
+                        branches, features, own, shared, g, p, stride, w1c, b1c, w2c, sums, dx, dc
+                    )
+            if left:
+                _copy_rows(tail_dx, 0, LANES, dxc, end - left, points, len(branches), left)
+                _copy_rows(tail_dc, 0, LANES, flat_grad_context, end - left, points, len(features), left)
             for h in range(units):
                 for k in range(size):
                     partials[c, chunk, h, k] = total(load(sums, (h * size + k) * LANES))
+
+
+@njit
+def _copy_rows(source, at, stride, target, to, target_stride, rows, count):
+    """``count`` numbers of each of ``rows`` rows that are so far apart."""
+    for row in range(rows):
+        for i in range(count):
+            target[to + row * target_stride + i] = source[at + row * stride + i]

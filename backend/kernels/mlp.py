@@ -225,13 +225,18 @@ def _forward(counter, inputs, outputs, kind, x, w1, b1, w2, b2, y):
         xg, yg = x[g].reshape(-1), y[g].reshape(-1)
         w1g, b1g, w2g, b2g = w1[g].reshape(-1), b1[g], w2[g].reshape(-1), b2[g]
         end = min(begin + CHUNK, points)
-        for p in range(begin, end - pair + 1, pair):
-            _forward_pair(inputs, outputs, kind, xg, p, points, w1g, b1g, w2g, b2g, yg, p, points)
         left = (end - begin) % pair
         if left:
             for i in range(len(inputs)):
                 tail_x[i * pair : i * pair + left] = x[g, i, end - left : end]
-            _forward_pair(inputs, outputs, kind, tail_x, 0, pair, w1g, b1g, w2g, b2g, tail_y, 0, pair)
+        # One call for both, as it is compiled into each: whole pairs, and the copy of what is left.
+        for is_tail in range(2 if left else 1):
+            source, target, stride, first, last = xg, yg, points, begin, end - left
+            if is_tail:
+                source, target, stride, first, last = tail_x, tail_y, pair, 0, pair
+            for p in range(first, last, pair):
+                _forward_pair(inputs, outputs, kind, source, p, stride, w1g, b1g, w2g, b2g, target, p, stride)
+        if left:
             for o in range(len(outputs)):
                 y[g, o, end - left : end] = tail_y[o * pair : o * pair + left]
 
@@ -283,8 +288,6 @@ def _backward(counter, inputs, outputs, weights, kind, x, w1, b1, w2, grad, grad
         w1g, b1g, w2g = w1[g].reshape(-1), b1[g], w2[g].reshape(-1)
         begin, end = chunk * CHUNK, min(chunk * CHUNK + CHUNK, points)
         sums[:] = 0.0
-        for p in range(begin, end - pair + 1, pair):
-            _backward_pair(inputs, outputs, kind, xg, gg, p, points, w1g, b1g, w2g, sums, dxg)
         left = (end - begin) % pair
         if left:
             # Lanes without a point have no gradient and add nothing.
@@ -293,7 +296,13 @@ def _backward(counter, inputs, outputs, weights, kind, x, w1, b1, w2, grad, grad
                 tail_x[i * pair : i * pair + left] = x[g, i, end - left : end]
             for o in range(len(outputs)):
                 tail_grad[o * pair : o * pair + left] = grad[g, o, end - left : end]
-            _backward_pair(inputs, outputs, kind, tail_x, tail_grad, 0, pair, w1g, b1g, w2g, sums, tail_dx)
+        for is_tail in range(2 if left else 1):
+            source, slope, target, stride, first, last = xg, gg, dxg, points, begin, end - left
+            if is_tail:
+                source, slope, target, stride, first, last = tail_x, tail_grad, tail_dx, pair, 0, pair
+            for p in range(first, last, pair):
+                _backward_pair(inputs, outputs, kind, source, slope, p, stride, w1g, b1g, w2g, sums, target)
+        if left:
             for i in range(len(inputs)):
                 grad_x[g, i, end - left : end] = tail_dx[i * pair : i * pair + left]
         for h in range(hidden):

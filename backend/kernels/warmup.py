@@ -17,6 +17,7 @@ from ..rasterize import rasterize
 from ..scene.camera import Camera
 from . import curve_mlp, evaluate_sh, gaussian_blur, local_curves, small_mlp, ssim
 from .mlp import Activation
+from .pointwise import blend, corrected, log_of_exposure
 from .ssim import _ssim_rows
 
 #: Channels that the methods draw: radiance; with its ambient part, context or depth; all of them.
@@ -73,6 +74,7 @@ def _jobs(needs: Needs) -> dict[str, Callable[[], None]]:
     for branches in needs.local_branches:
         jobs[f"local curves, {branches} at once"] = partial(_local_curves, branches)
     jobs["spherical harmonics"] = _spherical_harmonics
+    jobs["pointwise"] = _pointwise
     if needs.blur:
         jobs["blur"] = _blur
     return jobs
@@ -104,6 +106,11 @@ def _blur() -> None:
 def _spherical_harmonics() -> None:
     rest = torch.zeros(2, 15, 3, requires_grad=True)
     evaluate_sh(torch.zeros(2, 3), rest, torch.ones(2, 3), torch.zeros(3), 3).sum().backward()
+
+
+def _pointwise() -> None:
+    x = torch.zeros(20, requires_grad=True)
+    blend(corrected(log_of_exposure(x, 1.0), x), x, x).sum().backward()
 
 
 def _network(inputs: int, outputs: int) -> None:

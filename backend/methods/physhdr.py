@@ -63,6 +63,12 @@ class PhysHDRConfig:
             raise BadValueError(f"the SH degree must be 0 to 3, got {self.sh_degree}")
 
     @property
+    def channels(self) -> int:
+        """How many channels one pass draws."""
+        context = self.tone_mapper.context_size if self.tone_mapper.local else 0
+        return (6 if self.branches == "both" else 3) + context
+
+    @property
     def has_ambient_share(self) -> bool:
         """Whether each Gaussian learns which share of its light is ambient."""
         return self.modulator == "additive" and self.branches != "image-exposure"
@@ -115,12 +121,6 @@ class PhysHDR(nn.Module):
         parameters = self.gaussians.parameters
         for name, tensor in parameters.items():
             parameters[name] = tensor.detach().to(device).requires_grad_()
-
-    @property
-    def channels(self) -> int:
-        """How many channels one pass draws."""
-        context = self.config.tone_mapper.context_size if self.config.tone_mapper.local else 0
-        return (6 if self.config.branches == "both" else 3) + context
 
     # -- radiance of the Gaussians -------------------------------------------------------------------
 

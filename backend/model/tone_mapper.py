@@ -161,6 +161,8 @@ class ToneMapper(nn.Module):
 
     def warm_start(self, seed: int) -> None:
         """Fit the global curves to clip(ln(1 + eˣ), 0, 1), as HDR-NeRF and GaussHDR do before training."""
+        if not self.config.warm_start_steps:
+            return
         generator = torch.Generator().manual_seed(seed)
         curves = [self.w1, self.b1, self.w2, self.b2]
         optimiser = torch.optim.Adam(curves, lr=WARM_START_LEARNING_RATE)
