@@ -26,7 +26,7 @@ from physhdr.bridge.model_file import read_model
 SHORT = ["--iterations", "30", "--sh-degree-every", "5"]
 
 
-@pytest.fixture(scope="module", params=["default", "paper", "baseline"])
+@pytest.fixture(scope="module", params=["default", "fast", "paper", "baseline"])
 def run(request, tiny_data, tmp_path_factory):
     """A short run of each preset, trained by the command."""
     folder = tmp_path_factory.mktemp("runs") / request.param
