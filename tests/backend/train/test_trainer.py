@@ -82,7 +82,7 @@ def test_training_recovers_radiance_and_light(tiny_data, tmp_path):
     scene = read_scene(tiny_data)
     # The truth has a Gaussian at each first point and no directions: three small views would overfit more.
     config = dataclasses.replace(
-        PRESETS["default"], iterations=400, sh_degree_every=1000, densify=DensifyConfig(stop=0.0)
+        PRESETS["default"], iterations=600, sh_degree_every=1000, densify=DensifyConfig(stop=0.0)
     )
     trainer = train(scene, config, tmp_path / "run")
     view = scene.test[0]
@@ -96,7 +96,7 @@ def test_training_recovers_radiance_and_light(tiny_data, tmp_path):
     assert 0.9 < ratio < 1.1
     relit_truth = read_exr(tiny_data / "relit" / "level_2" / "hdr_000.exr")
     relit = trainer.method.hdr(view.camera, 2.0).numpy().transpose(1, 2, 0)
-    assert db(relit, relit_truth, relit_truth.max()) > db(2.0 * truth, relit_truth, relit_truth.max()) + 2
+    assert db(relit, relit_truth, relit_truth.max()) > db(2.0 * truth, relit_truth, relit_truth.max()) + 3
 
 
 def test_exp1_keeps_one_exposure_for_each_view(tiny_data):
