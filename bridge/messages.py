@@ -156,6 +156,17 @@ class ControlTake:
 
 
 @dataclass(frozen=True, kw_only=True)
+class WhenClosed:
+    """What becomes of a training when the connection in control closes, by intent or by a crash.
+
+    ``keep``: it goes on, and whoever connects next may steer it (so it is until this is sent). ``stop``:
+    it saves and stops, unless a connection takes control within a few seconds.
+    """
+
+    training: Literal["keep", "stop"]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Shutdown:
     """Save, end the training if there is one, and end the backend."""
 
@@ -271,6 +282,7 @@ Request = (
     | HistoryGet
     | StatusGet
     | ControlTake
+    | WhenClosed
     | Shutdown
 )
 Reply = Welcome | Done | Exported | History | JobStatus
@@ -282,6 +294,7 @@ STEERING: tuple[type, ...] = (
     TrainContinue,
     TrainStop,
     RunOpen,
+    WhenClosed,
     Shutdown,
 )
 
