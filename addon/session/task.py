@@ -8,9 +8,7 @@ Every other line, and all of stderr, goes to the log alone. No bpy here: a threa
 """
 
 import json
-import os
 import queue
-import signal
 import subprocess
 import threading
 from contextlib import suppress
@@ -19,16 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from ...bridge.errors import OutputError
+from .process import clean_environment, interrupt, kill, spawn
 
-#: What a child inherits of Blender's environment would break another Python.
-FOREIGN_VARIABLES = (
-    "PYTHONPATH",
-    "PYTHONHOME",
-    "PYTHONSTARTUP",
-    "PYTHONUSERBASE",
-    "LD_PRELOAD",
-    "VIRTUAL_ENV",
-)
 #: Seconds that a cancelled child has to end by itself.
 PATIENCE = 10.0
 LAST_LINES = 12
@@ -59,12 +49,6 @@ class TaskEnded:
 TaskEvent = TaskProgress | TaskEnded
 
 
-def clean_environment(**extra: str) -> dict[str, str]:
-    """This process's environment without what belongs to this Python alone."""
-    kept = {key: value for key, value in os.environ.items() if key not in FOREIGN_VARIABLES}
-    return {**kept, "PYTHONNOUSERSITE": "1", "PYTHONUNBUFFERED": "1", **extra}
-
-
 class ChildTask:
     """Runs ``command``; its output is kept in ``log``. Raises ``OutputError`` where it cannot start."""
 
@@ -78,17 +62,7 @@ class ChildTask:
             log.parent.mkdir(parents=True, exist_ok=True)
             self._log = open(log, "w", encoding="utf-8", errors="replace")  # noqa: SIM115 (the thread's)
             self._log.write("$ " + " ".join(command) + "\n")
-            self._process = subprocess.Popen(
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                text=True,
-                encoding="utf-8",
-                errors="replace",
-                env=clean_environment() if environment is None else environment,
-                start_new_session=True,  # CTRL-C in Blender's terminal is not meant for it
-            )
+            self._process = spawn(command, subprocess.PIPE, environment or clean_environment())
         except OSError as error:
             raise OutputError(
                 f"cannot start {command[0]}: {error.strerror or error}", f"See {log}, and check the path."
@@ -114,18 +88,17 @@ class ChildTask:
         self._thread.join(timeout)
 
     def cancel(self) -> None:
-        """Ask it to end (SIGINT, so that it may clean up); kill it where it has not after a while."""
+        """Ask it to end as CTRL-C does, so that it may clean up; kill it where it has not after a while."""
         self._cancelled = True
-        self._signal(signal.SIGINT)
-        timer = threading.Timer(PATIENCE, self._signal, (signal.SIGKILL,))
-        timer.daemon = True
-        timer.start()
-
-    def _signal(self, number: int) -> None:
-        """To the whole group: a child may have children (pip, a second Blender)."""
         if self._process.poll() is None:
-            with suppress(ProcessLookupError, PermissionError):
-                os.killpg(self._process.pid, number)
+            interrupt(self._process.pid)
+            timer = threading.Timer(PATIENCE, self._kill)
+            timer.daemon = True
+            timer.start()
+
+    def _kill(self) -> None:
+        if self._process.poll() is None:
+            kill(self._process.pid)
 
     def _read(self) -> None:
         error: dict[str, Any] = {}

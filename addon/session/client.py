@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The connection to the backend, on threads of its own: the interface only puts in and takes out. No bpy."""
+
+import itertools
+import queue
+import threading
+from contextlib import suppress
+from dataclasses import dataclass
+
+from websockets.exceptions import ConnectionClosed, InvalidStatus, WebSocketException
+from websockets.sync.client import ClientConnection, connect
+
+from ...bridge.connection import Connection
+from ...bridge.messages import (
+    BINARY_BYTES_MAX,
+    HEARTBEAT_SECONDS,
+    HEARTBEAT_TIMEOUT_SECONDS,
+    PROTOCOL_VERSION,
+    Envelope,
+    Failure,
+    Hello,
+    PreviewFrame,
+    PreviewRequest,
+    ProtocolError,
+    Request,
+    Welcome,
+    decode,
+    decode_frame,
+    encode,
+)
+from .state import Connected, LinkLost, Received, Refused
+
+#: A backend on this machine answers at once, unless it is still loading its libraries.
+OPEN_SECONDS = 5.0
+#: Requests that may wait to be sent: a stalled backend must not fill the memory.
+OUTBOX_MAX = 64
+
+
+@dataclass(frozen=True)
+class PreviewRefused:
+    """A preview that will not come."""
+
+    request: PreviewRequest
+    failure: Failure
+
+
+ClientEvent = Connected | LinkLost | Received | Refused
+
+
+class Client:
+    """One connection. ``take`` gives what has come since; nothing here ever waits for the network."""
+
+    def __init__(self, connection: Connection, name: str, version: str) -> None:
+        self._connection = connection
+        self._hello = Hello(protocol=PROTOCOL_VERSION, client=name, version=version)
+        self._events: queue.SimpleQueue[ClientEvent] = queue.SimpleQueue()
+        self._previews: queue.SimpleQueue[PreviewFrame | PreviewRefused] = queue.SimpleQueue()
+        self._outbox: queue.Queue[str | None] = queue.Queue(OUTBOX_MAX)
+        self._ids = itertools.count(1)
+        self._open: dict[int, Request] = {}  # asked and not yet answered
+        self._socket: ClientConnection | None = None
+        self._closing = threading.Event()
+        threading.Thread(target=self._receive, name="physhdr receive", daemon=True).start()
+
+    def send(self, request: Request) -> None:
+        """Put a request out; its answer comes through ``take``."""
+        number = next(self._ids)
+        self._open[number] = request
+        try:
+            self._outbox.put_nowait(encode(Envelope("request", number, request)))
+        except queue.Full:
+            del self._open[number]
+            failure = Failure(code="stalled", message="the backend does not take requests", hint="Wait.")
+            self._refuse(request, failure)
+
+    def take(self) -> list[ClientEvent]:
+        """What has happened since the last call, in order."""
+        return list(_drained(self._events))
+
+    def take_preview(self) -> PreviewFrame | PreviewRefused | None:
+        """The newest preview, or its refusal, since the last call; older ones are dropped."""
+        newest = None
+        for newest in _drained(self._previews):
+            pass
+        return newest
+
+    def close(self) -> None:
+        """Say good-bye, without waiting for the answer."""
+        self._closing.set()
+        with suppress(queue.Full):
+            self._outbox.put_nowait(None)
+        threading.Thread(target=self._close, name="physhdr close", daemon=True).start()
+
+    # -- threads -----------------------------------------------------------------------------------------
+
+    def _close(self) -> None:
+        if self._socket is not None:
+            with suppress(WebSocketException, OSError):
+                self._socket.close()
+
+    def _receive(self) -> None:
+        try:
+            self._socket = connect(
+                self._connection.address,
+                additional_headers={"Authorization": f"Bearer {self._connection.token}"},
+                compression=None,  # half-float pictures do not shrink, and the other side is this machine
+                max_size=BINARY_BYTES_MAX,
+                open_timeout=OPEN_SECONDS,
+                close_timeout=1.0,
+                ping_interval=HEARTBEAT_SECONDS,
+                ping_timeout=HEARTBEAT_TIMEOUT_SECONDS,
+                proxy=None,
+            )
+        except InvalidStatus as error:
+            self._lost(f"it refused the connection ({error.response.status_code})")
+            return
+        except (OSError, WebSocketException) as error:
+            self._lost(f"it cannot be reached: {error or type(error).__name__}")
+            return
+        threading.Thread(target=self._transmit, name="physhdr send", daemon=True).start()
+        self._open[0] = self._hello
+        try:
+            self._socket.send(encode(Envelope("request", 0, self._hello)))
+            for data in self._socket:
+                self._sort(data)
+            self._lost("it said good-bye", clean=True)
+        except ConnectionClosed as error:
+            received = error.rcvd
+            clean = received is not None and received.code in (1000, 1001)
+            told = received.reason if received and received.reason else "the connection broke"
+            self._lost(told, clean)
+        except ProtocolError as error:
+            self._lost(f"it does not keep to the protocol: {error.message}")
+            self._close()
+
+    def _lost(self, reason: str, clean: bool = False) -> None:
+        with suppress(queue.Full):
+            self._outbox.put_nowait(None)
+        self._events.put(LinkLost(reason, clean or self._closing.is_set()))
+
+    def _transmit(self) -> None:
+        assert self._socket is not None
+        with suppress(ConnectionClosed, OSError):
+            while (text := self._outbox.get()) is not None:
+                self._socket.send(text)
+
+    def _sort(self, data: str | bytes) -> None:
+        """One frame of the backend's."""
+        if isinstance(data, bytes):
+            frame = decode_frame(data)
+            self._previews.put(frame)
+            return
+        envelope = decode(data)
+        if envelope.kind == "event":
+            self._events.put(Received(envelope.message))
+            return
+        request = self._open.pop(envelope.id, None)
+        if request is None:
+            return
+        if envelope.kind == "error":
+            if isinstance(request, Hello):
+                raise ProtocolError(envelope.message.message, envelope.message.hint)
+            self._refuse(request, envelope.message)
+        elif isinstance(envelope.message, Welcome):
+            self._events.put(Connected(envelope.message))
+        else:
+            self._events.put(Received(envelope.message))
+
+    def _refuse(self, request: Request, failure: Failure) -> None:
+        if isinstance(request, PreviewRequest):
+            self._previews.put(PreviewRefused(request, failure))
+        else:
+            self._events.put(Refused(request, failure))
+
+
+def _drained[Item](source: "queue.SimpleQueue[Item]") -> list[Item]:
+    items = []
+    with suppress(queue.Empty):
+        while True:
+            items.append(source.get_nowait())
+    return items

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Starting, interrupting and killing other programs, on every system that Blender runs on. No bpy."""
+
+import os
+import signal
+import subprocess
+import sys
+from contextlib import suppress
+from typing import IO, Any
+
+#: What a child would inherit of Blender's Python, and what would break another one.
+FOREIGN_VARIABLES = ("PYTHONPATH", "PYTHONHOME", "PYTHONSTARTUP", "PYTHONUSERBASE", "VIRTUAL_ENV")
+WINDOWS = sys.platform == "win32"
+
+
+def clean_environment(**extra: str) -> dict[str, str]:
+    """This process's environment without what belongs to its own Python."""
+    kept = {key: value for key, value in os.environ.items() if key not in FOREIGN_VARIABLES}
+    return {**kept, "PYTHONNOUSERSITE": "1", "PYTHONUNBUFFERED": "1", **extra}
+
+
+def spawn(command: list[str], output: int | IO[Any], environment: dict[str, str]) -> "subprocess.Popen[str]":
+    """Start a program in a process group of its own, so that CTRL-C in Blender's terminal is not its concern.
+
+    Its stdout and stderr go to ``output``. Raises ``OSError``.
+    """
+    group: dict[str, Any] = {"start_new_session": True}
+    if WINDOWS:
+        flags = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW
+        group = {"creationflags": flags}
+    return subprocess.Popen(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=output,
+        stderr=subprocess.STDOUT,
+        text=True,
+        encoding="utf-8",
+        errors="replace",
+        env=environment,
+        **group,
+    )
+
+
+def interrupt(pid: int) -> None:
+    """CTRL-C for a program that ``spawn`` started, and for its children."""
+    with suppress(OSError):
+        if WINDOWS:
+            os.kill(pid, signal.CTRL_BREAK_EVENT)
+        else:
+            os.killpg(pid, signal.SIGINT)
+
+
+def kill(pid: int) -> None:
+    """End a program that ``spawn`` started, and its children, at once."""
+    with suppress(OSError):
+        if WINDOWS:
+            subprocess.run(["taskkill", "/PID", str(pid), "/T", "/F"], capture_output=True, check=False)
+        else:
+            os.killpg(pid, signal.SIGKILL)
+
+
+def is_alive(pid: int) -> bool:
+    """Whether there is such a process (of anybody's; it may be another program by now)."""
+    if WINDOWS:
+        listed = subprocess.run(["tasklist", "/FI", f"PID eq {pid}"], capture_output=True, check=False)
+        return str(pid).encode() in listed.stdout
+    try:
+        os.kill(pid, 0)
+    except PermissionError:
+        return True
+    except (ProcessLookupError, OverflowError):
+        return False
+    return True

@@ -1,0 +1,270 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""All that panels show, as one frozen value, and what may happen to it. No bpy: see ``transition``."""
+
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from ...bridge.messages import (
+    Exported,
+    Failure,
+    History,
+    JobStatus,
+    PreviewRequest,
+    Reply,
+    Request,
+    Welcome,
+)
+from .task import TaskEnded, TaskProgress
+
+INSTALL, CHECK, DATASET = "install", "check", "dataset"
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Something that went wrong, for people. ``log``: a file that tells more, or empty."""
+
+    message: str
+    hint: str = ""
+    log: str = ""
+
+
+@dataclass(frozen=True)
+class Running:
+    """A child process at work: installing, checking, rendering a data set."""
+
+    name: str
+    log: str
+    fraction: float = 0.0
+    message: str = ""
+    seconds_left: float = -1.0
+    cancelling: bool = False
+
+
+@dataclass(frozen=True)
+class Backend:
+    """The trainer's Python, and what the last check of it found. ``report``: {} until it passed one."""
+
+    python: str = ""
+    report: dict[str, Any] = field(default_factory=dict)
+    problem: Problem | None = None
+
+    @property
+    def ready(self) -> bool:
+        return bool(self.python and self.report)
+
+
+LinkStatus = Literal["off", "starting", "connecting", "connected"]
+
+
+@dataclass(frozen=True)
+class Link:
+    """The connection to the backend's process.
+
+    ``starting``: the process was started and has not yet said where it listens. ``problem``: why the last
+    connection ended, if nobody wanted that.
+    """
+
+    status: LinkStatus = "off"
+    welcome: Welcome | None = None
+    log: str = ""
+    problem: Problem | None = None
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """The chosen data set: ``folder``, what it holds in a few ``lines``, warnings among them."""
+
+    folder: str = ""
+    lines: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    problem: Problem | None = None
+
+
+@dataclass(frozen=True)
+class State:
+    """The whole of it.
+
+    ``waiting``: requests to be sent once there is a connection. ``stopping``: whether the user has asked the
+    training to stop; a second time ends the process.
+    """
+
+    backend: Backend = Backend()
+    tasks: tuple[Running, ...] = ()
+    link: Link = Link()
+    job: JobStatus = field(default_factory=JobStatus)
+    history: History = field(default_factory=History)
+    dataset: Dataset = Dataset()
+    waiting: tuple[Request, ...] = ()
+    stopping: bool = False
+    exported: Exported | None = None
+    problem: Problem | None = None
+
+    def task(self, name: str) -> Running | None:
+        return next((task for task in self.tasks if task.name == name), None)
+
+    @property
+    def active(self) -> bool:
+        """Whether a training is under way, or halted with its process holding it."""
+        return self.job.state in ("preparing", "training", "paused", "stopping")
+
+
+# ---- what may happen ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class PythonChosen:
+    """Another Python for the trainer; ``report`` is that of an earlier check of the same one."""
+
+    python: str
+    report: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class TaskStarted:
+    name: str
+    log: str
+
+
+@dataclass(frozen=True)
+class TaskCancelled:
+    """Somebody asked it to end; its ``TaskEnded`` is still to come."""
+
+    name: str
+
+
+@dataclass(frozen=True)
+class Asked:
+    """The user wants this of the backend; it is started first where it does not run."""
+
+    request: Request
+
+
+@dataclass(frozen=True)
+class StopAsked:
+    """The user wants the training to end: a first time to save and stop, a second time at once."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """A backend's connection file is there."""
+
+    log: str
+
+
+@dataclass(frozen=True)
+class Started:
+    """A backend's process was started."""
+
+    log: str
+
+
+@dataclass(frozen=True)
+class Connected:
+    welcome: Welcome
+
+
+@dataclass(frozen=True)
+class LinkLost:
+    """The connection ended, or could not be made. ``clean``: the other side said good-bye."""
+
+    reason: str
+    clean: bool = False
+
+
+@dataclass(frozen=True)
+class ProcessEnded:
+    """The process that this Blender started has ended before or while it was connected."""
+
+    status: int
+    last_line: str = ""
+
+
+@dataclass(frozen=True)
+class Received:
+    """A reply or an event of the backend."""
+
+    message: Reply
+
+
+@dataclass(frozen=True)
+class Refused:
+    """The backend answered ``request`` with an error."""
+
+    request: Request
+    failure: Failure
+
+
+@dataclass(frozen=True)
+class DatasetChosen:
+    dataset: Dataset
+
+
+@dataclass(frozen=True)
+class Dismissed:
+    """The user has read the problem."""
+
+
+Event = (
+    PythonChosen
+    | TaskStarted
+    | TaskProgress
+    | TaskCancelled
+    | TaskEnded
+    | Asked
+    | StopAsked
+    | Found
+    | Started
+    | Connected
+    | LinkLost
+    | ProcessEnded
+    | Received
+    | Refused
+    | DatasetChosen
+    | Dismissed
+)
+
+
+# ---- what is to be done about it ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class StartBackend:
+    """Start the process, which will tell by its connection file where it listens."""
+
+
+@dataclass(frozen=True)
+class Connect:
+    """Connect to the backend whose connection file is there."""
+
+
+@dataclass(frozen=True)
+class Send:
+    request: Request
+
+
+@dataclass(frozen=True)
+class KillBackend:
+    """End the process at once, whoever started it."""
+
+    pid: int
+
+
+@dataclass(frozen=True)
+class KeepReport:
+    """Remember across sessions that this Python passed its check."""
+
+    python: str
+    report: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class SummariseDataset:
+    """Look at a data set that has just been rendered."""
+
+    folder: str
+
+
+Effect = StartBackend | Connect | Send | KillBackend | KeepReport | SummariseDataset
+
+#: Previews are asked for all the time: their refusals are no news.
+QUIET_REQUESTS = (PreviewRequest,)

@@ -1,0 +1,219 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What becomes of the state when something happens: a pure function, tested without Blender."""
+
+from dataclasses import replace
+
+from ...bridge.messages import (
+    Exported,
+    Failure,
+    History,
+    HistoryGet,
+    JobStatus,
+    Shutdown,
+    TrainResume,
+    TrainStart,
+    TrainStop,
+    Welcome,
+)
+from .state import (
+    CHECK,
+    DATASET,
+    INSTALL,
+    QUIET_REQUESTS,
+    Asked,
+    Backend,
+    Connect,
+    Connected,
+    DatasetChosen,
+    Dismissed,
+    Effect,
+    Event,
+    Found,
+    KeepReport,
+    KillBackend,
+    Link,
+    LinkLost,
+    Problem,
+    ProcessEnded,
+    PythonChosen,
+    Received,
+    Refused,
+    Running,
+    Send,
+    StartBackend,
+    Started,
+    State,
+    StopAsked,
+    SummariseDataset,
+    TaskCancelled,
+    TaskStarted,
+)
+from .task import TaskEnded, TaskProgress
+
+Result = tuple[State, tuple[Effect, ...]]
+
+
+def transition(state: State, event: Event) -> Result:
+    """The state after ``event``, and what is to be done; nothing is done here."""
+    match event:
+        case PythonChosen(python, report):
+            return replace(state, backend=Backend(python, report)), ()
+        case TaskStarted(name, log):
+            tasks = (*_others(state, name), Running(name, log))
+            return replace(state, tasks=tasks, problem=None), ()
+        case TaskProgress(name, fraction, message, left):
+            return _with_task(state, name, fraction=fraction, message=message, seconds_left=left), ()
+        case TaskCancelled(name):
+            return _with_task(state, name, cancelling=True), ()
+        case TaskEnded():
+            return _task_ended(state, event)
+        case Asked(request):
+            return _asked(state, request)
+        case StopAsked():
+            return _stop_asked(state)
+        case Found(log):
+            if state.link.status in ("connecting", "connected"):
+                return state, ()
+            return replace(state, link=Link("connecting", log=log)), (Connect(),)
+        case Started(log):
+            return replace(state, link=Link("starting", log=log), problem=None), ()
+        case Connected(welcome):
+            return _connected(state, welcome)
+        case LinkLost(reason, clean):
+            return _link_lost(state, reason, clean)
+        case ProcessEnded(status, last_line):
+            if state.link.status != "starting":
+                return state, ()  # then the connection tells
+            what = f"the backend ended with status {status} before it could be reached"
+            return _link_lost(state, what + (f": {last_line}" if last_line else ""), clean=False)
+        case Received(message):
+            return _received(state, message)
+        case Refused(request, failure):
+            if isinstance(request, QUIET_REQUESTS):
+                return state, ()
+            problem = Problem(failure.message, failure.hint)
+            return replace(state, problem=problem), ()
+        case DatasetChosen(dataset):
+            return replace(state, dataset=dataset), ()
+        case Dismissed():
+            return replace(state, problem=None, link=replace(state.link, problem=None)), ()
+
+
+# ---- tasks -------------------------------------------------------------------------------------------------
+
+
+def _others(state: State, name: str) -> tuple[Running, ...]:
+    return tuple(task for task in state.tasks if task.name != name)
+
+
+def _with_task(state: State, name: str, **changes: object) -> State:
+    tasks = tuple(
+        replace(task, **changes) if task.name == name else task  # pyright: ignore[reportArgumentType]
+        for task in state.tasks
+    )
+    return replace(state, tasks=tasks)
+
+
+def _task_ended(state: State, event: TaskEnded) -> Result:
+    task = state.task(event.task)
+    log = task.log if task else ""
+    state = replace(state, tasks=_others(state, event.task))
+    if event.cancelled:
+        return state, ()
+    problem = None if event.ok else Problem(event.message, event.hint, log)
+    match event.task:
+        case name if name in (INSTALL, CHECK):
+            python = str(event.result.get("environment") or state.backend.python)
+            if problem:
+                return replace(state, backend=replace(state.backend, report={}, problem=problem)), ()
+            state = replace(state, backend=Backend(python, event.result))
+            return state, (KeepReport(python, event.result),)
+        case name if name == DATASET:
+            folder = str(event.result.get("folder", ""))
+            return replace(state, problem=problem), (SummariseDataset(folder),) if folder else ()
+    return replace(state, problem=problem), ()
+
+
+# ---- the backend -------------------------------------------------------------------------------------------
+
+
+def _asked(state: State, request: object) -> Result:
+    state = replace(state, problem=None, exported=None)
+    if isinstance(request, TrainStart | TrainResume):
+        state = replace(state, history=History())
+    if state.link.status == "connected":
+        return state, (Send(request),)  # pyright: ignore[reportArgumentType]
+    if isinstance(request, Shutdown):
+        return state, ()
+    state = replace(state, waiting=(*state.waiting, request))  # pyright: ignore[reportArgumentType]
+    return state, (StartBackend(),) if state.link.status == "off" else ()
+
+
+def _stop_asked(state: State) -> Result:
+    if state.link.status != "connected":
+        return state, ()
+    if state.stopping and state.link.welcome:
+        return state, (KillBackend(state.link.welcome.pid),)
+    return replace(state, stopping=True), (Send(TrainStop()),)
+
+
+def _connected(state: State, welcome: Welcome) -> Result:
+    effects = tuple(Send(request) for request in state.waiting)
+    link = Link("connected", welcome, welcome.log or state.link.log)
+    # A training that runs already has a past, which only the backend knows.
+    return replace(state, link=link, waiting=()), (Send(HistoryGet()), *effects)
+
+
+def _link_lost(state: State, reason: str, clean: bool) -> Result:
+    log = state.link.log
+    hint = f"The log is {log}" if log else ""
+    problem = None if clean else Problem(f"The backend is gone: {reason}", hint, log)
+    job = state.job
+    if state.active and not clean:
+        rescue = (
+            f"Resume goes on from the checkpoint of iteration {job.saved_iteration}."
+            if job.saved_iteration
+            else "It had not saved a checkpoint yet: start again."
+        )
+        failure = Failure(code="backend_gone", message=f"The backend is gone: {reason}", hint=rescue)
+        job = replace(job, state="failed", failure=failure, has_model=False)
+    else:
+        job = replace(job, has_model=False, state="stopped" if state.active else job.state)
+    link = Link("off", log=log, problem=problem)
+    return replace(state, link=link, job=job, waiting=(), stopping=False), ()
+
+
+def _received(state: State, message: object) -> Result:
+    match message:
+        case JobStatus():
+            return _job_changed(state, message), ()
+        case History():
+            return replace(state, history=message), ()
+        case Exported():
+            return replace(state, exported=message), ()
+    return state, ()
+
+
+def _job_changed(state: State, job: JobStatus) -> State:
+    history = state.history
+    if job.run != state.job.run or job.iteration < state.job.iteration:
+        history = History()  # another training, or an earlier state of this one
+    if job.losses and job.iteration > _last(history.iterations):
+        history = replace(
+            history,
+            iterations=(*history.iterations, job.iteration),
+            losses=(*history.losses, sum(job.losses.values())),
+        )
+    # The status keeps the last measurement until there is a newer one.
+    if "PSNR" in job.monitor and (job.monitor != state.job.monitor or not history.psnr):
+        history = replace(
+            history,
+            psnr_iterations=(*history.psnr_iterations, job.iteration),
+            psnr=(*history.psnr, job.monitor["PSNR"]),
+        )
+    state = replace(state, job=job, history=history)
+    return state if state.active else replace(state, stopping=False)
+
+
+def _last(iterations: tuple[int, ...]) -> int:
+    return iterations[-1] if iterations else 0
