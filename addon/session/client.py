@@ -6,6 +6,7 @@ import queue
 import threading
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import TypeVar
 
 from websockets.exceptions import ConnectionClosed, InvalidStatus, WebSocketException
 from websockets.sync.client import ClientConnection, connect
@@ -64,12 +65,9 @@ class Client:
 
     def send(self, request: Request) -> None:
         """Put a request out; its answer comes through ``take``."""
-        number = next(self._ids)
-        self._open[number] = request
         try:
-            self._outbox.put_nowait(encode(Envelope("request", number, request)))
+            self._outbox.put_nowait(self._envelope(request))
         except queue.Full:
-            del self._open[number]
             failure = Failure(code="stalled", message="the backend does not take requests", hint="Wait.")
             self._refuse(request, failure)
 
@@ -79,10 +77,7 @@ class Client:
 
     def take_preview(self) -> PreviewFrame | PreviewRefused | None:
         """The newest preview, or its refusal, since the last call; older ones are dropped."""
-        newest = None
-        for newest in _drained(self._previews):
-            pass
-        return newest
+        return next(reversed(_drained(self._previews)), None)
 
     def close(self) -> None:
         """Say good-bye, without waiting for the answer."""
@@ -90,6 +85,11 @@ class Client:
         with suppress(queue.Full):
             self._outbox.put_nowait(None)
         threading.Thread(target=self._close, name="physhdr close", daemon=True).start()
+
+    def _envelope(self, request: Request) -> str:
+        number = next(self._ids)
+        self._open[number] = request
+        return encode(Envelope("request", number, request))
 
     # -- threads -----------------------------------------------------------------------------------------
 
@@ -118,9 +118,8 @@ class Client:
             self._lost(f"it cannot be reached: {error or type(error).__name__}")
             return
         threading.Thread(target=self._transmit, name="physhdr send", daemon=True).start()
-        self._open[0] = self._hello
         try:
-            self._socket.send(encode(Envelope("request", 0, self._hello)))
+            self._socket.send(self._envelope(self._hello))
             for data in self._socket:
                 self._sort(data)
             self._lost("it said good-bye", clean=True)
@@ -148,6 +147,9 @@ class Client:
         """One frame of the backend's."""
         if isinstance(data, bytes):
             frame = decode_frame(data)
+            for number, request in list(self._open.items()):  # a picture answers what was asked before, too
+                if isinstance(request, PreviewRequest) and request.sequence <= frame.header.request.sequence:
+                    del self._open[number]
             self._previews.put(frame)
             return
         envelope = decode(data)
@@ -164,7 +166,7 @@ class Client:
         elif isinstance(envelope.message, Welcome):
             self._events.put(Connected(envelope.message))
         else:
-            self._events.put(Received(envelope.message))
+            self._events.put(Received(envelope.message, request))
 
     def _refuse(self, request: Request, failure: Failure) -> None:
         if isinstance(request, PreviewRequest):
@@ -173,8 +175,11 @@ class Client:
             self._events.put(Refused(request, failure))
 
 
-def _drained[Item](source: "queue.SimpleQueue[Item]") -> list[Item]:
-    items = []
+Item = TypeVar("Item")
+
+
+def _drained(source: "queue.SimpleQueue[Item]") -> list[Item]:
+    items: list[Item] = []
     with suppress(queue.Empty):
         while True:
             items.append(source.get_nowait())

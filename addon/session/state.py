@@ -12,6 +12,9 @@ from ...bridge.messages import (
     PreviewRequest,
     Reply,
     Request,
+    RunOpen,
+    TrainResume,
+    TrainStart,
     Welcome,
 )
 from .task import TaskEnded, TaskProgress
@@ -84,8 +87,9 @@ class Dataset:
 class State:
     """The whole of it.
 
-    ``waiting``: requests to be sent once there is a connection. ``stopping``: whether the user has asked the
-    training to stop; a second time ends the process.
+    ``waiting``: requests to be sent once there is a connection. ``beginning``: the request for a new job that
+    is not answered yet; until then what the backend says of its job is of the former one. ``stopping``:
+    whether the user has asked the training to stop; a second time ends the process.
     """
 
     backend: Backend = Backend()
@@ -95,6 +99,7 @@ class State:
     history: History = field(default_factory=History)
     dataset: Dataset = Dataset()
     waiting: tuple[Request, ...] = ()
+    beginning: TrainStart | TrainResume | RunOpen | None = None
     stopping: bool = False
     exported: Exported | None = None
     problem: Problem | None = None
@@ -181,9 +186,10 @@ class ProcessEnded:
 
 @dataclass(frozen=True)
 class Received:
-    """A reply or an event of the backend."""
+    """An event of the backend, or its reply to ``request``."""
 
     message: Reply
+    request: Request | None = None
 
 
 @dataclass(frozen=True)

@@ -4,12 +4,15 @@
 from dataclasses import replace
 
 from ...bridge.messages import (
+    Done,
     Exported,
     Failure,
     History,
     HistoryGet,
     JobStatus,
+    RunOpen,
     Shutdown,
+    StatusGet,
     TrainResume,
     TrainStart,
     TrainStop,
@@ -86,12 +89,14 @@ def transition(state: State, event: Event) -> Result:
                 return state, ()  # then the connection tells
             what = f"the backend ended with status {status} before it could be reached"
             return _link_lost(state, what + (f": {last_line}" if last_line else ""), clean=False)
-        case Received(message):
-            return _received(state, message)
+        case Received(message, request):
+            return _received(state, message, request)
         case Refused(request, failure):
             if isinstance(request, QUIET_REQUESTS):
                 return state, ()
             problem = Problem(failure.message, failure.hint)
+            if request == state.beginning:
+                return replace(state, problem=problem, beginning=None), (Send(StatusGet()),)
             return replace(state, problem=problem), ()
         case DatasetChosen(dataset):
             return replace(state, dataset=dataset), ()
@@ -139,8 +144,10 @@ def _task_ended(state: State, event: TaskEnded) -> Result:
 
 def _asked(state: State, request: object) -> Result:
     state = replace(state, problem=None, exported=None)
-    if isinstance(request, TrainStart | TrainResume):
-        state = replace(state, history=History())
+    if isinstance(request, TrainStart | TrainResume | RunOpen):
+        run = request.out if isinstance(request, TrainStart) else request.run
+        job = JobStatus(state="preparing", run=run, in_control=state.job.in_control)
+        state = replace(state, history=History(), job=job, beginning=request)
     if state.link.status == "connected":
         return state, (Send(request),)  # pyright: ignore[reportArgumentType]
     if isinstance(request, Shutdown):
@@ -180,13 +187,15 @@ def _link_lost(state: State, reason: str, clean: bool) -> Result:
     else:
         job = replace(job, has_model=False, state="stopped" if state.active else job.state)
     link = Link("off", log=log, problem=problem)
-    return replace(state, link=link, job=job, waiting=(), stopping=False), ()
+    return replace(state, link=link, job=job, waiting=(), beginning=None, stopping=False), ()
 
 
-def _received(state: State, message: object) -> Result:
+def _received(state: State, message: object, request: object) -> Result:
     match message:
         case JobStatus():
-            return _job_changed(state, message), ()
+            return (state if state.beginning else _job_changed(state, message)), ()
+        case Done() if state.beginning and request == state.beginning:
+            return replace(state, beginning=None), (Send(StatusGet()),)
         case History():
             return replace(state, history=message), ()
         case Exported():

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the operators share: a greyed button says why, an error becomes a report."""
+
+from pathlib import Path
+from typing import ClassVar
+
+import bpy
+
+from ...bridge.errors import PhysHDRError
+from ..runtime import session
+from ..session.advice import Choices, problem_of, why_not
+
+CHECKPOINT_FILE = "checkpoint.safetensors"
+
+
+def choices(context: bpy.types.Context) -> Choices:
+    """What is chosen in the scene's settings, as far as it decides what can be done."""
+    settings = context.scene.physhdr
+    out = bpy.path.abspath(settings.out) if settings.out else ""
+    return Choices(
+        data=bpy.path.abspath(settings.data) if settings.data else "",
+        out=out,
+        out_has_run=has_run(out),
+        online=bpy.app.online_access,
+    )
+
+
+def has_run(folder: str) -> bool:
+    """Whether a training left a checkpoint in ``folder``."""
+    return bool(folder) and (Path(folder) / CHECKPOINT_FILE).is_file()
+
+
+class PhysHDROperator(bpy.types.Operator):
+    """An operator that is greyed, with the reason, while ``action`` is impossible (session.advice).
+
+    ``run`` does it; a ``PhysHDRError`` of it is reported and cancels. What the user has not chosen yet does
+    not grey it: a script may give it as an argument. The panel greys its button then.
+    """
+
+    bl_options: ClassVar[set[str]] = {"REGISTER"}
+    action: ClassVar[str]
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        given = Choices(data="given", out="given", out_has_run=True, online=bpy.app.online_access)
+        reason = why_not(session().state, cls.action, given)
+        if reason:
+            cls.poll_message_set(reason)
+        return not reason
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            return self.run(context)
+        except PhysHDRError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+
+    def run(self, context: bpy.types.Context) -> set[str]:
+        raise NotImplementedError
+
+
+def report_task(operator: bpy.types.Operator, success: str) -> set[str]:
+    """Report how a task ended that a script waited for."""
+    problem = problem_of(session().state)
+    if problem is None:
+        operator.report({"INFO"}, success)
+        return {"FINISHED"}
+    operator.report({"ERROR"}, " ".join(filter(None, (problem.message, problem.hint))))
+    return {"CANCELLED"}

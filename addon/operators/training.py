@@ -1,0 +1,340 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Operators for the training: start, resume, pause, continue, stop, open a run, import its result, wait."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from ...bridge.errors import FileMissingError, PhysHDRError
+from ...bridge.messages import (
+    JobStatus,
+    ModelExport,
+    Request,
+    RunOpen,
+    TrainContinue,
+    TrainPause,
+    TrainResume,
+    TrainStart,
+)
+from .. import settings
+from ..model_import import import_model
+from ..runtime import session
+from ..session.advice import problem_of
+from ..session.state import State, StopAsked
+from .base import PhysHDROperator, has_run
+
+MODEL_FILE = "model.safetensors"
+#: Seconds that scripts wait for the backend to take on a request, and for a training.
+ANSWER_SECONDS, TRAIN_SECONDS = 120.0, 30 * 24 * 3600.0
+
+WAIT = {"default": bpy.app.background, "options": {"HIDDEN", "SKIP_SAVE"}}
+
+
+class _Training(PhysHDROperator):
+    """What starting and resuming share: they ask, and in scripts wait until the training has ended."""
+
+    def begin(self, request: Request) -> set[str]:
+        current = session()
+        current.ask(request)
+        if not self.wait:
+            return {"FINISHED"}
+        return wait_for(self, _is_over, TRAIN_SECONDS, "ended")
+
+
+def _is_over(state: State) -> bool:
+    """Whether the job that was asked for has come to an end, good or bad."""
+    return not state.active and not state.waiting and not state.beginning
+
+
+def wait_for(
+    operator: bpy.types.Operator, done: Callable[[State], bool], seconds: float, what: str
+) -> set[str]:
+    """Pump until ``done``; report what came of it. For scripts: in a window the timer pumps."""
+    current = session()
+    reached = current.wait(done, seconds)
+    problem = problem_of(current.state)
+    if problem:
+        operator.report({"ERROR"}, " ".join(filter(None, (problem.message, problem.hint))))
+        return {"CANCELLED"}
+    if not reached:
+        operator.report({"WARNING"}, f"not {what} within {seconds:.0f} s; it goes on")
+        return {"CANCELLED"}
+    operator.report({"INFO"}, f"{what}: {describe(current.state.job)}")
+    return {"FINISHED"}
+
+
+def describe(job: JobStatus) -> str:
+    """A job in one line: iterations, Gaussians, PSNR."""
+    parts = [job.state, f"iteration {job.iteration} of {job.iterations}", f"{job.gaussians} Gaussians"]
+    if "PSNR" in job.monitor:
+        parts.append(f"{job.monitor['PSNR']:.2f} dB")
+    return ", ".join(parts)
+
+
+def _chosen(operator: bpy.types.Operator, context: bpy.types.Context, name: str) -> Any:
+    """An argument of the operator, or the scene's setting of that name where it was not given."""
+    source = operator if operator.properties.is_property_set(name) else context.scene.physhdr
+    return getattr(source, name)
+
+
+def _folder(operator: bpy.types.Operator, context: bpy.types.Context, name: str, what: str) -> str:
+    chosen = _chosen(operator, context, name)
+    if not chosen:
+        raise FileMissingError(f"no {what} is chosen", f"Choose it in the panel, or give {name}=….")
+    path = bpy.path.abspath(chosen)
+    if path.startswith("//"):
+        raise FileMissingError(f"{chosen} is relative to a .blend that is not saved", "Save it first.")
+    return path
+
+
+class PHYSHDR_OT_train_start(_Training):
+    """Train on the data set; the model and its checkpoints go to the run's folder"""
+
+    bl_idname = "physhdr.train_start"
+    bl_label = "Start Training"
+    action = "start"
+
+    data: bpy.props.StringProperty(name="Data Set", subtype="DIR_PATH")
+    out: bpy.props.StringProperty(name="Run", subtype="DIR_PATH")
+    preset: bpy.props.EnumProperty(name="Method", items=settings.PRESETS)
+    iterations: bpy.props.IntProperty(name="Iterations", min=0, description="0: the preset's")
+    exposure_mode: bpy.props.EnumProperty(name="Exposures", items=settings.EXPOSURE_MODES)
+    device: bpy.props.EnumProperty(name="Device", items=settings.DEVICES)
+    threads: bpy.props.IntProperty(name="Threads", min=0)
+    seed: bpy.props.IntProperty(name="Seed", min=0)
+    overwrite: bpy.props.BoolProperty(
+        name="Replace the Run", description="The run's folder holds a training: replace it"
+    )
+    wait: bpy.props.BoolProperty(**WAIT)
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        out = bpy.path.abspath(_chosen(self, context, "out"))
+        if has_run(out) and not self.overwrite:
+            self.overwrite = True
+            return context.window_manager.invoke_confirm(
+                self,
+                event,
+                title="Replace the training in this folder?",
+                message=f"{out} holds a trained run. Resume goes on with it instead.",
+                confirm_text="Replace",
+                icon="WARNING",
+            )
+        return self.execute(context)
+
+    def run(self, context: bpy.types.Context) -> set[str]:
+        names = ("preset", "exposure_mode", "device", "threads")
+        request = TrainStart(
+            data=_folder(self, context, "data", "data set"),
+            out=_folder(self, context, "out", "folder for the run"),
+            iterations=_chosen(self, context, "iterations") or None,
+            seed=self.seed,
+            overwrite=self.overwrite,
+            **{name: _chosen(self, context, name) for name in names},
+        )
+        return self.begin(request)
+
+
+class PHYSHDR_OT_train_resume(_Training):
+    """Go on with the training in the run's folder, from its newest checkpoint"""
+
+    bl_idname = "physhdr.train_resume"
+    bl_label = "Resume Training"
+    action = "resume"
+
+    out: bpy.props.StringProperty(name="Run", subtype="DIR_PATH")
+    device: bpy.props.EnumProperty(name="Device", items=settings.DEVICES)
+    threads: bpy.props.IntProperty(name="Threads", min=0)
+    wait: bpy.props.BoolProperty(**WAIT)
+
+    def run(self, context: bpy.types.Context) -> set[str]:
+        folder = _folder(self, context, "out", "run")
+        names = ("device", "threads")
+        return self.begin(TrainResume(run=folder, **{name: _chosen(self, context, name) for name in names}))
+
+
+class PHYSHDR_OT_run_open(_Training):
+    """Open the trained run in the backend, for the live preview and for import, without training"""
+
+    bl_idname = "physhdr.run_open"
+    bl_label = "Open Run"
+    action = "open"
+
+    out: bpy.props.StringProperty(name="Run", subtype="DIR_PATH")
+    device: bpy.props.EnumProperty(name="Device", items=settings.DEVICES)
+    wait: bpy.props.BoolProperty(**WAIT)
+
+    def run(self, context: bpy.types.Context) -> set[str]:
+        folder = _folder(self, context, "out", "run")
+        return self.begin(RunOpen(run=folder, device=_chosen(self, context, "device")))
+
+
+class PHYSHDR_OT_train_pause(PhysHDROperator):
+    """Halt the training after the present iteration; the preview goes on"""
+
+    bl_idname = "physhdr.train_pause"
+    bl_label = "Pause"
+    action = "pause"
+
+    def run(self, context: bpy.types.Context) -> set[str]:
+        session().ask(TrainPause())
+        return {"FINISHED"}
+
+
+class PHYSHDR_OT_train_continue(PhysHDROperator):
+    """Go on after the pause"""
+
+    bl_idname = "physhdr.train_continue"
+    bl_label = "Continue"
+    action = "continue"
+
+    def run(self, context: bpy.types.Context) -> set[str]:
+        session().ask(TrainContinue())
+        return {"FINISHED"}
+
+
+class PHYSHDR_OT_train_stop(PhysHDROperator):
+    """Save a checkpoint and stop. Pressed again while it stops: end the backend's process at once"""
+
+    bl_idname = "physhdr.train_stop"
+    bl_label = "Stop"
+    action = "stop"
+
+    def run(self, context: bpy.types.Context) -> set[str]:
+        session().dispatch(StopAsked())
+        return {"FINISHED"}
+
+
+class PHYSHDR_OT_wait(bpy.types.Operator):
+    """For scripts: take in what the backend says until something is so. In a window a timer does that"""
+
+    bl_idname = "physhdr.wait"
+    bl_label = "Wait for the Backend"
+    bl_options = {"INTERNAL"}  # noqa: RUF012 (Blender's name for it)
+
+    until: bpy.props.EnumProperty(
+        name="Until",
+        items=[
+            ("iteration", "Iteration", "The training has done so many iterations"),
+            ("paused", "Paused", "The training has halted"),
+            ("ended", "Ended", "The training has ended, or there is none"),
+            ("connected", "Connected", "There is a connection to a backend"),
+            ("gone", "Gone", "There is none"),
+            ("tasks", "Tasks", "Nothing is installed, checked or rendered any more"),
+            ("seconds", "Seconds", "The time is over"),
+        ],
+    )
+    iteration: bpy.props.IntProperty(name="Iteration", min=1, default=1)
+    seconds: bpy.props.FloatProperty(name="Seconds", default=60.0, min=0.0)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        conditions: dict[str, Callable[[State], bool]] = {
+            "iteration": lambda state: state.job.iteration >= self.iteration,
+            "paused": lambda state: state.job.state == "paused",
+            "ended": _is_over,
+            "connected": lambda state: state.link.status == "connected",
+            "gone": lambda state: state.link.status == "off",
+            "tasks": lambda state: not state.tasks,
+            "seconds": lambda state: False,
+        }
+        reached = session().wait(conditions[self.until], self.seconds)
+        if not reached and self.until != "seconds":
+            self.report({"WARNING"}, f"not {self.until} within {self.seconds:g} s")
+            return {"CANCELLED"}
+        return {"FINISHED"}
+
+
+class PHYSHDR_OT_result_import(PhysHDROperator):
+    """Import the model that the backend holds, as it is now, or the one in the run's folder"""
+
+    bl_idname = "physhdr.result_import"
+    bl_label = "Import Result"
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 (Blender's name for it)
+    action = "import"
+
+    out: bpy.props.StringProperty(name="Run", subtype="DIR_PATH")
+    name: bpy.props.StringProperty(name="Name", description="Name of the new object; empty: the run's name")
+
+    _timer: bpy.types.Timer | None = None
+    _began = 0.0
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """In a window: ask for the file, and import it when it is there, without holding Blender up."""
+        if not self._ask(context):
+            return self.execute(context)
+        self._began = time.monotonic()
+        self._timer = context.window_manager.event_timer_add(0.1, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if event.type == "ESC":
+            return self._finish(context, {"CANCELLED"})
+        state = session().state
+        if event.type != "TIMER" or not (state.exported or state.problem or self._is_late()):
+            return {"PASS_THROUGH"}
+        if not state.exported:
+            self.report({"ERROR"}, state.problem.message if state.problem else "the backend does not answer")
+            return self._finish(context, {"CANCELLED"})
+        return self._finish(context, self._import(context, Path(state.exported.path)))
+
+    def run(self, context: bpy.types.Context) -> set[str]:
+        if not self._ask(context):
+            return self._import(context, self._file(context))
+        current = session()
+        current.wait(lambda state: bool(state.exported or state.problem), ANSWER_SECONDS)
+        if not current.state.exported:
+            problem = current.state.problem
+            self.report({"ERROR"}, problem.message if problem else "the backend does not answer")
+            return {"CANCELLED"}
+        return self._import(context, Path(current.state.exported.path))
+
+    def _file(self, context: bpy.types.Context) -> Path:
+        return Path(_folder(self, context, "out", "run")) / MODEL_FILE
+
+    def _ask(self, context: bpy.types.Context) -> bool:
+        """Ask the backend to write the model where it holds this run's; False where it does not."""
+        state = session().state
+        if state.link.status != "connected" or not state.job.has_model:
+            return False
+        if self.properties.is_property_set("out") and Path(state.job.run) != self._file(context).parent:
+            return False
+        session().ask(ModelExport(path=str(Path(state.job.run) / MODEL_FILE)))
+        return True
+
+    def _import(self, context: bpy.types.Context, path: Path) -> set[str]:
+        try:
+            if not path.exists() and has_run(str(path.parent)):
+                raise FileMissingError(f"there is no {path}", "Open the run in the backend first.")
+            target = import_model(path, self.name or path.parent.name, context.collection)
+        except PhysHDRError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        for selected in context.selected_objects:
+            selected.select_set(False)
+        target.select_set(True)
+        context.view_layer.objects.active = target
+        self.report({"INFO"}, f"Imported {len(target.data.points)} Gaussians as {target.name!r}")
+        return {"FINISHED"}
+
+    def _is_late(self) -> bool:
+        return time.monotonic() - self._began > ANSWER_SECONDS
+
+    def _finish(self, context: bpy.types.Context, result: set[str]) -> set[str]:
+        context.window_manager.event_timer_remove(self._timer)
+        return result
+
+
+_CLASSES = (
+    PHYSHDR_OT_train_start,
+    PHYSHDR_OT_train_resume,
+    PHYSHDR_OT_train_pause,
+    PHYSHDR_OT_train_continue,
+    PHYSHDR_OT_train_stop,
+    PHYSHDR_OT_run_open,
+    PHYSHDR_OT_result_import,
+    PHYSHDR_OT_wait,
+)
+register, unregister = bpy.utils.register_classes_factory(_CLASSES)

@@ -1,0 +1,26 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where things are: the extension's own code, and the folder for what it writes (never beside its code)."""
+
+from pathlib import Path
+
+import bpy
+
+ROOT = Path(__file__).resolve().parent.parent
+#: The package's full name: ``bl_ext.<repository>.physhdr`` where it is installed as an extension.
+PACKAGE = __package__.rpartition(".")[0]
+LAUNCHER = ROOT / "backend" / "launch.py"
+
+
+def user_folder() -> Path:
+    """The extension's own folder, made if needed: Blender's for extensions, else beside its data files."""
+    if PACKAGE.startswith("bl_ext."):
+        return Path(bpy.utils.extension_path_user(PACKAGE, create=True))
+    return Path(bpy.utils.user_resource("DATAFILES", path="physhdr", create=True))
+
+
+def version() -> str:
+    """The extension's version, from its manifest."""
+    import tomllib
+
+    with open(ROOT / "blender_manifest.toml", "rb") as file:
+        return str(tomllib.load(file)["version"])

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The session of this Blender: made when first asked for, pumped by a timer, closed with the extension."""
+
+import bpy
+
+from . import paths, settings
+from .session.session import Session
+
+#: Seconds between looks at what has happened: while pictures come, while something is under way, else.
+PICTURES, BUSY, QUIET = 0.015, 0.1, 1.0
+
+_session: Session | None = None
+
+
+def session() -> Session:
+    """The one session; there is one Blender, one backend and one training."""
+    global _session
+    if _session is None:
+        name = f"Blender {bpy.app.version_string}"
+        if bpy.data.filepath:
+            name += f" ({bpy.path.basename(bpy.data.filepath)})"
+        _session = Session(settings.home_folder(), paths.LAUNCHER, name, paths.version())
+        _session.set_when_closed(settings.when_closed())
+    return _session
+
+
+def redraw() -> None:
+    """Draw the 3D views again: their panels show the state."""
+    manager = bpy.context.window_manager
+    for window in manager.windows if manager else ():
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                area.tag_redraw()
+
+
+def _tick() -> float:
+    current = session()
+    if current.pump():
+        redraw()
+    return BUSY if current.busy else QUIET
+
+
+def register() -> None:
+    if not bpy.app.background:
+        bpy.app.timers.register(_tick, first_interval=QUIET, persistent=True)
+
+
+def unregister() -> None:
+    global _session
+    if bpy.app.timers.is_registered(_tick):
+        bpy.app.timers.unregister(_tick)
+    if _session is not None:
+        _session.close()
+        _session = None

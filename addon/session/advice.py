@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the panel says of the state: how things are, what to do next, why a button is greyed. Pure."""
+
+from dataclasses import dataclass
+
+from .state import CHECK, DATASET, INSTALL, Problem, State
+
+#: What the state of a job is called, for people.
+JOB_WORDS = {
+    "idle": "No training",
+    "preparing": "Preparing",
+    "training": "Training",
+    "paused": "Paused",
+    "stopping": "Saving and stopping",
+    "stopped": "Stopped: can be resumed",
+    "finished": "Finished",
+    "failed": "Failed",
+    "open": "Trained model open",
+}
+
+
+@dataclass(frozen=True)
+class Choices:
+    """What the user has chosen in Blender, as far as it decides what can be done."""
+
+    data: str = ""
+    out: str = ""
+    out_has_run: bool = False
+    online: bool = True
+
+
+def headline(state: State) -> str:
+    """How things are, in one line."""
+    for name, words in ((INSTALL, "Installing the backend"), (CHECK, "Checking the backend")):
+        if state.task(name):
+            return words
+    if state.task(DATASET) and not state.active:
+        return "Rendering the data set"
+    if not state.backend.ready:
+        return "The backend failed its check" if state.backend.problem else "No backend yet"
+    if state.link.problem:
+        return "The backend is gone"
+    if state.link.status in ("starting", "connecting"):
+        return "The backend starts"
+    if state.job.state == "idle":
+        return "Ready"
+    words = JOB_WORDS[state.job.state]
+    return "Saving and stopping" if state.stopping else words
+
+
+def next_step(state: State, choices: Choices) -> str:
+    """What the user would do next, in one line; empty where there is nothing but to wait."""
+    if state.task(INSTALL) or state.task(CHECK):
+        return ""
+    if not state.backend.ready:
+        if state.backend.problem:
+            return "See its log, then install it again or use another Python"
+        return "Install the backend, or use a Python that has torch"
+    if state.task(DATASET):
+        return ""
+    job = state.job
+    if state.link.problem and job.failure:
+        return "Resume the training" if job.saved_iteration else "Start the training again"
+    match job.state:
+        case "preparing" | "stopping":
+            return ""
+        case "training":
+            return "Turn on Live Preview to watch it"
+        case "paused":
+            return "Continue, or stop"
+        case "failed":
+            return job.failure.hint if job.failure and job.failure.hint else "See the log"
+        case "finished" | "stopped" | "open":
+            return "Import the result into the scene"
+    if not state.dataset.folder or state.dataset.problem:
+        return "Choose a data set, or render one from this scene"
+    return "Resume the training" if choices.out_has_run else "Start the training"
+
+
+def problem_of(state: State) -> Problem | None:
+    """What went wrong last, if anything did."""
+    if state.problem:
+        return state.problem
+    if state.backend.problem:
+        return state.backend.problem
+    if state.job.state == "failed" and state.job.failure:
+        failure = state.job.failure
+        return Problem(failure.message, failure.hint, state.link.log)
+    return state.link.problem
+
+
+def why_not(state: State, action: str, choices: Choices | None = None) -> str:
+    """Why ``action`` cannot be done now, in words for a tooltip; empty where it can."""
+    choices = choices or Choices()
+    busy = next((task.name for task in state.tasks if task.name in (INSTALL, CHECK)), "")
+    match action:
+        case "install":
+            if busy:
+                return f"Wait for the {busy} to end, or cancel it"
+            if not choices.online:
+                return "Blender may not go online: Preferences, System, Network, Allow Online Access"
+            return "Stop the training first" if state.active else ""
+        case "check" | "use_python":
+            if busy:
+                return f"Wait for the {busy} to end, or cancel it"
+            if action == "check" and not state.backend.python:
+                return "Install the backend or choose a Python first"
+            return "Stop the training first" if state.active else ""
+        case "start" | "resume":
+            return _why_not_train(state, action, choices, busy)
+        case "pause":
+            return _why_not_steer(state) or ("" if state.job.state == "training" else "Nothing is training")
+        case "continue":
+            return _why_not_steer(state) or ("" if state.job.state == "paused" else "Nothing is paused")
+        case "stop":
+            return _why_not_steer(state) or ("" if state.active else "Nothing is training")
+        case "open":
+            if not state.backend.ready:
+                return "Install the backend first"
+            if state.active:
+                return "Stop the training first"
+            return "" if choices.out_has_run else "Choose the folder of a run that was trained"
+        case "import":
+            if state.link.status == "connected" and state.job.has_model:
+                return ""
+            return "" if choices.out_has_run else "Train a model, or choose the folder of a run, first"
+        case "preview":
+            return "" if state.job.has_model else "There is no model yet: start a training or open a run"
+        case "shutdown":
+            return _why_not_steer(state)
+        case "take_control":
+            if state.link.status != "connected":
+                return "No backend is running"
+            return "This Blender is in control already" if state.job.in_control else ""
+        case "render":
+            return "A data set is being rendered" if state.task(DATASET) else ""
+    raise ValueError(f"there is no action {action!r}")
+
+
+def _why_not_steer(state: State) -> str:
+    if state.link.status != "connected":
+        return "No backend is running"
+    if not state.job.in_control:
+        who = state.job.controller or "another Blender"
+        return f"{who} is in control: take control first"
+    return ""
+
+
+def _why_not_train(state: State, action: str, choices: Choices, busy: str) -> str:
+    if busy:
+        return f"Wait for the {busy} to end"
+    if not state.backend.ready:
+        return "Install the backend, or use an existing Python, first"
+    if state.active:
+        return "A training is under way"
+    if state.link.status == "connected" and not state.job.in_control:
+        return _why_not_steer(state)
+    if not choices.out:
+        return "Choose a folder for the run"
+    if action == "resume":
+        return "" if choices.out_has_run else "There is no checkpoint in the run's folder"
+    if not choices.data:
+        return "Choose a data set"
+    if state.dataset.folder == choices.data and state.dataset.problem:
+        return state.dataset.problem.message
+    return ""

@@ -1,0 +1,291 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The one impure runner: carries out what ``transition`` asks for, and takes in what happens. No bpy.
+
+Everything is called from Blender's main thread; ``pump`` must be called now and then (a timer does it in a
+window, operators that wait do it in scripts), and never waits itself.
+"""
+
+import json
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+from ...bridge.connection import read_connection
+from ...bridge.errors import FileDamagedError, FileMissingError, OutputError, PhysHDRError
+from ...bridge.messages import PreviewFrame, PreviewRequest, Request, WhenClosed
+from ..dataset_summary import summarise
+from .client import Client, PreviewRefused
+from .process import clean_environment, is_alive, kill, spawn
+from .state import (
+    Asked,
+    Connect,
+    Connected,
+    Dataset,
+    DatasetChosen,
+    Effect,
+    Event,
+    Found,
+    KeepReport,
+    KillBackend,
+    LinkLost,
+    Problem,
+    ProcessEnded,
+    PythonChosen,
+    Send,
+    StartBackend,
+    Started,
+    State,
+    SummariseDataset,
+    TaskCancelled,
+    TaskStarted,
+)
+from .task import ChildTask
+from .transition import transition
+
+LOG_FILE = "backend.log"
+CHOICE_FILE = "backend.json"
+#: Seconds in which a backend that was started must have said where it listens.
+START_SECONDS = 60.0
+#: Seconds between looks for a backend that another Blender started.
+LOOK_SECONDS = 2.0
+
+
+class Session:
+    """The state, and the processes and connection behind it.
+
+    ``home``: the backend's folder, with the choice of its Python, its connection file, log and caches.
+    ``launcher``: the script that starts it. ``name``, ``version``: of this Blender and extension.
+    """
+
+    def __init__(self, home: Path, launcher: Path, name: str = "Blender", version: str = "") -> None:
+        self.home, self.launcher, self.name, self.version = home, launcher, name, version
+        self.state = State()
+        #: Counts the changes of the state: panels and pictures compare it.
+        self.changes = 0
+        self.when_closed: WhenClosed = WhenClosed(training="keep")
+        self._tasks: dict[str, ChildTask] = {}
+        self._client: Client | None = None
+        self._process = None
+        self._started = 0.0
+        self._looked = 0.0
+        self._refused_tokens: set[str] = set()  # of backends that are gone: their files say nothing
+        self.dispatch(read_choice(home / CHOICE_FILE))
+
+    # -- what Blender asks ---------------------------------------------------------------------------------
+
+    def dispatch(self, event: Event) -> None:
+        """Let ``event`` happen: the state follows, and what it asks for is done."""
+        before = self.state
+        self.state, effects = transition(before, event)
+        if self.state is not before:
+            self.changes += 1
+        for effect in effects:
+            self._run(effect)
+
+    def ask(self, request: Request) -> None:
+        """Ask the backend, which is started first where it does not run."""
+        self.dispatch(Asked(request))
+
+    def start_task(
+        self, name: str, command: list[str], log: Path, environment: dict[str, str] | None = None
+    ) -> None:
+        """Start a child process; one of a name at a time. Raises ``OutputError``."""
+        if name in self._tasks:
+            raise OutputError(f"{name} is under way already", "Wait for it to end, or cancel it.")
+        self._tasks[name] = ChildTask(name, command, log, environment)
+        self.dispatch(TaskStarted(name, str(log)))
+
+    def cancel_task(self, name: str) -> None:
+        if name in self._tasks:
+            self._tasks[name].cancel()
+            self.dispatch(TaskCancelled(name))
+
+    def set_when_closed(self, when_closed: WhenClosed) -> None:
+        """What becomes of a training when this Blender closes."""
+        self.when_closed = when_closed
+        if self.state.link.status == "connected" and self.state.job.in_control:
+            self._send(when_closed)
+
+    def choose_dataset(self, folder: str) -> None:
+        """Look at a data set's folder, for the panel."""
+        try:
+            summary = summarise(Path(folder))
+        except PhysHDRError as error:
+            dataset = Dataset(folder, problem=Problem(error.message, error.hint))
+        else:
+            dataset = Dataset(folder, tuple(summary.lines), tuple(summary.warnings))
+        self.dispatch(DatasetChosen(dataset))
+
+    def request_preview(self, request: PreviewRequest) -> bool:
+        """Ask for a picture; False where there is nobody to ask."""
+        if self._client is None or not self.state.job.has_model:
+            return False
+        self._client.send(request)
+        return True
+
+    def take_preview(self) -> PreviewFrame | PreviewRefused | None:
+        """The newest picture since the last call, or why there will be none."""
+        return self._client.take_preview() if self._client else None
+
+    # -- the pump --------------------------------------------------------------------------------------------
+
+    @property
+    def busy(self) -> bool:
+        """Whether there is something that ``pump`` should look after often."""
+        return bool(self._tasks) or self.state.link.status != "off"
+
+    def pump(self) -> bool:
+        """Take in what has happened; returns whether the state has changed."""
+        before = self.changes
+        self._pump_tasks()
+        if self._client:
+            for event in self._client.take():
+                self.dispatch(event)
+                if isinstance(event, Connected):
+                    self._send(self.when_closed)
+                if isinstance(event, LinkLost):
+                    self._forget_client()
+        self._pump_process()
+        return self.changes != before
+
+    def wait(
+        self, done: Callable[[State], bool], timeout: float, heed: Callable[[], None] = lambda: None
+    ) -> bool:
+        """Pump until ``done`` or ``timeout`` seconds, for scripts; returns whether it is done."""
+        end = time.monotonic() + timeout
+        while True:
+            self.pump()
+            heed()
+            if done(self.state):
+                return True
+            if time.monotonic() > end:
+                return False
+            time.sleep(0.01)
+
+    def close(self) -> None:
+        """Leave: tasks are cancelled, the connection closed; a training goes by ``when_closed``."""
+        for task in self._tasks.values():
+            task.cancel()
+        self._tasks.clear()
+        if self._client:
+            self._client.close()
+            self._client = None
+
+    # -- effects ---------------------------------------------------------------------------------------------
+
+    def _run(self, effect: Effect) -> None:
+        match effect:
+            case StartBackend():
+                self._start_backend()
+            case Connect():
+                self._connect()
+            case Send(request):
+                self._send(request)
+            case KillBackend(pid):
+                kill(pid)
+            case KeepReport():
+                write_choice(self.home / CHOICE_FILE, effect)
+            case SummariseDataset(folder):
+                self.choose_dataset(folder)
+
+    def _send(self, request: Request) -> None:
+        if self._client:
+            self._client.send(request)
+
+    def environment(self) -> dict[str, str]:
+        """Of every backend process: clean, and with caches where they may be written."""
+        cache = self.home / "cache"
+        return clean_environment(
+            NUMBA_CACHE_DIR=str(cache / "numba"), PYTHONPYCACHEPREFIX=str(cache / "python")
+        )
+
+    def backend_command(self, *arguments: str) -> list[str]:
+        """The command of a backend process."""
+        return [self.state.backend.python, str(self.launcher), *arguments]
+
+    def _start_backend(self) -> None:
+        log = self.home / LOG_FILE
+        command = self.backend_command("serve", "--home", str(self.home), "--log", str(log))
+        self.dispatch(Started(str(log)))
+        try:
+            self.home.mkdir(parents=True, exist_ok=True)
+            with open(log, "w", encoding="utf-8") as output:
+                self._process = spawn(command, output, self.environment())
+        except OSError as error:
+            self.dispatch(LinkLost(f"cannot start {command[0]}: {error.strerror or error}"))
+        self._started = time.monotonic()
+
+    def _connect(self) -> None:
+        try:
+            connection = read_connection(self.home)
+        except PhysHDRError as error:
+            self.dispatch(LinkLost(error.message))
+            return
+        if self._client:
+            self._client.close()
+        self._client = Client(connection, self.name, self.version)
+        self._token = connection.token
+
+    def _forget_client(self) -> None:
+        if self._client:
+            self._client.close()
+            self._client = None
+            self._refused_tokens.add(self._token)
+
+    def _pump_tasks(self) -> None:
+        for name, task in list(self._tasks.items()):
+            running = task.running
+            for event in task.poll():
+                self.dispatch(event)
+            if not running:
+                del self._tasks[name]
+
+    def _pump_process(self) -> None:
+        """Follow a process that was started; look now and then for one that others started."""
+        now = time.monotonic()
+        if self._process is not None and (status := self._process.poll()) is not None:
+            self._process = None
+            if self.state.link.status == "starting":
+                self.dispatch(ProcessEnded(status, _last_line(self.home / LOG_FILE)))
+        match self.state.link.status:
+            case "starting":
+                self._look()
+                if self.state.link.status == "starting" and now > self._started + START_SECONDS:
+                    self.dispatch(LinkLost(f"it did not start within {START_SECONDS:.0f} s"))
+            case "off" if now > self._looked + LOOK_SECONDS:
+                self._looked = now
+                self._look()
+
+    def _look(self) -> None:
+        with suppress(FileMissingError, FileDamagedError):
+            connection = read_connection(self.home)
+            if connection.token not in self._refused_tokens and is_alive(connection.pid):
+                self.dispatch(Found(connection.log))
+
+
+def read_choice(path: Path) -> PythonChosen:
+    """The Python that passed a check in an earlier session; an empty one where there is none."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        python, report = str(content["python"]), dict(content["report"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return PythonChosen("")
+    return PythonChosen(python, report) if Path(python).exists() else PythonChosen("")
+
+
+def write_choice(path: Path, kept: KeepReport) -> None:
+    """Remember a Python; where that is impossible it is asked for again next time, no more."""
+    temporary = path.with_name(path.name + ".tmp")
+    with suppress(OSError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        temporary.write_text(json.dumps({"python": kept.python, "report": kept.report}), encoding="utf-8")
+        temporary.replace(path)
+
+
+def _last_line(log: Path) -> str:
+    try:
+        lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+    except OSError:
+        return ""
+    return lines[-1][:200] if lines else ""

@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the user chooses: preferences of the extension, and settings of the scene (saved in the .blend)."""
+
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from ..bridge.messages import WhenClosed
+from .paths import PACKAGE, user_folder
+
+PRESETS = [
+    ("default", "Default", "PhysHDR with the physical product: best pictures, relights"),
+    ("fast", "Fast", "The default with half the iterations and simpler appearance"),
+    ("paper", "Paper", "PhysHDR-GS as the paper states it: both branches, learned networks; slow"),
+    ("baseline", "Baseline", "Plain 3DGS with a learned response: no relighting"),
+]
+EXPOSURE_MODES = [
+    ("exp3", "All exposures (exp3)", "Every view is trained at each of its training exposures"),
+    ("exp1", "One exposure (exp1)", "Each view is trained at one exposure, drawn once"),
+]
+DEVICES = [
+    ("auto", "Automatic", "An NVIDIA card if there is one that works, else the processor"),
+    ("cpu", "Processor", "The processor"),
+    ("cuda", "NVIDIA card", "CUDA; needs a card and gsplat"),
+]
+TONES = [
+    ("linear", "Scene-Linear", "Radiance as it is; Blender's view transform shows it"),
+    ("learned", "Learned", "Through the learned tone mapper, as the camera recorded it (view: Standard)"),
+]
+WHEN_CLOSED = [
+    ("keep", "Keep Training", "Training goes on; the next Blender finds it again"),
+    ("stop", "Save and Stop", "Training saves a checkpoint and stops; resume goes on from it"),
+]
+TORCH_BUILDS = [
+    ("cpu", "Processor", "The small build of torch, without CUDA: about 1.6 GB"),
+    ("cuda", "NVIDIA Card", "The build of torch with CUDA: about 7 GB"),
+    ("pip", "As pip Is Set Up", "From wherever pip looks on this machine"),
+]
+
+
+def preferences() -> Any:
+    """The extension's preferences; their defaults where it runs as a plain package, with none."""
+    addon = bpy.context.preferences.addons.get(PACKAGE)
+    return addon.preferences if addon and addon.preferences else _Defaults
+
+
+class _Defaults:
+    """What ``PHYSHDR_Preferences`` starts with, where Blender keeps none."""
+
+    home = ""
+    when_closed = "keep"
+    torch = "cpu"
+
+
+def home_folder() -> Path:
+    """The backend's folder: its environment, connection file, log and caches."""
+    chosen = preferences().home
+    return Path(bpy.path.abspath(chosen)) if chosen else user_folder() / "backend"
+
+
+def when_closed() -> WhenClosed:
+    """What becomes of a training when this Blender closes."""
+    return WhenClosed(training=preferences().when_closed)
+
+
+def _close_changed(self: Any, context: bpy.types.Context) -> None:
+    from .runtime import session
+
+    session().set_when_closed(when_closed())
+
+
+class PHYSHDR_Preferences(bpy.types.AddonPreferences):
+    bl_idname = PACKAGE
+
+    home: bpy.props.StringProperty(
+        name="Backend's Folder",
+        subtype="DIR_PATH",
+        description="For the backend's environment, log and caches; empty: Blender's folder for extensions",
+    )
+    when_closed: bpy.props.EnumProperty(
+        name="When Blender Closes",
+        items=WHEN_CLOSED,
+        description="What becomes of a training under way",
+        update=_close_changed,
+    )
+    torch: bpy.props.EnumProperty(name="Build of torch", items=TORCH_BUILDS)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.layout
+        layout.use_property_split = True
+        for name in ("home", "torch", "when_closed"):
+            layout.prop(self, name)
+
+
+def _folder_chosen(self: Any, context: bpy.types.Context) -> None:
+    from .runtime import session
+
+    session().choose_dataset(bpy.path.abspath(self.data)) if self.data else None
+
+
+class PHYSHDR_Settings(bpy.types.PropertyGroup):
+    """Settings of the scene; panels show them, operators take them as their defaults."""
+
+    data: bpy.props.StringProperty(
+        name="Data Set", subtype="DIR_PATH", description="Folder of the data set", update=_folder_chosen
+    )
+    out: bpy.props.StringProperty(
+        name="Run", subtype="DIR_PATH", description="Folder for the trained model, its checkpoint and logs"
+    )
+    preset: bpy.props.EnumProperty(name="Method", items=PRESETS)
+    iterations: bpy.props.IntProperty(
+        name="Iterations", min=0, max=1_000_000, description="0: as many as the method's preset says"
+    )
+    exposure_mode: bpy.props.EnumProperty(name="Exposures", items=EXPOSURE_MODES)
+    device: bpy.props.EnumProperty(name="Device", items=DEVICES)
+    threads: bpy.props.IntProperty(
+        name="Threads", min=0, max=256, description="Processor threads; 0: one for each core"
+    )
+    preview: bpy.props.BoolProperty(
+        name="Live Preview",
+        description="Show the model that the backend holds in every 3D view of this scene",
+    )
+    exposure_ev: bpy.props.FloatProperty(
+        name="Exposure (EV)", soft_min=-10.0, soft_max=10.0, description="Radiance times 2 to this power"
+    )
+    lighting_level: bpy.props.FloatProperty(
+        name="Lighting Level",
+        default=1.0,
+        min=0.0,
+        soft_max=4.0,
+        description="Strength of the ambient light: 1 as captured, 0 off. Lamps stay as they are",
+    )
+    tone: bpy.props.EnumProperty(name="Tone Mapping", items=TONES)
+
+
+_CLASSES = (PHYSHDR_Preferences, PHYSHDR_Settings)
+
+
+def register() -> None:
+    for cls in _CLASSES:
+        bpy.utils.register_class(cls)
+    bpy.types.Scene.physhdr = bpy.props.PointerProperty(type=PHYSHDR_Settings)
+
+
+def unregister() -> None:
+    del bpy.types.Scene.physhdr
+    for cls in reversed(_CLASSES):
+        bpy.utils.unregister_class(cls)
