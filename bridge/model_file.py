@@ -28,6 +28,9 @@ WORKING_SPACE = "Linear Rec.709"
 #: The safetensors library's own limit; a larger number is a file of something else.
 HEADER_BYTES_MAX = 100_000_000
 
+#: The least that a lighting level leaves of a radiance, where its logarithm is needed.
+DARKEST = 1e-6
+
 Modulator = Literal["additive", "baked-levels"]
 
 #: Tensor name → its shape in words. N, K, L and M must agree over the whole file.
@@ -101,6 +104,20 @@ class Model:
         """The arrays that are there, by the file's tensor names."""
         arrays = {name: getattr(self, name) for name in SHAPES}
         return {name: array for name, array in arrays.items() if array is not None}
+
+    def log_gain(self, level: float) -> np.ndarray:
+        """``[N, 3]``: ln(radiance(level) / radiance(1)), the same toward every direction.
+
+        ``level`` ≥ 0, limited to the range of a baked-levels model. What is all ambient does not go below a
+        gain of ``DARKEST``.
+        """
+        if not level >= 0.0:
+            raise BadValueError(f"the lighting level must be 0 or more, got {level}")
+        if self.level_log_gain is not None:
+            weights = level_weights(self.levels, level).astype(np.float32)
+            return np.einsum("l,lnc->nc", weights, self.level_log_gain)
+        assert self.ambient_share is not None  # checked when the model was made
+        return np.log(np.maximum(1.0 + self.ambient_share * np.float32(level - 1.0), np.float32(DARKEST)))
 
     def radiance(self, directions: np.ndarray, level: float = 1.0) -> np.ndarray:
         """Scene-linear radiance ``[N, 3]`` toward cameras seen along ``directions``, in their dtype.

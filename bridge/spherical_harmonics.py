@@ -7,6 +7,7 @@ orthonormal on the sphere. Coefficients are ordered by degree, then by order −
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
@@ -35,10 +36,13 @@ C3 = (
 #: ``fit_linear`` limits log radiance to ±this, so that float32 neither overflows nor underflows.
 LOG_LIMIT = 80.0
 #: Gauss-Legendre nodes along z for ``fit_linear`` by degree (twice as many around the axis). exp(f) is
-#: no polynomial: these keep the worst of 2000 random Gaussians (sh ~ 0.35) below 1e-8, 1e-5 and 1e-4.
-_FIT_NODES = (1, 5, 8, 10)
-#: Gaussians at a time in ``fit_linear``: keeps its buffers near the size of the CPU's cache.
-_FIT_CHUNK = 4096
+#: no polynomial: these keep the worst of 2000 random Gaussians (sh ~ 0.35, twice what trained ones have)
+#: below 1e-8, 1e-5 and 1e-3 of the mean radiance; what a degree leaves out of exp(f) is far more.
+_FIT_NODES = (1, 5, 8, 8)
+#: Gaussians at a time in ``refit``: keeps its buffers near the size of the CPU's cache.
+_CHUNK = 768
+#: Evenly spread directions at which a baked colour is fitted.
+FIT_DIRECTIONS = 64
 
 
 def coefficient_count(degree: int) -> int:
@@ -96,26 +100,53 @@ def quadrature(nodes: int) -> tuple[np.ndarray, np.ndarray]:
     return directions, np.repeat(z_weights * (math.pi / nodes), 2 * nodes)
 
 
+def fibonacci_sphere(count: int) -> np.ndarray:
+    """``[count, 3]`` evenly spread unit vectors."""
+    index = np.arange(count) + 0.5
+    z = 1.0 - 2.0 * index / count
+    angle = np.pi * (1.0 + 5.0**0.5) * index
+    radius = np.sqrt(1.0 - z * z)
+    return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
+
+
+def refit(
+    sh: np.ndarray, function: Callable[[np.ndarray], np.ndarray], evaluate: np.ndarray, project: np.ndarray
+) -> np.ndarray:
+    """SH coefficients ``[N, K, 3]`` (float32) of ``function`` of what ``sh`` ``[N, K, 3]`` describes.
+
+    ``evaluate`` ``[Q, K]``: the basis at Q directions; ``project`` ``[K, Q]``: from values there back to
+    coefficients (a quadrature or a pseudo-inverse). ``function`` gets ``[Q, 3, n]`` float32 values, which it
+    may overwrite, and gives as many. The result is a view of ``[K, N, 3]``: ``result[:, k]`` is contiguous.
+    """
+    evaluate, project = (np.ascontiguousarray(matrix, np.float32) for matrix in (evaluate, project))
+    (directions, coefficients), count = evaluate.shape, len(sh)
+    fitted = np.empty((len(project), count, 3), np.float32)
+    for start in range(0, count, _CHUNK):
+        # One large product instead of one for each Gaussian: four times as fast.
+        chunk = np.ascontiguousarray(sh[start : start + _CHUNK].transpose(1, 2, 0), np.float32)
+        size = chunk.shape[2]
+        values = (evaluate @ chunk.reshape(coefficients, 3 * size)).reshape(directions, 3, size)
+        back = project @ function(values).reshape(directions, 3 * size)
+        fitted[:, start : start + size] = back.reshape(-1, 3, size).transpose(0, 2, 1)
+    return fitted.transpose(1, 0, 2)
+
+
+def exponential(values: np.ndarray) -> np.ndarray:
+    """exp in place, of values limited to ±``LOG_LIMIT``."""
+    if not (values.max(initial=0.0) <= LOG_LIMIT and values.min(initial=0.0) >= -LOG_LIMIT):
+        np.clip(values, -LOG_LIMIT, LOG_LIMIT, out=values)
+    return np.exp(values, out=values)
+
+
 def fit_linear(log_radiance_sh: np.ndarray) -> np.ndarray:
     """SH coefficients ``[N, K, 3]`` (float32) of the *linear* radiance exp(Σ_k sh_k Y_k).
 
     Its orthogonal projection onto the same basis (the least squares fit over all directions), by a fixed
     quadrature. What programs that know only linear SH show: Blender 5.3, 3DGS viewers.
     """
-    log_radiance_sh = np.asarray(log_radiance_sh, np.float32)
-    count, coefficients, _ = log_radiance_sh.shape
-    degree = degree_of(coefficients)
+    degree = degree_of(log_radiance_sh.shape[1])
     if degree == 0:
-        return np.exp(np.clip(log_radiance_sh * np.float32(C0), -LOG_LIMIT, LOG_LIMIT)) / np.float32(C0)
-
+        return exponential(log_radiance_sh * np.float32(C0)) / np.float32(C0)
     directions, weights = quadrature(_FIT_NODES[degree])
-    evaluate = basis(directions, degree).astype(np.float32)
-    project = np.ascontiguousarray((evaluate * weights[:, None]).T, np.float32)
-    fitted = np.empty((count, coefficients, 3), np.float32)
-    for start in range(0, count, _FIT_CHUNK):
-        chunk = slice(start, start + _FIT_CHUNK)
-        radiance = np.matmul(evaluate, log_radiance_sh[chunk])
-        np.clip(radiance, -LOG_LIMIT, LOG_LIMIT, out=radiance)
-        np.exp(radiance, out=radiance)
-        np.matmul(project, radiance, out=fitted[chunk])
-    return fitted
+    evaluate = basis(directions, degree)
+    return refit(log_radiance_sh, exponential, evaluate, (evaluate * weights[:, None]).T)

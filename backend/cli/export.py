@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import torch
 import tyro
 
+from ...bridge.display import display_colour_sh
 from ...bridge.errors import BadValueError
+from ...bridge.gaussian_ply import standard_columns, write_lossless_ply, write_standard_ply
 from ...bridge.model_file import write_model
-from ..export.baked import baked_colour_sh, network_comments, parameter_columns
+from ..export.baked import network_comments, parameter_columns
 from ..export.blender_model import to_model
-from ..export.ply import standard_columns, write_lossless_ply, write_standard_ply
 from .progress import console
 from .run_folder import open_run, writable_folder
 
@@ -51,18 +51,18 @@ class Export:
         }
         viewpoint = np.mean([view.camera.position for view in run.scene.train], axis=0)
         exposures = run.scene.train[0].exposures
-        write_model(out / MODEL_FILE, to_model(method, viewpoint, exposures, provenance))
+        model = to_model(method, viewpoint, exposures, provenance)
+        write_model(out / MODEL_FILE, model)
         console.print(f"wrote {out / MODEL_FILE}: {len(gaussians)} Gaussians, for Blender")
 
         look = f"EV {self.exposure_ev:g}, lighting level {self.lighting_level:g}"
-        with torch.no_grad():
-            standard = {
-                "positions": gaussians.means.numpy(),
-                "rotations": torch.nn.functional.normalize(gaussians.quaternions, dim=1).numpy(),
-                "scales": gaussians.scales.numpy(),
-                "opacities": gaussians.opacities.numpy(),
-                "colour_sh": baked_colour_sh(method, 2.0**self.exposure_ev, self.lighting_level),
-            }
+        standard = {
+            "positions": model.position,
+            "rotations": model.rotation,
+            "scales": model.scale,
+            "opacities": model.opacity,
+            "colour_sh": display_colour_sh(model, 2.0**self.exposure_ev, self.lighting_level),
+        }
         comments = [f"PhysHDR {key}: {value}" for key, value in provenance.items()]
         comments.append(f"display-referred colour through the learned response, baked at {look}")
         write_standard_ply(out / "baked.ply", **standard, comments=comments)
@@ -73,7 +73,7 @@ class Export:
             out / "lossless.ply",
             standard_columns(**standard),
             parameter_columns(gaussians),
-            comments + network_comments(method),
+            comments + network_comments(method, model),
         )
         console.print(f"wrote {out / 'lossless.ply'}: every parameter")
         return 0

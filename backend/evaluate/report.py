@@ -14,7 +14,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from ..scene.pictures import atomic_path
+from ...bridge.atomic import atomic_path
 from .results import NOVEL_EXPOSURES, OBSERVED_EXPOSURES, Evaluation, Metrics, RelitMeans
 
 #: What an empty cell of a table shows: not computed.

@@ -9,26 +9,15 @@ import numpy as np
 import torch
 
 from ...bridge.model_file import Model
-from ...bridge.spherical_harmonics import basis
+from ...bridge.spherical_harmonics import FIT_DIRECTIONS, basis, fibonacci_sphere
 from ..methods.physhdr import PhysHDR
 from ..model.gaussians import SH_C0
 
 #: Levels at which a learned modulator is baked: 1/32 … 32, the range of exposures it was trained on.
 BAKED_LEVELS = tuple(float(2.0**power) for power in range(-5, 6))
-#: Directions of the quadrature that projects a learned composer's ln radiance onto SH.
-PROJECTION_DIRECTIONS = 64
 #: The exported response is sampled at this many ln exposures in this range.
 TONE_CURVE_SAMPLES = 256
 TONE_CURVE_RANGE = (-12.0, 8.0)
-
-
-def fibonacci_sphere(count: int) -> np.ndarray:
-    """``[count, 3]`` evenly spread unit vectors."""
-    index = np.arange(count) + 0.5
-    z = 1.0 - 2.0 * index / count
-    angle = np.pi * (1.0 + 5.0**0.5) * index
-    radius = np.sqrt(1.0 - z * z)
-    return np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
 
 
 @torch.no_grad()
@@ -42,7 +31,7 @@ def log_radiance_sh(method: PhysHDR) -> np.ndarray:
     if method.config.composer == "product":
         sh[:, 0] += g.log_illumination / SH_C0
         return sh.numpy()
-    directions = fibonacci_sphere(PROJECTION_DIRECTIONS)
+    directions = fibonacci_sphere(FIT_DIRECTIONS)
     Y = torch.from_numpy(basis(directions, degree)).float()  # [D, K]
     samples = torch.stack([method.composer(g.log_illumination, (y[:, None] * sh).sum(1)).log() for y in Y])
     return torch.einsum("kd,dnc->nkc", torch.linalg.pinv(Y), samples).numpy()

@@ -1,10 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Pictures on disk: 8-bit PNG and 32-bit float OpenEXR, read with suspicion and written atomically."""
 
-import contextlib
-import os
-import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +8,7 @@ import numpy as np
 import OpenEXR
 from PIL import Image
 
+from ...bridge.atomic import atomic_path
 from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError, OutputError
 
 #: No picture of ours is larger; a header that claims more is damaged or hostile.
@@ -22,39 +19,6 @@ MAX_PIXELS = 1 << 27
 MAX_PIXELS_PER_BYTE = 1024
 #: Pillow's modes that are 8 bits a channel (or fewer) and become RGB without loss.
 EIGHT_BIT_MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX")
-
-
-@contextlib.contextmanager
-def atomic_path(path: Path) -> Iterator[Path]:
-    """A temporary path beside ``path`` that becomes ``path`` only if the block ends without an error.
-
-    Creates the folder. Raises ``OutputError`` if the folder or the file cannot be written; what was at
-    ``path`` before is then untouched.
-    """
-    path = Path(path)
-    temporary: Path | None = None
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if path.is_dir():
-            raise OutputError(f"cannot write {path}: a folder is there", "Choose another file name.")
-        handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
-        os.close(handle)
-        temporary = Path(name)
-        yield temporary
-        # mkstemp makes files that only their owner reads; give what open() would have given.
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(0o666 & ~mask)
-        temporary.replace(path)
-        temporary = None
-    except OSError as error:
-        raise OutputError(
-            f"cannot write {path}: {error.strerror or error}",
-            "Check that the folder can be written and that the disk has space, or choose another path.",
-        ) from error
-    finally:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
 
 
 def _require_file(path: Path) -> None:

@@ -1,13 +1,21 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""PLY export, read back by a parser that knows only the format's own rules."""
+"""PLY files of Gaussians, read back by a parser that knows only the format's own rules."""
 
 import struct
 from pathlib import Path
 
 import numpy as np
+import plyfile
 import pytest
 
-from physhdr.backend.export.ply import (
+from physhdr.bridge.errors import (
+    BadValueError,
+    DataMismatchError,
+    FileDamagedError,
+    FileMissingError,
+    OutputError,
+)
+from physhdr.bridge.gaussian_ply import (
     SH_C0,
     read_lossless_ply,
     read_ply,
@@ -15,13 +23,6 @@ from physhdr.backend.export.ply import (
     standard_names,
     write_lossless_ply,
     write_standard_ply,
-)
-from physhdr.bridge.errors import (
-    BadValueError,
-    DataMismatchError,
-    FileDamagedError,
-    FileMissingError,
-    OutputError,
 )
 
 COUNT = 50
@@ -182,7 +183,7 @@ def test_extra_columns_must_be_ours(gaussians: dict[str, np.ndarray], tmp_path: 
         write_lossless_ply(tmp_path / "a.ply", standard, {})
 
 
-@pytest.mark.parametrize("spoil", ["empty", "truncated", "text", "bomb", "no opacity"])
+@pytest.mark.parametrize("spoil", ["empty", "truncated", "text", "bomb", "ascii bomb"])
 def test_damaged_ply(gaussians: dict[str, np.ndarray], tmp_path: Path, spoil: str) -> None:
     path = tmp_path / "a.ply"
     write_standard_ply(path, **gaussians)
@@ -192,15 +193,81 @@ def test_damaged_ply(gaussians: dict[str, np.ndarray], tmp_path: Path, spoil: st
         "truncated": raw[:-7],
         "text": b"hello\n",
         "bomb": raw.replace(b"vertex 50\n", b"vertex 4000000000\n"),
-        "no opacity": raw.replace(b"float opacity", b"float oracity"),
+        "ascii bomb": raw.replace(b"vertex 50\n", b"vertex 4000000000\n").replace(
+            b"binary_little_endian", b"ascii"
+        ),
     }
     path.write_bytes(damaged[spoil])
-    with pytest.raises(FileDamagedError, match=r"a.ply is not a [\s\S]*physhdr export"):
+    with pytest.raises(FileDamagedError, match=r"a.ply is not a readable PLY[\s\S]*cut off"):
         read_ply(path)
 
 
+def write_table(
+    path: Path, names: list[str], types: str = "<f4", text: bool = False, order: str = "<"
+) -> None:
+    """A PLY of 3 vertices by plyfile itself, with those columns, all 0.25."""
+    table = np.full(3, 0.25, dtype=np.dtype([(name, types) for name in names]))
+    element = plyfile.PlyElement.describe(table, "vertex")
+    plyfile.PlyData([element], text=text, byte_order=order).write(str(path))
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (["x", "y", "z"], r"no f_dc_0.*opacity.*is it a mesh or a plain point cloud\?"),
+        (["x", "y", "z", "nx", "ny", "nz", "red", "green", "blue"], "mesh or a plain point cloud"),
+        ([n for n in standard_names(4) if n != "rot_3"], r"it has no rot_3\."),
+        ([n for n in standard_names(4) if n != "f_rest_8"], "8 f_rest_ columns"),
+        ([*standard_names(4), "f_rest_11"], "10 f_rest_ columns"),
+        (["packed_position", "packed_scale"], "compressed PLY"),
+    ],
+)
+def test_a_ply_of_something_else_says_what_it_may_be(tmp_path: Path, names: list[str], words: str) -> None:
+    write_table(tmp_path / "a.ply", names)
+    with pytest.raises(FileDamagedError, match=words) as caught:
+        read_ply(tmp_path / "a.ply")
+    assert "a.ply" in caught.value.message and caught.value.hint
+
+
+def test_a_mesh_without_vertices_and_a_folder(tmp_path: Path) -> None:
+    table = np.zeros(2, dtype=[("a", "<f4")])
+    plyfile.PlyData([plyfile.PlyElement.describe(table, "face")]).write(str(tmp_path / "a.ply"))
+    with pytest.raises(FileDamagedError, match="no vertex element"):
+        read_ply(tmp_path / "a.ply")
+    with pytest.raises(FileMissingError, match="is a folder"):
+        read_ply(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("types", "text", "order"),
+    [("<f4", True, "="), (">f4", False, ">"), ("<f8", False, "<"), (">f8", False, ">"), ("<f8", True, "=")],
+)
+@pytest.mark.parametrize("coefficients", [1, 16])
+def test_every_container_and_number_type(
+    tmp_path: Path, types: str, text: bool, order: str, coefficients: int
+) -> None:
+    names = [n for n in standard_names(coefficients) if n not in ("nx", "ny", "nz")]
+    write_table(tmp_path / "a.ply", [*reversed(names), "confidence"], types, text, order)
+    read = read_ply(tmp_path / "a.ply")
+    assert set(read.columns) == {*names, "confidence"}
+    for column in read.columns.values():
+        assert column.dtype == np.float32 and column.flags.c_contiguous
+        np.testing.assert_array_equal(column, 0.25)
+
+
+def test_plain_colours_in_place_of_f_dc(tmp_path: Path) -> None:
+    """nerfstudio without SH."""
+    names = [n for n in standard_names(1) if not n.startswith("f_dc")]
+    table = np.zeros(1, dtype=[*((n, "<f4") for n in names), *((c, "u1") for c in ("red", "green", "blue"))])
+    table["red"], table["blue"] = 255, 51
+    plyfile.PlyData([plyfile.PlyElement.describe(table, "vertex")]).write(str(tmp_path / "a.ply"))
+    columns = read_ply(tmp_path / "a.ply").columns
+    colour = [0.5 + SH_C0 * columns[f"f_dc_{c}"][0] for c in range(3)]
+    np.testing.assert_allclose(colour, [1.0, 0.0, 0.2], atol=1e-6)
+
+
 def test_missing_ply(tmp_path: Path) -> None:
-    with pytest.raises(FileMissingError, match=r"gone.ply is missing\n.*physhdr export"):
+    with pytest.raises(FileMissingError, match=r"gone.ply is missing\n.*Check the path"):
         read_ply(tmp_path / "gone.ply")
 
 

@@ -1,25 +1,26 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Gaussians as PLY: the standard 3DGS layout for every viewer, and a lossless one with our own columns.
 
-The standard layout (shared/data.md): binary little-endian, one element ``vertex``, float32 ``x y z``,
-``nx ny nz`` (zero), ``f_dc_0…2``, ``f_rest_*`` channel-major (all red, then green, then blue), ``opacity``
-(logit), ``scale_0…2`` (natural logarithm, metres), ``rot_0…3`` (wxyz). Its colour 0.28209479·f_dc + 0.5 + …
-is display-referred: scene-linear radiance must be baked at an exposure before it comes here.
+The standard layout (shared/data.md): one element ``vertex``, float32 ``x y z``, ``nx ny nz`` (zero),
+``f_dc_0…2``, ``f_rest_*`` channel-major (all red, then green, then blue), ``opacity`` (logit), ``scale_0…2``
+(natural logarithm, metres), ``rot_0…3`` (wxyz). Its colour 0.28209479·f_dc + 0.5 + … is display-referred:
+scene-linear radiance must be baked at an exposure before it comes here.
 
 The lossless layout has the same columns first, so that viewers draw it, and then ``phys_…`` columns, which
-they ignore and keep.
+they ignore and keep. We write binary little endian; whatever plyfile reads, we read.
 """
 
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import plyfile
 
-from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError, FileMissingError
-from ..scene.pictures import atomic_path
+from .atomic import atomic_path
+from .errors import BadValueError, DataMismatchError, FileDamagedError, FileMissingError
 
 #: The constant spherical harmonic Y_0, with the digits that 3DGS's viewers use.
 SH_C0 = 0.28209479
@@ -31,6 +32,10 @@ COLOUR_COMMENT = "colour = 0.28209479 * f_dc + 0.5 + higher SH, display-referred
 SPACE_COMMENT = (
     "space: metres, Z up (Blender's world); rot_0..3 = w x y z; scale = ln(metres); opacity = logit"
 )
+#: f_rest columns of SH degree 0 to 3, and what they are together with f_dc.
+REST_COUNTS = (0, 9, 24, 45)
+#: Gaussians at a time where rows become columns: a block stays in the CPU's cache.
+_BLOCK = 2048
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +155,6 @@ def write_lossless_ply(
 
 def _write(path: Path, columns: Mapping[str, np.ndarray], comments: Sequence[str]) -> None:
     count = len(columns["x"])
-    table = np.empty(count, dtype=[(name, "<f4") for name in columns])
     for name, column in columns.items():
         if column.shape != (count,) or column.dtype != np.float32:
             raise DataMismatchError(
@@ -161,7 +165,11 @@ def _write(path: Path, columns: Mapping[str, np.ndarray], comments: Sequence[str
                 f"PLY export: column '{name}' holds NaN or infinity",
                 "Use a checkpoint before training diverged.",
             )
-        table[name] = column
+    rows = np.empty((count, len(columns)), "<f4")
+    for start in range(0, count, _BLOCK):
+        block = slice(start, start + _BLOCK)
+        rows[block] = np.stack([column[block] for column in columns.values()], axis=1)
+    table = rows.reshape(-1).view([(name, "<f4") for name in columns])
     # A PLY header is ASCII, and a comment is one line of it.
     lines = [
         " ".join(line.split()).encode("ascii", "backslashreplace").decode("ascii")
@@ -177,21 +185,18 @@ def _write(path: Path, columns: Mapping[str, np.ndarray], comments: Sequence[str
 def read_ply(path: Path) -> GaussianPly:
     """Read a standard or lossless PLY of Gaussians, ours or another program's; values as they are on disk.
 
-    Raises ``FileMissingError``; ``FileDamagedError`` if it is no PLY, truncated, or lacks a standard column
-    (the normals may be absent).
+    ASCII or binary of either byte order, columns of any number type, in any order, with or without normals
+    and ``f_rest_*``; columns that we do not know are kept. Where a file has ``red green blue`` in place of
+    ``f_dc_*`` (nerfstudio without SH), those are made from them. Raises ``FileMissingError``;
+    ``FileDamagedError`` if it is no PLY, truncated, or holds no Gaussians.
     """
     path = Path(path)
-    remedy = "Export the run again with 'physhdr export'."
+    if not path.exists():
+        raise FileMissingError(f"{path} is missing", "Check the path, or choose another PLY.")
     if not path.is_file():
-        raise FileMissingError(f"{path} is missing", remedy)
+        raise FileMissingError(f"{path} is a folder, not a PLY", "Choose a file in it.")
     try:
         ply = plyfile.PlyData.read(str(path))
-        vertex = ply["vertex"]
-        columns = {
-            prop.name: np.array(vertex[prop.name], dtype=np.float32)
-            for prop in vertex.properties
-            if not isinstance(prop, plyfile.PlyListProperty)
-        }
     except (
         plyfile.PlyParseError,
         ValueError,
@@ -201,17 +206,63 @@ def read_ply(path: Path) -> GaussianPly:
         MemoryError,
         OverflowError,
     ) as error:
-        raise FileDamagedError(f"{path} is not a readable PLY: {error}", remedy) from error
-    rest = sum(name.startswith("f_rest_") for name in columns)
-    lacking = set(standard_names(1 + rest // 3)) - {"nx", "ny", "nz"} - set(columns)
-    if lacking or rest % 3:
-        what = ", ".join(sorted(lacking)) or "some f_rest_ columns"
         raise FileDamagedError(
-            f"{path} is not a PLY of Gaussians: it lacks {what}",
-            remedy,
-        )
+            f"{path} is not a readable PLY: {error}", "Copy or export it again: it may be cut off."
+        ) from error
+    elements = {element.name: element for element in ply.elements}
+    if "vertex" not in elements:
+        raise FileDamagedError(f"{path} is not a PLY of Gaussians: it has no vertex element", _GAUSSIANS_HINT)
+    vertex = elements["vertex"]
+    names = [p.name for p in vertex.properties if not isinstance(p, plyfile.PlyListProperty)]
+    _check_names(path, names, packed="chunk" in elements)
+    columns = _columns(vertex.data, names)
+    if "f_dc_0" not in columns:
+        for index, name in enumerate(("red", "green", "blue")):
+            columns[f"f_dc_{index}"] = ((columns[name] / 255.0 - 0.5) / SH_C0).astype(np.float32)
     return GaussianPly(columns, list(ply.comments))
 
 
 #: The same reader under the name of the layout that keeps our columns: nothing is dropped.
 read_lossless_ply = read_ply
+
+
+_GAUSSIANS_HINT = (
+    "Gaussians have x y z, f_dc_0…2, opacity, scale_0…2 and rot_0…3. For a mesh or a plain point cloud "
+    "use Blender's own File > Import > Stanford PLY."
+)
+
+
+def _check_names(path: Path, names: list[str], packed: bool) -> None:
+    """Every column that a Gaussian needs is there."""
+    have = set(names)
+    if packed or "packed_position" in have:
+        raise FileDamagedError(
+            f"{path} is a compressed PLY (PlayCanvas, SuperSplat), which is not supported",
+            "Save it as an uncompressed PLY in SuperSplat, or with splat-transform.",
+        )
+    if {"red", "green", "blue"} <= have:
+        have |= {"f_dc_0", "f_dc_1", "f_dc_2"}
+    lacking = [n for n in standard_names(1) if n not in have and n not in ("nx", "ny", "nz")]
+    if lacking:
+        kind = ": is it a mesh or a plain point cloud?" if "opacity" in lacking else "."
+        raise FileDamagedError(
+            f"{path} is not a PLY of Gaussians: it has no {', '.join(lacking)}{kind}", _GAUSSIANS_HINT
+        )
+    rest = {name for name in names if re.fullmatch(r"f_rest_\d+", name)}
+    if len(rest) not in REST_COUNTS or rest != {f"f_rest_{index}" for index in range(len(rest))}:
+        raise FileDamagedError(
+            f"{path} is not a PLY of Gaussians of SH degree 0 to 3: it has {len(rest)} f_rest_ columns",
+            "Those degrees have 0, 9, 24 or 45, numbered from 0.",
+        )
+
+
+def _columns(table: np.ndarray[Any, Any], names: list[str]) -> dict[str, np.ndarray]:
+    """``names`` of a structured array, each a contiguous float32 ``[N]``."""
+    if table.dtype.names != tuple(names) or any(table.dtype[name] != np.dtype("<f4") for name in names):
+        return {name: np.array(table[name], dtype=np.float32) for name in names}
+    # One pass over the file by blocks of rows; column by column each pass would touch all of it.
+    rows = np.ascontiguousarray(table).view("<f4").reshape(len(table), len(names))
+    columns = np.empty((len(names), len(table)), np.float32)
+    for start in range(0, len(table), _BLOCK):
+        columns[:, start : start + _BLOCK] = rows[start : start + _BLOCK].T
+    return dict(zip(names, columns, strict=True))

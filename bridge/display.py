@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Between scene-linear radiance and the display-referred colours of standard 3DGS files.
+
+A standard file's colour toward a camera is Σ_k sh_k Y_k(ω) + ½, as a screen shows it. Ours is
+exp(Σ_k sh_k Y_k(ω)), scene-linear. Going either way, the function of the direction is sampled over the
+sphere, converted there, and fitted again.
+"""
+
+from typing import Literal
+
+import numpy as np
+
+from .model_file import Model
+from .spherical_harmonics import (
+    C0,
+    FIT_DIRECTIONS,
+    basis,
+    degree_of,
+    exponential,
+    fibonacci_sphere,
+    quadrature,
+    refit,
+)
+
+ColorSpace = Literal["SRGB", "LINEAR"]
+Tone = Literal["LEARNED", "SRGB"]
+
+#: The sRGB transfer function (IEC 61966-2-1): slope and end of its straight piece, and its power piece.
+SRGB_SLOPE = 12.92
+SRGB_CODE_KNEE, SRGB_LINEAR_KNEE = 0.04045, 0.0031308
+SRGB_OFFSET, SRGB_POWER = 0.055, 2.4
+
+#: Display colours below this (2.5 of 255) are lifted to it before their logarithm is taken: black has none,
+#: and a deeper floor makes the fit ring. The fitted colour of random degree 3 Gaussians is then off by 0.006
+#: of 1 (root mean square) where their coefficients vary by 0.05, tests/bridge/test_ply_model.py.
+DISPLAY_FLOOR = 0.01
+#: Nodes of the quadrature with which ln radiance is fitted, by degree.
+_LOG_FIT_NODES = (1, 3, 4, 5)
+
+
+def to_linear(code: np.ndarray | float) -> np.ndarray:
+    """Scene-linear values of sRGB codes; codes above 1 go on along the curve."""
+    code = np.asarray(code)
+    power = ((np.maximum(code, SRGB_CODE_KNEE) + SRGB_OFFSET) / (1.0 + SRGB_OFFSET)) ** SRGB_POWER
+    return np.where(code <= SRGB_CODE_KNEE, code / SRGB_SLOPE, power)
+
+
+def to_srgb(linear: np.ndarray) -> np.ndarray:
+    """sRGB codes of scene-linear values; values above 1 go on along the curve."""
+    linear = np.asarray(linear)
+    power = (1.0 + SRGB_OFFSET) * np.maximum(linear, SRGB_LINEAR_KNEE) ** (1.0 / SRGB_POWER) - SRGB_OFFSET
+    return np.where(linear <= SRGB_LINEAR_KNEE, linear * SRGB_SLOPE, power)
+
+
+def log_radiance_of(colour_sh: np.ndarray, color_space: ColorSpace = "SRGB") -> np.ndarray:
+    """``[N, K, 3]``: SH of ln radiance for the colours Σ sh·Y + ½ of a standard 3DGS file.
+
+    ``color_space``: ``SRGB``, display-referred, is linearised; ``LINEAR`` is taken as radiance. Exact for
+    degree 0 above the floor (``DISPLAY_FLOOR``), least squares over all directions for the others.
+    """
+    degree = degree_of(colour_sh.shape[1])
+    directions, weights = quadrature(_LOG_FIT_NODES[degree])
+    evaluate = basis(directions, degree)
+    linear_floor = np.float32(to_linear(DISPLAY_FLOOR))
+
+    def log_of_linear(colour: np.ndarray) -> np.ndarray:
+        colour += np.float32(0.5)
+        np.maximum(colour, linear_floor, out=colour)
+        return np.log(colour, out=colour)
+
+    def log_of_srgb(code: np.ndarray) -> np.ndarray:
+        # ln of the power piece: one logarithm instead of a power and a logarithm.
+        code += np.float32(0.5)
+        straight = np.flatnonzero(code < SRGB_CODE_KNEE)
+        low = np.log(np.maximum(code.reshape(-1)[straight] / np.float32(SRGB_SLOPE), linear_floor))
+        np.maximum(code, np.float32(DISPLAY_FLOOR), out=code)
+        code += np.float32(SRGB_OFFSET)
+        code *= np.float32(1.0 / (1.0 + SRGB_OFFSET))
+        np.log(code, out=code)
+        code *= np.float32(SRGB_POWER)
+        code.reshape(-1)[straight] = low
+        return code
+
+    function = log_of_srgb if color_space == "SRGB" else log_of_linear
+    return refit(colour_sh, function, evaluate, (evaluate * weights[:, None]).T)
+
+
+def display_colour_sh(
+    model: Model,
+    exposure: float = 1.0,
+    level: float = 1.0,
+    tone: Tone = "LEARNED",
+    to_world: np.ndarray | None = None,
+) -> np.ndarray:
+    """``[N, K, 3]``: SH of the display colour (colour = Σ sh·Y + ½) of the model's look.
+
+    ``exposure``: seconds (2^EV); ``level``: the lighting level, limited to a baked-levels model's range;
+    ``tone``: the model's learned response, or the plain sRGB curve, which goes on above 1 (also where a model
+    has no response). ``to_world`` ``[3, 3]``: the linear part of the object's matrix, where the colours are
+    wanted in world space: ω in the world is seen from along ``to_world⁻¹ ω``.
+    """
+    degree = model.sh_degree
+    directions = fibonacci_sphere(FIT_DIRECTIONS)
+    project = np.linalg.pinv(basis(directions, degree))
+    if to_world is not None:
+        directions = directions @ np.linalg.inv(to_world).T
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    # The level's gain and the exposure do not depend on the direction: they go into the constant term.
+    sh = np.array(model.log_radiance_sh, np.float32)
+    sh[:, 0] += (model.log_gain(level) + np.log(exposure)).astype(np.float32) / np.float32(C0)
+    log_exposure, curve = model.tone_curve_log_exposure, model.tone_curve
+
+    def learned(log_exposed: np.ndarray) -> np.ndarray:
+        assert log_exposure is not None and curve is not None
+        colours = [np.interp(log_exposed[:, c], log_exposure, curve[:, c]) - 0.5 for c in range(3)]
+        return np.stack(colours, axis=1).astype(np.float32)
+
+    def srgb(log_exposed: np.ndarray) -> np.ndarray:
+        return (to_srgb(exponential(log_exposed)) - 0.5).astype(np.float32)
+
+    has_curve = curve is not None and log_exposure is not None
+    function = learned if tone == "LEARNED" and has_curve else srgb
+    return refit(sh, function, basis(directions, degree), project)

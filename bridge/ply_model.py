@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A PLY of Gaussians as a model that can be exposed, relit and rendered.
+
+Another program's PLY is display-referred: its colours are linearised, nothing is known of its light (a level
+scales everything) and it has no learned response. Our lossless PLY holds the trained parameters: with the
+physical product and the additive modulator the model is exact, as ``physhdr export`` would write it.
+"""
+
+import base64
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .display import ColorSpace, log_radiance_of
+from .errors import BadValueError
+from .gaussian_ply import read_ply
+from .model_file import Model
+from .spherical_harmonics import C0
+
+#: Comment lines of a lossless PLY: ``phys_form COMPOSER MODULATOR``, ``phys_curve NAME SHAPE PART BASE64``
+#: (the sampled response) and ``phys_network …`` of the same form (the networks, which need torch).
+FORM, CURVE, NETWORK = "phys_form", "phys_curve", "phys_network"
+#: Comment lines ``PhysHDR KEY: VALUE`` become metadata.
+PROVENANCE = "PhysHDR "
+#: Tensors are stored as base64 in comment lines of at most this many characters.
+COMMENT_WIDTH = 400
+#: Columns that say how a lossless PLY's radiance is made; without all of them it is a standard PLY.
+_RADIANCE = ("phys_reflectance_dc_0", "phys_log_illumination_0")
+
+
+@dataclass(frozen=True, eq=False)
+class PlyModel:
+    """What a PLY holds. ``notes``: sentences for the user about what could not be kept."""
+
+    model: Model
+    #: ``[N, K, 3]``: the file's own display-referred colours (Σ sh·Y + ½); ``None`` for a lossless PLY.
+    colour_sh: np.ndarray | None
+    #: Gaussians that were left out because a value is NaN or infinite.
+    left_out: int
+    notes: tuple[str, ...]
+
+
+def read_ply_model(path: Path, color_space: ColorSpace = "SRGB") -> PlyModel:
+    """Read a PLY of Gaussians of any kind as a model.
+
+    ``color_space`` says what a standard PLY's colours are (``display.log_radiance_of``); a lossless PLY has
+    none to guess. Raises what ``read_ply`` raises, and ``BadValueError`` where no Gaussian is usable or a
+    lossless PLY's radiance needs networks.
+    """
+    ply = read_ply(path)
+    notes: list[str] = []
+    names = [n for n in ply.columns if n not in ("nx", "ny", "nz", "red", "green", "blue")]
+    columns, left_out = _usable(path, {name: ply.columns[name] for name in names})
+    if left_out:
+        notes.append(f"{left_out} Gaussians with NaN, infinite or absurd values were left out.")
+    if all(name in columns for name in _RADIANCE):
+        form = _form(ply.comments)
+        if form == ("product", "additive"):
+            return PlyModel(_lossless_model(columns, ply.comments), None, left_out, tuple(notes))
+        if form is not None:
+            raise BadValueError(
+                f"{path}: its radiance needs networks (composer {form[0]}, modulator {form[1]})",
+                "Import the run's model.safetensors (physhdr export), or its baked.ply for one fixed look.",
+            )
+        notes.append("Its phys_network comments are gone: imported as the look that was baked into it.")
+    if color_space == "SRGB":
+        notes.append("Its colours are display-referred; they were linearised as sRGB.")
+    notes.append("Nothing is known of its light: the lighting level scales everything.")
+    colour_sh = _colour_sh(columns)
+    model = Model(
+        **_shape(columns),
+        log_radiance_sh=log_radiance_of(colour_sh, color_space),
+        ambient_share=np.ones((len(colour_sh), 3), np.float32),
+        metadata=_provenance(ply.comments),
+    )
+    return PlyModel(model, colour_sh, left_out, tuple(notes))
+
+
+def tensor_comments(kind: str, tensors: dict[str, np.ndarray]) -> list[str]:
+    """Tensors as comment lines: ``KIND NAME SHAPE PART BASE64`` (float32, little endian)."""
+    lines = []
+    for name, tensor in tensors.items():
+        text = base64.b64encode(np.ascontiguousarray(tensor, "<f4").tobytes()).decode()
+        shape = json.dumps(list(tensor.shape), separators=(",", ":"))
+        for part, start in enumerate(range(0, max(len(text), 1), COMMENT_WIDTH)):
+            lines.append(f"{kind} {name} {shape} {part} {text[start : start + COMMENT_WIDTH]}")
+    return lines
+
+
+def tensors_from_comments(kind: str, comments: Sequence[str]) -> dict[str, np.ndarray]:
+    """The tensors that ``tensor_comments`` wrote, by their names; those that cannot be read are left out."""
+    texts: dict[str, list[str]] = {}
+    shapes: dict[str, str] = {}
+    for line in comments:
+        words = line.split(" ")
+        if len(words) == 5 and words[0] == kind:
+            texts.setdefault(words[1], []).append(words[4])
+            shapes[words[1]] = words[2]
+    tensors = {}
+    for name, parts in texts.items():
+        try:
+            values = np.frombuffer(base64.b64decode("".join(parts), validate=True), "<f4")
+            tensors[name] = values.reshape(json.loads(shapes[name])).copy()
+        except (ValueError, TypeError, RecursionError):
+            continue
+    return tensors
+
+
+def _usable(path: Path, columns: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], int]:
+    """The columns without Gaussians that have a value nobody can draw, and how many those were."""
+    if not len(columns["x"]):
+        raise BadValueError(f"{path} has no Gaussians", "Choose another file.")
+    # A sum is finite only where everything in it is: one pass. float64, so that it cannot overflow.
+    total = np.zeros(len(columns["x"]))
+    with np.errstate(invalid="ignore"):
+        for column in columns.values():
+            total += column
+        length = sum(np.square(columns[f"rot_{i}"], dtype=np.float64) for i in range(4))
+        usable = np.isfinite(total) & (length > 1e-12)
+        for axis in range(3):
+            usable &= columns[f"scale_{axis}"] < 80.0  # exp overflows float32 at 88.7
+    left_out = int(usable.size - np.count_nonzero(usable))
+    if left_out == usable.size:
+        raise BadValueError(
+            f"{path}: every Gaussian has NaN, infinite or absurd values",
+            "Training diverged: export an earlier checkpoint.",
+        )
+    return (columns if not left_out else {n: c[usable] for n, c in columns.items()}), left_out
+
+
+def _shape(columns: dict[str, np.ndarray]) -> dict[str, Any]:
+    """Position, rotation, scale and opacity in natural values, from the standard columns."""
+
+    def stack(name: str, count: int) -> np.ndarray:
+        return np.stack([columns[f"{name}_{index}"] for index in range(count)], axis=1)
+
+    rotation = stack("rot", 4)
+    return {
+        "position": np.stack([columns[axis] for axis in "xyz"], axis=1),
+        "rotation": rotation / np.linalg.norm(rotation, axis=1, keepdims=True),
+        "scale": np.exp(stack("scale", 3)),
+        "opacity": _sigmoid(columns["opacity"]),
+    }
+
+
+def _colour_sh(columns: dict[str, np.ndarray]) -> np.ndarray:
+    """``[N, K, 3]``: a view of planes ``[K, 3, N]``, so that working through it reads memory in order."""
+    rest = sum(name.startswith("f_rest_") for name in columns) // 3
+    planes = np.empty((rest + 1, 3, len(columns["x"])), np.float32)
+    for channel in range(3):
+        planes[0, channel] = columns[f"f_dc_{channel}"]
+        for k in range(rest):
+            planes[k + 1, channel] = columns[f"f_rest_{channel * rest + k}"]
+    return planes.transpose(2, 0, 1)
+
+
+def _lossless_model(columns: dict[str, np.ndarray], comments: Sequence[str]) -> Model:
+    """The model of our own parameters: ln radiance = ln illumination + ln reflectance(ω)."""
+    coefficients = 1 + sum(name.startswith("phys_reflectance_rest_") for name in columns) // 3
+    sh = np.empty((len(columns["x"]), coefficients, 3), np.float32)
+    for channel in range(3):
+        # One illumination a Gaussian, or one a channel.
+        light = columns.get(f"phys_log_illumination_{channel}", columns["phys_log_illumination_0"])
+        sh[:, 0, channel] = columns[f"phys_reflectance_dc_{channel}"] + light / np.float32(C0)
+        for k in range(coefficients - 1):
+            sh[:, k + 1, channel] = columns[f"phys_reflectance_rest_{3 * k + channel}"]
+    logits = [columns.get(f"phys_ambient_share_logits_{channel}") for channel in range(3)]
+    known = [_sigmoid(logit) for logit in logits if logit is not None]
+    curve: dict[str, Any] = dict(tensors_from_comments(CURVE, comments))
+    if set(curve) != {"tone_curve_log_exposure", "tone_curve"}:
+        curve = {}
+    return Model(
+        **_shape(columns),
+        log_radiance_sh=sh,
+        ambient_share=np.stack(known, axis=1) if len(known) == 3 else np.ones_like(sh[:, 0]),
+        **curve,
+        metadata=_provenance(comments),
+    )
+
+
+def _form(comments: Sequence[str]) -> tuple[str, str] | None:
+    """Composer and modulator of a lossless PLY; ``None`` where its comments are gone."""
+    for line in comments:
+        words = line.split()
+        if len(words) == 3 and words[0] == FORM:
+            return words[1], words[2]
+    # Files of before there was that line: networks are named after what they are part of.
+    networks = [line.split()[1] for line in comments if line.startswith(NETWORK + " ")]
+    if not networks:
+        return None
+    learned = [any(name.startswith(part) for name in networks) for part in ("composer.", "modulator.")]
+    return ("learned" if learned[0] else "product"), ("learned" if learned[1] else "additive")
+
+
+def _provenance(comments: Sequence[str]) -> dict[str, str]:
+    found = {}
+    for line in comments:
+        key, separator, value = line.removeprefix(PROVENANCE).partition(": ")
+        if line.startswith(PROVENANCE) and separator:
+            found[key] = value
+    return found
+
+
+def _sigmoid(logit: np.ndarray) -> np.ndarray:
+    # tanh neither overflows nor needs float64.
+    return np.float32(0.5) * (np.float32(1.0) + np.tanh(np.float32(0.5) * logit))

@@ -1,0 +1,264 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Other programs' PLYs as models, our lossless PLY as the model it came from, and the way back."""
+
+import base64
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from physhdr.bridge import display
+from physhdr.bridge.errors import BadValueError
+from physhdr.bridge.gaussian_ply import standard_columns, write_lossless_ply, write_standard_ply
+from physhdr.bridge.model_file import Model
+from physhdr.bridge.ply_model import read_ply_model, tensor_comments, tensors_from_comments
+from physhdr.bridge.spherical_harmonics import C0, basis
+
+
+def random_directions(count: int) -> np.ndarray:
+    directions = np.random.default_rng(9).normal(size=(count, 3))
+    return directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+def gaussians(count: int = 60, coefficients: int = 16, spread: float = 0.05) -> dict[str, np.ndarray]:
+    """Gaussians as 3DGS trains them: any base colour, some variation with the view."""
+    rng = np.random.default_rng(1)
+    colour_sh = rng.normal(0.0, spread, (count, coefficients, 3))
+    colour_sh[:, 0] = (rng.uniform(0.0, 1.1, (count, 3)) - 0.5) / C0
+    arrays = {
+        "positions": rng.normal(size=(count, 3)),
+        "rotations": 3.0 * rng.normal(size=(count, 4)),
+        "scales": rng.lognormal(-4.0, 1.0, size=(count, 3)),
+        "opacities": rng.uniform(0.01, 0.99, size=count),
+        "colour_sh": colour_sh,
+    }
+    return {name: array.astype(np.float32) for name, array in arrays.items()}
+
+
+def test_transfer_function_is_srgb():
+    """Values of IEC 61966-2-1, to four digits; and both ways round."""
+    codes, linear = [0.0, 0.02, 0.5, 0.7353569830524495, 1.0], [0.0, 0.001548, 0.214041, 0.5, 1.0]
+    np.testing.assert_allclose(display.to_linear(np.array(codes)), linear, atol=5e-7)
+    np.testing.assert_allclose(display.to_srgb(np.array(linear)), codes, atol=1e-5)
+    values = np.linspace(0.0, 3.0, 500)
+    np.testing.assert_allclose(display.to_srgb(display.to_linear(values)), values, atol=1e-6)
+
+
+def test_shape_and_opacity_arrive(tmp_path: Path):
+    given = gaussians(coefficients=4)
+    write_standard_ply(tmp_path / "a.ply", **given)
+    found = read_ply_model(tmp_path / "a.ply")
+    unit = given["rotations"] / np.linalg.norm(given["rotations"], axis=1, keepdims=True)
+    np.testing.assert_array_equal(found.model.position, given["positions"])
+    np.testing.assert_allclose(found.model.rotation, unit, atol=1e-6)
+    np.testing.assert_allclose(found.model.scale, given["scales"], rtol=1e-5)
+    np.testing.assert_allclose(found.model.opacity, given["opacities"], atol=1e-6)
+    np.testing.assert_array_equal(found.colour_sh, given["colour_sh"])
+    np.testing.assert_array_equal(found.model.ambient_share, 1.0)
+    assert found.model.tone_curve is None and found.left_out == 0
+
+
+def test_degree_0_is_exact(tmp_path: Path):
+    """The radiance is the linearised colour; black is lifted to the floor."""
+    given = gaussians(count=4, coefficients=1)
+    given["colour_sh"][:, 0, 0] = (np.array([0.5, 0.03, -0.4, 1.5]) - 0.5) / C0
+    write_standard_ply(tmp_path / "a.ply", **given)
+    radiance = read_ply_model(tmp_path / "a.ply").model.radiance(random_directions(4))
+    np.testing.assert_allclose(radiance[:, 0], [0.214041, 0.03 / 12.92, 0.01 / 12.92, 2.5371544], rtol=1e-4)
+    linear = read_ply_model(tmp_path / "a.ply", "LINEAR").model.radiance(random_directions(4))
+    np.testing.assert_allclose(linear[:, 0], [0.5, 0.03, 0.01 / 12.92, 1.5], rtol=1e-4)
+
+
+@pytest.mark.parametrize(("spread", "allowed"), [(0.02, 0.002), (0.05, 0.006), (0.1, 0.018)])
+@pytest.mark.parametrize("coefficients", [4, 9, 16])
+def test_the_fitted_radiance_shows_the_files_colour(tmp_path: Path, coefficients, spread, allowed):
+    """Root mean square over directions of the difference on a display, where 3DGS clamps at 0."""
+    given = gaussians(count=400, coefficients=coefficients, spread=spread)
+    write_standard_ply(tmp_path / "a.ply", **given)
+    model = read_ply_model(tmp_path / "a.ply").model
+    degree = model.sh_degree
+    errors = []
+    for direction in random_directions(50):
+        Y = basis(direction[None], degree)[0]
+        colour = np.maximum(0.5 + np.einsum("k,nkc->nc", Y, given["colour_sh"]), 0.0)
+        shown = display.to_srgb(model.radiance(np.broadcast_to(direction, (400, 3))))
+        errors.append(shown - colour)
+    assert np.sqrt(np.mean(np.square(errors))) < allowed
+
+
+def test_baked_again_it_is_the_file(tmp_path: Path):
+    given = gaussians(count=400, spread=0.03)
+    given["colour_sh"][:, 0] = np.abs(given["colour_sh"][:, 0])  # bright enough to be above the floor
+    write_standard_ply(tmp_path / "a.ply", **given)
+    model = read_ply_model(tmp_path / "a.ply").model
+    baked = display.display_colour_sh(model)
+    np.testing.assert_allclose(baked, given["colour_sh"], atol=0.03)
+    assert np.sqrt(np.mean(np.square(baked - given["colour_sh"]))) < 0.003
+
+
+@pytest.mark.parametrize(
+    ("column", "value"), [("x", np.nan), ("f_rest_3", np.inf), ("opacity", -np.inf), ("scale_1", 200.0)]
+)
+def test_gaussians_that_nobody_can_draw_are_left_out(tmp_path: Path, column: str, value: float):
+    given = gaussians(count=10, coefficients=4)
+    write_standard_ply(tmp_path / "a.ply", **given)
+    spoil(tmp_path / "a.ply", column, [2, 7], value)
+    found = read_ply_model(tmp_path / "a.ply")
+    assert (found.left_out, found.model.count) == (2, 8)
+    assert found.notes[0].startswith("2 Gaussians")
+    np.testing.assert_array_equal(found.model.position, np.delete(given["positions"], [2, 7], axis=0))
+
+
+def spoil(path: Path, column: str, rows: list[int], value: float) -> None:
+    import plyfile
+
+    ply = plyfile.PlyData.read(str(path), mmap=False)
+    ply["vertex"].data[column][rows] = value
+    ply.write(str(path))
+
+
+def test_only_unusable_gaussians_or_none(tmp_path: Path):
+    write_standard_ply(tmp_path / "a.ply", **gaussians(count=3, coefficients=1))
+    spoil(tmp_path / "a.ply", "y", [0, 1, 2], np.nan)
+    with pytest.raises(BadValueError, match=r"a\.ply: every Gaussian"):
+        read_ply_model(tmp_path / "a.ply")
+    empty = {name: array[:0] for name, array in gaussians().items()}
+    write_standard_ply(tmp_path / "b.ply", **empty)
+    with pytest.raises(BadValueError, match=r"b\.ply has no Gaussians"):
+        read_ply_model(tmp_path / "b.ply")
+
+
+# ---- lossless ----------------------------------------------------------------------------------------
+
+
+def lossless(path: Path, comments: list[str], count: int = 30) -> Model:
+    """A lossless PLY of random parameters, by the formulae of docs/method.md; the model it must become."""
+    rng = np.random.default_rng(4)
+    given = gaussians(count)
+    reflectance = rng.normal(0.0, 0.3, (count, 16, 3)).astype(np.float32)
+    illumination = rng.normal(0.0, 1.0, count).astype(np.float32)
+    share = rng.normal(0.0, 2.0, (count, 3)).astype(np.float32)
+    extra = {f"phys_reflectance_dc_{c}": reflectance[:, 0, c] for c in range(3)}
+    rest = reflectance[:, 1:].reshape(count, 45)
+    extra |= {f"phys_reflectance_rest_{i}": rest[:, i] for i in range(45)}
+    extra |= {"phys_log_illumination_0": illumination}
+    extra |= {f"phys_ambient_share_logits_{c}": share[:, c] for c in range(3)}
+    write_lossless_ply(path, standard_columns(**given), extra, comments)
+    # ln(H_r · L_a) at any direction: the constant term takes ln L_a / Y_0
+    reflectance[:, 0] += illumination[:, None] / np.float32(C0)
+    return Model(
+        position=given["positions"],
+        rotation=given["rotations"],
+        scale=given["scales"],
+        opacity=given["opacities"],
+        log_radiance_sh=reflectance,
+        ambient_share=1.0 / (1.0 + np.exp(-share)),
+    )
+
+
+def test_a_lossless_ply_is_the_model_itself(tmp_path: Path):
+    x, curve = np.linspace(-9, 9, 200, dtype=np.float32), np.random.rand(200, 3).astype(np.float32)
+    comments = ["phys_form product additive", "PhysHDR scene: kitchen"]
+    comments += tensor_comments("phys_curve", {"tone_curve_log_exposure": x, "tone_curve": curve})
+    expected = lossless(tmp_path / "a.ply", comments)
+    found = read_ply_model(tmp_path / "a.ply")
+    directions = random_directions(expected.count)
+    for level in (0.0, 0.25, 1.0, 4.0):
+        np.testing.assert_allclose(
+            found.model.radiance(directions, level),
+            expected.radiance(directions, level),
+            rtol=1e-5,
+            atol=1e-6,
+        )
+    np.testing.assert_array_equal(found.model.tone_curve, curve)
+    np.testing.assert_array_equal(found.model.tone_curve_log_exposure, x)
+    assert found.model.metadata["scene"] == "kitchen"
+    assert found.colour_sh is None and found.notes == ()
+
+
+def test_learned_parts_point_to_the_model_file(tmp_path: Path):
+    lossless(tmp_path / "a.ply", ["phys_form learned additive"])
+    with pytest.raises(BadValueError, match=r"composer learned[\s\S]*model\.safetensors"):
+        read_ply_model(tmp_path / "a.ply")
+    # files of before that line was written
+    lossless(tmp_path / "b.ply", tensor_comments("phys_network", {"modulator.network.w1": np.ones((2, 2))}))
+    with pytest.raises(BadValueError, match=r"modulator learned"):
+        read_ply_model(tmp_path / "b.ply")
+
+
+def test_a_lossless_ply_that_lost_its_comments_is_the_baked_look(tmp_path: Path):
+    lossless(tmp_path / "a.ply", [])
+    found = read_ply_model(tmp_path / "a.ply")
+    assert any("comments are gone" in note for note in found.notes)
+    np.testing.assert_array_equal(found.colour_sh, gaussians(30)["colour_sh"])
+
+
+def test_tensors_in_comments_survive_and_damaged_ones_are_left_out():
+    tensors = {"a": np.arange(1000, dtype=np.float32).reshape(10, 100), "b": np.float32([])}
+    lines = tensor_comments("kind", tensors)
+    assert max(map(len, lines)) < 450
+    back = tensors_from_comments("kind", ["kind c [3] 0 AAAA", "kind d [x 0 AAAA", "other line", *lines])
+    assert set(back) == {"a", "b"}
+    np.testing.assert_array_equal(back["a"], tensors["a"])
+    assert base64.b64decode(lines[0].split()[-1])[:8] == np.float32([0, 1]).tobytes()
+
+
+# ---- baking ------------------------------------------------------------------------------------------
+
+
+def hdr_model(count: int = 50, degree: int = 1, curve: bool = True) -> Model:
+    rng = np.random.default_rng(7)
+    sh = rng.normal(0.0, 0.2, (count, (degree + 1) ** 2, 3))
+    sh[:, 0] = rng.normal(-4.0, 4.0, (count, 3))
+    x = np.linspace(-12.0, 8.0, 256, dtype=np.float32)
+    response = {
+        "tone_curve_log_exposure": x,
+        "tone_curve": 1.0 / (1.0 + np.exp(-np.outer(x, [0.8, 1.0, 1.2]) - 0.2)).astype(np.float32),
+    }
+    given = gaussians(count)
+    return Model(
+        position=given["positions"],
+        rotation=given["rotations"],
+        scale=given["scales"],
+        opacity=given["opacities"],
+        log_radiance_sh=sh.astype(np.float32),
+        ambient_share=rng.random((count, 3), dtype=np.float32),
+        **(response if curve else {}),
+    )
+
+
+@pytest.mark.parametrize(("tone", "curve"), [("LEARNED", True), ("SRGB", True), ("LEARNED", False)])
+def test_baked_colour_is_the_look_in_every_direction(tone, curve):
+    model = hdr_model(curve=curve)
+    exposure, level = 4.0, 0.5
+    sh = display.display_colour_sh(model, exposure, level, tone)
+    errors = []
+    for direction in random_directions(40):
+        radiance = exposure * model.radiance(np.broadcast_to(direction, (50, 3)), level)
+        if tone == "LEARNED" and curve:
+            expected = 1.0 / (1.0 + np.exp(-np.log(radiance) * [0.8, 1.0, 1.2] - 0.2))
+        else:
+            expected = display.to_srgb(radiance)
+        shown = 0.5 + np.einsum("k,nkc->nc", basis(direction[None], 1)[0], sh)
+        errors.append((shown - expected) / np.maximum(expected, 1.0))
+    assert np.sqrt(np.mean(np.square(errors))) < 0.01
+
+
+def test_baking_into_a_turned_world_turns_the_colours():
+    """Seen along ω in the world, a Gaussian of a turned object has the colour of turned-back ω."""
+    model = hdr_model(degree=3)
+    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    at_home = display.display_colour_sh(model)
+    in_world = display.display_colour_sh(model, to_world=2.5 * turn)
+    for direction in random_directions(10):
+        here = np.einsum("k,nkc->nc", basis(direction[None], 3)[0], at_home)
+        there = np.einsum("k,nkc->nc", basis((turn @ direction)[None], 3)[0], in_world)
+        np.testing.assert_allclose(there, here, atol=0.02)
+
+
+def test_level_0_of_all_ambient_light_is_black_and_finite():
+    model = hdr_model(degree=0)
+    model.ambient_share[:] = 1.0
+    sh = display.display_colour_sh(model, level=0.0, tone="SRGB")
+    assert np.isfinite(sh).all() and (0.5 + C0 * sh[:, 0]).max() < 0.02
