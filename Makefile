@@ -29,7 +29,7 @@ gpu-check: ## Is the CUDA path right, and how fast? Says so and ends where there
 	@$(WITH_TORCH) tools/gpu_check.py
 
 extension: setup ## Validate and build the Blender extension: dist/physhdr-*.zip
-	@$(PYTHON) tools/build_extension.py
+	@$(BACKEND) tools/build_extension.py
 
 lint: setup ## ruff and pyright
 	@.venvs/backend/bin/ruff check . && .venvs/backend/bin/ruff format --check . && .venvs/backend/bin/pyright

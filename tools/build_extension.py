@@ -5,9 +5,13 @@
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
+WHEELS = ROOT / "wheels"
+PINNED = ROOT / "tools" / "wheels.txt"
+PYTHON = ROOT / ".venvs" / "backend" / "bin" / "python"
 SITE_PACKAGES = ROOT / ".venvs" / "blender" / "lib"
 
 
@@ -20,11 +24,27 @@ def extension_tool() -> list[str] | None:
     return [blender, "--command", "extension"] if blender else None
 
 
+def fetch_wheels() -> int:
+    """The wheels that the manifest bundles, as pinned, unless they are there."""
+    with open(ROOT / "blender_manifest.toml", "rb") as file:
+        wanted = {Path(name).name for name in tomllib.load(file)["wheels"]}
+    if wanted <= {path.name for path in WHEELS.glob("*.whl")}:
+        return 0
+    # Any platform, no ABI: a wheel with compiled code is not found rather than bundled.
+    only_pure = ["--only-binary=:all:", "--platform", "any", "--implementation", "py", "--abi", "none"]
+    command = [PYTHON, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps"]
+    command += [*only_pure, "--python-version", "3.13", "--require-hashes", "-r", PINNED, "-d", WHEELS]
+    return subprocess.call([str(part) for part in command])
+
+
 def main() -> int:
     tool = extension_tool()
     if tool is None:
         print("error: Blender's extension tool was not found\n  Run make setup first.", file=sys.stderr)
         return 1
+    if status := fetch_wheels():
+        print("error: the wheels could not be fetched\n  Check the network, try again.", file=sys.stderr)
+        return status
     dist = ROOT / "dist"
     dist.mkdir(exist_ok=True)
     for command in (["validate", "."], ["build", "--source-dir", ".", "--output-dir", str(dist)]):
