@@ -1,0 +1,239 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The state in Blender is a pure function of what happened: no Blender, no process, no socket here."""
+
+from dataclasses import replace
+
+from physhdr.addon.session.advice import Choices, headline, next_step, problem_of, why_not
+from physhdr.addon.session.state import (
+    Asked,
+    Backend,
+    Connect,
+    Connected,
+    Dataset,
+    Found,
+    KeepReport,
+    KillBackend,
+    LinkLost,
+    ProcessEnded,
+    PythonChosen,
+    Received,
+    Refused,
+    Send,
+    StartBackend,
+    Started,
+    State,
+    StopAsked,
+    SummariseDataset,
+    TaskCancelled,
+    TaskStarted,
+)
+from physhdr.addon.session.task import TaskEnded, TaskProgress
+from physhdr.addon.session.transition import transition
+from physhdr.bridge.messages import (
+    Done,
+    Failure,
+    History,
+    HistoryGet,
+    JobStatus,
+    Shutdown,
+    StatusGet,
+    TrainPause,
+    TrainStart,
+    TrainStop,
+    Welcome,
+)
+
+WELCOME = Welcome(
+    protocol=1,
+    version="0.1.0",
+    pid=4242,
+    log="/tmp/backend.log",
+    device="cpu",
+    torch="2.13.0",
+    presets=("default",),
+    in_control=True,
+)
+START = TrainStart(data="/data", out="/run")
+CHOICES = Choices(data="/data", out="/run")
+READY = State(backend=Backend("/env/bin/python", {"versions": {"torch": "2.13.0"}}))
+
+
+def after(state, *events):
+    """The state after ``events``, and all that they asked for."""
+    effects = []
+    for event in events:
+        state, more = transition(state, event)
+        effects += more
+    return state, effects
+
+
+def connected(state=READY):
+    return after(state, Found("/tmp/backend.log"), Connected(WELCOME))[0]
+
+
+def training(**changes):
+    job = {"state": "training", "run": "/run", "iteration": 40, "iterations": 100, "in_control": True}
+    return after(connected(), Received(JobStatus(**{**job, **changes})))[0]
+
+
+def test_an_installation_makes_the_backend_ready_and_is_remembered():
+    report = {"versions": {"torch": "2.13.0"}, "environment": "/env/bin/python"}
+    state, _ = after(
+        State(),
+        TaskStarted("install", "/tmp/install.log"),
+        TaskProgress("install", 0.5, "fetching torch", 30.0),
+    )
+    assert headline(state) == "Installing the backend" and state.task("install").fraction == 0.5
+    assert why_not(state, "start", CHOICES) == "Wait for the install to end"
+    state, effects = after(state, TaskEnded("install", True, result=report))
+    assert state.backend.ready and state.backend.python == "/env/bin/python"
+    assert effects == [KeepReport("/env/bin/python", report)]
+    assert headline(state) == "Ready"
+
+
+def test_a_failed_check_says_why_and_where_the_log_is():
+    state, _ = after(State(), PythonChosen("/other/python"), TaskStarted("check", "/tmp/check.log"))
+    state, effects = after(state, TaskEnded("check", False, message="no module torch", hint="Install it."))
+    assert not state.backend.ready and not effects
+    assert problem_of(state).message == "no module torch" and problem_of(state).log == "/tmp/check.log"
+    assert headline(state) == "The backend failed its check"
+
+
+def test_a_cancelled_task_is_no_problem():
+    state, _ = after(State(), TaskStarted("install", "log"), TaskCancelled("install"))
+    assert state.task("install").cancelling
+    state, _ = after(state, TaskEnded("install", False, cancelled=True, message="ended by signal 2"))
+    assert problem_of(state) is None and not state.tasks
+
+
+def test_a_rendered_data_set_is_looked_at():
+    state, _ = after(READY, TaskStarted("dataset", "log"))
+    _, effects = after(state, TaskEnded("dataset", True, result={"folder": "/data"}))
+    assert effects == [SummariseDataset("/data")]
+
+
+def test_a_training_starts_the_backend_waits_for_it_and_is_then_sent():
+    state, effects = after(READY, Asked(START))
+    assert effects == [StartBackend()] and state.waiting == (START,)
+    state, effects = after(state, Started("/tmp/backend.log"), Found("/tmp/backend.log"))
+    assert effects == [Connect()] and headline(state) == "The backend starts"
+    state, effects = after(state, Connected(WELCOME))
+    assert effects == [Send(HistoryGet()), Send(START)]
+    assert state.waiting == () and state.active
+
+
+def test_what_the_backend_says_of_the_former_job_is_not_taken_for_the_new_one():
+    finished = JobStatus(state="finished", run="/old", iteration=100, iterations=100, in_control=True)
+    state, _ = after(connected(), Received(finished), Asked(START), Received(finished))
+    assert state.job.state == "preparing" and state.job.run == "/run"
+    state, effects = after(state, Received(Done(), START))
+    assert effects == [Send(StatusGet())]
+    state, _ = after(state, Received(JobStatus(state="training", run="/run", iteration=1, iterations=9)))
+    assert state.job.state == "training"
+
+
+def test_a_refused_start_is_shown_and_the_former_job_asked_for():
+    state, _ = after(connected(), Asked(START))
+    failure = Failure(code="file_missing", message="/data does not exist", hint="Choose another.")
+    state, effects = after(state, Refused(START, failure))
+    assert problem_of(state).message == "/data does not exist" and effects == [Send(StatusGet())]
+    state, _ = after(state, Received(JobStatus(state="idle", in_control=True)))
+    assert not state.active and why_not(state, "start", CHOICES) == ""
+
+
+def test_a_second_stop_ends_the_process():
+    state, effects = after(training(), StopAsked())
+    assert effects == [Send(TrainStop())] and headline(state) == "Saving and stopping"
+    late = JobStatus(state="training", run="/run", iteration=41, iterations=100, in_control=True)
+    state, effects = after(state, Received(late), StopAsked())
+    assert effects == [KillBackend(4242)]
+
+
+def test_a_stop_that_was_heeded_is_over():
+    stopped = JobStatus(state="stopped", run="/run", iteration=41, iterations=100, in_control=True)
+    state, _ = after(training(), StopAsked(), Received(stopped))
+    assert not state.stopping and headline(state) == "Stopped: can be resumed"
+
+
+def test_a_backend_that_dies_fails_its_training_and_names_checkpoint_and_log():
+    state, _ = after(training(saved_iteration=30), LinkLost("the connection broke"))
+    problem = problem_of(state)
+    assert state.job.state == "failed" and state.link.status == "off"
+    assert "checkpoint of iteration 30" in problem.hint and problem.log == "/tmp/backend.log"
+    assert next_step(state, Choices("/data", "/run", True)) == "Resume the training"
+    assert why_not(state, "resume", Choices("/data", "/run", True)) == ""
+
+
+def test_a_good_bye_is_no_problem():
+    state, _ = after(connected(), Asked(Shutdown()), LinkLost("it said good-bye", clean=True))
+    assert problem_of(state) is None and state.link.status == "off"
+
+
+def test_a_process_that_ends_before_it_can_be_reached_says_its_last_words():
+    state, _ = after(READY, Asked(START), Started("/tmp/backend.log"), ProcessEnded(1, "error: no torch"))
+    assert "no torch" in problem_of(state).message and state.link.status == "off" and not state.waiting
+
+
+def test_the_end_of_a_connected_process_is_told_by_the_connection():
+    state = training()
+    assert transition(state, ProcessEnded(-9)) == (state, ())
+
+
+def test_curves_grow_with_progress_and_start_anew_with_another_run():
+    def progress(iteration, loss, psnr=None, run="/run"):
+        monitor = {} if psnr is None else {"PSNR": psnr}
+        status = JobStatus(
+            state="training", run=run, iteration=iteration, losses={"rec": loss, "unit": 0.5}, monitor=monitor
+        )
+        return Received(status)
+
+    state, _ = after(connected(), progress(20, 1.0), progress(40, 0.5, 20.0), progress(60, 0.25, 20.0))
+    assert state.history == History(
+        iterations=(20, 40, 60), losses=(1.5, 1.0, 0.75), psnr_iterations=(40,), psnr=(20.0,)
+    )
+    state, _ = after(state, progress(20, 2.0, run="/other"))
+    assert state.history.iterations == (20,)
+
+
+def test_only_the_one_in_control_may_steer():
+    state = training(in_control=False, controller="Blender on the left")
+    assert "Blender on the left" in why_not(state, "stop") and "Blender on the left" in why_not(
+        state, "pause"
+    )
+    assert why_not(state, "take_control") == ""
+    assert why_not(training(), "take_control") == "This Blender is in control already"
+    assert why_not(training(), "pause") == "" and why_not(training(), "continue") == "Nothing is paused"
+
+
+def test_every_action_has_a_reason_with_no_backend():
+    reasons = {
+        action: why_not(State(), action)
+        for action in (
+            "start",
+            "resume",
+            "pause",
+            "continue",
+            "stop",
+            "open",
+            "import",
+            "preview",
+            "shutdown",
+        )
+    }
+    assert all(reasons.values())
+    assert why_not(State(), "install") == ""
+    assert "online" in why_not(State(), "install", Choices(online=False))
+
+
+def test_the_panel_leads_from_nothing_to_a_result():
+    """At every step it says what to do next."""
+    assert "Install" in next_step(State(), Choices())
+    assert "data set" in next_step(READY, Choices())
+    with_data = replace(READY, dataset=Dataset("/data", ("18 views",)))
+    assert next_step(with_data, CHOICES) == "Start the training"
+    assert next_step(replace(with_data, job=JobStatus(state="finished")), CHOICES).startswith("Import")
+
+
+def test_a_pause_is_asked_for_only_where_there_is_a_connection():
+    _, effects = after(training(), Asked(TrainPause()))
+    assert effects == [Send(TrainPause())]
