@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""numpy arrays to and from the GPU, and the small things that every shader here needs."""
+
+from collections.abc import Sequence
+
+import gpu
+import mathutils
+import numpy as np
+
+
+def texture(array: np.ndarray, format: str) -> gpu.types.GPUTexture:
+    """A 2D texture of ``[H, W, C]``, or a 2D array texture of ``[L, H, W, C]``; row 0 is the first row.
+
+    ``C`` must be that of ``format``; half formats take float32, too: the driver converts. (Blender uploads
+    nothing but floats.)
+    """
+    *layers, height, width, _ = array.shape
+    # No copy: the buffer borrows the array's memory, and the upload is done when this returns.
+    data = gpu.types.Buffer("FLOAT", array.size, np.ascontiguousarray(array, np.float32).reshape(-1))
+    return gpu.types.GPUTexture((width, height), layers=layers[0] if layers else 0, format=format, data=data)
+
+
+def read_colour(framebuffer: gpu.types.GPUFrameBuffer, size: tuple[int, int], slot: int) -> np.ndarray:
+    """``[H, W, 4]`` float32 of a colour attachment, top row first. Waits for the GPU."""
+    width, height = size
+    with framebuffer.bind():
+        data = framebuffer.read_color(0, 0, width, height, 4, slot, "FLOAT")
+    data.dimensions = width * height * 4
+    return np.array(data, np.float32).reshape(height, width, 4)[::-1]
+
+
+def matrix(array: np.ndarray) -> mathutils.Matrix:
+    """Blender's matrix of a ``[4, 4]`` array, for ``shader.uniform_float``."""
+    return mathutils.Matrix(np.asarray(array, np.float64).tolist())
+
+
+def batch(kind: str, corners: Sequence[tuple[float, float]]) -> gpu.types.GPUBatch:
+    """A batch with one vertex attribute ``corner`` (VEC2)."""
+    format = gpu.types.GPUVertFormat()
+    format.attr_add(id="corner", comp_type="F32", len=2, fetch_mode="FLOAT")
+    vertices = gpu.types.GPUVertBuf(format, len(corners))
+    vertices.attr_fill("corner", corners)
+    return gpu.types.GPUBatch(type=kind, buf=vertices)

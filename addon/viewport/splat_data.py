@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The Gaussians of a point cloud, as textures (there are no storage buffers in Blender's gpu module)."""
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import bpy
+import gpu
+import numpy as np
+
+from ...bridge.spherical_harmonics import degree_of
+from ..point_cloud import IDENTITY, read_attribute
+from . import gpu_arrays
+from .overlay import ToneCurve
+
+#: Gaussian i is texel (i mod WIDTH, i div WIDTH) of every texture.
+WIDTH = 2048
+
+_serial = itertools.count()
+
+_REQUIRED = ("position", "scale", "rotation", "radiance:base", "physhdr:log_sh_0")
+
+
+@dataclass(frozen=True, eq=False)
+class SplatArrays:
+    """Gaussians as numpy arrays, float32. Meanings and units: docs/formats.md, *Point cloud in Blender*."""
+
+    position: np.ndarray
+    rotation: np.ndarray
+    scale: np.ndarray
+    opacity: np.ndarray
+    #: ``[K, N, 3]``
+    log_sh: np.ndarray
+    #: ``[1, N, 3]`` ambient share, or ``[L, N, 3]`` log gains at ``levels``.
+    light: np.ndarray
+    levels: tuple[float, ...] = ()
+
+    @property
+    def count(self) -> int:
+        return len(self.position)
+
+
+def is_splats(cloud: bpy.types.PointCloud) -> bool:
+    """Whether the point cloud has all attributes that drawing needs."""
+    return all(name in cloud.attributes for name in _REQUIRED)
+
+
+def read_arrays(cloud: bpy.types.PointCloud) -> SplatArrays:
+    """The attributes of a point cloud for which ``is_splats``. ``ValueError`` for a wrong number of SH."""
+    base = read_attribute(cloud, "radiance:base")
+    log_sh = _numbered(cloud, "physhdr:log_sh_")
+    degree_of(len(log_sh))
+    levels = tuple(float(level) for level in cloud.get("physhdr_levels", ()))
+    gains = _numbered(cloud, "physhdr:level_log_gain_")
+    if levels and len(gains) == len(levels):
+        light = np.stack(gains)
+    elif "physhdr:ambient_share" in cloud.attributes:
+        light, levels = read_attribute(cloud, "physhdr:ambient_share")[None], ()
+    else:
+        # Nothing is known of the light: a level scales everything, as for a baseline's model.
+        light, levels = np.ones((1, len(base), 3), np.float32), ()
+    return SplatArrays(
+        position=read_attribute(cloud, "position"),
+        rotation=read_attribute(cloud, "rotation"),
+        scale=read_attribute(cloud, "scale"),
+        opacity=np.ascontiguousarray(base[:, 3]),
+        log_sh=np.stack(log_sh),
+        light=light,
+        levels=levels,
+    )
+
+
+def read_tone_curve(cloud: bpy.types.PointCloud) -> ToneCurve | None:
+    """The learned response that came with the model, if any."""
+    places, values = cloud.get("physhdr_tone_curve_log_exposure"), cloud.get("physhdr_tone_curve")
+    if places is None or values is None:
+        return None
+    return ToneCurve(np.array(places, np.float32), np.array(values, np.float32).reshape(-1, 3))
+
+
+def identity(cloud: bpy.types.PointCloud) -> str:
+    """What stays the same over undo and renaming; copies of a cloud share it, and their values."""
+    return str(cloud.get(IDENTITY) or cloud.name_full)
+
+
+def _numbered(cloud: bpy.types.PointCloud, prefix: str) -> list[np.ndarray]:
+    """Attributes ``prefix0``, ``prefix1``, … as long as there are."""
+    values: list[np.ndarray] = []
+    while f"{prefix}{len(values)}" in cloud.attributes:
+        values.append(read_attribute(cloud, f"{prefix}{len(values)}"))
+    return values
+
+
+class SplatTextures:
+    """Gaussians on the GPU; needs an active GPU context."""
+
+    def __init__(self, arrays: SplatArrays) -> None:
+        #: Another number for every upload.
+        self.serial = next(_serial)
+        self.count = arrays.count
+        #: ``[N, 3]`` float32, for sorting.
+        self.position = arrays.position
+        self.degree = degree_of(len(arrays.log_sh))
+        self.levels = arrays.levels
+        self.rows = max(1, math.ceil(arrays.count / WIDTH))
+        #: Layers: position and opacity; rotation (wxyz, unit); scale; SH of degree 0. Full floats.
+        self.geometry = self._texture(
+            "RGBA32F",
+            np.column_stack([arrays.position, arrays.opacity]),
+            arrays.rotation,
+            arrays.scale,
+            arrays.log_sh[0],
+        )
+        #: Layer k − 1: SH coefficient k. Half floats: 5e-4 of values around 0.5.
+        self.harmonics = self._texture("RGBA16F", *(arrays.log_sh[1:] if self.degree else arrays.log_sh[:1]))
+        self.light = self._texture("RGBA16F", *arrays.light)
+
+    def _texture(self, format: str, *layers: np.ndarray) -> gpu.types.GPUTexture:
+        texels = np.zeros((len(layers), self.rows * WIDTH, 4), np.float32)
+        for index, values in enumerate(layers):
+            texels[index, : self.count, : values.shape[1]] = values
+        return gpu_arrays.texture(texels.reshape(len(layers), self.rows, WIDTH, 4), format)

@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Draws Gaussians of several objects into one picture: projected, sorted together, blended.
+
+The picture is the trainer's (backend/rasterize/contract.py), except that blending goes from back to front
+and so never ends early: what lies behind a transmittance of 1e-4 still counts.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import gpu
+import numpy as np
+
+from . import gpu_arrays, splat_shaders
+from .camera import ViewCamera, object_to_camera
+from .depth_order import back_to_front
+from .overlay import Layer, ToneCurve
+from .splat_data import WIDTH, SplatTextures
+
+
+@dataclass(frozen=True, eq=False)
+class Item:
+    """One object to draw. ``matrix_world``: ``[4, 4]``; ``level``: lighting level; ``exposure``: EV."""
+
+    splats: SplatTextures
+    matrix_world: np.ndarray
+    level: float = 1.0
+    exposure: float = 0.0
+
+
+class Target:
+    """A picture in the making: colour and Σ weight · depth."""
+
+    def __init__(self, width: int, height: int, format: str = "") -> None:
+        """``format`` of the colours: ``RGBA32F`` or ``RGBA16F``; the best that can be blended if empty."""
+        self.size = width, height
+        # Apple's GPUs do not blend full floats.
+        format = format or ("RGBA16F" if gpu.platform.backend_type_get() == "METAL" else "RGBA32F")
+        self.colour = gpu.types.GPUTexture((width, height), format=format)
+        self.depth = gpu.types.GPUTexture((width, height), format="R32F")
+        self.framebuffer = gpu.types.GPUFrameBuffer(color_slots=(self.colour, self.depth))
+        with self.framebuffer.bind():
+            self.framebuffer.clear(color=(0.0, 0.0, 0.0, 0.0))
+
+    def wait(self) -> None:
+        """Until the GPU has drawn everything so far: by reading one pixel."""
+        with self.framebuffer.bind():
+            self.framebuffer.read_color(0, 0, 1, 1, 4, 0, "FLOAT")
+
+    def read(self) -> tuple[np.ndarray, np.ndarray]:
+        """``[H, W, 4]`` premultiplied colour, ``[H, W]`` mean depth (0: nothing there), top row first."""
+        colour = gpu_arrays.read_colour(self.framebuffer, self.size, 0)
+        total = gpu_arrays.read_colour(self.framebuffer, self.size, 1)[..., 0]
+        alpha = colour[..., 3]
+        return colour, np.divide(total, alpha, out=np.zeros_like(total), where=alpha > 0.0)
+
+
+class Drawing:
+    """One picture of some items, drawn at once or, where the GPU is slow, in portions."""
+
+    def __init__(
+        self, renderer: "SplatRenderer", target: Target, camera: ViewCamera, order: np.ndarray, depth: float
+    ) -> None:
+        self.target = target
+        self.camera = camera
+        #: Typical distance of what is drawn, metres.
+        self.typical_depth = depth
+        self.count = len(order)
+        self._renderer = renderer
+        self._drawn = 0
+        rows = max(1, math.ceil(self.count / WIDTH))
+        # As floats, the only numbers that can be uploaded: exact up to 16.7 M.
+        texels = np.zeros((rows * WIDTH, 1), np.float32)
+        texels[: self.count, 0] = order
+        self._order = gpu_arrays.texture(texels.reshape(rows, WIDTH, 1), "R32F")
+
+    @property
+    def is_complete(self) -> bool:
+        return self._drawn == self.count
+
+    def draw(self, count: int | None = None) -> None:
+        """Blend the next ``count`` Gaussians (``None``: all that are left)."""
+        remaining = self.count - self._drawn
+        count = remaining if count is None else min(count, remaining)
+        if count > 0:
+            self._renderer.blend(self.target, self._order, self._drawn, count)
+        self._drawn += count
+
+    def layer(self, tone: ToneCurve | None) -> Layer:
+        """The picture, for the compositor."""
+        target = self.target
+        return Layer(target.colour, target.depth, self.camera, self.typical_depth, tone, depth_is_sum=True)
+
+
+class SplatRenderer:
+    """Holds the shaders and the projected Gaussians of one region; needs an active GPU context.
+
+    ``begin`` overwrites what an earlier ``Drawing`` of the same renderer still needs: finish or forget it.
+    """
+
+    def __init__(self) -> None:
+        self._projection = splat_shaders.create_projection()
+        self._drawing = splat_shaders.create_drawing()
+        self._full_screen = gpu_arrays.batch("TRIS", [(-1.0, -1.0), (3.0, -1.0), (-1.0, 3.0)])
+        self._quad = gpu_arrays.batch("TRI_STRIP", [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)])
+        self._rows = 0
+        self._projected: list[gpu.types.GPUTexture] = []
+        self._framebuffer: gpu.types.GPUFrameBuffer | None = None
+
+    def begin(
+        self, items: Sequence[Item], camera: ViewCamera, target: Target, *, exact: bool = True
+    ) -> Drawing:
+        """Project and sort the items for a camera of the target's size. ``exact``: see ``back_to_front``."""
+        self._reserve(sum(item.splats.rows for item in items))
+        depths, texels, first_row = [], [], 0
+        for item in items:
+            to_camera = object_to_camera(camera, item.matrix_world)
+            self._project(item, camera, to_camera, first_row)
+            forward = to_camera[2].astype(np.float32)
+            depths.append(item.splats.position @ forward[:3] + forward[3])
+            start = first_row * WIDTH
+            texels.append(np.arange(start, start + item.splats.count, dtype=np.uint32))
+            first_row += item.splats.rows
+        depth, texel = np.concatenate(depths), np.concatenate(texels)
+        if not camera.is_orthographic:
+            in_front = depth >= splat_shaders.NEAR_PLANE
+            if not in_front.all():
+                depth, texel = depth[in_front], texel[in_front]
+        typical = float(np.median(depth[:: max(1, depth.size // 4096)])) if depth.size else 1.0
+        order = texel[back_to_front(depth, exact)]
+        return Drawing(self, target, camera, order, typical)
+
+    def render(self, items: Sequence[Item], camera: ViewCamera, *, format: str = "") -> Target:
+        """The whole picture at once."""
+        target = Target(camera.width, camera.height, format)
+        self.begin(items, camera, target).draw()
+        return target
+
+    def blend(self, target: Target, order: gpu.types.GPUTexture, first: int, count: int) -> None:
+        """Blend Gaussians ``first`` … of ``order`` over the target."""
+        shader = self._drawing
+        with target.framebuffer.bind():
+            shader.bind()
+            shader.uniform_float("size", target.size)
+            shader.uniform_int("first", [first])
+            shader.uniform_sampler("order", order)
+            for name, texture in zip(("place", "axes", "radiance"), self._projected, strict=True):
+                shader.uniform_sampler(f"projected_{name}", texture)
+            gpu.state.depth_test_set("NONE")
+            gpu.state.depth_mask_set(False)
+            gpu.state.blend_set("ALPHA_PREMULT")
+            self._quad.draw_instanced(shader, instance_count=count)
+            gpu.state.blend_set("NONE")
+
+    def _reserve(self, rows: int) -> None:
+        if rows > self._rows:
+            self._projected = [gpu.types.GPUTexture((WIDTH, rows), format="RGBA32F") for _ in range(3)]
+            self._framebuffer = gpu.types.GPUFrameBuffer(color_slots=tuple(self._projected))
+            self._rows = rows
+
+    def _project(self, item: Item, camera: ViewCamera, to_camera: np.ndarray, first_row: int) -> None:
+        splats, shader = item.splats, self._projection
+        from_camera = np.linalg.inv(to_camera)
+        if camera.is_orthographic:
+            eye = from_camera[:3, 2] / np.linalg.norm(from_camera[:3, 2])
+        else:
+            eye = from_camera[:3, 3]
+        index, blend = level_place(splats.levels, item.level)
+        flags = splats.degree | (splat_shaders.ORTHOGRAPHIC if camera.is_orthographic else 0)
+        flags |= splat_shaders.HAS_LEVELS if splats.levels else 0
+        with self._framebuffer.bind():
+            self._framebuffer.viewport_set(0, first_row, WIDTH, splats.rows)
+            gpu.state.depth_test_set("NONE")
+            gpu.state.depth_mask_set(False)
+            gpu.state.blend_set("NONE")
+            shader.bind()
+            shader.uniform_float("object_to_camera", gpu_arrays.matrix(to_camera))
+            shader.uniform_float("lens", (camera.fx, camera.fy, camera.cx, camera.cy))
+            shader.uniform_float("size_and_level", (camera.width, camera.height, item.level, blend))
+            shader.uniform_float("eye_and_gain", (*eye, 2.0**item.exposure))
+            shader.uniform_int("counts", (first_row, splats.count, index, flags))
+            shader.uniform_sampler("geometry", splats.geometry)
+            shader.uniform_sampler("harmonics", splats.harmonics)
+            shader.uniform_sampler("light", splats.light)
+            self._full_screen.draw(shader)
+            self._framebuffer.viewport_set(0, 0, WIDTH, self._rows)
+
+
+def level_place(levels: Sequence[float], level: float) -> tuple[int, float]:
+    """Where ``level`` is in ``levels`` (log2 apart): the index below it and how far to the next, 0…1."""
+    if not levels:
+        return 0, 0.0
+    limited = min(max(level, levels[0]), levels[-1])
+    place = float(np.interp(math.log2(limited), np.log2(levels), np.arange(len(levels))))
+    index = min(int(place), max(len(levels) - 2, 0))
+    return index, place - index
