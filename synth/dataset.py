@@ -4,24 +4,30 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import bpy
 import numpy as np
 
-from . import exr, folder, noise, points, rig, settings
+from . import device, exr, folder, noise, open_scene, points, rig, settings
 from .errors import ConflictError, DamagedFileError
 from .options import Options
 from .png import decode, encode, quantise
-from .progress import Progress, say
+from .progress import Report
 from .renderer import Renderer, view_seed
 from .response import Response, by_name
 from .scenes import built
+from .scenes.stage import Stage
 
 GENERATOR = {"name": "physhdr synth", "version": "0.1.2"}
 DENOISER = "OpenImageDenoise"
+FEW_POINTS = 100
+LOST = 0.05
+"""Share of pixels without a usable exposure from which on the user is told."""
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec.709
 
 
@@ -45,26 +51,30 @@ class Picture:
         return f"{self.split}/r_{self.index}_{k}.png"
 
 
-def make(out: Path, options: Options) -> None:
+def make(out: Path, options: Options, report: Report | None = None) -> None:
     """Fill the folder ``out``; what is already there and whole is kept.
 
     Raises:
         SynthError: any of its kinds, with a message for the user. Nothing that exists is overwritten.
     """
+    report = report or Report()
     options.check()
     response = by_name(options.crf)
-    asked = {**options.as_json(), "response": response.describe()}
-    state = folder.open_folder(out, asked)
     began = time.monotonic()
-    with built(options.scene) as stage:
-        poses = rig.poses(options.camera_rig, stage.cameras, options.views, options.lit_views)
+    with device.chosen(options.device), _staged(options, report) as (stage, options):
+        asked = {**options.as_json(), "response": response.describe()}
+        if stage.fingerprint:
+            asked |= {"scene": stage.scene.name, "fingerprint": stage.fingerprint}
+        state = folder.open_folder(out, asked)
+        poses = stage.poses or rig.poses(options.camera_rig, stage.cameras, options.views, options.lit_views)
         pictures = plan(poses, options)
         missing = [picture for picture in pictures if not (out / picture.name).exists()]
         _check_existing(out, [picture for picture in pictures if picture not in missing], options)
         kept = len(pictures) - len(missing)
-        say(f"data set {out}: {len(pictures)} pictures of '{options.scene}', {kept} already there")
+        report.say(f"data set {out}: {len(pictures)} pictures of '{options.scene}', {kept} already there")
         if (out / folder.FINAL).exists() and not missing and _is_complete(out, pictures, options):
-            say(f"data set {out}: complete already, nothing to do")
+            report.say(f"data set {out}: complete already, nothing to do")
+            report.end(_summary(out, state, report, began))
             return
         maker = {**GENERATOR, "blender": bpy.app.version_string}
         if state and state.get("generator") != maker:
@@ -76,21 +86,50 @@ def make(out: Path, options: Options) -> None:
         if not (out / folder.FINAL).exists():
             folder.write_json(out / folder.PARTIAL, {**head, "noise_floor": state.get("noise_floor")})
         _write_poses(out, pictures, options, stage.cameras.angle_x)
-        wanted = settings.ground_truth(options.resolution, options.samples, options.denoise)
-        with settings.applied(stage.scene, wanted) as record:
+        users = bool(options.from_file)
+        wanted = settings.ground_truth(
+            options.resolution, options.samples, options.denoise, options.device, users
+        )
+        with settings.applied(stage.scene, wanted, None if users else settings.WORKING_SPACE) as record:
             renderer = Renderer(stage)
-            _render(out, missing, renderer, options)
+            _render(out, missing, renderer, options, report)
             _write_brackets(out, pictures, response, options)
             if not (out / "points3d.ply").exists():
-                _write_points(out, pictures, stage.scene, stage.cameras.angle_x, options)
+                _write_points(out, pictures, stage, options, report)
             floor = state.get("noise_floor") or _noise_floor(out, pictures, renderer, response, options)
-    content = _describe(head, out, pictures, options, response, record, floor)
+        content = _describe(head, out, pictures, options, response, record, floor)
+        if stage.source:
+            content["source"] = {**stage.source, "warnings": report.warnings}
+    _judge_exposures(out, pictures, response, options, report)
     folder.write_json(out / folder.FINAL, content)
     (out / folder.PARTIAL).unlink(missing_ok=True)
     stops = content["dynamic_range"]["stops"]
-    say(f"noise floor {floor['psnr']} dB at {list(options.exposures)} s, HDR {floor['hdr_psnr']} dB")
-    say(f"dynamic range of the training views: {stops} stops")
-    say(f"data set {out}: complete in {time.monotonic() - began:.0f} s")
+    report.say(f"noise floor {floor['psnr']} dB at {list(options.exposures)} s, HDR {floor['hdr_psnr']} dB")
+    report.say(f"dynamic range of the training views: {stops} stops")
+    report.say(f"data set {out}: complete in {time.monotonic() - began:.0f} s")
+    report.end(_summary(out, content, report, began))
+
+
+@contextmanager
+def _staged(options: Options, report: Report) -> Iterator[tuple[Stage, Options]]:
+    """A built-in scene or the user's own, and the options with what that scene decides filled in."""
+    if options.from_file:
+        with open_scene.opened(options, report) as (stage, filled):
+            yield stage, replace(filled, scene=open_scene.name_of_file())
+    else:
+        with built(options.scene) as stage:
+            yield stage, options
+
+
+def _summary(out: Path, content: dict[str, Any], report: Report, began: float) -> dict[str, Any]:
+    """What a program that started us wants to know (``--progress-json``)."""
+    keys = ("scene", "resolution", "splits", "exposures", "lighting_levels", "dynamic_range", "noise_floor")
+    return {
+        "folder": str(out.absolute()),
+        **{key: content.get(key) for key in keys},
+        "warnings": report.warnings,
+        "seconds": round(time.monotonic() - began, 1),
+    }
 
 
 def plan(poses: rig.RigPoses, options: Options) -> list[Picture]:
@@ -137,14 +176,17 @@ def _check_existing(out: Path, pictures: list[Picture], options: Options) -> Non
             )
 
 
-def _render(out: Path, missing: list[Picture], renderer: Renderer, options: Options) -> None:
-    progress = Progress("render", len(missing))
+def _render(out: Path, missing: list[Picture], renderer: Renderer, options: Options, report: Report) -> None:
+    if not missing:
+        return
+    report.begin(len(missing))
     order = {picture.level: at for at, picture in reversed(list(enumerate(missing)))}
     for picture in sorted(missing, key=lambda picture: order[picture.level]):  # a new level costs a new sync
+        report.start(picture.name)
         renderer.render(
             out / picture.name, picture.pose, picture.level, view_seed(options.seed, picture.name)
         )
-        progress.advance(picture.name)
+        report.advance(picture.name)
 
 
 def _write_brackets(out: Path, pictures: list[Picture], response: Response, options: Options) -> None:
@@ -161,15 +203,17 @@ def _write_brackets(out: Path, pictures: list[Picture], response: Response, opti
                 )
 
 
-def _write_points(
-    out: Path, pictures: list[Picture], scene: bpy.types.Scene, angle_x: float, options: Options
-) -> None:
+def _write_points(out: Path, pictures: list[Picture], stage: Stage, options: Options, report: Report) -> None:
     train = [picture for picture in pictures if picture.split == "train"]
     middle = len(options.exposures) // 2
     seen = [decode((out / picture.bracket(middle)).read_bytes()) for picture in train]
-    cloud = points.cast(scene, [picture.pose for picture in train], seen, angle_x, options.seed)
+    cloud = points.cast(stage, [picture.pose for picture in train], seen, options.seed)
     folder.write(out / "points3d.ply", points.encode(cloud))
-    say(f"points3d.ply: {len(cloud)} points")
+    report.say(f"points3d.ply: {len(cloud)} points")
+    if len(cloud) < FEW_POINTS:
+        report.warn(
+            f"only {len(cloud)} points lie on surfaces that the cameras see: are they pointed at the scene?"
+        )
 
 
 def _noise_floor(
@@ -207,6 +251,25 @@ def _write_poses(out: Path, pictures: list[Picture], options: Options, angle_x: 
         ):
             if not (out / name).exists():
                 folder.write_json(out / name, content)
+
+
+def _judge_exposures(
+    out: Path, pictures: list[Picture], response: Response, options: Options, report: Report
+) -> None:
+    """Warn where many training pixels are white even at the shortest exposure, or black at the longest."""
+    radiance = np.stack([exr.read(out / picture.name) for picture in pictures if picture.split == "train"])
+    brightest = radiance.max(-1).astype(np.float64)
+    white = float((quantise(response(brightest * options.exposures[0])) == 255).mean())
+    black = float((quantise(response(brightest * options.exposures[-1])) == 0).mean())
+    for share, what, which, other in (
+        (white, "white", "shortest", "shorter"),
+        (black, "black", "longest", "longer"),
+    ):
+        if share > LOST:
+            report.warn(
+                f"{share:.0%} of the training pixels are {what} even at the {which} exposure: "
+                f"add {other} ones to --exposures"
+            )
 
 
 def _describe(

@@ -8,13 +8,14 @@ Format: https://openexr.com/en/latest/OpenEXRFileLayout.html
 
 from __future__ import annotations
 
+import re
 import struct
 import zlib
 from pathlib import Path
 
 import numpy as np
 
-from .errors import DamagedFileError
+from .errors import DamagedFileError, NotFiniteError
 
 MAGIC = 20000630
 LINES_PER_BLOCK = {0: 1, 2: 1, 3: 16}  # none, ZIPS, ZIP
@@ -37,8 +38,26 @@ def read(path: Path) -> np.ndarray:
             f"'{path}' is damaged ({error}): delete it and run again to render it anew"
         ) from error
     if not np.isfinite(image).all():
-        raise DamagedFileError(f"'{path}' holds values that are not finite: delete it and run again")
+        raise NotFiniteError(f"'{path}' holds values that are not finite: delete it and run again")
     return image
+
+
+def without_times(data: bytes) -> bytes:
+    """The file with zeros for the digits of the times that Cycles notes in its header.
+
+    They are the only thing that differs between two renders of one picture.
+    """
+    made = bytearray(data)
+    at = 8
+    while data[at]:
+        name_end = data.index(b"\0", at)
+        type_end = data.index(b"\0", name_end + 1)
+        (size,) = struct.unpack_from("<i", data, type_end + 1)
+        start = type_end + 5
+        if data[at:name_end].startswith(b"cycles.") and data[at:name_end].endswith(b"_time"):
+            made[start : start + size] = re.sub(rb"\d", b"0", data[start : start + size])
+        at = start + size
+    return bytes(made)
 
 
 def _decode(data: bytes) -> np.ndarray:

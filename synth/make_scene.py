@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Makes a synthetic HDR data set with Cycles.
+"""Makes a synthetic HDR data set with Cycles: of a built-in scene, or of any scene of yours.
 
     blender -b -P synth/make_scene.py -- --out data/demo
     python synth/make_scene.py -- --out data/demo          (with the bpy wheel)
+    blender -b my.blend -P synth/make_scene.py -- --from-file current --out data/mine
+    python synth/make_scene.py -- --from-file my.blend --out data/mine
 
 Interrupted and started again with the same options it renders only what is missing.
 """
@@ -10,8 +12,14 @@ Interrupted and started again with the same options it renders only what is miss
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
+import traceback
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .options import Options
 
 if not globals().get("__package__"):  # run as a script: make it a module of the package `synth` (PEP 366)
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
@@ -19,9 +27,10 @@ if not globals().get("__package__"):  # run as a script: make it a module of the
 
 
 def parser() -> argparse.ArgumentParser:
-    from .options import Options
+    from .device import DEVICES
+    from .options import CURRENT, Options
     from .response import BUILT_IN
-    from .rig import RIGS
+    from .rig import PATH, RIGS
     from .scenes import SCENES
 
     default = Options()
@@ -38,10 +47,25 @@ def parser() -> argparse.ArgumentParser:
     add = made.add_argument
     add("--out", required=True, metavar="FOLDER", help="where to write: a new folder, or one to resume")
     add("--scene", default=default.scene, help=f"one of: {', '.join(SCENES)}")
-    add("--resolution", default="200", metavar="N|WxH", help="size of the pictures in pixels")
+    add(
+        "--from-file",
+        metavar=f"FILE|{CURRENT}",
+        help="your own scene instead: a .blend, or the one that is open",
+    )
+    add("--scene-name", default="", metavar="NAME", help="the scene in that file, if not its active one")
+    add(
+        "--resolution",
+        default="200",
+        metavar="N|WxH",
+        help="pixels; N alone is a square, or with --from-file the width at your render's aspect",
+    )
     add("--samples", type=int, default=default.samples, help="Cycles samples a pixel")
     add("--views", type=int, default=default.views, help="training and test poses together")
-    add("--camera-rig", default=default.camera_rig, help=f"one of: {', '.join(RIGS)}")
+    add(
+        "--camera-rig",
+        default=default.camera_rig,
+        help=f"one of: {', '.join(RIGS)}; of your own scene also {PATH}",
+    )
     add("--exposures", default=listed(default.exposures), metavar="T,T,…", help="seconds, shortest first")
     add("--crf", default=default.crf, help=f"camera response: {', '.join(BUILT_IN)}, or the file of a curve")
     add("--seed", type=int, default=default.seed, help="of the renders' noise; the scene itself is fixed")
@@ -69,6 +93,28 @@ def parser() -> argparse.ArgumentParser:
         default=default.lit_views,
         help="extra training views at other ambient levels",
     )
+    own = made.add_argument_group("the rig around your own camera (with --from-file)")
+    own.add_argument(
+        "--rig-distance",
+        type=float,
+        metavar="METRES",
+        help="to what it looks at (default: the focus, else what the camera sees, else the scene's middle)",
+    )
+    own.add_argument(
+        "--rig-extent", metavar="WxH", help="of the grid in metres (default: 0.5 and 0.3 of the distance)"
+    )
+    own.add_argument("--rig-arc", type=float, metavar="DEGREES", help="of orbit and hemisphere (default: 90)")
+    own.add_argument(
+        "--rig-elevation",
+        metavar="LOW,HIGH",
+        help="of the hemisphere, in degrees (default: from 20 below to 30 above your camera's own)",
+    )
+    add("--device", default=default.device, help=f"one of: {', '.join(DEVICES)}")
+    add(
+        "--progress-json",
+        action="store_true",
+        help="tell the progress as one JSON object a line, for programs",
+    )
     add("--denoise", action=argparse.BooleanOptionalAction, default=default.denoise, help="denoise with OIDN")
     return made
 
@@ -77,41 +123,71 @@ def main(arguments: list[str]) -> int:
     """Exit code: 0 done, 1 an error the message explains, 2 wrong usage, 130 interrupted."""
     from .dataset import make
     from .errors import SynthError
-    from .options import Options, parse_numbers, parse_resolution
+    from .progress import JsonReport, Report
 
     given = parser().parse_args(arguments)
+    report = JsonReport() if given.progress_json else Report()
     try:
-        options = Options(
-            scene=given.scene,
-            resolution=parse_resolution(given.resolution),
-            samples=given.samples,
-            views=given.views,
-            exposures=parse_numbers("--exposures", given.exposures),
-            crf=given.crf,
-            seed=given.seed,
-            ambient_levels=parse_numbers("--ambient-levels", given.ambient_levels),
-            relit_views=getattr(given, "relit_views", min(Options.relit_views, given.views // 2)),
-            lit_levels=parse_numbers("--lit-levels", given.lit_levels),
-            lit_views=given.lit_views,
-            camera_rig=given.camera_rig,
-            denoise=given.denoise,
-        )
-        make(Path(given.out), options)
+        make(Path(given.out), _options(given), report)
     except SynthError as error:
-        sys.stderr.write(f"error: {error}\n")
+        report.fail(error.code, error.message, error.hint)
         return 1
     except OSError as error:
-        sys.stderr.write(
-            f"error: {error.strerror or error}: '{error.filename or given.out}'. Is the disk full?\n"
-        )
+        what = f"{error.strerror or error}: '{error.filename or given.out}'"
+        report.fail("file", f"{what}. Is the disk full?")
         return 1
     except KeyboardInterrupt:
         sys.stderr.write("interrupted: the same command goes on where it stopped\n")
         return 130
+    except Exception as error:  # noqa: BLE001 (Blender would end with status 0, as if all were well)
+        traceback.print_exc()
+        report.fail(
+            "internal", f"{type(error).__name__}: {error}", "this is a fault of the program: report it"
+        )
+        return 1
     return 0
+
+
+def _options(given: argparse.Namespace) -> Options:
+    """
+    Raises:
+        OptionError: a text is no number, or no size.
+    """
+    from .options import Options, parse_numbers, parse_pair, parse_resolution
+
+    return Options(
+        scene=given.scene,
+        resolution=parse_resolution(given.resolution, follow=given.from_file is not None),
+        samples=given.samples,
+        views=given.views,
+        exposures=parse_numbers("--exposures", given.exposures),
+        crf=given.crf,
+        seed=given.seed,
+        ambient_levels=parse_numbers("--ambient-levels", given.ambient_levels),
+        relit_views=getattr(given, "relit_views", min(Options.relit_views, given.views // 2)),
+        lit_levels=parse_numbers("--lit-levels", given.lit_levels),
+        lit_views=given.lit_views,
+        camera_rig=given.camera_rig,
+        denoise=given.denoise,
+        device=given.device,
+        from_file=given.from_file,
+        scene_name=given.scene_name,
+        rig_distance=given.rig_distance,
+        rig_extent=parse_pair("--rig-extent", given.rig_extent) if given.rig_extent else None,
+        rig_arc=given.rig_arc,
+        rig_elevation=parse_pair("--rig-elevation", given.rig_elevation) if given.rig_elevation else None,
+    )
+
+
+def _run(arguments: list[str]) -> int:
+    """``main`` where CTRL-C, or CTRL-BREAK on Windows, raises KeyboardInterrupt: Blender would take it."""
+    for name in ("SIGINT", "SIGBREAK"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), signal.default_int_handler)
+    return main(arguments)
 
 
 if __name__ == "__main__":
     # Blender's own arguments end at '--'; so do ours where the wheel's Python runs the script.
     after = sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:]
-    sys.exit(main(after))
+    sys.exit(_run(after))

@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
-import bpy
 import numpy as np
 from mathutils import Vector
+
+from .rays import Rays
+from .scenes.stage import Stage
 
 WANTED = 18_000
 
@@ -15,9 +17,7 @@ _PLY_TYPE = np.dtype(
 )
 
 
-def cast(
-    scene: bpy.types.Scene, poses: list[np.ndarray], pictures: list[np.ndarray], angle_x: float, seed: int
-) -> np.ndarray:
+def cast(stage: Stage, poses: list[np.ndarray], pictures: list[np.ndarray], seed: int) -> np.ndarray:
     """Surface points seen from ``poses``, coloured from ``pictures`` ([height, width, 3] uint8, one a pose).
 
     Rays go through a jittered raster of pixel positions; a ray that meets only sky gives no point.
@@ -26,10 +26,9 @@ def cast(
         Structured array of the PLY's columns: position (metres), normal toward the camera, colour.
     """
     dice = np.random.default_rng(seed)
-    scene.view_layers[0].update()
-    depsgraph = scene.view_layers[0].depsgraph
+    rays = Rays(stage.scene, stage.view_layer)
     height, width = pictures[0].shape[:2]
-    half = np.tan(angle_x / 2)
+    half = np.tan(stage.cameras.angle_x / 2)
     a_view = min(WANTED / len(poses), width * height)  # rays
     columns = max(1, round((a_view * width / height) ** 0.5))
     rows = max(1, round(a_view / columns))
@@ -44,8 +43,9 @@ def cast(
         directions = (camera / np.linalg.norm(camera, axis=-1, keepdims=True)) @ pose[:3, :3].T
         origin = Vector(pose[:3, 3])
         for direction, px, py in zip(directions.reshape(-1, 3), x.flat, y.flat, strict=True):
-            hit, place, normal, *_ = scene.ray_cast(depsgraph, origin, Vector(direction))
+            hit = rays.first(origin, Vector(direction))
             if hit:
+                place, normal = hit
                 normal = -normal if normal.dot(Vector(direction)) > 0 else normal
                 colour = picture[min(int(py), height - 1), min(int(px), width - 1)]
                 found.append((*place, *normal, *colour.tolist()))

@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Progress as plain text: a bar on a terminal, a line now and then elsewhere."""
+"""How a run tells what it does: text for people, or JSON lines for programs (``--progress-json``)."""
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TextIO
+from typing import Any, TextIO
 
 BAR = 24
 LINES = 12  # about so many a step where the output is no terminal
@@ -29,7 +30,7 @@ class Progress:
         if self.done % self.every and self.done != self.total:
             return
         spent = time.monotonic() - self.began
-        left = spent / self.done * (self.total - self.done)
+        left = self.seconds_left()
         filled = BAR * self.done // self.total
         bar = "#" * filled + "-" * (BAR - filled)
         line = f"{self.what} [{bar}] {self.done}/{self.total}  {spent:.0f} s, {left:.0f} s left  {note}"
@@ -39,11 +40,93 @@ class Progress:
             self.stream.write(line.rstrip() + "\n")
         self.stream.flush()
 
+    def seconds_left(self) -> float:
+        """As the items so far went; 0 before the first."""
+        return (time.monotonic() - self.began) / max(1, self.done) * (self.total - self.done)
 
-def say(line: str) -> None:
-    """One line of report."""
-    sys.stdout.write(line + "\n")
-    sys.stdout.flush()
+
+class Report:
+    """For people: lines on stdout, warnings and errors on stderr."""
+
+    def __init__(self) -> None:
+        self.warnings: list[str] = []
+
+    @property
+    def _text(self) -> TextIO:
+        return sys.stdout  # looked up each time: tests and Blender replace it
+
+    def say(self, line: str) -> None:
+        """One line of report."""
+        self._text.write(line + "\n")
+        self._text.flush()
+
+    def warn(self, line: str) -> None:
+        """Something that the user should know; the run goes on."""
+        self.warnings.append(line)
+        sys.stderr.write(f"warning: {line}\n")
+        sys.stderr.flush()
+
+    def begin(self, total: int) -> None:
+        """``total`` pictures are about to be rendered."""
+        self._progress = Progress("render", total, self._text)
+
+    def start(self, name: str) -> None:
+        """The picture ``name`` is being rendered now."""
+
+    def advance(self, name: str) -> None:
+        """The picture ``name`` is done."""
+        self._progress.advance(name)
+
+    def end(self, result: dict[str, Any]) -> None:
+        """All is done; ``result`` sums up the data set."""
+
+    def fail(self, code: str, message: str, hint: str = "") -> None:
+        """The run ends here."""
+        sys.stderr.write(f"error: {message}{': ' + hint if hint else ''}\n")
+
+
+class JsonReport(Report):
+    """For programs: one JSON object a line on stdout; what people read goes to stderr.
+
+    ``{"progress": 0…1, "message": …, "seconds_left": …}`` before each picture and at the end of each, and
+    last ``{"result": {…}}`` or ``{"error": {"code": …, "message": …, "hint": …}}``.
+    """
+
+    RENDERING = 0.97
+    """The share of rendering in the whole; brackets, points and the noise floor are the rest."""
+
+    @property
+    def _text(self) -> TextIO:
+        return sys.stderr
+
+    def _emit(self, content: dict[str, Any]) -> None:
+        sys.stdout.write(json.dumps(content, ensure_ascii=True) + "\n")
+        sys.stdout.flush()
+
+    def start(self, name: str) -> None:
+        step = self._progress
+        line = {"progress": round(self.RENDERING * step.done / step.total, 4), "message": f"rendering {name}"}
+        if step.done:
+            line["seconds_left"] = round(step.seconds_left(), 1)
+        self._emit(line)
+
+    def say(self, line: str) -> None:
+        super().say(line)
+        step = getattr(self, "_progress", None)
+        if step and step.done == step.total:
+            self._emit({"progress": self.RENDERING, "message": line})
+
+    def warn(self, line: str) -> None:
+        super().warn(line)
+        self._emit({"warning": line})
+
+    def end(self, result: dict[str, Any]) -> None:
+        self._emit({"progress": 1.0, "message": "complete", "seconds_left": 0.0})
+        self._emit({"result": result})
+
+    def fail(self, code: str, message: str, hint: str = "") -> None:
+        super().fail(code, message, hint)
+        self._emit({"error": {"code": code, "message": message, "hint": hint}})
 
 
 @contextmanager

@@ -12,7 +12,7 @@ import numpy as np
 from mathutils import Matrix
 
 from . import exr
-from .errors import RenderError
+from .errors import NotFiniteError, RenderError
 from .folder import temporary
 from .progress import quiet
 from .scenes.stage import Stage
@@ -31,7 +31,7 @@ class Renderer:
         data = bpy.data.cameras.new("physhdr camera")
         data.sensor_fit = "HORIZONTAL"
         data.angle = stage.cameras.angle_x
-        data.clip_start, data.clip_end = 0.01, 1000.0
+        data.clip_start, data.clip_end = stage.cameras.clip
         self.camera = bpy.data.objects.new("physhdr camera", data)
         stage.scene.collection.objects.link(self.camera)
         stage.scene.camera = self.camera
@@ -51,11 +51,22 @@ class Renderer:
         scene.render.filepath = str(pending.absolute())
         try:
             with quiet():
-                bpy.ops.render.render(write_still=True, scene=scene.name)
+                done = bpy.ops.render.render(
+                    write_still=True, scene=scene.name, layer=self.stage.view_layer.name
+                )
         except RuntimeError as error:
             raise RenderError(f"Blender could not render '{path}': {str(error).strip()}") from error
+        if "CANCELLED" in done:  # Blender took the CTRL-C for itself
+            raise KeyboardInterrupt
         if not pending.exists():
             raise RenderError(f"Blender wrote no picture for '{path}': is the disk full?")
-        image = exr.read(pending)
+        try:
+            image = exr.read(pending)
+        except NotFiniteError as error:
+            raise RenderError(
+                f"the render of '{path}' holds NaN or infinity",
+                "a material, a texture or a light of the scene gives values that are no numbers: mend it",
+            ) from error
+        pending.write_bytes(exr.without_times(pending.read_bytes()))  # the same seed, the same bytes
         os.replace(pending, path)
         return image

@@ -13,16 +13,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from .errors import OptionError, UnknownNameError
-from .scenes.stage import CameraHints
+from .scenes.stage import WORLD_UP, CameraHints
 
 GRID_ASPECT = 7 / 5  # columns over rows: 35 views are 5 × 7, as in HDR-NeRF's data
 
 
-def look_at(position: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Camera-to-world [4, 4] at ``position`` looking at ``target``, world Z upward in the picture."""
+PATH = "path"
+"""The rig of a user's scene that follows the camera's own animation (``user_camera.path``)."""
+
+
+def look_at(
+    position: np.ndarray, target: np.ndarray, up: tuple[float, float, float] = WORLD_UP
+) -> np.ndarray:
+    """Camera-to-world [4, 4] at ``position`` looking at ``target``, ``up`` upward in the picture."""
     back = position - target
     back = back / np.linalg.norm(back)
-    right = np.cross([0.0, 0.0, 1.0], back)
+    right = np.cross(up, back)
     right = right / np.linalg.norm(right)
     pose = np.eye(4)
     pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = right, np.cross(back, right), back, position
@@ -32,11 +38,12 @@ def look_at(position: np.ndarray, target: np.ndarray) -> np.ndarray:
 def grid(hints: CameraHints, u: float, v: float) -> np.ndarray:
     """A flat grid that faces the scene: u to the right, v downward."""
     centre, target = np.array(hints.centre), np.array(hints.target)
-    frame = look_at(centre, target)
-    right = np.cross([0.0, 0.0, 1.0], [frame[0, 2], frame[1, 2], 0.0])
+    up = np.array(hints.up)
+    back = look_at(centre, target, hints.up)[:3, 2]
+    right = np.cross(up, back - up * (back @ up))
     right /= np.linalg.norm(right)
-    offset = right * (u - 0.5) * hints.extent[0] + np.array([0.0, 0.0, 0.5 - v]) * hints.extent[1]
-    return look_at(centre + offset, target)
+    offset = right * (u - 0.5) * hints.extent[0] + up * (0.5 - v) * hints.extent[1]
+    return look_at(centre + offset, target, hints.up)
 
 
 def hemisphere(hints: CameraHints, u: float, v: float) -> np.ndarray:
@@ -92,10 +99,12 @@ def poses(name: str, hints: CameraHints, views: int, lit_views: int) -> RigPoses
     place = RIGS[name]
     rows = 1 if name == "orbit" else max(1, round(math.sqrt(views / GRID_ASPECT)))
     columns = math.ceil(views / rows)
+    # A full circle's last column would be its first again.
+    steps = columns if name != "grid" and hints.orbit_arc > 2 * math.pi - 1e-6 else columns - 1
     train, test = [], []
     for index in range(views):
         row, column = divmod(index, columns)
-        u = column / (columns - 1) if columns > 1 else 0.5
+        u = column / steps if columns > 1 else 0.5
         v = row / (rows - 1) if rows > 1 else 0.5
         (train if (row + column) % 2 == 0 else test).append(place(hints, u, v))
     lit = [place(hints, *_spread(index)) for index in range(lit_views)]

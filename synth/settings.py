@@ -9,6 +9,7 @@ from typing import Any
 
 import bpy
 
+from .errors import DeviceError
 from .progress import quiet
 
 WORKING_SPACE = "Linear Rec.709"
@@ -17,8 +18,14 @@ WORKING_SPACE_PATH = "bpy.data.colorspace.working_space"
 _STAMPS = ("date", "time", "render_time", "frame", "camera", "scene", "filename", "memory", "hostname")
 
 
-def ground_truth(resolution: tuple[int, int], samples: int, denoise: bool) -> list[tuple[str, Any]]:
-    """(RNA path under the scene, value) in the order to set them."""
+def ground_truth(
+    resolution: tuple[int, int], samples: int, denoise: bool, device: str = "CPU", users: bool = False
+) -> list[tuple[str, Any]]:
+    """(RNA path under the scene, value) in the order to set them.
+
+    ``users``: a scene of the user's. It keeps its light paths, its view transform and its colour working
+    space; the pictures are converted to Linear Rec.709 as they are written.
+    """
     return [
         ("render.engine", "CYCLES"),
         ("render.resolution_x", resolution[0]),
@@ -44,14 +51,8 @@ def ground_truth(resolution: tuple[int, int], samples: int, denoise: bool) -> li
         ("render.image_settings.color_mode", "RGB"),
         ("render.image_settings.color_depth", "32"),
         ("render.image_settings.exr_codec", "ZIP"),
-        ("render.image_settings.color_management", "FOLLOW_SCENE"),
-        ("view_settings.view_transform", "Standard"),
-        ("view_settings.look", "None"),
-        ("view_settings.exposure", 0.0),
-        ("view_settings.gamma", 1.0),
-        ("view_settings.use_curve_mapping", False),
-        ("view_settings.use_white_balance", False),
-        ("cycles.device", "CPU"),
+        *(_USERS if users else _FOLLOW_SCENE),
+        ("cycles.device", device),
         ("cycles.samples", samples),
         ("cycles.time_limit", 0.0),
         ("cycles.use_adaptive_sampling", False),
@@ -59,33 +60,66 @@ def ground_truth(resolution: tuple[int, int], samples: int, denoise: bool) -> li
         ("cycles.scrambling_distance", 1.0),
         ("cycles.auto_scrambling_distance", False),
         ("cycles.use_animated_seed", False),
-        # Five lights: measured, the tree costs 40 % more time for no less noise.
-        ("cycles.use_light_tree", False),
-        ("cycles.light_sampling_threshold", 0.0),
-        ("cycles.direct_light_sampling_type", "MULTIPLE_IMPORTANCE_SAMPLING"),
+        # Path guiding learns while it renders, by which thread comes first.
         ("cycles.use_guiding", False),
+        # Clamping and the approximation of ambient light are not linear in the light, and not the truth.
         ("cycles.use_fast_gi", False),
         ("cycles.sample_clamp_direct", 0.0),
         ("cycles.sample_clamp_indirect", 0.0),
-        ("cycles.max_bounces", 6),
-        ("cycles.diffuse_bounces", 4),
-        ("cycles.glossy_bounces", 3),
-        ("cycles.transmission_bounces", 4),
-        ("cycles.transparent_max_bounces", 8),
-        ("cycles.caustics_reflective", False),
-        ("cycles.caustics_refractive", False),
-        ("cycles.blur_glossy", 1.0),
+        *(() if users else _LIGHT_PATHS),
         ("cycles.film_exposure", 1.0),
         ("cycles.pixel_filter_type", "BLACKMAN_HARRIS"),
         ("cycles.filter_width", 1.5),
         ("cycles.use_denoising", denoise),
-        ("cycles.denoiser", "OPENIMAGEDENOISE"),
-        ("cycles.denoising_input_passes", "RGB_ALBEDO_NORMAL"),
-        # Measured: "ACCURATE" costs a third of a second a frame and gains 0.2 dB.
-        ("cycles.denoising_prefilter", "FAST"),
-        ("cycles.denoising_quality", "HIGH"),
-        ("cycles.denoising_use_gpu", False),
+        *(_DENOISER if denoise else ()),
     ]
+
+
+_FOLLOW_SCENE = (
+    ("render.image_settings.color_management", "FOLLOW_SCENE"),
+    ("view_settings.view_transform", "Standard"),
+    ("view_settings.look", "None"),
+    ("view_settings.exposure", 0.0),
+    ("view_settings.gamma", 1.0),
+    ("view_settings.use_curve_mapping", False),
+    ("view_settings.use_white_balance", False),
+)
+
+_LIGHT_PATHS = (
+    # Five lights: measured, the tree costs 40 % more time for no less noise.
+    ("cycles.use_light_tree", False),
+    ("cycles.light_sampling_threshold", 0.0),
+    ("cycles.direct_light_sampling_type", "MULTIPLE_IMPORTANCE_SAMPLING"),
+    ("cycles.max_bounces", 6),
+    ("cycles.diffuse_bounces", 4),
+    ("cycles.glossy_bounces", 3),
+    ("cycles.transmission_bounces", 4),
+    ("cycles.transparent_max_bounces", 8),
+    ("cycles.caustics_reflective", False),
+    ("cycles.caustics_refractive", False),
+    ("cycles.blur_glossy", 1.0),
+)
+
+_DENOISER = (
+    ("cycles.denoiser", "OPENIMAGEDENOISE"),
+    ("cycles.denoising_input_passes", "RGB_ALBEDO_NORMAL"),
+    # Measured: "ACCURATE" costs a third of a second a frame and gains 0.2 dB.
+    ("cycles.denoising_prefilter", "FAST"),
+    ("cycles.denoising_quality", "HIGH"),
+    ("cycles.denoising_use_gpu", False),
+)
+
+_USERS = (
+    ("render.image_settings.color_management", "OVERRIDE"),
+    ("render.image_settings.linear_colorspace_settings.name", WORKING_SPACE),
+    ("render.use_crop_to_border", False),
+    ("render.use_freestyle", False),
+    ("render.use_multiview", False),
+    # What is culled depends on the camera: the views would not show one and the same scene.
+    ("cycles.use_camera_cull", False),
+    ("cycles.use_distance_cull", False),
+    ("cycles.use_sample_subset", False),
+)
 
 
 def _owner(scene: bpy.types.Scene, path: str) -> tuple[Any, str]:
@@ -99,15 +133,29 @@ def _set_working_space(name: str) -> None:
 
 
 @contextmanager
-def applied(scene: bpy.types.Scene, settings: list[tuple[str, Any]]) -> Iterator[dict[str, Any]]:
-    """Set everything, yield the record {RNA path: value as Blender keeps it}; put all back, also on error."""
+def applied(
+    scene: bpy.types.Scene, settings: list[tuple[str, Any]], working_space: str | None = WORKING_SPACE
+) -> Iterator[dict[str, Any]]:
+    """Set everything, yield the record {RNA path: value as Blender keeps it}; put all back, also on error.
+
+    ``working_space``: ``None`` leaves the file's, in which its colours are given.
+
+    Raises:
+        DeviceError: this Blender has no denoiser.
+    """
     former_space = bpy.data.colorspace.working_space
     # All are read before the first is set: a file format changes the depth by itself.
     with quiet():  # asking for the denoiser makes Cycles look for GPUs and say so
         former = [(path, scene.path_resolve(path)) for path, _ in settings]
+        if ("cycles.use_denoising", True) in settings and not scene.cycles.denoiser:
+            raise DeviceError(
+                "this Blender was built without the denoiser OpenImageDenoise",
+                "use --no-denoise with more --samples, or a Blender from blender.org",
+            )
     try:
         with quiet():
-            _set_working_space(WORKING_SPACE)
+            if working_space:
+                _set_working_space(working_space)
             for path, value in settings:
                 owner, attribute = _owner(scene, path)
                 setattr(owner, attribute, value)
@@ -115,9 +163,12 @@ def applied(scene: bpy.types.Scene, settings: list[tuple[str, Any]]) -> Iterator
         for path, _ in settings:
             owner, attribute = _owner(scene, path)
             record[f"scene.{path}"] = getattr(owner, attribute)
+        for path, _ in _LIGHT_PATHS:  # where they are the user's own, they are told all the same
+            record[f"scene.{path}"] = scene.path_resolve(path)
         yield record
     finally:
         for path, value in former:  # forward again: the format decides which depths there are
             owner, attribute = _owner(scene, path)
             setattr(owner, attribute, value)
-        _set_working_space(former_space)
+        if working_space:
+            _set_working_space(former_space)

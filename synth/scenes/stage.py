@@ -4,9 +4,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import bpy
+
+if TYPE_CHECKING:
+    from ..rig import RigPoses
+
+WORLD_UP = (0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,6 +31,10 @@ class CameraHints:
     """Azimuth range of the orbit and hemisphere rigs, centred on the direction target → centre."""
     elevation: tuple[float, float]
     """Elevation range of the hemisphere rig; the orbit rig uses its middle."""
+    up: tuple[float, float, float] = WORLD_UP
+    """Upward in the grid rig's pictures: not the world's where the camera looks straight down."""
+    clip: tuple[float, float] = (0.01, 1000.0)
+    """Nothing nearer or farther than this is seen."""
 
 
 @dataclass(frozen=True)
@@ -45,12 +54,25 @@ class LightKnob:
 
 @dataclass(frozen=True, kw_only=True)
 class Stage:
-    """A built scene. Light is in two groups: ambient (sky, sun, fill) and lamps."""
+    """A built or opened scene. Light is in two groups: ambient (sky, sun, fill) and lamps."""
 
     scene: bpy.types.Scene
     cameras: CameraHints
     ambient: list[LightKnob] = field(default_factory=list)
     lamps: list[LightKnob] = field(default_factory=list)
+    """The lamps of a built scene; a user's lamps stay as they are and need no knob."""
+    layer: bpy.types.ViewLayer | None = None
+    """What is rendered and what rays are cast in; the scene's first view layer if ``None``."""
+    poses: RigPoses | None = None
+    """Cameras that no rig of hints gives: those of the user's own animation."""
+    source: dict[str, Any] = field(default_factory=dict)
+    """Where a user's scene came from, for dataset.json."""
+    fingerprint: str = ""
+    """Of a user's scene: another value means that the scene has changed."""
+
+    @property
+    def view_layer(self) -> bpy.types.ViewLayer:
+        return self.layer or self.scene.view_layers[0]
 
     def set_ambient(self, level: float) -> None:
         """Multiply sky, sun and fill by ``level``; lamps stay. Light transport is linear in it."""
@@ -58,6 +80,6 @@ class Stage:
             knob.set(level)
 
     def set_lamps(self, level: float) -> None:
-        """Multiply the lamps by ``level``; the ambient light stays."""
+        """Multiply the lamps of a built scene by ``level``; the ambient light stays."""
         for knob in self.lamps:
             knob.set(level)
