@@ -8,7 +8,7 @@ PYTHON ?= python3
 WITH_TORCH := $(if $(wildcard $(BACKEND)),$(BACKEND),$(PYTHON))
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test benchmark gpu-check extension lint clean
+.PHONY: help setup demo test benchmark gpu-check gui-test extension lint clean
 
 help: ## Show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -27,6 +27,9 @@ benchmark: setup ## Speed of the kernels against their alternatives, in one run
 
 gpu-check: ## Is the CUDA path right, and how fast? Says so and ends where there is no card
 	@$(WITH_TORCH) tools/gpu_check.py
+
+gui-test: setup ## The extension in a real Blender window; says so and ends where there can be none
+	@$(BACKEND) tools/gui_test.py
 
 extension: setup ## Validate and build the Blender extension: dist/physhdr-*.zip
 	@$(BACKEND) tools/build_extension.py

@@ -8,7 +8,16 @@ each other, and has a ``register`` and an ``unregister`` of its own.
 from importlib import import_module
 from types import ModuleType
 
-_MODULES = ("model_import",)
+_MODULES = (
+    "settings",
+    "model_import",
+    "operators.backend",
+    "operators.training",
+    "viewport",
+    "plot",
+    "runtime",
+    "panel",
+)
 
 
 def _modules() -> list[ModuleType]:

@@ -3,13 +3,15 @@
 
 import bpy
 
-from . import paths, settings
+from . import paths, plot, settings
 from .session.session import Session
+from .viewport.live import LivePreview
 
 #: Seconds between looks at what has happened: while pictures come, while something is under way, else.
 PICTURES, BUSY, QUIET = 0.015, 0.1, 1.0
 
 _session: Session | None = None
+_live = LivePreview()
 
 
 def session() -> Session:
@@ -35,8 +37,13 @@ def redraw() -> None:
 
 def _tick() -> float:
     current = session()
+    before = current.state.history
     if current.pump():
         redraw()
+    if current.state.history is not before:
+        plot.update(current.state.history)
+    if _live.tick(current):
+        return PICTURES
     return BUSY if current.busy else QUIET
 
 
@@ -49,6 +56,7 @@ def unregister() -> None:
     global _session
     if bpy.app.timers.is_registered(_tick):
         bpy.app.timers.unregister(_tick)
+    _live.clear()
     if _session is not None:
         _session.close()
         _session = None

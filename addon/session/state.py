@@ -110,7 +110,8 @@ class State:
     @property
     def active(self) -> bool:
         """Whether a training is under way, or halted with its process holding it."""
-        return self.job.state in ("preparing", "training", "paused", "stopping")
+        # A backend that loads its libraries is "preparing" as well, for no run.
+        return bool(self.job.run) and self.job.state in ("preparing", "training", "paused", "stopping")
 
 
 # ---- what may happen ---------------------------------------------------------------------------------------

@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Drives a real Blender window: a test is a generator that yields how many seconds to let Blender live.
+
+Run by tools/gui_test.py, inside Blender: ``blender -P tests/gui/panel.py -- --out FOLDER …``. Screenshots are
+of the X server's root window (ImageMagick's ``import``): Blender's own come out black under Xvfb.
+"""
+
+import argparse
+import importlib
+import subprocess
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import bpy
+
+#: Before the first redraw panels cannot be chosen.
+SETTLE_SECONDS = 1.5
+EXTENSION = "bl_ext.user_default.physhdr"
+
+
+def arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--out", type=Path, required=True, help="where screenshots go")
+    parser.add_argument("--zip", type=Path, required=True, help="the extension")
+    parser.add_argument("--python", type=Path, required=True, help="a Python with torch")
+    parser.add_argument("--data", type=Path, required=True, help="a data set")
+    parser.add_argument("--model", type=Path, required=True, help="a trained model file")
+    return parser.parse_args(sys.argv[sys.argv.index("--") + 1 :])
+
+
+class Window:
+    """What a test sees and does."""
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        self.options = options
+
+    @property
+    def area(self) -> bpy.types.Area:
+        """The largest 3D view."""
+        areas = [
+            area for area in bpy.context.window_manager.windows[0].screen.areas if area.type == "VIEW_3D"
+        ]
+        return max(areas, key=lambda area: area.width * area.height)
+
+    @property
+    def region(self) -> bpy.types.Region:
+        return next(region for region in self.area.regions if region.type == "WINDOW")
+
+    def override(self) -> "bpy.types.ContextTempOverride":
+        """The context of the 3D view, for operators that want one."""
+        window = bpy.context.window_manager.windows[0]
+        return bpy.context.temp_override(window=window, area=self.area, region=self.region)
+
+    def module(self, name: str):
+        """A module of the installed extension."""
+        return importlib.import_module(f"{EXTENSION}.{name}")
+
+    def screenshot(self, name: str) -> Path:
+        path = self.options.out / f"{name}.png"
+        subprocess.run(["import", "-window", "root", str(path)], check=True)
+        return path
+
+    def install(self) -> None:
+        """Install the zip as a user does."""
+        bpy.ops.extensions.package_install_files(
+            filepath=str(self.options.zip), repo="user_default", enable_on_install=True
+        )
+
+    def full_screen(self) -> None:
+        """Nothing but the 3D view, with its sidebar."""
+        with self.override():
+            bpy.ops.screen.screen_full_area(use_hide_panels=False)
+        space = self.area.spaces.active
+        space.show_region_ui = True
+        space.show_region_toolbar = False
+
+    def show_tab(self, name: str = "PhysHDR") -> None:
+        next(region for region in self.area.regions if region.type == "UI").active_panel_category = name
+
+    def until(self, done: Callable[[], bool], seconds: float, what: str) -> Iterator[float]:
+        """``yield from window.until(…)``: let Blender live until ``done``; fails after ``seconds``."""
+        end = time.monotonic() + seconds
+        while not done():
+            if time.monotonic() > end:
+                raise TimeoutError(f"not {what} within {seconds:g} s")
+            yield 0.05
+
+
+def drive(test: Callable[[Window], Iterator[float]]) -> None:
+    """Run a test in this Blender and quit; ``OUT/result.txt`` then says ``passed`` or has the traceback."""
+    options = arguments()
+    options.out.mkdir(parents=True, exist_ok=True)
+    result = options.out / "result.txt"
+    result.write_text("did not end\n")
+    bpy.context.preferences.view.show_splash = False
+    steps = test(Window(options))
+
+    def step() -> float | None:
+        try:
+            return next(steps)
+        except StopIteration:
+            result.write_text("passed\n")
+        except BaseException:  # noqa: BLE001 (it is told, and the window must not stay open)
+            result.write_text(traceback.format_exc())
+            subprocess.run(["import", "-window", "root", str(options.out / "failed.png")], check=False)
+        bpy.ops.wm.quit_blender()
+        return None
+
+    bpy.app.timers.register(step, first_interval=SETTLE_SECONDS, persistent=True)

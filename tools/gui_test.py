@@ -1,0 +1,126 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The extension in a real Blender window: Debian sid's Blender under Xvfb. Skips, with the reason, elsewhere.
+
+    make gui-test                    all of tests/gui; screenshots in runs/gui
+    python tools/gui_test.py panel   one of them
+
+Blender comes from Debian sid (shared/blender.md): debootstrap makes a root folder of 1.7 GB, once, in
+PHYSHDR_BLENDER_ROOT (default: /var/cache/physhdr/blender). Mounts are made in a namespace of their own and
+are gone with it.
+"""
+
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+CHROOT = Path(os.environ.get("PHYSHDR_BLENDER_ROOT", "/var/cache/physhdr/blender"))
+OUT = ROOT / "runs" / "gui"
+PYTHON = ROOT / ".venvs" / "backend" / "bin" / "python"
+MIRROR = "http://deb.debian.org/debian"
+PACKAGES = (
+    "blender xvfb xauth xdotool libgl1-mesa-dri libegl1 libgl1 x11-utils imagemagick "
+    "python3-numpy python3-requests python3-cattr python3-zstandard"
+)
+SCREEN = "-screen 0 1280x800x24 +extension GLX"
+#: Seconds for one test; software rendering on two cores is slow.
+PATIENCE = 900
+
+
+class Skip(Exception):  # noqa: N818 (not an error)
+    """Why there can be no window here."""
+
+
+def make_blender() -> None:
+    """Debian sid with Blender in ``CHROOT``, unless it is there."""
+    if os.name != "posix" or os.geteuid() != 0:
+        raise Skip("a chroot needs root")
+    for program in ("debootstrap", "unshare"):
+        if shutil.which(program) is None:
+            raise Skip(f"there is no {program} (apt-get install debootstrap util-linux)")
+    if (CHROOT / "usr" / "bin" / "xdotool").exists() and (CHROOT / "usr" / "bin" / "blender").exists():
+        return
+    print(f"installing Debian sid's Blender in {CHROOT}: 2 to 4 minutes, once", flush=True)
+    CHROOT.mkdir(parents=True, exist_ok=True)
+    log = ROOT / "runs" / "gui" / "install.log"
+    log.parent.mkdir(parents=True, exist_ok=True)
+    with open(log, "w") as output:
+        made = (CHROOT / "usr" / "bin" / "apt-get").exists() or not subprocess.call(
+            ["debootstrap", "--variant=minbase", "sid", str(CHROOT), MIRROR], stdout=output, stderr=output
+        )
+        install = f"apt-get update && apt-get install -y --no-install-recommends {PACKAGES}"
+        if not made or enter(install, [], output):
+            raise Skip(f"Debian sid's Blender could not be installed; see {log}")
+
+
+def enter(command: str, folders: list[Path], output=None) -> int:
+    """Run a shell command inside, with ``folders`` at the same places; returns its status."""
+    mounts = [f"mount --rbind /{name} {CHROOT}/{name}" for name in ("proc", "dev", "sys")]
+    for folder in folders:
+        inside = shlex.quote(f"{CHROOT}{folder}")
+        mounts.append(f"mkdir -p {inside} && mount --bind {shlex.quote(str(folder))} {inside}")
+    script = " && ".join([*mounts, f"exec chroot {CHROOT} /bin/sh -c {shlex.quote(command)}"])
+    unshare = ["unshare", "--mount", "--propagation", "private", "/bin/sh", "-c", script]
+    return subprocess.call(unshare, stdout=output, stderr=output)
+
+
+def materials() -> dict[str, Path]:
+    """What the tests use: the extension, a Python with torch, a data set and a trained model."""
+    if subprocess.call([str(PYTHON), str(ROOT / "tools" / "build_extension.py")]):
+        raise SystemExit(1)
+    data, run = ROOT / "data" / "demo", ROOT / "runs" / "demo"
+    if not (run / "model.safetensors").exists() or not (data / "dataset.json").exists():
+        raise Skip("there are no demo data and run; make demo makes them")
+    newest = max((ROOT / "dist").glob("physhdr-*.zip"), key=lambda path: path.stat().st_mtime)
+    return {"zip": newest, "python": PYTHON, "data": data, "model": run / "model.safetensors"}
+
+
+def run_test(script: Path, options: dict[str, Path]) -> bool:
+    out = OUT / script.stem
+    shutil.rmtree(out, ignore_errors=True)
+    out.mkdir(parents=True)
+    arguments = " ".join(f"--{name} {shlex.quote(str(path))}" for name, path in options.items())
+    # A home of its own: neither the user's preferences nor an earlier test's.
+    variables = f"BLENDER_USER_RESOURCES={out}/blender HOME={out} LIBGL_ALWAYS_SOFTWARE=1"
+    blender = (
+        f"blender --factory-startup --window-geometry 0 0 1280 800 -P {script} -- --out {out} {arguments}"
+    )
+    command = f"{variables} timeout {PATIENCE} xvfb-run -a -s {shlex.quote(SCREEN)}"
+    command += f" {blender} -- --out {out} {arguments}"
+    base = subprocess.check_output([str(PYTHON), "-c", "import sys; print(sys.base_prefix)"], text=True)
+    begun = time.perf_counter()
+    with open(out / "blender.log", "w") as log:
+        enter(command, [ROOT, Path(base.strip())], log)
+    result = out / "result.txt"
+    told = result.read_text().strip() if result.exists() else "Blender did not start the test"
+    seconds = time.perf_counter() - begun
+    print(f"{script.stem}: {told if told == 'passed' else 'FAILED'} in {seconds:.0f} s; pictures in {out}")
+    if told != "passed":
+        print(f"{told}\n  Blender's log is {out / 'blender.log'}")
+    return told == "passed"
+
+
+def main() -> int:
+    try:
+        make_blender()
+        options = materials()
+    except Skip as reason:
+        print(f"gui-test skipped: {reason}")
+        return 0
+    names = sys.argv[1:]
+    scripts = sorted((ROOT / "tests" / "gui").glob("*.py"))
+    scripts = [path for path in scripts if path.stem not in ("driver", "__init__")]
+    chosen = [path for path in scripts if not names or path.stem in names]
+    if not chosen:
+        print(f"error: there is no GUI test {names}\n  Choose from: {', '.join(p.stem for p in scripts)}")
+        return 1
+    return 0 if all([run_test(path, options) for path in chosen]) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
