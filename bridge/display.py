@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from .errors import BadValueError
 from .model_file import Model
 from .spherical_harmonics import (
     C0,
@@ -24,6 +25,9 @@ from .spherical_harmonics import (
 
 ColorSpace = Literal["SRGB", "LINEAR"]
 Tone = Literal["LEARNED", "SRGB"]
+
+#: What a baked PLY's header says of each.
+TONE_WORDS: dict[Tone, str] = {"LEARNED": "the learned response", "SRGB": "the sRGB curve"}
 
 #: The sRGB transfer function (IEC 61966-2-1): slope and end of its straight piece, and its power piece.
 SRGB_SLOPE = 12.92
@@ -95,10 +99,16 @@ def display_colour_sh(
     """``[N, K, 3]``: SH of the display colour (colour = Σ sh·Y + ½) of the model's look.
 
     ``exposure``: seconds (2^EV); ``level``: the lighting level, limited to a baked-levels model's range;
-    ``tone``: the model's learned response, or the plain sRGB curve, which goes on above 1 (also where a model
-    has no response). ``to_world`` ``[3, 3]``: the linear part of the object's matrix, where the colours are
-    wanted in world space: ω in the world is seen from along ``to_world⁻¹ ω``.
+    ``tone``: the model's learned response, or the plain sRGB curve, which goes on above 1, as 3DGS's colours
+    may. ``to_world`` ``[3, 3]``: the linear part of the object's matrix, where the colours are wanted in
+    world space: ω in the world is seen from along ``to_world⁻¹ ω``. Raises ``BadValueError`` where a model
+    has no response.
     """
+    log_exposure, curve = model.tone_curve_log_exposure, model.tone_curve
+    if tone == "LEARNED" and (curve is None or log_exposure is None):
+        raise BadValueError(
+            "the model has no learned tone mapper", "Bake it with the sRGB curve (tone='SRGB')."
+        )
     degree = model.sh_degree
     directions = fibonacci_sphere(FIT_DIRECTIONS)
     project = np.linalg.pinv(basis(directions, degree))
@@ -108,16 +118,21 @@ def display_colour_sh(
     # The level's gain and the exposure do not depend on the direction: they go into the constant term.
     sh = np.array(model.log_radiance_sh, np.float32)
     sh[:, 0] += (model.log_gain(level) + np.log(exposure)).astype(np.float32) / np.float32(C0)
-    log_exposure, curve = model.tone_curve_log_exposure, model.tone_curve
 
     def learned(log_exposed: np.ndarray) -> np.ndarray:
         assert log_exposure is not None and curve is not None
-        colours = [np.interp(log_exposed[:, c], log_exposure, curve[:, c]) - 0.5 for c in range(3)]
-        return np.stack(colours, axis=1).astype(np.float32)
+        for c in range(3):
+            log_exposed[..., c, :] = np.interp(log_exposed[..., c, :], log_exposure, curve[:, c]) - 0.5
+        return log_exposed
 
     def srgb(log_exposed: np.ndarray) -> np.ndarray:
         return (to_srgb(exponential(log_exposed)) - 0.5).astype(np.float32)
 
-    has_curve = curve is not None and log_exposure is not None
-    function = learned if tone == "LEARNED" and has_curve else srgb
+    function = learned if tone == "LEARNED" else srgb
     return refit(sh, function, basis(directions, degree), project)
+
+
+def look_comment(exposure_ev: float, level: float, tone: Tone) -> str:
+    """The header's line about the look that was baked."""
+    look = f"EV {exposure_ev:g}, lighting level {level:g}"
+    return f"display-referred colour through {TONE_WORDS[tone]}, baked at {look}"

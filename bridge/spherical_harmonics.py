@@ -7,7 +7,9 @@ orthonormal on the sphere. Coefficients are ordered by degree, then by order −
 """
 
 import math
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
@@ -39,8 +41,11 @@ LOG_LIMIT = 80.0
 #: no polynomial: these keep the worst of 2000 random Gaussians (sh ~ 0.35, twice what trained ones have)
 #: below 1e-8, 1e-5 and 1e-3 of the mean radiance; what a degree leaves out of exp(f) is far more.
 _FIT_NODES = (1, 5, 8, 8)
-#: Gaussians at a time in ``refit``: keeps its buffers near the size of the CPU's cache.
-_CHUNK = 768
+#: In ``refit`` one product takes so many Gaussians: above 2¹⁸ multiplications OpenBLAS starts threads, which
+#: spin, and where other processes want the cores a product then takes four times as long.
+_GROUP = 32
+#: So many groups are worked on at a time: the buffers stay near the size of a CPU's cache.
+_GROUPS = 24
 #: Evenly spread directions at which a baked colour is fitted.
 FIT_DIRECTIONS = 64
 
@@ -115,19 +120,29 @@ def refit(
     """SH coefficients ``[N, K, 3]`` (float32) of ``function`` of what ``sh`` ``[N, K, 3]`` describes.
 
     ``evaluate`` ``[Q, K]``: the basis at Q directions; ``project`` ``[K, Q]``: from values there back to
-    coefficients (a quadrature or a pseudo-inverse). ``function`` gets ``[Q, 3, n]`` float32 values, which it
-    may overwrite, and gives as many. The result is a view of ``[K, N, 3]``: ``result[:, k]`` is contiguous.
+    coefficients (a quadrature or a pseudo-inverse). ``function`` gets ``[…, 3, n]`` float32 values, which it
+    may overwrite, and gives as many; threads call it. The result is a view of ``[K, N, 3]``:
+    ``result[:, k]`` is contiguous.
     """
     evaluate, project = (np.ascontiguousarray(matrix, np.float32) for matrix in (evaluate, project))
     (directions, coefficients), count = evaluate.shape, len(sh)
     fitted = np.empty((len(project), count, 3), np.float32)
-    for start in range(0, count, _CHUNK):
-        # One large product instead of one for each Gaussian: four times as fast.
-        chunk = np.ascontiguousarray(sh[start : start + _CHUNK].transpose(1, 2, 0), np.float32)
-        size = chunk.shape[2]
-        values = (evaluate @ chunk.reshape(coefficients, 3 * size)).reshape(directions, 3, size)
-        back = project @ function(values).reshape(directions, 3 * size)
-        fitted[:, start : start + size] = back.reshape(-1, 3, size).transpose(0, 2, 1)
+
+    def work(start: int) -> None:
+        chunk = sh[start : start + _GROUPS * _GROUP]
+        groups = -(-len(chunk) // _GROUP)
+        padded = np.zeros((groups * _GROUP, coefficients, 3), np.float32)
+        padded[: len(chunk)] = chunk
+        # [groups, K, 3 · _GROUP]: one product for many Gaussians.
+        columns = padded.reshape(groups, _GROUP, coefficients, 3).transpose(0, 2, 3, 1)
+        values = evaluate @ columns.reshape(groups, coefficients, 3 * _GROUP)
+        values = function(values.reshape(groups, directions, 3, _GROUP))
+        back = project @ values.reshape(groups, directions, 3 * _GROUP)
+        back = back.reshape(groups, len(project), 3, _GROUP).transpose(1, 0, 3, 2)
+        fitted[:, start : start + len(chunk)] = back.reshape(len(project), -1, 3)[:, : len(chunk)]
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        list(pool.map(work, range(0, count, _GROUPS * _GROUP)))  # a list: an error comes back here
     return fitted.transpose(1, 0, 2)
 
 

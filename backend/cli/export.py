@@ -5,15 +5,13 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import tyro
 
-from ...bridge.display import display_colour_sh
+from ...bridge.display import display_colour_sh, look_comment
 from ...bridge.errors import BadValueError
 from ...bridge.gaussian_ply import standard_columns, write_lossless_ply, write_standard_ply
 from ...bridge.model_file import write_model
 from ..export.baked import network_comments, parameter_columns
-from ..export.blender_model import to_model
 from .progress import console
 from .run_folder import open_run, writable_folder
 
@@ -44,14 +42,7 @@ class Export:
         run = open_run(self.folder, self.data)
         out = writable_folder(self.out or self.folder)
         method, gaussians = run.method, run.method.gaussians
-        provenance = {
-            "scene": run.scene.name,
-            "method": f"physhdr, preset {run.preset}",
-            "iteration": str(run.iteration),
-        }
-        viewpoint = np.mean([view.camera.position for view in run.scene.train], axis=0)
-        exposures = run.scene.train[0].exposures
-        model = to_model(method, viewpoint, exposures, provenance)
+        model = run.model()
         write_model(out / MODEL_FILE, model)
         console.print(f"wrote {out / MODEL_FILE}: {len(gaussians)} Gaussians, for Blender")
 
@@ -63,8 +54,8 @@ class Export:
             "opacities": model.opacity,
             "colour_sh": display_colour_sh(model, 2.0**self.exposure_ev, self.lighting_level),
         }
-        comments = [f"PhysHDR {key}: {value}" for key, value in provenance.items()]
-        comments.append(f"display-referred colour through the learned response, baked at {look}")
+        comments = [f"PhysHDR {key}: {value}" for key, value in run.provenance.items()]
+        comments.append(look_comment(self.exposure_ev, self.lighting_level, "LEARNED"))
         write_standard_ply(out / "baked.ply", **standard, comments=comments)
         console.print(f"wrote {out / 'baked.ply'}: for any 3DGS viewer, baked at {look}")
 

@@ -91,7 +91,7 @@ def test_baked_again_it_is_the_file(tmp_path: Path):
     given["colour_sh"][:, 0] = np.abs(given["colour_sh"][:, 0])  # bright enough to be above the floor
     write_standard_ply(tmp_path / "a.ply", **given)
     model = read_ply_model(tmp_path / "a.ply").model
-    baked = display.display_colour_sh(model)
+    baked = display.display_colour_sh(model, tone="SRGB")
     np.testing.assert_allclose(baked, given["colour_sh"], atol=0.03)
     assert np.sqrt(np.mean(np.square(baked - given["colour_sh"]))) < 0.003
 
@@ -227,15 +227,20 @@ def hdr_model(count: int = 50, degree: int = 1, curve: bool = True) -> Model:
     )
 
 
-@pytest.mark.parametrize(("tone", "curve"), [("LEARNED", True), ("SRGB", True), ("LEARNED", False)])
-def test_baked_colour_is_the_look_in_every_direction(tone, curve):
-    model = hdr_model(curve=curve)
+def test_without_a_response_there_is_none_to_bake():
+    with pytest.raises(BadValueError, match=r"no learned tone mapper[\s\S]*SRGB"):
+        display.display_colour_sh(hdr_model(curve=False))
+
+
+@pytest.mark.parametrize("tone", ["LEARNED", "SRGB"])
+def test_baked_colour_is_the_look_in_every_direction(tone):
+    model = hdr_model()
     exposure, level = 4.0, 0.5
     sh = display.display_colour_sh(model, exposure, level, tone)
     errors = []
     for direction in random_directions(40):
         radiance = exposure * model.radiance(np.broadcast_to(direction, (50, 3)), level)
-        if tone == "LEARNED" and curve:
+        if tone == "LEARNED":
             expected = 1.0 / (1.0 + np.exp(-np.log(radiance) * [0.8, 1.0, 1.2] - 0.2))
         else:
             expected = display.to_srgb(radiance)
