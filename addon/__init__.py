@@ -11,6 +11,7 @@ from types import ModuleType
 _MODULES = (
     "settings",
     "model_import",
+    "bake",
     "operators.backend",
     "operators.training",
     "viewport",

@@ -2,8 +2,9 @@
 """Geometry nodes that light and draw the Gaussians, built by code, with no backend running.
 
 For each point: ω, the direction from the active camera in the object's space; radiance at level 1,
-exp(Σ_k sh_k Y_k(ω)); relit by *Lighting level*, times 2^*Exposure (EV)*. Then each point becomes an
-instance of a proxy mesh that ``material`` shades:
+exp(Σ_k sh_k Y_k(ω)); relit by *Lighting level*, times 2^*Exposure (EV)*; with *Learned tone mapper*, the
+scene-linear value that the *Standard* view shows as the learned response's code. Then each point becomes
+an instance of a proxy mesh that ``material`` shades:
 
 * an ellipsoid, right from any direction and in reflections, or
 * with *Camera splats*, a card at the centre's depth that faces the active camera and carries the
@@ -12,12 +13,16 @@ instance of a proxy mesh that ``material`` shades:
   camera's picture is the trainer's own.
 """
 
+import hashlib
 import itertools
+import math
 from dataclasses import dataclass
 from typing import Any
 
 import bpy
+import numpy as np
 
+from ..bridge.display import SRGB_CODE_KNEE, SRGB_OFFSET, SRGB_POWER, SRGB_SLOPE
 from ..bridge.model_file import Model
 from ..bridge.spherical_harmonics import C0, C1, C2, C3, coefficient_count
 from .material import ALPHA_MIN, RADIANCE_ATTRIBUTE, splat_material
@@ -27,6 +32,7 @@ MODIFIER_NAME = "PhysHDR"
 
 EXPOSURE = "Exposure (EV)"
 LIGHTING_LEVEL = "Lighting level"
+TONE_MAPPER = "Learned tone mapper"
 VIEW_DEPENDENT = "View dependent"
 CAMERA_SPLATS = "Camera splats"
 IMAGE_WIDTH = "Image width"
@@ -41,16 +47,47 @@ NEAR_PLANE = 0.01
 #: An icosahedron of this radius encloses the unit sphere (1 / 0.7947, its insphere's radius).
 ICOSPHERE_RADIUS = 1.26
 
+#: Blender evaluates a curve of a node by linear interpolation in a table of so many steps.
+CURVE_STEPS = 256
+
 #: Custom property that marks our trees: what they were built for, and the version of this recipe.
-_MARK = "physhdr_tree"
-_RECIPE = 1
+MARK = "physhdr_tree"
+_RECIPE = 2
+
+
+@dataclass(frozen=True, eq=False)
+class ToneCurve:
+    """A learned response: LDR values ``[M, 3]`` at rising ln(exposure × radiance) ``[M]``."""
+
+    log_exposure: np.ndarray
+    values: np.ndarray
+
+    @classmethod
+    def of(cls, model: Model) -> "ToneCurve | None":
+        if model.tone_curve is None or model.tone_curve_log_exposure is None:
+            return None
+        return cls(model.tone_curve_log_exposure, model.tone_curve)
+
+    @property
+    def digest(self) -> str:
+        """The same for the same response: models of one camera share a tree."""
+        content = np.column_stack([self.log_exposure, self.values]).astype("<f4").tobytes()
+        return hashlib.sha256(content).hexdigest()[:12]
 
 
 def add_modifier(target: bpy.types.Object, model: Model) -> bpy.types.Modifier:
     """Give a point cloud object made from ``model`` the modifier that lights and draws it."""
     modifier = target.modifiers.new(MODIFIER_NAME, "NODES")
-    modifier.node_group = radiance_tree(model.sh_degree, model.levels)
+    modifier.node_group = radiance_tree(model.sh_degree, model.levels, ToneCurve.of(model))
     return modifier
+
+
+def find_modifier(target: bpy.types.Object) -> bpy.types.Modifier | None:
+    """The object's modifier with one of our trees, of any version and whatever it is called now."""
+    for modifier in target.modifiers:
+        if modifier.type == "NODES" and modifier.node_group and MARK in modifier.node_group:
+            return modifier
+    return None
 
 
 def set_input(modifier: bpy.types.Modifier, name: str, value: Any) -> None:
@@ -77,25 +114,37 @@ def input_identifier(modifier: bpy.types.Modifier, name: str) -> str:
     raise KeyError(f"the modifier {modifier.name!r} has no input {name!r}")
 
 
-def radiance_tree(sh_degree: int, levels: tuple[float, ...] = ()) -> bpy.types.NodeTree:
+def has_input(modifier: bpy.types.Modifier, name: str) -> bool:
+    """Whether the modifier's tree has that input: older trees, or those without a response, lack some."""
+    return any(
+        item.item_type == "SOCKET" and item.in_out == "INPUT" and item.name == name
+        for item in modifier.node_group.interface.items_tree
+    )
+
+
+def radiance_tree(
+    sh_degree: int, levels: tuple[float, ...] = (), curve: ToneCurve | None = None
+) -> bpy.types.NodeTree:
     """The file's node tree for models of that SH degree, made when it is not there yet.
 
-    ``levels``: those of a baked-levels model; empty for the additive modulator.
+    ``levels``: those of a baked-levels model; empty for the additive modulator. ``curve``: the learned
+    response, part of the tree because no attribute can hold it: models with the same one share the tree.
     """
-    mark = f"{_RECIPE} degree {sh_degree} levels {list(levels)}"
+    response = curve.digest if curve else "none"
+    mark = f"{_RECIPE} degree {sh_degree} levels {list(levels)} response {response}"
     for tree in bpy.data.node_groups:
-        if tree.get(_MARK) == mark and tree.library is None:
+        if tree.get(MARK) == mark and tree.library is None:
             return tree
     kind = f"{len(levels)} levels" if levels else "additive"
     tree = bpy.data.node_groups.new(f"PhysHDR radiance (degree {sh_degree}, {kind})", "GeometryNodeTree")
-    tree[_MARK] = mark
+    tree[MARK] = mark
     tree.is_modifier = True
-    _declare_interface(tree)
-    _Assembly(tree).build(sh_degree, levels)
+    _declare_interface(tree, curve is not None)
+    _Assembly(tree).build(sh_degree, levels, curve)
     return tree
 
 
-def _declare_interface(tree: bpy.types.NodeTree) -> None:
+def _declare_interface(tree: bpy.types.NodeTree, has_curve: bool) -> None:
     def declare(name: str, kind: str, description: str = "", **properties: Any) -> None:
         socket = tree.interface.new_socket(name, in_out="INPUT", socket_type=f"NodeSocket{kind}")
         socket.description = description
@@ -112,6 +161,13 @@ def _declare_interface(tree: bpy.types.NodeTree) -> None:
         default_value=1.0,
         min_value=0.0,
     )
+    if has_curve:
+        declare(
+            TONE_MAPPER,
+            "Bool",
+            "Show what the camera that took the pictures would have recorded in 2^EV seconds, in Blender's "
+            "Standard view. Off: scene-linear radiance",
+        )
     declare(
         VIEW_DEPENDENT,
         "Bool",
@@ -162,7 +218,7 @@ class _Assembly:
         self.tree = tree
         self.make = NodeBuilder(tree)
 
-    def build(self, sh_degree: int, levels: tuple[float, ...]) -> None:
+    def build(self, sh_degree: int, levels: tuple[float, ...], curve: ToneCurve | None) -> None:
         make = self.make
         with make.frame("Model"):
             inputs = make.node("NodeGroupInput")
@@ -173,8 +229,8 @@ class _Assembly:
             )
         self.camera = self._camera()
         log_radiance = self._log_radiance(sh_degree)
-        geometry = self._relight(self.inputs["Geometry"], log_radiance, levels)
-        self._draw(geometry)
+        geometry, radiance = self._relight(self.inputs["Geometry"], log_radiance, levels)
+        self._draw(self._expose(geometry, radiance, curve))
         make.arrange()
 
     def named(self, name: str, kind: str = "FLOAT_VECTOR") -> Field:
@@ -260,8 +316,10 @@ class _Assembly:
             ]
         return basis
 
-    def _relight(self, geometry: Field, log_radiance: Field, levels: tuple[float, ...]) -> Field:
-        """Store the radiance at the wanted exposure and lighting level, with the opacity in the fourth."""
+    def _relight(
+        self, geometry: Field, log_radiance: Field, levels: tuple[float, ...]
+    ) -> tuple[Field, Field]:
+        """The radiance at the wanted lighting level; its two parts are stored where the model knows them."""
         make, level = self.make, self.inputs[LIGHTING_LEVEL]
         if levels:
             with make.frame("Lighting level: log gains, linear over log2(level)"):
@@ -275,13 +333,47 @@ class _Assembly:
                 radiance = fixed + ambient * level
                 geometry = self.store(geometry, FIXED_ATTRIBUTE, "FLOAT_COLOR", fixed)
                 geometry = self.store(geometry, AMBIENT_ATTRIBUTE, "FLOAT_COLOR", ambient)
-        with make.frame("Exposure: radiance · 2^EV, opacity in alpha"):
+        return geometry, radiance
+
+    def _expose(self, geometry: Field, radiance: Field, curve: ToneCurve | None) -> Field:
+        """Store the radiance at the wanted exposure, with the opacity in the fourth."""
+        make = self.make
+        with make.frame("Exposure: radiance · 2^EV"):
             radiance = radiance * make.math("POWER", 2.0, self.inputs[EXPOSURE])
+        if curve is not None:
+            radiance = self.switch(
+                self.inputs[TONE_MAPPER], radiance, self._tone_map(radiance, curve), "VECTOR"
+            )
+        with make.frame("Opacity in alpha"):
             parts = make.node("ShaderNodeSeparateXYZ", radiance)
             colour = make.field(
                 "FunctionNodeCombineColor", *(make.output(parts, axis) for axis in "XYZ"), self.opacity
             )
             return self.store(geometry, RADIANCE_ATTRIBUTE, "FLOAT_COLOR", colour)
+
+    def _tone_map(self, exposed: Field, curve: ToneCurve) -> Field:
+        """The response's code at exposed radiance, decoded from sRGB: what *Standard* encodes again."""
+        make = self.make
+        low, high = float(curve.log_exposure[0]), float(curve.log_exposure[-1])
+        with make.frame("Learned response over ln(radiance · 2^EV)"):
+            parts = make.node("ShaderNodeSeparateXYZ", exposed)
+            places = []
+            for axis in "XYZ":
+                positive = make.math("MAXIMUM", make.output(parts, axis), 1e-30)
+                places.append((make.math("LOGARITHM", positive, math.e) - low) / (high - low))
+            # A colour of our own making: this node and its sockets only carry numbers.
+            place = make.field("FunctionNodeCombineColor", *places)
+            node = make.node("ShaderNodeRGBCurve", 1.0, place, label="response")
+            _set_curves(node.mapping, curve)
+            parts = make.node("FunctionNodeSeparateColor", make.output(node, "Color"))
+        with make.frame("Decode sRGB"):
+            decoded = []
+            for channel in ("Red", "Green", "Blue"):
+                code = make.output(parts, channel)
+                power = make.math("POWER", (code + SRGB_OFFSET) * (1.0 / (1.0 + SRGB_OFFSET)), SRGB_POWER)
+                bright = make.math("GREATER_THAN", code, SRGB_CODE_KNEE)
+                decoded.append(self.switch(bright, code * (1.0 / SRGB_SLOPE), power))
+            return make.field("ShaderNodeCombineXYZ", *decoded)
 
     def _exp(self, vector: Field) -> Field:
         """e to the power of each component: vector math has no exponential."""
@@ -390,3 +482,22 @@ class _Assembly:
                 secondary_axis="X",
             )
         return turn, deviations
+
+
+def _set_curves(mapping: bpy.types.CurveMapping, curve: ToneCurve) -> None:
+    """Make a colour curve node's three curves the response, 0 … 1 over its range, flat beyond.
+
+    A point at every entry of the table that Blender makes of a curve, so that nothing is rounded twice.
+    """
+    mapping.extend = "HORIZONTAL"
+    places = np.linspace(0.0, 1.0, CURVE_STEPS + 1)
+    low, high = float(curve.log_exposure[0]), float(curve.log_exposure[-1])
+    for channel in range(3):
+        values = np.interp(low + places * (high - low), curve.log_exposure, curve.values[:, channel])
+        points = mapping.curves[channel].points
+        points[0].location, points[-1].location = (0.0, float(values[0])), (1.0, float(values[-1]))
+        for place, value in zip(places[1:-1], values[1:-1], strict=True):
+            points.new(float(place), float(value))
+        for point in points:
+            point.handle_type = "VECTOR"
+    mapping.update()

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A model as a point cloud: one row of a table for each attribute (docs/formats.md, names as Blender 5.3)."""
 
+import itertools
 import uuid
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ import bpy
 import numpy as np
 
 from ..bridge import spherical_harmonics
+from ..bridge.errors import DataMismatchError
 from ..bridge.model_file import Model
 
 #: Blender's attribute type → (numbers a point, property that ``foreach_set`` fills).
@@ -23,6 +25,8 @@ TYPES: dict[str, tuple[int, str]] = {
 
 #: Custom property with the model's identity; survives undo, copies and appending, unlike a reference.
 IDENTITY = "physhdr_uuid"
+#: Where a model is from; kept as ``physhdr_…`` custom properties.
+METADATA = ("scene", "method", "iteration")
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,19 +38,25 @@ class Attribute:
     values: np.ndarray
 
 
-def attributes_of(model: Model) -> Iterator[Attribute]:
-    """The attributes of a model, one at a time: together they are larger than the model."""
+def attributes_of(model: Model, colour_sh: np.ndarray | None = None) -> Iterator[Attribute]:
+    """The attributes of a model, one at a time: together they are larger than the model.
+
+    ``colour_sh`` ``[N, K, 3]``: the colours of the PLY that the model was made from. They become Blender
+    5.3's attributes as they are, as if it had imported the file; a model of ours gives it linear radiance.
+    """
     yield Attribute("position", "FLOAT_VECTOR", model.position)
     yield Attribute("scale", "FLOAT_VECTOR", model.scale)
     length = np.linalg.norm(model.rotation, axis=1, keepdims=True)
     yield Attribute("rotation", "QUATERNION", model.rotation / length)
 
-    linear_sh = spherical_harmonics.fit_linear(model.log_radiance_sh)
-    # 3DGS, and so Blender 5.3, shows 0.5 + Σ sh_k Y_k.
-    base = np.column_stack([linear_sh[:, 0] - 0.5 / spherical_harmonics.C0, model.opacity])
-    yield Attribute("radiance:base", "FLOAT4", base)
-    for k in range(1, linear_sh.shape[1]):
-        yield Attribute(f"radiance:sh_{k - 1}", "FLOAT_VECTOR", linear_sh[:, k])
+    shown_sh = colour_sh
+    if shown_sh is None:
+        shown_sh = spherical_harmonics.fit_linear(model.log_radiance_sh)
+        # 3DGS, and so Blender 5.3, shows 0.5 + Σ sh_k Y_k.
+        shown_sh[:, 0] -= np.float32(0.5 / spherical_harmonics.C0)
+    yield Attribute("radiance:base", "FLOAT4", np.column_stack([shown_sh[:, 0], model.opacity]))
+    for k in range(1, shown_sh.shape[1]):
+        yield Attribute(f"radiance:sh_{k - 1}", "FLOAT_VECTOR", shown_sh[:, k])
 
     for k in range(model.log_radiance_sh.shape[1]):
         yield Attribute(f"physhdr:log_sh_{k}", "FLOAT_VECTOR", model.log_radiance_sh[:, k])
@@ -57,11 +67,14 @@ def attributes_of(model: Model) -> Iterator[Attribute]:
             yield Attribute(f"physhdr:level_log_gain_{index}", "FLOAT_VECTOR", gain)
 
 
-def build_point_cloud(model: Model, name: str) -> bpy.types.PointCloud:
-    """A point cloud data-block with all attributes and, as custom properties, where the model is from."""
+def build_point_cloud(model: Model, name: str, colour_sh: np.ndarray | None = None) -> bpy.types.PointCloud:
+    """A point cloud data-block with all attributes and, as custom properties, where the model is from.
+
+    ``colour_sh``: as for ``attributes_of``.
+    """
     cloud = bpy.data.pointclouds.new(name)
     cloud.resize(model.count)
-    for attribute in attributes_of(model):
+    for attribute in attributes_of(model, colour_sh):
         write_attribute(cloud, attribute)
     for key, value in _provenance(model).items():
         cloud[key] = value
@@ -87,6 +100,50 @@ def read_attribute(cloud: bpy.types.PointCloud, name: str) -> np.ndarray:
     values = np.empty(len(attribute.data) * width, np.float32)
     attribute.data.foreach_get(key, values)
     return values if width == 1 else values.reshape(-1, width)
+
+
+def model_of(cloud: bpy.types.PointCloud) -> Model:
+    """The model that a point cloud holds now, edits included.
+
+    Raises ``DataMismatchError`` where it has not the attributes of a model, and what ``Model`` raises for
+    their values.
+    """
+    try:
+        base = read_attribute(cloud, "radiance:base")
+        arrays = {name: read_attribute(cloud, name) for name in ("position", "scale", "rotation")}
+        sh = [read_attribute(cloud, f"physhdr:log_sh_{k}") for k in range(_count(cloud, "physhdr:log_sh_"))]
+        levels = tuple(float(level) for level in cloud.get("physhdr_levels", ()))
+        light: dict[str, Any]
+        if levels:
+            names = [f"physhdr:level_log_gain_{index}" for index in range(len(levels))]
+            light = {"level_log_gain": np.stack([read_attribute(cloud, name) for name in names])}
+        else:
+            light = {"ambient_share": read_attribute(cloud, "physhdr:ambient_share")}
+    except KeyError as error:
+        raise DataMismatchError(
+            f"the point cloud {cloud.name!r} is no PhysHDR model: {error.args[0]}",
+            "Choose an imported model, or import it again.",
+        ) from error
+    places, curve = cloud.get("physhdr_tone_curve_log_exposure"), cloud.get("physhdr_tone_curve")
+    if places is not None and curve is not None:
+        light["tone_curve_log_exposure"] = np.array(places, np.float32)
+        light["tone_curve"] = np.array(curve, np.float32).reshape(-1, 3)
+    metadata = {key: str(cloud[f"physhdr_{key}"]) for key in METADATA if f"physhdr_{key}" in cloud}
+    return Model(
+        **arrays,
+        opacity=np.ascontiguousarray(base[:, 3]),
+        # [N, K, 3] in memory order K: as it is read, and as it is worked on.
+        log_radiance_sh=np.array(sh).reshape(len(sh), -1, 3).transpose(1, 0, 2),
+        levels=levels,
+        **light,
+        exposures=tuple(float(seconds) for seconds in cloud.get("physhdr_exposures", ())),
+        metadata=metadata,
+    )
+
+
+def _count(cloud: bpy.types.PointCloud, prefix: str) -> int:
+    """How many attributes ``prefix0``, ``prefix1``, … there are."""
+    return next(k for k in itertools.count() if f"{prefix}{k}" not in cloud.attributes)
 
 
 def _provenance(model: Model) -> dict[str, Any]:

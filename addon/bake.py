@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Export a model with its current look as a standard 3DGS PLY, for any viewer."""
+
+import dataclasses
+from pathlib import Path
+from typing import ClassVar
+
+import bpy
+import numpy as np
+from bpy_extras.io_utils import ExportHelper
+
+from ..bridge.affine import transform_gaussians
+from ..bridge.display import Tone, display_colour_sh, look_comment
+from ..bridge.errors import PhysHDRError
+from ..bridge.gaussian_ply import write_standard_ply
+from .look import Look, is_model, look_of
+from .point_cloud import model_of
+
+#: A viewer takes the logarithm of a scale: none may be 0.
+SMALLEST_SCALE = 1e-12
+
+
+def bake(target: bpy.types.Object, path: Path, look: Look, tone: Tone, apply_transform: bool = True) -> int:
+    """Write the PLY, atomically, as ``physhdr export`` does; how many Gaussians it holds.
+
+    ``apply_transform``: in world space (any scale and shear is exact), else in the object's own. Raises
+    ``DataMismatchError`` and ``BadValueError`` for what cannot be baked, ``OutputError``.
+    """
+    model = model_of(target.data)
+    if not look.view_dependent:
+        model = dataclasses.replace(model, log_radiance_sh=model.log_radiance_sh[:, :1])
+    shape = model.position, model.rotation, model.scale
+    to_world = np.array(target.matrix_world) if apply_transform else np.eye(4)
+    moved = not np.array_equal(to_world, np.eye(4))
+    if moved:
+        shape = transform_gaussians(to_world, *shape)
+    linear = to_world[:3, :3] if moved else None
+    comments = [f"PhysHDR {key}: {value}" for key, value in model.metadata.items()]
+    comments.append(look_comment(look.exposure_ev, look.lighting_level, tone))
+    write_standard_ply(
+        path,
+        positions=shape[0],
+        rotations=shape[1],
+        scales=np.maximum(shape[2], np.float32(SMALLEST_SCALE)),
+        opacities=model.opacity,
+        colour_sh=display_colour_sh(model, look.exposure, look.lighting_level, tone, linear),
+        comments=comments,
+    )
+    return model.count
+
+
+class PHYSHDR_OT_model_bake(bpy.types.Operator, ExportHelper):
+    """Export the active model with its current look (exposure, lighting level, tone) as a 3DGS PLY"""
+
+    bl_idname = "physhdr.model_bake"
+    bl_label = "Bake to PLY"
+    bl_options: ClassVar[set[str]] = {"REGISTER"}
+
+    filename_ext = ".ply"
+    filter_glob: bpy.props.StringProperty(default="*.ply", options={"HIDDEN"})
+    tone: bpy.props.EnumProperty(
+        name="Tone",
+        description="How radiance becomes the colours that viewers show",
+        items=[
+            ("LOOK", "As shown", "The learned tone mapper where the model shows it, else the sRGB curve"),
+            ("LEARNED", "Learned", "The response of the camera that took the training pictures"),
+            ("SRGB", "sRGB", "The plain sRGB curve, as Blender's Standard view"),
+        ],
+    )
+    apply_transform: bpy.props.BoolProperty(
+        name="Apply transform",
+        description="Write world space: the object's location, rotation and scale. Off: as it was imported",
+        default=True,
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not is_model(context.object):
+            cls.poll_message_set("Select an imported model first")
+            return False
+        return True
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if not self.filepath:
+            self.filepath = f"{context.object.name}.ply"
+        return super().invoke(context, event)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        target, path = context.object, Path(bpy.path.abspath(self.filepath))
+        depsgraph = context.evaluated_depsgraph_get()  # drivers and keyframes, as of this frame
+        look = look_of(target, depsgraph)
+        tone: Tone = self.tone
+        if self.tone == "LOOK":
+            tone = "LEARNED" if look.tone_mapper else "SRGB"
+        try:
+            count = bake(target, path, look, tone, self.apply_transform)
+        except PhysHDRError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        words = look_comment(look.exposure_ev, look.lighting_level, tone)
+        self.report({"INFO"}, f"Wrote {count} Gaussians to {path}: {words}")
+        return {"FINISHED"}
+
+
+def _draw_export_menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
+    menu.layout.operator(PHYSHDR_OT_model_bake.bl_idname, text="PhysHDR Gaussians, baked (.ply)")
+
+
+def register() -> None:
+    bpy.utils.register_class(PHYSHDR_OT_model_bake)
+    bpy.types.TOPBAR_MT_file_export.append(_draw_export_menu)
+
+
+def unregister() -> None:
+    bpy.types.TOPBAR_MT_file_export.remove(_draw_export_menu)
+    bpy.utils.unregister_class(PHYSHDR_OT_model_bake)
