@@ -4,6 +4,8 @@
 A subclass names one cause. Command lines print ``str(error)`` without a traceback and exit with 1.
 """
 
+import re
+
 
 class PhysHDRError(Exception):
     """Something the user can mend.
@@ -15,6 +17,11 @@ class PhysHDRError(Exception):
         super().__init__(message)
         self.message = message
         self.hint = hint
+
+    @property
+    def code(self) -> str:
+        """The cause for programs: ``FileMissingError`` → ``file_missing``."""
+        return re.sub(r"(?<!^)(?=[A-Z])", "_", type(self).__name__.removesuffix("Error")).lower()
 
     def __str__(self) -> str:
         return f"{self.message}\n  {self.hint}" if self.hint else self.message

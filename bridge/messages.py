@@ -13,11 +13,13 @@ raw arrays, each at the offset that follows from their order. Nothing is ever un
 """
 
 import dataclasses
+import functools
 import json
 import math
 import re
 import types
 import typing
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Literal, TypeVar
 
@@ -56,9 +58,11 @@ class Hello:
 
 @dataclass(frozen=True, kw_only=True)
 class TrainStart:
-    """Train on the data set in folder ``data``, writing to the run's folder ``out``.
+    """Train on the data set in folder ``data``, writing to the run's folder ``out``; absolute paths.
 
     ``iterations``: ``None`` for the preset's own. ``overwrite``: replace a run that is in ``out``.
+    ``threads``: 0 for as many as the backend was started with. Answered by ``Done`` when it is taken on;
+    what goes wrong afterwards (damaged data, say) is a ``JobStatus`` with the state ``failed``.
     """
 
     data: str
@@ -74,11 +78,15 @@ class TrainStart:
 
 @dataclass(frozen=True, kw_only=True)
 class TrainResume:
-    """Go on with the run in folder ``run`` from its checkpoint."""
+    """Go on with the run in folder ``run`` from its checkpoint; answered as ``TrainStart`` is.
+
+    ``data``: the data set, where it has moved since.
+    """
 
     run: str
     device: Literal["auto", "cpu", "cuda"] = "auto"
     threads: int = 0
+    data: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,15 +101,22 @@ class TrainContinue:
 
 @dataclass(frozen=True, kw_only=True)
 class TrainStop:
-    """Save a checkpoint and end the training; the model stays open for previews."""
+    """Save a checkpoint and end the training; the model stays open for previews.
+
+    Answered by ``Done`` at once; it is saved when ``JobStatus`` says ``stopped``.
+    """
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunOpen:
-    """Open a trained run for previews and export, with no training."""
+    """Open a trained run for previews and export, with no training; ``Done`` when it is open.
+
+    Where it cannot be opened, what was open before stays. ``data``: the data set, where it has moved.
+    """
 
     run: str
     device: Literal["auto", "cpu", "cuda"] = "auto"
+    data: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +128,11 @@ class ModelExport:
 
 @dataclass(frozen=True, kw_only=True)
 class PreviewCamera:
-    """A pinhole camera: ``pose`` camera-to-world, 16 numbers row by row, Blender's axes; the rest pixels."""
+    """A pinhole camera: ``pose`` camera-to-world, 16 numbers row by row, Blender's axes; the rest pixels.
+
+    The rotation may be out of true by a hundredth and is then mended. The centre of the top left pixel is at
+    (0.5, 0.5); (``cx``, ``cy``) is where the axis meets the picture, so that a lens shift is an offset of it.
+    """
 
     pose: tuple[float, ...]
     width: int
@@ -129,8 +148,11 @@ class PreviewRequest:
     """Render the open model; answered by a binary frame with ``sequence``, or by an error.
 
     A newer request replaces one that is not begun, which is then answered by the error ``superseded``.
-    ``tone``: scene-linear radiance times 2^``exposure_ev``, or what the learned tone mapper makes of it,
-    decoded to scene-linear so that Blender's *Standard* view shows it as the camera would have.
+    ``tone``: scene-linear radiance times 2^``exposure_ev``, or (``learned``) the picture that the camera
+    would have taken with 2^``exposure_ev`` seconds, decoded from sRGB to scene-linear so that Blender's
+    *Standard* view shows its very codes. Where Gaussians cover a pixel only by a share alpha, the rest of it
+    has the camera's black taken off: an uncovered pixel is 0, a covered one is the camera's own.
+    ``lighting_level`` ≥ 0; |``exposure_ev``| ≤ 30.
     """
 
     sequence: int
@@ -176,7 +198,11 @@ class Shutdown:
 
 @dataclass(frozen=True, kw_only=True)
 class Welcome:
-    """The answer to ``Hello``. ``in_control``: whether this connection may steer."""
+    """The answer to ``Hello``, at once: torch may still be loading, ``JobStatus`` says so.
+
+    ``torch``: its version as installed, empty if it is not. ``device``: where ``auto`` computes, empty until
+    torch is loaded (``JobStatus.device`` then says). ``in_control``: whether this connection may steer.
+    """
 
     protocol: int
     version: str
@@ -220,10 +246,12 @@ JobState = Literal[
 class JobStatus:
     """All there is to know of the present job, in one event: a newer one replaces an older one.
 
-    ``state``: ``preparing`` reads data and compiles kernels (``message`` says what); ``stopped`` can be
-    resumed; ``open`` is a run opened without training. ``losses``: weighted terms; ``monitor``: measured on
-    a fixed test view, ``PSNR`` in dB. ``saved_iteration``: of the newest checkpoint, 0 if there is none.
-    ``can_relight`` and ``has_model``: what previews may ask for.
+    ``state``: ``preparing`` reads data and compiles kernels (``message`` says what; with an empty ``run``
+    the backend itself is starting); ``stopped`` can be resumed; ``open`` is a run opened without training.
+    ``device``: ``cpu``, or ``cuda (name of the card)``: of the job, and before there is one, where ``auto``
+    computes. ``losses``: weighted terms; ``monitor``: measured on a fixed test view, ``PSNR`` in dB.
+    ``saved_iteration``: of the newest checkpoint, 0 if there is none. ``can_relight`` and ``has_model``: what
+    previews may ask for. ``controller``: the name of the client that steers.
     """
 
     state: JobState = "idle"
@@ -249,7 +277,10 @@ class JobStatus:
 
 @dataclass(frozen=True, kw_only=True)
 class History:
-    """Curves of the present job: at each of ``iterations`` the total loss; PSNR (dB) where measured."""
+    """Curves of the present job: at each of ``iterations`` the total loss; PSNR (dB) where measured.
+
+    Thinned out where they would be long; a resumed or opened run has them from its beginning.
+    """
 
     iterations: tuple[int, ...] = ()
     losses: tuple[float, ...] = ()
@@ -405,6 +436,7 @@ def _json_object(text: str | bytes) -> dict[str, Any]:
     return content
 
 
+@functools.cache
 def _fields(cls: Any) -> dict[str, Any]:
     return typing.get_type_hints(cls)
 
@@ -442,8 +474,9 @@ def _convert(hint: Any, value: Any, where: str) -> Any:
     elif dataclasses.is_dataclass(hint):
         return _build(typing.cast(type, hint), value)
     elif hint is float:
-        if type(value) in (int, float) and math.isfinite(value):
-            return float(value)
+        with suppress(OverflowError):  # a whole number of four hundred digits
+            if type(value) in (int, float) and math.isfinite(value):
+                return float(value)
     elif type(value) is hint:
         return value
     wanted = " or ".join(map(repr, arguments)) if origin is Literal else getattr(hint, "__name__", str(hint))

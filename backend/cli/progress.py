@@ -10,6 +10,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
+from ...bridge.errors import OutputError
 from ..train import events
 
 console = Console(highlight=False)
@@ -58,10 +59,15 @@ class EventLog:
         self._file.close()
 
     def show(self, event: events.Event) -> None:
-        """Take one event."""
+        """Take one event; raises ``OutputError`` where it cannot be kept."""
         record = {"event": type(event).__name__.lower(), "time": time.time(), **dataclasses.asdict(event)}
-        self._file.write(json.dumps(record) + "\n")
-        self._file.flush()
+        try:
+            self._file.write(json.dumps(record) + "\n")
+            self._file.flush()
+        except OSError as error:
+            raise OutputError(
+                f"cannot write {self._file.name}: {error.strerror or error}", "Free some space, then resume."
+            ) from error
         if isinstance(event, events.Started):
             self._bar.update(self._task, total=event.iterations, completed=event.iteration)
             console.print(

@@ -2,12 +2,18 @@
 """A run's folder as the commands use it: its data set, configuration and trained method."""
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from ...bridge.errors import OutputError
+from ...bridge.model_file import Model
 from ..device import DeviceName, choose_device
+from ..export.blender_model import to_model
 from ..methods.physhdr import PhysHDR
+from ..model.gaussians import Gaussians
 from ..rasterize import Implementation
 from ..scene import Scene, read_scene
 from ..train.config import CONFIG_FILE, TrainConfig, read_config
@@ -17,7 +23,7 @@ from .progress import console
 
 @dataclass(frozen=True)
 class Run:
-    """What ``physhdr train --out`` left behind."""
+    """What ``physhdr train --out`` left behind, or has under its hands."""
 
     folder: Path
     preset: str
@@ -26,15 +32,45 @@ class Run:
     method: PhysHDR
     iteration: int
 
+    @property
+    def provenance(self) -> dict[str, str]:
+        """Where an exported file comes from, for its metadata."""
+        return {
+            "scene": self.scene.name,
+            "method": f"physhdr, preset {self.preset}",
+            "iteration": str(self.iteration),
+        }
+
+    def model(self) -> Model:
+        """The model file's content, for Blender: the method as it is now."""
+        viewpoint = np.mean([view.camera.position for view in self.scene.train], axis=0)
+        exposures = self.scene.train[0].exposures
+        return to_model(_on_the_cpu(self.method), viewpoint, exposures, self.provenance)
+
+
+def _on_the_cpu(method: PhysHDR) -> PhysHDR:
+    """The method itself where it is on the CPU, else a copy there."""
+    if not method.gaussians.means.is_cuda:
+        return method
+    parameters = {name: tensor.detach().cpu() for name, tensor in method.gaussians.parameters.items()}
+    copy = PhysHDR(method.config, Gaussians(parameters), method.tone_mapper.anchor)
+    copy.load_state_dict(method.state_dict())
+    copy.active_sh_degree = method.active_sh_degree
+    return copy
+
 
 def open_run(
-    folder: Path, data: Path | None = None, rasteriser: Implementation = "auto", device: DeviceName = "cpu"
+    folder: Path,
+    data: Path | None = None,
+    rasteriser: Implementation = "auto",
+    device: DeviceName = "cpu",
+    report: Callable[[str], None] = console.print,
 ) -> Run:
     """Open a trained run; ``data`` stands in for the folder it was trained on, where that has moved."""
     config, trained_on, preset = read_config(folder / CONFIG_FILE)
     scene = read_scene(data or trained_on)
     method, iteration = load_method(
-        folder, config, scene.response_anchor, rasteriser, choose_device(device, console.print)[0]
+        folder, config, scene.response_anchor, rasteriser, choose_device(device, report)[0]
     )
     return Run(folder, preset, config, scene, method, iteration)
 

@@ -9,17 +9,16 @@ from typing import Annotated, Literal
 import torch
 import tyro
 
-from ...bridge.errors import BadValueError, DataMismatchError
-from ..device import DeviceName, choose_device
+from ...bridge.errors import BadValueError
+from ..device import DeviceName
 from ..rasterize import Implementation
 from ..rasterize.cpu import set_threads
-from ..scene import Scene, read_scene
-from ..train.config import CONFIG_FILE, PRESETS, TrainConfig, read_config, write_config
-from ..train.trainer import CHECKPOINT_FILE, Trainer
+from ..train.config import PRESETS, TrainConfig
+from ..train.trainer import Trainer
 from .monitor import view_monitor
 from .progress import EventLog, console
-from .run_folder import writable_folder
-from .warmup import compile_kernels, needs_of
+from .training import Workshop, resume_run, start_run
+from .warmup import compile_kernels
 
 
 def preset_named(argv: list[str]) -> TrainConfig:
@@ -63,7 +62,7 @@ class Train:
         if self.threads:
             set_threads(self.threads)
             torch.set_num_threads(self.threads)
-        trainer, folder = self._resumed() if self.resume else self._fresh()
+        trainer, folder = self._begin()
         stop = _StopOnInterrupt()
         monitor = view_monitor(trainer.scene)
         with stop, EventLog(folder) as log:
@@ -80,37 +79,25 @@ class Train:
             return 130
         return 0
 
-    def _fresh(self) -> tuple[Trainer, Path]:
-        if self.data is None or self.out is None:
+    def _begin(self) -> tuple[Trainer, Path]:
+        workshop = Workshop(
+            report=console.print,
+            compile_kernels=compile_kernels,
+            device=self.device,
+            rasteriser=self.rasteriser,
+        )
+        if self.resume:
+            trainer, run = resume_run(self.resume, self.data, workshop)
+        elif self.data is None or self.out is None:
             raise BadValueError(
                 "a data set and --out are needed",
                 "Call: physhdr train DATA --out RUN, or: physhdr train --resume RUN",
             )
-        if (self.out / CHECKPOINT_FILE).exists() and not self.overwrite:
-            raise DataMismatchError(
-                f"{self.out} already holds a run",
-                "Go on with it by --resume, replace it by --overwrite, or choose another --out.",
+        else:
+            trainer, run = start_run(
+                self.data, self.out, self.config, self.preset, overwrite=self.overwrite, workshop=workshop
             )
-        scene = read_scene(self.data)
-        folder = writable_folder(self.out)
-        trainer = self._trainer(scene, self.config)
-        EventLog.clear(folder)
-        write_config(folder / CONFIG_FILE, self.config, self.data, self.preset)
-        return trainer, folder
-
-    def _resumed(self) -> tuple[Trainer, Path]:
-        assert self.resume is not None
-        config, data, _ = read_config(self.resume / CONFIG_FILE)
-        trainer = self._trainer(read_scene(self.data or data), config)
-        trainer.resume(self.resume)
-        return trainer, writable_folder(self.resume)
-
-    def _trainer(self, scene: Scene, config: TrainConfig) -> Trainer:
-        device, why = choose_device(self.device, console.print)
-        console.print(f"training {why}")
-        if device.type == "cpu" and self.rasteriser in ("auto", "cpu"):
-            compile_kernels(needs_of(config.method))  # before the trainer, which calls some of them
-        return Trainer(scene, config, self.rasteriser, device)
+        return trainer, run.folder
 
 
 class _StopOnInterrupt:

@@ -238,11 +238,38 @@ class PhysHDR(nn.Module):
     @torch.no_grad()
     def hdr(self, camera: Camera, lighting_level: float = 1.0) -> torch.Tensor:
         """Scene-linear radiance ``[3, H, W]``: I_HDR, or Î_HDR where the lighting level is not 1."""
+        return self._rasterize(self._seen_radiance(camera, lighting_level), camera).image
+
+    @torch.no_grad()
+    def preview(self, camera: Camera, lighting_level: float = 1.0) -> Rasterization:
+        """The radiance of ``hdr`` with alpha and depth (metres along the camera's axis), in one pass."""
+        return self._rasterize(self._seen_radiance(camera, lighting_level), camera, with_depth=True)
+
+    @torch.no_grad()
+    def preview_ldr(
+        self, drawn: Rasterization, camera: Camera, exposure: float, lighting_level: float = 1.0
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """The picture of ``ldr``, from what ``preview`` drew where that suffices, and the camera's black.
+
+        ``[3, H, W]``, and ``[3, 1, 1]``: what the tone mapper makes of a pixel where nothing is.
+        """
+        config = self.config
+        nothing = drawn.image.new_zeros(3, 1, 1)
+        context = drawn.image.new_zeros(config.tone_mapper.context_size, 1, 1)
+        if config.branches == "both":
+            return self.ldr(camera, exposure, lighting_level), self._fuse(nothing, nothing, context)[0]
+        glo, loc = self.tone_mapper.tone_map(nothing, context)
+        black = glo if loc is None else loc
+        scales_with_exposure = config.branches == "image-exposure" or config.lighting_level == "view"
+        if config.tone_mapper.local or not scales_with_exposure:
+            return self.ldr(camera, exposure, lighting_level), black
+        return self.tone_mapper.tone_map(drawn.image * exposure, None)[0], black
+
+    def _seen_radiance(self, camera: Camera, lighting_level: float) -> torch.Tensor:
+        """``[N, 3]`` toward the camera; without an illumination branch the level scales all of it."""
         level = None if lighting_level == 1.0 or not self.can_relight else lighting_level
         colours = self.radiance(self._viewpoint(camera), level)
-        if level is None and lighting_level != 1.0:
-            colours = colours * lighting_level
-        return self._rasterize(colours, camera).image
+        return colours * lighting_level if level is None and lighting_level != 1.0 else colours
 
     @torch.no_grad()
     def ldr(self, camera: Camera, exposure: float, lighting_level: float = 1.0) -> torch.Tensor:
@@ -269,7 +296,11 @@ class PhysHDR(nn.Module):
         return self.config.branches != "image-exposure"
 
     def _rasterize(
-        self, colours: torch.Tensor, camera: Camera, screen_offsets: torch.Tensor | None = None
+        self,
+        colours: torch.Tensor,
+        camera: Camera,
+        screen_offsets: torch.Tensor | None = None,
+        with_depth: bool = False,
     ) -> Rasterization:
         g = self.gaussians
         return rasterize(
@@ -280,5 +311,6 @@ class PhysHDR(nn.Module):
             colours,
             camera,
             screen_offsets=screen_offsets,
+            with_depth=with_depth,
             implementation=self.implementation,
         )

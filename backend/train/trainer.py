@@ -177,8 +177,13 @@ class Trainer:
         progress_every: int = 20,
         monitor_every: int = 200,
         checkpoint_every: int = 2000,
+        between: Callable[[], float] = lambda: 0.0,
     ) -> Iterator[Event]:
-        """Train until done or told to stop, yielding events; a checkpoint is written on every way out."""
+        """Train until done or told to stop, yielding events; a checkpoint is written on every way out.
+
+        ``between`` is called after every iteration, when the method is whole and may be looked at. It returns
+        for how many seconds it held the training up (a pause), which then count in no rate.
+        """
         total = self.config.iterations
         begun, begun_cpu = time.perf_counter(), time.process_time()
         message = f"started from {self.start_message}"
@@ -206,6 +211,8 @@ class Trainer:
                     sums, window_start, window_first = {}, time.perf_counter(), done
                 if done % checkpoint_every == 0 and done < total:
                     yield self.save(folder)
+                held = between()
+                window_start, begun = window_start + held, begun + held
         finally:
             # A diverged state, or one caught in the middle of an update, is worth less than the last file.
             if self._sound:

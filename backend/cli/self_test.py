@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""One training step on a scene that is made up in memory: what ``physhdr check`` computes."""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from ..device import choose_device
+from ..kernels.warmup import warmup
+from ..scene import Camera, Points, Scene, View
+from ..scene.scene import PictureCache
+from ..train.config import PRESETS
+from ..train.trainer import Trainer
+from .check import CheckFailedError
+
+SIZE, VIEWS, POINTS = 48, 3, 200
+EXPOSURES = (0.125, 0.5, 2.0, 8.0, 32.0)
+ANCHOR = (1.0, 0.5 ** (1.0 / 2.2))
+#: Two renderers may differ by so much of the picture's largest value.
+TOLERANCE = 1e-3
+
+
+class MadeUpPictures(PictureCache):
+    """A smooth picture for each path, brighter the longer the exposure."""
+
+    def get(self, path: Path) -> np.ndarray:
+        y, x = np.mgrid[0:SIZE, 0:SIZE] / SIZE
+        radiance = np.stack([0.2 + x, 0.2 + y, 1.2 - x], axis=-1) * EXPOSURES[int(path.name)]
+        return np.round(255.0 * (radiance / (1.0 + radiance)) ** (1.0 / 2.2)).astype(np.uint8)
+
+
+def device(report: Callable[[str], None]) -> tuple[str, str]:
+    """``cpu`` or ``cuda``, and why."""
+    chosen, why = choose_device("auto", report)
+    return chosen.type, why
+
+
+def compile_kernels(report: Callable[[str, int, int], None]) -> None:
+    """All of them: every preset then starts at once."""
+    warmup(report)
+
+
+def made_up_scene() -> Scene:
+    """Three cameras side by side that look at a cloud of points."""
+    pictures = MadeUpPictures()
+    views = []
+    for index in range(VIEWS):
+        pose = np.eye(4)
+        pose[:3, 3] = (0.2 * (index - 1), 0.0, 3.0)
+        views.append(
+            View(
+                name=f"train/r_{index}",
+                camera=Camera.from_field_of_view(pose, SIZE, SIZE, 2.0 * math.atan(0.5)),
+                exposures=EXPOSURES,
+                image_paths=tuple(Path(str(k)) for k in range(len(EXPOSURES))),
+                index=index,
+                cache=pictures,
+            )
+        )
+    positions = np.random.default_rng(0).uniform(-1.0, 1.0, (POINTS, 3)).astype(np.float32)
+    points = Points(positions, np.full((POINTS, 3), 0.5, np.float32))
+    return Scene(Path("made up"), "made up", views, [], [], points, ANCHOR)
+
+
+def one_step(where: str) -> tuple[float, int]:
+    """The loss of one step of preset ``default``, and the number of Gaussians.
+
+    Raises ``CheckFailedError`` where the loss is not finite, nothing was learned, or where the fast renderer
+    and the plain one draw different pictures.
+    """
+    scene = made_up_scene()
+    trainer = Trainer(scene, PRESETS["default"], device=where)
+    before = {name: t.detach().clone() for name, t in trainer.method.gaussians.parameters.items()}
+    loss = float(sum(trainer.step().values()))
+    after = trainer.method.gaussians.parameters
+    remedy = "Please report this with the log."
+    if not math.isfinite(loss):
+        raise CheckFailedError(f"a training step's loss is {loss}", remedy)
+    if all(torch.equal(after[name], tensor) for name, tensor in before.items()):
+        raise CheckFailedError("a training step changed nothing", remedy)
+    method, camera = trainer.method, scene.train[0].camera
+    drawn = method.preview(camera).image
+    method.implementation = "reference"
+    plain = method.preview(camera).image
+    error = float((drawn - plain).abs().max() / plain.max())
+    if not error < TOLERANCE:
+        raise CheckFailedError(f"the renderer is wrong by {error:.2g} of the brightest value", remedy)
+    return loss, len(method.gaussians)

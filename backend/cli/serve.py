@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""``physhdr serve``: the backend as a process that Blender finds by its connection file."""
+
+import logging
+import os
+import signal
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from ...bridge.connection import Connection, new_token
+from ...bridge.messages import PROTOCOL_VERSION, JobStatus, Welcome
+from ..project import version, version_of
+from ..serve.curves import Curves
+from ..serve.failures import failure_of
+from ..serve.home import announced, own_home
+from ..serve.inbox import Ending, Inbox
+from ..serve.server import Server
+
+log = logging.getLogger(__name__)
+
+#: Of ``train.config.PRESETS``, which knows torch; clients are told them before torch is loaded.
+PRESET_NAMES = ("default", "fast", "paper", "baseline")
+
+
+@dataclass(frozen=True)
+class Serve:
+    """Train and render on request, until nobody needs it. For Blender; docs/protocol.md."""
+
+    #: Folder of the connection file, which tells the port and the token.
+    home: Path
+    #: Seconds without a client and without a running training after which the process ends; 0: never.
+    idle_timeout: float = 60.0
+    #: CPU threads; 0: one for each core.
+    threads: int = 0
+    #: Where to compute, unless a request says otherwise.
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    #: The file that stdout and stderr go to, if they do: told to people who look for it.
+    log: str = ""
+
+    def run(self) -> int:
+        logging.basicConfig(
+            stream=sys.stderr, level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s"
+        )
+        inbox, curves, token = Inbox(), Curves(), new_token()
+        with own_home(self.home):
+            server = Server(inbox, token, self._welcome(), curves.history, self.idle_timeout)
+            port = server.start()
+            _end_on_signals(inbox)
+            connection = Connection(PROTOCOL_VERSION, port, token, os.getpid(), version(), self.log)
+            reason = "the backend failed; see its log"
+            with announced(self.home, connection):
+                try:
+                    log.info("process %d listens on port %d, home %s", os.getpid(), port, self.home)
+                    reason = self._engine(inbox, server, curves)
+                except ImportError as error:
+                    log.exception("a module cannot be imported")
+                    failure = failure_of(error, self.log)
+                    server.publish(JobStatus(state="failed", message=failure.message, failure=failure))
+                    reason = failure.message
+                    return 1
+                finally:
+                    log.info("ending: %s", reason)
+                    server.close(reason)
+        return 0
+
+    def _engine(self, inbox: Inbox, server: Server, curves: Curves) -> str:
+        from ..serve.engine import Engine, Options  # imports torch: seconds, in which clients are answered
+
+        options = Options(device=self.device, threads=self.threads, log=self.log)
+        return Engine(inbox, server, curves, options).run()
+
+    def _welcome(self) -> Welcome:
+        return Welcome(
+            protocol=PROTOCOL_VERSION,
+            version=version(),
+            pid=os.getpid(),
+            log=self.log,
+            device="",
+            torch=version_of("torch"),
+            presets=PRESET_NAMES,
+            in_control=False,
+        )
+
+
+def _end_on_signals(inbox: Inbox) -> None:
+    """The first SIGTERM or SIGINT saves and ends; the second one ends at once."""
+
+    def end(number: int, _: object) -> None:
+        for each in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(each, signal.SIG_DFL)
+        inbox.put(Ending(f"it was ended by {signal.Signals(number).name}"))
+
+    for each in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(each, end)

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A preview: a request's camera made sound, the method's picture of it, packed for the way."""
+
+import math
+import time
+
+import numpy as np
+import torch
+
+from ...bridge.errors import BadValueError
+from ...bridge.messages import (
+    BINARY_BYTES_MAX,
+    PREVIEW_SIDE_MAX,
+    PreviewCamera,
+    PreviewFrame,
+    PreviewHeader,
+    PreviewRequest,
+)
+from ..methods.physhdr import PhysHDR
+from ..scene.camera import Camera
+
+#: The largest finite half.
+HALF_MAX = 65504.0
+EV_MAX = 30.0
+#: How far the axes of a pose may be from unit length; more is no rounding but a scale.
+AXIS_TOLERANCE = 0.01
+#: At level 0 the logarithm of a learned modulator would not be finite.
+LEVEL_MIN = 1e-6
+BYTES_PER_PIXEL = 12
+HEADER_ROOM = 1 << 16
+
+
+def camera_of(asked: PreviewCamera) -> Camera:
+    """The camera of a request, its rotation made orthonormal; raises ``BadValueError``."""
+    width, height = asked.width, asked.height
+    if not (0 < width <= PREVIEW_SIDE_MAX and 0 < height <= PREVIEW_SIDE_MAX):
+        raise BadValueError(f"a preview of {width}×{height}", f"Sides are 1 to {PREVIEW_SIDE_MAX} pixels.")
+    if width * height * BYTES_PER_PIXEL + HEADER_ROOM > BINARY_BYTES_MAX:
+        raise BadValueError(f"a preview of {width}×{height} does not fit a frame", "Ask for a smaller one.")
+    if not (asked.fx > 0.0 and asked.fy > 0.0):
+        raise BadValueError(f"focal lengths of {asked.fx} and {asked.fy} pixels", "They must be above 0.")
+    if len(asked.pose) != 16:
+        raise BadValueError(f"a pose of {len(asked.pose)} numbers", "Give a 4×4 matrix, row by row.")
+    pose = np.array(asked.pose, np.float64).reshape(4, 4)
+    left, lengths, right = np.linalg.svd(pose[:3, :3])
+    rigid = np.abs(lengths - 1.0).max() <= AXIS_TOLERANCE and np.allclose(pose[3], (0, 0, 0, 1))
+    if not rigid or np.linalg.det(pose[:3, :3]) < 0.0:
+        raise BadValueError(
+            "a preview's pose is not a rotation and a translation", "Leave out scale, shear and mirroring."
+        )
+    pose[:3, :3] = left @ right  # the nearest rotation
+    return Camera(pose, width, height, asked.fx, asked.fy, asked.cx, asked.cy)
+
+
+def srgb_to_linear(codes: torch.Tensor) -> torch.Tensor:
+    """IEC 61966-2-1, on [0, 1]."""
+    return torch.where(codes <= 0.04045, codes / 12.92, ((codes + 0.055) / 1.055) ** 2.4)
+
+
+@torch.no_grad()
+def render(method: PhysHDR, request: PreviewRequest, iteration: int) -> PreviewFrame:
+    """The frame that answers ``request``; ``PreviewRequest`` says what is in it.
+
+    Raises ``BadValueError`` for what cannot be rendered.
+    """
+    begun = time.perf_counter()
+    if not request.lighting_level >= 0.0:
+        raise BadValueError(f"a lighting level of {request.lighting_level}", "It must be 0 or more.")
+    if not abs(request.exposure_ev) <= EV_MAX:
+        raise BadValueError(f"an exposure of {request.exposure_ev} EV", f"Choose −{EV_MAX:g} to {EV_MAX:g}.")
+    camera, level = camera_of(request.camera), max(request.lighting_level, LEVEL_MIN)
+    exposure = math.exp2(request.exposure_ev)
+    drawn = method.preview(camera, level)
+    if request.tone == "learned":
+        picture, black = method.preview_ldr(drawn, camera, exposure, level)
+        seen, empty = (srgb_to_linear(codes.clamp(0.0, 1.0)) for codes in (picture, black))
+        colours = (seen - (1.0 - drawn.alpha) * empty).clamp_min(0.0)
+    else:
+        colours = drawn.image * exposure
+    rgba = torch.empty(camera.height, camera.width, 4, dtype=torch.float16, device=colours.device)
+    rgba[..., :3] = colours.clamp(max=HALF_MAX).permute(1, 2, 0)
+    rgba[..., 3] = drawn.alpha
+    assert drawn.depth is not None
+    rgba_there, depth_there = rgba.cpu().numpy(), drawn.depth.cpu().numpy()  # waits for a card
+    milliseconds = 1e3 * (time.perf_counter() - begun)
+    return PreviewFrame(
+        PreviewHeader(request=request, iteration=iteration, milliseconds=milliseconds),
+        rgba_there,
+        depth_there,
+    )
