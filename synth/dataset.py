@@ -62,6 +62,8 @@ def make(out: Path, options: Options, report: Report | None = None) -> None:
     response = by_name(options.crf)
     began = time.monotonic()
     with device.chosen(options.device), _staged(options, report) as (stage, options):
+        if options.denoise:
+            settings.check_denoiser(stage.scene)
         asked = {**options.as_json(), "response": response.describe()}
         if stage.fingerprint:
             asked |= {"scene": stage.scene.name, "fingerprint": stage.fingerprint}
@@ -93,9 +95,11 @@ def make(out: Path, options: Options, report: Report | None = None) -> None:
         with settings.applied(stage.scene, wanted, None if users else settings.WORKING_SPACE) as record:
             renderer = Renderer(stage)
             _render(out, missing, renderer, options, report)
+            report.finishing("exposures and points")
             _write_brackets(out, pictures, response, options)
             if not (out / "points3d.ply").exists():
                 _write_points(out, pictures, stage, options, report)
+            report.finishing("measuring the noise")
             floor = state.get("noise_floor") or _noise_floor(out, pictures, renderer, response, options)
         content = _describe(head, out, pictures, options, response, record, floor)
         if stage.source:

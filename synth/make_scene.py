@@ -180,10 +180,11 @@ def _options(given: argparse.Namespace) -> Options:
 
 
 def _run(arguments: list[str]) -> int:
-    """``main`` where CTRL-C, or CTRL-BREAK on Windows, raises KeyboardInterrupt: Blender would take it."""
-    for name in ("SIGINT", "SIGBREAK"):
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), signal.default_int_handler)
+    """``main`` where CTRL-C raises KeyboardInterrupt; Blender would take it for itself."""
+    from .interrupts import signals
+
+    for each in signals():
+        signal.signal(each, signal.default_int_handler)
     return main(arguments)
 
 

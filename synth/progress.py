@@ -77,6 +77,9 @@ class Report:
         """The picture ``name`` is done."""
         self._progress.advance(name)
 
+    def finishing(self, what: str) -> None:
+        """The pictures are rendered; ``what`` of the rest is being done now."""
+
     def end(self, result: dict[str, Any]) -> None:
         """All is done; ``result`` sums up the data set."""
 
@@ -110,11 +113,8 @@ class JsonReport(Report):
             line["seconds_left"] = round(step.seconds_left(), 1)
         self._emit(line)
 
-    def say(self, line: str) -> None:
-        super().say(line)
-        step = getattr(self, "_progress", None)
-        if step and step.done == step.total:
-            self._emit({"progress": self.RENDERING, "message": line})
+    def finishing(self, what: str) -> None:
+        self._emit({"progress": self.RENDERING, "message": what})
 
     def warn(self, line: str) -> None:
         super().warn(line)

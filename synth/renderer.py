@@ -14,6 +14,7 @@ from mathutils import Matrix
 from . import exr
 from .errors import NotFiniteError, RenderError
 from .folder import temporary
+from .interrupts import held
 from .progress import quiet
 from .scenes.stage import Stage
 
@@ -50,7 +51,7 @@ class Renderer:
         scene.cycles.seed = seed
         scene.render.filepath = str(pending.absolute())
         try:
-            with quiet():
+            with quiet(), held():
                 done = bpy.ops.render.render(
                     write_still=True, scene=scene.name, layer=self.stage.view_layer.name
                 )

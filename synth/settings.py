@@ -132,26 +132,33 @@ def _set_working_space(name: str) -> None:
         bpy.ops.wm.set_working_color_space(working_space=name, convert_colors=False)
 
 
+def check_denoiser(scene: bpy.types.Scene) -> None:
+    """
+    Raises:
+        DeviceError: this Blender has no denoiser.
+    """
+    with quiet():  # asking for it makes Cycles look for GPUs and say so
+        there = bool(scene.cycles.denoiser)
+    if not there:
+        raise DeviceError(
+            "this Blender was built without the denoiser OpenImageDenoise",
+            "use --no-denoise with more --samples, or a Blender from blender.org",
+        )
+
+
 @contextmanager
 def applied(
     scene: bpy.types.Scene, settings: list[tuple[str, Any]], working_space: str | None = WORKING_SPACE
 ) -> Iterator[dict[str, Any]]:
     """Set everything, yield the record {RNA path: value as Blender keeps it}; put all back, also on error.
 
-    ``working_space``: ``None`` leaves the file's, in which its colours are given.
-
-    Raises:
-        DeviceError: this Blender has no denoiser.
+    ``working_space``: ``None`` leaves the file's, in which its colours are given. The denoiser must be there
+    if it is asked for (``check_denoiser``).
     """
     former_space = bpy.data.colorspace.working_space
     # All are read before the first is set: a file format changes the depth by itself.
     with quiet():  # asking for the denoiser makes Cycles look for GPUs and say so
         former = [(path, scene.path_resolve(path)) for path, _ in settings]
-        if ("cycles.use_denoising", True) in settings and not scene.cycles.denoiser:
-            raise DeviceError(
-                "this Blender was built without the denoiser OpenImageDenoise",
-                "use --no-denoise with more --samples, or a Blender from blender.org",
-            )
     try:
         with quiet():
             if working_space:
@@ -169,6 +176,7 @@ def applied(
     finally:
         for path, value in former:  # forward again: the format decides which depths there are
             owner, attribute = _owner(scene, path)
-            setattr(owner, attribute, value)
+            if value != "":  # a menu without a choice: it follows the file format by itself
+                setattr(owner, attribute, value)
         if working_space:
             _set_working_space(former_space)
