@@ -10,7 +10,7 @@ from .look import draw_look, is_model
 from .operators.base import choices
 from .runtime import session
 from .session.advice import headline, next_step, problem_of, why_not
-from .session.state import CHECK, DATASET, INSTALL, State
+from .session.state import CHECK, DATASET, INSTALL, Problem, State
 
 #: Pixels of a character at the interface's scale 1, to wrap texts to the panel's width.
 CHARACTER = 7.0
@@ -41,23 +41,25 @@ class PHYSHDR_PT_train(_Panel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         state, layout = session().state, self.layout
+        problem = problem_of(state)
         icon = ICONS.get(state.job.state, "RADIOBUT_ON" if state.backend.ready else "RADIOBUT_OFF")
-        layout.label(text=headline(state), icon="ERROR" if problem_of(state) else icon)
+        layout.label(text=headline(state), icon="ERROR" if problem else icon)
+        for name in (INSTALL, CHECK, DATASET):
+            draw_task(layout, state, name)
+        draw_progress(context, layout, state)
+        if problem:
+            draw_problem(context, layout, problem)
         step = next_step(state, choices(context))
         if step:
             write(context, layout, step, "FORWARD")
-        problem = problem_of(state)
-        if problem:
-            box = layout.box()
-            box.alert = True
-            write(context, box, problem.message, "ERROR")
-            box.alert = False
-            if problem.hint:
-                write(context, box, problem.hint, "INFO")
-            row = box.row()
-            if problem.log:
-                row.operator("physhdr.log_open", icon="TEXT").filepath = problem.log
-            row.operator("physhdr.problem_dismiss", icon="X")
+
+
+class PHYSHDR_MT_backend(bpy.types.Menu):
+    bl_label = "Another Backend"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        self.layout.operator("physhdr.backend_install", text="Install Again…", icon="IMPORT")
+        self.layout.operator("physhdr.backend_use", text="Use Existing Python…", icon="FILEBROWSER")
 
 
 class PHYSHDR_PT_backend(_Subpanel, bpy.types.Panel):
@@ -65,32 +67,33 @@ class PHYSHDR_PT_backend(_Subpanel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         state, layout = session().state, self.layout
-        backend = state.backend
-        if backend.ready:
-            for line in report_lines(backend.report):
-                layout.label(text=line)
-            write(context, layout, backend.python, "FILE_SCRIPT")
+        if state.backend.ready:
+            self._draw_ready(context, layout, state)
         else:
-            layout.label(text="Torch lives in a Python of its own, not in Blender")
-        for name in (INSTALL, CHECK):
-            draw_task(layout, state, name)
-        column = layout.column(align=True)
-        text = "Install Again" if backend.ready else "Install"
-        button(context, column, state, "install", "physhdr.backend_install", text, "IMPORT")
-        row = column.row(align=True)
-        button(context, row, state, "use_python", "physhdr.backend_use", "Use Existing Python", "FILEBROWSER")
-        button(context, row, state, "check", "physhdr.backend_check", "Check", "CHECKMARK")
+            write(context, layout, "Training needs torch, in a Python of its own beside Blender")
+            row = layout.row(align=True)
+            button(context, row, state, "install", "physhdr.backend_install", "Install…", "IMPORT")
+            button(context, row, state, "use_python", "physhdr.backend_use", "Use Python…", "FILEBROWSER")
+            if state.backend.python:
+                button(context, row, state, "check", "physhdr.backend_check", "Check", "CHECKMARK")
+            reasons(context, layout, state, "install")
         if state.link.status == "off":
             return
-        box = layout.box()
         welcome = state.link.welcome
-        box.label(text=f"Running, process {welcome.pid}" if welcome else "Starting", icon="LINKED")
+        row = layout.row(align=True)
+        row.label(text=f"Running, process {welcome.pid}" if welcome else "Starting", icon="LINKED")
+        row.operator("physhdr.log_open", text="", icon="TEXT").filepath = state.link.log
+        row.operator("physhdr.backend_shutdown", text="", icon="QUIT")
         if welcome and not state.job.in_control:
-            write(context, box, f"{state.job.controller or 'Another Blender'} is in control", "LOCKED")
-            box.operator("physhdr.control_take", icon="UNLOCKED")
-        row = box.row(align=True)
-        row.operator("physhdr.log_open", icon="TEXT").filepath = state.link.log
-        row.operator("physhdr.backend_shutdown", text="Shut Down", icon="QUIT")
+            write(context, layout, f"{state.job.controller or 'Another Blender'} is in control", "LOCKED")
+            layout.operator("physhdr.control_take", icon="UNLOCKED")
+
+    def _draw_ready(self, context: bpy.types.Context, layout: bpy.types.UILayout, state: State) -> None:
+        write(context, layout, report_line(state.backend.report), "CHECKMARK")
+        row = layout.row(align=True)
+        row.label(text=shortened(state.backend.python, context), icon="FILE_SCRIPT")
+        row.operator("physhdr.backend_check", text="Check")
+        row.menu("PHYSHDR_MT_backend", text="", icon="DOWNARROW_HLT")
 
 
 class PHYSHDR_PT_dataset(_Subpanel, bpy.types.Panel):
@@ -101,13 +104,13 @@ class PHYSHDR_PT_dataset(_Subpanel, bpy.types.Panel):
         layout.prop(context.scene.physhdr, "data", text="")
         dataset = state.dataset
         if context.scene.physhdr.data:
+            column = layout.column(align=True)
             for line in dataset.lines:
-                layout.label(text=line)
+                write(context, column, line)
             for warning in dataset.warnings:
-                write(context, layout, warning, "ERROR")
+                write(context, column, warning, "ERROR")
             if dataset.problem:
-                write(context, layout, f"{dataset.problem.message}. {dataset.problem.hint}", "ERROR")
-        draw_task(layout, state, DATASET)
+                write(context, column, f"{dataset.problem.message}. {dataset.problem.hint}", "ERROR")
         text = "Render from This Scene…"
         button(context, layout, state, "render", "physhdr.dataset_render", text, "RENDER_STILL")
 
@@ -117,25 +120,25 @@ class PHYSHDR_PT_training(_Subpanel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         state, layout, settings = session().state, self.layout, context.scene.physhdr
-        column = layout.column()
-        column.use_property_split = True
-        column.enabled = not state.active
-        column.prop(settings, "out")
-        column.prop(settings, "preset")
-        column.prop(settings, "iterations")
-        column.prop(settings, "exposure_mode")
-        column.prop(settings, "device")
         if state.active:
             self._draw_steering(context, layout, state)
         else:
+            column = layout.column()
+            column.use_property_split = True
+            column.use_property_decorate = False
+            for name in ("out", "preset", "iterations", "exposure_mode", "device"):
+                column.prop(settings, name)
             row = layout.row(align=True)
             button(context, row, state, "start", "physhdr.train_start", "Start", "PLAY")
             button(context, row, state, "resume", "physhdr.train_resume", "Resume", "FILE_REFRESH")
-        self._draw_numbers(context, layout, state)
+            reasons(context, layout, state, "start")
         row = layout.row(align=True)
         if not state.job.has_model:
             button(context, row, state, "open", "physhdr.run_open", "Open Run", "FILE_FOLDER")
         button(context, row, state, "import", "physhdr.result_import", "Import Result", "IMPORT")
+        if plot.icon_id() and len(state.history.iterations) > 1:
+            layout.template_icon(plot.icon_id(), scale=7.0)
+            layout.label(text="Loss (orange, logarithmic), PSNR (blue)")
 
     def _draw_steering(self, context: bpy.types.Context, layout: bpy.types.UILayout, state: State) -> None:
         row = layout.row(align=True)
@@ -145,29 +148,7 @@ class PHYSHDR_PT_training(_Subpanel, bpy.types.Panel):
             button(context, row, state, "pause", "physhdr.train_pause", "Pause", "PAUSE")
         text = "End at Once" if state.stopping else "Stop"
         button(context, row, state, "stop", "physhdr.train_stop", text, "SNAP_FACE")
-
-    def _draw_numbers(self, context: bpy.types.Context, layout: bpy.types.UILayout, state: State) -> None:
-        job = state.job
-        if job.state == "idle":
-            return
-        if job.iterations:
-            text = f"{job.iteration} / {job.iterations}"
-            if job.state == "training" and job.seconds_left > 0.0:
-                text += f"   {duration(job.seconds_left)} left"
-            layout.progress(factor=job.iteration / job.iterations, text=text)
-        if job.message:
-            write(context, layout, job.message, "INFO")
-        if job.gaussians:
-            grid = layout.column(align=True)
-            grid.label(text=f"{job.gaussians:,} Gaussians")
-            if "PSNR" in job.monitor:
-                grid.label(text=f"PSNR {job.monitor['PSNR']:.2f} dB on a test view")
-            if job.losses and job.state in ("training", "paused"):
-                speed = job.iterations_per_second
-                grid.label(text=f"Loss {sum(job.losses.values()):.4f}, {speed:.1f} iterations/s")
-        if plot.icon_id() and len(state.history.iterations) > 1:
-            layout.template_icon(plot.icon_id(), scale=8.0)
-            layout.label(text="Loss (orange, logarithmic), PSNR (blue)")
+        write(context, layout, state.job.run, "FILE_FOLDER")
 
 
 class PHYSHDR_PT_illumination(_Subpanel, bpy.types.Panel):
@@ -198,6 +179,43 @@ class PHYSHDR_PT_illumination(_Subpanel, bpy.types.Panel):
             write(context, layout, "This method learns no illumination: the level only scales", "INFO")
 
 
+def draw_progress(context: bpy.types.Context, layout: bpy.types.UILayout, state: State) -> None:
+    """How far the training is: iterations, time left, PSNR, Gaussians, loss."""
+    job = state.job
+    if not job.run or not job.iterations:
+        if state.active and job.message:
+            write(context, layout, job.message, "INFO")
+        return
+    text = f"{job.iteration} / {job.iterations}"
+    if job.state == "training" and job.seconds_left > 0.0:
+        text += f"   {duration(job.seconds_left)} left"
+    column = layout.column(align=True)
+    column.progress(factor=job.iteration / job.iterations, text=text)
+    numbers = [f"{job.gaussians:,} Gaussians"] if job.gaussians else []
+    if "PSNR" in job.monitor:
+        numbers.insert(0, f"PSNR {job.monitor['PSNR']:.2f} dB")
+    column.label(text=", ".join(numbers))
+    if job.losses and job.state in ("training", "paused"):
+        speed = job.iterations_per_second
+        column.label(text=f"Loss {sum(job.losses.values()):.4f}, {speed:.1f} iterations/s")
+    elif job.message and state.active:
+        write(context, column, job.message)
+
+
+def draw_problem(context: bpy.types.Context, layout: bpy.types.UILayout, problem: Problem) -> None:
+    """What went wrong, the remedy, and the log."""
+    box = layout.box()
+    column = box.column(align=True)
+    column.alert = True
+    write(context, column, problem.message, "ERROR")
+    if problem.hint:
+        write(context, box, problem.hint, "INFO")
+    row = box.row(align=True)
+    if problem.log:
+        row.operator("physhdr.log_open", icon="TEXT").filepath = problem.log
+    row.operator("physhdr.problem_dismiss", icon="X")
+
+
 def button(
     context: bpy.types.Context,
     layout: bpy.types.UILayout,
@@ -207,14 +225,17 @@ def button(
     text: str,
     icon: str,
 ) -> None:
-    """An operator's button, greyed where the user's choices do not allow it, with the reason beside it."""
+    """An operator's button, greyed where the user's choices do not allow it (``reasons`` says why)."""
+    cell = layout.row(align=True)
+    cell.enabled = not why_not(state, action, choices(context))
+    cell.operator(operator, text=text, icon=icon)
+
+
+def reasons(context: bpy.types.Context, layout: bpy.types.UILayout, state: State, action: str) -> None:
+    """Why a button above is greyed, in the panel itself: a tooltip alone is not found."""
     reason = why_not(state, action, choices(context))
-    column = layout.column(align=True)
-    row = column.row(align=True)
-    row.enabled = not reason
-    row.operator(operator, text=text, icon=icon)
-    if reason and action in ("start", "install", "import"):  # the others' reasons are in their tooltips
-        write(context, column, reason, "INFO")
+    if reason:
+        write(context, layout, reason, "INFO")
 
 
 def draw_task(layout: bpy.types.UILayout, state: State, name: str) -> None:
@@ -225,20 +246,27 @@ def draw_task(layout: bpy.types.UILayout, state: State, name: str) -> None:
     text = f"{task.fraction:.0%}"
     if task.seconds_left >= 0.0:
         text += f"   {duration(task.seconds_left)} left"
-    row = layout.row(align=True)
+    column = layout.column(align=True)
+    row = column.row(align=True)
     row.progress(factor=task.fraction, text="Cancelling" if task.cancelling else text)
     row.operator("physhdr.task_cancel", text="", icon="X").name = name
     if task.message:
-        layout.label(text=task.message)
+        column.label(text=task.message)
 
 
 def write(context: bpy.types.Context, layout: bpy.types.UILayout, text: str, icon: str = "NONE") -> None:
     """A text of several lines, as wide as the panel."""
-    scale = context.preferences.system.ui_scale * CHARACTER
-    width = max(20, int(context.region.width / scale) - 6)
     column = layout.column(align=True)
+    column.scale_y = 0.8
+    width = columns(context) - (4 if icon != "NONE" else 0)
     for index, line in enumerate(textwrap.wrap(text, width) or [""]):
         column.label(text=line, icon=icon if index == 0 else "BLANK1" if icon != "NONE" else "NONE")
+
+
+def columns(context: bpy.types.Context) -> int:
+    """How many characters a line of the panel holds."""
+    scale = context.preferences.system.ui_scale * CHARACTER
+    return max(20, int(context.region.width / scale) - 6)
 
 
 def duration(seconds: float) -> str:
@@ -250,15 +278,22 @@ def duration(seconds: float) -> str:
     return f"{minutes} min {seconds} s" if minutes else f"{seconds} s"
 
 
-def report_lines(report: dict) -> list[str]:
+def report_line(report: dict) -> str:
     """What the check found, for people."""
     versions = report.get("versions", {})
-    told = [f"{name} {versions[name]}" for name in ("python", "torch", "numba") if versions.get(name)]
-    return [", ".join(told), str(report.get("device", ""))] if told else [str(report.get("device", ""))]
+    told = [f"{name} {versions[name]}" for name in ("torch", "numba") if versions.get(name)]
+    return ", ".join([*told, str(report.get("device", ""))])
+
+
+def shortened(path: str, context: bpy.types.Context) -> str:
+    """The end of a path, as much as there is room for beside a button."""
+    room = max(12, columns(context) - 14)
+    return path if len(path) <= room else f"…{path[1 - room :]}"
 
 
 _CLASSES: tuple[type, ...] = (
     PHYSHDR_PT_train,
+    PHYSHDR_MT_backend,
     PHYSHDR_PT_backend,
     PHYSHDR_PT_dataset,
     PHYSHDR_PT_training,
