@@ -13,6 +13,7 @@ _MODULES = (
     "model_import",
     "bake",
     "operators.backend",
+    "operators.dataset",
     "operators.training",
     "viewport",
     "plot",

@@ -82,7 +82,7 @@ def make(out: Path, options: Options, report: Report | None = None) -> None:
         if state and state.get("generator") != maker:
             raise ConflictError(
                 f"'{out}' was begun by {_told(state.get('generator'))}, this is {_told(maker)}: "
-                "go on with that one, or choose another --out (nothing was changed)"
+                "go on with that one, or choose another folder (--out; nothing was changed)"
             )
         head = {"format": folder.FORMAT, "version": folder.VERSION, "generator": maker, "options": asked}
         if not (out / folder.FINAL).exists():

@@ -57,5 +57,5 @@ def _take_first(preferences: bpy.types.AddonPreferences) -> None:
             each.use = True
         return
     raise DeviceError(
-        "Cycles finds no GPU here", "use --device CPU, or choose the GPU in Preferences > System"
+        "Cycles finds no GPU here", "use the CPU (--device CPU), or choose the GPU in Preferences > System"
     )

@@ -46,10 +46,12 @@ def read_json(path: Path) -> dict[str, Any]:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise DamagedFileError(
-            f"'{path}' is damaged ({error}): delete it, or choose another --out"
+            f"'{path}' is damaged ({error}): delete it, or choose another folder (--out)"
         ) from error
     if not isinstance(content, dict):
-        raise DamagedFileError(f"'{path}' is damaged (no object): delete it, or choose another --out")
+        raise DamagedFileError(
+            f"'{path}' is damaged (no object): delete it, or choose another folder (--out)"
+        )
     return content
 
 
@@ -69,7 +71,8 @@ def open_folder(folder: Path, options: dict[str, Any]) -> dict[str, Any]:
         held = [entry.name for entry in folder.iterdir()]
     except OSError as error:
         raise OutputFolderError(
-            f"cannot write to the output folder '{folder}': {error.strerror or error}. Choose another --out"
+            f"cannot write to the output folder '{folder}': {error.strerror or error}. "
+            "Choose another folder (--out)"
         ) from error
     names = [name for name in (FINAL, PARTIAL) if name in held]
     if not names:
@@ -80,13 +83,15 @@ def open_folder(folder: Path, options: dict[str, Any]) -> dict[str, Any]:
         return {}
     state = read_json(folder / names[0])
     if state.get("format") != FORMAT or state.get("version") != VERSION or "options" not in state:
-        raise OutputFolderError(f"'{folder / names[0]}' is not of this program: choose another --out")
+        raise OutputFolderError(
+            f"'{folder / names[0]}' is not of this program: choose another folder (--out)"
+        )
     earlier = state["options"]
     differing = [key for key in options if earlier.get(key) != options[key]]
     if differing:
         what = "; ".join(f"{key} is {earlier.get(key)} there, {options[key]} asked" for key in differing)
         raise ConflictError(
             f"'{folder}' holds a data set made with other options: {what}. "
-            "Choose another --out, or delete that folder (nothing was changed)"
+            "Choose another folder (--out), or delete that one (nothing was changed)"
         )
     return state

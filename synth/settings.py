@@ -142,7 +142,7 @@ def check_denoiser(scene: bpy.types.Scene) -> None:
     if not there:
         raise DeviceError(
             "this Blender was built without the denoiser OpenImageDenoise",
-            "use --no-denoise with more --samples, or a Blender from blender.org",
+            "render without denoising and with more samples (--no-denoise), or use blender.org's Blender",
         )
 
 
