@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """numpy arrays to and from the GPU, and the small things that every shader here needs."""
 
+import math
 from collections.abc import Sequence
 
 import gpu
@@ -34,10 +35,23 @@ def matrix(array: np.ndarray) -> mathutils.Matrix:
     return mathutils.Matrix(np.asarray(array, np.float64).tolist())
 
 
-def batch(kind: str, corners: Sequence[tuple[float, float]]) -> gpu.types.GPUBatch:
+def triangles(count: int) -> gpu.types.GPUBatch:
+    """``count`` times the triangle around the unit circle: 3 vertices with the attribute ``corner``."""
+    corners = np.array([(0.0, 2.0), (-math.sqrt(3.0), -1.0), (math.sqrt(3.0), -1.0)], np.float32)
+    indices = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
+    return batch("TRIS", np.tile(corners, (count, 1)), gpu.types.GPUIndexBuf(type="TRIS", seq=indices))
+
+
+def batch(
+    kind: str,
+    corners: Sequence[tuple[float, float]] | np.ndarray,
+    indices: gpu.types.GPUIndexBuf | None = None,
+) -> gpu.types.GPUBatch:
     """A batch with one vertex attribute ``corner`` (VEC2)."""
     format = gpu.types.GPUVertFormat()
     format.attr_add(id="corner", comp_type="F32", len=2, fetch_mode="FLOAT")
     vertices = gpu.types.GPUVertBuf(format, len(corners))
     vertices.attr_fill("corner", corners)
-    return gpu.types.GPUBatch(type=kind, buf=vertices)
+    if indices is None:
+        return gpu.types.GPUBatch(type=kind, buf=vertices)
+    return gpu.types.GPUBatch(type=kind, buf=vertices, elem=indices)

@@ -105,7 +105,8 @@ Source = Callable[[bpy.types.Context, ViewCamera], Iterable[Layer]]
 
 def upload(picture: Picture) -> Layer:
     """The picture on the GPU; needs an active GPU context (a draw handler)."""
-    colour = gpu_arrays.texture(np.asarray(picture.rgba, np.float32), "RGBA16F")
+    # Full floats: they are what Blender uploads, and the driver need not convert them.
+    colour = gpu_arrays.texture(np.asarray(picture.rgba, np.float32), "RGBA32F")
     depth = gpu_arrays.texture(np.asarray(picture.depth, np.float32)[..., None], "R32F")
     return Layer(colour, depth, picture.camera, picture.typical_depth, picture.tone, top_row_first=True)
 

@@ -24,8 +24,9 @@ RETRY_SECONDS = 0.5
 REFRESH_SECONDS = 0.5
 #: One step of the ladder halves the number of pixels.
 STEP = math.sqrt(0.5)
-#: The lowest step: 1/8 of the width, 1/64 of the pixels.
-LOWEST_STEP = 6
+#: The lowest step: a quarter of the width, 1/16 of the pixels. Below it the time hardly falls (half of it is
+#: for each Gaussian, not for each pixel), and nothing can be recognised.
+LOWEST_STEP = 4
 
 
 class ResolutionLadder:

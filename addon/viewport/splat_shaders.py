@@ -3,7 +3,7 @@
 
 Two programs. ``projection`` runs once for each Gaussian when the camera or the light changed (a fragment
 each): where it is on the screen, its two axes in pixels, its radiance toward the camera. ``drawing`` puts a
-quad for each into the picture, the farthest first.
+triangle for each into the picture, the farthest first.
 """
 
 import gpu
@@ -138,10 +138,10 @@ void main()
 }
 """
 
-_QUAD = """
+_TRIANGLE = """
 void main()
 {
-  int rank = first + gl_InstanceID;
+  int rank = first + gl_VertexID / 3;
   int index = int(texelFetch(order, ivec2(rank % WIDTH, rank / WIDTH), 0).r);
   ivec2 texel = ivec2(index % WIDTH, index / WIDTH);
   vec4 place = texelFetch(projected_place, texel, 0);
@@ -150,7 +150,7 @@ void main()
   opacity = place.w;
   depth = place.z;
   radiance = shine.rgb;
-  /* In standard deviations along the two axes; the quad ends where alpha falls to 1/255. */
+  /* In standard deviations along the two axes; the triangle encloses where alpha is 1/255 or more. */
   from_centre = corner * shine.w;
   vec2 pixel = place.xy + from_centre.x * axes.xy + from_centre.y * axes.zw;
   vec2 clip = 2.0 * pixel / size - 1.0;
@@ -212,7 +212,7 @@ def create_drawing() -> gpu.types.GPUShader:
         info.sampler(slot, "FLOAT_2D", name)
     info.fragment_out(0, "VEC4", "out_colour")
     info.fragment_out(1, "VEC4", "out_depth")
-    info.vertex_source(_QUAD)
+    info.vertex_source(_TRIANGLE)
     info.fragment_source(_BLENDED)
     return gpu.shader.create_from_info(info)
 
