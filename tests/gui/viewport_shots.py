@@ -1,0 +1,325 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Screenshots of Gaussians in a real Blender window: shader and overlay, shadings, depth, relighting.
+
+    blender --factory-startup -P tests/gui/viewport_shots.py -- \\
+        --model model.safetensors --cameras transforms_test.json --out FOLDER
+
+Needs a display (Xvfb will do) and ImageMagick's ``import``. Numbers that a picture cannot show go to
+``DIR/report.json``: colours against planes of the same emission, and how long redraws took.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import time
+import traceback
+from collections.abc import Iterator
+from pathlib import Path
+
+import bpy
+import mathutils
+import numpy as np
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+#: Radiance of the colour test's patches.
+PATCHES = (0.18, 1.0, 8.0)
+
+
+def load_package() -> None:
+    """Make the repository importable as ``physhdr`` where it is not installed."""
+    import importlib.util
+
+    spec = importlib.util.spec_from_file_location(
+        "physhdr", ROOT / "__init__.py", submodule_search_locations=[str(ROOT)]
+    )
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["physhdr"] = module
+    spec.loader.exec_module(module)
+
+
+class Window:
+    """The window's 3D view, and screenshots of it."""
+
+    def __init__(self, out: Path) -> None:
+        self.out = out
+        self.report: dict[str, object] = {}
+        window = bpy.context.window_manager.windows[0]
+        self.area = next(area for area in window.screen.areas if area.type == "VIEW_3D")
+        self.region = next(region for region in self.area.regions if region.type == "WINDOW")
+        self.space = self.area.spaces.active
+
+    @property
+    def rv3d(self) -> bpy.types.RegionView3D:
+        return self.region.data
+
+    def shot(self, name: str) -> None:
+        subprocess.run(["import", "-window", "root", str(self.out / f"{name}.png")], check=True)
+
+    def settle(self, redraws: int = 4, seconds: float = 0.15) -> Iterator[float]:
+        for _ in range(redraws):
+            self.region.tag_redraw()
+            yield seconds
+
+    def shade(self, shading: str, engine: str = "BLENDER_EEVEE") -> None:
+        bpy.context.scene.render.engine = engine
+        if engine == "CYCLES":
+            bpy.context.scene.cycles.preview_samples = 4
+            bpy.context.scene.cycles.use_preview_denoising = False
+        self.space.shading.type = shading
+
+
+#: Shading, engine, redraws until EEVEE's shaders are compiled or Cycles is done.
+SHADINGS = (
+    ("SOLID", "BLENDER_EEVEE", 4),
+    ("MATERIAL", "BLENDER_EEVEE", 14),
+    ("RENDERED", "BLENDER_EEVEE", 14),
+    ("RENDERED", "CYCLES", 24),
+)
+
+
+def emission(name: str, colour: tuple[float, float, float]) -> bpy.types.Material:
+    material = bpy.data.materials.new(name)
+    tree = material.node_tree
+    tree.nodes.clear()
+    shader = tree.nodes.new("ShaderNodeEmission")
+    shader.inputs[0].default_value = (*colour, 1.0)
+    output = tree.nodes.new("ShaderNodeOutputMaterial")
+    tree.links.new(shader.outputs[0], output.inputs[0])
+    return material
+
+
+def clear_scene() -> None:
+    for target in list(bpy.data.objects):
+        bpy.data.objects.remove(target)
+
+
+def add_test_objects() -> None:
+    """A ball nearer than everything, a post among the furniture, and a wall of it behind the room."""
+    magenta = bpy.data.materials.new("magenta")
+    magenta.diffuse_color = (0.8, 0.05, 0.5, 1.0)
+    magenta.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (0.8, 0.05, 0.5, 1.0)
+    bpy.ops.mesh.primitive_uv_sphere_add(radius=0.12, location=(-0.45, -0.9, 1.6))
+    bpy.ops.object.shade_smooth()
+    bpy.context.object.data.materials.append(magenta)
+    bpy.ops.mesh.primitive_cylinder_add(radius=0.12, depth=3.0, location=(0.35, 1.4, 0.6))
+    bpy.context.object.data.materials.append(magenta)
+    bpy.ops.mesh.primitive_cube_add(size=1.0, location=(-1.0, 9.0, 1.2))
+    bpy.context.object.data.materials.append(magenta)
+    bpy.ops.object.light_add(type="SUN", rotation=(0.9, 0.2, 0.3))
+    bpy.ops.object.select_all(action="DESELECT")
+
+
+def test_colours(window: Window) -> Iterator[float]:
+    """A picture of known radiance beside planes of the same emission: the same on the screen."""
+    from physhdr.addon.viewport import overlay
+    from physhdr.addon.viewport.camera import of_region
+
+    clear_scene()
+    for index, value in enumerate(PATCHES):
+        bpy.ops.mesh.primitive_plane_add(size=1.0)
+        bpy.context.object.data.materials.append(emission(f"{value}", (value,) * 3))
+        place = mathutils.Matrix.Translation((-1.6 + 1.2 * index, 1.2, -10.0))
+        bpy.context.object.matrix_world = window.rv3d.view_matrix.inverted() @ place
+    bpy.ops.object.select_all(action="DESELECT")
+    yield from window.settle()
+    camera = of_region(window.region, window.rv3d)
+    rgba = np.zeros((camera.height, camera.width, 4), np.float16)
+    depth = np.full((camera.height, camera.width), 5.0, np.float32)
+    centres = [
+        (round(camera.cx + camera.fx * (-0.16 + 0.12 * index)), round(camera.cy)) for index in range(3)
+    ]
+    for (x, y), value in zip(centres, PATCHES, strict=True):
+        rgba[y - 30 : y + 30, x - 30 : x + 30] = (value, value, value, 1.0)
+    overlay.set_picture(overlay.region_key(window.region), overlay.Picture(rgba, depth, camera))
+    for transform in ("Standard", "AgX"):
+        bpy.context.scene.view_settings.view_transform = transform
+        for shading, engine, redraws in SHADINGS[1:]:
+            window.shade(shading, engine)
+            yield from window.settle(redraws)
+            window.shot(f"colours-{transform}-{shading}-{engine}")
+    top = window.region.y + window.region.height
+    window.report["patches"] = [
+        {
+            "radiance": value,
+            "picture": (window.region.x + x, 800 - top + y),
+            "plane": (0, -1.2 * camera.fy / 10),
+        }
+        for (x, y), value in zip(centres, PATCHES, strict=True)
+    ]
+    overlay.clear()
+    bpy.context.scene.view_settings.view_transform = "Standard"
+
+
+def look_through(window: Window, cameras: Path, index: int) -> None:
+    from physhdr.addon import camera_file, render
+
+    pose = camera_file.read_pose(cameras, index)
+    scene = bpy.context.scene
+    render.set_resolution(scene, 800, 800)
+    render.add_camera(scene, pose.camera_to_world, pose.angle_x)
+    window.rv3d.view_perspective = "CAMERA"
+    window.rv3d.view_camera_zoom = 25.0
+    window.rv3d.view_camera_offset = (0.0, 0.0)
+
+
+def test_splats(window: Window, model: Path, cameras: Path) -> Iterator[float]:
+    """The shader: every shading, with objects in front and behind; then three levels, two exposures."""
+    from physhdr.addon import model_import, nodes
+    from physhdr.addon.viewport import splats
+
+    clear_scene()
+    target = model_import.import_model(model)
+    target.physhdr_viewport = "SPLATS"
+    look_through(window, cameras, 1)
+    add_test_objects()
+    modifier = splats.lighting_modifier(target)
+    nodes.set_input(modifier, nodes.EXPOSURE, 1.0)
+    for shading, engine, redraws in SHADINGS:
+        window.shade(shading, engine)
+        yield from window.settle(redraws + 6)
+        window.shot(f"splats-{shading}-{engine}")
+    window.shade("SOLID")
+    for level in (0.25, 1.0, 4.0):
+        nodes.set_input(modifier, nodes.LIGHTING_LEVEL, level)
+        yield from window.settle(10)
+        window.shot(f"splats-level-{level:g}")
+    nodes.set_input(modifier, nodes.LIGHTING_LEVEL, 1.0)
+    window.space.overlay.show_overlays = False
+    for shading, engine in (("SOLID", "BLENDER_EEVEE"), ("RENDERED", "CYCLES")):
+        window.shade(shading, engine)
+        yield from window.settle(20)
+        window.shot(f"splats-no-overlays-{shading}")
+    window.space.overlay.show_overlays = True
+    window.shade("SOLID")
+    # A free view, near the camera's.
+    window.rv3d.view_perspective = "PERSP"
+    window.rv3d.view_location = (0.2, 1.4, 0.9)
+    window.rv3d.view_rotation = mathutils.Euler((1.3, 0.0, 0.25)).to_quaternion()
+    window.rv3d.view_distance = 3.4
+    yield from window.settle(10)
+    window.shot("splats-free-view")
+    window.report["moving"] = moving = []
+    for step in range(8):
+        window.rv3d.view_rotation = mathutils.Euler((1.3, 0.0, 0.25 + 0.03 * step)).to_quaternion()
+        window.region.tag_redraw()
+        start = time.perf_counter()
+        bpy.ops.wm.redraw_timer(type="DRAW", iterations=1)
+        moving.append(time.perf_counter() - start)
+    window.shot("splats-moving")
+    yield from window.settle(10)
+    window.rv3d.view_perspective = "ORTHO"
+    yield from window.settle(10)
+    window.shot("splats-orthographic")
+
+
+def test_overlay(window: Window) -> Iterator[float]:
+    """The overlay with a backend's kind of picture, full and half size, then seen from a moved view."""
+    from physhdr.addon.viewport import overlay, splats
+    from physhdr.addon.viewport.camera import of_region
+    from physhdr.addon.viewport.splat_renderer import SplatRenderer
+
+    window.rv3d.view_perspective = "CAMERA"
+    yield from window.settle(3)
+    drawn: list[overlay.Picture] = []
+
+    def draw() -> None:
+        if drawn:
+            return
+        camera = of_region(window.region, window.rv3d)
+        context = bpy.context
+        shown = splats.shown_objects(context.view_layer, context.view_layer.depsgraph)
+        ((_, items),) = splats.items_by_tone(shown).values()
+        for scale in (1.0, 0.5):
+            small = camera.scaled(scale)
+            rgba, depth = SplatRenderer().render(items, small).read()
+            drawn.append(overlay.Picture(rgba.astype(np.float16), depth, small))
+
+    handler = bpy.types.SpaceView3D.draw_handler_add(draw, (), "WINDOW", "POST_PIXEL")
+    yield from window.settle(3, 0.5)
+    bpy.types.SpaceView3D.draw_handler_remove(handler, "WINDOW")
+    splats.set_hidden(
+        splats.identity(target.data) for target in bpy.data.objects if target.type == "POINTCLOUD"
+    )
+    key = overlay.region_key(window.region)
+    for name, picture in zip(("full", "half"), drawn, strict=True):
+        overlay.set_picture(key, picture)
+        yield from window.settle()
+        window.shot(f"overlay-{name}")
+    window.shade("RENDERED")
+    yield from window.settle(12)
+    window.shot("overlay-rendered")
+    window.shade("SOLID")
+    matrix = window.rv3d.view_matrix.inverted()
+    window.rv3d.view_perspective = "PERSP"
+    window.rv3d.view_matrix = (matrix @ mathutils.Matrix.Translation((0.15, 0.0, 0.1))).inverted()
+    yield from window.settle()
+    window.shot("overlay-moved")
+    upload = []
+    for size in (400, 800):
+        small = drawn[0].camera.resized(size, size)
+        rgba = np.random.default_rng(0).random((size, size, 4)).astype(np.float16)
+        overlay.set_picture(key, overlay.Picture(rgba, np.ones((size, size), np.float32), small))
+        timed = overlay.upload
+        seconds: list[float] = []
+
+        def upload_timed(picture, timed=timed, seconds=seconds):
+            start = time.perf_counter()
+            layer = timed(picture)
+            seconds.append(time.perf_counter() - start)
+            return layer
+
+        overlay.upload = upload_timed
+        yield from window.settle(2)
+        overlay.upload = timed
+        upload.append({"size": size, "seconds": seconds})
+    window.report["upload"] = upload
+    overlay.clear()
+    splats.set_hidden(())
+
+
+def steps(options: argparse.Namespace) -> Iterator[float]:
+    from physhdr.addon import viewport
+
+    viewport.register()
+    window = Window(options.out)
+    try:
+        if "colours" in options.only:
+            yield from test_colours(window)
+        if "splats" in options.only:
+            yield from test_splats(window, options.model, options.cameras)
+        if "overlay" in options.only:
+            yield from test_overlay(window)
+    finally:
+        (options.out / "report.json").write_text(json.dumps(window.report, indent=1))
+    viewport.unregister()
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--model", type=Path, required=True)
+    parser.add_argument("--cameras", type=Path, required=True)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--only", nargs="+", default=["colours", "splats", "overlay"])
+    options = parser.parse_args(sys.argv[sys.argv.index("--") + 1 :])
+    options.out.mkdir(parents=True, exist_ok=True)
+    load_package()
+    bpy.context.preferences.view.show_splash = False
+    running = steps(options)
+
+    def tick() -> float | None:
+        try:
+            return next(running)
+        except StopIteration:
+            code = 0
+        except BaseException:  # noqa: BLE001 (whatever it is, the window must not stay open)
+            traceback.print_exc()
+            code = 1
+        sys.stdout.flush()
+        os._exit(code)
+
+    bpy.app.timers.register(tick, first_interval=1.0)
+
+
+main()
