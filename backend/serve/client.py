@@ -34,7 +34,7 @@ class Client:
         self._something = asyncio.Event()
         self._room = asyncio.Event()
         self._room.set()
-        self._sending = False
+        self._sending = self._ended = False
 
     @property
     def idle(self) -> bool:
@@ -59,7 +59,7 @@ class Client:
 
     def _put(self, text: str) -> None:
         self._replies.append(text)
-        if len(self._replies) >= REPLIES_MAX:
+        if len(self._replies) >= REPLIES_MAX and not self._ended:
             self._room.clear()
         self._something.set()
 
@@ -78,6 +78,7 @@ class Client:
                     pass
                 self._sending = False
         finally:
+            self._ended = True
             self._room.set()  # nobody must wait for what will never be sent
 
     async def _send_one(self) -> bool:

@@ -61,6 +61,9 @@ _library_log.setLevel(logging.CRITICAL)
 HELLO_SECONDS = 5.0
 #: How long a close may take: both sides say good-bye, or the connection is dropped.
 CLOSE_SECONDS = 1.0
+#: A peer that has taken nothing of what waits for it for so long is dropped: the library's heartbeat cannot
+#: tell, since its own pings wait behind the rest.
+STALLED_SECONDS = 4.0
 CLIENTS_MAX = 16
 NAME_LENGTH_MAX = 80
 #: How long a training waits for somebody in control, where the last one wished it stopped.
@@ -180,7 +183,7 @@ class Server:
             async with asyncio.timeout(CLOSE_SECONDS):
                 while not all(client.idle for client in self._clients.values()):
                     await asyncio.sleep(0.01)
-        closing = [c.socket.close(GOING_AWAY, _fitting(self._closing)) for c in self._clients.values()]
+        closing = [_close(client.socket, GOING_AWAY, self._closing) for client in self._clients.values()]
         await asyncio.gather(*closing, return_exceptions=True)
         server.close()
         with suppress(TimeoutError):
@@ -225,22 +228,23 @@ class Server:
         try:
             hello, number = await self._first_request(socket)
             client = self._enter(socket, hello, number)
-            writing = asyncio.create_task(self._write(client))
+            tasks = [asyncio.create_task(self._write(client)), asyncio.create_task(_drop_if_stalled(socket))]
             try:
                 async for frame in socket:
                     self._take(client, frame)
                     await client.room()
             finally:
-                writing.cancel()
+                for task in tasks:
+                    task.cancel()
             log.info("%s left", client.name)
         except RefusedError as refused:
             log.warning("closed %s: %s", client.name if client else "a connection", refused.reason)
-            await socket.close(refused.code, _fitting(refused.reason))
+            await _close(socket, refused.code, refused.reason)
         except ConnectionClosed as closed:
             log.warning("lost %s: %s", client.name if client else "a connection", closed)
         except Exception:
             log.exception("a connection failed")
-            await socket.close(INTERNAL, "the backend failed; see its log")
+            await _close(socket, INTERNAL, "the backend failed; see its log")
         finally:
             if client:
                 self._leave(client)
@@ -252,7 +256,7 @@ class Server:
             pass  # the reading side says so
         except Exception:
             log.exception("writing to %s failed", client.name)
-            await client.socket.close(INTERNAL, "the backend failed; see its log")
+            await _close(client.socket, INTERNAL, "the backend failed; see its log")
 
     async def _first_request(self, socket: ServerConnection) -> tuple[Hello, int]:
         """``Hello`` and its id; raises ``RefusedError``."""
@@ -432,6 +436,33 @@ class Server:
             client.fail(wanted.id, frame)
 
 
+async def _drop_if_stalled(socket: ServerConnection) -> None:
+    """Cut the connection when the peer does not take what is sent."""
+    waiting, since = 0, time.monotonic()
+    while True:
+        await asyncio.sleep(0.25)
+        before, waiting = waiting, socket.transport.get_write_buffer_size()
+        now = time.monotonic()
+        if waiting == 0 or waiting < before:
+            since = now
+        elif now - since > STALLED_SECONDS:
+            log.warning("dropped a connection that took nothing for %g seconds", STALLED_SECONDS)
+            socket.transport.abort()
+            return
+
+
+async def _close(socket: ServerConnection, code: int, reason: str) -> None:
+    """Say why, and close; a peer that does not read is not waited for."""
+    cut = reason.encode("utf-8", "replace")[:123].decode(
+        "utf-8", "ignore"
+    )  # as much as a close frame carries
+    try:
+        async with asyncio.timeout(2 * CLOSE_SECONDS):
+            await socket.close(code, cut)
+    except TimeoutError:
+        socket.transport.abort()
+
+
 def _text(frame: str | bytes) -> str:
     if isinstance(frame, bytes):
         raise RefusedError(UNSUPPORTED, "clients send text frames only")
@@ -454,8 +485,3 @@ def _error_text(request: dict[str, Any], failure: Failure) -> str:
     number = request.get("id")
     number = number if type(number) is int and number >= 0 else 0
     return json.dumps({"kind": "error", "id": number, **dataclasses.asdict(failure)})
-
-
-def _fitting(reason: str) -> str:
-    """Cut to what a close frame can carry."""
-    return reason.encode("utf-8", "replace")[:123].decode("utf-8", "ignore")
