@@ -40,7 +40,7 @@ from .state import (
     TaskCancelled,
     TaskStarted,
 )
-from .task import ChildTask
+from .task import ChildTask, TaskEnded
 from .transition import transition
 
 LOG_FILE = "backend.log"
@@ -235,11 +235,10 @@ class Session:
 
     def _pump_tasks(self) -> None:
         for name, task in list(self._tasks.items()):
-            running = task.running
             for event in task.poll():
+                if isinstance(event, TaskEnded):
+                    del self._tasks[name]
                 self.dispatch(event)
-            if not running:
-                del self._tasks[name]
 
     def _pump_process(self) -> None:
         """Follow a process that was started; look now and then for one that others started."""

@@ -70,11 +70,6 @@ class ChildTask:
         self._thread = threading.Thread(target=self._read, name=f"physhdr {name}", daemon=True)
         self._thread.start()
 
-    @property
-    def running(self) -> bool:
-        """Whether its end has not been told by ``poll`` yet."""
-        return self._thread.is_alive() or not self._events.empty()
-
     def poll(self) -> list[TaskEvent]:
         """What happened since the last call; the last event of all is a ``TaskEnded``."""
         events = []

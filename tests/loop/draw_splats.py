@@ -27,7 +27,7 @@ def draw(case: dict, renderer: SplatRenderer) -> None:
     target = import_model(case["model"])
     target.physhdr_viewport = "SPLATS"
     target.matrix_world = mathutils.Matrix(case["matrix_world"])
-    modifier = splats.lighting_modifier(target)
+    modifier = nodes.find_modifier(target)
     nodes.set_input(modifier, nodes.LIGHTING_LEVEL, case["level"])
     nodes.set_input(modifier, nodes.EXPOSURE, case["exposure"])
     camera = ViewCamera(**{**case["camera"], "camera_to_world": np.array(case["camera"]["camera_to_world"])})

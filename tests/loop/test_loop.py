@@ -2,8 +2,6 @@
 """The whole loop, small: a scene from Cycles, training, evaluation, and the relit Gaussians in Cycles."""
 
 import json
-import subprocess
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,26 +11,6 @@ from physhdr.backend.cli import main
 from physhdr.backend.cli.run_folder import open_run
 from physhdr.backend.evaluate.metrics import hdr_pair, psnr
 from physhdr.backend.scene.pictures import read_exr
-
-ROOT = Path(__file__).resolve().parent.parent.parent
-BLENDER = ROOT / ".venvs" / "run-blender"
-SIZE = 64
-
-pytestmark = pytest.mark.skipif(not BLENDER.exists(), reason="no Blender side: run make setup")
-
-
-def in_blender(script: str, *arguments) -> None:
-    command = [BLENDER, ROOT / script, "--", *arguments]
-    done = subprocess.run([str(part) for part in command], capture_output=True, text=True, cwd=ROOT)
-    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
-
-
-@pytest.fixture(scope="module")
-def data(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("loop") / "data"
-    options = ["--resolution", SIZE, "--samples", 8, "--views", 12, "--lit-views", 4, "--relit-views", 1]
-    in_blender("synth/make_scene.py", "--out", folder, *options, "--ambient-levels", "4")
-    return folder
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +43,7 @@ def test_reference_and_cpu_draw_the_trained_model_alike(run):
     assert (difference / images["reference"].abs().clamp_min(1.0)).max() < 1e-4
 
 
-def test_cycles_draws_the_point_cloud_as_we_do(run, data):
+def test_cycles_draws_the_point_cloud_as_we_do(run, data, in_blender):
     """Law 7: the same Gaussians, relit by geometry nodes alone, from the same camera."""
     index = json.loads((data / "dataset.json").read_text())["lighting_levels"]["relit_views"][0]
     opened = open_run(run)
@@ -73,7 +51,7 @@ def test_cycles_draws_the_point_cloud_as_we_do(run, data):
     position = [v.index for v in opened.scene.test].index(index)
     out = run / "blender"
     camera = f"{data / 'transforms_test.json'}:{position}"
-    arguments = ["--camera", camera, "--resolution", SIZE, "--levels", 1, 4, "--out", out]
+    arguments = ["--camera", camera, "--resolution", 64, "--levels", 1, 4, "--out", out]
     in_blender("addon/scripts/relight.py", run / "model.safetensors", *arguments, "--blend", out / "x.blend")
     assert (out / "x.blend").stat().st_size > 10_000
     for level in (1.0, 4.0):
