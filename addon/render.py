@@ -46,6 +46,24 @@ def prepare_cycles(scene: bpy.types.Scene, samples: int = 1, filter_width: float
     cycles.use_light_tree = False
 
 
+def prepare_eevee(scene: bpy.types.Scene, samples: int = 64) -> None:
+    """Set EEVEE so that Gaussians come out as their radiance, as noisy as ``samples`` leave them.
+
+    EEVEE draws transparency by chance (dithered): a picture converges to Cycles' with 1/√samples. Headless
+    (``blender -b``, the bpy wheel) it needs ``gpu.init()`` first.
+    """
+    scene.render.engine = "BLENDER_EEVEE"
+    scene.render.film_transparent = True
+    scene.render.use_motion_blur = False
+    scene.render.filter_size = POINT_SAMPLING
+    eevee = scene.eevee
+    eevee.taa_render_samples = samples
+    eevee.clamp_surface_direct = eevee.clamp_surface_indirect = 0.0
+    # Gaussians carry their light with them.
+    eevee.use_shadows = False
+    eevee.use_raytracing = False
+
+
 def set_resolution(scene: bpy.types.Scene, width: int, height: int) -> None:
     render = scene.render
     render.resolution_x, render.resolution_y, render.resolution_percentage = width, height, 100

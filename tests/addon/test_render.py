@@ -191,6 +191,71 @@ def test_camera_splats_match_the_reference_rasteriser(draw, make_model, tmp_path
     assert psnr > 80.0
 
 
+KEYFRAMES = """
+import sys
+from pathlib import Path
+import bpy, numpy as np
+from physhdr.addon import look, model_import, nodes, render
+
+model, out, engine, width = sys.argv[1], Path(sys.argv[2]), sys.argv[3], int(sys.argv[4])
+if engine == "eevee":
+    import gpu
+
+    try:
+        gpu.init()
+    except (RuntimeError, SystemError) as error:
+        sys.exit(f"no EEVEE here: {error}")
+bpy.ops.wm.read_factory_settings(use_empty=True)
+scene = bpy.context.scene
+target = model_import.import_model(model)
+modifier = nodes.find_modifier(target)
+for frame, exposure, level in ((1, 0.0, 1.0), (11, 2.0, 0.25)):
+    for name, value in ((nodes.EXPOSURE, exposure), (nodes.LIGHTING_LEVEL, level)):
+        nodes.set_input(modifier, name, value)
+        target.keyframe_insert(nodes.input_data_path(modifier, name), frame=frame)
+pose = np.eye(4)
+pose[2, 3] = 3.0
+render.add_camera(scene, pose, 0.5)
+render.set_resolution(scene, width, width)
+render.prepare_cycles(scene) if engine == "cycles" else render.prepare_eevee(scene, 16)
+for frame in (1, 6, 11):
+    scene.frame_set(frame)
+    render.render_exr(scene, out / "picture.exr")
+    np.save(out / f"{frame}.npy", render.read_exr(out / "picture.exr"))
+    shown = look.look_of(target, bpy.context.evaluated_depsgraph_get())
+    np.save(out / f"{frame}_look.npy", [shown.exposure_ev, shown.lighting_level])
+"""
+
+
+@pytest.mark.parametrize(("engine", "width", "tolerance"), [("cycles", 16, 1e-3), ("eevee", 8, 0.03)])
+def test_keyframes_play_in_a_render(make_model, write, tmp_path, engine, width, tolerance):
+    """One Gaussian that fills the picture: its radiance at every frame, relit and exposed, in numbers."""
+    model = dataclasses.replace(
+        make_model(count=1, degree=0),
+        position=np.zeros((1, 3), np.float32),
+        rotation=np.float32([[1.0, 0.0, 0.0, 0.0]]),
+        scale=np.float32([[50.0, 50.0, 0.1]]),
+        opacity=np.float32([0.999]),
+        log_radiance_sh=np.log(np.float32([[[0.5, 2.0, 30.0]]])) * np.float32(2.0 * math.sqrt(math.pi)),
+    )
+    arguments = [sys.executable, "-c", KEYFRAMES, str(write(model)), str(tmp_path), engine, str(width)]
+    done = subprocess.run(arguments, capture_output=True, text=True, check=False)
+    if "no EEVEE here" in done.stderr:
+        pytest.skip(done.stderr.strip())
+    assert done.returncode == 0, done.stderr
+    for frame in (1, 6, 11):
+        exposure, level = np.load(tmp_path / f"{frame}_look.npy")
+        if frame == 6:
+            assert 0.0 < exposure < 2.0 and 0.25 < level < 1.0
+        else:
+            assert (exposure, level) == {1: (0.0, 1.0), 11: (2.0, 0.25)}[frame]
+        picture = np.load(tmp_path / f"{frame}.npy")
+        radiance = 2**exposure * model.radiance(np.array([[0.0, 0.0, -1.0]]), level)[0]
+        np.testing.assert_allclose(
+            picture[..., :3].mean(axis=(0, 1)), 0.999 * radiance, rtol=tolerance, err_msg=str(frame)
+        )
+
+
 def relight(*arguments: object) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, str(ROOT / "addon/scripts/relight.py"), "--", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, check=False)
