@@ -24,7 +24,7 @@ def _front_to_back_quick(depth: np.ndarray) -> np.ndarray:
 
 
 def _front_to_back_exact(depth: np.ndarray) -> np.ndarray:
-    bits = np.ascontiguousarray(depth, np.float32).view(np.uint32)
+    bits = np.ascontiguousarray(depth + np.float32(0.0)).view(np.uint32)  # the sum makes −0 into 0
     # The bits of floats in the order of the floats: negative ones upside down, below the others.
     keys = np.where(bits >> 31, ~bits, bits | np.uint32(0x80000000))
     order = np.argsort((keys & 0xFFFF).astype(np.uint16), kind="stable")

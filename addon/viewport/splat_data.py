@@ -84,6 +84,16 @@ def identity(cloud: bpy.types.PointCloud) -> str:
     return str(cloud.get(IDENTITY) or cloud.name_full)
 
 
+def fingerprint(cloud: bpy.types.PointCloud) -> tuple[int, ...]:
+    """Changes when points are added, deleted, moved, resized or recoloured (1 M Gaussians: 10 ms).
+
+    Sums of the bits of the attributes that such edits change. Blender reports a changed modifier input as a
+    changed point cloud; uploading again at every step of a slider would be slow.
+    """
+    values = (read_attribute(cloud, name) for name in ("position", "scale", "radiance:base"))
+    return len(cloud.points), *(int(array.view(np.uint32).sum(dtype=np.uint64)) for array in values)
+
+
 def _numbered(cloud: bpy.types.PointCloud, prefix: str) -> list[np.ndarray]:
     """Attributes ``prefix0``, ``prefix1``, … as long as there are."""
     values: list[np.ndarray] = []

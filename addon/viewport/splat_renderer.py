@@ -31,6 +31,14 @@ class Item:
     matrix_world: np.ndarray
     level: float = 1.0
     exposure: float = 0.0
+    #: ``False``: only the constant term of the spherical harmonics.
+    view_dependent: bool = True
+
+    @property
+    def key(self) -> tuple[int, bytes, float, float, bool]:
+        """Equal for items that look the same; hashable."""
+        pose = self.matrix_world.tobytes()
+        return self.splats.serial, pose, self.level, self.exposure, self.view_dependent
 
 
 class Target:
@@ -173,7 +181,8 @@ class SplatRenderer:
         else:
             eye = from_camera[:3, 3]
         index, blend = level_place(splats.levels, item.level)
-        flags = splats.degree | (splat_shaders.ORTHOGRAPHIC if camera.is_orthographic else 0)
+        flags = splats.degree if item.view_dependent else 0
+        flags |= splat_shaders.ORTHOGRAPHIC if camera.is_orthographic else 0
         flags |= splat_shaders.HAS_LEVELS if splats.levels else 0
         with self._framebuffer.bind():
             self._framebuffer.viewport_set(0, first_row, WIDTH, splats.rows)

@@ -13,32 +13,23 @@ from typing import Any, NamedTuple
 import bpy
 import numpy as np
 
-from .. import nodes
+from ..look import Look, look_of
+from ..nodes import find_modifier
+from ..point_cloud import Attribute, write_attribute
 from . import overlay
 from .camera import ViewCamera
 from .overlay import Layer, ToneCurve
 from .schedule import REST_SECONDS, ResolutionLadder
-from .splat_data import SplatTextures, identity, is_splats, read_arrays, read_tone_curve
+from .splat_data import SplatTextures, fingerprint, identity, is_splats, read_arrays, read_tone_curve
 from .splat_renderer import Drawing, Item, SplatRenderer, Target
-
-#: Name of the modifier's input that asks for the learned response.
-LEARNED_TONE_MAPPER = "Learned tone mapper"
 
 #: A redraw may spend about as long here.
 BUDGET_SECONDS = 0.03
 #: Up to as many Gaussians are always sorted exactly; more take too long while the view moves.
 EXACT_SORT_COUNT = 300_000
-#: The first portion of a sharp picture, and the fewest Gaussians in one.
-PORTION = 4096
-PORTION_MIN = 512
-
-
-class Lit(NamedTuple):
-    """How an object is lit and shown: the modifier's inputs, as animated."""
-
-    level: float = 1.0
-    exposure: float = 0.0
-    learned_tone: bool = False
+#: The fewest Gaussians in a portion of a sharp picture, and those of the first. Fewer would not be quicker: in
+#: software, whatever is drawn, reading and writing a large picture takes 15 ms.
+PORTION = 8192
 
 
 class Shown(NamedTuple):
@@ -46,7 +37,7 @@ class Shown(NamedTuple):
 
     evaluated: bpy.types.Object
     cloud: bpy.types.PointCloud
-    lit: Lit
+    look: Look
 
 
 def shown_objects(
@@ -62,43 +53,19 @@ def shown_objects(
         if identity(cloud) in _runtime.hidden or not is_splats(cloud):
             continue
         if target.visible_get(view_layer=view_layer, **({"viewport": space} if space else {})):
-            evaluated = target.evaluated_get(depsgraph)
-            yield Shown(evaluated, cloud, lit(evaluated))
-
-
-def lit(target: bpy.types.Object) -> Lit:
-    """The inputs of the object's relighting modifier; of an evaluated object: as animated."""
-    modifier = lighting_modifier(target)
-    if modifier is None:
-        return Lit()
-    level, exposure = (nodes.get_input(modifier, name) for name in (nodes.LIGHTING_LEVEL, nodes.EXPOSURE))
-    try:
-        learned_tone = bool(nodes.get_input(modifier, LEARNED_TONE_MAPPER))
-    except KeyError:  # imported by a version that had no such input
-        learned_tone = False
-    return Lit(max(0.0, level), exposure, learned_tone)
-
-
-def lighting_modifier(target: bpy.types.Object) -> bpy.types.Modifier | None:
-    """The first geometry nodes modifier with an input *Lighting level*."""
-    for modifier in target.modifiers:
-        if modifier.type == "NODES" and modifier.node_group is not None:
-            try:
-                nodes.input_identifier(modifier, nodes.LIGHTING_LEVEL)
-            except KeyError:
-                continue
-            return modifier
-    return None
+            yield Shown(target.evaluated_get(depsgraph), cloud, look_of(target, depsgraph))
 
 
 def items_by_tone(shown: Iterable[Shown]) -> dict[bytes, tuple[ToneCurve | None, list[Item]]]:
     """What to draw, grouped by tone curve (``b""``: scene-linear); needs an active GPU context."""
     groups: dict[bytes, tuple[ToneCurve | None, list[Item]]] = {}
-    for evaluated, cloud, light in shown:
-        splats = _textures(cloud)
-        tone = read_tone_curve(cloud) if light.learned_tone else None
+    for evaluated, cloud, look in shown:
+        tone = read_tone_curve(cloud) if look.tone_mapper else None
         _, items = groups.setdefault(tone.key if tone else b"", (tone, []))
-        items.append(Item(splats, np.array(evaluated.matrix_world), light.level, light.exposure))
+        matrix_world = np.array(evaluated.matrix_world)
+        items.append(
+            Item(_textures(cloud), matrix_world, look.lighting_level, look.exposure_ev, look.view_dependent)
+        )
     return groups
 
 
@@ -164,7 +131,7 @@ class _GroupView:
             if now - start < 0.25 * BUDGET_SECONDS:
                 self._portion *= 2
             elif now - start > 0.5 * BUDGET_SECONDS:
-                self._portion = max(PORTION_MIN, self._portion // 2)
+                self._portion = max(PORTION, self._portion // 2)
             if now > end:
                 return
         self._shown, self._sharper, self._is_sharp = self._sharper, None, True
@@ -174,8 +141,10 @@ class _Runtime:
     """GPU data and pictures. Everything can be made again; nothing is in the .blend."""
 
     def __init__(self) -> None:
-        #: By the point cloud's session_uid: what it was made from, and the textures.
-        self.textures: dict[int, tuple[tuple[str, int], SplatTextures]] = {}
+        #: By the point cloud's session_uid: its fingerprint then, and the textures.
+        self.textures: dict[int, tuple[tuple[int, ...], SplatTextures]] = {}
+        #: session_uids of point clouds that may have changed since.
+        self.suspects: set[int] = set()
         self.views: dict[tuple[int, bytes], _GroupView] = {}
         self.hidden: set[str] = set()
 
@@ -184,11 +153,13 @@ _runtime = _Runtime()
 
 
 def _textures(cloud: bpy.types.PointCloud) -> SplatTextures:
-    made_from = identity(cloud), len(cloud.points)
-    known = _runtime.textures.get(cloud.session_uid)
-    if known is None or known[0] != made_from:
-        known = _runtime.textures[cloud.session_uid] = made_from, SplatTextures(read_arrays(cloud))
-    return known[1]
+    uid = cloud.session_uid
+    if uid not in _runtime.textures or uid in _runtime.suspects:
+        now = fingerprint(cloud)
+        if uid not in _runtime.textures or _runtime.textures[uid][0] != now:
+            _runtime.textures[uid] = now, SplatTextures(read_arrays(cloud))
+        _runtime.suspects.discard(uid)
+    return _runtime.textures[uid][1]
 
 
 def _layers(context: bpy.types.Context, camera: ViewCamera) -> list[Layer]:
@@ -220,6 +191,7 @@ def _wake(seconds: float) -> None:
 def clear() -> None:
     """Forget everything on the GPU; it is made again when it is needed."""
     _runtime.textures.clear()
+    _runtime.suspects.clear()
     _runtime.views.clear()
 
 
@@ -229,15 +201,16 @@ def _forget_all(*_: Any) -> None:
 
 
 @bpy.app.handlers.persistent
-def _forget_changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
+def _note_changes(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     if not _runtime.textures:
         return
     for update in depsgraph.updates:
         if isinstance(update.id, bpy.types.PointCloud) and update.is_updated_geometry:
-            _runtime.textures.pop(update.id.original.session_uid, None)
+            _runtime.suspects.add(update.id.original.session_uid)
     existing = {cloud.session_uid for cloud in bpy.data.pointclouds}
     for gone in [uid for uid in _runtime.textures if uid not in existing]:
         del _runtime.textures[gone]
+        _runtime.suspects.discard(gone)
     regions = {overlay.region_key(region) for _, region in overlay.view_regions()}
     for closed in [key for key in _runtime.views if key[0] not in regions]:
         del _runtime.views[closed]
@@ -245,12 +218,17 @@ def _forget_changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> N
 
 def _apply_display(target: bpy.types.Object, context: bpy.types.Context | None) -> None:
     """Either the shader draws the Gaussians or the modifier's instances do, never both."""
-    modifier = lighting_modifier(target)
+    modifier = find_modifier(target)
     if modifier is None:
         return
     as_splats = target.physhdr_viewport == "SPLATS"
     modifier.show_viewport = not as_splats
     target.display_type = "BOUNDS" if as_splats else "TEXTURED"
+    cloud = target.data
+    if as_splats and cloud.is_editable and "radius" not in cloud.attributes:
+        # Material Preview and Rendered draw the points themselves, whatever the display type. The modifier
+        # puts out instances only, and they have a size of their own.
+        write_attribute(cloud, Attribute("radius", "FLOAT", np.zeros(len(cloud.points), np.float32)))
 
 
 def register() -> None:
@@ -269,7 +247,7 @@ def register() -> None:
         update=_apply_display,
     )
     handlers = bpy.app.handlers
-    handlers.depsgraph_update_post.append(_forget_changed)
+    handlers.depsgraph_update_post.append(_note_changes)
     for event in (handlers.undo_post, handlers.redo_post, handlers.load_pre):
         event.append(_forget_all)
     overlay.add_source(_layers)
@@ -280,7 +258,7 @@ def unregister() -> None:
     handlers = bpy.app.handlers
     for event in (handlers.undo_post, handlers.redo_post, handlers.load_pre):
         event.remove(_forget_all)
-    handlers.depsgraph_update_post.remove(_forget_changed)
+    handlers.depsgraph_update_post.remove(_note_changes)
     if bpy.app.timers.is_registered(overlay.redraw_all):
         bpy.app.timers.unregister(overlay.redraw_all)
     clear()

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""When pictures are asked for, and how large. No Blender and no clock: times are given."""
+
+import numpy as np
+import pytest
+
+from physhdr.addon.viewport.camera import ViewCamera
+from physhdr.addon.viewport.schedule import (
+    LOWEST_STEP,
+    RETRY_SECONDS,
+    PreviewSchedule,
+    ResolutionLadder,
+    View,
+)
+
+
+def view(angle: float = 0.0, look=None, revision=None, orthographic: bool = False) -> View:
+    pose = np.eye(4)
+    pose[0, 3] = angle
+    return View(ViewCamera(pose, 800, 600, 900.0, 900.0, 400.0, 300.0, orthographic), look, revision)
+
+
+def answer(schedule: PreviewSchedule, now: float, request, seconds: float) -> float:
+    assert schedule.received(now + seconds, request.number)
+    return now + seconds
+
+
+def test_the_first_picture_is_sharp_and_then_there_is_peace():
+    schedule = PreviewSchedule()
+    request = schedule.wants(10.0, view())
+    assert request is not None and request.is_sharp
+    assert (request.camera.width, request.camera.height) == (800, 600)
+    now = answer(schedule, 10.0, request, 0.03)
+    assert schedule.wants(now, view()) is None
+    assert schedule.wants(now + 100.0, view()) is None
+    assert schedule.wakes_at(now) is None
+
+
+def test_one_request_at_a_time_and_the_newest_view_wins():
+    schedule = PreviewSchedule()
+    first = schedule.wants(0.0, view())
+    for step in range(1, 10):
+        assert schedule.wants(0.01 * step, view(step)) is None
+    now = answer(schedule, 0.0, first, 0.1)
+    second = schedule.wants(now, view(9))
+    assert second is not None and second.camera.camera_to_world[0, 3] == 9
+
+
+def test_small_while_moving_sharp_at_rest():
+    schedule = PreviewSchedule()
+    now = answer(schedule, 0.0, schedule.wants(0.0, view()), 0.05)
+    moving = schedule.wants(now, view(1.0))
+    assert not moving.is_sharp and moving.camera.width < 800
+    now = answer(schedule, now, moving, 0.02)
+    assert schedule.wants(now, view(1.0)) is None, "not yet at rest"
+    rests_at = schedule.wakes_at(now)
+    assert rests_at is not None
+    sharp = schedule.wants(rests_at, view(1.0))
+    assert sharp.is_sharp and sharp.camera.width == 800
+
+
+def test_a_slider_counts_as_movement():
+    schedule = PreviewSchedule()
+    now = answer(schedule, 0.0, schedule.wants(0.0, view(look=1.0)), 0.05)
+    request = schedule.wants(now, view(look=1.1))
+    assert request is not None and request.look == 1.1 and not request.is_sharp
+
+
+@pytest.mark.parametrize("pixels_per_second", [2e5, 1e6, 5e6, 5e7])
+def test_it_keeps_15_frames_per_second_if_the_backend_can(pixels_per_second: float):
+    """A backend that takes 10 ms and then so many pixels a second."""
+    schedule = PreviewSchedule()
+    now, frames = 0.0, []
+    for step in range(60):
+        request = schedule.wants(now, view(step))
+        seconds = 0.01 + request.camera.width * request.camera.height / pixels_per_second
+        now = answer(schedule, now, request, seconds)
+        frames.append((seconds, request.step))
+    late = frames[10:]
+    slowest = max(seconds for seconds, _ in late)
+    if pixels_per_second >= 1e6:
+        assert slowest < 1 / 15
+    else:  # even the smallest picture takes longer
+        assert all(step == LOWEST_STEP for _, step in late)
+    if pixels_per_second == 5e7:
+        assert all(step == 0 for _, step in late), "fast enough: full size even while it moves"
+
+
+def test_training_goes_on_under_a_resting_view():
+    schedule = PreviewSchedule(refresh_seconds=0.5)
+    now = answer(schedule, 0.0, schedule.wants(0.0, view(revision=1)), 0.05)
+    assert schedule.wants(now, view(revision=2)) is None, "training is not to be stopped by looking"
+    request = schedule.wants(0.6, view(revision=2))
+    assert request.is_sharp and request.revision == 2
+
+
+def test_a_lost_reply_is_asked_for_again():
+    schedule = PreviewSchedule(timeout_seconds=5.0)
+    first = schedule.wants(0.0, view())
+    assert schedule.wakes_at(1.0) == 5.0
+    assert schedule.wants(4.9, view()) is None
+    assert schedule.wants(5.0, view()) is None, "the loss is noticed; first a pause"
+    second = schedule.wants(5.0 + RETRY_SECONDS, view())
+    assert second is not None and second.number != first.number
+    assert not schedule.received(6.0, first.number), "too late"
+    assert schedule.received(6.0, second.number)
+
+
+def test_a_failing_backend_is_not_asked_at_every_tick():
+    schedule = PreviewSchedule()
+    asked = 0
+    for tick in range(200):
+        now = 0.01 * tick
+        if schedule.wants(now, view()) is not None:
+            asked += 1
+            schedule.lost()
+    assert 2 <= asked <= 2.0 / RETRY_SECONDS + 1
+
+
+def test_orthographic_views_want_nothing():
+    assert PreviewSchedule().wants(0.0, view(orthographic=True)) is None
+
+
+def test_sharpness_is_pixels_per_pixel_of_the_region():
+    assert PreviewSchedule(sharpness=0.5).wants(0.0, view()).camera.width == 400
+
+
+def test_the_ladder_goes_down_at_once_and_up_step_by_step():
+    ladder = ResolutionLadder(frame_seconds=0.05, step=1)
+    ladder.measured(0.19, 1)
+    assert ladder.step == 3, "two steps: a quarter of the pixels"
+    ladder.measured(0.03, 3)
+    assert ladder.step == 3, "more would be too many"
+    ladder.measured(0.01, 3)
+    assert ladder.step == 2
+    ladder.measured(9.0, 0)
+    assert ladder.step == 2, "a full picture says nothing about a small one that was measured"

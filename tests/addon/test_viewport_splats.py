@@ -1,0 +1,291 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The splat shader against closed forms, drawn without a window. (All of it against the CPU rasteriser:
+tests/loop/test_viewport.py.)"""
+
+import math
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
+import gpu  # noqa: E402
+
+from physhdr.addon import model_import, nodes, viewport  # noqa: E402
+from physhdr.addon.viewport import splats  # noqa: E402
+from physhdr.addon.viewport.camera import ViewCamera  # noqa: E402
+from physhdr.addon.viewport.splat_data import SplatArrays, SplatTextures  # noqa: E402
+from physhdr.addon.viewport.splat_renderer import Item, SplatRenderer, Target, level_place  # noqa: E402
+from physhdr.bridge.spherical_harmonics import C0, C1  # noqa: E402
+
+SIZE, FOCAL = 65, 80.0
+CENTRE = SIZE // 2
+LOW_PASS = 0.3
+
+
+@pytest.fixture(scope="module")
+def renderer():
+    gpu.init()
+    return SplatRenderer()
+
+
+@pytest.fixture
+def registered(scene):
+    viewport.register()
+    yield
+    viewport.unregister()
+
+
+#: At the origin, looking down −Z; the axis through the centre of the middle pixel.
+CAMERA = ViewCamera(np.eye(4), SIZE, SIZE, FOCAL, FOCAL, CENTRE + 0.5, CENTRE + 0.5)
+
+
+def gaussians(*rows: dict) -> SplatTextures:
+    """Gaussians from ``position``, ``scale``, ``opacity``, ``radiance`` and perhaps ``sh`` (more terms)."""
+    first = rows[0]
+    constant = np.array([[np.log(row["radiance"]) / C0 for row in rows]])
+    more = np.array([row["sh"] for row in rows]).transpose(1, 0, 2) if "sh" in first else np.empty((0, 1, 3))
+    arrays = SplatArrays(
+        position=np.array([row["position"] for row in rows], np.float32),
+        rotation=np.array([row.get("rotation", (1.0, 0.0, 0.0, 0.0)) for row in rows], np.float32),
+        scale=np.array([row["scale"] for row in rows], np.float32),
+        opacity=np.array([row["opacity"] for row in rows], np.float32),
+        log_sh=np.concatenate([constant, more] if len(more) else [constant]).astype(np.float32),
+        light=np.array([[row.get("share", (1.0, 1.0, 1.0)) for row in rows]], np.float32),
+    )
+    return SplatTextures(arrays)
+
+
+def draw(renderer, textures, camera=CAMERA, matrix=None, **lit):
+    item = Item(textures, np.eye(4) if matrix is None else matrix, **lit)
+    return renderer.render([item], camera).read()
+
+
+def test_one_gaussian_on_the_axis(renderer):
+    """alpha = opacity · exp(−d²/2σ²), σ² = (f s/z)² + 0.3; zero below 1/255; premultiplied; HDR."""
+    radiance = np.array([700.0, 0.02, 3.0])
+    textures = gaussians(
+        {"position": (0, 0, -4), "scale": (0.3, 0.3, 0.3), "opacity": 0.8, "radiance": radiance}
+    )
+    colour, depth = draw(renderer, textures)
+    sigma2 = (FOCAL * 0.3 / 4.0) ** 2 + LOW_PASS
+    y, x = np.mgrid[:SIZE, :SIZE] - CENTRE
+    alpha = 0.8 * np.exp(-0.5 * (x**2 + y**2) / sigma2)
+    alpha[alpha < 1.0 / 255.0] = 0.0
+    np.testing.assert_allclose(colour[..., 3], alpha, atol=2e-6)
+    np.testing.assert_allclose(colour[..., :3], alpha[..., None] * radiance, rtol=1e-4)
+    np.testing.assert_allclose(depth, np.where(alpha > 0.0, 4.0, 0.0), rtol=1e-6)
+
+
+def test_a_long_turned_gaussian(renderer):
+    """Axes 0.5 and 0.05 at 30° in the image plane: the covariance R diag(σ²) Rᵀ (f/z)² + 0.3 I."""
+    half = math.radians(30.0) / 2.0
+    textures = gaussians(
+        {
+            "position": (0, 0, -4),
+            "rotation": (math.cos(half), 0.0, 0.0, math.sin(half)),
+            "scale": (0.5, 0.05, 0.2),
+            "opacity": 1.0,
+            "radiance": (1.0, 1.0, 1.0),
+        }
+    )
+    colour, _ = draw(renderer, textures)
+    c, s = math.cos(2.0 * half), math.sin(2.0 * half)
+    turn = np.array([[c, -s], [s, c]])
+    covariance = turn @ np.diag([0.5**2, 0.05**2]) @ turn.T * (FOCAL / 4.0) ** 2 + LOW_PASS * np.eye(2)
+    y, x = np.mgrid[:SIZE, :SIZE] - CENTRE
+    offset = np.stack([x, -y], axis=-1)  # rows go down, Blender's Y goes up
+    power = -0.5 * np.einsum("...i,ij,...j", offset, np.linalg.inv(covariance), offset)
+    alpha = np.minimum(0.999, np.exp(power))
+    alpha[alpha < 1.0 / 255.0] = 0.0
+    np.testing.assert_allclose(colour[..., 3], alpha, atol=1e-5)
+
+
+def test_the_nearer_covers_the_farther(renderer):
+    """Whatever their order in memory: near + (1 − alpha) far; mean depth weighted the same."""
+    near = {"position": (0, 0, -2), "scale": (1, 1, 1), "opacity": 0.5, "radiance": (8.0, 8.0, 8.0)}
+    far = {"position": (0, 0, -5), "scale": (1, 1, 1), "opacity": 0.6, "radiance": (1.0, 2.0, 4.0)}
+    for rows in [(near, far), (far, near)]:
+        colour, depth = draw(renderer, gaussians(*rows))
+        expected = 0.5 * 8.0 + 0.5 * 0.6 * np.array([1.0, 2.0, 4.0])
+        np.testing.assert_allclose(colour[CENTRE, CENTRE, :3], expected, rtol=1e-4)
+        assert colour[CENTRE, CENTRE, 3] == pytest.approx(0.8, rel=1e-5)
+        assert depth[CENTRE, CENTRE] == pytest.approx((0.5 * 2 + 0.3 * 5) / 0.8, rel=1e-4)
+
+
+def test_two_objects_are_sorted_together(renderer):
+    """Two objects whose Gaussians interleave in depth draw as one object with all of them."""
+    rng = np.random.default_rng(0)
+    rows = [
+        {
+            "position": (*rng.uniform(-0.5, 0.5, 2), -2.0 - 0.1 * index),
+            "scale": (0.3, 0.3, 0.3),
+            "opacity": 0.5,
+            "radiance": rng.uniform(0.1, 5.0, 3),
+        }
+        for index in range(20)
+    ]
+    together, depth = draw(renderer, gaussians(*rows))
+    items = [Item(gaussians(*rows[start::2]), np.eye(4)) for start in (0, 1)]
+    apart = renderer.render(items, CAMERA)
+    np.testing.assert_allclose(apart.read()[0], together, rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(apart.read()[1], depth, rtol=1e-5)
+
+
+def test_portions_give_the_same_picture(renderer):
+    rng = np.random.default_rng(1)
+    rows = [
+        {
+            "position": (*rng.uniform(-1.0, 1.0, 2), -rng.uniform(2.0, 6.0)),
+            "scale": rng.uniform(0.05, 0.4, 3),
+            "opacity": 0.6,
+            "radiance": (1.0, 1.0, 1.0),
+        }
+        for _ in range(100)
+    ]
+    item = Item(gaussians(*rows), np.eye(4))
+    target = Target(SIZE, SIZE)
+    drawing = renderer.begin([item], CAMERA, target)
+    while not drawing.is_complete:
+        drawing.draw(7)
+    np.testing.assert_array_equal(target.read()[0], renderer.render([item], CAMERA).read()[0])
+
+
+def test_level_exposure_and_view_dependence(renderer):
+    """radiance · (1 − s + level · s) · 2^EV, times exp(sh · Y) unless that is off."""
+    row = {
+        "position": (0, 0, -4),
+        "scale": (0.5, 0.5, 0.5),
+        "opacity": 0.5,
+        "radiance": (2.0, 2.0, 2.0),
+        "share": (0.0, 0.25, 1.0),
+        "sh": np.array([[0, 0, 0], [0.5, 0.5, 0.5], [0, 0, 0]]),  # the term of z
+    }
+    textures = gaussians(row)
+    colour, _ = draw(renderer, textures, level=4.0, exposure=-2.0)
+    toward_minus_z = math.exp(-0.5 * C1)
+    expected = 0.5 * 2.0 * toward_minus_z * np.array([1.0, 0.75 + 1.0, 4.0]) / 4.0
+    np.testing.assert_allclose(colour[CENTRE, CENTRE, :3], expected, rtol=1e-3)
+    colour, _ = draw(renderer, textures, level=4.0, exposure=-2.0, view_dependent=False)
+    np.testing.assert_allclose(colour[CENTRE, CENTRE, :3], expected / toward_minus_z, rtol=1e-3)
+
+
+def test_behind_the_camera_or_nearly_nothing_is_not_drawn(renderer):
+    shape = {"scale": (0.5, 0.5, 0.5), "radiance": (1.0, 1.0, 1.0)}
+    rows = [
+        {"position": (0, 0, 4), "opacity": 1.0, **shape},
+        {"position": (0, 0, -0.009), "opacity": 1.0, **shape},
+        {"position": (0, 0, -4), "opacity": 0.0039, **shape},
+    ]
+    colour, depth = draw(renderer, gaussians(*rows))
+    assert not colour.any() and not depth.any()
+
+
+def test_orthographic(renderer):
+    """The same size at any depth, ``fx`` pixels a metre; drawn behind the view's origin, too."""
+    camera = ViewCamera(np.eye(4), SIZE, SIZE, 20.0, 20.0, CENTRE + 0.5, CENTRE + 0.5, is_orthographic=True)
+    shape = {"scale": (0.2, 0.2, 0.2), "opacity": 0.7, "radiance": (1.0, 1.0, 1.0)}
+    for z in (-50.0, 3.0):
+        colour, depth = draw(renderer, gaussians({"position": (0.5, 0, z), **shape}), camera)
+        sigma2 = (20.0 * 0.2) ** 2 + LOW_PASS
+        row = 0.7 * np.exp(-0.5 * (np.arange(SIZE) - CENTRE - 10) ** 2 / sigma2)
+        row[row < 1.0 / 255.0] = 0.0
+        np.testing.assert_allclose(colour[CENTRE, :, 3], row, atol=1e-5)
+        assert depth[CENTRE, CENTRE + 10] == pytest.approx(-z, rel=1e-5)
+
+
+def test_levels_are_a_log2_apart():
+    levels = (0.25, 0.5, 1.0, 4.0)
+    assert level_place(levels, 0.5) == pytest.approx((1, 0.0))
+    assert level_place(levels, 2.0) == pytest.approx((2, 0.5))
+    assert level_place(levels, 0.0) == (0, 0.0)
+    assert level_place(levels, 99.0) == pytest.approx((2, 1.0))
+    assert level_place((2.0,), 1.0) == (0, 0.0)
+
+
+def groups():
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    return splats.items_by_tone(splats.shown_objects(bpy.context.view_layer, depsgraph))
+
+
+@pytest.fixture
+def target(registered, renderer, make_model, write):
+    target = model_import.import_model(write(make_model(count=60, degree=2)))
+    target.physhdr_viewport = "SPLATS"
+    return target
+
+
+def test_splats_or_nodes_never_both(target):
+    modifier = nodes.find_modifier(target)
+    assert not modifier.show_viewport and modifier.show_render and target.display_type == "BOUNDS"
+    assert len(groups()) == 1
+    target.physhdr_viewport = "NODES"
+    assert modifier.show_viewport and target.display_type == "TEXTURED"
+    assert not groups()
+
+
+def test_hidden_objects_are_not_drawn(target):
+    target.hide_set(True)
+    assert not groups()
+    target.hide_set(False)
+    splats.set_hidden([target.data["physhdr_uuid"]])
+    assert not groups()
+    splats.set_hidden([])
+    assert groups()
+
+
+def test_keyframes_reach_the_picture(target, scene):
+    """Inputs are read as evaluated: animation counts, and so does the object's place."""
+    modifier = nodes.find_modifier(target)
+    path = nodes.input_data_path(modifier, nodes.LIGHTING_LEVEL)
+    for frame, level in [(1, 1.0), (11, 3.0)]:
+        nodes.set_input(modifier, nodes.LIGHTING_LEVEL, level)
+        target.keyframe_insert(path, frame=frame)
+        target.location.x = frame
+        target.keyframe_insert("location", frame=frame)
+    found = []
+    for frame in (1, 11):
+        scene.frame_set(frame)
+        ((_, (item,)),) = groups().values()
+        found.append((item.level, item.matrix_world[0, 3]))
+    np.testing.assert_allclose(found, [(1.0, 1.0), (3.0, 11.0)])
+
+
+def test_textures_are_made_once_and_again_when_the_points_change(target):
+    def serial():
+        ((_, (item,)),) = groups().values()
+        return item.splats.serial
+
+    first = serial()
+    nodes.set_input(nodes.find_modifier(target), nodes.EXPOSURE, 2.0)
+    target.location.x = 1.0
+    bpy.context.view_layer.update()
+    assert serial() == first, "relighting and moving need no upload"
+    target.data.attributes["position"].data[0].vector = (9.0, 0.0, 0.0)
+    target.data.update_tag()
+    bpy.context.view_layer.update()
+    second = serial()
+    assert second != first
+    bpy.ops.ed.undo_push(message="test")
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    assert not splats._runtime.textures, "nothing is kept over loading a file"
+
+
+def test_the_learned_tone_mapper_makes_a_group_of_its_own(registered, renderer, make_model, write):
+    import dataclasses
+
+    model = make_model(count=10, degree=0)
+    places = np.linspace(-4.0, 4.0, 9, dtype=np.float32)
+    curve = np.repeat(1.0 / (1.0 + np.exp(-places))[:, None], 3, axis=1).astype(np.float32)
+    model = dataclasses.replace(model, tone_curve_log_exposure=places, tone_curve=curve)
+    path = write(model)
+    linear, learned = (model_import.import_model(path) for _ in range(2))
+    for target in (linear, learned):
+        target.physhdr_viewport = "SPLATS"
+    nodes.set_input(nodes.find_modifier(learned), nodes.TONE_MAPPER, True)
+    tones = [tone for tone, _ in groups().values()]
+    assert sorted(tone is None for tone in tones) == [False, True]
+    (tone,) = [tone for tone in tones if tone is not None]
+    np.testing.assert_array_equal(tone.values, curve)
+    values, start, step = tone.resampled(17)
+    assert (start, step) == (-4.0, 0.5)
+    np.testing.assert_allclose(values[::2], curve, atol=1e-7)
