@@ -87,9 +87,7 @@ def run_test(script: Path, options: dict[str, Path]) -> bool:
     arguments = " ".join(f"--{name} {shlex.quote(str(path))}" for name, path in options.items())
     # A home of its own: neither the user's preferences nor an earlier test's.
     variables = f"BLENDER_USER_RESOURCES={out}/blender HOME={out} LIBGL_ALWAYS_SOFTWARE=1"
-    blender = (
-        f"blender --factory-startup --window-geometry 0 0 1280 800 -P {script} -- --out {out} {arguments}"
-    )
+    blender = f"blender --factory-startup --window-geometry 0 0 1280 800 -P {script}"
     command = f"{variables} timeout {PATIENCE} xvfb-run -a -s {shlex.quote(SCREEN)}"
     command += f" {blender} -- --out {out} {arguments}"
     base = subprocess.check_output([str(PYTHON), "-c", "import sys; print(sys.base_prefix)"], text=True)

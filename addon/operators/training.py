@@ -316,6 +316,7 @@ class PHYSHDR_OT_result_import(PhysHDROperator):
             selected.select_set(False)
         target.select_set(True)
         context.view_layer.objects.active = target
+        context.scene.physhdr.preview = False  # the object shows itself
         self.report({"INFO"}, f"Imported {len(target.data.points)} Gaussians as {target.name!r}")
         return {"FINISHED"}
 

@@ -27,7 +27,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--zip", type=Path, required=True, help="the extension")
     parser.add_argument("--python", type=Path, required=True, help="a Python with torch")
     parser.add_argument("--data", type=Path, required=True, help="a data set")
-    parser.add_argument("--model", type=Path, required=True, help="a trained model file")
+    parser.add_argument("--model", type=Path, required=True, help="a trained model file, in its run's folder")
     return parser.parse_args(sys.argv[sys.argv.index("--") + 1 :])
 
 
@@ -79,6 +79,36 @@ class Window:
 
     def show_tab(self, name: str = "PhysHDR") -> None:
         next(region for region in self.area.regions if region.type == "UI").active_panel_category = name
+
+    def clear_scene(self) -> None:
+        for target in list(bpy.data.objects):
+            bpy.data.objects.remove(target)
+
+    def look_through(self, transforms: Path, index: int) -> bpy.types.Object:
+        """Put the data set's camera into the scene, and look through it."""
+        pose = self.module("addon.camera_file").read_pose(transforms, index)
+        render = self.module("addon.render")
+        camera = render.add_camera(bpy.context.scene, pose.camera_to_world, pose.angle_x)
+        render.set_resolution(bpy.context.scene, 400, 400)
+        self.area.spaces.active.region_3d.view_perspective = "CAMERA"
+        return camera
+
+    def resize_view(self, width: int, height: int) -> Iterator[float]:
+        """``yield from``: make Blender's window such that the 3D view has so many pixels."""
+        space = self.area.spaces.active
+        space.show_region_ui = space.show_region_header = space.show_region_tool_header = False
+        yield 0.5
+        window = bpy.context.window_manager.windows[0]
+        wanted = window.width - self.region.width + width, window.height - self.region.height + height
+        found = subprocess.run(
+            ["xdotool", "search", "--onlyvisible", "--name", "Blender"],
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        for identifier in found.stdout.split():
+            subprocess.run(["xdotool", "windowsize", identifier, *map(str, wanted)], check=True)
+        yield 1.5
 
     def until(self, done: Callable[[], bool], seconds: float, what: str) -> Iterator[float]:
         """``yield from window.until(…)``: let Blender live until ``done``; fails after ``seconds``."""

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The live preview in a real window: among the scene's objects, relit at three levels, and how fast."""
+
+import json
+import math
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+import bpy
+import numpy as np
+from driver import Window, drive
+from mathutils import Matrix
+
+LEVELS = (0.25, 1.0, 4.0)
+#: Pixels of the 3D view whose speed is measured, and for how long its camera turns.
+SIDE = 400
+SECONDS = 6.0
+
+
+def test(window: Window) -> Iterator[float]:
+    options = window.options
+    window.install()
+    window.full_screen()
+    yield 1.0
+    window.show_tab()
+    window.clear_scene()
+    session = window.module("addon.runtime").session()
+    settings = bpy.context.scene.physhdr
+    bpy.ops.physhdr.backend_use(filepath=str(options.python))
+    yield from window.until(lambda: not session.state.tasks, 300, "checked")
+
+    settings.out = str(options.model.parent)
+    bpy.ops.physhdr.run_open()
+    yield from window.until(lambda: session.state.job.has_model, 120, "opened")
+    window.look_through(options.data / "transforms_test.json", 8)
+    add_objects()
+    settings.preview = True
+    for level in LEVELS:
+        settings.lighting_level = level
+        yield 2.5
+        window.screenshot(f"level_{level:g}")
+    settings.lighting_level = 1.0
+    settings.tone = "learned"
+    bpy.context.scene.view_settings.view_transform = "Standard"
+    yield 2.0
+    window.screenshot("learned_tone")
+    settings.tone = "linear"
+    window.area.spaces.active.region_3d.view_perspective = "PERSP"
+    turn(window, 0.4)
+    yield 2.0
+    window.screenshot("user_view")
+
+    yield from measure(window, session)
+
+
+def add_objects() -> None:
+    """A ball before all, a post among the furniture."""
+    material = bpy.data.materials.new("orange")
+    material.diffuse_color = (0.9, 0.3, 0.05, 1.0)
+    bpy.ops.mesh.primitive_uv_sphere_add(radius=0.12, location=(-0.45, -0.9, 1.6))
+    bpy.ops.object.shade_smooth()
+    bpy.context.object.data.materials.append(material)
+    bpy.ops.mesh.primitive_cylinder_add(radius=0.12, depth=3.0, location=(0.35, 1.4, 0.6))
+    bpy.context.object.data.materials.append(material)
+    bpy.ops.object.select_all(action="DESELECT")
+
+
+def turn(window: Window, angle: float) -> None:
+    """Turn the view about the vertical through its own place, a little."""
+    view = window.region.data
+    pose = view.view_matrix.inverted()
+    place = pose.translation.copy()
+    pose.translation = (0.0, 0.0, 0.0)
+    pose = Matrix.Translation(place) @ Matrix.Rotation(0.05 * math.sin(angle), 4, "Z") @ pose
+    view.view_matrix = pose.inverted()
+
+
+def measure(window: Window, session) -> Iterator[float]:
+    """Pictures a second in a view of 400 × 400 that moves all the time, from request to pixels.
+
+    Every picture counts that was drawn; ``full``: those with all the view's pixels. ``held``: how long
+    timers, the upload and the drawing held the interface up at most.
+    """
+    overlay, runtime = window.module("addon.viewport.overlay"), window.module("addon.runtime")
+    yield from window.resize_view(SIDE, SIDE)
+    report = {"view": [window.region.width, window.region.height], "gaussians": session.state.job.gaussians}
+    for name, frame_seconds in (("adaptive", None), ("full size", math.inf)):
+        drawn: list[tuple[float, int]] = []
+        held: list[float] = []
+        original_upload, original_tick = overlay.upload, runtime._live.tick
+
+        def upload(picture, original=original_upload, drawn=drawn):
+            layer = original(picture)
+            drawn.append((time.perf_counter(), picture.camera.width))
+            return layer
+
+        def tick(session, original=original_tick, held=held):
+            begun = time.perf_counter()
+            result = original(session)
+            held.append(time.perf_counter() - begun)
+            return result
+
+        def after_scene(original=overlay._after_scene, held=held):
+            begun = time.perf_counter()
+            original()
+            held.append(time.perf_counter() - begun)
+
+        overlay.upload, runtime._live.tick = upload, tick
+        handler = overlay._runtime.handlers[1]
+        bpy.types.SpaceView3D.draw_handler_remove(handler, "WINDOW")
+        add = bpy.types.SpaceView3D.draw_handler_add
+        overlay._runtime.handlers[1] = add(after_scene, (), "WINDOW", "POST_VIEW")
+        for schedule in runtime._live._schedules.values():
+            if frame_seconds is not None:
+                schedule.ladder.step, schedule.ladder.frame_seconds = 0, frame_seconds
+        begun = time.perf_counter()
+        while (now := time.perf_counter()) < begun + SECONDS:
+            turn(window, 10.0 * (now - begun))
+            yield 0.005
+        overlay.upload = original_upload
+        runtime._live.tick = original_tick
+        gaps = np.diff([at for at, _ in drawn[2:]])
+        report[name] = {
+            "pictures a second": round(1.0 / float(np.mean(gaps)), 1),
+            "median width": int(np.median([width for _, width in drawn])),
+            "longest hold, ms": round(1e3 * max(held), 1),
+            "median gap, ms": round(1e3 * float(np.median(gaps)), 1),
+        }
+    window.screenshot("moving")
+    (window.options.out / "speed.json").write_text(json.dumps(report, indent=1))
+    for name in ("adaptive", "full size"):
+        assert report[name]["longest hold, ms"] < 50.0, report
+
+
+drive(test)
