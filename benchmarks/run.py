@@ -2,8 +2,8 @@
 """Speed of training and rendering on the CPU, each figure beside its plain-torch alternative and its target.
 
 Every figure is a median; rivals are timed in turn (one of each, again and again), so that whatever else
-the machine does meanwhile hits both. ``python benchmarks/run.py`` prints every row of issue 3, ``--quick``
-the quick ones in less than a minute; ``--growth`` and ``--processors`` measure what they say instead.
+the machine does meanwhile hits both. ``python benchmarks/run.py`` prints every row, ``--quick`` the quick
+ones in less than a minute; ``--growth`` and ``--processors`` measure what they say instead.
 """
 
 import argparse
@@ -22,6 +22,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 import growth
 import torch
+from blender_rows import import_rows
 from iteration import iteration_rows, picture_rows
 from kernel_rows import kernel_rows, rasteriser_rows
 from measure import Row
@@ -44,10 +45,11 @@ SECTIONS: dict[str, tuple[str, Callable[[bool], Iterator[Row]]]] = {
     "kernels": ("Other kernels, forward + backward", kernel_rows),
     "memory": ("Memory of a training process", memory_rows),
     "start": ("Compilation and start", start_rows),
+    "import": ("Import into Blender", import_rows),
 }
 SHARES = "shares"
 #: What ``--quick`` leaves out.
-SLOW = ("memory", "start")
+SLOW = ("memory", "start", "import")
 
 GROWTH_PICTURE = Path(__file__).parent.parent / "docs" / "images" / "growth.png"
 

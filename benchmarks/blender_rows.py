@@ -1,0 +1,27 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is timed inside Blender, in a process of its own."""
+
+import json
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+from measure import Row
+
+ROOT = Path(__file__).resolve().parent.parent
+BLENDER = ROOT / ".venvs" / "run-blender"
+#: Issue 4's bound for a million Gaussians on two cores, seconds.
+AT_MOST = 5.0
+
+
+def import_rows(quick: bool) -> Iterator[Row]:
+    """Import of a million Gaussians as a model file and as a PLY; nothing where there is no Blender side."""
+    del quick
+    if not BLENDER.exists():
+        return
+    command = [str(BLENDER), str(ROOT / "benchmarks" / "blender_import.py")]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    result = json.loads(done.stdout.splitlines()[-1])
+    for kind, seconds in result["seconds"].items():
+        work = f"{result['count'] / 1e6:g} M Gaussians of degree 3 from a {kind}"
+        yield Row(work=work, value=seconds, unit="s", at_most=AT_MOST)
