@@ -66,7 +66,7 @@ def make(out: Path, options: Options, report: Report | None = None) -> None:
             settings.check_denoiser(stage.scene)
         asked = {**options.as_json(), "response": response.describe()}
         if stage.fingerprint:
-            asked |= {"scene": stage.scene.name, "fingerprint": stage.fingerprint}
+            asked |= {"scene": stage.scene.name, folder.FINGERPRINT: stage.fingerprint}
         state = folder.open_folder(out, asked)
         poses = stage.poses or rig.poses(options.camera_rig, stage.cameras, options.views, options.lit_views)
         pictures = plan(poses, options)
@@ -81,8 +81,8 @@ def make(out: Path, options: Options, report: Report | None = None) -> None:
         maker = {**GENERATOR, "blender": bpy.app.version_string}
         if state and state.get("generator") != maker:
             raise ConflictError(
-                f"'{out}' was begun by {_told(state.get('generator'))}, this is {_told(maker)}: "
-                "go on with that one, or choose another folder (--out; nothing was changed)"
+                f"'{out}' was begun by {_told(state.get('generator'))}, this is {_told(maker)}",
+                "go on with that one, or choose another folder (--out; nothing was changed)",
             )
         head = {"format": folder.FORMAT, "version": folder.VERSION, "generator": maker, "options": asked}
         if not (out / folder.FINAL).exists():

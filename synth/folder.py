@@ -15,6 +15,8 @@ from typing import Any
 from .errors import ConflictError, DamagedFileError, OutputFolderError
 
 FINAL, PARTIAL = "dataset.json", "dataset.partial.json"
+FINGERPRINT = "fingerprint"
+"""The option that stands for the state of a user's scene."""
 FORMAT, VERSION = "physhdr-dataset", 1
 
 
@@ -89,9 +91,11 @@ def open_folder(folder: Path, options: dict[str, Any]) -> dict[str, Any]:
     earlier = state["options"]
     differing = [key for key in options if earlier.get(key) != options[key]]
     if differing:
-        what = "; ".join(f"{key} is {earlier.get(key)} there, {options[key]} asked" for key in differing)
+        told = [f"{key} is {earlier.get(key)} there, {options[key]} asked" for key in differing]
+        if differing == [FINGERPRINT]:
+            told = ["the scene, its lights or its camera have changed since"]
         raise ConflictError(
-            f"'{folder}' holds a data set made with other options: {what}. "
-            "Choose another folder (--out), or delete that one (nothing was changed)"
+            f"'{folder}' holds a data set made with other options: {'; '.join(told)}",
+            "choose another folder (--out), or delete that one (nothing was changed)",
         )
     return state

@@ -42,10 +42,15 @@ def opened(options: Options, report: Report) -> Iterator[tuple[Stage, Options]]:
     scene = _scene(options.scene_name)
     with ExitStack() as undo:
         _set(undo, [(window, "scene", scene) for window in _windows() if window.scene != scene])
-        _set(undo, [(marker, "camera", None) for marker in scene.timeline_markers if marker.camera])
-        layer = _view_layer(scene, undo)
         camera = user_camera.checked(scene)
+        # A marker's camera would replace ours, and the user's as soon as another marker loses its own.
         undo.callback(setattr, scene, "camera", camera)
+        _set(undo, [(marker, "camera", None) for marker in scene.timeline_markers if marker.camera])
+        scene.camera = camera
+        layer = _view_layer(scene, undo)
+        # The renderer sets these two for each picture.
+        undo.callback(setattr, scene.render, "filepath", scene.render.filepath)
+        undo.callback(setattr, scene.cycles, "seed", scene.cycles.seed)
         former = scene.frame_current, scene.frame_subframe
         undo.callback(scene.frame_set, former[0], subframe=former[1])
         scene.frame_set(former[0], subframe=former[1])

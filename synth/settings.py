@@ -110,6 +110,7 @@ _DENOISER = (
 )
 
 _USERS = (
+    # Not FOLLOW_SCENE: where the user overrides, going back to it would fill in the scene's once more.
     ("render.image_settings.color_management", "OVERRIDE"),
     ("render.image_settings.linear_colorspace_settings.name", WORKING_SPACE),
     ("render.use_crop_to_border", False),
@@ -176,7 +177,8 @@ def applied(
     finally:
         for path, value in former:  # forward again: the format decides which depths there are
             owner, attribute = _owner(scene, path)
-            if value != "":  # a menu without a choice: it follows the file format by itself
+            # A menu without a choice follows the file format by itself.
+            if value not in ("", getattr(owner, attribute)):
                 setattr(owner, attribute, value)
         if working_space:
             _set_working_space(former_space)

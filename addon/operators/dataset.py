@@ -159,6 +159,7 @@ class PHYSHDR_OT_dataset_render(PhysHDROperator):
             light.prop(self, name)
 
     def run(self, context: bpy.types.Context) -> set[str]:
+        session().pump()  # a task before this one may have ended since the last time
         out = _folder(self.out)
         arguments = self._arguments(out, context.scene)
         with _copy_of_file() as copy:
