@@ -6,12 +6,14 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
 from websockets.sync.client import connect
 
 from physhdr.bridge.connection import CONNECTION_FILE, read_connection
+from physhdr.bridge.errors import FileDamagedError, FileMissingError
 from physhdr.bridge.messages import (
     BINARY_BYTES_MAX,
     PROTOCOL_VERSION,
@@ -50,7 +52,7 @@ class Backend:
     def _found(self):
         deadline = time.monotonic() + PATIENCE
         while time.monotonic() < deadline and self.process.poll() is None:
-            if (self.home / CONNECTION_FILE).exists():
+            with suppress(FileMissingError, FileDamagedError):  # not yet there, or another one's
                 connection = read_connection(self.home)
                 if connection.pid == self.process.pid:
                     return connection
@@ -77,7 +79,12 @@ class Peer:
         headers = {"Authorization": f"Bearer {token}"} | options.pop("headers", {})
         address = backend.connection.address + options.pop("path", "")
         self._open = connect(
-            address, additional_headers=headers, max_size=BINARY_BYTES_MAX, compression=None, proxy=None
+            address,
+            additional_headers=headers,
+            max_size=BINARY_BYTES_MAX,
+            compression=None,
+            proxy=None,
+            close_timeout=0.5,
         )
         self.socket = self._open.__enter__()
         self.status = JobStatus()
