@@ -130,8 +130,7 @@ def summarise(folder: Path | str) -> DatasetSummary:
         warnings.append("There is no test split: the quality cannot be measured.")
     stops, stops_from = _stops(info, exposures)
     points = _point_count(folder / POINTS, warnings)
-    relit = folder / "relit"
-    names = [path.name for path in relit.glob("level_*") if path.is_dir()] if relit.is_dir() else []
+    relit = [_number(path.name.removeprefix("level_")) for path in folder.glob("relit/level_*")]
     return DatasetSummary(
         folder=folder,
         name=str(info.get("scene") or folder.resolve().name),
@@ -142,7 +141,7 @@ def summarise(folder: Path | str) -> DatasetSummary:
         stops_from=stops_from,
         points=points,
         levels=tuple(sorted(levels)),
-        relit_levels=tuple(sorted(_number(name.removeprefix("level_")) for name in names)),
+        relit_levels=tuple(sorted(level for level in relit if level is not None)),
         truth=(folder / "test_hdr").is_dir(),
         complete=not (folder / PARTIAL).exists(),
         warnings=tuple(warnings),
@@ -153,11 +152,11 @@ def _levels(levels: tuple[float, ...]) -> str:
     return ", ".join(f"{level:g}" for level in levels)
 
 
-def _number(text: str) -> float:
+def _number(text: str) -> float | None:
     try:
         return float(text)
     except ValueError:
-        return math.nan
+        return None
 
 
 # ---- JSON --------------------------------------------------------------------------------------------------
@@ -251,9 +250,9 @@ def _check_pictures(
             else:
                 sizes.setdefault(struct.unpack(">II", head[16:24]), name)
     if missing:
-        warnings.append(f"{len(missing)} pictures are missing: {_some(missing)}. {MAKE_AGAIN}")
+        warnings.append(f"Pictures are missing ({len(missing)}): {_some(missing)}. {MAKE_AGAIN}")
     if damaged:
-        warnings.append(f"{len(damaged)} pictures are no PNG files: {_some(damaged)}.")
+        warnings.append(f"Pictures are no PNG files ({len(damaged)}): {_some(damaged)}.")
     if len(sizes) > 1:
         told = ", ".join(f"{w} × {h} ({name})" for (w, h), name in list(sizes.items())[:NAMED])
         warnings.append(f"The pictures are not of one size: {told}. Training needs one.")

@@ -27,6 +27,7 @@ SCRIPT = ROOT / "synth" / "make_scene.py"
 #: Seconds that scripts wait for a data set.
 RENDER_SECONDS = 30 * 24 * 3600.0
 MOST_EXPOSURES = 64
+RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"}
 
 RIGS = [
     ("GRID", "Grid", "A flat grid around your camera, facing the scene"),
@@ -55,7 +56,7 @@ class PHYSHDR_OT_dataset_render(PhysHDROperator):
     action = "render"
 
     out: bpy.props.StringProperty(
-        name="Folder", subtype="DIR_PATH", description="A new folder, or one to go on with"
+        name="Folder", subtype="DIR_PATH", options=RELATIVE, description="A new folder, or one to go on with"
     )
     rig: bpy.props.EnumProperty(name="Cameras", items=RIGS)
     views: bpy.props.IntProperty(
@@ -92,7 +93,10 @@ class PHYSHDR_OT_dataset_render(PhysHDROperator):
     )
     response: bpy.props.EnumProperty(name="Camera Response", items=RESPONSES)
     response_file: bpy.props.StringProperty(
-        name="Curve", subtype="FILE_PATH", description="JSON or text of the response, where it is a file's"
+        name="Curve",
+        subtype="FILE_PATH",
+        options=RELATIVE,
+        description="JSON or text of the response, where it is a file's",
     )
     resolution_x: bpy.props.IntProperty(name="Width", default=400, min=8, max=8192, subtype="PIXEL")
     resolution_y: bpy.props.IntProperty(
@@ -309,7 +313,7 @@ class PHYSHDR_OT_dataset_check(bpy.types.Operator):
     bl_label = "Check Data Set"
     bl_options: ClassVar[set[str]] = {"REGISTER"}
 
-    folder: bpy.props.StringProperty(name="Data Set", subtype="DIR_PATH")
+    folder: bpy.props.StringProperty(name="Data Set", subtype="DIR_PATH", options=RELATIVE)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         try:

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the panel says of a data set's folder. No Blender: the folders are written here, by hand."""
+
+from __future__ import annotations
+
+import json
+import struct
+import zlib
+from pathlib import Path
+
+import pytest
+
+from physhdr.addon.dataset_summary import lines, summarise
+from physhdr.bridge.errors import BadValueError, FileDamagedError, FileMissingError
+
+SECONDS = (0.125, 0.5, 2.0)
+
+
+def png(width: int, height: int) -> bytes:
+    """A black picture as any program writes it."""
+
+    def chunk(kind: bytes, body: bytes) -> bytes:
+        return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+
+    head = struct.pack(">IIBBBBB", width, height, 8, 6, 0, 0, 0)
+    pixels = zlib.compress(bytes((1 + 4 * width) * height))
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", pixels) + chunk(b"IEND", b"")
+
+
+def edit(path: Path, change) -> None:
+    content = json.loads(path.read_text())
+    change(content)
+    path.write_text(json.dumps(content))
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """HDR-NeRF-Syn's layout: 3 training and 2 test poses of 6 × 4 pixels at three exposures."""
+    pose = [[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]]
+    for split, count in (("train", 3), ("test", 2)):
+        (tmp_path / split).mkdir()
+        frames = [{"file_path": f"./{split}/r_{i}", "transform_matrix": pose} for i in range(count)]
+        seconds = {f"./{split}/r_{i}_{k}.png": t for i in range(count) for k, t in enumerate(SECONDS)}
+        for name in seconds:
+            (tmp_path / name).write_bytes(png(6, 4))
+        transforms = {"camera_angle_x": 0.9, "frames": frames}
+        (tmp_path / f"transforms_{split}.json").write_text(json.dumps(transforms))
+        (tmp_path / f"exposure_{split}.json").write_text(json.dumps(seconds))
+    header = "ply\nformat binary_little_endian 1.0\nelement vertex 7\nproperty float x\nend_header\n"
+    (tmp_path / "points3d.ply").write_bytes(header.encode() + bytes(28))
+    return tmp_path
+
+
+def test_a_plain_folder(folder):
+    found = summarise(folder)
+    assert found.views == {"train": 3, "test": 2} and found.size == (6, 4) and found.points == 7
+    assert found.exposures == SECONDS and found.evs == (-3.0, -1.0, 1.0)
+    assert found.stops == 4.0 and "exposure" in found.stops_from  # log2(2 / 0.125), by hand
+    assert not found.warnings and found.complete and not found.truth
+    assert lines(found) == [
+        f"{folder.name}: 3 training views, 2 test, 6 × 4",
+        "3 exposures: EV -3, -1, +1",
+        "Dynamic range: 4.0 stops (between the shortest and the longest exposure)",
+        "7 first points",
+    ]
+
+
+def test_a_folder_of_ours(folder):
+    info = {"format": "physhdr-dataset", "version": 1, "scene": "attic", "dynamic_range": {"stops": 15.25}}
+    (folder / "dataset.json").write_text(json.dumps(info))
+    (folder / "lit").mkdir()
+    (folder / "lit/r_0_0.png").write_bytes(png(6, 4))
+    frame = {"file_path": "./lit/r_0", "transform_matrix": [], "lighting_level": 0.25}
+    (folder / "transforms_lit.json").write_text(json.dumps({"camera_angle_x": 0.9, "frames": [frame]}))
+    (folder / "exposure_lit.json").write_text(json.dumps({"./lit/r_0_0.png": 2.0}))
+    for level in ("0.5", "4"):
+        (folder / f"relit/level_{level}").mkdir(parents=True)
+    found = summarise(folder)
+    assert found.name == "attic" and found.views["lit"] == 1
+    assert (found.stops, found.stops_from) == (15.25, "measured")
+    assert found.levels == (0.25,) and found.relit_levels == (0.5, 4.0)
+    assert "Ambient light: trained at 0.25; truth at 0.5, 4" in found.lines and not found.warnings
+
+
+@pytest.mark.parametrize(
+    ("spoil", "told"),
+    [
+        (lambda f: (f / "train/r_1_2.png").unlink(), "missing (1): train/r_1_2.png"),
+        (lambda f: (f / "train/r_1_2.png").write_bytes(b"GIF89a"), "no PNG files (1): train/r_1_2.png"),
+        (lambda f: (f / "test/r_1_2.png").write_bytes(png(8, 4)), "not of one size: 6 × 4"),
+        (lambda f: (f / "points3d.ply").unlink(), "points3d.ply is missing"),
+        (lambda f: (f / "points3d.ply").write_text("solid"), "no PLY file"),
+        (lambda f: (f / "dataset.partial.json").write_text("{}"), "not complete yet"),
+        (lambda f: (f / "exposure_train.json").unlink(), "exposures are unknown"),
+        (
+            lambda f: [(f / f"{kind}_test.json").unlink() for kind in ("transforms", "exposure")],
+            "no test split",
+        ),
+        (
+            lambda f: edit(f / "exposure_train.json", lambda e: e.update({"./train/r_0_0.png": 0})),
+            "exposure of ./train/r_0_0.png is 0",
+        ),
+        (
+            lambda f: edit(f / "exposure_train.json", lambda e: e.pop("./train/r_2_1.png")),
+            "same number of exposures: train/r_2 has 2",
+        ),
+        (
+            lambda f: edit(f / "exposure_train.json", lambda e: e.update(dict.fromkeys(e, 0.5))),
+            "one exposure: high dynamic range cannot be learned",
+        ),
+        (
+            lambda f: edit(
+                f / "transforms_train.json", lambda t: t["frames"].append({"file_path": "./train/r_9"})
+            ),
+            "names no picture of train/r_9",
+        ),
+    ],
+)
+def test_what_is_wrong_is_told(folder, spoil, told):
+    spoil(folder)
+    first, *others = summarise(folder).warnings
+    assert told in first
+    assert all("same number of exposures" in other for other in others)  # what follows from the first
+
+
+@pytest.mark.parametrize(
+    ("spoil", "kind", "told"),
+    [
+        (lambda f: (f / "transforms_train.json").unlink(), FileMissingError, "no transforms_train.json"),
+        (lambda f: (f / "transforms_test.json").write_text("{"), FileDamagedError, "transforms_test.json"),
+        (lambda f: (f / "transforms_test.json").write_text("[]"), FileDamagedError, "no JSON object"),
+        (lambda f: (f / "transforms_test.json").write_text("{}"), FileDamagedError, "no list 'frames'"),
+        (lambda f: (f / "exposure_test.json").write_bytes(b"\xff"), FileDamagedError, "exposure_test.json"),
+        (lambda f: (f / "dataset.json").write_text('{"format": "x"}'), BadValueError, "format 'x'"),
+        (lambda f: (f / "dataset.json").write_text('{"version": 2}'), BadValueError, "version 2"),
+    ],
+)
+def test_what_is_no_data_set_is_refused(folder, spoil, kind, told):
+    spoil(folder)
+    with pytest.raises(kind) as error:
+        summarise(folder)
+    assert told in error.value.message and error.value.hint
+
+
+def test_folders_that_are_none(tmp_path):
+    (tmp_path / "file").write_text("")
+    for name, told in (("nowhere", "does not exist"), ("file", "is a file"), (".", "is no data set")):
+        with pytest.raises(FileMissingError, match=told):
+            summarise(tmp_path / name)
+    (tmp_path / "dataset.partial.json").write_text("{}")
+    with pytest.raises(FileMissingError, match="only just been begun"):
+        summarise(tmp_path)
+
+
+def test_other_folders_are_no_levels(folder):
+    (folder / "relit/level_high").mkdir(parents=True)
+    assert summarise(folder).relit_levels == ()
