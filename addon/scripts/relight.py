@@ -28,7 +28,7 @@ def load_package() -> None:
 
 def parse_arguments(arguments: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="relight.py", description=__doc__.splitlines()[0])
-    parser.add_argument("model", type=Path, help="the model file (.safetensors)")
+    parser.add_argument("model", type=Path, help="the model file (.safetensors), or any 3DGS PLY")
     parser.add_argument("--camera", required=True, metavar="FILE:INDEX", help="transforms_*.json and a frame")
     parser.add_argument("--out", required=True, type=Path, help="folder for the pictures")
     parser.add_argument(
