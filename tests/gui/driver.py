@@ -58,6 +58,27 @@ class Window:
         """A module of the installed extension."""
         return importlib.import_module(f"{EXTENSION}.{name}")
 
+    def sharp(self) -> Iterator[float]:
+        """``yield from``: until the live preview shows each view as it is now, at full size."""
+
+        def is_sharp() -> bool:
+            live = self.module("addon.runtime")._live
+            schedules = live._schedules.values()
+            return live._asked is None and all(
+                schedule._last is not None and schedule._last[0].is_sharp for schedule in schedules
+            )
+
+        yield 0.5  # for the timer to see what has changed
+        yield from self.until(is_sharp, 60, "sharp")
+        yield from self.redrawn()
+
+    def redrawn(self) -> Iterator[float]:
+        """``yield from``: everything drawn anew; Blender does not see what scripts change."""
+        for area in bpy.context.window_manager.windows[0].screen.areas:
+            for region in area.regions:
+                region.tag_redraw()
+        yield 0.5
+
     def screenshot(self, name: str) -> Path:
         path = self.options.out / f"{name}.png"
         subprocess.run(["import", "-window", "root", str(path)], check=True)

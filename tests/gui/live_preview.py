@@ -41,17 +41,17 @@ def test(window: Window) -> Iterator[float]:
     settings.preview = True
     for level in LEVELS:
         settings.lighting_level = level
-        yield 2.5
+        yield from window.sharp()
         window.screenshot(f"level_{level:g}")
     settings.lighting_level = 1.0
     settings.tone = "learned"
     bpy.context.scene.view_settings.view_transform = "Standard"
-    yield 2.0
+    yield from window.sharp()
     window.screenshot("learned_tone")
     settings.tone = "linear"
     window.area.spaces.active.region_3d.view_perspective = "PERSP"
     turn(window, 0.4)
-    yield 2.0
+    yield from window.sharp()
     window.screenshot("user_view")
 
     yield from measure(window, session)

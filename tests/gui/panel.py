@@ -26,20 +26,20 @@ def test(window: Window) -> Iterator[float]:
     window.clear_scene()
     session = window.module("addon.runtime").session()
     settings = bpy.context.scene.physhdr
-    yield 1.0
+    yield from window.redrawn()
     window.screenshot("1_no_backend")
     assert not bpy.ops.physhdr.train_start.poll()
 
     bpy.ops.physhdr.backend_use(filepath=str(options.python))
     yield from window.until(lambda: any(task.fraction > 0.2 for task in session.state.tasks), 120, "checking")
-    yield 0.3
+    yield from window.redrawn()
     window.screenshot("2_checking")
     yield from window.until(lambda: not session.state.tasks, 300, "checked")
     assert session.state.backend.ready, session.state.backend.problem
     settings.data = str(options.data)
     settings.out = str(options.out / "run")
     settings.iterations = ITERATIONS
-    yield 0.5
+    yield from window.redrawn()
     window.screenshot("3_ready")
 
     bpy.ops.physhdr.train_start()
@@ -48,18 +48,18 @@ def test(window: Window) -> Iterator[float]:
     window.look_through(options.data / "transforms_test.json", 8)
     settings.preview = True
     yield from window.until(lambda: session.state.job.iteration > WATCH_AT, 300, "training")
-    yield 2.0
+    yield from window.sharp()
     window.screenshot("4_training")
     bpy.ops.physhdr.train_pause()
     yield from window.until(lambda: session.state.job.state == "paused", 10, "paused")
-    yield 0.5
+    yield from window.redrawn()
     window.screenshot("5_paused")
     bpy.ops.physhdr.train_continue()
 
     yield from window.until(lambda: session.state.job.saved_iteration > 0, 180, "saved")
     os.kill(session.state.link.welcome.pid, signal.SIGKILL)
     yield from window.until(lambda: session.state.job.state == "failed", 5, "noticed")
-    yield 1.0
+    yield from window.redrawn()
     window.screenshot("6_failed")
     assert "checkpoint" in session.state.job.failure.hint
 
@@ -67,13 +67,14 @@ def test(window: Window) -> Iterator[float]:
     yield from window.until(lambda: session.state.job.state == "training", 120, "resumed")
     bpy.ops.physhdr.train_stop()
     yield from window.until(lambda: session.state.job.state == "stopped", 60, "stopped")
-    yield 1.0
+    yield from window.redrawn()
     window.screenshot("7_stopped")
     with window.override():
         bpy.ops.physhdr.result_import("INVOKE_DEFAULT")
     yield from window.until(lambda: bpy.context.object is not None, 60, "imported")
     assert not settings.preview  # the object shows itself
-    yield 4.0
+    yield 4.0  # the shader's picture
+    yield from window.redrawn()
     window.screenshot("8_imported")
     bpy.ops.physhdr.backend_shutdown()
     yield from window.until(lambda: session.state.link.status == "off", 10, "shut down")
