@@ -27,6 +27,13 @@ SCRIPT = ROOT / "synth" / "make_scene.py"
 #: Seconds that scripts wait for a data set.
 RENDER_SECONDS = 30 * 24 * 3600.0
 MOST_EXPOSURES = 64
+LOOK_SECONDS = 0.5
+AUTOMATIC = {
+    "rig_distance": "Distance",
+    "rig_width": "Grid Width",
+    "rig_height": "Grid Height",
+    "resolution_y": "Height",
+}
 RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"}
 
 RIGS = [
@@ -150,11 +157,11 @@ class PHYSHDR_OT_dataset_render(PhysHDROperator):
         layout.prop(self, "out")
         rig = layout.column(align=True)
         for name in ("rig", "views", *_rig_options(self.rig)):
-            rig.prop(self, name)
+            rig.prop(self, name, **_auto(self, name))
         camera = layout.column(align=True)
         file = ("response_file",) if self.response == "file" else ()
         for name in ("exposures", "response", *file, "resolution_x", "resolution_y"):
-            camera.prop(self, name)
+            camera.prop(self, name, **_auto(self, name))
         cycles = layout.column(align=True)
         for name in ("samples", "denoise", "seed", "device"):
             cycles.prop(self, name)
@@ -175,7 +182,7 @@ class PHYSHDR_OT_dataset_render(PhysHDROperator):
             current = session()
             current.start_task(DATASET, [*command, *arguments], current.home / "dataset.log")
         if not self.wait:
-            context.scene.physhdr.data = str(out)
+            _choose_when_done(context.scene.name, out)
             return {"FINISHED"}
         try:
             current.wait(lambda state: state.task(DATASET) is None, RENDER_SECONDS)
@@ -189,6 +196,7 @@ class PHYSHDR_OT_dataset_render(PhysHDROperator):
             told = (problem.message, problem.hint) if problem else ("the rendering was cancelled",)
             self.report({"ERROR"}, ": ".join(filter(None, told)))
             return {"CANCELLED"}
+        context.scene.physhdr.data = str(out)
         self.report({"INFO"}, summarise(out).lines[0])
         return {"FINISHED"}
 
@@ -224,6 +232,30 @@ class PHYSHDR_OT_dataset_render(PhysHDROperator):
             given["rig-arc"] = round(math.degrees(self.rig_arc), 4)
         denoise = "--denoise" if self.denoise else "--no-denoise"
         return [*(f"--{name}={value}" for name, value in given.items()), denoise, "--progress-json"]
+
+
+def _auto(operator: PHYSHDR_OT_dataset_render, name: str) -> dict[str, str]:
+    """The text of a setting whose 0 means that it is found by itself; it says so while it is 0."""
+    if name not in AUTOMATIC or getattr(operator, name):
+        return {}
+    return {"text": f"{AUTOMATIC[name]} (0: automatic)"}
+
+
+def _choose_when_done(name: str, out: Path) -> None:
+    """Choose the data set for training once it is complete, unless another file has been opened by then."""
+    file = bpy.data.filepath
+
+    def look() -> float | None:
+        if not hasattr(bpy.types.Scene, "physhdr") or bpy.data.filepath != file:
+            return None
+        if session().state.task(DATASET):
+            return LOOK_SECONDS
+        scene = bpy.data.scenes.get(name)
+        if scene and (out / FINAL).is_file():
+            scene.physhdr.data = str(out)
+        return None
+
+    bpy.app.timers.register(look, first_interval=LOOK_SECONDS)
 
 
 def _rig_options(rig: str) -> tuple[str, ...]:

@@ -156,7 +156,6 @@ def test_progress_cancel_and_resume_as_a_window_does(room, extension, tmp_path):
     began = time.monotonic()
     assert bpy.ops.physhdr.dataset_render(out=str(out), wait=False, **slow) == {"FINISHED"}
     assert time.monotonic() - began < 2.0 and extension.state.task(DATASET)
-    assert room.physhdr.data == str(out)
     assert not bpy.ops.physhdr.dataset_render.poll()  # one at a time
     assert extension.wait(lambda state: state.task(DATASET).fraction > 0.15, 60.0)
     assert "rendering" in extension.state.task(DATASET).message
@@ -168,6 +167,7 @@ def test_progress_cancel_and_resume_as_a_window_does(room, extension, tmp_path):
     assert {path: path.stat().st_mtime_ns for path in kept} == kept
     assert len(list(out.rglob("hdr_*.exr"))) == 8 + 1 + 1
     extension.pump()
+    assert room.physhdr.data == str(out)  # the training's next
     assert extension.state.dataset.folder == str(out) and not extension.state.dataset.problem
 
 
