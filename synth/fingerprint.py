@@ -12,17 +12,25 @@ import json
 from typing import Any
 
 import bpy
+import numpy as np
 
 from .user_light import lights, materials
 
 DIGITS = 4  # significant; drivers and constraints need not give the last bits twice
 
 
-def fingerprint(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> str:
-    """16 hexadecimal digits of objects, lights, materials and the world at the current frame."""
+def fingerprint(
+    scene: bpy.types.Scene, layer: bpy.types.ViewLayer, poses: list[np.ndarray], angle_x: float
+) -> str:
+    """16 hexadecimal digits of objects, lights, materials and world at the current frame, and of the cameras.
+
+    ``poses``: camera to world [4, 4]; ``angle_x``: their horizontal field of view in radians.
+    """
     depsgraph = layer.depsgraph
     world = layer.world_override or scene.world
     state = [
+        [[round(value, DIGITS) + 0.0 for value in pose.ravel().tolist()] for pose in poses],
+        _rounded([angle_x]),
         [_object(item.evaluated_get(depsgraph)) for item in _sorted(scene.objects) if not item.hide_render],
         [_light(light) for light in _sorted(lights(scene, layer))],
         [_tree(material.node_tree) for material in _sorted(materials(scene, layer))],
@@ -43,8 +51,7 @@ def _object(item: bpy.types.Object) -> list[Any]:
     size = len(item.data.vertices) if item.type == "MESH" else 0
     # The translation may be a small rest of large numbers: metres with as many digits behind the point.
     matrix = [round(value, DIGITS) + 0.0 for row in item.matrix_world for value in row]
-    lens = _rounded([item.data.lens, item.data.sensor_width]) if item.type == "CAMERA" else []
-    return [item.name_full, item.type, matrix, size, lens, [slot.name for slot in item.material_slots]]
+    return [item.name_full, item.type, matrix, size, [slot.name for slot in item.material_slots]]
 
 
 def _light(light: bpy.types.Light) -> list[Any]:

@@ -62,10 +62,13 @@ def opened(options: Options, report: Report) -> Iterator[tuple[Stage, Options]]:
             )
         options = replace(options, resolution=user_camera.resolution(scene, options.resolution))
         options.check()
-        mark = fingerprint(scene, layer)
         _tell_what_is_missing(scene, report)
         hints, source = _cameras(scene, layer, camera, options, report)
-        poses = user_camera.path(scene, camera, options) if options.camera_rig == rig.PATH else None
+        if options.camera_rig == rig.PATH:
+            poses = user_camera.path(scene, camera, options)
+        else:
+            poses = rig.poses(options.camera_rig, hints, options.views, options.lit_views)
+        mark = fingerprint(scene, layer, [*poses.train, *poses.test, *poses.lit], hints.angle_x)
         # What is ours goes last on the way out's list, that is first: before the user's is put back.
         undo.enter_context(_ours_removed())
         knobs, notes = undo.enter_context(user_light.ambient(scene, layer))
@@ -77,7 +80,7 @@ def opened(options: Options, report: Report) -> Iterator[tuple[Stage, Options]]:
                 "no relit truth and no views at other levels are made"
             )
             options = replace(options, relit_views=0, lit_views=0)
-            poses = poses and replace(poses, lit=[])
+            poses = replace(poses, lit=[])
         # Adaptive subdivision would else follow our camera, and give every view another surface.
         dicing = scene.cycles.dicing_camera or camera
         _set(undo, [(scene.cycles, "dicing_camera", dicing)])
