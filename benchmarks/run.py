@@ -26,6 +26,7 @@ from blender_rows import import_rows
 from iteration import iteration_rows, picture_rows
 from kernel_rows import kernel_rows, rasteriser_rows
 from measure import Row
+from preview import preview_rows
 from processes import FEATURES, NATIVE, memory_rows, processor_times, start_rows
 from rich.console import Console
 from rich.table import Table
@@ -41,6 +42,7 @@ WIDTH = 80
 SECTIONS: dict[str, tuple[str, Callable[[bool], Iterator[Row]]]] = {
     "iteration": ("A whole iteration", iteration_rows),
     "pictures": ("Pictures per second", picture_rows),
+    "previews": ("Previews end to end", preview_rows),
     "rasteriser": ("Rasteriser, forward + backward", rasteriser_rows),
     "kernels": ("Other kernels, forward + backward", kernel_rows),
     "memory": ("Memory of a training process", memory_rows),

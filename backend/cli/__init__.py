@@ -56,7 +56,3 @@ def _command(argv: list[str]) -> Any:
         | Annotated[Check, tyro.conf.subcommand("check")]
     )
     return tyro.cli(commands, prog="physhdr", description=__doc__, args=argv)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
