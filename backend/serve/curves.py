@@ -2,6 +2,7 @@
 """The curves of a job, and how fast it goes at the moment."""
 
 import json
+import math
 import threading
 from collections import deque
 from pathlib import Path
@@ -9,10 +10,32 @@ from typing import Any
 
 from ...bridge.messages import History
 
-#: Every second point is dropped beyond so many: a plot has no more pixels.
+#: A plot has no more pixels.
 POINTS_MAX = 4000
 #: The rate is that of the last so many seconds.
 RATE_SECONDS = 5.0
+
+
+class Series:
+    """A curve of any length in at most ``POINTS_MAX`` points, evenly thinned, and its newest point."""
+
+    def __init__(self) -> None:
+        self._kept: list[tuple[int, float]] = []
+        self._newest: list[tuple[int, float]] = []
+        self._seen, self._stride = 0, 1
+
+    def add(self, iteration: int, value: float) -> None:
+        if self._seen % self._stride == 0:
+            self._kept.append((iteration, value))
+            if len(self._kept) >= POINTS_MAX:
+                self._kept = self._kept[::2]
+                self._stride *= 2
+        self._seen += 1
+        self._newest = [(iteration, value)]
+
+    @property
+    def points(self) -> list[tuple[int, float]]:
+        return self._kept if self._kept[-1:] == self._newest else self._kept + self._newest
 
 
 class Curves:
@@ -24,18 +47,16 @@ class Curves:
 
     def clear(self) -> None:
         with self._lock:
-            self._losses: list[tuple[int, float]] = []
-            self._psnr: list[tuple[int, float]] = []
+            self._losses, self._psnr = Series(), Series()
 
     def add(self, iteration: int, losses: dict[str, float], monitor: dict[str, float]) -> None:
         """Take what a progress event tells."""
         with self._lock:
-            self._losses.append((iteration, sum(losses.values())))
-            if "PSNR" in monitor:
-                self._psnr.append((iteration, monitor["PSNR"]))
-            for points in (self._losses, self._psnr):
-                if len(points) > POINTS_MAX:
-                    del points[:-1:2]  # the newest stays
+            loss = sum(losses.values())
+            if math.isfinite(loss):
+                self._losses.add(iteration, loss)
+            if math.isfinite(monitor.get("PSNR", math.inf)):
+                self._psnr.add(iteration, monitor["PSNR"])
 
     def read(self, log: Path, until: int) -> None:
         """The curves of an earlier part of the run, from its ``log.jsonl``, up to iteration ``until``.
@@ -57,7 +78,7 @@ class Curves:
 
     def history(self) -> History:
         with self._lock:
-            losses, psnr = tuple(self._losses), tuple(self._psnr)
+            losses, psnr = self._losses.points, self._psnr.points
         return History(
             iterations=tuple(i for i, _ in losses),
             losses=tuple(value for _, value in losses),
