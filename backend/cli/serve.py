@@ -85,12 +85,14 @@ class Serve:
 
 
 def _end_on_signals(inbox: Inbox) -> None:
-    """The first SIGTERM or SIGINT saves and ends; the second one ends at once."""
+    """The first SIGTERM or SIGINT (Windows: CTRL-BREAK) saves and ends; the second one ends at once."""
+    names = ("SIGTERM", "SIGINT", "SIGBREAK")
+    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
 
     def end(number: int, _: object) -> None:
-        for each in (signal.SIGTERM, signal.SIGINT):
+        for each in numbers:
             signal.signal(each, signal.SIG_DFL)
         inbox.put(Ending(f"it was ended by {signal.Signals(number).name}"))
 
-    for each in (signal.SIGTERM, signal.SIGINT):
+    for each in numbers:
         signal.signal(each, end)
