@@ -21,13 +21,18 @@ def texture(array: np.ndarray, format: str) -> gpu.types.GPUTexture:
     return gpu.types.GPUTexture((width, height), layers=layers[0] if layers else 0, format=format, data=data)
 
 
-def read_colour(framebuffer: gpu.types.GPUFrameBuffer, size: tuple[int, int], slot: int) -> np.ndarray:
-    """``[H, W, 4]`` float32 of a colour attachment, top row first. Waits for the GPU."""
+def read_colour(
+    framebuffer: gpu.types.GPUFrameBuffer, size: tuple[int, int], slot: int = 0, channels: int = 4
+) -> np.ndarray:
+    """``[H, W, channels]`` float32 of a colour attachment, top row first. Waits for the GPU.
+
+    ``channels``: as many as the attachment has; with Vulkan other numbers give rubbish.
+    """
     width, height = size
     with framebuffer.bind():
-        data = framebuffer.read_color(0, 0, width, height, 4, slot, "FLOAT")
-    data.dimensions = width * height * 4
-    return np.array(data, np.float32).reshape(height, width, 4)[::-1]
+        data = framebuffer.read_color(0, 0, width, height, channels, slot, "FLOAT")
+    data.dimensions = width * height * channels
+    return np.array(data, np.float32).reshape(height, width, channels)[::-1]
 
 
 def matrix(array: np.ndarray) -> mathutils.Matrix:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Pictures of Gaussians in the 3D view: scene-linear, and hidden by or covering its objects by depth.
 
-How, found in Blender 5.2.2 (OpenGL; Solid, Material Preview, Rendered with EEVEE and with Cycles):
+How, found in Blender 5.2.2 (OpenGL and Vulkan; Solid, Material Preview, Rendered with EEVEE and Cycles):
 
 * A view has a scene-linear half float colour buffer, into which the engines draw, an 8-bit overlay buffer
   (grid, outlines, and the theme's background where the scene is transparent), which Blender adds *after*
@@ -14,6 +14,8 @@ How, found in Blender 5.2.2 (OpenGL; Solid, Material Preview, Rendered with EEVE
 * The overlay buffer still holds the grid and the background behind the picture. A second pass multiplies
   it by 1 − alpha, with the same depth test.
 
+What follows from it: lines of the overlay that have a depth (wires, the grid) are in front of what is
+farther, like objects. With overlays off Cycles gives the view no depth at all (``hint`` says so to people).
 The depth buffer is not written. Each pixel has one depth (the mean of what covers it): an object is in front
 of all that the pixel shows of the Gaussians, or behind it.
 """
@@ -81,7 +83,8 @@ class Picture:
     def typical_depth(self) -> float:
         """The median depth of what it shows, metres."""
         alpha = self.rgba[::_DEPTH_STRIDE, ::_DEPTH_STRIDE, 3]
-        covered = self.depth[::_DEPTH_STRIDE, ::_DEPTH_STRIDE][alpha > 0.5]
+        depth = self.depth[::_DEPTH_STRIDE, ::_DEPTH_STRIDE]
+        covered = depth[(alpha > 0.5) & (depth > 0.0)]
         return float(np.median(covered)) if covered.size else 1.0
 
 
@@ -223,6 +226,14 @@ def clear() -> None:
     for key in list(_runtime.pictures):
         _forget(key)
     redraw_all()
+
+
+def hint(space: bpy.types.SpaceView3D, scene: bpy.types.Scene) -> str:
+    """Why pictures are not hidden by the scene's objects in this view, for people; empty where they are."""
+    draws_itself = scene.render.engine in ("BLENDER_EEVEE", "BLENDER_WORKBENCH")
+    if space.shading.type == "RENDERED" and not draws_itself and not space.overlay.show_overlays:
+        return "Objects do not hide the Gaussians: without overlays this render engine gives no depth"
+    return ""
 
 
 def redraw_all() -> None:

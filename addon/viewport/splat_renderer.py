@@ -62,8 +62,8 @@ class Target:
 
     def read(self) -> tuple[np.ndarray, np.ndarray]:
         """``[H, W, 4]`` premultiplied colour, ``[H, W]`` mean depth (0: nothing there), top row first."""
-        colour = gpu_arrays.read_colour(self.framebuffer, self.size, 0)
-        total = gpu_arrays.read_colour(self.framebuffer, self.size, 1)[..., 0]
+        colour = gpu_arrays.read_colour(self.framebuffer, self.size)
+        total = gpu_arrays.read_colour(self.framebuffer, self.size, slot=1, channels=1)[..., 0]
         alpha = colour[..., 3]
         return colour, np.divide(total, alpha, out=np.zeros_like(total), where=alpha > 0.0)
 

@@ -27,8 +27,8 @@ from .splat_renderer import Drawing, Item, SplatRenderer, Target
 BUDGET_SECONDS = 0.03
 #: Up to as many Gaussians are always sorted exactly; more take too long while the view moves.
 EXACT_SORT_COUNT = 300_000
-#: The fewest Gaussians in a portion of a sharp picture, and those of the first. Fewer would not be quicker: in
-#: software, whatever is drawn, reading and writing a large picture takes 15 ms.
+#: The fewest Gaussians in a portion of a sharp picture, and those of the first. Fewer would not be quicker:
+#: in software, whatever is drawn, reading and writing a large picture takes 15 ms.
 PORTION = 8192
 
 

@@ -52,7 +52,7 @@ class View:
     def draw(self, compositor: Compositor, layer: Layer, camera: ViewCamera, **options) -> np.ndarray:
         with self.framebuffer.bind():
             compositor.draw(layer, camera, WINDOW, **options)
-        return gpu_arrays.read_colour(self.framebuffer, (WIDTH, HEIGHT), 0)
+        return gpu_arrays.read_colour(self.framebuffer, (WIDTH, HEIGHT))
 
 
 @pytest.fixture(scope="module")
