@@ -8,7 +8,7 @@ import bpy
 
 from ...bridge.errors import PhysHDRError
 from ..runtime import session
-from ..session.advice import Choices, problem_of, why_not
+from ..session.advice import Choices, why_not
 
 CHECKPOINT_FILE = "checkpoint.safetensors"
 
@@ -61,7 +61,8 @@ class PhysHDROperator(bpy.types.Operator):
 
 def report_task(operator: bpy.types.Operator, success: str) -> set[str]:
     """Report how a task ended that a script waited for."""
-    problem = problem_of(session().state)
+    state = session().state
+    problem = state.problem or state.backend.problem
     if problem is None:
         operator.report({"INFO"}, success)
         return {"FINISHED"}

@@ -151,7 +151,7 @@ def check(python: Path, launcher: Path) -> int:
         except ValueError:
             content = {}
         if "progress" in content:
-            say(**{**content, "progress": 0.8 + 0.2 * content["progress"]})
+            say(**{**content, "progress": round(0.8 + 0.2 * content["progress"], 4)})
         elif "result" in content:
             say(result={**content["result"], "environment": str(python)})
         else:

@@ -12,7 +12,6 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from physhdr.backend.cli import main
 from physhdr.backend.cli.run_folder import open_run
 from physhdr.backend.evaluate.metrics import hdr_pair, psnr
 from physhdr.backend.scene.pictures import read_exr
@@ -33,7 +32,9 @@ def extension():
 def used(extension, data, in_blender, tmp_path_factory):
     """The folder with what ``use_extension.py`` saw and made."""
     out = tmp_path_factory.mktemp("extension")
-    arguments = ["--zip", extension, "--python", sys.executable, "--data", data, "--out", out]
+    # The Python behind this environment: the extension makes an environment of its own with it.
+    base = Path(sys.base_prefix) / "bin" / f"python3.{sys.version_info.minor}"
+    arguments = ["--zip", extension, "--python", base, "--data", data, "--out", out]
     size = json.loads((data / "dataset.json").read_text())["resolution"][0]
     arguments += ["--iterations", ITERATIONS, "--size", size]
     in_blender(
@@ -69,9 +70,12 @@ def test_a_python_without_torch_is_refused_with_the_reason(seen):
     assert not seen["start_without_backend"]
 
 
-def test_the_check_reports_versions_and_device(seen):
-    assert seen["report"]["versions"]["torch"] == torch.__version__
-    assert seen["report"]["device"]
+def test_the_trainer_is_installed_into_an_environment_of_its_own(seen, used):
+    assert not seen["install_offline"]  # Blender's own setting is respected
+    assert Path(seen["python"]).is_relative_to(used / "blender")
+    assert seen["report"]["versions"]["torch"] and seen["report"]["device"]
+    extension = next((used / "blender" / "extensions").rglob("blender_manifest.toml")).parent
+    assert not list(extension.rglob("__pycache__/*.nb*"))  # nothing is written beside the code
 
 
 def test_missing_data_are_named(seen):
@@ -95,10 +99,11 @@ def test_a_killed_backend_is_noticed_within_five_seconds_and_told(seen):
 
 
 def test_what_was_paused_stopped_killed_and_resumed_is_the_training_itself(seen, used, data):
-    """Bit for bit what the command line trains without any of that."""
+    """Bit for bit what the command line trains without any of that, in the same environment."""
     assert seen["finished"][:2] == ["finished", ITERATIONS]
     straight = used / "straight"
-    assert main(["train", str(data), "--out", str(straight), "--iterations", str(ITERATIONS)]) == 0
+    command = [seen["python"], ROOT / "backend" / "launch.py", "train", data, "--out", straight]
+    subprocess.run([*command, "--iterations", str(ITERATIONS)], check=True, capture_output=True)
     ours = load_file(used / "run" / "checkpoint.safetensors")
     theirs = load_file(straight / "checkpoint.safetensors")
     assert ours.keys() == theirs.keys()

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a user does with the extension, as a script: run inside Blender by test_extension.py.
 
-The zip is installed; a training is started, paused, continued, killed in the middle, found dead, resumed;
-its result is imported and rendered relit. What was seen goes to OUT/seen.json for the test to judge.
+The zip is installed, and through it the trainer; a training is started, paused, continued, killed in the
+middle, found dead, resumed; its result is imported and rendered relit. What was seen goes to OUT/seen.json
+for the test to judge.
 """
 
 import argparse
@@ -48,8 +49,12 @@ def main() -> None:
 
     # A Python with no torch is found out, with the reason.
     seen["wrong_python"] = attempt(lambda: ops.backend_use(filepath=sys.executable))
-    ops.backend_use(filepath=str(options.python))
+    seen["install_offline"] = ops.backend_install.poll()
+    bpy.context.preferences.system.use_online_access = True
+    ops.backend_install(python=str(options.python), torch="pip")
     seen["report"] = session.state.backend.report
+    seen["python"] = session.state.backend.python
+    ops.backend_check()
 
     run = options.out / "run"
     bpy.context.scene.physhdr.data = str(options.data)
