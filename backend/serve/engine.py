@@ -5,11 +5,13 @@ While it trains, it looks into the inbox between iterations: that is where previ
 pause is waited out and where a stop is noticed.
 """
 
+import ctypes
 import dataclasses
 import gc
 import logging
 import math
 import os
+import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -429,9 +431,14 @@ class Engine:
         self._free_memory()
 
     def _free_memory(self) -> None:
+        """Give back what nobody uses any more: the card's, and what the heap keeps (``simd.heap``)."""
         gc.collect()
         if torch.cuda.is_available():
             torch.cuda.empty_cache()
+        if sys.platform.startswith("linux"):
+            trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # glibc's
+            if trim:
+                trim(0)
 
     # -- preparing ---------------------------------------------------------------------------------------
 
