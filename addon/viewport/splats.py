@@ -3,7 +3,7 @@
 
 Which objects: point clouds with our attributes whose property *Viewport display* (``physhdr_viewport``) is
 ``SPLATS``. A change is drawn at once, as small as is needed to keep up; when the view rests it is drawn
-sharp, in portions between which Blender stays responsive (one portion where the GPU is fast).
+sharp. Where the GPU is slow either happens in portions, between which Blender stays responsive.
 """
 
 import time
@@ -19,7 +19,7 @@ from ..point_cloud import Attribute, write_attribute
 from . import overlay
 from .camera import ViewCamera
 from .overlay import Layer, ToneCurve
-from .schedule import REST_SECONDS, ResolutionLadder
+from .schedule import REST_SECONDS, STEP, ResolutionLadder
 from .splat_data import SplatTextures, fingerprint, identity, is_splats, read_arrays, read_tone_curve
 from .splat_renderer import Drawing, Item, SplatRenderer, Target
 
@@ -75,66 +75,103 @@ def set_hidden(identities: Iterable[str]) -> None:
     overlay.redraw_all()
 
 
+class _Work(NamedTuple):
+    """A picture that is being drawn, or shown."""
+
+    drawing: Drawing
+    #: What it shows; equal signatures give equal pictures.
+    signature: Any
+    #: Step of the ladder; 0 and ``is_exact``: as good as it gets.
+    step: int
+    is_exact: bool
+
+    @property
+    def is_sharp(self) -> bool:
+        return self.step == 0 and self.is_exact
+
+
 class _GroupView:
-    """The picture of a group of objects in one region: what is shown, and what is being drawn."""
+    """The picture of a group of objects in one region: what is shown, and what is being drawn.
+
+    Where the GPU is slow a picture takes several redraws. Until it is done the one before is shown, moved
+    with the view (``overlay``): looking around never waits for it.
+    """
 
     def __init__(self) -> None:
         self._renderer = SplatRenderer()
         self._ladder = ResolutionLadder(BUDGET_SECONDS)
         self._signature: Any = None
         self._changed_at = 0.0
-        self._shown: Drawing | None = None
-        self._sharper: Drawing | None = None
-        self._is_sharp = False
+        self._shown: _Work | None = None
+        self._next: _Work | None = None
+        self._seconds = 0.0
         self._portion = PORTION
 
-    def update(self, items: list[Item], camera: ViewCamera) -> tuple[Drawing, float | None]:
-        """The newest picture, and in how many seconds to ask for a better one (``None``: it is sharp)."""
-        now = time.perf_counter()
-        signature = (
-            camera.key,
-            [(item.splats.serial, item.matrix_world.tobytes(), item.level, item.exposure) for item in items],
-        )
-        if signature != self._signature or self._shown is None:
-            self._signature, self._changed_at = signature, now
-            self._draw_quickly(items, camera)
-        elif not self._is_sharp and now - self._changed_at >= REST_SECONDS:
-            self._sharpen(items, camera)
-        assert self._shown is not None
-        if self._is_sharp:
-            return self._shown, None
-        resting_in = self._changed_at + REST_SECONDS - time.perf_counter()
-        return self._shown, max(0.0, resting_in)
+    @property
+    def is_sharp(self) -> bool:
+        """Whether what is shown is as good as it gets."""
+        shown = self._shown
+        return shown is not None and shown.is_sharp and shown.signature == self._signature
 
-    def _draw_quickly(self, items: list[Item], camera: ViewCamera) -> None:
-        start, step = time.perf_counter(), self._ladder.step
-        small = camera.scaled(self._ladder.scale)
-        exact = sum(item.splats.count for item in items) <= EXACT_SORT_COUNT
-        target = Target(small.width, small.height)
-        self._shown = self._renderer.begin(items, small, target, exact=exact)
-        self._shown.draw()
-        target.wait()
-        self._ladder.measured(time.perf_counter() - start, step)
-        self._sharper = None
-        self._is_sharp = step == 0 and exact
+    def update(self, items: list[Item], camera: ViewCamera) -> tuple[Drawing | None, float | None]:
+        """The newest complete picture, and in how many seconds to ask for a better one (``None``: never)."""
+        start = time.perf_counter()
+        signature = camera.key, [item.key for item in items]
+        if signature != self._signature:
+            self._signature, self._changed_at = signature, start
+        rests_in = self._changed_at + REST_SECONDS - start
+        end = start + BUDGET_SECONDS
+        has_begun = self._choose(items, camera, rests_in <= 0.0)
+        if self._next is not None and not (has_begun and time.perf_counter() > end):
+            self._work(end)
+        shown = self._shown.drawing if self._shown else None
+        if self.is_sharp:
+            return shown, None
+        is_waiting = self._next is None and self._shown is not None and self._shown.signature == signature
+        return shown, max(0.0, rests_in) if is_waiting else 0.0
 
-    def _sharpen(self, items: list[Item], camera: ViewCamera) -> None:
-        """A portion of the sharp picture, as much as the budget allows."""
-        end = time.perf_counter() + BUDGET_SECONDS
-        if self._sharper is None:
-            self._sharper = self._renderer.begin(items, camera, Target(camera.width, camera.height))
-        while not self._sharper.is_complete:
-            start = time.perf_counter()
-            self._sharper.draw(self._portion)
-            self._sharper.target.wait()
-            now = time.perf_counter()
-            if now - start < 0.25 * BUDGET_SECONDS:
+    def _choose(self, items: list[Item], camera: ViewCamera, is_resting: bool) -> bool:
+        """Begin the picture that is wanted now, if it is not being drawn; whether it was begun."""
+        is_shown = self._shown is not None and self._shown.signature == self._signature
+        if self._next is not None:
+            # A small picture of a moment ago is finished first, or a moving view would never show one.
+            if self._next.signature == self._signature or not self._next.is_sharp:
+                return False
+            self._next = None
+        if not is_shown:
+            exact = sum(item.splats.count for item in items) <= EXACT_SORT_COUNT
+            self._begin(items, camera, self._ladder.step, exact)
+        elif is_resting and not self.is_sharp:
+            self._begin(items, camera, 0, True)
+        return self._next is not None
+
+    def _begin(self, items: list[Item], camera: ViewCamera, step: int, exact: bool) -> None:
+        start = time.perf_counter()
+        size = camera.scaled(STEP**step)
+        drawing = self._renderer.begin(items, size, Target(size.width, size.height), exact=exact)
+        self._next = _Work(drawing, self._signature, step, exact)
+        self._seconds = time.perf_counter() - start
+
+    def _work(self, end: float) -> None:
+        """Draw portions of the next picture, at least one, until it is done or the time is over."""
+        assert self._next is not None
+        drawing = self._next.drawing
+        start = time.perf_counter()
+        while not drawing.is_complete:
+            drawing.draw(self._portion)
+            drawing.target.wait()
+            seconds = time.perf_counter() - start
+            if seconds < 0.25 * BUDGET_SECONDS:
                 self._portion *= 2
-            elif now - start > 0.5 * BUDGET_SECONDS:
+            elif seconds > 0.5 * BUDGET_SECONDS:
                 self._portion = max(PORTION, self._portion // 2)
-            if now > end:
-                return
-        self._shown, self._sharper, self._is_sharp = self._sharper, None, True
+            self._seconds += seconds
+            start += seconds
+            if start > end:
+                break
+        if drawing.is_complete:
+            self._ladder.measured(self._seconds, self._next.step)
+            self._shown, self._next = self._next, None
 
 
 class _Runtime:
@@ -173,7 +210,8 @@ def _layers(context: bpy.types.Context, camera: ViewCamera) -> list[Layer]:
         if (region, key) not in _runtime.views:
             _runtime.views[region, key] = _GroupView()
         drawing, better_in = _runtime.views[region, key].update(items, camera)
-        layers.append(drawing.layer(tone))
+        if drawing is not None:
+            layers.append(drawing.layer(tone))
         if better_in is not None:
             wake_in = better_in if wake_in is None else min(wake_in, better_in)
     if wake_in is not None:

@@ -289,3 +289,42 @@ def test_the_learned_tone_mapper_makes_a_group_of_its_own(registered, renderer, 
     values, start, step = tone.resampled(17)
     assert (start, step) == (-4.0, 0.5)
     np.testing.assert_allclose(values[::2], curve, atol=1e-7)
+
+
+def test_a_slow_gpu_shows_the_last_picture_and_ends_sharp(renderer, monkeypatch):
+    """With no time at all each redraw draws one portion; a moved view keeps what it had until then."""
+    monkeypatch.setattr(splats, "BUDGET_SECONDS", 1e-9)
+    monkeypatch.setattr(splats, "REST_SECONDS", 0.0)
+    rng = np.random.default_rng(2)
+    count = 3 * splats.PORTION
+    arrays = SplatArrays(
+        position=np.column_stack([rng.uniform(-1, 1, (count, 2)), -rng.uniform(2, 6, count)]).astype(
+            np.float32
+        ),
+        rotation=np.tile(np.float32([1, 0, 0, 0]), (count, 1)),
+        scale=np.full((count, 3), 0.01, np.float32),
+        opacity=np.full(count, 0.5, np.float32),
+        log_sh=np.zeros((1, count, 3), np.float32),
+        light=np.ones((1, count, 3), np.float32),
+    )
+    items = [Item(SplatTextures(arrays), np.eye(4))]
+    view = splats._GroupView()
+
+    def redraw(camera, until) -> tuple:
+        for redraws in range(1, 40):
+            drawing, wake_in = view.update(items, camera)
+            if until(drawing):
+                return drawing, wake_in, redraws
+        raise AssertionError("it never came")
+
+    small, wake_in, redraws = redraw(CAMERA, lambda drawing: drawing is not None)
+    assert redraws > 1 and small.camera.width < SIZE and wake_in == 0.0
+    sharp, wake_in, redraws = redraw(CAMERA, lambda drawing: view.is_sharp)
+    assert redraws > 1 and sharp.camera.width == SIZE and wake_in is None
+    np.testing.assert_array_equal(sharp.target.read()[0], renderer.render(items, CAMERA).read()[0])
+
+    moved = ViewCamera(np.eye(4), SIZE, SIZE, FOCAL, FOCAL, 30.0, 30.0)
+    drawing, wake_in = view.update(items, moved)
+    assert drawing is sharp and wake_in == 0.0, "the one before, until the next is done"
+    again, _, _ = redraw(moved, lambda drawing: view.is_sharp)
+    assert again.camera.key == moved.key
