@@ -13,7 +13,7 @@ from .session.advice import headline, next_step, problem_of, why_not
 from .session.state import CHECK, DATASET, INSTALL, Problem, State
 
 #: Pixels of a character at the interface's scale 1, to wrap texts to the panel's width.
-CHARACTER = 7.0
+CHARACTER = 6.4
 ICONS = {
     "training": "PLAY",
     "preparing": "SORTTIME",
@@ -103,7 +103,7 @@ class PHYSHDR_PT_dataset(_Subpanel, bpy.types.Panel):
         state, layout = session().state, self.layout
         layout.prop(context.scene.physhdr, "data", text="")
         dataset = state.dataset
-        if context.scene.physhdr.data:
+        if context.scene.physhdr.data and not state.active:
             column = layout.column(align=True)
             for line in dataset.lines:
                 write(context, column, line)
@@ -160,6 +160,9 @@ class PHYSHDR_PT_illumination(_Subpanel, bpy.types.Panel):
         if target is not None and is_model(target):
             layout.label(text=target.name, icon="OUTLINER_OB_POINTCLOUD")
             draw_look(layout, target)
+            column = layout.column()
+            column.use_property_split = True
+            column.prop(target, "physhdr_viewport", text="3D View")
             layout.separator()
         row = layout.row()
         reason = why_not(state, "preview")

@@ -22,6 +22,7 @@ def choices(context: bpy.types.Context) -> Choices:
         out=out,
         out_has_run=has_run(out),
         online=bpy.app.online_access,
+        preview=settings.preview,
     )
 
 

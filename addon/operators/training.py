@@ -8,7 +8,7 @@ from typing import Any
 
 import bpy
 
-from ...bridge.errors import FileMissingError, PhysHDRError
+from ...bridge.errors import FileMissingError
 from ...bridge.messages import (
     JobStatus,
     ModelExport,
@@ -20,7 +20,6 @@ from ...bridge.messages import (
     TrainStart,
 )
 from .. import settings
-from ..model_import import import_model
 from ..runtime import session
 from ..session.advice import problem_of
 from ..session.state import State, StopAsked
@@ -305,19 +304,15 @@ class PHYSHDR_OT_result_import(PhysHDROperator):
         return True
 
     def _import(self, context: bpy.types.Context, path: Path) -> set[str]:
-        try:
-            if not path.exists() and has_run(str(path.parent)):
-                raise FileMissingError(f"there is no {path}", "Open the run in the backend first.")
-            target = import_model(path, self.name or path.parent.name, context.collection)
-        except PhysHDRError as error:
-            self.report({"ERROR"}, str(error))
+        if not path.exists() and has_run(str(path.parent)):
+            self.report({"ERROR"}, f"there is no {path}: open the run in the backend first")
             return {"CANCELLED"}
-        for selected in context.selected_objects:
-            selected.select_set(False)
-        target.select_set(True)
-        context.view_layer.objects.active = target
+        try:
+            bpy.ops.physhdr.model_import(filepath=str(path), name=self.name or path.parent.name)
+        except RuntimeError as error:  # how an operator's error comes to a script
+            self.report({"ERROR"}, str(error).removeprefix("Error: ").strip())
+            return {"CANCELLED"}
         context.scene.physhdr.preview = False  # the object shows itself
-        self.report({"INFO"}, f"Imported {len(target.data.points)} Gaussians as {target.name!r}")
         return {"FINISHED"}
 
     def _is_late(self) -> bool:

@@ -27,6 +27,7 @@ class Choices:
     out: str = ""
     out_has_run: bool = False
     online: bool = True
+    preview: bool = False
 
 
 def headline(state: State) -> str:
@@ -65,7 +66,7 @@ def next_step(state: State, choices: Choices) -> str:
         case "preparing" | "stopping":
             return ""
         case "training":
-            return "Turn on Live Preview to watch it"
+            return "" if choices.preview else "Turn on Live Preview to watch it"
         case "paused":
             return "Continue, or stop"
         case "failed":
