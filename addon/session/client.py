@@ -100,7 +100,7 @@ class Client:
 
     def _receive(self) -> None:
         try:
-            self._socket = connect(
+            with connect(
                 self._connection.address,
                 additional_headers={"Authorization": f"Bearer {self._connection.token}"},
                 compression=None,  # half-float pictures do not shrink, and the other side is this machine
@@ -110,19 +110,10 @@ class Client:
                 ping_interval=HEARTBEAT_SECONDS,
                 ping_timeout=HEARTBEAT_TIMEOUT_SECONDS,
                 proxy=None,
-            )
+            ) as self._socket:
+                self._converse(self._socket)
         except InvalidStatus as error:
             self._lost(f"it refused the connection ({error.response.status_code})")
-            return
-        except (OSError, WebSocketException) as error:
-            self._lost(f"it cannot be reached: {error or type(error).__name__}")
-            return
-        threading.Thread(target=self._transmit, name="physhdr send", daemon=True).start()
-        try:
-            self._socket.send(self._envelope(self._hello))
-            for data in self._socket:
-                self._sort(data)
-            self._lost("it said good-bye", clean=True)
         except ConnectionClosed as error:
             received = error.rcvd
             clean = received is not None and received.code in (1000, 1001)
@@ -130,18 +121,25 @@ class Client:
             self._lost(told, clean)
         except ProtocolError as error:
             self._lost(f"it does not keep to the protocol: {error.message}")
-            self._close()
+        except (OSError, WebSocketException) as error:
+            self._lost(f"it cannot be reached: {error or type(error).__name__}")
+
+    def _converse(self, socket: ClientConnection) -> None:
+        threading.Thread(target=self._transmit, args=(socket,), name="physhdr send", daemon=True).start()
+        socket.send(self._envelope(self._hello))
+        for data in socket:
+            self._sort(data)
+        self._lost("it said good-bye", clean=True)
 
     def _lost(self, reason: str, clean: bool = False) -> None:
         with suppress(queue.Full):
             self._outbox.put_nowait(None)
         self._events.put(LinkLost(reason, clean or self._closing.is_set()))
 
-    def _transmit(self) -> None:
-        assert self._socket is not None
+    def _transmit(self, socket: ClientConnection) -> None:
         with suppress(ConnectionClosed, OSError):
             while (text := self._outbox.get()) is not None:
-                self._socket.send(text)
+                socket.send(text)
 
     def _sort(self, data: str | bytes) -> None:
         """One frame of the backend's."""

@@ -45,6 +45,8 @@ from .transition import transition
 
 LOG_FILE = "backend.log"
 CHOICE_FILE = "backend.json"
+#: A log that has grown larger is begun anew.
+LOG_BYTES = 4 << 20
 #: Seconds in which a backend that was started must have said where it listens.
 START_SECONDS = 60.0
 #: Seconds between looks for a backend that another Blender started.
@@ -194,23 +196,26 @@ class Session:
             self._client.send(request)
 
     def environment(self) -> dict[str, str]:
-        """Of every backend process: clean, and with caches where they may be written."""
-        cache = self.home / "cache"
-        return clean_environment(
-            NUMBA_CACHE_DIR=str(cache / "numba"), PYTHONPYCACHEPREFIX=str(cache / "python")
-        )
+        """Of every backend process: clean, and with the kernels' cache where it may be written."""
+        return clean_environment(NUMBA_CACHE_DIR=str(self.home / "cache"))
 
     def backend_command(self, *arguments: str) -> list[str]:
         """The command of a backend process."""
         return [self.state.backend.python, str(self.launcher), *arguments]
 
     def _start_backend(self) -> None:
+        self._look()  # another Blender may have started one
+        if self.state.link.status != "off":
+            return
         log = self.home / LOG_FILE
         command = self.backend_command("serve", "--home", str(self.home), "--log", str(log))
         self.dispatch(Started(str(log)))
         try:
             self.home.mkdir(parents=True, exist_ok=True)
-            with open(log, "w", encoding="utf-8") as output:
+            if log.exists() and log.stat().st_size > LOG_BYTES:
+                log.unlink()
+            # Another Blender may be starting one just now: its log must not be cut off.
+            with open(log, "a", encoding="utf-8") as output:
                 self._process = spawn(command, output, self.environment())
         except OSError as error:
             self.dispatch(LinkLost(f"cannot start {command[0]}: {error.strerror or error}"))
