@@ -53,7 +53,7 @@ def make_blender() -> None:
         made = (CHROOT / "usr" / "bin" / "apt-get").exists() or not subprocess.call(
             ["debootstrap", "--variant=minbase", "sid", str(CHROOT), MIRROR], stdout=output, stderr=output
         )
-        install = f"apt-get update && apt-get install -y --no-install-recommends {PACKAGES}"
+        install = f"apt-get install -y --no-install-recommends {PACKAGES}"
         if not made or enter(install, [], output):
             raise Skip(f"Debian sid's Blender could not be installed; see {log}")
 

@@ -59,7 +59,7 @@ log = logging.getLogger(__name__)
 #: Seconds between two statuses while a training runs; changes of state are told at once.
 STATUS_SECONDS = 0.25
 #: A checkpoint is written this often (seconds), but so that writing takes a fiftieth of the time at most.
-CHECKPOINT_SECONDS = 60.0
+CHECKPOINT_SECONDS = 30.0
 CHECKPOINT_SHARE = 0.02
 #: While training, previews may take this share of the time; a large viewport must not stop the training.
 PREVIEW_SHARE = 0.5
