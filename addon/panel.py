@@ -11,6 +11,8 @@ from .operators.base import choices
 from .runtime import session
 from .session.advice import headline, next_step, problem_of, why_not
 from .session.state import CHECK, DATASET, INSTALL, Problem, State
+from .viewport import overlay
+from .viewport.camera import ORTHOGRAPHIC_HINT
 
 #: Pixels of a character at the interface's scale 1, to wrap texts to the panel's width.
 CHARACTER = 6.4
@@ -168,6 +170,7 @@ class PHYSHDR_PT_illumination(_Subpanel, bpy.types.Panel):
         reason = why_not(state, "preview")
         row.enabled = settings.preview or not reason
         row.prop(settings, "preview", toggle=True, icon="HIDE_OFF" if settings.preview else "HIDE_ON")
+        reason = reason or view_hint(context)
         if reason:
             write(context, layout, reason, "INFO")
         column = layout.column()
@@ -180,6 +183,14 @@ class PHYSHDR_PT_illumination(_Subpanel, bpy.types.Panel):
         column.prop(settings, "tone")
         if state.job.has_model and not state.job.can_relight:
             write(context, layout, "This method learns no illumination: the level only scales", "INFO")
+
+
+def view_hint(context: bpy.types.Context) -> str:
+    """What this 3D view cannot show, and the remedy; empty where it can show all."""
+    view = context.space_data
+    if context.scene.physhdr.preview and not view.region_3d.is_perspective:
+        return ORTHOGRAPHIC_HINT
+    return overlay.hint(view, context.scene)
 
 
 def draw_progress(context: bpy.types.Context, layout: bpy.types.UILayout, state: State) -> None:

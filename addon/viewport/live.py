@@ -9,17 +9,22 @@ import itertools
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import bpy
 
 from ...bridge.messages import PreviewCamera, PreviewFrame, PreviewRequest
+from ..look import is_model
 from ..session.session import Session
-from . import overlay
+from . import overlay, splats
 from .camera import ViewCamera, of_region
 from .schedule import TIMEOUT_SECONDS, PreviewSchedule, Request, View
+from .splat_data import identity
 
 #: Pixels of a resting picture per pixel of the view, along a side.
 SHARPNESS = 1.0
+#: Seconds between looks for imported copies of the model that is shown.
+LOOK_SECONDS = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +45,8 @@ class LivePreview:
         self._asked: _Asked | None = None
         self._sequences = itertools.count(1)
         self._last_key = 0
+        self._hidden: set[str] = set()
+        self._looked = 0.0
 
     def tick(self, session: Session) -> bool:
         """Show what has come, ask for what is wanted; returns whether any view has the preview on."""
@@ -51,6 +58,7 @@ class LivePreview:
             overlay.set_picture(key, None)
         for key in regions.keys() - self._schedules.keys():
             self._schedules[key] = PreviewSchedule(sharpness=SHARPNESS)
+        self._hide_what_is_shown(session, bool(regions), now)
         if self._asked is None or self._asked.key not in regions:
             self._ask(session, regions, now)
         return bool(regions)
@@ -59,7 +67,24 @@ class LivePreview:
         """Show nothing any more."""
         for key in self._schedules:
             overlay.set_picture(key, None)
+        if self._hidden:
+            splats.set_hidden(())
         self.__init__()
+
+    def _hide_what_is_shown(self, session: Session, is_on: bool, now: float) -> None:
+        """Imported copies of the model that the preview shows: two pictures of it would cover each other."""
+        if now < self._looked + LOOK_SECONDS:
+            return
+        self._looked = now
+        run = Path(session.state.job.run)
+        hidden = {
+            identity(target.data)
+            for target in bpy.data.objects
+            if is_on and is_model(target) and Path(target.data.get("physhdr_file", "")).parent == run
+        }
+        if hidden != self._hidden:
+            self._hidden = hidden
+            splats.set_hidden(hidden)
 
     def _take(self, session: Session, now: float) -> None:
         answer = session.take_preview()
@@ -79,7 +104,7 @@ class LivePreview:
             return  # its view is gone, or does not show the preview any more
         if frame is None:
             schedule.lost()
-        elif schedule.received(now, asked.request.number):
+        elif schedule.received(now, asked.request.number, 1e-3 * frame.header.milliseconds):
             overlay.set_picture(asked.key, overlay.Picture(frame.rgba, frame.depth, asked.request.camera))
 
     def _ask(self, session: Session, regions: "dict[int, View]", now: float) -> None:

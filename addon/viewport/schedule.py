@@ -147,14 +147,18 @@ class PreviewSchedule:
         self._last_held = view.held
         return request
 
-    def received(self, now: float, number: int) -> bool:
-        """The reply to request ``number`` is here. ``False``: it had been given up; show it or do not."""
+    def received(self, now: float, number: int, rendering: float | None = None) -> bool:
+        """The reply to request ``number`` is here. ``False``: it had been given up; show it or do not.
+
+        ``rendering``: seconds that the backend worked on it, where it says. The rest of the time is spent on
+        waits, redraws and training, which fewer pixels do not shorten.
+        """
         if self._outstanding is None or self._outstanding[0].number != number:
             return False
         request, sent_at = self._outstanding
         self._outstanding = None
         self._retry_at = -math.inf
-        self.ladder.measured(now - sent_at, request.step)
+        self.ladder.measured(now - sent_at if rendering is None else rendering, request.step)
         return True
 
     def lost(self) -> None:

@@ -86,6 +86,16 @@ def test_it_keeps_15_frames_per_second_if_the_backend_can(pixels_per_second: flo
         assert all(step == 0 for _, step in late), "fast enough: full size even while it moves"
 
 
+def test_waits_that_fewer_pixels_do_not_shorten_do_not_cost_pixels():
+    """A busy interface: the answer is seen late, but the backend worked for 20 ms only."""
+    schedule, now = PreviewSchedule(), 0.0
+    for step in range(20):
+        request = schedule.wants(now, view(step))
+        now += 0.3
+        assert schedule.received(now, request.number, rendering=0.02)
+    assert request.step == 0
+
+
 def test_training_goes_on_under_a_resting_view():
     schedule = PreviewSchedule(refresh_seconds=0.5)
     now = answer(schedule, 0.0, schedule.wants(0.0, view(revision=1)), 0.05)

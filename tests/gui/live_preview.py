@@ -19,6 +19,8 @@ LEVELS = (0.25, 1.0, 4.0)
 #: Pixels of the 3D view whose speed is measured, and for how long its camera turns.
 SIDE = 400
 SECONDS = 6.0
+#: What the adaptive resolution aims at (addon/viewport/schedule.py).
+FRAME_SECONDS = 0.8 / 15
 
 
 def test(window: Window) -> Iterator[float]:
@@ -82,58 +84,75 @@ def turn(window: Window, angle: float) -> None:
 def measure(window: Window, session) -> Iterator[float]:
     """Pictures a second in a view of 400 × 400 that moves all the time, from request to pixels.
 
-    Every picture counts that was drawn; ``full``: those with all the view's pixels. ``held``: how long
-    timers, the upload and the drawing held the interface up at most.
+    ``bare``: redraws a second of the same view with no preview, which is as fast as this machine can show
+    anything. ``held``: how long a timer's call or a draw handler held the interface up at most.
     """
     overlay, runtime = window.module("addon.viewport.overlay"), window.module("addon.runtime")
+    live, settings = runtime._live, bpy.context.scene.physhdr
     yield from window.resize_view(SIDE, SIDE)
-    report = {"view": [window.region.width, window.region.height], "gaussians": session.state.job.gaussians}
-    for name, frame_seconds in (("adaptive", None), ("full size", math.inf)):
-        drawn: list[tuple[float, int]] = []
-        held: list[float] = []
-        original_upload, original_tick = overlay.upload, runtime._live.tick
+    # Without a graphics card all that Blender itself draws is drawn by these two cores: no more than needed.
+    bpy.context.preferences.system.viewport_aa = "OFF"
+    space = window.area.spaces.active
+    space.show_gizmo = space.overlay.show_overlays = False
+    redraws: list[float] = []
+    pictures: list[tuple[float, int]] = []
+    answers: list[float] = []
+    held: list[float] = []
 
-        def upload(picture, original=original_upload, drawn=drawn):
-            layer = original(picture)
-            drawn.append((time.perf_counter(), picture.camera.width))
-            return layer
-
-        def tick(session, original=original_tick, held=held):
+    def timed(function, called):
+        def replacement(*arguments):
             begun = time.perf_counter()
-            result = original(session)
-            held.append(time.perf_counter() - begun)
+            result = function(*arguments)
+            called(begun, time.perf_counter() - begun, result)
             return result
 
-        def after_scene(original=overlay._after_scene, held=held):
-            begun = time.perf_counter()
-            original()
-            held.append(time.perf_counter() - begun)
+        return replacement
 
-        overlay.upload, runtime._live.tick = upload, tick
-        handler = overlay._runtime.handlers[1]
-        bpy.types.SpaceView3D.draw_handler_remove(handler, "WINDOW")
-        add = bpy.types.SpaceView3D.draw_handler_add
-        overlay._runtime.handlers[1] = add(after_scene, (), "WINDOW", "POST_VIEW")
-        for schedule in runtime._live._schedules.values():
-            if frame_seconds is not None:
-                schedule.ladder.step, schedule.ladder.frame_seconds = 0, frame_seconds
+    def uploaded(begun, seconds, layer):
+        pictures.append((begun, layer.camera.width))
+
+    def ticked(begun, seconds, result):
+        held.append(seconds)
+
+    def drawn(begun, seconds, result):
+        redraws.append(begun)
+        held.append(seconds)
+
+    def received(begun, seconds, answer):
+        if answer is not None:
+            answers.append(answer.header.milliseconds)
+
+    overlay.upload = timed(overlay.upload, uploaded)
+    live.tick = timed(live.tick, ticked)
+    session.take_preview = timed(session.take_preview, received)
+    bpy.types.SpaceView3D.draw_handler_remove(overlay._runtime.handlers[1], "WINDOW")
+    after_scene = timed(overlay._after_scene, drawn)
+    add = bpy.types.SpaceView3D.draw_handler_add
+    overlay._runtime.handlers[1] = add(after_scene, (), "WINDOW", "POST_VIEW")
+
+    report = {"view": [window.region.width, window.region.height], "gaussians": session.state.job.gaussians}
+    for name, frame_seconds in (("bare", None), ("adaptive", FRAME_SECONDS), ("full size", math.inf)):
+        settings.preview = frame_seconds is not None
+        yield 1.0
+        for schedule in live._schedules.values():
+            schedule.ladder.step, schedule.ladder.frame_seconds = 0, frame_seconds
+        for record in (redraws, pictures, answers, held):
+            record.clear()
         begun = time.perf_counter()
         while (now := time.perf_counter()) < begun + SECONDS:
             turn(window, 10.0 * (now - begun))
             yield 0.005
-        overlay.upload = original_upload
-        runtime._live.tick = original_tick
-        gaps = np.diff([at for at, _ in drawn[2:]])
-        report[name] = {
-            "pictures a second": round(1.0 / float(np.mean(gaps)), 1),
-            "median width": int(np.median([width for _, width in drawn])),
-            "longest hold, ms": round(1e3 * max(held), 1),
-            "median gap, ms": round(1e3 * float(np.median(gaps)), 1),
-        }
+        report[name] = {"redraws a second": round(len(redraws) / SECONDS, 1)}
+        if pictures:
+            report[name] |= {
+                "pictures a second": round(len(pictures) / SECONDS, 1),
+                "median width": int(np.median([width for _, width in pictures])),
+                "median rendering, ms": round(float(np.median(answers)), 1),
+                "longest hold, ms": round(1e3 * max(held), 1),
+            }
     window.screenshot("moving")
     (window.options.out / "speed.json").write_text(json.dumps(report, indent=1))
-    for name in ("adaptive", "full size"):
-        assert report[name]["longest hold, ms"] < 50.0, report
+    assert max(report[name]["longest hold, ms"] for name in ("adaptive", "full size")) < 50.0, report
 
 
 drive(test)
