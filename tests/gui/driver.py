@@ -15,9 +15,17 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import bpy
+import numpy as np
 
 #: Before the first redraw panels cannot be chosen.
 SETTLE_SECONDS = 1.5
+#: Shading, engine, redraws until EEVEE's shaders are compiled or Cycles is done.
+SHADINGS = (
+    ("SOLID", "BLENDER_EEVEE", 4),
+    ("MATERIAL", "BLENDER_EEVEE", 14),
+    ("RENDERED", "BLENDER_EEVEE", 14),
+    ("RENDERED", "CYCLES", 24),
+)
 EXTENSION = "bl_ext.user_default.physhdr"
 
 
@@ -113,6 +121,47 @@ class Window:
         render.set_resolution(bpy.context.scene, 400, 400)
         self.area.spaces.active.region_3d.view_perspective = "CAMERA"
         return camera
+
+    def add_objects(self) -> None:
+        """A ball nearer than everything in the demo's room, a post among its furniture, a sun."""
+        material = bpy.data.materials.new("orange")
+        material.diffuse_color = (0.9, 0.3, 0.05, 1.0)
+        material.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (0.9, 0.3, 0.05, 1.0)
+        bpy.ops.mesh.primitive_uv_sphere_add(radius=0.12, location=(-0.45, -0.9, 1.6))
+        bpy.ops.object.shade_smooth()
+        bpy.context.object.data.materials.append(material)
+        bpy.ops.mesh.primitive_cylinder_add(radius=0.12, depth=3.0, location=(0.35, 1.4, 0.6))
+        bpy.context.object.data.materials.append(material)
+        bpy.ops.object.light_add(type="SUN", rotation=(0.9, 0.2, 0.3))
+        bpy.ops.object.select_all(action="DESELECT")
+
+    def shade(self, shading: str, engine: str = "BLENDER_EEVEE") -> None:
+        bpy.context.scene.render.engine = engine
+        if engine == "CYCLES":
+            bpy.context.scene.cycles.preview_samples = 4
+            bpy.context.scene.cycles.use_preview_denoising = False
+        self.area.spaces.active.shading.type = shading
+
+    def settle(self, redraws: int = 4, seconds: float = 0.15) -> Iterator[float]:
+        """``yield from``: so many redraws of the 3D view."""
+        for _ in range(redraws):
+            self.region.tag_redraw()
+            yield seconds
+
+    def pixels(self, name: str) -> np.ndarray:
+        """``[H, W, 3]`` 8-bit codes of a screenshot, top row first."""
+        image = bpy.data.images.load(str(self.options.out / f"{name}.png"))
+        image.colorspace_settings.name = "Non-Color"
+        values = np.empty(image.size[0] * image.size[1] * 4, np.float32)
+        image.pixels.foreach_get(values)
+        width, height = image.size
+        bpy.data.images.remove(image)
+        return np.rint(255.0 * values.reshape(height, width, 4)[::-1, :, :3]).astype(int)
+
+    def on_screen(self, x: float, y: float) -> tuple[int, int]:
+        """Column and row in a screenshot of a pixel of the 3D view, from its top left."""
+        height = bpy.context.window_manager.windows[0].height
+        return round(self.region.x + x), round(height - (self.region.y + self.region.height) + y)
 
     def resize_view(self, width: int, height: int) -> Iterator[float]:
         """``yield from``: make Blender's window such that the 3D view has so many pixels."""

@@ -39,7 +39,7 @@ def test(window: Window) -> Iterator[float]:
     bpy.ops.physhdr.run_open()
     yield from window.until(lambda: session.state.job.has_model, 120, "opened")
     window.look_through(options.data / "transforms_test.json", 8)
-    add_objects()
+    window.add_objects()
     settings.preview = True
     for level in LEVELS:
         settings.lighting_level = level
@@ -57,18 +57,6 @@ def test(window: Window) -> Iterator[float]:
     window.screenshot("user_view")
 
     yield from measure(window, session)
-
-
-def add_objects() -> None:
-    """A ball before all, a post among the furniture."""
-    material = bpy.data.materials.new("orange")
-    material.diffuse_color = (0.9, 0.3, 0.05, 1.0)
-    bpy.ops.mesh.primitive_uv_sphere_add(radius=0.12, location=(-0.45, -0.9, 1.6))
-    bpy.ops.object.shade_smooth()
-    bpy.context.object.data.materials.append(material)
-    bpy.ops.mesh.primitive_cylinder_add(radius=0.12, depth=3.0, location=(0.35, 1.4, 0.6))
-    bpy.context.object.data.materials.append(material)
-    bpy.ops.object.select_all(action="DESELECT")
 
 
 def turn(window: Window, angle: float) -> None:
