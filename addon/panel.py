@@ -80,12 +80,18 @@ class PHYSHDR_PT_backend(_Subpanel, bpy.types.Panel):
                 button(context, row, state, "check", "physhdr.backend_check", "Check", "CHECKMARK")
             reasons(context, layout, state, "install")
         if state.link.status == "off":
+            if state.link.pid:
+                write(context, layout, f"Process {state.link.pid} does not answer", "UNLINKED")
+                layout.operator("physhdr.backend_shutdown", text="End It", icon="QUIT")
             return
         welcome = state.link.welcome
         row = layout.row(align=True)
-        row.label(text=f"Running, process {welcome.pid}" if welcome else "Starting", icon="LINKED")
+        row.label(text=f"Running, process {state.link.pid}" if welcome else "Starting", icon="LINKED")
         row.operator("physhdr.log_open", text="", icon="TEXT").filepath = state.link.log
         row.operator("physhdr.backend_shutdown", text="", icon="QUIT")
+        if welcome and welcome.version != session().version:
+            told = f"It is of version {welcome.version}: shut it down to use {session().version}"
+            write(context, layout, told, "ERROR")
         if welcome and not state.job.in_control:
             write(context, layout, f"{state.job.controller or 'Another Blender'} is in control", "LOCKED")
             layout.operator("physhdr.control_take", icon="UNLOCKED")

@@ -128,7 +128,7 @@ def why_not(state: State, action: str, choices: Choices | None = None) -> str:
         case "preview":
             return "" if state.job.has_model else "There is no model yet: start a training or open a run"
         case "shutdown":
-            return _why_not_steer(state)
+            return "" if state.link.status == "off" and state.link.pid else _why_not_steer(state)
         case "take_control":
             if state.link.status != "connected":
                 return "No backend is running"

@@ -39,6 +39,7 @@ from .state import (
     SummariseDataset,
     TaskCancelled,
     TaskStarted,
+    Vanished,
 )
 from .task import ChildTask, TaskEnded
 from .transition import transition
@@ -71,7 +72,6 @@ class Session:
         self._process = None
         self._started = 0.0
         self._looked = 0.0
-        self._refused_tokens: set[str] = set()  # of backends that are gone: their files say nothing
         self.dispatch(read_choice(home / CHOICE_FILE))
 
     # -- what Blender asks ---------------------------------------------------------------------------------
@@ -185,7 +185,7 @@ class Session:
             case Send(request):
                 self._send(request)
             case KillBackend(pid):
-                kill(pid)
+                self._kill(pid)
             case KeepReport():
                 write_choice(self.home / CHOICE_FILE, effect)
             case SummariseDataset(folder):
@@ -230,13 +230,18 @@ class Session:
         if self._client:
             self._client.close()
         self._client = Client(connection, self.name, self.version)
-        self._token = connection.token
+
+    def _kill(self, pid: int) -> None:
+        """End the backend's process: only if it is still the one that its connection file names."""
+        with suppress(FileMissingError, FileDamagedError):
+            if read_connection(self.home).pid == pid:
+                kill(pid)
 
     def _forget_client(self) -> None:
         if self._client:
             self._client.close()
             self._client = None
-            self._refused_tokens.add(self._token)
+        self._looked = time.monotonic()  # not again at once
 
     def _pump_tasks(self) -> None:
         for name, task in list(self._tasks.items()):
@@ -260,12 +265,14 @@ class Session:
             case "off" if now > self._looked + LOOK_SECONDS:
                 self._looked = now
                 self._look()
+                if self.state.link.status == "off" and self.state.link.pid:
+                    self.dispatch(Vanished())
 
     def _look(self) -> None:
         with suppress(FileMissingError, FileDamagedError):
             connection = read_connection(self.home)
-            if connection.token not in self._refused_tokens and is_alive(connection.pid):
-                self.dispatch(Found(connection.log))
+            if is_alive(connection.pid):
+                self.dispatch(Found(connection.log, connection.pid))
 
 
 def read_choice(path: Path) -> PythonChosen:

@@ -64,12 +64,14 @@ class Link:
     """The connection to the backend's process.
 
     ``starting``: the process was started and has not yet said where it listens. ``problem``: why the last
-    connection ended, if nobody wanted that.
+    connection ended, if nobody wanted that. ``pid``: of the backend's process, 0 where there is none; with
+    the status ``off`` it lives and does not answer.
     """
 
     status: LinkStatus = "off"
     welcome: Welcome | None = None
     log: str = ""
+    pid: int = 0
     problem: Problem | None = None
 
 
@@ -152,9 +154,10 @@ class StopAsked:
 
 @dataclass(frozen=True)
 class Found:
-    """A backend's connection file is there."""
+    """A backend's connection file is there, and its process lives."""
 
     log: str
+    pid: int
 
 
 @dataclass(frozen=True)
@@ -183,6 +186,11 @@ class ProcessEnded:
 
     status: int
     last_line: str = ""
+
+
+@dataclass(frozen=True)
+class Vanished:
+    """The process that did not answer is no more."""
 
 
 @dataclass(frozen=True)
@@ -224,6 +232,7 @@ Event = (
     | Connected
     | LinkLost
     | ProcessEnded
+    | Vanished
     | Received
     | Refused
     | DatasetChosen

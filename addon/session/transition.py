@@ -50,6 +50,7 @@ from .state import (
     SummariseDataset,
     TaskCancelled,
     TaskStarted,
+    Vanished,
 )
 from .task import TaskEnded, TaskProgress
 
@@ -74,10 +75,11 @@ def transition(state: State, event: Event) -> Result:
             return _asked(state, request)
         case StopAsked():
             return _stop_asked(state)
-        case Found(log):
+        case Found(log, pid):
             if state.link.status in ("connecting", "connected"):
                 return state, ()
-            return replace(state, link=Link("connecting", log=log)), (Connect(),)
+            link = Link("connecting", log=log, pid=pid, problem=state.link.problem)
+            return replace(state, link=link), (Connect(),)
         case Started(log):
             return replace(state, link=Link("starting", log=log), problem=None), ()
         case Connected(welcome):
@@ -89,6 +91,8 @@ def transition(state: State, event: Event) -> Result:
                 return state, ()  # then the connection tells
             what = f"the backend ended with status {status} before it could be reached"
             return _link_lost(state, what + (f": {last_line}" if last_line else ""), clean=False)
+        case Vanished():
+            return replace(state, link=replace(state.link, pid=0)), ()
         case Received(message, request):
             return _received(state, message, request)
         case Refused(request, failure):
@@ -151,7 +155,8 @@ def _asked(state: State, request: object) -> Result:
     if state.link.status == "connected":
         return state, (Send(request),)  # pyright: ignore[reportArgumentType]
     if isinstance(request, Shutdown):
-        return state, ()
+        # One that does not answer can only be ended from outside.
+        return replace(state, link=Link()), (KillBackend(state.link.pid),) if state.link.pid else ()
     state = replace(state, waiting=(*state.waiting, request))  # pyright: ignore[reportArgumentType]
     return state, (StartBackend(),) if state.link.status == "off" else ()
 
@@ -166,7 +171,7 @@ def _stop_asked(state: State) -> Result:
 
 def _connected(state: State, welcome: Welcome) -> Result:
     effects = tuple(Send(request) for request in state.waiting)
-    link = Link("connected", welcome, welcome.log or state.link.log)
+    link = Link("connected", welcome, welcome.log or state.link.log, welcome.pid)
     # A training that runs already has a past, which only the backend knows.
     return replace(state, link=link, waiting=()), (Send(HistoryGet()), *effects)
 
@@ -186,7 +191,7 @@ def _link_lost(state: State, reason: str, clean: bool) -> Result:
         job = replace(job, state="failed", failure=failure, has_model=False)
     else:
         job = replace(job, has_model=False, state="stopped" if state.active else job.state)
-    link = Link("off", log=log, problem=problem)
+    link = Link("off", log=log, pid=0 if clean else state.link.pid, problem=problem)
     return replace(state, link=link, job=job, waiting=(), beginning=None, stopping=False), ()
 
 

@@ -98,6 +98,15 @@ def test_a_killed_backend_is_noticed_within_five_seconds_and_told(seen):
     assert state == "failed" and "gone" in message and "checkpoint" in hint and log.endswith("backend.log")
 
 
+def test_a_hanging_backend_is_noticed_within_five_seconds_and_can_be_ended(seen):
+    assert seen["hang_noticed_after"] < 5.0
+    assert not seen["hung_is_alive"]
+
+
+def test_a_new_blender_finds_the_training_again(seen):
+    assert seen["found_again"][1] and seen["found_again"][0] in ("training", "finished")
+
+
 def test_what_was_paused_stopped_killed_and_resumed_is_the_training_itself(seen, used, data):
     """Bit for bit what the command line trains without any of that, in the same environment."""
     assert seen["finished"][:2] == ["finished", ITERATIONS]

@@ -76,6 +76,16 @@ def main() -> None:
     wait("ended")
     seen["stopped"] = [session.state.job.state, session.state.job.iteration]
 
+    # A backend that hangs: noticed by its heartbeat, ended from the panel.
+    hung = session.state.link.welcome.pid
+    begun = time.monotonic()
+    os.kill(hung, signal.SIGSTOP)
+    wait("gone")
+    seen["hang_noticed_after"] = time.monotonic() - begun
+    ops.backend_shutdown()
+    ops.wait(until="seconds", seconds=0.5)
+    seen["hung_is_alive"] = module("session.process").is_alive(hung)
+
     # kill −9 in the middle: noticed, told with the log and the checkpoint, resumed.
     ops.train_resume(wait=False)
     wait("iteration", iteration=session.state.job.iteration + 20)
@@ -86,7 +96,17 @@ def main() -> None:
     seen["noticed_after"] = time.monotonic() - begun
     problem = module("session.advice").problem_of(session.state)
     seen["killed"] = [session.state.job.state, problem.message, problem.hint, problem.log]
-    ops.train_resume()
+    # A Blender that starts while the training runs finds it, and goes on steering it.
+    ops.train_resume(wait=False)
+    wait("iteration", iteration=session.state.job.iteration + 20)
+    bpy.ops.preferences.addon_disable(module=EXTENSION)
+    seen["off"] = hasattr(bpy.types.Scene, "physhdr")
+    bpy.ops.preferences.addon_enable(module=EXTENSION)
+    session = module("runtime").session()
+    wait("connected")
+    wait("iteration", iteration=1)
+    seen["found_again"] = [session.state.job.state, session.state.job.in_control]
+    wait("ended")
     job = session.state.job
     seen["finished"] = [job.state, job.iteration, job.gaussians]
     seen["history"] = len(session.state.history.iterations)
@@ -105,7 +125,7 @@ def main() -> None:
     # Off and on again, twice: nothing is left behind, and everything comes back.
     for _ in range(2):
         bpy.ops.preferences.addon_disable(module=EXTENSION)
-        seen["off"] = hasattr(bpy.types.Scene, "physhdr")
+        seen["off"] |= hasattr(bpy.types.Scene, "physhdr")
         bpy.ops.preferences.addon_enable(module=EXTENSION)
     seen["on"] = hasattr(bpy.types.Scene, "physhdr")
     (options.out / "seen.json").write_text(json.dumps(seen))

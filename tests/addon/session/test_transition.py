@@ -26,6 +26,7 @@ from physhdr.addon.session.state import (
     SummariseDataset,
     TaskCancelled,
     TaskStarted,
+    Vanished,
 )
 from physhdr.addon.session.task import TaskEnded, TaskProgress
 from physhdr.addon.session.transition import transition
@@ -68,7 +69,7 @@ def after(state, *events):
 
 
 def connected(state=READY):
-    return after(state, Found("/tmp/backend.log"), Connected(WELCOME))[0]
+    return after(state, Found("/tmp/backend.log", 4242), Connected(WELCOME))[0]
 
 
 def training(**changes):
@@ -115,7 +116,7 @@ def test_a_rendered_data_set_is_looked_at():
 def test_a_training_starts_the_backend_waits_for_it_and_is_then_sent():
     state, effects = after(READY, Asked(START))
     assert effects == [StartBackend()] and state.waiting == (START,)
-    state, effects = after(state, Started("/tmp/backend.log"), Found("/tmp/backend.log"))
+    state, effects = after(state, Started("/tmp/backend.log"), Found("/tmp/backend.log", 4242))
     assert effects == [Connect()] and headline(state) == "The backend starts"
     state, effects = after(state, Connected(WELCOME))
     assert effects == [Send(HistoryGet()), Send(START)]
@@ -162,6 +163,17 @@ def test_a_backend_that_dies_fails_its_training_and_names_checkpoint_and_log():
     assert "checkpoint of iteration 30" in problem.hint and problem.log == "/tmp/backend.log"
     assert next_step(state, Choices("/data", "/run", True)) == "Resume the training"
     assert why_not(state, "resume", Choices("/data", "/run", True)) == ""
+
+
+def test_a_backend_that_does_not_answer_can_be_ended_and_is_looked_for_again():
+    state, _ = after(training(), LinkLost("it does not answer"))
+    assert why_not(state, "shutdown") == ""
+    ended, effects = after(state, Asked(Shutdown()))
+    assert effects == [KillBackend(4242)] and why_not(ended, "shutdown") == "No backend is running"
+    again, effects = after(state, Found("/tmp/backend.log", 4242))
+    assert effects == [Connect()] and problem_of(again)  # it is told until there is a connection
+    assert problem_of(after(again, Connected(WELCOME), Received(JobStatus(in_control=True)))[0]) is None
+    assert why_not(after(state, Vanished())[0], "shutdown") == "No backend is running"
 
 
 def test_a_good_bye_is_no_problem():
