@@ -51,27 +51,28 @@ def test_a_crash_says_the_last_line_and_where_the_log_is(tmp_path):
 
 
 def test_cancelling_interrupts_the_child_and_its_children(tmp_path):
-    script = """
-import subprocess, sys, time
-child = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
-print('{"progress": 0.1, "message": "%d"}' % child.pid, flush=True)
+    # The grandchild tells when it is there: a signal between fork and exec would miss it.
+    grandchild = """
+import os, time
+print('{"progress": 0.1, "message": "%d"}' % os.getpid(), flush=True)
 time.sleep(60)
 """
+    script = f"import subprocess, sys; subprocess.call([sys.executable, '-c', {grandchild!r}])"
     task = ChildTask("work", [sys.executable, "-c", script], tmp_path / "work.log")
     deadline = time.monotonic() + 10
     events = []
     while not events and time.monotonic() < deadline:
         events = task.poll()
         time.sleep(0.01)
-    grandchild = int(events[0].message)
+    pid = int(events[0].message)
     task.cancel()
-    task.wait(10)
+    task.wait(20)
     (ended,) = task.poll()
     assert ended.cancelled and not ended.ok
     deadline = time.monotonic() + 5
-    while is_running(grandchild) and time.monotonic() < deadline:
+    while is_running(pid) and time.monotonic() < deadline:
         time.sleep(0.05)
-    assert not is_running(grandchild)
+    assert not is_running(pid)
 
 
 def is_running(pid):
