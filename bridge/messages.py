@@ -36,7 +36,7 @@ BINARY_BYTES_MAX = 4096 * 2160 * 12 + (1 << 16)
 #: Sides of a preview, pixels.
 PREVIEW_SIDE_MAX = 4096
 #: Seconds between heartbeats, and how long one may stay unanswered: a dead peer is noticed within 5 s.
-HEARTBEAT_SECONDS = 1.5
+HEARTBEAT_SECONDS = 1.0
 HEARTBEAT_TIMEOUT_SECONDS = 3.0
 
 

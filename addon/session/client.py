@@ -106,7 +106,7 @@ class Client:
                 compression=None,  # half-float pictures do not shrink, and the other side is this machine
                 max_size=BINARY_BYTES_MAX,
                 open_timeout=OPEN_SECONDS,
-                close_timeout=1.0,
+                close_timeout=0.5,
                 ping_interval=HEARTBEAT_SECONDS,
                 ping_timeout=HEARTBEAT_TIMEOUT_SECONDS,
                 proxy=None,

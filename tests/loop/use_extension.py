@@ -116,7 +116,7 @@ def main() -> None:
     seen["imported"] = len(target.data.points)
     render(options, target)
     log = session.state.link.log
-    seen["log"] = Path(log).is_file()
+    seen["log"] = log
     ops.log_open(filepath=log)
     ops.backend_shutdown()
     wait("gone")
