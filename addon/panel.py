@@ -145,7 +145,7 @@ class PHYSHDR_PT_training(_Subpanel, bpy.types.Panel):
             button(context, row, state, "open", "physhdr.run_open", "Open Run", "FILE_FOLDER")
         button(context, row, state, "import", "physhdr.result_import", "Import Result", "IMPORT")
         if plot.icon_id() and len(state.history.iterations) > 1:
-            layout.template_icon(plot.icon_id(), scale=7.0)
+            layout.template_icon(plot.icon_id(), scale=8.0)
             layout.label(text="Loss (orange, logarithmic), PSNR (blue)")
 
     def _draw_steering(self, context: bpy.types.Context, layout: bpy.types.UILayout, state: State) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..bridge.messages import History
 
-WIDTH, HEIGHT = 384, 192
+WIDTH, HEIGHT = 320, 320
 BACKGROUND = (0.11, 0.11, 0.11, 1.0)
 GRID = (0.2, 0.2, 0.2, 1.0)
 LOSS = (0.95, 0.55, 0.15, 1.0)

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The extension in a real Blender window: Debian sid's Blender under Xvfb. Skips, with the reason, elsewhere.
 
-    make gui-test                    all of tests/gui; screenshots in runs/gui
-    python tools/gui_test.py panel   one of them
+    make gui-test                           all of tests/gui; screenshots in runs/gui
+    python tools/gui_test.py panel          one of them
+    python tools/gui_test.py --keep         then put the guide's pictures into docs/images/guide
 
 Blender comes from Debian sid (shared/blender.md): debootstrap makes a root folder of 1.7 GB, once, in
 PHYSHDR_BLENDER_ROOT (default: /var/cache/physhdr/blender). Mounts are made in a namespace of their own and
@@ -30,6 +31,21 @@ PACKAGES = (
 SCREEN = "-screen 0 1280x800x24 +extension GLX"
 #: Seconds for one test; software rendering on two cores is slow.
 PATIENCE = 900
+
+
+#: Screenshots that docs/guide.md shows: name there, and test and name of the screenshot.
+KEPT = {
+    "no_backend": "panel/1_no_backend",
+    "ready": "panel/3_ready",
+    "training": "panel/4_training",
+    "failed": "panel/6_failed",
+    "imported": "panel/8_imported",
+    "level_0.25": "live_preview/level_0.25",
+    "level_1": "live_preview/level_1",
+    "level_4": "live_preview/level_4",
+    "splats": "splats/free_view",
+}
+GUIDE = ROOT / "docs" / "images" / "guide"
 
 
 class Skip(Exception):  # noqa: N818 (not an error)
@@ -103,21 +119,35 @@ def run_test(script: Path, options: dict[str, Path]) -> bool:
     return told == "passed"
 
 
+def keep() -> None:
+    """The guide's pictures, as JPEG: a third of a PNG's size."""
+    from PIL import Image
+
+    GUIDE.mkdir(parents=True, exist_ok=True)
+    for name, shot in KEPT.items():
+        source = OUT / f"{shot}.png"
+        if source.exists():
+            Image.open(source).convert("RGB").save(GUIDE / f"{name}.jpg", quality=88, optimize=True)
+
+
 def main() -> int:
+    names = [name for name in sys.argv[1:] if name != "--keep"]
     try:
         make_blender()
         options = materials()
     except Skip as reason:
         print(f"gui-test skipped: {reason}")
         return 0
-    names = sys.argv[1:]
     scripts = sorted((ROOT / "tests" / "gui").glob("*.py"))
     scripts = [path for path in scripts if path.stem not in ("driver", "__init__")]
     chosen = [path for path in scripts if not names or path.stem in names]
     if not chosen:
         print(f"error: there is no GUI test {names}\n  Choose from: {', '.join(p.stem for p in scripts)}")
         return 1
-    return 0 if all([run_test(path, options) for path in chosen]) else 1
+    passed = all([run_test(path, options) for path in chosen])
+    if passed and "--keep" in sys.argv:
+        keep()
+    return 0 if passed else 1
 
 
 if __name__ == "__main__":

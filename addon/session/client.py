@@ -2,6 +2,7 @@
 """The connection to the backend, on threads of its own: the interface only puts in and takes out. No bpy."""
 
 import itertools
+import logging
 import queue
 import threading
 from contextlib import suppress
@@ -30,6 +31,13 @@ from ...bridge.messages import (
     encode,
 )
 from .state import Connected, LinkLost, Received, Refused
+
+Item = TypeVar("Item")
+
+#: A broken connection is told to the user as an event; tracebacks in Blender's terminal help nobody.
+_silent = logging.getLogger(f"{__name__}.connection")
+_silent.addHandler(logging.NullHandler())
+_silent.propagate = False
 
 #: A backend on this machine answers at once, unless it is still loading its libraries.
 OPEN_SECONDS = 5.0
@@ -110,6 +118,7 @@ class Client:
                 ping_interval=HEARTBEAT_SECONDS,
                 ping_timeout=HEARTBEAT_TIMEOUT_SECONDS,
                 proxy=None,
+                logger=_silent,
             ) as self._socket:
                 self._converse(self._socket)
         except InvalidStatus as error:
@@ -171,9 +180,6 @@ class Client:
             self._previews.put(PreviewRefused(request, failure))
         else:
             self._events.put(Refused(request, failure))
-
-
-Item = TypeVar("Item")
 
 
 def _drained(source: "queue.SimpleQueue[Item]") -> list[Item]:

@@ -105,6 +105,8 @@ class Window:
         space = self.area.spaces.active
         space.show_region_ui = True
         space.show_region_toolbar = False
+        # The floor's grid is in front of what lies below it, as it should be, and a nuisance in pictures.
+        space.overlay.show_floor = space.overlay.show_axis_x = space.overlay.show_axis_y = False
 
     def show_tab(self, name: str = "PhysHDR") -> None:
         next(region for region in self.area.regions if region.type == "UI").active_panel_category = name

@@ -19,7 +19,7 @@ from physhdr.backend.scene.pictures import read_exr
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 #: Enough for the pause, the stop and the kill to fall into the middle.
-ITERATIONS = 1000
+ITERATIONS = 400
 
 
 @pytest.fixture(scope="module")
