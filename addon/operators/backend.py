@@ -32,9 +32,14 @@ class PHYSHDR_OT_backend_install(PhysHDROperator):
         description="Python 3.11 or newer to make the environment with; empty: one that is found",
     )
     torch: bpy.props.EnumProperty(name="Build of torch", items=settings.TORCH_BUILDS)
+    fresh: bpy.props.BoolProperty(
+        name="Anew", description="Even where there is a complete environment of the same packages"
+    )
     wait: bpy.props.BoolProperty(default=bpy.app.background, options={"HIDDEN", "SKIP_SAVE"})
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        state = session().state
+        self.fresh = state.backend.ready or state.backend.problem is not None
         if not self.properties.is_property_set("torch"):
             self.torch = settings.preferences().torch
         if not self.python:
@@ -62,6 +67,7 @@ class PHYSHDR_OT_backend_install(PhysHDROperator):
         current = session()
         command = [str(python), str(INSTALL_SCRIPT), "--target", str(current.home)]
         command += ["--launcher", str(current.launcher), "--torch", self.torch]
+        command += ["--fresh"] if self.fresh else []
         current.start_task(INSTALL, command, current.home / "install.log", current.environment())
         if not self.wait:
             return {"FINISHED"}

@@ -2,6 +2,7 @@
 """What becomes of the state when something happens: a pure function, tested without Blender."""
 
 from dataclasses import replace
+from typing import Any
 
 from ...bridge.messages import (
     Done,
@@ -10,6 +11,8 @@ from ...bridge.messages import (
     History,
     HistoryGet,
     JobStatus,
+    Reply,
+    Request,
     RunOpen,
     Shutdown,
     StatusGet,
@@ -115,11 +118,8 @@ def _others(state: State, name: str) -> tuple[Running, ...]:
     return tuple(task for task in state.tasks if task.name != name)
 
 
-def _with_task(state: State, name: str, **changes: object) -> State:
-    tasks = tuple(
-        replace(task, **changes) if task.name == name else task  # pyright: ignore[reportArgumentType]
-        for task in state.tasks
-    )
+def _with_task(state: State, name: str, **changes: Any) -> State:
+    tasks = tuple(replace(task, **changes) if task.name == name else task for task in state.tasks)
     return replace(state, tasks=tasks)
 
 
@@ -146,18 +146,18 @@ def _task_ended(state: State, event: TaskEnded) -> Result:
 # ---- the backend -------------------------------------------------------------------------------------------
 
 
-def _asked(state: State, request: object) -> Result:
+def _asked(state: State, request: Request) -> Result:
     state = replace(state, problem=None, exported=None)
     if isinstance(request, TrainStart | TrainResume | RunOpen):
         run = request.out if isinstance(request, TrainStart) else request.run
         job = JobStatus(state="preparing", run=run, in_control=state.job.in_control)
         state = replace(state, history=History(), job=job, beginning=request)
     if state.link.status == "connected":
-        return state, (Send(request),)  # pyright: ignore[reportArgumentType]
+        return state, (Send(request),)
     if isinstance(request, Shutdown):
         # One that does not answer can only be ended from outside.
         return replace(state, link=Link()), (KillBackend(state.link.pid),) if state.link.pid else ()
-    state = replace(state, waiting=(*state.waiting, request))  # pyright: ignore[reportArgumentType]
+    state = replace(state, waiting=(*state.waiting, request))
     return state, (StartBackend(),) if state.link.status == "off" else ()
 
 
@@ -195,7 +195,7 @@ def _link_lost(state: State, reason: str, clean: bool) -> Result:
     return replace(state, link=link, job=job, waiting=(), beginning=None, stopping=False), ()
 
 
-def _received(state: State, message: object, request: object) -> Result:
+def _received(state: State, message: Reply, request: Request | None) -> Result:
     match message:
         case JobStatus():
             return (state if state.beginning else _job_changed(state, message)), ()

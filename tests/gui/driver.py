@@ -92,6 +92,15 @@ class Window:
         subprocess.run(["import", "-window", "root", str(path)], check=True)
         return path
 
+    def open(self) -> Iterator[float]:
+        """``yield from``: the extension installed, an empty scene, a large 3D view with the panel."""
+        self.install()
+        self.full_screen()
+        yield 1.0
+        self.show_tab()
+        self.clear_scene()
+        yield 0.5
+
     def install(self) -> None:
         """Install the zip as a user does."""
         bpy.ops.extensions.package_install_files(

@@ -25,11 +25,7 @@ FRAME_SECONDS = 0.8 / 15
 
 def test(window: Window) -> Iterator[float]:
     options = window.options
-    window.install()
-    window.full_screen()
-    yield 1.0
-    window.show_tab()
-    window.clear_scene()
+    yield from window.open()
     session = window.module("addon.runtime").session()
     settings = bpy.context.scene.physhdr
     bpy.ops.physhdr.backend_use(filepath=str(options.python))

@@ -19,11 +19,7 @@ WATCH_AT = 800
 
 def test(window: Window) -> Iterator[float]:
     options = window.options
-    window.install()
-    window.full_screen()
-    yield 1.0
-    window.show_tab()
-    window.clear_scene()
+    yield from window.open()
     session = window.module("addon.runtime").session()
     settings = bpy.context.scene.physhdr
     yield from window.redrawn()

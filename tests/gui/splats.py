@@ -21,10 +21,7 @@ PROJECTION_PIXELS = 1e-3
 
 def test(window: Window) -> Iterator[float]:
     options, report = window.options, {}
-    window.install()
-    window.full_screen()
-    yield 1.0
-    window.clear_scene()
+    yield from window.open()
     bpy.ops.physhdr.model_import(filepath=str(options.model))
     target = bpy.context.object
     target.select_set(False)
