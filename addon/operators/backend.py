@@ -33,7 +33,9 @@ class PHYSHDR_OT_backend_install(PhysHDROperator):
     )
     torch: bpy.props.EnumProperty(name="Build of torch", items=settings.TORCH_BUILDS)
     fresh: bpy.props.BoolProperty(
-        name="Anew", description="Even where there is a complete environment of the same packages"
+        name="Anew",
+        description="Even where there is a complete environment of the same packages",
+        options={"SKIP_SAVE"},
     )
     wait: bpy.props.BoolProperty(default=bpy.app.background, options={"HIDDEN", "SKIP_SAVE"})
 

@@ -89,6 +89,9 @@ def _folder(operator: bpy.types.Operator, context: bpy.types.Context, name: str,
     return path
 
 
+# SKIP_SAVE below: Blender would remember a former call's arguments, and take them for this one's.
+
+
 class PHYSHDR_OT_train_start(_Training):
     """Train on the data set; the model and its checkpoints go to the run's folder"""
 
@@ -96,16 +99,22 @@ class PHYSHDR_OT_train_start(_Training):
     bl_label = "Start Training"
     action = "start"
 
-    data: bpy.props.StringProperty(name="Data Set", subtype="DIR_PATH")
-    out: bpy.props.StringProperty(name="Run", subtype="DIR_PATH")
-    preset: bpy.props.EnumProperty(name="Method", items=settings.PRESETS)
-    iterations: bpy.props.IntProperty(name="Iterations", min=0, description="0: the preset's")
-    exposure_mode: bpy.props.EnumProperty(name="Exposures", items=settings.EXPOSURE_MODES)
-    device: bpy.props.EnumProperty(name="Device", items=settings.DEVICES)
-    threads: bpy.props.IntProperty(name="Threads", min=0)
-    seed: bpy.props.IntProperty(name="Seed", min=0)
+    data: bpy.props.StringProperty(name="Data Set", subtype="DIR_PATH", options={"SKIP_SAVE"})
+    out: bpy.props.StringProperty(name="Run", subtype="DIR_PATH", options={"SKIP_SAVE"})
+    preset: bpy.props.EnumProperty(name="Method", items=settings.PRESETS, options={"SKIP_SAVE"})
+    iterations: bpy.props.IntProperty(
+        name="Iterations", min=0, description="0: the preset's", options={"SKIP_SAVE"}
+    )
+    exposure_mode: bpy.props.EnumProperty(
+        name="Exposures", items=settings.EXPOSURE_MODES, options={"SKIP_SAVE"}
+    )
+    device: bpy.props.EnumProperty(name="Device", items=settings.DEVICES, options={"SKIP_SAVE"})
+    threads: bpy.props.IntProperty(name="Threads", min=0, options={"SKIP_SAVE"})
+    seed: bpy.props.IntProperty(name="Seed", min=0, options={"SKIP_SAVE"})
     overwrite: bpy.props.BoolProperty(
-        name="Replace the Run", description="The run's folder holds a training: replace it"
+        name="Replace the Run",
+        description="The run's folder holds a training: replace it",
+        options={"SKIP_SAVE"},
     )
     wait: bpy.props.BoolProperty(**WAIT)
 
@@ -143,9 +152,9 @@ class PHYSHDR_OT_train_resume(_Training):
     bl_label = "Resume Training"
     action = "resume"
 
-    out: bpy.props.StringProperty(name="Run", subtype="DIR_PATH")
-    device: bpy.props.EnumProperty(name="Device", items=settings.DEVICES)
-    threads: bpy.props.IntProperty(name="Threads", min=0)
+    out: bpy.props.StringProperty(name="Run", subtype="DIR_PATH", options={"SKIP_SAVE"})
+    device: bpy.props.EnumProperty(name="Device", items=settings.DEVICES, options={"SKIP_SAVE"})
+    threads: bpy.props.IntProperty(name="Threads", min=0, options={"SKIP_SAVE"})
     wait: bpy.props.BoolProperty(**WAIT)
 
     def run(self, context: bpy.types.Context) -> set[str]:
@@ -161,8 +170,8 @@ class PHYSHDR_OT_run_open(_Training):
     bl_label = "Open Run"
     action = "open"
 
-    out: bpy.props.StringProperty(name="Run", subtype="DIR_PATH")
-    device: bpy.props.EnumProperty(name="Device", items=settings.DEVICES)
+    out: bpy.props.StringProperty(name="Run", subtype="DIR_PATH", options={"SKIP_SAVE"})
+    device: bpy.props.EnumProperty(name="Device", items=settings.DEVICES, options={"SKIP_SAVE"})
     wait: bpy.props.BoolProperty(**WAIT)
 
     def run(self, context: bpy.types.Context) -> set[str]:
@@ -253,8 +262,10 @@ class PHYSHDR_OT_result_import(PhysHDROperator):
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 (Blender's name for it)
     action = "import"
 
-    out: bpy.props.StringProperty(name="Run", subtype="DIR_PATH")
-    name: bpy.props.StringProperty(name="Name", description="Name of the new object; empty: the run's name")
+    out: bpy.props.StringProperty(name="Run", subtype="DIR_PATH", options={"SKIP_SAVE"})
+    name: bpy.props.StringProperty(
+        name="Name", description="Name of the new object; empty: the run's name", options={"SKIP_SAVE"}
+    )
 
     _timer: bpy.types.Timer | None = None
     _began = 0.0

@@ -21,9 +21,9 @@ from pathlib import Path
 MINIMUM = (3, 11)
 STAMP = "physhdr-complete.json"
 PREFIX = "environment-"
-#: Bytes that an environment needs, unpacking included: measured 1.6 GB with torch for the CPU.
+#: Bytes that an environment needs, unpacking included: measured 1.2 GB with torch for the CPU.
 SPACE = {"cpu": 3 << 30, "cuda": 12 << 30, "pip": 3 << 30}
-#: Where pip finds torch beside its usual places; PyPI's own is CUDA's for Linux and the processor's elsewhere.
+#: Where pip finds torch beside its usual places. PyPI's is CUDA's for Linux, the processor's elsewhere.
 TORCH_INDEX = {
     "cpu": "https://download.pytorch.org/whl/cpu",
     "cuda": "https://download.pytorch.org/whl/cu128" if os.name == "nt" else "",
