@@ -111,7 +111,7 @@ class PHYSHDR_PT_dataset(_Subpanel, bpy.types.Panel):
         state, layout = session().state, self.layout
         layout.prop(context.scene.physhdr, "data", text="")
         dataset = state.dataset
-        if context.scene.physhdr.data and not state.active:
+        if dataset.folder == choices(context).data and not state.active:
             column = layout.column(align=True)
             for line in dataset.lines:
                 write(context, column, line)

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The session of this Blender: made when first asked for, pumped by a timer, closed with the extension."""
 
+import traceback
+
 import bpy
 
 from . import paths, plot, settings
@@ -35,8 +37,27 @@ def redraw() -> None:
                 area.tag_redraw()
 
 
+def renew() -> None:
+    """Another session, of the folder that is chosen now; a training goes on without this Blender."""
+    global _session
+    if _session is not None:
+        _session.close()
+        _session = None
+
+
 def _tick() -> float:
+    """The timer's call. Blender ends a timer that raises, and the panel would stand still without a word."""
+    try:
+        return _attend()
+    except Exception:  # noqa: BLE001 (whatever it is, the next call may do better)
+        traceback.print_exc()
+        return QUIET
+
+
+def _attend() -> float:
+    """Take in what has happened, show it; returns the seconds until the next look."""
     current = session()
+    _follow_scene(current)
     before = current.state.history
     if current.pump():
         redraw()
@@ -47,16 +68,21 @@ def _tick() -> float:
     return BUSY if current.busy else QUIET
 
 
+def _follow_scene(current: Session) -> None:
+    """Look at the data set of the scene that is shown: another file or scene has another one."""
+    chosen = bpy.context.scene.physhdr.data
+    folder = bpy.path.abspath(chosen) if chosen else ""
+    if folder and folder != current.state.dataset.folder:
+        current.choose_dataset(folder)
+
+
 def register() -> None:
     if not bpy.app.background:
         bpy.app.timers.register(_tick, first_interval=QUIET, persistent=True)
 
 
 def unregister() -> None:
-    global _session
     if bpy.app.timers.is_registered(_tick):
         bpy.app.timers.unregister(_tick)
     _live.clear()
-    if _session is not None:
-        _session.close()
-        _session = None
+    renew()

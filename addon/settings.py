@@ -70,6 +70,12 @@ def _close_changed(self: Any, context: bpy.types.Context) -> None:
     session().set_when_closed(when_closed())
 
 
+def _home_changed(self: Any, context: bpy.types.Context) -> None:
+    from .runtime import renew
+
+    renew()
+
+
 class PHYSHDR_Preferences(bpy.types.AddonPreferences):
     bl_idname = PACKAGE
 
@@ -77,6 +83,7 @@ class PHYSHDR_Preferences(bpy.types.AddonPreferences):
         name="Backend's Folder",
         subtype="DIR_PATH",
         description="For the backend's environment, log and caches; empty: Blender's folder for extensions",
+        update=_home_changed,
     )
     when_closed: bpy.props.EnumProperty(
         name="When Blender Closes",
