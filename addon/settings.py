@@ -103,7 +103,8 @@ class PHYSHDR_Preferences(bpy.types.AddonPreferences):
 def _folder_chosen(self: Any, context: bpy.types.Context) -> None:
     from .runtime import session
 
-    session().choose_dataset(bpy.path.abspath(self.data)) if self.data else None
+    if self.data:
+        session().choose_dataset(bpy.path.abspath(self.data))
 
 
 class PHYSHDR_Settings(bpy.types.PropertyGroup):
