@@ -84,7 +84,7 @@ def problem_of(state: State) -> Problem | None:
         return state.problem
     if state.backend.problem:
         return state.backend.problem
-    if state.job.state == "failed" and state.job.failure:
+    if state.job.state == "failed" and state.job.failure and state.job.failure != state.read:
         failure = state.job.failure
         return Problem(failure.message, failure.hint, state.link.log)
     return state.link.problem

@@ -91,7 +91,8 @@ class State:
 
     ``waiting``: requests to be sent once there is a connection. ``beginning``: the request for a new job that
     is not answered yet; until then what the backend says of its job is of the former one. ``stopping``:
-    whether the user has asked the training to stop; a second time ends the process.
+    whether the user has asked the training to stop; a second time ends the process. ``read``: the job's
+    failure that the user has dismissed; the backend goes on telling it.
     """
 
     backend: Backend = Backend()
@@ -105,6 +106,7 @@ class State:
     stopping: bool = False
     exported: Exported | None = None
     problem: Problem | None = None
+    read: Failure | None = None
 
     def task(self, name: str) -> Running | None:
         return next((task for task in self.tasks if task.name == name), None)

@@ -108,7 +108,9 @@ def transition(state: State, event: Event) -> Result:
         case DatasetChosen(dataset):
             return replace(state, dataset=dataset), ()
         case Dismissed():
-            return replace(state, problem=None, link=replace(state.link, problem=None)), ()
+            state = replace(state, problem=None, read=state.job.failure)
+            link, backend = replace(state.link, problem=None), replace(state.backend, problem=None)
+            return replace(state, link=link, backend=backend), ()
 
 
 # ---- tasks -------------------------------------------------------------------------------------------------
@@ -151,7 +153,7 @@ def _asked(state: State, request: Request) -> Result:
     if isinstance(request, TrainStart | TrainResume | RunOpen):
         run = request.out if isinstance(request, TrainStart) else request.run
         job = JobStatus(state="preparing", run=run, in_control=state.job.in_control)
-        state = replace(state, history=History(), job=job, beginning=request)
+        state = replace(state, history=History(), job=job, beginning=request, read=None)
     if state.link.status == "connected":
         return state, (Send(request),)
     if isinstance(request, Shutdown):

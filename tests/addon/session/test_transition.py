@@ -10,6 +10,7 @@ from physhdr.addon.session.state import (
     Connect,
     Connected,
     Dataset,
+    Dismissed,
     Found,
     KeepReport,
     KillBackend,
@@ -174,6 +175,22 @@ def test_a_backend_that_does_not_answer_can_be_ended_and_is_looked_for_again():
     assert effects == [Connect()] and problem_of(again)  # it is told until there is a connection
     assert problem_of(after(again, Connected(WELCOME), Received(JobStatus(in_control=True)))[0]) is None
     assert why_not(after(state, Vanished())[0], "shutdown") == "No backend is running"
+
+
+def test_a_dismissed_problem_is_gone_whatever_it_was_and_the_next_one_is_told():
+    failed = JobStatus(state="failed", run="/run", failure=Failure(code="x", message="diverged"))
+    state, _ = after(training(), Received(failed))
+    assert problem_of(state).message == "diverged"
+    state, _ = after(state, Dismissed(), Received(failed))
+    assert problem_of(state) is None and headline(state) == "Failed"
+    again = replace(failed, failure=Failure(code="x", message="diverged again"))
+    assert problem_of(after(state, Received(again))[0]).message == "diverged again"
+    retried, _ = after(state, Asked(START), Received(Done(), START), Received(failed))
+    assert problem_of(retried).message == "diverged"  # the same once more is news
+    broken, _ = after(State(), TaskStarted("check", "log"), TaskEnded("check", False, message="no torch"))
+    assert problem_of(broken) and problem_of(after(broken, Dismissed())[0]) is None
+    lost, _ = after(training(), LinkLost("the connection broke"))
+    assert problem_of(lost) and problem_of(after(lost, Dismissed())[0]) is None
 
 
 def test_a_good_bye_is_no_problem():
