@@ -42,9 +42,6 @@ def arguments() -> argparse.Namespace:
 class Window:
     """What a test sees and does."""
 
-    #: Where ``add_objects`` puts the ball, metres.
-    BALL = (-0.45, -0.9, 1.6)
-
     def __init__(self, options: argparse.Namespace) -> None:
         self.options = options
 
@@ -141,7 +138,7 @@ class Window:
         material = bpy.data.materials.new("orange")
         material.diffuse_color = (0.9, 0.3, 0.05, 1.0)
         material.node_tree.nodes["Principled BSDF"].inputs["Base Color"].default_value = (0.9, 0.3, 0.05, 1.0)
-        bpy.ops.mesh.primitive_uv_sphere_add(radius=0.12, location=self.BALL)
+        bpy.ops.mesh.primitive_uv_sphere_add(radius=0.12, location=(-0.45, -0.9, 1.6))
         bpy.ops.object.shade_smooth()
         bpy.context.object.data.materials.append(material)
         bpy.ops.mesh.primitive_cylinder_add(radius=0.12, depth=3.0, location=(0.35, 1.4, 0.6))
