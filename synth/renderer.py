@@ -16,7 +16,7 @@ from .errors import NotFiniteError, RenderError
 from .folder import temporary
 from .interrupts import held
 from .progress import quiet
-from .scenes.stage import Stage
+from .scenes.stage import AMBIENT, Stage
 
 
 def view_seed(seed: int, name: str) -> int:
@@ -47,7 +47,7 @@ class Renderer:
         path.parent.mkdir(parents=True, exist_ok=True)
         pending.unlink(missing_ok=True)
         self.camera.matrix_world = Matrix(pose.tolist())
-        self.stage.set_ambient(level)
+        self.stage.set_levels({AMBIENT: level})
         scene.cycles.seed = seed
         scene.render.filepath = str(pending.absolute())
         try:

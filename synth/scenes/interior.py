@@ -2,8 +2,8 @@
 """``interior``: a living room in the late afternoon, 4.2 × 4.4 × 2.5 m.
 
 Back wall (+Y): a window with low sun, sofa below it, bookshelf to the right. A bare bulb hangs over the
-slatted chair. Ambient light is sky, sun and a soft fill behind the camera; the lamps are the hanging bulb
-and the bulb of the standing lamp.
+slatted chair. Ambient light is sky, sun and a soft fill behind the camera; the lamps are two groups, the
+hanging bulb and the bulb of the standing lamp.
 """
 
 from __future__ import annotations
@@ -12,12 +12,13 @@ import math
 import random
 
 import bpy
-from mathutils import Vector
 
 from . import interior_furniture as furniture
 from . import materials as m
+from .assets import Assets
+from .lighting import Lighting
 from .props import ball, box, rod, sheet
-from .stage import CameraHints, LightKnob, Stage
+from .stage import CameraHints, Stage
 
 WIDTH, BACK, FRONT, HEIGHT = 4.2, 1.8, -2.6, 2.5
 WINDOW = (-1.45, -0.15, 0.92, 2.12)  # x0, x1, z0, z1
@@ -29,7 +30,7 @@ SUN_IRRADIANCE = 20.0
 FILL_POWER = 22.0  # watts
 
 
-def build(scene: bpy.types.Scene) -> Stage:
+def build(scene: bpy.types.Scene, assets: Assets) -> Stage:
     """Fill ``scene`` and return its lights and camera hints."""
     room = scene.collection
     dice = random.Random(7)  # the design is fixed; --seed moves noise, not furniture
@@ -37,8 +38,8 @@ def build(scene: bpy.types.Scene) -> Stage:
     _window(room)
     _outside(room, dice)
     furniture.furnish(room, dice)
-    ambient = [*_sky(scene), *_sun(room), *_fill(room)]
-    lamps = _bulbs(room)
+    lighting = Lighting(scene)
+    _light(room, lighting)
     hints = CameraHints(
         centre=(0.0, -2.1, 1.35),
         target=(0.05, 0.9, 0.98),
@@ -48,7 +49,7 @@ def build(scene: bpy.types.Scene) -> Stage:
         orbit_arc=math.radians(50.0),
         elevation=(math.radians(-2.0), math.radians(22.0)),
     )
-    return Stage(scene=scene, cameras=hints, ambient=ambient, lamps=lamps)
+    return Stage(scene=scene, cameras=hints, lights=lighting.groups)
 
 
 def _shell(room: bpy.types.Collection) -> None:
@@ -161,12 +162,8 @@ def _outside(room: bpy.types.Collection, dice: random.Random) -> None:
     sheet(room, "hills", hills, hill, steps=(60, 4))
 
 
-def _sky(scene: bpy.types.Scene) -> list[LightKnob]:
-    """A gradient with soft clouds, brightest near the horizon, seen through a portal in the window."""
-    world = bpy.data.worlds.new("sky")
-    scene.world = world
-    graph = m.Graph(world.node_tree)
-    direction = graph.add("ShaderNodeTexCoord").outputs["Generated"]
+def _sky(graph: m.Graph, direction: m.Socket) -> m.Socket:
+    """A gradient with soft clouds, brightest near the horizon."""
     height = graph.add("ShaderNodeSeparateXYZ", {"Vector": direction}).outputs["Z"]
     blue = graph.ramp(
         height, [(0.0, (1.0, 0.86, 0.68)), (0.10, (0.85, 0.90, 0.98)), (0.5, (0.30, 0.50, 0.85))]
@@ -174,68 +171,24 @@ def _sky(scene: bpy.types.Scene) -> list[LightKnob]:
     stretched = graph.add("ShaderNodeMapping", {"Vector": direction, "Scale": (1.0, 1.0, 2.6)}).outputs[0]
     clouds = graph.noise(stretched, 4.5, 3.0, 0.3)
     white = graph.ramp(clouds, [(0.45, (0.0,) * 3), (0.68, (1.0,) * 3)])
-    colour = graph.mix(white, blue, (1.55, 1.42, 1.25))
-    background = graph.add("ShaderNodeBackground", {"Color": colour, "Strength": SKY_RADIANCE})
-    graph.add("ShaderNodeOutputWorld", {"Surface": background.outputs[0]})
+    return graph.mix(white, blue, (1.55, 1.42, 1.25))
+
+
+def _light(room: bpy.types.Collection, lighting: Lighting) -> None:
+    """Sky and low sun through the window, a soft fill (the rest of the flat), two bulbs."""
     x0, x1, z0, z1 = WINDOW
-    portal = bpy.data.lights.new("portal", "AREA")
-    portal.shape, portal.size, portal.size_y = "RECTANGLE", x1 - x0, z1 - z0
-    portal.cycles.is_portal = True
-    item = bpy.data.objects.new("portal", portal)
-    item.location = ((x0 + x1) / 2, BACK + 0.125, (z0 + z1) / 2)
-    item.rotation_euler = Vector((0.0, -1.0, 0.0)).to_track_quat("-Z", "Z").to_euler()
-    scene.collection.objects.link(item)
-    return [LightKnob(background.inputs["Strength"], "default_value", SKY_RADIANCE)]
-
-
-def _sun(room: bpy.types.Collection) -> list[LightKnob]:
-    """Low sun through the window: a patch on the rug and the table."""
-    sun = bpy.data.lights.new("sun", "SUN")
-    sun.energy, sun.angle, sun.color = SUN_IRRADIANCE, math.radians(1.5), (1.0, 0.82, 0.60)
-    item = bpy.data.objects.new("sun", sun)
-    item.rotation_euler = Vector((0.34, -0.78, -0.62)).to_track_quat("-Z", "Y").to_euler()
-    room.objects.link(item)
-    return [LightKnob(sun, "energy", SUN_IRRADIANCE)]
-
-
-def _fill(room: bpy.types.Collection) -> list[LightKnob]:
-    """The rest of the flat, behind the camera: a large soft light that no camera sees."""
-    fill = bpy.data.lights.new("fill", "AREA")
-    fill.shape, fill.size, fill.size_y = "RECTANGLE", 2.4, 1.2
-    fill.energy, fill.color = FILL_POWER, (0.80, 0.90, 1.0)
-    item = bpy.data.objects.new("fill", fill)
-    item.location = (-0.2, FRONT + 0.05, 1.75)
-    item.rotation_euler = Vector((0.0, 1.0, -0.15)).to_track_quat("-Z", "Z").to_euler()
-    item.visible_camera = item.visible_glossy = False
-    room.objects.link(item)
-    return [LightKnob(fill, "energy", FILL_POWER)]
-
-
-def _bulbs(room: bpy.types.Collection) -> list[LightKnob]:
-    """Two bare bulbs: one on a cord over the chair, one on the standing lamp by the shelf.
-
-    Each is a sphere that the camera sees, and a point light of the same size and radiance that lights the
-    room: Cycles samples the latter by its solid angle, with less noise and time than a luminous mesh.
-    """
+    lighting.sky(_sky, SKY_RADIANCE)
+    lighting.portal(((x0 + x1) / 2, BACK + 0.125, (z0 + z1) / 2), (0.0, -1.0, 0.0), (x1 - x0, z1 - z0))
+    lighting.sun((0.34, -0.78, -0.62), SUN_IRRADIANCE)  # a patch on the rug and the table
+    lighting.area(
+        "fill", (-0.2, FRONT + 0.05, 1.75), (0.0, 1.0, -0.15), (2.4, 1.2), FILL_POWER, (0.80, 0.90, 1.0)
+    )
     metal = m.plain("socket", (0.05, 0.045, 0.04), 0.3, 1.0)
-    knobs = []
     for name, (x, y, z), radius, up in (
         ("pendant", (0.72, -0.05, 1.72), 0.045, True),
         ("standing", (0.34, 1.42, 1.38), 0.035, False),
     ):
-        glow, strength = m.emission(f"bulb {name}", BULB_COLOUR, BULB_RADIANCE)
-        glow.cycles.emission_sampling = "NONE"
-        bulb = ball(room, f"bulb {name}", (x, y, z), radius, glow, 3)
-        for ray in ("diffuse", "glossy", "transmission", "shadow"):
-            setattr(bulb, f"visible_{ray}", False)
-        knobs.append(LightKnob(strength, "default_value", BULB_RADIANCE))
-        light = bpy.data.lights.new(f"bulb {name}", "POINT")
-        light.shadow_soft_size, light.use_soft_falloff, light.color = radius, False, BULB_COLOUR
-        light.energy = 4.0 * math.pi**2 * radius**2 * BULB_RADIANCE  # watts of a sphere of that radiance
-        knobs.append(LightKnob(light, "energy", light.energy))
-        shining = bpy.data.objects.new(f"bulb light {name}", light)
-        shining.location, shining.visible_camera = (x, y, z), False
-        room.objects.link(shining)
+        lighting.bulb(name, name, (x, y, z), radius, BULB_RADIANCE, BULB_COLOUR)
         sign = 1.0 if up else -1.0
         rod(room, f"socket {name}", (x, y, z + sign * 0.04), (x, y, z + sign * 0.11), 0.022, metal)
         if up:
@@ -250,4 +203,3 @@ def _bulbs(room: bpy.types.Collection) -> list[LightKnob]:
                 m.plain("pole", (0.6, 0.42, 0.18), 0.3, 1.0),
             )
             rod(room, "foot", (x, y, 0.0), (x, y, 0.03), 0.15, metal, sides=24)
-    return knobs

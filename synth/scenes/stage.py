@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a scene hands to the renderer: its lights in two groups, and where cameras may stand."""
+"""What a scene hands to the renderer: its lights in groups, and where cameras may stand."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,8 @@ if TYPE_CHECKING:
     from ..rig import RigPoses
 
 WORLD_UP = (0.0, 0.0, 1.0)
+AMBIENT = "ambient"
+"""The group of sky, sun and fill: what the data set's plain ``lighting_level`` turns."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,13 +57,17 @@ class LightKnob:
 
 @dataclass(frozen=True, kw_only=True)
 class Stage:
-    """A built or opened scene. Light is in two groups: ambient (sky, sun, fill) and lamps."""
+    """A built or opened scene, and its lights by group.
+
+    Every emitter belongs to one of Cycles' light groups of the view layer. Light transport is linear in each,
+    so the passes of the groups, each times a level, add up to the picture under those levels.
+    """
 
     scene: bpy.types.Scene
     cameras: CameraHints
-    ambient: list[LightKnob] = field(default_factory=list)
-    lamps: list[LightKnob] = field(default_factory=list)
-    """The lamps of a built scene; a user's lamps stay as they are and need no knob."""
+    lights: dict[str, list[LightKnob]] = field(default_factory=dict)
+    """Group → the numbers that turn it, ``AMBIENT`` (sky, sun, fill) first. Empty for a group that is known
+    only as what remains of the picture without the others."""
     layer: bpy.types.ViewLayer | None = None
     """What is rendered and what rays are cast in; the scene's first view layer if ``None``."""
     poses: RigPoses | None = None
@@ -74,12 +81,8 @@ class Stage:
     def view_layer(self) -> bpy.types.ViewLayer:
         return self.layer or self.scene.view_layers[0]
 
-    def set_ambient(self, level: float) -> None:
-        """Multiply sky, sun and fill by ``level``; lamps stay. Light transport is linear in it."""
-        for knob in self.ambient:
-            knob.set(level)
-
-    def set_lamps(self, level: float) -> None:
-        """Multiply the lamps of a built scene by ``level``; the ambient light stays."""
-        for knob in self.lamps:
-            knob.set(level)
+    def set_levels(self, levels: Mapping[str, float]) -> None:
+        """Multiply each named group by its level, and every other by 1."""
+        for group, knobs in self.lights.items():
+            for knob in knobs:
+                knob.set(levels.get(group, 1.0))

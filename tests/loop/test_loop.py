@@ -39,8 +39,12 @@ def test_reference_and_cpu_draw_the_trained_model_alike(run):
     for rasteriser in ("reference", "cpu"):
         opened = open_run(run, rasteriser=rasteriser)
         images[rasteriser] = opened.method.hdr(opened.scene.test[0].camera, 2.0)
-    difference = (images["reference"] - images["cpu"]).abs()
-    assert (difference / images["reference"].abs().clamp_min(1.0)).max() < 1e-4
+    difference = (images["reference"] - images["cpu"]).abs() / images["reference"].abs().clamp_min(1.0)
+    # Where an opacity is within rounding of 1/255, or a transmittance of where a ray ends, the two may decide
+    # differently; such a pixel then lacks one contribution of that size.
+    assert difference.max() < 1 / 255
+    assert (difference.amax(0) > 1e-4).float().mean() < 1e-2
+    assert difference.mean() < 1e-5
 
 
 def test_cycles_draws_the_point_cloud_as_we_do(run, data, in_blender):

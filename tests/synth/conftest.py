@@ -43,8 +43,10 @@ def build_ball(scene):
     return Stage(
         scene=scene,
         cameras=hints,
-        ambient=[LightKnob(sun, "energy", 2.0)],
-        lamps=[LightKnob(strength, "default_value", 50.0)],
+        lights={
+            "ambient": [LightKnob(sun, "energy", 2.0)],
+            "lamp": [LightKnob(strength, "default_value", 50.0)],
+        },
     )
 
 

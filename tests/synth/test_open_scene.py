@@ -399,8 +399,8 @@ def test_an_animated_sun_in_a_collection_instance_follows_too(scene, tmp_path):
     holder.instance_type, holder.instance_collection = "COLLECTION", hidden
     scene.world = None
     with open_scene.opened(SMALL, Report()) as (stage, _):
-        (knob,) = stage.ambient
-        stage.set_ambient(3.0)
+        (knob,) = stage.lights["ambient"]
+        stage.set_levels({"ambient": 3.0})
         stage.view_layer.update()
         shining = [
             instance.object.data.energy
@@ -444,7 +444,7 @@ def test_nothing_of_the_users_is_changed(scene, tmp_path, monkeypatch, name, end
     def render(self, *arguments):
         calls.append(arguments)
         if raised is not None and len(calls) == 8:  # the relit one: the levels stand otherwise
-            self.stage.set_ambient(4.0)
+            self.stage.set_levels({"ambient": 4.0})
             raise raised
         return real(self, *arguments)
 
