@@ -15,22 +15,21 @@ import pytest
 bpy = pytest.importorskip("bpy", reason="needs Blender: run with .venvs/blender/bin/python")
 
 
-def build_ball(scene):
+def build_ball(scene, assets):
     """A grey ball of radius 1 on the floor z = −1, sun (ambient) and a bulb (lamp), black sky."""
     from physhdr.synth.scenes import materials, props
-    from physhdr.synth.scenes.stage import CameraHints, LightKnob, Stage
+    from physhdr.synth.scenes.lighting import Lighting
+    from physhdr.synth.scenes.stage import CameraHints, Stage
 
     room = scene.collection
     grey = materials.plain("grey", (0.5, 0.4, 0.3), 1.0)
     props.ball(room, "ball", (0, 0, 0), 1.0, grey, subdivisions=5)
     props.box(room, "floor", (0, 0, -1.05), (12, 12, 0.1), grey)
+    lighting = Lighting(scene)
     glow, strength = materials.emission("glow", (1, 1, 1), 50.0)
-    props.ball(room, "bulb", (1.6, -1.5, 0.2), 0.35, glow)
-    sun = bpy.data.lights.new("sun", "SUN")
-    sun.energy = 2.0
-    lit = bpy.data.objects.new("sun", sun)
-    lit.rotation_euler = (0.5, 0.3, 0.0)
-    room.objects.link(lit)
+    lighting.glow("lamp", props.ball(room, "bulb", (1.6, -1.5, 0.2), 0.35, glow), strength)
+    sun = lighting.sun((0, 0, -1), 2.0, (1.0, 1.0, 1.0), 0.526)
+    sun.rotation_euler = (0.5, 0.3, 0.0)
     hints = CameraHints(
         centre=(0, -6, 1.0),
         target=(0, 0, 0),
@@ -40,14 +39,7 @@ def build_ball(scene):
         orbit_arc=1.5,
         elevation=(0.1, 0.6),
     )
-    return Stage(
-        scene=scene,
-        cameras=hints,
-        lights={
-            "ambient": [LightKnob(sun, "energy", 2.0)],
-            "lamp": [LightKnob(strength, "default_value", 50.0)],
-        },
-    )
+    return Stage(scene=scene, cameras=hints, lights=lighting.groups)
 
 
 @pytest.fixture(autouse=True)
