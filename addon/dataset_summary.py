@@ -38,7 +38,9 @@ class DatasetSummary:
     pictures differ or none can be read. ``exposures``: seconds, shortest first, of the training views.
     ``stops``: dynamic range, and ``stops_from``: whether it was measured on the true radiance or only
     follows from the exposures. ``levels``, ``relit_levels``: ambient levels of extra training views and
-    of the relit truth. ``warnings``: what is wrong, in the order of its weight.
+    of the relit truth. ``lights``: those that the scene has, each with a level of its own; ``lit_lights``:
+    those whose levels differ in the extra training views; ``mixtures``: how many settings of the relit truth
+    change another light than the ambient one. ``warnings``: what is wrong, in the order of its weight.
     """
 
     folder: Path
@@ -51,6 +53,9 @@ class DatasetSummary:
     points: int | None = None
     levels: tuple[float, ...] = ()
     relit_levels: tuple[float, ...] = ()
+    lights: tuple[str, ...] = ()
+    lit_lights: tuple[str, ...] = ()
+    mixtures: int = 0
     truth: bool = False
     complete: bool = True
     warnings: tuple[str, ...] = field(default=())
@@ -67,7 +72,7 @@ class DatasetSummary:
 
 
 def lines(summary: DatasetSummary) -> list[str]:
-    """One line each of views and size, exposures, dynamic range, light, points."""
+    """One line each of views and size, exposures, dynamic range, ambient light, lights, points."""
     views = summary.views
     parts = [f"{views.get('train', 0)} training views", f"{views.get('test', 0)} test"]
     if "lit" in views:
@@ -86,6 +91,13 @@ def lines(summary: DatasetSummary) -> list[str]:
         light.append(f"truth at {_levels(summary.relit_levels)}")
     if light:
         told.append(f"Ambient light: {'; '.join(light)}")
+    if summary.lights:
+        parts = [", ".join(summary.lights)]
+        if summary.lit_lights:
+            parts.append(f"levels to learn from: {', '.join(summary.lit_lights)}")
+        if summary.mixtures:
+            parts.append(f"truth for {summary.mixtures} mixture{'s' if summary.mixtures > 1 else ''}")
+        told.append(f"Lights: {'; '.join(parts)}")
     if summary.points is not None:
         told.append(f"{summary.points} first points")
     return told
@@ -114,15 +126,18 @@ def summarise(folder: Path | str) -> DatasetSummary:
     views: dict[str, int] = {}
     brackets: dict[str, dict[str, float]] = {}
     levels: set[float] = set()
+    lit_lights = _names(info, "lit_lights", FINAL, warnings)
     for split in SPLITS:
         path = folder / f"transforms_{split}.json"
         if not path.exists():
             continue
-        frames = _frames(path)
+        content = _transforms(path)
+        frames = content["frames"]
         views[split] = len(frames)
         brackets[split] = _exposures(folder / f"exposure_{split}.json", warnings)
         if split == "lit":
             levels = {float(frame.get("lighting_level", 1.0)) for frame in frames}
+            lit_lights = _names(content, "lights", path.name, warnings) or lit_lights
         _check_frames(split, frames, brackets[split], warnings)
     size = _check_pictures(folder, brackets, warnings)
     exposures = _check_exposures(brackets.get("train", {}), warnings)
@@ -131,6 +146,7 @@ def summarise(folder: Path | str) -> DatasetSummary:
     stops, stops_from = _stops(info, exposures)
     points = _point_count(folder / POINTS, warnings)
     relit = [_number(path.name.removeprefix("level_")) for path in folder.glob("relit/level_*")]
+    settings = [path for path in folder.glob("relit/*") if path.is_dir()]
     return DatasetSummary(
         folder=folder,
         name=str(info.get("scene") or folder.resolve().name),
@@ -142,6 +158,9 @@ def summarise(folder: Path | str) -> DatasetSummary:
         points=points,
         levels=tuple(sorted(levels)),
         relit_levels=tuple(sorted(level for level in relit if level is not None)),
+        lights=_names(info, "lights", FINAL, warnings),
+        lit_lights=lit_lights,
+        mixtures=len(settings) - sum(level is not None for level in relit),
         truth=(folder / "test_hdr").is_dir(),
         complete=not (folder / PARTIAL).exists(),
         warnings=tuple(warnings),
@@ -185,7 +204,8 @@ def _info(folder: Path) -> dict[str, Any]:
     return info
 
 
-def _frames(path: Path) -> list[dict[str, Any]]:
+def _transforms(path: Path) -> dict[str, Any]:
+    """A transforms_*.json whose ``frames`` is a list of objects, and not empty."""
     content = _json(path)
     frames = content.get("frames")
     if not isinstance(frames, list) or not all(isinstance(frame, dict) for frame in frames):
@@ -194,7 +214,16 @@ def _frames(path: Path) -> list[dict[str, Any]]:
         raise FileDamagedError(f"{path} has no 'camera_angle_x'", MAKE_AGAIN)
     if not frames:
         raise FileDamagedError(f"{path} has no frames", MAKE_AGAIN)
-    return frames
+    return content
+
+
+def _names(content: dict[str, Any], key: str, file: str, warnings: list[str]) -> tuple[str, ...]:
+    """A list of names that may be missing; () and a warning where it is something else."""
+    names = content.get(key, [])
+    if isinstance(names, list) and all(isinstance(name, str) for name in names):
+        return tuple(names)
+    warnings.append(f"{file}: '{key}' is {str(names)[:60]!r}, not a list of lights.")
+    return ()
 
 
 def _exposures(path: Path, warnings: list[str]) -> dict[str, float]:

@@ -82,6 +82,25 @@ def test_a_folder_of_ours(folder):
     assert "Ambient light: trained at 0.25; truth at 0.5, 4" in found.lines and not found.warnings
 
 
+def test_the_lights_of_a_data_set_are_one_line(folder):
+    info = {"lights": ["ambient", "pendant", "screen"], "lit_lights": ["ambient"]}
+    (folder / "dataset.json").write_text(json.dumps(info))
+    assert "Lights: ambient, pendant, screen; levels to learn from: ambient" in summarise(folder).lines
+    # The split itself tells which lights vary; folders of the truth tell its settings.
+    frame = {"file_path": "./lit/r_0", "transform_matrix": [], "lighting_levels": {"pendant": 2.0}}
+    lit = {"camera_angle_x": 0.9, "lights": ["ambient", "pendant"], "frames": [frame]}
+    (folder / "transforms_lit.json").write_text(json.dumps(lit))
+    (folder / "exposure_lit.json").write_text("{}")
+    for setting in ("level_0.25", "ambient_4+pendant_0.25", "pendant_0"):
+        (folder / "relit" / setting).mkdir(parents=True)
+    found = summarise(folder)
+    assert (found.lights, found.lit_lights) == (("ambient", "pendant", "screen"), ("ambient", "pendant"))
+    line = "ambient, pendant, screen; levels to learn from: ambient, pendant; truth for 2 mixtures"
+    assert f"Lights: {line}" in found.lines and found.relit_levels == (0.25,)
+    edit(folder / "dataset.json", lambda content: content.update(lights="ambient"))
+    assert "dataset.json: 'lights' is 'ambient', not a list of lights." in summarise(folder).warnings
+
+
 @pytest.mark.parametrize(
     ("spoil", "told"),
     [
