@@ -87,3 +87,9 @@ class RenderError(SynthError):
     """Blender did not produce the picture."""
 
     code = "render"
+
+
+class AssetError(SynthError):
+    """The folder of models is missing, or a model in it cannot be read."""
+
+    code = "assets"
