@@ -6,11 +6,13 @@ exp(Σ_k sh_k Y_k(ω)), scene-linear. Going either way, the function of the dire
 sphere, converted there, and fitted again.
 """
 
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
 
 from .errors import BadValueError
+from .lights import AMBIENT, Levels, as_levels, in_words
 from .model_file import Model
 from .spherical_harmonics import (
     C0,
@@ -92,17 +94,17 @@ def log_radiance_of(colour_sh: np.ndarray, color_space: ColorSpace = "SRGB") -> 
 def display_colour_sh(
     model: Model,
     exposure: float = 1.0,
-    level: float = 1.0,
+    level: Levels = 1.0,
     tone: Tone = "LEARNED",
     to_world: np.ndarray | None = None,
 ) -> np.ndarray:
     """``[N, K, 3]``: SH of the display colour (colour = Σ sh·Y + ½) of the model's look.
 
-    ``exposure``: seconds (2^EV); ``level``: the lighting level, limited to a baked-levels model's range;
-    ``tone``: the model's learned response, or the plain sRGB curve, which goes on above 1, as 3DGS's colours
-    may. ``to_world`` ``[3, 3]``: the linear part of the object's matrix, where the colours are wanted in
-    world space: ω in the world is seen from along ``to_world⁻¹ ω``. Raises ``BadValueError`` where a model
-    has no response.
+    ``exposure``: seconds (2^EV); ``level``: the lighting level of each of the model's lights, or of the
+    first, limited to a baked-levels model's range; ``tone``: the model's learned response, or the plain sRGB
+    curve, which goes on above 1, as 3DGS's colours may. ``to_world`` ``[3, 3]``: the linear part of the
+    object's matrix, where the colours are wanted in world space: ω in the world is seen from along
+    ``to_world⁻¹ ω``. Raises ``BadValueError`` where a model has no response, or not as many lights.
     """
     log_exposure, curve = model.tone_curve_log_exposure, model.tone_curve
     if tone == "LEARNED" and (curve is None or log_exposure is None):
@@ -132,7 +134,15 @@ def display_colour_sh(
     return refit(sh, function, basis(directions, degree), project)
 
 
-def look_comment(exposure_ev: float, level: float, tone: Tone) -> str:
-    """The header's line about the look that was baked."""
-    look = f"EV {exposure_ev:g}, lighting level {level:g}"
+def look_comment(exposure_ev: float, level: Levels, tone: Tone, lights: Sequence[str] = (AMBIENT,)) -> str:
+    """The header's line about the look that was baked; raises ``BadValueError`` as ``as_levels`` does."""
+    look = look_words(exposure_ev, level, lights)
     return f"display-referred colour through {TONE_WORDS[tone]}, baked at {look}"
+
+
+def look_words(exposure_ev: float, level: Levels, lights: Sequence[str] = (AMBIENT,)) -> str:
+    """``EV 1, lighting level 0.5``, or with several lights ``EV 1, lighting levels ambient 1 + lamp 0.5``."""
+    levels = as_levels(level, lights)
+    if len(levels) == 1:
+        return f"EV {exposure_ev:g}, lighting level {levels[0]:g}"
+    return f"EV {exposure_ev:g}, lighting levels {in_words(dict(zip(lights, levels, strict=True)))}"

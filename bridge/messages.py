@@ -28,7 +28,7 @@ import numpy as np
 from .errors import PhysHDRError
 
 #: Both sides must speak the same version; it changes whenever a message does.
-PROTOCOL_VERSION = 1
+PROTOCOL_VERSION = 2
 #: Text frames larger than this are refused: requests are small.
 TEXT_BYTES_MAX = 1 << 20
 #: A picture of 4096 × 2160 with its depth, and its header.
@@ -152,12 +152,13 @@ class PreviewRequest:
     would have taken with 2^``exposure_ev`` seconds, decoded from sRGB to scene-linear so that Blender's
     *Standard* view shows its very codes. Where Gaussians cover a pixel only by a share alpha, the rest of it
     has the camera's black taken off: an uncovered pixel is 0, a covered one is the camera's own.
-    ``lighting_level`` ≥ 0; |``exposure_ev``| ≤ 30.
+    ``lighting_levels`` ≥ 0: one for each of the model's lights in the order of ``JobStatus.lights``; those at
+    the end that are not given are at 1, and more than there are is an error. |``exposure_ev``| ≤ 30.
     """
 
     sequence: int
     camera: PreviewCamera
-    lighting_level: float = 1.0
+    lighting_levels: tuple[float, ...] = ()
     exposure_ev: float = 0.0
     tone: Literal["linear", "learned"] = "linear"
 
@@ -251,7 +252,8 @@ class JobStatus:
     ``device``: ``cpu``, or ``cuda (name of the card)``: of the job, and before there is one, where ``auto``
     computes. ``losses``: weighted terms; ``monitor``: measured on a fixed test view, ``PSNR`` in dB.
     ``saved_iteration``: of the newest checkpoint, 0 if there is none. ``can_relight`` and ``has_model``: what
-    previews may ask for. ``controller``: the name of the client that steers.
+    previews may ask for. ``lights``: names of the lights that the model has levels for, empty where there is
+    no model. ``controller``: the name of the client that steers.
     """
 
     state: JobState = "idle"
@@ -270,6 +272,7 @@ class JobStatus:
     saved_iteration: int = 0
     has_model: bool = False
     can_relight: bool = False
+    lights: tuple[str, ...] = ()
     failure: Failure | None = None
     controller: str = ""
     in_control: bool = False

@@ -21,6 +21,7 @@ import numpy as np
 
 from . import spherical_harmonics
 from .errors import BadValueError, DataMismatchError, FileDamagedError, FileMissingError, OutputError
+from .lights import AMBIENT, Levels, as_levels, check_lights
 
 FORMAT = "physhdr-model"
 VERSION = 1
@@ -32,30 +33,45 @@ HEADER_BYTES_MAX = 100_000_000
 DARKEST = 1e-6
 
 Modulator = Literal["additive", "baked-levels"]
+#: The modulator of a file whose lights are others than the ambient one alone: a PhysHDR of before there were
+#: any refuses it as a newer one's.
+ADDITIVE_LIGHTS = "additive-lights"
+#: So far may the shares of all lights add up to more than 1: rounding.
+SHARE_SLACK = 1e-5
 
-#: Tensor name → its shape in words. N, K, L and M must agree over the whole file.
+#: Array → its shape in words. N, K, C, L and M must agree over the whole model.
 SHAPES: dict[str, tuple[str | int, ...]] = {
     "position": ("N", 3),
     "rotation": ("N", 4),
     "scale": ("N", 3),
     "opacity": ("N",),
     "log_radiance_sh": ("N", "K", 3),
-    "ambient_share": ("N", 3),
+    "light_share": ("N", "C", 3),
     "level_log_gain": ("L", "N", 3),
     "tone_curve_log_exposure": ("M",),
     "tone_curve": ("M", 3),
 }
 REQUIRED = ("position", "rotation", "scale", "opacity", "log_radiance_sh")
+#: The tensor in a file that only the modulator it belongs to has. Where the ambient light is the only one
+#: its share is written without the axis C, as it was before there were others.
+LIGHT_TENSORS = {
+    "additive": "ambient_share",
+    ADDITIVE_LIGHTS: "light_share",
+    "baked-levels": "level_log_gain",
+}
+FILE_SHAPES = {**SHAPES, "ambient_share": ("N", 3)}
 #: Metadata that has a field or a fixed value of its own; anything else lands in ``Model.metadata``.
-RESERVED_METADATA = ("format", "version", "modulator", "levels", "sh_degree", "working_space", "exposures")
+RESERVED_METADATA = (
+    *("format", "version", "modulator", "lights", "levels", "sh_degree", "working_space", "exposures"),
+)
 
 
 @dataclass(frozen=True, eq=False)
 class Model:
     """N Gaussians with HDR radiance that can be relit. All arrays float32; see ``docs/formats.md``.
 
-    Exactly one of ``ambient_share`` (modulator ``additive``) and ``level_log_gain`` with ``levels``
-    (modulator ``baked-levels``) is given. Building one checks every shape and value; raises
+    Exactly one of ``light_share`` (modulator ``additive``) and ``level_log_gain`` with ``levels``
+    (modulator ``baked-levels``, one light) is given. Building one checks every shape and value; raises
     ``DataMismatchError`` and ``BadValueError``.
     """
 
@@ -69,8 +85,8 @@ class Model:
     opacity: np.ndarray
     #: ``[N, K, 3]``: radiance at level 1 is exp(Σ_k sh_k Y_k(ω)), ω from the camera to the Gaussian.
     log_radiance_sh: np.ndarray
-    #: ``[N, 3]``: the share of the radiance that the ambient light causes.
-    ambient_share: np.ndarray | None = None
+    #: ``[N, C, 3]``: the share of the radiance that each light causes; what is left to 1 is fixed.
+    light_share: np.ndarray | None = None
     #: ``[L, N, 3]``: ln(radiance(level) / radiance(1)) at each of ``levels``.
     level_log_gain: np.ndarray | None = None
     #: L lighting levels, positive and rising.
@@ -82,6 +98,8 @@ class Model:
     exposures: tuple[float, ...] = ()
     #: Free text about where it comes from: ``scene``, ``method``, ``iteration``, …
     metadata: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
+    #: Names of the C lights that have levels, in the order of ``light_share``.
+    lights: tuple[str, ...] = (AMBIENT,)
 
     def __post_init__(self) -> None:
         _check_shapes({name: array.shape for name, array in self.tensors().items()}, "the model")
@@ -105,38 +123,44 @@ class Model:
         arrays = {name: getattr(self, name) for name in SHAPES}
         return {name: array for name, array in arrays.items() if array is not None}
 
-    def log_gain(self, level: float) -> np.ndarray:
+    def log_gain(self, level: Levels) -> np.ndarray:
         """``[N, 3]``: ln(radiance(level) / radiance(1)), the same toward every direction.
 
-        ``level`` ≥ 0, limited to the range of a baked-levels model. What is all ambient does not go below a
-        gain of ``DARKEST``.
+        ``level`` ≥ 0: one for each of ``lights``, or a number for the first; limited to the range of a
+        baked-levels model. What its lights cause alone does not go below a gain of ``DARKEST``. Raises
+        ``BadValueError``.
         """
-        if not level >= 0.0:
-            raise BadValueError(f"the lighting level must be 0 or more, got {level}")
+        levels = as_levels(level, self.lights)
         if self.level_log_gain is not None:
-            weights = level_weights(self.levels, level).astype(np.float32)
+            weights = level_weights(self.levels, levels[0]).astype(np.float32)
             return np.einsum("l,lnc->nc", weights, self.level_log_gain)
-        assert self.ambient_share is not None  # checked when the model was made
-        return np.log(np.maximum(1.0 + self.ambient_share * np.float32(level - 1.0), np.float32(DARKEST)))
+        assert self.light_share is not None  # checked when the model was made
+        change = self.light_share[:, 0] * np.float32(levels[0] - 1.0)
+        for k in range(1, len(levels)):
+            change += self.light_share[:, k] * np.float32(levels[k] - 1.0)
+        return np.log(np.maximum(1.0 + change, np.float32(DARKEST)))
 
-    def radiance(self, directions: np.ndarray, level: float = 1.0) -> np.ndarray:
+    def radiance(self, directions: np.ndarray, level: Levels = 1.0) -> np.ndarray:
         """Scene-linear radiance ``[N, 3]`` toward cameras seen along ``directions``, in their dtype.
 
         ``directions``: ``[N, 3]`` unit vectors from the camera to each Gaussian. ``level`` ≥ 0: the
-        ambient light's factor. A baked-levels model knows nothing outside its ``levels``: ``level`` is
-        limited to their range.
+        factor of each light, or a number for the first. A baked-levels model knows nothing outside its
+        ``levels``: ``level`` is limited to their range. Raises ``BadValueError``.
         """
-        if not level >= 0.0:
-            raise BadValueError(f"the lighting level must be 0 or more, got {level}")
+        levels = as_levels(level, self.lights)
         Y = spherical_harmonics.basis(directions, self.sh_degree)
         log_radiance = np.einsum("nk,nkc->nc", Y, self.log_radiance_sh.astype(Y.dtype, copy=False))
         if self.level_log_gain is not None:
-            weights = level_weights(self.levels, level)
+            weights = level_weights(self.levels, levels[0])
             log_radiance += np.einsum("l,lnc->nc", weights.astype(Y.dtype), self.level_log_gain)
             return np.exp(log_radiance)
-        assert self.ambient_share is not None  # checked when the model was made
+        assert self.light_share is not None  # checked when the model was made
         radiance = np.exp(log_radiance)
-        return radiance * (1.0 - self.ambient_share) + level * (radiance * self.ambient_share)
+        # Shares whose sum rounds to above 1 leave no negative rest.
+        lit = radiance * np.maximum(1.0 - self.light_share.sum(axis=1), 0.0)
+        for k, factor in enumerate(levels):
+            lit += factor * (radiance * self.light_share[:, k])
+        return lit
 
 
 def level_weights(levels: tuple[float, ...], level: float) -> np.ndarray:
@@ -158,22 +182,30 @@ def read_model(path: str | os.PathLike[str]) -> Model:
     header, data_start = _read_header(data, path)
     metadata = _read_metadata(header, path)
     tensors = {
-        name: _read_tensor(name, header[name], data, data_start, path) for name in SHAPES if name in header
+        name: _read_tensor(name, header[name], data, data_start, path)
+        for name in FILE_SHAPES
+        if name in header
     }
     missing = [name for name in REQUIRED if name not in tensors]
     if missing:
         raise _damaged(path, f"has no {', '.join(missing)}")
-    wanted = {"additive": "ambient_share", "baked-levels": "level_log_gain"}
     modulator = metadata.get("modulator", "")
-    if modulator not in wanted:
+    if modulator not in LIGHT_TENSORS:
         raise BadValueError(f"{path}: unknown modulator {modulator!r}", _NEWER_HINT)
-    if wanted[modulator] not in tensors:
-        raise _damaged(path, f"has modulator {modulator!r} but no {wanted[modulator]}")
-    for other in set(wanted.values()) - {wanted[modulator]}:
+    if LIGHT_TENSORS[modulator] not in tensors:
+        raise _damaged(path, f"has modulator {modulator!r} but no {LIGHT_TENSORS[modulator]}")
+    for other in set(LIGHT_TENSORS.values()) - {LIGHT_TENSORS[modulator]}:
         tensors.pop(other, None)
+    lights: tuple[str, ...] = (AMBIENT,)
+    if modulator == ADDITIVE_LIGHTS:
+        lights = check_lights(_json(metadata, "lights", path), str(path))
     try:
+        if "ambient_share" in tensors:
+            _check_shapes({name: array.shape for name, array in tensors.items()}, "the model")
+            tensors["light_share"] = tensors.pop("ambient_share")[:, None]
         model = Model(
             **tensors,
+            lights=lights,
             levels=_numbers(metadata, "levels", path) if modulator == "baked-levels" else (),
             exposures=_numbers(metadata, "exposures", path),
             metadata=MappingProxyType({k: v for k, v in metadata.items() if k not in RESERVED_METADATA}),
@@ -192,18 +224,29 @@ def write_model(path: str | os.PathLike[str], model: Model) -> None:
     Raises ``OutputError`` where it cannot be written.
     """
     path = Path(path)
+    tensors, modulator = model.tensors(), str(model.modulator)
+    if modulator == "additive" and model.lights != (AMBIENT,):
+        modulator = ADDITIVE_LIGHTS
     metadata = {
         **{str(key): str(value) for key, value in model.metadata.items()},
         "format": FORMAT,
         "version": str(VERSION),
-        "modulator": model.modulator,
+        "modulator": modulator,
         "sh_degree": str(model.sh_degree),
         "working_space": WORKING_SPACE,
         "exposures": json.dumps(list(model.exposures)),
     }
     if model.modulator == "baked-levels":
         metadata["levels"] = json.dumps(list(model.levels))
-    arrays = {name: np.ascontiguousarray(array, "<f4") for name, array in model.tensors().items()}
+    if modulator == ADDITIVE_LIGHTS:
+        metadata["lights"] = json.dumps(list(model.lights))
+    elif modulator == "additive":
+        tensors = {
+            **{name: array for name, array in tensors.items() if name in REQUIRED},
+            "ambient_share": tensors["light_share"][:, 0],
+            **{name: array for name, array in tensors.items() if name.startswith("tone_curve")},
+        }
+    arrays = {name: np.ascontiguousarray(array, "<f4") for name, array in tensors.items()}
     header: dict[str, Any] = {"__metadata__": metadata}
     end = 0
     for name, array in arrays.items():
@@ -315,12 +358,17 @@ def _read_tensor(name: str, entry: Any, data: memoryview, data_start: int, path:
     return np.ndarray(tuple(shape), "<f4", data, data_start + start)
 
 
-def _numbers(metadata: Mapping[str, str], key: str, path: Path) -> tuple[float, ...]:
-    """A JSON list of finite numbers in the metadata; empty where there is none."""
+def _json(metadata: Mapping[str, str], key: str, path: Path) -> Any:
+    """What the metadata have as JSON under ``key``; an empty list where there is nothing."""
     try:
-        values = json.loads(metadata.get(key, "[]"))
+        return json.loads(metadata.get(key, "[]"))
     except (ValueError, RecursionError) as error:
         raise _damaged(path, f"is damaged: {key} is not JSON") from error
+
+
+def _numbers(metadata: Mapping[str, str], key: str, path: Path) -> tuple[float, ...]:
+    """A JSON list of finite numbers in the metadata; empty where there is none."""
+    values = _json(metadata, key, path)
     if not isinstance(values, list) or not all(
         isinstance(value, int | float) and math.isfinite(value) for value in values
     ):
@@ -329,10 +377,10 @@ def _numbers(metadata: Mapping[str, str], key: str, path: Path) -> tuple[float, 
 
 
 def _check_shapes(shapes: dict[str, tuple[int, ...]], whose: str) -> None:
-    """Every tensor has its number of axes, and N, K, L and M agree."""
+    """Every tensor has its number of axes, and N, K, C, L and M agree."""
     sizes: dict[str, tuple[int, str]] = {}
     for name, shape in shapes.items():
-        expected = SHAPES[name]
+        expected = FILE_SHAPES[name]
         if len(shape) != len(expected):
             raise DataMismatchError(f"{whose}: {name} has shape {list(shape)}, expected {list(expected)}")
         for size, axis in zip(shape, expected, strict=True):
@@ -368,13 +416,22 @@ def _check_values(model: Model) -> None:
         raise BadValueError("scale has a negative value", "It must be linear (metres), not a logarithm.")
     if (model.opacity < 0.0).any() or (model.opacity > 1.0).any():
         raise BadValueError("opacity has a value outside [0, 1]", "It must be activated, not a logit.")
-    if (model.ambient_share is None) == (model.level_log_gain is None):
-        raise DataMismatchError("exactly one of ambient_share and level_log_gain must be there")
-    if model.ambient_share is not None:
-        outside = (model.ambient_share < 0.0) | (model.ambient_share > 1.0)
-        if outside.any():
-            raise BadValueError("ambient_share has a value outside [0, 1]")
+    lights = check_lights(model.lights, "the model")
+    if (model.light_share is None) == (model.level_log_gain is None):
+        raise DataMismatchError("exactly one of light_share and level_log_gain must be there")
+    if model.light_share is not None:
+        if model.light_share.shape[1] != len(lights):
+            raise DataMismatchError(
+                f"light_share is of {model.light_share.shape[1]} lights, but there are {', '.join(lights)}"
+            )
+        total = model.light_share[:, 0] if len(lights) == 1 else model.light_share.sum(axis=1)
+        if (model.light_share < 0.0).any() or (total > 1.0 + (SHARE_SLACK if len(lights) > 1 else 0.0)).any():
+            raise BadValueError(
+                "light_share has a value outside [0, 1], or shares that add up to more than 1"
+            )
     else:
+        if len(lights) != 1:
+            raise DataMismatchError(f"baked levels are of one light, but there are {', '.join(lights)}")
         levels = np.array(model.levels)
         if model.level_log_gain is None or len(levels) != model.level_log_gain.shape[0] or len(levels) == 0:
             raise DataMismatchError(f"there are {len(levels)} levels, but level_log_gain has another count")

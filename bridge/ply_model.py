@@ -18,12 +18,16 @@ import numpy as np
 from .display import ColorSpace, log_radiance_of
 from .errors import BadValueError
 from .gaussian_ply import read_ply
-from .model_file import Model
+from .lights import AMBIENT, check_lights
+from .model_file import ADDITIVE_LIGHTS, Model
 from .spherical_harmonics import C0
 
-#: Comment lines of a lossless PLY: ``phys_form COMPOSER MODULATOR``, ``phys_curve NAME SHAPE PART BASE64``
-#: (the sampled response) and ``phys_network …`` of the same form (the networks, which need torch).
-FORM, CURVE, NETWORK = "phys_form", "phys_curve", "phys_network"
+#: Comment lines of a lossless PLY: ``phys_form COMPOSER MODULATOR``, ``phys_lights NAMES`` (a JSON list, only
+#: where there are others than the ambient light), ``phys_curve NAME SHAPE PART BASE64`` (the sampled
+#: response) and ``phys_network …`` of the same form (the networks, which need torch).
+FORM, LIGHTS, CURVE, NETWORK = "phys_form", "phys_lights", "phys_curve", "phys_network"
+#: Columns of the lights' logits: 3 of the ambient light alone, or 3 C of several (light by light).
+AMBIENT_LOGITS, LIGHT_LOGITS = "phys_ambient_share_logits", "phys_light_share_logits"
 #: Comment lines ``PhysHDR KEY: VALUE`` become metadata.
 PROVENANCE = "PhysHDR "
 #: Tensors are stored as base64 in comment lines of at most this many characters.
@@ -59,8 +63,8 @@ def read_ply_model(path: Path, color_space: ColorSpace = "SRGB") -> PlyModel:
         notes.append(f"{left_out} Gaussians with NaN, infinite or absurd values were left out.")
     if all(name in columns for name in _RADIANCE):
         form = _form(ply.comments)
-        if form == ("product", "additive"):
-            return PlyModel(_lossless_model(columns, ply.comments), None, left_out, tuple(notes))
+        if form in (("product", "additive"), ("product", ADDITIVE_LIGHTS)):
+            return PlyModel(_lossless_model(path, columns, ply.comments), None, left_out, tuple(notes))
         if form is not None:
             raise BadValueError(
                 f"{path}: its radiance needs networks (composer {form[0]}, modulator {form[1]})",
@@ -74,7 +78,7 @@ def read_ply_model(path: Path, color_space: ColorSpace = "SRGB") -> PlyModel:
     model = Model(
         **_shape(columns),
         log_radiance_sh=log_radiance_of(colour_sh, color_space),
-        ambient_share=np.ones((len(colour_sh), 3), np.float32),
+        light_share=np.ones((len(colour_sh), 1, 3), np.float32),
         metadata=_provenance(ply.comments),
     )
     return PlyModel(model, colour_sh, left_out, tuple(notes))
@@ -158,7 +162,7 @@ def _colour_sh(columns: dict[str, np.ndarray]) -> np.ndarray:
     return planes.transpose(2, 0, 1)
 
 
-def _lossless_model(columns: dict[str, np.ndarray], comments: Sequence[str]) -> Model:
+def _lossless_model(path: Path, columns: dict[str, np.ndarray], comments: Sequence[str]) -> Model:
     """The model of our own parameters: ln radiance = ln illumination + ln reflectance(ω)."""
     coefficients = 1 + sum(name.startswith("phys_reflectance_rest_") for name in columns) // 3
     sh = np.empty((len(columns["x"]), coefficients, 3), np.float32)
@@ -168,18 +172,49 @@ def _lossless_model(columns: dict[str, np.ndarray], comments: Sequence[str]) -> 
         sh[:, 0, channel] = columns[f"phys_reflectance_dc_{channel}"] + light / np.float32(C0)
         for k in range(coefficients - 1):
             sh[:, k + 1, channel] = columns[f"phys_reflectance_rest_{3 * k + channel}"]
-    logits = [columns.get(f"phys_ambient_share_logits_{channel}") for channel in range(3)]
-    known = [_sigmoid(logit) for logit in logits if logit is not None]
+    lights, share = _lights(path, columns, comments)
     curve: dict[str, Any] = dict(tensors_from_comments(CURVE, comments))
     if set(curve) != {"tone_curve_log_exposure", "tone_curve"}:
         curve = {}
     return Model(
         **_shape(columns),
         log_radiance_sh=sh,
-        ambient_share=np.stack(known, axis=1) if len(known) == 3 else np.ones_like(sh[:, 0]),
+        light_share=share,
+        lights=lights,
         **curve,
         metadata=_provenance(comments),
     )
+
+
+def _lights(
+    path: Path, columns: dict[str, np.ndarray], comments: Sequence[str]
+) -> tuple[tuple[str, ...], np.ndarray]:
+    """The names of the lights and their shares ``[N, C, 3]`` in the columns; 1 where none are stated."""
+    listed = [line.removeprefix(LIGHTS + " ") for line in comments if line.startswith(LIGHTS + " ")]
+    if not listed:
+        logits = [columns[name] for c in range(3) if (name := f"{AMBIENT_LOGITS}_{c}") in columns]
+        if len(logits) < 3:
+            return (AMBIENT,), np.ones((len(columns["x"]), 1, 3), np.float32)
+        return (AMBIENT,), light_shares(np.stack(logits, axis=1)[:, None])
+    try:
+        lights = check_lights(json.loads(listed[0]), f"{path}: its {LIGHTS} line")
+        logits = [columns[f"{LIGHT_LOGITS}_{index}"] for index in range(3 * len(lights))]
+    except (ValueError, RecursionError, KeyError) as error:
+        raise BadValueError(
+            f"{path}: its {LIGHTS} line and its {LIGHT_LOGITS} columns do not agree ({error})",
+            "Export it again (physhdr export).",
+        ) from error
+    return lights, light_shares(np.stack(logits, axis=1).reshape(-1, len(lights), 3))
+
+
+def light_shares(logits: np.ndarray) -> np.ndarray:
+    """Shares ``[N, C, 3]`` of logits ``[N, C, 3]``: a softmax over the C lights and the fixed part, whose
+    logit is 0; with one light a sigmoid."""
+    if logits.shape[1] == 1:
+        return _sigmoid(logits)
+    most = np.maximum(logits.max(axis=1, keepdims=True), 0.0)
+    weights = np.exp(logits - most)
+    return weights / (weights.sum(axis=1, keepdims=True) + np.exp(-most))
 
 
 def _form(comments: Sequence[str]) -> tuple[str, str] | None:

@@ -128,7 +128,7 @@ def frame(width=5, height=3):
     camera = PreviewCamera(
         pose=tuple(map(float, range(16))), width=width, height=height, fx=1.5, fy=2.5, cx=0.5, cy=0.25
     )
-    request = PreviewRequest(sequence=9, camera=camera, lighting_level=0.3, tone="learned")
+    request = PreviewRequest(sequence=9, camera=camera, lighting_levels=(0.3, 2.0), tone="learned")
     rng = np.random.default_rng(0)
     rgba = rng.uniform(0, 6e4, (height, width, 4)).astype(np.float16)
     depth = rng.uniform(0, 9, (height, width)).astype(np.float32)
@@ -145,6 +145,7 @@ def test_a_picture_comes_back_to_the_bit():
     # As docs/protocol.md has it, read by hand.
     length = int.from_bytes(data[:4], "little")
     header = json.loads(data[4 : 4 + length])
+    assert header["request"]["lighting_levels"] == [0.3, 2.0]
     assert header["request"]["sequence"] == 9 and header["iteration"] == 5
     assert len(data) == 4 + length + 5 * 3 * (4 + 8)
     assert np.frombuffer(data[4 + length :][:4], "<f4")[0] == sent.depth[0, 0]

@@ -20,14 +20,20 @@ from physhdr.bridge.errors import (
 from physhdr.bridge.model_file import Model, read_model, write_model
 
 
-def make_model(count: int = 7, degree: int = 1, modulator: str = "additive", seed: int = 0) -> Model:
+def make_model(
+    count: int = 7,
+    degree: int = 1,
+    modulator: str = "additive",
+    seed: int = 0,
+    lights: tuple[str, ...] = ("ambient",),
+) -> Model:
     rng = np.random.default_rng(seed)
 
     def random(*shape: int, low: float = -1.0, high: float = 1.0) -> np.ndarray:
         return rng.uniform(low, high, shape).astype(np.float32)
 
     light = (
-        {"ambient_share": random(count, 3, low=0.0)}
+        {"light_share": random(count, len(lights), 3, low=0.0) / np.float32(len(lights)), "lights": lights}
         if modulator == "additive"
         else {"level_log_gain": random(3, count, 3), "levels": (0.25, 1.0, 2.0)}
     )
@@ -61,13 +67,22 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "model.safetensors"
 
 
-@pytest.mark.parametrize("modulator", ["additive", "baked-levels"])
+@pytest.mark.parametrize(
+    ("modulator", "lights"),
+    [
+        ("additive", ("ambient",)),
+        ("additive", ("pendant",)),
+        ("additive", ("ambient", "küche 2")),
+        ("additive", ("ambient", "a", "b", "c")),
+        ("baked-levels", ("ambient",)),
+    ],
+)
 @pytest.mark.parametrize("degree", [0, 3])
-def test_round_trip_is_exact(tmp_path: Path, modulator: str, degree: int):
-    model = make_model(degree=degree, modulator=modulator)
+def test_round_trip_is_exact(tmp_path: Path, modulator: str, lights: tuple[str, ...], degree: int):
+    model = make_model(degree=degree, modulator=modulator, lights=lights)
     write_model(tmp_path / "m.safetensors", model)
     back = read_model(tmp_path / "m.safetensors")
-    assert back.modulator == modulator
+    assert (back.modulator, back.lights) == (modulator, lights)
     assert back.sh_degree == degree
     assert (back.count, back.levels, back.exposures) == (7, model.levels, model.exposures)
     assert dict(back.metadata) == model.metadata
@@ -81,12 +96,31 @@ def test_safetensors_library_reads_what_we_write(path: Path):
     safetensors = pytest.importorskip("safetensors")
     from safetensors.numpy import load_file
 
-    tensors = load_file(path)
-    for name, array in make_model().tensors().items():
+    tensors, written = load_file(path), make_model().tensors()
+    # The ambient light alone: the file is what it was before there were others, so that either version of
+    # PhysHDR reads the other's.
+    written["ambient_share"] = written.pop("light_share")[:, 0]
+    assert tensors.keys() == written.keys()
+    for name, array in written.items():
         np.testing.assert_array_equal(tensors[name], array)
     with safetensors.safe_open(path, "numpy") as file:
         assert file.metadata()["format"] == "physhdr-model"
         assert file.metadata()["scene"] == "küche"
+        assert file.metadata()["modulator"] == "additive" and "lights" not in file.metadata()
+
+
+def test_safetensors_library_reads_several_lights(tmp_path: Path):
+    safetensors = pytest.importorskip("safetensors")
+    from safetensors.numpy import load_file
+
+    model = make_model(lights=("ambient", "pendant"))
+    write_model(tmp_path / "m.safetensors", model)
+    tensors = load_file(tmp_path / "m.safetensors")
+    assert tensors["light_share"].shape == (7, 2, 3) and "ambient_share" not in tensors
+    np.testing.assert_array_equal(tensors["light_share"], model.light_share)
+    with safetensors.safe_open(tmp_path / "m.safetensors", "numpy") as file:
+        assert file.metadata()["modulator"] == "additive-lights"  # an older PhysHDR: unknown modulator, newer
+        assert json.loads(file.metadata()["lights"]) == ["ambient", "pendant"]
 
 
 def test_we_read_what_the_safetensors_library_writes(tmp_path: Path):
@@ -107,12 +141,89 @@ def test_additive_radiance_by_hand():
     model = dataclasses.replace(
         make_model(count=1, degree=0),
         log_radiance_sh=np.full((1, 1, 3), np.log(2.0) / spherical_harmonics.C0, np.float32),
-        ambient_share=np.array([[0.0, 0.5, 1.0]], np.float32),
+        light_share=np.array([[[0.0, 0.5, 1.0]]], np.float32),
     )
     direction = np.array([[0.0, 0.0, -1.0]])
     np.testing.assert_allclose(model.radiance(direction, 1.0), [[2.0, 2.0, 2.0]], rtol=1e-6)
     np.testing.assert_allclose(model.radiance(direction, 4.0), [[2.0, 5.0, 8.0]], rtol=1e-6)
     np.testing.assert_allclose(model.radiance(direction, 0.0), [[2.0, 1.0, 0.0]], rtol=1e-6)
+
+
+def test_radiance_of_several_lights_adds_up():
+    """fixed + Σ l_k · light_k, whatever the levels: superposition."""
+    model = make_model(count=50, degree=3, lights=("ambient", "pendant", "screen"))
+    directions = np.random.default_rng(0).normal(size=(50, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    fixed = model.radiance(directions, (0.0, 0.0, 0.0))
+    lights = [model.radiance(directions, row) - fixed for row in np.eye(3)]
+    for levels in [(1.0, 1.0, 1.0), (4.0, 0.25, 0.0), (0.0, 30.0, 2.0)]:
+        expected = fixed + sum(level * light for level, light in zip(levels, lights, strict=True))
+        np.testing.assert_allclose(model.radiance(directions, levels), expected, rtol=1e-6)
+        np.testing.assert_allclose(
+            np.exp(model.log_gain(levels)) * model.radiance(directions), expected, rtol=1e-5, atol=1e-6
+        )
+    np.testing.assert_array_equal(
+        model.radiance(directions, 2.5), model.radiance(directions, (2.5, 1.0, 1.0))
+    )
+
+
+@pytest.mark.parametrize(
+    ("levels", "message"),
+    [
+        ((1.0,), r"1 lighting levels for 2 lights[\s\S]*ambient, pendant"),
+        ((1.0, 1.0, 1.0), "3 lighting levels for 2 lights"),
+        ((1.0, -0.5), "lighting level of pendant must be 0 or more, got -0.5"),
+        ((np.nan, 1.0), "lighting level of ambient"),
+        (np.inf, "lighting level of ambient"),
+    ],
+)
+def test_levels_that_do_not_fit_the_lights(levels, message: str):
+    model = make_model(lights=("ambient", "pendant"))
+    for take in (model.log_gain, lambda level: model.radiance(np.tile([0.0, 0.0, 1.0], (7, 1)), level)):
+        with pytest.raises(BadValueError, match=message):
+            take(levels)
+
+
+@pytest.mark.parametrize(
+    "lights", [("ambient", "ambient"), ("ambient", ""), ("a=b", "c"), ("a", " b"), (1, 2)]
+)
+def test_lights_need_names_of_their_own(lights):
+    with pytest.raises(BadValueError, match="lights"):
+        make_model(lights=lights)
+
+
+def test_lights_of_a_damaged_file(tmp_path: Path):
+    path = tmp_path / "m.safetensors"
+
+    def rewritten(lights: str | None):
+        def change(header, data):
+            header["__metadata__"].pop("lights")
+            header["__metadata__"] |= {} if lights is None else {"lights": lights}
+
+        write_model(path, make_model(lights=("ambient", "pendant")))
+        rewrite(path, change)
+
+    for lights, error in [
+        (None, BadValueError),
+        ('["ambient"]', DataMismatchError),
+        ('{"ambient": 1}', BadValueError),
+        ("[", FileDamagedError),
+    ]:
+        rewritten(lights)
+        with pytest.raises(error, match=r"m\.safetensors"):
+            read_model(path)
+
+
+def test_shares_must_not_add_up_to_more_than_everything():
+    model = make_model(lights=("ambient", "pendant"))
+    shares = np.full((7, 2, 3), 0.5, np.float32)
+    dataclasses.replace(model, light_share=shares * np.float32(1.0 + 2e-7))  # rounding is taken
+    with pytest.raises(BadValueError, match="add up to more than 1"):
+        dataclasses.replace(model, light_share=shares * np.float32(1.001))
+    with pytest.raises(DataMismatchError, match="2 lights, but there are ambient, pendant, screen"):
+        dataclasses.replace(model, lights=("ambient", "pendant", "screen"))
+    with pytest.raises(DataMismatchError, match="baked levels are of one light"):
+        dataclasses.replace(make_model(modulator="baked-levels"), lights=("ambient", "pendant"))
 
 
 def test_baked_levels_interpolate_in_stops_and_hold_outside():
@@ -203,7 +314,7 @@ def test_missing_tensor_and_shapes_that_disagree(path: Path):
         ("log_radiance_sh", np.inf, "NaN or infinite"),
         ("opacity", 1.5, "opacity"),
         ("scale", -1.0, "negative"),
-        ("ambient_share", 2.0, "ambient_share"),
+        ("ambient_share", 2.0, "light_share"),
     ],
 )
 def test_bad_values(path: Path, tensor: str, value: float, message: str):

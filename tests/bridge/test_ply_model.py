@@ -2,6 +2,7 @@
 """Other programs' PLYs as models, our lossless PLY as the model it came from, and the way back."""
 
 import base64
+import json
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from physhdr.bridge import display
 from physhdr.bridge.errors import BadValueError
 from physhdr.bridge.gaussian_ply import standard_columns, write_lossless_ply, write_standard_ply
 from physhdr.bridge.model_file import Model
-from physhdr.bridge.ply_model import read_ply_model, tensor_comments, tensors_from_comments
+from physhdr.bridge.ply_model import light_shares, read_ply_model, tensor_comments, tensors_from_comments
 from physhdr.bridge.spherical_harmonics import C0, basis
 
 
@@ -54,7 +55,8 @@ def test_shape_and_opacity_arrive(tmp_path: Path):
     np.testing.assert_allclose(found.model.scale, given["scales"], rtol=1e-5)
     np.testing.assert_allclose(found.model.opacity, given["opacities"], atol=1e-6)
     np.testing.assert_array_equal(found.colour_sh, given["colour_sh"])
-    np.testing.assert_array_equal(found.model.ambient_share, 1.0)
+    np.testing.assert_array_equal(found.model.light_share, np.ones((len(found.model.position), 1, 3)))
+    assert found.model.lights == ("ambient",)
     assert found.model.tone_curve is None and found.left_out == 0
 
 
@@ -131,18 +133,21 @@ def test_only_unusable_gaussians_or_none(tmp_path: Path):
 # ---- lossless ----------------------------------------------------------------------------------------
 
 
-def lossless(path: Path, comments: list[str], count: int = 30) -> Model:
+def lossless(path: Path, comments: list[str], lights: tuple[str, ...] = ("ambient",)) -> Model:
     """A lossless PLY of random parameters, by the formulae of docs/method.md; the model it must become."""
+    count = 30
     rng = np.random.default_rng(4)
     given = gaussians(count)
     reflectance = rng.normal(0.0, 0.3, (count, 16, 3)).astype(np.float32)
     illumination = rng.normal(0.0, 1.0, count).astype(np.float32)
-    share = rng.normal(0.0, 2.0, (count, 3)).astype(np.float32)
+    logits = rng.normal(0.0, 2.0, (count, 3 * len(lights))).astype(np.float32)
+    weights = np.exp(logits.reshape(count, len(lights), 3).astype(np.float64))
     extra = {f"phys_reflectance_dc_{c}": reflectance[:, 0, c] for c in range(3)}
     rest = reflectance[:, 1:].reshape(count, 45)
     extra |= {f"phys_reflectance_rest_{i}": rest[:, i] for i in range(45)}
     extra |= {"phys_log_illumination_0": illumination}
-    extra |= {f"phys_ambient_share_logits_{c}": share[:, c] for c in range(3)}
+    name = "phys_light_share_logits" if len(lights) > 1 else "phys_ambient_share_logits"
+    extra |= {f"{name}_{c}": logits[:, c] for c in range(3 * len(lights))}
     write_lossless_ply(path, standard_columns(**given), extra, comments)
     # ln(H_r · L_a) at any direction: the constant term takes ln L_a / Y_0
     reflectance[:, 0] += illumination[:, None] / np.float32(C0)
@@ -152,7 +157,8 @@ def lossless(path: Path, comments: list[str], count: int = 30) -> Model:
         scale=given["scales"],
         opacity=given["opacities"],
         log_radiance_sh=reflectance,
-        ambient_share=1.0 / (1.0 + np.exp(-share)),
+        light_share=(weights / (1.0 + weights.sum(axis=1, keepdims=True))).astype(np.float32),
+        lights=lights,
     )
 
 
@@ -174,6 +180,38 @@ def test_a_lossless_ply_is_the_model_itself(tmp_path: Path):
     np.testing.assert_array_equal(found.model.tone_curve_log_exposure, x)
     assert found.model.metadata["scene"] == "kitchen"
     assert found.colour_sh is None and found.notes == ()
+
+
+def test_a_lossless_ply_of_several_lights(tmp_path: Path):
+    lights = ("ambient", "desk lamp", "screen")
+    form = ["phys_form product additive-lights", f"phys_lights {json.dumps(lights)}"]
+    expected = lossless(tmp_path / "a.ply", form, lights)
+    found = read_ply_model(tmp_path / "a.ply").model
+    assert found.lights == lights
+    np.testing.assert_allclose(found.light_share, expected.light_share, rtol=1e-5, atol=1e-7)
+    directions = random_directions(expected.count)
+    levels = (0.0, 3.0, 0.25)
+    np.testing.assert_allclose(
+        found.radiance(directions, levels), expected.radiance(directions, levels), rtol=1e-5
+    )
+    # A PhysHDR of before there were lights compares the form to "additive" and refuses the file.
+    for line in ('phys_lights ["ambient", "desk lamp", "screen", "sun"]', "phys_lights 7", "phys_lights ["):
+        lossless(tmp_path / "b.ply", [form[0], line], lights)
+        with pytest.raises(BadValueError, match=r"b\.ply: its phys_lights"):
+            read_ply_model(tmp_path / "b.ply")
+
+
+def test_shares_of_huge_logits_are_whole():
+    """exp overflows float32 at 88.7: what must come out are 0, 1 and equal parts."""
+    logits = np.array([[200.0, -200.0], [0.0, 0.0], [500.0, 500.0]], np.float32)[:, :, None].repeat(3, axis=2)
+    expected = np.array([[1.0, 0.0], [1 / 3, 1 / 3], [0.5, 0.5]])[:, :, None].repeat(3, axis=2)
+    np.testing.assert_allclose(light_shares(logits), expected, rtol=1e-6, atol=1e-7)
+
+
+def test_the_header_of_a_baked_ply_names_the_lights():
+    assert display.look_comment(1.0, 0.5, "SRGB").endswith("baked at EV 1, lighting level 0.5")
+    comment = display.look_comment(-2.0, (4.0, 0.25), "SRGB", ("ambient", "pendant"))
+    assert comment.endswith("baked at EV -2, lighting levels ambient 4 + pendant 0.25")
 
 
 def test_learned_parts_point_to_the_model_file(tmp_path: Path):
@@ -222,7 +260,7 @@ def hdr_model(count: int = 50, degree: int = 1, curve: bool = True) -> Model:
         scale=given["scales"],
         opacity=given["opacities"],
         log_radiance_sh=sh.astype(np.float32),
-        ambient_share=rng.random((count, 3), dtype=np.float32),
+        light_share=rng.random((count, 1, 3), dtype=np.float32),
         **(response if curve else {}),
     )
 
@@ -264,6 +302,6 @@ def test_baking_into_a_turned_world_turns_the_colours():
 
 def test_level_0_of_all_ambient_light_is_black_and_finite():
     model = hdr_model(degree=0)
-    model.ambient_share[:] = 1.0
+    model.light_share[:] = 1.0
     sh = display.display_colour_sh(model, level=0.0, tone="SRGB")
     assert np.isfinite(sh).all() and (0.5 + C0 * sh[:, 0]).max() < 0.02
