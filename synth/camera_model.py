@@ -1,0 +1,271 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A camera with the faults of a real one, each an option that is off by default (docs/camera.md).
+
+What the light passes through, in this order; x is exposure × radiance, each channel by itself:
+
+    lens       x ← x · v(r)              vignetting
+    sensor     x ← noisy(x)              photons and electronics
+    balance    x ← x · g                 the view's white balance
+    local      x ← x · 2^G(pixel)        local tone mapping
+    response   code = f(x), then 8 bit   synth/response.py
+
+With all of them off a picture is exactly ``quantise(response(radiance * exposure))``. Numpy only.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+from dataclasses import asdict, dataclass, fields
+
+import numpy as np
+
+from .errors import OptionError
+from .png import quantise
+from .response import MIDDLE_GREY, Response
+
+METERED_SHARE = 10 / 78
+"""What middle grey is of saturation. ISO 12232: a meter gives 10 / S lux seconds, saturation is at 78 / S."""
+SATURATION = MIDDLE_GREY / METERED_SHARE
+"""The exposure × radiance (1.404) at which the sensor would be full: the fixed point of its noise."""
+FULL_WELL = 68_000
+"""Electrons of a pixel at saturation and ISO 100; half of it for every doubling of the ISO. Measured: Canon
+5D Mark III 67,684, Canon 6D 79,546 (Magic Lantern's forum, topic 10111)."""
+READ_NOISE, AMPLIFIED_READ_NOISE = 2.0, 6.0
+"""Electrons, before the amplifier and after it, the latter at ISO 100: more gain makes it matter less.
+Cameras lie between under 2 and about 15 (clarkvision.com, Sensor Performance Summary)."""
+MOST_ELECTRONS = 1e15
+"""Where numpy's Poisson sampler is safe; the noise is a part in 3e7 there."""
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec.709
+
+LOCAL_RADIUS = 0.08
+"""Of the picture's height: half the side of the windows in which the base layer looks for edges."""
+LOCAL_CONTRAST = 0.5
+"""Stops: what varies more than this within a window is an edge of the base, what varies less is detail."""
+LOCAL_LIMIT = 3.0
+"""Stops that local tone mapping brightens or darkens at most."""
+LOCAL_BLACK = 2.0**-10
+"""Exposure × radiance that is added before the logarithm: what is darker is black to the camera."""
+
+LIMITS = {
+    "iso": (50.0, 409_600.0),
+    "white_balance_jitter": (0.0, 2.0),
+    "vignetting": (0.0, 8.0),
+    "local_response": (0.0, 1.0),
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraModel:
+    """Which faults the camera has, and how much of them."""
+
+    iso: float | None = None
+    """Photon and read noise of a sensor at this speed; ``None`` is a sensor without noise."""
+    white_balance_jitter: float = 0.0
+    """Standard deviation in stops of the red and the blue gain, drawn once a view; green keeps."""
+    vignetting: float = 0.0
+    """Stops that the picture's corners lose."""
+    local_response: float = 0.0
+    """Strength 0…1 of local tone mapping: the share of the base layer's contrast that is taken away."""
+
+    @property
+    def off(self) -> bool:
+        """Whether this is the ideal camera."""
+        return self == CameraModel()
+
+    def check(self) -> None:
+        """Raise ``OptionError`` for the first option that is out of range."""
+        for name, (low, high) in LIMITS.items():
+            value = getattr(self, name)
+            if value is not None and not low <= value <= high:  # also catches NaN
+                raise OptionError(f"{_option(name)}: {value:g} is not within {low:g} … {high:g}")
+
+    def describe(self) -> dict[str, object]:
+        """The ``camera_model`` entry of dataset.json: what is on, with its constants; {} where all is off."""
+        entry: dict[str, object] = {
+            name: value for name, value in asdict(self).items() if value != getattr(CameraModel, name)
+        }
+        if self.iso is not None:
+            entry["sensor"] = {
+                "saturation": SATURATION,
+                "electrons_at_saturation": electrons_at_saturation(self.iso),
+                "read_noise_electrons": read_noise(self.iso),
+            }
+        if self.local_response:
+            entry["local"] = {
+                "radius": LOCAL_RADIUS,
+                "contrast_stops": LOCAL_CONTRAST,
+                "limit_stops": LOCAL_LIMIT,
+            }
+        return entry
+
+    def view(self, seed: int, name: str) -> ViewCamera:
+        """The camera as it is for the whole bracket of one view, such as ``train/r_3``."""
+        return ViewCamera(self, seed, name)
+
+    def develop(
+        self,
+        radiance: np.ndarray,
+        exposure: float,
+        response: Response,
+        rng: np.random.Generator,
+        balance: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Picture [H, W, 3] uint8 of radiance [H, W, 3] (scene-linear) exposed for ``exposure`` seconds.
+
+        ``rng``: for the noise, not used without ``iso``. ``balance``: the view's gains [3], else neutral.
+        """
+        x = radiance * exposure
+        if self.vignetting:
+            x = x * vignette(*x.shape[:2], self.vignetting)[..., None]
+        if self.iso is not None:
+            x = noisy(x, self.iso, rng)
+        if balance is not None:
+            x = x * balance
+        if self.local_response:
+            x = x * np.exp2(local_stops(x, self.local_response))[..., None]
+        return quantise(response(x))
+
+
+@dataclass(frozen=True)
+class ViewCamera:
+    """The camera for one view. One seed and name give the same pictures, in whatever order they are made."""
+
+    model: CameraModel
+    seed: int
+    name: str
+
+    @property
+    def balance(self) -> np.ndarray:
+        """White balance gains [3]: 2^(σ z) for red and blue with z standard normal, 1 for green."""
+        red, blue = self._rng("white balance").normal(0.0, self.model.white_balance_jitter, 2)
+        return np.exp2([red, 0.0, blue])
+
+    def develop(self, radiance: np.ndarray, exposure: float, response: Response) -> np.ndarray:
+        """Picture [H, W, 3] uint8 of radiance [H, W, 3]; every exposure has noise of its own."""
+        balance = self.balance if self.model.white_balance_jitter else None
+        return self.model.develop(radiance, exposure, response, self._rng(f"{exposure:.9g} s"), balance)
+
+    def _rng(self, purpose: str) -> np.random.Generator:
+        digest = hashlib.sha256(f"{self.seed}/{self.name}/{purpose}".encode()).digest()
+        return np.random.default_rng(int.from_bytes(digest[:16], "little"))
+
+
+# ---- command line ------------------------------------------------------------------------------------
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options as a group of their own."""
+    add = parser.add_argument_group("a real camera (all off by default; docs/camera.md)").add_argument
+    add(
+        "--iso", type=float, metavar="S", help="photon and read noise of a sensor at this speed, such as 3200"
+    )
+    add(
+        "--white-balance-jitter",
+        type=float,
+        default=CameraModel.white_balance_jitter,
+        metavar="STOPS",
+        help="standard deviation of each view's red and blue gain, such as 0.1",
+    )
+    add(
+        "--vignetting",
+        type=float,
+        default=CameraModel.vignetting,
+        metavar="STOPS",
+        help="what the corners lose, such as 1.5",
+    )
+    add(
+        "--local-response",
+        type=float,
+        default=CameraModel.local_response,
+        metavar="0…1",
+        help="strength of local tone mapping, as phones do it, such as 0.6",
+    )
+
+
+def from_arguments(given: argparse.Namespace) -> CameraModel:
+    """The camera that was asked for; not checked yet."""
+    return CameraModel(**{field.name: getattr(given, field.name) for field in fields(CameraModel)})
+
+
+def _option(name: str) -> str:
+    return "--" + name.replace("_", "-")
+
+
+# ---- lens --------------------------------------------------------------------------------------------
+
+
+def vignette(height: int, width: int, corner_stops: float) -> np.ndarray:
+    """Share of the light [height, width] that arrives: the cos⁴ law, cos⁴θ = (1 + tan²θ)⁻².
+
+    v(r) = (1 + (2^(L/2) − 1) r²)⁻², r = distance from the picture's centre over that of its corner; so v is 1
+    in the centre and 2^−L in the corner, whatever the field of view.
+    """
+    y = (np.arange(height) + 0.5 - height / 2)[:, None]
+    x = (np.arange(width) + 0.5 - width / 2)[None, :]
+    r2 = (x**2 + y**2) / (width**2 / 4 + height**2 / 4)
+    return (1.0 + (2.0 ** (corner_stops / 2) - 1.0) * r2) ** -2
+
+
+# ---- sensor ------------------------------------------------------------------------------------------
+
+
+def electrons_at_saturation(iso: float) -> float:
+    """Electrons of a pixel where exposure × radiance is ``SATURATION``: the full well at ISO 100."""
+    return FULL_WELL * 100.0 / iso
+
+
+def read_noise(iso: float) -> float:
+    """Standard deviation in electrons: √(2² + (6 · 100 / S)²)."""
+    return float(np.hypot(READ_NOISE, AMPLIFIED_READ_NOISE * 100.0 / iso))
+
+
+def noisy(x: np.ndarray, iso: float, rng: np.random.Generator) -> np.ndarray:
+    """x as a sensor tells it: n = x · N / x_s electrons, read as (Poisson(n) + σ z) · x_s / N.
+
+    N = ``electrons_at_saturation(iso)``, x_s = ``SATURATION``, σ = ``read_noise(iso)``, z standard normal.
+    Mean x, variance x · x_s / N + (σ x_s / N)². Above x_s the well does not overflow: the response says where
+    white is. May be negative by the read noise; the response takes that for black.
+    """
+    per_unit = electrons_at_saturation(iso) / SATURATION
+    photons = rng.poisson(np.clip(x * per_unit, 0.0, MOST_ELECTRONS))
+    return (photons + rng.normal(0.0, read_noise(iso), x.shape)) / per_unit
+
+
+# ---- local tone mapping ------------------------------------------------------------------------------
+
+
+def local_stops(x: np.ndarray, strength: float) -> np.ndarray:
+    """Exposure gain in stops [H, W] of local tone mapping of x [H, W, 3].
+
+    G = clip(−strength · (B − mean B), ± ``LOCAL_LIMIT``). B is the base of ℓ = log2(Y + ``LOCAL_BLACK``) with
+    Y the luminance: ℓ smoothed but for its edges. So dark regions are lifted and bright ones held back,
+    what is small in them keeps its contrast, and the picture keeps its mean. A longer exposure changes G only
+    as it lifts shadows out of the black.
+    """
+    luminance = np.maximum(x @ LUMINANCE, 0.0)
+    base = edge_preserving(np.log2(luminance + LOCAL_BLACK), max(1, round(LOCAL_RADIUS * x.shape[0])))
+    return np.clip(-strength * (base - base.mean()), -LOCAL_LIMIT, LOCAL_LIMIT)
+
+
+def edge_preserving(image: np.ndarray, radius: int) -> np.ndarray:
+    """[H, W] smoothed but for edges: the guided filter with itself as guide (He, Sun and Tang 2013).
+
+    In every window of 2 radius + 1 pixels it fits a · image + b with a = variance / (variance + contrast²).
+    """
+    mean = box_mean(image, radius)
+    variance = np.maximum(box_mean(image**2, radius) - mean**2, 0.0)
+    slope = variance / (variance + LOCAL_CONTRAST**2)
+    return box_mean(slope, radius) * image + box_mean((1.0 - slope) * mean, radius)
+
+
+def box_mean(image: np.ndarray, radius: int) -> np.ndarray:
+    """Mean over the window of ±radius pixels, at the border over the part of it within the picture."""
+    for axis in (0, 1):
+        length = image.shape[axis]
+        total = np.concatenate([np.zeros_like(image.take([0], axis)), np.cumsum(image, axis)], axis)
+        low = np.maximum(np.arange(length) - radius, 0)
+        high = np.minimum(np.arange(length) + radius + 1, length)
+        count = (high - low).reshape((-1, 1) if axis == 0 else (1, -1))
+        image = (total.take(high, axis) - total.take(low, axis)) / count
+    return image
