@@ -62,10 +62,10 @@ def to_model(
     share = gain = None
     levels: tuple[float, ...] = ()
     if method.config.has_ambient_share:
-        share = g.ambient_share.numpy()
+        share = g.ambient_share.numpy()[:, None]
     elif not method.can_relight:
         # Without an illumination branch nothing is known of the light: a level scales everything.
-        share = np.ones((len(g), 3), np.float32)
+        share = np.ones((len(g), 1, 3), np.float32)
     else:
         gain, levels = level_log_gain(method, torch.as_tensor(viewpoint, dtype=torch.float32)), BAKED_LEVELS
     log_exposure, curve = tone_curve(method)
@@ -75,7 +75,7 @@ def to_model(
         scale=g.scales.numpy(),
         opacity=g.opacities.numpy(),
         log_radiance_sh=log_radiance_sh(method),
-        ambient_share=share,
+        light_share=share,
         level_log_gain=gain,
         levels=levels,
         tone_curve_log_exposure=log_exposure,
