@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Things made of many parts in axes of their own, and two more building blocks: bent tubes and rings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import bmesh
+import bpy
+from mathutils import Quaternion, Vector
+
+from .props import finish, lathe
+
+Point = Sequence[float]  # metres
+
+
+class Assembly:
+    """Stands in for a collection: what the props link to it goes into ``room`` as a part of one thing.
+
+    Parts are given in the thing's own axes: origin at the middle of its foot, front toward −Y. ``turn``:
+    radians about Z; ``lean``: about its own X after that.
+    """
+
+    def __init__(
+        self, room: bpy.types.Collection, name: str, foot: Point, turn: float = 0.0, lean: float = 0.0
+    ) -> None:
+        self.room = room
+        self.hub = bpy.data.objects.new(name, None)
+        self.hub.location, self.hub.rotation_euler = foot, (lean, 0.0, turn)
+        room.objects.link(self.hub)
+        self.objects = self
+
+    def link(self, item: bpy.types.Object) -> None:
+        self.room.objects.link(item)
+        item.parent = self.hub
+
+
+def tube(
+    collection: bpy.types.Collection,
+    name: str,
+    path: Sequence[Point],
+    radius: float,
+    material: bpy.types.Material,
+    sides: int = 10,
+    end_radius: float | None = None,
+) -> bpy.types.Object:
+    """A round bar along a path of points: handles, cables, stems, rolls of cloth."""
+    points = [Vector(point) for point in path]
+    last = len(points) - 1
+    tangents = [(points[min(k + 1, last)] - points[max(k - 1, 0)]).normalized() for k in range(last + 1)]
+    side = tangents[0].orthogonal().normalized()
+    mesh = bmesh.new()
+    rings = []
+    for k, (point, tangent) in enumerate(zip(points, tangents, strict=True)):
+        side = (side - tangent * side.dot(tangent)).normalized()  # carried along without a twist
+        across = tangent.cross(side)
+        wide = radius + ((end_radius if end_radius is not None else radius) - radius) * k / last
+        angles = [2.0 * math.pi * j / sides for j in range(sides)]
+        rings.append(
+            [mesh.verts.new(point + (side * math.cos(a) + across * math.sin(a)) * wide) for a in angles]
+        )
+    for lower, upper in zip(rings, rings[1:], strict=False):
+        for j in range(sides):
+            mesh.faces.new((lower[j], lower[(j + 1) % sides], upper[(j + 1) % sides], upper[j]))
+    mesh.faces.new(rings[0])
+    mesh.faces.new(rings[-1])
+    return finish(collection, name, mesh, material, smooth=True)
+
+
+def ring(
+    collection: bpy.types.Collection,
+    name: str,
+    centre: Point,
+    radius: float,
+    thick: float,
+    material: bpy.types.Material,
+    axis: Point = (0.0, 0.0, 1.0),
+    sides: int = 48,
+) -> bpy.types.Object:
+    """A torus about ``axis``: ``radius`` to the middle of a bar of radius ``thick``."""
+    angles = [2.0 * math.pi * k / 10 for k in range(11)]
+    profile = [(radius + thick * math.cos(a), thick * math.sin(a)) for a in angles]
+    item = lathe(collection, name, centre, profile, material, sides)
+    item.rotation_mode = "QUATERNION"
+    item.rotation_quaternion = _toward(axis)
+    return item
+
+
+def _toward(axis: Point) -> Quaternion:
+    return Vector((0.0, 0.0, 1.0)).rotation_difference(Vector(axis))
+
+
+def array(item: bpy.types.Object, count: int, offset: Point) -> bpy.types.Object:
+    """Repeat an object ``count`` times, each ``offset`` metres (its own axes) further, by a modifier."""
+    modifier = item.modifiers.new("array", "ARRAY")
+    modifier.count, modifier.use_relative_offset, modifier.use_constant_offset = count, False, True
+    modifier.constant_offset_displace = offset
+    return item
