@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The command ``physhdr``: train, evaluate, export, render, warmup, serve, check."""
+"""The command ``physhdr``: train, evaluate, export, render, inspect, warmup, serve, check."""
 
 import sys
 from typing import Annotated, Any
@@ -40,6 +40,7 @@ def _command(argv: list[str]) -> Any:
     from .check import Check
     from .evaluate import Evaluate
     from .export import Export
+    from .inspect import Inspect
     from .render import Render
     from .train import Train, preset_named
     from .warmup import Warmup
@@ -51,6 +52,7 @@ def _command(argv: list[str]) -> Any:
         | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
         | Annotated[Export, tyro.conf.subcommand("export")]
         | Annotated[Render, tyro.conf.subcommand("render")]
+        | Annotated[Inspect, tyro.conf.subcommand("inspect")]
         | Annotated[Warmup, tyro.conf.subcommand("warmup")]
         | Annotated[Serve, tyro.conf.subcommand("serve")]
         | Annotated[Check, tyro.conf.subcommand("check")]

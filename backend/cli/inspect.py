@@ -1,0 +1,212 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""``physhdr inspect``: what is in a data set, and what is wrong with it."""
+
+import dataclasses
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import tyro
+from rich import box
+from rich.table import Table
+from rich.text import Text
+
+from ...bridge.errors import BadValueError, DataMismatchError
+from ..evaluate.inspection import DynamicRange, Exposure, Inspection, inspect
+from .progress import console
+
+#: What an empty cell shows.
+NONE = "–"
+USES = {"OE": "training (OE)", "NE": "evaluation (NE)", "unused": "not used"}
+
+
+@dataclass(frozen=True)
+class Inspect:
+    """What is in a data set: views, exposures, lights, dynamic range, noise; all that is wrong with it."""
+
+    #: Folders of data sets; of several there is one line each.
+    folders: tyro.conf.Positional[tuple[Path, ...]]
+    #: One JSON object a folder on stdout, each on its line.
+    json: bool = False
+
+    def run(self) -> int:
+        if not self.folders:
+            raise BadValueError("no data set is given", "For example: physhdr inspect data/demo")
+        all_found = []
+        for folder in self.folders:
+            found = inspect(folder)
+            all_found.append(found)
+            if self.json:
+                sys.stdout.write(json.dumps(dataclasses.asdict(found)) + "\n")
+                sys.stdout.flush()
+        if not self.json:
+            if len(all_found) == 1:
+                _show(all_found[0])
+            else:
+                console.print(_table(all_found))
+                for found in all_found:
+                    _show_faults(found, f"{found.folder}: ")
+        _complain(all_found)
+        return 0
+
+
+def _complain(all_found: list[Inspection]) -> None:
+    """Raise one error that counts them all and names the first."""
+    faults = [(found.folder, error) for found in all_found for error in found.errors]
+    if not faults:
+        return
+    many = f"{len(faults)} faults, the first: " if len(faults) > 1 else ""
+    folders = ", ".join(dict.fromkeys(folder for folder, _ in faults))
+    raise DataMismatchError(
+        f"{folders}: {many}{faults[0][1]}",
+        "Delete what is damaged, then make the data set again (only what is missing is made) or copy it.",
+    )
+
+
+# ---- one data set ------------------------------------------------------------------------------------
+
+
+def _show(found: Inspection) -> None:
+    table = Table(box=None, show_header=False, pad_edge=False)
+    table.add_column(style="dim", no_wrap=True)
+    table.add_column(overflow="fold")
+    for name, text in _facts(found):
+        table.add_row(name, text)
+    console.print(Text(f"{found.scene} · {found.folder}", style="bold"), soft_wrap=True)
+    console.print(table)
+    if found.exposures:
+        console.print(_exposure_table(found.exposures))
+    _show_faults(found)
+
+
+def _facts(found: Inspection) -> list[tuple[str, str]]:
+    facts = []
+    if found.made_by:
+        facts.append(("made by", found.made_by))
+    if found.resolution:
+        facts.append(("resolution", _size(found)))
+    for name, split in found.splits.items():
+        truth = f"true HDR of {split.hdr}" if split.hdr else "no true HDR"
+        levels = "; ".join(f"{light} at {_numbers(values)}" for light, values in split.levels.items())
+        facts.append((name, f"{split.poses} poses, {truth}" + (f"; {levels}" if levels else "")))
+    if found.lights:
+        facts.append(("lights", ", ".join(found.lights)))
+    if found.relit:
+        facts += [("relit truth" if k == 0 else "", text) for k, text in enumerate(_relit(found))]
+    elif found.splits:
+        facts.append(("relit truth", "none"))
+    if found.passes:
+        facts.append(("passes", f"of {found.passes} poses: any mixture of the lights can be made from them"))
+    if found.points is not None:
+        facts.append(("points", f"{found.points}"))
+    if found.response or found.camera:
+        faults = ", ".join(f"{key} {value:g}" for key, value in found.camera.items() if _is_number(value))
+        facts.append(("camera", (found.response or "unknown response") + (f"; {faults}" if faults else "")))
+    if found.exposure_modes:
+        facts.append(("exposure modes", " and ".join(found.exposure_modes)))
+    if found.dynamic_range:
+        facts.append(("dynamic range", _range_in_words(found.dynamic_range)))
+    if found.splits:
+        facts.append(("noise floor", _noise(found)))
+    return facts
+
+
+def _relit(found: Inspection) -> list[str]:
+    """One line for each set of levels: which, and of which test poses."""
+    lines = []
+    for entry in found.relit:
+        levels = ", ".join(f"{light} × {level:g}" for light, level in entry["levels"].items())
+        lines.append(f"{levels or entry['folder']}: test poses {_numbers(entry['poses'])}")
+    return lines
+
+
+def _range_in_words(measured: DynamicRange) -> str:
+    ends = f"{measured.percentile_1:.3g} … {measured.maximum:.3g}"
+    if measured.estimated:
+        bound = "at least " if measured.at_least else ""
+        return f"{bound}about {measured.stops} stops: an estimate from the pictures ({ends}), no true HDR"
+    if measured.stops is None:
+        return f"black at the 1st percentile, maximum {measured.maximum:.3g}"
+    return f"{measured.stops} stops: 1st percentile to maximum of the training views ({ends})"
+
+
+def _noise(found: Inspection) -> str:
+    floor = found.noise_floor
+    if not floor or not isinstance(floor.get("psnr"), list):
+        return "not measured"
+    hdr = floor.get("hdr_psnr")
+    return f"{_numbers(floor['psnr'])} dB at the exposures" + (f", HDR {hdr:g} dB" if _is_number(hdr) else "")
+
+
+def _exposure_table(exposures: list[Exposure]) -> Table:
+    table = Table(box=box.SIMPLE_HEAD, title="exposures", title_justify="left")
+    for column in ("", "seconds", "EV", "white", "black"):
+        table.add_column(column, justify="right")
+    table.add_column("used for")
+    for k, exposure in enumerate(exposures):
+        shares = [NONE if v is None else f"{v:.1%}" for v in (exposure.white, exposure.black)]
+        table.add_row(f"{k}", f"{exposure.seconds:g}", f"{exposure.ev:+g}", *shares, USES[exposure.use])
+    return table
+
+
+def _show_faults(found: Inspection, prefix: str = "") -> None:
+    for warning in found.warnings:
+        console.print(Text(f"warning: {prefix}{warning}", style="yellow"), soft_wrap=True)
+    for error in found.errors:
+        console.print(Text(f"fault: {prefix}{error}", style="red"), soft_wrap=True)
+
+
+# ---- several -----------------------------------------------------------------------------------------
+
+
+def _table(all_found: list[Inspection]) -> Table:
+    table = Table(box=box.SIMPLE_HEAD)
+    for column in (
+        "scene",
+        "size",
+        "train/test/lit",
+        "EV",
+        "stops",
+        "lights",
+        "relit",
+        "HDR",
+        "noise dB",
+        "",
+    ):
+        table.add_column(column, no_wrap=column == "scene")
+    for found in all_found:
+        counts = "/".join(
+            str(found.splits[s].poses if s in found.splits else 0) for s in ("train", "test", "lit")
+        )
+        measured, floor = found.dynamic_range, found.noise_floor or {}
+        mark = "" if measured is None or not measured.estimated else "≥" if measured.at_least else "≈"
+        stops = NONE if measured is None or measured.stops is None else f"{mark}{measured.stops:g}"
+        faults = f"{len(found.errors)} faults" if found.errors else "warnings" if found.warnings else "good"
+        hdr = any(split.hdr for split in found.splits.values())
+        noise = floor.get("hdr_psnr")
+        table.add_row(
+            found.scene,
+            _size(found) if found.resolution else NONE,
+            counts,
+            " ".join(f"{exposure.ev:+g}" for exposure in found.exposures) or NONE,
+            stops,
+            f"{len(found.lights)}",
+            f"{sum(len(entry['poses']) for entry in found.relit)}",
+            "yes" if hdr else "no",
+            f"{noise:.1f}" if _is_number(noise) else NONE,
+            faults,
+        )
+    return table
+
+
+def _size(found: Inspection) -> str:
+    return "×".join(str(side) for side in found.resolution or ())
+
+
+def _numbers(values: list[float]) -> str:
+    return ", ".join(f"{value:g}" for value in values) or NONE
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)

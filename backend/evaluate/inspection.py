@@ -1,0 +1,373 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is in a data folder: a list of everything, with all that is missing or damaged instead of the first.
+
+The reader (``backend/scene``) stops at the first fault, as training must. Here each file is looked at by
+itself, and then the reader has the last word.
+"""
+
+import json
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...bridge.errors import PhysHDRError
+from ..scene import read_scene
+from ..scene.hdr_nerf_syn import LOOKS_FOR
+from ..scene.layers import read_layers
+from ..scene.pictures import read_exr, read_png
+from .results import NOVEL_EXPOSURES, OBSERVED_EXPOSURES
+
+SPLITS = ("train", "test", "lit")
+#: Share of pixels without a usable exposure from which on there is a warning (as ``synth`` warns).
+LOST = 0.05
+#: dataset.json may differ from what is measured by its rounding.
+STOPS_TOLERANCE = 0.05
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec.709
+#: The response that is assumed where radiance is estimated from pictures: HDR-NeRF-Syn's camera.
+GAMMA = 2.2
+
+
+@dataclass
+class Split:
+    """``poses``: how many. ``levels``: light → the levels it has here. ``hdr``: how many true pictures."""
+
+    poses: int
+    levels: dict[str, list[float]] = field(default_factory=dict)
+    hdr: int = 0
+
+
+@dataclass
+class Exposure:
+    """``use``: OE (training sees it), NE (evaluation only). ``white``, ``black``: of the training pixels."""
+
+    seconds: float
+    ev: float
+    use: str
+    white: float | None = None
+    black: float | None = None
+
+
+@dataclass
+class DynamicRange:
+    """Luminance of the training views from the 1st percentile to the maximum, in stops.
+
+    ``estimated``: from the pictures, through an assumed response; ``at_least``: some were clipped.
+    """
+
+    percentile_1: float
+    maximum: float
+    stops: float | None
+    estimated: bool = False
+    at_least: bool = False
+
+
+@dataclass
+class Inspection:
+    """Everything found in ``folder``; ``errors`` are faults that make the data unusable as they are."""
+
+    folder: str
+    scene: str = ""
+    made_by: str = ""
+    resolution: tuple[int, int] | None = None
+    splits: dict[str, Split] = field(default_factory=dict)
+    exposures: list[Exposure] = field(default_factory=list)
+    exposure_modes: list[str] = field(default_factory=list)
+    lights: list[str] = field(default_factory=list)
+    relit: list[dict[str, Any]] = field(default_factory=list)
+    passes: int = 0
+    points: int | None = None
+    response: str = ""
+    camera: dict[str, Any] = field(default_factory=dict)
+    dynamic_range: DynamicRange | None = None
+    noise_floor: dict[str, Any] | None = None
+    warnings: list[str] = field(default_factory=list)
+    errors: list[str] = field(default_factory=list)
+
+
+def inspect(root: Path) -> Inspection:
+    """Look at every file of a data set. Raises nothing that a damaged data set could cause."""
+    return _Inspector(Path(root)).found
+
+
+class _Inspector:
+    """One walk through a folder; ``found`` is the result."""
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self.found = Inspection(str(root), scene=root.resolve().name)
+        self.faulty: set[Path] = set()
+        self.info: dict[str, Any] = {}
+        self.frames: dict[str, list[dict[str, Any]]] = {}
+        if (root / LOOKS_FOR).is_file():
+            if (root / "dataset.json").exists():
+                self.info = self._json(root / "dataset.json")
+            self.frames = {split: self._frames(split) for split in SPLITS if self._has(split)}
+            self._head()
+            self._splits()
+            self._exposures()
+            self._pictures()
+            self._truth()
+            self._relit()
+            self._passes()
+            self._warn()
+        self._ask_the_reader()
+
+    # -- text ----------------------------------------------------------------------------------------------
+
+    def _has(self, split: str) -> bool:
+        return any((self.root / f"{kind}_{split}.json").exists() for kind in ("transforms", "exposure"))
+
+    def _json(self, path: Path) -> dict[str, Any]:
+        """The object in a file; {} and an error where it holds none."""
+        try:
+            content = json.loads(path.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            return self._fault(path, f"{path} is missing")
+        except (OSError, ValueError, RecursionError) as error:
+            return self._fault(path, f"{path} is not valid JSON: {error}")
+        return content if isinstance(content, dict) else self._fault(path, f"{path} holds no object")
+
+    def _fault(self, path: Path, message: str) -> dict[str, Any]:
+        self.faulty.add(path)
+        self.found.errors.append(message)
+        return {}
+
+    def _frames(self, split: str) -> list[dict[str, Any]]:
+        """The frames that can be understood, each with ``stem`` (train/r_3), ``index`` and ``seconds``."""
+        transforms = self._json(self.root / f"transforms_{split}.json")
+        brackets: dict[str, dict[int, float]] = {}
+        for key, seconds in self._json(self.root / f"exposure_{split}.json").items():
+            parts = re.fullmatch(r"(?:\./)?(.+)_(\d+)\.png", key)
+            if parts and isinstance(seconds, int | float) and math.isfinite(seconds) and seconds > 0:
+                brackets.setdefault(parts.group(1), {})[int(parts.group(2))] = float(seconds)
+        frames = []
+        listed = transforms.get("frames")
+        for number, entry in enumerate(listed if isinstance(listed, list) else []):
+            if isinstance(entry, dict) and isinstance(entry.get("file_path"), str):
+                stem = entry["file_path"].replace("\\", "/").removeprefix("./").removesuffix(".png")
+                digits = re.search(r"(\d+)$", stem)
+                index = int(digits.group()) if digits else number
+                frames.append({**entry, "stem": stem, "index": index, "seconds": brackets.get(stem, {})})
+        return frames
+
+    def _head(self) -> None:
+        info, found = self.info, self.found
+        found.scene = str(info.get("scene") or found.scene)
+        maker = _object(info.get("generator"))
+        found.made_by = " ".join(str(maker[key]) for key in ("name", "version") if key in maker)
+        if "blender" in maker:
+            found.made_by += f", Blender {maker['blender']}"
+        found.response = str(_object(info.get("response")).get("name", ""))
+        found.camera = _object(info.get("camera_model"))
+        found.noise_floor = _object(info.get("noise_floor")) or None
+        lights = info.get("lights")
+        found.lights = [str(name) for name in lights] if isinstance(lights, list) else ["ambient"]
+
+    def _splits(self) -> None:
+        for split, frames in self.frames.items():
+            levels: dict[str, set[float]] = {}
+            for frame in frames:
+                given = _object(frame.get("lighting_levels")) or {"ambient": frame.get("lighting_level")}
+                for light, level in given.items():
+                    if isinstance(level, int | float):
+                        levels.setdefault(light, set()).add(float(level))
+            described = {light: sorted(values) for light, values in levels.items()}
+            self.found.splits[split] = Split(len(frames), described)
+        for split, count in _object(self.info.get("splits")).items():
+            there = len(self.frames.get(split, []))
+            if count != there:
+                self.found.errors.append(
+                    f"{self.root / 'dataset.json'} speaks of {count} {split} poses, "
+                    f"transforms_{split}.json holds {there}"
+                )
+
+    def _exposures(self) -> None:
+        brackets = [frame["seconds"] for frames in self.frames.values() for frame in frames]
+        if not brackets:
+            return
+        if any(bracket != brackets[0] for bracket in brackets):
+            self.found.warnings.append("the exposures differ from view to view: the first view's are shown")
+        for k, seconds in sorted(brackets[0].items()):
+            use = "OE" if k in OBSERVED_EXPOSURES else "NE" if k in NOVEL_EXPOSURES else "unused"
+            self.found.exposures.append(Exposure(seconds, round(math.log2(seconds), 4), use))
+        observed = sum(exposure.use == "OE" for exposure in self.found.exposures)
+        self.found.exposure_modes = ["exp1", "exp3"] if observed > 1 else ["exp1"]
+
+    # -- pictures ------------------------------------------------------------------------------------------
+
+    def _pictures(self) -> None:
+        """Every PNG; how much of the training views is white or black at each exposure."""
+        lost: dict[int, list[tuple[float, float]]] = {}
+        estimate = _Estimate()
+        for split, frames in self.frames.items():
+            for frame in frames:
+                for k, seconds in frame["seconds"].items():
+                    picture = self._picture(self.root / f"{frame['stem']}_{k}.png", read_png)
+                    if picture is not None and split == "train":
+                        brightest = picture.max(-1)
+                        lost.setdefault(k, []).append(((brightest == 255).mean(), (brightest == 0).mean()))
+                        estimate.add(picture, seconds)
+        for k, exposure in enumerate(self.found.exposures):
+            if k in lost:
+                exposure.white, exposure.black = (round(float(v), 5) for v in np.mean(lost[k], axis=0))
+        self.found.dynamic_range = estimate.range()
+
+    def _picture(self, path: Path, read: Callable[[Path], np.ndarray]) -> np.ndarray | None:
+        """What ``read`` returns; None and an error where it fails, or the size is not the data set's."""
+        try:
+            picture = read(path)
+        except PhysHDRError as error:
+            self._fault(path, error.message)
+            return None
+        height, width = picture.shape[:2]
+        if self.found.resolution is None:
+            self.found.resolution = _size(self.info.get("resolution")) or (width, height)
+        right = self.found.resolution
+        if (width, height) != right:
+            self._fault(path, f"{path} is {width}×{height} pixels, not {right[0]}×{right[1]}")
+            return None
+        return picture
+
+    def _truth(self) -> None:
+        """The true radiance of each split, where the data set has any, and its dynamic range."""
+        luminance = []
+        for split, frames in self.frames.items():
+            folder = self.root / f"{split}_hdr"
+            for frame in frames if folder.is_dir() else []:
+                radiance = self._picture(folder / f"hdr_{frame['index']:03d}.exr", read_exr)
+                if radiance is not None:
+                    self.found.splits[split].hdr += 1
+                    if split == "train":
+                        luminance.append((radiance.astype(np.float64) @ LUMINANCE).ravel())
+        if luminance:
+            self.found.dynamic_range = _dynamic_range(np.concatenate(luminance))
+
+    def _relit(self) -> None:
+        """Every picture of every relit folder, those that dataset.json names and those that are there."""
+        named = self.info.get("relit")
+        told = {
+            str(entry["folder"]): {str(k): float(v) for k, v in _object(entry.get("levels")).items()}
+            for entry in (named if isinstance(named, list) else [])
+            if isinstance(entry, dict) and "folder" in entry
+        }
+        there = sorted(f"relit/{path.name}" for path in (self.root / "relit").glob("*") if path.is_dir())
+        for folder in [*told, *(name for name in there if name not in told)]:
+            paths = sorted((self.root / folder).glob("hdr_*.exr"))
+            whole = [path for path in paths if self._picture(path, read_exr) is not None]
+            if not paths:
+                self._fault(self.root / folder, f"{self.root / folder} holds no relit truth (hdr_*.exr)")
+            poses = [int(number) for path in whole if (number := path.stem.removeprefix("hdr_")).isdigit()]
+            levels = told.get(folder) or _levels_of(folder)
+            self.found.relit.append({"folder": folder, "levels": levels, "poses": poses})
+
+    def _passes(self) -> None:
+        for path in sorted((self.root / "passes").glob("*.exr")):
+            if self._picture(path, lambda path: next(iter(read_layers(path).values()))) is not None:
+                self.found.passes += 1
+
+    # -- judgement -----------------------------------------------------------------------------------------
+
+    def _warn(self) -> None:
+        found, warn = self.found, self.found.warnings.append
+        if (self.root / "dataset.partial.json").exists():
+            warn("the data set is not finished: make_scene.py is at it, or was interrupted (start it again)")
+        if found.exposures:
+            shortest, longest = found.exposures[0], found.exposures[-1]
+            for share, what, which, other in (
+                (shortest.white, "white", "shortest", "shorter"),
+                (longest.black, "black", "longest", "longer"),
+            ):
+                if share is not None and share > LOST:
+                    warn(
+                        f"{share:.0%} of the training pixels are {what} even at the {which} exposure: "
+                        f"{other} exposures would show more"
+                    )
+            if len(found.exposure_modes) < 2:
+                warn(
+                    "training sees one exposure only: the scale of the radiance comes from the response alone"
+                )
+        if "test" not in found.splits:
+            warn("there are no test views: physhdr evaluate has nothing to measure")
+        said, measured = _object(self.info.get("dynamic_range")).get("stops"), found.dynamic_range
+        known = measured.stops if measured and not measured.estimated else None
+        if said is not None and known is not None and abs(said - known) > STOPS_TOLERANCE:
+            warn(f"dataset.json says {said} stops, train_hdr/ has {known}: was it made anew?")
+
+    def _ask_the_reader(self) -> None:
+        """What training would say; not what has been said of the same file already."""
+        try:
+            scene = read_scene(self.root)
+        except PhysHDRError as error:
+            if not any(str(path) in error.message for path in self.faulty):
+                self.found.errors.append(error.message)
+            return
+        self.found.points = len(scene.points.positions) if scene.points else None
+
+
+# ---- numbers -----------------------------------------------------------------------------------------
+
+
+def _dynamic_range(luminance: np.ndarray) -> DynamicRange:
+    """As dataset.json defines it; ``stops`` is None where more than one pixel in a hundred is black."""
+    low, high = float(np.percentile(luminance, 1)), float(luminance.max())
+    return DynamicRange(low, high, round(math.log2(high / low), 2) if low > 0 else None)
+
+
+class _Estimate:
+    """Dynamic range from pictures alone: the brightest pixel of the shortest exposure over the 1st percentile
+    of the longest, both through the inverse of (x / (1 + x))^(1 / 2.2).
+    """
+
+    def __init__(self) -> None:
+        self.counts: dict[float, np.ndarray] = {}
+
+    def add(self, picture: np.ndarray, seconds: float) -> None:
+        """Count the codes of a picture's mean over the channels."""
+        codes = np.round(picture.mean(-1)).astype(np.int64)
+        counted = np.bincount(codes.ravel(), minlength=256)
+        self.counts[seconds] = self.counts.get(seconds, np.zeros(256, np.int64)) + counted
+
+    def range(self) -> DynamicRange | None:
+        """None without pictures."""
+        if not self.counts:
+            return None
+        shortest, longest = min(self.counts), max(self.counts)
+        brightest = int(np.nonzero(self.counts[shortest])[0][-1])
+        share = np.cumsum(self.counts[longest]) / self.counts[longest].sum()
+        darkest = int(np.searchsorted(share, 0.01))
+        high, low = _radiance(min(brightest, 254), shortest), _radiance(max(darkest, 1), longest)
+        clipped = brightest == 255 or darkest == 0
+        stops = round(math.log2(high / low), 1) if high > low else 0.0
+        return DynamicRange(low, high, stops, estimated=True, at_least=clipped)
+
+
+def _radiance(code: int, seconds: float) -> float:
+    linear = (code / 255.0) ** GAMMA
+    return linear / (1.0 - linear) / seconds
+
+
+def _levels_of(folder: str) -> dict[str, float]:
+    """``relit/level_0.25`` → {"ambient": 0.25}; ``relit/ambient_4+lamp_2`` → both; {} for other names."""
+    levels = {}
+    for part in folder.removeprefix("relit/").split("+"):
+        light, _, level = part.rpartition("_")
+        try:
+            levels["ambient" if light == "level" else light] = float(level)
+        except ValueError:
+            return {}
+    return levels
+
+
+def _object(value: Any) -> dict[str, Any]:
+    return value if isinstance(value, dict) else {}
+
+
+def _size(value: Any) -> tuple[int, int] | None:
+    if isinstance(value, list) and len(value) == 2 and all(isinstance(side, int) for side in value):
+        return value[0], value[1]
+    return None

@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""``physhdr inspect``: what it says of a whole data set, and of each kind of damage."""
+
+import json
+import math
+import shutil
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from physhdr.backend.cli import main
+from physhdr.backend.cli.progress import console
+from physhdr.backend.evaluate.inspection import inspect
+from physhdr.backend.scene.pictures import read_exr, write_exr
+
+
+@pytest.fixture(autouse=True)
+def wide_terminal(monkeypatch):
+    monkeypatch.setattr(console, "width", 160)
+
+
+@pytest.fixture
+def data(tiny_data, tmp_path):
+    """A copy of the tiny data set that a test may damage."""
+    return shutil.copytree(tiny_data, tmp_path / "data")
+
+
+def edit(path, change):
+    content = json.loads(path.read_text())
+    change(content)
+    path.write_text(json.dumps(content))
+
+
+def test_everything_of_a_whole_data_set_is_told(tiny_data, capsys):
+    assert main(["inspect", str(tiny_data)]) == 0
+    printed = capsys.readouterr().out
+    assert "tiny" in printed and "32×32" in printed
+    assert "3 poses, true HDR of 3" in printed and "ambient at 0.25, 4" in printed
+    assert "ambient × 0.5: test poses 0" in printed
+    assert "exp1 and exp3" in printed and "not measured" in printed
+    rows = [line.split() for line in printed.splitlines() if line.strip()[:1].isdigit()]
+    assert [row[1:3] for row in rows] == [
+        ["0.125", "-3"],
+        ["0.5", "-1"],
+        ["2", "+1"],
+        ["8", "+3"],
+        ["32", "+5"],
+    ]
+    assert ["(OE)" in row for row in rows] == [True, False, True, False, True]
+
+
+def test_json_is_for_programs_and_agrees_with_the_truth(tiny_data, capsys):
+    assert main(["inspect", str(tiny_data), str(tiny_data), "--json"]) == 0
+    first, second = (json.loads(line) for line in capsys.readouterr().out.splitlines())
+    assert first == second and first["errors"] == [] and first["resolution"] == [32, 32]
+    assert first["splits"]["lit"] == {"poses": 2, "levels": {"ambient": [0.25, 4.0]}, "hdr": 2}
+    luminance = np.stack([read_exr(tiny_data / "train_hdr" / f"hdr_{k:03d}.exr") for k in range(3)])
+    luminance = luminance @ np.array([0.2126, 0.7152, 0.0722])
+    expected = math.log2(luminance.max() / np.percentile(luminance, 1))
+    assert first["dynamic_range"]["stops"] == pytest.approx(expected, abs=0.006)
+    for k, exposure in enumerate(first["exposures"]):
+        pixels = np.stack([Image.open(tiny_data / "train" / f"r_{i}_{k}.png") for i in range(3)])[..., :3]
+        assert exposure["white"] == pytest.approx((pixels.max(-1) == 255).mean(), abs=1e-5)
+        assert exposure["black"] == pytest.approx((pixels.max(-1) == 0).mean(), abs=1e-5)
+
+
+def test_without_true_radiance_the_range_is_an_estimate_and_said_to_be_one(data, capsys):
+    truth = inspect(data).dynamic_range
+    shutil.rmtree(data / "train_hdr")
+    estimate = inspect(data).dynamic_range
+    assert estimate.estimated and not truth.estimated
+    assert estimate.stops == pytest.approx(truth.stops, abs=1.0)
+    assert main(["inspect", str(data)]) == 0
+    assert "an estimate from the pictures" in capsys.readouterr().out
+
+
+def test_a_folder_as_hdr_nerf_left_it_is_understood(data):
+    """No dataset.json, no lit, no relit, no points."""
+    (data / "dataset.json").unlink()
+    for name in ("transforms_lit.json", "exposure_lit.json", "points3d.ply"):
+        (data / name).unlink()
+    for name in ("lit", "lit_hdr", "relit", "train_hdr", "test_hdr"):
+        shutil.rmtree(data / name)
+    found = inspect(data)
+    assert found.errors == [] and found.scene == "data" and found.resolution == (32, 32)
+    assert list(found.splits) == ["train", "test"] and found.relit == [] and found.points is None
+    assert found.dynamic_range.estimated
+
+
+def test_several_lights_are_told(data):
+    """The layout of several lights as channels (docs/formats.md)."""
+
+    def two_lights(content):
+        content["lights"] = ["ambient", "lamp"]
+        for frame, lamp in zip(content["frames"], (1.0, 2.0), strict=True):
+            frame["lighting_levels"] = {"ambient": frame["lighting_level"], "lamp": lamp}
+
+    edit(data / "transforms_lit.json", two_lights)
+    levels = {"ambient": 4, "lamp": 0.25}
+    shutil.copytree(data / "relit" / "level_2", data / "relit" / "ambient_4+lamp_0.25")
+    entries = [{"folder": "relit/level_0.5", "levels": {"ambient": 0.5}}]
+    entries.append({"folder": "relit/ambient_4+lamp_0.25", "levels": levels})
+    edit(data / "dataset.json", lambda content: content.update(lights=["ambient", "lamp"], relit=entries))
+    found = inspect(data)
+    assert found.lights == ["ambient", "lamp"]
+    assert found.splits["lit"].levels == {"ambient": [0.25, 4.0], "lamp": [1.0, 2.0]}
+    by_folder = {entry["folder"]: entry["levels"] for entry in found.relit}
+    assert by_folder["relit/ambient_4+lamp_0.25"] == levels
+    assert by_folder["relit/level_2"] == {"ambient": 2.0}  # there, though dataset.json does not name it
+    assert found.errors == []
+
+
+def test_every_fault_is_named_not_only_the_first(data, capsys):
+    (data / "train" / "r_0_1.png").unlink()
+    (data / "test" / "r_1_2.png").write_bytes((data / "test" / "r_1_2.png").read_bytes()[:60])
+    Image.new("RGB", (31, 32)).save(data / "lit" / "r_1_0.png")
+    (data / "train_hdr" / "hdr_001.exr").unlink()
+    whole = (data / "test_hdr" / "hdr_002.exr").read_bytes()
+    (data / "test_hdr" / "hdr_002.exr").write_bytes(whole[: len(whole) // 2])
+    write_exr(data / "relit" / "level_0.5" / "hdr_000.exr", np.full((16, 32, 3), 0.5))
+    (data / "exposure_lit.json").write_text("{")
+    assert main(["inspect", str(data)]) == 1
+    captured = capsys.readouterr()
+    faults = [line for line in captured.out.splitlines() if line.startswith("fault:")]
+    for name, why in (
+        ("train/r_0_1.png", "missing"),
+        ("test/r_1_2.png", "not a readable PNG"),
+        ("train_hdr/hdr_001.exr", "missing"),
+        ("test_hdr/hdr_002.exr", "not a readable OpenEXR"),
+        ("relit/level_0.5/hdr_000.exr", "32×16"),
+        ("exposure_lit.json", "not valid JSON"),
+    ):
+        assert sum(name in line and why in line for line in faults) == 1, (name, faults)
+    assert captured.err.startswith("error: ") and captured.err.count("error:") == 1
+    assert f"{len(faults)} faults, the first: " in captured.err and "Traceback" not in captured.err
+
+
+@pytest.mark.parametrize("damage", ["31 wide", "no longer rigid"])
+def test_what_only_training_would_notice_is_told_too(data, damage, capsys):
+    if damage == "31 wide":
+        Image.new("RGB", (31, 32)).save(data / "lit" / "r_1_0.png")
+    else:
+        edit(
+            data / "transforms_test.json", lambda c: c["frames"][1]["transform_matrix"][0].__setitem__(0, 9.0)
+        )
+    assert main(["inspect", str(data), "--json"]) == 1
+    captured = capsys.readouterr()
+    (error,) = json.loads(captured.out)["errors"]
+    assert ("r_1_0.png is 31×32" if damage == "31 wide" else "not a rotation") in error
+    assert error in captured.err
+
+
+def test_warnings_are_no_errors(data):
+    white = Image.new("RGBA", (32, 32), (255, 255, 255, 255))
+    black = Image.new("RGBA", (32, 32), (0, 0, 0, 255))
+    for i in range(3):
+        white.save(data / "train" / f"r_{i}_0.png")
+        black.save(data / "train" / f"r_{i}_4.png")
+    edit(data / "dataset.json", lambda content: content.update(dynamic_range={"stops": 3.0}))
+    (data / "dataset.partial.json").write_text("{}")
+    found = inspect(data)
+    assert found.errors == []
+    told = " | ".join(found.warnings)
+    assert "100% of the training pixels are white even at the shortest" in told
+    assert "100% of the training pixels are black even at the longest" in told
+    assert "says 3.0 stops" in told and "not finished" in told
+    assert main(["inspect", str(data)]) == 0
+
+
+def test_one_exposure_leaves_one_exposure_mode(data):
+    for split in ("train", "test", "lit"):
+        path = data / f"exposure_{split}.json"
+        edit(path, lambda c: [c.pop(key) for key in list(c) if not key.endswith("_0.png")])
+        for png in (data / split).glob("r_*_[1-4].png"):
+            png.unlink()
+    found = inspect(data)
+    assert found.errors == [] and found.exposure_modes == ["exp1"]
+    assert any("one exposure only" in warning for warning in found.warnings)
+
+
+def test_several_folders_are_a_line_each(data, tiny_data, capsys):
+    assert main(["inspect", str(tiny_data), str(data)]) == 0
+    printed = capsys.readouterr().out
+    rows = [line.split() for line in printed.splitlines() if "32×32" in line]
+    assert [row[:3] for row in rows] == [["tiny", "32×32", "3/3/2"]] * 2
+    assert "-3 -1 +1 +3 +5" in printed and rows[0][-1] == "good"
+
+
+def test_what_is_no_data_set_is_one_message(tmp_path, tiny_data, capsys):
+    assert main(["inspect", str(tiny_data), str(tmp_path / "nothing")]) == 1
+    captured = capsys.readouterr()
+    assert "does not exist" in captured.err and "tiny" in captured.out
+    assert main(["inspect", str(tmp_path)]) == 1
+    assert "is empty" in capsys.readouterr().err
+    assert main(["inspect"]) == 1
+    assert "physhdr inspect data/demo" in capsys.readouterr().err
