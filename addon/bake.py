@@ -14,7 +14,7 @@ from ..bridge.display import Tone, display_colour_sh, look_comment
 from ..bridge.errors import PhysHDRError
 from ..bridge.gaussian_ply import write_standard_ply
 from .look import Look, is_model, look_of
-from .point_cloud import model_of
+from .point_cloud import lights_of, model_of
 
 #: A viewer takes the logarithm of a scale: none may be 0.
 SMALLEST_SCALE = 1e-12
@@ -36,21 +36,21 @@ def bake(target: bpy.types.Object, path: Path, look: Look, tone: Tone, apply_tra
         shape = transform_gaussians(to_world, *shape)
     linear = to_world[:3, :3] if moved else None
     comments = [f"PhysHDR {key}: {value}" for key, value in model.metadata.items()]
-    comments.append(look_comment(look.exposure_ev, look.lighting_level, tone))
+    comments.append(look_comment(look.exposure_ev, look.lighting_levels, tone, model.lights))
     write_standard_ply(
         path,
         positions=shape[0],
         rotations=shape[1],
         scales=np.maximum(shape[2], np.float32(SMALLEST_SCALE)),
         opacities=model.opacity,
-        colour_sh=display_colour_sh(model, look.exposure, look.lighting_level, tone, linear),
+        colour_sh=display_colour_sh(model, look.exposure, look.lighting_levels, tone, linear),
         comments=comments,
     )
     return model.count
 
 
 class PHYSHDR_OT_model_bake(bpy.types.Operator, ExportHelper):
-    """Export the active model with its current look (exposure, lighting level, tone) as a 3DGS PLY"""
+    """Export the active model with its current look (exposure, lighting levels, tone) as a 3DGS PLY"""
 
     bl_idname = "physhdr.model_bake"
     bl_label = "Bake to PLY"
@@ -88,16 +88,16 @@ class PHYSHDR_OT_model_bake(bpy.types.Operator, ExportHelper):
     def execute(self, context: bpy.types.Context) -> set[str]:
         target, path = context.object, Path(bpy.path.abspath(self.filepath))
         depsgraph = context.evaluated_depsgraph_get()  # drivers and keyframes, as of this frame
-        look = look_of(target, depsgraph)
         tone: Tone = self.tone
-        if self.tone == "LOOK":
-            tone = "LEARNED" if look.tone_mapper else "SRGB"
         try:
+            look = look_of(target, depsgraph)
+            if self.tone == "LOOK":
+                tone = "LEARNED" if look.tone_mapper else "SRGB"
             count = bake(target, path, look, tone, self.apply_transform)
+            words = look_comment(look.exposure_ev, look.lighting_levels, tone, lights_of(target.data))
         except PhysHDRError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
-        words = look_comment(look.exposure_ev, look.lighting_level, tone)
         self.report({"INFO"}, f"Wrote {count} Gaussians to {path}: {words}")
         return {"FINISHED"}
 

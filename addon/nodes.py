@@ -2,9 +2,10 @@
 """Geometry nodes that light and draw the Gaussians, built by code, with no backend running.
 
 For each point: ω, the direction from the active camera in the object's space; radiance at level 1,
-exp(Σ_k sh_k Y_k(ω)); relit by *Lighting level*, times 2^*Exposure (EV)*; with *Learned tone mapper*, the
-scene-linear value that the *Standard* view shows as the learned response's code. Then each point becomes
-an instance of a proxy mesh that ``material`` shades:
+exp(Σ_k sh_k Y_k(ω)); relit by *Lighting level*, the first light's, and *Level of …*, one for each further
+light; times 2^*Exposure (EV)*; with *Learned tone mapper*, the scene-linear value that the *Standard* view
+shows as the learned response's code. Then each point becomes an instance of a proxy mesh that ``material``
+shades:
 
 * an ellipsoid, right from any direction and in reflections, or
 * with *Camera splats*, a card at the centre's depth that faces the active camera and carries the
@@ -13,9 +14,11 @@ an instance of a proxy mesh that ``material`` shades:
   camera's picture is the trainer's own.
 """
 
+import functools
 import hashlib
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,10 +26,12 @@ import bpy
 import numpy as np
 
 from ..bridge.display import SRGB_CODE_KNEE, SRGB_OFFSET, SRGB_POWER, SRGB_SLOPE
+from ..bridge.lights import AMBIENT
 from ..bridge.model_file import Model
 from ..bridge.spherical_harmonics import C0, C1, C2, C3, coefficient_count
 from .material import ALPHA_MIN, RADIANCE_ATTRIBUTE, splat_material
 from .node_builder import Field, NodeBuilder
+from .point_cloud import share_attribute
 
 MODIFIER_NAME = "PhysHDR"
 
@@ -37,6 +42,7 @@ VIEW_DEPENDENT = "View dependent"
 CAMERA_SPLATS = "Camera splats"
 IMAGE_WIDTH = "Image width"
 
+#: What no light turns, and the first light's part at level 1; the others' are ``light_attribute(k)``.
 FIXED_ATTRIBUTE = "physhdr:fixed"
 AMBIENT_ATTRIBUTE = "physhdr:ambient"
 
@@ -52,7 +58,7 @@ CURVE_STEPS = 256
 
 #: Custom property that marks our trees: what they were built for, and the version of this recipe.
 MARK = "physhdr_tree"
-_RECIPE = 2
+_RECIPE = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,10 +81,20 @@ class ToneCurve:
         return hashlib.sha256(content).hexdigest()[:12]
 
 
+def level_input(lights: Sequence[str], index: int) -> str:
+    """The label of a light's level: the first is *Lighting level*, whatever the light is called."""
+    return LIGHTING_LEVEL if index == 0 else f"Level of {lights[index]}"
+
+
+def light_attribute(index: int) -> str:
+    """Where the tree stores a light's part of the radiance at level 1."""
+    return AMBIENT_ATTRIBUTE if index == 0 else f"physhdr:light_{index}"
+
+
 def add_modifier(target: bpy.types.Object, model: Model) -> bpy.types.Modifier:
     """Give a point cloud object made from ``model`` the modifier that lights and draws it."""
     modifier = target.modifiers.new(MODIFIER_NAME, "NODES")
-    modifier.node_group = radiance_tree(model.sh_degree, model.levels, ToneCurve.of(model))
+    modifier.node_group = radiance_tree(model.sh_degree, model.levels, ToneCurve.of(model), model.lights)
     return modifier
 
 
@@ -123,28 +139,41 @@ def has_input(modifier: bpy.types.Modifier, name: str) -> bool:
 
 
 def radiance_tree(
-    sh_degree: int, levels: tuple[float, ...] = (), curve: ToneCurve | None = None
+    sh_degree: int,
+    levels: tuple[float, ...] = (),
+    curve: ToneCurve | None = None,
+    lights: tuple[str, ...] = (AMBIENT,),
 ) -> bpy.types.NodeTree:
     """The file's node tree for models of that SH degree, made when it is not there yet.
 
     ``levels``: those of a baked-levels model; empty for the additive modulator. ``curve``: the learned
     response, part of the tree because no attribute can hold it: models with the same one share the tree.
+    ``lights``: the model's lights; models with others have another tree, because it has an input for each.
     """
     response = curve.digest if curve else "none"
-    mark = f"{_RECIPE} degree {sh_degree} levels {list(levels)} response {response}"
+    mark = f"{_RECIPE} degree {sh_degree} levels {list(levels)} response {response} lights {list(lights)}"
     for tree in bpy.data.node_groups:
         if tree.get(MARK) == mark and tree.library is None:
             return tree
     kind = f"{len(levels)} levels" if levels else "additive"
+    if len(lights) > 1:
+        kind += f", {len(lights)} lights"
     tree = bpy.data.node_groups.new(f"PhysHDR radiance (degree {sh_degree}, {kind})", "GeometryNodeTree")
     tree[MARK] = mark
     tree.is_modifier = True
-    _declare_interface(tree, curve is not None)
-    _Assembly(tree).build(sh_degree, levels, curve)
+    _declare_interface(tree, curve is not None, lights)
+    _Assembly(tree).build(sh_degree, levels, curve, lights)
     return tree
 
 
-def _declare_interface(tree: bpy.types.NodeTree, has_curve: bool) -> None:
+def level_description(lights: Sequence[str], index: int) -> str:
+    """The tooltip of a light's level."""
+    name = "the ambient light (sky and fill)" if lights[index] == AMBIENT else f"the light {lights[index]!r}"
+    others = "Lamps stay" if lights[0] == AMBIENT and len(lights) == 1 else "Other lights stay"
+    return f"Strength of {name}: 1 as captured, 0 off. {others} as they are"
+
+
+def _declare_interface(tree: bpy.types.NodeTree, has_curve: bool, lights: tuple[str, ...]) -> None:
     def declare(name: str, kind: str, description: str = "", **properties: Any) -> None:
         socket = tree.interface.new_socket(name, in_out="INPUT", socket_type=f"NodeSocket{kind}")
         socket.description = description
@@ -154,13 +183,9 @@ def _declare_interface(tree: bpy.types.NodeTree, has_curve: bool) -> None:
     tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
     declare("Geometry", "Geometry")
     declare(EXPOSURE, "Float", "Radiance is multiplied by 2 to this power", min_value=-30.0, max_value=30.0)
-    declare(
-        LIGHTING_LEVEL,
-        "Float",
-        "Strength of the ambient light (sky and fill): 1 as captured, 0 off. Lamps stay as they are",
-        default_value=1.0,
-        min_value=0.0,
-    )
+    for index in range(len(lights)):
+        told = level_description(lights, index)
+        declare(level_input(lights, index), "Float", told, default_value=1.0, min_value=0.0)
     if has_curve:
         declare(
             TONE_MAPPER,
@@ -218,7 +243,13 @@ class _Assembly:
         self.tree = tree
         self.make = NodeBuilder(tree)
 
-    def build(self, sh_degree: int, levels: tuple[float, ...], curve: ToneCurve | None) -> None:
+    def build(
+        self,
+        sh_degree: int,
+        levels: tuple[float, ...],
+        curve: ToneCurve | None,
+        lights: tuple[str, ...],
+    ) -> None:
         make = self.make
         with make.frame("Model"):
             inputs = make.node("NodeGroupInput")
@@ -229,7 +260,7 @@ class _Assembly:
             )
         self.camera = self._camera()
         log_radiance = self._log_radiance(sh_degree)
-        geometry, radiance = self._relight(self.inputs["Geometry"], log_radiance, levels)
+        geometry, radiance = self._relight(self.inputs["Geometry"], log_radiance, levels, lights)
         self._draw(self._expose(geometry, radiance, curve))
         make.arrange()
 
@@ -317,22 +348,25 @@ class _Assembly:
         return basis
 
     def _relight(
-        self, geometry: Field, log_radiance: Field, levels: tuple[float, ...]
+        self, geometry: Field, log_radiance: Field, levels: tuple[float, ...], lights: tuple[str, ...]
     ) -> tuple[Field, Field]:
-        """The radiance at the wanted lighting level; its two parts are stored where the model knows them."""
-        make, level = self.make, self.inputs[LIGHTING_LEVEL]
+        """The radiance at the wanted lighting levels; its parts are stored where the model knows them."""
+        make = self.make
         if levels:
             with make.frame("Lighting level: log gains, linear over log2(level)"):
-                radiance = self._exp(log_radiance + self._log_gain(levels))
-        else:
-            with make.frame("Lighting level: fixed + level · ambient"):
-                share = self.named("physhdr:ambient_share")
-                at_level_1 = self._exp(log_radiance)
-                ambient = at_level_1 * share
-                fixed = at_level_1 * (1.0 - share)
-                radiance = fixed + ambient * level
-                geometry = self.store(geometry, FIXED_ATTRIBUTE, "FLOAT_COLOR", fixed)
-                geometry = self.store(geometry, AMBIENT_ATTRIBUTE, "FLOAT_COLOR", ambient)
+                return geometry, self._exp(log_radiance + self._log_gain(levels))
+        with make.frame("Lighting levels: fixed + Σ level · light"):
+            shares = [self.named(share_attribute(index)) for index in range(len(lights))]
+            rest = 1.0 - functools.reduce(Field.__add__, shares)
+            if len(lights) > 1:  # shares whose sum rounds to above 1 leave no negative rest
+                rest = make.vector("MAXIMUM", rest, (0.0, 0.0, 0.0))
+            at_level_1 = self._exp(log_radiance)
+            radiance = fixed = at_level_1 * rest
+            geometry = self.store(geometry, FIXED_ATTRIBUTE, "FLOAT_COLOR", fixed)
+            for index, share in enumerate(shares):
+                part = at_level_1 * share
+                radiance = radiance + part * self.inputs[level_input(lights, index)]
+                geometry = self.store(geometry, light_attribute(index), "FLOAT_COLOR", part)
         return geometry, radiance
 
     def _expose(self, geometry: Field, radiance: Field, curve: ToneCurve | None) -> Field:

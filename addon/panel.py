@@ -185,7 +185,12 @@ class PHYSHDR_PT_illumination(_Subpanel, bpy.types.Panel):
         column.prop(settings, "exposure_ev")
         row = column.row()
         row.active = state.job.can_relight or not state.job.has_model
-        row.prop(settings, "lighting_level")
+        lights = row.column()
+        lights.prop(settings, "lighting_level")
+        for name in state.job.lights[1:]:
+            light = settings.further_levels.get(name)
+            if light is not None:  # it comes with the timer's next look
+                lights.prop(light, "level", text=f"Level of {name}")
         column.prop(settings, "tone")
         if state.job.has_model and not state.job.can_relight:
             write(context, layout, "This method learns no illumination: the level only scales", "INFO")

@@ -2,6 +2,7 @@
 """A model as a point cloud: one row of a table for each attribute (docs/formats.md, names as Blender 5.3)."""
 
 import itertools
+import json
 import uuid
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,7 +12,8 @@ import bpy
 import numpy as np
 
 from ..bridge import spherical_harmonics
-from ..bridge.errors import DataMismatchError
+from ..bridge.errors import BadValueError, DataMismatchError
+from ..bridge.lights import AMBIENT, check_lights
 from ..bridge.model_file import Model
 
 #: Blender's attribute type → (numbers a point, property that ``foreach_set`` fills).
@@ -25,6 +27,10 @@ TYPES: dict[str, tuple[int, str]] = {
 
 #: Custom property with the model's identity; survives undo, copies and appending, unlike a reference.
 IDENTITY = "physhdr_uuid"
+#: Custom property: the names of the lights, as JSON (Blender has no lists of texts).
+LIGHTS = "physhdr_lights"
+#: The ambient light's share in .blend files of before there were other lights.
+OLD_SHARE_ATTRIBUTE = "physhdr:ambient_share"
 #: Where a model is from; kept as ``physhdr_…`` custom properties.
 METADATA = ("scene", "method", "iteration")
 
@@ -36,6 +42,11 @@ class Attribute:
     name: str
     type: str
     values: np.ndarray
+
+
+def share_attribute(index: int) -> str:
+    """The attribute with the share of the radiance that a light causes."""
+    return f"physhdr:light_share_{index}"
 
 
 def attributes_of(model: Model, colour_sh: np.ndarray | None = None) -> Iterator[Attribute]:
@@ -60,8 +71,9 @@ def attributes_of(model: Model, colour_sh: np.ndarray | None = None) -> Iterator
 
     for k in range(model.log_radiance_sh.shape[1]):
         yield Attribute(f"physhdr:log_sh_{k}", "FLOAT_VECTOR", model.log_radiance_sh[:, k])
-    if model.ambient_share is not None:
-        yield Attribute("physhdr:ambient_share", "FLOAT_VECTOR", model.ambient_share)
+    if model.light_share is not None:
+        for index in range(len(model.lights)):
+            yield Attribute(share_attribute(index), "FLOAT_VECTOR", model.light_share[:, index])
     if model.level_log_gain is not None:
         for index, gain in enumerate(model.level_log_gain):
             yield Attribute(f"physhdr:level_log_gain_{index}", "FLOAT_VECTOR", gain)
@@ -102,6 +114,31 @@ def read_attribute(cloud: bpy.types.PointCloud, name: str) -> np.ndarray:
     return values if width == 1 else values.reshape(-1, width)
 
 
+def lights_of(cloud: bpy.types.PointCloud) -> tuple[str, ...]:
+    """The names of the lights of a model's point cloud: the ambient one alone where none are stated.
+
+    Raises ``DataMismatchError`` where they were edited into something else.
+    """
+    stated = cloud.get(LIGHTS)
+    if stated is None:
+        return (AMBIENT,)
+    try:
+        return check_lights(json.loads(stated), f"the point cloud {cloud.name!r}")
+    except (TypeError, ValueError, BadValueError) as error:
+        raise DataMismatchError(
+            f"the point cloud {cloud.name!r} has {LIGHTS} = {stated!r}, which is no list of lights",
+            "Undo the edit, or import the model again.",
+        ) from error
+
+
+def read_shares(cloud: bpy.types.PointCloud) -> list[np.ndarray]:
+    """``[N, 3]`` float32 shares of each of ``lights_of(cloud)``; ``KeyError`` where one is missing."""
+    count = len(lights_of(cloud))
+    if count == 1 and share_attribute(0) not in cloud.attributes and OLD_SHARE_ATTRIBUTE in cloud.attributes:
+        return [read_attribute(cloud, OLD_SHARE_ATTRIBUTE)]
+    return [read_attribute(cloud, share_attribute(index)) for index in range(count)]
+
+
 def model_of(cloud: bpy.types.PointCloud) -> Model:
     """The model that a point cloud holds now, edits included.
 
@@ -118,7 +155,7 @@ def model_of(cloud: bpy.types.PointCloud) -> Model:
             names = [f"physhdr:level_log_gain_{index}" for index in range(len(levels))]
             light = {"level_log_gain": np.stack([read_attribute(cloud, name) for name in names])}
         else:
-            light = {"ambient_share": read_attribute(cloud, "physhdr:ambient_share")}
+            light = {"light_share": np.stack(read_shares(cloud), axis=1), "lights": lights_of(cloud)}
     except KeyError as error:
         raise DataMismatchError(
             f"the point cloud {cloud.name!r} is no PhysHDR model: {error.args[0]}",
@@ -152,6 +189,7 @@ def _provenance(model: Model) -> dict[str, Any]:
         IDENTITY: uuid.uuid4().hex,
         "physhdr_modulator": model.modulator,
         "physhdr_sh_degree": model.sh_degree,
+        LIGHTS: json.dumps(list(model.lights)),
         "physhdr_levels": list(model.levels),
         "physhdr_exposures": list(model.exposures),
     }

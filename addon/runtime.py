@@ -63,6 +63,7 @@ def _attend() -> float:
         redraw()
     if current.state.history is not before:
         plot.update(current.state.history)
+    _follow_lights(current)
     if _live.tick(current):
         return PICTURES
     return BUSY if current.busy else QUIET
@@ -74,6 +75,13 @@ def _follow_scene(current: Session) -> None:
     folder = bpy.path.abspath(chosen) if chosen else ""
     if folder and folder != current.state.dataset.folder:
         current.choose_dataset(folder)
+
+
+def _follow_lights(current: Session) -> None:
+    """Let the scenes that are shown have a slider for each light of the backend's model."""
+    for window in bpy.context.window_manager.windows:
+        if window.scene.is_editable:  # not linked from another file
+            settings.follow_lights(window.scene.physhdr, current.state.job.lights)
 
 
 def register() -> None:

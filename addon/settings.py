@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the user chooses: preferences of the extension, and settings of the scene (saved in the .blend)."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -107,6 +108,18 @@ def _folder_chosen(self: Any, context: bpy.types.Context) -> None:
         session().choose_dataset(bpy.path.abspath(self.data))
 
 
+class PHYSHDR_LightLevel(bpy.types.PropertyGroup):
+    """The level of a light in the live preview, by the light's name."""
+
+    level: bpy.props.FloatProperty(
+        name="Level",
+        default=1.0,
+        min=0.0,
+        soft_max=4.0,
+        description="Strength of this light: 1 as captured, 0 off. Other lights stay as they are",
+    )
+
+
 class PHYSHDR_Settings(bpy.types.PropertyGroup):
     """Settings of the scene; panels show them, operators take them as their defaults."""
 
@@ -139,10 +152,29 @@ class PHYSHDR_Settings(bpy.types.PropertyGroup):
         soft_max=4.0,
         description="Strength of the ambient light: 1 as captured, 0 off. Lamps stay as they are",
     )
+    further_levels: bpy.props.CollectionProperty(
+        type=PHYSHDR_LightLevel, description="Levels of the lights after the first that models have had"
+    )
     tone: bpy.props.EnumProperty(name="Tone Mapping", items=TONES)
 
 
-_CLASSES = (PHYSHDR_Preferences, PHYSHDR_Settings)
+def follow_lights(chosen: PHYSHDR_Settings, lights: Sequence[str]) -> None:
+    """Give each light after the first a level; not from a panel's ``draw``, which may change nothing.
+
+    Those of other models stay, so that each keeps its level while one looks at another model.
+    """
+    for name in lights[1:]:
+        if name not in chosen.further_levels:
+            chosen.further_levels.add().name = name
+
+
+def preview_levels(chosen: PHYSHDR_Settings, lights: Sequence[str]) -> tuple[float, ...]:
+    """The live preview's level of each of ``lights``; where none are known, of the first alone."""
+    others = (chosen.further_levels.get(name) for name in lights[1:])
+    return chosen.lighting_level, *(light.level if light else 1.0 for light in others)
+
+
+_CLASSES = (PHYSHDR_Preferences, PHYSHDR_LightLevel, PHYSHDR_Settings)
 
 
 def register() -> None:

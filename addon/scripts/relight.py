@@ -4,11 +4,15 @@
     blender -b -P addon/scripts/relight.py -- MODEL --camera DATA/transforms_test.json:3 --out DIR
     python addon/scripts/relight.py -- MODEL …        (Python 3.13 with the bpy wheel)
 
-Writes DIR/level_0.25.exr and so on: 32-bit, scene-linear, premultiplied RGBA on black.
+Writes DIR/level_0.25.exr and so on: 32-bit, scene-linear, premultiplied RGBA on black. ``--levels`` are those
+of the first light (the ambient one); ``--light pendant=2`` sets another one for all pictures, which are then
+called level_0.25+pendant_2.exr and so on.
 """
 
 import argparse
 import importlib.util
+import math
+import re
 import sys
 import time
 from pathlib import Path
@@ -26,6 +30,14 @@ def load_package() -> None:
     spec.loader.exec_module(package)
 
 
+def light_level(text: str) -> tuple[str, float]:
+    """``pendant=2`` as a name and a level."""
+    name, _, level = text.rpartition("=")
+    if not name or not 0.0 <= float(level) < math.inf:
+        raise ValueError(text)  # argparse says so
+    return name, float(level)
+
+
 def parse_arguments(arguments: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="relight.py", description=__doc__.splitlines()[0])
     parser.add_argument("model", type=Path, help="the model file (.safetensors), or any 3DGS PLY")
@@ -39,7 +51,17 @@ def parse_arguments(arguments: list[str]) -> argparse.Namespace:
         metavar="PX",
         help="width and height; one if equal",
     )
-    parser.add_argument("--levels", type=float, nargs="+", default=[0.25, 1.0, 4.0], help="lighting levels")
+    parser.add_argument(
+        "--levels", type=float, nargs="+", default=[0.25, 1.0, 4.0], help="levels of the first light, ambient"
+    )
+    parser.add_argument(
+        "--light",
+        type=light_level,
+        action="append",
+        default=[],
+        metavar="NAME=LEVEL",
+        help="level of another light in all pictures; may be given for each, those that are not are at 1",
+    )
     parser.add_argument("--exposure", type=float, default=0.0, help="EV, baked into the pictures")
     parser.add_argument("--blend", type=Path, help="save the scene here, before rendering")
     parser.add_argument("--samples", type=int, default=1, help="1 is free of noise; see --filter-width")
@@ -53,8 +75,10 @@ def parse_arguments(arguments: list[str]) -> argparse.Namespace:
     options = parser.parse_args(arguments)
     if len(options.resolution) > 2 or min(options.resolution) < 1:
         parser.error("--resolution takes one or two positive numbers")
-    if min(options.levels) < 0.0:
+    if not all(0.0 <= level < math.inf for level in options.levels):
         parser.error("--levels must be 0 or more")
+    if len({name for name, _ in options.light}) < len(options.light):
+        parser.error("--light names a light twice")
     if ":" not in options.camera or not options.camera.rpartition(":")[2].isdigit():
         parser.error("--camera must be FILE:INDEX, for example data/transforms_test.json:3")
     return options
@@ -76,7 +100,8 @@ class Report:
 def run(options: argparse.Namespace) -> None:
     import bpy
 
-    from physhdr.addon import camera_file, model_import, nodes, render
+    from physhdr.addon import camera_file, model_import, nodes, point_cloud, render
+    from physhdr.bridge.lights import in_words
 
     report = Report()
     camera_path, _, index = options.camera.rpartition(":")
@@ -85,6 +110,8 @@ def run(options: argparse.Namespace) -> None:
     scene = bpy.context.scene
     gaussians = model_import.import_model(options.model)
     report.step(f"imported {len(gaussians.data.points)} Gaussians from {options.model}")
+    lights, others = point_cloud.lights_of(gaussians.data), dict(options.light)
+    check_others(options.model, lights, others)
 
     width, height = options.resolution[0], options.resolution[-1]
     render.set_resolution(scene, width, height)
@@ -94,14 +121,34 @@ def run(options: argparse.Namespace) -> None:
     nodes.set_input(modifier, nodes.EXPOSURE, options.exposure)
     nodes.set_input(modifier, nodes.CAMERA_SPLATS, options.shape == "splat")
     nodes.set_input(modifier, nodes.IMAGE_WIDTH, width)
+    for name, level in others.items():
+        nodes.set_input(modifier, nodes.level_input(lights, lights.index(name)), level)
     if options.blend:
         render.save_blend(options.blend)
         report.step(f"saved {options.blend}")
     for level in options.levels:
-        path = options.out / f"level_{level:g}.exr"
+        path = options.out / f"{'+'.join([f'level_{level:g}', *map(file_part, others.items())])}.exr"
         nodes.set_input(modifier, nodes.LIGHTING_LEVEL, level)
         render.render_exr(scene, path)
-        report.step(f"rendered {pose.name} at lighting level {level:g}: {path}")
+        words = in_words({lights[0]: level, **others}) if others else f"lighting level {level:g}"
+        report.step(f"rendered {pose.name} at {words}: {path}")
+
+
+def check_others(model: Path, lights: tuple[str, ...], others: dict[str, float]) -> None:
+    """Raise ``BadValueError`` where ``--light`` names what the model has not, or what ``--levels`` sets."""
+    from physhdr.bridge.errors import BadValueError
+    from physhdr.bridge.lights import named_levels
+
+    named_levels(others, lights, str(model))
+    if lights[0] in others:
+        raise BadValueError(f"--light {lights[0]}: it is the model's first light", "Give --levels for it.")
+
+
+def file_part(named: tuple[str, float]) -> str:
+    """``pendant_2``; what a file's name may not have becomes ``_``."""
+    name, level = named
+    safe = re.sub(r"[^\w.-]", "_", name)
+    return f"{safe}_{level:g}"
 
 
 def main() -> int:

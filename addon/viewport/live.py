@@ -7,7 +7,7 @@ asks for the next one. One is asked for at a time, for all views together: the b
 
 import itertools
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +16,7 @@ import bpy
 from ...bridge.messages import PreviewCamera, PreviewFrame, PreviewRequest
 from ..look import is_model
 from ..session.session import Session
+from ..settings import preview_levels
 from . import overlay, splats
 from .camera import ViewCamera, of_region
 from .schedule import TIMEOUT_SECONDS, PreviewSchedule, Request, View
@@ -52,7 +53,8 @@ class LivePreview:
         """Show what has come, ask for what is wanted; returns whether any view has the preview on."""
         now = time.perf_counter()
         self._take(session, now)
-        regions = dict(_regions()) if session.state.job.has_model else {}
+        job = session.state.job
+        regions = dict(_regions(job.lights)) if job.has_model else {}
         for key in self._schedules.keys() - regions.keys():
             del self._schedules[key]
             overlay.set_picture(key, None)
@@ -127,7 +129,7 @@ class LivePreview:
 
 def _message(sequence: int, wanted: Request) -> PreviewRequest:
     camera: ViewCamera = wanted.camera
-    exposure_ev, lighting_level, tone = wanted.look
+    exposure_ev, lighting_levels, tone = wanted.look
     return PreviewRequest(
         sequence=sequence,
         camera=PreviewCamera(
@@ -139,19 +141,19 @@ def _message(sequence: int, wanted: Request) -> PreviewRequest:
             cx=camera.cx,
             cy=camera.cy,
         ),
-        lighting_level=lighting_level,
+        lighting_levels=lighting_levels,
         exposure_ev=exposure_ev,
         tone=tone,
     )
 
 
-def _regions() -> Iterator[tuple[int, View]]:
-    """The regions that want pictures, each with its view."""
+def _regions(lights: Sequence[str]) -> Iterator[tuple[int, View]]:
+    """The regions that want pictures of a model with these lights, each with its view."""
     for window in bpy.context.window_manager.windows:
         settings = window.scene.physhdr
         if not settings.preview:
             continue
-        look = (settings.exposure_ev, settings.lighting_level, settings.tone)
+        look = (settings.exposure_ev, preview_levels(settings, lights), settings.tone)
         for area in window.screen.areas:
             if area.type != "VIEW_3D":
                 continue

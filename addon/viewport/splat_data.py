@@ -9,13 +9,16 @@ import bpy
 import gpu
 import numpy as np
 
+from ...bridge.errors import PhysHDRError
 from ...bridge.spherical_harmonics import degree_of
-from ..point_cloud import IDENTITY, read_attribute
+from ..point_cloud import IDENTITY, lights_of, read_attribute, read_shares
 from . import gpu_arrays
 from .overlay import ToneCurve
 
 #: Gaussian i is texel (i mod WIDTH, i div WIDTH) of every texture.
 WIDTH = 2048
+#: An array texture has room for 256 layers on every GPU: one a light, and what no light turns.
+LIGHTS_MAX = 255
 
 _serial = itertools.count()
 
@@ -32,7 +35,7 @@ class SplatArrays:
     opacity: np.ndarray
     #: ``[K, N, 3]``
     log_sh: np.ndarray
-    #: ``[1, N, 3]`` ambient share, or ``[L, N, 3]`` log gains at ``levels``.
+    #: ``[C, N, 3]`` shares of the C lights, or ``[L, N, 3]`` log gains at ``levels``.
     light: np.ndarray
     levels: tuple[float, ...] = ()
 
@@ -42,8 +45,12 @@ class SplatArrays:
 
 
 def is_splats(cloud: bpy.types.PointCloud) -> bool:
-    """Whether the point cloud has all attributes that drawing needs."""
-    return all(name in cloud.attributes for name in _REQUIRED)
+    """Whether the point cloud has all attributes that drawing needs, and lights that can be drawn."""
+    try:
+        drawable = len(lights_of(cloud)) <= LIGHTS_MAX
+    except PhysHDRError:  # the panel and the bake say what is wrong with it
+        return False
+    return drawable and all(name in cloud.attributes for name in _REQUIRED)
 
 
 def read_arrays(cloud: bpy.types.PointCloud) -> SplatArrays:
@@ -55,11 +62,14 @@ def read_arrays(cloud: bpy.types.PointCloud) -> SplatArrays:
     gains = _numbered(cloud, "physhdr:level_log_gain_")
     if levels and len(gains) == len(levels):
         light = np.stack(gains)
-    elif "physhdr:ambient_share" in cloud.attributes:
-        light, levels = read_attribute(cloud, "physhdr:ambient_share")[None], ()
     else:
-        # Nothing is known of the light: a level scales everything, as for a baseline's model.
-        light, levels = np.ones((1, len(base), 3), np.float32), ()
+        levels = ()
+        try:
+            light = np.stack(read_shares(cloud))
+        except KeyError:
+            # Nothing is known of the light: the first level scales everything, as for a baseline's model.
+            light = np.zeros((len(lights_of(cloud)), len(base), 3), np.float32)
+            light[0] = 1.0
     return SplatArrays(
         position=read_attribute(cloud, "position"),
         rotation=read_attribute(cloud, "rotation"),
@@ -124,7 +134,13 @@ class SplatTextures:
         )
         #: Layer k − 1: SH coefficient k. Half floats: 5e-4 of values around 0.5.
         self.harmonics = self._texture("RGBA16F", *(arrays.log_sh[1:] if self.degree else arrays.log_sh[:1]))
-        self.light = self._texture("RGBA16F", *arrays.light)
+        self.lights = 0 if arrays.levels else len(arrays.light)
+        layers = list(arrays.light)
+        if not arrays.levels:
+            # Stored, not subtracted in the shader: so it is 5e-4 of itself off, however small it is.
+            layers.insert(0, np.maximum(1.0 - arrays.light.sum(axis=0), 0.0))
+        #: Layers: the share that no light causes, and each light's; or the log gain at each level.
+        self.light = self._texture("RGBA16F", *layers)
 
     def _texture(self, format: str, *layers: np.ndarray) -> gpu.types.GPUTexture:
         texels = np.zeros((len(layers), self.rows * WIDTH, 4), np.float32)

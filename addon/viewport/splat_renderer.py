@@ -25,20 +25,21 @@ TRIANGLES = 1 << 16
 
 @dataclass(frozen=True, eq=False)
 class Item:
-    """One object to draw. ``matrix_world``: ``[4, 4]``; ``level``: lighting level; ``exposure``: EV."""
+    """One object to draw. ``matrix_world``: ``[4, 4]``; ``levels``: of its lights, those that are not given
+    at 1; ``exposure``: EV."""
 
     splats: SplatTextures
     matrix_world: np.ndarray
-    level: float = 1.0
+    levels: tuple[float, ...] = ()
     exposure: float = 0.0
     #: ``False``: only the constant term of the spherical harmonics.
     view_dependent: bool = True
 
     @property
-    def key(self) -> tuple[int, bytes, float, float, bool]:
+    def key(self) -> tuple[int, bytes, tuple[float, ...], float, bool]:
         """Equal for items that look the same; hashable."""
         pose = self.matrix_world.tobytes()
-        return self.splats.serial, pose, self.level, self.exposure, self.view_dependent
+        return self.splats.serial, pose, self.levels, self.exposure, self.view_dependent
 
 
 class Target:
@@ -119,6 +120,8 @@ class SplatRenderer:
         self._rows = 0
         self._projected: list[gpu.types.GPUTexture] = []
         self._framebuffer: gpu.types.GPUFrameBuffer | None = None
+        #: Of the items last projected: a sampler does not keep its texture.
+        self._levels: list[gpu.types.GPUTexture] = []
 
     def begin(
         self, items: Sequence[Item], camera: ViewCamera, target: Target, *, exact: bool = True
@@ -126,6 +129,7 @@ class SplatRenderer:
         """Project and sort the items for a camera of the target's size. ``exact``: see ``back_to_front``."""
         self._reserve(sum(item.splats.rows for item in items))
         depths, texels, first_row = [], [], 0
+        self._levels.clear()
         for item in items:
             to_camera = object_to_camera(camera, item.matrix_world)
             self._project(item, camera, to_camera, first_row)
@@ -180,7 +184,9 @@ class SplatRenderer:
             eye = from_camera[:3, 2] / np.linalg.norm(from_camera[:3, 2])
         else:
             eye = from_camera[:3, 3]
-        index, blend = level_place(splats.levels, item.level)
+        index, blend = level_place(splats.levels, item.levels[0] if item.levels else 1.0)
+        # The first level that is blended, or how many lights have levels of their own.
+        first = index if splats.levels else splats.lights
         flags = splats.degree if item.view_dependent else 0
         flags |= splat_shaders.ORTHOGRAPHIC if camera.is_orthographic else 0
         flags |= splat_shaders.HAS_LEVELS if splats.levels else 0
@@ -192,14 +198,24 @@ class SplatRenderer:
             shader.bind()
             shader.uniform_float("object_to_camera", gpu_arrays.matrix(to_camera))
             shader.uniform_float("lens", (camera.fx, camera.fy, camera.cx, camera.cy))
-            shader.uniform_float("size_and_level", (camera.width, camera.height, item.level, blend))
+            shader.uniform_float("size_and_blend", (camera.width, camera.height, blend, 0.0))
             shader.uniform_float("eye_and_gain", (*eye, 2.0**item.exposure))
-            shader.uniform_int("counts", (first_row, splats.count, index, flags))
+            shader.uniform_int("counts", (first_row, splats.count, first, flags))
             shader.uniform_sampler("geometry", splats.geometry)
             shader.uniform_sampler("harmonics", splats.harmonics)
             shader.uniform_sampler("light", splats.light)
+            self._levels.append(levels_texture(item.levels, splats.lights))
+            shader.uniform_sampler("levels", self._levels[-1])
             self._full_screen.draw(shader)
             self._framebuffer.viewport_set(0, 0, WIDTH, self._rows)
+
+
+def levels_texture(levels: Sequence[float], lights: int) -> gpu.types.GPUTexture:
+    """One texel a light: there are no more than 128 bytes of push constants, and any number of lights."""
+    texels = np.ones((1, max(1, lights), 1), np.float32)
+    given = min(len(levels), lights)
+    texels[0, :given, 0] = levels[:given]
+    return gpu_arrays.texture(texels, "R32F")
 
 
 def level_place(levels: Sequence[float], level: float) -> tuple[int, float]:

@@ -67,10 +67,10 @@ vec3 into_object(vec4 q, vec3 v)
 
 void main()
 {
-  vec2 focal = lens.xy, centre = lens.zw, size = size_and_level.xy;
-  float level = size_and_level.z, level_blend = size_and_level.w;
+  vec2 focal = lens.xy, centre = lens.zw, size = size_and_blend.xy;
+  float level_blend = size_and_blend.z;
   vec3 eye = eye_and_gain.xyz;
-  int first_row = counts.x, count = counts.y, level_index = counts.z;
+  int first_row = counts.x, count = counts.y;
   bool is_orthographic = (counts.w & ORTHOGRAPHIC) != 0, has_levels = (counts.w & HAS_LEVELS) != 0;
 
   ivec2 texel = ivec2(int(gl_FragCoord.x), int(gl_FragCoord.y) - first_row);
@@ -121,14 +121,16 @@ void main()
   log_radiance += harmonics_at(texel, direction, counts.w & DEGREE);
   vec3 radiance;
   if (has_levels) {
-    vec3 low = texelFetch(light, ivec3(texel, level_index), 0).rgb;
-    vec3 high = texelFetch(light, ivec3(texel, level_index + int(level_blend > 0.0)), 0).rgb;
+    vec3 low = texelFetch(light, ivec3(texel, counts.z), 0).rgb;
+    vec3 high = texelFetch(light, ivec3(texel, counts.z + int(level_blend > 0.0)), 0).rgb;
     radiance = exp(log_radiance + mix(low, high, level_blend));
   }
   else {
-    vec3 share = texelFetch(light, ivec3(texel, 0), 0).rgb;
-    radiance = exp(log_radiance);
-    radiance = radiance * (1.0 - share) + level * radiance * share;
+    vec3 gain = texelFetch(light, ivec3(texel, 0), 0).rgb;
+    for (int k = 0; k < counts.z; k++) {
+      gain += texelFetch(levels, ivec2(k, 0), 0).r * texelFetch(light, ivec3(texel, k + 1), 0).rgb;
+    }
+    radiance = exp(log_radiance) * gain;
   }
 
   out_place = vec4(focal * on_plane + centre, in_camera.z, place.w);
@@ -182,14 +184,16 @@ def create_projection() -> gpu.types.GPUShader:
     info.push_constant("MAT4", "object_to_camera")
     # With the matrix 128 bytes: what every GPU has room for.
     info.push_constant("VEC4", "lens")  # fx, fy, cx, cy
-    info.push_constant("VEC4", "size_and_level")  # width, height, level, blend of two levels
+    info.push_constant("VEC4", "size_and_blend")  # width, height, blend of two levels, nothing
     # The camera's place, or an orthographic camera's direction of view, in the object's space; 2^EV.
     info.push_constant("VEC4", "eye_and_gain")
-    info.push_constant("IVEC4", "counts")  # first row, Gaussians, lower level, SH degree and flags
+    # First row, Gaussians, lower level or number of lights, SH degree and flags.
+    info.push_constant("IVEC4", "counts")
     for name in ("DEGREE", "ORTHOGRAPHIC", "HAS_LEVELS"):
         info.define(name, str(globals()[name]))
     for slot, name in enumerate(("geometry", "harmonics", "light")):
         info.sampler(slot, "FLOAT_2D_ARRAY", name)
+    info.sampler(3, "FLOAT_2D", "levels")
     for slot, name in enumerate(("out_place", "out_axes", "out_radiance")):
         info.fragment_out(slot, "VEC4", name)
     info.vertex_source(_FULL_SCREEN)

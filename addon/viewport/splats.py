@@ -64,7 +64,7 @@ def items_by_tone(shown: Iterable[Shown]) -> dict[bytes, tuple[ToneCurve | None,
         _, items = groups.setdefault(tone.key if tone else b"", (tone, []))
         matrix_world = np.array(evaluated.matrix_world)
         items.append(
-            Item(_textures(cloud), matrix_world, look.lighting_level, look.exposure_ev, look.view_dependent)
+            Item(_textures(cloud), matrix_world, look.lighting_levels, look.exposure_ev, look.view_dependent)
         )
     return groups
 

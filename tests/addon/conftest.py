@@ -14,15 +14,23 @@ from physhdr.bridge.model_file import Model, write_model
 def make_model() -> Callable[..., Model]:
     """Builds a random model: N Gaussians in a ball of radius 1, radiance over about 6 stops."""
 
-    def make(count: int = 40, degree: int = 1, modulator: str = "additive", seed: int = 0) -> Model:
+    def make(
+        count: int = 40,
+        degree: int = 1,
+        modulator: str = "additive",
+        seed: int = 0,
+        lights: tuple[str, ...] = ("ambient",),
+    ) -> Model:
         rng = np.random.default_rng(seed)
 
         def uniform(*shape: int, low: float, high: float) -> np.ndarray:
             return rng.uniform(low, high, shape).astype(np.float32)
 
         levels = (0.25, 0.5, 1.0, 4.0)
+        # Of several lights and the rest any mixture; of one any share.
+        mixture = rng.dirichlet(np.full(len(lights) + 1, 0.5), (count, 3))[..., :-1].transpose(0, 2, 1)
         light = (
-            {"ambient_share": uniform(count, 3, low=0.0, high=1.0)}
+            {"light_share": mixture.astype(np.float32), "lights": lights}
             if modulator == "additive"
             else {"level_log_gain": uniform(4, count, 3, low=-2.0, high=2.0), "levels": levels}
         )

@@ -51,15 +51,18 @@ def colour_sh(columns: dict[str, np.ndarray]) -> np.ndarray:
     return np.stack(sh, axis=1)
 
 
-@pytest.mark.parametrize("modulator", ["additive", "baked-levels"])
-def test_a_point_cloud_is_its_model_again(scene, make_toned, write, modulator):
-    model = make_toned(degree=2, modulator=modulator)
+@pytest.mark.parametrize(
+    ("modulator", "lights"),
+    [("additive", ("ambient",)), ("additive", ("sun", "Küche 2")), ("baked-levels", ("ambient",))],
+)
+def test_a_point_cloud_is_its_model_again(scene, make_toned, write, modulator, lights):
+    model = make_toned(degree=2, modulator=modulator, lights=lights)
     back = point_cloud.model_of(model_import.import_model(write(model)).data)
     assert back.tensors().keys() == model.tensors().keys()
     for name, array in model.tensors().items():
         expected = array / np.linalg.norm(array, axis=1, keepdims=True) if name == "rotation" else array
         np.testing.assert_allclose(getattr(back, name), expected, atol=1e-7, err_msg=name)
-    assert (back.levels, back.exposures) == (model.levels, model.exposures)
+    assert (back.levels, back.exposures, back.lights) == (model.levels, model.exposures, model.lights)
     assert dict(back.metadata) == dict(model.metadata)
 
 
@@ -87,9 +90,29 @@ def test_the_operator_bakes_the_look_of_the_sliders(registered, make_toned, writ
     flat = read_ply(tmp_path / "flat.ply")
     assert "f_rest_0" not in flat.columns and "sRGB curve" in flat.comments[-1]
     constant = np.exp(0.5 / math.sqrt(math.pi) * model.log_radiance_sh[:, 0])
-    relit = 2**1.5 * constant * (1.0 + model.ambient_share)
+    relit = 2**1.5 * constant * (1.0 + model.light_share[:, 0])
     shown = 0.5 + 0.28209479 * colour_sh(flat.columns)[:, 0]
     np.testing.assert_allclose(shown, display.to_srgb(relit), rtol=1e-4, atol=1e-5)
+
+
+def test_a_bake_of_several_lights_is_the_models_radiance_at_their_levels(
+    registered, make_model, write, tmp_path
+):
+    """View-independent, through the sRGB curve: exact, at levels between, beyond and off."""
+    lights = ("ambient", "pendant", "screen")
+    model = make_model(degree=0, lights=lights)
+    bpy.ops.physhdr.model_import(filepath=str(write(model)))
+    modifier = nodes.find_modifier(bpy.context.object)
+    for levels in [(0.25, 1.0, 3.0), (1.0, 0.0, 9.0), (0.5, 2.0, 0.125)]:
+        for index, level in enumerate(levels):
+            nodes.set_input(modifier, nodes.level_input(lights, index), level)
+        bpy.ops.physhdr.model_bake(filepath=str(tmp_path / "baked.ply"))
+        ply = read_ply(tmp_path / "baked.ply")
+        words = " + ".join(f"{name} {level:g}" for name, level in zip(lights, levels, strict=True))
+        assert ply.comments[-1].endswith(f"baked at EV 0, lighting levels {words}")
+        radiance = model.radiance(np.tile([0.0, 0.0, 1.0], (model.count, 1)), levels)
+        shown = 0.5 + 0.28209479 * colour_sh(ply.columns)[:, 0]
+        np.testing.assert_allclose(shown, display.to_srgb(radiance), rtol=1e-4, atol=1e-5)
 
 
 EXPORT = """
@@ -219,7 +242,7 @@ def test_what_cannot_be_baked_says_why(registered, make_model, write, tmp_path):
     with pytest.raises(RuntimeError, match="flat or not finite"):
         bpy.ops.physhdr.model_bake(filepath=str(tmp_path / "a.ply"))
     target.scale.z = 1.0
-    target.data.attributes.remove(target.data.attributes["physhdr:ambient_share"])
+    target.data.attributes.remove(target.data.attributes["physhdr:light_share_0"])
     with pytest.raises(RuntimeError, match=r"is no PhysHDR model[\s\S]*import it again"):
         bpy.ops.physhdr.model_bake(filepath=str(tmp_path / "a.ply"))
     assert not (tmp_path / "a.ply").exists()
@@ -238,7 +261,7 @@ def test_looks_follow_keyframes_and_survive_without_the_modifier(scene, make_ton
         target.keyframe_insert(nodes.input_data_path(modifier, nodes.TONE_MAPPER), frame=frame)
     scene.frame_set(11)
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    assert look.look_of(target, depsgraph) == look.Look(2.0, 1.0, True, True)
+    assert look.look_of(target, depsgraph) == look.Look(2.0, (1.0,), True, True)
     assert look.look_of(target, depsgraph).exposure == 4.0
     scene.frame_set(1)
     assert look.look_of(target, bpy.context.evaluated_depsgraph_get()) == look.Look()

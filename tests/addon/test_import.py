@@ -52,7 +52,7 @@ def test_every_attribute_arrives_exactly(scene, make_model, write, modulator: st
     for k in range((degree + 1) ** 2):
         np.testing.assert_array_equal(read(f"physhdr:log_sh_{k}"), model.log_radiance_sh[:, k])
     if modulator == "additive":
-        np.testing.assert_array_equal(read("physhdr:ambient_share"), model.ambient_share)
+        np.testing.assert_array_equal(read("physhdr:light_share_0"), model.light_share[:, 0])
     else:
         for index in range(4):
             np.testing.assert_array_equal(

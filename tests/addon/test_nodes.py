@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The geometry nodes' radiance, read back from Blender's evaluation, against the model file's formula."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -8,7 +9,10 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
-from physhdr.addon import model_import, nodes, point_cloud, render  # noqa: E402
+from physhdr.addon import look, model_import, nodes, point_cloud, render  # noqa: E402
+from physhdr.bridge.lights import Levels  # noqa: E402
+
+LIGHTS = ("ambient", "pendant", "desk lamp, Küche")
 
 
 def evaluated(target, name: str = "physhdr:radiance") -> np.ndarray:
@@ -17,7 +21,7 @@ def evaluated(target, name: str = "physhdr:radiance") -> np.ndarray:
     return point_cloud.read_attribute(geometry.instances_pointcloud(), name)
 
 
-def expected_radiance(model, target, camera, level: float = 1.0, exposure: float = 0.0) -> np.ndarray:
+def expected_radiance(model, target, camera, level: Levels = 1.0, exposure: float = 0.0) -> np.ndarray:
     bpy.context.view_layer.update()
     eye = np.array(target.matrix_world.inverted() @ camera.matrix_world.translation)
     directions = model.position.astype(np.float64) - eye
@@ -57,8 +61,67 @@ def test_fixed_and_ambient_parts_add_up(add):
     fixed, ambient = (
         evaluated(target, name)[:, :3] for name in (nodes.FIXED_ATTRIBUTE, nodes.AMBIENT_ATTRIBUTE)
     )
-    np.testing.assert_allclose(ambient / (fixed + ambient), model.ambient_share, rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(ambient / (fixed + ambient), model.light_share[:, 0], rtol=1e-4, atol=1e-6)
     np.testing.assert_allclose(evaluated(target)[:, :3], fixed + 3.0 * ambient, rtol=1e-5)
+
+
+def set_levels(modifier, levels) -> None:
+    for index, level in enumerate(levels):
+        nodes.set_input(modifier, nodes.level_input(LIGHTS, index), level)
+
+
+@pytest.mark.parametrize("degree", [0, 3])
+def test_several_lights_have_a_level_each(add, degree: int):
+    """fixed + Σ level · share · radiance is the model file's formula, all off and all different."""
+    model, target, modifier, camera = add(degree=degree, lights=LIGHTS)
+    inputs = [item.name for item in modifier.node_group.interface.items_tree if item.in_out == "INPUT"]
+    assert [name for name in inputs if "evel" in name] == [
+        "Lighting level",
+        "Level of pendant",
+        "Level of desk lamp, Küche",
+    ]
+    for levels in [(1, 1, 1), (0.25, 1, 1), (1, 3, 0), (0.5, 0.125, 7.5), (0, 0, 0), (0, 0, 1e-3)]:
+        set_levels(modifier, levels)
+        nodes.set_input(modifier, nodes.EXPOSURE, -1.5)
+        expected = expected_radiance(model, target, camera, levels, -1.5)
+        np.testing.assert_allclose(evaluated(target)[:, :3], expected, rtol=1e-5, atol=1e-7)
+    parts = [evaluated(target, nodes.light_attribute(index))[:, :3] for index in range(3)]
+    at_1 = evaluated(target, nodes.FIXED_ATTRIBUTE)[:, :3] + sum(parts)
+    np.testing.assert_allclose(at_1, expected_radiance(model, target, camera), rtol=1e-5)
+    np.testing.assert_allclose(np.stack(parts, 1) / at_1[:, None], model.light_share, rtol=1e-4, atol=1e-6)
+
+
+def test_models_with_other_lights_keep_their_own_trees(scene, make_model, write, look_at):
+    camera = render.add_camera(scene, look_at(2.0, -3.0, 1.5), 0.8)
+    some = [("ambient",), LIGHTS, ("ambient", "screen"), LIGHTS, ("sun", "screen")]
+    models = [make_model(seed=seed, lights=lights) for seed, lights in enumerate(some)]
+    targets = [model_import.import_model(write(model)) for model in models]
+    trees = [target.modifiers[0].node_group for target in targets]
+    assert trees[1] == trees[3] and len(set(trees)) == 4
+    for target, model in zip(targets, models, strict=True):
+        last = nodes.level_input(model.lights, len(model.lights) - 1)
+        nodes.set_input(target.modifiers[0], last, 3.0)
+        levels = [1.0] * (len(model.lights) - 1) + [3.0]
+        expected = expected_radiance(model, target, camera, levels)
+        np.testing.assert_allclose(evaluated(target)[:, :3], expected, rtol=1e-5, atol=1e-7)
+
+
+def test_a_second_light_is_keyframed_and_a_third_driven(add, scene):
+    model, target, modifier, camera = add(lights=LIGHTS)
+    path = nodes.input_data_path(modifier, "Level of pendant")
+    for frame, level in [(1, 1.0), (11, 3.0)]:
+        nodes.set_input(modifier, "Level of pendant", level)
+        target.keyframe_insert(path, frame=frame)
+    target["strength"] = 0.5
+    driver = target.driver_add(nodes.input_data_path(modifier, nodes.level_input(LIGHTS, 2))).driver
+    driver.type, variable = "SUM", driver.variables.new()
+    variable.targets[0].id, variable.targets[0].data_path = target, '["strength"]'
+    for frame, level in [(1, 1.0), (11, 3.0)]:
+        scene.frame_set(frame)
+        expected = expected_radiance(model, target, camera, (1.0, level, 0.5))
+        np.testing.assert_allclose(evaluated(target)[:, :3], expected, rtol=1e-5, atol=1e-7)
+        depsgraph = bpy.context.evaluated_depsgraph_get()
+        assert look.look_of(target, depsgraph).lighting_levels == pytest.approx((1.0, level, 0.5))
 
 
 def test_the_direction_follows_camera_and_object(add, look_at):
@@ -130,19 +193,32 @@ def test_saved_and_reopened_it_gives_the_same(add, tmp_path):
     assert all(material.users for material in bpy.data.materials)
 
 
-def test_appended_into_another_file_it_still_works(add, tmp_path):
-    _, target, modifier, _ = add()
+@pytest.mark.parametrize("link", [False, True])
+@pytest.mark.parametrize("lights", [("ambient",), LIGHTS])
+def test_appended_or_linked_into_another_file_it_still_works(add, tmp_path, link: bool, lights):
+    model, target, modifier, _ = add(lights=lights)
     nodes.set_input(modifier, nodes.VIEW_DEPENDENT, False)
+    nodes.set_input(modifier, nodes.level_input(lights, len(lights) - 1), 2.5)
     before, name = evaluated(target), target.name
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    bpy.ops.wm.append(directory=str(tmp_path / "library.blend" / "Object"), filename=name)
-    np.testing.assert_array_equal(evaluated(bpy.data.objects[name]), before)
+    bring = bpy.ops.wm.link if link else bpy.ops.wm.append
+    bring(directory=str(tmp_path / "library.blend" / "Object"), filename=name)
+    target = bpy.data.objects[name]
+    np.testing.assert_array_equal(evaluated(target), before)
+    levels = (*(1.0 for _ in lights[1:]), 2.5)
+    assert look.look_of(target).lighting_levels == levels
+    # The attributes alone say the same as the modifier.
+    constant = dataclasses.replace(
+        point_cloud.model_of(target.data), log_radiance_sh=model.log_radiance_sh[:, :1]
+    )
+    along_z = np.tile([0.0, 0.0, 1.0], (model.count, 1))
+    np.testing.assert_allclose(constant.radiance(along_z, levels), before[:, :3], rtol=1e-5, atol=1e-7)
 
 
 def test_every_node_has_a_frame_or_a_place_of_its_own(scene):
     """The tree can be read in the editor: no two nodes lie upon each other."""
-    tree = nodes.radiance_tree(3, (0.5, 1.0, 2.0))
-    places = [tuple(node.location) for node in tree.nodes if node.type != "FRAME"]
-    assert len(places) == len(set(places))
-    assert all(node.label for node in tree.nodes if node.type == "FRAME")
+    for tree in (nodes.radiance_tree(3, (0.5, 1.0, 2.0)), nodes.radiance_tree(1, lights=LIGHTS)):
+        places = [tuple(node.location) for node in tree.nodes if node.type != "FRAME"]
+        assert len(places) == len(set(places))
+        assert all(node.label for node in tree.nodes if node.type == "FRAME")

@@ -223,7 +223,7 @@ for frame in (1, 6, 11):
     render.render_exr(scene, out / "picture.exr")
     np.save(out / f"{frame}.npy", render.read_exr(out / "picture.exr"))
     shown = look.look_of(target, bpy.context.evaluated_depsgraph_get())
-    np.save(out / f"{frame}_look.npy", [shown.exposure_ev, shown.lighting_level])
+    np.save(out / f"{frame}_look.npy", [shown.exposure_ev, shown.lighting_levels[0]])
 """
 
 

@@ -154,7 +154,7 @@ def test_a_duplicate_and_a_linked_duplicate(registered, make_model, write):
         assert (copy.data == target.data) is linked
         nodes.set_input(nodes.find_modifier(copy), nodes.LIGHTING_LEVEL, 0.0)
         np.testing.assert_allclose(
-            radiance(copy), constant(model) * (1.0 - model.ambient_share), rtol=1e-4, atol=1e-7
+            radiance(copy), constant(model) * (1.0 - model.light_share[:, 0]), rtol=1e-4, atol=1e-7
         )
         np.testing.assert_allclose(radiance(target), constant(model), rtol=1e-5)
         copy.select_set(False)

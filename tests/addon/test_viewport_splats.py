@@ -2,6 +2,7 @@
 """The splat shader against closed forms, drawn without a window. (All of it against the CPU rasteriser:
 tests/loop/test_viewport.py.)"""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -10,11 +11,12 @@ import pytest
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 import gpu  # noqa: E402
 
-from physhdr.addon import model_import, nodes, viewport  # noqa: E402
+from physhdr.addon import model_import, nodes, point_cloud, viewport  # noqa: E402
 from physhdr.addon.viewport import splats  # noqa: E402
 from physhdr.addon.viewport.camera import ViewCamera  # noqa: E402
-from physhdr.addon.viewport.splat_data import SplatArrays, SplatTextures  # noqa: E402
+from physhdr.addon.viewport.splat_data import LIGHTS_MAX, SplatArrays, SplatTextures, read_arrays  # noqa: E402
 from physhdr.addon.viewport.splat_renderer import Item, SplatRenderer, Target, level_place  # noqa: E402
+from physhdr.bridge.errors import DataMismatchError  # noqa: E402
 from physhdr.bridge.spherical_harmonics import C0, C1  # noqa: E402
 
 SIZE, FOCAL = 65, 80.0
@@ -50,7 +52,7 @@ def gaussians(*rows: dict) -> SplatTextures:
         scale=np.array([row["scale"] for row in rows], np.float32),
         opacity=np.array([row["opacity"] for row in rows], np.float32),
         log_sh=np.concatenate([constant, more] if len(more) else [constant]).astype(np.float32),
-        light=np.array([[row.get("share", (1.0, 1.0, 1.0)) for row in rows]], np.float32),
+        light=np.array([row.get("shares", [(1.0, 1.0, 1.0)]) for row in rows], np.float32).transpose(1, 0, 2),
     )
     return SplatTextures(arrays)
 
@@ -157,16 +159,37 @@ def test_level_exposure_and_view_dependence(renderer):
         "scale": (0.5, 0.5, 0.5),
         "opacity": 0.5,
         "radiance": (2.0, 2.0, 2.0),
-        "share": (0.0, 0.25, 1.0),
+        "shares": [(0.0, 0.25, 1.0)],
         "sh": np.array([[0, 0, 0], [0.5, 0.5, 0.5], [0, 0, 0]]),  # the term of z
     }
     textures = gaussians(row)
-    colour, _ = draw(renderer, textures, level=4.0, exposure=-2.0)
+    colour, _ = draw(renderer, textures, levels=(4.0,), exposure=-2.0)
     toward_minus_z = math.exp(-0.5 * C1)
     expected = 0.5 * 2.0 * toward_minus_z * np.array([1.0, 0.75 + 1.0, 4.0]) / 4.0
     np.testing.assert_allclose(colour[CENTRE, CENTRE, :3], expected, rtol=1e-3)
-    colour, _ = draw(renderer, textures, level=4.0, exposure=-2.0, view_dependent=False)
+    colour, _ = draw(renderer, textures, levels=(4.0,), exposure=-2.0, view_dependent=False)
     np.testing.assert_allclose(colour[CENTRE, CENTRE, :3], expected / toward_minus_z, rtol=1e-3)
+
+
+def test_several_lights_have_a_level_each(renderer):
+    """radiance · (1 − Σ s + Σ level · s); a light whose level is not given is at 1."""
+    shares = np.array([(0.0, 0.25, 0.7), (0.5, 0.25, 0.2), (0.125, 0.25, 0.1)])
+    row = {"position": (0, 0, -4), "scale": (0.5, 0.5, 0.5), "opacity": 0.5, "radiance": (2.0, 2.0, 2.0)}
+    textures = gaussians({**row, "shares": shares})
+    for levels in [(4.0, 0.5, 0.0), (0.0, 0.0, 0.0), (0.001, 0.001, 0.002), (0.25, 3.0), ()]:
+        colour, _ = draw(renderer, textures, levels=levels)
+        weights = np.array([*levels, 1.0, 1.0, 1.0])[:3]
+        expected = 0.5 * 2.0 * (1.0 - shares.sum(axis=0) + weights @ shares)
+        np.testing.assert_allclose(colour[CENTRE, CENTRE, :3], expected, rtol=1e-3, atol=1e-6)
+
+
+def test_more_lights_than_any_scene_has(renderer):
+    """As many as there are layers of a texture (LIGHTS_MAX), the last one turned up."""
+    shares = np.full((LIGHTS_MAX, 3), 0.5 / LIGHTS_MAX)
+    row = {"position": (0, 0, -4), "scale": (0.5, 0.5, 0.5), "opacity": 0.5, "radiance": (2.0, 2.0, 2.0)}
+    levels = (*(0.0 for _ in shares[1:]), 2.0 * LIGHTS_MAX)
+    colour, _ = draw(renderer, gaussians({**row, "shares": shares}), levels=levels)
+    np.testing.assert_allclose(colour[CENTRE, CENTRE, :3], 0.5 * 2.0 * (0.5 + 1.0), rtol=1e-3)
 
 
 def test_behind_the_camera_or_nearly_nothing_is_not_drawn(renderer):
@@ -246,8 +269,67 @@ def test_keyframes_reach_the_picture(target, scene):
     for frame in (1, 11):
         scene.frame_set(frame)
         ((_, (item,)),) = groups().values()
-        found.append((item.level, item.matrix_world[0, 3]))
+        found.append((item.levels[0], item.matrix_world[0, 3]))
     np.testing.assert_allclose(found, [(1.0, 1.0), (3.0, 11.0)])
+
+
+def test_sliders_of_several_lights_reach_the_picture(registered, renderer, make_model, write):
+    """What is drawn at these levels is what is drawn of a model that was captured at them."""
+    lights = ("ambient", "pendant", "screen")
+    model = make_model(count=60, degree=2, lights=lights)
+    levels = (0.25, 3.0, 0.0)
+    captured = np.array(model.log_radiance_sh)
+    captured[:, 0] += model.log_gain(levels) / np.float32(C0)
+    camera = ViewCamera(np.eye(4), SIZE, SIZE, FOCAL, FOCAL, CENTRE + 0.5, CENTRE + 0.5)
+    camera.camera_to_world[2, 3] = 4.0
+    pictures = []
+    for source in (model, dataclasses.replace(model, log_radiance_sh=captured)):
+        target = model_import.import_model(write(source))
+        target.physhdr_viewport = "SPLATS"
+        if source is model:
+            for index, level in enumerate(levels):
+                nodes.set_input(nodes.find_modifier(target), nodes.level_input(lights, index), level)
+        ((_, items),) = groups().values()
+        pictures.append(renderer.render(items, camera).read()[0])
+        target.hide_set(True)
+    top = pictures[1].max()
+    assert np.abs(pictures[0] - pictures[1]).max() < 2e-3 * top
+    assert np.sqrt(np.mean((pictures[0] - pictures[1]) ** 2)) < 2e-4 * top
+
+
+def test_files_of_before_there_were_several_lights(registered, renderer, make_model, write):
+    """The attribute's former name is drawn, baked and looked up as the ambient light's."""
+    model = make_model(count=20)
+    target = as_before_lights(model_import.import_model(write(model)))
+    np.testing.assert_array_equal(read_arrays(target.data).light[0], model.light_share[:, 0])
+    back = point_cloud.model_of(target.data)
+    assert back.lights == ("ambient",)
+    np.testing.assert_array_equal(back.light_share, model.light_share)
+    target.physhdr_viewport = "SPLATS"
+    ((_, (item,)),) = groups().values()
+    assert item.levels == (1.0,)
+
+
+def as_before_lights(target):
+    """The point cloud's data as PhysHDR wrote it before there were other lights than the ambient one."""
+    cloud = target.data
+    share = point_cloud.read_attribute(cloud, point_cloud.share_attribute(0))
+    cloud.attributes.remove(cloud.attributes[point_cloud.share_attribute(0)])
+    old = point_cloud.Attribute(point_cloud.OLD_SHARE_ATTRIBUTE, "FLOAT_VECTOR", share)
+    point_cloud.write_attribute(cloud, old)
+    del cloud[point_cloud.LIGHTS]
+    return target
+
+
+@pytest.mark.parametrize("stated", ["pendant", '["a", "a"]', 3, '{"a": 1}'])
+def test_lights_that_were_edited_to_nonsense(registered, renderer, make_model, write, stated):
+    """The 3D view draws nothing; whoever reads the model is told what is wrong."""
+    target = model_import.import_model(write(make_model(count=20)))
+    target.physhdr_viewport = "SPLATS"
+    target.data[point_cloud.LIGHTS] = stated
+    assert not groups()
+    with pytest.raises(DataMismatchError, match="no list of lights"):
+        point_cloud.model_of(target.data)
 
 
 def test_textures_are_made_once_and_again_when_the_points_change(target):
@@ -257,6 +339,7 @@ def test_textures_are_made_once_and_again_when_the_points_change(target):
 
     first = serial()
     nodes.set_input(nodes.find_modifier(target), nodes.EXPOSURE, 2.0)
+    nodes.set_input(nodes.find_modifier(target), nodes.LIGHTING_LEVEL, 0.5)
     target.location.x = 1.0
     bpy.context.view_layer.update()
     assert serial() == first, "relighting and moving need no upload"
@@ -271,8 +354,6 @@ def test_textures_are_made_once_and_again_when_the_points_change(target):
 
 
 def test_the_learned_tone_mapper_makes_a_group_of_its_own(registered, renderer, make_model, write):
-    import dataclasses
-
     model = make_model(count=10, degree=0)
     places = np.linspace(-4.0, 4.0, 9, dtype=np.float32)
     curve = np.repeat(1.0 / (1.0 + np.exp(-places))[:, None], 3, axis=1).astype(np.float32)
