@@ -161,43 +161,39 @@ def _show_faults(found: Inspection, prefix: str = "") -> None:
 
 
 def _table(all_found: list[Inspection]) -> Table:
-    table = Table(box=box.SIMPLE_HEAD)
-    for column in (
-        "scene",
-        "size",
-        "train/test/lit",
-        "EV",
-        "stops",
-        "lights",
-        "relit",
-        "HDR",
-        "noise dB",
-        "",
-    ):
-        table.add_column(column, no_wrap=column == "scene")
+    table = Table(
+        box=box.SIMPLE_HEAD,
+        pad_edge=False,
+        caption="views: train/test/lit; stops: ≈ an estimate, no true HDR; noise: dB of HDR",
+        caption_justify="left",
+    )
+    for column in ("scene", "size", "views", "EV", "stops", "lights", "relit", "noise", ""):
+        table.add_column(column, no_wrap=True)
     for found in all_found:
-        counts = "/".join(
-            str(found.splits[s].poses if s in found.splits else 0) for s in ("train", "test", "lit")
+        counts = (
+            found.splits[name].poses if name in found.splits else 0 for name in ("train", "test", "lit")
         )
-        measured, floor = found.dynamic_range, found.noise_floor or {}
-        mark = "" if measured is None or not measured.estimated else "≥" if measured.at_least else "≈"
-        stops = NONE if measured is None or measured.stops is None else f"{mark}{measured.stops:g}"
-        faults = f"{len(found.errors)} faults" if found.errors else "warnings" if found.warnings else "good"
-        hdr = any(split.hdr for split in found.splits.values())
-        noise = floor.get("hdr_psnr")
+        evs = [exposure.ev for exposure in found.exposures]
+        noise = (found.noise_floor or {}).get("hdr_psnr")
         table.add_row(
             found.scene,
             _size(found) if found.resolution else NONE,
-            counts,
-            " ".join(f"{exposure.ev:+g}" for exposure in found.exposures) or NONE,
-            stops,
+            "/".join(str(count) for count in counts),
+            f"{evs[0]:+g}…{evs[-1]:+g}" if evs else NONE,
+            _stops(found.dynamic_range),
             f"{len(found.lights)}",
             f"{sum(len(entry['poses']) for entry in found.relit)}",
-            "yes" if hdr else "no",
             f"{noise:.1f}" if _is_number(noise) else NONE,
-            faults,
+            f"{len(found.errors)} faults" if found.errors else "warnings" if found.warnings else "good",
         )
     return table
+
+
+def _stops(measured: DynamicRange | None) -> str:
+    if measured is None or measured.stops is None:
+        return NONE
+    mark = "≥" if measured.at_least else "≈"
+    return f"{mark}{measured.stops:g}" if measured.estimated else f"{measured.stops:.1f}"
 
 
 def _size(found: Inspection) -> str:
