@@ -17,6 +17,7 @@ from physhdr.bridge.axes import world_to_camera_opencv
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
 from physhdr.addon import model_import, nodes, render  # noqa: E402
+from physhdr.bridge.lights import Levels  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
 SIZE = 64
@@ -41,9 +42,9 @@ def composite(alphas: np.ndarray, colours: np.ndarray) -> np.ndarray:
     return np.einsum("nhw,nc->hwc", alphas * before, np.column_stack([colours, np.ones(len(colours))]))
 
 
-def colours_toward(model, pose: np.ndarray) -> np.ndarray:
+def colours_toward(model, pose: np.ndarray, level: Levels = 1.0) -> np.ndarray:
     directions = model.position - pose[:3, 3]
-    return model.radiance(directions / np.linalg.norm(directions, axis=1, keepdims=True))
+    return model.radiance(directions / np.linalg.norm(directions, axis=1, keepdims=True), level)
 
 
 def pixel_centres() -> tuple[np.ndarray, float]:
@@ -69,7 +70,7 @@ def ellipsoids_in_numpy(model, pose: np.ndarray) -> np.ndarray:
     return composite(np.array(alphas), colours_toward(model, pose)[order])
 
 
-def splats_in_numpy(model, pose: np.ndarray) -> np.ndarray:
+def splats_in_numpy(model, pose: np.ndarray, level: Levels = 1.0) -> np.ndarray:
     """The trainer's rasterisation (EWA, backend/rasterize/contract.py), dense, in float64."""
     pixels, f = pixel_centres()
     view = world_to_camera_opencv(pose)
@@ -85,7 +86,7 @@ def splats_in_numpy(model, pose: np.ndarray) -> np.ndarray:
     distances = np.einsum("nhwi,nij,nhwj->nhw", offsets, inverse, offsets)
     order = np.argsort(z)
     alphas = model.opacity[:, None, None] * np.exp(-0.5 * distances)
-    return composite(alphas[order], colours_toward(model, pose)[order])
+    return composite(alphas[order], colours_toward(model, pose, level)[order])
 
 
 @pytest.fixture
@@ -93,7 +94,7 @@ def draw(scene, write, look_at, tmp_path):
     """Renders a model with Cycles: RGBA ``[H, W, 4]``, and the pose."""
     pose = look_at(2.0, -3.0, 1.5)
 
-    def draw(model, splats: bool, image_width: int):
+    def draw(model, splats: bool, image_width: int, levels: tuple[float, ...] = ()):
         bpy.data.batch_remove(list(bpy.data.objects))
         target = model_import.import_model(write(model))
         render.add_camera(scene, pose, ANGLE_X)
@@ -101,6 +102,8 @@ def draw(scene, write, look_at, tmp_path):
         render.prepare_cycles(scene)
         nodes.set_input(target.modifiers[0], nodes.CAMERA_SPLATS, splats)
         nodes.set_input(target.modifiers[0], nodes.IMAGE_WIDTH, image_width)
+        for index, level in enumerate(levels):
+            nodes.set_input(target.modifiers[0], nodes.level_input(model.lights, index), level)
         render.render_exr(scene, tmp_path / "picture.exr")
         return render.read_exr(tmp_path / "picture.exr").astype(float), pose
 
@@ -143,11 +146,14 @@ def test_ellipsoids_are_widened_by_the_pixel_filter(draw, make_model):
     assert errors[SIZE] < 0.2 * errors[0]
 
 
-def test_camera_splats_match_the_rasterisers_formula(draw, make_model):
-    """60 overlapping Gaussians in any order, some behind others, some off-screen."""
-    model = make_model(count=60, seed=5)
-    picture, pose = draw(model, splats=True, image_width=SIZE)
-    expected = splats_in_numpy(model, pose)
+@pytest.mark.parametrize(
+    ("lights", "levels"), [(("ambient",), (1.0,)), (("ambient", "pendant", "screen"), (0.25, 4.0, 0.0))]
+)
+def test_camera_splats_match_the_rasterisers_formula(draw, make_model, lights, levels):
+    """60 overlapping Gaussians in any order, some behind others, some off-screen, under any light."""
+    model = make_model(count=60, seed=5, lights=lights)
+    picture, pose = draw(model, splats=True, image_width=SIZE, levels=levels)
+    expected = splats_in_numpy(model, pose, levels)
     error = np.abs(picture - expected)
     assert error.mean() < 1e-5 * expected.max()
     assert error.max() < 1e-2 * expected.max()
@@ -209,8 +215,9 @@ bpy.ops.wm.read_factory_settings(use_empty=True)
 scene = bpy.context.scene
 target = model_import.import_model(model)
 modifier = nodes.find_modifier(target)
-for frame, exposure, level in ((1, 0.0, 1.0), (11, 2.0, 0.25)):
-    for name, value in ((nodes.EXPOSURE, exposure), (nodes.LIGHTING_LEVEL, level)):
+labels = (nodes.EXPOSURE, nodes.LIGHTING_LEVEL, "Level of pendant")
+for frame, values in ((1, (0.0, 1.0, 1.0)), (11, (2.0, 0.25, 3.0))):
+    for name, value in zip(labels, values):
         nodes.set_input(modifier, name, value)
         target.keyframe_insert(nodes.input_data_path(modifier, name), frame=frame)
 pose = np.eye(4)
@@ -223,7 +230,7 @@ for frame in (1, 6, 11):
     render.render_exr(scene, out / "picture.exr")
     np.save(out / f"{frame}.npy", render.read_exr(out / "picture.exr"))
     shown = look.look_of(target, bpy.context.evaluated_depsgraph_get())
-    np.save(out / f"{frame}_look.npy", [shown.exposure_ev, shown.lighting_levels[0]])
+    np.save(out / f"{frame}_look.npy", [shown.exposure_ev, *shown.lighting_levels])
 """
 
 
@@ -231,7 +238,8 @@ for frame in (1, 6, 11):
 def test_keyframes_play_in_a_render(make_model, write, tmp_path, engine, width, tolerance):
     """One Gaussian that fills the picture: its radiance at every frame, relit and exposed, in numbers."""
     model = dataclasses.replace(
-        make_model(count=1, degree=0),
+        make_model(count=1, degree=0, lights=("ambient", "pendant")),
+        light_share=np.float32([[[0.5, 0.2, 0.7], [0.1, 0.6, 0.25]]]),
         position=np.zeros((1, 3), np.float32),
         rotation=np.float32([[1.0, 0.0, 0.0, 0.0]]),
         scale=np.float32([[50.0, 50.0, 0.1]]),
@@ -244,13 +252,13 @@ def test_keyframes_play_in_a_render(make_model, write, tmp_path, engine, width, 
         pytest.skip(done.stderr.strip())
     assert done.returncode == 0, done.stderr
     for frame in (1, 6, 11):
-        exposure, level = np.load(tmp_path / f"{frame}_look.npy")
+        exposure, *levels = np.load(tmp_path / f"{frame}_look.npy")
         if frame == 6:
-            assert 0.0 < exposure < 2.0 and 0.25 < level < 1.0
+            assert 0.0 < exposure < 2.0 and 0.25 < levels[0] < 1.0 < levels[1] < 3.0
         else:
-            assert (exposure, level) == {1: (0.0, 1.0), 11: (2.0, 0.25)}[frame]
+            assert (exposure, *levels) == {1: (0.0, 1.0, 1.0), 11: (2.0, 0.25, 3.0)}[frame]
         picture = np.load(tmp_path / f"{frame}.npy")
-        radiance = 2**exposure * model.radiance(np.array([[0.0, 0.0, -1.0]]), level)[0]
+        radiance = 2**exposure * model.radiance(np.array([[0.0, 0.0, -1.0]]), levels)[0]
         np.testing.assert_allclose(
             picture[..., :3].mean(axis=(0, 1)), 0.999 * radiance, rtol=tolerance, err_msg=str(frame)
         )
@@ -289,6 +297,26 @@ def test_script_relights_and_saves(scene, make_model, write, camera_file, tmp_pa
     bpy.ops.wm.open_mainfile(filepath=str(out / "scene.blend"))
     assert len(bpy.data.pointclouds[0].points) == 30
     assert bpy.context.scene.camera is not None
+
+
+def test_script_sets_other_lights(make_model, write, camera_file, tmp_path, look_at):
+    model = make_model(count=30, lights=("ambient", "pendant", "bed/side"))
+    common = (write(model), "--camera", f"{camera_file}:0", "--out", tmp_path / "out", "--resolution", SIZE)
+    done = relight(*common, "--levels", 0.5, "--light", "pendant=3", "--light", "bed/side=0")
+    assert done.returncode == 0, done.stderr
+    assert "at ambient 0.5 + pendant 3 + bed/side 0:" in done.stdout
+    picture = render.read_exr(tmp_path / "out/level_0.5+pendant_3+bed_side_0.exr")
+    expected = splats_in_numpy(model, look_at(2.0, -3.0, 1.5), (0.5, 3.0, 0.0))
+    np.testing.assert_allclose(picture, expected, atol=1e-2 * expected.max())
+    for wrong, status, told in [
+        ("screen=1", 1, "there is no light 'screen'"),
+        ("ambient=1", 1, "the model's first light"),
+        ("pendant", 2, "'pendant'"),
+        ("pendant=-1", 2, "'pendant=-1'"),
+    ]:
+        done = relight(*common, "--light", wrong)
+        assert done.returncode == status and told in done.stderr, done.stderr
+        assert "Traceback" not in done.stderr
 
 
 @pytest.mark.parametrize(
