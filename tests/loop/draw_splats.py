@@ -2,7 +2,7 @@
 """For test_viewport.py: draw models with the viewport's shader, without a window, in Blender's Python.
 
 ``run-blender draw_splats.py -- CASES.json``: each case has ``model`` (a file), ``camera`` (keyword arguments
-of ``ViewCamera``), ``matrix_world``, ``level``, ``exposure``, ``format`` and ``out`` (an ``.npz`` with
+of ``ViewCamera``), ``matrix_world``, ``levels``, ``exposure``, ``format`` and ``out`` (an ``.npz`` with
 ``colour`` [H, W, 4] and ``depth`` [H, W], top row first).
 """
 
@@ -17,6 +17,7 @@ import numpy as np
 
 from physhdr.addon import nodes, viewport
 from physhdr.addon.model_import import import_model
+from physhdr.addon.point_cloud import lights_of
 from physhdr.addon.viewport import splats
 from physhdr.addon.viewport.camera import ViewCamera
 from physhdr.addon.viewport.splat_renderer import SplatRenderer
@@ -28,7 +29,8 @@ def draw(case: dict, renderer: SplatRenderer) -> None:
     target.physhdr_viewport = "SPLATS"
     target.matrix_world = mathutils.Matrix(case["matrix_world"])
     modifier = nodes.find_modifier(target)
-    nodes.set_input(modifier, nodes.LIGHTING_LEVEL, case["level"])
+    for index, level in enumerate(case["levels"]):
+        nodes.set_input(modifier, nodes.level_input(lights_of(target.data), index), level)
     nodes.set_input(modifier, nodes.EXPOSURE, case["exposure"])
     camera = ViewCamera(**{**case["camera"], "camera_to_world": np.array(case["camera"]["camera_to_world"])})
     depsgraph = bpy.context.evaluated_depsgraph_get()

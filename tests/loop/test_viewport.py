@@ -17,18 +17,20 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 BLENDER = ROOT / ".venvs" / "run-blender"
 EYE = np.array([1.6, -2.2, 1.1])
 WIDTH, HEIGHT = 120, 90
+LIGHTS = ("ambient", "pendant", "screen")
 
 pytestmark = pytest.mark.skipif(not BLENDER.exists(), reason="no Blender side: run make setup")
 
 
-def make_model(degree: int, modulator: str, count: int = 1500) -> Model:
+def make_model(degree: int, modulator: str, lights: int = 1, count: int = 1500) -> Model:
     """Gaussians of all shapes in and around the view, radiance over about 12 stops."""
     rng = np.random.default_rng(degree)
     sh = rng.normal(0.0, 0.3, (count, (degree + 1) ** 2, 3))
     sh[:, 0] = rng.uniform(-8.0, 20.0, (count, 1)) + rng.normal(0.0, 1.0, (count, 3))
     levels = (0.25, 1.0, 4.0)
+    mixture = rng.dirichlet(np.ones(lights + 1), (count, 3))[..., :lights].transpose(0, 2, 1)
     light = (
-        {"ambient_share": rng.uniform(0.0, 1.0, (count, 3)).astype(np.float32)}
+        {"light_share": mixture.astype(np.float32), "lights": LIGHTS[:lights]}
         if modulator == "additive"
         else {"level_log_gain": rng.normal(0.0, 1.0, (3, count, 3)).astype(np.float32), "levels": levels}
     )
@@ -70,7 +72,7 @@ def rotated_quaternions(matrix: np.ndarray, quaternions: np.ndarray) -> np.ndarr
     return (rotation.from_matrix(matrix) * own).as_quat()[:, [3, 0, 1, 2]]
 
 
-def expected(model: Model, camera: Camera, matrix: np.ndarray, level: float, exposure: float):
+def expected(model: Model, camera: Camera, matrix: np.ndarray, levels: tuple[float, ...], exposure: float):
     """Colour [H, W, 4] and depth [H, W] of the CPU rasteriser."""
     scale = np.linalg.norm(matrix[:3, 0])
     position = model.position @ matrix[:3, :3].T + matrix[:3, 3]
@@ -82,7 +84,7 @@ def expected(model: Model, camera: Camera, matrix: np.ndarray, level: float, exp
         rotated_quaternions(matrix[:3, :3] / scale, model.rotation),
         model.scale * scale,
         model.opacity,
-        2.0**exposure * model.radiance(directions, level),
+        2.0**exposure * model.radiance(directions, levels),
     )
     tensors = [torch.from_numpy(np.asarray(array, np.float32)) for array in arrays]
     drawn = rasterize(*tensors, camera, with_depth=True, implementation="cpu")
@@ -90,13 +92,14 @@ def expected(model: Model, camera: Camera, matrix: np.ndarray, level: float, exp
     return colour, drawn.depth.numpy()
 
 
-#: degree, modulator, level, exposure, object's scale, float format, principal point
+#: degree, modulator, a level for each light, exposure, object's scale, float format, principal point
 CASES = [
-    (0, "additive", 1.0, 0.0, None, "RGBA32F", (60.0, 45.0)),
-    (1, "additive", 0.25, 2.0, 1.0, "RGBA32F", (60.0, 45.0)),
-    (2, "baked-levels", 2.0, -1.0, 1.7, "RGBA32F", (75.5, 31.25)),
-    (3, "additive", 4.0, 0.0, 0.6, "RGBA16F", (60.0, 45.0)),
-    (3, "baked-levels", 0.1, 0.0, None, "RGBA32F", (60.0, 45.0)),
+    (0, "additive", (1.0,), 0.0, None, "RGBA32F", (60.0, 45.0)),
+    (1, "additive", (0.25,), 2.0, 1.0, "RGBA32F", (60.0, 45.0)),
+    (2, "baked-levels", (2.0,), -1.0, 1.7, "RGBA32F", (75.5, 31.25)),
+    (3, "additive", (4.0,), 0.0, 0.6, "RGBA16F", (60.0, 45.0)),
+    (3, "baked-levels", (0.1,), 0.0, None, "RGBA32F", (60.0, 45.0)),
+    (1, "additive", (0.25, 4.0, 0.0), 1.0, 1.0, "RGBA32F", (60.0, 45.0)),
 ]
 #: Least PSNR in dB, and the largest errors of alpha and (relative) depth. Measured with Mesa's llvmpipe:
 #: 90 dB with full floats, where only the rasteriser's early end differs; 67 dB with half floats, which
@@ -121,20 +124,20 @@ def drawn(tmp_path_factory):
     """Every case, drawn in one Blender: [(expected colour, expected depth, colour, depth)]."""
     folder = tmp_path_factory.mktemp("viewport")
     cases, pairs = [], []
-    for index, (degree, modulator, level, exposure, scale, format, centre) in enumerate(CASES):
-        model = make_model(degree, modulator)
+    for index, (degree, modulator, levels, exposure, scale, format, centre) in enumerate(CASES):
+        model = make_model(degree, modulator, len(levels))
         path = folder / f"{index}.safetensors"
         write_model(path, model)
         pose, matrix = look_at_origin(EYE), np.eye(4) if scale is None else transform(scale)
         camera = Camera(pose, WIDTH, HEIGHT, 100.0, 103.0, *centre)
-        pairs.append(expected(model, camera, matrix, level, exposure))
+        pairs.append(expected(model, camera, matrix, levels, exposure))
         intrinsics = {name: getattr(camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy")}
         cases.append(
             {
                 "model": str(path),
                 "camera": {"camera_to_world": pose.tolist(), **intrinsics},
                 "matrix_world": matrix.tolist(),
-                "level": level,
+                "levels": levels,
                 "exposure": exposure,
                 "format": format,
                 "out": str(folder / f"{index}.npz"),
@@ -148,7 +151,7 @@ def drawn(tmp_path_factory):
     return [(*pair, result["colour"], result["depth"]) for pair, result in zip(pairs, results, strict=True)]
 
 
-@pytest.mark.parametrize("case", range(len(CASES)), ids=[f"{c[1]}-{c[0]}-{c[5]}" for c in CASES])
+@pytest.mark.parametrize("case", range(len(CASES)), ids=[f"{c[1]}-{c[0]}-{c[5]}-{len(c[2])}" for c in CASES])
 def test_the_shader_draws_what_the_cpu_draws(drawn, case: int):
     wanted, _, got, _ = drawn[case]
     assert wanted[..., :3].max() > 50.0, "the case must be HDR"
