@@ -1,150 +1,155 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Procedural materials of a fireside: woven and buttoned cloth, marble, sooty bricks, embers, flames."""
+"""Materials about a hearth: stone, bark, soot, live coals, flames, leather; a dog's coat."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import bpy
 
 from .materials import Colour, Graph, Socket
 
 
-def begin(name: str) -> tuple[bpy.types.Material, Graph]:
-    """An empty material and its graph."""
+def _start(name: str) -> tuple[bpy.types.Material, Graph]:
     material = bpy.data.materials.new(name)
     return material, Graph(material.node_tree)
 
 
-def surface(
-    graph: Graph,
-    colour: Socket,
-    roughness: Socket = 0.6,
-    metallic: float = 0.0,
-    specular: float = 0.3,
-    sheen: float = 0.0,
-    height: Socket | None = None,
-    depth: float = 0.01,
-) -> None:
-    """End ``graph`` in a principled surface. ``height``: a bump of ``depth`` metres where it is 1."""
-    inputs: dict[str, Socket] = {
-        "Base Color": colour,
-        "Roughness": roughness,
-        "Metallic": metallic,
-        "Specular IOR Level": specular,
-        "Sheen Weight": sheen,
-    }
-    if height is not None:
-        bump = graph.add("ShaderNodeBump", {"Height": height, "Distance": depth, "Strength": 0.7})
-        inputs["Normal"] = bump.outputs["Normal"]
+def _surface(graph: Graph, colour: Socket, roughness: float, specular: float = 0.2) -> None:
+    inputs = {"Base Color": colour, "Roughness": roughness, "Specular IOR Level": specular}
     graph.finish(graph.add("ShaderNodeBsdfPrincipled", inputs).outputs["BSDF"])
 
 
-def velvet(name: str, dark: Colour, light: Colour) -> bpy.types.Material:
-    """Short pile: crushed here and there, bright where it turns away."""
-    material, graph = begin(name)
-    vector = graph.coordinates()
-    crushed = graph.ramp(graph.noise(vector, 6.0, 3.0, 0.6), [(0.3, dark), (0.7, light)])
-    surface(graph, crushed, 0.85, specular=0.1, sheen=0.35)
+def _random(graph: Graph, low: float, high: float) -> Socket:
+    """A grey for each object of its own: stones, boards and logs that share a material differ."""
+    dice = graph.add("ShaderNodeObjectInfo").outputs["Random"]
+    return graph.ramp(dice, [(0.0, (low,) * 3), (1.0, (high,) * 3)])
+
+
+def stone(name: str, dark: Colour, light: Colour) -> bpy.types.Material:
+    """Field stone with lichen; each stone has a tone of its own."""
+    material, graph = _start(name)
+    vector = graph.coordinates(space="Object")
+    cloud = graph.ramp(graph.noise(vector, 7.0, 4.0, 0.6), [(0.3, dark), (0.7, light)])
+    spots = graph.ramp(graph.voronoi(vector, 24.0), [(0.12, (0.7, 0.72, 0.68)), (0.3, (1.0, 1.0, 1.0))])
+    colour = graph.mix(1.0, graph.mix(1.0, cloud, spots, "MULTIPLY"), _random(graph, 0.55, 1.25), "MULTIPLY")
+    _surface(graph, colour, 0.85, 0.15)
     return material
 
 
-def herringbone(name: str, dark: Colour, light: Colour, scale: float = 26.0) -> bpy.types.Material:
-    """Twill in zigzag, ``scale`` bands a metre of object X by Y and Z."""
-    material, graph = begin(name)
-    axes = graph.add("ShaderNodeSeparateXYZ", {"Vector": graph.coordinates()})
-    along = graph.math("ADD", axes.outputs["Y"], axes.outputs["Z"])
-    fold = graph.math("PINGPONG", axes.outputs["X"], 0.045)
-    band = graph.math("PINGPONG", graph.math("MULTIPLY", graph.math("ADD", along, fold), scale), 0.5)
-    worn = graph.ramp(graph.noise(graph.coordinates(), 9.0, 3.0), [(0.3, (0.7,) * 3), (0.7, (1.1,) * 3)])
-    twill = graph.ramp(band, [(0.18, dark), (0.32, light)])
-    surface(graph, graph.mix(1.0, twill, worn, "MULTIPLY"), 0.95, specular=0.05, sheen=0.15)
+def bark(name: str) -> bpy.types.Material:
+    """Furrowed bark along an object's Z."""
+    material, graph = _start(name)
+    furrows = graph.noise(graph.coordinates(scale=(3.0, 3.0, 0.5)), 12.0, 3.0, 0.5)
+    colour = graph.ramp(furrows, [(0.35, (0.03, 0.018, 0.012)), (0.65, (0.20, 0.13, 0.085))])
+    _surface(graph, graph.mix(1.0, colour, _random(graph, 0.7, 1.3), "MULTIPLY"), 0.9, 0.1)
     return material
 
 
-def knit(name: str, dark: Colour, light: Colour, scale: float = 9.0) -> bpy.types.Material:
-    """Thick yarn in ribs along object Z."""
-    material, graph = begin(name)
-    vector = graph.coordinates()
-    rib = graph.wave(vector, scale, 1.5, "Z")
-    stitch = graph.voronoi(vector, 34.0)
-    height = graph.math("MULTIPLY", rib, graph.math("SUBTRACT", 1.0, stitch))
-    surface(graph, graph.ramp(height, [(0.1, dark), (0.7, light)]), 1.0, 0.0, 0.05, 0.2, rib, 0.02)
+def sawn(name: str) -> bpy.types.Material:
+    """The end of a log: year rings about the object's Z and a crack."""
+    material, graph = _start(name)
+    rings = graph.add(
+        "ShaderNodeTexWave",
+        {"Vector": graph.coordinates(), "Scale": 17.0, "Distortion": 1.2, "Detail": 1.0},
+        wave_type="RINGS",
+        rings_direction="Z",
+    ).outputs["Factor"]
+    colour = graph.ramp(rings, [(0.2, (0.30, 0.17, 0.075)), (0.8, (0.58, 0.40, 0.22))])
+    _surface(graph, graph.mix(1.0, colour, _random(graph, 0.75, 1.1), "MULTIPLY"), 0.85, 0.1)
     return material
 
 
-def marble(name: str, ground: Colour, vein: Colour) -> bpy.types.Material:
-    """Polished stone with drifting veins."""
-    material, graph = begin(name)
-    vector = graph.coordinates(rotation=(0.4, 0.5, 0.3))
-    drift = graph.wave(vector, 1.4, 9.0, "DIAGONAL")
-    cloud = graph.noise(vector, 3.5, 4.0, 1.4)
-    veins = graph.ramp(drift, [(0.02, vein), (0.16, ground)])
+def boards(name: str, colour: Colour, worn: Colour) -> bpy.types.Material:
+    """Painted boards, each a little different, rubbed off in streaks along Z."""
+    material, graph = _start(name)
+    streaks = graph.noise(graph.coordinates(scale=(6.0, 6.0, 0.7)), 4.0, 4.0, 0.4)
+    tone = graph.ramp(streaks, [(0.32, worn), (0.46, colour)])
+    _surface(graph, graph.mix(1.0, tone, _random(graph, 0.85, 1.1), "MULTIPLY"), 0.55, 0.25)
+    return material
+
+
+def leather(name: str, dark: Colour, light: Colour) -> bpy.types.Material:
+    """Worn leather: creased, lighter where it is rubbed."""
+    material, graph = _start(name)
+    creases = graph.voronoi(graph.coordinates(), 13.0, "Distance")
+    cloud = graph.noise(graph.coordinates(), 5.0, 3.0, 0.5)
     colour = graph.mix(
-        1.0, veins, graph.ramp(cloud, [(0.3, (0.82, 0.82, 0.84)), (0.65, (1.0,) * 3)]), "MULTIPLY"
+        0.35, graph.ramp(cloud, [(0.3, dark), (0.7, light)]), graph.ramp(creases, [(0.1, light), (0.6, dark)])
     )
-    surface(graph, colour, 0.22, specular=0.5)
+    _surface(graph, colour, 0.38, 0.4)
     return material
 
 
-def soot_bricks(name: str) -> bpy.types.Material:
-    """Fire bricks, black toward the top (object X and Z in metres)."""
-    material, graph = begin(name)
-    brick = graph.add(
-        "ShaderNodeTexBrick",
-        {
-            "Vector": graph.coordinates(rotation=(1.5708, 0.0, 0.0)),
-            "Color1": (0.34, 0.13, 0.07),
-            "Color2": (0.20, 0.08, 0.05),
-            "Mortar": (0.10, 0.08, 0.07),
-            "Scale": 1.0,
-            "Mortar Size": 0.007,
-            "Brick Width": 0.19,
-            "Row Height": 0.075,
-        },
-    )
-    height = graph.add("ShaderNodeSeparateXYZ", {"Vector": graph.coordinates(space="Generated")}).outputs["Z"]
-    soot = graph.ramp(height, [(0.15, (0.9,) * 3), (0.95, (0.12,) * 3)])
-    surface(
-        graph,
-        graph.mix(1.0, brick.outputs["Color"], soot, "MULTIPLY"),
-        0.95,
-        specular=0.1,
-        height=brick.outputs["Factor"],
-        depth=-0.01,
-    )
-    return material
-
-
-def embers(name: str, radiance: float) -> tuple[bpy.types.Material, Socket]:
-    """Charred wood with glowing cracks, and the input its light is linear in."""
-    material, graph = begin(name)
+def coals(name: str, radiance: float) -> tuple[bpy.types.Material, Socket]:
+    """Lumps with a grey crust that glow through its cracks and from below, up to ``radiance``."""
+    material, graph = _start(name)
     vector = graph.coordinates()
-    cracks = graph.voronoi(vector, 19.0)
-    patches = graph.noise(vector, 7.0, 2.0)
-    heat = graph.math("MULTIPLY", cracks, graph.math("MULTIPLY", patches, patches))
-    glow = graph.ramp(heat, [(0.06, (0.0,) * 3), (0.14, (0.30, 0.02, 0.0)), (0.30, (1.0, 0.26, 0.03))])
+    heat = graph.noise(graph.coordinates(space="Object"), 11.0, 3.0, 0.4)
+    each = graph.add("ShaderNodeObjectInfo").outputs["Random"]
+    warm = graph.math("ADD", heat, graph.math("MULTIPLY", graph.math("SUBTRACT", each, 0.5), 0.35))
+    glow = graph.ramp(
+        warm,
+        [
+            (0.40, (0.0, 0.0, 0.0)),
+            (0.50, (0.05, 0.004, 0.0)),
+            (0.62, (0.40, 0.07, 0.008)),
+            (0.80, (1.0, 0.38, 0.08)),
+        ],
+    )
+    ash = graph.ramp(
+        graph.noise(vector, 16.0, 3.0), [(0.35, (0.02, 0.018, 0.017)), (0.7, (0.16, 0.15, 0.14))]
+    )
     light = graph.add("ShaderNodeEmission", {"Color": glow, "Strength": radiance})
-    bark = graph.ramp(cracks, [(0.1, (0.012, 0.010, 0.009)), (0.6, (0.06, 0.05, 0.045))])
-    coal = graph.add("ShaderNodeBsdfDiffuse", {"Color": bark})
-    both = graph.add("ShaderNodeAddShader", {"Shader": light.outputs[0], "Shader_001": coal.outputs[0]})
-    graph.finish(both.outputs[0])
-    material.cycles.emission_sampling = "NONE"  # a lamp inside the fire gives its light
+    body = graph.add("ShaderNodeBsdfDiffuse", {"Color": ash}).outputs[0]
+    graph.finish(
+        graph.add("ShaderNodeAddShader", {"Shader": body, "Shader_001": light.outputs[0]}).outputs[0]
+    )
+    material.cycles.emission_sampling = "NONE"
     return material, light.inputs["Strength"]
 
 
 def flame(name: str, radiance: float) -> tuple[bpy.types.Material, Socket]:
-    """Yellow at its foot, red and thin at its tip, clear at its rim; and the input it is linear in."""
-    material, graph = begin(name)
+    """A tongue of fire (Generated Z from its root): bright and yellow below, thin at its edge and tip."""
+    material, graph = _start(name)
     height = graph.add("ShaderNodeSeparateXYZ", {"Vector": graph.coordinates(space="Generated")}).outputs["Z"]
     colour = graph.ramp(
-        height, [(0.0, (0.9, 0.32, 0.06)), (0.3, (1.0, 0.55, 0.14)), (1.0, (0.55, 0.10, 0.01))]
+        height, [(0.0, (1.0, 0.5, 0.14)), (0.5, (0.7, 0.24, 0.04)), (1.0, (0.25, 0.04, 0.004))]
     )
     light = graph.add("ShaderNodeEmission", {"Color": colour, "Strength": radiance})
-    facing = graph.add("ShaderNodeLayerWeight", {"Blend": 0.35}).outputs["Facing"]
-    thin = graph.math("MAXIMUM", facing, graph.math("MULTIPLY", height, 0.85))
-    clear = graph.add("ShaderNodeBsdfTransparent")
-    mixed = graph.add(
-        "ShaderNodeMixShader", {"Fac": thin, "Shader": light.outputs[0], "Shader_001": clear.outputs[0]}
+    facing = graph.add("ShaderNodeLayerWeight", {"Blend": 0.5}).outputs["Facing"]
+    thin = graph.ramp(facing, [(0.1, (0.15,) * 3), (0.85, (1.0,) * 3)])
+    clear = graph.add("ShaderNodeBsdfTransparent").outputs[0]
+    graph.finish(
+        graph.add(
+            "ShaderNodeMixShader", {"Fac": thin, "Shader": light.outputs[0], "Shader_001": clear}
+        ).outputs[0]
     )
-    graph.finish(mixed.outputs[0])
     material.cycles.emission_sampling = "NONE"
     return material, light.inputs["Strength"]
+
+
+def coat(
+    name: str, ground: Colour, patches: Sequence[tuple[Colour, Sequence[tuple[int, float, float]]]]
+) -> bpy.types.Material:
+    """Fur in patches. Each patch: its colour, and the (axis, from, to) of the object's metres that it covers;
+    ``from`` > ``to`` covers what is below. Borders are ragged and about 2 cm wide."""
+    material, graph = _start(name)
+    vector = graph.coordinates()
+    ragged = graph.math("MULTIPLY", graph.math("SUBTRACT", graph.noise(vector, 14.0, 3.0), 0.5), 0.07)
+    axes = graph.add("ShaderNodeSeparateXYZ", {"Vector": vector})
+    colour: Socket = ground
+    for tint, bounds in patches:
+        inside: Socket = 1.0
+        for axis, low, high in bounds:
+            # |x| for the patches of either side
+            value = graph.math("ABSOLUTE", axes.outputs[0], 0.0) if axis == 0 else axes.outputs[axis]
+            ramp = graph.add(
+                "ShaderNodeMapRange",
+                {"Value": graph.math("ADD", value, ragged), "From Min": low, "From Max": high},
+            )
+            inside = graph.math("MULTIPLY", inside, ramp.outputs[0])
+        colour = graph.mix(inside, colour, tint)
+    fine = graph.ramp(graph.noise(vector, 60.0, 2.0), [(0.3, (0.7,) * 3), (0.7, (1.2,) * 3)])
+    _surface(graph, graph.mix(1.0, colour, fine, "MULTIPLY"), 0.7, 0.15)
+    return material
