@@ -18,6 +18,8 @@ from .progress import console
 
 #: What an empty cell shows.
 NONE = "–"
+#: So many poses are listed one by one.
+FEW = 6
 USES = {"OE": "training (OE)", "NE": "evaluation (NE)", "unused": "not used"}
 
 
@@ -109,6 +111,9 @@ def _facts(found: Inspection) -> list[tuple[str, str]]:
         facts.append(("dynamic range", _range_in_words(found.dynamic_range)))
     if found.splits:
         facts.append(("noise floor", _noise(found)))
+    if found.renders:
+        samples, noise = (_span(found.renders.get(key, [])) for key in ("samples", "noise_psnr"))
+        facts.append(("renders", f"{samples} samples a pixel, noise {noise} dB before denoising"))
     return facts
 
 
@@ -117,7 +122,9 @@ def _relit(found: Inspection) -> list[str]:
     lines = []
     for entry in found.relit:
         levels = ", ".join(f"{light} × {level:g}" for light, level in entry["levels"].items())
-        lines.append(f"{levels or entry['folder']}: test poses {_numbers(entry['poses'])}")
+        poses = entry["poses"]
+        which = f"test poses {_numbers(poses)}" if len(poses) <= FEW else f"{len(poses)} test poses"
+        lines.append(f"{levels or entry['folder']}: {which}")
     return lines
 
 
@@ -202,6 +209,13 @@ def _size(found: Inspection) -> str:
 
 def _numbers(values: list[float]) -> str:
     return ", ".join(f"{value:g}" for value in values) or NONE
+
+
+def _span(values: list[float]) -> str:
+    if not values:
+        return NONE
+    ends = dict.fromkeys(f"{value:.4g}" for value in (min(values), max(values)))
+    return " … ".join(ends)
 
 
 def _is_number(value: object) -> bool:

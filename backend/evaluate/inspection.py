@@ -5,6 +5,7 @@ The reader (``backend/scene``) stops at the first fault, as training must. Here 
 itself, and then the reader has the last word.
 """
 
+import hashlib
 import json
 import math
 import re
@@ -80,6 +81,8 @@ class Inspection:
     lights: list[str] = field(default_factory=list)
     relit: list[dict[str, Any]] = field(default_factory=list)
     passes: int = 0
+    renders: dict[str, list[float]] = field(default_factory=dict)
+    """``samples`` and ``noise_psnr`` (dB, before denoising) of each pose's render."""
     points: int | None = None
     response: str = ""
     camera: dict[str, Any] = field(default_factory=dict)
@@ -266,9 +269,22 @@ class _Inspector:
             self.found.relit.append({"folder": folder, "levels": levels, "poses": poses})
 
     def _passes(self) -> None:
+        """Every pose's passes: readable, and the bytes that dataset.json has the hash of."""
+        told = {}
+        for frame in map(_object, _object(self.info.get("frames")).values()):
+            told[self.root / str(frame.get("file"))] = frame.get("sha256")
+            for key in ("samples", "noise_psnr"):
+                if isinstance(frame.get(key), int | float):
+                    self.found.renders.setdefault(key, []).append(frame[key])
         for path in sorted((self.root / "passes").glob("*.exr")):
-            if self._picture(path, lambda path: next(iter(read_layers(path).values()))) is not None:
-                self.found.passes += 1
+            if self._picture(path, lambda path: next(iter(read_layers(path).values()))) is None:
+                continue
+            self.found.passes += 1
+            if told.get(path, "") and told[path] != hashlib.sha256(path.read_bytes()).hexdigest():
+                self._fault(path, f"{path} was changed: it has not the hash that dataset.json tells")
+        absent = sum(not path.is_file() for path in told)
+        if absent:
+            self.found.warnings.append(f"{absent} of {len(told)} passes are missing: training needs none")
 
     # -- judgement -----------------------------------------------------------------------------------------
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """``physhdr inspect``: what it says of a whole data set, and of each kind of damage."""
 
+import hashlib
 import json
 import math
 import shutil
@@ -109,6 +110,28 @@ def test_several_lights_are_told(data):
     assert by_folder["relit/ambient_4+lamp_0.25"] == levels
     assert by_folder["relit/level_2"] == {"ambient": 2.0}  # there, though dataset.json does not name it
     assert found.errors == []
+
+
+def test_passes_are_read_and_their_hashes_compared(data, capsys):
+    (data / "passes").mkdir()
+    frames = {}
+    for k in range(3):
+        path = data / "passes" / f"train_{k:03d}.exr"
+        write_exr(path, np.full((32, 32, 3), 0.5 + k))
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        told = {"file": f"passes/{path.name}", "sha256": digest, "samples": 8 + k, "noise_psnr": 30.5}
+        frames[f"train/{k}"] = told
+    edit(data / "dataset.json", lambda content: content.update(frames=frames))
+    found = inspect(data)
+    assert found.errors == [] and found.warnings == [] and found.passes == 3
+    assert main(["inspect", str(data)]) == 0
+    assert "8 … 10 samples a pixel, noise 30.5 dB" in capsys.readouterr().out
+    write_exr(data / "passes" / "train_001.exr", np.full((32, 32, 3), 0.25))
+    (data / "passes" / "train_002.exr").unlink()
+    found = inspect(data)
+    (error,) = found.errors
+    assert "passes/train_001.exr was changed" in error
+    assert any("1 of 3 passes are missing" in warning for warning in found.warnings)
 
 
 def test_every_fault_is_named_not_only_the_first(data, capsys):
