@@ -8,7 +8,7 @@ import math
 import bpy
 
 from . import materials as m
-from . import materials_hearth as hearth
+from . import materials_fireside as hearth
 from .assembly import Assembly, tube
 from .props import ball, box, cushion, lathe, rod, sheet
 
@@ -19,15 +19,21 @@ COLUMNS, ROWS = 2.5, 2.0  # diamonds of the buttoned back
 def armchair(room: bpy.types.Collection, foot: tuple[float, float, float], turn: float) -> None:
     """The chair, a cushion in it and a plaid over its left arm."""
     chair = Assembly(room, "armchair", foot, turn)
-    cover = hearth.velvet("chair velvet", (0.36, 0.12, 0.025), (0.62, 0.26, 0.06))
+    cover = hearth.velvet("chair velvet", (0.30, 0.085, 0.016), (0.58, 0.22, 0.045))
     _legs(chair)
     box(chair, "chair base", (0.0, -0.02, 0.27), (0.80, 0.76, 0.17), cover, bevel=0.035)
     cushion(chair, "chair seat", (0.0, -0.10, 0.43), (0.57, 0.66, 0.19), cover, plump=0.28)
     _back(chair, cover)
     _arms(chair, cover)
-    blue = hearth.herringbone("pillow twill", (0.03, 0.06, 0.10), (0.52, 0.50, 0.42))
+    blue = hearth.herringbone("pillow twill", (0.015, 0.04, 0.11), (0.30, 0.36, 0.40))
     cushion(
-        chair, "chair pillow", (-0.10, 0.12, 0.68), (0.40, 0.36, 0.16), blue, (math.radians(68), 0, 0.18), 0.85
+        chair,
+        "chair pillow",
+        (-0.10, 0.12, 0.68),
+        (0.40, 0.36, 0.16),
+        blue,
+        (math.radians(68), 0, 0.18),
+        0.85,
     )
     _plaid(chair)
 
@@ -59,13 +65,16 @@ def _back(chair: Assembly, cover: bpy.types.Material) -> None:
     def buttoned(u: float, v: float) -> tuple[float, float, float]:
         x, y, z = _back_at(u, v)
         a, b = u * COLUMNS, v * ROWS
-        swell = abs(math.sin(math.pi * (a + b)) * math.sin(math.pi * (a - b))) ** 0.45
+        swell = abs(math.sin(math.pi * (a + b)) * math.sin(math.pi * (a - b))) ** 0.6
         edge = min(1.0, 9.0 * min(u, 1.0 - u), 9.0 * min(v, 1.0 - v))
-        return x, y - 0.055 * swell * edge, z
+        return x, y - 0.075 * swell * edge, z
 
     sheet(chair, "chair back", buttoned, cover, steps=(60, 48))
     behind = sheet(
-        chair, "chair shell", lambda u, v: (_back_at(u, v)[0], _back_at(u, v)[1] + 0.09, _back_at(u, v)[2]), cover
+        chair,
+        "chair shell",
+        lambda u, v: (_back_at(u, v)[0], _back_at(u, v)[1] + 0.09, _back_at(u, v)[2]),
+        cover,
     )
     behind.modifiers.new("thick", "SOLIDIFY").thickness = 0.02
     rim = [_back_at(0.0, k / 8) for k in range(9)]

@@ -87,6 +87,22 @@ def ring(
     return item
 
 
+def disk(
+    collection: bpy.types.Collection,
+    name: str,
+    centre: Point,
+    radius: float,
+    material: bpy.types.Material,
+    axis: Point = (0.0, 0.0, 1.0),
+    sides: int = 48,
+) -> bpy.types.Object:
+    """A flat round that looks along ``axis``: mirrors, dials, what fills a cup."""
+    item = lathe(collection, name, centre, [(0.0, 0.0), (radius, 0.0)], material, sides)
+    item.rotation_mode = "QUATERNION"
+    item.rotation_quaternion = _toward(axis)
+    return item
+
+
 def _toward(axis: Point) -> Quaternion:
     return Vector((0.0, 0.0, 1.0)).rotation_difference(Vector(axis))
 

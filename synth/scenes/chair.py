@@ -16,6 +16,7 @@ from mathutils import Vector
 
 from . import chair_things as things
 from . import materials as m
+from . import materials_fireside as hearth
 from .armchair import SIZE, armchair
 from .assets import Assets
 from .fireside import BREAST, fireplace
@@ -24,11 +25,12 @@ from .props import ball, box, rod, sheet
 from .stage import CameraHints, Stage
 
 LEFT, RIGHT, FRONT, BACK, HEIGHT = -1.9, 2.4, -2.8, 1.6, 2.55
-WINDOW = (-0.78, 0.62, 0.86, 2.12)  # y0, y1, z0, z1
+WINDOW = (-1.25, 0.62, 0.86, 2.12)  # y0, y1, z0, z1
+SECOND = (-2.62, -1.72, 0.86, 2.12)  # beside the cameras, for the sun on the rug
 
-SKY_RADIANCE = 9.0  # at the horizon; W / m² / sr, any unit does
+SKY_RADIANCE = 6.5  # at the horizon; W / m² / sr, any unit does
 SUN_IRRADIANCE = 24.0
-FILL_POWER = 10.0  # watts
+FILL_POWER = 5.0  # watts
 
 
 def build(scene: bpy.types.Scene, assets: Assets) -> Stage:
@@ -36,7 +38,7 @@ def build(scene: bpy.types.Scene, assets: Assets) -> Stage:
     room = scene.collection
     dice = random.Random(11)  # the design is fixed; --seed moves noise, not furniture
     lighting = Lighting(scene)
-    paper = m.wallpaper("wallpaper", (0.045, 0.085, 0.085), (0.035, 0.070, 0.078), (0.22, 0.24, 0.15))
+    paper = hearth.damask("damask", (0.035, 0.072, 0.078), (0.13, 0.16, 0.11), (0.20, 0.20, 0.11))
     _shell(room, paper)
     _window(room)
     _outside(room)
@@ -47,7 +49,7 @@ def build(scene: bpy.types.Scene, assets: Assets) -> Stage:
         centre=(1.3, -1.7, 1.25),
         target=(-0.50, 0.5, 0.82),
         extent=(1.4, 0.8),
-        angle_x=math.radians(60.0),
+        angle_x=math.radians(55.0),
         orbit_radius=2.6,
         orbit_arc=math.radians(48.0),
         elevation=(math.radians(0.0), math.radians(22.0)),
@@ -57,14 +59,14 @@ def build(scene: bpy.types.Scene, assets: Assets) -> Stage:
 
 def _furnish(room: bpy.types.Collection, lighting: Lighting, assets: Assets, dice: random.Random) -> None:
     box(room, "rug", (-0.40, 0.0, 0.008), (2.1, 1.5, 0.016), m.rug("rug"), (0.0, 0.0, 0.22))
-    foot, turn = (-0.92, 0.40, 0.016), math.radians(38.0)
+    foot, turn = (-0.92, 0.40, 0.016), math.radians(26.0)
     assets.place("armchair", room, foot, SIZE, turn, lambda: armchair(room, foot, turn))
     corner = (-1.50, 1.20, 0.0)
     assets.place("plant", room, corner, (0.9, 0.9, 1.7), 0.0, lambda: things.plant(room, corner, dice))
     things.standing_lamp(room, lighting, (-0.66, 1.12, 0.0))
     table = (-0.24, 0.70, 0.0)
     assets.place("side table", room, table, (0.53, 0.53, 0.56), 0.0, lambda: things.side_table(room, table))
-    things.pouf(room, (0.30, -0.12, 0.016))
+    things.pouf(room, (-1.12, -0.42, 0.016))
     things.log_basket(room, (0.82, 0.98, 0.0), dice)
 
 
@@ -74,18 +76,26 @@ def _shell(room: bpy.types.Collection, paper: bpy.types.Material) -> None:
     cx, cy = (LEFT + RIGHT) / 2, (FRONT + BACK) / 2
     wide, deep = RIGHT - LEFT, BACK - FRONT
     box(room, "floor", (cx, cy, -0.05), (wide, deep, 0.1), m.floorboards("floorboards"))
-    box(room, "ceiling", (cx, cy, HEIGHT + 0.05), (wide, deep, 0.1), m.plaster("ceiling", (0.55, 0.51, 0.44), 0.15))
+    box(
+        room,
+        "ceiling",
+        (cx, cy, HEIGHT + 0.05),
+        (wide, deep, 0.1),
+        m.plaster("ceiling", (0.55, 0.51, 0.44), 0.15),
+    )
     box(room, "wall back", (cx, BACK + wall / 2, HEIGHT / 2), (wide + 2 * wall, wall, HEIGHT), paper)
     box(room, "wall front", (cx, FRONT - wall / 2, HEIGHT / 2), (wide + 2 * wall, wall, HEIGHT), paper)
     plaster = m.plaster("warm plaster", (0.42, 0.30, 0.20))
     box(room, "wall right", (RIGHT + wall / 2, cy, HEIGHT / 2), (wall, deep, HEIGHT), plaster)
     y0, y1, z0, z1 = WINDOW
+    first, last = SECOND[:2]
     left = m.plaster("green plaster", (0.085, 0.13, 0.115))
     for name, a, b, low, high in (
-        ("before", FRONT, y0, 0.0, HEIGHT),
-        ("after", y1, BACK, 0.0, HEIGHT),
-        ("below", y0, y1, 0.0, z0),
-        ("above", y0, y1, z1, HEIGHT),
+        ("before", FRONT, first, z0, z1),
+        ("between", last, y0, z0, z1),
+        ("after", y1, BACK, z0, z1),
+        ("below", FRONT, BACK, 0.0, z0),
+        ("above", FRONT, BACK, z1, HEIGHT),
     ):
         centre = (LEFT - wall / 2, (a + b) / 2, (low + high) / 2)
         box(room, f"wall left {name}", centre, (wall, b - a, high - low), left)
@@ -111,25 +121,33 @@ def _behind(room: bpy.types.Collection) -> None:
     for z, tall in ((0.55, 0.75), (1.45, 0.85)):
         for x in (-1.45, -1.05):
             box(room, "door field", (x, FRONT + 0.055, z), (0.28, 0.02, tall), oak, bevel=0.01)
-    ball(room, "door knob", (-0.90, FRONT + 0.09, 1.0), 0.032, m.plain("knob", (0.75, 0.52, 0.2), 0.25, 1.0), 3)
+    ball(
+        room, "door knob", (-0.90, FRONT + 0.09, 1.0), 0.032, m.plain("knob", (0.75, 0.52, 0.2), 0.25, 1.0), 3
+    )
     box(room, "canvas", (0.1, FRONT + 0.02, 1.6), (1.0, 0.03, 0.7), m.painting("canvas", "landscape"))
 
 
 def _window(room: bpy.types.Collection) -> None:
-    """Frame with muntins and a deep sill. No glass: it would only add noise."""
-    y0, y1, z0, z1 = WINDOW
+    """Frames with muntins and deep sills. No glass: it would only add noise."""
+    for opening in (WINDOW, SECOND):
+        _frame(room, opening)
+    things.curtains(room, LEFT, WINDOW)
+
+
+def _frame(room: bpy.types.Collection, opening: tuple[float, float, float, float]) -> None:
+    y0, y1, z0, z1 = opening
     white = m.plain("window paint", (0.66, 0.64, 0.58), 0.35)
     x, cy, cz = LEFT - 0.07, (y0 + y1) / 2, (z0 + z1) / 2
     for y in (y0 + 0.025, y1 - 0.025):
         box(room, "jamb", (x, y, cz), (0.1, 0.05, z1 - z0), white, bevel=0.006)
     for z in (z0 + 0.025, z1 - 0.025):
         box(room, "head", (x, cy, z), (0.1, y1 - y0, 0.05), white, bevel=0.006)
-    for y in (y0 + (y1 - y0) / 3, y1 - (y1 - y0) / 3):
+    panes = round((y1 - y0) / 0.46)
+    for y in (y0 + (y1 - y0) * k / panes for k in range(1, panes)):
         box(room, "mullion", (x, y, cz), (0.04, 0.04, z1 - z0), white, bevel=0.004)
     for z in (z0 + (z1 - z0) * 0.36, z0 + (z1 - z0) * 0.70):
         box(room, "muntin", (x, cy, z), (0.035, y1 - y0, 0.03), white)
     box(room, "sill", (LEFT + 0.03, cy, z0 - 0.02), (0.24, y1 - y0 + 0.1, 0.045), white, bevel=0.012)
-    things.curtains(room, LEFT, WINDOW)
 
 
 def _outside(room: bpy.types.Collection) -> None:
@@ -139,7 +157,13 @@ def _outside(room: bpy.types.Collection) -> None:
     crown = m.fabric("crown", (0.03, 0.07, 0.02), (0.14, 0.20, 0.05), 2.5)
     trunk = m.plain("trunk", (0.10, 0.06, 0.04), 0.9)
     for index, (x, y, z, radius) in enumerate(
-        ((-9.5, 5.6, 1.0, 1.5), (-12.0, 8.8, 1.6, 1.9), (-15.0, 6.0, 1.3, 2.2), (-13.0, 12.5, 1.8, 2.3), (-19.0, 11.0, 1.5, 2.6))
+        (
+            (-9.5, 5.6, 1.0, 1.5),
+            (-12.0, 8.8, 1.6, 1.9),
+            (-15.0, 6.0, 1.3, 2.2),
+            (-13.0, 12.5, 1.8, 2.3),
+            (-19.0, 11.0, 1.5, 2.6),
+        )
     ):
         ball(room, f"tree {index}", (x, y, z), radius, crown, 4, 0.26 * radius, seed=1.3 * index)
         rod(room, f"trunk {index}", (x, y, -1.8), (x, y, z), 0.16, trunk)
@@ -152,17 +176,20 @@ def _outside(room: bpy.types.Collection) -> None:
 
 
 def _sky(graph: m.Graph, direction: m.Socket) -> m.Socket:
-    """A gradient, warm and brightest near the horizon."""
+    """A gradient with soft clouds, warm and brightest near the horizon."""
     height = graph.add("ShaderNodeSeparateXYZ", {"Vector": direction}).outputs["Z"]
-    return graph.ramp(
-        height, [(0.0, (1.0, 0.88, 0.70)), (0.12, (0.86, 0.90, 0.97)), (0.55, (0.32, 0.52, 0.88))]
+    blue = graph.ramp(
+        height, [(0.0, (1.0, 0.88, 0.70)), (0.12, (0.80, 0.88, 0.97)), (0.55, (0.26, 0.46, 0.86))]
     )
+    stretched = graph.add("ShaderNodeMapping", {"Vector": direction, "Scale": (1.0, 1.0, 2.4)}).outputs[0]
+    white = graph.ramp(graph.noise(stretched, 5.0, 3.0, 0.3), [(0.45, (0.0,) * 3), (0.66, (1.0,) * 3)])
+    return graph.mix(white, blue, (1.6, 1.46, 1.28))
 
 
 def _light(lighting: Lighting) -> None:
     """Sky and sun through the window, a soft fill from the rest of the room."""
-    y0, y1, z0, z1 = WINDOW
     lighting.sky(_sky, SKY_RADIANCE)
-    lighting.portal((LEFT - 0.145, (y0 + y1) / 2, (z0 + z1) / 2), (1.0, 0.0, 0.0), (y1 - y0, z1 - z0))
-    lighting.sun((0.62, 0.36, -0.62), SUN_IRRADIANCE)
+    for y0, y1, z0, z1 in (WINDOW, SECOND):
+        lighting.portal((LEFT - 0.145, (y0 + y1) / 2, (z0 + z1) / 2), (1.0, 0.0, 0.0), (y1 - y0, z1 - z0))
+    lighting.sun((0.50, 0.60, -0.50), SUN_IRRADIANCE)
     lighting.area("fill", (2.2, -2.5, 1.9), (-0.75, 0.9, -0.25), (1.6, 1.2), FILL_POWER, (0.80, 0.90, 1.0))

@@ -10,10 +10,10 @@ import bpy
 from mathutils import Vector
 
 from . import materials as m
-from . import materials_hearth as hearth
-from .assembly import Assembly, array, ring, tube
+from . import materials_fireside as hearth
+from .assembly import Assembly, array, disk, ring, tube
 from .lighting import Lighting
-from .props import ball, box, lathe, rod
+from .props import ball, box, lathe, rod, sheet
 
 Collection = bpy.types.Collection
 
@@ -21,7 +21,7 @@ BREAST = (-0.56, 0.92, 1.24)  # x0, x1 and front y of the chimney breast
 OPENING = (-0.22, 0.58, 0.70)  # x0, x1 and top of the fire's opening
 MANTEL = 1.10
 FIRE_COLOUR = (1.0, 0.46, 0.14)
-FIRE_RADIANCE = 170.0
+FIRE_RADIANCE = 180.0
 CANDLE_RADIANCE = 260.0
 
 
@@ -55,13 +55,22 @@ def _surround(room: Collection, middle: float, front: float) -> None:
         box(room, "pilaster", (x, front - 0.035, 0.52), (0.20, 0.07, 1.04), stone, bevel=0.008)
         box(room, "plinth", (x, front - 0.05, 0.07), (0.23, 0.10, 0.14), stone, bevel=0.01)
         box(room, "capital", (x, front - 0.05, 1.0), (0.23, 0.10, 0.06), stone, bevel=0.01)
-        flute = rod(room, "flute", (x - 0.05, front - 0.072, 0.2), (x - 0.05, front - 0.072, 0.92), 0.014, stone)
+        flute = rod(
+            room, "flute", (x - 0.05, front - 0.072, 0.2), (x - 0.05, front - 0.072, 0.92), 0.014, stone
+        )
         array(flute, 3, (0.05, 0.0, 0.0))
     wide = right - left
     box(room, "lintel", (middle, front - 0.03, 0.87), (wide + 0.04, 0.06, 0.32), stone, bevel=0.008)
     box(room, "lintel panel", (middle, front - 0.065, 0.88), (wide - 0.16, 0.02, 0.16), stone, bevel=0.008)
     box(room, "mantel", (middle, front - 0.07, MANTEL - 0.02), (wide + 0.60, 0.26, 0.045), stone, bevel=0.014)
-    box(room, "mantel cove", (middle, front - 0.05, MANTEL - 0.06), (wide + 0.52, 0.16, 0.04), stone, bevel=0.012)
+    box(
+        room,
+        "mantel cove",
+        (middle, front - 0.05, MANTEL - 0.06),
+        (wide + 0.52, 0.16, 0.04),
+        stone,
+        bevel=0.012,
+    )
     box(room, "hearth", (middle, front - 0.10, 0.02), (wide + 0.52, 0.62, 0.04), slate, bevel=0.008)
     brass = m.plain("fender brass", (0.78, 0.55, 0.22), 0.2, 1.0)
     x0, x1, y = middle - 0.56, middle + 0.56, front - 0.37
@@ -77,9 +86,11 @@ def _fire(room: Collection, lighting: Lighting, at: tuple[float, float, float]) 
     """Logs on an iron grate, flames above them; a lamp within gives the light that they seem to give."""
     iron = m.plain("iron", (0.03, 0.028, 0.026), 0.5, 0.6)
     coals, heat = hearth.embers("embers", 34.0)
-    tongue, strength = hearth.flame("flames", 26.0)
+    tongue, strength = hearth.flame("flames", 15.0)
     x, y, z = at
-    bar = rod(room, "grate", (x - 0.2, y - 0.12, z + 0.07), (x - 0.2, y + 0.10, z + 0.07), 0.008, iron, sides=8)
+    bar = rod(
+        room, "grate", (x - 0.2, y - 0.12, z + 0.07), (x - 0.2, y + 0.10, z + 0.07), 0.008, iron, sides=8
+    )
     array(bar, 9, (0.05, 0.0, 0.0))
     for dx in (-0.2, 0.2):
         rod(room, "andiron", (x + dx, y - 0.13, z), (x + dx, y - 0.13, z + 0.24), 0.011, iron, sides=8)
@@ -93,35 +104,52 @@ def _fire(room: Collection, lighting: Lighting, at: tuple[float, float, float]) 
         foot = Vector(at)
         log = rod(room, "log", foot + Vector(start), foot + Vector(end), radius, coals, radius * 0.85, 14)
         lighting.glow("fire", log, heat)
-    shape = [(0.0, 0.0), (0.55, 0.10), (0.80, 0.28), (0.62, 0.50), (0.34, 0.72), (0.13, 0.90), (0.0, 1.0)]
-    for dx, dy, tall, wide, lean in (
-        (-0.13, 0.02, 0.20, 0.060, 0.16),
-        (-0.06, -0.03, 0.31, 0.070, -0.08),
-        (0.03, 0.01, 0.38, 0.080, 0.06),
-        (0.10, -0.02, 0.27, 0.065, -0.14),
-        (0.17, 0.03, 0.17, 0.050, 0.10),
+    for k, (dx, dy, tall, wide) in enumerate(
+        (
+            (-0.15, 0.02, 0.20, 0.040),
+            (-0.08, -0.04, 0.33, 0.046),
+            (-0.01, 0.03, 0.42, 0.052),
+            (0.05, -0.03, 0.30, 0.044),
+            (0.12, 0.02, 0.36, 0.044),
+            (0.18, -0.01, 0.17, 0.034),
+        )
     ):
-        profile = [(radius * wide, height * tall) for radius, height in shape]
-        lick = lathe(room, "flame", (x + dx, y + dy, z + 0.17), profile, tongue, 16)
-        lick.rotation_euler, lick.scale = (0.0, lean, 0.0), (1.0, 0.6, 1.0)
+        lick = _flame(room, Vector((x + dx, y + dy, z + 0.16)), tall, wide, 1.9 * k, tongue)
         for ray in ("diffuse", "shadow"):
             setattr(lick, f"visible_{ray}", False)
         lighting.glow("fire", lick, strength)
-    core = lighting.bulb("fire", "fire", (x + 0.01, y - 0.06, z + 0.30), 0.042, FIRE_RADIANCE, FIRE_COLOUR)
-    core.scale = (0.5, 0.5, 1.5)
+    core = lighting.bulb("fire", "fire", (x + 0.01, y - 0.06, z + 0.30), 0.09, FIRE_RADIANCE, FIRE_COLOUR)
+    core.scale = (0.18, 0.18, 0.6)
+
+
+def _flame(
+    room: Collection, foot: Vector, tall: float, wide: float, phase: float, material: bpy.types.Material
+) -> bpy.types.Object:
+    """A tongue of fire: round at its foot, drawn to a point that sways."""
+
+    def surface(u: float, v: float) -> Vector:
+        radius = wide * (0.35 + 1.3 * v) * (1.0 - v) ** 0.8 * (1.0 + 0.25 * math.sin(11.0 * v + phase))
+        sway = 0.10 * tall * v * math.sin(5.5 * v + phase) + 0.05 * tall * v * math.sin(
+            13.0 * v + 2.0 * phase
+        )
+        angle = 2.0 * math.pi * u
+        return foot + Vector((radius * math.cos(angle) + sway, 0.6 * radius * math.sin(angle), tall * v))
+
+    return sheet(room, "flame", surface, material, steps=(14, 22))
 
 
 def _mantelpiece(room: Collection, lighting: Lighting, middle: float, front: float) -> None:
     """The round mirror above, and on the shelf: candles, a clock, a vase with dry grass."""
     gilt = m.plain("gilt", (0.80, 0.56, 0.22), 0.28, 1.0)
     silver = m.plain("looking-glass", (0.90, 0.91, 0.90), 0.015, 1.0)
-    z, radius = 1.70, 0.36
-    rod(room, "looking-glass", (middle, front, z), (middle, front - 0.018, z), radius, silver, sides=64)
-    ring(room, "mirror frame", (middle, front - 0.02, z), radius + 0.012, 0.024, gilt, (0.0, 1.0, 0.0), 64)
-    ring(room, "mirror bead", (middle, front - 0.022, z), radius - 0.03, 0.006, gilt, (0.0, 1.0, 0.0), 64)
+    z, radius, lean = 1.70, 0.36, (0.0, -1.0, -0.13)  # it hangs leaning into the room
+    disk(room, "looking-glass", (middle, front - 0.05, z), radius + 0.012, silver, lean, 64)
+    ring(room, "mirror frame", (middle, front - 0.055, z), radius + 0.012, 0.024, gilt, lean, 64)
+    ring(room, "mirror bead", (middle, front - 0.055, z), radius - 0.03, 0.006, gilt, lean, 64)
     for k in range(28):
         angle = 2.0 * math.pi * k / 28
-        at = (middle + (radius + 0.05) * math.cos(angle), front - 0.015, z + (radius + 0.05) * math.sin(angle))
+        across, up = (radius + 0.05) * math.cos(angle), (radius + 0.05) * math.sin(angle)
+        at = (middle + across, front - 0.05 + lean[2] * up, z + up)
         ball(room, "mirror pearl", at, 0.013, gilt, 2)
     y = front - 0.10
     brass = m.plain("candlestick", (0.76, 0.52, 0.20), 0.2, 1.0)
@@ -169,12 +197,19 @@ def _clock(room: Collection, foot: tuple[float, float, float]) -> None:
     box(clock, "clock case", (0.0, 0.0, 0.085), (0.20, 0.08, 0.13), walnut, bevel=0.008)
     rod(clock, "clock case", (0.0, 0.04, 0.15), (0.0, -0.04, 0.15), 0.1, walnut, sides=40)
     face = m.plain("clock dial", (0.74, 0.70, 0.60), 0.4)
-    rod(clock, "clock dial", (0.0, -0.04, 0.14), (0.0, -0.045, 0.14), 0.072, face, sides=40)
+    disk(clock, "clock dial", (0.0, -0.042, 0.14), 0.074, face, (0.0, -1.0, 0.0), 40)
     ring(clock, "clock rim", (0.0, -0.044, 0.14), 0.074, 0.006, brass, (0.0, 1.0, 0.0))
     ink = m.plain("clock ink", (0.02, 0.02, 0.02), 0.5)
     for k in range(12):
         s, c = math.sin(math.pi * k / 6), math.cos(math.pi * k / 6)
-        rod(clock, "hour", (0.052 * s, -0.046, 0.14 + 0.052 * c), (0.064 * s, -0.046, 0.14 + 0.064 * c), 0.0025, ink)
+        rod(
+            clock,
+            "hour",
+            (0.052 * s, -0.046, 0.14 + 0.052 * c),
+            (0.064 * s, -0.046, 0.14 + 0.064 * c),
+            0.0025,
+            ink,
+        )
     for angle, length in ((5.1, 0.034), (1.2, 0.05)):
         end = (length * math.sin(angle), -0.047, 0.14 + length * math.cos(angle))
         rod(clock, "hand", (0.0, -0.047, 0.14), end, 0.003, ink, sides=6)
