@@ -6,7 +6,6 @@ from __future__ import annotations
 import itertools
 import math
 import random
-from collections.abc import Sequence
 
 import bpy
 from mathutils import Matrix, Vector
@@ -15,6 +14,7 @@ from . import materials as m
 from . import materials_bathroom as mb
 from . import plush
 from .assets import Assets
+from .curved import leaf_tuft, tube
 from .props import Point, ball, box, lathe, leaf_blade, rod, sheet
 from .small_room import Room
 
@@ -74,35 +74,6 @@ def furnish(room: Collection, at: Room, assets: Assets, dice: random.Random) -> 
     )
     mat.rotation_euler.z = math.radians(-7.0)
     plush.tufted(mat, 0.024, 0.009, 16000.0, 0.4, 0.0, 5)
-
-
-def tube(room: Collection, name: str, points: Sequence[Point], radius: float, material: Material) -> None:
-    """A bent pipe through ``points``: Catmull-Rom between them, eight sides."""
-    knots = [Vector(p) for p in (points[0], *points, points[-1])]
-    path: list[Vector] = []
-    for a, b, c, d in zip(knots, knots[1:], knots[2:], knots[3:], strict=False):
-        for k in range(6):
-            t = k / 6
-            path.append(
-                0.5
-                * (2 * b + (c - a) * t + (2 * a - 5 * b + 4 * c - d) * t**2 + (3 * b - a - 3 * c + d) * t**3)
-            )
-    path.append(knots[-1])
-    tangents = [
-        (path[min(i + 1, len(path) - 1)] - path[max(i - 1, 0)]).normalized() for i in range(len(path))
-    ]
-    side = tangents[0].orthogonal().normalized()
-    frames = []
-    for tangent in tangents:  # carried along without twist
-        side = (side - tangent * side.dot(tangent)).normalized()
-        frames.append((side.copy(), tangent.cross(side)))
-
-    def surface(u: float, v: float) -> Point:
-        i, turn = round(u * (len(path) - 1)), 2.0 * math.pi * v
-        right, up = frames[i]
-        return path[i] + radius * (math.cos(turn) * right + math.sin(turn) * up)
-
-    sheet(room, name, surface, material, steps=(len(path) - 1, 10))
 
 
 def _oval(turn: float, half: Point, power: float = 2.6) -> tuple[float, float]:
@@ -433,7 +404,7 @@ def _shelf(room: Collection, dice: random.Random) -> None:
     pot = [(0.0, 0.0), (0.07, 0.0), (0.10, 0.14), (0.105, 0.16), (0.092, 0.16), (0.088, 0.14), (0.0, 0.14)]
     foot = (cx - 0.06, cy, heights[3] + 0.009)
     lathe(room, "fern pot", foot, pot, m.plaster("terracotta", (0.42, 0.17, 0.09), 0.4))
-    _tuft(room, (foot[0], foot[1], foot[2] + 0.14), 30, (0.26, 0.40), 0.055, 1.05, dice)
+    leaf_tuft(room, (foot[0], foot[1], foot[2] + 0.14), 30, (0.26, 0.40), 0.055, 1.05, dice)
     canister = m.plain("canister", (0.60, 0.62, 0.62), 0.25, 1.0)
     rod(
         room,
@@ -444,26 +415,6 @@ def _shelf(room: Collection, dice: random.Random) -> None:
         canister,
         sides=24,
     )
-
-
-def _tuft(
-    room: Collection,
-    root: Point,
-    leaves: int,
-    lengths: tuple[float, float],
-    width: float,
-    rise: float,
-    dice: random.Random,
-) -> None:
-    """Arching leaves from one point: a fern, a spider plant."""
-    greens = [
-        m.leaf(f"leaf {k}", (0.015, 0.06, 0.015), c)
-        for k, c in enumerate([(0.07, 0.20, 0.04), (0.17, 0.32, 0.07)])
-    ]
-    for k in range(leaves):
-        angle = k * 2.399963 + dice.uniform(-0.2, 0.2)  # golden angle
-        steep = rise * (0.5 + 0.8 * (1.0 - k / leaves))
-        leaf_blade(room, "leaf", root, angle, dice.uniform(*lengths), width, greens[k % 2], steep, 1.25)
 
 
 def _plants(room: Collection, dice: random.Random) -> None:
@@ -483,7 +434,7 @@ def _plants(room: Collection, dice: random.Random) -> None:
             rope,
             sides=6,
         )
-    _tuft(room, at + Vector((0, 0, 0.11)), 26, (0.20, 0.34), 0.045, 0.75, dice)
+    leaf_tuft(room, at + Vector((0, 0, 0.11)), 26, (0.20, 0.34), 0.045, 0.75, dice)
     vine = m.leaf("vine", (0.03, 0.10, 0.02), (0.16, 0.34, 0.09))
     stem = m.plain("vine stem", (0.10, 0.15, 0.04), 0.6)
     for k in range(4):
@@ -499,7 +450,7 @@ def _plants(room: Collection, dice: random.Random) -> None:
     big = Vector((1.72, 0.22, 0.0))
     tall = [(0.0, 0.0), (0.10, 0.0), (0.15, 0.22), (0.155, 0.26), (0.14, 0.26), (0.13, 0.23), (0.0, 0.23)]
     lathe(room, "pot", big, tall, m.speckled("pot", (0.06, 0.12, 0.16), (0.20, 0.30, 0.30), 18.0, 0.3))
-    _tuft(room, big + Vector((0, 0, 0.22)), 30, (0.34, 0.52), 0.07, 1.35, dice)
+    leaf_tuft(room, big + Vector((0, 0, 0.22)), 30, (0.34, 0.52), 0.07, 1.35, dice)
 
 
 def _towels(room: Collection, at: Room, chrome: Material) -> None:

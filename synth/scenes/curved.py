@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Bent pipes, rings and arching leaves."""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Sequence
+
+import bpy
+from mathutils import Vector
+
+from . import materials as m
+from .props import Point, leaf_blade, sheet
+
+Collection = bpy.types.Collection
+Material = bpy.types.Material
+
+
+def tube(room: Collection, name: str, points: Sequence[Point], radius: float, material: Material) -> None:
+    """A bent pipe through ``points``: Catmull-Rom between them, eight sides."""
+    knots = [Vector(p) for p in (points[0], *points, points[-1])]
+    path: list[Vector] = []
+    for a, b, c, d in zip(knots, knots[1:], knots[2:], knots[3:], strict=False):
+        for k in range(6):
+            t = k / 6
+            path.append(
+                0.5
+                * (2 * b + (c - a) * t + (2 * a - 5 * b + 4 * c - d) * t**2 + (3 * b - a - 3 * c + d) * t**3)
+            )
+    path.append(knots[-1])
+    tangents = [
+        (path[min(i + 1, len(path) - 1)] - path[max(i - 1, 0)]).normalized() for i in range(len(path))
+    ]
+    side = tangents[0].orthogonal().normalized()
+    frames = []
+    for tangent in tangents:  # carried along without twist
+        side = (side - tangent * side.dot(tangent)).normalized()
+        frames.append((side.copy(), tangent.cross(side)))
+
+    def surface(u: float, v: float) -> Point:
+        i, turn = round(u * (len(path) - 1)), 2.0 * math.pi * v
+        right, up = frames[i]
+        return path[i] + radius * (math.cos(turn) * right + math.sin(turn) * up)
+
+    sheet(room, name, surface, material, steps=(len(path) - 1, 10))
+
+
+def torus(
+    room: Collection,
+    name: str,
+    centre: Point,
+    radius: float,
+    thick: float,
+    material: Material,
+    tilt: float = 0.0,
+) -> bpy.types.Object:
+    """A ring that lies flat, or is tilted about X: ``thick`` is the radius of its body."""
+
+    def surface(u: float, v: float) -> Point:
+        a, b = 2.0 * math.pi * u, 2.0 * math.pi * v
+        r = radius + thick * math.cos(b)
+        return r * math.cos(a), r * math.sin(a), thick * math.sin(b)
+
+    item = sheet(room, name, surface, material, steps=(32, 12))
+    item.location, item.rotation_euler = centre, (tilt, 0.0, 0.0)
+    return item
+
+
+def leaf_tuft(
+    room: Collection,
+    root: Point,
+    leaves: int,
+    lengths: tuple[float, float],
+    width: float,
+    rise: float,
+    dice: random.Random,
+) -> None:
+    """Arching leaves from one point: a fern, a spider plant."""
+    greens = [
+        m.leaf(f"leaf {k}", (0.015, 0.06, 0.015), c)
+        for k, c in enumerate([(0.07, 0.20, 0.04), (0.17, 0.32, 0.07)])
+    ]
+    for k in range(leaves):
+        angle = k * 2.399963 + dice.uniform(-0.2, 0.2)  # golden angle
+        steep = rise * (0.5 + 0.8 * (1.0 - k / leaves))
+        leaf_blade(room, "leaf", root, angle, dice.uniform(*lengths), width, greens[k % 2], steep, 1.25)
