@@ -45,7 +45,7 @@ def write_files(folder: Path, count: int) -> dict[str, Path]:
         scale=np.exp(normal(count, 3) - 4.0),
         opacity=rng.random(count, dtype=np.float32),
         log_radiance_sh=normal(count, 16, 3) * np.float32(0.1),
-        ambient_share=rng.random((count, 3), dtype=np.float32),
+        light_share=rng.random((count, 1, 3), dtype=np.float32),
     )
     write_model(folder / "model.safetensors", model)
     write_standard_ply(

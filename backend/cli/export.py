@@ -7,11 +7,12 @@ from pathlib import Path
 
 import tyro
 
-from ...bridge.display import display_colour_sh, look_comment
+from ...bridge.display import display_colour_sh, look_comment, look_words
 from ...bridge.errors import BadValueError
 from ...bridge.gaussian_ply import standard_columns, write_lossless_ply, write_standard_ply
 from ...bridge.model_file import write_model
 from ..export.baked import network_comments, parameter_columns
+from .lighting import levels_asked
 from .progress import console
 from .run_folder import open_run, writable_folder
 
@@ -28,34 +29,37 @@ class Export:
     out: Path | None = None
     #: Exposure in EV (log2 of seconds) at which the standard PLY is baked.
     exposure_ev: float = 1.0
-    #: Lighting level at which the standard PLY is baked.
+    #: Level of the first light, the ambient one wherever that has levels, at which the standard PLY is baked.
     lighting_level: float = 1.0
+    #: Lights by name for the standard PLY: NAME=VALUE …; those not named are at 1.
+    lighting_levels: tuple[str, ...] = ()
     #: The data set, where it has moved since training.
     data: Path | None = None
 
     def run(self) -> int:
-        if not self.lighting_level > 0.0 or not math.isfinite(self.exposure_ev):
+        if not self.lighting_level >= 0.0 or not math.isfinite(self.exposure_ev):
             raise BadValueError(
                 f"cannot bake at EV {self.exposure_ev} and lighting level {self.lighting_level}",
-                "Give a finite EV and a lighting level above 0.",
+                "Give a finite EV and a lighting level of 0 or more.",
             )
         run = open_run(self.folder, self.data)
+        levels = levels_asked(self.lighting_level, self.lighting_levels, run.method.lights)
         out = writable_folder(self.out or self.folder)
         method, gaussians = run.method, run.method.gaussians
         model = run.model()
         write_model(out / MODEL_FILE, model)
         console.print(f"wrote {out / MODEL_FILE}: {len(gaussians)} Gaussians, for Blender")
 
-        look = f"EV {self.exposure_ev:g}, lighting level {self.lighting_level:g}"
+        look = look_words(self.exposure_ev, levels, model.lights)
         standard = {
             "positions": model.position,
             "rotations": model.rotation,
             "scales": model.scale,
             "opacities": model.opacity,
-            "colour_sh": display_colour_sh(model, 2.0**self.exposure_ev, self.lighting_level),
+            "colour_sh": display_colour_sh(model, 2.0**self.exposure_ev, levels),
         }
         comments = [f"PhysHDR {key}: {value}" for key, value in run.provenance.items()]
-        comments.append(look_comment(self.exposure_ev, self.lighting_level, "LEARNED"))
+        comments.append(look_comment(self.exposure_ev, levels, "LEARNED", model.lights))
         write_standard_ply(out / "baked.ply", **standard, comments=comments)
         console.print(f"wrote {out / 'baked.ply'}: for any 3DGS viewer, baked at {look}")
 
@@ -63,7 +67,7 @@ class Export:
         write_lossless_ply(
             out / "lossless.ply",
             standard_columns(**standard),
-            parameter_columns(gaussians),
+            parameter_columns(gaussians, method.lights),
             comments + network_comments(method, model),
         )
         console.print(f"wrote {out / 'lossless.ply'}: every parameter")

@@ -12,6 +12,7 @@ from ..device import DeviceName
 from ..rasterize import Implementation
 from ..scene import Camera, Scene
 from ..scene.pictures import write_exr, write_png
+from .lighting import levels_asked
 from .progress import console
 from .run_folder import open_run
 
@@ -39,8 +40,10 @@ class Render:
     view: str = "test/0"
     #: Seconds; for .png only. Default: the middle exposure of the data set.
     exposure: float | None = None
-    #: Ambient light relative to the standard views.
+    #: The first light, which is the ambient one wherever that has levels, relative to the standard views.
     lighting_level: float = 1.0
+    #: Lights by name: NAME=VALUE …; those not named are at 1.
+    lighting_levels: tuple[str, ...] = ()
     #: Width in pixels (the height follows); default: the data set's.
     width: int | None = None
     #: The data set, where it has moved since training.
@@ -52,20 +55,21 @@ class Render:
         kind = self.out.suffix.lower()
         if kind not in (".exr", ".png"):
             raise BadValueError(f"--out must end in .exr or .png, got {self.out.name}")
-        if not self.lighting_level > 0.0:
-            raise BadValueError(f"--lighting-level must be above 0, got {self.lighting_level}")
+        if not self.lighting_level >= 0.0:
+            raise BadValueError(f"--lighting-level must be 0 or more, got {self.lighting_level}")
         if self.exposure is not None and not self.exposure > 0.0:
             raise BadValueError(f"--exposure must be above 0 seconds, got {self.exposure}")
         run = open_run(self.folder, self.data, self.rasteriser, self.device)
+        levels = levels_asked(self.lighting_level, self.lighting_levels, run.method.lights)
         camera = camera_named(run.scene, self.view)
         if self.width is not None:
             camera = camera.resized(self.width)
         if kind == ".exr":
-            write_exr(self.out, _planes_last(run.method.hdr(camera, self.lighting_level).cpu().numpy()))
+            write_exr(self.out, _planes_last(run.method.hdr(camera, levels).cpu().numpy()))
         else:
             exposures = run.scene.train[0].exposures
             exposure = self.exposure or exposures[len(exposures) // 2]
-            ldr = _planes_last(run.method.ldr(camera, exposure, self.lighting_level).cpu().numpy())
+            ldr = _planes_last(run.method.ldr(camera, exposure, levels).cpu().numpy())
             write_png(self.out, np.round(255.0 * ldr.clip(0.0, 1.0)).astype(np.uint8))
         console.print(f"wrote {self.out}")
         return 0

@@ -53,7 +53,8 @@ def _on_the_cpu(method: PhysHDR) -> PhysHDR:
     if not method.gaussians.means.is_cuda:
         return method
     parameters = {name: tensor.detach().cpu() for name, tensor in method.gaussians.parameters.items()}
-    copy = PhysHDR(method.config, Gaussians(parameters), method.tone_mapper.anchor)
+    anchor = method.tone_mapper.anchor
+    copy = PhysHDR(method.config, Gaussians(parameters), anchor, lights=method.lights)
     copy.load_state_dict(method.state_dict())
     copy.active_sh_degree = method.active_sh_degree
     return copy

@@ -4,12 +4,13 @@
 LDR: every test view at every exposure, through 8 bit, in PSNR, SSIM and LPIPS; averaged for each exposure,
 then LDR-OE over exposure indices 0, 2, 4 (those that training saw) and LDR-NE over 1, 3 (those it did not).
 HDR: ``metrics.hdr_pair``, once as it is and once after dividing by the median scale ratio.
-Relit: the μ-law PSNR under other ambient light, beside what scaling a picture by the level would give.
+Relit: the μ-law PSNR under other light, beside what scaling a picture would give (``results.RelitRow``).
 """
 
 import math
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
@@ -17,22 +18,25 @@ import numpy as np
 import torch
 
 from ...bridge.errors import BadValueError, DataMismatchError
+from ...bridge.lights import Levels
 from ..scene.camera import Camera
 from ..scene.scene import Scene, View
 from . import truth
 from .lpips import SMALLEST_SIDE, Lpips
-from .metrics import hdr_pair, psnr, quantise, resize_to, scale_ratio, ssim
+from .metrics import hdr_normaliser, hdr_pair, psnr, quantise, resize_to, scale_ratio, ssim
 from .results import Evaluation, HdrRow, LdrRow, Metrics, RelitRow
 
 
 class Renderer(Protocol):
-    """What is evaluated: a trained model, whichever the method."""
+    """What is evaluated: a trained model, whichever the method. ``lights``: those it has levels for."""
 
-    def hdr(self, camera: Camera, lighting_level: float = 1.0) -> torch.Tensor:
-        """``[3, H, W]`` scene-linear radiance at ambient light ``lighting_level``."""
+    lights: tuple[str, ...]
+
+    def hdr(self, camera: Camera, lighting_level: Levels = 1.0) -> torch.Tensor:
+        """``[3, H, W]`` scene-linear radiance at ``lighting_level``: the first light's, or one a light."""
         ...
 
-    def ldr(self, camera: Camera, exposure: float, lighting_level: float = 1.0) -> torch.Tensor:
+    def ldr(self, camera: Camera, exposure: float, lighting_level: Levels = 1.0) -> torch.Tensor:
         """``[3, H, W]`` in 0…1: the picture that the camera would take at ``exposure`` seconds."""
         ...
 
@@ -59,7 +63,9 @@ def evaluate(
         )
     started = time.monotonic()
     relit = truth.relit_truth(scene.root)
-    messages = _what_is_left_out(scene, lpips, relit)
+    unknown = [item for item in relit if not item.can_be_shown(renderer.lights)]
+    messages = _what_is_left_out(scene, lpips, relit, unknown)
+    relit = [item for item in relit if item not in unknown]
     camera = scene.test[0].camera
     if min(camera.width, camera.height) < SMALLEST_SIDE:
         lpips = None
@@ -69,11 +75,15 @@ def evaluate(
     for view in scene.test:
         step(f"LDR {view.name}")
         ldr += _ldr_rows(renderer, view, lpips)
-    hdr = _hdr_rows(renderer, scene, lpips, step) if truth.has_hdr_truth(scene.root, "test") else []
-    relit_rows = []
-    for item in relit if truth.has_hdr_truth(scene.root, "test") else []:
-        step(f"relit {item.level:g} {item.path.stem}")
-        relit_rows.append(_relit_row(renderer, scene, item))
+    hdr: list[HdrRow] = []
+    relit_rows: list[RelitRow] = []
+    if truth.has_hdr_truth(scene.root, "test"):
+        standard = _standard_views(renderer, scene, step)
+        hdr = _hdr_rows(standard, lpips)
+        for item in relit:
+            step(f"relit {item.condition} {item.path.stem}")
+            scene.find("test", item.index)  # says which poses there are
+            relit_rows.append(_relit_row(renderer, standard[item.index], item))
     step.end()
     return Evaluation(
         scene=scene.name,
@@ -104,7 +114,9 @@ class _Steps:
             self._progress(self._total, self._total, "done")
 
 
-def _what_is_left_out(scene: Scene, lpips: Lpips | None, relit: list[truth.RelitTruth]) -> list[str]:
+def _what_is_left_out(
+    scene: Scene, lpips: Lpips | None, relit: list[truth.RelitTruth], unknown: list[truth.RelitTruth]
+) -> list[str]:
     messages = []
     camera = scene.test[0].camera
     if lpips is None:
@@ -115,6 +127,9 @@ def _what_is_left_out(scene: Scene, lpips: Lpips | None, relit: list[truth.Relit
         messages.append(f"HDR and relit left out: {scene.root / 'test_hdr'} does not exist.")
     elif not relit:
         messages.append(f"Relit left out: {scene.root / 'relit'} holds no level_*/hdr_*.exr.")
+    elif unknown:
+        conditions = ", ".join(dict.fromkeys(item.condition for item in unknown))
+        messages.append(f"Relit left out, because the model has no level for a light of it: {conditions}.")
     return messages
 
 
@@ -148,48 +163,68 @@ def _ldr_rows(renderer: Renderer, view: View, lpips: Lpips | None) -> list[LdrRo
     return rows
 
 
-def _hdr_rows(renderer: Renderer, scene: Scene, lpips: Lpips | None, step: _Steps) -> list[HdrRow]:
-    predictions, truths, ratios = [], [], []
+@dataclass(frozen=True)
+class _StandardView:
+    """A test view under the standard light: what the model shows, and the truth ``[3, H, W]``."""
+
+    view: View
+    prediction: torch.Tensor
+    truth: torch.Tensor
+
+
+def _standard_views(renderer: Renderer, scene: Scene, step: _Steps) -> dict[int, _StandardView]:
+    """By pose: rendered and read once, for the HDR rows and for every relit one."""
+    views = {}
     for view in scene.test:
         step(f"HDR {view.name}")
-        prediction = renderer.hdr(view.camera, view.lighting_level)
-        predictions.append(_require_finite(prediction, f"{view.name}, HDR"))
-        truths.append(truth.hdr_truth(scene.root, "test", view.index))
-        ratios.append(scale_ratio(predictions[-1], truths[-1]))
+        prediction = _require_finite(renderer.hdr(view.camera), f"{view.name}, HDR")
+        views[view.index] = _StandardView(view, prediction, truth.hdr_truth(scene.root, "test", view.index))
+    return views
+
+
+def _hdr_rows(standard: dict[int, _StandardView], lpips: Lpips | None) -> list[HdrRow]:
+    views = list(standard.values())
+    ratios = [scale_ratio(each.prediction, each.truth) for each in views]
     # One scale for all views: aligning each view by itself would hide that views disagree.
     common = float(np.median(ratios))
     rows = []
-    for view, prediction, reference, ratio in zip(scene.test, predictions, truths, ratios, strict=True):
-        pair = hdr_pair(prediction, reference)
+    for each, ratio in zip(views, ratios, strict=True):
+        pair = hdr_pair(each.prediction, each.truth)
         metrics = _compare(pair.prediction, pair.truth, lpips)
         usable = math.isfinite(common) and common > 0.0
-        aligned = hdr_pair(prediction / common if usable else prediction, reference)
+        aligned = hdr_pair(each.prediction / common if usable else each.prediction, each.truth)
         aligned_metrics = _compare(aligned.prediction, aligned.truth, lpips)
-        rows.append(HdrRow(view.name, view.index, pair.normaliser, ratio, metrics, aligned_metrics))
+        rows.append(HdrRow(each.view.name, each.view.index, pair.normaliser, ratio, metrics, aligned_metrics))
     return rows
 
 
-def _relit_row(renderer: Renderer, scene: Scene, item: truth.RelitTruth) -> RelitRow:
-    view = scene.find("test", item.index)
-    relit = item.radiance()
-    ours = _require_finite(renderer.hdr(view.camera, item.level), f"{view.name} at level {item.level:g}")
-    ours_standard = _require_finite(renderer.hdr(view.camera, 1.0), f"{view.name}, HDR")
+def _relit_row(renderer: Renderer, standard: _StandardView, item: truth.RelitTruth) -> RelitRow:
+    view, relit = standard.view, item.radiance()
+    ours = renderer.hdr(view.camera, item.levels_of(renderer.lights))
+    ours = _require_finite(ours, f"{view.name} at {item.condition}")
     height, width = ours.shape[1:]
-    truth_standard = resize_to(truth.hdr_truth(scene.root, "test", item.index), height, width)
+    truth_standard = resize_to(standard.truth, height, width)
+    best_factor = scale_ratio(resize_to(relit, height, width), truth_standard)
+    changed = list(item.changed.values())
+    # A picture times 0 is black: nobody would offer that for a light that is switched off.
+    factor = changed[0] if len(changed) == 1 and changed[0] > 0.0 else best_factor
 
     def score(prediction: torch.Tensor) -> float:
         pair = hdr_pair(prediction, relit)
         return psnr(pair.prediction, pair.truth)
 
     return RelitRow(
-        level=item.level,
+        levels=item.levels,
         view=view.name,
         index=view.index,
-        normaliser=hdr_pair(ours, relit).normaliser,
+        normaliser=hdr_normaliser(relit),
         scale_ratio=scale_ratio(ours, relit),
         ours=score(ours),
-        scaled_truth=score(item.level * truth_standard),
-        scaled_ours=score(item.level * ours_standard),
+        scaled_truth=(scaled_truth := score(factor * truth_standard)),
+        scaled_ours=score(factor * standard.prediction),
+        best_scaled_truth=scaled_truth if factor == best_factor else score(best_factor * truth_standard),
+        factor=factor,
+        best_factor=best_factor,
     )
 
 

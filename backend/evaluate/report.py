@@ -21,7 +21,7 @@ from .results import NOVEL_EXPOSURES, OBSERVED_EXPOSURES, Evaluation, Metrics, R
 NONE = "–"
 
 METRIC_COLUMNS = ("PSNR dB", "SSIM", "LPIPS", "LPIPS 01")
-RELIT_COLUMNS = ("ours dB", "level × truth dB", "level × ours dB", "gain dB")
+RELIT_COLUMNS = ("ours dB", "level × truth dB", "best × truth dB", "level × ours dB", "gain dB")
 
 
 def to_dict(evaluation: Evaluation) -> dict[str, Any]:
@@ -51,8 +51,10 @@ def to_dict(evaluation: Evaluation) -> dict[str, Any]:
         "relit": [
             dataclasses.asdict(row)
             | {
+                "condition": row.condition,
                 "gain_over_scaled_truth": row.gain_over_scaled_truth,
                 "gain_over_scaled_ours": row.gain_over_scaled_ours,
+                "gain_over_best_scaled_truth": row.gain_over_best_scaled_truth,
             }
             for row in evaluation.relit
         ],
@@ -83,8 +85,9 @@ def write_report(evaluation: Evaluation, folder: Path) -> list[Path]:
 
 def to_csv(evaluation: Evaluation) -> str:
     """One line for each comparison, for spreadsheets: what it is, then its numbers."""
-    columns = ["part", "view", "index", "exposure_index", "exposure", "level", "normaliser", "scale_ratio"]
+    columns = ["part", "view", "index", "exposure_index", "exposure", "light", "normaliser", "scale_ratio"]
     columns += ["psnr", "ssim", "lpips", "lpips_01", "psnr_scaled_truth", "psnr_scaled_ours"]
+    columns += ["psnr_best_scaled_truth", "factor", "best_factor"]
     stream = io.StringIO()
     writer = csv.DictWriter(stream, columns, restval="", lineterminator="\n")
     writer.writeheader()
@@ -98,7 +101,10 @@ def to_csv(evaluation: Evaluation) -> str:
         writer.writerow({"part": "hdr aligned"} | shared | dataclasses.asdict(row.aligned))
     for row in evaluation.relit:
         content = dataclasses.asdict(row)
+        del content["levels"]
+        content["light"] = row.condition
         content["psnr"] = content.pop("ours")
+        content["psnr_best_scaled_truth"] = content.pop("best_scaled_truth")
         content["psnr_scaled_truth"] = content.pop("scaled_truth")
         content["psnr_scaled_ours"] = content.pop("scaled_ours")
         writer.writerow({"part": "relit"} | content)
@@ -121,7 +127,7 @@ def to_terminal(evaluation: Evaluation) -> Group:
     ]
     if evaluation.relit:
         title = "relit: μ-law PSNR against the relit truth"
-        parts.append(_rich_table(title, ("ambient", *RELIT_COLUMNS), _relit_cells(evaluation)))
+        parts.append(_rich_table(title, ("light", *RELIT_COLUMNS), _relit_cells(evaluation)))
     parts += [Text(line, style="dim") for line in conditions(evaluation)]
     parts += [Text(line, style="yellow") for line in evaluation.messages]
     return Group(*parts)
@@ -149,6 +155,10 @@ def conditions(evaluation: Evaluation) -> list[str]:
         lines.append(f"HDR scale ratio (median of prediction / truth, median over views): {ratio:.4f}")
     if evaluation.relit:
         lines.append("gain: ours − level × truth, the picture that scaling even the true one would give")
+        lines.append(
+            "level: the factor of the one light that is changed; where several are, or it is off, and for "
+            "'best', the median of relit truth / truth, as good as scaling can be; lights not named are at 1"
+        )
     return lines
 
 
@@ -162,14 +172,15 @@ def _means(evaluation: Evaluation) -> list[tuple[str, Metrics | None]]:
 
 
 def _relit_means(evaluation: Evaluation) -> list[tuple[str, RelitMeans | None]]:
-    levels = [(f"{level:g}", evaluation.relit_mean(level)) for level in evaluation.relit_levels]
-    return [*levels, ("all", evaluation.relit_mean())]
+    conditions = [(name, evaluation.relit_mean(name)) for name in evaluation.relit_conditions]
+    return [*conditions, ("all", evaluation.relit_mean())]
 
 
 def _relit_dict(means: RelitMeans) -> dict[str, float]:
     return dataclasses.asdict(means) | {
         "gain_over_scaled_truth": means.gain_over_scaled_truth,
         "gain_over_scaled_ours": means.gain_over_scaled_ours,
+        "gain_over_best_scaled_truth": means.gain_over_best_scaled_truth,
     }
 
 
@@ -184,9 +195,10 @@ def _metric_cells(evaluation: Evaluation) -> list[tuple[str, ...]]:
 def _relit_cells(evaluation: Evaluation) -> list[tuple[str, ...]]:
     return [
         (
-            f"× {label}" if label != "all" else label,
+            label,
             _cell(means.ours, 2),
             _cell(means.scaled_truth, 2),
+            _cell(means.best_scaled_truth, 2),
             _cell(means.scaled_ours, 2),
             f"{means.gain_over_scaled_truth:+.2f}",
         )

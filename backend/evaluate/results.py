@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ...bridge.lights import in_words
 from .metrics import MU
 
 #: Exposure indices of the paper's two columns: those that training sees, and those between.
@@ -47,12 +48,15 @@ class HdrRow:
 
 @dataclass(frozen=True)
 class RelitRow:
-    """One test view under other ambient light: PSNR in dB of three pictures against the relit truth.
+    """One test view under other light: PSNR in dB of pictures against the relit truth.
 
-    ``scaled_truth`` is level × the true radiance at level 1, ``scaled_ours`` level × ours at level 1.
+    ``levels``: of the lights that are changed, by name. ``scaled_truth`` is ``factor`` × the true radiance
+    under the standard light, ``scaled_ours`` ``factor`` × ours there. ``factor``: the level where a single
+    light is changed (and not switched off), else ``best_factor``, the median of relit truth / true radiance;
+    ``best_scaled_truth`` is that × the true radiance, whatever is changed: as good as scaling can be.
     """
 
-    level: float
+    levels: dict[str, float]
     view: str
     index: int
     normaliser: float
@@ -60,25 +64,39 @@ class RelitRow:
     ours: float
     scaled_truth: float
     scaled_ours: float
+    best_scaled_truth: float
+    factor: float
+    best_factor: float
+
+    @property
+    def condition(self) -> str:
+        """``ambient 4 + pendant 0.25``."""
+        return in_words(self.levels)
 
     @property
     def gain_over_scaled_truth(self) -> float:
-        """dB by which ours is nearer to the relit truth than the true picture times the level."""
+        """dB by which ours is nearer to the relit truth than the true picture times ``factor``."""
         return self.ours - self.scaled_truth
 
     @property
     def gain_over_scaled_ours(self) -> float:
-        """dB by which ours is nearer than our own picture times the level."""
+        """dB by which ours is nearer than our own picture times ``factor``."""
         return self.ours - self.scaled_ours
+
+    @property
+    def gain_over_best_scaled_truth(self) -> float:
+        """dB by which ours is nearer than the true picture times ``best_factor``."""
+        return self.ours - self.best_scaled_truth
 
 
 @dataclass(frozen=True)
 class RelitMeans:
-    """Means in dB over the views of one level, or over everything."""
+    """Means in dB over the views of one condition, or over everything."""
 
     ours: float
     scaled_truth: float
     scaled_ours: float
+    best_scaled_truth: float
 
     @property
     def gain_over_scaled_truth(self) -> float:
@@ -87,6 +105,10 @@ class RelitMeans:
     @property
     def gain_over_scaled_ours(self) -> float:
         return self.ours - self.scaled_ours
+
+    @property
+    def gain_over_best_scaled_truth(self) -> float:
+        return self.ours - self.best_scaled_truth
 
 
 @dataclass(frozen=True)
@@ -138,19 +160,20 @@ class Evaluation:
         return float(np.median([row.scale_ratio for row in self.hdr])) if self.hdr else None
 
     @property
-    def relit_levels(self) -> list[float]:
-        """The ambient levels there is truth for, rising."""
-        return sorted({row.level for row in self.relit})
+    def relit_conditions(self) -> list[str]:
+        """The mixtures of light there are rows for (``ambient 4 + pendant 0.25``), in the truth's order."""
+        return list(dict.fromkeys(row.condition for row in self.relit))
 
-    def relit_mean(self, level: float | None = None) -> RelitMeans | None:
-        """Means over the views at ``level``, or over all rows; None if there are none."""
-        rows = [row for row in self.relit if level is None or row.level == level]
+    def relit_mean(self, condition: str | None = None) -> RelitMeans | None:
+        """Means over the views under ``condition``, or over all rows; None if there are none."""
+        rows = [row for row in self.relit if condition is None or row.condition == condition]
         if not rows:
             return None
         return RelitMeans(
             _mean([row.ours for row in rows]),
             _mean([row.scaled_truth for row in rows]),
             _mean([row.scaled_ours for row in rows]),
+            _mean([row.best_scaled_truth for row in rows]),
         )
 
 

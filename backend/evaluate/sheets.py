@@ -6,6 +6,7 @@ import torch
 from PIL import Image, ImageDraw, ImageFont
 
 from ...bridge.errors import BadValueError
+from ...bridge.lights import Levels
 from ..scene.scene import Scene, View
 from . import truth
 from .metrics import MU, display, hdr_pair, psnr, quantise, resize_to
@@ -139,9 +140,10 @@ def comparison_sheet(
             reference = truth.hdr_truth(scene.root, "test", pose)
             rows.append(_hdr_row(renderer, view, 1.0, reference, f"{view.name} HDR", gain))
         for item in relit:
-            if item.index == pose:
-                label = f"{view.name} ambient × {item.level:g}"
-                rows.append(_hdr_row(renderer, view, item.level, item.radiance(), label, gain))
+            if item.index == pose and item.can_be_shown(renderer.lights):
+                levels = item.levels_of(renderer.lights)
+                label = f"{view.name} {item.condition}"
+                rows.append(_hdr_row(renderer, view, levels, item.radiance(), label, gain))
     note = (
         f"residual: absolute difference × {gain:g}; HDR and relit rows: μ-law, μ = {MU:g}, "
         f"white is the {100.0 * WHITE_QUANTILE:g}th percentile of the truth"
@@ -157,7 +159,7 @@ def _ldr_row(renderer: Renderer, view: View, k: int, gain: float) -> list[Cell]:
 
 
 def _hdr_row(
-    renderer: Renderer, view: View, level: float, reference: torch.Tensor, label: str, gain: float
+    renderer: Renderer, view: View, level: Levels, reference: torch.Tensor, label: str, gain: float
 ) -> list[Cell]:
     radiance = renderer.hdr(view.camera, level).detach().cpu()
     pair = hdr_pair(radiance, reference)

@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The true radiance of a data set. Only evaluation may ask for it: no module that trains imports this."""
 
+import json
+import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import torch
 
-from ...bridge.errors import BadValueError
+from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
+from ...bridge.lights import AMBIENT, check_lights, in_words, named_levels
 from ..scene.pictures import read_exr
 
 
@@ -28,11 +32,37 @@ def hdr_truth(root: Path, split: str, index: int) -> torch.Tensor:
 
 @dataclass(frozen=True)
 class RelitTruth:
-    """The true picture of test pose ``index`` with the ambient light ``level`` times as strong."""
+    """The true picture of test pose ``index`` with each light of ``levels`` so many times as strong.
 
-    level: float
+    Lights that ``levels`` does not name are as in the standard views.
+    """
+
+    levels: dict[str, float]
     index: int
     path: Path
+
+    @property
+    def condition(self) -> str:
+        """``ambient 4 + pendant 0.25``."""
+        return in_words(self.levels)
+
+    @property
+    def level(self) -> float | None:
+        """The ambient light's level, where that light alone is changed."""
+        return self.levels.get(AMBIENT) if len(self.levels) == 1 else None
+
+    @property
+    def changed(self) -> dict[str, float]:
+        """The lights that are not as in the standard views, and their levels."""
+        return {name: level for name, level in self.levels.items() if level != 1.0}
+
+    def can_be_shown(self, lights: Sequence[str]) -> bool:
+        """Whether a model with levels for ``lights`` has one for every light that is changed."""
+        return all(name in lights for name in self.changed)
+
+    def levels_of(self, lights: Sequence[str]) -> tuple[float, ...]:
+        """A level for each of ``lights``; raises ``BadValueError`` where one that is changed is not there."""
+        return named_levels(self.changed, lights, self.condition)
 
     def radiance(self) -> torch.Tensor:
         """``[3, H, W]`` float32 scene-linear radiance; raises what ``read_exr`` raises."""
@@ -40,26 +70,84 @@ class RelitTruth:
 
 
 def relit_truth(root: Path) -> list[RelitTruth]:
-    """All relit true pictures, ordered by level and pose; empty if the data set has none.
+    """All relit true pictures, condition by condition, in each by pose; empty if the data set has none.
 
-    Raises ``BadValueError`` on a folder ``relit/level_…`` whose name is no level.
+    ``dataset.json`` lists folders and their levels under ``relit``; without that list each folder
+    ``relit/level_0.25`` is of the ambient light, ordered by its level. Raises ``BadValueError``,
+    ``FileDamagedError`` and ``FileMissingError`` where a folder, its levels or a file's name mean nothing.
     """
+    root = Path(root)
+    if not (root / "relit").is_dir():
+        return []
+    listed = _listed_conditions(root)
+    conditions = _named_conditions(root) if listed is None else listed
     found = []
-    for folder in (Path(root) / "relit").glob("level_*"):
-        try:
-            level = float(folder.name.removeprefix("level_"))
-        except ValueError:
-            level = -1.0
-        if not 0.0 <= level < float("inf"):
-            raise BadValueError(
-                f"{folder} does not name a lighting level", "Rename it to level_0.25 and so on, or remove it."
-            )
+    for folder, levels in conditions:
+        poses = []
         for path in folder.glob("hdr_*.exr"):
             number = re.fullmatch(r"hdr_(\d+)", path.stem)
             if number is None:
                 raise BadValueError(f"{path} does not name a pose", "Rename it to hdr_003.exr, or remove it.")
-            found.append(RelitTruth(level, int(number.group(1)), path))
-    return sorted(found, key=lambda truth: (truth.level, truth.index))
+            poses.append(RelitTruth(levels, int(number.group(1)), path))
+        found += sorted(poses, key=lambda truth: truth.index)
+    return found
+
+
+def _named_conditions(root: Path) -> list[tuple[Path, dict[str, float]]]:
+    """The folders ``relit/level_0.25`` and what they say of the ambient light, rising."""
+    found = []
+    for folder in (root / "relit").glob("level_*"):
+        try:
+            level = float(folder.name.removeprefix("level_"))
+        except ValueError:
+            level = -1.0
+        if not 0.0 <= level < math.inf:
+            raise BadValueError(
+                f"{folder} does not name a lighting level", "Rename it to level_0.25 and so on, or remove it."
+            )
+        found.append((folder, {AMBIENT: level}))
+    return sorted(found, key=lambda condition: condition[1][AMBIENT])
+
+
+def _listed_conditions(root: Path) -> list[tuple[Path, dict[str, float]]] | None:
+    """What ``dataset.json`` lists under ``relit``, in its order; ``None`` where it lists nothing."""
+    path = root / "dataset.json"
+    if not path.is_file():
+        return None
+    try:
+        info = json.loads(path.read_text(encoding="utf-8"))
+        listed, lights = info.get("relit"), info.get("lights")
+    except (ValueError, RecursionError, AttributeError) as error:
+        raise FileDamagedError(f"{path} cannot be read: {error}", "Make the data set again.") from error
+    if listed is None:
+        return None
+    if not isinstance(listed, list):
+        raise BadValueError(f"{path}: 'relit' is a {type(listed).__name__}, not a list", _LIST_FORM)
+    found: list[tuple[Path, dict[str, float]]] = []
+    for number, entry in enumerate(listed):
+        where = f"{path}: relit {number}"
+        match entry:
+            case {"folder": str(name), "levels": {**levels}} if levels:
+                pass
+            case _:
+                raise BadValueError(f"{where} is {entry!r}", _LIST_FORM)
+        folder = root / name
+        if not folder.resolve().is_relative_to(root.resolve()):
+            raise BadValueError(f"{where}: the folder {name!r} is not in the data set", _LIST_FORM)
+        if lights is not None:
+            lights = check_lights(lights, str(path))
+            named_levels({light: 1.0 for light in levels}, lights, where)
+        if not all(type(v) in (int, float) and 0.0 <= v < math.inf for v in levels.values()):
+            raise BadValueError(f"{where}: the levels are {levels!r}", "Each must be a number, 0 or more.")
+        if not folder.is_dir():
+            raise FileMissingError(
+                f"{folder} is missing, which {path.name} lists", "Make the data set again, or copy it again."
+            )
+        found.append((folder, {str(light): float(level) for light, level in levels.items()}))
+    return found
+
+
+_LIST_FORM = 'It must be a list of {"folder": "relit/level_4", "levels": {"ambient": 4}} and so on.'
 
 
 def _as_tensor(path: Path) -> torch.Tensor:

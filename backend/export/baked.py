@@ -7,22 +7,40 @@ display values. Edges of bright Gaussians therefore differ a little from our own
 radiance.
 """
 
+import json
+
 import numpy as np
 import torch
 
-from ...bridge.model_file import Model
-from ...bridge.ply_model import CURVE, FORM, NETWORK, tensor_comments, tensors_from_comments
+from ...bridge.lights import AMBIENT
+from ...bridge.model_file import ADDITIVE_LIGHTS, Model
+from ...bridge.ply_model import (
+    AMBIENT_LOGITS,
+    CURVE,
+    FORM,
+    LIGHT_LOGITS,
+    LIGHTS,
+    NETWORK,
+    tensor_comments,
+    tensors_from_comments,
+)
 from ..methods.physhdr import PhysHDR
 from ..model.gaussians import Gaussians
 
 
-def parameter_columns(gaussians: Gaussians) -> dict[str, np.ndarray]:
-    """Every parameter as named ``phys_…`` columns ``[N]``, float32: ``phys_means_0`` …"""
+def parameter_columns(gaussians: Gaussians, lights: tuple[str, ...] = (AMBIENT,)) -> dict[str, np.ndarray]:
+    """Every parameter as named ``phys_…`` columns ``[N]``, float32: ``phys_means_0`` …
+
+    Where the ambient light is the only one, its logits are called as before there were others.
+    """
     columns = {}
     for name, tensor in gaussians.parameters.items():
         flat = tensor.detach().reshape(len(gaussians), -1).numpy()
+        prefix = f"phys_{name}"
+        if prefix == LIGHT_LOGITS and lights == (AMBIENT,):
+            prefix = AMBIENT_LOGITS
         for index in range(flat.shape[1]):
-            columns[f"phys_{name}_{index}"] = flat[:, index]
+            columns[f"{prefix}_{index}"] = flat[:, index]
     return columns
 
 
@@ -31,14 +49,15 @@ def parameters_from_columns(columns: dict[str, np.ndarray]) -> Gaussians:
     found: dict[str, dict[int, np.ndarray]] = {}
     for column, values in columns.items():
         if column.startswith("phys_"):
-            name, _, index = column.removeprefix("phys_").rpartition("_")
+            prefix, _, index = column.rpartition("_")
+            name = (LIGHT_LOGITS if prefix == AMBIENT_LOGITS else prefix).removeprefix("phys_")
             found.setdefault(name, {})[int(index)] = values
     parameters = {}
     for name, parts in found.items():
         tensor = torch.from_numpy(np.stack([parts[i] for i in range(len(parts))], axis=1))
         if name == "opacity_logits":
             tensor = tensor[:, 0]
-        elif name.startswith("reflectance"):
+        elif name.startswith("reflectance") or name == "light_share_logits":
             tensor = tensor.reshape(len(tensor), -1, 3)
         parameters[name] = tensor.contiguous()
     if "reflectance_rest" not in parameters:  # degree 0 has none
@@ -49,10 +68,15 @@ def parameters_from_columns(columns: dict[str, np.ndarray]) -> Gaussians:
 def network_comments(method: PhysHDR, model: Model) -> list[str]:
     """The networks, the sampled response and what the radiance is made of, as comment lines."""
     form = method.config.composer, method.config.modulator if method.can_relight else "additive"
+    lights: list[str] = []
+    if method.lights != (AMBIENT,):
+        lights = [f"{LIGHTS} {json.dumps(list(method.lights))}"]
+        form = form[0], form[1] if form[1] != "additive" else ADDITIVE_LIGHTS
     networks = {name: tensor.detach().numpy() for name, tensor in method.state_dict().items()}
     curve = {name: array for name, array in model.tensors().items() if name.startswith("tone_curve")}
     return [
         f"{FORM} {form[0]} {form[1]}",
+        *lights,
         *tensor_comments(CURVE, curve),
         *tensor_comments(NETWORK, networks),
     ]

@@ -61,8 +61,8 @@ def to_model(
     g = method.gaussians
     share = gain = None
     levels: tuple[float, ...] = ()
-    if method.config.has_ambient_share:
-        share = g.ambient_share.numpy()[:, None]
+    if method.config.has_light_share:
+        share = g.light_share.numpy()
     elif not method.can_relight:
         # Without an illumination branch nothing is known of the light: a level scales everything.
         share = np.ones((len(g), 1, 3), np.float32)
@@ -76,6 +76,7 @@ def to_model(
         opacity=g.opacities.numpy(),
         log_radiance_sh=log_radiance_sh(method),
         light_share=share,
+        lights=method.lights,
         level_log_gain=gain,
         levels=levels,
         tone_curve_log_exposure=log_exposure,

@@ -6,6 +6,7 @@ c = g(L_a, H_r) and multiplies the picture by the exposure t; the Gaussian-illum
 ĉ = g(φ(L_a, l), H_r), relit to the level l. A tone mapper turns both into LDR and fuses them crosswise.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -13,6 +14,7 @@ import torch
 from torch import nn
 
 from ...bridge.errors import BadValueError
+from ...bridge.lights import AMBIENT, Levels, as_levels, check_lights
 from ..device import use_whole_float32
 from ..kernels.plain import can_fuse
 from ..kernels.ssim import SsimTarget
@@ -35,7 +37,7 @@ class PhysHDRConfig:
     lighting_level: Literal["exposure", "view"] = "view"
     #: g: the physical product L_a · H_r, or the product times what a network learns (the paper).
     composer: Literal["product", "learned"] = "product"
-    #: φ: additive (a share of each Gaussian's light is ambient), or a network (the paper).
+    #: φ: additive (each light has a share of each Gaussian's), or a network (the paper).
     modulator: Literal["additive", "learned"] = "additive"
     composer_hidden: int = 64
     sh_degree: int = 3
@@ -69,8 +71,8 @@ class PhysHDRConfig:
         return (6 if self.branches == "both" else 3) + context
 
     @property
-    def has_ambient_share(self) -> bool:
-        """Whether each Gaussian learns which share of its light is ambient."""
+    def has_light_share(self) -> bool:
+        """Whether each Gaussian learns which share of its radiance each light causes."""
         return self.modulator == "additive" and self.branches != "image-exposure"
 
 
@@ -92,8 +94,17 @@ class Rendering:
     rasterization: Rasterization
 
 
+def is_standard(levels: Sequence[float]) -> bool:
+    """Whether every light is as it was captured."""
+    return all(level == 1.0 for level in levels)
+
+
 class PhysHDR(nn.Module):
-    """The method: Gaussians and three networks. ``config`` alone decides what it computes."""
+    """The method: Gaussians and three networks. ``config`` alone decides what it computes.
+
+    ``lights``: names of the lights that have levels; wherever a level is taken, a plain number is the first
+    one's. Only the additive modulator knows more than one: else ``BadValueError``.
+    """
 
     def __init__(
         self,
@@ -101,9 +112,16 @@ class PhysHDR(nn.Module):
         gaussians: Gaussians,
         anchor: tuple[float, float] | None,
         implementation: Implementation = "auto",
+        lights: tuple[str, ...] = (AMBIENT,),
     ) -> None:
         super().__init__()
+        if len(lights) > 1 and not config.has_light_share:
+            raise BadValueError(
+                f"the {config.modulator} modulator knows one light, the data have {', '.join(lights)}",
+                "Set --method.modulator additive, or train without the lit views.",
+            )
         self.config = config
+        self.lights = check_lights(lights, "the method")
         self.gaussians = gaussians
         self.implementation: Implementation = implementation
         hidden = config.composer_hidden
@@ -127,12 +145,14 @@ class PhysHDR(nn.Module):
     def _viewpoint(self, camera: Camera) -> torch.Tensor:
         return camera_tensors(camera, self.gaussians.means).position
 
-    def log_modulated_illumination(self, level: float) -> torch.Tensor:
+    def log_modulated_illumination(self, level: Levels) -> torch.Tensor:
         """ln L̂_a = ln φ(L_a, l) (eq. 10), ``[N, 1 or 3]``."""
-        share = self.gaussians.ambient_share if self.config.has_ambient_share else None
-        return self.modulator(self.gaussians.log_illumination, level, share)
+        levels = as_levels(level, self.lights)
+        if isinstance(self.modulator, AdditiveModulator):
+            return self.modulator(self.gaussians.log_illumination, levels, self.gaussians.light_share)
+        return self.modulator(self.gaussians.log_illumination, levels[0])
 
-    def radiance(self, viewpoint: torch.Tensor, level: float | None) -> torch.Tensor:
+    def radiance(self, viewpoint: torch.Tensor, level: Levels | None) -> torch.Tensor:
         """Scene-linear radiance ``[N, 3]`` toward ``viewpoint``: c (eq. 8), or ĉ when a level is given."""
         log_reflectance = self.gaussians.log_reflectance(viewpoint, self.active_sh_degree)
         if level is None:
@@ -147,13 +167,14 @@ class PhysHDR(nn.Module):
         self,
         camera: Camera,
         exposure: float,
-        view_level: float = 1.0,
+        view_level: Levels = 1.0,
         screen_offsets: torch.Tensor | None = None,
     ) -> Rendering:
         """Render a view as a camera with ``exposure`` seconds would record it under ``view_level``."""
         config, gaussians = self.config, self.gaussians
+        view_levels = as_levels(view_level, self.lights)
         by_exposure = config.lighting_level == "exposure"
-        level = exposure if by_exposure else view_level
+        level = exposure if by_exposure else view_levels
         viewpoint = self._viewpoint(camera)
         log_reflectance = gaussians.log_reflectance(viewpoint, self.active_sh_degree)
 
@@ -177,7 +198,7 @@ class PhysHDR(nn.Module):
                 # l says how the scene was lit, not how it was exposed: both branches need the exposure,
                 # and a view under other light can only be explained by the GI branch.
                 relit = relit * exposure
-                exposed = exposed if view_level == 1.0 else relit
+                exposed = exposed if is_standard(view_levels) else relit
             ldr, supervised, glo = self._fuse(exposed, relit, context)
         else:
             exposed, relit = images[0], None
@@ -236,18 +257,18 @@ class PhysHDR(nn.Module):
     # -- use --------------------------------------------------------------------------------------------
 
     @torch.no_grad()
-    def hdr(self, camera: Camera, lighting_level: float = 1.0) -> torch.Tensor:
-        """Scene-linear radiance ``[3, H, W]``: I_HDR, or Î_HDR where the lighting level is not 1."""
+    def hdr(self, camera: Camera, lighting_level: Levels = 1.0) -> torch.Tensor:
+        """Scene-linear radiance ``[3, H, W]``: I_HDR, or Î_HDR where a lighting level is not 1."""
         return self._rasterize(self._seen_radiance(camera, lighting_level), camera).image
 
     @torch.no_grad()
-    def preview(self, camera: Camera, lighting_level: float = 1.0) -> Rasterization:
+    def preview(self, camera: Camera, lighting_level: Levels = 1.0) -> Rasterization:
         """The radiance of ``hdr`` with alpha and depth (metres along the camera's axis), in one pass."""
         return self._rasterize(self._seen_radiance(camera, lighting_level), camera, with_depth=True)
 
     @torch.no_grad()
     def preview_ldr(
-        self, drawn: Rasterization, camera: Camera, exposure: float, lighting_level: float = 1.0
+        self, drawn: Rasterization, camera: Camera, exposure: float, lighting_level: Levels = 1.0
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """The picture of ``ldr``, from what ``preview`` drew where that suffices, and the camera's black.
 
@@ -265,25 +286,29 @@ class PhysHDR(nn.Module):
             return self.ldr(camera, exposure, lighting_level), black
         return self.tone_mapper.tone_map(drawn.image * exposure, None)[0], black
 
-    def _seen_radiance(self, camera: Camera, lighting_level: float) -> torch.Tensor:
+    def _seen_radiance(self, camera: Camera, lighting_level: Levels) -> torch.Tensor:
         """``[N, 3]`` toward the camera; without an illumination branch the level scales all of it."""
-        level = None if lighting_level == 1.0 or not self.can_relight else lighting_level
-        colours = self.radiance(self._viewpoint(camera), level)
-        return colours * lighting_level if level is None and lighting_level != 1.0 else colours
+        levels = as_levels(lighting_level, self.lights)
+        standard = is_standard(levels)
+        colours = self.radiance(
+            self._viewpoint(camera), levels if self.can_relight and not standard else None
+        )
+        return colours if self.can_relight or standard else colours * levels[0]
 
     @torch.no_grad()
-    def ldr(self, camera: Camera, exposure: float, lighting_level: float = 1.0) -> torch.Tensor:
+    def ldr(self, camera: Camera, exposure: float, lighting_level: Levels = 1.0) -> torch.Tensor:
         """The picture ``[3, H, W]`` in [0, 1] that a camera with ``exposure`` seconds would record.
 
         The paper ties l to the exposure; under another lighting level its image-exposure branch sees the
         relit radiance times t, and its illumination branch the level times t.
         """
-        if self.config.lighting_level == "view" or lighting_level == 1.0:
-            return self.render(camera, exposure, lighting_level).ldr
+        levels = as_levels(lighting_level, self.lights)
+        if self.config.lighting_level == "view" or is_standard(levels):
+            return self.render(camera, exposure, levels).ldr
         if self.config.branches == "image-exposure":
-            return self.render(camera, exposure * lighting_level).ldr
+            return self.render(camera, exposure * levels[0]).ldr
         viewpoint = self._viewpoint(camera)
-        colours = [self.radiance(viewpoint, level) for level in (lighting_level, lighting_level * exposure)]
+        colours = [self.radiance(viewpoint, (levels[0] * t, *levels[1:])) for t in (1.0, exposure)]
         if self.config.tone_mapper.local:
             colours.append(self.gaussians.context)
         drawn = self._rasterize(torch.cat(colours, dim=1), camera).image

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The scene: anisotropic Gaussians, each with a reflectance and an ambient illumination."""
+"""The scene: anisotropic Gaussians, each with a reflectance and an illumination."""
 
 from dataclasses import dataclass
 
@@ -28,7 +28,7 @@ class Gaussians:
     ``reflectance_dc``        [N, 1, 3]   ln H_r(ω) = SH: the constant coefficient …
     ``reflectance_rest``      [N, K−1, 3] … and the others
     ``log_illumination``      [N, 1]      ln L_a, ambient illumination (eq. 5: no direction)
-    ``ambient_share_logits``  [N, 3]      only with the additive modulator: s = sigmoid(·)
+    ``light_share_logits``    [N, C, 3]   only with the additive modulator: s of each of C lights
     ``context``               [N, 4]      only with a local tone mapper: what is rendered as its context
     ========================  ==========  ==============================================================
     """
@@ -55,9 +55,16 @@ class Gaussians:
         return self.opacity_logits.sigmoid()
 
     @property
-    def ambient_share(self) -> torch.Tensor:
-        """``[N, 3]`` in (0, 1): how much of each colour's radiance the ambient light causes."""
-        return self.ambient_share_logits.sigmoid()
+    def light_share(self) -> torch.Tensor:
+        """``[N, C, 3]`` in (0, 1): how much of each colour's radiance each light causes.
+
+        A softmax over the lights and what no light turns, whose logit is 0: the shares of all lights add up
+        to less than 1. Of a single light it is a sigmoid.
+        """
+        if self.light_share_logits.shape[1] == 1:
+            return self.light_share_logits.sigmoid()
+        with_fixed = torch.nn.functional.pad(self.light_share_logits, (0, 0, 0, 1))
+        return with_fixed.softmax(dim=1)[:, :-1]
 
     def log_reflectance(self, viewpoint: torch.Tensor, degree: int) -> torch.Tensor:
         """ln H_r(ω_o) ``[N, 3]`` as seen from ``viewpoint`` (``[3]``, metres), SH up to ``degree``."""
@@ -78,12 +85,14 @@ def initial_gaussians(
     ambient_share: float | None,
     context_size: int,
     seed: int,
+    lights: int = 1,
 ) -> Gaussians:
     """Isotropic Gaussians at ``positions`` with the same radiance exp(``log_radiance``) in every direction.
 
     ``positions`` ``[P, 3]`` metres, ``log_radiance`` ``[P, 3]``.
     Standard deviation: ``scale_factor`` × the root mean square distance to the three nearest neighbours
-    (3DGS's rule with factor 1). ``ambient_share=None`` and ``context_size=0`` leave those parameters out.
+    (3DGS's rule with factor 1). ``ambient_share=None`` and ``context_size=0`` leave those parameters out;
+    of several ``lights`` each starts with as much as what no light turns, 1 / (lights + 1).
     """
     count = positions.shape[0]
     if count < 4:
@@ -107,8 +116,8 @@ def initial_gaussians(
         "log_illumination": torch.zeros(count, 1),
     }
     if ambient_share is not None:
-        logit = float(np.log(ambient_share / (1.0 - ambient_share)))
-        parameters["ambient_share_logits"] = torch.full((count, 3), logit)
+        logit = float(np.log(ambient_share / (1.0 - ambient_share))) if lights == 1 else 0.0
+        parameters["light_share_logits"] = torch.full((count, lights, 3), logit)
     if context_size:
         parameters["context"] = 0.01 * torch.randn(count, context_size, generator=generator)
     return Gaussians({name: tensor.contiguous().requires_grad_() for name, tensor in parameters.items()})

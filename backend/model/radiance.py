@@ -5,6 +5,8 @@ Both work on logarithms, where a product is a sum and every radiance is positive
 starts at zero, so that training starts from the physical product and learns only what it misses.
 """
 
+from collections.abc import Sequence
+
 import torch
 from torch import nn
 
@@ -53,18 +55,23 @@ class LearnedComposer(nn.Module):
 
 
 class AdditiveModulator(nn.Module):
-    """L̂_a = L_a · (s·l + 1 − s): light transport is linear in each light, and a share s is ambient.
+    """L̂_a = L_a · (1 + Σ_k s_k (l_k − 1)): light transport is linear in each light, and k causes a share s_k.
 
-    At l = 1 it is the identity; between and beyond trained levels it cannot misbehave.
+    With one light L_a · (s·l + 1 − s). Where every level is 1 it is the identity; between and beyond trained
+    levels it cannot misbehave.
     """
 
     def forward(
-        self, log_illumination: torch.Tensor, lighting_level: float, ambient_share: torch.Tensor
+        self, log_illumination: torch.Tensor, lighting_levels: Sequence[float], light_share: torch.Tensor
     ) -> torch.Tensor:
-        """ln L_a ``[N, 1]``, s ``[N, 3]`` → ln L̂_a ``[N, 3]``."""
+        """ln L_a ``[N, 1]``, C levels l, s ``[N, C, 3]`` → ln L̂_a ``[N, 3]``."""
+        # Numbers, light by light: a tensor of the levels would have to be copied to a card, which waits.
+        shares = light_share.unbind(1) if len(lighting_levels) > 1 else (light_share.squeeze(1),)
+        change = shares[0] * (lighting_levels[0] - 1.0)
+        for share, level in zip(shares[1:], lighting_levels[1:], strict=True):
+            change = change + share * (level - 1.0)
         # At l = 0 and s = 1 nothing is left, and its logarithm would have no gradient.
-        change = (ambient_share * (lighting_level - 1.0)).clamp_min(DARKEST - 1.0)
-        return log_illumination + torch.log1p(change)
+        return log_illumination + torch.log1p(change.clamp_min(DARKEST - 1.0))
 
 
 class LearnedModulator(nn.Module):
@@ -74,11 +81,9 @@ class LearnedModulator(nn.Module):
         super().__init__()
         self.network = SmallNetwork(2, hidden, 1)
 
-    def forward(
-        self, log_illumination: torch.Tensor, lighting_level: float, ambient_share: torch.Tensor | None = None
-    ) -> torch.Tensor:
-        """ln L_a ``[N, 1]`` → ln L̂_a ``[N, 1]``."""
+    def forward(self, log_illumination: torch.Tensor, lighting_level: float) -> torch.Tensor:
+        """ln L_a ``[N, 1]`` → ln L̂_a ``[N, 1]``; a level of 0 is taken as ``DARKEST``."""
         # In float32 as the Gaussians are, but on the host: a copy to the card would make it wait.
-        log_level = torch.tensor(lighting_level).log().item()
+        log_level = torch.tensor(max(lighting_level, DARKEST)).log().item()
         inputs = torch.cat([log_illumination, torch.full_like(log_illumination, log_level)], dim=1)
         return log_illumination + log_level + self.network(inputs.T.contiguous()).T

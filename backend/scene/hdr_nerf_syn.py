@@ -22,6 +22,7 @@ from ...bridge.errors import (
     FileMissingError,
     PhysHDRError,
 )
+from ...bridge.lights import AMBIENT, check_lights, in_words, named_levels
 from .camera import Camera
 from .pictures import png_size
 from .scene import PictureCache, Points, Scene, View
@@ -54,9 +55,10 @@ def read_scene(root: Path) -> Scene:
     root = Path(root)
     info = _read_info(root)
     cache = PictureCache()
-    train = _read_split(root, "train", cache)
-    test = _read_split(root, "test", cache) if _has_split(root, "test") else []
-    lit = _read_split(root, "lit", cache) if _has_split(root, "lit") else []
+    lights = _read_lights(root) if _has_split(root, "lit") else (AMBIENT,)
+    train = _read_split(root, "train", cache, lights)
+    test = _read_split(root, "test", cache, lights) if _has_split(root, "test") else []
+    lit = _read_split(root, "lit", cache, lights) if _has_split(root, "lit") else []
     _check_one_size([*train, *test, *lit])
     points_path = root / "points3d.ply"
     return Scene(
@@ -68,6 +70,7 @@ def read_scene(root: Path) -> Scene:
         points=read_points(points_path) if points_path.exists() else None,
         response_anchor=_read_anchor(root, info),
         info=info,
+        lights=lights,
     )
 
 
@@ -164,7 +167,7 @@ class _Frame:
     stem: str
     index: int
     pose: np.ndarray
-    lighting_level: float
+    lighting_levels: tuple[float, ...]
 
 
 def _plain(name: str) -> str:
@@ -172,14 +175,23 @@ def _plain(name: str) -> str:
     return name.replace("\\", "/").removeprefix("./")
 
 
-def _read_split(root: Path, split: str, cache: PictureCache) -> list[View]:
+def _read_lights(root: Path) -> tuple[str, ...]:
+    """The lights whose levels differ between the lit views; older data sets name none: the ambient one."""
+    path = root / "transforms_lit.json"
+    try:
+        return check_lights(_read_json(path).get("lights", [AMBIENT]), str(path))
+    except BadValueError as error:
+        raise BadValueError(error.message, error.hint or "Mend 'lights' in that file.") from error
+
+
+def _read_split(root: Path, split: str, cache: PictureCache, lights: tuple[str, ...]) -> list[View]:
     transforms_path = root / f"transforms_{split}.json"
     exposure_path = root / f"exposure_{split}.json"
     transforms = _read_json(transforms_path)
     angle = _number(
         transforms_path, _require(transforms_path, transforms, "camera_angle_x"), "'camera_angle_x'"
     )
-    frames = _read_frames(transforms_path, transforms, needs_level=split == "lit")
+    frames = _read_frames(transforms_path, transforms, lights, is_lit=split == "lit")
     brackets = _read_exposures(exposure_path)
 
     views = []
@@ -196,7 +208,7 @@ def _read_split(root: Path, split: str, cache: PictureCache) -> list[View]:
         width, height = _check_bracket(paths, exposure_path)
         camera = _camera(transforms_path, frame, width, height, angle)
         exposures = tuple(bracket[k] for k in range(len(bracket)))
-        views.append(View(frame.stem, camera, exposures, paths, frame.index, frame.lighting_level, cache))
+        views.append(View(frame.stem, camera, exposures, paths, frame.index, frame.lighting_levels, cache))
 
     odd = next((view for view in views if len(view.exposures) != len(views[0].exposures)), None)
     if odd is not None:
@@ -208,7 +220,9 @@ def _read_split(root: Path, split: str, cache: PictureCache) -> list[View]:
     return views
 
 
-def _read_frames(path: Path, transforms: dict[str, Any], needs_level: bool) -> list[_Frame]:
+def _read_frames(
+    path: Path, transforms: dict[str, Any], lights: tuple[str, ...], is_lit: bool
+) -> list[_Frame]:
     entries = _require(path, transforms, "frames")
     if not isinstance(entries, list) or not entries:
         raise FileDamagedError(f"{path}: 'frames' must be a list with at least one frame", MAKE_AGAIN)
@@ -221,21 +235,12 @@ def _read_frames(path: Path, transforms: dict[str, Any], needs_level: bool) -> l
         if not isinstance(file_path, str):
             raise FileDamagedError(f"{path}{where}: 'file_path' is {file_path!r}, not a text", MAKE_AGAIN)
         stem = _plain(file_path).removesuffix(".png")
-        if needs_level:
-            _require(path, entry, "lighting_level", f"{where} ('{stem}')")
-        level = _number(
-            path, entry.get("lighting_level", 1.0), f"frame {number} ('{stem}'): 'lighting_level'"
-        )
-        if level < 0.0:
-            raise BadValueError(
-                f"{path}: frame {number} ('{stem}'): 'lighting_level' is {level}",
-                "Light cannot be negative: mend it.",
-            )
+        levels = _levels(path, entry, f"frame {number} ('{stem}')", lights, is_lit)
         pose = _pose(
             path, _require(path, entry, "transform_matrix", f"{where} ('{stem}')"), f"{number} ('{stem}')"
         )
         digits = re.search(r"(\d+)$", stem)
-        frames.append(_Frame(stem, int(digits.group()) if digits else number, pose, level))
+        frames.append(_Frame(stem, int(digits.group()) if digits else number, pose, levels))
     if len({frame.index for frame in frames}) != len(frames):
         twice = next(f for f in frames if sum(f.index == g.index for g in frames) > 1)
         raise DataMismatchError(
@@ -243,6 +248,50 @@ def _read_frames(path: Path, transforms: dict[str, Any], needs_level: bool) -> l
             "Number the poses of a split without repetition: the number names the truth, hdr_003.exr.",
         )
     return frames
+
+
+def _levels(
+    path: Path, entry: dict[str, Any], which: str, lights: tuple[str, ...], is_lit: bool
+) -> tuple[float, ...]:
+    """The level of each of ``lights`` in a frame: 1 but for lit views, which must say theirs.
+
+    ``lighting_levels`` names lights, those not named are at 1; ``lighting_level`` is the ambient one's.
+    """
+    named = entry.get("lighting_levels", {})
+    if not isinstance(named, dict):
+        raise BadValueError(
+            f"{path}: {which}: 'lighting_levels' is {named!r}, not an object",
+            'Write it as {"ambient": 0.25} and so on.',
+        )
+    levels = {str(n): _number(path, v, f"{which}: the level of {n!r}") for n, v in named.items()}
+    if "lighting_level" in entry:
+        ambient = _number(path, entry["lighting_level"], f"{which}: 'lighting_level'")
+        if levels.setdefault(AMBIENT, ambient) != ambient:
+            raise DataMismatchError(
+                f"{path}: {which}: 'lighting_level' is {ambient:g}, but 'lighting_levels' has "
+                f"{levels[AMBIENT]:g} for {AMBIENT}",
+                "Both are the ambient light's: mend one of them.",
+            )
+    elif is_lit and not levels:
+        key = "lighting_level" if lights == (AMBIENT,) else "lighting_levels"
+        _require(path, entry, key, f": {which}")
+    for name, level in levels.items():
+        if level < 0.0:
+            raise BadValueError(
+                f"{path}: {which}: the lighting level of {name!r} is {level}",
+                "Light cannot be negative: mend it.",
+            )
+    if not is_lit:
+        changed = {name: level for name, level in levels.items() if level != 1.0}
+        if changed:
+            raise BadValueError(
+                f"{path}: {which} has the lighting levels {in_words(changed)}",
+                "Training and test views are under the standard light, at 1: move it to the split 'lit'.",
+            )
+        return (1.0,) * len(lights)
+    if levels.get(AMBIENT) == 1.0 and AMBIENT not in lights:
+        del levels[AMBIENT]  # as captured: nothing that would have to be learned
+    return named_levels(levels, lights, f"{path}: {which}")
 
 
 def _pose(path: Path, matrix: Any, which: str) -> np.ndarray:

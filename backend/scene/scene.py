@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ...bridge.errors import BadValueError, DataMismatchError
+from ...bridge.lights import AMBIENT
 from .camera import Camera
 from .pictures import read_png
 
@@ -52,7 +53,7 @@ class View:
 
     ``name``: as the data set names it (``train/r_3``). ``index``: the pose's number (3), which also names
     its true radiance (``hdr_003.exr``). ``exposures``: seconds, one for each of ``image_paths``.
-    ``lighting_level``: ambient light relative to the standard views, 1 for those.
+    ``lighting_levels``: each of the scene's lights relative to the standard views, all 1 for those.
     """
 
     name: str
@@ -60,7 +61,7 @@ class View:
     exposures: tuple[float, ...]
     image_paths: tuple[Path, ...]
     index: int
-    lighting_level: float = 1.0
+    lighting_levels: tuple[float, ...] = (1.0,)
     cache: PictureCache = field(default_factory=PictureCache, repr=False)
 
     def __post_init__(self) -> None:
@@ -69,6 +70,16 @@ class View:
                 f"view '{self.name}' has {len(self.exposures)} exposures, {len(self.image_paths)} pictures",
                 "Give each picture of a view one exposure.",
             )
+
+    @property
+    def lighting_level(self) -> float:
+        """The level of the first light, which is the ambient one wherever that varies."""
+        return self.lighting_levels[0]
+
+    @property
+    def is_standard(self) -> bool:
+        """Whether every light is as in the standard views."""
+        return all(level == 1.0 for level in self.lighting_levels)
 
     def image(self, k: int) -> np.ndarray:
         """The picture at exposure ``k``: ``[H, W, 3]`` uint8, read-only, decoded once and then kept.
@@ -104,7 +115,8 @@ class Points:
 class Scene:
     """A data set that is ready for training: nothing in it leads to the true radiance.
 
-    ``lit``: extra training views under other ambient light. ``response_anchor``: one known point of the
+    ``lit``: extra training views under other light. ``lights``: names of the lights whose levels differ
+    there, in the order of every view's ``lighting_levels``. ``response_anchor``: one known point of the
     camera's response, (exposure × radiance, code value in 0…1), or None where the data name none.
     ``info``: ``dataset.json`` as read, or ``{}``.
     """
@@ -117,6 +129,7 @@ class Scene:
     points: Points | None = None
     response_anchor: tuple[float, float] | None = None
     info: dict[str, Any] = field(default_factory=dict)
+    lights: tuple[str, ...] = (AMBIENT,)
 
     @property
     def splits(self) -> dict[str, list[View]]:

@@ -263,7 +263,7 @@ class Engine:
         except Exception as error:  # noqa: BLE001 (a failed training is a state, not the process's end)
             failure = self._failure(error)
             self._close()
-            self._update(state="failed", message=failure.message, failure=failure, has_model=False)
+            self._update(state="failed", message=failure.message, failure=failure, has_model=False, lights=())
         finally:
             self._trainer = None
             self._free_memory()
@@ -290,6 +290,7 @@ class Engine:
             saved_iteration=run.iteration,
             has_model=True,
             can_relight=run.method.can_relight,
+            lights=run.method.lights,
         )
         with EventLog(run.folder) as kept:
             for event in trainer.run(
@@ -375,6 +376,7 @@ class Engine:
                 message="opening the run",
                 has_model=before.has_model,
                 can_relight=before.can_relight,
+                lights=before.lights,
                 device=before.device,
             )
         )
@@ -407,6 +409,7 @@ class Engine:
                 saved_iteration=run.iteration,
                 has_model=True,
                 can_relight=run.method.can_relight,
+                lights=run.method.lights,
             )
         )
 

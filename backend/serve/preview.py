@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from ...bridge.errors import BadValueError
+from ...bridge.lights import as_levels
 from ...bridge.messages import (
     BINARY_BYTES_MAX,
     PREVIEW_SIDE_MAX,
@@ -24,8 +25,6 @@ HALF_MAX = 65504.0
 EV_MAX = 30.0
 #: How far the axes of a pose may be from unit length; more is no rounding but a scale.
 AXIS_TOLERANCE = 0.01
-#: At level 0 the logarithm of a learned modulator would not be finite.
-LEVEL_MIN = 1e-6
 BYTES_PER_PIXEL = 12
 HEADER_ROOM = 1 << 16
 
@@ -52,6 +51,12 @@ def camera_of(asked: PreviewCamera) -> Camera:
     return Camera(pose, width, height, asked.fx, asked.fy, asked.cx, asked.cy)
 
 
+def levels_of(request: PreviewRequest, lights: tuple[str, ...]) -> tuple[float, ...]:
+    """A level for each of ``lights``, 1 for those that the request leaves out; raises ``BadValueError``."""
+    asked = request.lighting_levels
+    return as_levels((*asked, *(1.0 for _ in lights[len(asked) :])), lights)
+
+
 def srgb_to_linear(codes: torch.Tensor) -> torch.Tensor:
     """IEC 61966-2-1, on [0, 1]."""
     return torch.where(codes <= 0.04045, codes / 12.92, ((codes + 0.055) / 1.055) ** 2.4)
@@ -64,15 +69,14 @@ def render(method: PhysHDR, request: PreviewRequest, iteration: int) -> PreviewF
     Raises ``BadValueError`` for what cannot be rendered.
     """
     begun = time.perf_counter()
-    if not request.lighting_level >= 0.0:
-        raise BadValueError(f"a lighting level of {request.lighting_level}", "It must be 0 or more.")
+    levels = levels_of(request, method.lights)
     if not abs(request.exposure_ev) <= EV_MAX:
         raise BadValueError(f"an exposure of {request.exposure_ev} EV", f"Choose −{EV_MAX:g} to {EV_MAX:g}.")
-    camera, level = camera_of(request.camera), max(request.lighting_level, LEVEL_MIN)
+    camera = camera_of(request.camera)
     exposure = math.exp2(request.exposure_ev)
-    drawn = method.preview(camera, level)
+    drawn = method.preview(camera, levels)
     if request.tone == "learned":
-        picture, black = method.preview_ldr(drawn, camera, exposure, level)
+        picture, black = method.preview_ldr(drawn, camera, exposure, levels)
         seen, empty = (srgb_to_linear(codes.clamp(0.0, 1.0)) for codes in (picture, black))
         colours = (seen - (1.0 - drawn.alpha) * empty).clamp_min(0.0)
     else:

@@ -5,6 +5,7 @@ A safetensors file: parameters, Adam's moments, densification statistics; the it
 Random numbers are drawn from (seed, iteration), so there is no generator state to keep.
 """
 
+import json
 import os
 from pathlib import Path
 
@@ -13,18 +14,35 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
 from ...bridge.errors import DataMismatchError, FileDamagedError, FileMissingError, OutputError
+from ...bridge.lights import AMBIENT, check_lights
 
 FORMAT = "physhdr-checkpoint"
 VERSION = 1
+#: The light's parameter, ``[N, C, 3]``, and what it is called in the file where the ambient light is the only
+#: one, ``[N, 3]``: as it was before there were others.
+SHARES, AMBIENT_SHARES = ".light_share_logits", ".ambient_share_logits"
 
 
-def save_checkpoint(path: Path, tensors: dict[str, torch.Tensor], metadata: dict[str, str]) -> None:
+def save_checkpoint(
+    path: Path,
+    tensors: dict[str, torch.Tensor],
+    metadata: dict[str, str],
+    lights: tuple[str, ...] = (AMBIENT,),
+) -> None:
     """Write the tensors; an older file at ``path`` survives until the new one is whole.
 
-    Raises ``OutputError`` where it cannot be written (a full disk, no permission).
+    ``lights``: names of the lights that the model has levels for. Raises ``OutputError`` where it cannot be
+    written (a full disk, no permission).
     """
     temporary = path.with_suffix(".partial")
     metadata = {"format": FORMAT, "version": str(VERSION), **metadata}
+    if lights == (AMBIENT,):
+        tensors = {
+            name.replace(SHARES, AMBIENT_SHARES): tensor.squeeze(1) if _is_share(name, tensor, 3) else tensor
+            for name, tensor in tensors.items()
+        }
+    else:
+        metadata["lights"] = json.dumps(list(lights))
     try:
         save_file({k: v.detach().cpu().contiguous() for k, v in tensors.items()}, temporary, metadata)
         temporary.chmod(0o644)  # safetensors makes files that only their owner reads
@@ -61,4 +79,24 @@ def load_checkpoint(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]
             f"{path} has checkpoint version {metadata.get('version')}, this program reads {VERSION}",
             "Use the version of PhysHDR that wrote it.",
         )
+    tensors = {
+        name.replace(AMBIENT_SHARES, SHARES): tensor[:, None] if _is_share(name, tensor, 2) else tensor
+        for name, tensor in tensors.items()
+    }
     return tensors, metadata
+
+
+def lights_of(metadata: dict[str, str], path: Path) -> tuple[str, ...]:
+    """The lights of a checkpoint's model, from its metadata; raises ``BadValueError``."""
+    try:
+        named = json.loads(metadata["lights"]) if "lights" in metadata else [AMBIENT]
+    except ValueError as error:
+        raise FileDamagedError(
+            f"{path}: its lights are not JSON: {error}", "It is damaged: restore a copy."
+        ) from error
+    return check_lights(named, str(path))
+
+
+def _is_share(name: str, tensor: torch.Tensor, axes: int) -> bool:
+    """Whether this is the light's parameter or one of its moments (Adam's step count has no axes)."""
+    return (SHARES in name or AMBIENT_SHARES in name) and tensor.dim() == axes

@@ -38,6 +38,7 @@ class TrainConfig:
     initial_opacity: float = 0.1
     #: Initial size of a Gaussian over the distance to its neighbours (3DGS: 1).
     initial_scale: float = 1.0
+    #: Of a data set with one light; of several each starts with as much as what no light turns.
     initial_ambient_share: float = 0.5
     #: Share of the training at whose start views are seen at half their width and height.
     half_size_until: float = 0.1
@@ -103,6 +104,9 @@ def fast(iterations: int = 1500) -> TrainConfig:
     return TrainConfig(iterations=iterations, half_size_until=0.2)
 
 
+#: Settings by names they had before → as they are called now.
+RENAMED = {"ambient_share_logits": "light_share_logits"}
+
 #: The presets by name. They differ in config fields only.
 PRESETS: dict[str, TrainConfig] = {
     "default": TrainConfig(),
@@ -141,9 +145,10 @@ def _from_dict(cls: type, values: dict[str, Any]) -> Any:
     """A dataclass from the nested dictionary that ``dataclasses.asdict`` gave; unknown keys are refused."""
     hints = typing.get_type_hints(cls)
     arguments = {}
-    for name, value in values.items():
+    for written, value in values.items():
+        name = RENAMED.get(written, written)
         if name not in hints:
-            raise KeyError(f"unknown setting {name!r}")
+            raise KeyError(f"unknown setting {written!r}")
         hint = hints[name]
         if dataclasses.is_dataclass(hint) and isinstance(hint, type):
             value = _from_dict(hint, value)

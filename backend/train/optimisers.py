@@ -29,7 +29,7 @@ class OptimiserConfig:
     reflectance_dc: float = 1e-2
     reflectance_rest: float = 1e-3
     log_illumination: float = 2.5e-3
-    ambient_share_logits: float = 5e-2
+    light_share_logits: float = 5e-2
     context: float = 2.5e-3
     #: g and φ (the paper: 6e-5), f (the paper: 2e-4).
     radiance_networks: float = 6e-5

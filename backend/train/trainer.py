@@ -10,6 +10,7 @@ import numpy as np
 import torch
 
 from ...bridge.errors import BadValueError, DataMismatchError, PhysHDRError
+from ...bridge.lights import AMBIENT
 from ..methods.physhdr import PhysHDR
 from ..model.gaussians import Gaussians, initial_gaussians
 from ..model.tone_mapper import ToneMapper
@@ -17,7 +18,7 @@ from ..rasterize import Implementation
 from ..resident import Pictures
 from ..scene.scene import Scene, View
 from . import densify as density
-from .checkpoint import load_checkpoint, save_checkpoint
+from .checkpoint import lights_of, load_checkpoint, save_checkpoint
 from .config import TrainConfig
 from .events import Event, Finished, Progress, Saved, Started
 from .initialise import initial_points, merged_log_radiance, scene_extent
@@ -56,6 +57,7 @@ class Trainer:
         self.iteration = 0
         self._sound = True  # whether the state is one that a checkpoint may hold
         uses_light = config.method.lighting_level == "view"
+        self.lights = scene.lights if uses_light else (AMBIENT,)
         self.views = [*scene.train, *(scene.lit if uses_light else [])]
         if not self.views:
             raise BadValueError(f"{scene.root} has no training views")
@@ -64,7 +66,9 @@ class Trainer:
         torch.manual_seed(config.seed)  # initial values of the networks
         tone_mapper = ToneMapper(config.method.tone_mapper, scene.response_anchor)
         tone_mapper.warm_start(config.seed)
-        self.method = PhysHDR(config.method, self._start(tone_mapper), scene.response_anchor, implementation)
+        self.method = PhysHDR(
+            config.method, self._start(tone_mapper), scene.response_anchor, implementation, self.lights
+        )
         self.method.tone_mapper.load_state_dict(tone_mapper.state_dict())
         self.method.to_device(self.device)
         self.optimiser = Optimiser(
@@ -88,9 +92,7 @@ class Trainer:
     def _start(self, tone_mapper: ToneMapper) -> Gaussians:
         config, method = self.config, self.config.method
         # Only views under the standard light say how bright a point is at level 1.
-        standard = [
-            (v, e) for v, e in zip(self.views, self.exposures, strict=True) if v.lighting_level == 1.0
-        ]
+        standard = [(v, e) for v, e in zip(self.views, self.exposures, strict=True) if v.is_standard]
         views, exposures = [v for v, _ in standard], [e for _, e in standard]
         points = initial_points(
             self.scene,
@@ -108,7 +110,8 @@ class Trainer:
             sh_degree=method.sh_degree,
             opacity=config.initial_opacity,
             scale_factor=config.initial_scale,
-            ambient_share=config.initial_ambient_share if method.has_ambient_share else None,
+            ambient_share=config.initial_ambient_share if method.has_light_share else None,
+            lights=len(self.lights),
             context_size=method.tone_mapper.context_size if method.tone_mapper.local else 0,
             seed=config.seed,
         )
@@ -133,7 +136,8 @@ class Trainer:
         self._follow_schedules(iteration)
 
         screen_offsets = torch.zeros(len(method.gaussians), 2, device=self.device, requires_grad=True)
-        rendering = method.render(camera, view.exposures[k], view.lighting_level, screen_offsets)
+        levels = 1.0 if view.is_standard else view.lighting_levels
+        rendering = method.render(camera, view.exposures[k], levels, screen_offsets)
         terms = method.losses(rendering, picture)
         total = torch.stack(list(terms.values())).sum()
         total.backward()
@@ -247,12 +251,19 @@ class Trainer:
         tensors |= {f"statistics.{k}": v for k, v in vars(self.statistics).items()}
         tensors |= self.optimiser.state_tensors()
         path = folder / CHECKPOINT_FILE
-        save_checkpoint(path, tensors, {"iteration": str(self.iteration)})
+        save_checkpoint(path, tensors, {"iteration": str(self.iteration)}, self.lights)
         return Saved(self.iteration, str(path))
 
     def resume(self, folder: Path) -> None:
         """Go on from the checkpoint in ``folder``: the run continues bit-identically on the CPU."""
         tensors, metadata = load_checkpoint(folder / CHECKPOINT_FILE)
+        lights = lights_of(metadata, folder / CHECKPOINT_FILE)
+        if lights != self.lights:
+            raise DataMismatchError(
+                f"the run in {folder} has levels of {', '.join(lights)}, the data in {self.scene.root} of "
+                f"{', '.join(self.lights)}",
+                "Give the data set that it was begun with.",
+            )
         restore_method(self.method, tensors)
         self.method.to_device(self.device)
         self.optimiser = Optimiser(
@@ -292,7 +303,8 @@ def load_method(
 ) -> tuple[PhysHDR, int]:
     """The trained method of a run's folder, for rendering, and the iteration it is at."""
     tensors, metadata = load_checkpoint(folder / CHECKPOINT_FILE)
-    method = PhysHDR(config.method, Gaussians({}), anchor, implementation)
+    lights = lights_of(metadata, folder / CHECKPOINT_FILE)
+    method = PhysHDR(config.method, Gaussians({}), anchor, implementation, lights)
     restore_method(method, tensors)
     method.to_device(torch.device(device))
     iteration = int(metadata["iteration"])

@@ -129,8 +129,8 @@ def grey_gaussians(positions: np.ndarray, config: TrainConfig) -> Gaussians:
         "reflectance_rest": torch.zeros(count, (method.sh_degree + 1) ** 2 - 1, 3),
         "log_illumination": torch.zeros(count, 1),
     }
-    if method.has_ambient_share:
-        parameters["ambient_share_logits"] = torch.zeros(count, 3)
+    if method.has_light_share:
+        parameters["light_share_logits"] = torch.zeros(count, 1, 3)
     if method.tone_mapper.local:
         generator = torch.Generator().manual_seed(config.seed)
         size = method.tone_mapper.context_size

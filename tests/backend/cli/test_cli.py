@@ -193,7 +193,7 @@ def test_render_and_export_refuse_bad_values(tiny_data, tmp_path, capsys):
     assert "no pose 99" in fails(capsys, *render, tmp_path / "x.png", "--view", "test/99")
     assert "--lighting-level" in fails(capsys, *render, tmp_path / "x.png", "--lighting-level", "-1")
     assert "--exposure" in fails(capsys, *render, tmp_path / "x.png", "--exposure", "0")
-    assert "lighting level" in fails(capsys, "export", tmp_path, "--lighting-level", "0")
+    assert "lighting level" in fails(capsys, "export", tmp_path, "--lighting-level", "-1")
     if not torch.cuda.is_available():
         message = fails(capsys, *render, tmp_path / "x.png", "--device", "cuda")
         assert "cannot compute on CUDA" in message

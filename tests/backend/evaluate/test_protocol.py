@@ -24,23 +24,40 @@ from physhdr.bridge.errors import (
     FileMissingError,
     OutputError,
 )
+from physhdr.bridge.lights import Levels, as_levels
 
 LPIPS_WEIGHTS = Path(__file__).resolve().parents[4] / "shared" / "lpips" / "lpips_alex_v0.1_float32.npz"
 
 
 class Oracle:
-    """Renders the small data set's own radiance, ``scale`` times too bright; ``relights`` or scales."""
+    """Renders the small data set's own radiance, ``scale`` times too bright; ``relights`` or scales.
 
-    def __init__(self, small: ModuleType, scale: float = 1.0, relights: bool = True) -> None:
-        self.small, self.scale, self.relights = small, scale, relights
+    ``lights``: those that it has levels for, of ambient and lamp. ``rendered``: how many HDR pictures so far.
+    """
 
-    def hdr(self, camera: Camera, lighting_level: float = 1.0) -> torch.Tensor:
+    def __init__(
+        self,
+        small: ModuleType,
+        scale: float = 1.0,
+        relights: bool = True,
+        lights: tuple[str, ...] = ("ambient",),
+    ) -> None:
+        self.small, self.scale, self.relights, self.lights = small, scale, relights, lights
+        self.rendered = 0
+
+    def hdr(self, camera: Camera, lighting_level: Levels = 1.0) -> torch.Tensor:
         index = round(float(camera.position[0]))
+        self.rendered += 1
+        named = dict(zip(self.lights, as_levels(lighting_level, self.lights), strict=True))
+        lighting_level, lamp = named.get("ambient", 1.0), named.get("lamp", 1.0)
+        if lamp != 1.0:
+            light = self.small.radiance(index, lighting_level, lamp)
+            return torch.from_numpy(np.float32(self.scale) * light).permute(2, 0, 1)
         light = self.small.radiance(index, lighting_level if self.relights else 1.0)
         light = light * (1.0 if self.relights else lighting_level)
         return torch.from_numpy(np.float32(self.scale) * light).permute(2, 0, 1)
 
-    def ldr(self, camera: Camera, exposure: float, lighting_level: float = 1.0) -> torch.Tensor:
+    def ldr(self, camera: Camera, exposure: float, lighting_level: Levels = 1.0) -> torch.Tensor:
         light = self.hdr(camera, lighting_level) / self.scale * exposure
         return torch.from_numpy(self.small.response(light.numpy()))
 
@@ -77,14 +94,20 @@ def test_hdr_psnr_and_scale_of_a_renderer_that_is_too_bright(data_set: Path, sma
 
 def test_relighting_is_judged_beside_scaling(data_set: Path, small: ModuleType) -> None:
     result = evaluate(Oracle(small, scale=1.02), read_scene(data_set))
-    assert result.relit_levels == [0.25, 4.0]
+    assert result.relit_conditions == ["ambient 0.25", "ambient 4"]
     for row in result.relit:
-        truth, standard = small.radiance(3, row.level), small.radiance(3)
-        scaled = mu_psnr(small, np.float32(row.level) * standard, truth)
-        assert row.index == 3
+        level = row.levels["ambient"]
+        truth, standard = small.radiance(3, level), small.radiance(3)
+        scaled = mu_psnr(small, np.float32(level) * standard, truth)
+        assert row.index == 3 and row.factor == level
+        best = float(np.median(truth / standard))
+        assert row.best_factor == pytest.approx(best, rel=1e-3)
+        assert row.best_scaled_truth == pytest.approx(
+            mu_psnr(small, np.float32(best) * standard, truth), abs=0.05
+        )
         assert row.scaled_truth == pytest.approx(scaled, abs=0.02)
         assert row.scaled_ours == pytest.approx(
-            mu_psnr(small, np.float32(1.02 * row.level) * standard, truth), abs=0.02
+            mu_psnr(small, np.float32(1.02 * level) * standard, truth), abs=0.02
         )
         assert row.gain_over_scaled_truth == pytest.approx(row.ours - scaled, abs=0.02)
         assert row.gain_over_scaled_truth > 6
@@ -102,6 +125,81 @@ def test_a_renderer_that_only_scales_gains_nothing(data_set: Path, small: Module
     assert mean is not None
     assert mean.gain_over_scaled_truth == pytest.approx(0.0, abs=1e-6)
     assert mean.gain_over_scaled_ours == pytest.approx(0.0, abs=1e-6)
+
+
+def list_relit(root: Path, small: ModuleType, conditions: list[dict[str, float]], poses=(1, 3)) -> None:
+    """Relit truth of both test views as issue 5's data sets list it."""
+    shutil.rmtree(root / "relit")
+    listed = []
+    for levels in conditions:
+        folder = "relit/" + "+".join(f"{name}_{level:g}" for name, level in levels.items())
+        listed.append({"folder": folder, "levels": levels})
+        for pose in poses:
+            picture = small.radiance(pose, levels.get("ambient", 1.0), levels.get("lamp", 1.0))
+            small.write_exr(root / folder / f"hdr_{pose:03d}.exr", picture)
+    path = root / "dataset.json"
+    info = json.loads(path.read_text()) | {"lights": ["ambient", "lamp", "screen"], "relit": listed}
+    path.write_text(json.dumps(info))
+
+
+def test_several_lights(data_set: Path, small: ModuleType) -> None:
+    conditions = [{"ambient": 4.0, "lamp": 0.25}, {"lamp": 4.0}, {"ambient": 0.0}, {"lamp": 0.0}]
+    conditions += [{"ambient": 2.0, "lamp": 1.0}]
+    list_relit(data_set, small, conditions)
+    oracle = Oracle(small, scale=1.02, lights=("ambient", "lamp"))
+    result = evaluate(oracle, read_scene(data_set))
+    expected = ["ambient 4 + lamp 0.25", "lamp 4", "ambient 0", "lamp 0", "ambient 2 + lamp 1"]
+    assert result.relit_conditions == expected and len(result.relit) == 10
+    ldr, standard = 2 * 5, 2
+    assert oracle.rendered == ldr + standard + len(result.relit)  # the standard light is rendered once a view
+    for row in result.relit:
+        truth = small.radiance(row.index, row.levels.get("ambient", 1.0), row.levels.get("lamp", 1.0))
+        standard = small.radiance(row.index)
+        assert row.ours > 40 and row.scale_ratio == pytest.approx(1.02, rel=1e-4)
+        factor = {"lamp 4": 4.0, "ambient 2 + lamp 1": 2.0}.get(row.condition, row.best_factor)
+        assert row.factor == factor
+        scaled = mu_psnr(small, np.float32(factor) * standard, truth)
+        assert row.scaled_truth == pytest.approx(scaled, abs=0.05)
+        # The median's factor is as good as any, but for a little where it is not the level.
+        others = [mu_psnr(small, np.float32(f) * standard, truth) for f in np.geomspace(1 / 64, 64, 25)]
+        assert row.best_scaled_truth > max(others) - 3.0
+    content = to_dict(result)
+    assert set(content["relit_means"]) == {*expected, "all"}
+    assert content["relit"][0]["levels"] == {"ambient": 4.0, "lamp": 0.25}
+    json.dumps(content, allow_nan=False)
+    assert "| ambient 4 + lamp 0.25 |" in to_markdown(result)
+    assert comparison_sheet(oracle, read_scene(data_set)).shape[2] == 3
+
+
+def test_lights_that_the_model_does_not_know_are_left_out(data_set: Path, small: ModuleType) -> None:
+    list_relit(data_set, small, [{"ambient": 4.0, "lamp": 0.25}, {"ambient": 0.25}])
+    result = evaluate(Oracle(small), read_scene(data_set))
+    assert result.relit_conditions == ["ambient 0.25"]
+    assert any("no level for a light of it: ambient 4 + lamp 0.25." in line for line in result.messages)
+    assert comparison_sheet(Oracle(small), read_scene(data_set)).shape[2] == 3
+
+
+@pytest.mark.parametrize(
+    ("relit", "kind", "message"),
+    [
+        ({"ambient": 4}, BadValueError, "'relit' is a dict"),
+        ([{"folder": "relit/level_4"}], BadValueError, "relit 0 is"),
+        ([{"folder": "relit/level_4", "levels": {}}], BadValueError, "relit 0 is"),
+        ([{"folder": "../other", "levels": {"ambient": 4}}], BadValueError, "not in the data set"),
+        ([{"folder": "relit/level_4", "levels": {"sun": 4}}], BadValueError, "no light 'sun'"),
+        ([{"folder": "relit/level_4", "levels": {"ambient": -1}}], BadValueError, "0 or more"),
+        ([{"folder": "relit/level_4", "levels": {"ambient": "4"}}], BadValueError, "0 or more"),
+        ([{"folder": "relit/level_9", "levels": {"ambient": 9}}], FileMissingError, "level_9 is missing"),
+    ],
+)
+def test_lists_of_relit_truth_that_mean_nothing(data_set: Path, small, relit, kind, message) -> None:
+    path = data_set / "dataset.json"
+    path.write_text(
+        json.dumps(json.loads(path.read_text()) | {"lights": ["ambient", "lamp"], "relit": relit})
+    )
+    with pytest.raises(kind, match=message) as caught:
+        evaluate(Oracle(small), read_scene(data_set))
+    assert caught.value.hint
 
 
 def test_oe_and_ne_average_each_exposure_first() -> None:
@@ -154,7 +252,7 @@ def test_reports(data_set: Path, small: ModuleType, tmp_path: Path) -> None:
     assert content["means"]["HDR"]["psnr"] == pytest.approx(result.hdr_mean.psnr)  # type: ignore[union-attr]
     assert content["conditions"]["exposure_mode"] == "exp3" and content["conditions"]["mu"] == 5000
     assert content["scale_ratio"] == pytest.approx(1.1, rel=1e-5)
-    assert set(content["relit_means"]) == {"0.25", "4", "all"}
+    assert set(content["relit_means"]) == {"ambient 0.25", "ambient 4", "all"}
     with paths[1].open() as stream:
         rows = list(csv.DictReader(stream))
     assert [row["part"] for row in rows].count("ldr") == 10
@@ -171,7 +269,8 @@ def test_reports(data_set: Path, small: ModuleType, tmp_path: Path) -> None:
             "1.1000",
             "exp3",
             "split test",
-            "× 4",
+            "ambient 4",
+            "best × truth",
         ):
             assert word in text
 

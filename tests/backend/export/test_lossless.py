@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 import torch
 
-from physhdr.backend.export.baked import network_comments, parameter_columns
+from physhdr.backend.export.baked import network_comments, parameter_columns, parameters_from_columns
 from physhdr.backend.export.blender_model import to_model
 from physhdr.backend.methods.physhdr import PhysHDR, PhysHDRConfig
 from physhdr.backend.model.gaussians import initial_gaussians
 from physhdr.bridge.display import display_colour_sh
 from physhdr.bridge.errors import BadValueError
-from physhdr.bridge.gaussian_ply import standard_columns, write_lossless_ply
-from physhdr.bridge.model_file import Model
+from physhdr.bridge.gaussian_ply import read_ply, standard_columns, write_lossless_ply
+from physhdr.bridge.model_file import Model, read_model, write_model
 from physhdr.bridge.ply_model import read_ply_model
 
 
-def write(path: Path, config: PhysHDRConfig) -> tuple[PhysHDR, Model]:
+def write(path: Path, config: PhysHDRConfig, lights: tuple[str, ...] = ("ambient",)) -> tuple[PhysHDR, Model]:
     """A method with random parameters, exported as the command does."""
     torch.manual_seed(0)
     rng = np.random.default_rng(0)
@@ -28,13 +28,14 @@ def write(path: Path, config: PhysHDRConfig) -> tuple[PhysHDR, Model]:
         sh_degree=config.sh_degree,
         opacity=0.5,
         scale_factor=1.0,
-        ambient_share=0.3 if config.has_ambient_share else None,
+        ambient_share=0.3 if config.has_light_share else None,
         context_size=0,
         seed=0,
+        lights=len(lights),
     )
     for tensor in gaussians.parameters.values():
         tensor.data += 0.2 * torch.randn_like(tensor)
-    method = PhysHDR(config, gaussians, (1.0, 0.73))
+    method = PhysHDR(config, gaussians, (1.0, 0.73), lights=lights)
     for parameter in method.parameters():
         parameter.data += 0.05 * torch.randn_like(parameter)
     model = to_model(method, np.zeros(3), (1.0,), {"scene": "test"})
@@ -42,26 +43,54 @@ def write(path: Path, config: PhysHDRConfig) -> tuple[PhysHDR, Model]:
         model.position, model.rotation, model.scale, model.opacity, display_colour_sh(model)
     )
     comments = ["PhysHDR scene: test", *network_comments(method, model)]
-    write_lossless_ply(path, columns, parameter_columns(gaussians), comments)
+    write_lossless_ply(path, columns, parameter_columns(gaussians, lights), comments)
     return method, model
 
 
 @pytest.mark.parametrize(
-    "config",
+    ("config", "lights"),
     [
-        PhysHDRConfig(),
-        PhysHDRConfig(sh_degree=0),
-        PhysHDRConfig(branches="image-exposure", lighting_level="exposure"),
+        (PhysHDRConfig(), ("ambient",)),
+        (PhysHDRConfig(sh_degree=0), ("ambient",)),
+        (PhysHDRConfig(branches="image-exposure", lighting_level="exposure"), ("ambient",)),
+        (PhysHDRConfig(), ("ambient", "desk lamp", "screen")),
+        (PhysHDRConfig(), ("pendant",)),
     ],
-    ids=["default", "degree 0", "baseline"],
+    ids=["default", "degree 0", "baseline", "three lights", "a lamp alone"],
 )
-def test_without_networks_in_the_radiance_it_is_the_model_file(tmp_path: Path, config: PhysHDRConfig) -> None:
-    _, expected = write(tmp_path / "a.ply", config)
+def test_without_networks_in_the_radiance_it_is_the_model_file(
+    tmp_path: Path, config: PhysHDRConfig, lights: tuple[str, ...]
+) -> None:
+    method, expected = write(tmp_path / "a.ply", config, lights)
     found = read_ply_model(tmp_path / "a.ply")
+    assert found.model.lights == expected.lights == lights
+    ply = read_ply(tmp_path / "a.ply")
+    for name, tensor in parameters_from_columns(ply.columns).parameters.items():
+        assert torch.equal(tensor, method.gaussians.parameters[name]), name
     assert found.notes == () and dict(found.model.metadata) == {"scene": "test"}
     assert found.model.tensors().keys() == expected.tensors().keys()
     for name, array in expected.tensors().items():
         np.testing.assert_allclose(found.model.tensors()[name], array, rtol=1e-5, atol=1e-6, err_msg=name)
+
+
+def test_the_ambient_light_alone_is_written_as_before_there_were_others(tmp_path: Path) -> None:
+    write(tmp_path / "a.ply", PhysHDRConfig())
+    ply = read_ply(tmp_path / "a.ply")
+    assert "phys_ambient_share_logits_2" in ply.columns and "phys_light_share_logits_0" not in ply.columns
+    assert "phys_form product additive" in ply.comments
+    assert not any(line.startswith("phys_lights") for line in ply.comments)
+
+
+def test_the_model_file_of_several_lights_renders_as_the_method(tmp_path: Path) -> None:
+    lights = ("ambient", "desk lamp", "screen")
+    method, model = write(tmp_path / "a.ply", PhysHDRConfig(), lights)
+    write_model(tmp_path / "m.safetensors", model)
+    back = read_model(tmp_path / "m.safetensors")
+    directions = model.position / np.linalg.norm(model.position, axis=1, keepdims=True)
+    for levels in [(1.0, 1.0, 1.0), (0.0, 4.0, 0.5), (8.0, 0.0, 0.0)]:
+        with torch.no_grad():
+            expected = method.radiance(torch.zeros(3), levels).numpy()
+        np.testing.assert_allclose(back.radiance(directions, levels), expected, rtol=1e-3)
 
 
 @pytest.mark.parametrize(("composer", "modulator"), [("learned", "additive"), ("product", "learned")])

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from physhdr.backend.methods.physhdr import PhysHDR, PhysHDRConfig
-from physhdr.backend.model.gaussians import initial_gaussians
+from physhdr.backend.model.gaussians import Gaussians, initial_gaussians
 from physhdr.backend.model.tone_mapper import ToneMapperConfig
 from physhdr.backend.rasterize.reference import rasterize
 from physhdr.backend.scene.camera import Camera
@@ -27,7 +27,7 @@ def camera():
     return Camera.from_field_of_view(pose, 24, 20, 0.8)
 
 
-def make(preset: str, trained: bool = True) -> PhysHDR:
+def make(preset: str, trained: bool = True, lights: tuple[str, ...] = ("ambient",)) -> PhysHDR:
     """A method with the preset's parts; ``trained``: nothing is where it started."""
     config = PRESETS[preset].method
     rng = np.random.default_rng(5)
@@ -37,12 +37,13 @@ def make(preset: str, trained: bool = True) -> PhysHDR:
         sh_degree=config.sh_degree,
         opacity=0.6,
         scale_factor=1.0,
-        ambient_share=0.3 if config.has_ambient_share else None,
+        ambient_share=0.3 if config.has_light_share else None,
         context_size=4 if config.tone_mapper.local else 0,
         seed=0,
+        lights=len(lights),
     )
     torch.manual_seed(2)
-    method = PhysHDR(config, gaussians, ANCHOR, "reference")
+    method = PhysHDR(config, gaussians, ANCHOR, "reference", lights)
     if trained:
         generator = torch.Generator().manual_seed(4)
         with torch.no_grad():
@@ -124,6 +125,51 @@ def test_relighting_of_the_default_is_exactly_linear(camera):
     ldr = method.ldr(camera, 2.0, 3.0)
     expected, _ = method.tone_mapper.tone_map(at[3.0] * 2.0, None)
     assert torch.allclose(ldr, expected, atol=1e-5)
+
+
+def test_relighting_by_several_lights_is_superposition(camera):
+    """Radiance at levels (a, b) is fixed + a · A + b · B, and so in every picture that is blended of it."""
+    method = make("default", lights=("ambient", "pendant"))
+    fixed, ambient, pendant = (method.hdr(camera, level) for level in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)))
+    ambient, pendant = ambient - fixed, pendant - fixed
+    for a, b in [(1.0, 1.0), (4.0, 0.25), (0.0, 8.0)]:
+        expected = fixed + a * ambient + b * pendant
+        assert torch.allclose(method.hdr(camera, (a, b)), expected, rtol=1e-4, atol=2e-5)
+    assert min(light.abs().max() for light in (fixed, ambient, pendant)) > 0.05
+    # A plain number is the first light's, the other stays as it was.
+    assert torch.equal(method.hdr(camera, 4.0), method.hdr(camera, (4.0, 1.0)))
+    assert torch.equal(method.hdr(camera), method.hdr(camera, (1.0, 1.0)))
+    drawn = method.preview(camera, (4.0, 0.25))
+    assert torch.allclose(drawn.image, method.hdr(camera, (4.0, 0.25)), atol=1e-5)
+    ldr = method.ldr(camera, 2.0, (4.0, 0.25))
+    shown, _ = method.tone_mapper.tone_map(method.hdr(camera, (4.0, 0.25)) * 2.0, None)
+    assert torch.allclose(ldr, shown, atol=1e-5)
+    assert torch.allclose(method.preview_ldr(drawn, camera, 2.0, (4.0, 0.25))[0], shown, atol=1e-5)
+
+
+def test_levels_that_do_not_fit_the_lights(camera):
+    method = make("default", lights=("ambient", "pendant"))
+    for levels, message in [
+        ((1.0,), "ambient, pendant"),
+        ((1.0, -1.0), "pendant"),
+        (float("nan"), "ambient"),
+    ]:
+        with pytest.raises(BadValueError, match=message):
+            method.hdr(camera, levels)
+        with pytest.raises(BadValueError, match=message):
+            method.render(camera, 1.0, levels)
+
+
+def test_a_learned_modulator_knows_one_light():
+    config = PhysHDRConfig(modulator="learned")
+    with pytest.raises(BadValueError, match=r"learned modulator knows one light[\s\S]*additive"):
+        PhysHDR(config, Gaussians({}), ANCHOR, lights=("ambient", "pendant"))
+
+
+@pytest.mark.parametrize("preset", list(PRESETS))
+def test_level_0_is_finite(preset, camera):
+    method = make(preset)
+    assert method.hdr(camera, 0.0).isfinite().all() and method.ldr(camera, 2.0, 0.0).isfinite().all()
 
 
 def test_without_an_illumination_branch_a_level_only_scales(camera):

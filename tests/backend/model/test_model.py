@@ -4,9 +4,11 @@
 import copy
 import math
 
+import numpy as np
 import pytest
 import torch
 
+from physhdr.backend.model.gaussians import Gaussians, initial_gaussians
 from physhdr.backend.model.radiance import (
     AdditiveModulator,
     LearnedComposer,
@@ -14,6 +16,7 @@ from physhdr.backend.model.radiance import (
     ProductComposer,
 )
 from physhdr.backend.model.tone_mapper import ToneMapper, ToneMapperConfig
+from physhdr.bridge.ply_model import light_shares
 
 ANCHOR = (1.0, 0.5 ** (1.0 / 2.2))
 
@@ -41,12 +44,73 @@ def test_learned_networks_start_as_the_physical_law():
 def test_the_additive_modulator_is_linear_in_light():
     log_a, share = torch.randn(50, 1), torch.rand(50, 3)
     modulate = AdditiveModulator()
-    at = {level: modulate(log_a, level, share).exp() for level in (0.0, 0.25, 1.0, 4.0)}
+    at = {level: modulate(log_a, (level,), share[:, None]).exp() for level in (0.0, 0.25, 1.0, 4.0)}
     assert torch.allclose(at[1.0], log_a.exp().expand(-1, 3))
     for level, value in at.items():
         assert torch.allclose(value, at[0.0] + level * (at[1.0] - at[0.0]), atol=1e-5)
     assert torch.allclose(at[0.0], log_a.exp() * (1.0 - share), atol=1e-5)
-    assert modulate(log_a, 0.0, torch.ones(50, 3)).isfinite().all()
+    assert modulate(log_a, (0.0,), torch.ones(50, 1, 3)).isfinite().all()
+
+
+def lit_gaussians(lights: int, count: int = 20) -> Gaussians:
+    """Random shares of each light, in float64."""
+    generator = torch.Generator().manual_seed(lights)
+    logits = torch.randn(count, lights, 3, generator=generator, dtype=torch.float64)
+    return Gaussians({"light_share_logits": (2.0 * logits).requires_grad_()})
+
+
+def test_shares_of_several_lights_are_a_softmax_with_a_fixed_part():
+    gaussians = lit_gaussians(3)
+    weights = gaussians.light_share_logits.detach().exp()
+    expected = weights / (1.0 + weights.sum(dim=1, keepdim=True))
+    assert torch.allclose(gaussians.light_share, expected, rtol=1e-12)
+    alone = lit_gaussians(1)
+    assert torch.equal(alone.light_share, alone.light_share_logits.sigmoid())
+    # What numpy makes of the same parameters when Blender reads the lossless PLY.
+    for each in (gaussians, alone):
+        logits = each.light_share_logits.detach().numpy()
+        np.testing.assert_allclose(light_shares(logits), each.light_share.detach().numpy(), rtol=1e-6)
+
+
+@pytest.mark.parametrize("levels", [(0.25, 4.0, 1.0), (0.0, 0.0, 0.0), (30.0, 0.0, 2.0), (1.0, 1.0, 1.0)])
+def test_the_additive_modulator_of_three_lights(levels):
+    """Against the closed form: ln L̂ = ln L + ln(1 + Σ s_k (l_k − 1)), and its derivatives."""
+    gaussians = lit_gaussians(3)
+    log_a = torch.randn(20, 1, dtype=torch.float64, requires_grad=True)
+    relit = AdditiveModulator()(log_a, levels, gaussians.light_share)
+    share = gaussians.light_share.detach()
+    offset = torch.tensor(levels, dtype=torch.float64)[:, None] - 1.0
+    change = (share * offset).sum(dim=1)
+    assert torch.allclose(relit, log_a + (1.0 + change).log(), rtol=1e-12)
+    relit.sum().backward()
+    # ∂s_k/∂z_j = s_k (δ_kj − s_j), so ∂ ln L̂/∂z_j = s_j (l_j − 1 − Σ s_k (l_k − 1)) / (1 + Σ s_k (l_k − 1)).
+    expected = share * (offset - change[:, None]) / (1.0 + change[:, None])
+    assert torch.allclose(gaussians.light_share_logits.grad, expected, rtol=1e-9, atol=1e-12)
+    assert torch.allclose(log_a.grad, torch.full_like(log_a, 3.0))
+
+    def modulated(logits):
+        return AdditiveModulator()(
+            log_a.detach(), levels, Gaussians({"light_share_logits": logits}).light_share
+        )
+
+    assert torch.autograd.gradcheck(modulated, (gaussians.light_share_logits.detach().requires_grad_(),))
+
+
+def test_lights_switched_off_leave_something_to_take_the_logarithm_of():
+    logits = torch.tensor([30.0, 30.0])[None, :, None].expand(4, 2, 3).clone().requires_grad_()
+    share = Gaussians({"light_share_logits": logits}).light_share
+    relit = AdditiveModulator()(torch.zeros(4, 1), (0.0, 0.0), share)
+    relit.sum().backward()
+    assert relit.isfinite().all() and logits.grad.isfinite().all()
+
+
+def test_several_lights_start_with_equal_parts():
+    points, log_radiance = np.random.default_rng(0).normal(size=(2, 5, 3))
+    options = {"sh_degree": 0, "opacity": 0.5, "scale_factor": 1.0, "context_size": 0, "seed": 0}
+    for lights, expected in ((1, 0.3), (2, 1 / 3), (4, 0.2)):
+        gaussians = initial_gaussians(points, log_radiance, ambient_share=0.3, lights=lights, **options)
+        assert gaussians.light_share.shape == (5, lights, 3)
+        assert torch.allclose(gaussians.light_share, torch.tensor(expected))
 
 
 @pytest.mark.parametrize("slope", [None, 0.6])

@@ -21,12 +21,14 @@ def camera_to_world(index: int) -> np.ndarray:
     return pose
 
 
-def radiance(index: int, level: float = 1.0, width: int = WIDTH, height: int = HEIGHT) -> np.ndarray:
-    """``[H, W, 3]`` float32: lamps that do not change and ambient light that scales with ``level``."""
+def radiance(
+    index: int, level: float = 1.0, lamp_level: float = 1.0, width: int = WIDTH, height: int = HEIGHT
+) -> np.ndarray:
+    """``[H, W, 3]`` float32: ambient light that scales with ``level`` and lamps with ``lamp_level``."""
     y, x = np.mgrid[0:height, 0:width]
     ambient = np.stack([0.2 + 0.01 * x, 0.3 + 0.01 * y, 0.2 + 0.02 * index + 0 * x], axis=-1)
     lamp = np.exp(-((x - width / 2) ** 2 + (y - height / 2) ** 2) / 8.0)[..., None] * (6.0, 4.0, 2.0)
-    return (level * ambient + lamp).astype(np.float32)
+    return (level * ambient + lamp_level * lamp).astype(np.float32)
 
 
 def response(light: np.ndarray) -> np.ndarray:

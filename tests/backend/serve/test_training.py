@@ -208,12 +208,13 @@ def test_previews_are_the_methods_pictures(backend, enter, runs, preset):
     peer.ask(ControlTake())
     assert peer.ask(RunOpen(run=str(runs[preset]))) == Done()
     assert peer.status.state == "open" and peer.status.has_model and peer.status.can_relight
+    assert peer.status.lights == ("ambient",)
     assert peer.status.preset == preset and peer.status.gaussians > 0
     method = open_run(runs[preset]).method
     asked = camera()
     ours = camera_of(asked)
     for sequence, (level, ev) in enumerate([(1.0, 0.0), (2.5, 3.0), (0.0, -1.5)], start=1):
-        request = PreviewRequest(sequence=sequence, camera=asked, lighting_level=level, exposure_ev=ev)
+        request = PreviewRequest(sequence=sequence, camera=asked, lighting_levels=(level,), exposure_ev=ev)
         frame = peer.preview(request)
         hdr = method.hdr(ours, max(level, 1e-6)).permute(1, 2, 0).numpy() * 2.0**ev
         np.testing.assert_array_equal(frame.rgba[..., :3], np.minimum(hdr, 65504.0).astype(np.float16))
@@ -279,7 +280,8 @@ def test_previews_that_cannot_be_are_refused(backend, enter, runs):
         camera(pose=mirrored),
     ):
         assert refused(camera=wrong) == "bad_value", wrong
-    assert refused(lighting_level=-0.1) == refused(exposure_ev=1000.0) == "bad_value"
+    assert refused(lighting_levels=(-0.1,)) == refused(exposure_ev=1000.0) == "bad_value"
+    assert refused(lighting_levels=(1.0, 1.0)) == "bad_value"  # the model has one light
     bent = tuple(value * 1.004 if i < 3 else value for i, value in enumerate(good))
     straight = peer.preview(PreviewRequest(sequence=2, camera=camera()))
     mended = peer.preview(PreviewRequest(sequence=3, camera=camera(pose=bent)))

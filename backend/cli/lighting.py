@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a command line says of the light: ``--lighting-level 0.5``, ``--lighting-levels ambient=4 lamp=2``."""
+
+from collections.abc import Sequence
+
+from ...bridge.errors import BadValueError
+from ...bridge.lights import as_levels, named_levels
+
+
+def levels_asked(level: float, named: Sequence[str], lights: Sequence[str]) -> tuple[float, ...]:
+    """The level of each of ``lights``: ``level`` for the first one, ``named`` (``NAME=VALUE``) by name.
+
+    Those not named are at 1. Raises ``BadValueError``: no such light (naming those there are), a value that
+    is no level, a light named twice.
+    """
+    as_levels(level, lights)
+    found: dict[str, float] = {} if level == 1.0 else {lights[0]: level}
+    for text in named:
+        name, equals, value = text.rpartition("=")
+        try:
+            if not equals:
+                raise ValueError
+            number = float(value)
+        except ValueError:
+            raise BadValueError(
+                f"--lighting-levels: '{text}' is not NAME=VALUE", f"Names are: {', '.join(lights)}."
+            ) from None
+        if name in found:
+            raise BadValueError(
+                f"--lighting-levels: {name} has a level twice", f"--lighting-level is that of {lights[0]}."
+            )
+        found[name] = number
+    return named_levels(found, lights, "--lighting-levels")
