@@ -35,6 +35,7 @@ def fingerprint(
         [_light(light) for light in _sorted(lights(scene, layer))],
         [_tree(material.node_tree) for material in _sorted(materials(scene, layer))],
         _tree(world.node_tree) if world else None,
+        [group.name for group in layer.lightgroups],
     ]
     return hashlib.sha256(json.dumps(state).encode()).hexdigest()[:16]
 
@@ -51,7 +52,8 @@ def _object(item: bpy.types.Object) -> list[Any]:
     size = len(item.data.vertices) if item.type == "MESH" else 0
     # The translation may be a small rest of large numbers: metres with as many digits behind the point.
     matrix = [round(value, DIGITS) + 0.0 for row in item.matrix_world for value in row]
-    return [item.name_full, item.type, matrix, size, [slot.name for slot in item.material_slots]]
+    slots = [slot.name for slot in item.material_slots]
+    return [item.name_full, item.type, matrix, size, slots, item.lightgroup]
 
 
 def _light(light: bpy.types.Light) -> list[Any]:

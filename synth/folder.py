@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import json
 import os
+import secrets
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -18,21 +20,49 @@ FINAL, PARTIAL = "dataset.json", "dataset.partial.json"
 FINGERPRINT = "fingerprint"
 """The option that stands for the state of a user's scene."""
 FORMAT, VERSION = "physhdr-dataset", 1
+TEMPORARY = ".tmp"
+_OURS = secrets.token_hex(4)
+"""In this process's temporary names: others that write the same file do not move our half into place."""
 
 
 def temporary(path: Path) -> Path:
     """The name a file has until it is whole."""
-    return path.with_name(f".{path.name}.tmp")
+    return path.with_name(f".{path.name}.{_OURS}{TEMPORARY}")
+
+
+def scratch(path: Path) -> Path:
+    """A temporary name for what Blender writes, which has to end in .exr."""
+    return path.with_name(f"{temporary(path).name}.exr")
 
 
 def write(path: Path, data: bytes) -> None:
-    """Write under a temporary name, then rename: a reader never sees half a file."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with open(temporary(path), "wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(temporary(path), path)
+    """Write under a temporary name, then rename: a reader never sees half a file.
+
+    Raises:
+        OutputFolderError: the disk is full, or not to be written.
+    """
+    pending = temporary(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with open(pending, "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(pending, path)
+    except OSError as error:
+        with suppress(OSError):
+            pending.unlink(missing_ok=True)
+        raise OutputFolderError(
+            f"cannot write '{path}' ({error.strerror or error})",
+            "is the disk full? Make room and give the same command again: what is there is kept",
+        ) from error
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove the half-written files of runs that were killed. Only when nobody writes any more."""
+    for path in folder.rglob(f".*{TEMPORARY}*"):
+        with suppress(OSError):
+            path.unlink()
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
@@ -57,19 +87,21 @@ def read_json(path: Path) -> dict[str, Any]:
     return content
 
 
-def open_folder(folder: Path, options: dict[str, Any]) -> dict[str, Any]:
+def open_folder(folder: Path, options: dict[str, Any], maker: dict[str, str]) -> dict[str, Any]:
     """Make or enter the folder; the state of an earlier run with the same options, or {} for a new one.
+
+    ``maker``: this program and its version. Another one's pictures would not fit those of this one.
 
     Raises:
         OutputFolderError: cannot be made or written, or holds files of somebody else.
-        ConflictError: holds a data set made with other options.
+        ConflictError: holds a data set made with other options, or by another version.
         DamagedFileError: its dataset.json cannot be read.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        probe = folder / ".write-probe.tmp"
+        probe = temporary(folder / "write-probe")
         probe.write_bytes(b"")
-        probe.unlink()
+        probe.unlink(missing_ok=True)
         held = [entry.name for entry in folder.iterdir()]
     except OSError as error:
         raise OutputFolderError(
@@ -88,6 +120,11 @@ def open_folder(folder: Path, options: dict[str, Any]) -> dict[str, Any]:
         raise OutputFolderError(
             f"'{folder / names[0]}' is not of this program: choose another folder (--out)"
         )
+    if state.get("generator") != maker:
+        raise ConflictError(
+            f"'{folder}' was made by {_told(state.get('generator'))}, this is {_told(maker)}",
+            "go on with that one, or choose another folder (--out; nothing was changed)",
+        )
     earlier = state["options"]
     differing = [key for key in options if earlier.get(key) != options[key]]
     if differing:
@@ -99,3 +136,9 @@ def open_folder(folder: Path, options: dict[str, Any]) -> dict[str, Any]:
             "choose another folder (--out), or delete that one (nothing was changed)",
         )
     return state
+
+
+def _told(maker: Any) -> str:
+    return (
+        ", ".join(str(value) for value in maker.values()) if isinstance(maker, dict) else "an unknown version"
+    )

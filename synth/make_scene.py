@@ -3,10 +3,12 @@
 
     blender -b -P synth/make_scene.py -- --out data/demo
     python synth/make_scene.py -- --out data/demo          (with the bpy wheel)
+    blender -b -P synth/make_scene.py -- --scene all --out data/synthetic
     blender -b my.blend -P synth/make_scene.py -- --from-file current --out data/mine
     python synth/make_scene.py -- --from-file my.blend --out data/mine
 
-Interrupted and started again with the same options it renders only what is missing.
+Interrupted and started again with the same options it renders only what is missing; started several times
+at once, on one machine or on several that share the folder, the processes share the work.
 """
 
 from __future__ import annotations
@@ -27,8 +29,9 @@ if not globals().get("__package__"):  # run as a script: make it a module of the
 
 
 def parser() -> argparse.ArgumentParser:
+    from . import camera_model
     from .device import DEVICES
-    from .options import CURRENT, Options
+    from .options import ALL, CURRENT, Options
     from .response import BUILT_IN
     from .rig import PATH, RIGS
     from .scenes import SCENES
@@ -46,7 +49,13 @@ def parser() -> argparse.ArgumentParser:
     )
     add = made.add_argument
     add("--out", required=True, metavar="FOLDER", help="where to write: a new folder, or one to resume")
-    add("--scene", default=default.scene, help=f"one of: {', '.join(SCENES)}")
+    add(
+        "--scene",
+        default=default.scene,
+        metavar=f"NAME,NAME,…|{ALL}",
+        help=f"of: {', '.join(SCENES)}; several go to folders of their own within --out",
+    )
+    add("--assets", metavar="FOLDER", help="models for the furniture (.sh3f, .obj, .glb), else built-in ones")
     add(
         "--from-file",
         metavar=f"FILE|{CURRENT}",
@@ -59,14 +68,27 @@ def parser() -> argparse.ArgumentParser:
         metavar="N|WxH",
         help="pixels; N alone is a square, or with --from-file the width at your render's aspect",
     )
-    add("--samples", type=int, default=default.samples, help="Cycles samples a pixel")
+    add("--samples", type=int, default=default.samples, help="Cycles samples a pixel, at most")
+    add(
+        "--noise-threshold",
+        type=float,
+        default=default.noise_threshold,
+        metavar="N",
+        help="stop sampling a pixel where its noise is below N, such as 0.01; 0: take all samples",
+    )
     add("--views", type=int, default=default.views, help="training and test poses together")
     add(
         "--camera-rig",
         default=default.camera_rig,
         help=f"one of: {', '.join(RIGS)}; of your own scene also {PATH}",
     )
-    add("--exposures", default=listed(default.exposures), metavar="T,T,…", help="seconds, shortest first")
+    exposures = made.add_mutually_exclusive_group()
+    exposures.add_argument(
+        "--exposures", metavar="T,T,…", help="in seconds, shortest first (default: the scene's own)"
+    )
+    exposures.add_argument(
+        "--evs", metavar="EV,EV,…", help="the same as EV, 0 is one second; write --evs=-3,-1,1,3,5"
+    )
     add("--crf", default=default.crf, help=f"camera response: {', '.join(BUILT_IN)}, or the file of a curve")
     add("--seed", type=int, default=default.seed, help="of the renders' noise; the scene itself is fixed")
     add(
@@ -78,20 +100,34 @@ def parser() -> argparse.ArgumentParser:
     add(
         "--relit-views",
         type=int,
-        default=argparse.SUPPRESS,
-        help=f"test poses that get the relit truth (default: {default.relit_views}, or all if fewer)",
+        metavar="N",
+        help="test poses that get the relit truth (default: all)",
     )
     add(
-        "--lit-levels",
-        default=listed(default.lit_levels),
-        metavar="L,L,…",
-        help="levels of the extra training views",
+        "--mixed-levels",
+        metavar="LIGHT=L,LIGHT=L …",
+        help="relit truth with several lights turned at once, such as 'ambient=4,pendant=0.25 pendant=2' "
+        "(default: where several lights vary, between and beyond the levels trained)",
     )
     add(
         "--lit-views",
         type=int,
         default=default.lit_views,
-        help="extra training views at other ambient levels",
+        help="extra training views under other light",
+    )
+    add(
+        "--train-ambient-levels",
+        "--lit-levels",
+        dest="lit_levels",
+        default=listed(default.lit_levels),
+        metavar="L,L,…",
+        help="levels of the light in them",
+    )
+    add(
+        "--lit-lights",
+        default=",".join(default.lit_lights),
+        metavar="LIGHT,LIGHT,…",
+        help="which lights vary in them, each by itself: every combination of levels comes equally often",
     )
     own = made.add_argument_group("the rig around your own camera (with --from-file)")
     own.add_argument(
@@ -116,19 +152,21 @@ def parser() -> argparse.ArgumentParser:
         help="tell the progress as one JSON object a line, for programs",
     )
     add("--denoise", action=argparse.BooleanOptionalAction, default=default.denoise, help="denoise with OIDN")
+    camera_model.add_arguments(made)
     return made
 
 
 def main(arguments: list[str]) -> int:
     """Exit code: 0 done, 1 an error the message explains, 2 wrong usage, 130 interrupted."""
-    from .dataset import make
     from .errors import SynthError
+    from .parse import parse_scenes
     from .progress import JsonReport, Report
+    from .several import make_all
 
     given = parser().parse_args(arguments)
     report = JsonReport() if given.progress_json else Report()
     try:
-        make(Path(given.out), _options(given), report)
+        report.end(make_all(Path(given.out), parse_scenes(given.scene), _options(given), report))
     except SynthError as error:
         report.fail(error.code, error.message, error.hint)
         return 1
@@ -153,23 +191,34 @@ def _options(given: argparse.Namespace) -> Options:
     Raises:
         OptionError: a text is no number, or no size.
     """
-    from .options import Options, parse_numbers, parse_pair, parse_resolution
+    from .camera_model import from_arguments
+    from .options import Options
+    from .parse import parse_evs, parse_mixtures, parse_names, parse_numbers, parse_pair, parse_resolution
 
+    exposures = None
+    if given.exposures is not None:
+        exposures = parse_numbers("--exposures", given.exposures)
+    elif given.evs is not None:
+        exposures = parse_evs(given.evs)
     return Options(
-        scene=given.scene,
         resolution=parse_resolution(given.resolution, follow=given.from_file is not None),
         samples=given.samples,
+        noise_threshold=given.noise_threshold,
         views=given.views,
-        exposures=parse_numbers("--exposures", given.exposures),
+        exposures=exposures,
         crf=given.crf,
         seed=given.seed,
         ambient_levels=parse_numbers("--ambient-levels", given.ambient_levels),
-        relit_views=getattr(given, "relit_views", min(Options.relit_views, given.views // 2)),
-        lit_levels=parse_numbers("--lit-levels", given.lit_levels),
+        relit_views=given.relit_views,
+        mixed_levels=None if given.mixed_levels is None else parse_mixtures(given.mixed_levels),
+        lit_levels=parse_numbers("--train-ambient-levels", given.lit_levels),
         lit_views=given.lit_views,
+        lit_lights=parse_names(given.lit_lights),
         camera_rig=given.camera_rig,
         denoise=given.denoise,
         device=given.device,
+        camera=from_arguments(given),
+        assets=given.assets,
         from_file=given.from_file,
         scene_name=given.scene_name,
         rig_distance=given.rig_distance,

@@ -16,7 +16,7 @@ from typing import Any
 import bpy
 from mathutils import Vector
 
-from . import rig, user_camera, user_light
+from . import plan, rig, user_camera, user_light
 from .errors import SceneError, SceneFileError
 from .fingerprint import fingerprint
 from .options import CURRENT, Options
@@ -48,9 +48,7 @@ def opened(options: Options, report: Report) -> Iterator[tuple[Stage, Options]]:
         _set(undo, [(marker, "camera", None) for marker in scene.timeline_markers if marker.camera])
         scene.camera = camera
         layer = _view_layer(scene, undo)
-        # The renderer sets these two for each picture.
-        undo.callback(setattr, scene.render, "filepath", scene.render.filepath)
-        undo.callback(setattr, scene.cycles, "seed", scene.cycles.seed)
+        undo.callback(setattr, scene.cycles, "seed", scene.cycles.seed)  # set for each picture
         former = scene.frame_current, scene.frame_subframe
         undo.callback(scene.frame_set, former[0], subframe=former[1])
         scene.frame_set(former[0], subframe=former[1])
@@ -71,16 +69,13 @@ def opened(options: Options, report: Report) -> Iterator[tuple[Stage, Options]]:
         mark = fingerprint(scene, layer, [*poses.train, *poses.test, *poses.lit], hints.angle_x)
         # What is ours goes last on the way out's list, that is first: before the user's is put back.
         undo.enter_context(_ours_removed())
-        knobs, notes = undo.enter_context(user_light.ambient(scene, layer))
-        for note in notes:
+        lights = undo.enter_context(user_light.grouped(scene, layer))
+        for note in lights.notes:
             report.warn(note)
-        if not knobs and (options.relit_views or options.lit_views):
-            report.warn(
-                "the scene has no ambient light (world or sun), only lamps: there is nothing to relight, and "
-                "no relit truth and no views at other levels are made"
-            )
-            options = replace(options, relit_views=0, lit_views=0)
-            poses = replace(poses, lit=[])
+        plan.check_lights(options, list(lights.groups))
+        if not lights.has_ambient:
+            options = _without_ambient(options, report)
+            poses = poses if options.lit_views else replace(poses, lit=[])
         # Adaptive subdivision would else follow our camera, and give every view another surface.
         dicing = scene.cycles.dicing_camera or camera
         _set(undo, [(scene.cycles, "dicing_camera", dicing)])
@@ -88,7 +83,8 @@ def opened(options: Options, report: Report) -> Iterator[tuple[Stage, Options]]:
             Stage(
                 scene=scene,
                 cameras=hints,
-                lights={AMBIENT: knobs, "lamps": []},
+                lights={name: [] for name in lights.groups},
+                groups=lights.groups,
                 layer=layer,
                 poses=poses,
                 source=source,
@@ -96,6 +92,21 @@ def opened(options: Options, report: Report) -> Iterator[tuple[Stage, Options]]:
             ),
             options,
         )
+
+
+def _without_ambient(options: Options, report: Report) -> Options:
+    """What is left to do where nothing is ambient: other lights may still vary."""
+    others = tuple(name for name in options.lit_lights if name != AMBIENT)
+    if options.relit_views == 0 and not options.lit_views:
+        return options
+    if others:
+        report.warn("the scene has no ambient light (world or sun): only its other lights get other levels")
+        return replace(options, lit_lights=others)
+    report.warn(
+        "the scene has no ambient light (world or sun), only lamps: there is nothing to relight, and "
+        "no relit truth and no views at other levels are made"
+    )
+    return replace(options, relit_views=0, lit_views=0)
 
 
 def _set(undo: ExitStack, wanted: list[tuple[Any, str, Any]]) -> None:

@@ -3,22 +3,30 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from fractions import Fraction
+import math
+from dataclasses import asdict, dataclass, field
+from itertools import pairwise
 from typing import Any
 
+from .camera_model import CameraModel
 from .device import DEVICES
 from .errors import OptionError, UnknownNameError
 from .rig import PATH, RIGS
 from .scenes import SCENES
+from .scenes.stage import AMBIENT
 
-DEFAULT_EXPOSURES = (0.125, 0.5, 2.0, 8.0, 32.0)  # EV −3, −1, 1, 3, 5
+USERS_EVS = (-3.0, -1.0, 1.0, 3.0, 5.0)
+"""Of a user's scene; a built-in one brings its own."""
+LARGEST_EV = 19.0
+MOST_EXPOSURES = 64
 LARGEST_SIDE = 8192
 LARGEST_LEVEL = 1024.0
 LARGEST_ELEVATION = 85.0
 """Degrees: nearer to the zenith the direction of 'up' is lost."""
 FOLLOW = 0
 """The height of a resolution that follows the aspect of the user's scene."""
+ALL = "all"
+"""The value of ``--scene`` that means every built-in one."""
 CURRENT = "current"
 """The value of ``from_file`` that means the file that is open."""
 
@@ -30,17 +38,31 @@ class Options:
     scene: str = "interior"
     resolution: tuple[int, int] = (200, 200)
     samples: int = 32
+    """At most so many a pixel."""
+    noise_threshold: float = 0.0
+    """Where Cycles stops sampling a pixel earlier; 0 never."""
     views: int = 35
-    exposures: tuple[float, ...] = DEFAULT_EXPOSURES
+    exposures: tuple[float, ...] | None = None
+    """Seconds, shortest first; the scene's own if ``None``."""
     crf: str = "reinhard-gamma"
     seed: int = 0
     ambient_levels: tuple[float, ...] = (0.25, 0.5, 2.0, 4.0)
-    relit_views: int = 4
+    """Of the relit truth, the ambient light alone; further lights that vary get the same."""
+    relit_views: int | None = None
+    """Test poses that get the relit truth; all if ``None``."""
+    mixed_levels: tuple[tuple[tuple[str, float], ...], ...] | None = None
+    """Relit truth with several lights at once; by itself (``plan.mixtures``) if ``None``."""
     lit_levels: tuple[float, ...] = (0.25, 4.0)
     lit_views: int = 12
+    lit_lights: tuple[str, ...] = (AMBIENT,)
+    """The lights that vary in the lit views."""
     camera_rig: str = "grid"
     denoise: bool = True
     device: str = "CPU"
+    camera: CameraModel = field(default_factory=CameraModel)
+    """Noise and other faults of the camera that takes the brackets."""
+    assets: str | None = None
+    """A folder of models for the furniture of built-in scenes."""
     from_file: str | None = None
     """A .blend file, or ``CURRENT``: the data set is made of the user's scene in it instead of ``scene``."""
     scene_name: str = ""
@@ -65,28 +87,53 @@ class Options:
             raise UnknownNameError("device", self.device, list(DEVICES))
         for side in self.resolution:
             if side != FOLLOW or not self.from_file:
-                _within("--resolution", side, 8, LARGEST_SIDE)
-        _within("--samples", self.samples, 1, 2**20)
-        _within("--views", self.views, 2, 10_000)
-        _within("--seed", self.seed, 0, 2**31 - 1)
-        _within("--lit-views", self.lit_views, 0, 10_000)
-        _within("--relit-views", self.relit_views, 0, self.views // 2)
+                within("--resolution", side, 8, LARGEST_SIDE)
+        within("--samples", self.samples, 1, 2**20)
+        within("--noise-threshold", self.noise_threshold, 0.0, 1.0)
+        within("--views", self.views, 2, 10_000)
+        within("--seed", self.seed, 0, 2**31 - 1)
+        within("--lit-views", self.lit_views, 0, 10_000)
+        if self.relit_views is not None:
+            within("--relit-views", self.relit_views, 0, self.views // 2)
+        self.camera.check()
         self._check_rig()
+        self._check_exposures()
+        self._check_levels()
+        if self.assets and self.from_file:
+            raise OptionError("--assets is for the built-in scenes, and --from-file asks for your own")
+
+    def _check_exposures(self) -> None:
+        if self.exposures is None:
+            return
         if not self.exposures:
             raise OptionError("--exposures: at least one is needed")
+        if len(self.exposures) > MOST_EXPOSURES:
+            raise OptionError(f"--exposures: {len(self.exposures)} are too many; at most {MOST_EXPOSURES}")
         for value in self.exposures:
-            _within("--exposures (seconds: EV −3 is 0.125)", value, 1e-6, 1e6)
-        if any(b <= a for a, b in zip(self.exposures, self.exposures[1:], strict=False)):
-            raise OptionError(f"--exposures {_join(self.exposures)}: must rise, shortest first")
-        for name, levels in (("--ambient-levels", self.ambient_levels), ("--lit-levels", self.lit_levels)):
+            within("--exposures (seconds: EV −3 is 0.125; --evs takes EV)", value, 1e-6, 1e6)
+        if any(b <= a for a, b in pairwise(self.exposures)):
+            raise OptionError(f"--exposures {join(self.exposures)}: must rise, shortest first")
+
+    def _check_levels(self) -> None:
+        named = (("--ambient-levels", self.ambient_levels), ("--train-ambient-levels", self.lit_levels))
+        for name, levels in named:
             for level in levels:
-                _within(name, level, 0.0, LARGEST_LEVEL)
+                within(name, level, 0.0, LARGEST_LEVEL)
             if len(set(levels)) != len(levels):
-                raise OptionError(f"{name} {_join(levels)}: each level once")
+                raise OptionError(f"{name} {join(levels)}: each level once")
         if 1.0 in self.ambient_levels:
             raise OptionError("--ambient-levels: level 1 is the test split itself; leave it out")
         if self.lit_views and not self.lit_levels:
-            raise OptionError("--lit-views: needs at least one of --lit-levels (or --lit-views 0)")
+            raise OptionError("--lit-views: needs at least one of --train-ambient-levels (or --lit-views 0)")
+        if self.lit_views and not self.lit_lights:
+            raise OptionError("--lit-views: needs at least one of --lit-lights (or --lit-views 0)")
+        if len(set(self.lit_lights)) != len(self.lit_lights):
+            raise OptionError(f"--lit-lights {','.join(self.lit_lights)}: each light once")
+        for levels in self.mixed_levels or ():
+            for name, level in levels:
+                within(f"--mixed-levels: {name}", level, 0.0, LARGEST_LEVEL)
+            if len({name for name, _ in levels}) != len(levels):
+                raise OptionError(f"--mixed-levels: a light is named twice in {dict(levels)}")
 
     def _check_rig(self) -> None:
         numbers = {
@@ -99,78 +146,50 @@ class Options:
         if given and not self.from_file:
             raise OptionError(f"{given[0]} is for --from-file: the built-in scenes bring their own rig")
         if self.rig_distance is not None:
-            _within("--rig-distance (metres)", self.rig_distance, 1e-3, 1e6)
+            within("--rig-distance (metres)", self.rig_distance, 1e-3, 1e6)
         for side in self.rig_extent or ():
-            _within("--rig-extent (metres)", side, 0.0, 1e6)
+            within("--rig-extent (metres)", side, 0.0, 1e6)
         if self.rig_arc is not None:
-            _within("--rig-arc (degrees)", self.rig_arc, 0.1, 360.0)
+            within("--rig-arc (degrees)", self.rig_arc, 0.1, 360.0)
         for angle in self.rig_elevation or ():
-            _within("--rig-elevation (degrees)", angle, -LARGEST_ELEVATION, LARGEST_ELEVATION)
+            within("--rig-elevation (degrees)", angle, -LARGEST_ELEVATION, LARGEST_ELEVATION)
         if self.rig_elevation and self.rig_elevation[0] > self.rig_elevation[1]:
-            raise OptionError(f"--rig-elevation {_join(self.rig_elevation)}: the lower one first")
+            raise OptionError(f"--rig-elevation {join(self.rig_elevation)}: the lower one first")
 
     def as_json(self) -> dict[str, Any]:
         """What a resumed run must have in common with the first; where the file lies is no part of it."""
         values = {key: list(v) if isinstance(v, tuple) else v for key, v in asdict(self).items()}
+        values["camera"] = self.camera.describe()
+        if self.mixed_levels is not None:
+            values["mixed_levels"] = [dict(levels) for levels in self.mixed_levels]
+        values["assets"] = self.assets is not None
         if not self.from_file:
             del values["from_file"], values["scene_name"]
         else:
             values["from_file"] = True
-        # Options that came later are left out where they are not used: older data sets have none.
-        later = ("rig_distance", "rig_extent", "rig_arc", "rig_elevation")
-        values = {key: value for key, value in values.items() if key not in later or value is not None}
+        unused = ("rig_distance", "rig_extent", "rig_arc", "rig_elevation")
+        values = {key: value for key, value in values.items() if key not in unused or value is not None}
         if self.device == Options.device:
             del values["device"]
         return values
 
 
-def _within(name: str, value: float, low: float, high: float) -> None:
+def seconds(evs: tuple[float, ...]) -> tuple[float, ...]:
+    """Exposures of EVs: EV 0 is one second, each EV doubles it."""
+    return tuple(2.0**ev for ev in evs)
+
+
+def evs(exposures: tuple[float, ...]) -> list[float]:
+    """EVs of exposures in seconds."""
+    return [round(math.log2(value), 6) for value in exposures]
+
+
+def within(name: str, value: float, low: float, high: float) -> None:
+    """Raise ``OptionError`` where the value of the option ``name`` is out of range."""
     if not low <= value <= high:  # also catches NaN
         raise OptionError(f"{name}: {value:g} is not within {low:g} … {high:g}")
 
 
-def _join(values: tuple[float, ...]) -> str:
+def join(values: tuple[float, ...]) -> str:
+    """Numbers as they are written on the command line."""
     return ",".join(f"{value:g}" for value in values)
-
-
-def parse_numbers(name: str, text: str) -> tuple[float, ...]:
-    """``"1/4,0.5,2"`` → (0.25, 0.5, 2.0). An empty text is an empty list.
-
-    Raises:
-        OptionError: a part is no number.
-    """
-    values = []
-    for part in text.replace(",", " ").split():
-        try:
-            values.append(float(Fraction(part)))
-        except (ValueError, ZeroDivisionError, OverflowError):
-            raise OptionError(
-                f"{name} '{text}': '{part}' is not a number (write 0.125,0.5,2 or 1/4,1/2,2)"
-            ) from None
-    return tuple(values)
-
-
-def parse_pair(name: str, text: str) -> tuple[float, float]:
-    """``"1.5x0.8"`` or ``"-5,40"`` → two numbers.
-
-    Raises:
-        OptionError
-    """
-    values = parse_numbers(name, text.lower().replace("x", " "))
-    if len(values) != 2:
-        raise OptionError(f"{name} '{text}': two numbers are needed, such as 1.5,0.8")
-    return values[0], values[1]
-
-
-def parse_resolution(text: str, follow: bool = False) -> tuple[int, int]:
-    """``"200"`` → (200, 200), ``"320x240"`` → (320, 240); ``follow``: ``"200"`` → (200, ``FOLLOW``).
-
-    Raises:
-        OptionError
-    """
-    parts = text.lower().split("x")
-    if len(parts) > 2 or not all(part.strip().isdigit() for part in parts):
-        raise OptionError(f"--resolution '{text}': write 200 or 320x240")
-    if follow and len(parts) == 1:
-        return int(parts[0]), FOLLOW
-    return int(parts[0]), int(parts[-1])

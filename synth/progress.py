@@ -26,7 +26,7 @@ class Progress:
 
     def advance(self, note: str = "") -> None:
         """One more item is done."""
-        self.done += 1
+        self.done = min(self.done + 1, self.total)
         if self.done % self.every and self.done != self.total:
             return
         spent = time.monotonic() - self.began
@@ -50,6 +50,9 @@ class Report:
 
     def __init__(self) -> None:
         self.warnings: list[str] = []
+        self._progress: Progress | None = None
+        self._whole = False
+        self._where = ""
 
     @property
     def _text(self) -> TextIO:
@@ -66,19 +69,30 @@ class Report:
         sys.stderr.write(f"warning: {line}\n")
         sys.stderr.flush()
 
-    def begin(self, total: int) -> None:
-        """``total`` pictures are about to be rendered."""
+    def begin_all(self, total: int) -> None:
+        """``total`` poses of several data sets are about to be rendered: one progress for all."""
+        self._whole = total > 0
         self._progress = Progress("render", total, self._text)
 
+    def enter(self, where: str) -> None:
+        """The data set ``where``, one of several, is begun; its warnings are its own."""
+        self._where = f"{where} "
+        self.warnings = []
+
+    def begin(self, total: int) -> None:
+        """``total`` poses are about to be rendered."""
+        if not self._whole:
+            self._progress = Progress("render", total, self._text)
+
     def start(self, name: str) -> None:
-        """The picture ``name`` is being rendered now."""
+        """The pose ``name`` is being rendered now."""
 
     def advance(self, name: str) -> None:
-        """The picture ``name`` is done."""
-        self._progress.advance(name)
+        """The pose ``name`` is done."""
+        self._progress.advance(self._where + name)
 
     def finishing(self, what: str) -> None:
-        """The pictures are rendered; ``what`` of the rest is being done now."""
+        """The poses are rendered; ``what`` of the rest is being done now."""
 
     def end(self, result: dict[str, Any]) -> None:
         """All is done; ``result`` sums up the data set."""
@@ -91,7 +105,7 @@ class Report:
 class JsonReport(Report):
     """For programs: one JSON object a line on stdout; what people read goes to stderr.
 
-    ``{"progress": 0…1, "message": …, "seconds_left": …}`` before each picture and at the end of each, and
+    ``{"progress": 0…1, "message": …, "seconds_left": …}`` before each pose and step, and
     last ``{"result": {…}}`` or ``{"error": {"code": …, "message": …, "hint": …}}``.
     """
 
@@ -108,13 +122,17 @@ class JsonReport(Report):
 
     def start(self, name: str) -> None:
         step = self._progress
-        line = {"progress": round(self.RENDERING * step.done / step.total, 4), "message": f"rendering {name}"}
+        line = {"progress": self._share(), "message": f"rendering {self._where}{name}"}
         if step.done:
             line["seconds_left"] = round(step.seconds_left(), 1)
         self._emit(line)
 
     def finishing(self, what: str) -> None:
-        self._emit({"progress": self.RENDERING, "message": what})
+        self._emit({"progress": self._share(), "message": f"{self._where}{what}"})
+
+    def _share(self) -> float:
+        step = self._progress
+        return round(self.RENDERING * (step.done / max(1, step.total) if step else 1.0), 4)
 
     def warn(self, line: str) -> None:
         super().warn(line)

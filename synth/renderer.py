@@ -1,34 +1,42 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Renders one pose at one lighting level to an EXR that appears under its name only when it is whole."""
+"""Renders one pose: the light of each group and the geometry, as numbers checked to be whole."""
 
 from __future__ import annotations
 
-import os
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import bpy
 import numpy as np
 from mathutils import Matrix
 
-from . import exr
-from .errors import NotFiniteError, RenderError
-from .folder import temporary
+from . import compositor, exr, noise
+from .errors import DamagedFileError, NotFiniteError, RenderError
 from .interrupts import held
+from .passes import Passes
 from .progress import quiet
-from .scenes.stage import AMBIENT, Stage
+from .scenes.stage import Stage
 
 
 def view_seed(seed: int, name: str) -> int:
-    """Cycles seed of a picture: a hash of ``--seed`` and the file's name, so that no two share noise."""
+    """Cycles seed of a picture: a hash of ``--seed`` and the pose's name, so that no two share noise."""
     return zlib.crc32(f"{seed}/{name}".encode()) & 0x7FFFFFFF
 
 
-class Renderer:
-    """A camera in a built stage. ``settings.applied`` must be around its use."""
+@contextmanager
+def renderer(stage: Stage, denoise: bool) -> Iterator[Renderer]:
+    """A camera in a built stage, and the passes switched on. ``settings.applied`` must be around it."""
+    with compositor.connected(stage, denoise) as file:
+        yield Renderer(stage, denoise, file)
 
-    def __init__(self, stage: Stage) -> None:
-        self.stage = stage
+
+class Renderer:
+    """Made by ``renderer``."""
+
+    def __init__(self, stage: Stage, denoise: bool, file: bpy.types.CompositorNodeOutputFile) -> None:
+        self.stage, self.denoise, self.file = stage, denoise, file
         data = bpy.data.cameras.new("physhdr camera")
         data.sensor_fit = "HORIZONTAL"
         data.angle = stage.cameras.angle_x
@@ -37,37 +45,61 @@ class Renderer:
         stage.scene.collection.objects.link(self.camera)
         stage.scene.camera = self.camera
 
-    def render(self, path: Path, pose: np.ndarray, level: float, seed: int) -> np.ndarray:
-        """Render, move into place, and return what was read back: [height, width, 3] float32.
+    def render(self, pose: np.ndarray, seed: int, scratch: Path) -> Passes:
+        """The passes of a pose [4, 4] under the lights as they are set.
+
+        ``scratch``: a file that Blender writes and that is removed; its name must end in .exr.
 
         Raises:
-            RenderError: Blender failed, or wrote nothing.
+            RenderError: Blender failed, wrote nothing or half of it, or the picture holds NaN or infinity.
         """
-        scene, pending = self.stage.scene, temporary(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        pending.unlink(missing_ok=True)
+        scene = self.stage.scene
+        scratch.parent.mkdir(parents=True, exist_ok=True)
         self.camera.matrix_world = Matrix(pose.tolist())
-        self.stage.set_levels({AMBIENT: level})
         scene.cycles.seed = seed
-        scene.render.filepath = str(pending.absolute())
+        scene.update_tag()  # else persistent data keeps the former seed
+        compositor.aim(self.file, scratch)
         try:
             with quiet(), held():
                 done = bpy.ops.render.render(
-                    write_still=True, scene=scene.name, layer=self.stage.view_layer.name
+                    write_still=False, scene=scene.name, layer=self.stage.view_layer.name
                 )
+            if "CANCELLED" in done:  # Blender took the CTRL-C for itself
+                raise KeyboardInterrupt
+            return self._read(scratch, seed)
         except RuntimeError as error:
-            raise RenderError(f"Blender could not render '{path}': {str(error).strip()}") from error
-        if "CANCELLED" in done:  # Blender took the CTRL-C for itself
-            raise KeyboardInterrupt
-        if not pending.exists():
-            raise RenderError(f"Blender wrote no picture for '{path}': is the disk full?")
+            raise RenderError(f"Blender could not render to '{scratch}': {str(error).strip()}") from error
+        finally:
+            scratch.unlink(missing_ok=True)
+
+    def _read(self, scratch: Path, seed: int) -> Passes:
+        if not scratch.exists():
+            raise RenderError(f"Blender wrote no picture '{scratch}'", "is the disk full?")
         try:
-            image = exr.read(pending)
+            channels, _ = exr.read_channels(scratch)
         except NotFiniteError as error:
             raise RenderError(
-                f"the render of '{path}' holds NaN or infinity",
+                f"the render '{scratch}' holds NaN or infinity",
                 "a material, a texture or a light of the scene gives values that are no numbers: mend it",
             ) from error
-        pending.write_bytes(exr.without_times(pending.read_bytes()))  # the same seed, the same bytes
-        os.replace(pending, path)
-        return image
+        except DamagedFileError as error:
+            raise RenderError(f"Blender wrote '{scratch}' only in part", "is the disk full?") from error
+
+        def colour(name: str, ends: str = "RGB") -> np.ndarray:
+            return np.stack([channels[f"{name}.{end}"] for end in ends], -1)
+
+        # Differences of passes are a rounding below 0 where a light does not reach.
+        lights = {name: np.maximum(colour(f"light_{k}"), 0.0) for k, name in enumerate(self.stage.lights)}
+        whole = sum(lights.values()) if self.denoise else None
+        planes = {name: channels[f"{name}.V"] for name in compositor.PLANES}
+        planes["samples"] = planes["samples"] * self.stage.scene.cycles.samples  # Cycles tells the share
+        return Passes(
+            lights,
+            normal=colour("normal", "XYZ"),
+            facts={
+                "seed": seed,
+                "samples": round(float(planes["samples"].mean()), 3),
+                "noise_psnr": noise.estimate(colour(compositor.RAW), whole),
+            },
+            **planes,
+        )

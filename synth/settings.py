@@ -19,12 +19,17 @@ _STAMPS = ("date", "time", "render_time", "frame", "camera", "scene", "filename"
 
 
 def ground_truth(
-    resolution: tuple[int, int], samples: int, denoise: bool, device: str = "CPU", users: bool = False
+    resolution: tuple[int, int],
+    samples: int,
+    device: str = "CPU",
+    users: bool = False,
+    noise_threshold: float = 0.0,
 ) -> list[tuple[str, Any]]:
     """(RNA path under the scene, value) in the order to set them.
 
     ``users``: a scene of the user's. It keeps its light paths, its view transform and its colour working
-    space; the pictures are converted to Linear Rec.709 as they are written.
+    space; the pictures are converted to Linear Rec.709 as they are written. ``noise_threshold``: Cycles'
+    adaptive sampling with ``samples`` as the most; 0 takes all samples everywhere.
     """
     return [
         ("render.engine", "CYCLES"),
@@ -37,7 +42,10 @@ def ground_truth(
         ("render.use_motion_blur", False),
         ("render.film_transparent", False),
         ("render.dither_intensity", 0.0),
-        ("render.use_compositing", False),
+        ("render.use_compositing", True),  # synth/compositor.py; every light is denoised there
+        ("render.compositor_device", "CPU"),
+        ("render.compositor_precision", "FULL"),
+        ("render.compositor_denoise_device", "CPU"),
         ("render.use_sequencer", False),
         ("render.use_stamp", False),
         # Blender writes these into every EXR: the same seed would give other bytes.
@@ -55,7 +63,9 @@ def ground_truth(
         ("cycles.device", device),
         ("cycles.samples", samples),
         ("cycles.time_limit", 0.0),
-        ("cycles.use_adaptive_sampling", False),
+        ("cycles.use_adaptive_sampling", noise_threshold > 0.0),
+        ("cycles.adaptive_threshold", noise_threshold),
+        ("cycles.adaptive_min_samples", 0),
         ("cycles.sampling_pattern", "BLUE_NOISE"),
         ("cycles.scrambling_distance", 1.0),
         ("cycles.auto_scrambling_distance", False),
@@ -70,8 +80,7 @@ def ground_truth(
         ("cycles.film_exposure", 1.0),
         ("cycles.pixel_filter_type", "BLACKMAN_HARRIS"),
         ("cycles.filter_width", 1.5),
-        ("cycles.use_denoising", denoise),
-        *(_DENOISER if denoise else ()),
+        ("cycles.use_denoising", False),
     ]
 
 
@@ -98,15 +107,6 @@ _LIGHT_PATHS = (
     ("cycles.caustics_reflective", False),
     ("cycles.caustics_refractive", False),
     ("cycles.blur_glossy", 1.0),
-)
-
-_DENOISER = (
-    ("cycles.denoiser", "OPENIMAGEDENOISE"),
-    ("cycles.denoising_input_passes", "RGB_ALBEDO_NORMAL"),
-    # Measured: "ACCURATE" costs a third of a second a frame and gains 0.2 dB.
-    ("cycles.denoising_prefilter", "FAST"),
-    ("cycles.denoising_quality", "HIGH"),
-    ("cycles.denoising_use_gpu", False),
 )
 
 _USERS = (
@@ -153,8 +153,7 @@ def applied(
 ) -> Iterator[dict[str, Any]]:
     """Set everything, yield the record {RNA path: value as Blender keeps it}; put all back, also on error.
 
-    ``working_space``: ``None`` leaves the file's, in which its colours are given. The denoiser must be there
-    if it is asked for (``check_denoiser``).
+    ``working_space``: ``None`` leaves the file's, in which its colours are given.
     """
     former_space = bpy.data.colorspace.working_space
     # All are read before the first is set: a file format changes the depth by itself.

@@ -1,120 +1,117 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The ambient light of a user's scene (world and suns) made adjustable without a change to their own data.
+"""The lights of a user's scene, told apart by Cycles' light groups, without a change to their own data.
 
-The world is replaced by a copy whose every emitter gets a knob; suns keep their data and get a knob on the
-energy, put back afterwards. Animation and drivers of what is turned are cut off: they stand as they are at
-the current frame, else they would turn the knobs back.
+Ambient light is the world and the suns: for the time of rendering they are in a light group of ours. The
+user's own light groups are further lights, as far as anything in them shines; what is in no group is what
+remains of the picture.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
 
 import bpy
 
-from .scenes.stage import LightKnob
+from .passes import RESERVED
+from .scenes.stage import AMBIENT
 
 STRENGTHS = ("Strength", "Emission Strength")
+OURS = "physhdr ambient"
+LAMPS = "lamps"
+
+
+@dataclass(frozen=True)
+class Grouped:
+    """How the lights of a scene are told apart."""
+
+    groups: dict[str, str]
+    """Light → light group of Cycles; ``""`` for what remains. ``AMBIENT`` first."""
+    has_ambient: bool
+    notes: list[str] = field(default_factory=list)
+    """What could not be done, for the user."""
 
 
 @contextmanager
-def ambient(
-    scene: bpy.types.Scene, layer: bpy.types.ViewLayer
-) -> Iterator[tuple[list[LightKnob], list[str]]]:
-    """Knobs of the world and the suns, and what could not be done; all is put back on the way out."""
-    knobs: list[LightKnob] = []
+def grouped(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> Iterator[Grouped]:
+    """Put world and suns into a light group of ours; all is put back on the way out."""
     notes: list[str] = []
-    undo = []
-    try:
+    with ExitStack() as undo:
+        undo.callback(setattr, layer, "active_lightgroup_index", layer.active_lightgroup_index)
+        theirs = [group.name for group in layer.lightgroups]
+        ours = layer.lightgroups.add(name=OURS)
+        name = ours.name
+        undo.callback(lambda: layer.lightgroups.remove(layer.lightgroups[name]))
+        shining = False
         holder, attribute = (layer, "world_override") if layer.world_override else (scene, "world")
         world = getattr(holder, attribute)
-        if world is not None and world.node_tree is not None:
-            undo.append((holder, attribute, world))
+        if world is not None:
+            shining = world.node_tree is not None and _shines(world.node_tree)
             copy = world.copy()
-            copy.animation_data_clear()
+            copy.lightgroup = name
+            undo.callback(setattr, holder, attribute, world)
             setattr(holder, attribute, copy)
-            knobs += _tree_knobs(copy.node_tree)
         for sun in _suns(scene, layer):
-            if sun.energy:
-                light, swapped = _still(sun, notes)
-                undo += swapped
-                if light is not None:
-                    undo.append((light, "energy", light.energy))
-                    knobs.append(LightKnob(light, "energy", light.energy))
-        yield knobs, notes
-    finally:
-        for owner, attribute, value in reversed(undo):
-            setattr(owner, attribute, value)
-
-
-def _tree_knobs(tree: bpy.types.NodeTree) -> list[LightKnob]:
-    """A knob for the strength of every emitter in a tree that is ours to change, groups included."""
-    tree.animation_data_clear()
-    knobs = []
-    for node in list(tree.nodes):
-        if node.type == "GROUP" and node.node_tree is not None:
-            node.node_tree = node.node_tree.copy()
-            knobs += _tree_knobs(node.node_tree)
-            continue
-        strength = _strength(node)
-        if strength is None:
-            continue
-        if not strength.is_linked:
-            if strength.default_value:
-                knobs.append(LightKnob(strength, "default_value", strength.default_value))
-            continue
-        factor = tree.nodes.new("ShaderNodeMath")
-        factor.operation = "MULTIPLY"
-        factor.inputs[1].default_value = 1.0
-        tree.links.new(strength.links[0].from_socket, factor.inputs[0])
-        tree.links.new(factor.outputs[0], strength)
-        knobs.append(LightKnob(factor.inputs[1], "default_value", 1.0))
-    return knobs
-
-
-def _strength(node: bpy.types.Node) -> bpy.types.NodeSocket | None:
-    """The input that the light of an emitting node is linear in."""
-    if not any(socket.type == "SHADER" for socket in node.outputs):
-        return None
-    return next((node.inputs[name] for name in STRENGTHS if name in node.inputs), None)
-
-
-def _still(sun: bpy.types.Light, notes: list[str]) -> tuple[bpy.types.Light | None, list[tuple]]:
-    """The sun itself, or a copy without its animation in its place, with what undoes that."""
-    animation = sun.animation_data
-    if animation is None or not (animation.action or animation.drivers or animation.nla_tracks):
-        return sun, []
-    copy = sun.copy()
-    copy.animation_data_clear()
-    swapped = []
-    for item in bpy.data.objects:
-        if item.type == "LIGHT" and item.data == sun:
+            if not sun.data.energy:
+                continue
+            former = sun.lightgroup
             try:
-                item.data = copy
-            except (AttributeError, RuntimeError, TypeError):
+                sun.lightgroup = name
+            except (AttributeError, RuntimeError):
                 notes.append(
-                    f"the animated sun '{item.name}' belongs to a linked library: it stays as it is "
-                    "at all ambient levels (make it local to change that)"
+                    f"the sun '{sun.name}' belongs to a linked library and counts as a lamp "
+                    "(make it local to change that)"
                 )
                 continue
-            swapped.append((item, "data", sun))
-    return (copy if swapped else None), swapped
+            undo.callback(setattr, sun, "lightgroup", former)
+            shining = True
+        groups = {AMBIENT: name}
+        for theirs_name in _lit_groups(scene, layer, theirs):
+            groups[_layer_name(theirs_name, groups)] = theirs_name
+        groups[_layer_name(LAMPS, groups)] = ""
+        yield Grouped(groups, shining, notes)
 
 
-def _suns(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.types.Light]:
-    return [light for light in lights(scene, layer) if light.type == "SUN"]
+def _lit_groups(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, names: list[str]) -> list[str]:
+    """Those light groups of the user's in which anything but the ambient light shines."""
+    lit = {item.lightgroup for item in _rendered(scene, layer) if item.lightgroup and _is_lamp(item)}
+    return [name for name in names if name in lit]
+
+
+def _is_lamp(item: bpy.types.Object) -> bool:
+    if item.type == "LIGHT":
+        return item.data.type != "SUN" and item.data.energy > 0.0 and not item.data.cycles.is_portal
+    return any(
+        slot.material and slot.material.node_tree and _shines(slot.material.node_tree)
+        for slot in item.material_slots
+    )
+
+
+def _layer_name(name: str, taken: dict[str, str]) -> str:
+    """A name for layers of EXR files, folders and sliders: ``Key Light.001`` → ``key_light_001``."""
+    plain = re.sub(r"\W+", "_", name.lower()).strip("_") or "light"
+    made, count = plain, 2
+    while made in taken or made in RESERVED:
+        made, count = f"{plain}_{count}", count + 1
+    return made
+
+
+def _suns(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
+    return [item for item in _rendered(scene, layer) if item.type == "LIGHT" and item.data.type == "SUN"]
+
+
+def _rendered(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
+    """All objects that are rendered, those in instances of collections included, each once."""
+    found = list(scene.objects)
+    found += [instance.object.original for instance in layer.depsgraph.object_instances]
+    return [item for item in dict.fromkeys(found) if not item.hide_render]
 
 
 def lights(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.types.Light]:
     """The data of all lights that are rendered, those in instances of collections included, each once."""
-    found = [item.data for item in scene.objects if item.type == "LIGHT" and not item.hide_render]
-    found += [
-        instance.object.original.data
-        for instance in layer.depsgraph.object_instances
-        if instance.object.type == "LIGHT" and not instance.object.original.hide_render
-    ]
-    return list(dict.fromkeys(found))
+    return list(dict.fromkeys(item.data for item in _rendered(scene, layer) if item.type == "LIGHT"))
 
 
 def any_light(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bool:
@@ -135,6 +132,13 @@ def materials(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.ty
     items += [instance.object.original for instance in layer.depsgraph.object_instances]
     found = [slot.material for item in dict.fromkeys(items) for slot in item.material_slots if slot.material]
     return list(dict.fromkeys(found))
+
+
+def _strength(node: bpy.types.Node) -> bpy.types.NodeSocket | None:
+    """The input that the light of an emitting node is linear in."""
+    if not any(socket.type == "SHADER" for socket in node.outputs):
+        return None
+    return next((node.inputs[name] for name in STRENGTHS if name in node.inputs), None)
 
 
 def _shines(tree: bpy.types.NodeTree) -> bool:

@@ -18,7 +18,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from synth import noise, png, rig, settings
-from synth.renderer import Renderer
+from synth.renderer import renderer
 from synth.response import by_name
 from synth.scenes import SCENES, built
 
@@ -43,20 +43,19 @@ def main() -> None:
         print(f"built in {time.monotonic() - began:.1f} s; lights: {', '.join(stage.lights)}")
         poses = rig.poses(given.rig, stage.cameras, 35, 0)
         poses = [*poses.train, *poses.test]
-        wanted = settings.ground_truth((given.size, given.size), given.samples, True)
+        wanted = settings.ground_truth((given.size, given.size), given.samples)
+        scratch = given.out.with_suffix(".exr")
         rows = []
-        with settings.applied(stage.scene, wanted, settings.WORKING_SPACE):
-            renderer = Renderer(stage)
+        with settings.applied(stage.scene, wanted), renderer(stage, denoise=True) as camera:
             for index in rig.spread_indices(len(poses), given.views):
                 began = time.monotonic()
-                image = renderer.render(given.out.with_suffix(".exr"), poses[index], 1.0, index)
+                image = camera.render(poses[index], index, scratch).radiance({})
                 print(f"pose {index}: {time.monotonic() - began:.1f} s")
                 rows.append(image.astype(np.float64))
             if given.noise:
                 index = rig.spread_indices(len(poses), given.views)[0]
-                again = renderer.render(given.out.with_suffix(".exr"), poses[index], 1.0, 12345)
+                again = camera.render(poses[index], 12345, scratch).radiance({})
                 print("noise floor", noise.floor(rows[0], again, response, tuple(exposures)))
-    given.out.with_suffix(".exr").unlink()
     radiance = np.stack(rows)
     luminance, brightest = radiance @ LUMINANCE, radiance.max(-1)
     low, high = np.percentile(luminance, 1), luminance.max()

@@ -66,8 +66,11 @@ class Stage:
     scene: bpy.types.Scene
     cameras: CameraHints
     lights: dict[str, list[LightKnob]] = field(default_factory=dict)
-    """Group → the numbers that turn it, ``AMBIENT`` (sky, sun, fill) first. Empty for a group that is known
-    only as what remains of the picture without the others."""
+    """Light → the numbers that turn it, ``AMBIENT`` (sky, sun, fill) first; none in a user's scene, where
+    nothing is turned: there the passes alone tell the lights apart."""
+    groups: dict[str, str] = field(default_factory=dict)
+    """Light → its light group of Cycles, where that has another name; ``""`` is what remains of the picture
+    without all others."""
     layer: bpy.types.ViewLayer | None = None
     """What is rendered and what rays are cast in; the scene's first view layer if ``None``."""
     poses: RigPoses | None = None

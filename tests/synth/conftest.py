@@ -8,6 +8,7 @@ import math
 import struct
 import zlib
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -45,9 +46,9 @@ def build_ball(scene, assets):
 @pytest.fixture(autouse=True)
 def ball_scene(monkeypatch):
     """``--scene ball`` exists in every test."""
-    from physhdr.synth.scenes import SCENES
+    from physhdr.synth.scenes import SCENES, Entry
 
-    monkeypatch.setitem(SCENES, "ball", build_ball)
+    monkeypatch.setitem(SCENES, "ball", Entry(build_ball))
 
 
 @pytest.fixture
@@ -113,3 +114,9 @@ def read_ply(path: Path) -> np.ndarray:
 
 def read_json(path: Path):
     return json.loads(path.read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="session")
+def readers() -> SimpleNamespace:
+    """The readers above, for tests that need no import of this module."""
+    return SimpleNamespace(exr=read_exr, png=read_png, ply=read_ply, json=read_json)

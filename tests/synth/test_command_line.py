@@ -9,8 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from physhdr.synth.errors import OptionError
 from physhdr.synth.make_scene import main
-from physhdr.synth.options import parse_numbers, parse_resolution
+from physhdr.synth.options import Options, evs
+from physhdr.synth.parse import parse_evs, parse_mixtures, parse_numbers, parse_resolution, parse_scenes
 
 ROOT = Path(__file__).parents[2]
 
@@ -18,20 +20,30 @@ ROOT = Path(__file__).parents[2]
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("--scene kitchen", "unknown scene 'kitchen': choose one of ball, interior"),
+        ("--scene kitchen", "unknown scene 'kitchen': choose one of ball, bathroom"),
+        ("--scene ball,kitchen", "unknown scene 'kitchen'"),
+        ("--scene ball,ball", "each scene once"),
+        ("--scene ,", "name at least one, or 'all'"),
+        ("--scene all --from-file current", "several built-in scenes, and --from-file asks for your own"),
+        ("--assets no/such", "there is no folder of models 'no/such'"),
         ("--crf agx", "unknown response"),
         ("--crf no/such.json", "cannot read the response file 'no/such.json'"),
         ("--camera-rig spiral", "unknown camera rig 'spiral'"),
         ("--exposures 0.5,0.125", "must rise"),
         ("--exposures 1,1", "must rise"),
         ("--exposures 0,1", "--exposures"),
-        ("--exposures=-3,-1,1", "seconds"),
+        ("--exposures=-3,-1,1", "seconds: EV −3 is 0.125; --evs takes EV"),
+        ("--evs=-3,-3", "--evs -3,-3: must rise"),
+        ("--evs=3,1", "must rise"),
+        ("--evs=", "--evs: at least one is needed"),
+        ("--evs=1,40", "--evs (EV 0 is one second): 40 is not within -19 … 19"),
+        ("--evs=1,dark", "--evs '1,dark': 'dark' is not a number"),
         ("--exposures 1,two", "'two' is not a number"),
         ("--exposures nan,1", "'nan' is not a number"),
         ("--exposures ,", "at least one"),
         ("--ambient-levels 1,2", "leave it out"),
         ("--ambient-levels 1/0", "'1/0' is not a number"),
-        ("--lit-levels=-1,2", "--lit-levels: -1 is not within"),
+        ("--train-ambient-levels=-1,2", "--train-ambient-levels: -1 is not within"),
         ("--lit-levels 2,2", "each level once"),
         ("--resolution 0", "--resolution: 0 is not within"),
         ("--resolution 20x20x3", "write 200 or 320x240"),
@@ -39,6 +51,15 @@ ROOT = Path(__file__).parents[2]
         ("--views 1", "--views: 1 is not within"),
         ("--seed=-1", "--seed"),
         ("--views 6 --relit-views 4", "--relit-views: 4 is not within"),
+        ("--noise-threshold 2", "--noise-threshold: 2 is not within"),
+        ("--lit-lights ,", "--lit-views: needs at least one of --lit-lights"),
+        ("--lit-lights ambient,ambient", "each light once"),
+        ("--scene ball --lit-lights moon", "unknown light of this scene 'moon': choose one of ambient, lamp"),
+        ("--scene ball --mixed-levels ambient=2,moon=1", "unknown light of this scene 'moon'"),
+        ("--mixed-levels ambient", "write ambient=4,pendant=0.25"),
+        ("--mixed-levels ambient=2,ambient=4", "named twice"),
+        ("--mixed-levels ambient=-2", "--mixed-levels: ambient: -2 is not within"),
+        ("--iso 1", "--iso: 1 is not within"),
     ],
 )
 def test_bad_options(tmp_path, capsys, arguments, message):
@@ -50,7 +71,8 @@ def test_bad_options(tmp_path, capsys, arguments, message):
 
 
 def test_usage_errors_exit_with_2(capsys):
-    for arguments in ([], ["--out", "x", "--samples", "many"], ["--out", "x", "--colour"]):
+    both = ["--out", "x", "--exposures", "1", "--evs", "0"]
+    for arguments in ([], ["--out", "x", "--samples", "many"], ["--out", "x", "--colour"], both):
         with pytest.raises(SystemExit) as error:
             main(arguments)
         assert error.value.code == 2
@@ -64,16 +86,17 @@ def test_a_broken_dataset_json_is_named(tmp_path, capsys):
     assert (tmp_path / "dataset.json").read_text() == "{"
 
 
-def test_a_full_disk_is_reported(tmp_path, capsys, monkeypatch):
-    from physhdr.synth import folder
-
-    def full(path, data):
-        raise OSError(28, "No space left on device", str(path))
-
-    monkeypatch.setattr(folder, "write", full)
-    assert main(["--out", str(tmp_path / "d"), "--scene", "ball", "--views", "2", "--lit-views", "0"]) == 1
-    told = capsys.readouterr().err
-    assert "No space left on device" in told and told.count("\n") == 1
+def test_a_full_disk_in_the_middle(tmp_path):
+    """No file may grow beyond 20 kB, which the passes do: a clear error, and no half file under its name."""
+    out = tmp_path / "d"
+    command = f"ulimit -f 20; exec {sys.executable} {ROOT / 'synth/make_scene.py'} -- --out {out}"
+    command += " --resolution 64 --samples 1 --views 2 --lit-views 0 --no-denoise"
+    done = subprocess.run(["bash", "-c", command], capture_output=True, text=True)
+    assert done.returncode == 1 and "Traceback" not in done.stderr
+    assert "is the disk full?" in done.stderr, done.stderr
+    assert not list(out.rglob("*.exr")) and not (out / "dataset.json").exists()
+    done = subprocess.run(["bash", "-c", command.partition("; ")[2]], capture_output=True, text=True)
+    assert done.returncode == 0 and (out / "dataset.json").exists(), done.stderr
 
 
 def test_the_script_in_a_process_of_its_own():
@@ -90,6 +113,14 @@ def test_the_script_in_a_process_of_its_own():
     )
 
 
-def test_numbers_and_sizes():
+def test_numbers_sizes_and_names():
+    assert parse_evs("-3 -1,1") == (0.125, 0.5, 2.0) and evs((0.125, 0.5, 2.0)) == [-3.0, -1.0, 1.0]
+    assert parse_mixtures("ambient=4,pendant=1/4; ambient=2") == (
+        (("ambient", 4.0), ("pendant", 0.25)),
+        (("ambient", 2.0),),
+    )
+    assert parse_scenes("bathroom, desk") == ("bathroom", "desk") and "sponza" in parse_scenes("all")
+    with pytest.raises(OptionError, match="too many"):
+        Options(exposures=tuple(range(1, 100))).check()
     assert parse_numbers("--x", "1/4,0.5 2") == (0.25, 0.5, 2.0)
     assert parse_resolution("320x240") == (320, 240) and parse_resolution("64") == (64, 64)

@@ -3,17 +3,21 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
+import json
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
 import numpy as np
 import pytest
 
-from physhdr.synth import dataset, folder
+from physhdr.synth import dataset, folder, passes, plan, renderer
+from physhdr.synth.camera_model import CameraModel
 from physhdr.synth.errors import ConflictError, DamagedFileError, OutputFolderError
 
 # --import-mode=importlib: the readers live in this folder's conftest
@@ -43,6 +47,7 @@ def test_layout_is_the_documented_one(room):
         expected |= {f"transforms_{split}.json", f"exposure_{split}.json"}
         expected |= {f"{split}_hdr/hdr_{i:03d}.exr" for i in range(count)}
         expected |= {f"{split}/r_{i}_{k}.png" for i in range(count) for k in range(5)}
+        expected |= {f"passes/{split}_{i:03d}.exr" for i in range(count)}
     expected |= {"relit/level_0.5/hdr_001.exr"}
     assert {str(p.relative_to(out)) for p in out.rglob("*") if p.is_file()} == expected
     assert "render [" in done.stdout and "s left" in done.stdout
@@ -58,10 +63,43 @@ def test_poses_and_exposures(room):
         for frame in transforms["frames"]:
             pose = np.array(frame["transform_matrix"])
             assert pose.shape == (4, 4) and pose[3].tolist() == [0, 0, 0, 1]
-            assert ("lighting_level" in frame) == (split == "lit")
+            assert ("lighting_level" in frame) == ("lighting_levels" in frame) == (split == "lit")
         exposures = readers.read_json(out / f"exposure_{split}.json")
         assert exposures == {f"./{split}/r_{i}_{k}.png": T[k] for i in range(count) for k in range(5)}
-    assert [f["lighting_level"] for f in transforms["frames"]] == [0.25, 4.0]
+    assert sorted(f["lighting_level"] for f in transforms["frames"]) == [0.25, 4.0]
+    assert [f["lighting_levels"]["ambient"] for f in transforms["frames"]] == [
+        f["lighting_level"] for f in transforms["frames"]
+    ]
+    assert transforms["lights"] == ["ambient"]
+
+
+def test_pictures_are_the_passes_under_their_levels(room):
+    out, _ = room
+    told = readers.read_json(out / "dataset.json")
+    frames = readers.read_json(out / "transforms_lit.json")["frames"]
+    assert told["lights"] == ["ambient", "pendant", "standing"] and told["lit_lights"] == ["ambient"]
+    assert told["relit"] == [{"folder": "relit/level_0.5", "levels": {"ambient": 0.5}}]
+    levels = {"train": [1.0] * 3, "test": [1.0] * 2, "lit": [f["lighting_level"] for f in frames]}
+    given = [(f"{s}_{i:03d}", f"{s}_hdr/hdr_{i:03d}", l) for s in levels for i, l in enumerate(levels[s])]
+    for name, picture, level in [*given, ("test_001", "relit/level_0.5/hdr_001", 0.5)]:
+        rendered = passes.read(out / f"passes/{name}.exr", told["lights"], (32, 24))
+        light = {key: value.astype(np.float64) for key, value in rendered.lights.items()}
+        expected = level * light["ambient"] + light["pendant"] + light["standing"]
+        np.testing.assert_allclose(readers.read_exr(out / f"{picture}.exr"), expected, rtol=1e-6, atol=1e-9)
+        assert rendered.samples.max() == 2.0 and (rendered.index >= 0).all()
+        assert rendered.index.max() <= max(told["objects"].values())
+
+
+def test_every_frame_is_described(room):
+    out, _ = room
+    frames = readers.read_json(out / "dataset.json")["frames"]
+    assert list(frames) == [*(f"train/{k}" for k in range(3)), "test/0", "test/1", "lit/0", "lit/1"]
+    for name, frame in frames.items():
+        split, index = name.split("/")
+        assert frame["file"] == f"passes/{split}_{int(index):03d}.exr"
+        assert frame["sha256"] == hashlib.sha256((out / frame["file"]).read_bytes()).hexdigest()
+        assert frame["samples"] == 2.0 and 10.0 < frame["noise_psnr"] < 50.0
+    assert len({frame["seed"] for frame in frames.values()}) == len(frames)
 
 
 def test_brackets_are_the_response_of_the_exr(room):
@@ -134,20 +172,132 @@ def _stamps(out: Path) -> dict[str, int]:
     return {str(p.relative_to(out)): p.stat().st_mtime_ns for p in out.rglob("*") if p.is_file()}
 
 
-def test_resume_renders_only_what_is_missing_and_the_same(tmp_path, small):
+def test_resume_renders_only_what_is_missing_and_the_same(tmp_path, small, monkeypatch):
     out = tmp_path / "d"
     dataset.make(out, small)
     before = _stamps(out)
-    lost = out / "test_hdr/hdr_001.exr"
-    radiance = readers.read_exr(lost)
-    lost.unlink()
-    (out / "train/r_1_2.png").unlink()
+    lost = ["passes/test_001.exr", "lit_hdr/hdr_000.exr", "train/r_1_2.png", "relit/level_2/hdr_001.exr"]
+    content = {name: (out / name).read_bytes() for name in [*lost, "dataset.json"]}
+    for name in lost:
+        (out / name).unlink()
+    rendered = counted(monkeypatch)
     dataset.make(out, small)
+    assert len(rendered) == 1  # all else follows from the passes
     after = _stamps(out)
     assert after.keys() == before.keys()
-    changed = {name for name in before if before[name] != after[name]}
-    assert changed == {"test_hdr/hdr_001.exr", "train/r_1_2.png", "dataset.json"}
-    np.testing.assert_array_equal(readers.read_exr(lost), radiance)  # the same seed, the same noise
+    assert {name for name in before if before[name] != after[name]} == {*lost, "dataset.json"}
+    assert {name: (out / name).read_bytes() for name in content} == content
+
+
+def counted(monkeypatch):
+    """The poses that are rendered from now on."""
+    real, calls = renderer.Renderer.render, []
+
+    def render(self, pose, *rest):
+        calls.append(pose)
+        return real(self, pose, *rest)
+
+    monkeypatch.setattr(renderer.Renderer, "render", render)
+    return calls
+
+
+def test_the_same_seed_gives_the_same_bytes(tmp_path, small):
+    """Of every file, wherever it lies and in whatever order its poses are made."""
+    noisy = replace(small, camera=CameraModel(iso=3200, white_balance_jitter=0.1), denoise=True)
+    dataset.make(tmp_path / "a", noisy)
+    dataset.make(tmp_path / "b", noisy)
+    for name in ("passes/train_000.exr", "test/r_1_2.png", "points3d.ply"):
+        (tmp_path / "b" / name).unlink()
+    dataset.make(tmp_path / "b", noisy)
+    names = sorted(str(p.relative_to(tmp_path / "a")) for p in (tmp_path / "a").rglob("*") if p.is_file())
+    assert len(names) == 7 * (1 + 1 + 5) + 2 + 6 + 2
+    for name in names:
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes(), name
+    dataset.make(tmp_path / "c", replace(noisy, seed=1))
+    assert (tmp_path / "a" / names[-1]).read_bytes() != (tmp_path / "c" / names[-1]).read_bytes()
+    told = readers.read_json(tmp_path / "a/dataset.json")
+    assert told["camera_model"]["iso"] == 3200
+
+
+def test_a_camera_with_faults_changes_the_brackets_and_not_the_truth(tmp_path, small):
+    dataset.make(tmp_path / "a", small)
+    dataset.make(tmp_path / "b", replace(small, camera=CameraModel(vignetting=2.0)))
+    for name in ("passes/test_000.exr", "test_hdr/hdr_000.exr", "relit/level_2/hdr_001.exr"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+    ideal, real = (readers.read_png(tmp_path / x / "train/r_0_2.png")[..., :3].astype(int) for x in "ab")
+    assert (real <= ideal).all() and (real < ideal).mean() > 0.3
+
+
+def test_lights_that_vary_come_in_every_combination(tmp_path, small):
+    options = replace(small, lit_views=8, lit_lights=("lamp", "ambient"), relit_views=None, samples=1)
+    dataset.make(tmp_path, options)
+    told = readers.read_json(tmp_path / "dataset.json")
+    transforms = readers.read_json(tmp_path / "transforms_lit.json")
+    assert transforms["lights"] == told["lit_lights"] == ["ambient", "lamp"]
+    pairs = [tuple(frame["lighting_levels"].values()) for frame in transforms["frames"]]
+    assert sorted(pairs) == sorted(2 * [(0.25, 0.25), (0.25, 4.0), (4.0, 0.25), (4.0, 4.0)])
+    assert pairs != sorted(pairs) and [f["lighting_level"] for f in transforms["frames"]] == [
+        p[0] for p in pairs
+    ]
+    settings = {entry["folder"]: entry["levels"] for entry in told["relit"]}
+    assert settings == {
+        "relit/level_0.5": {"ambient": 0.5},
+        "relit/level_2": {"ambient": 2.0},
+        "relit/lamp_0.5": {"lamp": 0.5},
+        "relit/lamp_2": {"lamp": 2.0},
+        "relit/ambient_0.5+lamp_2": {"ambient": 0.5, "lamp": 2.0},
+        "relit/ambient_2+lamp_0.5": {"ambient": 2.0, "lamp": 0.5},
+        "relit/ambient_0.125+lamp_8": {"ambient": 0.125, "lamp": 8.0},
+        "relit/ambient_8+lamp_0.125": {"ambient": 8.0, "lamp": 0.125},
+    }
+    assert told["lighting_levels"]["relit_views"] == [0, 1]
+    for name, levels in settings.items():
+        for k in (0, 1):
+            light = passes.read(tmp_path / f"passes/test_{k:03d}.exr", told["lights"], (32, 24)).lights
+            expected = sum(levels.get(key, 1.0) * value.astype(np.float64) for key, value in light.items())
+            truth = readers.read_exr(tmp_path / name / f"hdr_{k:03d}.exr")
+            np.testing.assert_allclose(truth, expected, rtol=1e-6, atol=1e-9)
+    asked = replace(options, mixed_levels=((("lamp", 3.0), ("ambient", 1.0)),), ambient_levels=())
+    assert [light.levels for light in plan.relightings(asked, told["lights"])] == [{"lamp": 3.0}]
+
+
+def test_several_scenes_by_one_command(tmp_path, capsys, monkeypatch, small):
+    from physhdr.synth import several
+    from physhdr.synth.progress import JsonReport
+    from physhdr.synth.scenes import SCENES
+
+    monkeypatch.setitem(SCENES, "ball 2", replace(SCENES["ball"], evs=(-4.0, -2.0, 0.0)))
+    report = JsonReport()
+    report.end(several.make_all(tmp_path, ["ball", "ball 2"], small, report))
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    fractions = [line["progress"] for line in lines if "progress" in line]
+    assert fractions[0] == 0.0 and fractions[-1] == 1.0 and fractions == sorted(fractions)
+    assert lines[0]["message"] == "rendering ball train_000"
+    assert {"rendering ball 2 lit_001", "ball 2 points"} <= {line.get("message") for line in lines}
+    assert list(lines[-1]["result"]["scenes"]) == ["ball", "ball 2"]
+    for name, evs in (("ball", [-3, -1, 1, 3, 5]), ("ball 2", [-4, -2, 0])):
+        told = readers.read_json(tmp_path / name / "dataset.json")
+        assert (told["scene"], told["evs"]) == (name, evs) and told["exposures"] == [2.0**ev for ev in evs]
+
+
+def test_two_processes_share_a_folder(tmp_path):
+    """Both end well; each pose is rendered once; what comes out is what one alone makes."""
+    options = "--resolution 48 --samples 16 --views 8 --lit-views 2 --relit-views 1 --no-denoise"
+    command = [sys.executable, str(ROOT / "synth/make_scene.py"), "--", *options.split(), "--out"]
+    running = [
+        subprocess.Popen([*command, str(tmp_path / "two")], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        for _ in range(2)
+    ]
+    told = [process.communicate(timeout=300) for process in running]
+    assert [process.returncode for process in running] == [0, 0], told
+    assert subprocess.run([*command, str(tmp_path / "one")], capture_output=True).returncode == 0
+    for path in (tmp_path / "one").rglob("*"):
+        if path.is_file():
+            assert (
+                path.read_bytes() == (tmp_path / "two" / path.relative_to(tmp_path / "one")).read_bytes()
+            ), path
+    left = [path for path in (tmp_path / "two").rglob(".*")]
+    assert not left
 
 
 def test_a_complete_data_set_is_left_as_it_is(tmp_path, small, capsys):
@@ -160,62 +310,59 @@ def test_a_complete_data_set_is_left_as_it_is(tmp_path, small, capsys):
 
 def test_another_version_does_not_mix_into_a_data_set(tmp_path, small, monkeypatch):
     dataset.make(tmp_path / "d", small)
-    (tmp_path / "d/test_hdr/hdr_001.exr").unlink()
+    (tmp_path / "d/passes/test_001.exr").unlink()
     monkeypatch.setitem(dataset.GENERATOR, "version", "9.9")
     before = _stamps(tmp_path / "d")
-    with pytest.raises(ConflictError, match=r"this is .*9\.9"):
+    with pytest.raises(ConflictError, match=r"was made by .*0\.2\.0.*this is .*9\.9"):
         dataset.make(tmp_path / "d", small)
     assert _stamps(tmp_path / "d") == before
 
 
 def test_interrupted_run_goes_on(tmp_path, small, monkeypatch):
     out = tmp_path / "d"
-    calls = []
-    real = dataset.Renderer.render
+    real, calls = renderer.Renderer.render, []
 
-    def interrupted(self, path, *rest):
-        calls.append(path)
-        if len(calls) == 3:
-            folder.temporary(path).write_bytes(b"half an EXR")  # as a kill in the middle of writing leaves it
+    def interrupted(self, pose, seed, scratch):
+        calls.append(scratch)
+        if len(calls) == 3:  # as a kill in the middle of writing leaves it
+            scratch.write_bytes(b"half an EXR")
+            folder.temporary(out / "passes/test_000.exr").write_bytes(b"half an EXR")
             raise KeyboardInterrupt
-        return real(self, path, *rest)
+        return real(self, pose, seed, scratch)
 
-    monkeypatch.setattr(dataset.Renderer, "render", interrupted)
+    monkeypatch.setattr(renderer.Renderer, "render", interrupted)
     with pytest.raises(KeyboardInterrupt):
         dataset.make(out, small)
     assert not (out / "dataset.json").exists() and (out / "dataset.partial.json").exists()
-    del calls[:]
-
-    def counted(self, path, *rest):
-        calls.append(path)
-        return real(self, path, *rest)
-
-    monkeypatch.setattr(dataset.Renderer, "render", counted)
+    monkeypatch.setattr(renderer.Renderer, "render", real)
+    rendered = counted(monkeypatch)
     dataset.make(out, small)
-    assert len(calls) == 5 + 2 + 2 + 1 - 2  # all pictures and the noise floor, less the two that were whole
+    assert len(rendered) == 5 + 2 + 1 - 2  # all poses and the noise floor, less the two that were whole
     assert (out / "dataset.json").exists() and not (out / "dataset.partial.json").exists()
-    assert not list(out.rglob("*.tmp"))
+    assert not list(out.rglob("*.tmp*"))
 
 
 def test_other_options_change_nothing(tmp_path, small):
-    from dataclasses import replace
-
     out = tmp_path / "d"
     dataset.make(out, small)
     before = _stamps(out)
-    for change in ({"resolution": (16, 16)}, {"seed": 1}, {"crf": "srgb"}, {"exposures": (1.0, 2.0)}):
+    changes = ({"resolution": (16, 16)}, {"seed": 1}, {"crf": "srgb"}, {"exposures": (1.0, 2.0)})
+    for change in (*changes, {"noise_threshold": 0.1}, {"camera": CameraModel(iso=100)}):
         with pytest.raises(ConflictError, match=next(iter(change))):
             dataset.make(out, replace(small, **change))
     assert _stamps(out) == before
 
 
-def test_a_damaged_exr_is_named_and_kept(tmp_path, small):
+@pytest.mark.parametrize(
+    "name", ["passes/train_001.exr", "train_hdr/hdr_001.exr", "relit/level_0.5/hdr_001.exr"]
+)
+def test_a_damaged_exr_is_named_and_kept(tmp_path, small, name):
     out = tmp_path / "d"
     dataset.make(out, small)
-    exr = out / "train_hdr/hdr_001.exr"
-    exr.write_bytes(exr.read_bytes()[:-100])
+    (out / name).write_bytes((out / name).read_bytes()[:-100])
+    (out / "test/r_0_0.png").unlink()
     before = _stamps(out)
-    with pytest.raises(DamagedFileError, match=r"hdr_001\.exr.*delete it"):
+    with pytest.raises(DamagedFileError, match=rf"{Path(name).name}'.*delete it"):
         dataset.make(out, small)
     assert _stamps(out) == before
 

@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Blender's compositor as the way out of a render: each light's pass, denoised by itself, and the geometry.
+
+Denoised apart the lights still add up: against the denoised whole their sum has 52 dB μ-law PSNR (interior,
+200×200, 64 samples), far above the noise itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import bpy
+
+from .scenes.stage import Stage
+
+RAW = "raw"
+"""The layer of the whole picture before denoising: it tells the noise."""
+PLANES = {"depth": "Depth", "index": "Object Index", "samples": "Debug Sample Count"}
+NORMAL = "Normal"
+WORKING_SPACE = "Linear Rec.709"
+
+
+@contextmanager
+def connected(stage: Stage, denoise: bool) -> Iterator[bpy.types.CompositorNodeOutputFile]:
+    """Switch the passes on and connect them to a file, whose node is yielded; all is put back on the way out.
+
+    Layers of the file: ``light_0``, ``light_1`` … in the order of ``stage.lights``, ``RAW``, ``PLANES`` and
+    ``normal``. Its folder and name are the caller's to set.
+    """
+    scene, layer = stage.scene, stage.view_layer
+    with ExitStack() as undo:
+        for owner, attribute, value in (
+            (layer, "use_pass_z", True),
+            (layer, "use_pass_normal", True),
+            (layer, "use_pass_object_index", True),
+            (layer.cycles, "denoising_store_passes", denoise),
+            (layer.cycles, "pass_debug_sample_count", True),
+            (scene, "compositing_node_group", scene.compositing_node_group),
+        ):
+            undo.callback(setattr, owner, attribute, getattr(owner, attribute))
+            setattr(owner, attribute, value)
+        tree = bpy.data.node_groups.new("physhdr passes", "CompositorNodeTree")
+        undo.callback(bpy.data.node_groups.remove, tree)
+        scene.compositing_node_group = tree
+        undo.callback(setattr, scene, "compositing_node_group", None)
+        yield _Wiring(tree, scene, layer, denoise).connect(stage)
+
+
+class _Wiring:
+    """The nodes of one compositor tree."""
+
+    def __init__(
+        self, tree: bpy.types.NodeTree, scene: bpy.types.Scene, layer: bpy.types.ViewLayer, denoise: bool
+    ) -> None:
+        self.tree, self.denoise = tree, denoise
+        self.render = tree.nodes.new("CompositorNodeRLayers")
+        self.render.scene, self.render.layer = scene, layer.name
+        self.file = tree.nodes.new("CompositorNodeOutputFile")
+        picture = self.file.format
+        picture.media_type, picture.file_format = "MULTI_LAYER_IMAGE", "OPEN_EXR_MULTILAYER"
+        picture.color_depth, picture.exr_codec = "32", "NONE"  # read once, and at once
+        picture.use_exr_interleave = True  # one part
+        self.foreign_space = bpy.data.colorspace.working_space != WORKING_SPACE
+
+    def connect(self, stage: Stage) -> bpy.types.CompositorNodeOutputFile:
+        groups = {name: stage.groups.get(name, name) for name in stage.lights}
+        rest = self.render.outputs["Image"]
+        for group in groups.values():
+            if group and "" in groups.values():
+                rest = self._subtracted(rest, self.render.outputs[f"Combined_{group}"])
+        for k, group in enumerate(groups.values()):
+            light = self.render.outputs[f"Combined_{group}"] if group else rest
+            self._save("RGBA", f"light_{k}", self._converted(self._denoised(light)))
+        self._save("RGBA", RAW, self._converted(self.render.outputs["Image"]))
+        for name, output in PLANES.items():
+            self._save("FLOAT", name, self.render.outputs[output])
+        self._save("VECTOR", "normal", self.render.outputs[NORMAL])
+        return self.file
+
+    def _save(self, kind: str, name: str, value: bpy.types.NodeSocket) -> None:
+        self.file.file_output_items.new(kind, name)
+        self.tree.links.new(value, self.file.inputs[name])
+
+    def _denoised(self, light: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
+        if not self.denoise:
+            return light
+        node = self.tree.nodes.new("CompositorNodeDenoise")
+        node.inputs["HDR"].default_value = True
+        # Measured: "Accurate" costs a third of a second a frame and gains 0.2 dB.
+        node.inputs["Prefilter"].default_value = "Fast"
+        node.inputs["Quality"].default_value = "High"
+        for name, value in (
+            ("Image", light),
+            ("Albedo", self.render.outputs["Denoising Albedo"]),
+            ("Normal", self.render.outputs["Denoising Normal"]),
+        ):
+            self.tree.links.new(value, node.inputs[name])
+        return node.outputs[0]
+
+    def _subtracted(self, whole: bpy.types.NodeSocket, part: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
+        node = self.tree.nodes.new("ShaderNodeMix")
+        node.data_type, node.blend_type, node.clamp_result = "RGBA", "SUBTRACT", False
+        colours = [socket for socket in node.inputs if socket.type == "RGBA"]
+        node.inputs["Factor"].default_value = 1.0
+        self.tree.links.new(whole, colours[0])
+        self.tree.links.new(part, colours[1])
+        return next(socket for socket in node.outputs if socket.type == "RGBA")
+
+    def _converted(self, light: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
+        """To Linear Rec.709 from the working space of a user's file."""
+        if not self.foreign_space:
+            return light
+        node = self.tree.nodes.new("CompositorNodeConvertColorSpace")
+        node.from_color_space = bpy.data.colorspace.working_space
+        node.to_color_space = WORKING_SPACE
+        self.tree.links.new(light, node.inputs["Image"])
+        return node.outputs[0]
+
+
+def aim(file: bpy.types.CompositorNodeOutputFile, path: Path) -> None:
+    """Let the node write ``path``, whose name ends in .exr."""
+    file.directory, file.file_name = str(path.parent.absolute()), path.name.removesuffix(".exr")

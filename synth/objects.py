@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Numbers for the object index pass: each object with a surface gets one of its own, put back afterwards."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import bpy
+
+from .progress import Report
+from .scenes.stage import Stage
+
+SURFACES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME"}
+MOST = 32767  # Blender's pass_index
+
+
+@contextmanager
+def numbered(stage: Stage, report: Report) -> Iterator[dict[str, int]]:
+    """Object → its number in the index pass, from 1 in the order they were built; a user's scene by name.
+
+    0 is where there is none. Copies of one object (instances) have its number.
+    """
+    objects = [item for item in _objects(stage) if item.type in SURFACES]
+    numbers: dict[str, int] = {}
+    undo = []
+    try:
+        for item in objects[:MOST]:
+            former = item.pass_index
+            try:
+                item.pass_index = len(numbers) + 1
+            except (AttributeError, RuntimeError):  # of a library, and not to be written
+                report.warn(f"the object '{item.name_full}' cannot be numbered: it is 0 in the object mask")
+                continue
+            undo.append((item, former))
+            numbers[item.name_full] = item.pass_index
+        if len(objects) > MOST:
+            report.warn(f"only the first {MOST} of {len(objects)} objects are in the object mask")
+        yield numbers
+    finally:
+        for item, former in undo:
+            item.pass_index = former
+
+
+def _objects(stage: Stage) -> list[bpy.types.Object]:
+    if not stage.source:
+        return list(stage.scene.collection.all_objects)
+    shown = list(stage.scene.objects)
+    shown += [instance.object.original for instance in stage.view_layer.depsgraph.object_instances]
+    return sorted(dict.fromkeys(shown), key=lambda item: item.name_full)

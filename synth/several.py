@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Several built-in scenes by one command: each a data set in a folder of its own, one progress for all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from .dataset import make
+from .errors import OptionError
+from .options import Options
+from .progress import Report
+
+
+def make_all(out: Path, scenes: Sequence[str], options: Options, report: Report) -> dict[str, Any]:
+    """``dataset.make`` for each scene, in ``out`` itself if there is one, else in ``out/<scene>``.
+
+    Returns:
+        What ``make`` returns; of several scenes ``folder`` and ``scenes`` with the results by name.
+
+    Raises:
+        SynthError: of the first scene that fails; what is made until then is kept.
+    """
+    if len(scenes) == 1 or options.from_file:
+        if len(scenes) > 1:
+            raise OptionError("--scene names several built-in scenes, and --from-file asks for your own")
+        return make(out, replace(options, scene=scenes[0]), report)
+    for scene in scenes:  # all, before hours are spent on the first
+        replace(options, scene=scene).check()
+    rendered = sum(len(list((out / scene / "passes").glob("*.exr"))) for scene in scenes)
+    report.begin_all(len(scenes) * (options.views + options.lit_views) - rendered)
+    results = {}
+    for scene in scenes:
+        report.enter(scene)
+        results[scene] = make(out / scene, replace(options, scene=scene), report)
+    return {"folder": str(out.absolute()), "scenes": results}
