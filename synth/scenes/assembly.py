@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 
@@ -60,7 +61,7 @@ def tube(
         rings.append(
             [mesh.verts.new(point + (side * math.cos(a) + across * math.sin(a)) * wide) for a in angles]
         )
-    for lower, upper in zip(rings, rings[1:], strict=False):
+    for lower, upper in itertools.pairwise(rings):
         for j in range(sides):
             mesh.faces.new((lower[j], lower[(j + 1) % sides], upper[(j + 1) % sides], upper[j]))
     mesh.faces.new(rings[0])

@@ -28,9 +28,9 @@ LEFT, RIGHT, FRONT, BACK, HEIGHT = -1.9, 2.4, -2.8, 1.6, 2.55
 WINDOW = (-1.25, 0.62, 0.86, 2.12)  # y0, y1, z0, z1
 SECOND = (-2.62, -1.72, 0.86, 2.12)  # beside the cameras, for the sun on the rug
 
-SKY_RADIANCE = 6.5  # at the horizon; W / m² / sr, any unit does
+SKY_RADIANCE = 4.5  # at the horizon; W / m² / sr, any unit does
 SUN_IRRADIANCE = 24.0
-FILL_POWER = 5.0  # watts
+FILL_POWER = 3.0  # watts
 
 
 def build(scene: bpy.types.Scene, assets: Assets) -> Stage:
@@ -170,7 +170,7 @@ def _outside(room: bpy.types.Collection) -> None:
     hill = m.fabric("hill", (0.10, 0.14, 0.12), (0.20, 0.24, 0.20), 0.25)
     sheet(
         room, "hills",
-        lambda u, v: (-55 - 8 * v, -30 + 110 * u, -3.0 + v * (6.5 + 1.6 * math.sin(9 * u) + 0.8 * math.sin(31 * u))),
+        lambda u, v: (-55 - 8 * v, -30 + 110 * u, v * (6.5 + 1.6 * math.sin(9 * u) + math.sin(31 * u)) - 3),
         hill, steps=(60, 4),
     )  # fmt: skip
 

@@ -43,7 +43,7 @@ def standing_lamp(room: Collection, lighting: Lighting, foot: Foot) -> None:
     bulb = (x - 0.24, y, 1.56)
     rod(room, "lamp socket", (bulb[0], y, 1.60), (bulb[0], y, 1.69), 0.021, brass, 0.016)
     rod(room, "lamp cord", (bulb[0], y, 1.68), (bulb[0], y, 1.725), 0.006, brass)
-    lighting.bulb("lamp", "lamp", bulb, 0.055, BULB_RADIANCE, BULB_COLOUR)
+    lighting.bulb("lamp", "lamp", bulb, 0.06, BULB_RADIANCE, BULB_COLOUR)
 
 
 def side_table(room: Collection, foot: Foot) -> None:
@@ -53,7 +53,8 @@ def side_table(room: Collection, foot: Foot) -> None:
     top = 0.56
     lathe(
         table, "table top", (0, 0, top - 0.03),
-        [(0.0, 0.0), (0.25, 0.0), (0.262, 0.012), (0.262, 0.026), (0.252, 0.026), (0.245, 0.02), (0.0, 0.02)], walnut, 48,
+        [(0.0, 0.0), (0.25, 0.0), (0.262, 0.012), (0.262, 0.026), (0.252, 0.026), (0.245, 0.02), (0.0, 0.02)],
+        walnut, 48,
     )  # fmt: skip
     stem = [(0.0, 0.16), (0.03, 0.16), (0.04, 0.22), (0.022, 0.28), (0.018, 0.42), (0.034, 0.5), (0.05, 0.53)]
     lathe(table, "table stem", (0, 0, 0), stem, walnut, 24)
@@ -77,7 +78,8 @@ def side_table(room: Collection, foot: Foot) -> None:
     )
     lathe(
         table, "tea cup", cup_at + Vector((0, 0, 0.007)),
-        [(0.0, 0.0), (0.022, 0.0), (0.04, 0.03), (0.046, 0.062), (0.043, 0.062), (0.036, 0.03), (0.0, 0.012)], china, 32,
+        [(0.0, 0.0), (0.022, 0.0), (0.04, 0.03), (0.046, 0.062), (0.043, 0.062), (0.036, 0.03), (0.0, 0.012)],
+        china, 32,
     )  # fmt: skip
     tea = m.plain("tea", (0.10, 0.03, 0.008), 0.05)
     disk(table, "tea", cup_at + Vector((0, 0, 0.056)), 0.039, tea, sides=32)

@@ -23,11 +23,12 @@ from .stage import CameraHints, Stage
 
 LEFT, RIGHT, FRONT, WALL, HEIGHT = -1.7, 1.7, -2.4, 0.46, 2.5
 WINDOW = (-1.12, -0.20, 1.00, 2.00)  # x0, x1, z0, z1
+TILT = math.radians(16.0)  # of the slats, the outer edge up: sun and looks at the sky come between them
 TOP = things.TOP
 
 SKY_RADIANCE = 7.0  # at the horizon; W / m² / sr, any unit does
 SUN_IRRADIANCE = 26.0
-FILL_POWER = 2.0  # watts
+FILL_POWER = 3.0  # watts
 
 
 def build(scene: bpy.types.Scene, assets: Assets) -> Stage:
@@ -43,7 +44,7 @@ def build(scene: bpy.types.Scene, assets: Assets) -> Stage:
     _light(lighting)
     hints = CameraHints(
         centre=(0.05, -1.18, 1.28),
-        target=(0.02, 0.12, 0.96),
+        target=(0.02, 0.12, 1.02),
         extent=(0.66, 0.36),
         angle_x=math.radians(56.0),
         orbit_radius=1.25,
@@ -57,12 +58,13 @@ def _things(room: bpy.types.Collection, lighting: Lighting, assets: Assets, dice
     things.computer(room, lighting, (0.05, 0.20, TOP))
     things.lamp(room, lighting, (0.58, 0.22, TOP))
     things.papers(room, dice)
-    things.pens(room, (-0.32, 0.10, TOP), dice)
-    things.books(room, (-0.86, 0.24, TOP), dice)
+    things.pens(room, (-0.29, 0.08, TOP), dice)
+    things.books(room, (-0.68, 0.25, TOP), dice)
     things.armillary(room, (0.43, 0.06, TOP))
-    things.pin_board(room, (0.70, WALL - 0.012, 1.34), (0.66, 0.56), dice)
-    things.ivy(room, (0.72, WALL - 0.10, 1.78), dice)
-    cup, pot = (0.38, -0.12, TOP), (-0.58, 0.08, TOP)
+    things.pin_board(room, (0.64, WALL - 0.012, 1.36), (0.66, 0.56), dice)
+    things.wall_clock(room, (0.10, WALL, 1.56))
+    things.ivy(room, (0.70, WALL - 0.10, 1.80), dice)
+    cup, pot = (0.38, -0.12, TOP), (-0.62, 0.05, TOP)
     assets.place("mug", room, cup, (0.13, 0.13, 0.10), 0.0, lambda: things.mug(room, cup))
     assets.place("pot plant", room, pot, (0.36, 0.36, 0.42), 0.0, lambda: things.plants(room, pot, dice))
 
@@ -119,13 +121,10 @@ def _window(room: bpy.types.Collection) -> None:
     box(room, "sill", (cx, WALL - 0.03, z0 - 0.018), (x1 - x0 + 0.10, 0.20, 0.036), white, bevel=0.008)
     cane = m.wood("slats", (0.34, 0.20, 0.09), (0.56, 0.38, 0.20), "X", 9.0)
     front = WALL + 0.005
-    step, wide = 0.075, x1 - x0 - 0.02
+    step, wide = 0.092, x1 - x0 - 0.02
     box(room, "blind rail", (cx, front, z1 - 0.02), (wide, 0.06, 0.045), cane, bevel=0.006)
-    # The outer edge is up: sun comes between the slats, and so do looks at the sky.
-    slat = box(
-        room, "slat", (cx, front, z1 - 0.085), (wide, 0.064, 0.004), cane, (math.radians(24.0), 0.0, 0.0)
-    )
-    drop = array(slat, 12, (0.0, -step * math.sin(math.radians(24.0)), -step * math.cos(math.radians(24.0))))
+    slat = box(room, "slat", (cx, front, z1 - 0.085), (wide, 0.080, 0.004), cane, (TILT, 0.0, 0.0))
+    drop = array(slat, 9, (0.0, -step * math.sin(TILT), -step * math.cos(TILT)))
     drop.name = "slats"
     tape = m.plain("tape", (0.50, 0.42, 0.30), 0.9)
     for x in (x0 + 0.16, x1 - 0.16):

@@ -11,7 +11,6 @@ from mathutils import Vector
 
 from . import materials as m
 from . import materials_desk as md
-from . import materials_fireside as hearth
 from .assembly import Assembly, array, disk, ring, tube
 from .greenery import arching, leaf_mesh, trailing
 from .lighting import Lighting
@@ -21,13 +20,17 @@ Collection = bpy.types.Collection
 Place = tuple[float, float, float]
 
 TOP = 0.74
-SCREEN_RADIANCE = 5.0
+SCREEN_RADIANCE = 2.2
+STRIP_POWER = 4.0  # watts of the coloured lamp behind the monitor
 BULB_RADIANCE = 300.0
 BULB_COLOUR = (1.0, 0.70, 0.40)
 
 
 def computer(room: Collection, lighting: Lighting, foot: Place) -> None:
-    """A monitor on an aluminium stand, its picture the light of group ``screen``; keyboard and mouse."""
+    """A monitor on an aluminium stand, keyboard and mouse.
+
+    Its picture is the light of group ``screen``, with a strip of coloured lamps on its back.
+    """
     monitor = Assembly(room, "monitor", foot, -0.06)
     steel = m.plain("monitor aluminium", (0.62, 0.63, 0.65), 0.28, 1.0)
     shell = m.plain("monitor shell", (0.03, 0.03, 0.033), 0.35)
@@ -48,6 +51,9 @@ def computer(room: Collection, lighting: Lighting, foot: Place) -> None:
         return (u - 0.5) * wide, -0.0015, middle + (v - 0.5) * high
 
     lighting.glow("screen", sheet(monitor, "screen", face, picture, steps=(1, 1)), strength)
+    behind = (foot[0], foot[1] + 0.05, foot[2] + middle)
+    strip = (wide - 0.1, high - 0.1)
+    lighting.area("strip", behind, (0.0, 1.0, 0.0), strip, STRIP_POWER, (0.35, 0.55, 1.0), "screen")
     _keyboard(room, (foot[0] - 0.03, foot[1] - 0.32, TOP + 0.004))
     mouse = ball(room, "mouse", (foot[0] + 0.27, foot[1] - 0.33, TOP + 0.008), 0.05, shell, 3)
     mouse.scale = (0.62, 1.05, 0.52)
@@ -128,7 +134,8 @@ def lamp(room: Collection, lighting: Lighting, foot: Place) -> None:
     rod(room, "lamp neck", head + down * 0.055, head + down * 0.07, 0.018, black, 0.016, 20)
     lighting.bulb("lamp", "lamp", head + down * 0.100, 0.034, BULB_RADIANCE, BULB_COLOUR)
     slack = [
-        (x + 0.08, y + 0.03, TOP + 0.004), (x + 0.18, y + 0.10, TOP + 0.004), (x + 0.22, y + 0.19, TOP + 0.004),
+        (x + 0.08, y + 0.03, TOP + 0.004), (x + 0.18, y + 0.10, TOP + 0.004),
+        (x + 0.22, y + 0.19, TOP + 0.004),
         (x + 0.25, y + 0.24, TOP - 0.03), (x + 0.25, y + 0.25, 0.3),
     ]  # fmt: skip
     tube(room, "lamp cable", slack, 0.0035, black, 6)
@@ -144,8 +151,8 @@ def mug(room: Collection, foot: Place) -> None:
         0.1,
     )
     profile = [
-        (0.0, 0.0), (0.034, 0.0), (0.041, 0.012), (0.043, 0.05), (0.0425, 0.094), (0.0395, 0.096), (0.039, 0.05),
-        (0.036, 0.014), (0.0, 0.010),
+        (0.0, 0.0), (0.034, 0.0), (0.041, 0.012), (0.043, 0.05), (0.0425, 0.094), (0.0395, 0.096),
+        (0.039, 0.05), (0.036, 0.014), (0.0, 0.010),
     ]  # fmt: skip
     lathe(room, "mug", at, profile, glaze, 40)
     disk(room, "coffee", at + Vector((0, 0, 0.078)), 0.0395, m.plain("coffee", (0.035, 0.012, 0.005), 0.06))
@@ -201,7 +208,11 @@ def armillary(room: Collection, foot: Place) -> None:
     steel = m.plain("armillary steel", (0.72, 0.73, 0.75), 0.12, 1.0)
     lathe(
         room, "armillary foot", foot,
-        [(0.0, 0.0), (0.045, 0.0), (0.042, 0.008), (0.012, 0.02), (0.008, 0.05), (0.014, 0.06), (0.007, 0.075), (0.0, 0.08)], brass, 32,
+        [
+            (0.0, 0.0), (0.045, 0.0), (0.042, 0.008), (0.012, 0.02), (0.008, 0.05), (0.014, 0.06),
+            (0.007, 0.075), (0.0, 0.08),
+        ],
+        brass, 32,
     )  # fmt: skip
     centre = Vector(foot) + Vector((0.0, 0.0, 0.145))
     for axis, radius, metal in (
@@ -283,7 +294,7 @@ def papers(room: Collection, dice: random.Random) -> None:
             md.written(f"letter {k}", (0.04, 0.04, 0.05), 17.0, 3.0 * k),
         )
         item.rotation_euler = (0.0, 0.0, -0.18 + 0.13 * k)
-    skin = m.speckled("apple", (0.45, 0.03, 0.02), (0.55, 0.30, 0.05), 60.0, 0.2)
+    skin = m.speckled("apple", (0.45, 0.025, 0.015), (0.50, 0.12, 0.02), 45.0, 0.2)
     profile = [
         (0.0, 0.008),
         (0.014, 0.0),
@@ -372,8 +383,27 @@ def ivy(room: Collection, foot: Place, dice: random.Random) -> None:
     trailing(room, "ivy", paths, blade, stem, dice, 0.024, 0.046)
 
 
+def wall_clock(room: Collection, centre: Place) -> None:
+    """A round clock in a chromed rim on the wall at y of ``centre``: half past ten."""
+    clock = Assembly(room, "wall clock", centre)
+    chrome = m.plain("clock chrome", (0.75, 0.76, 0.78), 0.1, 1.0)
+    ink = m.plain("clock ink", (0.02, 0.02, 0.022), 0.5)
+    white = m.plain("clock dial", (0.66, 0.63, 0.55), 0.4)
+    disk(clock, "clock dial", (0.0, -0.02, 0.0), 0.125, white, (0.0, -1.0, 0.0))
+    ring(clock, "clock rim", (0.0, -0.018, 0.0), 0.128, 0.014, chrome, (0.0, 1.0, 0.0))
+    for k in range(12):
+        s, c = math.sin(math.pi * k / 6), math.cos(math.pi * k / 6)
+        inner, thick = (0.088, 0.0045) if k % 3 == 0 else (0.098, 0.0028)
+        rod(
+            clock, "hour", (inner * s, -0.022, inner * c), (0.111 * s, -0.022, 0.111 * c), thick, ink, sides=6
+        )
+    for angle, length, thick in ((2.0 * math.pi * 10.5 / 12, 0.062, 0.005), (math.pi, 0.095, 0.0035)):
+        end = (length * math.sin(angle), -0.026, length * math.cos(angle))
+        rod(clock, "hand", (0.0, -0.026, 0.0), end, thick, ink, sides=6)
+
+
 def pin_board(room: Collection, centre: Place, size: tuple[float, float], dice: random.Random) -> None:
-    """Cork in an oak frame: letters, notes, photographs, a map, each on its pin, and a thread between pins."""
+    """Cork in an oak frame: letters, notes, photographs, a map, each on its pin."""
     board = Assembly(room, "pin board", centre)
     wide, high = size
     oak = m.wood("frame oak", (0.22, 0.11, 0.05), (0.45, 0.27, 0.13), "X", 8.0)

@@ -21,7 +21,7 @@ BREAST = (-0.56, 0.92, 1.24)  # x0, x1 and front y of the chimney breast
 OPENING = (-0.22, 0.58, 0.70)  # x0, x1 and top of the fire's opening
 MANTEL = 1.10
 FIRE_COLOUR = (1.0, 0.46, 0.14)
-FIRE_RADIANCE = 180.0
+FIRE_RADIANCE = 200.0
 CANDLE_RADIANCE = 260.0
 
 
@@ -48,7 +48,7 @@ def fireplace(
 
 def _surround(room: Collection, middle: float, front: float) -> None:
     """Two fluted pilasters, a lintel with a panel, a mantel shelf, a slate hearth with a brass rail."""
-    left, right, top = OPENING
+    left, right = OPENING[:2]
     stone = hearth.marble("marble", (0.72, 0.69, 0.63), (0.26, 0.24, 0.23))
     slate = hearth.marble("slate", (0.055, 0.058, 0.062), (0.16, 0.16, 0.16))
     for x in (left - 0.11, right + 0.11):
@@ -118,8 +118,8 @@ def _fire(room: Collection, lighting: Lighting, at: tuple[float, float, float]) 
         for ray in ("diffuse", "shadow"):
             setattr(lick, f"visible_{ray}", False)
         lighting.glow("fire", lick, strength)
-    core = lighting.bulb("fire", "fire", (x + 0.01, y - 0.06, z + 0.30), 0.09, FIRE_RADIANCE, FIRE_COLOUR)
-    core.scale = (0.18, 0.18, 0.6)
+    core = lighting.bulb("fire", "fire", (x + 0.01, y - 0.06, z + 0.30), 0.11, FIRE_RADIANCE, FIRE_COLOUR)
+    core.scale = (0.15, 0.15, 0.5)
 
 
 def _flame(

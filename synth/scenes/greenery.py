@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import random
 from collections.abc import Sequence
@@ -43,7 +44,7 @@ def leaf_mesh(
                 for s in across
             ]
         )
-    for lower, upper in zip(rows, rows[1:], strict=False):
+    for lower, upper in itertools.pairwise(rows):
         for j in range(len(across) - 1):
             mesh.faces.new((lower[j], lower[j + 1], upper[j + 1], upper[j]))
     item = finish(room, name, mesh, material, smooth=True)
@@ -135,7 +136,7 @@ def trailing(
     leaves = []
     for path in paths:
         tube(room, f"{name} vine", path, 0.003, stem, 6, 0.002)
-        for start, end in zip(path, path[1:], strict=False):
+        for start, end in itertools.pairwise(path):
             steps = max(1, round((end - start).length / spacing))
             for k in range(steps):
                 angle = dice.uniform(0.0, 2.0 * math.pi)

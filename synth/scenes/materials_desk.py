@@ -70,9 +70,8 @@ def _sunset(graph: Graph, u: Socket, v: Socket) -> Socket:
             base,
         )
         colour = graph.mix(graph.math("LESS_THAN", v, ridge), colour, shade)
-    glitter = graph.math(
-        "LESS_THAN", graph.math("ABSOLUTE", aside, 0.0), graph.math("MULTIPLY", streaks, 0.12)
-    )
+    wave = graph.math("PINGPONG", graph.math("MULTIPLY", v, 24.0), 0.5)
+    glitter = graph.math("LESS_THAN", graph.math("ABSOLUTE", aside, 0.0), graph.math("MULTIPLY", wave, 0.17))
     lake = graph.mix(glitter, (0.05, 0.04, 0.10), (1.3, 0.62, 0.20))
     return graph.mix(graph.math("LESS_THAN", v, 0.20), colour, lake)
 

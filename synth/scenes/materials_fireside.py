@@ -115,8 +115,8 @@ def soot_bricks(name: str) -> bpy.types.Material:
         "ShaderNodeTexBrick",
         {
             "Vector": graph.coordinates(rotation=(1.5708, 0.0, 0.0)),
-            "Color1": (0.34, 0.13, 0.07),
-            "Color2": (0.20, 0.08, 0.05),
+            "Color1": (0.26, 0.10, 0.055),
+            "Color2": (0.15, 0.06, 0.04),
             "Mortar": (0.10, 0.08, 0.07),
             "Scale": 1.0,
             "Mortar Size": 0.007,
