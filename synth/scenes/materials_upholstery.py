@@ -75,7 +75,7 @@ def printed(name: str, kind: str, colours: list[Colour], period: float = 0.12) -
 
 
 def parquet(name: str) -> bpy.types.Material:
-    """Waxed oak for blocks with the vertex attribute ``plank``: metres along, across, and the block's tone."""
+    """Waxed oak for blocks with the vertex attribute ``plank``: metres along and across, the block's tone."""
     material, graph = _begin(name)
     plank = graph.add("ShaderNodeAttribute", attribute_name="plank").outputs["Vector"]
     tone = graph.add("ShaderNodeSeparateXYZ", {"Vector": plank}).outputs["Z"]
@@ -133,12 +133,10 @@ def evening_film(name: str, radiance: float) -> tuple[bpy.types.Material, Socket
     )  # fmt: skip
     streaks = graph.noise(graph.coordinates((1.5, 1.0, 9.0), space="Generated"), 2.2, 3.0, 0.4)
     sky = graph.mix(graph.ramp(streaks, [(0.5, (0,) * 3), (0.7, (0.8,) * 3)]), sky, (1.0, 0.45, 0.16))
+    level = graph.add("ShaderNodeCombineXYZ", {"X": graph.math("MULTIPLY", x, 1.76), "Y": z}).outputs[0]
     away = graph.add(
-        "ShaderNodeVectorMath",
-        {"Vector": graph.add("ShaderNodeCombineXYZ", {"X": graph.math("MULTIPLY", x, 1.76), "Y": z}).outputs[0],
-         "Vector_001": (1.09, 0.52, 0.0)},
-        operation="DISTANCE",
-    ).outputs["Value"]  # fmt: skip
+        "ShaderNodeVectorMath", {"Vector": level, "Vector_001": (1.09, 0.52, 0.0)}, operation="DISTANCE"
+    ).outputs["Value"]
     sky = graph.mix(graph.ramp(away, [(0.085, (1,) * 3), (0.10, (0,) * 3)]), sky, (2.6, 1.7, 0.7))
     ripples = graph.noise(graph.coordinates((5.0, 1.0, 42.0), space="Generated"), 2.0, 2.0)
     aside = graph.math("ABSOLUTE", graph.math("SUBTRACT", x, 0.62), 0.0)

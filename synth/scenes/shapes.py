@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -38,7 +39,7 @@ def tube(
         rings.append(
             [mesh.verts.new(here + radius * (math.cos(a) * side + math.sin(a) * other)) for a in angles]
         )
-    for lower, upper in zip(rings, rings[1:], strict=False):
+    for lower, upper in itertools.pairwise(rings):
         for k in range(sides):
             mesh.faces.new((lower[k], lower[(k + 1) % sides], upper[(k + 1) % sides], upper[k]))
     mesh.faces.new(rings[0][::-1])
@@ -134,7 +135,7 @@ def leaf(name: str, length: float, width: float, material: bpy.types.Material) -
         half = 0.5 * width * math.sin(math.pi * (0.12 + 0.88 * t)) ** 0.8
         up = length * (0.5 * t - 0.35 * t * t)
         rows.append([mesh.verts.new((length * t, s * half, up + abs(s) * half * 0.5)) for s in (-1, 0, 1)])
-    for lower, upper in zip(rows, rows[1:], strict=False):
+    for lower, upper in itertools.pairwise(rows):
         for k in (0, 1):
             mesh.faces.new((lower[k], lower[k + 1], upper[k + 1], upper[k]))
     data = bpy.data.meshes.new(name)

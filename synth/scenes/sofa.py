@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""``sofa``: a flat at golden hour, 4.6 × 5.4 × 2.65 m, with a leather corner sofa and a television that is on.
+"""``sofa``: a flat at golden hour, 4.6 × 5.4 × 2.65 m, with a leather corner sofa and a television on.
 
 The sun comes low through a large window in the left wall, over herringbone parquet and a carpet, on to the
 sofa in the right corner. Lamps: ``arc``, a bare bulb on a bent pole; ``string``, a chain of small bulbs along
@@ -8,6 +8,7 @@ the back and right walls; ``screen``, the television. Ambient is sky, sun and a 
 
 from __future__ import annotations
 
+import itertools
 import math
 import random
 
@@ -26,12 +27,12 @@ from .shapes import hanging, tube
 from .stage import CameraHints, Stage
 
 LEFT, RIGHT, FRONT, BACK, HEIGHT = -2.3, 2.3, -3.1, 2.3, 2.65
-WINDOW = (-0.55, 1.60, 0.42, 2.32)  # y0, y1, z0, z1 in the left wall
+WINDOW = (-0.25, 1.95, 0.42, 2.32)  # y0, y1, z0, z1 in the left wall
 WALL = 0.14
 
-SKY_RADIANCE = 9.0
+SKY_RADIANCE = 11.0
 SUN_IRRADIANCE = 34.0
-FILL_POWER = 16.0  # watts
+FILL_POWER = 20.0  # watts
 BULB_RADIANCE = 260.0
 STRING_RADIANCE = 320.0
 SCREEN_RADIANCE = 5.0
@@ -51,7 +52,7 @@ def build(scene: bpy.types.Scene, assets: Assets) -> Stage:
     _light(room, lighting)
     hints = CameraHints(
         centre=(0.15, -2.3, 1.35),
-        target=(0.05, 1.0, 0.88),
+        target=(0.13, 1.0, 0.84),
         extent=(1.6, 0.8),
         angle_x=math.radians(64.0),
         orbit_radius=3.2,
@@ -175,11 +176,11 @@ def _window(room: bpy.types.Collection) -> None:
     sill = m.wood("sill", (0.22, 0.12, 0.06), (0.42, 0.26, 0.13), "Y")
     box(room, "sill", (LEFT + 0.06, cy, z0 - 0.02), (0.32, y1 - y0 + 0.12, 0.04), sill, bevel=0.012)
     iron = m.plain("curtain iron", (0.04, 0.035, 0.03), 0.35, 1.0)
-    rod(room, "curtain pole", (LEFT + 0.1, y0 - 0.45, 2.45), (LEFT + 0.1, y1 + 0.45, 2.45), 0.014, iron)
-    for y in (y0 - 0.46, y1 + 0.46):
+    rod(room, "curtain pole", (LEFT + 0.1, y0 - 0.45, 2.45), (LEFT + 0.1, y1 + 0.32, 2.45), 0.014, iron)
+    for y in (y0 - 0.46, y1 + 0.32):
         ball(room, "finial", (LEFT + 0.1, y, 2.45), 0.03, iron, 3)
     linen = m.curtain("linen", (0.70, 0.62, 0.50), (0.62, 0.52, 0.40))
-    for start, stop, folds in ((y0 - 0.42, y0 + 0.05, 6.0), (y1 - 0.10, y1 + 0.40, 6.5)):
+    for start, stop, folds in ((y0 - 0.42, y0 + 0.05, 6.0), (y1 + 0.02, y1 + 0.32, 5.5)):
 
         def folded(u: float, v: float, a: float = start, b: float = stop, n: float = folds):
             deep = 0.042 * math.sin(2.0 * math.pi * n * u + 0.5 * math.sin(3.0 * v)) * (0.55 + 0.45 * v)
@@ -232,7 +233,7 @@ def _light(room: bpy.types.Collection, lighting: Lighting) -> None:
     y0, y1, z0, z1 = WINDOW
     lighting.sky(_sky, SKY_RADIANCE)
     lighting.portal((LEFT - 0.145, (y0 + y1) / 2, (z0 + z1) / 2), (1.0, 0.0, 0.0), (y1 - y0, z1 - z0))
-    lighting.sun((0.80, -0.10, -0.46), SUN_IRRADIANCE, (1.0, 0.74, 0.46), angle=1.0)
+    lighting.sun((0.80, -0.13, -0.38), SUN_IRRADIANCE, (1.0, 0.74, 0.46), angle=1.0)
     lighting.area(
         "fill", (0.2, FRONT + 0.06, 1.8), (0.0, 1.0, -0.12), (2.6, 1.2), FILL_POWER, (0.85, 0.92, 1.0)
     )
@@ -247,7 +248,7 @@ def _light(room: bpy.types.Collection, lighting: Lighting) -> None:
         (right, -0.4, 2.36),
     ]
     bulbs = 0
-    for start, end in zip(hooks, hooks[1:], strict=False):
+    for start, end in itertools.pairwise(hooks):
         cord = hanging(start, end, 0.20)
         tube(room, "string cord", cord, 0.006, black, 6)
         for k in (2, 6, 10):

@@ -551,7 +551,7 @@ def _on_the_walls(room: Collection) -> None:
     silver = m.plain("mirror", (0.90, 0.90, 0.90), 0.015, 1.0)
     gold = m.plain("mirror frame", (0.72, 0.48, 0.18), 0.3, 1.0)
     at = Vector((1.16, 2.285, 1.62))
-    rod(room, "mirror", at, at - Vector((0, 0.012, 0)), 0.36, silver, sides=64)
+    rod(room, "mirror", at, at - Vector((0, 0.012, 0)), 0.36, silver, sides=64).data.shade_flat()
     ring = [
         at + Vector((0.37 * math.cos(math.tau * k / 48), -0.012, 0.37 * math.sin(math.tau * k / 48)))
         for k in range(49)
@@ -565,3 +565,26 @@ def _on_the_walls(room: Collection) -> None:
         box(room, "mount", (2.268, y, z), (0.006, w, h), m.plain("mount", (0.68, 0.65, 0.58), 0.8))
         art = m.painting(f"picture {k}", "landscape" if k % 2 else "abstract")
         box(room, "picture", (2.264, y, z), (0.006, w - 0.12, h - 0.12), art)
+    prints = (
+        soft.printed("arches print", "dots", [(0.62, 0.20, 0.08), (0.66, 0.58, 0.44)], 0.17),
+        m.painting("shore print", "landscape"),
+        soft.printed(
+            "weave print", "diamonds", [(0.03, 0.10, 0.12), (0.66, 0.60, 0.48), (0.55, 0.30, 0.06)], 0.15
+        ),
+    )
+    black = m.plain("print frame", (0.02, 0.018, 0.016), 0.35)
+    for x, z, wide, high, art in (
+        (-1.86, 1.72, 0.40, 0.54, prints[0]),
+        (-1.32, 1.80, 0.50, 0.38, prints[1]),
+        (-0.88, 1.70, 0.26, 0.36, prints[2]),
+    ):
+        box(room, "print frame", (x, 2.285, z), (wide, 0.03, high), black, bevel=0.006)
+        box(
+            room,
+            "print mount",
+            (x, 2.268, z),
+            (wide - 0.05, 0.006, high - 0.05),
+            m.plain("mount", (0.68, 0.65, 0.58), 0.8),
+        )
+        # Prints lie in X and Y, as cushions do.
+        box(room, "print", (x, 2.264, z), (wide - 0.15, high - 0.15, 0.006), art, (math.pi / 2, 0, 0))

@@ -20,8 +20,8 @@ from .assets import Assets
 from .lighting import Lighting
 from .stage import CameraHints, Stage
 
-SKY_RADIANCE = 4.5
-SUN_IRRADIANCE = 60.0
+SKY_RADIANCE = 6.0
+SUN_IRRADIANCE = 200.0
 
 
 def build(scene: bpy.types.Scene, assets: Assets) -> Stage:
@@ -31,14 +31,14 @@ def build(scene: bpy.types.Scene, assets: Assets) -> Stage:
     colonnade.build_court(room)
     court.furnish(room, assets, lighting, random.Random(5))
     lighting.sky(_sky, SKY_RADIANCE)
-    lighting.sun((-0.45, 0.32, -0.80), SUN_IRRADIANCE, (1.0, 0.90, 0.74), angle=0.6)
+    lighting.sun((-0.36, 0.30, -0.88), SUN_IRRADIANCE, (1.0, 0.90, 0.74), angle=0.6)
     hints = CameraHints(
         centre=(0.15, -5.3, 1.95),
         target=(0.0, 2.4, 2.35),
         extent=(3.4, 1.7),
         angle_x=math.radians(66.0),
         orbit_radius=7.4,
-        orbit_arc=math.radians(34.0),
+        orbit_arc=math.radians(30.0),
         elevation=(math.radians(-8.0), math.radians(14.0)),
     )
     return Stage(scene=scene, cameras=hints, lights=lighting.groups)

@@ -29,7 +29,7 @@ GALLERY, RAIL, UPPER_SPRING, UPPER_RADIUS, UPPER_TOP = 4.05, 4.85, 5.75, 0.36, 6
 THICK = 0.5
 OUT_X, OUT_Y = HALF_X + AISLE, HALF_Y + AISLE
 
-PALE, SAND = (0.60, 0.52, 0.40), (0.44, 0.36, 0.26)
+PALE, SAND = (0.70, 0.61, 0.47), (0.52, 0.43, 0.31)
 
 
 def build_court(room: Collection) -> None:
@@ -309,7 +309,7 @@ def _behind(room: Collection) -> None:
     for mesh, material in zip(arch, (kerb, m.plain("door red", (0.30, 0.11, 0.07), 0.8)), strict=True):
         finish(room, "door arch", mesh, material).location = (-0.8, OUT_Y - 0.02, 0.0)
     box(room, "door", (0, OUT_Y - 0.03, 1.0), (1.24, 0.1, 2.0), door)
-    rod(room, "door head", (0, OUT_Y + 0.02, 2.0), (0, OUT_Y - 0.08, 2.0), 0.62, door, sides=32)
+    rod(room, "door head", (0, OUT_Y + 0.02, 2.0), (0, OUT_Y - 0.07, 2.0), 0.62, door, sides=32)
     for z in (0.5, 1.1, 1.7):
         box(room, "door band", (0, OUT_Y - 0.09, z), (1.2, 0.02, 0.07), iron)
     for x in (-0.7, 0.7):

@@ -20,8 +20,8 @@ from .sponza_colonnade import GALLERY, HALF_X, HALF_Y, OUT_X, RAIL, STOREY, THIC
 
 Collection = bpy.types.Collection
 
-LANTERN_RADIANCE = 1800.0
-FLAME_RADIANCE = 1500.0
+LANTERN_RADIANCE = 3000.0
+FLAME_RADIANCE = 3000.0
 LAMP_COLOUR = (1.0, 0.66, 0.34)
 FIRE_COLOUR = (1.0, 0.48, 0.15)
 POOL = (1.15, -0.6, 4.0)  # half width, y0, y1
@@ -48,6 +48,7 @@ def furnish(room: Collection, assets: Assets, lighting: Lighting, dice: random.R
         _agave(room, (x, y, 0.0), dice)
     _vessels(room)
     _creeper(room, dice)
+    _fallen(room, dice)
     _bench(room)
     _lanterns(room, lighting)
     _braziers(room, lighting, dice)
@@ -120,9 +121,11 @@ def _hang(
         x = (u - 0.5) * wide * (1.0 - 0.05 * v)
         deep = 0.05 * math.sin(math.tau * folds * u + 0.4 * math.sin(4.0 * v)) * min(1.0, 2.0 * v)
         if v < 0.14:  # on the rail
-            return x, -0.22 + (0.14 - v) * 3.2, 0.012 + 0.002 * math.sin(40 * u)
-        bulge = 0.16 * math.exp(-(((v - 0.42) / 0.16) ** 2))  # over the cornice
-        return x, -0.235 - bulge - deep - 0.05, -(v - 0.14) / 0.86 * long + 0.03 * math.sin(math.pi * u)
+            return x, -0.24 + (0.14 - v) * 3.2, 0.012 + 0.002 * math.sin(40 * u)
+        below = (v - 0.14) / 0.86
+        bulge = 0.20 * math.exp(-(((below - 0.42) / 0.2) ** 2))  # over the cornice
+        off = min(0.24 + 1.2 * below, 0.33)
+        return x, -off - bulge - deep, -below * long + 0.03 * math.sin(math.pi * u)
 
     with turned(room, name, at, turn):
         sheet(room, name, surface, cloth, steps=(48, 40))
@@ -298,6 +301,31 @@ def _creeper(room: Collection, dice: random.Random) -> None:
         scatter(host, petal if k % 3 == 0 else blade, 620.0, (0.6, 1.2), 1.2, seed=k)
 
 
+def _fallen(room: Collection, dice: random.Random) -> None:
+    """Lily pads on the pool, blossom under the creeper."""
+    half, y0, y1 = POOL
+    pads = [m.plain(f"lily pad {k}", c, 0.3) for k, c in enumerate([(0.05, 0.16, 0.04), (0.11, 0.22, 0.05)])]
+    white = m.plain("lily", (0.72, 0.52, 0.56), 0.5)
+    for k in range(22):
+        corner = dice.choice(((-0.6, 2.9), (0.55, 0.35), (-0.45, 0.25)))
+        x = max(-half + 0.16, min(half - 0.16, corner[0] + dice.gauss(0.0, 0.28)))
+        y = max(y0 + 0.16, min(y1 - 0.16, corner[1] + dice.gauss(0.0, 0.3)))
+        size = dice.uniform(0.08, 0.15)
+        rim = [(0.0, 0.0), (0.9 * size, 0.002), (size, 0.012), (0.97 * size, 0.004), (0.0, 0.004)]
+        lathe(room, "lily pad", (x, y, 0.091 + 0.0015 * k), rim, pads[k % 2], 18)
+        if k % 6 == 0:
+            for j in range(9):
+                root = (x, y, 0.13)
+                leaf_blade(room, "lily", root, math.tau * j / 9, 0.10, 0.05, white, 0.8 + 0.3 * (j % 2), 0.3)
+    pink = m.plain("fallen blossom", (0.55, 0.05, 0.20), 0.7)
+    for _ in range(70):
+        x, y = -2.45 + abs(dice.gauss(0.0, 0.5)), 3.0 + dice.gauss(0.0, 0.9)
+        if x > -half - 0.3 and y < y1 + 0.3:
+            continue  # that would be the pool
+        size, turn = dice.uniform(0.025, 0.045), dice.uniform(0.0, 3.0)
+        box(room, "blossom", (x, y, 0.012), (size, 0.7 * size, 0.008), pink, (0.2, 0.1, turn))
+
+
 def _bench(room: Collection) -> None:
     """A plank bench in the right aisle and a rug thrown over it; another at the far wall."""
     oak = m.wood("bench oak", (0.10, 0.055, 0.03), (0.26, 0.15, 0.08), "X")
@@ -334,7 +362,7 @@ def _lanterns(room: Collection, lighting: Lighting) -> None:
         ((-aisle, 1.0), (aisle, 1.0), (-aisle, 5.0), (aisle, 5.0), (-1.0, 8.1), (1.0, 8.1))
     ):
         z = 2.35
-        lighting.bulb("lanterns", f"lantern {k}", (x, y, z), 0.06, LANTERN_RADIANCE, LAMP_COLOUR)
+        lighting.bulb("lanterns", f"lantern {k}", (x, y, z), 0.045, LANTERN_RADIANCE, LAMP_COLOUR)
         tube(room, "chain", [(x, y, STOREY), (x, y, z + 0.26)], 0.012, iron, 6)
         cap = [(0.0, 0.13), (0.02, 0.12), (0.05, 0.06), (0.14, 0.0), (0.13, -0.01), (0.0, 0.0)]
         lathe(room, "lantern cap", (x, y, z + 0.15), cap, iron, 6)
