@@ -140,7 +140,7 @@ def _range_in_words(measured: DynamicRange) -> str:
 
 def _noise(found: Inspection) -> str:
     floor = found.noise_floor
-    if not floor or not isinstance(floor.get("psnr"), list):
+    if not floor:
         return "not measured"
     hdr = floor.get("hdr_psnr")
     return f"{_numbers(floor['psnr'])} dB at the exposures" + (f", HDR {hdr:g} dB" if _is_number(hdr) else "")

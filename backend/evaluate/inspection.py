@@ -12,7 +12,7 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
@@ -146,7 +146,7 @@ class _Inspector:
         brackets: dict[str, dict[int, float]] = {}
         for key, seconds in self._json(self.root / f"exposure_{split}.json").items():
             parts = re.fullmatch(r"(?:\./)?(.+)_(\d+)\.png", key)
-            if parts and isinstance(seconds, int | float) and math.isfinite(seconds) and seconds > 0:
+            if parts and _is_number(seconds) and seconds > 0:
                 brackets.setdefault(parts.group(1), {})[int(parts.group(2))] = float(seconds)
         frames = []
         listed = transforms.get("frames")
@@ -167,7 +167,9 @@ class _Inspector:
             found.made_by += f", Blender {maker['blender']}"
         found.response = str(_object(info.get("response")).get("name", ""))
         found.camera = _object(info.get("camera_model"))
-        found.noise_floor = _object(info.get("noise_floor")) or None
+        floor = _object(info.get("noise_floor"))
+        if isinstance(floor.get("psnr"), list) and all(map(_is_number, floor["psnr"])):
+            found.noise_floor = floor
         lights = info.get("lights")
         found.lights = [str(name) for name in lights] if isinstance(lights, list) else ["ambient"]
 
@@ -177,7 +179,7 @@ class _Inspector:
             for frame in frames:
                 given = _object(frame.get("lighting_levels")) or {"ambient": frame.get("lighting_level")}
                 for light, level in given.items():
-                    if isinstance(level, int | float):
+                    if _is_number(level):
                         levels.setdefault(light, set()).add(float(level))
             described = {light: sorted(values) for light, values in levels.items()}
             self.found.splits[split] = Split(len(frames), described)
@@ -254,7 +256,7 @@ class _Inspector:
         """Every picture of every relit folder, those that dataset.json names and those that are there."""
         named = self.info.get("relit")
         told = {
-            str(entry["folder"]): {str(k): float(v) for k, v in _object(entry.get("levels")).items()}
+            str(entry["folder"]): {k: v for k, v in _object(entry.get("levels")).items() if _is_number(v)}
             for entry in (named if isinstance(named, list) else [])
             if isinstance(entry, dict) and "folder" in entry
         }
@@ -274,7 +276,7 @@ class _Inspector:
         for frame in map(_object, _object(self.info.get("frames")).values()):
             told[self.root / str(frame.get("file"))] = frame.get("sha256")
             for key in ("samples", "noise_psnr"):
-                if isinstance(frame.get(key), int | float):
+                if _is_number(frame.get(key)):
                     self.found.renders.setdefault(key, []).append(frame[key])
         for path in sorted((self.root / "passes").glob("*.exr")):
             if self._picture(path, lambda path: next(iter(read_layers(path).values()))) is None:
@@ -311,7 +313,7 @@ class _Inspector:
             warn("there are no test views: physhdr evaluate has nothing to measure")
         said, measured = _object(self.info.get("dynamic_range")).get("stops"), found.dynamic_range
         known = measured.stops if measured and not measured.estimated else None
-        if said is not None and known is not None and abs(said - known) > STOPS_TOLERANCE:
+        if _is_number(said) and known is not None and abs(said - known) > STOPS_TOLERANCE:
             warn(f"dataset.json says {said} stops, train_hdr/ has {known}: was it made anew?")
 
     def _ask_the_reader(self) -> None:
@@ -381,6 +383,10 @@ def _levels_of(folder: str) -> dict[str, float]:
 
 def _object(value: Any) -> dict[str, Any]:
     return value if isinstance(value, dict) else {}
+
+
+def _is_number(value: Any) -> TypeGuard[float]:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _size(value: Any) -> tuple[int, int] | None:

@@ -218,3 +218,29 @@ def test_what_is_no_data_set_is_one_message(tmp_path, tiny_data, capsys):
     assert "is empty" in capsys.readouterr().err
     assert main(["inspect"]) == 1
     assert "physhdr inspect data/demo" in capsys.readouterr().err
+
+
+JUNK = [
+    None,
+    3,
+    "x",
+    [],
+    [1, "x"],
+    [{}],
+    [{"folder": 3, "levels": {"ambient": "x"}}],
+    {"psnr": ["x"], "ambient": []},
+]
+
+
+KEYS = ["generator", "resolution", "response", "camera_model", "noise_floor", "splits", "lights", "relit"]
+KEYS += ["lighting_levels", "frames", "dynamic_range", "scene", "exposures", "version"]
+
+
+@pytest.mark.parametrize("key", KEYS)
+def test_nonsense_in_dataset_json_ends_in_no_traceback(data, key, capsys):
+    whole = json.loads((data / "dataset.json").read_text())
+    for junk in JUNK:
+        (data / "dataset.json").write_text(json.dumps({**whole, key: junk}))
+        for folders in ([str(data)], [str(data), str(data)]):
+            assert main(["inspect", *folders]) in (0, 1)
+            assert "32×32" in capsys.readouterr().out
