@@ -20,19 +20,26 @@ from . import materials_nursery as mn
 from .assets import Assets
 from .lighting import Lighting
 from .props import ball, box
-from .small_room import Room, casement, garden, morning, shell
+from .small_room import WALL, Room, casement, garden, morning, shell, side_casement
 from .stage import CameraHints, Stage
 
-ROOM = Room(half=1.7, back=1.3, front=-2.3, height=2.4, window=(-1.15, -0.30, 0.98, 1.95))
+ROOM = Room(
+    half=1.7,
+    back=1.3,
+    front=-2.3,
+    height=2.4,
+    window=(-1.15, -0.30, 0.98, 1.95),
+    west=(-0.62, 0.26, 0.95, 2.10),
+)
 PANELS = 0.84  # height of the boards on the walls
 
-BULB_RADIANCE = 300.0
+BULB_RADIANCE = 340.0
 BULB_COLOUR = (1.0, 0.70, 0.40)
 MOON_RADIANCE = 7.0
 MOON_COLOUR = (1.0, 0.86, 0.62)
-SKY_RADIANCE = 9.0
-SUN_IRRADIANCE = 42.0
-FILL_POWER = 20.0  # watts
+SKY_RADIANCE = 7.0
+SUN_IRRADIANCE = 36.0
+FILL_POWER = 16.0  # watts
 
 
 def build(scene: bpy.types.Scene, assets: Assets) -> Stage:
@@ -85,7 +92,9 @@ def _walls(room: bpy.types.Collection) -> None:
             box(room, "moulding", at, (out, depth, high), paint, bevel=0.008)
     for z, high, out in ((PANELS, 0.04, 0.04), (0.06, 0.12, 0.028)):
         box(room, "moulding", (0, ROOM.back - out / 2, z), (2 * ROOM.half, out, high), paint, bevel=0.008)
-    casement(room, ROOM, m.plain("window paint", (0.68, 0.67, 0.62), 0.35))
+    white = m.plain("window paint", (0.68, 0.67, 0.62), 0.35)
+    casement(room, ROOM, white)
+    side_casement(room, ROOM, white)
 
 
 def _repeat(item: bpy.types.Object, count: int, step: tuple[float, float, float]) -> None:
@@ -97,7 +106,10 @@ def _repeat(item: bpy.types.Object, count: int, step: tuple[float, float, float]
 def _light(room: bpy.types.Collection, lighting: Lighting) -> None:
     lighting.sky(morning, SKY_RADIANCE)
     lighting.portal(ROOM.window_middle, (0.0, -1.0, 0.0), ROOM.window_size)
-    lighting.sun((0.60, -0.50, -0.65), SUN_IRRADIANCE, angle=1.0)  # past the bear's shoulder
+    y0, y1, z0, z1 = ROOM.west or (0.0,) * 4
+    at = (-ROOM.half - WALL - 0.005, (y0 + y1) / 2, (z0 + z1) / 2)
+    lighting.portal(at, (1.0, 0.0, 0.0), (z1 - z0, y1 - y0))
+    lighting.sun((0.80, 0.46, -0.40), SUN_IRRADIANCE, angle=1.0)  # on the bear, from the window at the left
     lighting.area(
         "fill", (-0.2, ROOM.front + 0.05, 1.7), (0.0, 1.0, -0.2), (2.0, 1.0), FILL_POWER, (0.82, 0.91, 1.0)
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A small room with one window in its back wall (+Y), and a garden outside: shell of bathroom and bear."""
+"""A small room with a window in its back wall (+Y), and a garden outside: shell of bathroom and bear."""
 
 from __future__ import annotations
 
@@ -28,6 +28,8 @@ class Room:
     height: float
     window: tuple[float, float, float, float]
     """The hole in the back wall: x0, x1, z0, z1."""
+    west: tuple[float, float, float, float] | None = None
+    """One more in the left wall: y0, y1, z0, z1."""
 
     @property
     def window_middle(self) -> tuple[float, float, float]:
@@ -57,9 +59,18 @@ def shell(
         "above": (x0, x1, z1, height),
     }.items():
         box(room, f"wall {name}", ((a + b) / 2, y, (low + high) / 2), (b - a, WALL, high - low), back)
-    for name, side in (("west", -1), ("east", 1)):
-        where = (side * (half + WALL / 2), middle, height / 2)
-        box(room, f"wall {name}", where, (WALL, depth + 2 * WALL, height), sides)
+    for side in (-1, 1):
+        ends = (at.front - WALL, at.back + WALL)
+        y0, y1, z0, z1 = at.west if side < 0 and at.west else (middle, middle, 0.0, height)
+        for a, b, low, high in (
+            (ends[0], y0, 0.0, height),
+            (y1, ends[1], 0.0, height),
+            (y0, y1, 0.0, z0),
+            (y0, y1, z1, height),
+        ):
+            if b > a and high > low:
+                where = (side * (half + WALL / 2), (a + b) / 2, (low + high) / 2)
+                box(room, "wall side", where, (WALL, b - a, high - low), sides)
     box(room, "wall behind", (0, at.front - WALL / 2, height / 2), (2 * half, WALL, height), sides)
 
 
@@ -75,6 +86,21 @@ def casement(room: Collection, at: Room, paint: Material, rows: int = 2) -> None
     for row in range(1, rows):
         box(room, "muntin", (cx, y, z0 + (z1 - z0) * row / rows), (x1 - x0, 0.04, 0.028), paint)
     box(room, "sill", (cx, at.back - 0.03, z0 - 0.015), (x1 - x0 + 0.14, 0.22, 0.03), paint, bevel=0.008)
+
+
+def side_casement(room: Collection, at: Room, paint: Material) -> None:
+    """The same in the left wall: what matters is the shadow that it throws."""
+    if at.west is None:
+        return
+    y0, y1, z0, z1 = at.west
+    cy, cz, x = (y0 + y1) / 2, (z0 + z1) / 2, -at.half - 0.09
+    for y in (y0 + 0.025, cy, y1 - 0.025):
+        box(room, "side jamb", (x, y, cz), (0.06, 0.05, z1 - z0), paint, bevel=0.006)
+    for z in (z0 + 0.025, cz, z1 - 0.025):
+        box(room, "side rail", (x, cy, z), (0.05, y1 - y0, 0.04), paint, bevel=0.006)
+    box(
+        room, "side sill", (-at.half + 0.03, cy, z0 - 0.015), (0.22, y1 - y0 + 0.14, 0.03), paint, bevel=0.008
+    )
 
 
 def garden(room: Collection, at: Room, dice: random.Random) -> None:
