@@ -158,7 +158,8 @@ def summarise(folder: Path | str) -> DatasetSummary:
         points=points,
         levels=tuple(sorted(levels)),
         relit_levels=tuple(sorted(level for level in relit if level is not None)),
-        lights=_names(info, "lights", FINAL, warnings),
+        # A folder from elsewhere may tell of no others than those that vary.
+        lights=_names(info, "lights", FINAL, warnings) or lit_lights,
         lit_lights=lit_lights,
         mixtures=len(settings) - sum(level is not None for level in relit),
         truth=(folder / "test_hdr").is_dir(),

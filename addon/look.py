@@ -75,6 +75,11 @@ def look_of(target: bpy.types.Object, depsgraph: bpy.types.Depsgraph | None = No
     )
 
 
+def slider_name(lights: Sequence[str], index: int) -> str:
+    """What a panel calls a light's level: by its name alone, which is all there is room for."""
+    return nodes.level_input(lights, 0) if len(lights) == 1 else lights[index]
+
+
 def draw_look(layout: bpy.types.UILayout, target: bpy.types.Object) -> None:
     """The look's sliders (one a light) with keyframe buttons; a label where the modifier was removed."""
     modifier = nodes.find_modifier(target)
@@ -82,14 +87,15 @@ def draw_look(layout: bpy.types.UILayout, target: bpy.types.Object) -> None:
         layout.label(text="Its PhysHDR modifier was removed: import it again", icon="ERROR")
         return
     try:
-        labels = inputs(lights_of(target.data))
+        lights = lights_of(target.data)
     except PhysHDRError as error:
         layout.label(text=str(error), icon="ERROR")
         return
     column = layout.column()
     column.use_property_split = True
     column.use_property_decorate = True
-    for label in labels:
+    names = {nodes.level_input(lights, index): slider_name(lights, index) for index in range(len(lights))}
+    for label in inputs(lights):
         if nodes.has_input(modifier, label):
             socket = getattr(modifier.properties.inputs, nodes.input_identifier(modifier, label))
-            column.prop(socket, "value", text=label)
+            column.prop(socket, "value", text=names.get(label, label))

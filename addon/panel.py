@@ -2,11 +2,13 @@
 """The panel *Train PhysHDR*: it shows the state, the next step, and why a greyed button is greyed."""
 
 import textwrap
+from collections.abc import Sequence
 
 import bpy
 
+from ..bridge.lights import AMBIENT
 from . import plot
-from .look import draw_look, is_model
+from .look import draw_look, is_model, slider_name
 from .operators.base import choices
 from .runtime import session
 from .session.advice import headline, next_step, problem_of, why_not
@@ -185,15 +187,19 @@ class PHYSHDR_PT_illumination(_Subpanel, bpy.types.Panel):
         column.prop(settings, "exposure_ev")
         row = column.row()
         row.active = state.job.can_relight or not state.job.has_model
-        lights = row.column()
-        lights.prop(settings, "lighting_level")
-        for name in state.job.lights[1:]:
-            light = settings.further_levels.get(name)
-            if light is not None:  # it comes with the timer's next look
-                lights.prop(light, "level", text=f"Level of {name}")
+        draw_levels(row.column(), settings, state.job.lights or (AMBIENT,))
         column.prop(settings, "tone")
         if state.job.has_model and not state.job.can_relight:
             write(context, layout, "This method learns no illumination: the level only scales", "INFO")
+
+
+def draw_levels(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup, lights: Sequence[str]) -> None:
+    """The live preview's slider for each light of the backend's model."""
+    layout.prop(settings, "lighting_level", text=slider_name(lights, 0))
+    for index, name in enumerate(lights[1:], 1):
+        light = settings.further_levels.get(name)
+        if light is not None:  # it comes with the timer's next look
+            layout.prop(light, "level", text=slider_name(lights, index))
 
 
 def view_hint(context: bpy.types.Context) -> str:

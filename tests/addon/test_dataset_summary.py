@@ -97,6 +97,9 @@ def test_the_lights_of_a_data_set_are_one_line(folder):
     assert (found.lights, found.lit_lights) == (("ambient", "pendant", "screen"), ("ambient", "pendant"))
     line = "ambient, pendant, screen; levels to learn from: ambient, pendant; truth for 2 mixtures"
     assert f"Lights: {line}" in found.lines and found.relit_levels == (0.25,)
+    (folder / "dataset.json").unlink()
+    assert summarise(folder).lights == ("ambient", "pendant")
+    (folder / "dataset.json").write_text("{}")
     edit(folder / "dataset.json", lambda content: content.update(lights="ambient"))
     assert "dataset.json: 'lights' is 'ambient', not a list of lights." in summarise(folder).warnings
 

@@ -120,6 +120,14 @@ class Window:
     def show_tab(self, name: str = "PhysHDR") -> None:
         next(region for region in self.area.regions if region.type == "UI").active_panel_category = name
 
+    def scroll_panel(self, pixels: int = 2000) -> None:
+        """Show the lower end of the panel."""
+        region = next(region for region in self.area.regions if region.type == "UI")
+        window = bpy.context.window_manager.windows[0]
+        with bpy.context.temp_override(window=window, area=self.area, region=region):
+            for _ in range(0, pixels, 120):
+                bpy.ops.view2d.scroll_down(deltay=120)
+
     def clear_scene(self) -> None:
         for target in list(bpy.data.objects):
             bpy.data.objects.remove(target)

@@ -40,6 +40,7 @@ def test(window: Window) -> Iterator[float]:
     yield from window.until(lambda: "pendant" in settings.further_levels, 10, "a slider for the pendant")
     assert list(session.state.job.lights) == LIGHTS
     yield from window.until(lambda: session.state.job.state == "finished", 600, "finished")
+    window.scroll_panel()
     pictures = []
     for level in (1.0, 3.0):
         settings.further_levels["pendant"].level = level
@@ -53,7 +54,8 @@ def test(window: Window) -> Iterator[float]:
     yield from window.until(lambda: bpy.context.object is not None, 60, "imported")
     nodes = window.module("addon.nodes")
     nodes.set_input(nodes.find_modifier(bpy.context.object), "Level of pendant", 0.5)
-    yield 3.0  # the shader's picture
+    views = window.module("addon.viewport.splats")._runtime.views
+    yield from window.until(lambda: views and all(view.is_sharp for view in views.values()), 60, "drawn")
     yield from window.redrawn()
     window.screenshot("imported")
     bpy.ops.physhdr.backend_shutdown()
