@@ -27,13 +27,13 @@ WEST, EAST, BACK, FRONT, HEIGHT = -2.2, 2.4, 2.1, -2.8, 2.75
 WINDOW = (0.0, 1.5, 0.06, 2.2)  # y0, y1, z0, z1 in the west wall
 TABLE = (-0.15, 0.5)  # x, y of its middle
 
-BULB_RADIANCE = 330.0
+BULB_RADIANCE = 420.0
 BULB_COLOUR = (1.0, 0.70, 0.40)
-FLAME_RADIANCE = 200.0
+FLAME_RADIANCE = 400.0
 FLAME_COLOUR = (1.0, 0.56, 0.18)
-SKY_RADIANCE = 12.0  # at the horizon; W / m² / sr, any unit does
-SUN_IRRADIANCE = 34.0
-FILL_POWER = 26.0  # watts
+SKY_RADIANCE = 20.0  # at the horizon; W / m² / sr, any unit does
+SUN_IRRADIANCE = 75.0
+FILL_POWER = 40.0  # watts
 
 
 def build(scene: bpy.types.Scene, assets: Assets) -> Stage:
@@ -67,7 +67,7 @@ def _shell(room: bpy.types.Collection) -> None:
     width, depth = EAST - WEST, BACK - FRONT
     cx, cy = (EAST + WEST) / 2, (BACK + FRONT) / 2
     box(room, "floor", (cx, cy, -0.05), (width, depth, 0.1), mt.parquet("parquet"))
-    paper = mt.damask("damask", (0.10, 0.20, 0.21), (0.30, 0.32, 0.22))
+    paper = mt.damask("damask", (0.055, 0.13, 0.135), (0.27, 0.25, 0.15), 0.21)
     y0, y1, z0, z1 = WINDOW
     x = WEST - wall / 2
     for name, (a, b, low, high) in {

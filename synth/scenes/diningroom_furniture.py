@@ -7,7 +7,7 @@ import math
 import random
 
 import bpy
-from mathutils import Vector
+from mathutils import Matrix, Vector
 
 from . import materials as m
 from . import materials_table as mt
@@ -25,7 +25,7 @@ def furnish(room: Collection, assets: Assets, dice: random.Random, table: Place)
     """Put everything in its place; ``table``: the middle of the table on the floor."""
     x, y, _ = table
     box(room, "rug", (x, y, 0.007), (2.75, 2.05, 0.014), m.rug("rug"))
-    parts: list[bpy.types.Object] = []
+    built: list[tuple[Matrix, list[bpy.types.Object]]] = []
     for dx, dy, turn in (
         (-0.36, 0.72, 0.06),
         (0.38, 0.70, -0.05),
@@ -36,7 +36,7 @@ def furnish(room: Collection, assets: Assets, dice: random.Random, table: Place)
     ):
         foot = (x + dx, y + dy, 0.014)
         assets.place(
-            "chair", room, foot, (0.46, 0.50, 0.98), turn, lambda f=foot, t=turn: _chair(room, parts, f, t)
+            "chair", room, foot, (0.46, 0.50, 0.98), turn, lambda f=foot, t=turn: _chair(room, built, f, t)
         )
     assets.place("sideboard", room, (0.72, 1.83, 0.0), (1.5, 0.46, 0.92), 0.0, lambda: _sideboard(room))
     _on_sideboard(room, dice)
@@ -50,15 +50,19 @@ def furnish(room: Collection, assets: Assets, dice: random.Random, table: Place)
     _pictures(room)
 
 
-def _chair(room: Collection, parts: list[bpy.types.Object], foot: Place, turn: float) -> None:
-    """A ladder-back chair with a rush seat; the first is built, the others share its meshes."""
-    if not parts:
-        parts += _ladder_back(room)
-        move(parts, standing(foot, turn))
-        parts[0]["place"] = (*foot, turn)
-        return
-    *first, former = parts[0]["place"]
-    copies(room, parts, standing(foot, turn) @ standing(first, former).inverted())
+def _chair(
+    room: Collection, built: list[tuple[Matrix, list[bpy.types.Object]]], foot: Place, turn: float
+) -> None:
+    """A ladder-back chair with a rush seat. The first is built and noted in ``built`` with its place, the
+    others share its meshes."""
+    place = standing(foot, turn)
+    if built:
+        first, parts = built[0]
+        copies(room, parts, place @ first.inverted())
+    else:
+        parts = _ladder_back(room)
+        move(parts, place)
+        built.append((place, parts))
 
 
 def _ladder_back(room: Collection) -> list[bpy.types.Object]:
@@ -238,7 +242,14 @@ def _clock(room: Collection, at: Place) -> None:
     brass = mt.metal("clock brass", (0.76, 0.54, 0.20), 0.22)
     dark = m.plain("clock inside", (0.015, 0.010, 0.008), 0.9)
     x, y, _ = at
-    for z, w, d, h in ((0.16, 0.42, 0.28, 0.32), (0.36, 0.36, 0.25, 0.08), (0.90, 0.30, 0.22, 1.04), (1.47, 0.38, 0.26, 0.08), (1.74, 0.36, 0.25, 0.50), (2.02, 0.44, 0.29, 0.07)):  # fmt: skip
+    for z, w, d, h in (
+        (0.16, 0.42, 0.28, 0.32),
+        (0.36, 0.36, 0.25, 0.08),
+        (0.90, 0.30, 0.22, 1.04),
+        (1.47, 0.38, 0.26, 0.08),
+        (1.74, 0.36, 0.25, 0.50),
+        (2.02, 0.44, 0.29, 0.07),
+    ):
         box(room, "clock case", (x, y, z), (w, d, h), case, bevel=0.012)
     box(room, "clock door", (x, y - 0.108, 0.92), (0.18, 0.012, 0.78), dark)
     rod(room, "pendulum", (x, y - 0.118, 1.30), (x + 0.03, y - 0.118, 0.72), 0.005, brass, sides=8)
@@ -283,7 +294,8 @@ def _palm(room: Collection, at: Place, dice: random.Random) -> None:
         a = 2.4 * k + dice.uniform(-0.2, 0.2)
         reach, rise = dice.uniform(0.22, 0.40), dice.uniform(0.75, 1.20)
         out = Vector((math.cos(a), math.sin(a), 0.0))
-        path = [root, root + out * 0.2 * reach + Vector((0, 0, 0.6 * rise)), root + out * 0.65 * reach + Vector((0, 0, rise)), root + out * 1.25 * reach + Vector((0, 0, 0.95 * rise))]  # fmt: skip
+        bend = ((0.0, 0.0), (0.2, 0.6), (0.65, 1.0), (1.25, 0.95))
+        path = [root + out * r * reach + Vector((0, 0, h * rise)) for r, h in bend]
         tube(room, "frond", path, [0.009, 0.007, 0.005, 0.003], stem, 6, 4)
         for j in range(9):
             t = 1.0 + 2.0 * j / 8

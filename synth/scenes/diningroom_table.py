@@ -21,6 +21,7 @@ Collection = bpy.types.Collection
 Place = tuple[float, float, float]
 
 LENGTH, DEPTH, TOP = 1.62, 1.0, 0.757  # of the laid table; TOP: the upper side of the cloth
+FLAME = 0.016  # radius of a sphere that shines as much
 CANDLES = ((-0.30, 0.02, 0.24), (0.27, 0.03, 0.30), (0.42, -0.05, 0.17))  # x, y, height of the stick
 
 
@@ -131,8 +132,8 @@ def _setting(room: Collection) -> list[bpy.types.Object]:
     silver = mt.metal("silver", (0.78, 0.76, 0.72), 0.18)
     clear = mt.glass("wine glass")
     plate = [
-        (0.0, 0.004), (0.06, 0.004), (0.082, 0.008), (0.09, 0.013), (0.132, 0.022), (0.134, 0.019), (0.08, 0.0),
-        (0.0, 0.0),
+        (0.0, 0.004), (0.06, 0.004), (0.082, 0.008), (0.09, 0.013), (0.132, 0.022), (0.134, 0.019),
+        (0.08, 0.0), (0.0, 0.0),
     ]  # fmt: skip
     bowl = [
         (0.0, 0.006),
@@ -348,18 +349,18 @@ def candles(
     for k, (x, y, height) in enumerate(CANDLES):
         foot = Vector((at[0] + x, at[1] + y, TOP + 0.005))
         stick = [
-            (0.056, 0.0), (0.052, 0.01), (0.02, 0.022), (0.012, 0.04), (0.02, height * 0.45), (0.01, height * 0.55),
-            (0.018, height * 0.62), (0.009, height * 0.7), (0.014, height - 0.03), (0.03, height - 0.012),
-            (0.03, height - 0.006), (0.014, height - 0.006),
+            (0.056, 0.0), (0.052, 0.01), (0.02, 0.022), (0.012, 0.04), (0.02, height * 0.45),
+            (0.01, height * 0.55), (0.018, height * 0.62), (0.009, height * 0.7), (0.014, height - 0.03),
+            (0.03, height - 0.012), (0.03, height - 0.006), (0.014, height - 0.006),
         ]  # fmt: skip
         lathe(room, "candlestick", foot, stick, brass, 24)
         burnt = 0.17 - 0.035 * k
         tip = foot + Vector((0.0, 0.0, height + burnt))
         rod(room, "candle", foot + Vector((0, 0, height - 0.02)), tip, 0.0125, wax, 0.0115, sides=16)
         rod(room, "wick", tip, tip + Vector((0.002, 0, 0.014)), 0.002, wick, sides=6)
-        flame = lighting.bulb("candles", f"candle {k}", tip + Vector((0, 0, 0.028)), 0.013, radiance, colour)
+        flame = lighting.bulb("candles", f"candle {k}", tip + Vector((0, 0, 0.030)), FLAME, radiance, colour)
         for vertex in flame.data.vertices:  # a drop: round below, drawn out above
-            rise = vertex.co.z / 0.013
+            rise = vertex.co.z / FLAME
             vertex.co.x *= 0.78 - 0.3 * rise
             vertex.co.y *= 0.78 - 0.3 * rise
             vertex.co.z *= 2.4 if rise > 0 else 1.2

@@ -26,13 +26,14 @@ from .stage import CameraHints, Stage
 
 WEST, EAST, BACK, FRONT, HEIGHT = -2.1, 2.1, 1.8, -2.8, 2.45
 WINDOW = (-1.72, -0.62, 0.72, 1.98)  # x0, x1, z0, z1
+CHIMNEY = 0.62  # x of its middle
 
-BULB_RADIANCE = 340.0
+BULB_RADIANCE = 400.0
 BULB_COLOUR = (1.0, 0.72, 0.42)
-SKY_RADIANCE = 12.0  # at the horizon; W / m² / sr, any unit does
-SUN_IRRADIANCE = 34.0
-FILL_POWER = 24.0  # watts
-COAL_RADIANCE, FLAME_RADIANCE, FIRE_POWER = 60.0, 45.0, 80.0
+SKY_RADIANCE = 22.0  # at the horizon; W / m² / sr, any unit does
+SUN_IRRADIANCE = 75.0
+FILL_POWER = 70.0  # watts
+COAL_RADIANCE, FLAME_RADIANCE, FIRE_POWER = 90.0, 60.0, 450.0
 
 
 def build(scene: bpy.types.Scene, assets: Assets) -> Stage:
@@ -44,8 +45,8 @@ def build(scene: bpy.types.Scene, assets: Assets) -> Stage:
     _outside(room, dice)
     lighting = Lighting(scene)
     _daylight(lighting)
-    hearth.fireplace(room, lighting, dice, (0.62, BACK), (COAL_RADIANCE, FLAME_RADIANCE, FIRE_POWER))
-    lies = standing((0.06, 0.10, 0.05), math.radians(-48.0))
+    hearth.fireplace(room, lighting, dice, (CHIMNEY, BACK), (COAL_RADIANCE, FLAME_RADIANCE, FIRE_POWER))
+    lies = standing((0.06, 0.10, 0.032), math.radians(-48.0))
     assets.place(
         "dog", room, lies.translation, (0.5, 1.2, 0.62), math.radians(-48.0), lambda: dog(room, lies)
     )
@@ -53,9 +54,9 @@ def build(scene: bpy.types.Scene, assets: Assets) -> Stage:
     things.lamp(room, lighting, (1.62, 0.98, 0.0), BULB_RADIANCE, BULB_COLOUR)
     hints = CameraHints(
         centre=(-0.40, -2.25, 1.12),
-        target=(0.08, 0.40, 0.60),
+        target=(0.08, 0.36, 0.54),
         extent=(1.5, 0.8),
-        angle_x=math.radians(58.0),
+        angle_x=math.radians(53.0),
         orbit_radius=2.55,
         orbit_arc=math.radians(48.0),
         elevation=(math.radians(3.0), math.radians(26.0)),
@@ -91,6 +92,8 @@ def _shell(room: bpy.types.Collection, dice: random.Random) -> None:
     count = 28
     for k in range(count):
         x = WEST + width * (k + 0.5) / count
+        if abs(x - CHIMNEY) < 0.6:
+            continue
         thick = 0.018 + dice.uniform(0.0, 0.003)
         box(
             room,
@@ -193,7 +196,7 @@ def _daylight(lighting: Lighting) -> None:
     x0, x1, z0, z1 = WINDOW
     lighting.sky(_sky, SKY_RADIANCE)
     lighting.portal(((x0 + x1) / 2, BACK + 0.13, (z0 + z1) / 2), (0.0, -1.0, 0.0), (x1 - x0, z1 - z0))
-    lighting.sun((0.44, -0.70, -0.56), SUN_IRRADIANCE, (1.0, 0.80, 0.56))  # a patch on rug and dog
+    lighting.sun((0.46, -0.70, -0.45), SUN_IRRADIANCE, (1.0, 0.80, 0.56))  # a patch on rug and dog
     lighting.area(
         "fill", (-0.3, FRONT + 0.06, 1.8), (0.05, 1.0, -0.2), (2.6, 1.1), FILL_POWER, (0.80, 0.89, 1.0)
     )

@@ -39,17 +39,25 @@ def dog(room: Collection, place: Matrix) -> None:
             (WHITE, [(1, 0.60, 0.66)]),
         ],
     )
-    made = [_skin(room, "dog body", _body(), body_coat, 0.021, 90_000.0)]
+    made = [_skin(room, "dog body", _body(), body_coat, 0.024, 40_000.0)]
     claws = m.plain("claws", (0.05, 0.04, 0.035), 0.4)
     for s in (-1, 1):
         for k in (-1, 0, 1):
             x, y = s * 0.115 + 0.022 * k, -0.555 + 0.012 * abs(k)
             made.append(ball(room, "claw", (x, y, 0.018), 0.008, claws, 2))
     leather = mh.leather("collar", (0.26, 0.03, 0.02), (0.44, 0.06, 0.04))
-    tilt = (math.radians(-30.0), 0.0, 0.0)
+    tilt = (math.radians(33.0), 0.0, 0.0)
     for k in range(3):
         made.append(
-            ring(room, "collar", (0, -0.297 - 0.005 * k, 0.352 + 0.010 * k), 0.103, 0.011, leather, tilt)
+            ring(
+                room,
+                "collar",
+                (0, -0.285 - 0.008 * k, 0.345 + 0.012 * k),
+                0.114 - 0.002 * k,
+                0.011,
+                leather,
+                tilt,
+            )
         )
     tag = mt.metal("tag", (0.80, 0.58, 0.22), 0.2)
     made.append(ball(room, "tag", (0.0, -0.405, 0.285), 0.024, tag, 3))
@@ -111,15 +119,14 @@ def _head(room: Collection) -> list[bpy.types.Object]:
             (WHITE, [(2, -0.10, -0.13)]),
         ],
     )
-    made = [_skin(room, "dog head", shapes, coat, 0.011, 120_000.0)]
+    made = [_skin(room, "dog head", shapes, coat, 0.013, 60_000.0)]
     ear_coat = mh.coat("ear coat", (0.16, 0.06, 0.024), [(DARK, [(2, -0.06, -0.12)])])
     for s in (-1, 1):
         flap: list[Capsule] = [
             ((0.0, 0.0, 0.02), 0.026, (0.0, -0.004, -0.03), 0.046),
             ((0.0, -0.004, -0.03), 0.046, (0.0, -0.018, -0.105), 0.036),
         ]
-        flap = [tuple((a[0], a[1], a[2]) if isinstance(a, tuple) else a for a in part) for part in flap]
-        ear = _skin(room, "dog ear", flap, ear_coat, 0.013, 90_000.0, thin=0.30)
+        ear = _skin(room, "dog ear", flap, ear_coat, 0.014, 45_000.0, thin=0.30)
         ear.matrix_basis = (
             Matrix.Translation((s * 0.083, 0.012, 0.042))
             @ Euler((0.06, s * -0.24, s * 0.25)).to_matrix().to_4x4()
@@ -204,7 +211,7 @@ def _fur(name: str, coat: bpy.types.Material, hair: float, density: float) -> bp
     link(vector("ADD", combed, upright), align.inputs["Vector"])
     cone = new("GeometryNodeMeshCone")
     cone.fill_type = "NONE"
-    for socket, value in (("Vertices", 3), ("Radius Bottom", 0.0024), ("Radius Top", 0.0), ("Depth", hair)):
+    for socket, value in (("Vertices", 3), ("Radius Bottom", 0.0033), ("Radius Top", 0.0), ("Depth", hair)):
         cone.inputs[socket].default_value = value
     length = new("FunctionNodeRandomValue")
     length.data_type = "FLOAT"
@@ -214,7 +221,7 @@ def _fur(name: str, coat: bpy.types.Material, hair: float, density: float) -> bp
     link(points.outputs["Points"], hairs.inputs["Points"])
     link(cone.outputs["Mesh"], hairs.inputs["Instance"])
     link(align.outputs[0], hairs.inputs["Rotation"])
-    link([s for s in length.outputs if s.type == "VALUE"][0], hairs.inputs["Scale"])
+    link(next(s for s in length.outputs if s.type == "VALUE"), hairs.inputs["Scale"])
     real, dyed, both = (
         new("GeometryNodeRealizeInstances"),
         new("GeometryNodeSetMaterial"),

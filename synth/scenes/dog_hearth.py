@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import random
 
@@ -19,7 +20,7 @@ from .props import ball, box, lathe, rod, sheet
 Collection = bpy.types.Collection
 
 OPENING, LINTEL, HEARTH = 0.80, 0.80, 0.07  # width and height of the opening, height of the hearth stone
-WIDTH, PROUD, DEEP = 1.50, 0.30, 0.30  # of the chimney: before the wall, and the box behind it
+WIDTH, PROUD = 1.50, 0.46  # of the chimney; PROUD: how far it stands before the wall
 SHELF = 1.16
 
 
@@ -61,12 +62,13 @@ def _masonry(room: Collection, dice: random.Random, x: float, front: float, wall
             tall = min(dice.uniform(0.10, 0.17), SHELF - z)
             cut = dice.uniform(0.3, 0.7) * pier
             edges = [-pier / 2, -pier / 2 + cut, pier / 2] if dice.random() < 0.75 else [-pier / 2, pier / 2]
-            for a, b in zip(edges, edges[1:], strict=False):
+            for a, b in itertools.pairwise(edges):
                 _stone(
                     room, dice, stone, (middle + (a + b) / 2, front + 0.05, z + tall / 2), (b - a, 0.12, tall)
                 )
-            outer = (x + s * (WIDTH / 2 - 0.05), front + 0.20, z + tall / 2)
-            _stone(room, dice, stone, outer, (0.10, 0.18, tall))
+            for y in (front + 0.20, front + 0.37):
+                outer = (x + s * (WIDTH / 2 - 0.05), y, z + tall / 2)
+                _stone(room, dice, stone, outer, (0.10, 0.17, tall))
             z += tall
     box(
         room,
@@ -97,8 +99,8 @@ def _masonry(room: Collection, dice: random.Random, x: float, front: float, wall
     box(
         room,
         "breast",
-        (x, front + 0.20, (SHELF + 2.45) / 2),
-        (WIDTH - 0.16, PROUD + 0.1, 2.45 - SHELF),
+        (x, front + 0.02 + PROUD / 2, (SHELF + 2.45) / 2),
+        (WIDTH - 0.16, PROUD, 2.45 - SHELF),
         breast,
     )
     slab = mh.stone("hearth slab", (0.10, 0.095, 0.09), (0.24, 0.225, 0.205))
@@ -133,7 +135,7 @@ def _stone(
 def _box(room: Collection, x: float, front: float) -> None:
     """The fire box: back, sides that close toward it, roof; soot everywhere."""
     soot = m.plaster("soot", (0.022, 0.019, 0.017), 0.5)
-    back = front + PROUD + DEEP - 0.08
+    back = front + PROUD - 0.03
     box(room, "fire back", (x, back, LINTEL / 2 + 0.1), (OPENING, 0.04, LINTEL + 0.3), soot)
     for s in (-1, 1):
         side = (x + s * (OPENING / 2 + 0.0), (front + 0.13 + back) / 2, LINTEL / 2 + 0.1)
@@ -145,7 +147,9 @@ def _box(room: Collection, x: float, front: float) -> None:
         (OPENING, back - front - 0.1, 0.04),
         soot,
     )
-    box(room, "fire floor", (x, (front + back) / 2 + 0.1, HEARTH - 0.01), (OPENING, 0.5, 0.03), soot)
+    box(
+        room, "fire floor", (x, (front + back) / 2 + 0.03, HEARTH - 0.01), (OPENING, PROUD - 0.06, 0.03), soot
+    )
     iron = m.plain("grate iron", (0.025, 0.023, 0.022), 0.45, 0.7)
     y0, y1, z = front + 0.06, front + 0.36, HEARTH + 0.10
     for k in range(9):
@@ -206,7 +210,8 @@ def _fire(
     tongue, strength = mh.flame("flame", power[1])
     for k in range(7):
         height, wide = dice.uniform(0.14, 0.30), dice.uniform(0.028, 0.05)
-        shape = [(0.0, 0.0), (0.7 * wide, 0.12 * height), (wide, 0.3 * height), (0.75 * wide, 0.55 * height), (0.3 * wide, 0.82 * height), (0.0, height)]  # fmt: skip
+        outline = ((0.0, 0.0), (0.7, 0.12), (1.0, 0.3), (0.75, 0.55), (0.3, 0.82), (0.0, 1.0))
+        shape = [(wide * r, height * h) for r, h in outline]
         flame = lathe(
             room, "flame", (x - 0.21 + 0.07 * k, y + dice.uniform(-0.06, 0.06), z + 0.07), shape, tongue, 14
         )
@@ -221,7 +226,14 @@ def _fire(
             for ray in ("diffuse", "shadow"):
                 setattr(item, f"visible_{ray}", False)
     shine = lighting.spot(
-        "fire", "fire", (x, y + 0.08, z + 0.14), (-0.12, -1.0, 0.05), power[2], (1.0, 0.44, 0.13), 172.0, 0.10
+        "fire",
+        "fire",
+        (x, y + 0.06, z + 0.30),
+        (-0.12, -1.0, -0.05),
+        power[2],
+        (1.0, 0.44, 0.13),
+        172.0,
+        0.10,
     )
     shine.visible_glossy = False
 

@@ -23,7 +23,7 @@ Place = tuple[float, float, float]
 
 def furnish(room: Collection, assets: Assets, dice: random.Random) -> None:
     """Put everything in its place."""
-    _rug(room, (0.02, 0.02, 0.0))
+    _rug(room, (-0.06, 0.08, 0.0))
     basket = (-1.32, 0.98, 0.0)
     assets.place("basket", room, basket, (0.84, 0.84, 0.3), 0.0, lambda: _basket(room, basket))
     _bowls(room, dice)
@@ -43,9 +43,9 @@ def _rug(room: Collection, at: Place) -> None:
         ((0.07, 0.12, 0.07), (0.18, 0.26, 0.14)),
     ]  # fmt: skip
     cloths = [m.fabric(f"braid {k}", dark, light, 26.0) for k, (dark, light) in enumerate(colours)]
-    order = (1, 0, 1, 2, 2, 3, 0, 0, 1, 4, 4, 3, 2, 0)
+    order = (1, 0, 1, 2, 2, 3, 0, 1, 4, 4, 3, 0)
     for k, cloth in enumerate(order):
-        radius, length = 0.055 + 0.055 * k, 0.42
+        radius, length = 0.055 + 0.055 * k, 0.34
         points = []
         for j in range(49):
             a = 2 * math.pi * j / 48
@@ -61,7 +61,7 @@ def _rug(room: Collection, at: Place) -> None:
         braid = tube(room, "braid", points, 0.0285, cloths[cloth], 8, 2)
         braid.scale = (1.0, 1.0, 0.55)
         braid.location = at
-    box(room, "rug core", (at[0], at[1], 0.006), (0.9, 1.4, 0.01), cloths[1])
+    box(room, "rug core", (at[0], at[1], 0.006), (0.76, 1.24, 0.01), cloths[1])
 
 
 def _basket(room: Collection, at: Place) -> None:
@@ -93,8 +93,8 @@ def _basket(room: Collection, at: Place) -> None:
 def _bowls(room: Collection, dice: random.Random) -> None:
     """Two steel bowls on a mat, water in one, biscuits in the other."""
     mat = m.cloth("mat", (0.10, 0.13, 0.15), (0.34, 0.33, 0.28), 7.0)
-    x, y = 0.74, -0.52
-    box(room, "mat", (x, y, 0.005), (0.62, 0.34, 0.008), mat, (0, 0, 0.30))
+    x, y, turn = 0.66, -0.68, 0.55
+    box(room, "mat", (x, y, 0.005), (0.62, 0.34, 0.008), mat, (0, 0, turn))
     steel = mt.metal("bowl steel", (0.68, 0.67, 0.65), 0.15)
     bowl = [
         (0.115, 0.0),
@@ -106,7 +106,7 @@ def _bowls(room: Collection, dice: random.Random) -> None:
         (0.06, 0.012),
         (0.0, 0.010),
     ]
-    c, s = math.cos(0.30), math.sin(0.30)
+    c, s = math.cos(turn), math.sin(turn)
     water, food = (x - 0.145 * c, y - 0.145 * s, 0.009), (x + 0.145 * c, y + 0.145 * s, 0.009)
     for at in (water, food):
         lathe(room, "steel bowl", at, bowl, steel, 48)
@@ -128,10 +128,10 @@ def _toys(room: Collection) -> None:
     red = m.banded(
         "rubber ball", [(0.52, 0.03, 0.02)] * 4 + [(0.62, 0.58, 0.48)] * 2 + [(0.04, 0.12, 0.34)] * 4, 0.25
     )
-    toy = ball(room, "ball", (-0.74, -0.40, 0.085), 0.085, red, 4)
+    toy = ball(room, "ball", (-0.72, -0.26, 0.112), 0.085, red, 4)
     toy.rotation_euler = (0.5, 0.7, 0.2)
     felt = m.speckled("felt", (0.46, 0.56, 0.06), (0.54, 0.62, 0.12), 60.0, 0.9)
-    ball(room, "tennis ball", (-0.30, -0.66, 0.062), 0.034, felt, 3)
+    ball(room, "tennis ball", (-0.34, -0.74, 0.034), 0.034, felt, 3)
     bone = m.speckled("bone", (0.62, 0.55, 0.42), (0.46, 0.38, 0.26), 40.0, 0.5)
     a, b = Vector((-0.66, 0.10, 0.05)), Vector((-0.53, 0.20, 0.05))
     rod(room, "bone", a, b, 0.017, bone)
@@ -139,17 +139,17 @@ def _toys(room: Collection) -> None:
     for end in (a, b):
         for s in (-1, 1):
             ball(room, "bone end", end + s * across, 0.026, bone, 3)
-    rope = m.cloth("rope", (0.54, 0.48, 0.36), (0.16, 0.26, 0.36), 22.0)
+    rope = m.cloth("rope", (0.54, 0.48, 0.36), (0.16, 0.26, 0.36), 7.0, 0.6)
     path = [
-        (0.24, -0.86, 0.02),
-        (0.32, -0.84, 0.024),
-        (0.42, -0.90, 0.02),
-        (0.50, -0.86, 0.022),
-        (0.58, -0.92, 0.02),
+        (-0.12, -0.86, 0.02),
+        (-0.04, -0.84, 0.024),
+        (0.05, -0.90, 0.02),
+        (0.13, -0.86, 0.022),
+        (0.21, -0.92, 0.02),
     ]
     tube(room, "rope", path, 0.016, rope, 10)
     for knot in (path[1], path[3]):
-        ball(room, "knot", (knot[0], knot[1], 0.032), 0.032, rope, 3, 0.004)
+        ball(room, "knot", (knot[0], knot[1], 0.026), 0.026, rope, 3, 0.003)
 
 
 def _armchair(room: Collection, at: Place, turn: float) -> None:
@@ -258,7 +258,7 @@ def lamp(
     lathe(room, "lamp", (x + 0.02, y + 0.02, top), body, glaze, 32)
     brass = mt.metal("lamp brass", (0.74, 0.50, 0.18), 0.25)
     rod(room, "lamp socket", (x + 0.02, y + 0.02, top + 0.27), (x + 0.02, y + 0.02, top + 0.36), 0.02, brass)
-    lighting.bulb("lamp", "lamp", (x + 0.02, y + 0.02, top + 0.40), 0.042, radiance, colour)
+    lighting.bulb("lamp", "lamp", (x + 0.02, y + 0.02, top + 0.41), 0.06, radiance, colour)
     lathe(
         room,
         "cup",
