@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The architecture of ``sponza``: arches on columns in two storeys round a court, aisles and galleries behind.
+"""The architecture of ``sponza``: two storeys of arches on columns round a court, aisles behind them.
 
 Each side is built along its own X from 0 to its length, the court at −Y, and then turned into place.
 """
@@ -67,9 +67,9 @@ def _columns(limestone: bpy.types.Material) -> dict[str, bpy.types.Object]:
     }
 
 
-def _column(name: str, height: float, radius: float, material: bpy.types.Material) -> bpy.types.Object:
-    """Plinth, base with two rolls, a shaft that swells and tapers, a capital of two rows of leaves, abacus."""
-    r, mesh = radius, bmesh.new()
+def _column(name: str, height: float, r: float, material: bpy.types.Material) -> bpy.types.Object:
+    """Plinth, base, a shaft of radius ``r`` that swells and tapers, a capital of two rows of leaves."""
+    mesh = bmesh.new()
     plinth, abacus, capital = 0.7 * r, 0.45 * r, 2.4 * r
     neck = height - abacus - capital
 
