@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """``bear``: a teddy bear on the toy bench of a child's room, 3.4 × 3.6 × 2.4 m.
 
-The sun comes in from the left and lights the bear's fur from behind; to the right, on a low bookcase, the
-bare bulb of the night lamp (``lamp``); on a pile of books a lamp like the moon (``moon``). The bench and the
+A low sun comes in by a window at the left and lights his fur. Three groups of lamps: the bare bulb of the
+night lamp on a low bookcase (``lamp``), one that hangs above the rug (``pendant``), and on a pile of books a
+lamp like the moon (``moon``). The bench and the
 toy crate are open and dark inside: the deep shadow. A round mirror, a humming top and a bell shine.
 """
 
@@ -19,7 +20,7 @@ from . import materials as m
 from . import materials_nursery as mn
 from .assets import Assets
 from .lighting import Lighting
-from .props import ball, box
+from .props import ball, box, rod
 from .small_room import WALL, Room, casement, garden, morning, shell, side_casement
 from .stage import CameraHints, Stage
 
@@ -35,11 +36,12 @@ PANELS = 0.84  # height of the boards on the walls
 
 BULB_RADIANCE = 340.0
 BULB_COLOUR = (1.0, 0.70, 0.40)
-MOON_RADIANCE = 7.0
+PENDANT = (0.42, 0.12, 1.72)  # above the rug, in the mirror and in the highest views
+MOON_RADIANCE = 4.5
 MOON_COLOUR = (1.0, 0.86, 0.62)
-SKY_RADIANCE = 7.0
-SUN_IRRADIANCE = 36.0
-FILL_POWER = 16.0  # watts
+SKY_RADIANCE = 4.0
+SUN_IRRADIANCE = 22.0
+FILL_POWER = 5.5  # watts
 
 
 def build(scene: bpy.types.Scene, assets: Assets) -> Stage:
@@ -114,5 +116,10 @@ def _light(room: bpy.types.Collection, lighting: Lighting) -> None:
         "fill", (-0.2, ROOM.front + 0.05, 1.7), (0.0, 1.0, -0.2), (2.0, 1.0), FILL_POWER, (0.82, 0.91, 1.0)
     )
     lighting.bulb("lamp", "night lamp", furniture.BULB, furniture.BULB_RADIUS, BULB_RADIANCE, BULB_COLOUR)
+    x, y, z = PENDANT
+    lighting.bulb("pendant", "pendant", PENDANT, 0.036, BULB_RADIANCE, BULB_COLOUR)
+    metal = m.plain("pendant socket", (0.74, 0.50, 0.20), 0.25, 1.0)
+    rod(room, "pendant socket", (x, y, z + 0.035), (x, y, z + 0.11), 0.022, metal)
+    rod(room, "pendant cord", (x, y, z + 0.1), (x, y, ROOM.height), 0.006, metal, sides=8)
     glow, strength = mn.moon("moon", MOON_COLOUR, MOON_RADIANCE)
     lighting.glow("moon", ball(room, "moon", toys.MOON, toys.MOON_RADIUS, glow, 4), strength)
