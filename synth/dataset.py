@@ -25,6 +25,7 @@ from .response import by_name
 from .scenes import SCENES, built
 from .scenes.assets import Assets
 from .scenes.stage import Stage
+from .workers import threads_each
 
 GENERATOR = {"name": "physhdr synth", "version": "0.2.0"}
 FEW_POINTS = 100
@@ -57,7 +58,12 @@ def make(out: Path, options: Options, report: Report | None = None) -> dict[str,
             return _summary(out, told, report, began)
         users = bool(options.from_file)
         wanted = settings.ground_truth(
-            options.resolution, options.samples, options.device, users, options.noise_threshold
+            options.resolution,
+            options.samples,
+            options.device,
+            users,
+            options.noise_threshold,
+            threads=threads_each(options.workers) if options.workers > 1 else 0,
         )
         with (
             Claims(out) as claims,
@@ -153,6 +159,9 @@ def _render(job: _Job, claims: Claims, camera: Renderer, report: Report) -> None
     while left:
         others = []
         for shot in left:
+            if not job.derivation.missing(shot):  # another process has done it meanwhile
+                report.advance(shot.name)
+                continue
             if not claims.take(shot.name):
                 others.append(shot)
                 continue
@@ -162,7 +171,7 @@ def _render(job: _Job, claims: Claims, camera: Renderer, report: Report) -> None
             finally:
                 claims.release(shot.name)
             report.advance(shot.name)
-        if len(others) == len(left):
+        if others and len(others) == len(left):
             time.sleep(WAIT)
         left = others
 

@@ -147,6 +147,15 @@ def parser() -> argparse.ArgumentParser:
     )
     add("--device", default=default.device, help=f"one of: {', '.join(DEVICES)}")
     add(
+        "--workers",
+        type=int,
+        default=default.workers,
+        metavar="N",
+        help="processes that render at the same time and share the cores; on small pictures as many as "
+        "there are cores is fastest. Other machines may join: start the same command on the same folder",
+    )
+    add("--worker-of", type=int, help=argparse.SUPPRESS)
+    add(
         "--progress-json",
         action="store_true",
         help="tell the progress as one JSON object a line, for programs",
@@ -162,11 +171,18 @@ def main(arguments: list[str]) -> int:
     from .parse import parse_scenes
     from .progress import JsonReport, Report
     from .several import make_all
+    from .workers import WorkerReport, helping
 
     given = parser().parse_args(arguments)
-    report = JsonReport() if given.progress_json else Report()
+    report: Report
+    if given.worker_of:
+        report, others = WorkerReport(given.worker_of), 0
+    else:
+        report, others = JsonReport() if given.progress_json else Report(), given.workers - 1
     try:
-        report.end(make_all(Path(given.out), parse_scenes(given.scene), _options(given), report))
+        options, scenes = _options(given), parse_scenes(given.scene)
+        with helping(others, arguments, given.from_file):
+            report.end(make_all(Path(given.out), scenes, options, report))
     except SynthError as error:
         report.fail(error.code, error.message, error.hint)
         return 1
@@ -217,6 +233,7 @@ def _options(given: argparse.Namespace) -> Options:
         camera_rig=given.camera_rig,
         denoise=given.denoise,
         device=given.device,
+        workers=given.workers,
         camera=from_arguments(given),
         assets=given.assets,
         from_file=given.from_file,

@@ -46,8 +46,9 @@ class Options:
     """Seconds, shortest first; the scene's own if ``None``."""
     crf: str = "reinhard-gamma"
     seed: int = 0
-    ambient_levels: tuple[float, ...] = (0.25, 0.5, 2.0, 4.0)
-    """Of the relit truth, the ambient light alone; further lights that vary get the same."""
+    ambient_levels: tuple[float, ...] = (0.125, 0.5, 2.0, 8.0)
+    """Of the relit truth, the ambient light alone; further lights that vary get the same. The default lies
+    between and beyond ``lit_levels``, those that are trained."""
     relit_views: int | None = None
     """Test poses that get the relit truth; all if ``None``."""
     mixed_levels: tuple[tuple[tuple[str, float], ...], ...] | None = None
@@ -59,6 +60,8 @@ class Options:
     camera_rig: str = "grid"
     denoise: bool = True
     device: str = "CPU"
+    workers: int = 1
+    """Processes that render at the same time, this one included."""
     camera: CameraModel = field(default_factory=CameraModel)
     """Noise and other faults of the camera that takes the brackets."""
     assets: str | None = None
@@ -92,6 +95,7 @@ class Options:
         within("--noise-threshold", self.noise_threshold, 0.0, 1.0)
         within("--views", self.views, 2, 10_000)
         within("--seed", self.seed, 0, 2**31 - 1)
+        within("--workers", self.workers, 1, 256)
         within("--lit-views", self.lit_views, 0, 10_000)
         if self.relit_views is not None:
             within("--relit-views", self.relit_views, 0, self.views // 2)
@@ -160,6 +164,7 @@ class Options:
         """What a resumed run must have in common with the first; where the file lies is no part of it."""
         values = {key: list(v) if isinstance(v, tuple) else v for key, v in asdict(self).items()}
         values["camera"] = self.camera.describe()
+        del values["workers"]
         if self.mixed_levels is not None:
             values["mixed_levels"] = [dict(levels) for levels in self.mixed_levels]
         values["assets"] = self.assets is not None

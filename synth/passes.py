@@ -38,7 +38,7 @@ class Passes:
     normal: np.ndarray
     """[height, width, 3] in world space, mean over the pixel."""
     index: np.ndarray
-    """[height, width] number (dataset.json ``objects``) of the object of the pixel's first sample; 0: none."""
+    """[height, width] number (dataset.json ``objects``) of what the pixel's first sample hit; 0: none."""
     samples: np.ndarray
     """[height, width] samples taken."""
     facts: dict[str, Any]

@@ -24,12 +24,13 @@ def ground_truth(
     device: str = "CPU",
     users: bool = False,
     noise_threshold: float = 0.0,
+    threads: int = 0,
 ) -> list[tuple[str, Any]]:
     """(RNA path under the scene, value) in the order to set them.
 
     ``users``: a scene of the user's. It keeps its light paths, its view transform and its colour working
     space; the pictures are converted to Linear Rec.709 as they are written. ``noise_threshold``: Cycles'
-    adaptive sampling with ``samples`` as the most; 0 takes all samples everywhere.
+    adaptive sampling with ``samples`` as the most; 0 takes all samples everywhere. ``threads``: 0 for all.
     """
     return [
         ("render.engine", "CYCLES"),
@@ -54,6 +55,7 @@ def ground_truth(
         ("render.use_placeholder", False),
         ("render.use_file_extension", False),
         ("render.use_persistent_data", True),
+        *((("render.threads_mode", "FIXED"), ("render.threads", threads)) if threads else ()),
         ("render.image_settings.media_type", "IMAGE"),
         ("render.image_settings.file_format", "OPEN_EXR"),
         ("render.image_settings.color_mode", "RGB"),

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Several processes on one folder: the same files as one alone makes, and nobody is left behind."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import physhdr.synth.workers as workers
+from physhdr.synth.errors import OptionError
+
+ASKED = ["--scene", "interior", "--resolution", "24", "--samples", "2", "--views", "6", "--lit-views", "2"]
+
+
+def command(out: Path, *more: str) -> list[str]:
+    return [sys.executable, str(workers.SCRIPT), "--", "--out", str(out), *ASKED, *more]
+
+
+def digests(out: Path) -> dict[str, str]:
+    return {
+        str(path.relative_to(out)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(out.rglob("*"))
+        if path.is_file() and path.name != "dataset.json"  # it tells the number of threads
+    }
+
+
+def test_workers_make_the_same_files(tmp_path):
+    for name, count in (("one", "1"), ("two", "2")):
+        subprocess.run(command(tmp_path / name, "--workers", count), check=True, stdout=subprocess.DEVNULL)
+    one, two = digests(tmp_path / "one"), digests(tmp_path / "two")
+    assert len(one) > 40
+    # Smoothed normals may differ in their last bits (docs/formats.md), between any two processes.
+    different = [name for name in one if one[name] != two.get(name)]
+    assert one.keys() == two.keys()
+    assert len(different) < len(one) / 4, different
+    assert not list((tmp_path / "two").glob(".*"))
+
+
+def test_a_worker_ends_when_its_parent_is_gone():
+    code = (
+        "import subprocess, sys\n"
+        "child = subprocess.Popen([sys.executable, '-c', sys.argv[1]], stdout=subprocess.PIPE, text=True)\n"
+        "while child.stdout.readline() != 'began\\n':\n"
+        "    assert child.poll() is None\n"
+        "print(child.pid, flush=True)\n"
+    )
+    worker = (
+        "import os, sys, time\n"
+        f"sys.path.insert(0, {str(workers.SCRIPT.parent.parent)!r})\n"
+        "from synth.workers import WorkerReport\n"
+        "report = WorkerReport(os.getppid())\n"
+        "report.start('first')\n"
+        "print('began', flush=True)\n"
+        "while True:\n"
+        "    time.sleep(0.1)\n"
+        "    report.start('next')\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", code, worker], check=True, capture_output=True, text=True, timeout=60
+    )
+    pid = ended.stdout.split()[-1]
+    deadline = time.monotonic() + 20
+    while _runs(int(pid)) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert not _runs(int(pid))
+
+
+def _runs(pid: int) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
+
+
+def test_an_unsaved_scene_cannot_be_shared():
+    with pytest.raises(OptionError, match="save the file first"), workers.helping(1, [], "current"):
+        pass
+
+
+def test_cores_are_shared_out():
+    cores = len(os.sched_getaffinity(0))
+    assert workers.threads_each(1) == cores
+    assert workers.threads_each(cores) == 1 == workers.threads_each(10 * cores)
