@@ -272,7 +272,7 @@ def _levels(
                 f"{levels[AMBIENT]:g} for {AMBIENT}",
                 "Both are the ambient light's: mend one of them.",
             )
-    elif is_lit and not levels:
+    elif is_lit and "lighting_levels" not in entry:
         key = "lighting_level" if lights == (AMBIENT,) else "lighting_levels"
         _require(path, entry, key, f": {which}")
     for name, level in levels.items():

@@ -13,3 +13,10 @@ _spec.loader.exec_module(tiny_scene)
 def tiny_data(tmp_path_factory) -> Path:
     """A tiny data set in the documented layout; tests must not write into it."""
     return tiny_scene.write_tiny_scene(tmp_path_factory.mktemp("tiny") / "data")
+
+
+@pytest.fixture(scope="session")
+def two_lights_data(tmp_path_factory) -> Path:
+    """A tiny data set whose lit views have levels of two lights; tests must not write into it."""
+    lights = ("ambient", "pendant")
+    return tiny_scene.write_tiny_scene(tmp_path_factory.mktemp("two") / "data", lights=lights)

@@ -15,6 +15,7 @@ import pytest
 import torch
 from PIL import Image
 from plyfile import PlyData
+from safetensors import safe_open
 
 from physhdr.backend.cli import main
 from physhdr.backend.cli.run_folder import open_run
@@ -22,6 +23,7 @@ from physhdr.backend.export.baked import networks_from_comments, parameters_from
 from physhdr.backend.methods.physhdr import PhysHDR
 from physhdr.backend.train.checkpoint import load_checkpoint
 from physhdr.bridge.model_file import read_model
+from physhdr.bridge.ply_model import read_ply_model
 
 SHORT = ["--iterations", "30", "--sh-degree-every", "5"]
 
@@ -124,6 +126,62 @@ def test_render_writes_radiance_and_pictures(run, tmp_path):
     expected = opened.method.hdr(opened.scene.test[0].camera, 2.0).numpy().transpose(1, 2, 0)
     np.testing.assert_array_equal(radiance, expected)
     assert Image.open(tmp_path / "a.png").size == (50, 50)
+
+
+def test_several_lights_from_training_to_files(two_lights_data, tmp_path, capsys):
+    run = tmp_path / "run"
+    assert main(["train", str(two_lights_data), "--out", str(run), *SHORT]) == 0
+    method = open_run(run).method
+    assert method.lights == ("ambient", "pendant")
+
+    picture = tmp_path / "a.exr"
+    render = ["render", str(run), "--out", str(picture)]
+    camera = open_run(run).scene.test[0].camera
+    for words, levels in [
+        (["--lighting-levels", "ambient=4", "pendant=0.25"], (4.0, 0.25)),
+        (["--lighting-level", "0.5", "--lighting-levels", "pendant=8"], (0.5, 8.0)),
+        (["--lighting-levels", "pendant=0"], (1.0, 0.0)),
+        (["--lighting-level", "0"], (0.0, 1.0)),
+    ]:
+        assert main([*render, *words]) == 0
+        radiance = OpenEXR.File(str(picture)).channels()["RGB"].pixels
+        np.testing.assert_array_equal(radiance, method.hdr(camera, levels).numpy().transpose(1, 2, 0))
+
+    asked = [*render, "--lighting-levels"]
+    assert "Names are: ambient, pendant" in fails(capsys, *asked, "pendant")
+    assert "Names are" in fails(capsys, *asked, "pendant=bright")
+    message = fails(capsys, *asked, "sun=2")
+    assert "no light 'sun'" in message and "ambient, pendant" in message
+    assert "pendant" in fails(capsys, *asked, "pendant=-1")
+    assert "twice" in fails(capsys, *render, "--lighting-level", "2", "--lighting-levels", "ambient=3")
+
+    assert main(["export", str(run), "--lighting-levels", "pendant=0.25"]) == 0
+    model = read_model(run / "model.safetensors")
+    assert model.lights == ("ambient", "pendant")
+    lossless = read_ply_model(run / "lossless.ply").model
+    assert lossless.lights == model.lights
+    np.testing.assert_allclose(lossless.light_share, model.light_share, rtol=1e-5, atol=1e-6)
+    comments = PlyData.read(str(run / "baked.ply")).comments
+    assert any(line.endswith("lighting levels ambient 1 + pendant 0.25") for line in comments)
+
+    capsys.readouterr()
+    assert main(["evaluate", str(run)]) == 0
+    assert "ambient 0.5 + pendant 2" in capsys.readouterr().out
+    rows = json.loads((run / "evaluation.json").read_text())["relit"]
+    assert [row["levels"] for row in rows][2] == {"ambient": 8.0, "pendant": 0.0}
+
+
+def test_a_run_of_before_there_were_several_lights(tiny_data, tmp_path):
+    """Its checkpoint is written as it was then; its configuration called the shares' rate otherwise."""
+    run = tmp_path / "run"
+    assert main(["train", str(tiny_data), "--out", str(run), "--iterations", "4"]) == 0
+    config = run / "config.json"
+    config.write_text(config.read_text().replace("light_share_logits", "ambient_share_logits"))
+    assert main(["export", str(run)]) == 0
+    with safe_open(run / "model.safetensors", "numpy") as file:
+        assert "ambient_share" in file.keys() and file.metadata()["modulator"] == "additive"  # noqa: SIM118
+    assert main(["render", str(run), "--out", str(run / "a.exr"), "--lighting-levels", "ambient=2"]) == 0
+    assert main(["train", "--resume", str(run)]) == 0
 
 
 def test_kernels_can_be_compiled_ahead(capsys):

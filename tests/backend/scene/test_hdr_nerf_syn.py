@@ -173,6 +173,77 @@ def test_lit_views_must_say_their_level(data_set: Path) -> None:
     refusal(data_set, FileDamagedError, "transforms_lit.json", "frame 0", "lit/r_0", "no 'lighting_level'")
 
 
+def name_lights(data_set: Path, lights: object, levels: list[object], keep_ambient: bool = True) -> None:
+    """Write ``lights`` and each lit frame's ``lighting_levels``, as docs/formats.md has them."""
+
+    def change(content: dict) -> None:
+        content["lights"] = lights
+        for frame, named in zip(content["frames"], levels, strict=True):
+            frame["lighting_levels"] = named
+            if not keep_ambient:
+                del frame["lighting_level"]
+
+    edit_json(data_set / "transforms_lit.json", change)
+
+
+def test_two_lights(data_set: Path) -> None:
+    levels = [{"ambient": 0.25, "pendant": 2.0}, {"ambient": 4.0}]
+    name_lights(data_set, ["ambient", "pendant"], levels)
+    scene = read_scene(data_set)
+    assert scene.lights == ("ambient", "pendant")
+    assert [view.lighting_levels for view in scene.lit] == [(0.25, 2.0), (4.0, 1.0)]
+    assert [view.lighting_level for view in scene.lit] == [0.25, 4.0]
+    assert all(view.lighting_levels == (1.0, 1.0) for view in [*scene.train, *scene.test])
+    assert scene.train[0].is_standard and not scene.lit[1].is_standard
+
+
+def test_a_lamp_may_be_all_that_varies(data_set: Path) -> None:
+    name_lights(data_set, ["pendant"], [{"pendant": 0.0}, {"pendant": 2.0, "ambient": 1}], keep_ambient=False)
+    scene = read_scene(data_set)
+    assert scene.lights == ("pendant",) and [view.lighting_levels for view in scene.lit] == [(0.0,), (2.0,)]
+
+
+def test_without_names_it_is_the_ambient_light(data_set: Path) -> None:
+    scene = read_scene(data_set)
+    assert scene.lights == ("ambient",) and [v.lighting_levels for v in scene.lit] == [(0.25,), (4.0,)]
+
+
+@pytest.mark.parametrize(
+    ("lights", "levels", "kind", "words"),
+    [
+        ("ambient", {"ambient": 0.25}, BadValueError, ["list of names", "'ambient'"]),
+        ([], {"ambient": 0.25}, BadValueError, ["list of names"]),
+        (["ambient", 3], {"ambient": 0.25}, BadValueError, ["list of names"]),
+        (["ambient", "ambient"], {"ambient": 0.25}, BadValueError, ["name twice"]),
+        (["ambient", "lamp"], {"sun": 2}, BadValueError, ["frame 0", "no light 'sun'", "ambient, lamp"]),
+        (["ambient", "lamp"], {"lamp": -1}, BadValueError, ["frame 0", "'lamp' is -1", "negative"]),
+        (["ambient", "lamp"], {"lamp": "2"}, BadValueError, ["frame 0", "'lamp' must be a finite number"]),
+        (["ambient", "lamp"], [1, 2], BadValueError, ["frame 0", "'lighting_levels'", "not an object"]),
+        (["ambient", "lamp"], {"ambient": 3}, DataMismatchError, ["0.25", "has 3 for ambient"]),
+        (["lamp"], {"lamp": 2}, BadValueError, ["no light 'ambient'", "It has: lamp"]),
+    ],
+)
+def test_lights_that_mean_nothing(data_set: Path, lights, levels, kind, words) -> None:
+    name_lights(data_set, lights, [levels, {}])
+    refusal(data_set, kind, "transforms_lit.json", *words)
+
+
+def test_lit_views_must_say_their_levels(data_set: Path) -> None:
+    name_lights(data_set, ["ambient", "lamp"], [{"lamp": 2.0}, {}], keep_ambient=False)
+    assert read_scene(data_set).lit[1].lighting_levels == (1.0, 1.0)  # said: none of them is changed
+    edit_json(data_set / "transforms_lit.json", lambda content: content["frames"][1].pop("lighting_levels"))
+    refusal(data_set, FileDamagedError, "transforms_lit.json", "frame 1", "no 'lighting_levels'")
+
+
+@pytest.mark.parametrize("split", ["train", "test"])
+def test_other_views_are_under_the_standard_light(data_set: Path, split: str) -> None:
+    path = data_set / f"transforms_{split}.json"
+    edit_json(path, lambda content: content["frames"][1].update(lighting_level=1.0))
+    read_scene(data_set)
+    edit_json(path, lambda content: content["frames"][1].update(lighting_levels={"ambient": 1, "lamp": 4}))
+    refusal(data_set, BadValueError, path.name, "frame 1", "lamp 4", "at 1", "'lit'")
+
+
 def test_no_frames(data_set: Path) -> None:
     edit_json(data_set / "transforms_train.json", lambda content: content.update(frames=[]))
     refusal(data_set, FileDamagedError, "transforms_train.json", "at least one frame")

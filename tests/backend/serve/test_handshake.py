@@ -64,7 +64,7 @@ def closing(peer, timeout=10.0):
         (b"\0\1\2", 1003, "text"),
         ("x" * (TEXT_BYTES_MAX + 1), 1009, ""),
         ('{"kind": "request", "id": 1, "type": "status_get", "body": {}}', 1008, "hello"),
-        ('{"kind": "request", "id": 1, "type": "hello", "body": {"protocol": 1}}', 1008, "client"),
+        ('{"kind": "request", "id": 1, "type": "hello", "body": {"protocol": 2}}', 1008, "client"),
     ],
 )
 def test_a_wrong_first_frame_ends_the_connection(backend, enter, first, code, words):
@@ -74,13 +74,13 @@ def test_a_wrong_first_frame_ends_the_connection(backend, enter, first, code, wo
     assert got == code and words in reason
 
 
-@pytest.mark.parametrize("version", [PROTOCOL_VERSION + 1, "1", None])
+@pytest.mark.parametrize("version", [PROTOCOL_VERSION - 1, PROTOCOL_VERSION + 1, "2", None])
 def test_another_version_is_told_so(backend, enter, version):
     peer = enter(backend, say_hello=False)
     body = {"protocol": version, "client": "a newer one", "a field of theirs": 1}
     peer.socket.send(json.dumps({"kind": "request", "id": 7, "type": "hello", "body": body}))
     code, reason = closing(peer)
-    assert code == 1002 and "version 1" in reason
+    assert code == 1002 and f"version {PROTOCOL_VERSION}" in reason
     assert peer.answers[7].code == "wrong_protocol" and "same version" in peer.answers[7].failure.hint
 
 
@@ -92,7 +92,7 @@ def test_wrong_requests_are_answered_and_bounded(backend, enter):
         {"kind": "request", "id": 52, "type": "run_open", "body": {"run": 7}},
         {"kind": "request", "id": 53, "type": "train_start", "body": {"data": "/x", "out": "/y", "more": 1}},
         {"kind": "reply", "id": 54, "type": "done", "body": {}},
-        {"kind": "request", "id": 55, "type": "hello", "body": {"protocol": 1, "client": "again"}},
+        {"kind": "request", "id": 55, "type": "hello", "body": {"protocol": 2, "client": "again"}},
     ]
     for frame in wrong:
         peer.socket.send(json.dumps(frame))

@@ -233,6 +233,32 @@ def test_previews_are_the_methods_pictures(backend, enter, runs, preset):
         np.testing.assert_array_equal(learned.depth, frame.depth)
 
 
+def test_previews_by_several_lights(backend, enter, two_lights_data, tmp_path):
+    run = tmp_path / "run"
+    assert main(["train", str(two_lights_data), "--out", str(run), "--iterations", "3"]) == 0
+    peer = enter(backend)
+    peer.ask(ControlTake())
+    peer.ask(RunOpen(run=str(run)))
+    assert peer.status.lights == ("ambient", "pendant") and peer.status.can_relight
+    method, ours = open_run(run).method, camera_of(camera())
+    with torch.no_grad():  # three iterations: every share is still a third
+        method.gaussians.light_share_logits += torch.tensor([1.0, -1.0])[None, :, None]
+    whole = [(), (4.0,), (0.25, 8.0), (0.0, 0.0)]
+    for levels in whole:
+        request = PreviewRequest(sequence=1, camera=camera(), lighting_levels=levels)
+        shown = render(method, request, 3).rgba[..., :3]
+        expected = method.preview(ours, (*levels, 1.0, 1.0)[:2]).image.permute(1, 2, 0).numpy()
+        np.testing.assert_array_equal(shown, expected.astype(np.float16))
+        peer.preview(dataclasses.replace(request, sequence=2))
+    path = tmp_path / "model.safetensors"
+    assert isinstance(peer.ask(ModelExport(path=str(path))), Exported)
+    assert read_model(path).lights == ("ambient", "pendant")
+    number = peer.send(PreviewRequest(sequence=3, camera=camera(), lighting_levels=(1.0, 1.0, 1.0)))
+    peer.until(lambda: number in peer.answers)
+    refused = peer.answers.pop(number)
+    assert refused.code == "bad_value" and "ambient, pendant" in str(refused)
+
+
 def test_depth_is_that_of_a_single_gaussian():
     """In metres along the axis, not along the ray, whatever covers the pixel by however much."""
     far = np.array([[0.9, 3.0, 0.1], [50.0, 50.0, 0.0], [51.0, 50.0, 0.0], [50.0, 51.0, 0.0]])

@@ -6,6 +6,7 @@ for one fails; copies from the host and tensors that are made of Python numbers 
 """
 
 import dataclasses
+from pathlib import Path
 
 import pytest
 import torch
@@ -68,15 +69,15 @@ def draw_nothing(means, quaternions, scales, opacities, colours, camera, screen_
 
 
 @pytest.fixture
-def trainer_elsewhere(tiny_data, monkeypatch):
+def trainer_elsewhere(monkeypatch):
     """Makes a trainer whose tensors are on the meta device, one iteration before its last."""
 
-    def make(preset: str) -> Trainer:
+    def make(preset: str, data: Path) -> Trainer:
         config = PRESETS[preset]
         tone_mapper = dataclasses.replace(config.method.tone_mapper, warm_start_steps=0)
         method = dataclasses.replace(config.method, tone_mapper=tone_mapper)
         config = dataclasses.replace(config, iterations=40, sh_degree_every=2, method=method)
-        trainer = Trainer(read_scene(tiny_data), config)
+        trainer = Trainer(read_scene(data), config)
         device = torch.device("meta")
         trainer.device = trainer.pictures.device = device
         trainer.method.to_device(device)
@@ -97,17 +98,23 @@ def trainer_elsewhere(tiny_data, monkeypatch):
     return make
 
 
-@pytest.mark.parametrize("preset", list(PRESETS))
-def test_a_step_neither_waits_nor_copies(preset, trainer_elsewhere):
-    trainer = trainer_elsewhere(preset)
+@pytest.mark.parametrize(
+    ("preset", "data"), [*((p, "tiny_data") for p in PRESETS), ("default", "two_lights_data")]
+)
+def test_a_step_neither_waits_nor_copies(preset, data, request, trainer_elsewhere):
+    trainer = trainer_elsewhere(preset, request.getfixturevalue(data))
     gaussians = trainer.method.gaussians
     for parameter in gaussians.parameters.values():
         parameter.grad = None
+    lit = trainer.scene.lit[0]
+    if data == "two_lights_data":  # an iteration whose levels are not all 1
+        trainer.views, trainer.exposures = [lit], [(0,)]
     with RefuseCopies(), RefuseNumbers():
         terms = trainer.step()
     assert all(term.device.type == "meta" for term in terms.values())
     learned = [name for name, parameter in gaussians.parameters.items() if parameter.grad is not None]
     assert {"means", "opacity_logits", "reflectance_dc", "reflectance_rest"} <= set(learned)
+    assert ("light_share_logits" in learned) == trainer.method.config.has_light_share
 
 
 @pytest.mark.parametrize(

@@ -2,13 +2,16 @@
 """Training as a whole, on a data set of 60 Gaussians whose truth is known."""
 
 import dataclasses
+import json
 import shutil
 
 import numpy as np
 import pytest
 import torch
+from safetensors import safe_open
 
 from physhdr.backend.cli.monitor import view_monitor
+from physhdr.backend.evaluate.protocol import evaluate
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.pictures import read_exr, write_exr, write_png
 from physhdr.backend.train.checkpoint import load_checkpoint
@@ -47,9 +50,11 @@ def assert_identical(first, second):
         assert torch.equal(first[name], second[name]), name
 
 
-@pytest.mark.parametrize("preset", list(PRESETS))
-def test_a_stopped_and_resumed_run_is_bit_identical(preset, tiny_data, tmp_path):
-    scene, config = read_scene(tiny_data), short(preset)
+@pytest.mark.parametrize(
+    ("preset", "data"), [*((p, "tiny_data") for p in PRESETS), ("default", "two_lights_data")]
+)
+def test_a_stopped_and_resumed_run_is_bit_identical(preset, data, request, tmp_path):
+    scene, config = read_scene(request.getfixturevalue(data)), short(preset)
     whole = train(scene, config, tmp_path / "whole")
     train(scene, config, tmp_path / "parts", stop_at=17)
     assert load_checkpoint(tmp_path / "parts" / CHECKPOINT_FILE)[1]["iteration"] == "17"
@@ -97,6 +102,67 @@ def test_training_recovers_radiance_and_light(tiny_data, tmp_path):
     relit_truth = read_exr(tiny_data / "relit" / "level_2" / "hdr_000.exr")
     relit = trainer.method.hdr(view.camera, 2.0).numpy().transpose(1, 2, 0)
     assert db(relit, relit_truth, relit_truth.max()) > db(2.0 * truth, relit_truth, relit_truth.max()) + 3
+
+
+def test_training_separates_two_lights(two_lights_data, tmp_path):
+    """Pairs of levels between and beyond the trained ones: far nearer than the best that scaling could do."""
+    scene = read_scene(two_lights_data)
+    config = dataclasses.replace(
+        PRESETS["default"], iterations=600, sh_degree_every=1000, densify=DensifyConfig(stop=0.0)
+    )
+    trainer = train(scene, config, tmp_path / "run")
+    assert trainer.method.lights == ("ambient", "pendant") and len(trainer.views) == 3 + 6
+    result = evaluate(trainer.method, scene)
+    assert len(result.relit_conditions) == 6
+    mean = result.relit_mean()
+    assert mean is not None and mean.gain_over_best_scaled_truth > 8.0 and mean.ours > 29.0
+    for row in result.relit:
+        assert row.gain_over_best_scaled_truth > 5.0, row
+        assert 0.85 < row.scale_ratio < 1.15, row
+    opened, _ = load_method(tmp_path / "run", config, scene.response_anchor)
+    assert opened.lights == trainer.method.lights
+    camera = scene.test[0].camera
+    assert torch.equal(opened.hdr(camera, (0.5, 2.0)), trainer.method.hdr(camera, (0.5, 2.0)))
+
+
+def test_the_ambient_light_alone_is_kept_as_before_there_were_others(tiny_data, two_lights_data, tmp_path):
+    """Checkpoints of either version are the other's: same names, same shapes."""
+    scene, config = read_scene(tiny_data), short("default", iterations=12)
+    train(scene, config, tmp_path / "one")
+    with safe_open(tmp_path / "one" / CHECKPOINT_FILE, "pt") as file:
+        names = set(file.keys())
+        assert set(file.metadata()) == {"format", "version", "iteration"}
+        assert file.get_slice("gaussians.ambient_share_logits").get_shape()[1:] == [3]
+        assert file.get_slice("adam.ambient_share_logits.0.exp_avg").get_shape()[1:] == [3]
+        assert "adam.ambient_share_logits.0.step" in names and not any("light_share" in n for n in names)
+    train(read_scene(two_lights_data), config, tmp_path / "two")
+    with safe_open(tmp_path / "two" / CHECKPOINT_FILE, "pt") as file:
+        assert json.loads(file.metadata()["lights"]) == ["ambient", "pendant"]
+        assert file.get_slice("gaussians.light_share_logits").get_shape()[1:] == [2, 3]
+    for folder, other in (("one", two_lights_data), ("two", tiny_data)):
+        with pytest.raises(DataMismatchError, match=r"has levels of ambient[\s\S]*begun with"):
+            Trainer(read_scene(other), config).resume(tmp_path / folder)
+
+
+def test_a_configuration_of_before_there_were_lights_is_read(tmp_path):
+    config = PRESETS["default"]
+    write_config(tmp_path / "config.json", config, tmp_path, "default")
+    text = (tmp_path / "config.json").read_text()
+    (tmp_path / "config.json").write_text(text.replace("light_share_logits", "ambient_share_logits"))
+    assert "ambient_share_logits" in (tmp_path / "config.json").read_text()
+    assert read_config(tmp_path / "config.json")[0] == config
+
+
+def test_methods_that_know_one_light_train_on_two(two_lights_data, tmp_path):
+    """They do not use the lit views; only a learned modulator that would is refused."""
+    scene = read_scene(two_lights_data)
+    for preset in ("paper", "baseline"):
+        trainer = train(scene, short(preset, iterations=4), tmp_path / preset)
+        assert trainer.method.lights == ("ambient",) and len(trainer.views) == 3
+    config = short("default")
+    learned = dataclasses.replace(config, method=dataclasses.replace(config.method, modulator="learned"))
+    with pytest.raises(BadValueError, match="knows one light, the data have ambient, pendant"):
+        Trainer(scene, learned)
 
 
 def test_exp1_keeps_one_exposure_for_each_view(tiny_data):
