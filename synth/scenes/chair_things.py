@@ -12,7 +12,7 @@ from mathutils import Matrix, Vector
 from . import materials as m
 from . import materials_fireside as hearth
 from .assembly import Assembly, array, disk, ring, tube
-from .greenery import arching, leaf_mesh
+from .greenery import arching, leaf_colour, leaf_mesh
 from .lighting import Lighting
 from .props import ball, box, lathe, rod, sheet
 
@@ -187,7 +187,7 @@ def plant(room: Collection, foot: Foot, dice: random.Random) -> None:
         (0.0, 0.27),
     ]
     lathe(room, "plant pot", foot, pot, glaze, 36)
-    green = m.leaf("fig leaf", (0.012, 0.05, 0.016), (0.07, 0.20, 0.045))
+    green = leaf_colour("fig leaf", (0.012, 0.05, 0.016), (0.07, 0.20, 0.045))
     stem = m.plain("fig stem", (0.10, 0.13, 0.04), 0.6)
     blade = leaf_mesh(room, "fig blade", green, 0.62, 0.5, 0.03)
     arching(room, "fig", (foot[0], foot[1], 0.27), blade, stem, dice, 34, 1.75, 0.36, 0.55)

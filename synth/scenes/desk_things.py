@@ -12,7 +12,7 @@ from mathutils import Vector
 from . import materials as m
 from . import materials_desk as md
 from .assembly import Assembly, array, disk, ring, tube
-from .greenery import arching, leaf_mesh, trailing
+from .greenery import arching, leaf_colour, leaf_mesh, trailing
 from .lighting import Lighting
 from .props import ball, box, lathe, rod, sheet
 
@@ -132,7 +132,7 @@ def lamp(room: Collection, lighting: Lighting, foot: Place) -> None:
     down = Vector((-0.25, -0.22, -0.94))
     rod(room, "lamp socket", head, head + down * 0.055, 0.024, brass, 0.020, 24)
     rod(room, "lamp neck", head + down * 0.055, head + down * 0.07, 0.018, black, 0.016, 20)
-    lighting.bulb("lamp", "lamp", head + down * 0.100, 0.034, BULB_RADIANCE, BULB_COLOUR)
+    lighting.bulb("lamp", "lamp", head + down * 0.096, 0.029, BULB_RADIANCE, BULB_COLOUR)
     slack = [
         (x + 0.08, y + 0.03, TOP + 0.004), (x + 0.18, y + 0.10, TOP + 0.004),
         (x + 0.22, y + 0.19, TOP + 0.004),
@@ -345,7 +345,7 @@ def plants(room: Collection, pot_foot: Place, dice: random.Random) -> None:
         m.fabric("soil", (0.02, 0.012, 0.008), (0.07, 0.045, 0.03), 60.0),
     )
     leaf, stem = (
-        m.leaf("lily leaf", (0.015, 0.07, 0.02), (0.09, 0.26, 0.06)),
+        leaf_colour("lily leaf", (0.015, 0.07, 0.02), (0.09, 0.26, 0.06)),
         m.plain("lily stem", (0.10, 0.20, 0.05), 0.6),
     )
     blade = leaf_mesh(room, "lily blade", leaf, 0.46, 0.55, 0.02)
@@ -363,7 +363,7 @@ def ivy(room: Collection, foot: Place, dice: random.Random) -> None:
         room, "ivy pot", foot, [(0.0, 0.0), (0.05, 0.0), (0.065, 0.09), (0.06, 0.09), (0.0, 0.08)], glaze, 32
     )
     leaf, stem = (
-        m.leaf("ivy leaf", (0.015, 0.06, 0.02), (0.10, 0.24, 0.07)),
+        leaf_colour("ivy leaf", (0.015, 0.06, 0.02), (0.10, 0.24, 0.07)),
         m.plain("ivy stem", (0.10, 0.12, 0.04), 0.7),
     )
     blade = leaf_mesh(room, "ivy blade", leaf, 0.8, 0.25)

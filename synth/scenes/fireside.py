@@ -159,15 +159,16 @@ def _mantelpiece(room: Collection, lighting: Lighting, middle: float, front: flo
         (0.0, 0.0), (0.05, 0.0), (0.046, 0.012), (0.014, 0.03), (0.018, 0.06), (0.011, 0.08), (0.013, 0.12),
         (0.026, 0.135), (0.017, 0.145), (0.0, 0.145),
     ]  # fmt: skip
-    for name, x, tall in (("first", middle - 0.50, 0.19), ("second", middle - 0.38, 0.12)):
+    # One burns, one is out: every further light takes samples from the others.
+    for x, tall, burns in ((middle - 0.50, 0.19, True), (middle - 0.38, 0.12, False)):
         lathe(room, "candlestick", (x, y, MANTEL), stick, brass, 24)
         foot = MANTEL + 0.14
         rod(room, "candle", (x, y, foot), (x, y, foot + tall), 0.013, wax, 0.012)
         rod(room, "wick", (x, y, foot + tall), (x, y, foot + tall + 0.014), 0.0016, wick, sides=5)
-        flame = lighting.bulb(
-            "fire", f"candle {name}", (x, y, foot + tall + 0.032), 0.012, CANDLE_RADIANCE, (1.0, 0.55, 0.2)
-        )
-        flame.scale = (0.75, 0.75, 2.0)
+        if burns:
+            tip = (x, y, foot + tall + 0.032)
+            flame = lighting.bulb("fire", "candle", tip, 0.013, CANDLE_RADIANCE, (1.0, 0.55, 0.2))
+            flame.scale = (0.75, 0.75, 2.0)
     _clock(room, (middle, y, MANTEL))
     vase = [
         (0.0, 0.0), (0.05, 0.0), (0.075, 0.05), (0.08, 0.11), (0.055, 0.18), (0.03, 0.22), (0.038, 0.25),

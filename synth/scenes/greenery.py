@@ -14,7 +14,7 @@ import numpy as np
 from mathutils import Euler, Vector
 
 from .assembly import tube
-from .materials import Graph
+from .materials import Colour, Graph
 from .props import finish
 
 Collection = bpy.types.Collection
@@ -50,6 +50,19 @@ def leaf_mesh(
     item = finish(room, name, mesh, material, smooth=True)
     item.hide_render = item.hide_viewport = True
     return item
+
+
+def leaf_colour(name: str, dark: Colour, light: Colour) -> bpy.types.Material:
+    """For ``leaf_mesh``: a pale rib, darker flanks, broad clouds. Finer veins would be below a pixel."""
+    material = bpy.data.materials.new(name)
+    graph = Graph(material.node_tree)
+    vector = graph.coordinates()
+    aside = graph.math("ABSOLUTE", graph.add("ShaderNodeSeparateXYZ", {"Vector": vector}).outputs["X"], 0.0)
+    tone = graph.math("ADD", graph.math("MULTIPLY", aside, 2.2), graph.noise(vector, 2.2, 1.0))
+    colour = graph.ramp(tone, [(0.42, light), (0.85, dark)])
+    inputs = {"Base Color": colour, "Roughness": 0.42, "Specular IOR Level": 0.35}
+    graph.finish(graph.add("ShaderNodeBsdfPrincipled", inputs).outputs["BSDF"])
+    return material
 
 
 def foliage(

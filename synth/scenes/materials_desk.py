@@ -102,7 +102,7 @@ def cork(name: str) -> bpy.types.Material:
     """Pressed cork: crumbs of three browns."""
     material, graph = begin(name)
     vector = graph.coordinates()
-    crumb = graph.add("ShaderNodeSeparateColor", {"Color": graph.voronoi(vector, 75.0, "Color")}).outputs[0]
+    crumb = graph.add("ShaderNodeSeparateColor", {"Color": graph.voronoi(vector, 48.0, "Color")}).outputs[0]
     tone = graph.ramp(
         crumb, [(0.0, (0.20, 0.10, 0.04)), (0.35, (0.40, 0.23, 0.10)), (0.8, (0.50, 0.31, 0.15))]
     )
@@ -145,13 +145,10 @@ def thin_glass(name: str, tint: Colour = (0.86, 0.93, 0.91)) -> bpy.types.Materi
 
 
 def leather(name: str, colour: Colour) -> bpy.types.Material:
-    """Grained hide, rubbed here and there."""
+    """Smooth hide, rubbed here and there."""
     material, graph = begin(name)
     vector = graph.coordinates()
     rubbed = graph.noise(vector, 9.0, 3.0, 0.5)
     worn = tuple(min(1.0, 1.7 * channel + 0.01) for channel in colour)
-    surface(
-        graph, graph.ramp(rubbed, [(0.35, colour), (0.75, worn)]), 0.42, specular=0.4,
-        height=graph.voronoi(vector, 160.0), depth=0.002,
-    )  # fmt: skip
+    surface(graph, graph.ramp(rubbed, [(0.35, colour), (0.75, worn)]), 0.42, specular=0.4)
     return material

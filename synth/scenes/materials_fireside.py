@@ -23,10 +23,8 @@ def surface(
     metallic: float = 0.0,
     specular: float = 0.3,
     sheen: float = 0.0,
-    height: Socket | None = None,
-    depth: float = 0.01,
 ) -> None:
-    """End ``graph`` in a principled surface. ``height``: a bump of ``depth`` metres where it is 1."""
+    """End ``graph`` in a principled surface."""
     inputs: dict[str, Socket] = {
         "Base Color": colour,
         "Roughness": roughness,
@@ -34,9 +32,6 @@ def surface(
         "Specular IOR Level": specular,
         "Sheen Weight": sheen,
     }
-    if height is not None:
-        bump = graph.add("ShaderNodeBump", {"Height": height, "Distance": depth, "Strength": 0.7})
-        inputs["Normal"] = bump.outputs["Normal"]
     graph.finish(graph.add("ShaderNodeBsdfPrincipled", inputs).outputs["BSDF"])
 
 
@@ -49,12 +44,12 @@ def velvet(name: str, dark: Colour, light: Colour) -> bpy.types.Material:
     return material
 
 
-def herringbone(name: str, dark: Colour, light: Colour, scale: float = 26.0) -> bpy.types.Material:
+def herringbone(name: str, dark: Colour, light: Colour, scale: float = 13.0) -> bpy.types.Material:
     """Twill in zigzag, ``scale`` bands a metre of object X by Y and Z."""
     material, graph = begin(name)
     axes = graph.add("ShaderNodeSeparateXYZ", {"Vector": graph.coordinates()})
     along = graph.math("ADD", axes.outputs["Y"], axes.outputs["Z"])
-    fold = graph.math("PINGPONG", axes.outputs["X"], 0.045)
+    fold = graph.math("PINGPONG", axes.outputs["X"], 0.07)
     band = graph.math("PINGPONG", graph.math("MULTIPLY", graph.math("ADD", along, fold), scale), 0.5)
     worn = graph.ramp(graph.noise(graph.coordinates(), 9.0, 3.0), [(0.3, (0.7,) * 3), (0.7, (1.1,) * 3)])
     twill = graph.ramp(band, [(0.18, dark), (0.32, light)])
@@ -62,31 +57,31 @@ def herringbone(name: str, dark: Colour, light: Colour, scale: float = 26.0) -> 
     return material
 
 
-def knit(name: str, dark: Colour, light: Colour, scale: float = 9.0) -> bpy.types.Material:
+def knit(name: str, dark: Colour, light: Colour, scale: float = 7.0) -> bpy.types.Material:
     """Thick yarn in ribs along object Z."""
     material, graph = begin(name)
     vector = graph.coordinates()
     rib = graph.wave(vector, scale, 1.5, "Z")
-    stitch = graph.voronoi(vector, 34.0)
-    height = graph.math("MULTIPLY", rib, graph.math("SUBTRACT", 1.0, stitch))
-    surface(graph, graph.ramp(height, [(0.1, dark), (0.7, light)]), 1.0, 0.0, 0.05, 0.2, rib, 0.02)
+    stitch = graph.noise(vector, 12.0, 2.0)
+    yarn = graph.math("MULTIPLY", rib, graph.math("ADD", 0.4, stitch))
+    surface(graph, graph.ramp(yarn, [(0.1, dark), (0.8, light)]), 1.0, specular=0.05, sheen=0.2)
     return material
 
 
 def damask(name: str, ground: Colour, line: Colour, motif: Colour) -> bpy.types.Material:
-    """Printed paper: an ogee lattice of 24 × 40 cm with a rosette in each field (object X, Z in metres)."""
+    """Printed paper: an ogee lattice of 32 × 52 cm with a rosette in each field (object X, Z in metres)."""
     material, graph = begin(name)
     axes = graph.add("ShaderNodeSeparateXYZ", {"Vector": graph.coordinates()})
     x, z = axes.outputs["X"], axes.outputs["Z"]
-    swing = graph.math("SINE", graph.math("MULTIPLY", z, 2.0 * math.pi / 0.40), 0.0)
-    swing = graph.math("MULTIPLY", swing, 0.055)
-    folds = [graph.math("PINGPONG", graph.math(sign, x, swing), 0.12) for sign in ("ADD", "SUBTRACT")]
-    lattice = graph.math("MINIMUM", folds[0], graph.math("SUBTRACT", 0.12, folds[1]))
-    base = graph.ramp(graph.math("MULTIPLY", lattice, 10.0), [(0.06, line), (0.14, ground)])
+    swing = graph.math("SINE", graph.math("MULTIPLY", z, 2.0 * math.pi / 0.52), 0.0)
+    swing = graph.math("MULTIPLY", swing, 0.075)
+    folds = [graph.math("PINGPONG", graph.math(sign, x, swing), 0.16) for sign in ("ADD", "SUBTRACT")]
+    lattice = graph.math("MINIMUM", folds[0], graph.math("SUBTRACT", 0.16, folds[1]))
+    base = graph.ramp(graph.math("MULTIPLY", lattice, 10.0), [(0.08, line), (0.22, ground)])
     petal = graph.math(
         "MULTIPLY",
-        graph.math("COSINE", graph.math("MULTIPLY", x, 2.0 * math.pi / 0.12), 0.0),
-        graph.math("COSINE", graph.math("MULTIPLY", z, 2.0 * math.pi / 0.20), 0.0),
+        graph.math("COSINE", graph.math("MULTIPLY", x, 2.0 * math.pi / 0.16), 0.0),
+        graph.math("COSINE", graph.math("MULTIPLY", z, 2.0 * math.pi / 0.26), 0.0),
     )
     printed = graph.mix(graph.ramp(petal, [(0.55, (0,) * 3), (0.68, (1,) * 3)]), base, motif)
     stains = graph.ramp(graph.noise(graph.coordinates(), 1.6, 4.0), [(0.3, (0.75,) * 3), (0.7, (1.05,) * 3)])
@@ -119,21 +114,14 @@ def soot_bricks(name: str) -> bpy.types.Material:
             "Color2": (0.15, 0.06, 0.04),
             "Mortar": (0.10, 0.08, 0.07),
             "Scale": 1.0,
-            "Mortar Size": 0.007,
+            "Mortar Size": 0.010,
             "Brick Width": 0.19,
             "Row Height": 0.075,
         },
     )
     height = graph.add("ShaderNodeSeparateXYZ", {"Vector": graph.coordinates(space="Generated")}).outputs["Z"]
     soot = graph.ramp(height, [(0.15, (0.9,) * 3), (0.95, (0.12,) * 3)])
-    surface(
-        graph,
-        graph.mix(1.0, brick.outputs["Color"], soot, "MULTIPLY"),
-        0.95,
-        specular=0.1,
-        height=brick.outputs["Factor"],
-        depth=-0.01,
-    )
+    surface(graph, graph.mix(1.0, brick.outputs["Color"], soot, "MULTIPLY"), 0.95, specular=0.1)
     return material
 
 
