@@ -24,14 +24,8 @@ from .props import ball, box, rod
 from .small_room import WALL, Room, casement, garden, morning, shell, side_casement
 from .stage import CameraHints, Stage
 
-ROOM = Room(
-    half=1.7,
-    back=1.3,
-    front=-2.3,
-    height=2.4,
-    window=(-1.15, -0.30, 0.98, 1.95),
-    west=(-0.62, 0.26, 0.95, 2.10),
-)
+WEST = (-0.62, 0.26, 0.95, 2.10)  # the window that the sun comes in by
+ROOM = Room(half=1.7, back=1.3, front=-2.3, height=2.4, window=(-1.15, -0.30, 0.98, 1.95), west=WEST)
 PANELS = 0.84  # height of the boards on the walls
 
 BULB_RADIANCE = 340.0
@@ -108,7 +102,7 @@ def _repeat(item: bpy.types.Object, count: int, step: tuple[float, float, float]
 def _light(room: bpy.types.Collection, lighting: Lighting) -> None:
     lighting.sky(morning, SKY_RADIANCE)
     lighting.portal(ROOM.window_middle, (0.0, -1.0, 0.0), ROOM.window_size)
-    y0, y1, z0, z1 = ROOM.west or (0.0,) * 4
+    y0, y1, z0, z1 = WEST
     at = (-ROOM.half - WALL - 0.005, (y0 + y1) / 2, (z0 + z1) / 2)
     lighting.portal(at, (1.0, 0.0, 0.0), (z1 - z0, y1 - y0))
     lighting.sun((0.80, 0.46, -0.40), SUN_IRRADIANCE, angle=1.0)  # on the bear, from the window at the left
