@@ -8,7 +8,7 @@ import random
 from collections.abc import Callable
 
 import bpy
-from mathutils import Vector
+from mathutils import Matrix, Vector
 
 from . import materials as m
 from . import materials_table as mt
@@ -346,6 +346,7 @@ def candles(
     brass = mt.metal("candlestick brass", (0.78, 0.54, 0.20), 0.2, 0.25)
     wax = m.plain("wax", (0.70, 0.64, 0.50), 0.45)
     wick = m.plain("wick", (0.02, 0.015, 0.01), 0.9)
+    flames = []
     for k, (x, y, height) in enumerate(CANDLES):
         foot = Vector((at[0] + x, at[1] + y, TOP + 0.005))
         stick = [
@@ -358,12 +359,17 @@ def candles(
         tip = foot + Vector((0.0, 0.0, height + burnt))
         rod(room, "candle", foot + Vector((0, 0, height - 0.02)), tip, 0.0125, wax, 0.0115, sides=16)
         rod(room, "wick", tip, tip + Vector((0.002, 0, 0.014)), 0.002, wick, sides=6)
-        flame = lighting.bulb("candles", f"candle {k}", tip + Vector((0, 0, 0.030)), FLAME, radiance, colour)
-        for vertex in flame.data.vertices:  # a drop: round below, drawn out above
-            rise = vertex.co.z / FLAME
-            vertex.co.x *= 0.78 - 0.3 * rise
-            vertex.co.y *= 0.78 - 0.3 * rise
-            vertex.co.z *= 2.4 if rise > 0 else 1.2
+        flames.append(tip + Vector((0.0, 0.0, 0.030)))
+    # One light for all three, at the middle of the row: fewer to sample, so less noise.
+    flame = lighting.bulb("candles", "candle", flames[1], FLAME * math.sqrt(3.0), radiance, colour)
+    for vertex in flame.data.vertices:  # a drop: round below, drawn out above
+        vertex.co /= math.sqrt(3.0)
+        rise = vertex.co.z / FLAME
+        vertex.co.x *= 0.78 - 0.3 * rise
+        vertex.co.y *= 0.78 - 0.3 * rise
+        vertex.co.z *= 2.4 if rise > 0 else 1.2
+    for place in (flames[0], flames[2]):
+        copies(room, [flame], Matrix.Translation(place - flames[1]))
 
 
 def branch(room: Collection, at: Place, dice: random.Random, height: float, name: str) -> None:

@@ -31,7 +31,7 @@ CHIMNEY = 0.62  # x of its middle
 BULB_RADIANCE = 400.0
 BULB_COLOUR = (1.0, 0.72, 0.42)
 SKY_RADIANCE = 22.0  # at the horizon; W / m² / sr, any unit does
-SUN_IRRADIANCE = 75.0
+SUN_IRRADIANCE = 64.0
 FILL_POWER = 70.0  # watts
 COAL_RADIANCE, FLAME_RADIANCE, FIRE_POWER = 90.0, 60.0, 450.0
 
@@ -143,15 +143,15 @@ def _window(room: bpy.types.Collection) -> None:
 
 def _outside(room: bpy.types.Collection, dice: random.Random) -> None:
     """What the window shows: a picket fence, a meadow, trees in autumn, a barn, hills."""
-    grass = m.fabric("meadow", (0.07, 0.08, 0.02), (0.22, 0.19, 0.06), 0.6)
+    grass = m.fabric("meadow", (0.07, 0.08, 0.02), (0.22, 0.19, 0.06), 0.3)
     sheet(room, "meadow", lambda u, v: (-30 + 60 * u, 2.2 + 60 * v, -0.5 - 0.6 * v), grass, steps=(8, 8))
     paint = m.plain("pickets", (0.55, 0.53, 0.47), 0.7)
-    for k in range(60):
-        box(room, "picket", (-8.2 + 0.16 * k, 7.0, 0.0), (0.09, 0.03, 1.0), paint)
+    for k in range(30):
+        box(room, "picket", (-8.2 + 0.32 * k, 7.0, 0.0), (0.18, 0.03, 1.0), paint)
     for z in (-0.1, 0.3):
         box(room, "picket rail", (-3.5, 7.05, z), (10.0, 0.04, 0.07), paint)
     leaves = [
-        m.fabric(f"autumn {k}", dark, light, 2.5)
+        m.fabric(f"autumn {k}", dark, light, 0.8)
         for k, (dark, light) in enumerate(
             (((0.16, 0.045, 0.01), (0.50, 0.20, 0.03)), ((0.05, 0.06, 0.015), (0.28, 0.22, 0.04)))
         )
@@ -196,7 +196,7 @@ def _daylight(lighting: Lighting) -> None:
     x0, x1, z0, z1 = WINDOW
     lighting.sky(_sky, SKY_RADIANCE)
     lighting.portal(((x0 + x1) / 2, BACK + 0.13, (z0 + z1) / 2), (0.0, -1.0, 0.0), (x1 - x0, z1 - z0))
-    lighting.sun((0.46, -0.70, -0.45), SUN_IRRADIANCE, (1.0, 0.80, 0.56))  # a patch on rug and dog
+    lighting.sun((0.38, -0.70, -0.45), SUN_IRRADIANCE, (1.0, 0.80, 0.56))  # a patch on rug and dog
     lighting.area(
         "fill", (-0.3, FRONT + 0.06, 1.8), (0.05, 1.0, -0.2), (2.6, 1.1), FILL_POWER, (0.80, 0.89, 1.0)
     )

@@ -92,10 +92,10 @@ def _basket(room: Collection, at: Place) -> None:
 
 def _bowls(room: Collection, dice: random.Random) -> None:
     """Two steel bowls on a mat, water in one, biscuits in the other."""
-    mat = m.cloth("mat", (0.10, 0.13, 0.15), (0.34, 0.33, 0.28), 7.0)
+    mat = m.cloth("mat", (0.10, 0.13, 0.15), (0.22, 0.22, 0.20), 3.5)
     x, y, turn = 0.66, -0.68, 0.55
     box(room, "mat", (x, y, 0.005), (0.62, 0.34, 0.008), mat, (0, 0, turn))
-    steel = mt.metal("bowl steel", (0.68, 0.67, 0.65), 0.15)
+    steel = mt.metal("bowl steel", (0.68, 0.67, 0.65), 0.24)
     bowl = [
         (0.115, 0.0),
         (0.118, 0.006),
