@@ -32,8 +32,8 @@ WALL = 0.14
 
 SKY_RADIANCE = 11.0
 SUN_IRRADIANCE = 44.0
-FILL_POWER = 20.0  # watts
-STRING_RADIANCE = 320.0
+FILL_POWER = 15.0  # watts
+STRING_RADIANCE = 400.0
 WARM = (1.0, 0.68, 0.36)
 
 
@@ -249,7 +249,7 @@ def _light(room: bpy.types.Collection, lighting: Lighting) -> None:
     for start, end in itertools.pairwise(hooks):
         cord = hanging(start, end, 0.20)
         tube(room, "string cord", cord, 0.006, black, 6)
-        for k in (2, 6, 10):
+        for k in (3, 9):
             lighting.bulb(
                 "string", f"string {bulbs}", cord[k] - Vector((0, 0, 0.065)), 0.021, STRING_RADIANCE, WARM
             )

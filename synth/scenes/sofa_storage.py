@@ -18,7 +18,7 @@ from .shapes import leaf, scatter, tube
 
 Collection = bpy.types.Collection
 
-BULB_RADIANCE = 260.0
+BULB_RADIANCE = 400.0
 SCREEN_RADIANCE = 5.0
 SCREEN_COLOUR = (0.30, 0.12, 0.07)
 """Mean of the television's picture, of ``SCREEN_RADIANCE``."""

@@ -20,8 +20,8 @@ from .assets import Assets
 from .lighting import Lighting
 from .stage import CameraHints, Stage
 
-SKY_RADIANCE = 6.0
-SUN_IRRADIANCE = 200.0
+SKY_RADIANCE = 7.5
+SUN_IRRADIANCE = 230.0
 
 
 def build(scene: bpy.types.Scene, assets: Assets) -> Stage:

@@ -129,7 +129,7 @@ def lanterns(room: Collection, lighting: Lighting) -> None:
         ((-aisle, 1.0), (aisle, 1.0), (-aisle, 5.0), (aisle, 5.0), (-1.0, 8.1), (1.0, 8.1))
     ):
         z = 2.35
-        lighting.bulb("lanterns", f"lantern {k}", (x, y, z), 0.045, LANTERN_RADIANCE, LAMP_COLOUR)
+        lighting.bulb("lanterns", f"lantern {k}", (x, y, z), 0.06, LANTERN_RADIANCE, LAMP_COLOUR)
         tube(room, "chain", [(x, y, STOREY), (x, y, z + 0.26)], 0.012, iron, 6)
         cap = [(0.0, 0.13), (0.02, 0.12), (0.05, 0.06), (0.14, 0.0), (0.13, -0.01), (0.0, 0.0)]
         lathe(room, "lantern cap", (x, y, z + 0.15), cap, iron, 6)
