@@ -14,12 +14,12 @@ from pathlib import Path
 import bpy
 
 from .scenes.stage import Stage
+from .settings import WORKING_SPACE
 
 RAW = "raw"
 """The layer of the whole picture before denoising: it tells the noise."""
 PLANES = {"depth": "Depth", "index": "Object Index", "samples": "Debug Sample Count"}
 NORMAL = "Normal"
-WORKING_SPACE = "Linear Rec.709"
 
 
 @contextmanager
@@ -62,7 +62,9 @@ class _Wiring:
         picture.media_type, picture.file_format = "MULTI_LAYER_IMAGE", "OPEN_EXR_MULTILAYER"
         picture.color_depth, picture.exr_codec = "32", "NONE"  # read once, and at once
         picture.use_exr_interleave = True  # one part
-        self.foreign_space = bpy.data.colorspace.working_space != WORKING_SPACE
+        # Colours are converted as they are written, from whatever working space a user's file has.
+        picture.color_management = "OVERRIDE"
+        picture.linear_colorspace_settings.name = WORKING_SPACE
 
     def connect(self, stage: Stage) -> bpy.types.CompositorNodeOutputFile:
         groups = {name: stage.groups.get(name, name) for name in stage.lights}
@@ -72,8 +74,8 @@ class _Wiring:
                 rest = self._subtracted(rest, self.render.outputs[f"Combined_{group}"])
         for k, group in enumerate(groups.values()):
             light = self.render.outputs[f"Combined_{group}"] if group else rest
-            self._save("RGBA", f"light_{k}", self._converted(self._denoised(light)))
-        self._save("RGBA", RAW, self._converted(self.render.outputs["Image"]))
+            self._save("RGBA", f"light_{k}", self._denoised(light))
+        self._save("RGBA", RAW, self.render.outputs["Image"])
         for name, output in PLANES.items():
             self._save("FLOAT", name, self.render.outputs[output])
         self._save("VECTOR", "normal", self.render.outputs[NORMAL])
@@ -107,16 +109,6 @@ class _Wiring:
         self.tree.links.new(whole, colours[0])
         self.tree.links.new(part, colours[1])
         return next(socket for socket in node.outputs if socket.type == "RGBA")
-
-    def _converted(self, light: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
-        """To Linear Rec.709 from the working space of a user's file."""
-        if not self.foreign_space:
-            return light
-        node = self.tree.nodes.new("CompositorNodeConvertColorSpace")
-        node.from_color_space = bpy.data.colorspace.working_space
-        node.to_color_space = WORKING_SPACE
-        self.tree.links.new(light, node.inputs["Image"])
-        return node.outputs[0]
 
 
 def aim(file: bpy.types.CompositorNodeOutputFile, path: Path) -> None:

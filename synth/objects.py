@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -33,13 +34,25 @@ def numbered(stage: Stage, report: Report) -> Iterator[dict[str, int]]:
                 report.warn(f"the object '{item.name_full}' cannot be numbered: it is 0 in the object mask")
                 continue
             undo.append((item, former))
-            numbers[item.name_full] = item.pass_index
+            numbers[_name(item, stage, numbers)] = item.pass_index
         if len(objects) > MOST:
             report.warn(f"only the first {MOST} of {len(objects)} objects are in the object mask")
         yield numbers
     finally:
         for item, former in undo:
             item.pass_index = former
+
+
+def _name(item: bpy.types.Object, stage: Stage, taken: dict[str, int]) -> str:
+    """A user's object's own name; of built ones as in an empty file, whatever else is open in this one."""
+    if stage.source:
+        return item.name_full
+    made = plain = re.sub(r"\.\d{3,}$", "", item.name)
+    count = 0
+    while made in taken:
+        count += 1
+        made = f"{plain}.{count:03d}"
+    return made
 
 
 def _objects(stage: Stage) -> list[bpy.types.Object]:

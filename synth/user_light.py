@@ -90,7 +90,7 @@ def _is_lamp(item: bpy.types.Object) -> bool:
 
 
 def _layer_name(name: str, taken: dict[str, str]) -> str:
-    """A name for layers of EXR files, folders and sliders: ``Key Light.001`` → ``key_light_001``."""
+    """A name for layers of EXR files, folders and sliders: ``Key Light`` → ``key_light``."""
     plain = re.sub(r"\W+", "_", name.lower()).strip("_") or "light"
     made, count = plain, 2
     while made in taken or made in RESERVED:

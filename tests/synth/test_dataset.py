@@ -6,6 +6,7 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import json
+import pickle
 import shutil
 import subprocess
 import sys
@@ -80,7 +81,7 @@ def test_pictures_are_the_passes_under_their_levels(room):
     assert told["lights"] == ["ambient", "pendant", "standing"] and told["lit_lights"] == ["ambient"]
     assert told["relit"] == [{"folder": "relit/level_0.5", "levels": {"ambient": 0.5}}]
     levels = {"train": [1.0] * 3, "test": [1.0] * 2, "lit": [f["lighting_level"] for f in frames]}
-    given = [(f"{s}_{i:03d}", f"{s}_hdr/hdr_{i:03d}", l) for s in levels for i, l in enumerate(levels[s])]
+    given = [(f"{s}_{i:03d}", f"{s}_hdr/hdr_{i:03d}", v) for s in levels for i, v in enumerate(levels[s])]
     for name, picture, level in [*given, ("test_001", "relit/level_0.5/hdr_001", 0.5)]:
         rendered = passes.read(out / f"passes/{name}.exr", told["lights"], (32, 24))
         light = {key: value.astype(np.float64) for key, value in rendered.lights.items()}
@@ -163,7 +164,7 @@ def test_points_lie_on_the_surfaces(tmp_path, small):
     assert (np.einsum("ij,ij->i", normal[on_ball], place[on_ball]) > 0.99).all()
     assert (normal[on_floor & ~on_ball & ~on_rim, 2] > 0.99).all()
     colour = np.stack([points[k] for k in ("red", "green", "blue")], -1)
-    assert colour[on_bulb].min() == pytest.approx(255, abs=8)  # radiance 50 at t = 2 is white
+    assert np.median(colour[on_bulb]) == pytest.approx(255, abs=3)  # radiance 50 at t = 2 is white
     # t=2, grey (0.5, 0.4, 0.3): red is the brightest wherever there is light
     assert (colour[on_ball, 0] >= colour[on_ball, 2]).all()
 
@@ -214,7 +215,8 @@ def test_the_same_seed_gives_the_same_bytes(tmp_path, small):
     for name in names:
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes(), name
     dataset.make(tmp_path / "c", replace(noisy, seed=1))
-    assert (tmp_path / "a" / names[-1]).read_bytes() != (tmp_path / "c" / names[-1]).read_bytes()
+    other = "passes/train_000.exr"
+    assert (tmp_path / "a" / other).read_bytes() != (tmp_path / "c" / other).read_bytes()
     told = readers.read_json(tmp_path / "a/dataset.json")
     assert told["camera_model"]["iso"] == 3200
 
@@ -280,24 +282,43 @@ def test_several_scenes_by_one_command(tmp_path, capsys, monkeypatch, small):
         assert (told["scene"], told["evs"]) == (name, evs) and told["exposures"] == [2.0**ev for ev in evs]
 
 
-def test_two_processes_share_a_folder(tmp_path):
-    """Both end well; each pose is rendered once; what comes out is what one alone makes."""
-    options = "--resolution 48 --samples 16 --views 8 --lit-views 2 --relit-views 1 --no-denoise"
-    command = [sys.executable, str(ROOT / "synth/make_scene.py"), "--", *options.split(), "--out"]
-    running = [
-        subprocess.Popen([*command, str(tmp_path / "two")], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-        for _ in range(2)
-    ]
+def test_two_processes_share_a_folder(tmp_path, small):
+    """Both end well, and what comes out is what one alone makes; nothing is left behind."""
+    script = tmp_path / "make.py"
+    script.write_text(PROCESS.format(tests=Path(__file__).parent, root=ROOT.parent))
+    options = replace(small, views=12, samples=64, resolution=(64, 48))
+    (tmp_path / "options.pickle").write_bytes(pickle.dumps(options))
+    command = [sys.executable, str(script), str(tmp_path / "options.pickle"), str(tmp_path / "two")]
+    running = [subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) for _ in range(2)]
     told = [process.communicate(timeout=300) for process in running]
     assert [process.returncode for process in running] == [0, 0], told
-    assert subprocess.run([*command, str(tmp_path / "one")], capture_output=True).returncode == 0
-    for path in (tmp_path / "one").rglob("*"):
-        if path.is_file():
-            assert (
-                path.read_bytes() == (tmp_path / "two" / path.relative_to(tmp_path / "one")).read_bytes()
-            ), path
-    left = [path for path in (tmp_path / "two").rglob(".*")]
-    assert not left
+    dataset.make(tmp_path / "one", options)
+    names = {str(p.relative_to(tmp_path / "one")) for p in (tmp_path / "one").rglob("*") if p.is_file()}
+    made = {str(p.relative_to(tmp_path / "two")) for p in (tmp_path / "two").rglob("*") if p.is_file()}
+    assert made == names
+    for name in names:
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes(), name
+    counts = [out.decode().count("rendered here") for out, _ in told]
+    assert min(counts) > 0 and sum(counts) == 12 + 2 + 1, counts  # and the noise floor
+
+
+PROCESS = """
+import importlib.util, pickle, sys
+from pathlib import Path
+sys.path.insert(0, "{root}")
+from physhdr.synth import dataset, renderer
+from physhdr.synth.scenes import SCENES, Entry
+spec = importlib.util.spec_from_file_location("conftest", "{tests}/conftest.py")
+conftest = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(conftest)
+SCENES["ball"] = Entry(conftest.build_ball)
+real = renderer.Renderer.render
+def render(self, *arguments):
+    print("rendered here")
+    return real(self, *arguments)
+renderer.Renderer.render = render
+dataset.make(Path(sys.argv[2]), pickle.loads(Path(sys.argv[1]).read_bytes()))
+"""
 
 
 def test_a_complete_data_set_is_left_as_it_is(tmp_path, small, capsys):

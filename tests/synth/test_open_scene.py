@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from mathutils import Matrix
 
-from physhdr.synth import dataset, open_scene, rig, user_camera
+from physhdr.synth import dataset, open_scene, passes, renderer, rig, user_camera
 from physhdr.synth.errors import ConflictError, OptionError, RenderError, SceneError
 from physhdr.synth.make_scene import main
 from physhdr.synth.options import CURRENT, FOLLOW, Options
@@ -388,8 +388,8 @@ def test_a_level_scales_the_world_and_the_suns_alone(scene, tmp_path, prepare):
     assert abs(np.mean(relit - lamps - 4.0 * ambient)) < 0.01 * np.mean(relit)
 
 
-def test_an_animated_sun_in_a_collection_instance_follows_too(scene, tmp_path):
-    """The sun is nobody's in the scene itself: only an instance brings it."""
+def test_an_animated_sun_in_a_collection_instance_is_ambient_too(scene, tmp_path):
+    """The sun is nobody's in the scene itself: only an instance brings it, and its energy is keyframed."""
     sun = bpy.data.objects["sun"]
     sun.data.keyframe_insert("energy", frame=1)
     hidden = bpy.data.collections.new("sky things")
@@ -398,18 +398,61 @@ def test_an_animated_sun_in_a_collection_instance_follows_too(scene, tmp_path):
     holder = add("instance", None)
     holder.instance_type, holder.instance_collection = "COLLECTION", hidden
     scene.world = None
-    with open_scene.opened(SMALL, Report()) as (stage, _):
-        (knob,) = stage.lights["ambient"]
-        stage.set_levels({"ambient": 3.0})
-        stage.view_layer.update()
-        shining = [
-            instance.object.data.energy
-            for instance in stage.view_layer.depsgraph.object_instances
-            if instance.object.type == "LIGHT" and instance.object.data.type == "SUN"
-        ]
-        assert shining == [pytest.approx(6.0)] and knob.base == pytest.approx(2.0)
-    assert sun.data.energy == pytest.approx(2.0) and sun.data.name == "sun"
-    assert sun.data.animation_data.action and len(bpy.data.lights) == 2
+    ambient, lamps = lights_of(tmp_path / "d", replace(SMALL, samples=16))
+    bpy.data.objects["lamp"].hide_render = True
+    (alone, dark) = lights_of(tmp_path / "alone", replace(SMALL, samples=16))
+    assert ambient.mean() > 0.05 and lamps.mean() > 0.05
+    assert alone.mean() == pytest.approx(ambient.mean(), rel=0.02) and dark.max() < 1e-4
+    assert sun.lightgroup == "" and sun.data.animation_data.action and len(bpy.data.lights) == 2
+
+
+def state_of_light(scene):
+    layer = scene.view_layers[0]
+    groups = [group.name for group in layer.lightgroups], layer.active_lightgroup_index
+    of_objects = {item.name: item.lightgroup for item in scene.objects}
+    return groups, of_objects, scene.world.name, scene.world.lightgroup, len(bpy.data.worlds)
+
+
+def lights_of(out, options, name="test_001", lights=("ambient", "lamps")):
+    """Radiance of each light alone in one pose."""
+    dataset.make(out, options)
+    size = tuple(readers.read_json(out / "dataset.json")["resolution"])
+    return list(passes.read(out / f"passes/{name}.exr", lights, size).lights.values())
+
+
+def test_the_users_light_groups_are_further_lights(scene, tmp_path):
+    """A group with a lamp and one with a glowing cube; empty ones, and suns in one, are none."""
+    layer = scene.view_layers[0]
+    groups = [
+        layer.lightgroups.add(name=name).name for name in ("Key Light 001", "nothing", "glow", "theirs")
+    ]
+    layer.active_lightgroup_index = 1
+    key = light("key", "POINT", 40.0, (-2, -2, 2))
+    key.lightgroup = groups[0]
+    glow = bpy.data.materials.new("glow")
+    glow.node_tree.nodes["Principled BSDF"].inputs["Emission Strength"].default_value = 2.0
+    cube = bpy.data.objects["cube"]
+    cube.data.materials[0] = glow
+    cube.lightgroup = "glow"
+    bpy.data.objects["sun"].lightgroup = "theirs"
+    scene.world.lightgroup = "theirs"
+    before = state_of_light(scene)
+    options = replace(SMALL, samples=64, lit_views=4, lit_lights=("key_light_001", "ambient"), views=4)
+    names = ["ambient", "key_light_001", "glow", "lamps"]
+    parts = dict(zip(names, lights_of(tmp_path / "d", options, lights=names), strict=True))
+    told = readers.read_json(tmp_path / "d/dataset.json")
+    assert told["lights"] == names and told["lit_lights"] == names[:2]
+    assert {"folder": "relit/key_light_001_4", "levels": {"key_light_001": 4.0}} in told["relit"]
+    assert state_of_light(scene) == before
+    for light_name, items in (("key_light_001", ["key"]), ("glow", ["cube"]), ("lamps", ["lamp"])):
+        assert parts[light_name].mean() > 0.01, items
+    key.hide_render = True
+    without = lights_of(
+        tmp_path / "without", replace(options, lit_lights=("ambient",)), lights=[names[0], *names[2:]]
+    )
+    whole = sum(light.astype(np.float64) for light in parts.values())
+    rest = sum(light.astype(np.float64) for light in without)
+    assert np.mean(np.abs(whole - rest - parts["key_light_001"])) < 0.05 * whole.mean()
 
 
 def complicated(scene):
@@ -426,6 +469,15 @@ def complicated(scene):
     scene.render.use_border = scene.render.use_motion_blur = True
     scene.cycles.use_camera_cull = scene.cycles.use_fast_gi = True
     scene.view_layers[0].samples = 7
+    theirs = bpy.data.node_groups.new("their compositor", "CompositorNodeTree")
+    theirs.nodes.new("CompositorNodeRLayers")
+    scene.compositing_node_group = theirs
+    scene.render.compositor_precision = "AUTO"
+    scene.view_layers[0].use_pass_normal = True
+    scene.view_layers[0].lightgroups.add(name="warm")
+    bpy.data.objects["lamp"].lightgroup = "warm"
+    bpy.data.objects["sun"].lightgroup = "warm"
+    bpy.data.objects["cube"].pass_index = 12
     scene.frame_set(6)
 
 
@@ -439,16 +491,15 @@ def test_nothing_of_the_users_is_changed(scene, tmp_path, monkeypatch, name, end
     scene.frame_set(6)
     before, file = state_of_everything(), bpy.data.filepath
     raised = {"well": None, "error": RenderError("no"), "interrupt": KeyboardInterrupt()}[ends]
-    real, calls = dataset.Renderer.render, []
+    real, calls = renderer.Renderer.render, []
 
     def render(self, *arguments):
         calls.append(arguments)
-        if raised is not None and len(calls) == 8:  # the relit one: the levels stand otherwise
-            self.stage.set_levels({"ambient": 4.0})
+        if raised is not None and len(calls) == 8:
             raise raised
         return real(self, *arguments)
 
-    monkeypatch.setattr(dataset.Renderer, "render", render)
+    monkeypatch.setattr(renderer.Renderer, "render", render)
     if raised is None:
         dataset.make(tmp_path, replace(SMALL, camera_rig=name))
     else:
@@ -504,7 +555,7 @@ def test_only_what_is_rendered_is_the_same_again(scene, tmp_path):
         for p in (tmp_path / "a").rglob("*")
         if p.suffix in {".exr", ".png", ".ply"}
     )
-    assert len(names) == 6 + 2 + 1 + 5 * 8 + 1
+    assert len(names) == 8 + 8 + 1 + 5 * 8 + 1
     for name in names:
         first = (tmp_path / "a" / name).read_bytes()
         assert (tmp_path / "b" / name).read_bytes() == first, name
@@ -542,7 +593,7 @@ def test_the_users_light_paths_are_kept_and_told(scene, tmp_path):
 
 def test_resume_renders_what_is_missing_and_refuses_a_changed_scene(scene, tmp_path):
     dataset.make(tmp_path, SMALL)
-    lost = tmp_path / "test_hdr/hdr_001.exr"
+    lost = tmp_path / "passes/test_001.exr"
     radiance = lost.read_bytes()
     lost.unlink()
     dataset.make(tmp_path, SMALL)
@@ -692,7 +743,7 @@ class TestCommandLine:
         lines = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
         fractions = [line["progress"] for line in lines if "progress" in line]
         assert fractions[0] == 0.0 and fractions[-1] == 1.0 and fractions == sorted(fractions)
-        assert lines[0]["message"] == "rendering train_hdr/hdr_000.exr" and lines[1]["seconds_left"] >= 0.0
+        assert lines[0]["message"] == "rendering train_000" and lines[1]["seconds_left"] >= 0.0
         result = lines[-1]["result"]
         assert result["folder"] == str(tmp_path / "d") and result["splits"] == {
             "train": 3,
@@ -727,17 +778,17 @@ class TestCommandLine:
             list(map(str, command)), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
         for line in running.stdout:
-            if "train_hdr/hdr_001" in line:
+            if "train_001" in line:
                 break
         time.sleep(0.05)
         running.send_signal(signal.SIGINT)
         told = running.communicate(timeout=120)
         assert running.returncode == 130 and "Traceback" not in told[1], told
-        kept = {path.name: path.read_bytes() for path in (tmp_path / "d/train_hdr").glob("hdr_*.exr")}
-        assert kept and len(kept) < 3 and not (tmp_path / "d/dataset.json").exists()
+        kept = {path.name: path.read_bytes() for path in (tmp_path / "d/passes").glob("*.exr")}
+        assert kept and len(kept) < 4 and not (tmp_path / "d/dataset.json").exists()
         done = subprocess.run(list(map(str, command)), capture_output=True, text=True)
         assert done.returncode == 0, done.stderr
-        assert all((tmp_path / "d/train_hdr" / name).read_bytes() == data for name, data in kept.items())
+        assert all((tmp_path / "d/passes" / name).read_bytes() == data for name, data in kept.items())
         assert (tmp_path / "d/dataset.json").exists()
 
 

@@ -74,7 +74,7 @@ def test_denoised_lights_add_up_within_the_noise(tmp_path):
         with renderer(stage, denoise=False) as camera:
             raw = camera.render(pose_of(stage), 5, tmp_path / "a.exr")
     assert difference(first, again) > difference(raw.radiance({}), again) + 3.0  # it denoises
-    assert first.mean() == pytest.approx(raw.radiance({}).mean(), rel=0.01)  # and keeps the light
+    assert first.mean() == pytest.approx(raw.radiance({}).mean(), rel=0.03)  # and keeps the light
     assert raw.facts["samples"] == 32.0 and (raw.samples == 32.0).all()
 
 
@@ -95,7 +95,7 @@ def test_derived_light_is_that_of_a_relit_render(tmp_path, levels):
     floor = difference(derived, other)  # two renders of one thing
     assert difference(derived, direct) > floor - 1.0
     assert derived.mean() == pytest.approx(direct.mean(), rel=0.03)
-    assert difference(passes.radiance({}), direct) < floor - 6.0  # the levels matter
+    assert difference(passes.radiance({}), direct) < floor - 4.0  # the levels matter
 
 
 def test_brackets_are_what_blender_saves_at_that_exposure(tmp_path, readers):
@@ -178,7 +178,9 @@ def test_geometry_is_where_the_ball_is(tmp_path):
     normal = (origin + ball[..., None] * ray)[on_ball]
     assert (np.sum(passes.normal[on_ball] * normal, -1) > 0.99).all()
     upward = passes.normal[same & (index == 2)][:, 2]
-    assert np.median(upward) == pytest.approx(1.0, abs=1e-5) and upward.min() > 0.9  # at its rim others mix in
+    assert (
+        np.median(upward) == pytest.approx(1.0, abs=1e-5) and upward.min() > 0.9
+    )  # at its rim others mix in
 
 
 def test_object_numbers_are_put_back():
