@@ -215,7 +215,7 @@ def _daylight(lighting: Lighting) -> None:
     y0, y1, z0, z1 = WINDOW
     lighting.sky(_sky, SKY_RADIANCE)
     lighting.portal((WEST - 0.13, (y0 + y1) / 2, (z0 + z1) / 2), (1.0, 0.0, 0.0), (y1 - y0, z1 - z0))
-    lighting.sun((0.86, -0.30, -0.41), SUN_IRRADIANCE, (1.0, 0.70, 0.42))
+    lighting.sun((0.86, -0.30, -0.41), SUN_IRRADIANCE, (1.0, 0.70, 0.42), angle=0.6)
     lighting.area(
         "fill", (0.6, FRONT + 0.06, 1.9), (-0.2, 1.0, -0.2), (2.6, 1.2), FILL_POWER, (0.78, 0.88, 1.0)
     )

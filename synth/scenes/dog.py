@@ -33,7 +33,7 @@ BULB_COLOUR = (1.0, 0.72, 0.42)
 SKY_RADIANCE = 22.0  # at the horizon; W / m² / sr, any unit does
 SUN_IRRADIANCE = 64.0
 FILL_POWER = 70.0  # watts
-COAL_RADIANCE, FLAME_RADIANCE, FIRE_POWER = 90.0, 60.0, 450.0
+COAL_RADIANCE, FLAME_RADIANCE, FIRE_POWER = 120.0, 110.0, 450.0
 
 
 def build(scene: bpy.types.Scene, assets: Assets) -> Stage:
@@ -51,14 +51,14 @@ def build(scene: bpy.types.Scene, assets: Assets) -> Stage:
         "dog", room, lies.translation, (0.5, 1.2, 0.62), math.radians(-48.0), lambda: dog(room, lies)
     )
     things.furnish(room, assets, dice)
-    things.lamp(room, lighting, (1.62, 0.98, 0.0), BULB_RADIANCE, BULB_COLOUR)
+    things.lamp(room, lighting, (1.42, 0.98, 0.0), BULB_RADIANCE, BULB_COLOUR)
     hints = CameraHints(
         centre=(-0.40, -2.25, 1.12),
         target=(0.08, 0.36, 0.54),
         extent=(1.5, 0.8),
-        angle_x=math.radians(53.0),
+        angle_x=math.radians(55.0),
         orbit_radius=2.55,
-        orbit_arc=math.radians(48.0),
+        orbit_arc=math.radians(42.0),
         elevation=(math.radians(3.0), math.radians(26.0)),
     )
     return Stage(scene=scene, cameras=hints, lights=lighting.groups)
@@ -196,7 +196,7 @@ def _daylight(lighting: Lighting) -> None:
     x0, x1, z0, z1 = WINDOW
     lighting.sky(_sky, SKY_RADIANCE)
     lighting.portal(((x0 + x1) / 2, BACK + 0.13, (z0 + z1) / 2), (0.0, -1.0, 0.0), (x1 - x0, z1 - z0))
-    lighting.sun((0.38, -0.70, -0.45), SUN_IRRADIANCE, (1.0, 0.80, 0.56))  # a patch on rug and dog
+    lighting.sun((0.38, -0.70, -0.45), SUN_IRRADIANCE, (1.0, 0.80, 0.56), angle=0.6)  # a patch on rug and dog
     lighting.area(
         "fill", (-0.3, FRONT + 0.06, 1.8), (0.05, 1.0, -0.2), (2.6, 1.1), FILL_POWER, (0.80, 0.89, 1.0)
     )
