@@ -15,7 +15,7 @@ from mathutils import Matrix, Vector
 
 from . import materials as m
 from . import materials_stone as stone
-from .props import box, finish, lathe, rod
+from .props import box, doubled, finish, lathe, rod
 from .shapes import copy, turned
 
 Collection = bpy.types.Collection
@@ -145,8 +145,7 @@ def _arch(width: float, spring: float, radius: float, top: float, thick: float) 
     below = [mesh.verts.new((x, -thick / 2, z)) for x, z in low]
     above = [mesh.verts.new((x, -thick / 2, top)) for x, _ in low]
     faces = [mesh.faces.new((below[k], below[k + 1], above[k + 1], above[k])) for k in range(len(low) - 1)]
-    made = bmesh.ops.extrude_face_region(mesh, geom=faces, use_keep_orig=True)["geom"]
-    bmesh.ops.translate(mesh, vec=(0, thick, 0), verts=[v for v in made if isinstance(v, bmesh.types.BMVert)])
+    bmesh.ops.translate(mesh, vec=(0, thick, 0), verts=doubled(mesh, faces))
     return mesh
 
 
