@@ -21,7 +21,7 @@ from .results import NOVEL_EXPOSURES, OBSERVED_EXPOSURES, Evaluation, Metrics, R
 NONE = "–"
 
 METRIC_COLUMNS = ("PSNR dB", "SSIM", "LPIPS", "LPIPS 01")
-RELIT_COLUMNS = ("ours dB", "level × truth dB", "best × truth dB", "level × ours dB", "gain dB")
+RELIT_COLUMNS = ("ours", "level × truth", "best × truth", "level × ours", "gain")
 
 
 def to_dict(evaluation: Evaluation) -> dict[str, Any]:
@@ -115,7 +115,7 @@ def to_markdown(evaluation: Evaluation) -> str:
     """The tables as Markdown, with the conditions under them."""
     parts = [_markdown_table(("", *METRIC_COLUMNS), _metric_cells(evaluation))]
     if evaluation.relit:
-        parts.append(_markdown_table(("relit", *RELIT_COLUMNS), _relit_cells(evaluation)))
+        parts.append(_markdown_table(("relit, dB", *RELIT_COLUMNS), _relit_cells(evaluation)))
     parts.append("\n".join(f"- {line}" for line in [*conditions(evaluation), *evaluation.messages]))
     return "\n\n".join(parts) + "\n"
 
@@ -126,7 +126,7 @@ def to_terminal(evaluation: Evaluation) -> Group:
         _rich_table(f"{evaluation.scene}, test views", ("", *METRIC_COLUMNS), _metric_cells(evaluation))
     ]
     if evaluation.relit:
-        title = "relit: μ-law PSNR against the relit truth"
+        title = "relit: μ-law PSNR in dB against the relit truth"
         parts.append(_rich_table(title, ("light", *RELIT_COLUMNS), _relit_cells(evaluation)))
     parts += [Text(line, style="dim") for line in conditions(evaluation)]
     parts += [Text(line, style="yellow") for line in evaluation.messages]
@@ -229,7 +229,8 @@ def _markdown_table(columns: tuple[str, ...], rows: list[tuple[str, ...]]) -> st
 def _rich_table(title: str, columns: tuple[str, ...], rows: list[tuple[str, ...]]) -> Table:
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
     for i, column in enumerate(columns):
-        table.add_column(column, justify="left" if i == 0 else "right", no_wrap=True)
+        # Names may be as long as 'ambient 4 + pendant 0.25': on a narrow terminal they take two lines.
+        table.add_column(column, justify="left" if i == 0 else "right", no_wrap=i > 0)
     for row in rows:
         table.add_row(*row)
     return table

@@ -166,7 +166,9 @@ def test_several_lights_from_training_to_files(two_lights_data, tmp_path, capsys
 
     capsys.readouterr()
     assert main(["evaluate", str(run)]) == 0
-    assert "ambient 0.5 + pendant 2" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "ambient 0.5" in printed and "ambient 0…" not in printed  # on 80 columns, a name is not cut off
+    assert "| ambient 0.5 + pendant 2 |" in (run / "evaluation.md").read_text()
     rows = json.loads((run / "evaluation.json").read_text())["relit"]
     assert [row["levels"] for row in rows][2] == {"ambient": 8.0, "pendant": 0.0}
 
