@@ -8,6 +8,7 @@ done already. The result is runs/demo/result.png.
 
 import argparse
 import json
+import os
 import subprocess
 import sys
 import time
@@ -28,8 +29,8 @@ from physhdr.bridge.errors import PhysHDRError
 ROOT = Path(__file__).resolve().parent.parent
 BLENDER = ROOT / ".venvs" / "run-blender"
 PHYSHDR = ROOT / ".venvs" / "backend" / "bin" / "physhdr"
-#: Lighting levels of the Cycles renders.
-LEVELS = (0.25, 1.0, 4.0)
+#: Lighting levels of the Cycles renders: as captured, and beyond those that the data have for training.
+LEVELS = (0.125, 1.0, 8.0)
 
 
 def main() -> int:
@@ -41,7 +42,11 @@ def main() -> int:
     relit = out / "blender"
     begun = time.perf_counter()
 
-    step("1/6 render the data set with Cycles", [BLENDER, "synth/make_scene.py", "--", "--out", data])
+    workers = min(8, os.cpu_count() or 1)  # pictures as small as these keep one core busy each
+    step(
+        "1/6 render the data set with Cycles",
+        [BLENDER, "synth/make_scene.py", "--", "--out", data, "--workers", workers],
+    )
     iteration = trained_iterations(out)
     if iteration == PRESETS["default"].iterations:
         say("2/6 train: done already")
@@ -52,7 +57,8 @@ def main() -> int:
     step("3/6 evaluate", [PHYSHDR, "evaluate", out])
     step("4/6 export", [PHYSHDR, "export", out])
     run = open_run(out)
-    pose = relit_truth(data)[0].index
+    poses = sorted({item.index for item in relit_truth(data)})
+    pose = poses[len(poses) // 2]
     camera = f"{data / 'transforms_test.json'}:{list_position(data, pose)}"
     step(
         "5/6 the Gaussians back in Blender, rendered with Cycles at three lighting levels",

@@ -147,11 +147,11 @@ def quality(method: PhysHDR, scene: Scene, exposures: tuple[int, ...]) -> dict[s
     has_truth = truth.has_hdr_truth(scene.root, "test")
     for view in scene.test:
         for k in exposures:
-            picture = quantise(method.ldr(view.camera, view.exposures[k], view.lighting_level).cpu())
+            picture = quantise(method.ldr(view.camera, view.exposures[k], view.lighting_levels).cpu())
             reference = torch.from_numpy(view.image(k).copy()).permute(2, 0, 1).double() / 255.0
             found[k].append(psnr(picture, reference))
         if has_truth:
-            radiance = method.hdr(view.camera, view.lighting_level).cpu()
+            radiance = method.hdr(view.camera, view.lighting_levels).cpu()
             pair = hdr_pair(radiance, truth.hdr_truth(scene.root, "test", view.index))
             hdr.append(psnr(pair.prediction, pair.truth))
     means = {"LDR-OE": float(np.mean([np.mean(values) for values in found.values()]))}
