@@ -247,7 +247,6 @@ def _basin(room: Collection, enamel: Material) -> None:
     profile += [(0.88, 0.09), (0.70, 0.045), (0.4, 0.025), (0.0, 0.02)]
     bowl = lathe(room, "basin", (WASHSTAND[0], WASHSTAND[1] - 0.03, TOP), profile, enamel, 48)
     bowl.scale = (0.25, 0.185, 1.0)
-    bowl.modifiers.new("round", "SUBSURF").render_levels = 1
 
 
 def _basin_tap(room: Collection, brass: Material) -> None:

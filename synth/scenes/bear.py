@@ -34,8 +34,9 @@ PENDANT = (0.42, 0.12, 1.72)  # above the rug, in the mirror and in the highest 
 MOON_RADIANCE = 4.5
 MOON_COLOUR = (1.0, 0.86, 0.62)
 SKY_RADIANCE = 4.0
-SUN_IRRADIANCE = 22.0
-FILL_POWER = 5.5  # watts
+SUN_IRRADIANCE = 19.0
+SUNS = 4  # in one place: Cycles picks each light as often, and here the sun is most of the noise
+FILL_POWER = 5.0  # watts
 
 
 def build(scene: bpy.types.Scene, assets: Assets) -> Stage:
@@ -105,7 +106,8 @@ def _light(room: bpy.types.Collection, lighting: Lighting) -> None:
     y0, y1, z0, z1 = WEST
     at = (-ROOM.half - WALL - 0.005, (y0 + y1) / 2, (z0 + z1) / 2)
     lighting.portal(at, (1.0, 0.0, 0.0), (z1 - z0, y1 - y0))
-    lighting.sun((0.80, 0.46, -0.40), SUN_IRRADIANCE, angle=1.0)  # on the bear, from the window at the left
+    for _ in range(SUNS):  # on the bear, from the window at the left
+        lighting.sun((0.80, 0.46, -0.40), SUN_IRRADIANCE / SUNS, angle=1.0)
     lighting.area(
         "fill", (-0.2, ROOM.front + 0.05, 1.7), (0.0, 1.0, -0.2), (2.0, 1.0), FILL_POWER, (0.82, 0.91, 1.0)
     )
@@ -116,4 +118,8 @@ def _light(room: bpy.types.Collection, lighting: Lighting) -> None:
     rod(room, "pendant socket", (x, y, z + 0.035), (x, y, z + 0.11), 0.022, metal)
     rod(room, "pendant cord", (x, y, z + 0.1), (x, y, ROOM.height), 0.006, metal, sides=8)
     glow, strength = mn.moon("moon", MOON_COLOUR, MOON_RADIANCE)
-    lighting.glow("moon", ball(room, "moon", toys.MOON, toys.MOON_RADIUS, glow, 4), strength)
+    globe = ball(room, "moon", toys.MOON, toys.MOON_RADIUS, glow, 4)
+    for ray in ("diffuse", "glossy", "transmission", "shadow"):  # there the light within is seen
+        setattr(globe, f"visible_{ray}", False)
+    lighting.glow("moon", globe, strength)
+    lighting.bulb("moon", "in the moon", toys.MOON, 0.97 * toys.MOON_RADIUS, MOON_RADIANCE, MOON_COLOUR)

@@ -247,7 +247,7 @@ def _rug(room: Collection) -> None:
         (0.68, (0.50, 0.30, 0.05)),
     ]
     rug = rod(room, "rug", (0.02, 0.02, 0.0), (0.02, 0.02, 0.02), 0.78, mn.ringed("rug", rings), sides=64)
-    plush.tufted(rug, 0.02, 0.011, 11000.0, 0.4, 0.0, 3)
+    plush.tufted(rug, 0.018, 0.017, 6500.0, 0.35, 0.0, 3)
 
 
 def _curtains(room: Collection, at: Room) -> None:

@@ -65,8 +65,8 @@ def _teddy(room: Collection) -> None:
         ]
     honey = plush.pelt("teddy fur", (0.20, 0.085, 0.028), (0.56, 0.30, 0.12))
     cream = plush.pelt("teddy muzzle", (0.46, 0.33, 0.19), (0.68, 0.55, 0.36))
-    plush.tufted(plush.blobs(room, "teddy", fur, place, honey), 0.026, 0.0075, 24000.0, 0.45, 0.4, 1)
-    plush.tufted(plush.blobs(room, "teddy muzzle", light, place, cream), 0.011, 0.006, 36000.0, 0.5, 0.2, 2)
+    plush.tufted(plush.blobs(room, "teddy", fur, place, honey), 0.026, 0.0105, 15000.0, 0.42, 0.4, 1)
+    plush.tufted(plush.blobs(room, "teddy muzzle", light, place, cream), 0.011, 0.008, 24000.0, 0.5, 0.2, 2)
     glass = m.plain("teddy eye", (0.015, 0.008, 0.005), 0.06)
     wool = m.plain("teddy nose", (0.018, 0.012, 0.010), 0.45)
     for s in (-1, 1):
@@ -105,7 +105,7 @@ def _rabbit(room: Collection) -> None:
             ((s * 0.062, -0.11, 0.04), (0.038, 0.075, 0.038), (0.0, 0.0, s * 0.25)),
         ]
     grey = plush.pelt("rabbit coat", (0.24, 0.22, 0.21), (0.56, 0.52, 0.48), 14.0)
-    plush.tufted(plush.blobs(room, "rabbit", coat, place, grey), 0.015, 0.006, 32000.0, 0.45, 0.3, 7)
+    plush.tufted(plush.blobs(room, "rabbit", coat, place, grey), 0.015, 0.008, 20000.0, 0.45, 0.3, 7)
     dark, pink = (
         m.plain("rabbit eye", (0.012, 0.010, 0.010), 0.08),
         m.plain("rabbit nose", (0.55, 0.20, 0.18), 0.5),

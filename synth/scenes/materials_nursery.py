@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import bpy
 
 from .materials import Colour, Graph, Socket
+from .plush import shaded, soft
 
 
 def _new(name: str) -> tuple[bpy.types.Material, Graph]:
@@ -76,13 +77,17 @@ def gores(name: str, colours: Sequence[Colour]) -> bpy.types.Material:
 
 
 def moon(name: str, colour: Colour, radiance: float) -> tuple[bpy.types.Material, Socket]:
-    """A lamp like the moon: seas and craters. Returns it and the input of its radiance."""
+    """A lamp like the moon: seas and craters. Returns it and the input of its radiance.
+
+    Light is not sampled on it (a point light within gives it): half of all samples would go there.
+    """
     material, graph = _new(name)
     vector = graph.coordinates()
-    seas = graph.ramp(graph.noise(vector, 9.0, 3.0, 0.4), [(0.38, (0.40,) * 3), (0.60, (1.0,) * 3)])
-    craters = graph.ramp(graph.voronoi(vector, 26.0), [(0.12, (0.72,) * 3), (0.30, (1.0,) * 3)])
+    seas = graph.ramp(graph.noise(vector, 9.0, 3.0, 0.4), [(0.38, (0.45,) * 3), (0.60, (1.15,) * 3)])
+    craters = graph.ramp(graph.voronoi(vector, 26.0), [(0.12, (0.75,) * 3), (0.30, (1.15,) * 3)])
     tone = graph.mix(1.0, graph.mix(1.0, seas, craters, "MULTIPLY"), colour, "MULTIPLY")
     node = graph.add("ShaderNodeEmission", {"Color": tone, "Strength": radiance})
+    material.cycles.emission_sampling = "NONE"
     graph.finish(node.outputs[0])
     return material, node.inputs["Strength"]
 
@@ -100,9 +105,11 @@ def ringed(name: str, rings: Sequence[tuple[float, Colour]]) -> bpy.types.Materi
     ]
     colour = graph.ramp(radius, list(rings), "CONSTANT")
     own = graph.add("ShaderNodeNewGeometry").outputs["Random Per Island"]
-    tone = graph.ramp(own, [(0.0, (0.62,) * 3), (1.0, (1.12,) * 3)])
+    tone = graph.ramp(own, [(0.0, (0.78,) * 3), (1.0, (1.06,) * 3)])
     tinted = graph.mix(1.0, colour, tone, "MULTIPLY")
-    graph.finish(graph.add("ShaderNodeBsdfDiffuse", {"Color": tinted}).outputs[0])
+    graph.finish(
+        graph.add("ShaderNodeBsdfDiffuse", {"Color": shaded(graph, tinted), "Normal": soft(graph)}).outputs[0]
+    )
     return material
 
 

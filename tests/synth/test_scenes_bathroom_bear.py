@@ -23,17 +23,27 @@ def scene():
 
 
 def grown(scene, seed: int) -> np.ndarray:
-    """Vertices [N, 3] of a ball with its tufts."""
+    """Vertices [N, 3] of the tufts of a ball."""
     pelt = plush.pelt("pelt", (0.2, 0.1, 0.05), (0.5, 0.3, 0.1))
     parts = [((0.0, 0.0, 0.0), (RADIUS,) * 3, (0.0, 0.0, 0.0))]
     item = plush.blobs(scene.collection, "ball", parts, Matrix(), pelt)
-    bald = len(item.data.vertices)
-    plush.tufted(item, LENGTH, 0.007, DENSITY, seed=seed)
+    coat = plush.tufted(item, LENGTH, 0.007, DENSITY, seed=seed)
     scene.view_layers[0].update()
-    mesh = item.evaluated_get(scene.view_layers[0].depsgraph).to_mesh()
+    mesh = coat.evaluated_get(scene.view_layers[0].depsgraph).to_mesh()
     points = np.empty(3 * len(mesh.vertices), np.float32)
     mesh.vertices.foreach_get("co", points)
-    return points.reshape(-1, 3)[bald:] if len(points) > 3 * bald else points[:0].reshape(-1, 3)
+    _check_attributes(mesh, points.reshape(-1, 3))
+    return points.reshape(-1, 3)
+
+
+def _check_attributes(mesh, points: np.ndarray) -> None:
+    """What the material reads: the skin's normal, and 0 at the root to 1 at the tip."""
+    normals, along = np.empty(points.size, np.float32), np.empty(len(points), np.float32)
+    mesh.attributes[plush.SKIN].data.foreach_get("vector", normals)
+    mesh.attributes[plush.ALONG].data.foreach_get("value", along)
+    outward = points / np.linalg.norm(points, axis=1, keepdims=True)
+    assert np.median(np.sum(normals.reshape(-1, 3) * outward, axis=1)) > 0.98
+    assert along.min() == 0.0 and along.max() == pytest.approx(1.0)
 
 
 def test_tufts_are_as_dense_and_as_long_as_asked(scene):
