@@ -157,23 +157,20 @@ def _render(job: _Job, claims: Claims, camera: Renderer, report: Report) -> None
         return
     report.begin(len(left))
     while left:
-        others = []
-        for shot in left:
-            if not job.derivation.missing(shot):  # another process has done it meanwhile
-                report.advance(shot.name)
-                continue
-            if not claims.take(shot.name):
-                others.append(shot)
-                continue
+        shot = next((shot for shot in left if claims.take(shot.name)), None)
+        if shot is None:
+            time.sleep(WAIT)
+        else:
             try:
                 report.start(shot.name)
                 _make(job, shot, camera)
             finally:
                 claims.release(shot.name)
-            report.advance(shot.name)
-        if others and len(others) == len(left):
-            time.sleep(WAIT)
-        left = others
+        still = [shot for shot in left if job.derivation.missing(shot)]
+        for shot in left:
+            if shot not in still:  # ours, and what other processes have done meanwhile
+                report.advance(shot.name)
+        left = still
 
 
 def _make(job: _Job, shot: Shot, camera: Renderer) -> None:
