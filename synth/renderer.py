@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,6 +19,9 @@ from .interrupts import held
 from .passes import Passes
 from .progress import quiet
 from .scenes.stage import Stage
+
+SAMPLE = re.compile(r"Sample (\d+)/\d+")
+"""In Cycles' status line."""
 
 
 def view_seed(seed: int, name: str) -> int:
@@ -60,19 +64,19 @@ class Renderer:
         scene.update_tag()  # else persistent data keeps the former seed
         compositor.aim(self.file, scratch)
         try:
-            with quiet(), held():
+            with quiet(), held(), _most_samples(scene) as most:
                 done = bpy.ops.render.render(
                     write_still=False, scene=scene.name, layer=self.stage.view_layer.name
                 )
             if "CANCELLED" in done:  # Blender took the CTRL-C for itself
                 raise KeyboardInterrupt
-            return self._read(scratch, seed)
+            return self._read(scratch, seed, most[0])
         except RuntimeError as error:
             raise RenderError(f"Blender could not render to '{scratch}': {str(error).strip()}") from error
         finally:
             scratch.unlink(missing_ok=True)
 
-    def _read(self, scratch: Path, seed: int) -> Passes:
+    def _read(self, scratch: Path, seed: int, most: int) -> Passes:
         if not scratch.exists():
             raise RenderError(f"Blender wrote no picture '{scratch}'", "is the disk full?")
         try:
@@ -92,7 +96,7 @@ class Renderer:
         lights = {name: np.maximum(colour(f"light_{k}"), 0.0) for k, name in enumerate(self.stage.lights)}
         whole = sum(lights.values()) if self.denoise else None
         planes = {name: channels[f"{name}.V"] for name in compositor.PLANES}
-        planes["samples"] = planes["samples"] * self.stage.scene.cycles.samples  # Cycles tells the share
+        planes["samples"] = planes["samples"] * most  # Cycles tells the share of what any pixel got
         return Passes(
             lights,
             normal=colour("normal", "XYZ"),
@@ -103,3 +107,28 @@ class Renderer:
             },
             **planes,
         )
+
+
+@contextmanager
+def _most_samples(scene: bpy.types.Scene) -> Iterator[list[int]]:
+    """The samples that the pixel with most of them gets, known on the way out.
+
+    Where all pixels are good enough early, Cycles ends before ``cycles.samples``: its status line alone tells.
+    """
+    most = [scene.cycles.samples]
+    if not scene.cycles.use_adaptive_sampling:
+        yield most
+        return
+    seen = [0]
+
+    def note(status: str, *_: object) -> None:
+        found = SAMPLE.search(status or "")
+        if found:
+            seen[0] = max(seen[0], int(found[1]))
+
+    bpy.app.handlers.render_stats.append(note)
+    try:
+        yield most
+    finally:
+        bpy.app.handlers.render_stats.remove(note)
+        most[0] = seen[0] or most[0]

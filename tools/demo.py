@@ -43,10 +43,13 @@ def main() -> int:
     begun = time.perf_counter()
 
     workers = min(8, os.cpu_count() or 1)  # pictures as small as these keep one core busy each
-    step(
-        "1/6 render the data set with Cycles",
-        [BLENDER, "synth/make_scene.py", "--", "--out", data, "--workers", workers],
-    )
+    if (data / "dataset.json").is_file():  # whole; an earlier version's would not be gone on with
+        say("1/6 render the data set: done already")
+    else:
+        step(
+            "1/6 render the data set with Cycles",
+            [BLENDER, "synth/make_scene.py", "--", "--out", data, "--workers", workers],
+        )
     iteration = trained_iterations(out)
     if iteration == PRESETS["default"].iterations:
         say("2/6 train: done already")

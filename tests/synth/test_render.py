@@ -204,7 +204,18 @@ def test_adaptive_sampling_spends_fewer_samples_where_there_is_no_noise(tmp_path
     fewer = taken[0.05]
     assert fewer.samples.max() <= 256.0 and fewer.facts["samples"] < 128.0
     assert fewer.facts["samples"] == pytest.approx(fewer.samples.mean(), abs=0.01)
+    assert fewer.samples.max() > fewer.samples.min() >= 1.0
     assert fewer.samples[fewer.index == 2].mean() > 1.5 * fewer.samples[fewer.index == 0].mean()
+
+
+def test_samples_are_told_where_all_pixels_end_early(tmp_path):
+    """Cycles' own pass tells only shares: 1 everywhere when it ends before the most that it may take."""
+    with built("ball") as stage:
+        wanted = settings.ground_truth(SIZE, 256, noise_threshold=0.9)
+        with settings.applied(stage.scene, wanted), renderer(stage, denoise=False) as camera:
+            taken = camera.render(pose_of(stage), 5, tmp_path / "a.exr")
+    assert taken.samples.max() <= 64.0 and (taken.samples == np.round(taken.samples)).all()
+    assert not bpy.app.handlers.render_stats
 
 
 @pytest.mark.parametrize("sigma", [0.005, 0.02])
