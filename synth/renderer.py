@@ -113,7 +113,7 @@ class Renderer:
 def _most_samples(scene: bpy.types.Scene) -> Iterator[list[int]]:
     """The samples that the pixel with most of them gets, known on the way out.
 
-    Where all pixels are good enough early, Cycles ends before ``cycles.samples``: its status line alone tells.
+    Where all pixels are good early, Cycles ends before ``cycles.samples``: only its status line tells.
     """
     most = [scene.cycles.samples]
     if not scene.cycles.use_adaptive_sampling:
