@@ -87,11 +87,13 @@ class Assets:
         size: Point,
         turn: float,
         stand_in: Callable[[], None],
+        fill: bool = False,
     ) -> None:
         """Put a model of ``kind`` (``sofa``, ``armchair``, ``teddy`` …) in the room, or call ``stand_in``.
 
         ``foot``: the middle of its base; ``size``: width, depth, height it must fit into, with its own
-        proportions kept; ``turn``: radians about Z, 0 faces −Y (toward the camera of a grid rig).
+        proportions kept, or with ``fill`` stretched to that size (a table: things stand on it); ``turn``:
+        radians about Z, 0 faces −Y (toward the camera of a grid rig).
 
         Raises:
             AssetError: the model is there and cannot be read.
@@ -102,7 +104,7 @@ class Assets:
             self.used[kind] = BUILT_IN
             return
         items = _imported(model)
-        _fit(items, room, foot, size, turn)
+        _fit(items, room, foot, size, turn, fill)
         self.used[kind] = model.told
 
     def _find(self, kind: str) -> _Model | None:
@@ -231,7 +233,12 @@ def _pack(images: set[bpy.types.Image]) -> None:
 
 
 def _fit(
-    items: list[bpy.types.Object], room: bpy.types.Collection, foot: Point, size: Point, turn: float
+    items: list[bpy.types.Object],
+    room: bpy.types.Collection,
+    foot: Point,
+    size: Point,
+    turn: float,
+    fill: bool,
 ) -> None:
     """Scale into ``size``, stand on ``foot``, turn about the vertical; move to ``room``."""
     for item in items:
@@ -247,12 +254,15 @@ def _fit(
     low = Vector(min(corner[axis] for corner in corners) for axis in range(3))
     high = Vector(max(corner[axis] for corner in corners) for axis in range(3))
     extent = high - low
-    factor = min(size[axis] / extent[axis] for axis in range(3) if extent[axis] > 1e-9)
+    factors = [size[axis] / extent[axis] if extent[axis] > 1e-9 else math.inf for axis in range(3)]
+    if not fill:
+        factors = [min(factors)] * 3
+    factors = [factor if math.isfinite(factor) else 1.0 for factor in factors]
     centre = Vector(((low.x + high.x) / 2, (low.y + high.y) / 2, low.z))
     placed = (
         Matrix.Translation(Vector(foot))
         @ Matrix.Rotation(turn, 4, "Z")
-        @ Matrix.Scale(factor, 4)
+        @ Matrix.Diagonal((*factors, 1.0))
         @ Matrix.Translation(-centre)
     )
     for item in items:

@@ -45,7 +45,7 @@ def build(scene: bpy.types.Scene, assets: Assets) -> Stage:
     dice = random.Random(23)  # the design is fixed; --seed moves noise, not furniture
     _walls(room)
     garden(room, ROOM, dice)
-    furniture.furnish(room, ROOM, assets, dice)
+    furniture.furnish(room, ROOM, dice)
     toys.scatter(room, assets, dice)
     lighting = Lighting(scene)
     _light(room, lighting)

@@ -14,7 +14,6 @@ from . import materials as m
 from . import materials_bathroom as mb
 from . import materials_nursery as mn
 from . import plush
-from .assets import Assets
 from .curved import leaf_tuft, torus, tube
 from .props import Point, ball, box, cushion, lathe, rod, sheet
 from .small_room import Room
@@ -39,14 +38,10 @@ PAINTS = [
 """Scene-linear colours of toys and books."""
 
 
-def furnish(room: Collection, at: Room, assets: Assets, dice: random.Random) -> None:
+def furnish(room: Collection, at: Room, dice: random.Random) -> None:
     """Put everything in its place (metres, the room's own axes)."""
-    x0, x1, y0, y1 = BENCH
-    middle = ((x0 + x1) / 2, (y0 + y1) / 2, 0.0)
-    assets.place("bench", room, middle, (x1 - x0, y1 - y0, SEAT), 0.0, lambda: _bench(room, dice))
-    x0, x1, y0, y1 = CASE
-    middle = ((x0 + x1) / 2, (y0 + y1) / 2, 0.0)
-    assets.place("bookcase", room, middle, (x1 - x0, y1 - y0, CASE_TOP), 0.0, lambda: _bookcase(room, dice))
+    _bench(room, dice)
+    _bookcase(room, dice)
     _on_bookcase(room, dice)
     _crate(room, dice)
     _rug(room)

@@ -64,7 +64,9 @@ def _furnish(room: bpy.types.Collection, lighting: Lighting, assets: Assets, dic
     assets.place("plant", room, corner, (0.9, 0.9, 1.7), 0.0, lambda: things.plant(room, corner, dice))
     things.standing_lamp(room, lighting, (-0.66, 1.12, 0.0))
     table = (-0.24, 0.70, 0.0)
-    assets.place("side table", room, table, (0.53, 0.53, 0.56), 0.0, lambda: things.side_table(room, table))
+    assets.place(
+        "side table", room, table, (0.53, 0.53, 0.56), 0.0, lambda: things.side_table(room, table), fill=True
+    )
     things.pouf(room, (-1.12, -0.42, 0.016))
     things.log_basket(room, (0.82, 0.98, 0.0), dice)
 

@@ -38,7 +38,9 @@ def furnish(room: Collection, assets: Assets, dice: random.Random, table: Place)
         assets.place(
             "chair", room, foot, (0.46, 0.50, 0.98), turn, lambda f=foot, t=turn: _chair(room, built, f, t)
         )
-    assets.place("sideboard", room, (0.72, 1.83, 0.0), (1.5, 0.46, 0.92), 0.0, lambda: _sideboard(room))
+    assets.place(
+        "sideboard", room, (0.72, 1.83, 0.0), (1.5, 0.46, 0.92), 0.0, lambda: _sideboard(room), fill=True
+    )
     _on_sideboard(room, dice)
     _mirror(room)
     assets.place(

@@ -27,7 +27,7 @@ CANDLES = ((-0.30, 0.02, 0.24), (0.27, 0.03, 0.30), (0.42, -0.05, 0.17))  # x, y
 
 def lay(room: Collection, assets: Assets, dice: random.Random, at: Place) -> None:
     """Table, cloth and all on it but the candles; ``at``: the middle of the table on the floor."""
-    assets.place("table", room, at, (LENGTH, DEPTH, TOP - 0.01), 0.0, lambda: _table(room, at))
+    assets.place("table", room, at, (LENGTH, DEPTH, TOP - 0.01), 0.0, lambda: _table(room, at), fill=True)
     _cloth(room, at)
     top = Vector(at) + Vector((0.0, 0.0, TOP))
     places = [

@@ -24,7 +24,9 @@ def furnish(room: Collection, assets: Assets, lighting: Lighting, dice: random.R
     """Put everything in its place (metres, the room's own axes)."""
     _carpet(room)
     assets.place("corner-sofa", room, (1.22, 0.9, 0.0), (2.0, 2.7, 0.85), 0.0, lambda: _sofa(room))
-    assets.place("coffee-table", room, (0.25, 0.35, 0.0), (0.95, 0.95, 0.38), 0.0, lambda: _table(room))
+    assets.place(
+        "coffee-table", room, (0.25, 0.35, 0.0), (0.95, 0.95, 0.38), 0.0, lambda: _table(room), fill=True
+    )
     _table_things(room, dice)
     with turned(room, "television corner", (-1.42, 1.86, 0.0), math.radians(24.0)):
         storage.television(room, lighting)

@@ -87,6 +87,15 @@ def test_a_model_is_fitted_turned_and_stood_on_its_foot(tmp_path, scene):
     assert not (tmp_path.parent / "evil.txt").exists()
 
 
+def test_what_things_stand_on_fills_its_place(tmp_path, scene):
+    catalogue(tmp_path / "a.sh3f", "Table", "CC0")
+    Assets(tmp_path).place("table", scene.collection, (1, 1, 0), (3, 2, 0.7), 0.0, never, fill=True)
+    points = vertices(scene)
+    for axis, (low, high) in enumerate([(-0.5, 2.5), (0.0, 2.0), (0.0, 0.7)]):
+        assert min(point[axis] for point in points) == pytest.approx(low, abs=1e-5)
+        assert max(point[axis] for point in points) == pytest.approx(high, abs=1e-5)
+
+
 def test_turn_zero_faces_the_camera_and_a_stated_rotation_is_applied(tmp_path, scene):
     catalogue(tmp_path / "a.sh3f", "Chair", "CC0", "1 0 0 0 0 1 0 -1 0")  # lies on its back edge: y ↔ z
     Assets(tmp_path).place("chair", scene.collection, (0, 0, 0), (2, 4, 1), 0.0, never)
