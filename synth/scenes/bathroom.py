@@ -25,13 +25,13 @@ from .stage import CameraHints, Stage
 ROOM = Room(half=1.95, back=1.6, front=-2.6, height=2.5, window=(0.55, 1.45, 1.22, 2.18))
 DADO = 1.2  # height of the tiles
 
-BULB_RADIANCE = 220.0
+BULB_RADIANCE = 230.0
 BULB_COLOUR = (1.0, 0.74, 0.46)
 FLAME_RADIANCE = 400.0
 FLAME_COLOUR = (1.0, 0.55, 0.20)
-SKY_RADIANCE = 10.0
+SKY_RADIANCE = 12.5
 SUN_IRRADIANCE = 45.0
-FILL_POWER = 22.0  # watts
+FILL_POWER = 14.0  # watts
 
 
 def build(scene: bpy.types.Scene, assets: Assets) -> Stage:

@@ -30,7 +30,7 @@ TUB_HALF = (0.76, 0.37)
 RIM = 0.60  # height of the tub's rim
 TRAY = 0.85  # x of the tray's middle
 
-BULB_RADIUS = 0.034
+BULB_RADIUS = 0.042
 BULBS = [
     (MIRROR[0] + side * (MIRROR_SIZE[0] / 2 + 0.13), 1.475, MIRROR[1] + dz)
     for side in (-1, 1)

@@ -50,7 +50,7 @@ def soft(graph: m.Graph) -> m.Socket:
     world = graph.add(
         "ShaderNodeVectorTransform",
         {"Vector": skin},
-        vector_type="NORMAL",
+        vector_type="VECTOR",  # "NORMAL" divides by the length, which is 0 on the skin
         convert_from="OBJECT",
         convert_to="WORLD",
     ).outputs[0]
