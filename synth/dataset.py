@@ -15,6 +15,7 @@ import bpy
 from . import describe, device, folder, noise, objects, open_scene, passes, plan, points, rig, settings
 from .claims import Claims
 from .derive import Derivation
+from .errors import NotFiniteRenderError
 from .options import USERS_EVS, Options, seconds
 from .passes import Passes
 from .plan import Shot
@@ -179,10 +180,17 @@ def _make(job: _Job, shot: Shot, camera: Renderer) -> None:
     if path.exists():
         rendered = job.passes(shot)
     else:
-        seed = view_seed(job.options.seed, shot.name)
-        rendered = camera.render(shot.pose, seed, folder.scratch(path))
+        rendered = _rendered(job, shot, camera, folder.scratch(path))
         passes.write(path, rendered)
     job.derivation.write(shot, rendered)
+
+
+def _rendered(job: _Job, shot: Shot, camera: Renderer, scratch: Path) -> Passes:
+    """Once more, with other noise, where a value is no number: one path in millions may meet such a spot."""
+    try:
+        return camera.render(shot.pose, view_seed(job.options.seed, shot.name), scratch)
+    except NotFiniteRenderError:
+        return camera.render(shot.pose, view_seed(job.options.seed, f"{shot.name}/finite"), scratch)
 
 
 def _finish(

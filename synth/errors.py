@@ -89,6 +89,10 @@ class RenderError(SynthError):
     code = "render"
 
 
+class NotFiniteRenderError(RenderError):
+    """Blender produced a picture that holds NaN or infinity."""
+
+
 class AssetError(SynthError):
     """The folder of models is missing, or a model in it cannot be read."""
 

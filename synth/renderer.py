@@ -14,7 +14,7 @@ import numpy as np
 from mathutils import Matrix
 
 from . import compositor, exr, noise
-from .errors import DamagedFileError, NotFiniteError, RenderError
+from .errors import DamagedFileError, NotFiniteError, NotFiniteRenderError, RenderError
 from .interrupts import held
 from .passes import Passes
 from .progress import quiet
@@ -55,7 +55,8 @@ class Renderer:
         ``scratch``: a file that Blender writes and that is removed; its name must end in .exr.
 
         Raises:
-            RenderError: Blender failed, wrote nothing or half of it, or the picture holds NaN or infinity.
+            NotFiniteRenderError: the picture holds NaN or infinity.
+            RenderError: Blender failed, wrote nothing or half of it.
         """
         scene = self.stage.scene
         scratch.parent.mkdir(parents=True, exist_ok=True)
@@ -82,7 +83,7 @@ class Renderer:
         try:
             channels, _ = exr.read_channels(scratch)
         except NotFiniteError as error:
-            raise RenderError(
+            raise NotFiniteRenderError(
                 f"the render '{scratch}' holds NaN or infinity",
                 "a material, a texture or a light of the scene gives values that are no numbers: mend it",
             ) from error

@@ -19,7 +19,7 @@ import pytest
 
 from physhdr.synth import dataset, folder, passes, plan, renderer
 from physhdr.synth.camera_model import CameraModel
-from physhdr.synth.errors import ConflictError, DamagedFileError, OutputFolderError
+from physhdr.synth.errors import ConflictError, DamagedFileError, NotFiniteRenderError, OutputFolderError
 
 # --import-mode=importlib: the readers live in this folder's conftest
 _spec = importlib.util.spec_from_file_location("synth_readers", Path(__file__).with_name("conftest.py"))
@@ -410,3 +410,22 @@ def test_nothing_is_left_in_blender(tmp_path, small):
     dataset.make(tmp_path, small)
     assert inventory() == before
     shutil.rmtree(tmp_path)
+
+
+def test_a_rare_value_that_is_no_number_is_rendered_again(tmp_path, monkeypatch, small):
+    """The first render of each pose fails so; another seed does not, and is what the file tells."""
+    real, failed = renderer.Renderer.render, set()
+
+    def render(self, pose, seed, scratch):
+        if scratch.name not in failed and "noise_floor" not in scratch.name and len(failed) < 2:
+            failed.add(scratch.name)
+            raise NotFiniteRenderError("NaN")
+        return real(self, pose, seed, scratch)
+
+    monkeypatch.setattr(renderer.Renderer, "render", render)
+    dataset.make(tmp_path, small)
+    told = readers.read_json(tmp_path / "dataset.json")
+    seeds = {name: frame["seed"] for name, frame in told["frames"].items()}
+    assert len(failed) == 2
+    assert seeds["train/0"] == renderer.view_seed(small.seed, "train_000/finite")
+    assert seeds["test/0"] == renderer.view_seed(small.seed, "test_000")
