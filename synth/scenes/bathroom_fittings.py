@@ -59,7 +59,7 @@ def furnish(room: Collection, at: Room, assets: Assets, dice: random.Random) -> 
     _basin_tap(room, brass)
     _mirror(room, at, brass)
     _toilet_things(room, dice)
-    assets.place("shelf", room, (-1.52, 1.4, 0.0), (0.62, 0.32, 1.72), 0.0, lambda: _shelf(room, dice))
+    _shelf(room, dice)
     _towels(room, at, chrome)
     _stool(room)
     _plants(room, dice)
