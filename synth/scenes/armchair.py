@@ -9,8 +9,9 @@ import bpy
 
 from . import materials as m
 from . import materials_fireside as hearth
-from .assembly import Assembly, tube
+from .assembly import Assembly
 from .props import ball, box, cushion, lathe, rod, sheet
+from .tubes import tube
 
 SIZE = (0.90, 0.88, 1.06)
 COLUMNS, ROWS = 2.5, 2.0  # diamonds of the buttoned back

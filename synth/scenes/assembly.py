@@ -1,17 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Things made of many parts in axes of their own, and two more building blocks: bent tubes and rings."""
+"""Things made of many parts in axes of their own, and rings."""
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 
-import bmesh
 import bpy
 from mathutils import Quaternion, Vector
 
-from .props import finish, lathe
+from .props import lathe
 
 Point = Sequence[float]  # metres
 
@@ -35,38 +33,6 @@ class Assembly:
     def link(self, item: bpy.types.Object) -> None:
         self.room.objects.link(item)
         item.parent = self.hub
-
-
-def tube(
-    collection: bpy.types.Collection,
-    name: str,
-    path: Sequence[Point],
-    radius: float,
-    material: bpy.types.Material,
-    sides: int = 10,
-    end_radius: float | None = None,
-) -> bpy.types.Object:
-    """A round bar along a path of points: handles, cables, stems, rolls of cloth."""
-    points = [Vector(point) for point in path]
-    last = len(points) - 1
-    tangents = [(points[min(k + 1, last)] - points[max(k - 1, 0)]).normalized() for k in range(last + 1)]
-    side = tangents[0].orthogonal().normalized()
-    mesh = bmesh.new()
-    rings = []
-    for k, (point, tangent) in enumerate(zip(points, tangents, strict=True)):
-        side = (side - tangent * side.dot(tangent)).normalized()  # carried along without a twist
-        across = tangent.cross(side)
-        wide = radius + ((end_radius if end_radius is not None else radius) - radius) * k / last
-        angles = [2.0 * math.pi * j / sides for j in range(sides)]
-        rings.append(
-            [mesh.verts.new(point + (side * math.cos(a) + across * math.sin(a)) * wide) for a in angles]
-        )
-    for lower, upper in itertools.pairwise(rings):
-        for j in range(sides):
-            mesh.faces.new((lower[j], lower[(j + 1) % sides], upper[(j + 1) % sides], upper[j]))
-    mesh.faces.new(rings[0])
-    mesh.faces.new(rings[-1])
-    return finish(collection, name, mesh, material, smooth=True)
 
 
 def ring(

@@ -14,9 +14,10 @@ from . import materials as m
 from . import materials_bathroom as mb
 from . import plush
 from .assets import Assets
-from .curved import leaf_tuft, tube
+from .curved import leaf_tuft
 from .props import Point, ball, box, lathe, leaf_blade, rod, sheet
 from .small_room import Room
+from .tubes import bent_tube
 
 Collection = bpy.types.Collection
 Material = bpy.types.Material
@@ -131,9 +132,9 @@ def _bath_taps(room: Collection, brass: Material) -> None:
             rod(room, "cross", hub - arm, hub + arm, 0.008, brass)
     rod(room, "bridge", (x, y - 0.09, top), (x, y + 0.09, top), 0.016, brass)
     spout = [(x, y, top), (x + 0.06, y, top + 0.03), (x + 0.13, y, top + 0.01), (x + 0.155, y, top - 0.06)]
-    tube(room, "bath spout", spout, 0.014, brass)
+    bent_tube(room, "bath spout", spout, 0.014, brass)
     hose = [(x, y + 0.02, top), (x - 0.05, y + 0.05, top + 0.15), (x - 0.02, y + 0.06, top + 0.34)]
-    tube(room, "shower pipe", [*hose, (x + 0.06, y + 0.05, top + 0.43)], 0.009, brass)
+    bent_tube(room, "shower pipe", [*hose, (x + 0.06, y + 0.05, top + 0.43)], 0.009, brass)
     rod(
         room,
         "shower head",
@@ -259,7 +260,7 @@ def _basin_tap(room: Collection, brass: Material) -> None:
         (x, y - 0.09, TOP + 0.27),
         (x, y - 0.13, TOP + 0.20),
     ]
-    tube(room, "gooseneck", neck, 0.013, brass)
+    bent_tube(room, "gooseneck", neck, 0.013, brass)
     rod(room, "rosette", (x, y, TOP), (x, y, TOP + 0.02), 0.03, brass)
     for side in (-1, 1):
         at = Vector((x + side * 0.12, y, TOP))
@@ -442,7 +443,7 @@ def _plants(room: Collection, dice: random.Random) -> None:
         joints = [start + Vector((0.05 * math.cos(turn), 0.05 * math.sin(turn), 0.02))]
         for _ in range(6):
             joints.append(joints[-1] + Vector((dice.uniform(-0.02, 0.02), dice.uniform(-0.02, 0.02), -0.07)))
-        tube(room, "vine stem", [start, *joints], 0.004, stem)
+        bent_tube(room, "vine stem", [start, *joints], 0.004, stem)
         for joint in joints:
             for _ in range(2):
                 leaf_blade(room, "vine leaf", joint, dice.uniform(0, 6.28), 0.075, 0.06, vine, 0.2, 0.6)
@@ -528,7 +529,7 @@ def _stool(room: Collection) -> None:
         (cx + 0.075, cy + 0.03, top + 0.17),
         (cx + 0.03, cy + 0.03, top + 0.06),
     ]
-    tube(room, "jug handle", grip, 0.008, steel)
+    bent_tube(room, "jug handle", grip, 0.008, steel)
     duck, beak = m.plain("duck", (0.72, 0.45, 0.02), 0.25), m.plain("beak", (0.65, 0.14, 0.02), 0.3)
     body = ball(room, "duck", (cx + 0.085, cy - 0.075, top + 0.035), 0.045, duck, 3)
     body.scale = (1.15, 0.9, 0.78)

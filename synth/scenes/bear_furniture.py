@@ -14,9 +14,10 @@ from . import materials as m
 from . import materials_bathroom as mb
 from . import materials_nursery as mn
 from . import plush
-from .curved import leaf_tuft, torus, tube
+from .curved import leaf_tuft, torus
 from .props import Point, ball, box, cushion, lathe, rod, sheet
 from .small_room import Room
+from .tubes import bent_tube
 
 Collection = bpy.types.Collection
 
@@ -159,7 +160,7 @@ def _on_bookcase(room: Collection, dice: random.Random) -> None:
     for k in range(4):  # a cage about the bulb
         c, s = math.cos(0.4 + k * math.pi / 2), math.sin(0.4 + k * math.pi / 2)
         bow = [(0.026, -0.03), (0.07, -0.01), (0.075, 0.04), (0.03, 0.075), (0.0, 0.08)]
-        tube(room, "lamp cage", [(x + r * c, y + r * s, z + h) for r, h in bow], 0.0035, wire)
+        bent_tube(room, "lamp cage", [(x + r * c, y + r * s, z + h) for r, h in bow], 0.0035, wire)
     pot = [(0.0, 0.0), (0.055, 0.0), (0.075, 0.10), (0.078, 0.12), (0.068, 0.12), (0.064, 0.10), (0.0, 0.10)]
     foot = Vector((1.45, 1.11, CASE_TOP))
     lathe(room, "pot", foot, pot, m.speckled("pot glaze", (0.55, 0.50, 0.40), (0.10, 0.22, 0.26), 26.0, 0.3))
@@ -275,7 +276,7 @@ def _hangings(room: Collection, at: Room) -> None:
     def sag(t: float) -> Vector:
         return Vector((x0 + (x1 - x0) * t, y, 2.02 - 0.56 * t * (1.0 - t)))
 
-    tube(room, "bunting cord", [sag(k / 12) for k in range(13)], 0.004, cord)
+    bent_tube(room, "bunting cord", [sag(k / 12) for k in range(13)], 0.004, cord)
     for k in range(11):
         left, right = sag((k + 0.62) / 12), sag((k + 1.38) / 12)
         tip = (left + right) / 2 - Vector((0.0, 0.012, 0.15))

@@ -14,9 +14,10 @@ from . import materials_nursery as mn
 from . import plush
 from .assets import Assets
 from .bear_furniture import PAINTS, SEAT
-from .curved import torus, tube
+from .curved import torus
 from .plush import Blob
 from .props import ball, box, cushion, lathe, rod
+from .tubes import bent_tube
 
 Collection = bpy.types.Collection
 
@@ -80,7 +81,7 @@ def _teddy(room: Collection) -> None:
             (s * 0.016, -0.206, 0.405),
             (s * 0.032, -0.197, 0.409),
         ]
-        tube(room, "teddy mouth", [place @ Vector(p) for p in smile], 0.0032, wool)
+        bent_tube(room, "teddy mouth", [place @ Vector(p) for p in smile], 0.0032, wool)
     silk = mn.dotted("bow tie", (0.42, 0.03, 0.03), (0.62, 0.52, 0.36), 40.0)
     for s in (-1, 1):
         at = place @ Vector((s * 0.058, -0.158, 0.345))

@@ -11,10 +11,11 @@ from mathutils import Matrix, Vector
 
 from . import materials as m
 from . import materials_fireside as hearth
-from .assembly import Assembly, array, disk, ring, tube
+from .assembly import Assembly, array, disk, ring
 from .greenery import arching, leaf_colour, leaf_mesh
 from .lighting import Lighting
 from .props import ball, box, lathe, rod, sheet
+from .tubes import tube
 
 Collection = bpy.types.Collection
 Foot = tuple[float, float, float]

@@ -1,49 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Bent pipes, rings and arching leaves."""
+"""Rings and arching leaves."""
 
 from __future__ import annotations
 
 import math
 import random
-from collections.abc import Sequence
 
 import bpy
-from mathutils import Vector
 
 from . import materials as m
 from .props import Point, leaf_blade, sheet
 
 Collection = bpy.types.Collection
 Material = bpy.types.Material
-
-
-def tube(room: Collection, name: str, points: Sequence[Point], radius: float, material: Material) -> None:
-    """A bent pipe through ``points``: Catmull-Rom between them, eight sides."""
-    knots = [Vector(p) for p in (points[0], *points, points[-1])]
-    path: list[Vector] = []
-    for a, b, c, d in zip(knots, knots[1:], knots[2:], knots[3:], strict=False):
-        for k in range(6):
-            t = k / 6
-            path.append(
-                0.5
-                * (2 * b + (c - a) * t + (2 * a - 5 * b + 4 * c - d) * t**2 + (3 * b - a - 3 * c + d) * t**3)
-            )
-    path.append(knots[-1])
-    tangents = [
-        (path[min(i + 1, len(path) - 1)] - path[max(i - 1, 0)]).normalized() for i in range(len(path))
-    ]
-    side = tangents[0].orthogonal().normalized()
-    frames = []
-    for tangent in tangents:  # carried along without twist
-        side = (side - tangent * side.dot(tangent)).normalized()
-        frames.append((side.copy(), tangent.cross(side)))
-
-    def surface(u: float, v: float) -> Point:
-        i, turn = round(u * (len(path) - 1)), 2.0 * math.pi * v
-        right, up = frames[i]
-        return path[i] + radius * (math.cos(turn) * right + math.sin(turn) * up)
-
-    sheet(room, name, surface, material, steps=(len(path) - 1, 10))
 
 
 def torus(

@@ -11,10 +11,11 @@ from mathutils import Vector
 
 from . import materials as m
 from . import materials_desk as md
-from .assembly import Assembly, array, disk, ring, tube
+from .assembly import Assembly, array, disk, ring
 from .greenery import arching, leaf_colour, leaf_mesh, trailing
 from .lighting import Lighting
 from .props import ball, box, lathe, rod, sheet
+from .tubes import tube
 
 Collection = bpy.types.Collection
 Place = tuple[float, float, float]

@@ -18,10 +18,11 @@ from . import diningroom_table as table
 from . import materials as m
 from . import materials_table as mt
 from .assets import Assets
-from .forms import ring, tube
+from .forms import ring
 from .lighting import Lighting
 from .props import ball, box, lathe, rod, sheet
 from .stage import CameraHints, Stage
+from .tubes import bent_tube
 
 WEST, EAST, BACK, FRONT, HEIGHT = -2.2, 2.4, 2.1, -2.8, 2.75
 WINDOW = (0.0, 1.5, 0.06, 2.2)  # y0, y1, z0, z1 in the west wall
@@ -141,7 +142,7 @@ def _window(room: bpy.types.Collection) -> None:
             box(room, "muntin", (x, mid, z), (0.03, half - 0.08, 0.028), white)
         box(room, "muntin", (x, mid, cz + 0.1), (0.03, 0.028, z1 - z0 - 0.4), white)
     brass = mt.metal("window brass", (0.75, 0.52, 0.20), 0.25)
-    tube(
+    bent_tube(
         room,
         "lever",
         [(x + 0.03, cy - 0.03, 1.05), (x + 0.07, cy - 0.03, 1.05), (x + 0.07, cy - 0.13, 1.04)],
@@ -245,7 +246,7 @@ def _chandelier(room: bpy.types.Collection, lighting: Lighting, at: tuple[float,
         a = 2.0 * math.pi * k / 3 + 0.35
         out = (math.cos(a), math.sin(a))
         path = [(0.05, -0.02), (0.14, -0.10), (0.25, -0.09), (0.33, -0.01), (0.33, 0.03)]
-        tube(
+        bent_tube(
             room,
             "arm",
             [(x + r * out[0], y + r * out[1], z + h) for r, h in path],
@@ -253,7 +254,7 @@ def _chandelier(room: bpy.types.Collection, lighting: Lighting, at: tuple[float,
             brass,
         )
         curl = [(0.06, 0.10), (0.13, 0.12), (0.17, 0.06), (0.13, 0.02), (0.11, 0.06)]
-        tube(room, "scroll", [(x + r * out[0], y + r * out[1], z + h) for r, h in curl], 0.007, brass, 8)
+        bent_tube(room, "scroll", [(x + r * out[0], y + r * out[1], z + h) for r, h in curl], 0.007, brass, 8)
         tip = (x + 0.33 * out[0], y + 0.33 * out[1], z + 0.04)
         lathe(room, "drip pan", tip, cup, brass, 20)
         rod(room, "sleeve", tip, (tip[0], tip[1], tip[2] + 0.075), 0.013, sleeve)

@@ -13,8 +13,9 @@ from . import materials as m
 from . import materials_table as mt
 from .assets import Assets
 from .diningroom_table import branch
-from .forms import copies, framed, move, ring, standing, tube
+from .forms import copies, framed, move, ring, standing
 from .props import ball, box, lathe, leaf_blade, rod, sheet
+from .tubes import bent_tube
 
 Collection = bpy.types.Collection
 Place = tuple[float, float, float]
@@ -78,12 +79,12 @@ def _ladder_back(room: Collection) -> list[bpy.types.Object]:
             (s * 0.212, -0.20, 0.30),
             (s * 0.21, -0.20, 0.465),
         ]
-        made.append(tube(room, "chair leg", front, [0.013, 0.020, 0.016, 0.021], wood))
+        made.append(bent_tube(room, "chair leg", front, [0.013, 0.020, 0.016, 0.021], wood))
         back = [
             (s * 0.185, 0.25, 0.0), (s * 0.18, 0.20, 0.22), (s * 0.18, 0.19, 0.46), (s * 0.178, 0.225, 0.74),
             (s * 0.172, 0.28, 0.97),
         ]  # fmt: skip
-        made.append(tube(room, "chair post", back, [0.016, 0.019, 0.020, 0.017, 0.014], wood))
+        made.append(bent_tube(room, "chair post", back, [0.016, 0.019, 0.020, 0.017, 0.014], wood))
         made.append(ball(room, "chair finial", (s * 0.171, 0.285, 0.985), 0.021, wood, 2))
         for z in (0.16, 0.28):
             made.append(
@@ -230,7 +231,7 @@ def _mirror(room: Collection) -> None:
     for s in (-1, 1):
         crest = [(0.0, 0.02), (0.10, 0.075), (0.20, 0.06), (0.28, 0.01), (0.36, 0.02), (0.42, 0.0)]
         points = [(0.72 + s * x, BACK - 0.05, 2.07 + z) for x, z in crest]
-        tube(room, "crest", points, [0.028, 0.022, 0.018, 0.016, 0.014, 0.008], gold)
+        bent_tube(room, "crest", points, [0.028, 0.022, 0.018, 0.016, 0.014, 0.008], gold)
     ball(room, "crest", (0.72, BACK - 0.055, 2.10), 0.045, gold, 3)
     bead = ball(room, "bead", (0.72 - 0.53, BACK - 0.07, 1.26), 0.013, gold, 2)
     for k in range(17):
@@ -298,7 +299,7 @@ def _palm(room: Collection, at: Place, dice: random.Random) -> None:
         out = Vector((math.cos(a), math.sin(a), 0.0))
         bend = ((0.0, 0.0), (0.2, 0.6), (0.65, 1.0), (1.25, 0.95))
         path = [root + out * r * reach + Vector((0, 0, h * rise)) for r, h in bend]
-        tube(room, "frond", path, [0.009, 0.007, 0.005, 0.003], stem, 6, 4)
+        bent_tube(room, "frond", path, [0.009, 0.007, 0.005, 0.003], stem, 6, 4)
         for j in range(9):
             t = 1.0 + 2.0 * j / 8
             whole = min(int(t), 2)

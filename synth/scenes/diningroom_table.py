@@ -13,9 +13,10 @@ from mathutils import Matrix, Vector
 from . import materials as m
 from . import materials_table as mt
 from .assets import Assets
-from .forms import copies, move, ring, standing, tube
+from .forms import copies, move, ring, standing
 from .lighting import Lighting
 from .props import ball, box, lathe, leaf_blade, rod, sheet
+from .tubes import bent_tube
 
 Collection = bpy.types.Collection
 Place = tuple[float, float, float]
@@ -260,7 +261,7 @@ def _fruit(room: Collection, at: Vector, dice: random.Random) -> None:
             (0.125, y + 0.01, 0.195),
         ]
         arc = [at + Vector(p) + Vector((0.0, 0.0, 0.016 * k)) for p in points]
-        tube(room, "banana", arc, [0.006, 0.018, 0.018, 0.007], yellow, 8)
+        bent_tube(room, "banana", arc, [0.006, 0.018, 0.018, 0.007], yellow, 8)
     grape = m.plain("grape", (0.07, 0.015, 0.055), 0.2)
     for k in range(34):
         t = k / 33
@@ -382,7 +383,7 @@ def branch(room: Collection, at: Place, dice: random.Random, height: float, name
         lean = dice.uniform(0.10, 0.24)
         tip = Vector(at) + Vector((lean * math.cos(a), lean * math.sin(a), height * dice.uniform(0.75, 1.1)))
         middle = (Vector(at) + tip) / 2 + Vector((0, 0, 0.04))
-        tube(room, name, [at, middle, tip], [0.005, 0.004, 0.002], bark, 6, 4)
+        bent_tube(room, name, [at, middle, tip], [0.005, 0.004, 0.002], bark, 6, 4)
         for j in range(6):
             t = 0.35 + 0.65 * j / 5
             root = Vector(at).lerp(tip, t) + Vector((0, 0, 0.02))

@@ -17,8 +17,9 @@ from mathutils import Euler, Matrix, Vector
 from . import materials as m
 from . import materials_hearth as mh
 from . import materials_table as mt
-from .forms import move, ring, tube
+from .forms import move, ring
 from .props import ball, finish
+from .tubes import bent_tube
 
 Collection = bpy.types.Collection
 Capsule = tuple[tuple[float, float, float], float, tuple[float, float, float], float]
@@ -145,7 +146,7 @@ def _head(room: Collection) -> list[bpy.types.Object]:
         made.append(ring(room, "lid", (s * 0.042, -0.096, 0.0205), 0.0165, 0.0035, lid, glance, 20))
     mouth = [(0.0, -0.195, -0.066), (0.022, -0.180, -0.078), (0.045, -0.130, -0.078), (0.060, -0.085, -0.066)]
     for s in (-1, 1):
-        made.append(tube(room, "mouth", [(s * x, y, z) for x, y, z in mouth], 0.0035, lid, 6, 4))
+        made.append(bent_tube(room, "mouth", [(s * x, y, z) for x, y, z in mouth], 0.0035, lid, 6, 4))
     return made
 
 

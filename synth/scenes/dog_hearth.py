@@ -13,9 +13,10 @@ from mathutils import Vector
 from . import materials as m
 from . import materials_hearth as mh
 from . import materials_table as mt
-from .forms import copies, ring, standing, tube
+from .forms import copies, ring, standing
 from .lighting import Lighting
 from .props import ball, box, lathe, rod, sheet
+from .tubes import bent_tube
 
 Collection = bpy.types.Collection
 
@@ -163,7 +164,7 @@ def _box(room: Collection, x: float, front: float) -> None:
             (x + s * 0.31, y0 - 0.02, 0.26),
             (x + s * 0.31, y0 - 0.02, 0.38),
         ]
-        tube(room, "fire dog", dog_iron, [0.02, 0.012, 0.014], iron)
+        bent_tube(room, "fire dog", dog_iron, [0.02, 0.012, 0.014], iron)
         ball(
             room,
             "fire dog knob",

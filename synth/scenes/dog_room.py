@@ -13,9 +13,10 @@ from . import materials as m
 from . import materials_hearth as mh
 from . import materials_table as mt
 from .assets import Assets
-from .forms import framed, move, ring, standing, tube
+from .forms import framed, move, ring, standing
 from .lighting import Lighting
 from .props import ball, box, cushion, lathe, leaf_blade, rod, sheet
+from .tubes import bent_tube
 
 Collection = bpy.types.Collection
 Place = tuple[float, float, float]
@@ -58,7 +59,7 @@ def _rug(room: Collection, at: Place) -> None:
                     0.014,
                 )
             )
-        braid = tube(room, "braid", points, 0.0285, cloths[cloth], 8, 2)
+        braid = bent_tube(room, "braid", points, 0.0285, cloths[cloth], 8, 2)
         braid.scale = (1.0, 1.0, 0.55)
         braid.location = at
     box(room, "rug core", (at[0], at[1], 0.006), (0.76, 1.24, 0.01), cloths[1])
@@ -147,7 +148,7 @@ def _toys(room: Collection) -> None:
         (0.13, -0.86, 0.022),
         (0.21, -0.92, 0.02),
     ]
-    tube(room, "rope", path, 0.016, rope, 10)
+    bent_tube(room, "rope", path, 0.016, rope, 10)
     for knot in (path[1], path[3]):
         ball(room, "knot", (knot[0], knot[1], 0.026), 0.026, rope, 3, 0.003)
 
@@ -243,7 +244,7 @@ def lamp(
             (x + 0.12 * math.cos(a), y + 0.12 * math.sin(a), 0.10),
             (x + 0.22 * math.cos(a), y + 0.22 * math.sin(a), 0.014),
         ]
-        tube(room, "lamp table foot", foot, [0.022, 0.018, 0.014], oak)
+        bent_tube(room, "lamp table foot", foot, [0.022, 0.018, 0.014], oak)
     glaze = m.speckled("lamp glaze", (0.06, 0.17, 0.15), (0.24, 0.34, 0.24), 22.0, 0.12)
     body = [
         (0.07, 0.0),
@@ -328,14 +329,14 @@ def _sill(room: Collection, dice: random.Random) -> None:
         tin,
         28,
     )
-    tube(
+    bent_tube(
         room,
         "can spout",
         [at + Vector((0.05, 0, 0.03)), at + Vector((0.10, 0, 0.09)), at + Vector((0.14, 0, 0.15))],
         [0.014, 0.010, 0.009],
         tin,
     )
-    tube(
+    bent_tube(
         room,
         "can handle",
         [
@@ -358,7 +359,7 @@ def _hooks(room: Collection) -> None:
     hide = mh.leather("lead", (0.20, 0.05, 0.025), (0.36, 0.11, 0.05))
     for k in range(3):
         x = x0 + 0.11 * k
-        tube(room, "hook", [(x, 1.77, 1.42), (x, 1.73, 1.40), (x, 1.72, 1.43)], 0.008, brass, 8, 4)
+        bent_tube(room, "hook", [(x, 1.77, 1.42), (x, 1.73, 1.40), (x, 1.72, 1.43)], 0.008, brass, 8, 4)
     loop = [
         (x0, 1.725, 1.43),
         (x0 - 0.035, 1.735, 1.20),
@@ -366,7 +367,7 @@ def _hooks(room: Collection) -> None:
         (x0 + 0.03, 1.735, 1.10),
         (x0 + 0.01, 1.725, 1.43),
     ]
-    tube(room, "lead", loop, 0.010, hide, 8)
+    bent_tube(room, "lead", loop, 0.010, hide, 8)
     felt = m.fabric("hat", (0.09, 0.08, 0.05), (0.20, 0.17, 0.10), 20.0)
     hat = lathe(
         room,

@@ -11,9 +11,10 @@ from mathutils import Vector
 
 from . import materials as m
 from . import materials_fireside as hearth
-from .assembly import Assembly, array, disk, ring, tube
+from .assembly import Assembly, array, disk, ring
 from .lighting import Lighting
 from .props import ball, box, lathe, rod, sheet
+from .tubes import tube
 
 Collection = bpy.types.Collection
 

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""More building blocks: tubes along curves, rings, copies that share a mesh, frames."""
+"""More building blocks: rings, copies that share a mesh, frames."""
 
 from __future__ import annotations
 
-import itertools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 
 import bmesh
 import bpy
@@ -14,51 +13,6 @@ from mathutils import Matrix, Vector
 from .props import Point, box, finish
 
 Collection = bpy.types.Collection
-
-
-def smooth_path(points: Sequence[Point], steps: int = 6) -> list[Vector]:
-    """Catmull–Rom spline through ``points``, ``steps`` segments between two of them."""
-    p = [Vector(q) for q in points]
-    p = [2 * p[0] - p[1], *p, 2 * p[-1] - p[-2]]
-    path = []
-    for a, b, c, d in zip(p, p[1:], p[2:], p[3:], strict=False):
-        for k in range(steps):
-            t = k / steps
-            cubic = 2 * b + (c - a) * t + (2 * a - 5 * b + 4 * c - d) * t**2 + (3 * b - a - 3 * c + d) * t**3
-            path.append(0.5 * cubic)
-    return [*path, p[-2]]
-
-
-def tube(
-    collection: Collection,
-    name: str,
-    points: Sequence[Point],
-    radius: float | Sequence[float],
-    material: bpy.types.Material,
-    sides: int = 10,
-    steps: int = 6,
-) -> bpy.types.Object:
-    """A bent bar along a smooth curve through ``points``; ``radius``: one, or one a point."""
-    path = smooth_path(points, steps)
-    given = [radius] * len(points) if isinstance(radius, (int, float)) else [*radius]
-    mesh = bmesh.new()
-    side = (path[1] - path[0]).orthogonal().normalized()
-    rings = []
-    for k, at in enumerate(path):
-        along = (path[min(k + 1, len(path) - 1)] - path[max(k - 1, 0)]).normalized()
-        side = (side - along * side.dot(along)).normalized()  # carried along without a twist
-        across = along.cross(side)
-        whole, part = divmod(k, steps)
-        r, following = given[whole], given[min(whole + 1, len(given) - 1)]
-        r += (following - r) * part / steps
-        angles = [2.0 * math.pi * j / sides for j in range(sides)]
-        rings.append([mesh.verts.new(at + r * (math.cos(a) * side + math.sin(a) * across)) for a in angles])
-    for lower, upper in itertools.pairwise(rings):
-        for j in range(sides):
-            mesh.faces.new((lower[j], lower[(j + 1) % sides], upper[(j + 1) % sides], upper[j]))
-    mesh.faces.new(rings[0])
-    mesh.faces.new(rings[-1])
-    return finish(collection, name, mesh, material, smooth=sides > 4)
 
 
 def ring(

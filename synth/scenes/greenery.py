@@ -13,9 +13,9 @@ import bpy
 import numpy as np
 from mathutils import Euler, Vector
 
-from .assembly import tube
 from .materials import Colour, Graph
 from .props import finish
+from .tubes import tube
 
 Collection = bpy.types.Collection
 

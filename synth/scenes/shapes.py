@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Further building blocks: tubes along a path, things turned together, leaves scattered by geometry nodes."""
+"""Further building blocks: things turned together, leaves scattered by geometry nodes."""
 
 from __future__ import annotations
 
@@ -12,39 +12,7 @@ import bmesh
 import bpy
 from mathutils import Vector
 
-from .props import finish
-
 Point = Sequence[float]  # metres
-
-
-def tube(
-    collection: bpy.types.Collection,
-    name: str,
-    points: Sequence[Point],
-    radius: float,
-    material: bpy.types.Material,
-    sides: int = 8,
-) -> bpy.types.Object:
-    """A round bar bent along ``points``: cables, handles, arms of lamps, garlands."""
-    path = [Vector(point) for point in points]
-    mesh = bmesh.new()
-    rings, side = [], None
-    for index, here in enumerate(path):
-        ahead = (path[min(index + 1, len(path) - 1)] - path[max(index - 1, 0)]).normalized()
-        # The frame is carried along the path, so that the tube does not twist.
-        side = ahead.orthogonal() if side is None else side - ahead * side.dot(ahead)
-        side.normalize()
-        other = ahead.cross(side)
-        angles = [2.0 * math.pi * k / sides for k in range(sides)]
-        rings.append(
-            [mesh.verts.new(here + radius * (math.cos(a) * side + math.sin(a) * other)) for a in angles]
-        )
-    for lower, upper in itertools.pairwise(rings):
-        for k in range(sides):
-            mesh.faces.new((lower[k], lower[(k + 1) % sides], upper[(k + 1) % sides], upper[k]))
-    mesh.faces.new(rings[0][::-1])
-    mesh.faces.new(rings[-1])
-    return finish(collection, name, mesh, material, smooth=True)
 
 
 def hanging(start: Point, end: Point, sag: float, steps: int = 12) -> list[Vector]:

@@ -23,8 +23,9 @@ from . import sofa_furniture as furniture
 from .assets import Assets
 from .lighting import Lighting
 from .props import ball, box, finish, rod, sheet
-from .shapes import hanging, tube
+from .shapes import hanging
 from .stage import CameraHints, Stage
+from .tubes import tube
 
 LEFT, RIGHT, FRONT, BACK, HEIGHT = -2.3, 2.3, -3.1, 2.3, 2.65
 WINDOW = (-0.25, 1.95, 0.42, 2.32)  # y0, y1, z0, z1 in the left wall

@@ -15,7 +15,8 @@ from . import sofa_storage as storage
 from .assets import Assets
 from .lighting import Lighting
 from .props import ball, box, cushion, lathe, leaf_blade, rod, sheet
-from .shapes import tube, turned
+from .shapes import turned
+from .tubes import tube
 
 Collection = bpy.types.Collection
 

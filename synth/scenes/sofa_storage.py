@@ -14,7 +14,8 @@ from . import materials_upholstery as soft
 from .assets import Assets
 from .lighting import Lighting
 from .props import ball, box, lathe, rod
-from .shapes import leaf, scatter, tube
+from .shapes import leaf, scatter
+from .tubes import tube
 
 Collection = bpy.types.Collection
 

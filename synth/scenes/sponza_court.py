@@ -16,9 +16,10 @@ from . import sponza_hangings as hangings
 from .assets import Assets
 from .lighting import Lighting
 from .props import ball, box, lathe, leaf_blade, sheet
-from .shapes import leaf, scatter, tube, turned
+from .shapes import leaf, scatter, turned
 from .sponza_colonnade import OUT_X
 from .sponza_hangings import BLUE, CREAM, GOLD, RED
+from .tubes import tube
 
 Collection = bpy.types.Collection
 

@@ -14,8 +14,9 @@ from . import materials_stone as stone
 from . import materials_upholstery as soft
 from .lighting import Lighting
 from .props import ball, lathe, rod, sheet
-from .shapes import leaf, scatter, tube, turned
+from .shapes import leaf, scatter, turned
 from .sponza_colonnade import HALF_X, HALF_Y, RAIL, STOREY
+from .tubes import tube
 
 Collection = bpy.types.Collection
 
