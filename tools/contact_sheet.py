@@ -16,7 +16,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from physhdr.backend.evaluate.inspection import Inspection, inspect
-from physhdr.backend.scene.layers import read_layers
+from physhdr.backend.evaluate.layers import read_layers
 from physhdr.backend.scene.pictures import read_exr, read_png
 from physhdr.bridge.atomic import atomic_path
 from physhdr.bridge.errors import BadValueError, FileMissingError, OutputError, PhysHDRError

@@ -19,8 +19,8 @@ import numpy as np
 from ...bridge.errors import PhysHDRError
 from ..scene import read_scene
 from ..scene.hdr_nerf_syn import LOOKS_FOR
-from ..scene.layers import read_layers
 from ..scene.pictures import read_exr, read_png
+from .layers import read_layers
 from .results import NOVEL_EXPOSURES, OBSERVED_EXPOSURES
 
 SPLITS = ("train", "test", "lit")

@@ -8,7 +8,7 @@ import numpy as np
 import OpenEXR
 
 from ...bridge.errors import FileDamagedError, FileMissingError
-from .pictures import MAX_PIXELS, MAX_PIXELS_PER_BYTE
+from ..scene.pictures import MAX_PIXELS, MAX_PIXELS_PER_BYTE
 
 
 def read_layers(path: Path) -> dict[str, np.ndarray]:
