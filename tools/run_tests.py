@@ -2,14 +2,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Run every room's tests with the interpreter that it needs, and print how long each took.
 
-The two rooms run side by side: most of their tests keep one core busy. What Blender's side says is printed when
-the backend's is done.
+The two rooms run side by side: most of their tests keep one core busy. What Blender's side says is printed
+when the backend's is done.
 """
 
 import subprocess
 import sys
 import tempfile
 import time
+from contextlib import ExitStack
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -39,25 +40,23 @@ def main() -> int:
 def run_together(suites: dict[str, list]) -> bool:
     """Run the suites at the same time; the output of the first as it comes, then of the others."""
     start = time.perf_counter()
-    running = []
-    for number, (name, command) in enumerate(suites.items()):
-        output = tempfile.TemporaryFile() if number else None
-        words = [str(part) for part in command] + sys.argv[1:] * (name != "lint")
-        process = subprocess.Popen(
-            words, cwd=ROOT, stdout=output, stderr=subprocess.STDOUT if output else None
-        )
-        running.append((name, process, output))
     passed = True
-    for name, process, output in running:
-        print(f"\n== {name} ==", flush=True)
-        status = process.wait()
-        if output is not None:
-            output.seek(0)
-            sys.stdout.buffer.write(output.read())
-            output.close()
-        seconds = time.perf_counter() - start
-        print(f"== {name}: {'passed' if status == 0 else 'FAILED'} after {seconds:.0f} s ==", flush=True)
-        passed &= status == 0
+    with ExitStack() as files:
+        running = []
+        for name, command in suites.items():
+            output = files.enter_context(tempfile.TemporaryFile()) if running else None
+            words = [str(part) for part in command] + sys.argv[1:] * (name != "lint")
+            process = subprocess.Popen(words, cwd=ROOT, stdout=output, stderr=output and subprocess.STDOUT)
+            running.append((name, process, output))
+        for name, process, output in running:
+            print(f"\n== {name} ==", flush=True)
+            status = process.wait()
+            if output is not None:
+                output.seek(0)
+                sys.stdout.buffer.write(output.read())
+            seconds = time.perf_counter() - start
+            print(f"== {name}: {'passed' if status == 0 else 'FAILED'} after {seconds:.0f} s ==", flush=True)
+            passed &= status == 0
     return passed
 
 
