@@ -76,6 +76,8 @@ def test_ground_truth_is_not_read(preset, tiny_data, tmp_path):
     assert len(truths) == 6 + 2 + 2
     for path in truths:
         write_exr(path, rng.uniform(0, 100, read_exr(path).shape).astype(np.float32))
+    (spoiled / "passes").mkdir()  # the light of each group, which the tiny data do not have
+    write_exr(spoiled / "passes" / "train_000.exr", rng.uniform(0, 100, (24, 32, 3)).astype(np.float32))
     config = short(preset, iterations=20)
     train(read_scene(tiny_data), config, tmp_path / "clean_run")
     train(read_scene(spoiled), config, tmp_path / "spoiled_run")
