@@ -1,0 +1,383 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Many evaluations side by side: methods × scenes × settings × seeds → one table, as Markdown, CSV or rich.
+
+A number is first averaged over the seeds of a scene, then over scenes. Its spread is the sample standard
+deviation, over the seeds, of the mean over scenes: what another seed would have changed in what is printed.
+"""
+
+import csv
+import io
+import json
+import math
+import statistics
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from rich import box
+from rich.table import Table as RichTable
+from rich.text import Text
+
+from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
+
+FORMAT, VERSION = "physhdr-evaluation", 1
+EVALUATION_FILE = "evaluation.json"
+#: What an empty cell of a table shows: not measured.
+NONE = "–"
+
+Grouping = Literal["data_set", "setting", "scene"]
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One evaluated run. ``setting``: exp1, exp3. ``evaluation``: what ``load_evaluation`` returns.
+
+    ``cost``: what it took, by any names (``cpu_seconds``, ``iterations``, ``gaussians``), for the columns
+    ``cost.NAME``. ``published``: a paper's number, shown in italics beside ours and never ranked.
+    """
+
+    method: str
+    scene: str
+    setting: str
+    seed: int | None
+    evaluation: dict[str, Any]
+    cost: dict[str, float] = field(default_factory=dict)
+    published: bool = False
+
+    @property
+    def data_set(self) -> str:
+        """The published benchmark that the scene is of, else ``""``."""
+        return str(self.evaluation.get("conditions", {}).get("data_set") or "")
+
+
+def load_evaluation(path: Path | str) -> dict[str, Any]:
+    """The content of an ``evaluation.json``, given as the file or as the folder of its run.
+
+    Raises ``FileMissingError``, or ``FileDamagedError`` where it is not an evaluation of this version.
+    """
+    path = Path(path)
+    path = path / EVALUATION_FILE if path.is_dir() else path
+    remedy = "Run physhdr evaluate on the run again."
+    if not path.is_file():
+        raise FileMissingError(f"there is no evaluation at {path}", "Run physhdr evaluate on the run first.")
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError, OSError) as error:
+        raise FileDamagedError(f"{path} cannot be read: {error}", remedy) from error
+    match content:
+        case {"format": "physhdr-evaluation", "version": 1, "means": {**means}, "conditions": {}} if all(
+            value is None or isinstance(value, dict) for value in means.values()
+        ):
+            return content
+    raise FileDamagedError(f"{path} is not a {FORMAT} of version {VERSION}", remedy)
+
+
+# ---- columns -----------------------------------------------------------------------------------------
+
+Better = Literal["higher", "lower", "one", "neither"]
+
+#: Parts of an evaluation by the name that a column uses.
+PARTS = {"LDR-OE": "LDR-OE", "LDR-NE": "LDR-NE", "HDR": "HDR", "HDR-aligned": "HDR, scale aligned"}
+#: Their metrics: heading, digits, which is better.
+METRICS: dict[str, tuple[str, int, Better]] = {
+    "psnr": ("PSNR", 2, "higher"),
+    "ssim": ("SSIM", 4, "higher"),
+    "lpips": ("LPIPS", 4, "lower"),
+    "lpips_01": ("LPIPS 01", 4, "lower"),
+}
+#: What a table shows unless asked otherwise: the paper's columns, and whether the scale is right.
+PAPER_METRICS = tuple(
+    f"{part}.{metric}" for part in ("LDR-OE", "LDR-NE", "HDR") for metric in ("psnr", "ssim", "lpips_01")
+)
+DEFAULT_METRICS = (*PAPER_METRICS, "scale")
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column: ``LDR-OE.psnr``, ``scale``, ``relit.psnr``, ``relit.gain`` or ``cost.NAME``."""
+
+    key: str
+    heading: str
+    digits: int | None
+    better: Better
+
+    def value(self, entry: Entry) -> float | None:
+        """The entry's number; None where it was not measured."""
+        part, _, metric = self.key.partition(".")
+        if self.key == "scale":
+            value = entry.evaluation.get("scale_ratio")
+        elif part == "cost":
+            value = entry.cost.get(metric)
+        elif part == "relit":
+            means = entry.evaluation.get("relit_means", {}).get("all") or {}
+            value = means.get("ours" if metric == "psnr" else "gain_over_scaled_truth")
+        else:
+            value = (entry.evaluation["means"].get(PARTS[part]) or {}).get(metric)
+        return float(value) if isinstance(value, int | float) and math.isfinite(value) else None
+
+    def text(self, value: float) -> str:
+        """As the tables print it."""
+        if self.digits is not None:
+            return f"{value:.{self.digits}f}"
+        return f"{value:,.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
+
+    def merit(self, value: float) -> float:
+        """Higher is better, equal where the printed numbers are equal."""
+        shown = float(self.text(value).replace(",", ""))
+        return {"higher": shown, "lower": -shown, "one": -abs(shown - 1.0), "neither": 0.0}[self.better]
+
+
+def column(key: str) -> Column:
+    """The column named ``key``; raises ``BadValueError`` naming those there are."""
+    part, _, metric = key.partition(".")
+    if part in PARTS and metric in METRICS:
+        heading, digits, better = METRICS[metric]
+        return Column(key, f"{part} {heading}", digits, better)
+    if key == "scale":
+        return Column(key, "HDR scale", 3, "one")
+    if key == "relit.psnr":
+        return Column(key, "relit PSNR", 2, "higher")
+    if key == "relit.gain":
+        return Column(key, "relit gain", 2, "higher")
+    if part == "cost" and metric:
+        return Column(key, metric.replace("_", " "), None, "neither")
+    raise BadValueError(
+        f"there is no column '{key}' in a comparison",
+        f"PART.METRIC, of {', '.join(PARTS)} and {', '.join(METRICS)}; "
+        "scale, relit.psnr, relit.gain or cost.NAME.",
+    )
+
+
+# ---- cells, rows, the table ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One number: mean and spread (None with fewer than two seeds); how many seeds and which scenes.
+
+    ``rank``: 1 best of its block, 2 second, 0 neither or not ranked. ``partial``: some scenes are missing
+    that others in the block have, so that it cannot be compared.
+    """
+
+    mean: float | None
+    spread: float | None = None
+    seeds: int = 0
+    scenes: tuple[str, ...] = ()
+    rank: int = 0
+    partial: bool = False
+
+
+@dataclass(frozen=True)
+class Row:
+    """``labels``: one for each of the table's label columns, the method last."""
+
+    labels: tuple[str, ...]
+    cells: tuple[Cell, ...]
+    published: bool = False
+
+
+@dataclass(frozen=True)
+class Table:
+    """A comparison that can be printed. ``rows`` come block by block; ranks are within a block."""
+
+    title: str
+    label_headings: tuple[str, ...]
+    columns: tuple[Column, ...]
+    rows: tuple[Row, ...]
+    notes: tuple[str, ...]
+
+    def markdown(self) -> str:
+        """A GitHub table with its title above and its notes below: **best**, <u>second</u>, *published*."""
+        headings = (*self.label_headings, *(each.heading for each in self.columns))
+        rule = "|".join([":---"] * len(self.label_headings) + ["---:"] * len(self.columns))
+        lines = [f"| {' | '.join(headings)} |", f"|{rule}|"]
+        for row in self.rows:
+            labels = [_escaped(label) for label in row.labels]
+            if row.published:
+                labels[-1] = f"*{labels[-1]}*"
+            cells = [self._markdown_cell(i, cell, row.published) for i, cell in enumerate(row.cells)]
+            lines.append(f"| {' | '.join([*labels, *cells])} |")
+        head = [f"**{_escaped(self.title)}**"] if self.title else []
+        return (
+            "\n\n".join(
+                [*head, "\n".join(lines), *(["\n".join(f"- {n}" for n in self.notes)] if self.notes else [])]
+            )
+            + "\n"
+        )
+
+    def csv(self) -> str:
+        """One line a row, in full precision: for each column its mean, spread, seeds and scenes."""
+        stream = io.StringIO()
+        writer = csv.writer(stream, lineterminator="\n")
+        parts = ("", " spread", " seeds", " scenes")
+        headings = [f"{each.key}{part}" for each in self.columns for part in parts]
+        writer.writerow([*(name.lower() for name in self.label_headings), "published", *headings])
+        for row in self.rows:
+            line: list[object] = [*row.labels, int(row.published)]
+            for cell in row.cells:
+                line += ["" if cell.mean is None else cell.mean, "" if cell.spread is None else cell.spread]
+                line += [cell.seeds, len(cell.scenes)]
+            writer.writerow(line)
+        return stream.getvalue()
+
+    def rich(self) -> RichTable:
+        """For ``rich.console.Console.print``: best bold, second underlined, published in italics."""
+        table = RichTable(title=self.title or None, title_justify="left", box=box.SIMPLE_HEAD)
+        table.caption = "\n".join(self.notes) or None
+        table.caption_justify = "left"
+        for heading in self.label_headings:
+            table.add_column(heading)
+        for each in self.columns:
+            table.add_column(each.heading, justify="right")
+        for row in self.rows:
+            cells = []
+            for i, cell in enumerate(row.cells):
+                mean, rest = self._texts(i, cell)
+                style = ("", "bold", "underline")[cell.rank]
+                cells.append(Text.assemble((mean, style), rest, style="italic" if row.published else ""))
+            table.add_row(*row.labels, *cells)
+        return table
+
+    def _texts(self, i: int, cell: Cell) -> tuple[str, str]:
+        """The mean, and what follows it."""
+        if cell.mean is None:
+            return NONE, ""
+        each = self.columns[i]
+        spread = "" if cell.spread is None else f" ± {each.text(cell.spread)}"
+        return each.text(cell.mean), spread + (f" ({len(cell.scenes)} scenes)" if cell.partial else "")
+
+    def _markdown_cell(self, i: int, cell: Cell, published: bool) -> str:
+        mean, rest = self._texts(i, cell)
+        mark = ("{}", "**{}**", "<u>{}</u>")[cell.rank]
+        return f"*{mean}*{rest}" if published and cell.mean is not None else mark.format(mean) + rest
+
+
+def comparison_table(
+    entries: Iterable[Entry],
+    *,
+    metrics: Sequence[str] = DEFAULT_METRICS,
+    group: Sequence[Grouping] = ("data_set", "setting"),
+    title: str = "",
+    keep_empty: bool = False,
+) -> Table:
+    """The table of ``entries``: a block for each value of ``group``, a row for each method in it.
+
+    With ``"scene"`` in ``group`` there is a block a scene, else rows are means over scenes. A column without
+    any number is left out unless ``keep_empty``; so is a label column that is the same everywhere, which
+    then stands in the notes. Methods, scenes and settings stay in the order of ``entries``. Raises
+    ``BadValueError`` for no entries, two of the same run, an unknown metric, or settings that would be mixed.
+    """
+    entries = list(entries)
+    _require_comparable(entries, group)
+    columns = [column(key) for key in metrics]
+    if not keep_empty:
+        columns = [each for each in columns if any(each.value(entry) is not None for entry in entries)]
+    blocks: dict[tuple[str, ...], dict[tuple[str, bool], list[Entry]]] = {}
+    for entry in entries:
+        key = tuple(str(getattr(entry, name)) for name in group)
+        blocks.setdefault(key, {}).setdefault((entry.method, entry.published), []).append(entry)
+
+    shown = [i for i, _ in enumerate(group) if len({key[i] for key in blocks}) > 1]
+    constant = [
+        f"{group[i].replace('_', ' ')}: {key}"
+        for i, key in enumerate(next(iter(blocks)))
+        if i not in shown and key
+    ]
+    rows: list[Row] = []
+    for key, methods in blocks.items():
+        labels = tuple(key[i] or NONE for i in shown)
+        rows += _ranked(
+            columns,
+            [
+                Row((*labels, method), tuple(_cell(each, runs) for each in columns), published)
+                for (method, published), runs in methods.items()
+            ],
+        )
+    headings = (*(group[i].replace("_", " ") for i in shown), "method")
+    notes = _notes(entries, constant, rows, "scene" not in group)
+    return Table(title, headings, tuple(columns), tuple(rows), tuple(notes))
+
+
+def _require_comparable(entries: list[Entry], group: Sequence[Grouping]) -> None:
+    if not entries:
+        raise BadValueError("there is nothing to compare", "Give at least one evaluated run.")
+    seen: set[tuple[object, ...]] = set()
+    for entry in entries:
+        run = (entry.method, entry.data_set, entry.scene, entry.setting, entry.seed, entry.published)
+        if run in seen:
+            raise BadValueError(
+                f"two runs of {entry.method} on {entry.scene}, {entry.setting}, seed {entry.seed}",
+                "Give each run once, or name the methods apart.",
+            )
+        seen.add(run)
+    settings = sorted({entry.setting for entry in entries})
+    if "setting" not in group and len(settings) > 1:
+        raise BadValueError(
+            f"a mean over the settings {', '.join(settings)} would mean nothing", "Put 'setting' into group."
+        )
+
+
+def _cell(each: Column, runs: list[Entry]) -> Cell:
+    """Mean over seeds, then over scenes; the spread over the seeds that every scene has."""
+    by_scene: dict[str, dict[int | None, float]] = {}
+    for run in runs:
+        value = each.value(run)
+        if value is not None:
+            by_scene.setdefault(run.scene, {})[run.seed] = value
+    if not by_scene:
+        return Cell(None)
+    mean = statistics.fmean(statistics.fmean(seeds.values()) for seeds in by_scene.values())
+    common = set.intersection(*(set(seeds) for seeds in by_scene.values()))
+    over_scenes = [statistics.fmean(seeds[seed] for seeds in by_scene.values()) for seed in common]
+    spread = statistics.stdev(over_scenes) if len(over_scenes) > 1 else None
+    return Cell(mean, spread, len(common), tuple(sorted(by_scene)))
+
+
+def _ranked(columns: list[Column], rows: list[Row]) -> list[Row]:
+    """The rows of one block with best and second marked in each column."""
+    cells = [list(row.cells) for row in rows]
+    for i, each in enumerate(columns):
+        scenes = {scene for row in rows if not row.published for scene in row.cells[i].scenes}
+        merits: dict[int, float] = {}
+        for r, row in enumerate(rows):
+            cell = row.cells[i]
+            partial = cell.mean is not None and len(cell.scenes) < len(scenes)
+            cells[r][i] = Cell(cell.mean, cell.spread, cell.seeds, cell.scenes, 0, partial)
+            if cell.mean is not None and not partial and not row.published and each.better != "neither":
+                merits[r] = each.merit(cell.mean)
+        if len(merits) < 2:
+            continue
+        best_two = sorted(set(merits.values()), reverse=True)[:2]
+        for r, merit in merits.items():
+            cell = cells[r][i]
+            if merit in best_two:
+                rank = best_two.index(merit) + 1
+                cells[r][i] = Cell(cell.mean, cell.spread, cell.seeds, cell.scenes, rank)
+    return [Row(row.labels, tuple(cells[r]), row.published) for r, row in enumerate(rows)]
+
+
+def _notes(entries: list[Entry], constant: list[str], rows: list[Row], over_scenes: bool) -> list[str]:
+    notes = []
+    if constant:
+        notes.append("; ".join(constant))
+    measured = [entry for entry in entries if not entry.published]
+    scenes = list(dict.fromkeys(entry.scene for entry in measured))
+    if over_scenes and len(scenes) > 1:
+        notes.append(f"means over {len(scenes)} scenes: {', '.join(scenes)}")
+    seeds = sorted({cell.seeds for row in rows if not row.published for cell in row.cells if cell.seeds})
+    if any(cell.spread is not None for row in rows for cell in row.cells):
+        count = str(seeds[0]) if len(seeds) == 1 else f"{seeds[0]} to {seeds[-1]}"
+        what = "the mean over scenes" if over_scenes and len(scenes) > 1 else "the number"
+        notes.append(f"±: standard deviation of {what} over {count} seeds")
+    elif measured:
+        notes.append("one seed: no spread is known")
+    if any(cell.rank for row in rows for cell in row.cells):
+        notes.append("best bold, second underlined; equal printed numbers share a place")
+    if any(cell.partial for row in rows for cell in row.cells):
+        notes.append("numbers over fewer scenes than others have are not ranked")
+    return notes
+
+
+def _escaped(text: str) -> str:
+    return text.replace("|", "\\|")
