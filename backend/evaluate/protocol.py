@@ -159,7 +159,9 @@ def _ldr_rows(renderer: Renderer, view: View, lpips: Lpips | None) -> list[LdrRo
         picture = quantise(_require_finite(picture, f"{view.name} at {exposure:g} s"))
         # A copy: the cached picture is read-only, which torch cannot represent.
         reference = torch.from_numpy(view.image(k).copy()).permute(2, 0, 1).double() / 255.0
-        rows.append(LdrRow(view.name, view.index, k, exposure, _compare(picture, reference, lpips)))
+        rows.append(
+            LdrRow(view.name, view.index, view.bracket[k], exposure, _compare(picture, reference, lpips))
+        )
     return rows
 
 

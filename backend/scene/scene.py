@@ -54,6 +54,9 @@ class View:
     ``name``: as the data set names it (``train/r_3``). ``index``: the pose's number (3), which also names
     its true radiance (``hdr_003.exr``). ``exposures``: seconds, one for each of ``image_paths``.
     ``lighting_levels``: each of the scene's lights relative to the standard views, all 1 for those.
+    ``bracket``: the place of each exposure in the data set's bracket, rising (0, 2, 4 where 1 and 3 were not
+    taken); by default 0, 1, 2 … The paper's LDR-OE and LDR-NE are sets of these numbers. Everything else here
+    counts by position: ``exposures[i]`` seconds belong to ``image(i)`` and to ``bracket[i]``.
     """
 
     name: str
@@ -63,13 +66,25 @@ class View:
     index: int
     lighting_levels: tuple[float, ...] = (1.0,)
     cache: PictureCache = field(default_factory=PictureCache, repr=False)
+    bracket: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
+        if not self.bracket:
+            object.__setattr__(self, "bracket", tuple(range(len(self.exposures))))
         if len(self.exposures) != len(self.image_paths) or not self.exposures:
             raise DataMismatchError(
                 f"view '{self.name}' has {len(self.exposures)} exposures, {len(self.image_paths)} pictures",
                 "Give each picture of a view one exposure.",
             )
+        if len(self.bracket) != len(self.exposures) or list(self.bracket) != sorted(set(self.bracket)):
+            raise DataMismatchError(
+                f"view '{self.name}' has {len(self.exposures)} exposures at the places {self.bracket}",
+                "Give each exposure one place in the bracket, rising.",
+            )
+
+    def place_of(self, k: int) -> int | None:
+        """Where exposure ``k`` of the bracket is in ``exposures``; None if this view has it not."""
+        return self.bracket.index(k) if k in self.bracket else None
 
     @property
     def lighting_level(self) -> float:
@@ -118,7 +133,8 @@ class Scene:
     ``lit``: extra training views under other light. ``lights``: names of the lights whose levels differ
     there, in the order of every view's ``lighting_levels``. ``response_anchor``: one known point of the
     camera's response, (exposure × radiance, code value in 0…1), or None where the data name none.
-    ``info``: ``dataset.json`` as read, or ``{}``.
+    ``info``: ``dataset.json`` as read, or ``{}``. ``layout``: the name of the layout on disk. ``messages``: what
+    the reader decided, in sentences (split, size, where exposures are from), for people to read.
     """
 
     root: Path
@@ -130,6 +146,8 @@ class Scene:
     response_anchor: tuple[float, float] | None = None
     info: dict[str, Any] = field(default_factory=dict)
     lights: tuple[str, ...] = (AMBIENT,)
+    layout: str = ""
+    messages: tuple[str, ...] = ()
 
     @property
     def splits(self) -> dict[str, list[View]]:
