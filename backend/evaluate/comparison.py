@@ -20,6 +20,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
+from .published import published_means
 
 FORMAT, VERSION = "physhdr-evaluation", 1
 EVALUATION_FILE = "evaluation.json"
@@ -116,11 +117,13 @@ class Column:
             value = (entry.evaluation["means"].get(PARTS[part]) or {}).get(metric)
         return float(value) if isinstance(value, int | float) and math.isfinite(value) else None
 
-    def text(self, value: float) -> str:
-        """As the tables print it."""
-        if self.digits is not None:
-            return f"{value:.{self.digits}f}"
-        return f"{value:,.0f}" if abs(value) >= 100.0 else f"{value:.3g}"
+    def text(self, value: float, mean: float | None = None) -> str:
+        """As the tables print it; a spread with as many decimals as its ``mean``."""
+        digits = self.digits
+        if digits is None:
+            size = abs(value if mean is None else mean)
+            digits = 0 if size >= 100.0 else 1 if size >= 10.0 else 2
+        return f"{value:,.{digits}f}"
 
     def merit(self, value: float) -> float:
         """Higher is better, equal where the printed numbers are equal."""
@@ -244,7 +247,7 @@ class Table:
         if cell.mean is None:
             return NONE, ""
         each = self.columns[i]
-        spread = "" if cell.spread is None else f" ± {each.text(cell.spread)}"
+        spread = "" if cell.spread is None else f" ± {each.text(cell.spread, cell.mean)}"
         return each.text(cell.mean), spread + (f" ({len(cell.scenes)} scenes)" if cell.partial else "")
 
     def _markdown_cell(self, i: int, cell: Cell, published: bool) -> str:
@@ -259,17 +262,21 @@ def comparison_table(
     metrics: Sequence[str] = DEFAULT_METRICS,
     group: Sequence[Grouping] = ("data_set", "setting"),
     title: str = "",
+    published: bool = True,
     keep_empty: bool = False,
 ) -> Table:
     """The table of ``entries``: a block for each value of ``group``, a row for each method in it.
 
-    With ``"scene"`` in ``group`` there is a block a scene, else rows are means over scenes. A column without
+    With ``"scene"`` in ``group`` there is a block a scene, else rows are means over scenes. ``published``:
+    the paper's numbers stand below ours where the data set and the scenes are the same. A column without
     any number is left out unless ``keep_empty``; so is a label column that is the same everywhere, which
     then stands in the notes. Methods, scenes and settings stay in the order of ``entries``. Raises
     ``BadValueError`` for no entries, two of the same run, an unknown metric, or settings that would be mixed.
     """
     entries = list(entries)
     _require_comparable(entries, group)
+    if published:
+        entries += published_entries(entries)
     columns = [column(key) for key in metrics]
     if not keep_empty:
         columns = [each for each in columns if any(each.value(entry) is not None for entry in entries)]
@@ -297,6 +304,17 @@ def comparison_table(
     headings = (*(group[i].replace("_", " ") for i in shown), "method")
     notes = _notes(entries, constant, rows, "scene" not in group)
     return Table(title, headings, tuple(columns), tuple(rows), tuple(notes))
+
+
+def published_entries(entries: Iterable[Entry]) -> list[Entry]:
+    """The paper's numbers for each (data set, scene, setting) of ``entries``; [] where it has none."""
+    there = dict.fromkeys((entry.data_set, entry.scene, entry.setting) for entry in entries)
+    found = []
+    for data_set, scene, setting in there:
+        for method, means in published_means(data_set, scene, setting).items():
+            evaluation = {"means": means, "conditions": {"data_set": data_set}}
+            found.append(Entry(f"{method} (published)", scene, setting, None, evaluation, published=True))
+    return found
 
 
 def _require_comparable(entries: list[Entry], group: Sequence[Grouping]) -> None:
@@ -346,8 +364,8 @@ def _ranked(columns: list[Column], rows: list[Row]) -> list[Row]:
             cells[r][i] = Cell(cell.mean, cell.spread, cell.seeds, cell.scenes, 0, partial)
             if cell.mean is not None and not partial and not row.published and each.better != "neither":
                 merits[r] = each.merit(cell.mean)
-        if len(merits) < 2:
-            continue
+        if len(set(merits.values())) < 2:
+            continue  # one alone, or all alike: there is no best
         best_two = sorted(set(merits.values()), reverse=True)[:2]
         for r, merit in merits.items():
             cell = cells[r][i]
@@ -374,6 +392,10 @@ def _notes(entries: list[Entry], constant: list[str], rows: list[Row], over_scen
         notes.append("one seed: no spread is known")
     if any(cell.rank for row in rows for cell in row.cells):
         notes.append("best bold, second underlined; equal printed numbers share a place")
+    if any(entry.published for entry in entries):
+        notes.append(
+            "published: the paper's own figures (evaluate/published.csv), other hardware; not ranked"
+        )
     if any(cell.partial for row in rows for cell in row.cells):
         notes.append("numbers over fewer scenes than others have are not ranked")
     return notes

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The paper's own numbers (``published.csv`` says where they are from), and whether a scene is theirs.
+
+They are shown only beside results on the very same data: a scene of ours that happens to be called bathroom,
+or the original at another resolution, has nothing to do with them.
+"""
+
+import csv
+import functools
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..scene.scene import Scene
+
+FIGURES_FILE = Path(__file__).with_name("published.csv")
+#: What the paper calls its own method.
+OURS = "Ours"
+METHOD = "PhysHDR-GS"
+MEAN, ABLATION = "mean", "ablation:"
+#: The file keeps the paper's LPIPS, which feeds 0…1 pictures.
+METRICS = {"psnr": "psnr", "ssim": "ssim", "lpips_01": "lpips"}
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """What gives a published data set away: its scenes, (width, height) in its protocol, test views."""
+
+    scenes: tuple[str, ...]
+    resolution: tuple[int, int]
+    test_views: int
+
+
+#: Facts of shared/method.md, sections 1, 3 and 5.
+BENCHMARKS = {
+    "HDR-NeRF-Syn": Benchmark(
+        ("bathroom", "bear", "chair", "desk", "diningroom", "dog", "sofa", "sponza"), (400, 400), 17
+    ),
+    "HDR-NeRF-Real": Benchmark(("box", "computer", "flower", "luckycat"), (804, 534), 17),
+    "HDR-Plenoxels-Real": Benchmark(("character", "coffee", "desk", "plant"), (992, 746), 13),
+}
+
+
+def data_set_of(scene: Scene) -> str:
+    """The name of the published data set that ``scene`` is of, as its protocol reads it, else ``""``.
+
+    Never one of ours: a folder with a ``dataset.json`` was made by this project's generator.
+    """
+    if scene.info or not scene.test:
+        return ""
+    camera = scene.test[0].camera
+    seen = (camera.width, camera.height), len(scene.test)
+    for name, benchmark in BENCHMARKS.items():
+        if scene.name.lower() in benchmark.scenes and seen == (benchmark.resolution, benchmark.test_views):
+            return name
+    return ""
+
+
+def published_means(data_set: str, scene: str, setting: str) -> dict[str, dict[str, dict[str, float]]]:
+    """``{method: {"LDR-OE": {"psnr": …, "ssim": …, "lpips_01": …}, …}}``, as in an evaluation's ``means``.
+
+    Empty where the paper has no figures. † marks the Scaffold-GS backbone, as in the paper.
+    """
+    found: dict[str, dict[str, dict[str, float]]] = {}
+    for row in _figures():
+        if (row["dataset"], row["scene"], row["setting"]) != (data_set, scene.lower(), setting):
+            continue
+        method = row["method"]
+        if not method.startswith(ABLATION):
+            method = method.replace(OURS, METHOD)
+        numbers = {name: float(row[theirs]) for name, theirs in METRICS.items() if row[theirs]}
+        found.setdefault(method, {})[row["split"]] = numbers
+    return found
+
+
+@functools.cache
+def _figures() -> tuple[dict[str, str], ...]:
+    with FIGURES_FILE.open(encoding="utf-8", newline="") as file:
+        return tuple(csv.DictReader(line for line in file if not line.startswith("#")))
