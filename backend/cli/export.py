@@ -12,6 +12,7 @@ from ...bridge.errors import BadValueError
 from ...bridge.gaussian_ply import standard_columns, write_lossless_ply, write_standard_ply
 from ...bridge.model_file import write_model
 from ..export.baked import network_comments, parameter_columns
+from ..model.gaussians import Gaussians
 from .lighting import levels_asked
 from .progress import console
 from .run_folder import open_run, writable_folder
@@ -45,10 +46,10 @@ class Export:
         run = open_run(self.folder, self.data)
         levels = levels_asked(self.lighting_level, self.lighting_levels, run.method.lights)
         out = writable_folder(self.out or self.folder)
-        method, gaussians = run.method, run.method.gaussians
+        method = run.on_gaussians()
         model = run.model()
         write_model(out / MODEL_FILE, model)
-        console.print(f"wrote {out / MODEL_FILE}: {len(gaussians)} Gaussians, for Blender")
+        console.print(f"wrote {out / MODEL_FILE}: {method.size} Gaussians, for Blender")
 
         look = look_words(self.exposure_ev, levels, model.lights)
         standard = {
@@ -63,11 +64,14 @@ class Export:
         write_standard_ply(out / "baked.ply", **standard, comments=comments)
         console.print(f"wrote {out / 'baked.ply'}: for any 3DGS viewer, baked at {look}")
 
+        if not isinstance(run.splatting.backbone, Gaussians):
+            console.print("no lossless.ply: its columns are Gaussians', and this run has anchors")
+            return 0
         comments.append("phys_ columns and phys_network lines hold the model itself: scene-linear, lossless")
         write_lossless_ply(
             out / "lossless.ply",
             standard_columns(**standard),
-            parameter_columns(gaussians, method.lights),
+            parameter_columns(method.gaussians, method.lights),
             comments + network_comments(method, model),
         )
         console.print(f"wrote {out / 'lossless.ply'}: every parameter")

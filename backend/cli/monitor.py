@@ -7,7 +7,7 @@ import torch
 from ...bridge.errors import PhysHDRError
 from ..evaluate.metrics import psnr, scale_ratio
 from ..evaluate.truth import hdr_truth
-from ..methods.physhdr import PhysHDR
+from ..methods.base import Method
 from ..scene import Scene
 from ..train.trainer import Monitor
 
@@ -26,7 +26,7 @@ def view_monitor(scene: Scene) -> Monitor | None:
     except PhysHDRError:
         truth = None  # shown only if it is there; evaluation says what is wrong with it
 
-    def measure(method: PhysHDR) -> dict[str, float]:
+    def measure(method: Method) -> dict[str, float]:
         picture = torch.from_numpy(view.image(k).transpose(2, 0, 1).astype(np.float32) / 255.0)
         measured = {
             "PSNR": psnr(method.ldr(view.camera, view.exposures[k], view.lighting_level).cpu(), picture)

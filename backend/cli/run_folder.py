@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ...bridge.errors import OutputError
+from ...bridge.errors import BadValueError, OutputError
 from ...bridge.model_file import Model
 from ..device import DeviceName, choose_device
-from ..export.blender_model import to_model
-from ..methods.physhdr import PhysHDR
-from ..model.gaussians import Gaussians
+from ..export.blender_model import on_gaussians, to_model
+from ..methods.base import Method, SplattingMethod
+from ..methods.registry import entry_of
 from ..rasterize import Implementation
 from ..scene import Scene, read_scene
 from ..train.config import CONFIG_FILE, TrainConfig, read_config
@@ -29,7 +29,7 @@ class Run:
     preset: str
     config: TrainConfig
     scene: Scene
-    method: PhysHDR
+    method: Method
     iteration: int
 
     @property
@@ -37,27 +37,29 @@ class Run:
         """Where an exported file comes from, for its metadata."""
         return {
             "scene": self.scene.name,
-            "method": f"physhdr, preset {self.preset}",
+            "method": f"{entry_of(self.config.method).name}, preset {self.preset}",
             "iteration": str(self.iteration),
         }
+
+    @property
+    def splatting(self) -> SplattingMethod:
+        """The method, where it draws splats; raises ``BadValueError`` where it does not (HDR-NeRF)."""
+        if not isinstance(self.method, SplattingMethod):
+            raise BadValueError(
+                f"{self.folder} is of {entry_of(self.config.method).name}, which has no Gaussians",
+                "Render pictures of it by physhdr render; the other methods can be exported and previewed.",
+            )
+        return self.method
+
+    def on_gaussians(self) -> SplattingMethod:
+        """The method on plain Gaussians on the CPU, as files hold it."""
+        return on_gaussians(self.splatting, [view.camera for view in self.scene.train])
 
     def model(self) -> Model:
         """The model file's content, for Blender: the method as it is now."""
         viewpoint = np.mean([view.camera.position for view in self.scene.train], axis=0)
         exposures = self.scene.train[0].exposures
-        return to_model(_on_the_cpu(self.method), viewpoint, exposures, self.provenance)
-
-
-def _on_the_cpu(method: PhysHDR) -> PhysHDR:
-    """The method itself where it is on the CPU, else a copy there."""
-    if not method.gaussians.means.is_cuda:
-        return method
-    parameters = {name: tensor.detach().cpu() for name, tensor in method.gaussians.parameters.items()}
-    anchor = method.tone_mapper.anchor
-    copy = PhysHDR(method.config, Gaussians(parameters), anchor, lights=method.lights)
-    copy.load_state_dict(method.state_dict())
-    copy.active_sh_degree = method.active_sh_degree
-    return copy
+        return to_model(self.on_gaussians(), viewpoint, exposures, self.provenance)
 
 
 def open_run(

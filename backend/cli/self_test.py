@@ -10,6 +10,7 @@ import torch
 
 from ..device import choose_device
 from ..kernels.warmup import warmup
+from ..methods.base import SplattingMethod
 from ..scene import Camera, Points, Scene, View
 from ..scene.scene import PictureCache
 from ..train.config import PRESETS
@@ -73,19 +74,20 @@ def one_step(where: str) -> tuple[float, int]:
     """
     scene = made_up_scene()
     trainer = Trainer(scene, PRESETS["default"], device=where)
-    before = {name: t.detach().clone() for name, t in trainer.method.gaussians.parameters.items()}
+    method, camera = trainer.method, scene.train[0].camera
+    assert isinstance(method, SplattingMethod)
+    before = {name: t.detach().clone() for name, t in method.backbone.parameters.items()}
     loss = float(sum(trainer.step().values()))
-    after = trainer.method.gaussians.parameters
+    after = method.backbone.parameters
     remedy = "Please report this with the log."
     if not math.isfinite(loss):
         raise CheckFailedError(f"a training step's loss is {loss}", remedy)
     if all(torch.equal(after[name], tensor) for name, tensor in before.items()):
         raise CheckFailedError("a training step changed nothing", remedy)
-    method, camera = trainer.method, scene.train[0].camera
     drawn = method.preview(camera).image
     method.implementation = "reference"
     plain = method.preview(camera).image
     error = float((drawn - plain).abs().max() / plain.max())
     if not error < TOLERANCE:
         raise CheckFailedError(f"the renderer is wrong by {error:.2g} of the brightest value", remedy)
-    return loss, len(method.gaussians)
+    return loss, method.size

@@ -10,13 +10,13 @@ import torch
 from ...bridge.errors import DataMismatchError
 from ..device import DeviceName, choose_device
 from ..kernels.warmup import Needs
+from ..methods.registry import kernels_needed
 from ..rasterize import Implementation
 from ..scene import Scene, read_scene
 from ..train.config import CONFIG_FILE, TrainConfig, read_config, write_config
 from ..train.trainer import CHECKPOINT_FILE, Trainer
 from .progress import EventLog
 from .run_folder import Run, writable_folder
-from .warmup import needs_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +36,8 @@ class Workshop:
         device, why = choose_device(self.device, self.report)
         self.report(f"computing {why}")
         if device.type == "cpu" and self.rasteriser in ("auto", "cpu"):
-            self.compile_kernels(needs_of(config.method))  # before the trainer, which calls some of them
+            # Before the trainer is made, which calls some of them.
+            self.compile_kernels(kernels_needed(config.method))
         return device
 
     def trainer(self, scene: Scene, config: TrainConfig) -> Trainer:

@@ -6,29 +6,11 @@ from dataclasses import dataclass
 
 from rich.progress import Progress
 
-from ..kernels.warmup import COMPOSER, FUSION, MODULATOR, Needs, warmup
-from ..methods.physhdr import PhysHDRConfig
+from ..kernels.warmup import Needs, warmup
 from .progress import console
 
 #: Shorter than this nothing was compiled, and nothing is said.
 COMPILED_SECONDS = 5.0
-
-
-def needs_of(config: PhysHDRConfig) -> Needs:
-    """The kernels that training this method calls."""
-    wanted = {
-        COMPOSER: config.composer == "learned",
-        MODULATOR: config.modulator == "learned" and config.branches != "image-exposure",
-        FUSION: config.tone_mapper.mix,
-    }
-    local = (2 if config.branches == "both" else 1,) if config.tone_mapper.local else ()
-    return Needs(
-        channels=tuple(sorted({3, config.channels})),  # three: the view that is shown
-        networks=tuple(shape for shape, is_wanted in wanted.items() if is_wanted),
-        activation=config.tone_mapper.activation,
-        local_branches=local,
-        blur=config.branches == "both" and config.loss.consistency_weight > 0,
-    )
 
 
 def compile_kernels(needs: Needs | None = None) -> float:

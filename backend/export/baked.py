@@ -24,7 +24,7 @@ from ...bridge.ply_model import (
     tensor_comments,
     tensors_from_comments,
 )
-from ..methods.physhdr import PhysHDR
+from ..methods.base import SplattingMethod
 from ..model.gaussians import Gaussians
 
 
@@ -65,9 +65,10 @@ def parameters_from_columns(columns: dict[str, np.ndarray]) -> Gaussians:
     return Gaussians(parameters)
 
 
-def network_comments(method: PhysHDR, model: Model) -> list[str]:
+def network_comments(method: SplattingMethod, model: Model) -> list[str]:
     """The networks, the sampled response and what the radiance is made of, as comment lines."""
-    form = method.config.composer, method.config.modulator if method.can_relight else "additive"
+    by_network = method.can_relight and not method.has_light_share
+    form = "product" if method.composes_by_product else "learned", "learned" if by_network else "additive"
     lights: list[str] = []
     if method.lights != (AMBIENT,):
         lights = [f"{LIGHTS} {json.dumps(list(method.lights))}"]

@@ -5,63 +5,91 @@ With the physical product and the additive modulator the file is exact. Where ne
 ln radiance is projected onto SH and relighting is baked at a few levels.
 """
 
+import copy
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 
 from ...bridge.model_file import Model
 from ...bridge.spherical_harmonics import FIT_DIRECTIONS, basis, fibonacci_sphere
-from ..methods.physhdr import PhysHDR
-from ..model.gaussians import SH_C0
+from ..methods.base import SplattingMethod
+from ..model.backbone import Splats
+from ..model.gaussians import SH_C0, Gaussians
+from ..scene.camera import Camera
 
 #: Levels at which a learned modulator is baked: 1/32 … 32, the range of exposures it was trained on.
 BAKED_LEVELS = tuple(float(2.0**power) for power in range(-5, 6))
-#: The exported response is sampled at this many ln exposures in this range.
-TONE_CURVE_SAMPLES = 256
-TONE_CURVE_RANGE = (-12.0, 8.0)
 
 
 @torch.no_grad()
-def log_radiance_sh(method: PhysHDR) -> np.ndarray:
+def log_radiance_sh(method: SplattingMethod) -> np.ndarray:
     """``[N, K, 3]``: SH of ln radiance at level 1, exact for the product, least squares for a learned g."""
     g = method.gaussians
     degree = method.active_sh_degree
     coefficients = (degree + 1) ** 2
     rest = g.reflectance_rest[:, : coefficients - 1]
     sh = torch.cat([g.reflectance_dc, rest], dim=1).clone()
-    if method.config.composer == "product":
+    if method.composes_by_product:
         sh[:, 0] += g.log_illumination / SH_C0
         return sh.numpy()
     directions = fibonacci_sphere(FIT_DIRECTIONS)
     Y = torch.from_numpy(basis(directions, degree)).float()  # [D, K]
-    samples = torch.stack([method.composer(g.log_illumination, (y[:, None] * sh).sum(1)).log() for y in Y])
+    seen = [_splats(g, (y[:, None] * sh).sum(1)) for y in Y]
+    samples = torch.stack([method.radiance_of(splats, None).log() for splats in seen])
     return torch.einsum("kd,dnc->nkc", torch.linalg.pinv(Y), samples).numpy()
 
 
+def _splats(g: Gaussians, log_reflectance: torch.Tensor) -> Splats:
+    """Gaussians as seen from where they have ``log_reflectance`` ``[N, 3]``."""
+    share = g.light_share if "light_share_logits" in g.parameters else None
+    shape = g.means, g.quaternions, g.scales, g.opacities
+    return Splats(*shape, log_reflectance, g.log_illumination, share)
+
+
 @torch.no_grad()
-def level_log_gain(method: PhysHDR, viewpoint: torch.Tensor) -> np.ndarray:
+def level_log_gain(method: SplattingMethod, viewpoint: torch.Tensor) -> np.ndarray:
     """``[L, N, 3]``: ln(ĉ(level) / ĉ(1)) at ``BAKED_LEVELS`` as seen from ``viewpoint`` (``[3]``, metres)."""
-    at_one = method.radiance(viewpoint, 1.0).log()
-    gains = [method.radiance(viewpoint, level).log() - at_one for level in BAKED_LEVELS]
+    g = method.gaussians
+    splats = _splats(g, g.log_reflectance(viewpoint, method.active_sh_degree))
+    at_one = method.radiance_of(splats, (1.0,)).log()
+    gains = [method.radiance_of(splats, (level,)).log() - at_one for level in BAKED_LEVELS]
     return torch.stack(gains).numpy()
 
 
 @torch.no_grad()
-def tone_curve(method: PhysHDR) -> tuple[np.ndarray, np.ndarray]:
+def tone_curve(method: SplattingMethod) -> tuple[np.ndarray, np.ndarray]:
     """The learned global response: ln exposure ``[M]`` and LDR ``[M, 3]``."""
-    x = torch.linspace(*TONE_CURVE_RANGE, TONE_CURVE_SAMPLES)
-    y = method.tone_mapper.curve_logits(x.expand(3, -1).contiguous()).sigmoid()
-    return x.numpy(), y.T.contiguous().numpy()
+    x, y = method.tone_mapper.sampled()
+    return x.numpy(), y.numpy()
+
+
+def on_gaussians(method: SplattingMethod, cameras: Sequence[Camera]) -> SplattingMethod:
+    """The method on the CPU and on plain Gaussians: itself where it is, else a copy.
+
+    ``cameras``: those for which anchors' Gaussians are to be right.
+    """
+    if method.device.type == "cpu" and isinstance(method.backbone, Gaussians):
+        return method
+    copied = copy.deepcopy(method)
+    copied.to_device(torch.device("cpu"))
+    copied.backbone = copied.backbone.fixed(cameras)
+    copied.backbone_networks = copied.backbone.networks
+    return copied
 
 
 @torch.no_grad()
 def to_model(
-    method: PhysHDR, viewpoint: np.ndarray, exposures: tuple[float, ...], metadata: dict[str, str]
+    method: SplattingMethod, viewpoint: np.ndarray, exposures: tuple[float, ...], metadata: dict[str, str]
 ) -> Model:
-    """The file's content. ``viewpoint`` ``[3]``: where baked levels are taken from, the cameras' mean."""
+    """The file's content, of a method on plain Gaussians (``on_gaussians``).
+
+    ``viewpoint`` ``[3]``: where baked levels are taken from, the cameras' mean.
+    """
     g = method.gaussians
     share = gain = None
     levels: tuple[float, ...] = ()
-    if method.config.has_light_share:
+    if method.has_light_share:
         share = g.light_share.numpy()
     elif not method.can_relight:
         # Without an illumination branch nothing is known of the light: a level scales everything.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""PhysHDR-GS on the 3DGS backbone: the forward pass and the losses, as the paper states them.
+"""PhysHDR-GS on either backbone: the forward pass and the losses, as the paper states them.
 
 Each Gaussian has a reflectance H_r and an ambient illumination L_a. The image-exposure (IE) branch renders
 c = g(L_a, H_r) and multiplies the picture by the exposure t; the Gaussian-illumination (GI) branch renders
@@ -11,20 +11,19 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import torch
-from torch import nn
 
 from ...bridge.errors import BadValueError
 from ...bridge.lights import AMBIENT, Levels, as_levels, check_lights
-from ..device import use_whole_float32
 from ..kernels.plain import can_fuse
 from ..kernels.ssim import SsimTarget
-from ..model.gaussians import Gaussians
+from ..kernels.warmup import COMPOSER, FUSION, MODULATOR, Needs
+from ..model.backbone import Attributes, Backbone, Splats
 from ..model.radiance import AdditiveModulator, LearnedComposer, LearnedModulator, ProductComposer
 from ..model.tone_mapper import ToneMapper, ToneMapperConfig
-from ..rasterize import Implementation, Rasterization, rasterize
-from ..resident import camera_tensors
+from ..rasterize import Implementation, Rasterization
 from ..scene.camera import Camera
 from ..train.losses import LossConfig, consistency_loss, reconstruction_loss
+from .base import Drawn, Outcome, Shot, SplattingMethod, is_standard, mean_terms
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,6 +69,14 @@ class PhysHDRConfig:
         context = self.tone_mapper.context_size if self.tone_mapper.local else 0
         return (6 if self.branches == "both" else 3) + context
 
+    def attributes(self, lights: tuple[str, ...]) -> Attributes:
+        """What the backbone's splats must carry, where ``lights`` have levels."""
+        return Attributes(
+            sh_degree=self.sh_degree,
+            context_size=self.tone_mapper.context_size if self.tone_mapper.local else 0,
+            lights=len(lights) if self.has_light_share else 0,
+        )
+
     @property
     def has_light_share(self) -> bool:
         """Whether each Gaussian learns which share of its radiance each light causes."""
@@ -77,12 +84,22 @@ class PhysHDRConfig:
 
 
 @dataclass(frozen=True)
-class Rendering:
-    """One training view: scene-linear images, LDR images, and what densification reads.
+class DrawnLight(Drawn):
+    """One pass: I_HDR ``[3, H, W]``, Î_HDR and the context feature ``[K, H, W]``, where they are drawn."""
+
+    image_exposure: torch.Tensor | None = None
+    illumination: torch.Tensor | None = None
+    context: torch.Tensor | None = None
+    levels: tuple[float, ...] = (1.0,)
+
+
+@dataclass(frozen=True)
+class Picture:
+    """One drawn view as a camera records it.
 
     ``exposed``: what the response sees, I_HDR · t ``[3, H, W]`` (or Î · t where only the GI branch is drawn).
     ``relit``: Î_HDR, only with both branches. ``ldr``: the prediction. ``supervised``: every LDR image that
-    L_rec compares with the picture. ``illumination_deviation``: |L_a − L̂_a| ``[N]``.
+    L_rec compares with the picture.
     """
 
     exposed: torch.Tensor
@@ -90,17 +107,10 @@ class Rendering:
     ldr: torch.Tensor
     supervised: list[torch.Tensor]
     global_ldr: torch.Tensor
-    illumination_deviation: torch.Tensor | None
-    rasterization: Rasterization
 
 
-def is_standard(levels: Sequence[float]) -> bool:
-    """Whether every light is as it was captured."""
-    return all(level == 1.0 for level in levels)
-
-
-class PhysHDR(nn.Module):
-    """The method: Gaussians and three networks. ``config`` alone decides what it computes.
+class PhysHDR(SplattingMethod):
+    """The method: a backbone and three networks. ``config`` alone decides what it computes.
 
     ``lights``: names of the lights that have levels; wherever a level is taken, a plain number is the first
     one's. Only the additive modulator knows more than one: else ``BadValueError``.
@@ -109,110 +119,139 @@ class PhysHDR(nn.Module):
     def __init__(
         self,
         config: PhysHDRConfig,
-        gaussians: Gaussians,
+        backbone: Backbone,
         anchor: tuple[float, float] | None,
         implementation: Implementation = "auto",
         lights: tuple[str, ...] = (AMBIENT,),
     ) -> None:
-        super().__init__()
         if len(lights) > 1 and not config.has_light_share:
             raise BadValueError(
                 f"the {config.modulator} modulator knows one light, the data have {', '.join(lights)}",
                 "Set --method.modulator additive, or train without the lit views.",
             )
         self.config = config
+        super().__init__(backbone, implementation)
         self.lights = check_lights(lights, "the method")
-        self.gaussians = gaussians
-        self.implementation: Implementation = implementation
         hidden = config.composer_hidden
         self.composer = ProductComposer() if config.composer == "product" else LearnedComposer(hidden)
         self.modulator = AdditiveModulator() if config.modulator == "additive" else LearnedModulator(hidden)
         self.tone_mapper = ToneMapper(config.tone_mapper, anchor)
-        #: SH coefficients above this degree are not used yet (3DGS's schedule raises it).
-        self.active_sh_degree = config.sh_degree
 
-    def to_device(self, device: torch.device) -> None:
-        """Move Gaussians and networks; an optimiser must be made after this."""
-        if device.type == "cuda":
-            use_whole_float32()
-        self.to(device)
-        parameters = self.gaussians.parameters
-        for name, tensor in parameters.items():
-            parameters[name] = tensor.detach().to(device).requires_grad_()
+    @property
+    def sh_degree(self) -> int:
+        return self.config.sh_degree
 
-    # -- radiance of the Gaussians -------------------------------------------------------------------
+    @property
+    def can_relight(self) -> bool:
+        """Whether there is an illumination branch; without one a lighting level only scales."""
+        return self.config.branches != "image-exposure"
 
-    def _viewpoint(self, camera: Camera) -> torch.Tensor:
-        return camera_tensors(camera, self.gaussians.means).position
+    @property
+    def composes_by_product(self) -> bool:
+        return self.config.composer == "product"
 
-    def log_modulated_illumination(self, level: Levels) -> torch.Tensor:
-        """ln L̂_a = ln φ(L_a, l) (eq. 10), ``[N, 1 or 3]``."""
+    @property
+    def has_light_share(self) -> bool:
+        return self.config.has_light_share
+
+    def network_groups(self) -> dict[str, list[torch.Tensor]]:
+        radiance: list[torch.Tensor] = [*self.composer.parameters(), *self.modulator.parameters()]
+        return {"radiance_networks": radiance} | super().network_groups()
+
+    def follow_schedule(self, iteration: int, iterations: int, sh_degree_every: int) -> None:
+        super().follow_schedule(iteration, iterations, sh_degree_every)
+        if self.config.tone_mapper.mix:
+            learning = iteration >= self.config.mix_frozen_until * iterations
+            self.tone_mapper.fusion.requires_grad_(learning)
+
+    # -- radiance of the splats ------------------------------------------------------------------------
+
+    def log_modulated_illumination(self, splats: Splats, level: Levels) -> torch.Tensor:
+        """ln L̂_a = ln φ(L_a, l) (eq. 10), ``[M, 1 or 3]``."""
         levels = as_levels(level, self.lights)
         if isinstance(self.modulator, AdditiveModulator):
-            return self.modulator(self.gaussians.log_illumination, levels, self.gaussians.light_share)
-        return self.modulator(self.gaussians.log_illumination, levels[0])
+            assert splats.light_share is not None
+            return self.modulator(splats.log_illumination, levels, splats.light_share)
+        return self.modulator(splats.log_illumination, levels[0])
 
-    def radiance(self, viewpoint: torch.Tensor, level: Levels | None) -> torch.Tensor:
-        """Scene-linear radiance ``[N, 3]`` toward ``viewpoint``: c (eq. 8), or ĉ when a level is given."""
-        log_reflectance = self.gaussians.log_reflectance(viewpoint, self.active_sh_degree)
-        if level is None:
-            log_illumination = self.gaussians.log_illumination
-        else:
-            log_illumination = self.log_modulated_illumination(level)
-        return self.composer(log_illumination, log_reflectance)
+    def radiance_of(self, splats: Splats, levels: Levels | None) -> torch.Tensor:
+        """c (eq. 8), or ĉ when levels are given."""
+        log_illumination = splats.log_illumination
+        if levels is not None:
+            log_illumination = self.log_modulated_illumination(splats, levels)
+        return self.composer(log_illumination, splats.log_reflectance)
 
     # -- training --------------------------------------------------------------------------------------
 
-    def render(
-        self,
-        camera: Camera,
-        exposure: float,
-        view_level: Levels = 1.0,
-        screen_offsets: torch.Tensor | None = None,
-    ) -> Rendering:
-        """Render a view as a camera with ``exposure`` seconds would record it under ``view_level``."""
-        config, gaussians = self.config, self.gaussians
+    def draw(
+        self, camera: Camera, view_level: Levels = 1.0, exposure: float | None = None, watch: bool = False
+    ) -> DrawnLight:
+        """Draw a view under ``view_level``: all that needs no exposure, in one pass.
+
+        ``exposure`` (seconds): needed where the method takes it for the level l (the paper). ``watch``: for
+        growth.
+        """
+        config = self.config
         view_levels = as_levels(view_level, self.lights)
         by_exposure = config.lighting_level == "exposure"
-        level = exposure if by_exposure else view_levels
-        viewpoint = self._viewpoint(camera)
-        log_reflectance = gaussians.log_reflectance(viewpoint, self.active_sh_degree)
+        splats = self.backbone.splats(camera, self.active_sh_degree)
 
         channels, log_relit = [], None
         if config.branches != "illumination":
-            channels.append(self.composer(gaussians.log_illumination, log_reflectance))  # c, eq. 8
+            channels.append(self.composer(splats.log_illumination, splats.log_reflectance))  # c, eq. 8
         if config.branches != "image-exposure":
-            log_relit = self.log_modulated_illumination(level)  # ln L̂_a, eq. 10
-            channels.append(self.composer(log_relit, log_reflectance))  # ĉ
+            if not by_exposure:
+                level = view_levels
+            elif exposure is not None:
+                level = exposure
+            else:
+                raise BadValueError("the illumination branch of this method needs the exposure")
+            log_relit = self.log_modulated_illumination(splats, level)
+            channels.append(self.composer(log_relit, splats.log_reflectance))  # ĉ, with ln L̂_a of eq. 10
         if config.tone_mapper.local:
-            channels.append(gaussians.context)
+            assert splats.context is not None
+            channels.append(splats.context)
         # One pass for everything: both branches share the geometry.
-        drawn = self._rasterize(torch.cat(channels, dim=1), camera, screen_offsets)
+        offsets = self.watched(splats) if watch else None
+        drawn = self.rasterize(splats, torch.cat(channels, dim=1), camera, screen_offsets=offsets)
         # Split, not sliced: the gradient of a slice is a whole picture of zeros with the slice in it.
         images = list(drawn.image.split([colours.shape[1] for colours in channels]))
-        context = images.pop() if config.tone_mapper.local else None
-
-        if config.branches == "both":
-            exposed, relit = images[0] * exposure, images[1]
-            if not by_exposure:
-                # l says how the scene was lit, not how it was exposed: both branches need the exposure,
-                # and a view under other light can only be explained by the GI branch.
-                relit = relit * exposure
-                exposed = exposed if is_standard(view_levels) else relit
-            ldr, supervised, glo = self._fuse(exposed, relit, context)
-        else:
-            exposed, relit = images[0], None
-            if config.branches == "image-exposure" or not by_exposure:
-                exposed = exposed * exposure
-            glo, loc = self.tone_mapper.tone_map(exposed, context)
-            ldr = glo if loc is None else loc
-            supervised = [ldr]
 
         deviation = None
         if log_relit is not None:
             with torch.no_grad():
-                deviation = (gaussians.log_illumination.exp() - log_relit.exp()).abs().mean(dim=1)
-        return Rendering(exposed, relit, ldr, supervised, glo, deviation, drawn)
+                deviation = (splats.log_illumination.exp() - log_relit.exp()).abs().mean(dim=1)
+        return DrawnLight(
+            splats,
+            drawn,
+            offsets,
+            deviation,
+            image_exposure=images.pop(0) if config.branches != "illumination" else None,
+            illumination=images.pop(0) if config.branches != "image-exposure" else None,
+            context=images.pop(0) if config.tone_mapper.local else None,
+            levels=view_levels,
+        )
+
+    def develop(self, drawn: DrawnLight, exposure: float) -> Picture:
+        """What a camera with ``exposure`` seconds records of a drawn view."""
+        by_exposure = self.config.lighting_level == "exposure"
+        if self.config.branches == "both":
+            assert drawn.image_exposure is not None and drawn.illumination is not None
+            exposed, relit = drawn.image_exposure * exposure, drawn.illumination
+            if not by_exposure:
+                # l says how the scene was lit, not how it was exposed: both branches need the exposure,
+                # and a view under other light can only be explained by the GI branch.
+                relit = relit * exposure
+                exposed = exposed if is_standard(drawn.levels) else relit
+            ldr, supervised, glo = self._fuse(exposed, relit, drawn.context)
+            return Picture(exposed, relit, ldr, supervised, glo)
+        image = drawn.image_exposure if drawn.illumination is None else drawn.illumination
+        assert image is not None
+        scales = drawn.illumination is None or not by_exposure
+        exposed = image * exposure if scales else image
+        glo, loc = self.tone_mapper.tone_map(exposed, drawn.context)
+        ldr = glo if loc is None else loc
+        return Picture(exposed, None, ldr, [ldr], glo)
 
     def _fuse(
         self, exposed: torch.Tensor, relit: torch.Tensor, context: torch.Tensor | None
@@ -233,7 +272,21 @@ class PhysHDR(nn.Module):
             ldr = 0.5 * ldr
         return ldr, [ldr, ldr_ig, ldr_gi], glo
 
-    def losses(self, rendering: Rendering, picture: torch.Tensor) -> dict[str, torch.Tensor]:
+    def training_outcome(self, shot: Shot) -> Outcome:
+        is_bracket = len(shot.exposures) > 1
+        if is_bracket and self.config.lighting_level == "exposure" and self.can_relight:
+            raise BadValueError(
+                "with l = t every exposure is another drawing, so a bracket cannot be drawn at once",
+                "Set --supervision one, or --method.lighting-level view.",
+            )
+        drawn = self.draw(shot.camera, shot.levels, shot.exposures[0], watch=True)
+        each = [
+            self.losses(self.develop(drawn, exposure), picture)
+            for exposure, picture in zip(shot.exposures, shot.pictures, strict=True)
+        ]
+        return Outcome(mean_terms(each), drawn)
+
+    def losses(self, rendering: Picture, picture: torch.Tensor) -> dict[str, torch.Tensor]:
         """The weighted terms of L_total (eq. 19) for a picture ``[3, H, W]`` in [0, 1]; sum them."""
         loss = self.config.loss
         ssim_target = SsimTarget(picture) if can_fuse(picture) else None
@@ -257,23 +310,9 @@ class PhysHDR(nn.Module):
     # -- use --------------------------------------------------------------------------------------------
 
     @torch.no_grad()
-    def hdr(self, camera: Camera, lighting_level: Levels = 1.0) -> torch.Tensor:
-        """Scene-linear radiance ``[3, H, W]``: I_HDR, or Î_HDR where a lighting level is not 1."""
-        return self._rasterize(self._seen_radiance(camera, lighting_level), camera).image
-
-    @torch.no_grad()
-    def preview(self, camera: Camera, lighting_level: Levels = 1.0) -> Rasterization:
-        """The radiance of ``hdr`` with alpha and depth (metres along the camera's axis), in one pass."""
-        return self._rasterize(self._seen_radiance(camera, lighting_level), camera, with_depth=True)
-
-    @torch.no_grad()
     def preview_ldr(
         self, drawn: Rasterization, camera: Camera, exposure: float, lighting_level: Levels = 1.0
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """The picture of ``ldr``, from what ``preview`` drew where that suffices, and the camera's black.
-
-        ``[3, H, W]``, and ``[3, 1, 1]``: what the tone mapper makes of a pixel where nothing is.
-        """
         config = self.config
         nothing = drawn.image.new_zeros(3, 1, 1)
         context = drawn.image.new_zeros(config.tone_mapper.context_size, 1, 1)
@@ -281,61 +320,59 @@ class PhysHDR(nn.Module):
             return self.ldr(camera, exposure, lighting_level), self._fuse(nothing, nothing, context)[0]
         glo, loc = self.tone_mapper.tone_map(nothing, context)
         black = glo if loc is None else loc
-        scales_with_exposure = config.branches == "image-exposure" or config.lighting_level == "view"
-        if config.tone_mapper.local or not scales_with_exposure:
+        if config.tone_mapper.local or not self._exposure_only_scales:
             return self.ldr(camera, exposure, lighting_level), black
         return self.tone_mapper.tone_map(drawn.image * exposure, None)[0], black
 
-    def _seen_radiance(self, camera: Camera, lighting_level: Levels) -> torch.Tensor:
-        """``[N, 3]`` toward the camera; without an illumination branch the level scales all of it."""
-        levels = as_levels(lighting_level, self.lights)
-        standard = is_standard(levels)
-        colours = self.radiance(
-            self._viewpoint(camera), levels if self.can_relight and not standard else None
-        )
-        return colours if self.can_relight or standard else colours * levels[0]
+    @property
+    def _exposure_only_scales(self) -> bool:
+        """Whether what is drawn is the same at every exposure."""
+        return not self.can_relight or self.config.lighting_level == "view"
 
     @torch.no_grad()
     def ldr(self, camera: Camera, exposure: float, lighting_level: Levels = 1.0) -> torch.Tensor:
-        """The picture ``[3, H, W]`` in [0, 1] that a camera with ``exposure`` seconds would record.
+        """As ``Method.ldr``.
 
         The paper ties l to the exposure; under another lighting level its image-exposure branch sees the
         relit radiance times t, and its illumination branch the level times t.
         """
-        levels = as_levels(lighting_level, self.lights)
+        levels: tuple[float, ...] = as_levels(lighting_level, self.lights)
         if self.config.lighting_level == "view" or is_standard(levels):
-            return self.render(camera, exposure, levels).ldr
+            return self.develop(self.draw(camera, levels, exposure), exposure).ldr
         if self.config.branches == "image-exposure":
-            return self.render(camera, exposure * levels[0]).ldr
-        viewpoint = self._viewpoint(camera)
-        colours = [self.radiance(viewpoint, (levels[0] * t, *levels[1:])) for t in (1.0, exposure)]
+            return self.develop(self.draw(camera), exposure * levels[0]).ldr
+        splats = self.backbone.splats(camera, self.active_sh_degree)
+        colours = [self.radiance_of(splats, (levels[0] * t, *levels[1:])) for t in (1.0, exposure)]
         if self.config.tone_mapper.local:
-            colours.append(self.gaussians.context)
-        drawn = self._rasterize(torch.cat(colours, dim=1), camera).image
+            assert splats.context is not None
+            colours.append(splats.context)
+        drawn = self.rasterize(splats, torch.cat(colours, dim=1), camera).image
         context = drawn[6:] if self.config.tone_mapper.local else None
         return self._fuse(drawn[:3] * exposure, drawn[3:6], context)[0]
 
-    @property
-    def can_relight(self) -> bool:
-        """Whether there is an illumination branch; without one a lighting level only scales."""
-        return self.config.branches != "image-exposure"
+    @torch.no_grad()
+    def ldr_bracket(
+        self, camera: Camera, exposures: Sequence[float], lighting_level: Levels = 1.0
+    ) -> list[torch.Tensor]:
+        levels = as_levels(lighting_level, self.lights)
+        if not self._exposure_only_scales or not (self.can_relight or is_standard(levels)):
+            return super().ldr_bracket(camera, exposures, lighting_level)
+        drawn = self.draw(camera, levels)
+        return [self.develop(drawn, exposure).ldr for exposure in exposures]
 
-    def _rasterize(
-        self,
-        colours: torch.Tensor,
-        camera: Camera,
-        screen_offsets: torch.Tensor | None = None,
-        with_depth: bool = False,
-    ) -> Rasterization:
-        g = self.gaussians
-        return rasterize(
-            g.means,
-            g.quaternions,
-            g.scales,
-            g.opacities,
-            colours,
-            camera,
-            screen_offsets=screen_offsets,
-            with_depth=with_depth,
-            implementation=self.implementation,
-        )
+
+def kernels_needed(config: PhysHDRConfig) -> Needs:
+    """The CPU kernels that training this method calls."""
+    wanted = {
+        COMPOSER: config.composer == "learned",
+        MODULATOR: config.modulator == "learned" and config.branches != "image-exposure",
+        FUSION: config.tone_mapper.mix,
+    }
+    local = (2 if config.branches == "both" else 1,) if config.tone_mapper.local else ()
+    return Needs(
+        channels=tuple(sorted({3, config.channels})),  # three: the view that is shown
+        networks=tuple(shape for shape, is_wanted in wanted.items() if is_wanted),
+        activation=config.tone_mapper.activation,
+        local_branches=local,
+        blur=config.branches == "both" and config.loss.consistency_weight > 0,
+    )

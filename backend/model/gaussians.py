@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The scene: anisotropic Gaussians, each with a reflectance and an illumination."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 import numpy as np
 import torch
+from torch import nn
 
 from ...bridge.errors import BadValueError
 from ..kernels.spherical_harmonics import evaluate_sh
+from ..resident import camera_tensors
+from ..scene.camera import Camera
+from .backbone import Attributes, Backbone, Splats, Start
 
 #: Bounds of ln radiance: 6e-6 … 8e3. Keeps exp() and its gradient finite (method.md section 9).
 LOG_RADIANCE_RANGE = (-12.0, 9.0)
@@ -16,9 +20,8 @@ LOG_RADIANCE_RANGE = (-12.0, 9.0)
 SH_C0 = 0.28209479177387814
 
 
-@dataclass
-class Gaussians:
-    """Parameters of N Gaussians by name; every tensor is a leaf that requires a gradient.
+class Gaussians(Backbone):
+    """3DGS's backbone. Parameters of N Gaussians by name; every tensor is a leaf that requires a gradient.
 
     ========================  ==========  ==============================================================
     ``means``                 [N, 3]      metres, Blender's world
@@ -33,7 +36,12 @@ class Gaussians:
     ========================  ==========  ==============================================================
     """
 
-    parameters: dict[str, torch.Tensor]
+    def __init__(
+        self, parameters: dict[str, torch.Tensor] | None = None, attributes: Attributes | None = None
+    ) -> None:
+        self.parameters = parameters or {}
+        self.attributes = attributes or Attributes()
+        self.networks = nn.ModuleDict()
 
     def __getattr__(self, name: str) -> torch.Tensor:
         try:
@@ -41,8 +49,40 @@ class Gaussians:
         except KeyError:
             raise AttributeError(f"these Gaussians have no parameter {name!r}") from None
 
-    def __len__(self) -> int:
-        return self.parameters["means"].shape[0]
+    @property
+    def positions(self) -> torch.Tensor:
+        return self.parameters["means"]
+
+    def place(self, positions: np.ndarray, log_radiance: np.ndarray, start: Start) -> None:
+        """3DGS's beginning: isotropic, as large as the distance to the neighbours."""
+        wanted = self.attributes
+        self.parameters = initial_gaussians(
+            positions,
+            log_radiance,
+            sh_degree=wanted.sh_degree,
+            opacity=start.opacity,
+            scale_factor=start.scale_factor,
+            ambient_share=start.ambient_share if wanted.lights else None,
+            context_size=wanted.context_size,
+            seed=start.seed,
+            lights=max(wanted.lights, 1),
+        ).parameters
+
+    def splats(self, camera: Camera, sh_degree: int) -> Splats:
+        viewpoint = camera_tensors(camera, self.means).position
+        return Splats(
+            self.means,
+            self.quaternions,
+            self.scales,
+            self.opacities,
+            self.log_reflectance(viewpoint, sh_degree),
+            self.log_illumination,
+            self.light_share if "light_share_logits" in self.parameters else None,
+            self.parameters.get("context"),
+        )
+
+    def fixed(self, cameras: Sequence[Camera]) -> "Gaussians":
+        return self
 
     @property
     def scales(self) -> torch.Tensor:

@@ -25,6 +25,9 @@ WARM_START_RANGE = 3.0
 WARM_START_BATCH = 1024
 WARM_START_LEARNING_RATE = 5e-4
 
+#: The response as a table, for files and plots: so many ln exposures in this range.
+SAMPLES, SAMPLED_RANGE = 256, (-12.0, 8.0)
+
 
 @dataclass(frozen=True, kw_only=True)
 class ToneMapperConfig:
@@ -158,6 +161,12 @@ class ToneMapper(nn.Module):
             y = self.curve_logits(x.expand(3, -1).contiguous()).sigmoid().cummax(dim=1).values
             index = torch.searchsorted(y.contiguous(), ldr.contiguous()).clamp(max=x.numel() - 1)
             return x[index]
+
+    @torch.no_grad()
+    def sampled(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """The global response as a table: ln(exposure × radiance) ``[S]`` and LDR ``[S, 3]``."""
+        x = torch.linspace(*SAMPLED_RANGE, SAMPLES, device=self.w1.device)
+        return x, self.curve_logits(x.expand(3, -1).contiguous()).sigmoid().T.contiguous()
 
     def warm_start(self, seed: int) -> None:
         """Fit the global curves to clip(ln(1 + eˣ), 0, 1), as HDR-NeRF and GaussHDR do before training."""

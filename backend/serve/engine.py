@@ -41,9 +41,9 @@ from ..cli.monitor import view_monitor
 from ..cli.progress import LOG_FILE, EventLog
 from ..cli.run_folder import Run, open_run
 from ..cli.training import Workshop, refuse_a_run, resume_run, start_run
-from ..cli.warmup import needs_of
 from ..device import DeviceName, choose_device
 from ..kernels.warmup import Needs, warmup
+from ..methods.registry import kernels_needed
 from ..rasterize.cpu import set_threads, thread_count
 from ..train import events
 from ..train.config import CONFIG_FILE, PRESETS, TrainConfig
@@ -172,7 +172,7 @@ class Engine:
         try:
             if self._run is None:
                 raise NoModelError("there is no model to render yet", "Start a training, or open a run.")
-            shown: Any = preview.render(self._run.method, wanted.request, self._iteration)
+            shown: Any = preview.render(self._run.splatting, wanted.request, self._iteration)
         except Exception as error:  # noqa: BLE001 (as above: too large a picture is no reason to stop)
             shown = self._failure(error)
         self._server.show(wanted, shown)
@@ -196,7 +196,7 @@ class Engine:
         self._update(
             state="paused" if paused else "training",
             iteration=self._trainer.iteration,
-            gaussians=len(self._trainer.method.gaussians),
+            gaussians=self._trainer.method.size,
             iterations_per_second=0.0,
         )
 
@@ -286,7 +286,7 @@ class Engine:
             device=device_words(trainer.device),
             iteration=trainer.iteration,
             iterations=run.config.iterations,
-            gaussians=len(run.method.gaussians),
+            gaussians=run.method.size,
             saved_iteration=run.iteration,
             has_model=True,
             can_relight=run.method.can_relight,
@@ -310,7 +310,7 @@ class Engine:
             state="stopped" if stopped else "finished",
             message=f"{'stopped' if stopped else 'finished'} at iteration {trainer.iteration}",
             iteration=trainer.iteration,
-            gaussians=len(run.method.gaussians),
+            gaussians=run.method.size,
             iterations_per_second=0.0,
             seconds_left=0.0,
         )
@@ -337,7 +337,7 @@ class Engine:
         rate = self._speed.note(now, iteration)
         return {
             "iteration": iteration,
-            "gaussians": len(self._trainer.method.gaussians),
+            "gaussians": self._trainer.method.size,
             "iterations_per_second": rate,
             "seconds_left": (total - iteration) / rate if rate else 0.0,
         }
@@ -384,8 +384,8 @@ class Engine:
             run = open_run(
                 folder, data, device=self._device(request.device), report=self._progress_of_preparing
             )
-            if not run.method.gaussians.means.is_cuda:
-                self._compile(needs_of(run.config.method))
+            if run.method.device.type != "cuda":
+                self._compile(kernels_needed(run.config.method))
         except BaseException:
             self._stopping = False
             self._tell(before)
@@ -400,11 +400,11 @@ class Engine:
                 run=str(folder),
                 data=str(run.scene.root),
                 preset=run.preset,
-                device=device_words(run.method.gaussians.means.device),
+                device=device_words(run.method.device),
                 message=f"open, at iteration {run.iteration}",
                 iteration=run.iteration,
                 iterations=run.config.iterations,
-                gaussians=len(run.method.gaussians),
+                gaussians=run.method.size,
                 monitor={"PSNR": curves.psnr[-1]} if curves.psnr else {},
                 saved_iteration=run.iteration,
                 has_model=True,

@@ -12,6 +12,8 @@ from typing import Any, Literal
 
 from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError, OutputError
 from ..methods.physhdr import PhysHDRConfig
+from ..methods.registry import MethodConfig, config_named, entry_of
+from ..model.anchors import AnchorsConfig
 from ..model.tone_mapper import ToneMapperConfig
 from .densify import DensifyConfig
 from .initialise import Source
@@ -29,6 +31,9 @@ class TrainConfig:
     seed: int = 0
     #: exp3: every iteration draws one of the training exposures; exp1: one is drawn for each view and kept.
     exposure_mode: Literal["exp3", "exp1"] = "exp3"
+    #: one: an iteration compares its view at one of its exposures; bracket: at all that training may see, of
+    #: one drawing (the radiance is the same, only its development differs).
+    supervision: Literal["one", "bracket"] = "one"
     #: Indices of the exposures that training may see (LDR-OE of the paper).
     training_exposures: tuple[int, ...] = (0, 2, 4)
     #: Start from the data set's points, from stereo between the training views, or from random ones in the
@@ -44,7 +49,9 @@ class TrainConfig:
     half_size_until: float = 0.1
     #: The SH degree rises by one after this many iterations (3DGS: 1000).
     sh_degree_every: int = 150
-    method: PhysHDRConfig = field(default_factory=PhysHDRConfig)
+    method: MethodConfig = field(default_factory=PhysHDRConfig)
+    #: Scaffold-GS's backbone instead of 3DGS's.
+    anchors: AnchorsConfig | None = None
     optimiser: OptimiserConfig = field(default_factory=OptimiserConfig)
     densify: DensifyConfig = field(default_factory=DensifyConfig)
 
@@ -118,7 +125,9 @@ PRESETS: dict[str, TrainConfig] = {
 
 def write_config(path: Path, config: TrainConfig, data: Path, preset: str) -> None:
     """Write ``config.json``: with the data set it reproduces the run. Raises ``OutputError``."""
-    content = {"data": str(data.resolve()), "preset": preset, "config": dataclasses.asdict(config)}
+    values = dataclasses.asdict(config)
+    values["method"] = {"name": entry_of(config.method).name} | values["method"]
+    content = {"data": str(data.resolve()), "preset": preset, "config": values}
     temporary = path.with_suffix(".partial")
     try:
         temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
@@ -150,6 +159,11 @@ def _from_dict(cls: type, values: dict[str, Any]) -> Any:
         if name not in hints:
             raise KeyError(f"unknown setting {written!r}")
         hint = hints[name]
+        if isinstance(value, dict) and not dataclasses.is_dataclass(hint):
+            # One of several: a method says which it is (before there were others, it was PhysHDR).
+            hint = config_named(value.pop("name", "physhdr")) if name == "method" else AnchorsConfig
+        elif isinstance(value, dict):
+            value.pop("name", None)
         if dataclasses.is_dataclass(hint) and isinstance(hint, type):
             value = _from_dict(hint, value)
         elif typing.get_origin(hint) is tuple or isinstance(hint, types.GenericAlias):

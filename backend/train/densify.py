@@ -9,9 +9,10 @@ and then so that what nobody needs can vanish (all 3DGS's).
 import math
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 
-from ..methods.physhdr import PhysHDR, Rendering
+from ..methods.base import Drawn, SplattingMethod
 from ..model.gaussians import Gaussians
 from ..rasterize.reference import rotation_matrices
 from ..resident import camera_tensors
@@ -71,19 +72,19 @@ def gradient_scaling(deviation: torch.Tensor, strength: float) -> torch.Tensor:
 def observe(
     state: DensifyState,
     screen_gradient: torch.Tensor,
-    rendering: Rendering,
+    drawn: Drawn,
     camera: Camera,
     config: DensifyConfig,
 ) -> None:
     """Add one view's screen gradient ``[N, 2]`` (per pixel) to the statistics, in NDC and times s_a."""
     to_ndc = camera_tensors(camera, screen_gradient).half_size
     norm = torch.linalg.vector_norm(screen_gradient * to_ndc, dim=1)
-    if config.scaling_strength and rendering.illumination_deviation is not None:
-        norm = norm * gradient_scaling(rendering.illumination_deviation, config.scaling_strength)
-    visible = rendering.rasterization.radii > 0
+    if config.scaling_strength and drawn.illumination_deviation is not None:
+        norm = norm * gradient_scaling(drawn.illumination_deviation, config.scaling_strength)
+    visible = drawn.rasterization.radii > 0
     state.gradient_sum += torch.where(visible, norm, torch.zeros_like(norm))
     state.visits += visible
-    torch.maximum(state.largest_radius, rendering.rasterization.radii, out=state.largest_radius)
+    torch.maximum(state.largest_radius, drawn.rasterization.radii, out=state.largest_radius)
 
 
 def is_due(iteration: int, iterations: int, config: DensifyConfig) -> bool:
@@ -102,7 +103,7 @@ def reset_is_due(iteration: int, iterations: int, config: DensifyConfig) -> bool
 
 @torch.no_grad()
 def densify(
-    method: PhysHDR,
+    method: SplattingMethod,
     optimiser: Optimiser,
     state: DensifyState,
     iteration: int,
@@ -146,16 +147,57 @@ def densify(
 
     # Where each Gaussian of the new list goes in memory: neighbours in space beside each other.
     order = morton_order(means)
-    optimiser.resample(method, source[order], fresh[order])
+    optimiser.resample(gaussians, source[order], fresh[order])
     gaussians.means.copy_(means[order])
     gaussians.log_scales[is_child[order]] -= math.log(SPLIT_SHRINK)
     return DensifyState.empty(gaussians)
 
 
 @torch.no_grad()
-def reset_opacity(method: PhysHDR, optimiser: Optimiser, config: DensifyConfig) -> None:
+def reset_opacity(method: SplattingMethod, optimiser: Optimiser, config: DensifyConfig) -> None:
     """Lower every opacity to at most ``reset_opacity``; what matters grows back."""
     logits = method.gaussians.opacity_logits
     limit = torch.logit(torch.tensor(config.reset_opacity)).item()
     logits.clamp_(max=limit)
     optimiser.clear_moments(logits)
+
+
+class GaussianGrowth:
+    """The strategy bound to one training (``growth.Growth``). ``seed``: of the places of split Gaussians."""
+
+    def __init__(
+        self,
+        method: SplattingMethod,
+        optimiser: Optimiser,
+        config: DensifyConfig,
+        iterations: int,
+        seed: tuple[int, ...],
+    ) -> None:
+        self.method, self.optimiser, self.config = method, optimiser, config
+        self.iterations, self.seed = iterations, seed
+        self.statistics = DensifyState.empty(method.gaussians)
+
+    def observe(self, drawn: Drawn, camera: Camera, iteration: int) -> None:
+        offsets = drawn.screen_offsets
+        if (
+            iteration < self.config.stop * self.iterations
+            and offsets is not None
+            and offsets.grad is not None
+        ):
+            observe(self.statistics, offsets.grad, drawn, camera, self.config)
+
+    def control(self, iteration: int) -> None:
+        if is_due(iteration, self.iterations, self.config):
+            seed = np.random.SeedSequence([*self.seed, iteration]).generate_state(1)[0]
+            generator = torch.Generator().manual_seed(int(seed))
+            self.statistics = densify(
+                self.method, self.optimiser, self.statistics, iteration, self.config, generator
+            )
+        if reset_is_due(iteration, self.iterations, self.config):
+            reset_opacity(self.method, self.optimiser, self.config)
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        return dict(vars(self.statistics))
+
+    def restore(self, tensors: dict[str, torch.Tensor]) -> None:
+        self.statistics = DensifyState(**tensors)

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Adam for Gaussians and networks, their learning rates over time, and surgery on Adam's moments."""
 
-import math
 from dataclasses import dataclass
 from typing import Literal
 
 import torch
 
-from ..methods.physhdr import PhysHDR
+from ..methods.base import Method
+from ..model.backbone import Backbone
+from .rates import Rate
 
 #: 3DGS's epsilon: Gaussians' gradients are tiny, and Adam's default would damp them.
 ADAM_EPSILON = 1e-15
@@ -37,6 +38,14 @@ class OptimiserConfig:
     #: What is annealed by a cosine to zero: the networks, or the Gaussians' appearance and shape as well.
     cosine: Literal["networks", "all"] = "networks"
 
+    def rate(self, name: str) -> Rate:
+        """How the rate of a group goes."""
+        if name == "means":
+            return Rate(start=self.means, final=self.means_final, shape="exponential", of_extent=True)
+        is_network = name in ("radiance_networks", "tone_mapper")
+        cosine = is_network or self.cosine == "all"
+        return Rate(start=getattr(self, name), shape="cosine" if cosine else "constant")
+
 
 #: What 3DGS uses over 30,000 iterations.
 STOCK_3DGS = OptimiserConfig(
@@ -45,34 +54,24 @@ STOCK_3DGS = OptimiserConfig(
 
 
 class Optimiser:
-    """One fused Adam with a named group for each Gaussian parameter and one for each network."""
+    """One fused Adam with a named group for each parameter of the primitives and one for each network."""
 
-    def __init__(self, method: PhysHDR, config: OptimiserConfig, extent: float, iterations: int) -> None:
-        self.config = config
+    def __init__(self, method: Method, config: OptimiserConfig, extent: float, iterations: int) -> None:
         self.extent = extent
         self.iterations = iterations
-        networks = {
-            "radiance_networks": [*method.composer.parameters(), *method.modulator.parameters()],
-            "tone_mapper": list(method.tone_mapper.parameters()),
-        }
-        groups = [
-            {"name": name, "params": [tensor], "lr": 0.0}
-            for name, tensor in method.gaussians.parameters.items()
-        ]
-        groups += [{"name": name, "params": params, "lr": 0.0} for name, params in networks.items() if params]
-        self.adam = torch.optim.Adam(groups, lr=0.0, eps=ADAM_EPSILON, fused=True)
+        groups = method.parameter_groups()
+        self.rates = {name: config.rate(name) for name in groups if name not in method.rates()}
+        self.rates |= {name: rate for name, rate in method.rates().items() if name in groups}
+        self.adam = torch.optim.Adam(
+            [{"name": name, "params": params, "lr": 0.0} for name, params in groups.items()],
+            lr=0.0,
+            eps=ADAM_EPSILON,
+            fused=True,
+        )
 
     def learning_rate(self, name: str, iteration: int) -> float:
         """The rate of a group at an iteration (counted from 0)."""
-        progress = iteration / self.iterations
-        if name == "means":
-            start, end = self.config.means, self.config.means_final
-            return self.extent * start * (end / start) ** progress
-        rate = getattr(self.config, name)
-        is_network = name in ("radiance_networks", "tone_mapper")
-        if is_network or self.config.cosine == "all":
-            rate *= 0.5 * (1.0 + math.cos(math.pi * progress))
-        return rate
+        return self.rates[name].at(iteration / self.iterations, self.extent)
 
     def step(self, iteration: int) -> None:
         """Apply the gradients that are there with the rates of ``iteration``, then clear them."""
@@ -81,13 +80,13 @@ class Optimiser:
         self.adam.step()
         self.adam.zero_grad(set_to_none=True)
 
-    def resample(self, method: PhysHDR, source: torch.Tensor, fresh: torch.Tensor) -> None:
-        """Make Gaussian j a copy of the old Gaussian ``source[j]``, moments included.
+    def resample(self, backbone: Backbone, source: torch.Tensor, fresh: torch.Tensor) -> None:
+        """Make primitive j a copy of the old primitive ``source[j]``, moments included.
 
         ``source`` ``[M]`` int64; ``fresh`` ``[M]`` bool: these start with zero moments. Cloning, splitting,
         pruning and reordering are all of this form.
         """
-        parameters = method.gaussians.parameters
+        parameters = backbone.parameters
         for group in self.adam.param_groups:
             name = group["name"]
             if name not in parameters:

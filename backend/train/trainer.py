@@ -11,27 +11,32 @@ import torch
 
 from ...bridge.errors import BadValueError, DataMismatchError, PhysHDRError
 from ...bridge.lights import AMBIENT
-from ..methods.physhdr import PhysHDR
-from ..model.gaussians import Gaussians, initial_gaussians
-from ..model.tone_mapper import ToneMapper
+from ..methods.base import Method, Shot, SplattingMethod
+from ..methods.registry import Facts, new_method
+from ..model.anchors import Anchors
+from ..model.backbone import Start
 from ..rasterize import Implementation
 from ..resident import Pictures
 from ..scene.scene import Scene, View
-from . import densify as density
+from .anchor_growth import AnchorGrowth
 from .checkpoint import lights_of, load_checkpoint, save_checkpoint
 from .config import TrainConfig
+from .densify import GaussianGrowth
 from .events import Event, Finished, Progress, Saved, Started
+from .growth import Growth, NoGrowth
 from .initialise import initial_points, merged_log_radiance, scene_extent
 from .optimisers import Optimiser
 from .warm_up import halved
 
 CHECKPOINT_FILE = "checkpoint.safetensors"
+#: Prefix of the backbone's parameters in a checkpoint, of either backbone.
+PRIMITIVES = "gaussians."
 
 #: Streams of random numbers, so that no two purposes draw the same ones.
-STREAM_VIEWS, STREAM_EXPOSURES, STREAM_SPLIT = range(3)
+STREAM_VIEWS, STREAM_EXPOSURES, STREAM_GROWTH, STREAM_SHOT = range(4)
 
 #: Measures a fixed test view; given the method, returns named numbers.
-Monitor = Callable[[PhysHDR], dict[str, float]]
+Monitor = Callable[[Method], dict[str, float]]
 
 
 class TrainingDivergedError(PhysHDRError):
@@ -39,7 +44,7 @@ class TrainingDivergedError(PhysHDRError):
 
 
 class Trainer:
-    """A run: the method, its optimiser, densification's statistics and the iteration.
+    """A run: the method, its optimiser, its growth and the iteration.
 
     ``device``: where everything is computed; ``implementation`` picks the rasteriser. Raises
     ``BadValueError`` or ``DataMismatchError`` where the scene cannot be trained with ``config``.
@@ -56,7 +61,7 @@ class Trainer:
         self.pictures = Pictures(self.device)
         self.iteration = 0
         self._sound = True  # whether the state is one that a checkpoint may hold
-        uses_light = config.method.lighting_level == "view"
+        uses_light = getattr(config.method, "lighting_level", "exposure") == "view"
         self.lights = scene.lights if uses_light else (AMBIENT,)
         self.views = [*scene.train, *(scene.lit if uses_light else [])]
         if not self.views:
@@ -64,17 +69,29 @@ class Trainer:
         self.exposures = [self._allowed_exposures(view, index) for index, view in enumerate(self.views)]
 
         torch.manual_seed(config.seed)  # initial values of the networks
-        tone_mapper = ToneMapper(config.method.tone_mapper, scene.response_anchor)
-        tone_mapper.warm_start(config.seed)
-        self.method = PhysHDR(
-            config.method, self._start(tone_mapper), scene.response_anchor, implementation, self.lights
-        )
-        self.method.tone_mapper.load_state_dict(tone_mapper.state_dict())
+        facts = Facts(scene.response_anchor, implementation, self.lights)
+        self.method = new_method(config.method, config.anchors, facts)
+        self.method.prepare(config.seed)
+        self.start_message = "random networks"
+        if isinstance(self.method, SplattingMethod):
+            self._place(self.method)
         self.method.to_device(self.device)
+        self._begin_optimising()
+
+    def _begin_optimising(self) -> None:
+        config, method = self.config, self.method
         self.optimiser = Optimiser(
-            self.method, config.optimiser, scene_extent(scene.train), config.iterations
+            method, config.optimiser, scene_extent(self.scene.train), config.iterations
         )
-        self.statistics = density.DensifyState.empty(self.method.gaussians)
+        self.growth = self._new_growth()
+
+    def _new_growth(self) -> Growth:
+        config, seed = self.config, (self.config.seed, STREAM_GROWTH)
+        if not isinstance(self.method, SplattingMethod):
+            return NoGrowth()
+        if isinstance(self.method.backbone, Anchors):
+            return AnchorGrowth(self.method, self.optimiser, config.iterations, seed)
+        return GaussianGrowth(self.method, self.optimiser, config.densify, config.iterations, seed)
 
     def _allowed_exposures(self, view: View, index: int) -> tuple[int, ...]:
         allowed = tuple(k for k in self.config.training_exposures if k < len(view.exposures))
@@ -89,8 +106,9 @@ class Trainer:
             return (int(rng.choice(allowed)),)
         return allowed
 
-    def _start(self, tone_mapper: ToneMapper) -> Gaussians:
-        config, method = self.config, self.config.method
+    def _place(self, method: SplattingMethod) -> None:
+        """Put the backbone's first primitives where the scene is, as bright as the brackets say."""
+        config = self.config
         # Only views under the standard light say how bright a point is at level 1.
         standard = [(v, e) for v, e in zip(self.views, self.exposures, strict=True) if v.is_standard]
         views, exposures = [v for v, _ in standard], [e for _, e in standard]
@@ -98,77 +116,77 @@ class Trainer:
             self.scene,
             views,
             exposures,
-            tone_mapper,
+            method.tone_mapper,
             source=config.initial_points,
             random_count=config.random_points,
             seed=config.seed,
         )
         self.start_message = points.message
-        return initial_gaussians(
-            points.positions,
-            merged_log_radiance(points.positions, views, exposures, tone_mapper),
-            sh_degree=method.sh_degree,
+        start = Start(
             opacity=config.initial_opacity,
             scale_factor=config.initial_scale,
-            ambient_share=config.initial_ambient_share if method.has_light_share else None,
-            lights=len(self.lights),
-            context_size=method.tone_mapper.context_size if method.tone_mapper.local else 0,
+            ambient_share=config.initial_ambient_share,
             seed=config.seed,
         )
+        radiance = merged_log_radiance(points.positions, views, exposures, method.tone_mapper)
+        method.backbone.place(points.positions, radiance, start)
 
     # -- one iteration -----------------------------------------------------------------------------------
 
-    def draw(self, iteration: int) -> tuple[View, int]:
-        """The view and the exposure index of an iteration (from 0): a shuffle of all views each epoch."""
+    def draw(self, iteration: int) -> tuple[View, tuple[int, ...]]:
+        """The view of an iteration (from 0), a shuffle of all views each epoch, and its pictures.
+
+        One position in its bracket, drawn anew; with ``supervision`` "bracket" all that training may see.
+        """
         epoch, position = divmod(iteration, len(self.views))
         order = np.random.default_rng([self.config.seed, STREAM_VIEWS, epoch]).permutation(len(self.views))
         index = int(order[position])
+        if self.config.supervision == "bracket":
+            return self.views[index], self.exposures[index]
         rng = np.random.default_rng([self.config.seed, STREAM_EXPOSURES, 1 << 32, iteration])
-        return self.views[index], int(rng.choice(self.exposures[index]))
+        return self.views[index], (int(rng.choice(self.exposures[index])),)
+
+    def picture(self, view: View, k: int) -> torch.Tensor:
+        """``[3, H, W]`` in [0, 1], on the device: what methods that sample all pictures ask for."""
+        return self.pictures.get(view, k)
+
+    def shot(self, iteration: int) -> Shot:
+        """What an iteration (from 0) sees."""
+        config = self.config
+        view, indices = self.draw(iteration)
+        camera, pictures = view.camera, [self.pictures.get(view, k) for k in indices]
+        if iteration < config.half_size_until * config.iterations:
+            camera, pictures = halved(camera, pictures)
+        return Shot(
+            camera=camera,
+            exposures=tuple(view.exposures[k] for k in indices),
+            pictures=tuple(pictures),
+            levels=1.0 if view.is_standard else view.lighting_levels,
+            iteration=iteration,
+            pool=self,
+            seed=(config.seed, STREAM_SHOT, iteration),
+        )
 
     def step(self) -> dict[str, torch.Tensor]:
         """One iteration; returns the weighted loss terms (detached)."""
-        config, method, iteration = self.config, self.method, self.iteration
-        view, k = self.draw(iteration)
-        camera, picture = view.camera, self.pictures.get(view, k)
-        if iteration < config.half_size_until * config.iterations:
-            camera, picture = halved(camera, picture)
-        self._follow_schedules(iteration)
-
-        screen_offsets = torch.zeros(len(method.gaussians), 2, device=self.device, requires_grad=True)
-        levels = 1.0 if view.is_standard else view.lighting_levels
-        rendering = method.render(camera, view.exposures[k], levels, screen_offsets)
-        terms = method.losses(rendering, picture)
-        total = torch.stack(list(terms.values())).sum()
+        iteration = self.iteration
+        shot = self.shot(iteration)
+        self._follow_schedule(iteration)
+        outcome = self.method.training_outcome(shot)
+        total = torch.stack(list(outcome.terms.values())).sum()
         total.backward()
 
-        if iteration < config.densify.stop * config.iterations and screen_offsets.grad is not None:
-            density.observe(self.statistics, screen_offsets.grad, rendering, camera, config.densify)
+        if outcome.drawn is not None:
+            self.growth.observe(outcome.drawn, shot.camera, iteration)
         self._sound = False
         self.optimiser.step(iteration)
         self.iteration = iteration + 1
-        self._control_density()
+        self.growth.control(self.iteration)
         self._sound = True
-        return {name: term.detach() for name, term in terms.items()}
+        return {name: term.detach() for name, term in outcome.terms.items()}
 
-    def _follow_schedules(self, iteration: int) -> None:
-        """The SH degree and the freezing of f_mix at an iteration (functions of it alone)."""
-        config, method = self.config, self.method
-        method.active_sh_degree = min(config.method.sh_degree, iteration // config.sh_degree_every)
-        if config.method.tone_mapper.mix:
-            learning = iteration >= config.method.mix_frozen_until * config.iterations
-            method.tone_mapper.fusion.requires_grad_(learning)
-
-    def _control_density(self) -> None:
-        config, total = self.config, self.config.iterations
-        if density.is_due(self.iteration, total, config.densify):
-            seed = np.random.SeedSequence([config.seed, STREAM_SPLIT, self.iteration]).generate_state(1)[0]
-            generator = torch.Generator().manual_seed(int(seed))
-            self.statistics = density.densify(
-                self.method, self.optimiser, self.statistics, self.iteration, config.densify, generator
-            )
-        if density.reset_is_due(self.iteration, total, config.densify):
-            density.reset_opacity(self.method, self.optimiser, config.densify)
+    def _follow_schedule(self, iteration: int) -> None:
+        self.method.follow_schedule(iteration, self.config.iterations, self.config.sh_degree_every)
 
     # -- the loop ----------------------------------------------------------------------------------------
 
@@ -191,7 +209,7 @@ class Trainer:
         total = self.config.iterations
         begun, begun_cpu = time.perf_counter(), time.process_time()
         message = f"started from {self.start_message}"
-        yield Started(self.iteration, total, len(self.method.gaussians), message)
+        yield Started(self.iteration, total, self.method.size, message)
         sums: dict[str, torch.Tensor] = {}
         window_start, window_first = time.perf_counter(), self.iteration
         try:
@@ -210,7 +228,7 @@ class Trainer:
                     due = monitor is not None and (done % monitor_every == 0 or done == total)
                     measured = monitor(self.method) if due and monitor is not None else {}
                     yield Progress(
-                        done, total, len(self.method.gaussians), losses, rate, (total - done) / rate, measured
+                        done, total, self.method.size, losses, rate, (total - done) / rate, measured
                     )
                     sums, window_start, window_first = {}, time.perf_counter(), done
                 if done % checkpoint_every == 0 and done < total:
@@ -246,9 +264,10 @@ class Trainer:
 
     def save(self, folder: Path) -> Saved:
         """Write everything that ``resume`` needs; raises ``OutputError``."""
-        tensors = {f"gaussians.{k}": v for k, v in self.method.gaussians.parameters.items()}
-        tensors |= {f"networks.{k}": v for k, v in self.method.state_dict().items()}
-        tensors |= {f"statistics.{k}": v for k, v in vars(self.statistics).items()}
+        tensors = {f"networks.{k}": v for k, v in self.method.state_dict().items()}
+        if isinstance(self.method, SplattingMethod):
+            tensors |= {f"{PRIMITIVES}{k}": v for k, v in self.method.backbone.parameters.items()}
+        tensors |= {f"statistics.{k}": v for k, v in self.growth.tensors().items()}
         tensors |= self.optimiser.state_tensors()
         path = folder / CHECKPOINT_FILE
         save_checkpoint(path, tensors, {"iteration": str(self.iteration)}, self.lights)
@@ -266,29 +285,23 @@ class Trainer:
             )
         restore_method(self.method, tensors)
         self.method.to_device(self.device)
-        self.optimiser = Optimiser(
-            self.method, self.config.optimiser, self.optimiser.extent, self.config.iterations
-        )
+        self._begin_optimising()
         self.optimiser.load_state_tensors({k: v.to(self.device) for k, v in tensors.items()})
-        self.statistics = density.DensifyState(
-            **{
-                k.removeprefix("statistics."): v.to(self.device)
-                for k, v in tensors.items()
-                if k.startswith("statistics.")
-            }
-        )
+        statistics = {k: v.to(self.device) for k, v in tensors.items() if k.startswith("statistics.")}
+        self.growth.restore({k.removeprefix("statistics."): v for k, v in statistics.items()})
         self.iteration = int(metadata["iteration"])
         self.start_message = f"the checkpoint in {folder}"
-        self._follow_schedules(self.iteration)
+        self._follow_schedule(self.iteration)
 
 
-def restore_method(method: PhysHDR, tensors: dict[str, torch.Tensor]) -> None:
-    """Put a checkpoint's Gaussians and networks into ``method``."""
-    method.gaussians.parameters = {
-        k.removeprefix("gaussians."): v.clone().requires_grad_()
-        for k, v in tensors.items()
-        if k.startswith("gaussians.")
-    }
+def restore_method(method: Method, tensors: dict[str, torch.Tensor]) -> None:
+    """Put a checkpoint's primitives and networks into ``method``."""
+    if isinstance(method, SplattingMethod):
+        method.backbone.parameters = {
+            k.removeprefix(PRIMITIVES): v.clone().requires_grad_()
+            for k, v in tensors.items()
+            if k.startswith(PRIMITIVES)
+        }
     method.load_state_dict(
         {k.removeprefix("networks."): v for k, v in tensors.items() if k.startswith("networks.")}
     )
@@ -300,13 +313,13 @@ def load_method(
     anchor: tuple[float, float] | None,
     implementation: Implementation = "auto",
     device: torch.device | str = "cpu",
-) -> tuple[PhysHDR, int]:
+) -> tuple[Method, int]:
     """The trained method of a run's folder, for rendering, and the iteration it is at."""
     tensors, metadata = load_checkpoint(folder / CHECKPOINT_FILE)
     lights = lights_of(metadata, folder / CHECKPOINT_FILE)
-    method = PhysHDR(config.method, Gaussians({}), anchor, implementation, lights)
+    method = new_method(config.method, config.anchors, Facts(anchor, implementation, lights))
     restore_method(method, tensors)
     method.to_device(torch.device(device))
     iteration = int(metadata["iteration"])
-    method.active_sh_degree = min(config.method.sh_degree, max(iteration - 1, 0) // config.sh_degree_every)
+    method.follow_schedule(max(iteration - 1, 0), config.iterations, config.sh_degree_every)
     return method, iteration

@@ -22,9 +22,10 @@ def half_sized(camera: Camera) -> Camera:
     return camera.resized(camera.width // 2)
 
 
-def halved(camera: Camera, picture: torch.Tensor) -> tuple[Camera, torch.Tensor]:
-    """A view at half its size: camera and picture ``[3, H, W]``; small ones are given back as they are."""
+def halved(camera: Camera, pictures: list[torch.Tensor]) -> tuple[Camera, list[torch.Tensor]]:
+    """A view at half its size: camera and pictures ``[3, H, W]``; small ones are given back as they are."""
     if min(camera.width, camera.height) < 2 * SMALLEST_SIDE:
-        return camera, picture
+        return camera, pictures
     half = half_sized(camera)
-    return half, torch.nn.functional.interpolate(picture[None], (half.height, half.width), mode="area")[0]
+    size = (half.height, half.width)
+    return half, [torch.nn.functional.interpolate(each[None], size, mode="area")[0] for each in pictures]

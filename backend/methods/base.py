@@ -1,0 +1,287 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the trainer, the evaluation, the server and the export want of every method.
+
+``Method`` is any system that can be trained on shots and asked for pictures. ``SplattingMethod`` is one that
+draws a backbone's splats, which has its whole use (pictures, previews) written once: it needs the colours of
+the splats and the way from radiance to the picture.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+from torch import nn
+
+from ...bridge.errors import BadValueError
+from ...bridge.lights import AMBIENT, Levels, as_levels
+from ..device import use_whole_float32
+from ..model.backbone import Backbone, Splats
+from ..model.gaussians import Gaussians
+from ..model.tone_mapper import ToneMapper
+from ..rasterize import Implementation, Rasterization, rasterize
+from ..scene.camera import Camera
+from ..scene.scene import View
+from ..train.rates import Rate
+
+
+class Pool(Protocol):
+    """Every picture that training may see."""
+
+    views: list[View]
+    #: For each view, the positions in its bracket that training may see.
+    exposures: list[tuple[int, ...]]
+
+    def picture(self, view: View, k: int) -> torch.Tensor:
+        """``[3, H, W]`` in [0, 1], where the method is."""
+        ...
+
+
+@dataclass(frozen=True)
+class Shot:
+    """What one iteration sees: a view at one exposure, or at all of its bracket's that training may see.
+
+    ``exposures``: seconds; ``pictures``: one ``[3, H, W]`` in [0, 1] for each; ``levels``: of the lights.
+    ``pool`` and ``seed``: for methods that sample pixels of all pictures themselves.
+    """
+
+    camera: Camera
+    exposures: tuple[float, ...]
+    pictures: tuple[torch.Tensor, ...]
+    levels: Levels
+    iteration: int
+    pool: Pool
+    seed: tuple[int, ...] = (0,)
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """One pass of the rasteriser, and what growth reads of it.
+
+    ``screen_offsets`` ``[M, 2]``: their gradient is that of the screen positions, per pixel; None where
+    nobody watches. ``illumination_deviation`` ``[M]``: |L_a − L̂_a|, where both are known.
+    """
+
+    splats: Splats
+    rasterization: Rasterization
+    screen_offsets: torch.Tensor | None = None
+    illumination_deviation: torch.Tensor | None = None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """An iteration's weighted loss terms, whose sum is minimised, and what was drawn for them (if it was)."""
+
+    terms: dict[str, torch.Tensor]
+    drawn: Drawn | None = None
+
+
+class Method(nn.Module, ABC):
+    """A system of the benchmark. ``lights``: names of those it has levels for."""
+
+    lights: tuple[str, ...] = (AMBIENT,)
+
+    @abstractmethod
+    def training_outcome(self, shot: Shot) -> Outcome:
+        """The forward pass and the losses of one iteration."""
+
+    @abstractmethod
+    def parameter_groups(self) -> dict[str, list[torch.Tensor]]:
+        """What is optimised, by the names that learning rates have; empty groups are left out."""
+
+    def rates(self) -> dict[str, Rate]:
+        """Learning rates that are the method's own; the others are ``OptimiserConfig``'s."""
+        return {}
+
+    def prepare(self, seed: int) -> None:
+        """Done once before a training, such as a warm start of the response."""
+
+    def follow_schedule(self, iteration: int, iterations: int, sh_degree_every: int) -> None:
+        """Set what depends on the iteration alone, before it is trained (and before it is used)."""
+
+    @property
+    @abstractmethod
+    def size(self) -> int:
+        """How many Gaussians there are; of a method that has none, how many parameters."""
+
+    @property
+    @abstractmethod
+    def device(self) -> torch.device: ...
+
+    @abstractmethod
+    def to_device(self, device: torch.device) -> None:
+        """Move everything; an optimiser must be made after this."""
+
+    @property
+    def can_relight(self) -> bool:
+        """Whether light can be turned apart from the exposure; without, a level only scales."""
+        return False
+
+    @abstractmethod
+    def hdr(self, camera: Camera, lighting_level: Levels = 1.0) -> torch.Tensor:
+        """Scene-linear radiance ``[3, H, W]``."""
+
+    @abstractmethod
+    def ldr(self, camera: Camera, exposure: float, lighting_level: Levels = 1.0) -> torch.Tensor:
+        """The picture ``[3, H, W]`` in [0, 1] that a camera with ``exposure`` seconds would record."""
+
+    def ldr_bracket(
+        self, camera: Camera, exposures: Sequence[float], lighting_level: Levels = 1.0
+    ) -> list[torch.Tensor]:
+        """``ldr`` at several exposures, for methods to do at less than their sum."""
+        return [self.ldr(camera, exposure, lighting_level) for exposure in exposures]
+
+    def response_curve(self) -> tuple[torch.Tensor, torch.Tensor] | None:
+        """The learned global response: ln(exposure × radiance) ``[S]`` and LDR ``[S, 3]``; or None."""
+        return None
+
+
+class SplattingMethod(Method):
+    """A method on a backbone of splats and with a global response curve (and perhaps more).
+
+    Subclasses say what colour the splats have (``radiance_of``) and how a picture comes of it (``ldr``).
+    """
+
+    backbone: Backbone
+    tone_mapper: ToneMapper
+
+    def __init__(self, backbone: Backbone, implementation: Implementation) -> None:
+        super().__init__()
+        self.backbone = backbone
+        #: The backbone's share of what a checkpoint holds.
+        self.backbone_networks = backbone.networks
+        self.implementation: Implementation = implementation
+        #: SH coefficients above this degree are not used yet (3DGS's schedule raises it).
+        self.active_sh_degree = self.sh_degree
+
+    @property
+    def sh_degree(self) -> int:
+        """The degree that the schedule ends at."""
+        return 3
+
+    @abstractmethod
+    def radiance_of(self, splats: Splats, levels: tuple[float, ...] | None) -> torch.Tensor:
+        """Scene-linear colours ``[M, 3]`` of splats; ``levels`` None: as captured."""
+
+    @property
+    def composes_by_product(self) -> bool:
+        """Whether ln radiance is ln L_a + ln H_r, and nothing else."""
+        return True
+
+    @property
+    def has_light_share(self) -> bool:
+        """Whether each splat knows which share of its radiance each light causes."""
+        return False
+
+    @property
+    def gaussians(self) -> Gaussians:
+        """The backbone where it is 3DGS's."""
+        if not isinstance(self.backbone, Gaussians):
+            raise BadValueError(
+                "this model is made of anchors, whose Gaussians are another set for each view",
+                "Use backbone.splats(camera), or export it, which fixes them.",
+            )
+        return self.backbone
+
+    @property
+    def size(self) -> int:
+        return self.backbone.gaussian_count
+
+    @property
+    def device(self) -> torch.device:
+        return self.backbone.positions.device
+
+    def to_device(self, device: torch.device) -> None:
+        if device.type == "cuda":
+            use_whole_float32()
+        self.to(device)
+        self.backbone.to_device(device)
+
+    def parameter_groups(self) -> dict[str, list[torch.Tensor]]:
+        groups = {name: [tensor] for name, tensor in self.backbone.parameters.items()}
+        groups |= {name: list(network.parameters()) for name, network in self.backbone.networks.items()}
+        return groups | {name: params for name, params in self.network_groups().items() if params}
+
+    def network_groups(self) -> dict[str, list[torch.Tensor]]:
+        """The method's own networks by the names of their rates."""
+        return {"tone_mapper": list(self.tone_mapper.parameters())}
+
+    def prepare(self, seed: int) -> None:
+        self.tone_mapper.warm_start(seed)
+
+    def follow_schedule(self, iteration: int, iterations: int, sh_degree_every: int) -> None:
+        self.active_sh_degree = min(self.sh_degree, iteration // sh_degree_every)
+
+    # -- drawing ---------------------------------------------------------------------------------------
+
+    def rasterize(
+        self,
+        splats: Splats,
+        colours: torch.Tensor,
+        camera: Camera,
+        *,
+        screen_offsets: torch.Tensor | None = None,
+        with_depth: bool = False,
+    ) -> Rasterization:
+        """Draw splats with C-channel ``colours`` ``[M, C]``."""
+        return rasterize(
+            splats.means,
+            splats.quaternions,
+            splats.scales,
+            splats.opacities,
+            colours,
+            camera,
+            screen_offsets=screen_offsets,
+            with_depth=with_depth,
+            implementation=self.implementation,
+        )
+
+    def watched(self, splats: Splats) -> torch.Tensor:
+        """Zeros ``[M, 2]`` to add to screen positions, whose gradient growth reads."""
+        return torch.zeros(splats.means.shape[0], 2, device=splats.means.device, requires_grad=True)
+
+    def seen_radiance(self, splats: Splats, lighting_level: Levels) -> torch.Tensor:
+        """``[M, 3]``; without an illumination branch the (first light's) level scales all of it."""
+        levels = as_levels(lighting_level, self.lights)
+        standard = is_standard(levels)
+        colours = self.radiance_of(splats, levels if self.can_relight and not standard else None)
+        return colours if self.can_relight or standard else colours * levels[0]
+
+    # -- use -------------------------------------------------------------------------------------------
+
+    @torch.no_grad()
+    def hdr(self, camera: Camera, lighting_level: Levels = 1.0) -> torch.Tensor:
+        splats = self.backbone.splats(camera, self.active_sh_degree)
+        return self.rasterize(splats, self.seen_radiance(splats, lighting_level), camera).image
+
+    @torch.no_grad()
+    def preview(self, camera: Camera, lighting_level: Levels = 1.0) -> Rasterization:
+        """The radiance of ``hdr`` with alpha and depth (metres along the camera's axis), in one pass."""
+        splats = self.backbone.splats(camera, self.active_sh_degree)
+        return self.rasterize(splats, self.seen_radiance(splats, lighting_level), camera, with_depth=True)
+
+    @abstractmethod
+    def preview_ldr(
+        self, drawn: Rasterization, camera: Camera, exposure: float, lighting_level: Levels = 1.0
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """The picture of ``ldr``, from what ``preview`` drew where that suffices, and the camera's black.
+
+        ``[3, H, W]``, and ``[3, 1, 1]``: what the tone mapper makes of a pixel where nothing is.
+        """
+
+    @torch.no_grad()
+    def response_curve(self) -> tuple[torch.Tensor, torch.Tensor] | None:
+        return self.tone_mapper.sampled()
+
+
+def is_standard(levels: Sequence[float]) -> bool:
+    """Whether every light is as it was captured."""
+    return all(level == 1.0 for level in levels)
+
+
+def mean_terms(each: Sequence[dict[str, torch.Tensor]]) -> dict[str, torch.Tensor]:
+    """The mean of the loss terms of several pictures, which all have the same names."""
+    if len(each) == 1:
+        return each[0]
+    return {name: torch.stack([terms[name] for terms in each]).mean() for name in each[0]}

@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Every method by its configuration. A new method is one file and one line here."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from ...bridge.lights import AMBIENT
+from ..kernels.warmup import Needs
+from ..model.anchors import Anchors, AnchorsConfig
+from ..model.backbone import Attributes, Backbone
+from ..model.gaussians import Gaussians
+from ..rasterize import Implementation
+from . import physhdr
+from .base import Method
+
+MethodConfig = physhdr.PhysHDRConfig
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What a method must know of the data and the machine.
+
+    ``anchor``: a known point of the response, (exposure × radiance, code value), or None. ``lights``: names
+    of those whose levels vary.
+    """
+
+    anchor: tuple[float, float] | None = None
+    implementation: Implementation = "auto"
+    lights: tuple[str, ...] = (AMBIENT,)
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A method: its name in files, how it is made, and what its training compiles."""
+
+    name: str
+    make: Callable[[Any, AnchorsConfig | None, Facts], Method]
+    kernels_needed: Callable[[Any], Needs]
+
+
+def backbone_of(attributes: Attributes, anchors: AnchorsConfig | None) -> Backbone:
+    """An empty backbone: 3DGS's, or Scaffold-GS's where ``anchors`` are configured."""
+    return Gaussians({}, attributes) if anchors is None else Anchors(anchors, attributes)
+
+
+def _physhdr(config: physhdr.PhysHDRConfig, anchors: AnchorsConfig | None, facts: Facts) -> Method:
+    backbone = backbone_of(config.attributes(facts.lights), anchors)
+    return physhdr.PhysHDR(config, backbone, facts.anchor, facts.implementation, facts.lights)
+
+
+ENTRIES: dict[type, Entry] = {
+    physhdr.PhysHDRConfig: Entry("physhdr", _physhdr, physhdr.kernels_needed),
+}
+
+
+def entry_of(config: Any) -> Entry:
+    """The method that a configuration is of."""
+    return ENTRIES[type(config)]
+
+
+def config_named(name: str) -> type:
+    """The configuration's class of a method, as ``config.json`` names it; raises ``KeyError``."""
+    return next(config for config, entry in ENTRIES.items() if entry.name == name)
+
+
+def new_method(config: Any, anchors: AnchorsConfig | None, facts: Facts) -> Method:
+    """An untrained method without primitives; raises ``BadValueError`` where it cannot be with these data."""
+    return entry_of(config).make(config, anchors, facts)
+
+
+def kernels_needed(config: Any) -> Needs:
+    """The CPU kernels that training with ``config`` calls, so that they are compiled before."""
+    return entry_of(config).kernels_needed(config)

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What carries a scene (3DGS's Gaussians, Scaffold-GS's anchors), and what it gives to be drawn.
+
+A method asks its backbone for the splats of a view and never cares where they come from; a backbone knows
+nothing of exposures, tone mapping or losses.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import nn
+
+from ..scene.camera import Camera
+
+
+@dataclass(frozen=True, kw_only=True)
+class Attributes:
+    """What each splat carries beside geometry and reflectance, as the method asks for it.
+
+    ``context_size``: channels of the feature that local tone mapping reads, 0 for none. ``lights``: how many
+    lights have a share of its radiance, 0 for none.
+    """
+
+    sh_degree: int = 3
+    context_size: int = 0
+    lights: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Start:
+    """How a backbone begins; docs/method.md says what was measured.
+
+    ``opacity`` in (0, 1); ``scale_factor``: standard deviation over the distance to the neighbours;
+    ``ambient_share``: of a single light (of several each starts with 1 / (lights + 1)).
+    """
+
+    opacity: float = 0.1
+    scale_factor: float = 1.0
+    ambient_share: float = 0.5
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Splats:
+    """M Gaussians as one view sees them, before light is composed into colour.
+
+    ``means`` ``[M, 3]`` metres; ``quaternions`` ``[M, 4]`` wxyz; ``scales`` ``[M, 3]`` metres; ``opacities``
+    ``[M]``; ``log_reflectance`` ``[M, 3]``: ln H_r toward the camera; ``log_illumination`` ``[M, 1]``;
+    ``light_share`` ``[M, C, 3]`` and ``context`` ``[M, K]`` where ``Attributes`` asks for them.
+    """
+
+    means: torch.Tensor
+    quaternions: torch.Tensor
+    scales: torch.Tensor
+    opacities: torch.Tensor
+    log_reflectance: torch.Tensor
+    log_illumination: torch.Tensor
+    light_share: torch.Tensor | None = None
+    context: torch.Tensor | None = None
+
+
+class Backbone(ABC):
+    """``parameters``: leaf tensors by name, one row a primitive (what growth adds and removes).
+
+    ``networks``: shared by all primitives; empty where there are none.
+    """
+
+    parameters: dict[str, torch.Tensor]
+    networks: nn.ModuleDict
+
+    @abstractmethod
+    def place(self, positions: np.ndarray, log_radiance: np.ndarray, start: Start) -> None:
+        """Begin at ``positions`` ``[P, 3]`` (metres) with ln radiance ``[P, 3]``; few: ``BadValueError``."""
+
+    @abstractmethod
+    def splats(self, camera: Camera, sh_degree: int) -> Splats:
+        """What ``camera`` sees; ``sh_degree`` bounds the directional detail where it is SH."""
+
+    @abstractmethod
+    def fixed(self, cameras: Sequence[Camera]) -> "Backbone":
+        """The same as plain Gaussians (``gaussians.Gaussians``), for files and viewers that know no others.
+
+        Where the splats depend on the view, they are those that ``cameras`` see, as nearly as can be.
+        """
+
+    @property
+    @abstractmethod
+    def positions(self) -> torch.Tensor:
+        """``[N, 3]`` metres: where the primitives are, also for their device."""
+
+    def __len__(self) -> int:
+        """How many primitives there are."""
+        return self.positions.shape[0]
+
+    @property
+    def gaussian_count(self) -> int:
+        """How many Gaussians can be drawn at once: what is compared with other methods."""
+        return len(self)
+
+    def to_device(self, device: torch.device) -> None:
+        """Move the primitives' parameters; the networks move with the method that holds them."""
+        for name, tensor in self.parameters.items():
+            self.parameters[name] = tensor.detach().to(device).requires_grad_()

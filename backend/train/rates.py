@@ -1,0 +1,26 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How a learning rate goes over a training: a function of progress alone, so that runs can be resumed."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rate:
+    """``start`` to ``final`` exponentially, or to zero by a cosine, or constant."""
+
+    start: float
+    final: float = 0.0
+    shape: Literal["constant", "exponential", "cosine"] = "constant"
+    #: Multiplied by the scene's extent (3DGS: positions).
+    of_extent: bool = False
+
+    def at(self, progress: float, extent: float) -> float:
+        """The rate at ``progress`` (0 … 1)."""
+        rate = self.start
+        if self.shape == "exponential":
+            rate *= (self.final / self.start) ** progress
+        elif self.shape == "cosine":
+            rate *= 0.5 * (1.0 + math.cos(math.pi * progress))
+        return rate * extent if self.of_extent else rate
