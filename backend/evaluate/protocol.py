@@ -9,7 +9,7 @@ Relit: the μ-law PSNR under other light, beside what scaling a picture would gi
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -24,11 +24,17 @@ from ..scene.scene import Scene, View
 from . import truth
 from .lpips import SMALLEST_SIDE, Lpips
 from .metrics import hdr_normaliser, hdr_pair, psnr, quantise, resize_to, scale_ratio, ssim
+from .published import data_set_of
 from .results import Evaluation, HdrRow, LdrRow, Metrics, RelitRow
 
 
 class Renderer(Protocol):
-    """What is evaluated: a trained model, whichever the method. ``lights``: those it has levels for."""
+    """What is evaluated: a trained model, whichever the method. ``lights``: those it has levels for.
+
+    Three things more are used of a method that has them: ``ldr_bracket(camera, exposures, lighting_level)``,
+    a list of what ``ldr`` gives at each exposure, where that is cheaper together; ``response_curve()``, see
+    ``response.py``; ``can_relight``, whether a lighting level does more than scale (``cli/video.py``).
+    """
 
     lights: tuple[str, ...]
 
@@ -95,6 +101,7 @@ def evaluate(
         relit=relit_rows,
         messages=messages,
         seconds=time.monotonic() - started,
+        data_set=data_set_of(scene),
     )
 
 
@@ -144,18 +151,26 @@ def _require_finite(picture: torch.Tensor, what: str) -> torch.Tensor:
 
 
 def _compare(picture: torch.Tensor, reference: torch.Tensor, lpips: Lpips | None) -> Metrics:
-    return Metrics(
-        psnr(picture, reference),
-        ssim(picture, reference),
-        lpips(picture, reference) if lpips else None,
-        lpips.unscaled(picture, reference) if lpips else None,
-    )
+    distances = lpips.both(picture, reference) if lpips else (None, None)
+    return Metrics(psnr(picture, reference), ssim(picture, reference), *distances)
+
+
+def ldr_bracket(
+    renderer: Renderer, camera: Camera, exposures: Sequence[float], lighting_level: Levels = 1.0
+) -> Iterator[torch.Tensor]:
+    """What ``renderer.ldr`` gives at each exposure: all at once where the method can, else one by one."""
+    together = getattr(renderer, "ldr_bracket", None)
+    if together is not None:
+        yield from together(camera, list(exposures), lighting_level)
+        return
+    for exposure in exposures:
+        yield renderer.ldr(camera, exposure, lighting_level)
 
 
 def _ldr_rows(renderer: Renderer, view: View, lpips: Lpips | None) -> list[LdrRow]:
     rows = []
-    for k, exposure in enumerate(view.exposures):
-        picture = renderer.ldr(view.camera, exposure, view.lighting_level)
+    pictures = ldr_bracket(renderer, view.camera, view.exposures, view.lighting_level)
+    for k, (exposure, picture) in enumerate(zip(view.exposures, pictures, strict=True)):
         picture = quantise(_require_finite(picture, f"{view.name} at {exposure:g} s"))
         # A copy: the cached picture is read-only, which torch cannot represent.
         reference = torch.from_numpy(view.image(k).copy()).permute(2, 0, 1).double() / 255.0

@@ -20,6 +20,8 @@ from .results import NOVEL_EXPOSURES, OBSERVED_EXPOSURES, Evaluation, Metrics, R
 #: What an empty cell of a table shows: not computed.
 NONE = "–"
 
+#: Columns of the table of views: (heading, metric, digits) for each of OE, NE and HDR.
+VIEW_METRICS = (("PSNR", "psnr", 2), ("SSIM", "ssim", 4), ("LPIPS 01", "lpips_01", 4))
 METRIC_COLUMNS = ("PSNR dB", "SSIM", "LPIPS", "LPIPS 01")
 RELIT_COLUMNS = ("ours", "level × truth", "best × truth", "level × ours", "gain")
 
@@ -31,6 +33,7 @@ def to_dict(evaluation: Evaluation) -> dict[str, Any]:
         "version": 1,
         "conditions": {
             "scene": evaluation.scene,
+            "data_set": evaluation.data_set,
             "split": evaluation.split,
             "exposure_mode": evaluation.exposure_mode,
             "resolution": list(evaluation.resolution),
@@ -46,6 +49,8 @@ def to_dict(evaluation: Evaluation) -> dict[str, Any]:
         "relit_means": {
             label: _relit_dict(means) for label, means in _relit_means(evaluation) if means is not None
         },
+        "exposures": [dataclasses.asdict(row) for row in evaluation.exposures],
+        "views": [dataclasses.asdict(row) for row in evaluation.views],
         "ldr": [dataclasses.asdict(row) for row in evaluation.ldr],
         "hdr": [dataclasses.asdict(row) for row in evaluation.hdr],
         "relit": [
@@ -113,9 +118,13 @@ def to_csv(evaluation: Evaluation) -> str:
 
 def to_markdown(evaluation: Evaluation) -> str:
     """The tables as Markdown, with the conditions under them."""
-    parts = [_markdown_table(("", *METRIC_COLUMNS), _metric_cells(evaluation))]
+    parts = [
+        _markdown_table(("", *METRIC_COLUMNS), _metric_cells(evaluation)),
+        _markdown_table(("LDR at", "part", *METRIC_COLUMNS), _exposure_cells(evaluation)),
+    ]
     if evaluation.relit:
         parts.append(_markdown_table(("relit, dB", *RELIT_COLUMNS), _relit_cells(evaluation)))
+    parts.append(_markdown_table(*_view_table(evaluation)))
     parts.append("\n".join(f"- {line}" for line in [*conditions(evaluation), *evaluation.messages]))
     return "\n\n".join(parts) + "\n"
 
@@ -123,7 +132,8 @@ def to_markdown(evaluation: Evaluation) -> str:
 def to_terminal(evaluation: Evaluation) -> Group:
     """The tables and conditions for ``rich.console.Console.print``."""
     parts: list[Table | Text] = [
-        _rich_table(f"{evaluation.scene}, test views", ("", *METRIC_COLUMNS), _metric_cells(evaluation))
+        _rich_table(f"{evaluation.scene}, test views", ("", *METRIC_COLUMNS), _metric_cells(evaluation)),
+        _rich_table("LDR by exposure", ("", "part", *METRIC_COLUMNS), _exposure_cells(evaluation)),
     ]
     if evaluation.relit:
         title = "relit: μ-law PSNR in dB against the relit truth"
@@ -185,11 +195,34 @@ def _relit_dict(means: RelitMeans) -> dict[str, float]:
 
 
 def _metric_cells(evaluation: Evaluation) -> list[tuple[str, ...]]:
+    return [(name, *_four(metrics)) for name, metrics in _means(evaluation) if metrics is not None]
+
+
+def _exposure_cells(evaluation: Evaluation) -> list[tuple[str, ...]]:
     return [
-        (name, _cell(m.psnr, 2), _cell(m.ssim, 4), _cell(m.lpips, 4), _cell(m.lpips_01, 4))
-        for name, m in _means(evaluation)
-        if m is not None
+        (f"{row.exposure_index}: {row.exposure:.4g} s", row.part or NONE, *_four(row.metrics))
+        for row in evaluation.exposures
     ]
+
+
+def _four(metrics: Metrics) -> tuple[str, ...]:
+    """The cells of ``METRIC_COLUMNS``."""
+    numbers = ((metrics.psnr, 2), (metrics.ssim, 4), (metrics.lpips, 4), (metrics.lpips_01, 4))
+    return tuple(_cell(value, digits) for value, digits in numbers)
+
+
+def _view_table(evaluation: Evaluation) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Headings and a row for each view; columns that nothing fills are left out."""
+    views = evaluation.views
+    columns: list[tuple[str, list[str]]] = []
+    for heading, metric, digits in VIEW_METRICS:
+        for part, name in (("OE", "ldr_oe"), ("NE", "ldr_ne"), ("HDR", "hdr")):
+            cells = [_cell(getattr(getattr(view, name), metric, None), digits) for view in views]
+            columns.append((f"{part} {heading}", cells))
+    columns.append(("HDR scale", [_cell(view.scale_ratio, 3) for view in views]))
+    columns = [(heading, cells) for heading, cells in columns if any(cell != NONE for cell in cells)]
+    rows = [(view.view, *(cells[i] for _, cells in columns)) for i, view in enumerate(views)]
+    return ("view", *(heading for heading, _ in columns)), rows
 
 
 def _relit_cells(evaluation: Evaluation) -> list[tuple[str, ...]]:

@@ -90,6 +90,29 @@ class RelitRow:
 
 
 @dataclass(frozen=True)
+class ExposureMeans:
+    """All views at one exposure index. ``exposure``: median, seconds. ``part``: LDR-OE, LDR-NE or ""."""
+
+    exposure_index: int
+    exposure: float
+    part: str
+    views: int
+    metrics: Metrics
+
+
+@dataclass(frozen=True)
+class ViewMeans:
+    """One view: its own LDR-OE and LDR-NE over the exposures it has, and its HDR row; None: not there."""
+
+    view: str
+    index: int
+    ldr_oe: Metrics | None
+    ldr_ne: Metrics | None
+    hdr: Metrics | None
+    scale_ratio: float | None
+
+
+@dataclass(frozen=True)
 class RelitMeans:
     """Means in dB over the views of one condition, or over everything."""
 
@@ -113,7 +136,10 @@ class RelitMeans:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Every number, row by row; means are computed from them. ``messages``: what was left out, and why."""
+    """Every number, row by row; means are computed from them. ``messages``: what was left out, and why.
+
+    ``data_set``: the published benchmark that the scene is of (``published.data_set_of``), else "".
+    """
 
     scene: str
     split: str
@@ -125,6 +151,7 @@ class Evaluation:
     messages: list[str] = field(default_factory=list)
     mu: float = MU
     seconds: float = 0.0
+    data_set: str = ""
 
     def ldr_mean(self, exposure_indices: tuple[int, ...]) -> Metrics | None:
         """Mean over the views for each exposure, then over ``exposure_indices``; None if there are none."""
@@ -143,6 +170,42 @@ class Evaluation:
     def ldr_ne(self) -> Metrics | None:
         """LDR at novel exposures."""
         return self.ldr_mean(NOVEL_EXPOSURES)
+
+    @property
+    def exposures(self) -> list[ExposureMeans]:
+        """The mean over the views at each exposure index, rising."""
+        means = []
+        for k in sorted({row.exposure_index for row in self.ldr}):
+            rows = [row for row in self.ldr if row.exposure_index == k]
+            part = "LDR-OE" if k in OBSERVED_EXPOSURES else "LDR-NE" if k in NOVEL_EXPOSURES else ""
+            metrics = mean_metrics([row.metrics for row in rows])
+            assert metrics is not None
+            exposure = float(np.median([row.exposure for row in rows]))
+            means.append(ExposureMeans(k, exposure, part, len(rows), metrics))
+        return means
+
+    @property
+    def views(self) -> list[ViewMeans]:
+        """The numbers of each view, in the order of the rows."""
+        hdr = {row.index: row for row in self.hdr}
+        by_pose: dict[int, list[LdrRow]] = {}
+        for row in self.ldr:
+            by_pose.setdefault(row.index, []).append(row)
+
+        def over(rows: list[LdrRow], exposure_indices: tuple[int, ...]) -> Metrics | None:
+            return mean_metrics([row.metrics for row in rows if row.exposure_index in exposure_indices])
+
+        return [
+            ViewMeans(
+                rows[0].view,
+                index,
+                over(rows, OBSERVED_EXPOSURES),
+                over(rows, NOVEL_EXPOSURES),
+                hdr[index].metrics if index in hdr else None,
+                hdr[index].scale_ratio if index in hdr else None,
+            )
+            for index, rows in by_pose.items()
+        ]
 
     @property
     def hdr_mean(self) -> Metrics | None:
