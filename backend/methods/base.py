@@ -203,6 +203,14 @@ class SplattingMethod(Method):
         groups |= {name: list(network.parameters()) for name, network in self.backbone.networks.items()}
         return groups | {name: params for name, params in self.network_groups().items() if params}
 
+    def rates(self) -> dict[str, Rate]:
+        return super().rates() | self.backbone.rates()
+
+    def backbone_terms(self, splats: Splats) -> dict[str, torch.Tensor]:
+        """The backbone's own loss term, for ``Outcome.terms``; empty where it has none."""
+        term = self.backbone.regulariser(splats)
+        return {} if term is None else {"scale": term}
+
     def network_groups(self) -> dict[str, list[torch.Tensor]]:
         """The method's own networks by the names of their rates."""
         return {"tone_mapper": list(self.tone_mapper.parameters())}

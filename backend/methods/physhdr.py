@@ -284,7 +284,7 @@ class PhysHDR(SplattingMethod):
             self.losses(self.develop(drawn, exposure), picture)
             for exposure, picture in zip(shot.exposures, shot.pictures, strict=True)
         ]
-        return Outcome(mean_terms(each), drawn)
+        return Outcome(mean_terms(each) | self.backbone_terms(drawn.splats), drawn)
 
     def losses(self, rendering: Picture, picture: torch.Tensor) -> dict[str, torch.Tensor]:
         """The weighted terms of L_total (eq. 19) for a picture ``[3, H, W]`` in [0, 1]; sum them."""

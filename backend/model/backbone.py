@@ -14,6 +14,7 @@ import torch
 from torch import nn
 
 from ..scene.camera import Camera
+from ..train.rates import Rate
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,6 +79,14 @@ class Backbone(ABC):
     @abstractmethod
     def splats(self, camera: Camera, sh_degree: int) -> Splats:
         """What ``camera`` sees; ``sh_degree`` bounds the directional detail where it is SH."""
+
+    def regulariser(self, splats: Splats) -> torch.Tensor | None:
+        """A loss term of the backbone's own, weighted, of the splats of a view; None where it has none."""
+        return None
+
+    def rates(self) -> dict[str, Rate]:
+        """Learning rates that are the backbone's own, by group; the others are ``OptimiserConfig``'s."""
+        return {}
 
     @abstractmethod
     def fixed(self, cameras: Sequence[Camera]) -> "Backbone":
