@@ -10,7 +10,15 @@ from .local_curves import local_curves, local_curves_reference
 from .mlp import Activation, curve_mlp, curve_mlp_reference, small_mlp, small_mlp_reference
 from .plain import can_fuse, plain_torch
 from .spherical_harmonics import evaluate_sh, evaluate_sh_reference
-from .ssim import PixelError, SsimTarget, ssim, ssim_and_error, ssim_reference
+from .ssim import (
+    PixelError,
+    SsimTarget,
+    ssim,
+    ssim_and_error,
+    ssim_map,
+    ssim_map_reference,
+    ssim_reference,
+)
 
 __all__ = [
     "Activation",
@@ -30,5 +38,7 @@ __all__ = [
     "small_mlp_reference",
     "ssim",
     "ssim_and_error",
+    "ssim_map",
+    "ssim_map_reference",
     "ssim_reference",
 ]

@@ -16,6 +16,8 @@ The mean absolute or squared difference x − y, the other half of L_rec, comes 
 
 Both passes are three separable blurs at once, row by row: down the columns into three row buffers, then
 along them. μ₂ and σ₂ do not change while the target does not: ``SsimTarget`` keeps them.
+
+For S of every pixel (``ssim_map``), p, q and r are multiplied by its ∂L/∂S before they are blurred.
 """
 
 import functools
@@ -99,8 +101,24 @@ def ssim_and_error(
     return ssim_reference(prediction, target), pixel
 
 
+def ssim_map(prediction: torch.Tensor, target: torch.Tensor | SsimTarget) -> torch.Tensor:
+    """S of every pixel ``[C, H, W]``, whose mean is ``ssim``; differentiable in ``prediction``."""
+    if isinstance(target, SsimTarget):
+        if can_fuse(prediction):
+            return _SsimMap.apply(prediction, target)
+        target = target.image.to(prediction)
+    elif can_fuse(prediction, target) and not target.requires_grad:
+        return _SsimMap.apply(prediction, SsimTarget(target))
+    return ssim_map_reference(prediction, target)
+
+
 def ssim_reference(prediction: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
     """``ssim`` in plain torch, for any dtype and device."""
+    return ssim_map_reference(prediction, target).mean()
+
+
+def ssim_map_reference(prediction: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+    """``ssim_map`` in plain torch, for any dtype and device."""
     window = _window_on(prediction.device, prediction.dtype)
     stacked = torch.stack(
         [prediction, target, prediction * prediction, target * target, prediction * target], dim=1
@@ -111,7 +129,7 @@ def ssim_reference(prediction: torch.Tensor, target: torch.Tensor) -> torch.Tens
     m1, m2, xx, yy, xy = flat.reshape(stacked.shape).unbind(1)
     a1, a2 = 2 * m1 * m2 + C1, 2 * (xy - m1 * m2) + C2
     b1, b2 = m1 * m1 + m2 * m2 + C1, xx - m1 * m1 + yy - m2 * m2 + C2
-    return (a1 * a2 / (b1 * b2)).mean()
+    return a1 * a2 / (b1 * b2)
 
 
 class _Ssim(torch.autograd.Function):
@@ -119,16 +137,9 @@ class _Ssim(torch.autograd.Function):
     def forward(ctx: Any, prediction: torch.Tensor, target: SsimTarget, error: PixelError):
         channels, height, width = target.shape
         padded = _padded(prediction)
-        row_sums = np.empty((channels * height, 2))
-        wanted = ctx.needs_input_grad[0]
-        partials = [np.zeros_like(padded) if wanted else np.empty((0, 0, 0), np.float32) for _ in range(3)]
-        run_ranges(
-            *(_ssim_rows, channels * height, height, width, padded.shape[1], padded.shape[2]),
-            *(padded.reshape(-1), target.padded.reshape(-1), target.mean.reshape(-1)),
-            *(target.variance.reshape(-1), _window(), error == "mse", row_sums),
-            *(p.reshape(-1) for p in partials),
-            minimum=32,
-        )
+        nowhere = np.empty((0, 0, 0), np.float32)
+        partials = [np.zeros_like(padded) if ctx.needs_input_grad[0] else nowhere for _ in range(3)]
+        row_sums = _similarity(padded, target, error, partials, nowhere)
         ctx.saved = (padded, target, partials, error)
         ctx.set_materialize_grads(False)
         similarity, pixel = row_sums.sum(axis=0) / (channels * height * width)
@@ -138,15 +149,69 @@ class _Ssim(torch.autograd.Function):
     def backward(ctx: Any, *grads: Any):
         padded, target, partials, error = ctx.saved
         channels, height, width = target.shape
-        result = torch.empty(target.shape)
-        scales = [np.float32(0.0 if g is None else g.item() / result.numel()) for g in grads]
-        run_ranges(
-            *(_ssim_backward_rows, channels * height, height, width, padded.shape[1], padded.shape[2]),
-            *(padded.reshape(-1), target.padded.reshape(-1), *(p.reshape(-1) for p in partials)),
-            *(_window(), error == "mse", *scales, result.numpy().reshape(-1)),
-            minimum=32,
-        )
-        return result, None, None
+        scales = [np.float32(0.0 if g is None else g.item() / (channels * height * width)) for g in grads]
+        return _to_prediction(padded, target, partials, error, *scales), None, None
+
+
+class _SsimMap(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, prediction: torch.Tensor, target: SsimTarget) -> torch.Tensor:
+        _, height, width = target.shape
+        padded = _padded(prediction)
+        nowhere = np.empty((0, 0, 0), np.float32)
+        partials = [np.zeros_like(padded) if ctx.needs_input_grad[0] else nowhere for _ in range(3)]
+        similarity = np.empty_like(padded)
+        _similarity(padded, target, "l1", partials, similarity)
+        ctx.saved = (padded, target, partials)
+        return torch.from_numpy(similarity[:, _R : _R + height, _R : _R + width].copy())
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Any):
+        padded, target, partials = ctx.saved
+        weight = _padded(grads[0])
+        weighted = [partial * weight for partial in partials]
+        return _to_prediction(padded, target, weighted, "l1", np.float32(1.0), np.float32(0.0)), None
+
+
+def _similarity(
+    padded: np.ndarray,
+    target: SsimTarget,
+    error: PixelError,
+    partials: list[np.ndarray],
+    similarity: np.ndarray,
+) -> np.ndarray:
+    """``_ssim_rows`` on all rows: their sums ``[rows, 2]``; fills ``partials`` and ``similarity``."""
+    channels, height, width = target.shape
+    row_sums = np.empty((channels * height, 2))
+    run_ranges(
+        *(_ssim_rows, channels * height, height, width, padded.shape[1], padded.shape[2]),
+        *(padded.reshape(-1), target.padded.reshape(-1), target.mean.reshape(-1)),
+        *(target.variance.reshape(-1), _window(), error == "mse", row_sums),
+        *(p.reshape(-1) for p in partials),
+        similarity.reshape(-1),
+        minimum=32,
+    )
+    return row_sums
+
+
+def _to_prediction(
+    padded: np.ndarray,
+    target: SsimTarget,
+    partials: list[np.ndarray],
+    error: PixelError,
+    scale: np.float32,
+    error_scale: np.float32,
+) -> torch.Tensor:
+    """``_ssim_backward_rows`` on all rows: ∂L/∂prediction ``[C, H, W]``."""
+    channels, height, width = target.shape
+    result = torch.empty(target.shape)
+    run_ranges(
+        *(_ssim_backward_rows, channels * height, height, width, padded.shape[1], padded.shape[2]),
+        *(padded.reshape(-1), target.padded.reshape(-1), *(p.reshape(-1) for p in partials)),
+        *(_window(), error == "mse", scale, error_scale, result.numpy().reshape(-1)),
+        minimum=32,
+    )
+    return result
 
 
 def _padded(image: torch.Tensor) -> np.ndarray:
@@ -212,10 +277,11 @@ def _ssim_rows(
     p,
     q,
     r,
+    similarity,
 ):
     """Rows ``first … last − 1``: Σ S and Σ |x − y| (or its square) into ``row_sums`` ``[rows, 2]``.
 
-    p, q, r of the pixels unless their size is 0.
+    p, q, r of the pixels unless their size is 0; S itself into ``similarity`` unless its size is 0.
     """
     columns = np.zeros((3, row), np.float32)
     column_x, column_xx, column_xy = columns[0], columns[1], columns[2]
@@ -249,6 +315,8 @@ def _ssim_rows(
             s = a1 * a2 * inverse
             inside = lanes < float(width - i)
             line_sum = line_sum + select(inside, s, 0.0)
+            if similarity.size:
+                store(s, similarity, centre + i)
             # Beyond the width both images are zero.
             difference = load(x_image, centre + i) - load(y_image, centre + i)
             line_error = line_error + (difference * difference if squared else absolute(difference))

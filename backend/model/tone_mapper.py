@@ -125,8 +125,13 @@ class ToneMapper(nn.Module):
         Both branches at once are ``[3, 2, H, W]``. ``context``: ``[4, H, W]``, rendered, the same for both.
         The local curve is a correction of the global one, clip(global + local − ½) (GaussHDR).
         """
-        shape = exposed.shape
-        log_exposure = log_of_exposure(exposed, LOG_EPSILON)
+        return self.tone_map_log(log_of_exposure(exposed, LOG_EPSILON), context)
+
+    def tone_map_log(
+        self, log_exposure: torch.Tensor, context: torch.Tensor | None
+    ) -> tuple[torch.Tensor, torch.Tensor | None]:
+        """``tone_map`` of ln(exposure × radiance), for what is known by its logarithm (each splat)."""
+        shape = log_exposure.shape
         glo = self.response(log_exposure.reshape(3, -1)).reshape(shape)
         loc = None
         if self.config.local:

@@ -65,6 +65,21 @@ def test_ssim(shape, cached):
     )
 
 
+@pytest.mark.parametrize("shape", [(3, 40, 61), (1, 5, 7), (2, 30, 8)])
+@pytest.mark.parametrize("cached", [False, True])
+def test_ssim_map(shape, cached):
+    """Every pixel's S, each with its own weight in the gradient; its mean is ``ssim``."""
+    prediction, target = pictures(*shape)
+    known = kernels.SsimTarget(target) if cached else target
+    whole, _ = assert_same(
+        lambda x: kernels.ssim_map(x, known),
+        lambda x: kernels.ssim_map_reference(x, target.double()),
+        [prediction],
+    )
+    assert whole.shape == shape
+    assert whole.mean().item() == pytest.approx(kernels.ssim(prediction, target).item(), abs=1e-6)
+
+
 def test_ssim_of_an_image_with_itself():
     _, target = pictures(3, 20, 20)
     assert kernels.ssim(target, target).item() == pytest.approx(1.0, abs=1e-6)
