@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ...bridge.errors import FileMissingError
-from . import hdr_nerf_syn
+from . import colmap, gausshdr, hdr_gs, hdr_nerf_real, hdr_nerf_syn, nerfstudio
 from .camera import Camera
 from .scene import Points, Scene, View
 
@@ -15,20 +15,29 @@ __all__ = ["READERS", "Camera", "Points", "Reader", "Scene", "View", "read_scene
 
 @dataclass(frozen=True)
 class Reader:
-    """A layout: its name, the file that gives it away, whether a folder is of it, how it is read."""
+    """A layout: its name, the file that gives it away, whether a folder is of it, how it is read.
+
+    ``read_scene(root, downscale)``: as the function of this module, of a folder that is of this layout.
+    """
 
     name: str
     looks_for: str
     is_mine: Callable[[Path], bool]
-    read_scene: Callable[[Path], Scene]
+    read_scene: Callable[[Path, float | None], Scene]
 
 
 #: Every layout that is understood, in the order in which they are tried. A new one is one file and one line.
-READERS = (Reader(hdr_nerf_syn.NAME, hdr_nerf_syn.LOOKS_FOR, hdr_nerf_syn.is_mine, hdr_nerf_syn.read_scene),)
+READERS = tuple(
+    Reader(module.NAME, module.LOOKS_FOR, module.is_mine, module.read_scene)
+    for module in (hdr_nerf_syn, hdr_nerf_real, gausshdr, hdr_gs, colmap, nerfstudio)
+)
 
 
-def read_scene(root: Path | str) -> Scene:
+def read_scene(root: Path | str, downscale: float | None = None) -> Scene:
     """Read a data set, whichever of the known layouts it has.
+
+    ``downscale``: how many times smaller on each side pictures become when they are decoded; None is the
+    layout's published convention (docs/formats.md), and 1 for our own data sets.
 
     Raises ``FileMissingError`` if the folder is not there or has none of the layouts, and what the layout's
     reader raises.
@@ -41,7 +50,7 @@ def read_scene(root: Path | str) -> Scene:
         raise FileMissingError(f"{root} is a file, not the folder of a data set", remedy)
     for reader in READERS:
         if reader.is_mine(root):
-            return reader.read_scene(root)
+            return reader.read_scene(root, downscale)
     looked_for = "; ".join(f"{reader.looks_for} ({reader.name})" for reader in READERS)
     state = "is empty" if not any(root.iterdir()) else "is not a data set"
     raise FileMissingError(f"{root} {state}: looked for {looked_for}", remedy)

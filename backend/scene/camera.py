@@ -55,11 +55,12 @@ class Camera:
         focal = 0.5 * width / math.tan(0.5 * angle_x)
         return cls(camera_to_world, width, height, focal, focal, 0.5 * width, 0.5 * height)
 
-    def resized(self, width: int) -> "Camera":
-        """The same view with ``width`` pixels across; the height follows the aspect."""
-        if width < 1:
-            raise BadValueError(f"a picture must be at least 1 pixel wide, got {width}")
-        height = max(1, round(width * self.height / self.width))
+    def resized(self, width: int, height: int | None = None) -> "Camera":
+        """The same view with ``width`` pixels across; the height follows the aspect unless it is given."""
+        if width < 1 or (height is not None and height < 1):
+            raise BadValueError(f"a picture must be at least 1 pixel wide and high, got {width}×{height}")
+        if height is None:
+            height = max(1, round(width * self.height / self.width))
         x, y = width / self.width, height / self.height
         return Camera(self.camera_to_world, width, height, self.fx * x, self.fy * y, self.cx * x, self.cy * y)
 

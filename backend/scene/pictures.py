@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures on disk: 8-bit PNG and 32-bit float OpenEXR, read with suspicion and written atomically."""
+"""Pictures on disk: 8-bit PNG or JPEG, 32-bit float OpenEXR; read with suspicion and written atomically."""
 
+import warnings
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import OpenEXR
@@ -19,6 +21,10 @@ MAX_PIXELS = 1 << 27
 MAX_PIXELS_PER_BYTE = 1024
 #: Pillow's modes that are 8 bits a channel (or fewer) and become RGB without loss.
 EIGHT_BIT_MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX")
+#: Pillow's names of the formats that a data set's pictures may have.
+READABLE = ("PNG", "JPEG")
+
+T = TypeVar("T")
 
 
 def _require_file(path: Path) -> None:
@@ -29,40 +35,53 @@ def _require_file(path: Path) -> None:
         )
 
 
-def png_size(path: Path) -> tuple[int, int]:
-    """``(width, height)`` in pixels from the header alone; raises as ``read_png`` does."""
-    _require_file(path)
-    try:
-        with Image.open(path, formats=["PNG"]) as picture:
-            return picture.size
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise _damaged_png(path, error) from error
+def picture_size(path: Path) -> tuple[int, int]:
+    """``(width, height)`` in pixels of a PNG or JPEG from its header alone; raises as ``read_picture``."""
+    return _open_picture(Path(path), READABLE, lambda picture: picture.size)
 
 
-def _damaged_png(path: Path, error: Exception) -> FileDamagedError:
-    return FileDamagedError(
-        f"{path} is not a readable PNG ({error})",
-        "Delete it and make the data set again (only what is missing is rendered), or copy it again.",
-    )
+def read_picture(path: Path) -> np.ndarray:
+    """``[H, W, 3]`` uint8 of a PNG or JPEG, display-referred, as it is stored.
+
+    An alpha channel is ignored, never composited; EXIF's orientation is, too, as structure from motion
+    ignores it. Raises ``FileMissingError``, ``FileDamagedError`` (neither of the two, truncated, more than
+    8 bits a channel, no RGB, absurdly large).
+    """
+    return _open_picture(Path(path), READABLE, _as_rgb)
 
 
 def read_png(path: Path) -> np.ndarray:
-    """``[H, W, 3]`` uint8, display-referred; an alpha channel is ignored, never composited.
+    """As ``read_picture``, PNG only."""
+    return _open_picture(Path(path), ("PNG",), _as_rgb)
 
-    Raises ``FileMissingError``, ``FileDamagedError`` (not a PNG, truncated, more than 8 bits grey).
-    """
-    path = Path(path)
+
+def _as_rgb(picture: Image.Image) -> np.ndarray:
+    return np.array(picture.convert("RGB"))
+
+
+def _open_picture(path: Path, formats: tuple[str, ...], look: Callable[[Image.Image], T]) -> T:
+    """What ``look`` sees in a picture whose header can be believed."""
     _require_file(path)
+    kinds = " or ".join(formats)
     try:
-        with Image.open(path, formats=["PNG"]) as picture:
-            if picture.mode not in EIGHT_BIT_MODES:
-                raise FileDamagedError(
-                    f"{path} is not an 8-bit colour PNG (Pillow's mode {picture.mode})",
-                    "Save it again as 8-bit RGB or RGBA.",
-                )
-            return np.array(picture.convert("RGB"))
+        with warnings.catch_warnings():
+            # Pillow's own limit, at 89 million pixels, only warns; ours is below.
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            with Image.open(path, formats=formats) as picture:
+                width, height = picture.size
+                if width * height > MAX_PIXELS:
+                    raise ValueError(f"it claims {width}×{height} pixels")
+                if picture.mode not in EIGHT_BIT_MODES:
+                    raise FileDamagedError(
+                        f"{path} is not an 8-bit colour {kinds} (Pillow's mode {picture.mode})",
+                        "Save it again as 8-bit RGB or RGBA.",
+                    )
+                return look(picture)
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise _damaged_png(path, error) from error
+        raise FileDamagedError(
+            f"{path} is not a readable {kinds} ({error})",
+            "Delete it and make the data set again (only what is missing is rendered), or copy it again.",
+        ) from error
 
 
 def write_png(path: Path, picture: np.ndarray) -> None:

@@ -17,28 +17,32 @@ import numpy as np
 from ...bridge.errors import BadValueError, DataMismatchError
 from ...bridge.lights import AMBIENT
 from .camera import Camera
-from .pictures import read_png
+from .resize import Reduction
 
 #: Decoded pictures are kept up to this many bytes: all of HDR-NeRF-Syn at 400×400 (84 MB) with room to spare.
 CACHE_BYTES = 1 << 30
 
 
 class PictureCache:
-    """Decoded 8-bit pictures, the least recently used forgotten first, at most ``budget`` bytes."""
+    """Decoded 8-bit pictures, the least recently used forgotten first, at most ``budget`` bytes.
 
-    def __init__(self, budget: int = CACHE_BYTES) -> None:
+    ``reduction``: how much smaller pictures become when they are decoded; only the small ones are kept.
+    """
+
+    def __init__(self, budget: int = CACHE_BYTES, reduction: Reduction | None = None) -> None:
         self.budget = budget
+        self.reduction = reduction or Reduction()
         self.bytes_held = 0
         self._pictures: OrderedDict[Path, np.ndarray] = OrderedDict()
         self._lock = threading.Lock()  # the preview server renders from another thread than the trainer
 
     def get(self, path: Path) -> np.ndarray:
-        """``[H, W, 3]`` uint8, read-only; raises what ``read_png`` raises."""
+        """``[H, W, 3]`` uint8, read-only; raises what ``read_picture`` raises."""
         with self._lock:
             if path in self._pictures:
                 self._pictures.move_to_end(path)
                 return self._pictures[path]
-            picture = read_png(path)
+            picture = self.reduction.read(path)
             picture.setflags(write=False)
             self._pictures[path] = picture
             self.bytes_held += picture.nbytes
@@ -133,8 +137,8 @@ class Scene:
     ``lit``: extra training views under other light. ``lights``: names of the lights whose levels differ
     there, in the order of every view's ``lighting_levels``. ``response_anchor``: one known point of the
     camera's response, (exposure × radiance, code value in 0…1), or None where the data name none.
-    ``info``: ``dataset.json`` as read, or ``{}``. ``layout``: the name of the layout on disk. ``messages``: what
-    the reader decided, in sentences (split, size, where exposures are from), for people to read.
+    ``info``: ``dataset.json`` as read, or ``{}``. ``layout``: the name of the layout on disk. ``messages``:
+    what the reader decided, in sentences (split, size, where exposures are from), for people to read.
     """
 
     root: Path

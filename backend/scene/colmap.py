@@ -1,0 +1,220 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The reader of plain COLMAP folders: ``images/`` and ``sparse/0``, of bracketed captures or of single ones.
+
+Pictures named ``<pose>_<k>`` are the brackets of poses, of which the model may hold one picture or all; other
+pictures are a view each. Exposures come from ``exposure.json`` or the pictures' EXIF (docs/formats.md).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ...bridge.errors import DataMismatchError
+from .camera import Camera
+from .checks import path_inside
+from .colmap_files import SparseImage, SparseModel, find_model, read_model
+from .exposures import EXPOSURE_FILE, SAY_EXPOSURES, exposures_from_exif, read_exposure_file
+from .info import read_anchor, read_info
+from .poses import Picture, Pose, bracket_name, fitted, missing_in_words, one_size, split_somehow
+from .resize import Reduction, capped
+from .scene import PictureCache, Points, Scene
+
+NAME = "COLMAP"
+LOOKS_FOR = "images/ and sparse/0"
+#: What a picture's name ends with.
+SUFFIXES = (".png", ".jpg", ".jpeg")
+#: Cameras of one bracket that are farther apart than this share of the cameras' spread are worth a message.
+STEADY = 0.002
+
+
+def is_mine(root: Path) -> bool:
+    """Whether ``root`` looks like this layout."""
+    return find_model(root) is not None and (root / "images").is_dir()
+
+
+def read_scene(root: Path, downscale: float | None = None) -> Scene:
+    """Read a COLMAP folder.
+
+    ``downscale``: None is 3DGS's convention, at most 1600 pixels wide. Raises ``FileMissingError``,
+    ``FileDamagedError``, ``DataMismatchError`` or ``BadValueError``, each naming the file and the remedy.
+    """
+    found = read_poses(root, root / "images")
+    return scene_of(found, split_somehow(found.poses), layout=NAME, anchor=None, downscale=downscale)
+
+
+@dataclass(frozen=True, eq=False)
+class FoundPoses:
+    """Poses with full-size cameras, sorted by name; ``size`` of the pictures; ``messages`` about them."""
+
+    root: Path
+    poses: list[Pose]
+    size: tuple[int, int]
+    points: Points | None
+    messages: tuple[str, ...]
+
+
+def scene_of(
+    found: FoundPoses,
+    split: tuple[Sequence[Pose], Sequence[Pose], str],
+    *,
+    layout: str,
+    anchor: tuple[float, float] | None,
+    downscale: float | None,
+) -> Scene:
+    """A scene of poses; ``split``: training and test poses and the rule. ``anchor``: where none is stated."""
+    train, test, rule = split
+    reduction = Reduction(capped(found.size[0]) if downscale is None else downscale, "bicubic")
+    cache = PictureCache(reduction=reduction)
+    info = read_info(found.root)
+    return Scene(
+        root=found.root,
+        name=str(info.get("scene") or found.root.resolve().name),
+        train=[pose.view(reduction, cache) for pose in train],
+        test=[pose.view(reduction, cache) for pose in test],
+        lit=[],
+        points=found.points,
+        response_anchor=read_anchor(found.root, info, otherwise=anchor),
+        info=info,
+        layout=layout,
+        messages=(rule, reduction.in_words(*found.size), *found.messages),
+    )
+
+
+def read_poses(root: Path, pictures: Path) -> FoundPoses:
+    """The model's poses with the brackets of each; raises as ``read_scene`` does."""
+    folder = find_model(root)
+    assert folder is not None, "is_mine has found it"
+    model = read_model(folder)
+    stated = read_exposure_file(root / EXPOSURE_FILE) if (root / EXPOSURE_FILE).is_file() else None
+    groups = _brackets_by_name(model.images, pictures)
+    messages = []
+    bracketed = groups is not None
+    if groups is None:
+        groups = _single(model.images)
+    seconds, told = _exposures(groups, pictures, stated, folder, must=bracketed)
+    messages.append(told)
+    groups = [_without_unknown(group, seconds, folder) for group in groups]
+    alike = _alike(groups, seconds) if bracketed else None
+    if alike:
+        messages.append(
+            f"names like brackets, but '{alike[0]}' and '{alike[1]}' have one exposure: each picture in the "
+            "model is a view of its own"
+        )
+        groups = [_without_unknown(group, seconds, folder) for group in _single(model.images)]
+    size = one_size(
+        [path_inside(pictures, name, folder) for group in groups for name in group.names.values()]
+    )
+    poses = []
+    apart = 0.0
+    for order, group in enumerate(groups):
+        camera, distance = _camera(model, group)
+        apart = max(apart, distance)
+        paths = {k: path_inside(pictures, name, folder) for k, name in group.names.items()}
+        bracket = {k: Picture(path, seconds[group.names[k]]) for k, path in paths.items()}
+        poses.append(
+            Pose(group.name, order, fitted(camera, size, folder, next(iter(paths.values()))), bracket)
+        )
+    if all(len(pose.pictures) == 1 for pose in poses):
+        messages.append("one exposure a view: 'physhdr prepare' groups photographs into brackets")
+    spread = np.ptp([pose.camera.position for pose in poses], axis=0).max()
+    if apart > STEADY * spread:
+        messages.append(
+            f"cameras of one bracket are up to {apart:.2g} units apart ({apart / spread:.1%} of all cameras' "
+            "spread): each view takes that of the picture with the most points"
+        )
+    missing = missing_in_words(poses)
+    return FoundPoses(root, poses, size, model.points, (*messages, *([missing] if missing else [])))
+
+
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """A pose: picture names by place in the bracket, and those of them that the model has."""
+
+    name: str
+    names: dict[int, str]
+    registered: list[SparseImage]
+
+
+def _single(images: list[SparseImage]) -> list[_Group]:
+    """Each picture of the model as a pose of its own."""
+    return [_Group(image.name.rsplit(".", 1)[0], {0: image.name}, [image]) for image in images]
+
+
+def _brackets_by_name(images: list[SparseImage], pictures: Path) -> list[_Group] | None:
+    """The model's poses, each with all its pictures in the folder; None where names are not of brackets.
+
+    They are where every name in the model ends in ``_<k>`` and some pose has several pictures. The smallest
+    k becomes place 0.
+    """
+    in_model: dict[str, list[SparseImage]] = {}
+    for image in images:
+        parts = bracket_name(image.name)
+        if parts is None:
+            return None
+        in_model.setdefault(parts[0], []).append(image)
+    names: dict[str, dict[int, str]] = {}
+    there = sorted(path.relative_to(pictures).as_posix() for path in pictures.rglob("*_[0-9].*"))
+    for name in [*(image.name for image in images), *there]:  # of a_0.jpg and a_0.png, the one in the model
+        parts = bracket_name(name)
+        if parts is not None and parts[0] in in_model and name.lower().endswith(SUFFIXES):
+            names.setdefault(parts[0], {}).setdefault(parts[1], name)
+    first = min(min(bracket) for bracket in names.values()) if names else 0
+    groups = [
+        _Group(base, {k - first: names[base][k] for k in sorted(names[base])}, found)
+        for base, found in sorted(in_model.items())
+        if base in names
+    ]
+    return groups if any(len(group.names) > 1 for group in groups) else None
+
+
+def _exposures(
+    groups: list[_Group], pictures: Path, stated: dict[str, float] | None, folder: Path, *, must: bool
+) -> tuple[dict[str, float], str]:
+    """Seconds by picture name, and where they are from. ``must``: without any, there is no assuming 1 s."""
+    names = [name for group in groups for name in group.names.values()]
+    if stated is not None:
+        return {name: stated[name] for name in names if name in stated}, f"exposures from {EXPOSURE_FILE}"
+    paths = [path_inside(pictures, name, folder) for name in names]
+    one_size(paths)  # a picture that is missing has no EXIF either: the first thing to be told
+    from_exif = exposures_from_exif(paths)
+    if from_exif is not None:
+        return dict(zip(names, from_exif[0], strict=True)), from_exif[1]
+    if must:
+        raise DataMismatchError(
+            f"{pictures}: the pictures are brackets by their names ({', '.join(names[:3])} …), but nothing "
+            f"tells their exposures: no {EXPOSURE_FILE}, no EXIF data",
+            SAY_EXPOSURES,
+        )
+    return dict.fromkeys(names, 1.0), "no exposures are known: taken as one exposure of 1 s for all pictures"
+
+
+def _without_unknown(group: _Group, seconds: dict[str, float], folder: Path) -> _Group:
+    """Without pictures that the exposure file leaves out; raises ``DataMismatchError`` if none is left."""
+    names = {k: name for k, name in group.names.items() if name in seconds}
+    if not names:
+        raise DataMismatchError(
+            f"{EXPOSURE_FILE} has no exposure for '{next(iter(group.names.values()))}', which {folder} has",
+            SAY_EXPOSURES,
+        )
+    return _Group(group.name, names, group.registered)
+
+
+def _alike(groups: list[_Group], seconds: dict[str, float]) -> tuple[str, str] | None:
+    """Two pictures of one pose with one exposure: a bracket has none."""
+    for group in groups:
+        seen: dict[float, str] = {}
+        for name in group.names.values():
+            if seconds[name] in seen:
+                return seen[seconds[name]], name
+            seen[seconds[name]] = name
+    return None
+
+
+def _camera(model: SparseModel, group: _Group) -> tuple[Camera, float]:
+    """The camera of the group's picture with the most points; how far the others are from it, units."""
+    best = max(group.registered, key=lambda image: image.observed)
+    camera = model.camera(best)
+    others = (model.camera(image).position for image in group.registered if image is not best)
+    return camera, max((float(np.linalg.norm(other - camera.position)) for other in others), default=0.0)

@@ -1,0 +1,373 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""COLMAP's cameras, images and points, binary and text (its documentation, "Output Format").
+
+A file's counts are believed only as far as the file is long: nothing is allocated for a count before that.
+"""
+
+import math
+import struct
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+
+from ...bridge.affine import matrices_of
+from ...bridge.axes import camera_to_world_opengl
+from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError, FileMissingError
+from .camera import Camera
+from .scene import Points
+
+#: COLMAP's camera models: name, number of parameters, by the number that the binary form has.
+MODELS = {
+    0: ("SIMPLE_PINHOLE", 3),
+    1: ("PINHOLE", 4),
+    2: ("SIMPLE_RADIAL", 4),
+    3: ("RADIAL", 5),
+    4: ("OPENCV", 8),
+    5: ("OPENCV_FISHEYE", 8),
+    6: ("FULL_OPENCV", 12),
+    7: ("FOV", 5),
+    8: ("SIMPLE_RADIAL_FISHEYE", 4),
+    9: ("RADIAL_FISHEYE", 5),
+    10: ("THIN_PRISM_FISHEYE", 12),
+    11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    12: ("SIMPLE_DIVISION", 4),
+    13: ("DIVISION", 5),
+    14: ("SIMPLE_FISHEYE", 3),
+    15: ("FISHEYE", 4),
+    16: ("EUCM", 6),
+    17: ("EQUIRECTANGULAR", 2),
+}
+#: How many of a model's parameters are focal lengths: one or two, then the principal point's two, and then
+#: distortions, which are a pinhole's where they are 0. Other models bend straight lines whatever they hold.
+PINHOLE_LIKE = {
+    "SIMPLE_PINHOLE": 1,
+    "PINHOLE": 2,
+    "SIMPLE_RADIAL": 1,
+    "RADIAL": 1,
+    "OPENCV": 2,
+    "FULL_OPENCV": 2,
+    "SIMPLE_DIVISION": 1,
+    "DIVISION": 2,
+}
+#: A distortion below this moves no pixel of a 10000-pixel picture by more than about a hundredth.
+NO_DISTORTION = 1e-6
+
+UNDISTORT = (
+    "Undistort the pictures: 'physhdr prepare' does, or 'colmap image_undistorter'. "
+    "Then read the folder that it wrote."
+)
+RUN_AGAIN = "Copy the model again, or run COLMAP again."
+
+
+@dataclass(frozen=True)
+class SparseCamera:
+    """A camera as COLMAP has it: ``params`` in the order of its model, pixels."""
+
+    model: str
+    width: int
+    height: int
+    params: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class SparseImage:
+    """A registered picture: ``world_to_camera`` ``[4, 4]`` float64, OpenCV axes; ``observed``: its points."""
+
+    name: str
+    camera: int
+    world_to_camera: np.ndarray
+    observed: int
+
+
+@dataclass(frozen=True, eq=False)
+class SparseModel:
+    """What structure from motion found. ``points``: None where there are none."""
+
+    folder: Path
+    cameras: dict[int, SparseCamera]
+    images: list[SparseImage]
+    points: Points | None
+
+    def camera(self, image: SparseImage) -> Camera:
+        """The pinhole camera of a picture, at the size that COLMAP saw.
+
+        Raises ``DataMismatchError`` if the model has no such camera, ``BadValueError`` if it is distorted.
+        """
+        if image.camera not in self.cameras:
+            raise DataMismatchError(
+                f"{self.folder}: picture '{image.name}' has camera {image.camera}, which is not there",
+                RUN_AGAIN,
+            )
+        sparse = self.cameras[image.camera]
+        fx, fy, cx, cy = _pinhole(self.folder, image.camera, sparse)
+        pose = camera_to_world_opengl(image.world_to_camera)
+        return Camera(pose, sparse.width, sparse.height, fx, fy, cx, cy)
+
+
+def find_model(root: Path) -> Path | None:
+    """The folder of COLMAP's files: ``sparse/0``, or ``sparse`` as ``image_undistorter`` has it; or None."""
+    for folder in (root / "sparse" / "0", root / "sparse"):
+        if any((folder / f"images.{kind}").is_file() for kind in ("bin", "txt")):
+            return folder
+    return None
+
+
+def read_model(folder: Path) -> SparseModel:
+    """Read a model, binary where both forms are there; pictures sorted by name.
+
+    Raises ``FileMissingError``, ``FileDamagedError`` (each naming the file, and the byte or line), and
+    ``DataMismatchError`` if two pictures have one name.
+    """
+    kind = "bin" if (folder / "images.bin").is_file() else "txt"
+    paths = {name: folder / f"{name}.{kind}" for name in ("cameras", "images", "points3D")}
+    for name in ("cameras", "images"):
+        if not paths[name].is_file():
+            raise FileMissingError(f"{paths[name]} is missing", RUN_AGAIN)
+    if kind == "bin":
+        cameras, images = _cameras_bin(paths["cameras"]), _images_bin(paths["images"])
+        points = _points_bin(paths["points3D"]) if paths["points3D"].is_file() else None
+    else:
+        cameras, images = _cameras_txt(paths["cameras"]), _images_txt(paths["images"])
+        points = _points_txt(paths["points3D"]) if paths["points3D"].is_file() else None
+    if not images:
+        raise FileDamagedError(f"{paths['images']} holds no pictures", RUN_AGAIN)
+    images.sort(key=lambda image: image.name)
+    for one, other in pairwise(images):
+        if one.name == other.name:
+            raise DataMismatchError(f"{paths['images']} holds the picture '{one.name}' twice", RUN_AGAIN)
+    return SparseModel(folder, cameras, images, points)
+
+
+def _pinhole(folder: Path, number: int, camera: SparseCamera) -> tuple[float, float, float, float]:
+    """``fx, fy, cx, cy`` in pixels; raises ``BadValueError`` for a camera that is no pinhole."""
+    what = f"{folder}: camera {number} is of the model {camera.model}"
+    focal_lengths = PINHOLE_LIKE.get(camera.model)
+    if focal_lengths is None:
+        raise BadValueError(f"{what}, which is no pinhole camera", UNDISTORT)
+    distortion = camera.params[focal_lengths + 2 :]
+    if any(abs(value) > NO_DISTORTION for value in distortion):
+        numbers = ", ".join(f"{value:g}" for value in distortion)
+        raise BadValueError(f"{what} with the distortion {numbers}: pictures of it are bent", UNDISTORT)
+    fx, fy = camera.params[0], camera.params[focal_lengths - 1]
+    cx, cy = camera.params[focal_lengths : focal_lengths + 2]
+    if fx <= 0.0 or fy <= 0.0:
+        raise BadValueError(f"{folder}: camera {number} has the focal length {min(fx, fy):g}", RUN_AGAIN)
+    return fx, fy, cx, cy
+
+
+# ---- what both forms share: values that mean something -------------------------------------------------
+
+
+def _camera_of(path: Path, where: str, model: str, width: int, height: int, params) -> SparseCamera:
+    if not (0 < width < 1 << 20 and 0 < height < 1 << 20) or not all(map(math.isfinite, params)):
+        raise FileDamagedError(
+            f"{path}: {where} is {width}×{height} with parameters {list(params)}", RUN_AGAIN
+        )
+    return SparseCamera(model, width, height, tuple(params))
+
+
+def _image_of(path: Path, where: str, pose, camera: int, name: str, observed: int) -> SparseImage:
+    """``pose``: quaternion wxyz, then translation."""
+    values = np.array(pose, dtype=np.float64)
+    length = float(np.linalg.norm(values[:4]))
+    if not np.isfinite(values).all() or not 0.5 < length < 2.0:
+        raise FileDamagedError(f"{path}: {where} ('{name}') has the pose {values.tolist()}", RUN_AGAIN)
+    matrix = np.eye(4)
+    matrix[:3, :3] = matrices_of(values[None, :4] / length)[0]
+    matrix[:3, 3] = values[4:]
+    return SparseImage(name.replace("\\", "/"), camera, matrix, observed)
+
+
+def _points_of(path: Path, positions: np.ndarray, colours: np.ndarray) -> Points | None:
+    if len(positions) == 0:
+        return None
+    with np.errstate(over="ignore"):
+        positions = positions.astype(np.float32)
+    if not np.isfinite(positions).all():
+        raise FileDamagedError(f"{path} holds NaN or infinity", RUN_AGAIN)
+    return Points(positions, (colours / 255.0).astype(np.float32))
+
+
+# ---- binary --------------------------------------------------------------------------------------------
+
+
+class _Bytes:
+    """A little-endian file, read from its beginning to its end."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.at = path, 0
+        try:
+            self.data = path.read_bytes()
+        except OSError as error:
+            raise FileDamagedError(f"{path} cannot be read: {error.strerror}", RUN_AGAIN) from error
+
+    def damaged(self, why: str) -> NoReturn:
+        raise FileDamagedError(f"{self.path} is damaged at byte {self.at}: {why}", RUN_AGAIN)
+
+    def take(self, layout: struct.Struct) -> tuple:
+        if self.at + layout.size > len(self.data):
+            self.damaged("it ends too early")
+        values = layout.unpack_from(self.data, self.at)
+        self.at += layout.size
+        return values
+
+    def count(self, smallest: int) -> int:
+        """A number of things of at least ``smallest`` bytes each, for which the file must have room."""
+        (count,) = self.take(_COUNT)
+        if count * smallest > len(self.data) - self.at:
+            self.at -= _COUNT.size
+            self.damaged(f"it claims {count} entries, for which it is too short")
+        return count
+
+    def text(self) -> str:
+        """A text that ends with a zero byte."""
+        end = self.data.find(b"\0", self.at, self.at + _LONGEST_NAME)
+        if end < 0:
+            self.damaged("a name has no end")
+        raw = self.data[self.at : end]
+        try:
+            text = raw.decode("utf-8")
+        except UnicodeDecodeError:
+            self.damaged("a name is no text")
+        self.at = end + 1
+        return text
+
+    def skip(self, size: int) -> int:
+        """Leave ``size`` bytes out; where they begin."""
+        start, self.at = self.at, self.at + size
+        return start
+
+    def end(self) -> None:
+        if self.at != len(self.data):
+            self.damaged(f"{len(self.data) - self.at} bytes are left over")
+
+
+_COUNT = struct.Struct("<Q")
+_LONGEST_NAME = 4096
+_CAMERA = struct.Struct("<iiQQ")
+#: Number, quaternion wxyz, translation, camera's number.
+_IMAGE = struct.Struct("<i7di")
+_OBSERVATION = np.dtype([("x", "<f8"), ("y", "<f8"), ("point", "<i8")])
+#: Number, position, colour, error, length of the track.
+_POINT = struct.Struct("<Q3d3BdQ")
+_TRACK_ELEMENT = 8
+
+
+def _cameras_bin(path: Path) -> dict[int, SparseCamera]:
+    file, cameras = _Bytes(path), {}
+    for _ in range(file.count(_CAMERA.size)):
+        number, model, width, height = file.take(_CAMERA)
+        if model not in MODELS:
+            file.damaged(f"camera {number} is of model number {model}, which is unknown")
+        name, length = MODELS[model]
+        params = file.take(struct.Struct(f"<{length}d"))
+        cameras[number] = _camera_of(path, f"camera {number}", name, width, height, params)
+    file.end()
+    return cameras
+
+
+def _images_bin(path: Path) -> list[SparseImage]:
+    file, images = _Bytes(path), []
+    for _ in range(file.count(_IMAGE.size + 1 + _COUNT.size)):
+        number, *pose, camera = file.take(_IMAGE)
+        name = file.text()
+        count = file.count(_OBSERVATION.itemsize)
+        start = file.skip(count * _OBSERVATION.itemsize)
+        points = np.frombuffer(file.data, _OBSERVATION, count, start)["point"]
+        images.append(
+            _image_of(path, f"picture {number}", pose, camera, name, int(np.count_nonzero(points >= 0)))
+        )
+    file.end()
+    return images
+
+
+def _points_bin(path: Path) -> Points | None:
+    file = _Bytes(path)
+    count = file.count(_POINT.size)
+    positions, colours = np.empty((count, 3)), np.empty((count, 3), np.uint8)
+    for i in range(count):
+        _, *values, _, track = file.take(_POINT)
+        positions[i], colours[i] = values[:3], values[3:]
+        if track * _TRACK_ELEMENT > len(file.data) - file.at:
+            file.damaged(f"a point claims a track of {track} pictures")
+        file.skip(track * _TRACK_ELEMENT)
+    file.end()
+    return _points_of(path, positions, colours)
+
+
+# ---- text ----------------------------------------------------------------------------------------------
+
+
+def _lines(path: Path) -> list[tuple[int, str]]:
+    """(line number, line) of all that is no comment; empty lines stay, for a picture may have no points."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise FileDamagedError(f"{path} cannot be read: {error}", RUN_AGAIN) from error
+    lines = [(k, line.strip()) for k, line in enumerate(text.split("\n"), start=1)]
+    return [(k, line) for k, line in lines if not line.startswith("#")]
+
+
+def _bad_line(path: Path, line_number: int, line: str) -> FileDamagedError:
+    return FileDamagedError(f"{path}: line {line_number} means nothing: {line[:80]!r}", RUN_AGAIN)
+
+
+def _cameras_txt(path: Path) -> dict[int, SparseCamera]:
+    lengths = dict(MODELS.values())
+    cameras = {}
+    for k, line in _lines(path):
+        if not line:
+            continue
+        try:
+            number, model, width, height, *params = line.split()
+            values = [float(value) for value in params]
+            if lengths.get(model) != len(values):
+                raise ValueError
+            cameras[int(number)] = _camera_of(path, f"line {k}", model, int(width), int(height), values)
+        except ValueError as error:
+            raise _bad_line(path, k, line) from error
+    return cameras
+
+
+def _images_txt(path: Path) -> list[SparseImage]:
+    """Two lines a picture: the pose and the name, then ``x y point`` for each observation, maybe none."""
+    lines = _lines(path)
+    images = []
+    at = 0
+    while at < len(lines):
+        k, line = lines[at]
+        if not line:
+            at += 1
+            continue
+        parts = line.split(maxsplit=9)
+        observations = lines[at + 1][1].split() if at + 1 < len(lines) else []
+        try:
+            number, *pose, camera, name = parts
+            values = [float(value) for value in pose]
+            if len(values) != 7 or len(observations) % 3:
+                raise ValueError
+            observed = sum(int(point) >= 0 for point in observations[2::3])
+            images.append(_image_of(path, f"picture {int(number)}", values, int(camera), name, observed))
+        except ValueError as error:
+            raise _bad_line(path, k, line) from error
+        at += 2
+    return images
+
+
+def _points_txt(path: Path) -> Points | None:
+    rows = []
+    for k, line in _lines(path):
+        if not line:
+            continue
+        parts = line.split(maxsplit=7)
+        try:
+            rows.append([float(value) for value in parts[1:7]])
+            if len(rows[-1]) != 6 or not all(0.0 <= value <= 255.0 for value in rows[-1][3:]):
+                raise ValueError
+        except ValueError as error:
+            raise _bad_line(path, k, line) from error
+    table = np.array(rows, dtype=np.float64).reshape(-1, 6)
+    return _points_of(path, table[:, :3], table[:, 3:])

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Exposures of pictures, in seconds: from a file that states them, or from what the camera wrote (EXIF)."""
+
+import math
+import statistics
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from PIL import ExifTags, Image
+
+from ...bridge.errors import BadValueError, DataMismatchError
+from .checks import number, plain_name, read_json
+from .pictures import READABLE
+
+#: Beside ``images/``: {picture's file name: exposure in seconds} (GaussHDR's file).
+EXPOSURE_FILE = "exposure.json"
+
+#: What to do where an exposure is unknown.
+SAY_EXPOSURES = (
+    f'Write {EXPOSURE_FILE} beside images/: {{"pose_0.jpg": 0.125, …}}, seconds for each picture; or use '
+    "pictures that still have the camera's EXIF data."
+)
+
+
+def read_exposure_file(path: Path) -> dict[str, float]:
+    """Seconds by picture name (relative to ``images/``, forward slashes).
+
+    Raises what ``read_json`` raises, ``BadValueError`` where an exposure is no number above 0.
+    """
+    exposures = {}
+    for key, value in read_json(path).items():
+        seconds = number(path, value, f"the exposure of '{key}'")
+        if seconds <= 0.0:
+            raise BadValueError(
+                f"{path}: the exposure of '{key}' is {seconds:g} s",
+                "An exposure must be longer than 0 s: mend it.",
+            )
+        exposures[plain_name(key).removeprefix("images/")] = seconds
+    return exposures
+
+
+@dataclass(frozen=True)
+class Exif:
+    """What a camera wrote of a picture's exposure; None where it did not. ``time``: seconds."""
+
+    time: float | None = None
+    iso: float | None = None
+    f_number: float | None = None
+
+
+def read_exif(path: Path) -> Exif:
+    """A picture's EXIF; all None where it has none, or what it has cannot be read."""
+    try:
+        with Image.open(path, formats=READABLE) as picture:
+            tags = picture.getexif().get_ifd(ExifTags.IFD.Exif)
+    except (
+        OSError,
+        SyntaxError,
+        ValueError,
+        KeyError,
+        TypeError,
+        struct.error,
+        Image.DecompressionBombError,
+    ):
+        return Exif()  # the reader of pictures says what is wrong with the file
+    return Exif(
+        _positive(tags.get(ExifTags.Base.ExposureTime)),
+        _positive(tags.get(ExifTags.Base.ISOSpeedRatings)),
+        _positive(tags.get(ExifTags.Base.FNumber)),
+    )
+
+
+def _positive(value: object) -> float | None:
+    """A tag as a number; None where it is missing, 0 (a lens without contacts has F 0) or nonsense."""
+    if isinstance(value, tuple):  # ISO may be a list of one
+        value = value[0] if value else None
+    try:
+        result = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, ZeroDivisionError, OverflowError):
+        return None
+    return result if math.isfinite(result) and result > 0.0 else None
+
+
+def exposures_from_exif(paths: Sequence[Path]) -> tuple[list[float], str] | None:
+    """Seconds for each picture, and in words where they are from; None where no picture says its time.
+
+    Exposure = time × ISO / 100 × (F / f)²: seconds at ISO 100 and at the pictures' median aperture F, which
+    gives the same radiance. ISO or aperture, where *no* picture tells it, counts as constant. Raises
+    ``DataMismatchError`` where some pictures say something that others do not.
+    """
+    tags = [read_exif(path) for path in paths]
+    if all(tag.time is None for tag in tags):
+        return None
+    for what, name in (("time", "exposure time"), ("iso", "ISO"), ("f_number", "aperture")):
+        known = [getattr(tag, what) is not None for tag in tags]
+        if any(known) and not all(known):
+            raise DataMismatchError(
+                f"{paths[known.index(False)]} has no {name} in its EXIF data, {paths[known.index(True)]} has "
+                f"({sum(known)} of {len(paths)} pictures have)",
+                SAY_EXPOSURES,
+            )
+    apertures = [tag.f_number for tag in tags if tag.f_number is not None]
+    reference = statistics.median(apertures) if apertures else 1.0
+    seconds = [
+        (tag.time or 1.0) * (tag.iso or 100.0) / 100.0 * (reference / (tag.f_number or reference)) ** 2
+        for tag in tags
+    ]
+    told = "exposures from EXIF, seconds at ISO 100" + (f" and f/{reference:g}" if apertures else "")
+    if tags[0].iso is None:
+        told += "; no picture tells its ISO: taken as constant"
+    if not apertures:
+        told += "; no picture tells its aperture: taken as constant"
+    return seconds, told

@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The reader of GaussHDR's packaging, in which it ships HDR-NeRF-Syn, HDR-NeRF-Real and HDR-Plenoxels-Real,
+and which ``physhdr prepare`` writes (shared/method.md section 3).
+
+``images/<name>_<k>.png`` or ``.jpg``, ``sparse/0`` of COLMAP with one picture a pose, ``exposure.json`` of
+seconds by file name. Names say ``train`` or ``test``. Exposures that were not taken have no entry.
+"""
+
+import json
+from pathlib import Path
+
+from ...bridge.errors import DataMismatchError
+from .checks import path_inside
+from .colmap_files import SparseImage, find_model, read_model
+from .exposures import EXPOSURE_FILE, read_exposure_file
+from .info import ORIGINAL_ANCHOR, read_anchor, read_info
+from .poses import (
+    Picture,
+    Pose,
+    bracket_name,
+    check_numbers,
+    fitted,
+    missing_in_words,
+    one_size,
+    pose_number,
+    split_by_name,
+)
+from .resize import Reduction, capped
+from .scene import PictureCache, Scene
+
+NAME = "GaussHDR"
+LOOKS_FOR = f"images/, sparse/0 and {EXPOSURE_FILE} with names of train and test"
+
+#: The resolutions of GaussHDR's paper, by the factor that gives them: HDR-NeRF-Syn, HDR-NeRF-Real and
+#: HDR-Plenoxels-Real. Pictures that no factor brings there are another's.
+PUBLISHED = {2: (400, 400), 4: (804, 534), 6: (992, 746)}
+#: The true radiance of synthetic scenes. That it is there says that the camera is HDR-NeRF-Syn's; it is never
+#: opened here.
+TRUTH_FOLDER = "images_hdr"
+
+
+def is_mine(root: Path) -> bool:
+    """Whether ``root`` looks like this layout: the names in its exposure file say train or test."""
+    if find_model(root) is None or not (root / EXPOSURE_FILE).is_file() or not (root / "images").is_dir():
+        return False
+    try:
+        names = json.loads((root / EXPOSURE_FILE).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return False  # the next reader says what is wrong with it
+    return bool(names) and all("train" in name or "test" in name for name in names)
+
+
+def published_factor(width: int, height: int) -> float:
+    """The reduction that the paper's resolution needs; 3DGS's limit of the width for other pictures."""
+    for factor, size in PUBLISHED.items():
+        if Reduction(factor).size(width, height) == size:
+            return factor
+    return capped(width)
+
+
+def read_scene(root: Path, downscale: float | None = None) -> Scene:
+    """Read a data set folder. Nothing of the true radiance is opened.
+
+    ``downscale``: None takes the published factor, found by the pictures' size (``published_factor``).
+    Raises ``FileMissingError``, ``FileDamagedError``, ``DataMismatchError`` or ``BadValueError``, each
+    naming the file, the entry and the remedy.
+    """
+    folder = find_model(root)
+    assert folder is not None, "is_mine has found it"
+    model = read_model(folder)
+    brackets, unused = _brackets(root, model.images)
+    size = one_size([picture.path for bracket in brackets.values() for picture in bracket.values()])
+    poses = []
+    for order, image in enumerate(model.images):
+        name = _base(image)
+        bracket = brackets[name]
+        camera = fitted(model.camera(image), size, folder, bracket[0].path)
+        number = pose_number(name)
+        poses.append(Pose(name, order if number is None else number, camera, bracket))
+    split = split_by_name(poses)
+    if split is None:
+        raise DataMismatchError(
+            f"{folder}: the names of the pictures do not say 'train' or 'test', each one of them, or none is "
+            "for training",
+            "Name them as train_000_0.jpg and test_007_0.jpg, in the model and in exposure.json.",
+        )
+    for poses_of_split, which in zip(split, ("train", "test"), strict=True):
+        check_numbers(poses_of_split, which, folder)
+
+    info = read_info(root)
+    reduction = Reduction(published_factor(*size) if downscale is None else downscale, "bicubic")
+    cache = PictureCache(reduction=reduction)
+    train, test = ([pose.view(reduction, cache) for pose in poses_of_split] for poses_of_split in split)
+    is_synthetic = (root / TRUTH_FOLDER).is_dir()
+    messages = [
+        "split by names: they say 'train' or 'test'",
+        reduction.in_words(*size),
+        f"exposures from {EXPOSURE_FILE}",
+        missing_in_words(poses),
+        f"{unused} entries of {EXPOSURE_FILE} are of no pose in the model" if unused else None,
+    ]
+    return Scene(
+        root=root,
+        name=str(info.get("scene") or root.resolve().name),
+        train=train,
+        test=test,
+        lit=[],
+        points=model.points,
+        response_anchor=read_anchor(root, info, otherwise=ORIGINAL_ANCHOR if is_synthetic else None),
+        info=info,
+        layout=NAME,
+        messages=tuple(message for message in messages if message),
+    )
+
+
+def _base(image: SparseImage) -> str:
+    """``train_r_0`` of ``train_r_0_2.png``; raises ``DataMismatchError`` for a name without a place."""
+    parts = bracket_name(image.name)
+    if parts is None:
+        raise DataMismatchError(
+            f"the model's picture '{image.name}' is not named <pose>_<exposure>, as train_000_0.jpg",
+            "Rename it in the model and in images/.",
+        )
+    return parts[0]
+
+
+def _brackets(root: Path, images: list[SparseImage]) -> tuple[dict[str, dict[int, Picture]], int]:
+    """The pictures of each of the model's poses, as the exposure file lists them; how many it lists more."""
+    path = root / EXPOSURE_FILE
+    listed: dict[str, dict[int, Picture]] = {}
+    for name, seconds in read_exposure_file(path).items():
+        parts = bracket_name(name)
+        if parts is None:
+            raise DataMismatchError(
+                f"{path}: '{name}' is not named <pose>_<exposure>, as train_000_0.jpg", "Mend or remove it."
+            )
+        place = listed.setdefault(parts[0], {})
+        if parts[1] in place:
+            raise DataMismatchError(
+                f"{path}: '{name}' and '{place[parts[1]].path.name}' are the same exposure of one pose",
+                "Remove one of them.",
+            )
+        place[parts[1]] = Picture(path_inside(root / "images", name, path), seconds)
+    brackets: dict[str, dict[int, Picture]] = {}
+    for image in images:
+        name = _base(image)
+        if name in brackets:
+            raise DataMismatchError(
+                f"the model has two pictures of the pose '{name}', one of them '{image.name}'",
+                "This layout has one picture a pose in sparse/0.",
+            )
+        brackets[name] = dict(sorted(listed.get(name, {}).items()))
+        if 0 not in brackets[name]:
+            raise DataMismatchError(
+                f"{path} has no exposure for '{name}_0', the first picture of a pose in the model",
+                "Add it in seconds: exposure 0 must be there, others may be missing.",
+            )
+    unused = sum(len(bracket) for name, bracket in listed.items() if name not in brackets)
+    return brackets, unused

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The reader of HDR-GS's packaging of HDR-NeRF-Syn (shared/method.md section 2).
+
+``images/<pose>_<k>.png``, ``exr/<pose>.exr`` and ``sparse/0`` of COLMAP with one picture a pose. It has no
+file of exposures (HDR-GS has five numbers in its code, wrong for some scenes): ``exposure.json`` must be
+added.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+
+from .colmap import read_poses, scene_of
+from .colmap_files import find_model
+from .info import ORIGINAL_ANCHOR
+from .poses import pose_number
+from .scene import Scene
+
+NAME = "HDR-GS"
+#: The true radiance, of all poses in one folder. Never opened here.
+TRUTH_FOLDER = "exr"
+LOOKS_FOR = f"images/, sparse/0 and {TRUTH_FOLDER}/"
+
+
+def is_mine(root: Path) -> bool:
+    """Whether ``root`` looks like this layout."""
+    return find_model(root) is not None and (root / TRUTH_FOLDER).is_dir() and (root / "images").is_dir()
+
+
+def read_scene(root: Path, downscale: float | None = None) -> Scene:
+    """Read a data set folder. Nothing of the true radiance is opened.
+
+    Split as HDR-GS's: names in the order of text (0, 10, 11, … 1, 20, …), the first of each two poses is for
+    training. ``downscale``: None leaves pictures as they are up to 3DGS's limit of the width. Raises what the
+    reader of COLMAP's folders raises.
+    """
+    found = read_poses(root, root / "images")
+    poses = [
+        replace(pose, index=order if (number := pose_number(pose.name)) is None else number)
+        for order, pose in enumerate(sorted(found.poses, key=lambda pose: pose.name))
+    ]
+    rule = "split as HDR-GS: poses in the order of their names as text, every second one is for testing"
+    return scene_of(
+        replace(found, poses=poses),
+        (poses[::2], poses[1::2], rule),
+        layout=NAME,
+        anchor=ORIGINAL_ANCHOR,
+        downscale=downscale,
+    )

@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Poses and their brackets as a reader finds them, before pictures are reduced and views are made of them."""
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ...bridge.errors import DataMismatchError, PhysHDRError
+from .camera import Camera
+from .pictures import picture_size
+from .resize import Reduction
+from .scene import PictureCache, View
+
+#: Where nothing says which views are for testing: every eighth from the first, as 3DGS has it.
+TEST_EVERY = 8
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A file and its exposure, seconds."""
+
+    path: Path
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A camera at full size and its pictures, by their place in the bracket, rising."""
+
+    name: str
+    index: int
+    camera: Camera
+    pictures: dict[int, Picture]
+    lighting_levels: tuple[float, ...] = (1.0,)
+
+    def view(self, reduction: Reduction, cache: PictureCache) -> View:
+        """The view, its camera at the reduced size."""
+        return View(
+            self.name,
+            reduction.camera(self.camera),
+            tuple(picture.seconds for picture in self.pictures.values()),
+            tuple(picture.path for picture in self.pictures.values()),
+            self.index,
+            self.lighting_levels,
+            cache,
+            tuple(self.pictures),
+        )
+
+
+def one_size(paths: Sequence[Path]) -> tuple[int, int]:
+    """``(width, height)`` that all these pictures have, after a look at each header.
+
+    Raises what ``picture_size`` raises, ``DataMismatchError`` where sizes differ: the first fault, and how
+    many there are.
+    """
+    faults: list[PhysHDRError] = []
+    first: tuple[Path, tuple[int, int]] | None = None
+    for path in paths:
+        try:
+            size = picture_size(path)
+            if first is not None and size != first[1]:
+                raise wrong_size(path, size, *first)
+            first = first or (path, size)
+        except PhysHDRError as error:
+            faults.append(error)
+    if faults:
+        if len(faults) > 1:
+            message = f"{len(faults)} of {len(paths)} pictures cannot be used. The first: {faults[0].message}"
+            raise type(faults[0])(message, faults[0].hint)
+        raise faults[0]
+    assert first is not None, "a reader asks for the size of one picture at least"
+    return first[1]
+
+
+def wrong_size(path: Path, size: tuple[int, int], first: Path, right: tuple[int, int]) -> DataMismatchError:
+    """The error for a picture that has not the size of the others."""
+    return DataMismatchError(
+        f"{path} is {size[0]}×{size[1]} pixels, {first} is {right[0]}×{right[1]}",
+        "All pictures must have one size: resize it, or delete it and make the data set again.",
+    )
+
+
+def fitted(camera: Camera, size: tuple[int, int], told_by: Path, picture: Path) -> Camera:
+    """A camera that was measured at another size, at the size of the pictures.
+
+    Raises ``DataMismatchError`` where the two have not one shape, to a pixel's rounding.
+    """
+    width, height = size
+    if (camera.width, camera.height) == size:
+        return camera
+    if abs(camera.height * width - height * camera.width) > max(camera.width, width):
+        raise DataMismatchError(
+            f"{told_by} was made from pictures of {camera.width}×{camera.height}, {picture} is "
+            f"{width}×{height}: another shape",
+            "Use the pictures that the cameras were found with, neither cropped nor turned.",
+        )
+    return camera.resized(width, height)
+
+
+# ---- splits and names --------------------------------------------------------------------------------
+
+
+def split_by_name(poses: Sequence[Pose]) -> tuple[list[Pose], list[Pose]] | None:
+    """Training and test poses where each name has the word ``train`` or ``test``, as GaussHDR's; else None.
+
+    A word: ``train_r_0`` and ``test/003`` have one, ``latest`` has none.
+    """
+    splits: dict[str, list[Pose]] = {"train": [], "test": []}
+    for pose in poses:
+        words = {word for word in re.split(r"[^a-z]+", pose.name.lower()) if word in splits}
+        if len(words) != 1:
+            return None
+        splits[words.pop()].append(pose)
+    return (splits["train"], splits["test"]) if splits["train"] else None
+
+
+def split_somehow(poses: Sequence[Pose]) -> tuple[list[Pose], list[Pose], str]:
+    """Training and test poses and the rule in words: by name, else every eighth pose is for testing."""
+    named = split_by_name(poses)
+    if named is not None:
+        return *named, "split by names: they say 'train' or 'test'"
+    if len(poses) == 1:
+        return list(poses), [], "no test views: there is one pose only"
+    test = list(poses[::TEST_EVERY])
+    train = [pose for k, pose in enumerate(poses) if k % TEST_EVERY]
+    return train, test, f"split by order of names: poses 0, {TEST_EVERY}, {2 * TEST_EVERY} … are for testing"
+
+
+def bracket_name(name: str) -> tuple[str, int, str] | None:
+    """``train_r_0_2.png`` → ``("train_r_0", 2, "png")``: pose, place in the bracket; None for other names.
+
+    One digit without a leading zero is a place; ``frame_00012`` is a pose's number.
+    """
+    parts = re.fullmatch(r"(.+)_(\d)\.([^./]+)", name)
+    return (parts.group(1), int(parts.group(2)), parts.group(3)) if parts else None
+
+
+def pose_number(name: str) -> int | None:
+    """The number at the end of a name (``train_r_12`` → 12); None where there is none."""
+    digits = re.search(r"(\d+)$", name)
+    return int(digits.group()) if digits else None
+
+
+def check_numbers(poses: Sequence[Pose], split: str, told_by: Path) -> None:
+    """Raises ``DataMismatchError`` where two poses of a split have one number, which names their truth."""
+    number, times = max(Counter(pose.index for pose in poses).items(), key=lambda c: c[1], default=(0, 1))
+    if times > 1:
+        names = [pose.name for pose in poses if pose.index == number]
+        raise DataMismatchError(
+            f"{told_by}: {split} poses {', '.join(map(repr, names))} have one number, {number}",
+            "Number the poses of a split without repetition: the number names the truth.",
+        )
+
+
+def missing_in_words(poses: Sequence[Pose]) -> str | None:
+    """Which exposures some poses have not, for ``Scene.messages``; None where all have all."""
+    places = sorted({k for pose in poses for k in pose.pictures})
+    counts = {k: sum(k not in pose.pictures for pose in poses) for k in places}
+    lacking = [f"{k} in {count}" for k, count in counts.items() if count]
+    return f"exposures are missing: {', '.join(lacking)} of {len(poses)} poses" if lacking else None
