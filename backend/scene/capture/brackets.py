@@ -1,0 +1,245 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which photos belong to one pose: by their names, or by their order and the pattern of their exposures."""
+
+import itertools
+import math
+import re
+import statistics
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from ....bridge.errors import BadValueError, DataMismatchError
+from .exposures import some_names
+from .photos import Photo, natural_order
+
+Grouping = Literal["auto", "names", "order", "none"]
+
+#: Exposures that differ by less are the same: cameras' nominal times are rounded (1/60 is 1/64: 0.09 EV).
+SAME_EV = 0.25
+#: No camera's automatic bracketing takes more.
+LONGEST_BRACKET = 9
+#: A pause inside a bracket that is so much longer than that between brackets, and by so many seconds, shows
+#: that brackets begin elsewhere.
+PAUSE_RATIO, PAUSE_SECONDS = 2.0, 2.0
+NAMED = re.compile(r"(.+)_(\d{1,2})")
+SAY = (
+    "Move stray photos and incomplete brackets away, say how many photos a pose has (--bracket N), or name "
+    "them <pose>_<k>, as in desk_0.jpg desk_1.jpg (--group names)."
+)
+
+
+@dataclass(frozen=True)
+class Bracket:
+    """The photos of one pose, the shortest exposure first, with their ``seconds``."""
+
+    name: str
+    photos: tuple[Photo, ...]
+    seconds: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Brackets:
+    """All poses in the order in which they were taken, each with as many photos; ``how`` they were found."""
+
+    poses: tuple[Bracket, ...]
+    how: str
+
+    @property
+    def length(self) -> int:
+        return len(self.poses[0].photos)
+
+    @property
+    def evs(self) -> list[float]:
+        """Each step's median exposure as log2 of seconds."""
+        return [
+            math.log2(statistics.median(pose.seconds[k] for pose in self.poses)) for k in range(self.length)
+        ]
+
+    @property
+    def drift(self) -> float:
+        """The largest difference in EV between two poses' exposures at the same step."""
+        logs = [[math.log2(pose.seconds[k]) for pose in self.poses] for k in range(self.length)]
+        return max(max(step) - min(step) for step in logs)
+
+
+def find_brackets(
+    photos: Sequence[Photo],
+    seconds: Mapping[str, float],
+    by: Grouping = "auto",
+    length: int | None = None,
+) -> Brackets:
+    """Group ``photos`` into poses.
+
+    ``seconds``: exposure by file name. ``by``: ``names`` ``<pose>_<k>``; ``order`` of time, then name, with a
+    pattern of exposures that repeats; ``none``, each photo is a pose; ``auto``, the first that is plain.
+    ``length``: photos in each pose, where the user says so. Raises ``DataMismatchError``, which shows
+    what was found, where it is not plain; ``BadValueError`` for a length that cannot be.
+    """
+    if length is not None and (length < 1 or len(photos) % length):
+        raise BadValueError(
+            f"{len(photos)} photos cannot be {length} to a pose",
+            "Move what does not belong away, or mend it.",
+        )
+    if by == "none":
+        return Brackets(tuple(_bracket([photo], seconds) for photo in _in_order(photos)), "one photo a pose")
+    if by == "names" or (by == "auto" and length is None):
+        groups = _by_name(photos)
+        if by == "names":
+            _require_equal(groups)
+        if by == "names" or _is_plain(groups):
+            return _checked(list(groups.values()), seconds, "by name, <pose>_<k>")
+    return _by_order(_in_order(photos), seconds, length)
+
+
+def _bracket(photos: Sequence[Photo], seconds: Mapping[str, float], name: str = "") -> Bracket:
+    ordered = sorted(photos, key=lambda photo: seconds[photo.name])
+    return Bracket(
+        name or photos[0].path.stem, tuple(ordered), tuple(seconds[photo.name] for photo in ordered)
+    )
+
+
+def _checked(groups: list[list[Photo]], seconds: Mapping[str, float], how: str) -> Brackets:
+    poses = tuple(_bracket(group, seconds) for group in groups)
+    for pose in poses:
+        for k in range(len(pose.photos) - 1):
+            if math.log2(pose.seconds[k + 1] / pose.seconds[k]) < SAME_EV:
+                first, second = pose.photos[k], pose.photos[k + 1]
+                raise DataMismatchError(
+                    f"{first.name} and {second.name} ({how}) are of one pose and of the same exposure, "
+                    f"{time_in_words(pose.seconds[k])}",
+                    SAY,
+                )
+    return Brackets(poses, how)
+
+
+# ---- by name -----------------------------------------------------------------------------------------
+
+
+def _by_name(photos: Sequence[Photo]) -> dict[str, list[Photo]]:
+    groups: dict[str, list[Photo]] = {}
+    for photo in photos:
+        match = NAMED.fullmatch(photo.path.stem)
+        groups.setdefault(match[1] if match else photo.path.stem, []).append(photo)
+    return dict(sorted(groups.items(), key=lambda item: natural_order(item[0])))
+
+
+def _steps(group: Sequence[Photo]) -> list[int]:
+    return sorted(int(match[2]) for photo in group if (match := NAMED.fullmatch(photo.path.stem)))
+
+
+def _is_plain(groups: Mapping[str, list[Photo]]) -> bool:
+    """Several poses, each with the same two or more steps: what names that cameras give never look like."""
+    steps = [_steps(group) for group in groups.values()]
+    return len(groups) > 1 and len(steps[0]) > 1 and all(step == steps[0] for step in steps)
+
+
+def _require_equal(groups: Mapping[str, list[Photo]]) -> None:
+    lengths = {name: len(group) for name, group in groups.items()}
+    common = statistics.mode(lengths.values())
+    for name, count in lengths.items():
+        if count != common:
+            raise DataMismatchError(
+                f"pose '{name}' has {count} photos ({some_names([photo.name for photo in groups[name]])}), "
+                f"most poses have {common}",
+                "Every pose needs the same exposures: add what is missing, or move that pose's photos away.",
+            )
+
+
+# ---- by order ----------------------------------------------------------------------------------------
+
+
+def _in_order(photos: Sequence[Photo]) -> list[Photo]:
+    by_name = sorted(photos, key=lambda photo: natural_order(photo.name))
+    if all(photo.taken is not None for photo in photos):
+        by_name.sort(key=lambda photo: photo.taken)  # type: ignore[arg-type, return-value]  # stable
+    return by_name
+
+
+def _by_order(photos: list[Photo], seconds: Mapping[str, float], length: int | None) -> Brackets:
+    evs = [math.log2(seconds[photo.name]) for photo in photos]
+    if length is None:
+        lengths = _lengths(evs)
+        if not lengths:
+            raise DataMismatchError(_confusion(photos, seconds, evs), SAY)
+        if len(lengths) > 1:
+            raise DataMismatchError(
+                f"the photos' exposures fit brackets of {' and of '.join(map(str, lengths))}", SAY
+            )
+        length = lengths[0]
+    if length == 1:
+        return Brackets(tuple(_bracket([photo], seconds) for photo in photos), "all of one exposure")
+    groups = [photos[k : k + length] for k in range(0, len(photos), length)]
+    _check_pauses(groups)
+    return _checked(groups, seconds, f"by order: each {length} photos repeat the same exposures")
+
+
+def _lengths(evs: list[float]) -> list[int]:
+    """Every length under which all brackets are alike: absolutely, or else each relative to its first photo.
+
+    A camera whose exposure is automatic between brackets changes them all by the same factor.
+    """
+    if _repeats(evs, 1, relative=False):
+        return [1]
+    candidates = [n for n in range(2, min(LONGEST_BRACKET, len(evs) // 2) + 1) if len(evs) % n == 0]
+    for n in candidates:
+        if _repeats(evs, n, relative=False):
+            return [n]  # its multiples repeat as well, but hold each exposure several times
+    return [n for n in candidates if _repeats(evs, n, relative=True)]
+
+
+def _repeats(evs: list[float], length: int, relative: bool) -> bool:
+    groups = [evs[k : k + length] for k in range(0, len(evs), length)]
+    if relative:
+        groups = [[ev - group[0] for ev in group] for group in groups]
+    first = groups[0]
+    differ = all(abs(a - b) > SAME_EV for k, a in enumerate(first) for b in first[:k])
+    return differ and all(
+        abs(ev - of_first) < SAME_EV for group in groups for ev, of_first in zip(group, first, strict=True)
+    )
+
+
+def _confusion(photos: Sequence[Photo], seconds: Mapping[str, float], evs: list[float]) -> str:
+    """What the order looks like: a new run begins where an exposure comes again."""
+    runs: list[list[int]] = [[]]
+    for k, ev in enumerate(evs):
+        if any(abs(ev - evs[other]) < SAME_EV for other in runs[-1]):
+            runs.append([])
+        runs[-1].append(k)
+    common = statistics.mode(len(run) for run in runs)
+    shown = ", ".join(str(len(run)) for run in runs[:12]) + (" …" if len(runs) > 12 else "")
+    odd = next((run for run in runs if len(run) != common), runs[0])
+    inside = ", ".join(f"{photos[k].name} {time_in_words(seconds[photos[k].name])}" for k in odd[:6])
+    return (
+        f"it is not plain which of the {len(photos)} photos belong to one pose: in their order exposures "
+        f"come again after {shown} photos; the first that is unlike the others: {inside}"
+        + (" …" if odd[6:] else "")
+    )
+
+
+def _check_pauses(groups: list[list[Photo]]) -> None:
+    """Refuse brackets inside which the photographer paused longer than between them: a photo is missing."""
+    if len(groups) < 2 or any(photo.taken is None for group in groups for photo in group):
+        return
+
+    def pause(photo: Photo, following: Photo) -> float:
+        assert photo.taken is not None and following.taken is not None
+        return (following.taken - photo.taken).total_seconds() - (photo.shutter or 0.0)
+
+    length = len(groups[0])
+    inside = [statistics.median(pause(group[k], group[k + 1]) for group in groups) for k in range(length - 1)]
+    pairs = itertools.pairwise(groups)
+    between = statistics.median(pause(group[-1], following[0]) for group, following in pairs)
+    longest = max(range(length - 1), key=lambda k: inside[k])
+    if inside[longest] > PAUSE_RATIO * between + PAUSE_SECONDS:
+        raise DataMismatchError(
+            f"brackets of {length} photos from {groups[0][0].name} on are {inside[longest]:.0f} s apart "
+            f"inside (before {groups[0][longest + 1].name}) and {between:.0f} s apart between: a photo is "
+            "missing or stray at the start",
+            SAY,
+        )
+
+
+def time_in_words(seconds: float) -> str:
+    """``1/60 s``, ``0.5 s``, ``30 s``."""
+    return f"1/{1 / seconds:.0f} s" if seconds < 0.4 else f"{seconds:.3g} s"

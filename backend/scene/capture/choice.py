@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which of a bracket's photos structure from motion sees, and by which numbers the data set knows them."""
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from ....bridge.errors import BadValueError
+from .brackets import Bracket, Brackets
+from .photos import Photo
+
+Choice = Literal["same", "each"] | int
+
+#: Codes up to the first and from the second on say nothing of what is there.
+BLACK, WHITE = 5, 250
+#: The number k in the data set of each step of a bracket of so many. Training sees 0, 2 and 4, evaluation
+#: keeps 1 and 3 as exposures that training has not seen, so short brackets are trained on whole and the
+#: darkest and the brightest always are.
+NUMBERS = {1: (0,), 2: (0, 2), 3: (0, 2, 4), 4: (0, 1, 2, 4), 5: (0, 1, 2, 3, 4)}
+
+
+def thinned(brackets: Brackets) -> tuple[Brackets, tuple[int, ...]]:
+    """At most five exposures of each pose, spread evenly, the first and last among them; and which steps."""
+    most = max(NUMBERS)
+    steps = tuple(round(k) for k in np.linspace(0, brackets.length - 1, min(most, brackets.length)))
+    poses = tuple(
+        Bracket(pose.name, tuple(pose.photos[k] for k in steps), tuple(pose.seconds[k] for k in steps))
+        for pose in brackets.poses
+    )
+    return Brackets(poses, brackets.how), steps
+
+
+def clipped_share(pixels: np.ndarray) -> float:
+    """The share of pixels of ``[h, w, 3]`` uint8 that are black in all channels or white in one."""
+    return float(((pixels.max(axis=2) <= BLACK) | (pixels.max(axis=2) >= WHITE)).mean())
+
+
+def photos_to_match(poses: Sequence[Bracket], choice: Choice) -> tuple[dict[int, Photo], str]:
+    """One photo for each pose's number, and in words which.
+
+    ``choice``: ``same``, the step that has the fewest clipped pixels over all poses; ``each``, that of each
+    pose; or a step, 0 the darkest. Raises ``BadValueError`` for a step that there is not.
+    """
+    length = len(poses[0].photos)
+    if isinstance(choice, int):
+        if not 0 <= choice < length:
+            raise BadValueError(f"there is no step {choice}", f"Steps are 0 (the darkest) to {length - 1}.")
+        return {number: pose.photos[choice] for number, pose in enumerate(poses)}, f"step {choice}, as asked"
+    if length == 1:
+        return {number: pose.photos[0] for number, pose in enumerate(poses)}, "the only exposure"
+    clipped = np.array([[clipped_share(photo.thumbnail()) for photo in pose.photos] for pose in poses])
+    if choice == "each":
+        best = clipped.argmin(axis=1)
+        words = f"each pose's best exposed photo ({clipped.min(axis=1).mean():.1%} clipped)"
+    else:
+        best = np.full(len(poses), clipped.mean(axis=0).argmin())
+        words = f"step {best[0]} of 0…{length - 1} ({clipped[:, best[0]].mean():.1%} clipped, the least)"
+    return {number: pose.photos[best[number]] for number, pose in enumerate(poses)}, words

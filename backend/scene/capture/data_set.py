@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Writes a capture as a data set in the packaging of GaussHDR (docs/formats.md).
+
+``images/<split>_<pose:03d>_<k>.png``, ``exposure.json`` (file name → seconds), ``sparse/0`` of COLMAP with
+one image for each pose, named as its picture k = 0 (shared/method.md, section 3), and ``prepare.json``: where
+it all came from.
+"""
+
+import json
+import struct
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from shutil import rmtree
+from tempfile import mkdtemp
+from typing import Any, BinaryIO
+
+import numpy as np
+from PIL import Image
+
+from ....bridge.errors import BadValueError, OutputError
+from .brackets import Bracket
+from .choice import NUMBERS
+from .lens import Lens
+from .structure import Shot, Structure
+
+#: The file by which a folder is known as this command's own.
+ORIGIN_FILE = "prepare.json"
+#: COLMAP's number for a pinhole camera with fx, fy, cx, cy.
+PINHOLE = 1
+
+
+@contextmanager
+def new_folder(out: Path, overwrite: bool) -> Iterator[Path]:
+    """A folder beside ``out`` that takes its place only if the block ends without an error.
+
+    Raises ``OutputError`` where ``out`` is not empty, unless ``overwrite`` and this command made it.
+    """
+    if out.exists() and not out.is_dir():
+        raise OutputError(f"{out} is a file", "Give a folder that is not there yet.")
+    if out.is_dir() and any(out.iterdir()):
+        if not overwrite:
+            raise OutputError(f"{out} is not empty", "Give another folder, or --overwrite to replace it.")
+        if not (out / ORIGIN_FILE).is_file():
+            raise OutputError(
+                f"{out} was not made by 'physhdr prepare': it is not replaced", "Give another folder."
+            )
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(mkdtemp(prefix=f".{out.name}-", dir=out.parent))
+    except OSError as error:
+        raise _cannot_write(out, error) from error
+    try:
+        made = temporary / "data"
+        made.mkdir()
+        yield made
+        if out.exists():
+            out.rename(temporary / "replaced")
+        made.rename(out)
+    except OSError as error:
+        raise _cannot_write(out, error) from error
+    finally:
+        rmtree(temporary, ignore_errors=True)
+
+
+def _cannot_write(out: Path, error: OSError) -> OutputError:
+    return OutputError(
+        f"cannot write {out}: {error.strerror or error}", "Check its permissions and the disk's free space."
+    )
+
+
+@dataclass(frozen=True)
+class Written:
+    """What is in a data set: poses by split, pictures, points and their mean distance from keypoints."""
+
+    train: int
+    test: int
+    pictures: int
+    points: int
+    reprojection_error: float
+
+
+def splits(numbers: Sequence[int], test_every: int) -> dict[int, str]:
+    """Every ``test_every``-th of the poses, the first among them, is for the test; 0: none is."""
+    if test_every < 0 or test_every == 1:
+        raise BadValueError(
+            f"every {test_every}-th pose cannot be for the test", "Give 2 or more, or 0 for none."
+        )
+    return {
+        number: "test" if test_every and order % test_every == 0 else "train"
+        for order, number in enumerate(numbers)
+    }
+
+
+def write_data_set(
+    folder: Path,
+    poses: Sequence[Bracket],
+    structure: Structure,
+    lenses: Sequence[Lens],
+    test_every: int,
+    origin: dict[str, Any],
+    done: Callable[[int, int], None] = lambda pictures, of: None,
+) -> Written:
+    """Write the registered poses into ``folder``; ``done`` is told after every picture.
+
+    ``lenses``: one for each of the structure's cameras. ``origin`` goes into ``prepare.json``, with the
+    source of every picture.
+    """
+    split_of = splits(list(structure.shots), test_every)
+    k_of = NUMBERS[len(poses[0].photos)]
+    (folder / "images").mkdir()
+    exposures: dict[str, float] = {}
+    sources: dict[str, str] = {}
+    names: dict[int, str] = {}
+    total = len(structure.shots) * len(k_of)
+    for number, shot in structure.shots.items():
+        for k, photo, seconds in zip(k_of, poses[number].photos, poses[number].seconds, strict=True):
+            name = f"{split_of[number]}_{number:03d}_{k}.png"
+            picture = lenses[shot.camera].picture(np.asarray(photo.decode()))
+            Image.fromarray(picture).save(folder / "images" / name)
+            exposures[name], sources[name] = seconds, photo.name
+            done(len(exposures), total)
+        names[number] = f"{split_of[number]}_{number:03d}_0.png"
+    _write_json(folder / "exposure.json", exposures)
+    _write_json(folder / ORIGIN_FILE, {**origin, "sources": sources})
+    points = _write_sparse(folder / "sparse" / "0", structure, lenses, names)
+    test = sum(split == "test" for split in split_of.values())
+    error = reprojection_error(structure, lenses)
+    return Written(len(split_of) - test, test, len(exposures), points, error)
+
+
+def _write_json(path: Path, value: object) -> None:
+    path.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")
+
+
+def reprojection_error(structure: Structure, lenses: Sequence[Lens]) -> float:
+    """Mean distance in pixels of the written pictures, over every observation of a point."""
+    distances = []
+    for shot in structure.shots.values():
+        lens = lenses[shot.camera]
+        seen = structure.positions[shot.points] @ shot.rotation.T + shot.translation
+        projected = seen[:, :2] / seen[:, 2:] * (lens.fx, lens.fy) + (lens.cx, lens.cy)
+        distances.append(np.linalg.norm(projected - lens.straightened(shot.keypoints), axis=1))
+    together = np.concatenate(distances)
+    return float(together.mean()) if len(together) else 0.0
+
+
+# ---- COLMAP's binary files (its documentation, "Output Format") ----------------------------------------
+
+
+def _write_sparse(folder: Path, structure: Structure, lenses: Sequence[Lens], names: dict[int, str]) -> int:
+    """``cameras``, ``images`` and ``points3D.bin``; returns the number of points, those that a pose sees."""
+    folder.mkdir(parents=True)
+    used = sorted({shot.camera for shot in structure.shots.values()})
+    with open(folder / "cameras.bin", "wb") as file:
+        file.write(struct.pack("<Q", len(used)))
+        for camera in used:
+            lens = lenses[camera]
+            head = struct.pack("<iiQQ", camera + 1, PINHOLE, lens.width, lens.height)
+            file.write(head + struct.pack("<4d", lens.fx, lens.fy, lens.cx, lens.cy))
+    tracks: dict[int, list[tuple[int, int]]] = {}
+    with open(folder / "images.bin", "wb") as file:
+        file.write(struct.pack("<Q", len(structure.shots)))
+        for number, shot in structure.shots.items():
+            _write_image(file, number + 1, shot, names[number], lenses[shot.camera])
+            for place, point in enumerate(shot.points):
+                tracks.setdefault(int(point), []).append((number + 1, place))
+    with open(folder / "points3D.bin", "wb") as file:
+        file.write(struct.pack("<Q", len(tracks)))
+        for point, track in sorted(tracks.items()):
+            file.write(struct.pack("<Q3d", point + 1, *structure.positions[point]))
+            file.write(struct.pack("<3Bd", *structure.colours[point].tolist(), structure.errors[point]))
+            file.write(struct.pack("<Q", len(track)) + np.array(track, "<i4").tobytes())
+    return len(tracks)
+
+
+def _write_image(file: BinaryIO, image_id: int, shot: Shot, name: str, lens: Lens) -> None:
+    file.write(struct.pack("<i7d", image_id, *quaternion(shot.rotation), *shot.translation))
+    file.write(struct.pack("<i", shot.camera + 1) + name.encode() + b"\0")
+    entries = np.empty(len(shot.points), np.dtype([("xy", "<f8", 2), ("point", "<i8")]))
+    entries["xy"], entries["point"] = lens.straightened(shot.keypoints), shot.points + 1
+    file.write(struct.pack("<Q", len(entries)) + entries.tobytes())
+
+
+def quaternion(rotation: np.ndarray) -> np.ndarray:
+    """The unit quaternion wxyz, w ≥ 0, of ``[3, 3]``.
+
+    It is the eigenvector of the largest eigenvalue of Bar-Itzhack's symmetric matrix ("New method for
+    extracting the quaternion from a rotation matrix", 2000), which has no special cases.
+    """
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rotation
+    matrix = np.array(
+        [
+            [xx + yy + zz, zy - yz, xz - zx, yx - xy],
+            [zy - yz, xx - yy - zz, xy + yx, xz + zx],
+            [xz - zx, xy + yx, yy - xx - zz, yz + zy],
+            [yx - xy, xz + zx, yz + zy, zz - xx - yy],
+        ]
+    )
+    wxyz = np.linalg.eigh(matrix)[1][:, -1]
+    return wxyz if wxyz[0] >= 0.0 else -wxyz

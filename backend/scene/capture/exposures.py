@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Each photo's exposure in seconds: from its EXIF, or from a file that the user gives."""
+
+import csv
+import json
+import math
+import statistics
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ....bridge.errors import BadValueError, DataMismatchError, FileDamagedError, FileMissingError
+from .photos import Photo
+
+#: Names that a message lists before it says how many more there are.
+FEW = 4
+GIVE_A_FILE = "Give the exposures in a file: --exposures FILE, JSON or CSV, file name → seconds."
+
+
+@dataclass(frozen=True)
+class Exposures:
+    """``seconds`` by file name; ``meaning``: of what these are seconds, in words."""
+
+    seconds: dict[str, float]
+    meaning: str
+
+
+def some_names(names: Sequence[str]) -> str:
+    """The first few of ``names``, and how many more there are."""
+    more = f" and {len(names) - FEW} more" if len(names) > FEW else ""
+    return ", ".join(names[:FEW]) + more
+
+
+def exposures_from_exif(photos: Sequence[Photo]) -> Exposures:
+    """time × ISO/100 × (F_median/F)²: seconds at ISO 100 and the photos' median aperture.
+
+    What no photo tells (ISO, aperture: a manual lens) is the same for all of them and cancels. Raises
+    ``DataMismatchError`` where a time is missing, or where only some photos tell the rest.
+    """
+    _require(photos, "exposure time", lambda photo: photo.shutter)
+    iso = _all_or_none(photos, "ISO", lambda photo: photo.iso)
+    f_number = _all_or_none(photos, "aperture", lambda photo: photo.f_number)
+    median_f = statistics.median(f_number) if f_number else 0.0
+    seconds = {}
+    for k, photo in enumerate(photos):
+        assert photo.shutter is not None
+        gain = (iso[k] / 100.0 if iso else 1.0) * ((median_f / f_number[k]) ** 2 if f_number else 1.0)
+        seconds[photo.name] = photo.shutter * gain
+    at = "ISO 100" if iso else "one ISO that EXIF does not tell"
+    aperture = f"f/{median_f:g}" if f_number else "one aperture that EXIF does not tell"
+    return Exposures(seconds, f"EXIF; seconds at {at} and {aperture}")
+
+
+def _require(photos: Sequence[Photo], what: str, value: Callable[[Photo], float | None]) -> None:
+    without = [photo.name for photo in photos if value(photo) is None]
+    if without:
+        share = "no photo" if len(without) == len(photos) else f"{len(without)} of {len(photos)} photos"
+        verb = "tells" if len(without) == len(photos) else "do not tell"
+        raise DataMismatchError(f"{share} {verb} its {what} in EXIF: {some_names(without)}", GIVE_A_FILE)
+
+
+def _all_or_none(
+    photos: Sequence[Photo], what: str, value: Callable[[Photo], float | None]
+) -> list[float] | None:
+    if all(value(photo) is None for photo in photos):
+        return None
+    _require(photos, what, value)
+    return [number for photo in photos if (number := value(photo)) is not None]
+
+
+def exposures_from_file(path: Path, photos: Sequence[Photo]) -> Exposures:
+    """From JSON ``{"name": seconds}`` or CSV ``name,seconds``; a name is with or without its suffix.
+
+    Raises ``FileMissingError``, ``FileDamagedError`` (neither JSON nor CSV), ``BadValueError`` (no positive
+    number), ``DataMismatchError`` (a photo without an exposure).
+    """
+    if not path.is_file():
+        raise FileMissingError(f"the file of exposures {path} does not exist", GIVE_A_FILE)
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+        table = json.loads(text) if path.suffix.lower() == ".json" else _csv(text)
+    except ValueError as error:  # both kinds: not UTF-8, not JSON
+        raise FileDamagedError(f"{path} is not readable: {error}", GIVE_A_FILE) from error
+    if not isinstance(table, dict):
+        raise FileDamagedError(f"{path} is not one JSON object", GIVE_A_FILE)
+    seconds = {}
+    for photo in photos:
+        entry = table.get(photo.name, table.get(photo.path.stem))
+        if entry is not None:
+            seconds[photo.name] = _seconds(entry, photo.name, path)
+    without = [photo.name for photo in photos if photo.name not in seconds]
+    if without:
+        raise DataMismatchError(
+            f"{path} has no exposure for {len(without)} of {len(photos)} photos: {some_names(without)}",
+            "Add them, or move these photos away.",
+        )
+    return Exposures(seconds, f"{path.name}; seconds")
+
+
+def _csv(text: str) -> dict[str, str]:
+    """``name → seconds`` as text; a first line whose second column is no number is a heading."""
+    separator = ";" if ";" in text and "," not in text else ","
+    rows = [[cell.strip() for cell in row] for row in csv.reader(text.splitlines(), delimiter=separator)]
+    rows = [row for row in rows if row and row[0]]
+    for number, row in enumerate(rows):
+        if len(row) < 2:
+            raise ValueError(f"line {number + 1} is not 'name,seconds': {row[0]!r}")
+    if rows and not any(character.isdigit() for character in rows[0][1]):
+        rows = rows[1:]
+    return {row[0]: row[1] for row in rows}
+
+
+def _seconds(entry: object, name: str, path: Path) -> float:
+    """A number, or text such as ``1/60``."""
+    try:
+        top, _, bottom = str(entry).partition("/")
+        seconds = float(top) / float(bottom or 1)
+    except (ValueError, ZeroDivisionError):
+        seconds = math.nan
+    if isinstance(entry, bool) or not (math.isfinite(seconds) and seconds > 0.0):
+        raise BadValueError(
+            f"{path} gives {name} the exposure {entry!r}", "Give seconds above 0: 0.5 or 1/60."
+        )
+    return seconds

@@ -1,0 +1,274 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where the cameras were: structure from motion by COLMAP (pycolmap), or a reconstruction that exists.
+
+pycolmap is optional (the extra ``prepare``) and is imported only here, in ``lens.py``, and in the process
+that ``colmap_process.py`` is.
+"""
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from ....bridge.errors import DataMismatchError, FileDamagedError, FileMissingError, PhysHDRError
+from .brackets import Bracket
+from .exposures import some_names
+from .photos import Photo
+
+#: Pictures are matched at most this wide and high: features of finer detail cost time and match badly.
+MATCH_SIDE = 2000
+#: Below this, features are looked for more patiently.
+SMALL_SIDE = 800
+#: Fewer cameras are no capture: nothing could be trained on them.
+FEWEST_POSES = 3
+CAPTURE_REMEDY = (
+    "Neighbouring photos must show the same things from places a step apart (not only turned), sharp and "
+    "with texture: docs/captures.md says how to shoot. --camera SIMPLE_RADIAL helps where photos are few."
+)
+
+
+class StructureError(PhysHDRError):
+    """The photos' cameras cannot be recovered."""
+
+
+def require_pycolmap() -> ModuleType:
+    """pycolmap, or ``FileMissingError`` that says how to install it."""
+    try:
+        import pycolmap
+    except ImportError as error:
+        raise FileMissingError(
+            f"'physhdr prepare' finds the cameras with pycolmap, which is not installed ({error})",
+            f"Install it: {sys.executable} -m pip install pycolmap",
+        ) from error
+    return pycolmap
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """One registered pose. World to camera in OpenCV axes: x_camera = ``rotation`` x + ``translation``.
+
+    ``camera``: index into ``Structure.cameras``. ``keypoints``: ``[M, 2]`` pixels in the photo; ``points``:
+    ``[M]`` index of the point that each shows.
+    """
+
+    camera: int
+    rotation: np.ndarray
+    translation: np.ndarray
+    keypoints: np.ndarray
+    points: np.ndarray
+
+    @property
+    def position(self) -> np.ndarray:
+        """Where it was, ``[3]``."""
+        return -self.rotation.T @ self.translation
+
+
+@dataclass(frozen=True, eq=False)
+class Structure:
+    """Cameras and points of one capture.
+
+    ``cameras``: pycolmap's, for photos of full size. ``shots``: by the pose's number in the capture.
+    ``positions`` ``[P, 3]``, ``colours`` ``[P, 3]`` uint8, ``errors`` ``[P]`` pixels of the full photo.
+    """
+
+    cameras: tuple[Any, ...]
+    shots: dict[int, Shot]
+    positions: np.ndarray
+    colours: np.ndarray
+    errors: np.ndarray
+
+    def turned(self, rotation: np.ndarray) -> "Structure":
+        """The same in a world that is turned by ``rotation`` ``[3, 3]``."""
+        shots = {k: replace(shot, rotation=shot.rotation @ rotation.T) for k, shot in self.shots.items()}
+        return replace(self, shots=shots, positions=self.positions @ rotation.T)
+
+
+# ---- structure from motion ---------------------------------------------------------------------------
+
+
+def recover(
+    photos: Mapping[int, Photo],
+    folder: Path,
+    camera_model: str,
+    threads: int = -1,
+    say: Callable[[str], None] = lambda step: None,
+) -> Structure:
+    """Structure from motion on one photo for each pose number, all by one camera.
+
+    ``folder``: an empty one for what COLMAP writes. ``say`` is told each step. Raises ``StructureError``
+    where fewer than ``FEWEST_POSES`` can be placed, or COLMAP fails; its log stays in the message.
+    """
+    require_pycolmap()
+    names = {number: f"{number:05d}.png" for number in photos}
+    scale = _write_pictures(photos, names, folder / "pictures", say)
+    first = next(iter(photos.values()))
+    job = {
+        "folder": str(folder),
+        "names": list(names.values()),
+        "camera_model": camera_model,
+        "camera_params": _first_guess(camera_model, first, scale),
+        "small": max(first.width, first.height) < SMALL_SIDE,
+        "threads": threads,
+    }
+    _run_colmap(job, folder, say)
+    pieces = json.loads((folder / "pieces.json").read_text())
+    if not pieces or len(pieces[0]) < FEWEST_POSES:
+        most = len(pieces[0]) if pieces else 0
+        raise StructureError(
+            f"the photos do not fit together: of {len(photos)} poses {most} could be placed", CAPTURE_REMEDY
+        )
+    structure = _read(folder / "model", {name: number for number, name in names.items()})
+    return _at_size(structure, first.width, first.height)
+
+
+def _write_pictures(
+    photos: Mapping[int, Photo], names: Mapping[int, str], folder: Path, say: Callable[[str], None]
+) -> float:
+    """The pictures to match, upright and not too large; returns their scale."""
+    say("reading photos")
+    folder.mkdir(parents=True)
+    first = next(iter(photos.values()))
+    scale = min(1.0, MATCH_SIDE / max(first.width, first.height))
+    size = round(first.width * scale), round(first.height * scale)
+    for number, photo in photos.items():
+        picture = photo.decode()
+        if scale < 1.0:
+            picture = picture.resize(size, Image.Resampling.HAMMING)
+        picture.save(folder / names[number], compress_level=1)
+    return scale
+
+
+def _first_guess(camera_model: str, photo: Photo, scale: float) -> str:
+    """The camera's parameters as COLMAP reads them, where EXIF tells the focal length; else empty."""
+    focal = photo.focal_pixels
+    if focal is None:
+        return ""
+    pycolmap = require_pycolmap()
+    camera = pycolmap.Camera.create_from_model_name(
+        0, camera_model, focal * scale, round(photo.width * scale), round(photo.height * scale)
+    )
+    return camera.params_to_string()
+
+
+def _run_colmap(job: dict[str, Any], folder: Path, say: Callable[[str], None]) -> None:
+    (folder / "job.json").write_text(json.dumps(job))
+    log = folder / "colmap.log"
+    command = [sys.executable, str(Path(__file__).with_name("colmap_process.py")), str(folder / "job.json")]
+    with (
+        open(log, "w", encoding="utf-8") as errors,
+        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True) as process,
+    ):
+        assert process.stdout is not None
+        try:
+            for line in process.stdout:
+                say(line.strip())
+        except BaseException:
+            process.kill()
+            raise
+    if process.returncode:
+        last = "; ".join(log.read_text(encoding="utf-8", errors="replace").strip().splitlines()[-3:])
+        raise StructureError(f"COLMAP failed (status {process.returncode}): {last}", CAPTURE_REMEDY)
+
+
+# ---- a reconstruction that exists --------------------------------------------------------------------
+
+
+def existing(folder: Path, poses: Sequence[Bracket]) -> Structure:
+    """The reconstruction in ``folder`` (``sparse/0``, or the files themselves) of these poses.
+
+    A picture of it belongs to the pose that has a photo of the same file name, or else of the same stem.
+    Raises ``FileMissingError``, ``FileDamagedError``, ``DataMismatchError`` (no picture, or too few, belong
+    to the photos; another shape of picture).
+    """
+    candidates = (folder / "sparse" / "0", folder / "sparse", folder)
+    model = next((path for path in candidates if (path / "cameras.bin").is_file()), None)
+    model = model or next((path for path in candidates if (path / "cameras.txt").is_file()), None)
+    if model is None:
+        raise FileMissingError(
+            f"{folder} has no reconstruction of COLMAP: looked for sparse/0/cameras.bin and .txt",
+            "Give the folder that holds sparse/0, or leave --poses out.",
+        )
+    numbers: dict[str, int] = {}
+    for number, pose in enumerate(poses):
+        for photo in pose.photos:
+            numbers.setdefault(photo.path.stem, number)
+    for number, pose in enumerate(poses):
+        for photo in pose.photos:
+            numbers[photo.name] = number
+    structure = _read(model, numbers)
+    if len(structure.shots) < FEWEST_POSES:
+        raise DataMismatchError(
+            f"{model} places {len(structure.shots)} of the {len(poses)} poses; photos are named as "
+            f"{some_names([photo.name for photo in poses[0].photos])}",
+            "Its pictures must have the photos' file names.",
+        )
+    photo = poses[0].photos[0]
+    return _at_size(structure, photo.width, photo.height)
+
+
+# ---- reading ------------------------------------------------------------------------------------------
+
+
+def _read(model: Path, numbers: Mapping[str, int]) -> Structure:
+    """COLMAP's model of the images in ``numbers`` (pose by name, or by stem)."""
+    pycolmap = require_pycolmap()
+    try:
+        model_read = pycolmap.Reconstruction(str(model))
+    except (ValueError, RuntimeError, IndexError, OverflowError, MemoryError) as error:
+        raise FileDamagedError(
+            f"{model} is not a readable reconstruction of COLMAP ({str(error).splitlines()[0]})",
+            "Export it again from COLMAP.",
+        ) from error
+    point_ids = sorted(model_read.points3D)
+    index = {point_id: k for k, point_id in enumerate(point_ids)}
+    points = [model_read.points3D[point_id] for point_id in point_ids]
+    camera_ids = sorted(model_read.cameras)
+    shots: dict[int, Shot] = {}
+    for image_id in sorted(model_read.reg_image_ids(), key=lambda k: model_read.image(k).name):
+        image = model_read.image(image_id)
+        name = Path(image.name)
+        number = numbers.get(name.name, numbers.get(name.stem))
+        if number is None or number in shots:
+            continue
+        pose = image.cam_from_world().matrix()
+        seen = [point for point in image.points2D if point.has_point3D()]
+        shots[number] = Shot(
+            camera_ids.index(image.camera_id),
+            pose[:, :3],
+            pose[:, 3],
+            np.array([point.xy for point in seen], np.float64).reshape(-1, 2),
+            np.array([index[point.point3D_id] for point in seen], np.int64),
+        )
+    return Structure(
+        tuple(model_read.cameras[camera_id] for camera_id in camera_ids),
+        dict(sorted(shots.items())),
+        np.array([point.xyz for point in points], np.float64).reshape(-1, 3),
+        np.array([point.color for point in points], np.uint8).reshape(-1, 3),
+        np.array([point.error for point in points], np.float64),
+    )
+
+
+def _at_size(structure: Structure, width: int, height: int) -> Structure:
+    """The same for photos of ``width × height``; COLMAP may have seen smaller copies of them."""
+    shots, factor = dict(structure.shots), 1.0
+    for number, camera in enumerate(structure.cameras):
+        factor = width / camera.width
+        if abs(height - camera.height * factor) > max(1.0, factor):
+            raise DataMismatchError(
+                f"the reconstruction is of pictures of {camera.width}×{camera.height}, the photos are "
+                f"{width}×{height}",
+                "It must be of these photos, not cropped and not turned.",
+            )
+        scale = np.array([factor, height / camera.height])
+        for pose, shot in shots.items():
+            if shot.camera == number:
+                shots[pose] = replace(shot, keypoints=shot.keypoints * scale)
+        camera.rescale(width, height)
+    return replace(structure, shots=shots, errors=structure.errors * factor)
