@@ -1,41 +1,329 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Scaffold-GS's backbone: being written."""
+"""Scaffold-GS's backbone: anchors with features, of which networks make k Gaussians each for every view.
+
+Written from the facts in docs/method.md (Lu et al., Scaffold-GS, CVPR 2024). The colour network gives
+ln H_r, without a sigmoid; illumination, shares of light and context do not know the viewing direction.
+"""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
 from torch import nn
 
-from ..scene.camera import Camera
+from ...bridge.errors import BadValueError
+from ..rasterize.contract import LOW_PASS
+from ..resident import camera_tensors
+from ..scene.camera import NEAR_PLANE, Camera
+from ..train.morton import morton_order
+from ..train.rates import Rate
+from .anchor_networks import DIRECTION, Head, run_heads
 from .backbone import Attributes, Backbone, Splats, Start
+
+#: A voxel for the growth is the neighbours' distance over this, where none is given: the coarsest of
+#: Scaffold-GS's three cells (16 voxels) then is as large as the distance to the neighbours.
+VOXELS_PER_SPACING = 16
+#: Splats reach this many standard deviations; beyond it an anchor's ellipsoid does not count as seen.
+REACH = 3.0
+#: ln of the largest factor between an anchor's and its Gaussians' size (Scaffold-GS clamps to it).
+LARGEST_LOG_SCALE = 0.05
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnchorGrowthConfig:
+    """When and where anchors are added and removed. Defaults: Scaffold-GS's over 30,000 iterations."""
+
+    #: Statistics are gathered after this iteration, …
+    observe_from: int = 500
+    #: … anchors added and removed after this one, …
+    start: int = 1500
+    every: int = 100
+    #: … and both end at this share of the training (15,000 of 30,000).
+    stop: float = 0.5
+    #: τ: mean norm of ∂L/∂(NDC position) of a neural Gaussian; doubled from each level to the next finer.
+    threshold: float = 2e-4
+    #: Cells of a level, in voxels: from the coarsest, each a ``refinement`` finer.
+    levels: int = 3
+    coarsest: int = 16
+    refinement: int = 4
+    #: A Gaussian counts when it was drawn in half of this share of ``every`` iterations; an anchor is judged
+    #: after it was seen in all of it.
+    seen_share: float = 0.8
+    #: Anchors whose Gaussians have less opacity than this in sum, on average, go.
+    prune_opacity: float = 0.005
+    #: s of s_a = s·σ(|L_a − L̂_a|) + 1 (the paper's eq. 17), times the gradient; 0: off.
+    scaling_strength: float = 0.0
+    #: Never more Gaussians (anchors × offsets) than this; the largest gradients come first. 0: no bound.
+    budget: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class AnchorRates:
+    """Learning rates, Scaffold-GS's; those with an end go there exponentially. Anchors never move."""
+
+    #: Times the scene's extent.
+    offsets: float = 0.01
+    offsets_final: float = 1e-4
+    features: float = 0.0075
+    log_scaling: float = 0.007
+    #: Ours; as 3DGS's constant coefficient, in ln radiance.
+    base_log_radiance: float = 0.0025
+    opacity: float = 0.002
+    opacity_final: float = 2e-5
+    covariance: float = 0.004
+    #: Also of the heads that Scaffold-GS does not have: illumination, shares of light, context.
+    colour: float = 0.008
+    colour_final: float = 5e-5
+
+    def by_group(self) -> dict[str, Rate]:
+        """A rate for each parameter and each network of ``Anchors``."""
+        colour = Rate(start=self.colour, final=self.colour_final, shape="exponential")
+        return {
+            "anchors": Rate(start=0.0),
+            "offsets": Rate(
+                start=self.offsets, final=self.offsets_final, shape="exponential", of_extent=True
+            ),
+            "features": Rate(start=self.features),
+            "log_scaling": Rate(start=self.log_scaling),
+            "base_log_radiance": Rate(start=self.base_log_radiance),
+            "opacity": Rate(start=self.opacity, final=self.opacity_final, shape="exponential"),
+            "covariance": Rate(start=self.covariance),
+            "colour": colour,
+            "illumination": colour,
+            "light_share": colour,
+            "context": colour,
+        }
 
 
 @dataclass(frozen=True, kw_only=True)
 class AnchorsConfig:
-    """Sizes of the backbone."""
+    """Sizes of the backbone, its rates and its growth."""
 
+    #: k: Gaussians of an anchor.
     offsets: int = 10
+    feature_size: int = 32
+    hidden: int = 32
+    #: ε, metres: the unit of placement and growth. Scaffold-GS's 0.001 is in the units of each scene's own
+    #: reconstruction, ours are metres: 0 takes the median distance to the neighbours over 16.
+    voxel_size: float = 0.0
+    #: One anchor for all points in a cell of this many voxels (Scaffold-GS: 1); more: fewer anchors.
+    placement: int = 1
+    #: Start from the brackets' radiance, one ln value a channel and anchor beside what the network says.
+    #: Off: the network alone (Scaffold-GS, GaussHDR), which starts near 1.
+    base_radiance: bool = True
+    #: λ of λ · mean(volume of the drawn Gaussians), in metres cubed.
+    volume_weight: float = 0.01
+    rates: AnchorRates = field(default_factory=AnchorRates)
+    growth: AnchorGrowthConfig = field(default_factory=AnchorGrowthConfig)
+
+    def __post_init__(self) -> None:
+        if self.offsets < 1 or self.placement < 1:
+            raise BadValueError("an anchor needs at least one Gaussian, and a cell at least one voxel")
+
+
+@dataclass(frozen=True)
+class AnchorSplats(Splats):
+    """The neural Gaussians with opacity above 0, and whence they are.
+
+    ``seen`` ``[V]`` int64: the anchors in the frustum. ``drawn`` ``[M]`` int64, ascending: the Gaussians
+    drawn, among the V·k of the anchors seen. ``opacity_sum`` ``[V]``: of all k, negative ones as 0.
+    """
+
+    seen: torch.Tensor = field(kw_only=True)
+    drawn: torch.Tensor = field(kw_only=True)
+    opacity_sum: torch.Tensor = field(kw_only=True)
 
 
 class Anchors(Backbone):
-    """Placeholder until the backbone is there."""
+    """N anchors with k Gaussians each; every tensor is a leaf that requires a gradient.
+
+    =====================  ==========  ===============================================================
+    ``anchors``            [N, 3]      metres; never moves
+    ``offsets``            [N, k, 3]   of the Gaussians, in units of exp(``log_scaling[:, :3]``)
+    ``features``           [N, F]      what the networks read
+    ``log_scaling``        [N, 6]      ln of the offsets' unit and of the Gaussians' largest scales, metres
+    ``base_log_radiance``  [N, 3]      only with ``base_radiance``
+    =====================  ==========  ===============================================================
+
+    ``networks``: ``opacity``, ``covariance``, ``colour``, ``illumination``; ``light_share`` and ``context``
+    where the method asks for them. Those names are also the groups that have learning rates.
+    """
 
     def __init__(self, config: AnchorsConfig, attributes: Attributes) -> None:
         self.config, self.attributes = config, attributes
-        self.parameters = {}
-        self.networks = nn.ModuleDict()
+        self.parameters: dict[str, torch.Tensor] = {}
+        #: ε, metres; known once anchors are placed.
+        self.voxel_size = config.voxel_size
+        k, feature, hidden = config.offsets, config.feature_size, config.hidden
+        seen_from = feature + DIRECTION
+        self.networks = nn.ModuleDict(
+            {
+                "opacity": Head(seen_from, hidden, k),
+                "covariance": Head(seen_from, hidden, 7 * k),
+                "colour": Head(seen_from, hidden, 3 * k, starts_at_zero=config.base_radiance),
+                "illumination": Head(feature, hidden, k, starts_at_zero=True),
+            }
+        )
+        if attributes.lights:
+            shares = attributes.lights * 3 * k
+            self.networks["light_share"] = Head(feature, hidden, shares, starts_at_zero=True)
+        if attributes.context_size:
+            self.networks["context"] = nn.Linear(feature, attributes.context_size, bias=False)
 
     @property
     def positions(self) -> torch.Tensor:
         return self.parameters["anchors"]
 
-    def place(self, positions: np.ndarray, log_radiance: np.ndarray, start: Start) -> None:
-        raise NotImplementedError
+    @property
+    def gaussian_count(self) -> int:
+        return len(self) * self.config.offsets
 
-    def splats(self, camera: Camera, sh_degree: int) -> Splats:
-        raise NotImplementedError
+    def rates(self) -> dict[str, Rate]:
+        return self.config.rates.by_group()
+
+    def place(self, positions: np.ndarray, log_radiance: np.ndarray, start: Start) -> None:
+        """One anchor in every cell that has a point, as large as the distance to its neighbours.
+
+        ``start.scale_factor`` multiplies that; its other fields have no meaning here: opacity is a network's.
+        """
+        spacing = _neighbour_distance(positions)
+        self.voxel_size = self.config.voxel_size
+        if self.voxel_size <= 0:
+            self.voxel_size = float(np.median(spacing)) / VOXELS_PER_SPACING
+        cell = self.voxel_size * self.config.placement
+        cells, member, members = np.unique(
+            np.round(positions / cell), axis=0, return_inverse=True, return_counts=True
+        )
+        anchors = cells * cell
+        sums = np.zeros((len(cells), 3))
+        np.add.at(sums, member.reshape(-1), log_radiance)
+        order = morton_order(torch.as_tensor(anchors)).numpy()
+        anchors, radiance = anchors[order], (sums / members[:, None])[order]
+        log_size = np.log(start.scale_factor * _neighbour_distance(anchors))
+        count, k = len(anchors), self.config.offsets
+        parameters = {
+            "anchors": torch.tensor(anchors, dtype=torch.float32),
+            "offsets": torch.zeros(count, k, 3),
+            "features": torch.zeros(count, self.config.feature_size),
+            "log_scaling": torch.tensor(log_size, dtype=torch.float32)[:, None].repeat(1, 6),
+        }
+        if self.config.base_radiance:
+            parameters["base_log_radiance"] = torch.tensor(radiance, dtype=torch.float32)
+        self.parameters = {name: tensor.requires_grad_() for name, tensor in parameters.items()}
+
+    @torch.no_grad()
+    def in_frustum(self, camera: Camera) -> torch.Tensor:
+        """``[V]`` int64: the anchors whose ellipsoids (unrotated) have a footprint on the screen."""
+        tensors = camera_tensors(camera, self.positions)
+        rotation, (fx, _, cx), (_, fy, cy) = tensors.view[:3, :3], *tensors.intrinsics[:2]
+        variance = (2.0 * self.parameters["log_scaling"][:, :3]).exp()
+        x, y, depth = (self.positions @ rotation.T + tensors.view[:3, 3]).unbind(1)
+        z = depth.clamp_min(NEAR_PLANE)
+        x, y = x / z, y / z
+        # Rows of the projection's Jacobian times the rotation, so Σ_xx = Σ_i across_i² s_i² + low pass.
+        across = (fx / z)[:, None] * (rotation[0] - x[:, None] * rotation[2])
+        down = (fy / z)[:, None] * (rotation[1] - y[:, None] * rotation[2])
+        reach_x = REACH * ((across * across * variance).sum(1) + LOW_PASS).sqrt()
+        reach_y = REACH * ((down * down * variance).sum(1) + LOW_PASS).sqrt()
+        column, row = fx * x + cx, fy * y + cy
+        seen = (depth > NEAR_PLANE) & (column + reach_x > 0) & (column - reach_x < camera.width)
+        seen &= (row + reach_y > 0) & (row - reach_y < camera.height)
+        return seen.nonzero().squeeze(1)
+
+    def outputs(self, seen: torch.Tensor, directions: torch.Tensor) -> dict[str, torch.Tensor]:
+        """What the networks say of the anchors ``seen`` ``[V]`` from ``directions`` ``[V, 3]`` (of length 1).
+
+        ``opacity`` ``[V·k]`` in (−1, 1), ``covariance`` ``[V·k, 7]``, ``colour`` ``[V·k, 3]``,
+        ``illumination`` ``[V·k, 1]``, ``light_share`` ``[V·k, C·3]``, and ``context`` ``[V, K]``.
+        """
+        features = self.parameters["features"].index_select(0, seen)
+        heads = {name: head for name, head in self.networks.items() if isinstance(head, Head)}
+        values = run_heads(list(heads.values()), torch.cat([features, directions], dim=1))
+        rows = seen.shape[0] * self.config.offsets
+        said = {
+            name: value.reshape(rows, value.shape[1] // self.config.offsets)
+            for name, value in zip(heads, values, strict=True)
+        }
+        said["opacity"] = said["opacity"].squeeze(1).tanh()
+        if "context" in self.networks:
+            said["context"] = self.networks["context"](features)
+        return said
+
+    def splats(self, camera: Camera, sh_degree: int) -> AnchorSplats:
+        """Only of the anchors in the frustum, and only Gaussians whose opacity is above 0."""
+        seen = self.in_frustum(camera)
+        position = camera_tensors(camera, self.positions).position
+        directions = nn.functional.normalize(self.positions.detach().index_select(0, seen) - position, dim=1)
+        said = self.outputs(seen, directions)
+        opacities = said["opacity"].detach()
+        drawn = (opacities > 0).nonzero().squeeze(1)
+        opacity_sum = opacities.clamp_min(0.0).reshape(-1, self.config.offsets).sum(1)
+        return self.neural_gaussians(said, seen, drawn, opacity_sum)
+
+    def neural_gaussians(
+        self,
+        said: dict[str, torch.Tensor],
+        seen: torch.Tensor,
+        drawn: torch.Tensor,
+        opacity_sum: torch.Tensor,
+    ) -> AnchorSplats:
+        """The Gaussians ``drawn`` ``[M]`` of what ``outputs`` said of the anchors ``seen``.
+
+        mean = anchor + offset · exp(scaling₁), scales = exp(scaling₂) · sigmoid(m₁₋₃), rotation = m₄₋₇.
+        """
+        k = self.config.offsets
+        row = drawn.div(k, rounding_mode="floor")
+        anchor = seen.index_select(0, row)
+        offsets = self.parameters["offsets"].flatten(0, 1).index_select(0, anchor * k + drawn - row * k)
+        scaling = self.parameters["log_scaling"].exp().index_select(0, anchor)
+        shape = said["covariance"].index_select(0, drawn)
+        colour = said["colour"].index_select(0, drawn)
+        if self.config.base_radiance:
+            colour = colour + self.parameters["base_log_radiance"].index_select(0, anchor)
+        share = said.get("light_share")
+        context = said.get("context")
+        return AnchorSplats(
+            means=self.positions.detach().index_select(0, anchor) + offsets * scaling[:, :3],
+            quaternions=shape[:, 3:],
+            scales=scaling[:, 3:] * shape[:, :3].sigmoid(),
+            opacities=said["opacity"].index_select(0, drawn),
+            log_reflectance=colour,
+            log_illumination=said["illumination"].index_select(0, drawn),
+            light_share=None if share is None else self._shares(share.index_select(0, drawn)),
+            context=None if context is None else context.index_select(0, row),
+            seen=seen,
+            drawn=drawn,
+            opacity_sum=opacity_sum,
+        )
+
+    def _shares(self, logits: torch.Tensor) -> torch.Tensor:
+        """As ``Gaussians.light_share``, from logits ``[M, C·3]``: a softmax with what no light turns."""
+        logits = logits.reshape(-1, self.attributes.lights, 3)
+        return nn.functional.pad(logits, (0, 0, 0, 1)).softmax(dim=1)[:, :-1]
+
+    def regulariser(self, splats: Splats) -> torch.Tensor | None:
+        """Scaffold-GS's: the mean volume of what is drawn, weighted."""
+        if not self.config.volume_weight:
+            return None
+        volumes = splats.scales.prod(dim=1)
+        return self.config.volume_weight * volumes.sum() / max(volumes.shape[0], 1)
 
     def fixed(self, cameras: Sequence[Camera]) -> Backbone:
-        raise NotImplementedError
+        from .anchors_fixed import fix_anchors  # here, as nothing else needs SH
+
+        return fix_anchors(self, cameras)
+
+
+def _neighbour_distance(points: np.ndarray) -> np.ndarray:
+    """Root mean square distance ``[P]`` to the three nearest neighbours; few: ``BadValueError``."""
+    if len(points) < 4:
+        raise BadValueError(
+            f"{len(points)} initial points or cells are too few to start from",
+            "Give the data set a points3d.ply with more points, lower --anchors.voxel-size, or train with "
+            "--initial-points random.",
+        )
+    from scipy.spatial import KDTree  # here, because only this needs SciPy
+
+    distances, _ = KDTree(points).query(points, k=4, workers=-1)
+    return np.sqrt(np.mean(distances[:, 1:] ** 2, axis=1)).clip(1e-5)
