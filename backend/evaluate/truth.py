@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The true radiance of a data set. Only evaluation may ask for it: no module that trains imports this."""
+"""The true radiance of a data set, in whichever layout. Only evaluation may ask for it: no module that trains
+imports this, and no ``Scene`` leads here.
+"""
 
 import json
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,14 +17,41 @@ from ...bridge.lights import AMBIENT, check_lights, in_words, named_levels
 from ..scene.pictures import read_exr
 
 
+@dataclass(frozen=True)
+class _Place:
+    """Where a layout keeps its true radiance: a folder, and the name of a pose's file in it."""
+
+    folder: Callable[[str], str]
+    file: Callable[[str, int], str]
+
+    def path(self, root: Path, split: str, index: int) -> Path:
+        return root / self.folder(split) / self.file(split, index)
+
+
+#: HDR-NeRF-Syn's and ours; GaussHDR's packaging; HDR-GS's, which has all poses in one folder.
+_PLACES = (
+    _Place(lambda split: f"{split}_hdr", lambda split, index: f"hdr_{index:03d}.exr"),
+    _Place(lambda split: "images_hdr", lambda split, index: f"{split}_hdr_{index:03d}.exr"),
+    _Place(lambda split: "exr", lambda split, index: f"{index}.exr"),
+)
+
+
+def _place(root: Path, split: str) -> _Place | None:
+    """The layout's place of truth; None where there is none. A folder that is there but empty counts."""
+    return next((place for place in _PLACES if (Path(root) / place.folder(split)).is_dir()), None)
+
+
 def hdr_truth_path(root: Path, split: str, index: int) -> Path:
-    """Where the true radiance of pose ``index`` of ``split`` (train, test, lit) lies: ``hdr_003.exr``."""
-    return Path(root) / f"{split}_hdr" / f"hdr_{index:03d}.exr"
+    """Where the true radiance of pose ``index`` of ``split`` (train, test, lit) lies, or would lie.
+
+    ``test_hdr/hdr_003.exr``, ``images_hdr/test_hdr_003.exr`` (GaussHDR) or ``exr/3.exr`` (HDR-GS).
+    """
+    return (_place(root, split) or _PLACES[0]).path(Path(root), split, index)
 
 
 def has_hdr_truth(root: Path, split: str) -> bool:
     """Whether the data set knows the true radiance of ``split`` at all (photographs do not)."""
-    return (Path(root) / f"{split}_hdr").is_dir()
+    return _place(root, split) is not None
 
 
 def hdr_truth(root: Path, split: str, index: int) -> torch.Tensor:

@@ -7,6 +7,7 @@ the 3DGS lineage (HDR-GS, GaussHDR) resamples with Pillow's bicubic filter.
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -26,7 +27,7 @@ WIDEST = 1600
 class Reduction:
     """Pictures ``factor`` times smaller on each side.
 
-    ``area``: the mean of each block of pixels, where the factor is a whole number (others are bicubic).
+    ``area``: the mean of each block of pixels, where the size is a multiple of the factor (else bicubic).
     """
 
     factor: float = 1.0
@@ -43,7 +44,7 @@ class Reduction:
         """The reduced size, rounded, at least one pixel."""
         return max(1, round(width / self.factor)), max(1, round(height / self.factor))
 
-    def read(self, path) -> np.ndarray:
+    def read(self, path: Path) -> np.ndarray:
         """``[h, w, 3]`` uint8: a picture from disk, reduced; raises what ``read_picture`` raises."""
         return self.picture(read_picture(path))
 
@@ -51,8 +52,17 @@ class Reduction:
         """``[H, W, 3]`` uint8 → ``[h, w, 3]`` uint8."""
         if self.factor == 1.0:
             return picture
-        size = self.size(picture.shape[1], picture.shape[0])
-        return np.array(Image.fromarray(picture).resize(size, self._resampling))
+        height, width = picture.shape[:2]
+        image = Image.fromarray(picture)
+        if self._averages(width, height):
+            # Not resize(…, BOX): that rounds to 8 bits twice, a quarter of a code too bright on average.
+            return np.array(image.reduce(round(self.factor)))
+        # Pillow widens the filter with the factor, so that nothing aliases.
+        return np.array(image.resize(self.size(width, height), Image.Resampling.BICUBIC))
+
+    def _averages(self, width: int, height: int) -> bool:
+        """Whether each pixel is the plain mean of a block: where blocks fill the picture."""
+        return self.filter == "area" and width % self.factor == 0 and height % self.factor == 0
 
     def camera(self, camera: Camera) -> Camera:
         """The camera of the reduced picture: the same view."""
@@ -63,14 +73,8 @@ class Reduction:
         if self.factor == 1.0:
             return f"pictures are used as they are, {width}×{height}"
         small = self.size(width, height)
-        how = "area average" if self._resampling == Image.Resampling.BOX else "bicubic"
+        how = "area average" if self._averages(width, height) else "bicubic"
         return f"pictures are reduced by {self.factor:g}, {width}×{height} to {small[0]}×{small[1]} ({how})"
-
-    @property
-    def _resampling(self) -> Image.Resampling:
-        if self.filter == "area" and self.factor == round(self.factor):
-            return Image.Resampling.BOX  # of a whole factor: the plain mean of each block
-        return Image.Resampling.BICUBIC  # Pillow widens the filter with the factor, so nothing aliases
 
 
 def capped(width: int) -> float:

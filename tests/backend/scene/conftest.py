@@ -8,15 +8,25 @@ from types import ModuleType
 import pytest
 
 
-@pytest.fixture(scope="session")
-def small() -> ModuleType:
-    """The module ``small_data_set`` beside this file (test folders are not packages)."""
-    path = Path(__file__).with_name("small_data_set.py")
-    spec = importlib.util.spec_from_file_location("small_data_set", path)
+def _beside(name: str) -> ModuleType:
+    """The module ``name`` beside this file (test folders are not packages)."""
+    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="session")
+def small() -> ModuleType:
+    """The module ``small_data_set``: our own layout."""
+    return _beside("small_data_set")
+
+
+@pytest.fixture(scope="session")
+def layouts() -> ModuleType:
+    """The module ``layouts``: all the others."""
+    return _beside("layouts")
 
 
 @pytest.fixture

@@ -1,0 +1,375 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Every layout of the peers and of users: what comes out of a folder that is whole.
+
+Axes, quaternions, principal points and reductions are checked where it counts: a point of the world,
+projected through the view's camera, must fall on the spot that was drawn for it by another formula.
+"""
+
+import json
+import shutil
+from collections.abc import Iterable
+from io import BytesIO
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from physhdr.backend.evaluate import truth
+from physhdr.backend.scene import Scene, View, read_scene
+from physhdr.backend.scene.gausshdr import published_factor
+from physhdr.bridge.errors import BadValueError
+
+#: Pixels by which a spot's measured centre may be off: JPEG, 8 bits and, where reduced, resampling.
+HIT = 0.06
+
+WRITERS = ["write_syn", "write_real", "write_gausshdr", "write_hdr_gs", "write_colmap", "write_nerfstudio"]
+
+
+def assert_points_are_on_their_spots(layouts: ModuleType, scene: Scene) -> None:
+    for view, i in scene.pictures():
+        camera = view.camera
+        x, y, z, _ = camera.world_to_camera @ np.c_[layouts.POINTS, np.ones(3)].T
+        assert (z > 0.0).all(), f"{view.name}: points are behind the camera"
+        expected = np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], axis=1)
+        found = layouts.spots(view.image(i), view.bracket[i])
+        np.testing.assert_allclose(found, expected, atol=HIT, err_msg=f"{view.name}, exposure {i}")
+
+
+def darkest(view: View, i: int) -> int:
+    return int(np.median(view.image(i)))
+
+
+@pytest.mark.parametrize("writer", WRITERS)
+@pytest.mark.parametrize("downscale", [None, 2, 2.5])
+def test_points_project_onto_their_pictures(
+    layouts: ModuleType, tmp_path: Path, writer: str, downscale: float | None
+) -> None:
+    scene = read_scene(getattr(layouts, writer)(tmp_path / "data"), downscale)
+    assert scene.train and scene.test
+    assert_points_are_on_their_spots(layouts, scene)
+
+
+@pytest.mark.parametrize(
+    ("writer", "layout", "train", "test", "anchor"),
+    [
+        ("write_syn", "HDR-NeRF-Syn", [0, 2, 4], [1, 3], (1.0, 0.73)),
+        ("write_real", "HDR-NeRF-Real", [0, 2, 4], [1, 3], None),
+        ("write_gausshdr", "GaussHDR", [0, 2, 4], [1, 3], (1.0, 0.73)),
+        # Names as text: 0, 1, 10, 11, 2, 3 … of which every second one is for testing.
+        ("write_hdr_gs", "HDR-GS", [0, 10, 2, 4, 6, 8], [1, 11, 3, 5, 7, 9], (1.0, 0.73)),
+        ("write_colmap", "COLMAP", [1, 2, 3, 4, 5, 6, 7, 9], [0, 8], None),
+        ("write_nerfstudio", "nerfstudio", [1, 2, 3, 4, 5, 6, 7], [0, 8], None),
+    ],
+)
+def test_each_layout_has_its_split_and_anchor(
+    layouts: ModuleType, tmp_path: Path, writer, layout, train, test, anchor
+) -> None:
+    scene = read_scene(getattr(layouts, writer)(tmp_path / "dog"))
+    assert (scene.layout, scene.name, scene.response_anchor) == (layout, "dog", anchor)
+    assert [view.index for view in scene.train] == train
+    assert [view.index for view in scene.test] == test
+    assert any("split" in message for message in scene.messages)
+    assert any("exposures" in message for message in scene.messages)
+    assert any("pictures" in message for message in scene.messages)
+
+
+@pytest.mark.parametrize("writer", ["write_syn", "write_gausshdr", "write_hdr_gs"])
+def test_truth_is_found_by_evaluation_and_never_opened_by_readers(
+    layouts: ModuleType, tmp_path: Path, writer: str
+) -> None:
+    root = getattr(layouts, writer)(tmp_path / "data")
+    for split, index in (("train", 2), ("test", 3)):
+        assert truth.has_hdr_truth(root, split)
+        assert float(truth.hdr_truth(root, split, index).mean()) == 10.0 + index
+    for path in root.rglob("*.exr"):
+        path.write_bytes(b"law 6")
+    scene = read_scene(root)
+    for view, i in scene.pictures():
+        view.image(i)
+
+
+@pytest.mark.parametrize("writer", ["write_real", "write_colmap", "write_nerfstudio"])
+def test_photographs_have_no_truth(layouts: ModuleType, tmp_path: Path, writer: str) -> None:
+    root = getattr(layouts, writer)(tmp_path / "data")
+    assert not truth.has_hdr_truth(root, "train") and not truth.has_hdr_truth(root, "test")
+
+
+@pytest.mark.parametrize("factor", [0.5, 0.0, -2.0, float("nan"), float("inf")])
+def test_pictures_are_not_enlarged(layouts: ModuleType, tmp_path: Path, factor: float) -> None:
+    root = layouts.write_nerfstudio(tmp_path / "data")
+    with pytest.raises(BadValueError, match=r"cannot be reduced by[\s\S]*2 is half the size"):
+        read_scene(root, factor)
+
+
+# ---- reduction ---------------------------------------------------------------------------------------
+
+
+def replace_all(paths: Iterable[Path], picture: np.ndarray) -> None:
+    """Each of these files becomes ``picture``."""
+    content = BytesIO()
+    Image.fromarray(picture).save(content, "PNG", compress_level=1)
+    for path in list(paths):
+        path.write_bytes(content.getvalue())
+
+
+def test_the_originals_of_hdr_nerf_are_halved_by_averaging_areas(layouts: ModuleType, tmp_path: Path) -> None:
+    root = layouts.write_syn(tmp_path / "bear", exposures=(1.0,))
+    noise = np.random.default_rng(0).integers(0, 256, (800, 800, 4), dtype=np.uint8)
+    replace_all(root.glob("t*/*.png"), noise)
+    scene = read_scene(root)
+    view = scene.train[0]
+    assert (view.camera.width, view.camera.height) == (400, 400)
+    assert view.camera.fx == pytest.approx(layouts.FX * 400 / layouts.WIDTH) and view.camera.cx == 200.0
+    mean = noise[..., :3].astype(float).reshape(400, 2, 400, 2, 3).mean((1, 3))
+    assert np.abs(view.image(0) - mean).max() <= 0.5
+    assert "pictures are reduced by 2, 800×800 to 400×400 (area average)" in scene.messages
+    assert read_scene(root, 1).train[0].camera.width == 800
+    info = {"format": "physhdr-dataset", "version": 1, "scene": "mine"}
+    (root / "dataset.json").write_text(json.dumps(info))
+    assert read_scene(root).train[0].camera.width == 800, "ours is read as it is"
+
+
+def test_gausshdr_reduces_as_its_paper(layouts: ModuleType, tmp_path: Path) -> None:
+    assert [published_factor(*size) for size in ((800, 800), (3216, 2136), (5952, 4476))] == [2, 4, 6]
+    # Others: 3DGS's rule, at most 1600 wide.
+    assert [published_factor(*size) for size in ((400, 400), (1600, 1200), (4000, 3000))] == [1, 1, 2.5]
+    root = layouts.write_gausshdr(tmp_path / "sofa")
+    noise = np.random.default_rng(0).integers(0, 256, (800, 800, 3), dtype=np.uint8)
+    replace_all(root.glob("images/*.png"), noise)
+    layouts.write_sparse(  # as COLMAP has them at that size
+        root / "sparse" / "0",
+        {f"{('train', 'test')[i % 2]}_r_{i}_0.png": i for i in range(5)},
+        params=(750.0, 750.0, 400.0, 400.0),
+        size=(800, 800),
+    )
+    view = read_scene(root).train[0]
+    # GaussHDR's: Pillow's resize with its default filter.
+    np.testing.assert_array_equal(view.image(0), np.array(Image.fromarray(noise).resize((400, 400))))
+    assert (view.camera.fx, view.camera.cx) == (375.0, 200.0)
+
+
+def test_only_reduced_pictures_are_kept(layouts: ModuleType, tmp_path: Path) -> None:
+    view = read_scene(layouts.write_gausshdr(tmp_path / "data"), 2).train[0]
+    assert view.image(1) is view.image(1) and not view.image(1).flags.writeable
+    assert view.cache.bytes_held == 36 * 48 * 3
+
+
+def test_cameras_that_were_found_at_another_size_are_fitted(layouts: ModuleType, tmp_path: Path) -> None:
+    """COLMAP may have been run on pictures of half the size."""
+    half = tuple(value / 2 for value in (layouts.FX, layouts.FY, layouts.CX, layouts.CY))
+    root = layouts.write_colmap(tmp_path / "data", params=half, size=(48, 36))
+    assert_points_are_on_their_spots(layouts, read_scene(root))
+
+
+# ---- HDR-NeRF-Real -----------------------------------------------------------------------------------
+
+
+def test_hdr_nerf_real_takes_pictures_that_are_reduced_already(layouts: ModuleType, tmp_path: Path) -> None:
+    root = layouts.write_real(tmp_path / "flower", poses=2, scale=8.0)
+    for path in list((root / "input_images").glob("*.jpg")):
+        with Image.open(path) as picture:
+            small = np.array(picture.reduce(4))
+        layouts.save(root / "input_images_4" / f"{path.stem}.png", small)
+        path.unlink()
+    scene = read_scene(root)
+    view = scene.test[0]
+    assert view.image_paths[0].name == "001_0.png" and view.camera.width == 192
+    assert view.exposures == (2.0, 0.5, 0.125) and view.bracket == (0, 1, 2)
+    assert_points_are_on_their_spots(layouts, scene)
+    assert any("input_images_4/" in message for message in scene.messages)
+
+
+def test_hdr_nerf_real_with_colmaps_cameras(layouts: ModuleType, tmp_path: Path) -> None:
+    """As HDR-GS packages it: cameras and points of sparse/0; a pose that COLMAP lost is named."""
+    root = layouts.write_real(tmp_path / "box")
+    rows = np.load(root / "poses_bounds_exps.npy")
+    rows[:, 3] += 5.0  # other cameras than the model's
+    np.save(root / "poses_bounds_exps.npy", rows)
+    params = (layouts.FX, layouts.FX, layouts.WIDTH / 2, layouts.HEIGHT / 2)
+    layouts.write_sparse(root / "sparse" / "0", {f"{i:03d}_0.jpg": i for i in (0, 1, 2, 4)}, params=params)
+    scene = read_scene(root)
+    assert_points_are_on_their_spots(layouts, scene)
+    assert [view.index for view in scene.train] == [0, 2, 4] and [view.index for view in scene.test] == [1]
+    assert scene.points is not None and any("left out: 003" in message for message in scene.messages)
+
+
+# ---- GaussHDR ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("suffix", ["png", "jpg"])
+@pytest.mark.parametrize("form", ["bin", "txt"])
+def test_exposures_that_were_not_taken_keep_the_others_places(
+    layouts: ModuleType, tmp_path: Path, suffix: str, form: str
+) -> None:
+    root = layouts.write_gausshdr(tmp_path / "coffee", {0: (1, 3), 1: (1, 3), 2: (4,)}, suffix, form)
+    scene = read_scene(root)
+    first = scene.find("train", 0)
+    assert first.bracket == (0, 2, 4) and first.exposures == (0.125, 2.0, 32.0)
+    assert [darkest(first, i) for i in range(3)] == pytest.approx([10, 50, 90], abs=1)
+    assert first.place_of(2) == 1 and first.place_of(3) is None
+    assert scene.find("train", 2).bracket == (0, 1, 2, 3)
+    assert scene.find("test", 3).bracket == (0, 1, 2, 3, 4)
+    assert "exposures are missing: 1 in 2, 3 in 2, 4 in 1 of 5 poses" in scene.messages
+    assert scene.points is not None
+    np.testing.assert_array_equal(scene.points.positions, layouts.POINTS.astype(np.float32))
+    np.testing.assert_allclose(scene.points.colours[2], [0.0, 0.0, 0.2], atol=1e-7)
+    assert_points_are_on_their_spots(layouts, scene)
+
+
+def test_without_true_radiance_nothing_is_known_of_the_response(layouts: ModuleType, tmp_path: Path) -> None:
+    root = layouts.write_gausshdr(tmp_path / "plant", suffix="jpg")
+    assert read_scene(root).response_anchor is None
+    info = {"scene": "mine", "response": {"anchor": [1.0, 0.5]}}
+    (root / "dataset.json").write_text(json.dumps(info))
+    scene = read_scene(root)
+    assert (scene.name, scene.response_anchor) == ("mine", (1.0, 0.5))
+
+
+# ---- COLMAP ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("form", ["bin", "txt"])
+@pytest.mark.parametrize(
+    ("model", "params"),
+    [
+        ("SIMPLE_PINHOLE", lambda L: (L.FX, L.CX, L.CY)),
+        ("PINHOLE", lambda L: (L.FX, L.FY, L.CX, L.CY)),
+        ("OPENCV", lambda L: (L.FX, L.FY, L.CX, L.CY, 0.0, 0.0, 0.0, 0.0)),
+    ],
+)
+def test_pinhole_cameras_of_colmap(layouts: ModuleType, tmp_path: Path, form, model, params) -> None:
+    root = layouts.write_colmap(tmp_path / "data", form=form, model=model, params=params(layouts), poses=2)
+    camera = read_scene(root).train[0].camera
+    fy = layouts.FX if model == "SIMPLE_PINHOLE" else layouts.FY
+    assert (camera.fx, camera.fy, camera.cx, camera.cy) == (layouts.FX, fy, layouts.CX, layouts.CY)
+
+
+def test_exposures_are_read_from_exif(layouts: ModuleType, tmp_path: Path) -> None:
+    """Time × ISO / 100 × (F / f)², F the median: double ISO is double time, one stop down is half."""
+    root = layouts.write_colmap(tmp_path / "data", poses=2)
+    told = {0: (0.01, 100, 8.0), 1: (0.01, 400, 8.0), 2: (0.64, 100, 16.0)}
+    for index in range(2):
+        for k, tags in told.items():
+            exif = layouts.camera_exif(*tags)
+            layouts.save(root / "images" / f"shot_{index:02d}_{k}.jpg", layouts.draw(index, k), exif=exif)
+    scene = read_scene(root)
+    assert scene.train[0].exposures == pytest.approx((0.01, 0.04, 0.16), rel=1e-3)
+    assert "exposures from EXIF, seconds at ISO 100 and f/8" in scene.messages
+
+
+def test_what_no_picture_tells_counts_as_constant(layouts: ModuleType, tmp_path: Path) -> None:
+    root = layouts.write_colmap(tmp_path / "data", poses=2)
+    for path in sorted((root / "images").glob("*.jpg")):
+        k = int(path.stem[-1])
+        exif = layouts.camera_exif(0.1 * 2**k, None, 0.0)  # a lens without contacts has F 0
+        layouts.save(path, layouts.draw(int(path.stem[5:7]), k), exif=exif)
+    scene = read_scene(root)
+    assert scene.train[0].exposures == pytest.approx((0.1, 0.2, 0.4), rel=1e-3)
+    assert any(
+        "no picture tells its ISO" in m and "no picture tells its aperture" in m for m in scene.messages
+    )
+
+
+def test_a_stated_exposure_comes_before_exif(layouts: ModuleType, tmp_path: Path) -> None:
+    root = layouts.write_colmap(tmp_path / "data", poses=3)
+    stated = {f"images/shot_{i:02d}_{k}.jpg": 3.0 ** (k + 1) for i in range(3) for k in range(3)}
+    del stated["images/shot_01_1.jpg"]
+    (root / "exposure.json").write_text(json.dumps(stated))
+    scene = read_scene(root)
+    assert scene.layout == "COLMAP" and scene.train[1].exposures == (3.0, 9.0, 27.0)
+    assert scene.train[0].bracket == (0, 2), "a picture without an entry is left out"
+
+
+def test_the_camera_of_a_bracket_is_that_with_the_most_points(layouts: ModuleType, tmp_path: Path) -> None:
+    """All pictures of the brackets are in the model, each where structure from motion put it."""
+    root = layouts.write_colmap(tmp_path / "data", registered=(0, 1, 2), poses=4)
+    images = {f"shot_{i:02d}_{k}.jpg": i if k == 1 else (i + 1) % 4 for i in range(4) for k in range(3)}
+    most = {name: 9 for name in images if name.endswith("_1.jpg")}
+    for form in ("bin", "txt"):
+        shutil.rmtree(root / "sparse")
+        layouts.write_sparse(root / "sparse" / "0", images, form, observations=most)
+        scene = read_scene(root)
+        assert_points_are_on_their_spots(layouts, scene)
+        assert any("cameras of one bracket are up to" in message for message in scene.messages)
+
+
+def test_pictures_that_are_no_brackets_are_views(layouts: ModuleType, tmp_path: Path) -> None:
+    """frame_00012 is a number, not a bracket; frame_1 … frame_9 of one exposure are none either."""
+    for name, message in (("frame_{:05d}.jpg", "one exposure a view"), ("frame_{}.jpg", "have one exposure")):
+        root = tmp_path / str(len(name))
+        images = {name.format(i): i for i in range(9)}
+        for file, i in images.items():
+            layouts.save(root / "images" / file, layouts.draw(i, 0), exif=layouts.camera_exif(0.02))
+        layouts.write_sparse(root / "sparse", images)  # as image_undistorter leaves it, without the 0
+        scene = read_scene(root)
+        assert len(scene.train) == 7 and len(scene.test) == 2
+        assert all(view.exposures == pytest.approx((0.02,)) for view in [*scene.train, *scene.test])
+        assert any(message in told for told in scene.messages)
+        assert_points_are_on_their_spots(layouts, scene)
+
+
+def test_plain_pictures_without_exif_are_ldr(layouts: ModuleType, tmp_path: Path) -> None:
+    images = {f"cam/view {i:03d}.png": i for i in range(3)}
+    for file, i in images.items():
+        layouts.save(tmp_path / "images" / file, layouts.draw(i, 0))
+    layouts.write_sparse(tmp_path / "sparse" / "0", images, "txt")
+    scene = read_scene(tmp_path)
+    assert scene.train[0].exposures == (1.0,) and scene.train[0].name == "cam/view 001"
+    assert any("no exposures are known" in message for message in scene.messages)
+    assert_points_are_on_their_spots(layouts, scene)
+
+
+def test_names_decide_the_split_only_as_words(layouts: ModuleType, tmp_path: Path) -> None:
+    for names, test in (
+        (["train/a.png", "test/b.png", "train/c.png"], ["test/b"]),
+        (["latest_a.png", "latest_b.png", "trainer_c.png"], ["latest_a"]),  # no words: every eighth
+    ):
+        root = tmp_path / test[0].replace("/", "")
+        for i, name in enumerate(names):
+            layouts.save(root / "images" / name, layouts.draw(i, 0))
+        layouts.write_sparse(root / "sparse" / "0", {name: i for i, name in enumerate(names)})
+        assert [view.name for view in read_scene(root).test] == test
+
+
+# ---- nerfstudio --------------------------------------------------------------------------------------
+
+
+def test_nerfstudio_with_intrinsics_in_each_frame(layouts: ModuleType, tmp_path: Path) -> None:
+    root = layouts.write_nerfstudio(tmp_path / "data")
+    content = json.loads((root / "transforms.json").read_text())
+    for frame in content["frames"]:
+        frame |= {key: content[key] for key in ("fl_x", "fl_y", "cx", "cy", "w", "h")}
+        frame["file_path"] = "./" + frame["file_path"].removesuffix(".png")
+        frame["exposure_time"] = 0.25
+    for key in ("fl_x", "fl_y", "cx", "cy", "w", "h"):
+        content[key] = 7.0
+    (root / "transforms.json").write_text(json.dumps(content))
+    scene = read_scene(root)
+    assert scene.train[0].exposures == (0.25,)
+    assert "exposures from 'exposure_time' in transforms.json" in scene.messages
+    assert_points_are_on_their_spots(layouts, scene)
+
+
+def test_nerfstudio_with_fields_of_view_lists_and_points(layouts: ModuleType, tmp_path: Path) -> None:
+    (tmp_path / "sparse_pc.ply").write_text(
+        "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
+        "property uchar red\nproperty uchar green\nproperty uchar blue\nend_header\n1 2 3 0 51 255\n"
+    )
+    root = layouts.write_nerfstudio(
+        tmp_path,
+        camera_angle_x=2.0 * np.arctan(0.5 * layouts.WIDTH / layouts.FX),
+        camera_angle_y=2.0 * np.arctan(0.5 * layouts.HEIGHT / layouts.FY),
+        train_filenames=["images/frame_00001.png", "./images/frame_00002.png"],
+        test_filenames=["images/frame_00005.png"],
+        ply_file_path="sparse_pc.ply",
+    )
+    content = json.loads((root / "transforms.json").read_text())
+    del content["fl_x"], content["fl_y"]
+    (root / "transforms.json").write_text(json.dumps(content))
+    scene = read_scene(root)
+    assert [view.index for view in scene.train] == [1, 2] and [view.index for view in scene.test] == [5]
+    assert any("6 frames are in neither" in message for message in scene.messages)
+    assert scene.points is not None and scene.points.positions.tolist() == [[1, 2, 3]]
+    assert_points_are_on_their_spots(layouts, scene)
