@@ -3,7 +3,9 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
+
+import tyro
 
 from ...bridge.lights import AMBIENT
 from ..kernels.warmup import Needs
@@ -11,10 +13,11 @@ from ..model.anchors import Anchors, AnchorsConfig
 from ..model.backbone import Attributes, Backbone
 from ..model.gaussians import Gaussians
 from ..rasterize import Implementation
-from . import physhdr
+from . import hdr_nerf, physhdr
 from .base import Method
 
-MethodConfig = physhdr.PhysHDRConfig
+#: The command line keeps --method.… flags, of the preset's method, where there are several to choose from.
+MethodConfig = Annotated[physhdr.PhysHDRConfig | hdr_nerf.HDRNeRFConfig, tyro.conf.AvoidSubcommands]
 
 
 @dataclass(frozen=True)
@@ -49,8 +52,13 @@ def _physhdr(config: physhdr.PhysHDRConfig, anchors: AnchorsConfig | None, facts
     return physhdr.PhysHDR(config, backbone, facts.anchor, facts.implementation, facts.lights)
 
 
+def _hdr_nerf(config: hdr_nerf.HDRNeRFConfig, anchors: AnchorsConfig | None, facts: Facts) -> Method:
+    return hdr_nerf.HDRNeRF(config, facts.anchor)
+
+
 ENTRIES: dict[type, Entry] = {
     physhdr.PhysHDRConfig: Entry("physhdr", _physhdr, physhdr.kernels_needed),
+    hdr_nerf.HDRNeRFConfig: Entry("hdr-nerf", _hdr_nerf, hdr_nerf.kernels_needed),
 }
 
 
