@@ -25,6 +25,7 @@ from . import truth
 from .lpips import SMALLEST_SIDE, Lpips
 from .metrics import hdr_normaliser, hdr_pair, psnr, quantise, resize_to, scale_ratio, ssim
 from .published import data_set_of
+from .response import check_response, learned_response, true_response
 from .results import Evaluation, HdrRow, LdrRow, Metrics, RelitRow
 
 
@@ -70,13 +71,14 @@ def evaluate(
     started = time.monotonic()
     relit = truth.relit_truth(scene.root)
     unknown = [item for item in relit if not item.can_be_shown(renderer.lights)]
-    messages = _what_is_left_out(scene, lpips, relit, unknown)
+    messages = [*getattr(renderer, "remarks", ()), *_what_is_left_out(scene, lpips, relit, unknown)]
     relit = [item for item in relit if item not in unknown]
     camera = scene.test[0].camera
     if min(camera.width, camera.height) < SMALLEST_SIDE:
         lpips = None
     step = _Steps(2 * len(scene.test) + len(relit), progress)
 
+    learned = learned_response(renderer)
     ldr = []
     for view in scene.test:
         step(f"LDR {view.name}")
@@ -102,6 +104,7 @@ def evaluate(
         messages=messages,
         seconds=time.monotonic() - started,
         data_set=data_set_of(scene),
+        response=None if learned is None else check_response(learned, true_response(scene, learned)),
     )
 
 

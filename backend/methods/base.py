@@ -114,6 +114,11 @@ class Method(nn.Module, ABC):
         """Move everything; an optimiser must be made after this."""
 
     @property
+    def remarks(self) -> tuple[str, ...]:
+        """What every report on this model must say, such as that it has seen what others may not."""
+        return ()
+
+    @property
     def can_relight(self) -> bool:
         """Whether light can be turned apart from the exposure; without, a level only scales."""
         return False
@@ -163,6 +168,11 @@ class SplattingMethod(Method):
     @abstractmethod
     def radiance_of(self, splats: Splats, levels: tuple[float, ...] | None) -> torch.Tensor:
         """Scene-linear colours ``[M, 3]`` of splats; ``levels`` None: as captured."""
+
+    @property
+    def first_response(self) -> ToneMapper:
+        """The response by which pictures say how bright the first points are, and where stereo finds them."""
+        return self.tone_mapper
 
     @property
     def composes_by_product(self) -> bool:

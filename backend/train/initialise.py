@@ -53,10 +53,14 @@ def random_points(views: list[View], count: int, seed: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class FirstPoints:
-    """Where Gaussians start, ``positions`` ``[P, 3]`` (metres), and whence: a line for the user."""
+    """Where Gaussians start, ``positions`` ``[P, 3]`` (metres), and whence: a line for the user.
+
+    ``colours`` ``[P, 3]`` in [0, 1]: those of the data set's points, None where they come from elsewhere.
+    """
 
     positions: np.ndarray
     message: str
+    colours: np.ndarray | None = None
 
 
 def initial_points(
@@ -77,7 +81,8 @@ def initial_points(
     """
     points = _points(scene, views, exposures, tone_mapper, source, random_count, seed)
     order = morton_order(torch.as_tensor(points.positions)).numpy()
-    return FirstPoints(points.positions[order], points.message)
+    colours = None if points.colours is None else points.colours[order]
+    return FirstPoints(points.positions[order], points.message, colours)
 
 
 def _points(
@@ -96,8 +101,8 @@ def _points(
             "of structure from motion.",
         )
     if source in ("auto", "file") and scene.points is not None:
-        positions = scene.points.positions.astype(np.float64)
-        return FirstPoints(positions, f"{len(positions)} points of the data set")
+        positions, colours = (a.astype(np.float64) for a in (scene.points.positions, scene.points.colours))
+        return FirstPoints(positions, f"{len(positions)} points of the data set", colours)
     why = "as asked for"
     if source != "random":
         votes = Votes(tone_mapper)

@@ -107,8 +107,11 @@ class Trainer:
         return allowed
 
     def _place(self, method: SplattingMethod) -> None:
-        """Put the backbone's first primitives where the scene is, as bright as the brackets say."""
-        config = self.config
+        """Put the backbone's first primitives where the scene is, as bright as the brackets say.
+
+        Where a method wants ``initial_radiance`` of the points, ln radiance is their colour (HDR-GS).
+        """
+        config, response = self.config, method.first_response
         # Only views under the standard light say how bright a point is at level 1.
         standard = [(v, e) for v, e in zip(self.views, self.exposures, strict=True) if v.is_standard]
         views, exposures = [v for v, _ in standard], [e for _, e in standard]
@@ -116,7 +119,7 @@ class Trainer:
             self.scene,
             views,
             exposures,
-            method.tone_mapper,
+            response,
             source=config.initial_points,
             random_count=config.random_points,
             seed=config.seed,
@@ -128,7 +131,9 @@ class Trainer:
             ambient_share=config.initial_ambient_share,
             seed=config.seed,
         )
-        radiance = merged_log_radiance(points.positions, views, exposures, method.tone_mapper)
+        radiance = points.colours if getattr(config.method, "initial_radiance", "") == "points" else None
+        if radiance is None:
+            radiance = merged_log_radiance(points.positions, views, exposures, response)
         method.backbone.place(points.positions, radiance, start)
 
     # -- one iteration -----------------------------------------------------------------------------------
