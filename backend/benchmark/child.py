@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""``python -m physhdr.backend.benchmark.child THREADS USAGE COMMAND…``: the command ``physhdr``, watched.
+
+Computes with THREADS threads, ends when the benchmark that started it dies, and leaves in the file USAGE what
+the process needed at most.
+"""
+
+import json
+import signal
+import sys
+from pathlib import Path
+from typing import Any
+
+PR_SET_PDEATHSIG = 1  # Linux, prctl(2)
+
+
+def main(argv: list[str]) -> int:
+    threads, usage, *command = argv
+    if sys.platform == "linux":
+        import ctypes
+
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+    import torch
+
+    from ..cli import main as physhdr
+    from ..simd.threads import set_threads
+    from .machine import this_machine
+
+    machine = this_machine()  # now: the code on disk may change while this runs
+
+    set_threads(int(threads))
+    torch.set_num_threads(int(threads))
+    status = physhdr(command)
+    Path(usage).write_text(json.dumps(_usage() | {"machine": machine | _device()}), encoding="utf-8")
+    return status
+
+
+def _usage() -> dict[str, Any]:
+    """Bytes: ``peak_memory`` of the process, ``peak_device_memory`` of a card."""
+    import torch
+
+    on_card = torch.cuda.is_available() and torch.cuda.is_initialized()
+    return {
+        "peak_memory": _peak_memory(),
+        "peak_device_memory": torch.cuda.max_memory_allocated() if on_card else None,
+    }
+
+
+def _device() -> dict[str, str]:
+    """``device``: what was computed on."""
+    import torch
+
+    on_card = torch.cuda.is_available() and torch.cuda.is_initialized()
+    return {"device": torch.cuda.get_device_name() if on_card else "cpu"}
+
+
+def _peak_memory() -> int | None:
+    try:
+        import resource
+    except ImportError:  # Windows
+        return None
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,272 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""One run from beginning to end: search if there is one, train, evaluate, put into place.
+
+A job is data, so that another machine of a cluster can do it; files in a shared folder are all it needs.
+"""
+
+import contextlib
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from ..train.config import CONFIG_FILE
+from .runs import (
+    FAILED_FILE,
+    RUN_FILE,
+    RUN_LOG,
+    SEARCH_FILE,
+    Failure,
+    Record,
+    Search,
+    differences,
+    put_in_place,
+    write_json,
+)
+from .search import Measurement, next_trial, note_on
+
+EVENT_LOG = "log.jsonl"
+USAGE_FILE = "usage.json"
+#: What starts the command ``physhdr`` with a number of threads and a file for its usage.
+PROGRAM = (sys.executable, "-m", "physhdr.backend.benchmark.child")
+#: Seconds between looks at whether to go on; and those that a process has to end by itself.
+LOOK_EVERY, GRACE = 0.2, 5.0
+LINES_KEPT = 15
+#: Libraries read these where ``set_threads`` does not reach.
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+ANSI = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """``work``: a folder beside ``final``, which it becomes. When it vanishes, the job ends without a result.
+
+    ``train``: words for ``physhdr train`` but for folder and iterations; ``config`` what they must come to.
+    ``iterations``: None where they are to be found for ``seconds`` of CPU time, from ``known`` if not None.
+    ``record``: the run's record but for what training tells. ``only_evaluate``: ``final`` is trained.
+    """
+
+    final: Path
+    work: Path
+    data: Path
+    train: tuple[str, ...]
+    evaluate: tuple[str, ...]
+    config: dict[str, Any]
+    iterations: int | None
+    seconds: float = 0.0
+    known: Measurement | None = None
+    record: Record
+    only_evaluate: bool = False
+    program: tuple[str, ...] = PROGRAM
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """``message``: of a failure, its last line."""
+
+    kind: Literal["done", "failed", "stopped"]
+    message: str = ""
+
+
+class _StoppedError(Exception):
+    """Somebody wants the job to end."""
+
+
+class _FailedError(Exception):
+    """A process failed: at which stage, with which status, and why if it did not say so itself."""
+
+    def __init__(self, stage: str, status: int, why: str = "") -> None:
+        super().__init__(stage, status, why)
+        self.stage, self.status, self.why = stage, status, why
+
+
+def execute(job: Job, should_stop: Callable[[], bool] = lambda: False) -> Outcome:
+    """Do the job; whatever happens, its processes have ended afterwards.
+
+    Raises ``OutputError`` or ``OSError`` where results cannot be written.
+    """
+    job.work.mkdir(parents=True, exist_ok=True)
+    try:
+        return _done(job, should_stop)
+    except _StoppedError:
+        shutil.rmtree(job.work, ignore_errors=True)
+        return Outcome("stopped")
+    except _FailedError as error:
+        return _failed(job, error)
+
+
+def _failed(job: Job, error: _FailedError) -> Outcome:
+    log = [*_last_lines(job.work / RUN_LOG), *([error.why] if error.why else [])]
+    failure = Failure(
+        stage=error.stage,
+        status=error.status,
+        log=log,
+        training=job.record.training,
+        evaluation=job.record.evaluation,
+    )
+    if job.only_evaluate:  # the training in its place is good
+        os.replace(job.work / RUN_LOG, job.final / RUN_LOG)
+        write_json(job.final / FAILED_FILE, failure)
+        shutil.rmtree(job.work, ignore_errors=True)
+    else:
+        write_json(job.work / FAILED_FILE, failure)
+        put_in_place(job.work, job.final)
+    return Outcome("failed", log[-1] if log else f"{error.stage} ended with status {error.status}")
+
+
+def _done(job: Job, should_stop: Callable[[], bool]) -> Outcome:
+    if job.only_evaluate:
+        _physhdr(job, ["evaluate", job.final, "--out", job.work, *job.evaluate], should_stop)
+        for path in [path for path in job.work.iterdir() if path.name != USAGE_FILE]:
+            os.replace(path, job.final / path.name)
+        write_json(job.final / RUN_FILE, job.record)
+        (job.final / FAILED_FILE).unlink(missing_ok=True)
+        shutil.rmtree(job.work, ignore_errors=True)
+        return Outcome("done")
+    record, search = _trained(job, should_stop)
+    # Before the evaluation: where that fails, the training need not be repeated.
+    write_json(job.work / RUN_FILE, record)
+    if search is not None:
+        write_json(job.final.parent / SEARCH_FILE, search)
+    _physhdr(job, ["evaluate", job.work, *job.evaluate], should_stop)
+    (job.work / USAGE_FILE).unlink(missing_ok=True)
+    put_in_place(job.work, job.final)
+    return Outcome("done")
+
+
+def _trained(job: Job, should_stop: Callable[[], bool]) -> tuple[Record, Search | None]:
+    """Train as often as the budget asks for; the last training is the one that stays."""
+    if job.iterations is not None:
+        return _train(job, job.iterations, should_stop), None
+    known, tried, measurements = job.known, [], []
+    if known:
+        measurements.append({"iterations": known.iterations, "cpu_seconds": known.cpu_seconds, "known": 1})
+    record = None
+    while (iterations := next_trial(job.seconds, known, tried)) is not None:
+        record = _train(job, iterations, should_stop)
+        measured = Measurement(iterations, record.cpu_seconds)
+        measurements.append({"iterations": iterations, "cpu_seconds": record.cpu_seconds})
+        if known is None:
+            known = measured  # the pilot
+        else:
+            tried.append(measured)
+    assert record is not None  # next_trial asks for one at least
+    note = note_on(record.iterations)
+    search = Search(
+        iterations=record.iterations,
+        training=record.training,
+        threads=record.threads,
+        device=job.record.device,
+        measurements=measurements,
+        note=note,
+    )
+    return replace(record, note=note), search
+
+
+def _train(job: Job, iterations: int, should_stop: Callable[[], bool]) -> Record:
+    words = ["train", job.data, "--out", job.work, "--overwrite", *job.train, "--iterations", iterations]
+    _physhdr(job, words, should_stop)
+    finished, gaussians = _events(job.work / EVENT_LOG)
+    if finished is None or finished["stopped"]:
+        raise _FailedError("train", 0, "training ended before its last iteration")
+    _require_config(job, iterations)
+    usage = _json(job.work / USAGE_FILE)
+    return replace(
+        job.record,
+        iterations=int(finished["iteration"]),
+        cpu_seconds=float(finished["cpu_seconds"]),
+        seconds=float(finished["seconds"]),
+        gaussians=gaussians,
+        peak_memory=usage.get("peak_memory"),
+        machine=usage.get("machine", {}),
+    )
+
+
+def _require_config(job: Job, iterations: int) -> None:
+    """The fingerprint stands for ``job.config``: what was trained must be that."""
+    written = _json(job.work / CONFIG_FILE).get("config", {})
+    if found := differences(job.config | {"iterations": iterations}, written):
+        why = f"a defect of ours: the run's {CONFIG_FILE} is not what the plan says: {'; '.join(found)}"
+        raise _FailedError("train", 0, why)
+
+
+def _events(path: Path) -> tuple[dict[str, Any] | None, int]:
+    """The last ``finished`` event, and the last number of Gaussians that was told."""
+    finished, gaussians = None, 0
+    for line in path.read_text(encoding="utf-8").splitlines() if path.exists() else []:
+        event = json.loads(line)
+        gaussians = event.get("gaussians", gaussians)
+        if event["event"] == "finished":
+            finished = event
+    return finished, gaussians
+
+
+# ---- processes -------------------------------------------------------------------------------------------
+
+
+def _physhdr(job: Job, words: list[Any], should_stop: Callable[[], bool]) -> None:
+    """Run one command to its end; raises ``_FailedError`` or ``_StoppedError``."""
+    command = [*job.program, job.record.threads, job.work / USAGE_FILE, *words]
+    count = str(job.record.threads)
+    environment = os.environ | {name: count for name in THREAD_VARIABLES} | {"PYTHONUNBUFFERED": "1"}
+    with open(job.work / RUN_LOG, "ab") as log:
+        log.write(f"$ physhdr {' '.join(str(word) for word in words)}\n".encode())
+        log.flush()
+        # A session of its own: CTRL-C in the terminal is ours alone, and all of its processes can be ended.
+        process = subprocess.Popen(
+            [str(word) for word in command],
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            env=environment,
+            start_new_session=True,
+        )
+    try:
+        while process.poll() is None:
+            if should_stop() or not job.work.exists():
+                raise _StoppedError
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(LOOK_EVERY)
+    finally:
+        if process.poll() is None:
+            _end(process)
+    if should_stop() or not job.work.exists():
+        raise _StoppedError
+    if process.returncode:
+        raise _FailedError(str(words[0]), process.returncode)
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End a process and what it started: politely, then by force."""
+    for how in (signal.SIGTERM, getattr(signal, "SIGKILL", signal.SIGTERM)):
+        with contextlib.suppress(ProcessLookupError):
+            if hasattr(os, "killpg"):
+                os.killpg(process.pid, how)
+            else:
+                process.terminate()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(GRACE)
+            return
+
+
+def _last_lines(path: Path) -> list[str]:
+    try:
+        text = path.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return []
+    return [line.rstrip() for line in ANSI.sub("", text).splitlines() if line.strip()][-LINES_KEPT:]
+
+
+def _json(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return content if isinstance(content, dict) else {}

@@ -1,0 +1,302 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a benchmark runs: ``plan.toml``, or the same from flags; kept in the benchmark's folder.
+
+methods = ["default", "baseline", "dim := default --densify.threshold 4e-4"]
+scenes = ["../data/demo", "night=../data/bathroom"]      # beside the file, or absolute
+settings = ["exp3", "exp1"]
+seeds = [0, 1, 2]
+budgets = ["iterations=1000", "cpu-seconds=60"]
+set = ["densify.budget=30000"]                            # for every method
+margins_of = "default"                                    # whose lead over the others is reported
+[[ladder]]
+name = "ablation"
+steps = ["baseline", "dim", "default"]
+"""
+
+import json
+import math
+import re
+import shlex
+import tomllib
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ...bridge.atomic import atomic_path
+from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
+
+PLAN_FILE = "plan.toml"
+SETTINGS = ("exp1", "exp3")
+ITERATIONS, CPU_SECONDS = "iterations", "cpu-seconds"
+#: Names become folders.
+NAME = re.compile(r"[A-Za-z0-9†+_][A-Za-z0-9†+_.-]*")
+#: Options that the benchmark itself sets for each run.
+OURS = ("--iterations", "--seed", "--exposure-mode", "--preset", "--out", "--data", "--resume", "--threads")
+
+
+@dataclass(frozen=True)
+class Method:
+    """A preset under a name, with options of ``physhdr train`` on top."""
+
+    name: str
+    preset: str
+    options: tuple[str, ...] = ()
+
+    @classmethod
+    def parsed(cls, text: str) -> "Method":
+        """``default``, or ``NAME := PRESET --option value``."""
+        name, defines, rest = text.partition(":=")
+        name = _name(name.strip(), "method")
+        try:
+            preset, *options = shlex.split(rest) if defines else [name]
+        except ValueError as error:
+            raise BadValueError(
+                f"the method '{text}' cannot be read: {error}",
+                "For example: dim := default --densify.stop 0.3",
+            ) from error
+        for word in options:
+            if word.partition("=")[0] in OURS:
+                raise BadValueError(
+                    f"the method '{name}' sets {word}",
+                    "The plan says that for all methods alike: leave it out.",
+                )
+        return cls(name, preset, tuple(options))
+
+    def __str__(self) -> str:
+        if not self.options and self.name == self.preset:
+            return self.name
+        return f"{self.name} := {shlex.join([self.preset, *self.options])}"
+
+
+@dataclass(frozen=True)
+class SceneFolder:
+    """A data set under a name."""
+
+    name: str
+    data: Path
+
+    @classmethod
+    def parsed(cls, text: str, beside: Path) -> "SceneFolder":
+        """``FOLDER`` or ``NAME=FOLDER``; a relative folder lies in ``beside``."""
+        name, equals, folder = text.partition("=")
+        if not equals or (beside / text).exists():
+            name, folder = "", text
+        data = (beside / Path(folder).expanduser()).resolve()
+        if not data.is_dir():
+            raise FileMissingError(f"there is no data set {data}", "Name the folder of a data set.")
+        return cls(_name(name or data.name, "scene"), data)
+
+    def __str__(self) -> str:
+        return f"{self.name}={self.data}"
+
+
+@dataclass(frozen=True)
+class Budget:
+    """What every method may spend on a run: ``iterations``, or ``cpu-seconds`` of its training loop."""
+
+    kind: str
+    amount: float
+
+    @classmethod
+    def parsed(cls, text: str) -> "Budget":
+        """``iterations=1000`` or ``cpu-seconds=60``."""
+        kind, _, number = text.partition("=")
+        remedy = f"For example {ITERATIONS}=1000 or {CPU_SECONDS}=60."
+        try:
+            amount = float(number)
+        except ValueError:
+            amount = math.nan
+        if kind not in (ITERATIONS, CPU_SECONDS) or not (amount > 0 and math.isfinite(amount)):
+            raise BadValueError(f"'{text}' is no budget", remedy)
+        if kind == ITERATIONS and amount != int(amount):
+            raise BadValueError(f"'{text}': iterations are counted in whole numbers", remedy)
+        return cls(kind, amount)
+
+    @property
+    def folder(self) -> str:
+        return f"{self.kind}-{self.amount:.15g}"
+
+    def __str__(self) -> str:
+        return f"{self.kind}={self.amount:.15g}"
+
+
+@dataclass(frozen=True)
+class Ladder:
+    """Methods of which each adds one thing to the one before."""
+
+    name: str
+    steps: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """Everything that decides what is run and told. Names are unique in each list, and no list is empty.
+
+    ``assignments``: of ``--set``, for every method; ``options``: the words for ``physhdr train`` they become.
+    """
+
+    methods: tuple[Method, ...]
+    scenes: tuple[SceneFolder, ...]
+    settings: tuple[str, ...] = ("exp3",)
+    seeds: tuple[int, ...] = (0,)
+    budgets: tuple[Budget, ...]
+    assignments: tuple[str, ...] = ()
+    threads_per_job: int = 1
+    device: str = "auto"
+    lpips_weights: Path | None = None
+    margins_of: str = ""
+    ladders: tuple[Ladder, ...] = ()
+
+    def __post_init__(self) -> None:
+        names = [method.name for method in self.methods]
+        _require_unique("method", names, "Name a variant: NAME := PRESET --option value.")
+        _require_unique("scene", [scene.name for scene in self.scenes], "Name one: NAME=FOLDER.")
+        _require_unique("setting", self.settings, "Choose from exp1, exp3.")
+        _require_unique("seed", self.seeds, "For example 0,1,2.")
+        _require_unique("budget", [str(budget) for budget in self.budgets], "For example iterations=1000.")
+        if unknown := [setting for setting in self.settings if setting not in SETTINGS]:
+            raise BadValueError(f"there is no setting '{unknown[0]}'", "Choose from exp1, exp3.")
+        if self.threads_per_job < 1:
+            raise BadValueError(f"--threads-per-job must be at least 1, got {self.threads_per_job}")
+        named = [self.margins_of] if self.margins_of else []
+        for name in [*named, *(step for ladder in self.ladders for step in ladder.steps)]:
+            if name not in names:
+                raise BadValueError(f"the plan has no method '{name}'", f"Choose from: {', '.join(names)}.")
+        for ladder in self.ladders:
+            if len(ladder.steps) < 2:
+                raise BadValueError(f"the ladder '{ladder.name}' has fewer than two steps")
+
+    @property
+    def options(self) -> tuple[str, ...]:
+        return tuple(word for text in self.assignments for word in option_words(text))
+
+    def words_of(self, method: Method) -> tuple[str, ...]:
+        """What ``physhdr train`` is told of a method, whatever the run."""
+        return ("--preset", method.preset, *self.options, *method.options)
+
+
+def option_words(assignment: str) -> tuple[str, ...]:
+    """``densify.budget=3`` → ``--densify.budget 3``; ``a.b=false`` → ``--a.no-b``; a list has spaces."""
+    name, equals, value = assignment.partition("=")
+    name = name.strip().removeprefix("--").replace("_", "-")
+    if not equals or not name or f"--{name}" in OURS:
+        raise BadValueError(
+            f"--set {assignment} cannot be used",
+            "It takes FIELD=VALUE, of a field that the plan does not set itself: densify.budget=30000",
+        )
+    if value.strip().lower() == "true":
+        return (f"--{name}",)
+    if value.strip().lower() == "false":
+        group, dot, field = name.rpartition(".")
+        return (f"--{group}{dot}no-{field}",)
+    return (f"--{name}", *value.split())
+
+
+# ---- from flags and files ------------------------------------------------------------------------------
+
+#: What each key of plan.toml becomes: the field of ``Plan`` and how its value is read.
+_KEYS: dict[str, tuple[str, Callable[[Any, Path], Any]]] = {
+    "methods": ("methods", lambda value, _: tuple(Method.parsed(text) for text in _texts(value))),
+    "scenes": ("scenes", lambda value, at: tuple(SceneFolder.parsed(text, at) for text in _texts(value))),
+    "settings": ("settings", lambda value, _: tuple(_texts(value))),
+    "seeds": ("seeds", lambda value, _: tuple(_whole(each) for each in value)),
+    "budgets": ("budgets", lambda value, _: tuple(Budget.parsed(text) for text in _texts(value))),
+    "set": ("assignments", lambda value, _: tuple(_texts(value))),
+    "threads_per_job": ("threads_per_job", lambda value, _: _whole(value)),
+    "device": ("device", lambda value, _: str(value)),
+    "lpips_weights": ("lpips_weights", lambda value, at: at / str(value)),
+    "margins_of": ("margins_of", lambda value, _: str(value)),
+    "ladder": ("ladders", lambda value, _: tuple(Ladder(str(x["name"]), tuple(x["steps"])) for x in value)),
+}
+
+
+def make_plan(content: dict[str, Any], beside: Path) -> Plan:
+    """A plan from the keys of ``plan.toml``. Relative folders lie in ``beside``.
+
+    Raises ``BadValueError`` for what is unknown, missing or double, ``FileMissingError`` for a data set.
+    """
+    fields = {}
+    for key, value in content.items():
+        if key not in _KEYS:
+            raise BadValueError(f"a plan has no '{key}'", f"Choose from: {', '.join(_KEYS)}.")
+        field, read = _KEYS[key]
+        try:
+            fields[field] = read(value, beside)
+        except (TypeError, KeyError, ValueError) as error:
+            raise BadValueError(f"the plan's '{key}' cannot be read: {value!r}", "See plan.py.") from error
+    for key in ("methods", "scenes", "budgets"):
+        if not fields.get(key):
+            raise BadValueError(f"the plan names no {key}", f"Give --{key.replace('budgets', 'budget')}.")
+    return Plan(**fields)
+
+
+def read_plan(path: Path) -> dict[str, Any]:
+    """The keys of a plan file, its folders and files made absolute."""
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise FileMissingError(f"there is no plan {path}", "Give --methods, --scenes, --budget.") from error
+    except (OSError, ValueError) as error:
+        raise FileDamagedError(f"{path} is not a plan: {error}", "Write it as TOML, or delete it.") from error
+    at = path.parent.resolve()
+    if isinstance(content.get("scenes"), list):
+        content["scenes"] = [str(SceneFolder.parsed(str(text), at)) for text in content["scenes"]]
+    if content.get("lpips_weights"):
+        content["lpips_weights"] = str(at / str(content["lpips_weights"]))
+    return content
+
+
+def write_plan(plan: Plan, path: Path) -> None:
+    """``plan.toml`` of which ``read_plan`` and ``make_plan`` make the same plan; raises ``OutputError``."""
+    rows: dict[str, Any] = {
+        "methods": [str(method) for method in plan.methods],
+        "scenes": [str(scene) for scene in plan.scenes],
+        "settings": list(plan.settings),
+        "seeds": list(plan.seeds),
+        "budgets": [str(budget) for budget in plan.budgets],
+        "set": list(plan.assignments),
+        "threads_per_job": plan.threads_per_job,
+        "device": plan.device,
+    }
+    if plan.lpips_weights:
+        rows["lpips_weights"] = str(plan.lpips_weights)
+    if plan.margins_of:
+        rows["margins_of"] = plan.margins_of
+    # A string, a number or a list of them is the same in JSON and in TOML.
+    lines = [f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in rows.items()]
+    for ladder in plan.ladders:
+        lines += ["", "[[ladder]]", f"name = {json.dumps(ladder.name, ensure_ascii=False)}"]
+        lines += [f"steps = {json.dumps(list(ladder.steps), ensure_ascii=False)}"]
+    with atomic_path(path) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _texts(value: Any) -> list[str]:
+    if isinstance(value, str) or not all(isinstance(text, str) for text in value):
+        raise TypeError("a list of texts is wanted")
+    return list(value)
+
+
+def _whole(value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+        raise TypeError("a whole number is wanted")
+    return value
+
+
+def _name(text: str, what: str) -> str:
+    if not NAME.fullmatch(text):
+        raise BadValueError(
+            f"'{text}' cannot be the name of a {what}", "Use letters, digits and . _ + -: it names a folder."
+        )
+    return text
+
+
+def _require_unique(what: str, names: Iterable[object], remedy: str) -> None:
+    counts = Counter(names)
+    if not counts:
+        raise BadValueError(f"the plan has no {what}", remedy)
+    name, count = counts.most_common(1)[0]
+    if count > 1:
+        raise BadValueError(f"the plan has {count} times the {what} '{name}'", remedy)

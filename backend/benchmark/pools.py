@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where jobs are done: in threads that watch processes here, or on the machines of a Ray cluster."""
+
+import contextlib
+import logging
+import os
+import threading
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Any, Protocol
+
+from ...bridge.errors import BadValueError
+from .job import Job, Outcome, execute
+
+
+class Pool(Protocol):
+    """Does jobs at the same time. A context manager: at its end every job's processes have ended."""
+
+    def __enter__(self) -> "Pool": ...
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def free(self) -> int:
+        """How many more jobs could begin at once."""
+        ...
+
+    def submit(self, name: str, job: Job) -> None: ...
+
+    def finished(self) -> list[tuple[str, Outcome]]:
+        """Those that ended since the last call; an error of ours is raised."""
+        ...
+
+
+class LocalPool:
+    """``jobs`` processes on this machine."""
+
+    def __init__(self, jobs: int) -> None:
+        if jobs < 1:
+            raise BadValueError(f"--jobs must be at least 1, got {jobs}")
+        self._jobs = jobs
+        self._stop = threading.Event()
+        self._running: dict[str, Future[Outcome]] = {}
+
+    def __enter__(self) -> "LocalPool":
+        self._threads = ThreadPoolExecutor(self._jobs, "benchmark")
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._threads.shutdown(wait=True)
+
+    def free(self) -> int:
+        return self._jobs - len(self._running)
+
+    def submit(self, name: str, job: Job) -> None:
+        self._running[name] = self._threads.submit(execute, job, self._stop.is_set)
+
+    def finished(self) -> list[tuple[str, Outcome]]:
+        names = [name for name, future in self._running.items() if future.done()]
+        return [(name, self._running.pop(name).result()) for name in names]
+
+
+class RayPool:
+    """A Ray cluster: ``address`` as ``ray.init`` takes it, or ``local`` to start one here.
+
+    Every machine needs PhysHDR in the same environment, and the data sets and the benchmark's folder at the
+    same path (a shared file system). A job takes ``threads`` CPUs. Raises ``BadValueError`` where Ray is not
+    installed or the cluster does not answer.
+    """
+
+    def __init__(self, address: str, threads: int) -> None:
+        try:
+            import ray
+        except ModuleNotFoundError as error:
+            raise BadValueError(
+                "--ray needs Ray, which is not installed", 'Install it: pip install "physhdr[ray]"'
+            ) from error
+        self._ray, self._address, self._threads = ray, address, threads
+        self._running: dict[str, Any] = {}
+
+    def __enter__(self) -> "RayPool":
+        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nothing is sent to anybody
+        local = self._address == "local"
+        options: dict[str, Any] = {"include_dashboard": False} if local else {"address": self._address}
+        try:
+            self._ray.init(log_to_driver=False, logging_level=logging.ERROR, **options)
+        except (ConnectionError, ValueError, RuntimeError, TimeoutError) as error:
+            raise BadValueError(
+                f"the Ray cluster at {self._address} does not answer: {error}",
+                "Start one by `ray start --head`, or give --ray local.",
+            ) from error
+        self._execute = self._ray.remote(num_cpus=self._threads, max_retries=0)(execute)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for reference in self._running.values():
+            with contextlib.suppress(Exception):  # it may have ended, or its machine may be gone
+                self._ray.cancel(reference)
+        if self._running:  # cancelled jobs end their processes before they end
+            self._ray.wait(list(self._running.values()), num_returns=len(self._running), timeout=15)
+        self._ray.shutdown()
+
+    def free(self) -> int:
+        """Of the cluster as it is now: machines may come and go."""
+        slots = int(self._ray.cluster_resources().get("CPU", 0) // self._threads)
+        return max(0, slots - len(self._running))
+
+    def submit(self, name: str, job: Job) -> None:
+        self._running[name] = self._execute.remote(job)
+
+    def finished(self) -> list[tuple[str, Outcome]]:
+        if not self._running:
+            return []
+        references = list(self._running.values())
+        ready, _ = self._ray.wait(references, num_returns=len(references), timeout=0)
+        done = [name for name, reference in self._running.items() if reference in ready]
+        return [(name, self._outcome(self._running.pop(name))) for name in done]
+
+    def _outcome(self, reference: Any) -> Outcome:
+        try:
+            return self._ray.get(reference)
+        except (self._ray.exceptions.WorkerCrashedError, self._ray.exceptions.NodeDiedError) as error:
+            return Outcome("failed", f"a machine of the cluster was lost: {error}".splitlines()[0])

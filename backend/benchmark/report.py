@@ -1,0 +1,327 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The benchmark's report in Markdown, and every run as a line of CSV."""
+
+import csv
+import io
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ...bridge.atomic import atomic_path
+from ..evaluate.comparison import DEFAULT_METRICS, NONE, Entry, column, comparison_table, load_evaluation
+from .facts import machine_lines, scene_facts, scene_line
+from .margins import PAPER_MARGINS, Margin, margin
+from .plan import CPU_SECONDS, Budget, Ladder
+from .runs import Record, Run
+from .schedule import Schedule
+from .search import TOLERANCE
+
+REPORT_FILE = "report.md"
+COSTS = ("cost.cpu_seconds", "cost.seconds", "cost.iterations", "cost.gaussians", "cost.memory_MB")
+MAIN_METRICS = (*DEFAULT_METRICS, "HDR-aligned.psnr", "relit.psnr", *COSTS)
+SCENE_METRICS = (*PAPER_MARGINS, "HDR-aligned.psnr", "scale", "relit.psnr", "cost.cpu_seconds")
+SCENE_METRICS += ("cost.iterations", "cost.gaussians")
+#: What stands in a row of CSV beside what names the run.
+CSV_METRICS = (
+    *(f"{part}.{name}" for part in ("LDR-OE", "LDR-NE", "HDR", "HDR-aligned") for name in ("psnr", "ssim")),
+    *(f"{part}.{name}" for part in ("LDR-OE", "LDR-NE", "HDR") for name in ("lpips", "lpips_01")),
+    *("scale", "relit.psnr", "relit.gain"),
+)
+LOG_LINES = 6
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A run that is done, and what the tables take of it."""
+
+    run: Run
+    record: Record
+    entry: Entry
+
+
+def finished_runs(schedule: Schedule) -> list[Finished]:
+    """Every run that is done, in the plan's order: methods, then scenes, then seeds."""
+    plan = schedule.store.plan
+    found = []
+    for run in schedule.runs:
+        record = schedule.store.record(run)
+        if schedule.status[run].kind != "done" or record is None:
+            continue
+        cost = {
+            "cpu_seconds": record.cpu_seconds,
+            "seconds": record.seconds,
+            "iterations": float(record.iterations),
+            "gaussians": float(record.gaussians),
+        }
+        if record.peak_memory:
+            cost["memory_MB"] = record.peak_memory / 1e6
+        evaluation = load_evaluation(schedule.store.out / run.folder)
+        entry = Entry(run.method.name, run.scene.name, run.setting, run.seed, evaluation, cost)
+        found.append(Finished(run, record, entry))
+    return sorted(
+        found, key=lambda each: (plan.methods.index(each.run.method), plan.scenes.index(each.run.scene))
+    )
+
+
+def write_report(schedule: Schedule, path: Path, command: str) -> list[Path]:
+    """Write the report and, beside it, the CSV of all runs; returns both paths. Raises ``OutputError``."""
+    finished = finished_runs(schedule)
+    table = path.with_suffix(".csv")
+    for file, text in (
+        (path, to_markdown(schedule, finished, command, table.name)),
+        (table, to_csv(finished)),
+    ):
+        with atomic_path(file) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    return [path, table]
+
+
+def to_csv(finished: Sequence[Finished]) -> str:
+    """One line a run, in full precision; empty where something was not measured."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    columns = [column(key) for key in CSV_METRICS]
+    names = ["budget", "setting", "scene", "method", "preset", "options", "seed", *CSV_METRICS]
+    names += ["cpu_seconds", "seconds", "iterations", "gaussians", "peak_memory", "threads", "host", "code"]
+    writer.writerow(names)
+    for each in finished:
+        run, record = each.run, each.record
+        line: list[object] = [run.budget, run.setting, run.scene.name, run.method.name, run.method.preset]
+        line += [" ".join(run.method.options), run.seed]
+        line += ["" if (value := one.value(each.entry)) is None else value for one in columns]
+        line += [record.cpu_seconds, record.seconds, record.iterations, record.gaussians]
+        line += [record.peak_memory or "", record.threads, record.machine.get("host", "")]
+        line += [record.machine.get("versions", {}).get("physhdr", "")]
+        writer.writerow(line)
+    return stream.getvalue()
+
+
+def to_markdown(schedule: Schedule, finished: Sequence[Finished], command: str, csv_name: str) -> str:
+    """The whole report. ``command``: what makes it again."""
+    plan = schedule.store.plan
+    parts = ["# Benchmark", _opening(schedule, finished, command, csv_name)]
+    parts += ["## Conditions", _listed(_conditions(schedule, finished))]
+    groups = [(budget, setting) for budget in plan.budgets for setting in plan.settings]
+    sections: list[tuple[str, Callable[[Schedule, list[Entry]], str]]] = [
+        ("Methods", lambda _, entries: comparison_table(entries, metrics=MAIN_METRICS).markdown()),
+        ("Margins", _margins),
+        *((f"Ladder: {ladder.name}", _ladder_section(ladder)) for ladder in plan.ladders),
+        (
+            "Scenes",
+            lambda _, entries: comparison_table(entries, metrics=SCENE_METRICS, group=["scene"]).markdown(),
+        ),
+    ]
+    for title, section in sections:
+        if title == "Margins" and len(plan.methods) < 2:
+            continue
+        parts.append(f"## {title}")
+        if title == "Margins":
+            parts.append(_what_margins_are(_leader(schedule)))
+        for budget, setting in groups:
+            chosen = [each for each in finished if (each.run.budget, each.run.setting) == (budget, setting)]
+            parts.append(f"### {_in_words(budget)}, {setting}")
+            missing = _missing(schedule, budget, setting)
+            if missing:
+                parts.append(missing)
+            if chosen:
+                parts.append(section(schedule, [each.entry for each in chosen]).rstrip())
+    if failures := _failures(schedule):
+        parts += ["## Runs that failed", failures]
+    return "\n\n".join(parts) + "\n"
+
+
+# ---- conditions ------------------------------------------------------------------------------------------
+
+
+def _opening(schedule: Schedule, finished: Sequence[Finished], command: str, csv_name: str) -> str:
+    plan, total = schedule.store.plan, len(schedule.runs)
+    said = (
+        f"{len(finished)} of {total} runs are done."
+        if len(finished) < total
+        else f"All {total} runs are done."
+    )
+    factors = [
+        _count(plan.methods, "method"),
+        _count(plan.scenes, "scene"),
+        _count(plan.settings, "setting"),
+        _count(plan.seeds, "seed"),
+        _count(plan.budgets, "budget"),
+    ]
+    return (
+        f"Written by `{command}`; do not edit. {said} Every run is in [{csv_name}]({csv_name}).\n\n"
+        f"{' × '.join(factors)}."
+    )
+
+
+def _conditions(schedule: Schedule, finished: Sequence[Finished]) -> list[str]:
+    plan = schedule.store.plan
+    lines = machine_lines(each.record for each in finished)
+    for budget in plan.budgets:
+        if budget.kind != CPU_SECONDS:
+            lines.append(f"budget {_in_words(budget)}: `--iterations {budget.amount:g}` for every method")
+            continue
+        lines.append(
+            f"budget {_in_words(budget)}: user and system time of the training loop. The iterations that are "
+            "enough come from the cost of whole runs of the method on the scene with the first seed (a "
+            f"secant step where they miss it by more than {TOLERANCE:.0%}), never from quality; trials count "
+            "for nothing else. The other seeds train as many iterations"
+        )
+        lines += _misses(budget, finished)
+    lines.append("CPU seconds and seconds are of the training alone, without evaluation, start and compiling")
+    if plan.assignments:
+        lines.append(f"for every method: `{' '.join(plan.assignments)}`")
+    lines += [f"method {method.name}: `{method}`" for method in plan.methods if str(method) != method.name]
+    for scene in plan.scenes:
+        facts = scene_facts(schedule.store.out, scene, schedule.store.data[scene.name])
+        lines.append(f"scene {scene_line(scene, facts)}")
+    if not plan.lpips_weights:
+        lines.append("LPIPS was left out: the plan names no weights")
+    return lines
+
+
+def _misses(budget: Budget, finished: Sequence[Finished]) -> list[str]:
+    """What has to be said of runs that did not come out at the budget."""
+    lines = []
+    chosen = [each for each in finished if each.run.budget == budget]
+    for name in dict.fromkeys(each.run.method.name for each in chosen):
+        runs = [each for each in chosen if each.run.method.name == name]
+        notes = {f"{each.run.scene.name}, {each.run.setting}": each.record.note for each in runs}
+        for where, note in notes.items():
+            if note:
+                lines.append(f"{name} on {where} is {note}")
+        shares = [each.record.cpu_seconds / budget.amount for each in runs]
+        if max(abs(share - 1.0) for share in shares) > TOLERANCE:
+            lines.append(
+                f"{name} took {min(shares):.0%} to {max(shares):.0%} of the {budget.amount:g} CPU seconds"
+            )
+    return lines
+
+
+# ---- margins and ladders -----------------------------------------------------------------------------------
+
+
+def _leader(schedule: Schedule) -> str:
+    plan = schedule.store.plan
+    return plan.margins_of or plan.methods[0].name
+
+
+def _what_margins_are(leader: str) -> str:
+    return (
+        f"PSNR of `{leader}` minus that of each other method, in dB: the mean of the differences of runs on "
+        "the same scene with the same seed ± their standard deviation, and the least of them. *Ahead*: "
+        "whether the mean is above 0 by more than that standard deviation."
+    )
+
+
+def _margins(schedule: Schedule, entries: list[Entry]) -> str:
+    leader = _leader(schedule)
+    headings = ["over", "pairs"]
+    for key in PAPER_MARGINS:
+        headings += [column(key).heading.removesuffix(" PSNR"), "least", "ahead"]
+    rows, short = [], []
+    for other in schedule.store.plan.methods:
+        if other.name == leader:
+            continue
+        found = {key: margin(entries, leader, other.name, key) for key in PAPER_MARGINS}
+        pairs = max((each.pairs for each in found.values() if each), default=0)
+        cells = [other.name, str(pairs)]
+        for key, each in found.items():
+            cells += _margin_cells(each)
+            if each is None or not each.is_ahead or each.mean <= PAPER_MARGINS[key]:
+                part = key.partition(".")[0]
+                short.append(f"{other.name} on {part} ({_signed(each.mean) if each else 'not measured'})")
+        rows.append(cells)
+    wanted = ", ".join(f"{_signed(value)}" for value in PAPER_MARGINS.values())
+    said = f"no: {', '.join(short)}" if short else "yes"
+    verdict = (
+        f"`{leader}` is ahead of every other method on LDR-OE, LDR-NE and HDR by more than the spread and by "
+        f"more than the paper's margins over GaussHDR ({wanted} dB): **{said}**."
+    )
+    return f"{_table(headings, rows)}\n\n{verdict}"
+
+
+def _margin_cells(each: Margin | None) -> list[str]:
+    if each is None:
+        return [NONE, NONE, NONE]
+    spread = "" if each.spread is None else f" ± {each.spread:.2f}"
+    ahead = {True: "yes", False: "no", None: "one pair"}[each.is_ahead]
+    return [f"{_signed(each.mean)}{spread}", _signed(each.least), ahead]
+
+
+def _ladder_section(ladder: Ladder) -> Callable[[Schedule, list[Entry]], str]:
+    def section(_: Schedule, entries: list[Entry]) -> str:
+        headings = ["step", "pairs"]
+        for key in PAPER_MARGINS:
+            headings += [column(key).heading, "gain", "least", "more than the spread"]
+        rows = []
+        for i, step in enumerate(ladder.steps):
+            cells, pairs = [], 0
+            runs = [entry for entry in entries if entry.method == step]
+            table = comparison_table(runs, metrics=list(PAPER_MARGINS), keep_empty=True) if runs else None
+            for k, key in enumerate(PAPER_MARGINS):
+                mean = next(r for r in table.rows if not r.published).cells[k].mean if table else None
+                gain = margin(entries, step, ladder.steps[i - 1], key) if i else None
+                pairs = max(pairs, gain.pairs if gain else 0)
+                cells += [NONE if mean is None else f"{mean:.2f}", *_margin_cells(gain)]
+            rows.append([step, str(pairs) if i else NONE, *cells])
+        return _table(headings, rows) + (
+            "\n\nEach step adds to the one before. Gains: as the margins above, over the step before."
+        )
+
+    return section
+
+
+# ---- what is not there -------------------------------------------------------------------------------------
+
+
+def _missing(schedule: Schedule, budget: Budget, setting: str) -> str:
+    runs = [run for run in schedule.runs if (run.budget, run.setting) == (budget, setting)]
+    counts: dict[str, int] = {}
+    for run in runs:
+        if schedule.status[run].kind != "done":
+            counts[run.method.name] = counts.get(run.method.name, 0) + 1
+    if not counts:
+        return ""
+    per_method = len(runs) // len(schedule.store.plan.methods)
+    listed = ", ".join(f"{name} ({count} of {per_method})" for name, count in counts.items())
+    return f"**Not complete.** Runs without a result: {listed}."
+
+
+def _failures(schedule: Schedule) -> str:
+    parts = []
+    for run in schedule.runs:
+        status = schedule.status[run]
+        if status.kind == "blocked":
+            parts.append(f"- `{run.folder}`: not run: {status.text}")
+        elif status.kind == "failed":
+            failure = schedule.store.failure(run)
+            lines = failure.log[-LOG_LINES:] if failure else [status.text]
+            stage = f"`physhdr {failure.stage}` ended with {failure.status}" if failure else "failed"
+            log = "\n".join(f"  {line}" for line in lines)
+            parts.append(f"- `{run.folder}`: {stage}\n\n  ```\n{log}\n  ```")
+    return "\n".join(parts)
+
+
+# ---- text --------------------------------------------------------------------------------------------------
+
+
+def _in_words(budget: Budget) -> str:
+    return f"{budget.amount:g} {'CPU seconds' if budget.kind == CPU_SECONDS else 'iterations'}"
+
+
+def _count(items: Sequence[object], name: str) -> str:
+    return f"{len(items)} {name}{'' if len(items) == 1 else 's'}"
+
+
+def _listed(lines: Sequence[str]) -> str:
+    return "\n".join(f"- {line}" for line in lines)
+
+
+def _signed(value: float) -> str:
+    return f"{value:+.2f}"
+
+
+def _table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    rule = "|".join([":---", *["---:"] * (len(headings) - 1)])
+    lines = [f"| {' | '.join(headings)} |", f"|{rule}|", *(f"| {' | '.join(row)} |" for row in rows)]
+    return "\n".join(lines)

@@ -1,0 +1,266 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The runs of a plan, where each lies, and what of them is there.
+
+``OUT/<budget>/<setting>/<scene>/<method>/seed_<n>/`` is the folder of ``physhdr train`` and ``evaluate``,
+with ``benchmark.log`` (what they printed) and ``run.json`` (``Record``), or ``failed.json``. It appears by a
+rename when all of it is there. ``search.json`` beside the seeds: the iterations of a budget in CPU seconds.
+"""
+
+import dataclasses
+import hashlib
+import json
+import os
+import shutil
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from ...bridge.atomic import atomic_path
+from ...bridge.errors import BadValueError
+from ..evaluate.comparison import EVALUATION_FILE
+from ..train.config import CONFIG_FILE
+from .plan import CPU_SECONDS, Budget, Method, Plan, SceneFolder
+
+RUN_FILE, FAILED_FILE, SEARCH_FILE = "run.json", "failed.json", "search.json"
+RUN_LOG = "benchmark.log"
+#: Fields of the configuration that the plan sets for each run.
+PER_RUN = ("iterations", "seed", "exposure_mode")
+#: Renders from which a data set was made: neither training nor evaluation reads them.
+UNREAD = "passes"
+
+
+@dataclass(frozen=True)
+class Run:
+    """One training with its evaluation."""
+
+    budget: Budget
+    setting: str
+    scene: SceneFolder
+    method: Method
+    seed: int
+
+    @property
+    def group(self) -> Path:
+        """The folder of all its seeds."""
+        return Path(self.budget.folder, self.setting, self.scene.name, self.method.name)
+
+    @property
+    def folder(self) -> Path:
+        return self.group / f"seed_{self.seed}"
+
+    @property
+    def claim(self) -> str:
+        return "__".join(self.folder.parts)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Record:
+    """What ``run.json`` holds of a run that is done: what it was, and what training alone cost.
+
+    ``cpu_seconds``: user and system time of the training loop; ``seconds``: its time on the clock.
+    ``gaussians``: at the end (0 for a method without). ``peak_memory``: bytes, of the training process.
+    ``training``, ``evaluation``: fingerprints of all that decides the result. ``note``: for the report.
+    """
+
+    iterations: int
+    cpu_seconds: float
+    seconds: float
+    gaussians: int
+    peak_memory: int | None
+    training: str
+    evaluation: str
+    threads: int
+    device: str
+    machine: dict[str, Any] = field(default_factory=dict)
+    note: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Search:
+    """What ``search.json`` holds: the iterations that were found, and the measurements that say so."""
+
+    iterations: int
+    training: str
+    threads: int
+    device: str
+    measurements: list[dict[str, float]]
+    note: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Failure:
+    """What ``failed.json`` holds. ``log``: the last lines that were printed."""
+
+    stage: str
+    status: int
+    log: list[str]
+    training: str
+    evaluation: str
+
+
+State = Literal["done", "evaluate", "failed", "todo"]
+
+
+def runs_of(plan: Plan) -> list[Run]:
+    """All runs, in the order in which they are begun: what is needed first, and every method soon."""
+    budgets = sorted(plan.budgets, key=lambda budget: budget.kind == CPU_SECONDS)
+    return [
+        Run(budget, setting, scene, method, seed)
+        for budget in budgets
+        for seed in plan.seeds
+        for setting in plan.settings
+        for scene in plan.scenes
+        for method in plan.methods
+    ]
+
+
+@dataclass
+class Store:
+    """What is in the benchmark's folder, held against what the plan wants.
+
+    ``configs``: by method, its whole configuration as JSON; ``data``: by scene, the data's fingerprint.
+    """
+
+    out: Path
+    plan: Plan
+    configs: dict[str, dict[str, Any]]
+    data: dict[str, str]
+    weights: str = ""
+
+    def config(self, run: Run, iterations: int) -> dict[str, Any]:
+        """The configuration that this run must have been trained with."""
+        own = {"iterations": iterations, "seed": run.seed, "exposure_mode": run.setting}
+        return self.configs[run.method.name] | own
+
+    def training_fingerprint(self, run: Run) -> str:
+        """Of the configuration, but for what differs between a method's runs, and of the data."""
+        config = self.configs[run.method.name]
+        shared = {key: value for key, value in config.items() if key not in PER_RUN}
+        return fingerprint([shared, self.data[run.scene.name]])
+
+    @property
+    def evaluation_fingerprint(self) -> str:
+        return fingerprint(["evaluation", self.weights])
+
+    # -- what is there -----------------------------------------------------------------------------------
+
+    def record(self, run: Run) -> Record | None:
+        """The record of a run that is done, whichever the plan it was done for."""
+        return _read(Record, self.out / run.folder / RUN_FILE)
+
+    def failure(self, run: Run) -> Failure | None:
+        """How it failed, if it did as it would be done now."""
+        failure = _read(Failure, self.out / run.folder / FAILED_FILE)
+        wanted = (self.training_fingerprint(run), self.evaluation_fingerprint)
+        return failure if failure and (failure.training, failure.evaluation) == wanted else None
+
+    def search(self, run: Run) -> Search | None:
+        """The search for the budget of ``run``, if it was done for the same method, data and threads."""
+        found = _read(Search, self.out / run.group / SEARCH_FILE)
+        wanted = (self.training_fingerprint(run), self.plan.threads_per_job, self.plan.device)
+        return found if found and (found.training, found.threads, found.device) == wanted else None
+
+    def iterations(self, run: Run) -> int | None:
+        """How many the run must have; None where they have to be found first."""
+        if run.budget.kind != CPU_SECONDS:
+            return int(run.budget.amount)
+        search = self.search(run)
+        return search.iterations if search else None
+
+    def is_trained(self, run: Run) -> bool:
+        """Whether its training is there as it would be done now."""
+        record = self.record(run)
+        wanted = (self.training_fingerprint(run), self.iterations(run))
+        return record is not None and (record.training, record.iterations) == wanted
+
+    def state(self, run: Run) -> State:
+        """``evaluate``: trained, but not evaluated as it would be now."""
+        if self.failure(run):
+            return "failed"
+        record = self.record(run)
+        if record is None or not self.is_trained(run):
+            return "todo"
+        evaluated = (self.out / run.folder / EVALUATION_FILE).is_file()
+        return "done" if evaluated and record.evaluation == self.evaluation_fingerprint else "evaluate"
+
+    def changes(self, run: Run) -> list[str]:
+        """Why a run that is there has to be done again; [] where there is none, or nothing changed."""
+        record = self.record(run)
+        if record is None or self.is_trained(run):
+            return []
+        try:
+            config = json.loads((self.out / run.folder / CONFIG_FILE).read_text(encoding="utf-8"))["config"]
+        except (OSError, ValueError, KeyError, TypeError):
+            return ["its configuration is gone"]
+        iterations = self.iterations(run)
+        wanted = self.config(run, iterations or record.iterations)
+        found = differences(config, wanted)
+        if not found and record.training != self.training_fingerprint(run):
+            found = ["the data set"]
+        return found or ["the search for its iterations"]
+
+
+# ---- files -----------------------------------------------------------------------------------------------
+
+
+def write_json(path: Path, content: Record | Search | Failure) -> None:
+    """Raises ``OutputError``."""
+    with atomic_path(path) as temporary:
+        text = json.dumps(
+            {"format": "physhdr-benchmark", "version": 1} | dataclasses.asdict(content), indent=1
+        )
+        temporary.write_text(text + "\n", encoding="utf-8")
+
+
+def put_in_place(work: Path, final: Path) -> None:
+    """Let a finished working folder become ``final``; what was there is gone afterwards."""
+    old = work.with_name(f"{work.name}.old")
+    if final.exists():
+        os.rename(final, old)
+    os.rename(work, final)
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def _read(cls: type, path: Path) -> Any:
+    """What ``write_json`` wrote; None where there is nothing, or nothing of this version."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if (content.pop("format"), content.pop("version")) != ("physhdr-benchmark", 1):
+            return None
+        return cls(**content)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None
+
+
+# ---- fingerprints ----------------------------------------------------------------------------------------
+
+
+def fingerprint(content: Any) -> str:
+    """16 hexadecimal digits of a JSON value."""
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def data_fingerprint(root: Path) -> str:
+    """Of every file that a training or an evaluation could read; raises ``BadValueError`` for no files."""
+    files = sorted(path for path in root.rglob("*") if path.is_file())
+    digests = []
+    for path in files:
+        parts = path.relative_to(root).parts
+        if parts[0] == UNREAD or any(part.startswith(".") for part in parts):
+            continue
+        digests.append(["/".join(parts), hashlib.sha256(path.read_bytes()).hexdigest()])
+    if not digests:
+        raise BadValueError(f"{root} holds no files", "Name the folder of a data set.")
+    return fingerprint(digests)
+
+
+def differences(old: Any, new: Any, name: str = "") -> list[str]:
+    """``densify.budget 60000 → 30000`` for each value that is not the same in two configurations."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        found = []
+        for key in dict.fromkeys([*old, *new]):
+            inside = f"{name}.{key}" if name else key
+            found += differences(old.get(key), new.get(key), inside)
+        return found
+    return [] if old == new else [f"{name} {old} → {new}"]

@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Has every run of a plan done that is not there: which next, who is at it, what became of it."""
+
+import contextlib
+import json
+import math
+import secrets
+import shutil
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+from ..evaluate.comparison import load_evaluation
+from .claims import Claims
+from .job import EVENT_LOG, PROGRAM, Job, Outcome
+from .plan import CPU_SECONDS
+from .pools import Pool
+from .runs import Record, Run, Store, runs_of
+from .search import Measurement
+
+CLAIMS_FOLDER = ".claims"
+#: Seconds between looks at what jobs do here, and at what other commands have done.
+LOOK_EVERY, LOOK_AROUND_EVERY = 0.25, 2.0
+#: Bytes from a log's end in which its last event lies.
+TAIL = 4096
+
+StatusKind = Literal["waiting", "running", "elsewhere", "done", "failed", "blocked"]
+SETTLED = ("done", "failed", "blocked")
+
+
+@dataclass(frozen=True)
+class Status:
+    """What a user is told of a run. ``text``: why it failed or waits; ``psnr``: LDR-OE in dB when done."""
+
+    kind: StatusKind
+    text: str = ""
+    iteration: int = 0
+    iterations: int = 0
+    psnr: float | None = None
+
+
+class Schedule:
+    """The runs of ``store.plan`` and the status of each.
+
+    ``tell``: is given lines for the user. ``retry``: what failed is tried again. ``program``: starts the
+    command ``physhdr``; another one in tests alone.
+    """
+
+    def __init__(
+        self,
+        store: Store,
+        *,
+        tell: Callable[[str], None],
+        retry: bool = False,
+        evaluate_again: bool = False,
+        program: tuple[str, ...] = PROGRAM,
+    ) -> None:
+        self.store, self.tell, self.program = store, tell, program
+        self.runs = runs_of(store.plan)
+        self.status: dict[Run, Status] = {}
+        self._work: dict[Run, Path] = {}
+        self._retry = set(self.runs) if retry else set()
+        self._evaluate_again = set(self.runs) if evaluate_again else set()
+        self._by_claim = {run.claim: run for run in self.runs}
+        for run in self.runs:
+            self.status[run] = self._on_disk(run)
+            if changes := store.changes(run):
+                tell(f"{run.folder}: to be done again, for {_listed(changes)}")
+
+    # -- status ------------------------------------------------------------------------------------------
+
+    def _on_disk(self, run: Run) -> Status:
+        state = self.store.state(run)
+        if state == "done" and run not in self._evaluate_again:
+            means = load_evaluation(self.store.out / run.folder)["means"]
+            return Status("done", psnr=(means.get("LDR-OE") or {}).get("psnr"))
+        failure = self.store.failure(run) if state == "failed" and run not in self._retry else None
+        if failure:
+            return Status("failed", failure.log[-1] if failure.log else f"status {failure.status}")
+        return Status("waiting")
+
+    def unsettled(self) -> list[Run]:
+        return [run for run in self.runs if self.status[run].kind not in SETTLED]
+
+    # -- the loop ----------------------------------------------------------------------------------------
+
+    def work_off(self, pool: Pool, show: Callable[[], None] = lambda: None) -> None:
+        """Until every run is done, failed or blocked by one that failed. ``show`` is called all the time."""
+        with Claims(self.store.out / CLAIMS_FOLDER) as claims:
+            try:
+                with pool:
+                    looked = 0.0
+                    while self.unsettled():
+                        for name, outcome in pool.finished():
+                            self._settle(self._by_claim[name], outcome)
+                            claims.release(name)
+                        if time.monotonic() - looked > LOOK_AROUND_EVERY:
+                            looked = time.monotonic()
+                            self._look_around(claims)
+                        self._begin(pool, claims)
+                        self._watch()
+                        show()
+                        time.sleep(LOOK_EVERY)
+                    show()
+            finally:
+                for work in self._work.values():
+                    shutil.rmtree(work, ignore_errors=True)
+
+    def _begin(self, pool: Pool, claims: Claims) -> None:
+        free = pool.free()
+        for run in self.runs if free else []:
+            if not free:
+                return
+            if self.status[run].kind != "waiting" or not self._may_begin(run):
+                continue
+            if not claims.take(run.claim):
+                self.status[run] = Status("elsewhere")
+                continue
+            self.status[run] = self._on_disk(run)  # another command may have done it meanwhile
+            if self.status[run].kind == "waiting":
+                job = self._job(run)
+                self._work[run] = job.work
+                self.status[run] = Status("running")
+                pool.submit(run.claim, job)
+                free -= 1
+            else:
+                claims.release(run.claim)
+
+    def _may_begin(self, run: Run) -> bool:
+        """Whether what it needs is there; sets it to blocked where that will never be."""
+        if run.budget.kind != CPU_SECONDS or self.store.search(run):
+            return True
+        searcher = replace(run, seed=self.store.plan.seeds[0])
+        if run == searcher:  # a run at equal iterations, where there is to be one, says what they cost
+            like = (run.setting, run.scene, run.method, run.seed)
+            return all(
+                self.status[other].kind in SETTLED
+                for other in self.runs
+                if other.budget.kind != CPU_SECONDS
+                and (other.setting, other.scene, other.method, other.seed) == like
+            )
+        if self.status[searcher].kind in SETTLED:
+            text = f"seed {searcher.seed}, which searches for the iterations, {self.status[searcher].kind}"
+            self.status[run] = Status("blocked", text)
+        return False
+
+    def _look_around(self, claims: Claims) -> None:
+        """What others were at: done by now, or given up."""
+        for run in self.runs:
+            if self.status[run].kind == "elsewhere" and not claims.is_taken(run.claim):
+                self.status[run] = self._on_disk(run)
+
+    def _watch(self) -> None:
+        """How far running jobs are, from their logs."""
+        for run, work in self._work.items():
+            iteration, iterations = _progress(work / EVENT_LOG)
+            if iterations:
+                self.status[run] = Status("running", "", iteration, iterations)
+
+    def _settle(self, run: Run, outcome: Outcome) -> None:
+        del self._work[run]
+        self._retry.discard(run)
+        self._evaluate_again.discard(run)
+        self.status[run] = self._on_disk(run)
+        status = self.status[run]
+        if status.kind == "done":
+            psnr = "" if status.psnr is None else f", LDR-OE {status.psnr:.2f} dB"
+            self.tell(f"{run.folder}: done{psnr}")
+        else:
+            self.status[run] = Status("failed", outcome.message or "its results are not what was asked for")
+            self.tell(f"{run.folder}: {outcome.kind}: {self.status[run].text}")
+
+    # -- one job -----------------------------------------------------------------------------------------
+
+    def _job(self, run: Run) -> Job:
+        store, plan = self.store, self.store.plan
+        final = store.out / run.folder
+        for left in final.parent.glob(f".{final.name}-*"):  # of a process that died: the claim is ours
+            shutil.rmtree(left, ignore_errors=True)
+        done = store.record(run) if store.is_trained(run) else None
+        iterations = store.iterations(run)
+        search = store.search(run)
+        blank = Record(
+            iterations=0,
+            cpu_seconds=0.0,
+            seconds=0.0,
+            gaussians=0,
+            peak_memory=None,
+            training=store.training_fingerprint(run),
+            evaluation=store.evaluation_fingerprint,
+            threads=plan.threads_per_job,
+            device=plan.device,
+            note=search.note if search and run.budget.kind == CPU_SECONDS else "",
+        )
+        record = replace(done, evaluation=store.evaluation_fingerprint) if done else blank
+        return Job(
+            final=final,
+            work=final.with_name(f".{final.name}-{secrets.token_hex(4)}"),
+            data=run.scene.data,
+            train=(
+                *plan.words_of(run.method),
+                *("--seed", str(run.seed), "--exposure-mode", run.setting),
+                *("--threads", str(plan.threads_per_job), "--device", plan.device),
+            ),
+            evaluate=(
+                *("--device", plan.device),
+                *(("--lpips-weights", str(plan.lpips_weights)) if plan.lpips_weights else ()),
+            ),
+            config=store.config(run, iterations or 0),
+            iterations=iterations,
+            seconds=run.budget.amount if run.budget.kind == CPU_SECONDS else 0.0,
+            known=None if iterations else self._known(run),
+            record=record,
+            only_evaluate=done is not None,
+            program=self.program,
+        )
+
+    def _known(self, run: Run) -> Measurement | None:
+        """What a done run of the same method on the same scene cost, the one nearest to the budget."""
+        found = []
+        for other in self.runs:
+            if (other.scene, other.method) != (run.scene, run.method) or self.status[other].kind != "done":
+                continue
+            record = self.store.record(other)
+            if record and record.threads == self.store.plan.threads_per_job and record.cpu_seconds > 0:
+                apart = abs(math.log(record.cpu_seconds / run.budget.amount))
+                found.append((other.setting != run.setting, apart, record))
+        if not found:
+            return None
+        record = min(found, key=lambda each: each[:2])[2]
+        return Measurement(record.iterations, record.cpu_seconds)
+
+
+def _progress(log: Path) -> tuple[int, int]:
+    """(iteration, iterations) of a run's last event; (0, 0) where nothing is told."""
+    with contextlib.suppress(OSError, ValueError, KeyError, IndexError):
+        with open(log, "rb") as file:
+            file.seek(0, 2)
+            file.seek(max(0, file.tell() - TAIL))
+            lines = file.read().decode("utf-8", "replace").splitlines()
+        events = [json.loads(line) for line in lines[-3:] if line.startswith("{")]
+        told = [event for event in events if "iterations" in event]
+        return int(told[-1]["iteration"]), int(told[-1]["iterations"])
+    return 0, 0
+
+
+def _listed(changes: list[str]) -> str:
+    shown = "; ".join(changes[:3])
+    return shown + (f"; and {len(changes) - 3} more" if len(changes) > 3 else "")

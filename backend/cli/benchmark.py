@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""``physhdr benchmark``: methods × scenes × settings × seeds at equal budgets, and the report on them."""
+
+import contextlib
+import hashlib
+import io
+import json
+import shlex
+import signal
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import tyro
+from rich.live import Live
+
+from ...bridge.errors import BadValueError, FileMissingError
+from ..benchmark.job import PROGRAM
+from ..benchmark.live import progress_table
+from ..benchmark.plan import PLAN_FILE, Plan, make_plan, read_plan, write_plan
+from ..benchmark.pools import LocalPool, Pool, RayPool
+from ..benchmark.report import REPORT_FILE, write_report
+from ..benchmark.runs import Store, data_fingerprint
+from ..benchmark.schedule import Schedule
+from ..device import DeviceName
+from ..train.config import CONFIG_FILE, write_config
+from .progress import console
+from .run_folder import writable_folder
+from .train import Train, preset_named
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """Train and evaluate methods on scenes at equal budgets; runs that exist are not repeated.
+
+    Flags are shorthand for a plan file (docs/benchmarking.md); without either, the plan in --out goes on.
+    """
+
+    #: Folder of the benchmark: its plan, its runs, report.md and report.csv.
+    out: Path
+    #: A plan (TOML); flags below replace what it says.
+    plan: Path | None = None
+    #: Presets, with commas or spaces between; or 'NAME := PRESET --option value', one an argument.
+    methods: tuple[str, ...] = ()
+    #: Folders of data sets; NAME=FOLDER to name one.
+    scenes: tuple[str, ...] = ()
+    #: How training chooses exposures: exp1, exp3.
+    settings: tuple[str, ...] = ()
+    #: For example 0,1,2.
+    seeds: tuple[str, ...] = ()
+    #: iterations=N or cpu-seconds=S, the same for every run; several are several tables.
+    budget: tuple[str, ...] = ()
+    #: FIELD=VALUE for every method, such as densify.budget=30000.
+    set: tuple[str, ...] = ()
+    #: Whose margins over the others are told; default: the first method's.
+    margins_of: str | None = None
+    #: LPIPS weights, as for physhdr evaluate.
+    lpips_weights: Path | None = None
+    #: Where to compute.
+    device: DeviceName | None = None
+    #: Threads of each run.
+    threads_per_job: int | None = None
+    #: Runs at the same time on this machine.
+    jobs: int = 1
+    #: Spread the runs over this Ray cluster (an address as for ray.init, or 'local' to start one).
+    ray: str | None = None
+    #: Write the report (and a .csv beside it) here as well.
+    report: Path | None = None
+    #: Run nothing: report what is there.
+    report_only: bool = False
+    #: Try runs again that failed.
+    retry: bool = False
+    #: Evaluate again what is trained.
+    evaluate_again: bool = False
+
+    def run(self) -> int:
+        plan = self._plan()
+        configs = {method.name: configuration(plan, method.name) for method in plan.methods}
+        console.print(f"reading {len(plan.scenes)} data sets to know them again")
+        data = {scene.name: data_fingerprint(scene.data) for scene in plan.scenes}
+        out = writable_folder(self.out)
+        write_plan(plan, out / PLAN_FILE)
+        schedule = Schedule(
+            Store(out.resolve(), plan, configs, data, _weights(plan.lpips_weights)),
+            tell=lambda line: console.print(line, soft_wrap=True, markup=False),
+            retry=self.retry,
+            evaluate_again=self.evaluate_again,
+            program=PROGRAM,
+        )
+        try:
+            if not self.report_only:
+                self._work_off(schedule, plan)
+        finally:  # also after CTRL-C: what is done is reported
+            self._write_report(schedule)
+        bad = [run for run in schedule.runs if schedule.status[run].kind in ("failed", "blocked")]
+        if bad:
+            console.print(f"{len(bad)} of {len(schedule.runs)} runs failed: the report lists them; --retry")
+        return 1 if bad else 0
+
+    def _plan(self) -> Plan:
+        """The plan file (given, or in ``out``) with the flags on top."""
+        stored = self.out / PLAN_FILE
+        if self.plan is not None and not self.plan.is_file():
+            raise FileMissingError(f"there is no plan {self.plan}", "Name a TOML file.")
+        fresh = self.methods and self.scenes and self.budget
+        source = self.plan or (stored if stored.is_file() and not fresh else None)
+        content = read_plan(source) if source else {}
+        flags: dict[str, Any] = {
+            "methods": _split(self.methods),
+            "scenes": [word for text in self.scenes for word in _scenes(text)],
+            "settings": _split(self.settings),
+            "seeds": [_number(word) for word in _split(self.seeds)],
+            "budgets": _split(self.budget),
+            "set": list(self.set),
+            "margins_of": self.margins_of,
+            "lpips_weights": self.lpips_weights and str(self.lpips_weights.resolve()),
+            "device": self.device,
+            "threads_per_job": self.threads_per_job,
+        }
+        return make_plan(content | {key: value for key, value in flags.items() if value}, Path.cwd())
+
+    def _work_off(self, schedule: Schedule, plan: Plan) -> None:
+        pool: Pool = RayPool(self.ray, plan.threads_per_job) if self.ray else LocalPool(self.jobs)
+        waiting = len(schedule.unsettled())
+        console.print(
+            f"{len(schedule.runs)} runs, {waiting} to be done; in {schedule.store.out}", soft_wrap=True
+        )
+        if not waiting:
+            return
+        with _ends_on_sigterm():
+            if not console.is_terminal:
+                schedule.work_off(pool)
+                return
+            with Live(console=console, auto_refresh=False, transient=True) as live:
+                schedule.work_off(pool, lambda: live.update(progress_table(schedule), refresh=True))
+
+    def _write_report(self, schedule: Schedule) -> None:
+        given = [self.report] if self.report else []
+        words = ["--plan", str(self.plan)] if self.plan else []
+        words += ["--out", str(self.out), *(word for path in given for word in ("--report", str(path)))]
+        command = shlex.join(["physhdr", "benchmark", *words])
+        paths = []
+        for path in [schedule.store.out / REPORT_FILE, *given]:
+            paths += write_report(schedule, path, command)
+        console.print("wrote " + ", ".join(str(path) for path in paths), soft_wrap=True)
+
+
+def configuration(plan: Plan, name: str) -> dict[str, Any]:
+    """The whole configuration of a method, as in its config.json, by the options that training will be given.
+
+    Raises ``BadValueError`` with what the parser says of an unknown preset, option or value.
+    """
+    method = next(method for method in plan.methods if method.name == name)
+    words = list(plan.words_of(method))
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
+            train = tyro.cli(Train, default=Train(config=preset_named(words)), args=words)
+    except SystemExit as error:
+        lines = [line.strip(" │╭╮╰╯─") for line in said.getvalue().splitlines()]
+        text = " ".join(line for line in lines if line)
+        raise BadValueError(
+            f"the options of the method '{name}' are not understood: {text}", f"They are: {' '.join(words)}"
+        ) from error
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / CONFIG_FILE
+        write_config(path, train.config, Path(folder), method.preset)
+        return json.loads(path.read_text(encoding="utf-8"))["config"]
+
+
+@contextlib.contextmanager
+def _ends_on_sigterm() -> Iterator[None]:
+    """A polite end (SIGTERM) is what CTRL-C is: jobs are ended, what is done is kept."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    previous = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, previous)
+
+
+def _weights(path: Path | None) -> str:
+    if path is None:
+        return ""
+    if not path.is_file():
+        raise FileMissingError(f"there are no LPIPS weights at {path}", "See docs/formats.md.")
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+
+
+def _split(words: tuple[str, ...]) -> list[str]:
+    """Words with commas between become several; a defined method stays whole."""
+    parts = [part for word in words for part in ([word] if ":=" in word else word.split(","))]
+    return [part.strip() for part in parts if part.strip()]
+
+
+def _scenes(text: str) -> list[str]:
+    return [text] if Path(text).is_dir() else _split((text,))
+
+
+def _number(word: str) -> int:
+    try:
+        return int(word)
+    except ValueError as error:
+        raise BadValueError(f"'{word}' is no seed", "Give whole numbers: --seeds 0,1,2") from error
+
+
+if __name__ == "__main__":
+    sys.exit(tyro.cli(Benchmark).run())
