@@ -7,16 +7,24 @@ from pathlib import Path
 import tyro
 from rich.progress import Progress
 
+from ...bridge.atomic import atomic_path
+from ...bridge.errors import BadValueError
 from ..device import DeviceName
+from ..evaluate.comparison import Entry, Table, comparison_table, load_evaluation
+from ..evaluate.optional import PackageMissingError
 from ..evaluate.protocol import evaluate, lpips_from
 from ..evaluate.report import to_terminal, write_report
-from ..evaluate.sheets import comparison_sheet
+from ..evaluate.response import learned_response, write_response_figure
+from ..evaluate.sheets import comparison_sheet, method_sheet
 from ..rasterize import Implementation
 from ..scene.pictures import write_png
 from .progress import console
-from .run_folder import open_run, writable_folder
+from .run_folder import Run, open_run, writable_folder
 
 SHEET_FILE = "comparison.png"
+RESPONSE_FILE = "response.png"
+#: What ``--against`` writes: the table as ``.md`` and ``.csv``, and a sheet.
+METHODS_NAME = "methods"
 
 
 @dataclass(frozen=True)
@@ -29,6 +37,8 @@ class Evaluate:
     out: Path | None = None
     #: LPIPS weights (an .npz of AlexNet and the linear heads, see docs/formats.md); without: skipped.
     lpips_weights: Path | None = None
+    #: Folders of other runs on the same data, evaluated before: one table and one sheet of all of them.
+    against: tuple[Path, ...] = ()
     #: The data set, where it has moved since training.
     data: Path | None = None
     rasteriser: Implementation = "auto"
@@ -51,5 +61,59 @@ class Evaluate:
         paths = write_report(evaluation, out)
         sheet = out / SHEET_FILE
         write_png(sheet, comparison_sheet(run.method, run.scene))
-        console.print("wrote " + ", ".join(str(path) for path in [*paths, sheet]), soft_wrap=True)
+        paths = [*paths, sheet, *_draw_response(run, out / RESPONSE_FILE)]
+        if self.against:
+            others = [open_run(folder, self.data, self.rasteriser, self.device) for folder in self.against]
+            paths += _compare([(run, out), *((other, other.folder) for other in others)], out)
+        console.print("wrote " + ", ".join(str(path) for path in paths), soft_wrap=True)
         return 0
+
+
+def _draw_response(run: Run, path: Path) -> list[Path]:
+    """The figure, where the method has a response curve and there is a package to draw it."""
+    learned = learned_response(run.method)
+    if learned is None:
+        return []
+    try:
+        write_response_figure(path, learned, run.scene)
+    except PackageMissingError as error:
+        console.print(f"{path.name} left out: {error}", style="yellow")
+        return []
+    return [path]
+
+
+def _compare(runs: list[tuple[Run, Path]], out: Path) -> list[Path]:
+    """Print and write the table of ``runs``, each with the folder of its evaluation, and their sheet."""
+    names = _names([run for run, _ in runs])
+    scene = runs[0][0].scene
+    entries = []
+    for name, (run, folder) in zip(names, runs, strict=True):
+        if run.scene.root.resolve() != scene.root.resolve():
+            raise BadValueError(
+                f"{run.folder} was trained on {run.scene.root}, not on {scene.root}",
+                "Compare runs on one data set, or give --data where it has moved.",
+            )
+        entries.append(
+            Entry(name, scene.name, run.config.exposure_mode, run.config.seed, load_evaluation(folder))
+        )
+    table: Table = comparison_table(entries, title=f"{scene.name}, test views")
+    console.print(table.rich())
+    paths = [out / f"{METHODS_NAME}.{kind}" for kind in ("md", "csv", "png")]
+    for path, text in zip(paths, (table.markdown(), table.csv()), strict=False):
+        with atomic_path(path) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    renderers = {name: run.method for name, (run, _) in zip(names, runs, strict=True)}
+    write_png(paths[-1], method_sheet(renderers, scene))
+    return paths
+
+
+def _names(runs: list[Run]) -> list[str]:
+    """Each run's preset, or where two are alike the folder's name, or where these are alike the folder."""
+    for names in (
+        [run.preset for run in runs],
+        [run.folder.name for run in runs],
+        [str(run.folder.resolve()) for run in runs],
+    ):
+        if len(set(names)) == len(runs):
+            return names
+    raise BadValueError("a run is compared with itself", "Give each folder once.")

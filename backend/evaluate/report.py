@@ -45,6 +45,7 @@ def to_dict(evaluation: Evaluation) -> dict[str, Any]:
             "eight_bit": True,
         },
         "scale_ratio": evaluation.scale_ratio,
+        "response": evaluation.response and dataclasses.asdict(evaluation.response),
         "means": {name: metrics and dataclasses.asdict(metrics) for name, metrics in _means(evaluation)},
         "relit_means": {
             label: _relit_dict(means) for label, means in _relit_means(evaluation) if means is not None
@@ -163,6 +164,8 @@ def conditions(evaluation: Evaluation) -> list[str]:
             f"({lowest:.4g} … {highest:.4g}); scale not aligned"
         )
         lines.append(f"HDR scale ratio (median of prediction / truth, median over views): {ratio:.4f}")
+    if evaluation.response is not None:
+        lines.append(str(evaluation.response))
     if evaluation.relit:
         lines.append("gain: ours − level × truth, the picture that scaling even the true one would give")
         lines.append(

@@ -135,10 +135,40 @@ class RelitMeans:
 
 
 @dataclass(frozen=True)
+class ResponseCheck:
+    """What is wrong with a learned response; each number is the worst of the three channels.
+
+    ``largest_fall``: how far the code falls anywhere while exposure rises (0: monotonic), in 1/255.
+    ``rms_error``, ``largest_error``: of the code against the true curve where that is telling, in 1/255.
+    ``scale``: the median of learned / true exposure at equal code, over all channels (1: the absolute scale
+    is right). None: the true response is not known.
+    """
+
+    largest_fall: float
+    rms_error: float | None = None
+    largest_error: float | None = None
+    scale: float | None = None
+
+    @property
+    def is_monotonic(self) -> bool:
+        return self.largest_fall == 0.0
+
+    def __str__(self) -> str:
+        rises = "rises everywhere" if self.is_monotonic else f"FALLS by {self.largest_fall:.2f}/255"
+        if self.rms_error is None:
+            return f"response: {rises}; the true one is not known"
+        return (
+            f"response: {rises}; against the true one {self.rms_error:.2f}/255 RMS, at most "
+            f"{self.largest_error:.2f}/255; exposure scale at equal code {self.scale:.4f}"
+        )
+
+
+@dataclass(frozen=True)
 class Evaluation:
     """Every number, row by row; means are computed from them. ``messages``: what was left out, and why.
 
     ``data_set``: the published benchmark that the scene is of (``published.data_set_of``), else "".
+    ``response``: of a method with a global response curve.
     """
 
     scene: str
@@ -152,6 +182,7 @@ class Evaluation:
     mu: float = MU
     seconds: float = 0.0
     data_set: str = ""
+    response: ResponseCheck | None = None
 
     def ldr_mean(self, exposure_indices: tuple[int, ...]) -> Metrics | None:
         """Mean over the views for each exposure, then over ``exposure_indices``; None if there are none."""

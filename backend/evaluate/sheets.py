@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures that show results: a labelled grid, and the comparison sheet truth | ours | residual."""
+"""Pictures that show results: a labelled grid; truth | ours | residual; several methods on one sheet."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -9,11 +12,11 @@ from ...bridge.errors import BadValueError
 from ...bridge.lights import Levels
 from ..scene.scene import Scene, View
 from . import truth
-from .metrics import MU, display, hdr_pair, psnr, quantise, resize_to
+from .metrics import MU, display, hdr_pair, psnr, quantise, resize_to, ssim
 from .protocol import Renderer
+from .residuals import RESIDUAL_GAIN, legend, residual
+from .results import NOVEL_EXPOSURES, OBSERVED_EXPOSURES
 
-#: Residuals are shown this many times too bright: 1/8 of the range is white.
-RESIDUAL_GAIN = 8.0
 #: What is shown as white in HDR pictures. The metrics keep the protocol's own normaliser, the maximum.
 WHITE_QUANTILE = 0.999
 #: Cells narrower than this (pixels) are enlarged by a whole factor, so that labels fit and faults show.
@@ -111,9 +114,14 @@ def as_picture(image: torch.Tensor) -> np.ndarray:
     return (quantise(image.detach().cpu()) * 255.0).to(torch.uint8).permute(1, 2, 0).numpy()
 
 
-def residual(picture: torch.Tensor, reference: torch.Tensor, gain: float = RESIDUAL_GAIN) -> np.ndarray:
-    """``[H, W, 3]`` uint8: gain × |picture − reference|, for each channel."""
-    return as_picture((picture.double().cpu() - reference.double().cpu()).abs() * gain)
+@dataclass(frozen=True)
+class Shown:
+    """What a sheet shows of one renderer under one condition, ``[3, H, W]`` in 0…1, and its numbers."""
+
+    picture: torch.Tensor
+    reference: torch.Tensor
+    psnr: float
+    ssim: float
 
 
 @torch.no_grad()
@@ -126,47 +134,92 @@ def comparison_sheet(
 ) -> np.ndarray:
     """Truth | ours | residual for some test views: LDR rows, HDR rows (μ-law), relit rows; uint8.
 
-    ``poses``: test pose numbers; None takes one that has relit truth, or the middle one. Parts without
-    truth have no rows. Raises ``BadValueError`` for an unknown pose or exposure, and what readers raise.
+    ``poses``: test pose numbers; None takes one that has relit truth, or the middle one. Exposures that a
+    view lacks and parts without truth have no rows. Raises ``BadValueError`` for an unknown pose, and what
+    readers raise.
     """
     relit = truth.relit_truth(scene.root)
-    if poses is None:
-        poses = [relit[0].index if relit else scene.test[len(scene.test) // 2].index]
     rows: list[list[Cell]] = []
-    for pose in poses:
+    for pose in _poses(scene, poses, relit):
         view = scene.find("test", pose)
-        rows += [_ldr_row(renderer, view, k, gain) for k in exposure_indices if k < len(view.exposures)]
+        for k in _positions(view, exposure_indices):
+            label = f"{view.name}, {view.exposures[k]:.4g} s"
+            rows.append(_row(label, _ldr(renderer, view, k), gain))
         if truth.has_hdr_truth(scene.root, "test"):
             reference = truth.hdr_truth(scene.root, "test", pose)
-            rows.append(_hdr_row(renderer, view, 1.0, reference, f"{view.name} HDR", gain))
+            rows.append(_row(f"{view.name} HDR", _hdr(renderer, view, 1.0, reference), gain))
         for item in relit:
             if item.index == pose and item.can_be_shown(renderer.lights):
-                levels = item.levels_of(renderer.lights)
-                label = f"{view.name} {item.condition}"
-                rows.append(_hdr_row(renderer, view, levels, item.radiance(), label, gain))
-    note = (
-        f"residual: absolute difference × {gain:g}; HDR and relit rows: μ-law, μ = {MU:g}, "
-        f"white is the {100.0 * WHITE_QUANTILE:g}th percentile of the truth"
+                shown = _hdr(renderer, view, item.levels_of(renderer.lights), item.radiance())
+                rows.append(_row(f"{view.name} {item.condition}", shown, gain))
+    return labelled_grid(
+        [*rows, [legend(SMALLEST_CELL, gain)]], f"{scene.name}: truth, ours, residual", _note()
     )
-    return labelled_grid(rows, f"{scene.name}: truth, ours, residual", note)
 
 
-def _ldr_row(renderer: Renderer, view: View, k: int, gain: float) -> list[Cell]:
-    exposure = view.exposures[k]
+@torch.no_grad()
+def method_sheet(
+    renderers: Mapping[str, Renderer],
+    scene: Scene,
+    poses: list[int] | None = None,
+    exposure_indices: tuple[int, ...] = (2, 3),
+    gain: float = RESIDUAL_GAIN,
+) -> np.ndarray:
+    """Several methods beside the truth: each condition is a row of pictures over a row of residuals; uint8.
+
+    ``renderers``: by the name that stands in the captions. The conditions are the exposures (by default one
+    that training saw and one between) and HDR where there is truth; ``poses`` as in ``comparison_sheet``.
+    Raises ``BadValueError`` without a method or for an unknown pose, and what readers raise.
+    """
+    if not renderers:
+        raise BadValueError("a sheet of methods needs at least one method")
+    rows: list[list[Cell]] = []
+    for pose in _poses(scene, poses, truth.relit_truth(scene.root)):
+        view = scene.find("test", pose)
+        for k in _positions(view, exposure_indices):
+            shown = {name: _ldr(renderer, view, k) for name, renderer in renderers.items()}
+            rows += _method_rows(f"{view.name}, {_part(view, k)}, {view.exposures[k]:.4g} s", shown, gain)
+        if truth.has_hdr_truth(scene.root, "test"):
+            reference = truth.hdr_truth(scene.root, "test", pose)
+            shown = {name: _hdr(renderer, view, 1.0, reference) for name, renderer in renderers.items()}
+            rows += _method_rows(f"{view.name}, HDR", shown, gain)
+    return labelled_grid(rows, f"{scene.name}: truth and {len(renderers)} methods", _note())
+
+
+def _poses(scene: Scene, poses: list[int] | None, relit: list[truth.RelitTruth]) -> list[int]:
+    if poses is not None:
+        return poses
+    return [relit[0].index if relit else scene.test[len(scene.test) // 2].index]
+
+
+def _positions(view: View, exposure_indices: Sequence[int]) -> list[int]:
+    """Where in the view's lists these indices of its bracket stand; those that it lacks are left out."""
+    return [view.bracket.index(k) for k in exposure_indices if k in view.bracket]
+
+
+def _part(view: View, k: int) -> str:
+    index = view.bracket[k]
+    return "LDR-OE" if index in OBSERVED_EXPOSURES else "LDR-NE" if index in NOVEL_EXPOSURES else "LDR"
+
+
+def _ldr(renderer: Renderer, view: View, k: int) -> Shown:
     reference = torch.from_numpy(view.image(k).copy()).permute(2, 0, 1).double() / 255.0
-    ours = quantise(renderer.ldr(view.camera, exposure, view.lighting_level).detach().cpu())
-    return _row(f"{view.name}, {exposure:g} s", ours, reference, gain)
+    picture = quantise(renderer.ldr(view.camera, view.exposures[k], view.lighting_level).detach().cpu())
+    return Shown(picture, reference, psnr(picture, reference), ssim(picture, reference))
 
 
-def _hdr_row(
-    renderer: Renderer, view: View, level: Levels, reference: torch.Tensor, label: str, gain: float
-) -> list[Cell]:
+def _hdr(renderer: Renderer, view: View, level: Levels, reference: torch.Tensor) -> Shown:
+    """Numbers as in the protocol; the pictures are brighter, see ``WHITE_QUANTILE``."""
     radiance = renderer.hdr(view.camera, level).detach().cpu()
     pair = hdr_pair(radiance, reference)
     white = display_white(reference)
     shown = resize_to(display(reference, white), radiance.shape[1], radiance.shape[2])
-    decibels = psnr(pair.prediction, pair.truth)
-    return _row(label, quantise(display(radiance, white)), quantise(shown), gain, decibels)
+    return Shown(
+        quantise(display(radiance, white)),
+        quantise(shown),
+        psnr(pair.prediction, pair.truth),
+        ssim(pair.prediction, pair.truth),
+    )
 
 
 def display_white(radiance: torch.Tensor) -> float:
@@ -175,12 +228,32 @@ def display_white(radiance: torch.Tensor) -> float:
     return max(float(torch.quantile(flat[:: max(1, flat.numel() // 1_000_000)], WHITE_QUANTILE)), 1e-6)
 
 
-def _row(
-    label: str, ours: torch.Tensor, reference: torch.Tensor, gain: float, decibels: float | None = None
-) -> list[Cell]:
-    decibels = psnr(ours, reference) if decibels is None else decibels
+def _row(label: str, shown: Shown, gain: float) -> list[Cell]:
     return [
-        (f"{label}: truth", as_picture(reference)),
-        (f"ours, {decibels:.2f} dB", as_picture(ours)),
-        (f"residual × {gain:g}", residual(ours, reference, gain)),
+        (f"{label}: truth", as_picture(shown.reference)),
+        (f"ours, {_numbers(shown)}", as_picture(shown.picture)),
+        (f"residual × {gain:g}", residual(shown.picture, shown.reference, gain)),
     ]
+
+
+def _method_rows(label: str, shown: dict[str, Shown], gain: float) -> list[list[Cell]]:
+    """A row of pictures with their numbers, and below it their residuals beside the legend."""
+    reference = as_picture(next(iter(shown.values())).reference)
+    pictures: list[Cell] = [(f"{label}: truth", reference)]
+    residuals: list[Cell] = [legend(max(SMALLEST_CELL, reference.shape[1]), gain)]
+    for name, each in shown.items():
+        pictures.append((f"{name}: {_numbers(each)}", as_picture(each.picture)))
+        residuals.append((f"{name}: residual × {gain:g}", residual(each.picture, each.reference, gain)))
+    return [pictures, residuals]
+
+
+def _numbers(shown: Shown) -> str:
+    return f"{shown.psnr:.2f} dB, SSIM {shown.ssim:.4f}"
+
+
+def _note() -> str:
+    return (
+        "residual: the worst channel's absolute difference; HDR and relit pictures and residuals: μ-law, "
+        f"μ = {MU:g}, white is the {100.0 * WHITE_QUANTILE:g}th percentile of the truth; their numbers are "
+        "the protocol's, whose white is the maximum"
+    )

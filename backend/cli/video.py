@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""``physhdr video``: a trained run along a path of cameras, through exposures, or under changing light."""
+
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from itertools import groupby, islice
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import tyro
+from rich.progress import Progress
+
+from ...bridge.errors import BadValueError
+from ..device import DeviceName
+from ..evaluate.camera_path import orbit_path, spline_path
+from ..evaluate.protocol import Renderer, ldr_bracket
+from ..evaluate.sheets import as_picture
+from ..evaluate.video import frames_writer, video_writer
+from ..rasterize import Implementation
+from ..scene import Camera, Scene
+from .lighting import levels_asked
+from .progress import console
+from .render import camera_named
+from .run_folder import open_run, writable_folder
+
+#: How far a lighting sweep goes where nobody says: from an eighth to eight times, as the relit truth does.
+LIGHT_RANGE = (0.125, 8.0)
+
+
+#: So many pictures of one view are held at once while their exposure changes.
+AT_ONCE = 16
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What one frame shows: camera, exposure in seconds, a level for each light."""
+
+    camera: Camera
+    exposure: float
+    levels: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Video:
+    """A video (H.264) or numbered pictures, through the learned response."""
+
+    #: Folder of the run.
+    folder: tyro.conf.Positional[Path]
+    #: The video to write: .mp4, .mov or .mkv (needs the package av).
+    out: Path | None = None
+    #: Folder for numbered PNG files, beside or instead of the video.
+    frames: Path | None = None
+    #: Through the training cameras, round their middle, or standing still (the default of a sweep).
+    path: Literal["spline", "orbit", "still"] | None = None
+    #: What changes: exposure from the shortest to the longest and back, or one light's level.
+    sweep: Literal["none", "exposure", "lighting"] = "none"
+    #: Ends of the sweep: seconds, or levels; default: the data set's exposures, or ⅛ and 8.
+    sweep_range: tuple[float, float] | None = None
+    #: Which light a lighting sweep turns; default: the first.
+    light: str | None = None
+    #: Where a still camera stands: SPLIT/POSE.
+    view: str = "test/0"
+    #: Seconds of exposure, but in an exposure sweep; default: the middle exposure of the data set.
+    exposure: float | None = None
+    #: Levels of lights by name, but of the one that is swept: NAME=VALUE …; those not named are at 1.
+    lighting_levels: tuple[str, ...] = ()
+    #: Length in seconds.
+    seconds: float = 6.0
+    fps: int = 30
+    #: Width in pixels (the height follows); default: the data set's.
+    width: int | None = None
+    #: The data set, where it has moved since training.
+    data: Path | None = None
+    rasteriser: Implementation = "auto"
+    device: DeviceName = "auto"
+
+    def run(self) -> int:
+        self._check()
+        run = open_run(self.folder, self.data, self.rasteriser, self.device)
+        frames = self.plan(run.scene, run.method)
+        with ExitStack() as stack:
+            sinks = []
+            if self.out is not None:
+                sinks.append(stack.enter_context(video_writer(self.out, self.fps)))
+            if self.frames is not None:
+                sinks.append(stack.enter_context(frames_writer(writable_folder(self.frames))))
+            bar = stack.enter_context(
+                Progress(console=console, transient=True, disable=not console.is_terminal)
+            )
+            for picture in bar.track(pictures(run.method, frames), len(frames), description="video"):
+                for sink in sinks:
+                    sink(picture)
+        wrote = " and ".join(str(path) for path in (self.out, self.frames) if path is not None)
+        console.print(f"wrote {wrote}: {len(frames)} frames", soft_wrap=True)
+        return 0
+
+    def _check(self) -> None:
+        if self.out is None and self.frames is None:
+            raise BadValueError(
+                "there is nowhere to write to", "Give --out VIDEO.mp4, --frames FOLDER or both."
+            )
+        if not (0.0 < self.seconds < 3600.0) or not 1 <= self.fps <= 240:
+            raise BadValueError(
+                f"--seconds {self.seconds:g} at --fps {self.fps}", "Seconds: up to an hour; fps: 1 to 240."
+            )
+        if self.exposure is not None and not self.exposure > 0.0:
+            raise BadValueError(f"--exposure must be above 0 seconds, got {self.exposure}")
+        if self.sweep_range is not None and (self.sweep == "none" or not min(self.sweep_range) > 0.0):
+            raise BadValueError(
+                f"--sweep-range {self.sweep_range[0]:g} {self.sweep_range[1]:g} with --sweep {self.sweep}",
+                "It needs --sweep exposure or lighting, and two values above 0.",
+            )
+        if self.light is not None and self.sweep != "lighting":
+            raise BadValueError("--light names what --sweep lighting turns", "Add --sweep lighting.")
+
+    def plan(self, scene: Scene, method: Renderer) -> list[Frame]:
+        """Every frame; raises ``BadValueError`` where the scene or the method cannot do what is asked."""
+        count = round(self.seconds * self.fps)
+        path = self.path or ("spline" if self.sweep == "none" else "still")
+        if path == "still":
+            if self.sweep == "none":
+                raise BadValueError("a still camera shows nothing new", "Add --sweep exposure or lighting.")
+            cameras = [camera_named(scene, self.view)] * count
+        else:
+            standing = [view.camera for view in scene.train]
+            cameras = (spline_path if path == "spline" else orbit_path)(standing, count)
+        if self.width is not None:
+            cameras = [camera.resized(self.width) for camera in cameras]
+        levels = levels_asked(1.0, self.lighting_levels, method.lights)
+        exposures = sorted({seconds for view in scene.train for seconds in view.exposures})
+        exposure = self.exposure or exposures[len(exposures) // 2]
+        if self.sweep == "exposure":
+            swept = there_and_back(*(self.sweep_range or (exposures[0], exposures[-1])), count)
+            return [Frame(camera, t, levels) for camera, t in zip(cameras, swept, strict=True)]
+        if self.sweep == "lighting":
+            which = self._light(method)
+            swept = there_and_back(*(self.sweep_range or LIGHT_RANGE), count)
+            turned = [(*levels[:which], level, *levels[which + 1 :]) for level in swept]
+            return [Frame(camera, exposure, each) for camera, each in zip(cameras, turned, strict=True)]
+        return [Frame(camera, exposure, levels) for camera in cameras]
+
+    def _light(self, method: Renderer) -> int:
+        """The place of the light that is swept."""
+        if not getattr(method, "can_relight", True):
+            raise BadValueError(
+                "this method cannot relight: a lighting level would only scale the picture, as exposure does",
+                "Use --sweep exposure, or train a preset with light (default).",
+            )
+        if self.light is None:
+            return 0
+        if self.light not in method.lights:
+            raise BadValueError(
+                f"there is no light '{self.light}' in this model", f"Names are: {', '.join(method.lights)}."
+            )
+        return method.lights.index(self.light)
+
+
+def pictures(method: Renderer, frames: list[Frame]) -> Iterator[np.ndarray]:
+    """``[H, W, 3]`` uint8 of each frame; frames that differ in exposure alone are rendered together."""
+    for _, alike in groupby(frames, key=lambda frame: (id(frame.camera), frame.levels)):
+        for some in batched(alike, AT_ONCE):
+            first = some[0]
+            for ldr in ldr_bracket(method, first.camera, [frame.exposure for frame in some], first.levels):
+                yield as_picture(ldr)
+
+
+def batched(items: Iterable[Frame], size: int) -> Iterator[list[Frame]]:
+    """Lists of up to ``size`` items (Python 3.11 has no ``itertools.batched``)."""
+    iterator = iter(items)
+    while some := list(islice(iterator, size)):
+        yield some
+
+
+def there_and_back(low: float, high: float, count: int) -> list[float]:
+    """``count`` values from ``low`` to ``high`` and back, even in stops, so that the video can be looped."""
+    share = 1.0 - np.abs(np.linspace(-1.0, 1.0, count, endpoint=False))
+    return [float(low * (high / low) ** s) for s in share]

@@ -1,0 +1,22 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Packages that only some of evaluation needs, which the user may not have installed."""
+
+import importlib
+from types import ModuleType
+
+from ...bridge.errors import PhysHDRError
+
+
+class PackageMissingError(PhysHDRError):
+    """An optional package is not installed."""
+
+
+def needed(module: str, package: str, extra: str, what: str) -> ModuleType:
+    """Import ``module`` of PyPI's ``package``; raises ``PackageMissingError``: ``what`` needs ``extra``."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise PackageMissingError(
+            f"{what} needs {package}, which cannot be imported: {error}",
+            f"Install it: pip install {package} (or physhdr with its extra: pip install 'physhdr[{extra}]').",
+        ) from error

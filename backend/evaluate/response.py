@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The camera response that a method learned, against the true one: numbers and a figure.
+
+A response maps exposure × radiance (absolute: seconds × scene-linear radiance) to a code value in 0…1. Where
+a data set has true radiance, its pictures show the true response, whatever curve made them: the code that
+pixels of one exposure × radiance got. A shift of the learned curve along its logarithmic axis is an error of
+the radiance's absolute scale.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...bridge.atomic import atomic_path
+from ...bridge.display import to_srgb
+from ...bridge.errors import BadValueError
+from ..scene.scene import Scene
+from . import truth
+from .metrics import resize_to
+from .optional import needed
+from .results import ResponseCheck
+
+#: Pixels are gathered in bins of this many stops between these ends; a bin counts with this many values.
+BIN_STOPS, BIN_ENDS, BIN_VALUES = 0.25, (-16.0, 16.0), 50
+#: Codes in which a curve says where it is: below is noise and black, above white.
+TELLING = (0.02, 0.98)
+#: A fall smaller than this (of 1) is rounding: a thousandth of a step of 8 bit.
+FALL_TOLERANCE = 1e-3 / 255.0
+CHANNELS = ("red", "green", "blue")
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """``exposure`` ``[M]``, rising: exposure × radiance. ``code`` ``[M, 3]``: 0…1, NaN where not known."""
+
+    exposure: np.ndarray
+    code: np.ndarray
+
+
+def learned_response(method: Any) -> Curve | None:
+    """The curve that ``method.response_curve()`` gives, (ln(exposure × radiance) ``[M]``, LDR ``[M, 3]``).
+
+    None where the method has none. Raises ``BadValueError`` for other shapes, NaN, or exposures that fall.
+    """
+    given = getattr(method, "response_curve", lambda: None)()
+    if given is None:
+        return None
+    log_exposure, code = (np.asarray(_plain(part), np.float64) for part in given)
+    sound = code.shape == (len(log_exposure), 3) and len(code) > 1 and (np.diff(log_exposure) > 0).all()
+    if not sound or not (np.isfinite(code).all() and np.isfinite(log_exposure).all()):
+        raise BadValueError(
+            f"a response curve must be finite [M] rising and [M, 3], got {log_exposure.shape}, {code.shape}",
+            "Train again, or use a checkpoint before.",
+        )
+    return Curve(np.exp(log_exposure), code)
+
+
+def _plain(part: Any) -> Any:
+    return part.detach().cpu().numpy() if hasattr(part, "detach") else part
+
+
+# ---- the true response -------------------------------------------------------------------------------
+
+
+def stated_response(info: dict[str, Any]) -> Callable[[np.ndarray], np.ndarray] | None:
+    """The curve that ``dataset.json`` states by a formula or by its points; None where it does not.
+
+    A camera model with faults of its own (noise, white balance, local response) leaves it for what it is.
+    """
+    match info.get("response"):
+        case {"curve": [[_, _], *_] as points}:
+            x, code = np.array(points, np.float64).T
+            return lambda exposure: np.interp(exposure, x, code)
+        case {"name": "reinhard-gamma"}:
+            return lambda exposure: (exposure / (1.0 + exposure)) ** (1.0 / 2.2)
+        case {"name": "srgb"}:
+            return lambda exposure: to_srgb(np.minimum(exposure, 1.0))
+    return None
+
+
+def measured_response(scene: Scene) -> Curve | None:
+    """The response that the test pictures show: the median code of the pixels in each bin of exposure.
+
+    From 8-bit codes against exposure × true radiance, each channel by itself. None without true radiance.
+    Raises what ``read_png`` and ``read_exr`` raise.
+    """
+    if not scene.test or not truth.has_hdr_truth(scene.root, "test"):
+        return None
+    bins = round((BIN_ENDS[1] - BIN_ENDS[0]) / BIN_STOPS) + 1
+    counts = np.zeros((3, bins * 256), np.int64)
+    for view in scene.test:
+        radiance = truth.hdr_truth(scene.root, "test", view.index)
+        radiance = resize_to(radiance, view.camera.height, view.camera.width).numpy().reshape(3, -1)
+        stops = np.log2(np.maximum(radiance, 1e-12))
+        for k, exposure in enumerate(view.exposures):
+            at = np.rint((stops + (np.log2(exposure) - BIN_ENDS[0])) / BIN_STOPS).astype(np.int32)
+            codes = view.image(k).reshape(-1, 3)
+            for c in range(3):
+                inside = (at[c] >= 0) & (at[c] < bins)
+                counts[c] += np.bincount(256 * at[c][inside] + codes[inside, c], minlength=bins * 256)
+    code = np.stack([_medians(each.reshape(bins, 256)) for each in counts], axis=1)
+    known = np.isfinite(code).any(axis=1)
+    exposure = 2.0 ** (BIN_ENDS[0] + BIN_STOPS * np.arange(bins))
+    return Curve(exposure[known], code[known]) if known.any() else None
+
+
+def _medians(counts: np.ndarray) -> np.ndarray:
+    """The median code (0…1) of each row of ``[B, 256]`` counts of codes; NaN for too few pixels."""
+    below, total = counts.cumsum(axis=1), counts.sum(axis=1, keepdims=True)
+    # The mean of the lower and the upper median: the first codes that reach, and pass, half the pixels.
+    lower, upper = (2 * below >= total).argmax(axis=1), (2 * below > total).argmax(axis=1)
+    return np.where(total[:, 0] >= BIN_VALUES, 0.5 * (lower + upper) / 255.0, np.nan)
+
+
+def true_response(scene: Scene, learned: Curve) -> Curve | None:
+    """The stated response at the learned curve's exposures, else the measured one, else None."""
+    stated = None if scene.info.get("camera_model") else stated_response(scene.info)
+    if stated is None:
+        return measured_response(scene)
+    return Curve(learned.exposure, np.repeat(stated(learned.exposure)[:, None], 3, axis=1))
+
+
+# ---- the check and the figure ------------------------------------------------------------------------
+
+
+def check_response(learned: Curve, true: Curve | None) -> ResponseCheck:
+    """Whether the learned curve rises, and how far it is from the true one."""
+    fall = np.maximum.accumulate(learned.code, axis=0) - learned.code
+    largest_fall = 255.0 * float(fall.max()) if fall.max() > FALL_TOLERANCE else 0.0
+    if true is None:
+        return ResponseCheck(largest_fall)
+    rms, largest, log_ratios = [], [], []
+    log_learned = np.log(learned.exposure)
+    for c in range(3):
+        telling = (true.code[:, c] >= TELLING[0]) & (true.code[:, c] <= TELLING[1])
+        telling &= (true.exposure >= learned.exposure[0]) & (true.exposure <= learned.exposure[-1])
+        if not telling.any():
+            continue
+        at, code = np.log(true.exposure[telling]), true.code[telling, c]
+        error = 255.0 * np.abs(np.interp(at, log_learned, learned.code[:, c]) - code)
+        rms.append(float(np.sqrt(np.mean(error**2))))
+        largest.append(float(error.max()))
+        rising = np.maximum.accumulate(learned.code[:, c])
+        reached = (code > rising[0]) & (code < rising[-1])
+        log_ratios.append((np.interp(code, rising, log_learned) - at)[reached])
+    if not rms:
+        return ResponseCheck(largest_fall)
+    ratios = np.concatenate(log_ratios)
+    scale = float(np.exp(np.median(ratios))) if ratios.size else None
+    return ResponseCheck(largest_fall, max(rms), max(largest), scale)
+
+
+def write_response_figure(path: Path, learned: Curve, scene: Scene) -> ResponseCheck:
+    """Draw the learned response of each channel, the true one and the anchor into ``path`` (.png).
+
+    Returns the check. Raises ``PackageMissingError`` without matplotlib, ``OutputError``, and what reading
+    the data set raises.
+    """
+    figures = needed("matplotlib.figure", "matplotlib", "figures", "the figure of the response")
+    true = true_response(scene, learned)
+    check = check_response(learned, true)
+    measured = measured_response(scene)
+    figure = figures.Figure(figsize=(7.2, 4.6), dpi=150, layout="constrained")
+    axes = figure.add_subplot()
+    if measured is not None:
+        for c in range(3):
+            axes.plot(measured.exposure, measured.code[:, c], ".", color="0.72", markersize=3.5, zorder=1)
+        axes.plot([], [], ".", color="0.72", label="the data: median code of the test pixels")
+    if true is not None and not (measured is not None and true.exposure is not learned.exposure):
+        axes.plot(true.exposure, true.code[:, 0], "--", color="black", lw=1.2, label="true", zorder=4)
+    for c, (name, colour) in enumerate(zip(CHANNELS, ("#c8372d", "#2c8c3c", "#2b5fc0"), strict=True)):
+        axes.plot(
+            learned.exposure, learned.code[:, c], color=colour, lw=1.6, label=f"learned, {name}", zorder=3
+        )
+    if scene.response_anchor is not None:
+        exposure, code = scene.response_anchor
+        label = f"anchor: {code:.3f} at {exposure:g}"
+        axes.plot(
+            [exposure], [code], "*", color="#e0a000", markeredgecolor="black", ms=13, label=label, zorder=5
+        )
+    axes.set_xscale("log", base=2)
+    axes.set_xlim(*_shown(learned, measured))
+    axes.set_ylim(-0.02, 1.02)
+    axes.set_xlabel("exposure × radiance (seconds × scene-linear units, absolute)")
+    axes.set_ylabel("code value (8-bit sRGB-coded pixel / 255)")
+    axes.set_title(f"{scene.name}: {check}", fontsize=8, loc="left")
+    axes.grid(alpha=0.25)
+    axes.legend(fontsize=8, loc="upper left")
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, format="png")
+    return check
+
+
+def _shown(learned: Curve, measured: Curve | None) -> tuple[float, float]:
+    """The exposures worth showing: where the data are, or where the learned curve is not black or white."""
+    if measured is not None:
+        return float(measured.exposure[0]), float(measured.exposure[-1])
+    mean = learned.code.mean(axis=1)
+    telling = learned.exposure[(mean > 0.005) & (mean < 0.995)]
+    ends = telling if telling.size > 1 else learned.exposure
+    return float(ends[0]), float(ends[-1])
