@@ -13,7 +13,9 @@ from rich.table import Table
 from rich.text import Text
 
 from ...bridge.errors import BadValueError, DataMismatchError
-from ..evaluate.inspection import DynamicRange, Exposure, Inspection, inspect
+from ..evaluate.inspected import DynamicRange, Exposure, Inspection
+from ..evaluate.inspection import inspect
+from ..scene.hdr_nerf_syn import OURS
 from .progress import console
 
 #: What an empty cell shows.
@@ -29,6 +31,8 @@ class Inspect:
 
     #: Folders of data sets; of several there is one line each.
     folders: tyro.conf.Positional[tuple[Path, ...]]
+    #: How many times smaller pictures would be read; default: as the layout's authors do.
+    downscale: float | None = None
     #: One JSON object a folder on stdout, each on its line.
     json: bool = False
 
@@ -37,7 +41,7 @@ class Inspect:
             raise BadValueError("no data set is given", "For example: physhdr inspect data/demo")
         all_found = []
         for folder in self.folders:
-            found = inspect(folder)
+            found = inspect(folder, self.downscale)
             all_found.append(found)
             if self.json:
                 sys.stdout.write(json.dumps(dataclasses.asdict(found)) + "\n")
@@ -84,6 +88,9 @@ def _show(found: Inspection) -> None:
 
 def _facts(found: Inspection) -> list[tuple[str, str]]:
     facts = []
+    if found.layout:
+        facts.append(("layout", found.layout))
+    facts += [("" if k else "read as", message) for k, message in enumerate(found.messages)]
     if found.made_by:
         facts.append(("made by", found.made_by))
     if found.resolution:
@@ -96,7 +103,7 @@ def _facts(found: Inspection) -> list[tuple[str, str]]:
         facts.append(("lights", ", ".join(found.lights)))
     if found.relit:
         facts += [("relit truth" if k == 0 else "", text) for k, text in enumerate(_relit(found))]
-    elif found.splits:
+    elif found.splits and found.layout == OURS:
         facts.append(("relit truth", "none"))
     if found.passes:
         facts.append(("passes", f"of {found.passes} poses: any mixture of the lights can be made from them"))
@@ -109,7 +116,7 @@ def _facts(found: Inspection) -> list[tuple[str, str]]:
         facts.append(("exposure modes", " and ".join(found.exposure_modes)))
     if found.dynamic_range:
         facts.append(("dynamic range", _range_in_words(found.dynamic_range)))
-    if found.splits:
+    if found.splits and found.layout == OURS:
         facts.append(("noise floor", _noise(found)))
     if found.renders:
         samples, noise = (_span(found.renders.get(key, [])) for key in ("samples", "noise_psnr"))
@@ -151,9 +158,11 @@ def _exposure_table(exposures: list[Exposure]) -> Table:
     for column in ("", "seconds", "EV", "white", "black"):
         table.add_column(column, justify="right")
     table.add_column("used for")
-    for k, exposure in enumerate(exposures):
+    for exposure in exposures:
         shares = [NONE if v is None else f"{v:.1%}" for v in (exposure.white, exposure.black)]
-        table.add_row(f"{k}", f"{exposure.seconds:g}", f"{exposure.ev:+g}", *shares, USES[exposure.use])
+        table.add_row(
+            f"{exposure.place}", f"{exposure.seconds:g}", f"{exposure.ev:+g}", *shares, USES[exposure.use]
+        )
     return table
 
 
@@ -180,7 +189,7 @@ def _table(all_found: list[Inspection]) -> Table:
         counts = (
             found.splits[name].poses if name in found.splits else 0 for name in ("train", "test", "lit")
         )
-        evs = [exposure.ev for exposure in found.exposures]
+        evs = sorted(exposure.ev for exposure in found.exposures)
         noise = (found.noise_floor or {}).get("hdr_psnr")
         table.add_row(
             found.scene,

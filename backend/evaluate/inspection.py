@@ -7,118 +7,90 @@ itself, and then the reader has the last word.
 
 import hashlib
 import json
-import math
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any
 
 import numpy as np
 
 from ...bridge.errors import PhysHDRError
-from ..scene import read_scene
-from ..scene.hdr_nerf_syn import LOOKS_FOR
+from ..scene import Scene, read_scene
+from ..scene.hdr_nerf_syn import LOOKS_FOR, NAME, OURS
 from ..scene.pictures import read_exr, read_png
+from .inspect_scene import look_at_scene
+from .inspected import (
+    LUMINANCE,
+    Clipped,
+    Estimate,
+    Inspection,
+    Split,
+    dynamic_range_of,
+    is_number,
+    tell_exposures,
+    warn_of_exposures,
+)
 from .layers import read_layers
-from .results import NOVEL_EXPOSURES, OBSERVED_EXPOSURES
 
 SPLITS = ("train", "test", "lit")
-#: Share of pixels without a usable exposure from which on there is a warning (as ``synth`` warns).
-LOST = 0.05
 #: dataset.json may differ from what is measured by its rounding.
 STOPS_TOLERANCE = 0.05
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec.709
-#: The response that is assumed where radiance is estimated from pictures: HDR-NeRF-Syn's camera.
-GAMMA = 2.2
 
 
-@dataclass
-class Split:
-    """``poses``: how many. ``levels``: light → the levels it has here. ``hdr``: how many true pictures."""
+def inspect(root: Path, downscale: float | None = None) -> Inspection:
+    """Look at every file of a data set, in whichever layout; ``downscale`` as training would read it.
 
-    poses: int
-    levels: dict[str, list[float]] = field(default_factory=dict)
-    hdr: int = 0
-
-
-@dataclass
-class Exposure:
-    """``use``: OE (training sees it), NE (evaluation only). ``white``, ``black``: of the training pixels."""
-
-    seconds: float
-    ev: float
-    use: str
-    white: float | None = None
-    black: float | None = None
-
-
-@dataclass
-class DynamicRange:
-    """Luminance of the training views from the 1st percentile to the maximum, in stops.
-
-    ``estimated``: from the pictures, through an assumed response; ``at_least``: some were clipped.
+    Raises nothing that a damaged data set could cause.
     """
-
-    percentile_1: float
-    maximum: float
-    stops: float | None
-    estimated: bool = False
-    at_least: bool = False
-
-
-@dataclass
-class Inspection:
-    """Everything found in ``folder``; ``errors`` are faults that make the data unusable as they are."""
-
-    folder: str
-    scene: str = ""
-    made_by: str = ""
-    resolution: tuple[int, int] | None = None
-    splits: dict[str, Split] = field(default_factory=dict)
-    exposures: list[Exposure] = field(default_factory=list)
-    exposure_modes: list[str] = field(default_factory=list)
-    lights: list[str] = field(default_factory=list)
-    relit: list[dict[str, Any]] = field(default_factory=list)
-    passes: int = 0
-    renders: dict[str, list[float]] = field(default_factory=dict)
-    """``samples`` and ``noise_psnr`` (dB, before denoising) of each pose's render."""
-    points: int | None = None
-    response: str = ""
-    camera: dict[str, Any] = field(default_factory=dict)
-    dynamic_range: DynamicRange | None = None
-    noise_floor: dict[str, Any] | None = None
-    warnings: list[str] = field(default_factory=list)
-    errors: list[str] = field(default_factory=list)
+    root = Path(root)
+    if (root / LOOKS_FOR).is_file():
+        walk = _Inspector(root)
+        _ask_the_reader(root, downscale, walk.found, walk.faulty)
+        return walk.found
+    found = Inspection(str(root), scene=root.resolve().name)
+    scene = _ask_the_reader(root, downscale, found, set())
+    if scene is not None:
+        look_at_scene(scene, found)
+    return found
 
 
-def inspect(root: Path) -> Inspection:
-    """Look at every file of a data set. Raises nothing that a damaged data set could cause."""
-    return _Inspector(Path(root)).found
+def _ask_the_reader(
+    root: Path, downscale: float | None, found: Inspection, faulty: set[Path]
+) -> Scene | None:
+    """What training would say, unless it has been said of one of the ``faulty`` files already."""
+    try:
+        scene = read_scene(root, downscale)
+    except PhysHDRError as error:
+        if not any(str(path) in error.message for path in faulty):
+            found.errors.append(error.message)
+        return None
+    camera = scene.train[0].camera
+    found.layout, found.messages = scene.layout, list(scene.messages)
+    found.resolution = camera.width, camera.height
+    found.points = len(scene.points.positions) if scene.points else None
+    return scene
 
 
 class _Inspector:
-    """One walk through a folder; ``found`` is the result."""
+    """One walk through a folder of our own layout; ``found`` is the result."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
+        self.info: dict[str, Any] = {}
         self.found = Inspection(str(root), scene=root.resolve().name)
         self.faulty: set[Path] = set()
-        self.info: dict[str, Any] = {}
-        self.frames: dict[str, list[dict[str, Any]]] = {}
-        if (root / LOOKS_FOR).is_file():
-            if (root / "dataset.json").exists():
-                self.info = self._json(root / "dataset.json")
-            self.frames = {split: self._frames(split) for split in SPLITS if self._has(split)}
-            self._head()
-            self._splits()
-            self._exposures()
-            self._pictures()
-            self._truth()
-            self._relit()
-            self._passes()
-            self._warn()
-        self._ask_the_reader()
+        if (root / "dataset.json").exists():
+            self.info = self._json(root / "dataset.json")
+        self.found.layout = OURS if self.info else NAME
+        self.frames = {split: self._frames(split) for split in SPLITS if self._has(split)}
+        self._head()
+        self._splits()
+        self._exposures()
+        self._pictures()
+        self._truth()
+        self._relit()
+        self._passes()
+        self._warn()
 
     # -- text ----------------------------------------------------------------------------------------------
 
@@ -146,7 +118,7 @@ class _Inspector:
         brackets: dict[str, dict[int, float]] = {}
         for key, seconds in self._json(self.root / f"exposure_{split}.json").items():
             parts = re.fullmatch(r"(?:\./)?(.+)_(\d+)\.png", key)
-            if parts and _is_number(seconds) and seconds > 0:
+            if parts and is_number(seconds) and seconds > 0:
                 brackets.setdefault(parts.group(1), {})[int(parts.group(2))] = float(seconds)
         frames = []
         listed = transforms.get("frames")
@@ -168,7 +140,7 @@ class _Inspector:
         found.response = str(_object(info.get("response")).get("name", ""))
         found.camera = _object(info.get("camera_model"))
         floor = _object(info.get("noise_floor"))
-        if isinstance(floor.get("psnr"), list) and all(map(_is_number, floor["psnr"])):
+        if isinstance(floor.get("psnr"), list) and all(map(is_number, floor["psnr"])):
             found.noise_floor = floor
         lights = info.get("lights")
         found.lights = [str(name) for name in lights] if isinstance(lights, list) else ["ambient"]
@@ -179,7 +151,7 @@ class _Inspector:
             for frame in frames:
                 given = _object(frame.get("lighting_levels")) or {"ambient": frame.get("lighting_level")}
                 for light, level in given.items():
-                    if _is_number(level):
+                    if is_number(level):
                         levels.setdefault(light, set()).add(float(level))
             described = {light: sorted(values) for light, values in levels.items()}
             self.found.splits[split] = Split(len(frames), described)
@@ -192,34 +164,21 @@ class _Inspector:
                 )
 
     def _exposures(self) -> None:
-        brackets = [frame["seconds"] for frames in self.frames.values() for frame in frames]
-        if not brackets:
-            return
-        if any(bracket != brackets[0] for bracket in brackets):
-            self.found.warnings.append("the exposures differ from view to view: the first view's are shown")
-        for k, seconds in sorted(brackets[0].items()):
-            use = "OE" if k in OBSERVED_EXPOSURES else "NE" if k in NOVEL_EXPOSURES else "unused"
-            self.found.exposures.append(Exposure(seconds, round(math.log2(seconds), 4), use))
-        observed = sum(exposure.use == "OE" for exposure in self.found.exposures)
-        self.found.exposure_modes = ["exp1", "exp3"] if observed > 1 else ["exp1"]
+        tell_exposures(self.found, (frame["seconds"] for frames in self.frames.values() for frame in frames))
 
     # -- pictures ------------------------------------------------------------------------------------------
 
     def _pictures(self) -> None:
         """Every PNG; how much of the training views is white or black at each exposure."""
-        lost: dict[int, list[tuple[float, float]]] = {}
-        estimate = _Estimate()
+        clipped, estimate = Clipped(), Estimate()
         for split, frames in self.frames.items():
             for frame in frames:
                 for k, seconds in frame["seconds"].items():
                     picture = self._picture(self.root / f"{frame['stem']}_{k}.png", read_png)
                     if picture is not None and split == "train":
-                        brightest = picture.max(-1)
-                        lost.setdefault(k, []).append(((brightest == 255).mean(), (brightest == 0).mean()))
+                        clipped.add(picture, k)
                         estimate.add(picture, seconds)
-        for k, exposure in enumerate(self.found.exposures):
-            if k in lost:
-                exposure.white, exposure.black = (round(float(v), 5) for v in np.mean(lost[k], axis=0))
+        clipped.tell(self.found)
         self.found.dynamic_range = estimate.range()
 
     def _picture(self, path: Path, read: Callable[[Path], np.ndarray]) -> np.ndarray | None:
@@ -250,13 +209,13 @@ class _Inspector:
                     if split == "train":
                         luminance.append((radiance.astype(np.float64) @ LUMINANCE).ravel())
         if luminance:
-            self.found.dynamic_range = _dynamic_range(np.concatenate(luminance))
+            self.found.dynamic_range = dynamic_range_of(np.concatenate(luminance))
 
     def _relit(self) -> None:
         """Every picture of every relit folder, those that dataset.json names and those that are there."""
         named = self.info.get("relit")
         told = {
-            str(entry["folder"]): {k: v for k, v in _object(entry.get("levels")).items() if _is_number(v)}
+            str(entry["folder"]): {k: v for k, v in _object(entry.get("levels")).items() if is_number(v)}
             for entry in (named if isinstance(named, list) else [])
             if isinstance(entry, dict) and "folder" in entry
         }
@@ -276,7 +235,7 @@ class _Inspector:
         for frame in map(_object, _object(self.info.get("frames")).values()):
             told[self.root / str(frame.get("file"))] = frame.get("sha256")
             for key in ("samples", "noise_psnr"):
-                if _is_number(frame.get(key)):
+                if is_number(frame.get(key)):
                     self.found.renders.setdefault(key, []).append(frame[key])
         for path in sorted((self.root / "passes").glob("*.exr")):
             if self._picture(path, lambda path: next(iter(read_layers(path).values()))) is None:
@@ -294,79 +253,14 @@ class _Inspector:
         found, warn = self.found, self.found.warnings.append
         if (self.root / "dataset.partial.json").exists():
             warn("the data set is not finished: make_scene.py is at it, or was interrupted (start it again)")
-        if found.exposures:
-            shortest, longest = found.exposures[0], found.exposures[-1]
-            for share, what, which, other in (
-                (shortest.white, "white", "shortest", "shorter"),
-                (longest.black, "black", "longest", "longer"),
-            ):
-                if share is not None and share > LOST:
-                    warn(
-                        f"{share:.0%} of the training pixels are {what} even at the {which} exposure: "
-                        f"{other} exposures would show more"
-                    )
-            if len(found.exposure_modes) < 2:
-                warn(
-                    "training sees one exposure only: the scale of the radiance comes from the response alone"
-                )
-        if "test" not in found.splits:
-            warn("there are no test views: physhdr evaluate has nothing to measure")
+        warn_of_exposures(found)
         said, measured = _object(self.info.get("dynamic_range")).get("stops"), found.dynamic_range
         known = measured.stops if measured and not measured.estimated else None
-        if _is_number(said) and known is not None and abs(said - known) > STOPS_TOLERANCE:
+        if is_number(said) and known is not None and abs(said - known) > STOPS_TOLERANCE:
             warn(f"dataset.json says {said} stops, train_hdr/ has {known}: was it made anew?")
 
-    def _ask_the_reader(self) -> None:
-        """What training would say; not what has been said of the same file already."""
-        try:
-            scene = read_scene(self.root)
-        except PhysHDRError as error:
-            if not any(str(path) in error.message for path in self.faulty):
-                self.found.errors.append(error.message)
-            return
-        self.found.points = len(scene.points.positions) if scene.points else None
 
-
-# ---- numbers -----------------------------------------------------------------------------------------
-
-
-def _dynamic_range(luminance: np.ndarray) -> DynamicRange:
-    """As dataset.json defines it; ``stops`` is None where more than one pixel in a hundred is black."""
-    low, high = float(np.percentile(luminance, 1)), float(luminance.max())
-    return DynamicRange(low, high, round(math.log2(high / low), 2) if low > 0 else None)
-
-
-class _Estimate:
-    """Dynamic range from pictures alone: the brightest pixel of the shortest exposure over the 1st percentile
-    of the longest, both through the inverse of (x / (1 + x))^(1 / 2.2).
-    """
-
-    def __init__(self) -> None:
-        self.counts: dict[float, np.ndarray] = {}
-
-    def add(self, picture: np.ndarray, seconds: float) -> None:
-        """Count the codes of a picture's mean over the channels."""
-        codes = np.round(picture.mean(-1)).astype(np.int64)
-        counted = np.bincount(codes.ravel(), minlength=256)
-        self.counts[seconds] = self.counts.get(seconds, np.zeros(256, np.int64)) + counted
-
-    def range(self) -> DynamicRange | None:
-        """None without pictures."""
-        if not self.counts:
-            return None
-        shortest, longest = min(self.counts), max(self.counts)
-        brightest = int(np.nonzero(self.counts[shortest])[0][-1])
-        share = np.cumsum(self.counts[longest]) / self.counts[longest].sum()
-        darkest = int(np.searchsorted(share, 0.01))
-        high, low = _radiance(min(brightest, 254), shortest), _radiance(max(darkest, 1), longest)
-        clipped = brightest == 255 or darkest == 0
-        stops = round(math.log2(high / low), 1) if high > low else 0.0
-        return DynamicRange(low, high, stops, estimated=True, at_least=clipped)
-
-
-def _radiance(code: int, seconds: float) -> float:
-    linear = (code / 255.0) ** GAMMA
-    return linear / (1.0 - linear) / seconds
+# ---- parts of dataset.json ---------------------------------------------------------------------------
 
 
 def _levels_of(folder: str) -> dict[str, float]:
@@ -383,10 +277,6 @@ def _levels_of(folder: str) -> dict[str, float]:
 
 def _object(value: Any) -> dict[str, Any]:
     return value if isinstance(value, dict) else {}
-
-
-def _is_number(value: Any) -> TypeGuard[float]:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _size(value: Any) -> tuple[int, int] | None:

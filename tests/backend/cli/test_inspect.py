@@ -2,9 +2,11 @@
 """``physhdr inspect``: what it says of a whole data set, and of each kind of damage."""
 
 import hashlib
+import importlib.util
 import json
 import math
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -244,3 +246,80 @@ def test_nonsense_in_dataset_json_ends_in_no_traceback(data, key, capsys):
         for folders in ([str(data)], [str(data), str(data)]):
             assert main(["inspect", *folders]) in (0, 1)
             assert "32×32" in capsys.readouterr().out
+
+
+# ---- other layouts -----------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def layouts():
+    """The writers of all the layouts, beside the readers' tests."""
+    path = Path(__file__).parents[1] / "scene" / "layouts.py"
+    spec = importlib.util.spec_from_file_location("layouts", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize(
+    ("writer", "layout", "splits", "places", "modes", "truth"),
+    [
+        ("write_syn", "HDR-NeRF-Syn", "3 2", [0, 1, 2, 3, 4], ["exp1", "exp3"], True),
+        ("write_real", "HDR-NeRF-Real", "3 2", [0, 1, 2], ["exp1", "exp3"], False),
+        ("write_gausshdr", "GaussHDR", "3 2", [0, 1, 2, 3, 4], ["exp1", "exp3"], True),
+        ("write_hdr_gs", "HDR-GS", "6 6", [0, 1, 2], ["exp1", "exp3"], True),
+        ("write_colmap", "COLMAP", "8 2", [0, 1, 2], ["exp1", "exp3"], False),
+        ("write_nerfstudio", "nerfstudio", "7 2", [0], ["exp1"], False),
+    ],
+)
+def test_every_layout_is_told(layouts, tmp_path, capsys, writer, layout, splits, places, modes, truth):
+    root = getattr(layouts, writer)(tmp_path / "scene")
+    assert main(["inspect", str(root), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["layout"] == layout and told["resolution"] == [96, 72] and told["errors"] == []
+    assert " ".join(str(split["poses"]) for split in told["splits"].values()) == splits
+    assert [exposure["place"] for exposure in told["exposures"]] == places
+    assert told["exposure_modes"] == modes and told["dynamic_range"]["estimated"] is not truth
+    assert [split["hdr"] for split in told["splits"].values()] == [
+        split["poses"] if truth else 0 for split in told["splits"].values()
+    ]
+    if truth:  # constant pictures of 10 and the training pose's number, from 0 on
+        last = 10 if layout == "HDR-GS" else 4
+        assert told["dynamic_range"]["percentile_1"] == pytest.approx(10.0)
+        assert told["dynamic_range"]["maximum"] == pytest.approx(10.0 + last)
+    assert any("split" in message for message in told["messages"])
+    assert main(["inspect", str(root)]) == 0
+    printed = capsys.readouterr().out
+    assert layout in printed and "split" in printed and "exposure modes" in printed
+
+
+def test_missing_exposures_and_a_smaller_size_are_told(layouts, tmp_path, capsys):
+    root = layouts.write_gausshdr(tmp_path / "coffee", {i: (1, 3) for i in range(5)}, "jpg")
+    assert main(["inspect", str(root), "--downscale", "2"]) == 0
+    printed = capsys.readouterr().out
+    assert "96×72 to 48×36 (bicubic)" in printed and "48×36" in printed
+    rows = [line.split() for line in printed.splitlines() if line.strip()[:1].isdigit()]
+    assert [row[:2] for row in rows] == [["0", "0.125"], ["2", "2"], ["4", "32"]]
+    edit(root / "exposure.json", lambda content: content.pop("train_r_2_2.jpg"))
+    assert inspect(root).messages[-1] == "exposures are missing: 2 in 1 of 5 poses"
+
+
+def test_faults_of_other_layouts_are_all_named(layouts, tmp_path, capsys):
+    root = layouts.write_gausshdr(tmp_path / "sofa")
+    for name in ("train_r_0_1.png", "test_r_3_4.png"):
+        path = root / "images" / name
+        path.write_bytes(path.read_bytes()[:300])
+    (root / "images_hdr" / "test_hdr_001.exr").unlink()
+    assert main(["inspect", str(root)]) == 1
+    captured = capsys.readouterr()
+    for name in ("train_r_0_1.png", "test_r_3_4.png", "test_hdr_001.exr"):
+        assert sum(line.startswith("fault:") and name in line for line in captured.out.splitlines()) == 1
+    assert "3 faults, the first" in captured.err
+    (root / "sparse" / "0" / "cameras.bin").write_bytes(b"x")
+    found = inspect(root)
+    assert len(found.errors) == 1 and "cameras.bin is damaged" in found.errors[0] and found.splits == {}
+
+
+def test_no_points_is_a_warning(layouts, tmp_path):
+    found = inspect(layouts.write_nerfstudio(tmp_path / "scene"))
+    assert found.points is None and any("random" in warning for warning in found.warnings)

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is in a data set of a layout that is not ours, seen through the scene that its reader makes of it.
+
+The reader has looked at every header by then; here each picture is decoded, and the truth, where there is
+any.
+"""
+
+import numpy as np
+
+from ...bridge.errors import PhysHDRError
+from ..scene import Scene, View
+from . import truth
+from .inspected import (
+    LUMINANCE,
+    Clipped,
+    Estimate,
+    Inspection,
+    Split,
+    dynamic_range_of,
+    tell_exposures,
+    warn_of_exposures,
+)
+
+
+def look_at_scene(scene: Scene, found: Inspection) -> None:
+    """Add to ``found`` what the views and their truth are; every fault is an entry of ``found.errors``."""
+    found.scene = scene.name
+    splits = {name: views for name, views in scene.splits.items() if views}
+    found.splits = {name: Split(len(views)) for name, views in splits.items()}
+    tell_exposures(
+        found,
+        (dict(zip(view.bracket, view.exposures, strict=True)) for views in splits.values() for view in views),
+    )
+    if scene.response_anchor is not None:
+        light, code = scene.response_anchor
+        found.response = f"response of {code:g} at exposure × radiance = {light:g}"
+    clipped, estimate = Clipped(), Estimate()
+    for name, views in splits.items():
+        for view in views:
+            for i, seconds in enumerate(view.exposures):
+                picture = _picture(view, i, found)
+                if picture is not None and name == "train":
+                    clipped.add(picture, view.bracket[i])
+                    estimate.add(picture, seconds)
+    clipped.tell(found)
+    found.dynamic_range = estimate.range()
+    _look_at_truth(scene, found)
+    if found.points is None:
+        found.warnings.append(
+            "there are no first points: training starts from random ones, and is worse for it"
+        )
+    warn_of_exposures(found)
+
+
+def _picture(view: View, i: int, found: Inspection) -> np.ndarray | None:
+    try:
+        return view.image(i)
+    except PhysHDRError as error:
+        found.errors.append(error.message)
+        return None
+
+
+def _look_at_truth(scene: Scene, found: Inspection) -> None:
+    """Count the true pictures; the dynamic range of the training views is taken from them."""
+    luminance = []
+    for name, split in found.splits.items():
+        for view in scene.splits[name] if truth.has_hdr_truth(scene.root, name) else []:
+            try:
+                radiance = truth.hdr_truth(scene.root, name, view.index).numpy()
+            except PhysHDRError as error:
+                found.errors.append(error.message)
+                continue
+            split.hdr += 1
+            if name == "train":
+                luminance.append(np.tensordot(LUMINANCE, radiance.astype(np.float64), axes=1).ravel())
+    if luminance:
+        found.dynamic_range = dynamic_range_of(np.concatenate(luminance))
