@@ -24,6 +24,7 @@ from .poses import (
     one_size,
     pose_number,
     split_by_name,
+    split_named,
 )
 from .resize import Reduction, capped
 from .scene import PictureCache, Scene
@@ -34,20 +35,22 @@ LOOKS_FOR = f"images/, sparse/0 and {EXPOSURE_FILE} with names of train and test
 #: The resolutions of GaussHDR's paper, by the factor that gives them: HDR-NeRF-Syn, HDR-NeRF-Real and
 #: HDR-Plenoxels-Real. Pictures that no factor brings there are another's.
 PUBLISHED = {2: (400, 400), 4: (804, 534), 6: (992, 746)}
+#: What ``physhdr prepare`` leaves in a user's own captures, to which no published size applies.
+PREPARED = "prepare.json"
 #: The true radiance of synthetic scenes. That it is there says that the camera is HDR-NeRF-Syn's; it is never
 #: opened here.
 TRUTH_FOLDER = "images_hdr"
 
 
 def is_mine(root: Path) -> bool:
-    """Whether ``root`` looks like this layout: the names in its exposure file say train or test."""
+    """Whether ``root`` looks like this layout: all names in its exposure file say train or test."""
     if find_model(root) is None or not (root / EXPOSURE_FILE).is_file() or not (root / "images").is_dir():
         return False
     try:
         names = json.loads((root / EXPOSURE_FILE).read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
         return False  # the next reader says what is wrong with it
-    return bool(names) and all("train" in name or "test" in name for name in names)
+    return isinstance(names, dict) and bool(names) and all(split_named(name) for name in names)
 
 
 def published_factor(width: int, height: int) -> float:
@@ -61,7 +64,8 @@ def published_factor(width: int, height: int) -> float:
 def read_scene(root: Path, downscale: float | None = None) -> Scene:
     """Read a data set folder. Nothing of the true radiance is opened.
 
-    ``downscale``: None takes the published factor, found by the pictures' size (``published_factor``).
+    ``downscale``: None takes the published factor, found by the pictures' size (``published_factor``), or
+    for a user's own captures 3DGS's limit of the width.
     Raises ``FileMissingError``, ``FileDamagedError``, ``DataMismatchError`` or ``BadValueError``, each
     naming the file, the entry and the remedy.
     """
@@ -88,7 +92,10 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
         check_numbers(poses_of_split, which, folder)
 
     info = read_info(root)
-    reduction = Reduction(published_factor(*size) if downscale is None else downscale, "bicubic")
+    if downscale is None:
+        own = bool(info) or (root / PREPARED).is_file()
+        downscale = capped(size[0]) if own else published_factor(*size)
+    reduction = Reduction(downscale, "bicubic")
     cache = PictureCache(reduction=reduction)
     train, test = ([pose.view(reduction, cache) for pose in poses_of_split] for poses_of_split in split)
     is_synthetic = (root / TRUTH_FOLDER).is_dir()

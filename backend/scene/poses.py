@@ -102,24 +102,29 @@ def fitted(camera: Camera, size: tuple[int, int], told_by: Path, picture: Path) 
 # ---- splits and names --------------------------------------------------------------------------------
 
 
-def split_by_name(poses: Sequence[Pose]) -> tuple[list[Pose], list[Pose]] | None:
-    """Training and test poses where each name has the word ``train`` or ``test``, as GaussHDR's; else None.
+def split_named(name: str) -> str | None:
+    """``train`` or ``test``, where a name has one of them as a word (``train_r_0``; ``latest`` has none)."""
+    words = {word for word in re.split(r"[^a-z]+", name.lower()) if word in ("train", "test")}
+    return words.pop() if len(words) == 1 else None
 
-    A word: ``train_r_0`` and ``test/003`` have one, ``latest`` has none.
+
+def split_by_name(poses: Sequence[Pose]) -> tuple[list[Pose], list[Pose]] | None:
+    """Training and test poses where each name says which, as GaussHDR's; None where one does not, or none is
+    for training.
     """
-    splits: dict[str, list[Pose]] = {"train": [], "test": []}
-    for pose in poses:
-        words = {word for word in re.split(r"[^a-z]+", pose.name.lower()) if word in splits}
-        if len(words) != 1:
-            return None
-        splits[words.pop()].append(pose)
-    return (splits["train"], splits["test"]) if splits["train"] else None
+    splits = [split_named(pose.name) for pose in poses]
+    if None in splits or "train" not in splits:
+        return None
+    train, test = (
+        [pose for pose, its in zip(poses, splits, strict=True) if its == split] for split in ("train", "test")
+    )
+    return train, test
 
 
 def split_somehow(poses: Sequence[Pose]) -> tuple[list[Pose], list[Pose], str]:
     """Training and test poses and the rule in words: by name, else every eighth pose is for testing."""
     named = split_by_name(poses)
-    if named is not None:
+    if named is not None and named[1]:
         return *named, "split by names: they say 'train' or 'test'"
     if len(poses) == 1:
         return list(poses), [], "no test views: there is one pose only"

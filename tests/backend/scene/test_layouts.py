@@ -148,6 +148,8 @@ def test_gausshdr_reduces_as_its_paper(layouts: ModuleType, tmp_path: Path) -> N
     # GaussHDR's: Pillow's resize with its default filter.
     np.testing.assert_array_equal(view.image(0), np.array(Image.fromarray(noise).resize((400, 400))))
     assert (view.camera.fx, view.camera.cx) == (375.0, 200.0)
+    (root / "prepare.json").write_text("{}")
+    assert read_scene(root).train[0].camera.width == 800, "a user's own photographs of that size"
 
 
 def test_only_reduced_pictures_are_kept(layouts: ModuleType, tmp_path: Path) -> None:
@@ -325,6 +327,7 @@ def test_names_decide_the_split_only_as_words(layouts: ModuleType, tmp_path: Pat
     for names, test in (
         (["train/a.png", "test/b.png", "train/c.png"], ["test/b"]),
         (["latest_a.png", "latest_b.png", "trainer_c.png"], ["latest_a"]),  # no words: every eighth
+        (["a_train.png", "b_train.png", "c_train.png"], ["a_train"]),  # pictures of a railway
     ):
         root = tmp_path / test[0].replace("/", "")
         for i, name in enumerate(names):
