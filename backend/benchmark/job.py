@@ -30,10 +30,12 @@ from .runs import (
     put_in_place,
     write_json,
 )
-from .search import Measurement, next_trial, note_on
+from .search import Measurement, nearest, next_trial, note_on
 
 EVENT_LOG = "log.jsonl"
 USAGE_FILE = "usage.json"
+#: Folders of trainings of which one will be chosen.
+TRIAL = "trial_"
 #: What starts the command ``physhdr`` with a number of threads and a file for its usage.
 PROGRAM = (sys.executable, "-m", "physhdr.backend.benchmark.child")
 #: Seconds between looks at whether to go on; and those that a process has to end by itself.
@@ -142,22 +144,27 @@ def _done(job: Job, should_stop: Callable[[], bool]) -> Outcome:
 
 
 def _trained(job: Job, should_stop: Callable[[], bool]) -> tuple[Record, Search | None]:
-    """Train as often as the budget asks for; the last training is the one that stays."""
+    """Train as often as the budget asks for; the training that was nearest to it stays in ``job.work``."""
     if job.iterations is not None:
-        return _train(job, job.iterations, should_stop), None
-    known, tried, measurements = job.known, [], []
+        return _train(job, job.work, job.iterations, should_stop), None
+    known, measurements = job.known, []
     if known:
         measurements.append({"iterations": known.iterations, "cpu_seconds": known.cpu_seconds, "known": 1})
-    record = None
-    while (iterations := next_trial(job.seconds, known, tried)) is not None:
-        record = _train(job, iterations, should_stop)
+    tried: dict[Measurement, tuple[Path, Record]] = {}
+    while (iterations := next_trial(job.seconds, known, list(tried))) is not None:
+        folder = job.work / f"{TRIAL}{len(measurements)}"
+        record = _train(job, folder, iterations, should_stop)
         measured = Measurement(iterations, record.cpu_seconds)
         measurements.append({"iterations": iterations, "cpu_seconds": record.cpu_seconds})
         if known is None:
             known = measured  # the pilot
         else:
-            tried.append(measured)
-    assert record is not None  # next_trial asks for one at least
+            tried[measured] = folder, record
+    folder, record = tried[nearest(job.seconds, list(tried))]
+    for path in list(folder.iterdir()):
+        os.replace(path, job.work / path.name)
+    for folder in job.work.glob(f"{TRIAL}*"):
+        shutil.rmtree(folder)
     note = note_on(record.iterations)
     search = Search(
         iterations=record.iterations,
@@ -170,13 +177,13 @@ def _trained(job: Job, should_stop: Callable[[], bool]) -> tuple[Record, Search 
     return replace(record, note=note), search
 
 
-def _train(job: Job, iterations: int, should_stop: Callable[[], bool]) -> Record:
-    words = ["train", job.data, "--out", job.work, "--overwrite", *job.train, "--iterations", iterations]
+def _train(job: Job, folder: Path, iterations: int, should_stop: Callable[[], bool]) -> Record:
+    words = ["train", job.data, "--out", folder, "--overwrite", *job.train, "--iterations", iterations]
     _physhdr(job, words, should_stop)
-    finished, gaussians = _events(job.work / EVENT_LOG)
+    finished, gaussians = _events(folder / EVENT_LOG)
     if finished is None or finished["stopped"]:
         raise _FailedError("train", 0, "training ended before its last iteration")
-    _require_config(job, iterations)
+    _require_config(job, folder, iterations)
     usage = _json(job.work / USAGE_FILE)
     return replace(
         job.record,
@@ -189,9 +196,9 @@ def _train(job: Job, iterations: int, should_stop: Callable[[], bool]) -> Record
     )
 
 
-def _require_config(job: Job, iterations: int) -> None:
+def _require_config(job: Job, folder: Path, iterations: int) -> None:
     """The fingerprint stands for ``job.config``: what was trained must be that."""
-    written = _json(job.work / CONFIG_FILE).get("config", {})
+    written = _json(folder / CONFIG_FILE).get("config", {})
     if found := differences(job.config | {"iterations": iterations}, written):
         why = f"a defect of ours: the run's {CONFIG_FILE} is not what the plan says: {'; '.join(found)}"
         raise _FailedError("train", 0, why)

@@ -160,6 +160,8 @@ class Plan:
             raise BadValueError(f"there is no setting '{unknown[0]}'", "Choose from exp1, exp3.")
         if self.threads_per_job < 1:
             raise BadValueError(f"--threads-per-job must be at least 1, got {self.threads_per_job}")
+        for text in self.assignments:
+            option_words(text)  # raises where it cannot be used
         named = [self.margins_of] if self.margins_of else []
         for name in [*named, *(step for ladder in self.ladders for step in ladder.steps)]:
             if name not in names:

@@ -14,7 +14,7 @@ from typing import Literal
 
 from ..evaluate.comparison import load_evaluation
 from .claims import Claims
-from .job import EVENT_LOG, PROGRAM, Job, Outcome
+from .job import EVENT_LOG, PROGRAM, TRIAL, Job, Outcome
 from .plan import CPU_SECONDS
 from .pools import Pool
 from .runs import Record, Run, Store, runs_of
@@ -155,7 +155,9 @@ class Schedule:
     def _watch(self) -> None:
         """How far running jobs are, from their logs."""
         for run, work in self._work.items():
-            iteration, iterations = _progress(work / EVENT_LOG)
+            logs = [work / EVENT_LOG, *work.glob(f"{TRIAL}*/{EVENT_LOG}")]
+            there = [log for log in logs if log.exists()]
+            iteration, iterations = _progress(max(there, key=_changed)) if there else (0, 0)
             if iterations:
                 self.status[run] = Status("running", "", iteration, iterations)
 
@@ -165,9 +167,11 @@ class Schedule:
         self._evaluate_again.discard(run)
         self.status[run] = self._on_disk(run)
         status = self.status[run]
-        if status.kind == "done":
+        record = self.store.record(run)
+        if status.kind == "done" and record:
             psnr = "" if status.psnr is None else f", LDR-OE {status.psnr:.2f} dB"
-            self.tell(f"{run.folder}: done{psnr}")
+            cost = f"{record.iterations} iterations in {record.cpu_seconds:.1f} CPU seconds"
+            self.tell(f"{run.folder}: done, {cost}{psnr}")
         else:
             self.status[run] = Status("failed", outcome.message or "its results are not what was asked for")
             self.tell(f"{run.folder}: {outcome.kind}: {self.status[run].text}")
@@ -231,6 +235,14 @@ class Schedule:
             return None
         record = min(found, key=lambda each: each[:2])[2]
         return Measurement(record.iterations, record.cpu_seconds)
+
+
+def _changed(path: Path) -> float:
+    """When, on the file's clock; 0 where it is gone meanwhile."""
+    try:
+        return path.stat().st_mtime
+    except OSError:
+        return 0.0
 
 
 def _progress(log: Path) -> tuple[int, int]:

@@ -15,8 +15,9 @@ PILOT_ITERATIONS = 20
 TOLERANCE = 0.05
 #: The first correction is a secant through what is known; a second one is for what a pilot could not tell.
 CORRECTIONS = 2
-#: No step of the secant goes further than this: two measurements that are near each other say little.
-FURTHEST = 4.0
+#: Cost is taken to grow with the iterations to the power of the secant, but within these: densification makes
+#: later iterations dearer, and two measurements that are near each other differ by noise.
+EXPONENTS = (0.8, 1.6)
 
 TOO_SLOW = "so slow that {iterations} iterations are all that fit"
 
@@ -30,35 +31,40 @@ class Measurement:
 
 
 def next_trial(seconds: float, known: Measurement | None, tried: Sequence[Measurement]) -> int | None:
-    """The iterations to train next for a budget of ``seconds``; None if the last that was tried shall stand.
+    """The iterations to train next for a budget of ``seconds``; None if one that was tried shall stand.
 
     ``known``: a run of the same method on the same scene, of any length; None asks for a pilot (it is what
     the next call gets as ``known``).
     """
     if not tried:
-        return PILOT_ITERATIONS if known is None else _proportional(seconds, known)
+        return PILOT_ITERATIONS if known is None else _step(seconds, known, 1.0)
     last = tried[-1]
     enough = abs(last.cpu_seconds / seconds - 1.0) <= TOLERANCE or len(tried) > CORRECTIONS
     if enough or last.iterations < PILOT_ITERATIONS:
         return None
     before = tried[-2] if len(tried) > 1 else known
-    step = _secant(seconds, before, last) if before else _proportional(seconds, last)
-    return step if step != last.iterations else None
+    step = _step(seconds, last, _exponent(before, last) if before else 1.0)
+    return None if step in [each.iterations for each in tried] else step
 
 
-def _proportional(seconds: float, known: Measurement) -> int:
-    return max(1, math.floor(seconds * known.iterations / max(known.cpu_seconds, 1e-9)))
+def nearest(seconds: float, tried: Sequence[Measurement]) -> Measurement:
+    """The one that shall stand: nearest to the budget, by ratio."""
+    return min(tried, key=lambda each: abs(math.log(max(each.cpu_seconds, 1e-9) / seconds)))
 
 
-def _secant(seconds: float, before: Measurement, last: Measurement) -> int:
-    """Where the line through two measurements meets ``seconds``, not further than ``FURTHEST`` times away."""
-    proportional = _proportional(seconds, last)
-    more = last.iterations - before.iterations
-    slope = (last.cpu_seconds - before.cpu_seconds) / more if more else 0.0
-    if slope <= 0.0:  # noise: the shorter run cost more
-        return proportional
-    wanted = last.iterations + (seconds - last.cpu_seconds) / slope
-    return max(1, round(min(max(wanted, proportional / FURTHEST), proportional * FURTHEST)))
+def _step(seconds: float, known: Measurement, exponent: float) -> int:
+    """As many as fit, at least one, if cost goes with the iterations to the power of ``exponent``."""
+    share = seconds / max(known.cpu_seconds, 1e-9)
+    return max(1, math.floor(known.iterations * share ** (1.0 / exponent)))
+
+
+def _exponent(before: Measurement, last: Measurement) -> float:
+    """The slope of the secant through two measurements, both axes logarithmic, within ``EXPONENTS``."""
+    more = math.log(last.iterations / before.iterations)
+    if more == 0.0:
+        return 1.0
+    dearer = math.log(max(last.cpu_seconds, 1e-9) / max(before.cpu_seconds, 1e-9))
+    return min(max(dearer / more, EXPONENTS[0]), EXPONENTS[1])
 
 
 def note_on(iterations: int) -> str:

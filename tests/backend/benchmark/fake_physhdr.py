@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Stands in for the child process where only scheduling is tested: ``THREADS USAGE train|evaluate …``.
+
+The preset says how it behaves; a line of ``calls.txt`` beside the data says what was called.
+"""
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+
+
+def cpu_seconds(preset: str, iterations: int) -> float:
+    """What a training costs: dearer with its length for ``convex``, far too dear for ``slow``."""
+    return {"convex": 0.002 * iterations**1.25, "slow": 0.7 * iterations}.get(preset, 0.01 * iterations)
+
+
+def train(words: list[str]) -> int:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--overwrite", action="store_true")
+    for name in ("preset", "exposure-mode", "device", "strength"):
+        parser.add_argument(f"--{name}", default="")
+    for name in ("iterations", "seed", "threads"):
+        parser.add_argument(f"--{name}", type=int)
+    given = parser.parse_args(words)
+    with open(given.data.parent / "calls.txt", "a") as calls:
+        calls.write(f"train {given.preset} {given.data.name} {given.seed} {given.iterations}\n")
+    once = given.data.parent / "failed_once"
+    if given.preset == "fails" or (given.preset == "fails_once" and not once.exists()):
+        once.touch()
+        print("it begins well\n\x1b[31merror: the flux is out of order\x1b[0m")
+        return 3
+    given.out.mkdir(exist_ok=True)
+    config = {"strength": given.strength, "iterations": given.iterations, "seed": given.seed}
+    config |= {"exposure_mode": given.exposure_mode}
+    (given.out / "config.json").write_text(json.dumps({"config": config}))
+    events = [{"event": "progress", "iteration": 1, "iterations": given.iterations, "gaussians": 7}]
+    (given.out / "log.jsonl").write_text(json.dumps(events[0]) + "\n")
+    if given.preset == "hangs":
+        time.sleep(1000)
+    time.sleep(0.1)
+    end = {"iteration": given.iterations, "seconds": 1.0, "stopped": False}
+    end["cpu_seconds"] = cpu_seconds(given.preset, given.iterations)
+    events.append({"event": "finished", **end})
+    (given.out / "log.jsonl").write_text("".join(json.dumps(event) + "\n" for event in events))
+    (given.out / "preset").write_text(given.preset)
+    return 0
+
+
+def evaluate(words: list[str]) -> int:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("folder", type=Path)
+    for name in ("out", "device", "lpips-weights"):
+        parser.add_argument(f"--{name}")
+    given = parser.parse_args(words)
+    config = json.loads((given.folder / "config.json").read_text())["config"]
+    base = 30.0 + len((given.folder / "preset").read_text()) + 0.1 * config["seed"]
+    means = {part: {"psnr": base, "ssim": 0.9} for part in ("LDR-OE", "LDR-NE", "HDR")}
+    content = {"format": "physhdr-evaluation", "version": 1, "means": means, "conditions": {}}
+    content |= {"scale_ratio": 1.0, "weights": given.lpips_weights}
+    (Path(given.out or given.folder) / "evaluation.json").write_text(json.dumps(content))
+    return 0
+
+
+if __name__ == "__main__":
+    threads, usage, command, *words = sys.argv[1:]
+    Path(usage).write_text(
+        json.dumps({"peak_memory": 123_000_000, "machine": {"host": "here", "cpu": "one"}})
+    )
+    sys.exit({"train": train, "evaluate": evaluate}[command](words))

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A plan from a file, from flags and back; what is refused, each with one clear message."""
+
+from pathlib import Path
+
+import pytest
+
+from physhdr.backend.benchmark.plan import Method, make_plan, option_words, read_plan, write_plan
+from physhdr.bridge.errors import PhysHDRError
+
+PLAN = """
+methods = ["default", 'bold := default --densify.threshold 4e-4 --method.no-light "a b"']
+scenes = ["rooms/bath", "night=rooms/bath"]
+settings = ["exp3", "exp1"]
+seeds = [0, 1]
+budgets = ["iterations=1000", "cpu-seconds=2.5"]
+set = ["densify.budget=30000", "half_size_until=0.1"]
+margins_of = "bold"
+[[ladder]]
+name = "one \\"step\\""
+steps = ["default", "bold"]
+"""
+
+
+@pytest.fixture
+def file(tmp_path):
+    (tmp_path / "rooms" / "bath").mkdir(parents=True)
+    (tmp_path / "plan.toml").write_text(PLAN)
+    return tmp_path / "plan.toml"
+
+
+def test_a_plan_survives_being_written(file, tmp_path):
+    plan = make_plan(read_plan(file), Path.cwd())
+    assert plan.methods[1].options == ("--densify.threshold", "4e-4", "--method.no-light", "a b")
+    assert plan.scenes[1].name == "night" and plan.scenes[1].data == tmp_path / "rooms" / "bath"
+    assert plan.options == ("--densify.budget", "30000", "--half-size-until", "0.1")
+    write_plan(plan, tmp_path / "elsewhere" / "plan.toml")
+    assert make_plan(read_plan(tmp_path / "elsewhere" / "plan.toml"), Path.cwd()) == plan
+
+
+def test_assignments_become_the_words_of_the_command():
+    assert option_words("training_exposures=0 2 4") == ("--training-exposures", "0", "2", "4")
+    assert option_words("method.tone_mapper.mix=false") == ("--method.tone-mapper.no-mix",)
+    assert option_words("method.tone_mapper.mix=True") == ("--method.tone-mapper.mix",)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('"default", ', '"../x", ', "'../x' cannot be the name of a method"),
+        ('"default", ', '"bold", ', "2 times the method 'bold'"),
+        ('"default", ', '"x := default --seed 3", ', "the method 'x' sets --seed"),
+        ('"rooms/bath"', '"rooms/nowhere"', "there is no data set"),
+        ('"rooms/bath"', '"night=rooms"', "2 times the scene 'night'"),
+        ('"exp1"', '"exp2"', "no setting 'exp2'"),
+        ("[0, 1]", "[0, -1]", "'seeds' cannot be read"),
+        ("[0, 1]", "[]", "the plan has no seed"),
+        ('"cpu-seconds=2.5"', '"hours=3"', "'hours=3' is no budget"),
+        ('"cpu-seconds=2.5"', '"cpu-seconds=nan"', "is no budget"),
+        ('"iterations=1000"', '"iterations=2.5"', "whole numbers"),
+        ("half_size_until=0.1", "seed=3", "--set seed=3 cannot be used"),
+        ('margins_of = "bold"', 'margins_of = "shy"', "no method 'shy'"),
+        ('"default", "bold"]', '"default", "shy"]', "no method 'shy'"),
+        ("settings =", "seetings =", "a plan has no 'seetings'"),
+        ("methods = [", "methods = [[", "is not a plan"),
+    ],
+)
+def test_what_cannot_be_run_is_refused(file, old, new, said):
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new, 1))
+    with pytest.raises(PhysHDRError, match=said):
+        make_plan(read_plan(file), Path.cwd())
+
+
+def test_a_method_is_a_preset_under_its_own_name():
+    assert Method.parsed("paper") == Method("paper", "paper")
+    assert str(Method.parsed("paper")) == "paper"
+    assert str(Method.parsed("x:=paper --a 'b c'")) == "x := paper --a 'b c'"

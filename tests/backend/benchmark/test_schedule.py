@@ -1,0 +1,270 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which runs are done, repeated, kept and taken over. A fake program trains; the schedule is the real one."""
+
+import csv
+import importlib.util
+import json
+import os
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from physhdr.backend.benchmark.live import progress_table
+from physhdr.backend.benchmark.plan import make_plan
+from physhdr.backend.benchmark.pools import LocalPool
+from physhdr.backend.benchmark.report import write_report
+from physhdr.backend.benchmark.runs import Store, data_fingerprint
+from physhdr.backend.benchmark.schedule import Schedule
+
+FAKE = Path(__file__).with_name("fake_physhdr.py")
+_spec = importlib.util.spec_from_file_location("fake_physhdr", FAKE)
+fake = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(fake)
+
+
+class Bench:
+    """A benchmark in ``root`` whose plan a test changes; ``told`` are its lines for the user."""
+
+    def __init__(self, root):
+        self.root, self.told = root, []
+        for name in ("day", "night"):
+            (root / name).mkdir()
+            (root / name / "data.json").write_text(name)
+        self.content = {"methods": ["quick"], "scenes": [str(root / "day")], "budgets": ["iterations=50"]}
+
+    def schedule(self, weights="", **options):
+        plan = make_plan(self.content, self.root)
+        configs = {m.name: {"strength": "".join(m.options[1:2])} for m in plan.methods}
+        data = {scene.name: data_fingerprint(scene.data) for scene in plan.scenes}
+        store = Store(self.root / "out", plan, configs, data, weights)
+        self.told.clear()
+        program = (sys.executable, "-I", "-S", str(FAKE))
+        return Schedule(store, tell=self.told.append, program=program, **options)
+
+    def run(self, jobs=2, **options):
+        schedule = self.schedule(**options)
+        schedule.work_off(LocalPool(jobs))
+        return schedule
+
+    def calls(self):
+        """What was trained since the last call: 'preset scene seed iterations'."""
+        path = self.root / "calls.txt"
+        lines = path.read_text().splitlines() if path.exists() else []
+        path.unlink(missing_ok=True)
+        return [line.removeprefix("train ") for line in lines]
+
+    def left_over(self):
+        """Working folders and claims: there must be none at the end."""
+        return [
+            path for path in (self.root / "out").rglob(".*") if path.name != ".claims" or any(path.iterdir())
+        ]
+
+
+@pytest.fixture
+def bench(tmp_path):
+    return Bench(tmp_path)
+
+
+def kinds(schedule):
+    return [schedule.status[run].kind for run in schedule.runs]
+
+
+def test_every_run_is_done_once_and_never_again(bench):
+    bench.content |= {"methods": ["quick", "other"], "seeds": [0, 1], "settings": ["exp1", "exp3"]}
+    bench.content["scenes"].append(str(bench.root / "night"))
+    schedule = bench.run(jobs=4)
+    assert kinds(schedule) == ["done"] * 16
+    assert sorted(bench.calls()) == sorted(
+        f"{m} {s} {k} 50"
+        for m in ("quick", "other")
+        for s in ("day", "night")
+        for k in (0, 1)
+        for _ in range(2)
+    )
+    folder = bench.root / "out" / "iterations-50" / "exp1" / "night" / "other" / "seed_1"
+    record = json.loads((folder / "run.json").read_text())
+    expected = {
+        "iterations": 50,
+        "cpu_seconds": 0.5,
+        "seconds": 1.0,
+        "gaussians": 7,
+        "peak_memory": 123000000,
+    }
+    assert expected.items() <= record.items() and (folder / "evaluation.json").exists()
+    assert kinds(bench.run()) == ["done"] * 16 and bench.calls() == [] and not bench.left_over()
+
+
+def test_a_changed_plan_repeats_what_changed_and_says_so(bench):
+    bench.content |= {"methods": ["quick", "v := other --strength 1"], "scenes": [str(bench.root / "day")]}
+    bench.run()
+    bench.calls()
+    bench.content["methods"] = ["quick", "v := other --strength 2"]
+    bench.run()
+    assert bench.calls() == ["other day 0 50"]
+    assert any("v/seed_0: to be done again, for strength 1 → 2" in line for line in bench.told)
+    (bench.root / "day" / "data.json").write_text("brighter")
+    bench.run()
+    assert len(bench.calls()) == 2 and sum("for the data set" in line for line in bench.told) == 2
+    bench.content["budgets"].append("iterations=60")
+    bench.run()
+    assert sorted(bench.calls()) == ["other day 0 60", "quick day 0 60"]
+
+
+def test_other_weights_of_lpips_repeat_the_evaluation_alone(bench):
+    bench.run()
+    bench.calls()
+    bench.content["lpips_weights"] = str(FAKE)
+    assert kinds(bench.run(weights="abc")) == ["done"] and bench.calls() == []
+    folder = bench.root / "out" / "iterations-50" / "exp3" / "day" / "quick" / "seed_0"
+    assert json.loads((folder / "evaluation.json").read_text())["weights"] == str(FAKE)
+    assert json.loads((folder / "run.json").read_text())["cpu_seconds"] == 0.5 and not bench.left_over()
+
+
+def test_a_failure_stops_nothing_is_told_and_tried_again_when_asked(bench):
+    bench.content |= {"methods": ["fails_once", "quick"], "budgets": ["cpu-seconds=1"], "seeds": [0, 1]}
+    schedule = bench.run(jobs=1)
+    # Seed 0 of the first searches for the iterations of both of its seeds.
+    assert kinds(schedule) == ["failed", "done", "blocked", "done"]
+    assert any("failed: error: the flux is out of order" in line for line in bench.told)
+    path, _ = write_report(schedule, bench.root / "report.md", "physhdr benchmark")
+    text = path.read_text()
+    assert "`physhdr train` ended with 3" in text and "it begins well\n  error: the flux" in text
+    assert "Runs without a result: fails_once (2 of 2)" in text and "2 of 4 runs are done" in text
+    bench.calls()
+    assert kinds(bench.run()) == ["failed", "done", "blocked", "done"] and bench.calls() == []
+    assert kinds(bench.run(retry=True)) == ["done"] * 4
+    assert all(call.startswith("fails_once") for call in bench.calls()) and not bench.left_over()
+
+
+def test_an_interruption_leaves_what_is_done_and_nothing_half_done(bench):
+    bench.content["methods"] = ["quick", "hangs"]
+    schedule = bench.schedule()
+    shown = []
+
+    def interrupt_when_it_hangs():
+        shown.append(progress_table(schedule))
+        hanging = schedule.status[schedule.runs[1]]
+        if schedule.status[schedule.runs[0]].kind == "done" and hanging.iterations:
+            assert (hanging.kind, hanging.iteration, hanging.iterations) == ("running", 1, 50)
+            assert fakes_running(bench.root)
+            raise KeyboardInterrupt
+
+    begun = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        schedule.work_off(LocalPool(2), interrupt_when_it_hangs)
+    assert time.monotonic() - begun < 30 and shown and not bench.left_over()
+    assert not fakes_running(bench.root)
+    assert kinds(bench.schedule()) == ["done", "waiting"]
+
+
+def fakes_running(root):
+    """Command lines of fake programs of this test that are alive."""
+    lines = []
+    for process in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            lines.append(process.read_bytes().replace(b"\0", b" ").decode(errors="replace"))
+        except OSError:
+            continue
+    return [line for line in lines if str(FAKE) in line and str(root) in line]
+
+
+def test_two_commands_share_the_runs(bench):
+    bench.content |= {"seeds": list(range(6))}
+    schedules = [bench.schedule(), bench.schedule()]
+    threads = [threading.Thread(target=s.work_off, args=(LocalPool(2),)) for s in schedules]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(60)
+    assert [kinds(s) for s in schedules] == [["done"] * 6] * 2
+    assert sorted(bench.calls()) == [f"quick day {k} 50" for k in range(6)] and not bench.left_over()
+
+
+def test_what_a_dead_command_left_is_taken_over(bench):
+    folder = bench.root / "out" / "iterations-50" / "exp3" / "day" / "quick"
+    (folder / ".seed_0-dead").mkdir(parents=True)
+    claims = bench.root / "out" / ".claims"
+    claims.mkdir()
+    owner = {"host": os.uname().nodename, "pid": 2**22 + 1, "token": "x"}  # beyond Linux's largest pid
+    (claims / "iterations-50__exp3__day__quick__seed_0").write_text(json.dumps(owner))
+    assert kinds(bench.run()) == ["done"] and not bench.left_over()
+
+
+def test_equal_cpu_seconds_are_found_from_the_run_at_equal_iterations(bench):
+    bench.content |= {
+        "methods": ["convex", "slow"],
+        "seeds": [0, 1],
+        "budgets": ["iterations=50", "cpu-seconds=3"],
+    }
+    schedule = bench.run()
+    calls = bench.calls()
+    counts = {
+        m: [int(c.split()[-1]) for c in calls if c.startswith(f"{m} day 1")] for m in ("convex", "slow")
+    }
+    found = counts["convex"][-1]
+    assert fake.cpu_seconds("convex", found) == pytest.approx(3.0, rel=0.05)
+    # Seed 1 does not search: one training a budget. Nobody needs a pilot.
+    assert sorted(counts["convex"]) == sorted([50, found]) and not any(c.endswith(" 20") for c in calls)
+    # 50 iterations of the slow one cost 35 s: four fit, and that is said.
+    assert sorted(counts["slow"]) == [4, 50]
+    text = write_report(schedule, bench.root / "report.md", "physhdr benchmark")[0].read_text()
+    assert "slow on day, exp3 is so slow that 4 iterations are all that fit" in text
+    assert "slow took 93% to 93% of the 3 CPU seconds" in text and "convex took" not in text
+
+
+def test_without_a_completed_run_a_pilot_comes_first_and_does_not_count(bench):
+    bench.content |= {"methods": ["convex"], "budgets": ["cpu-seconds=3"]}
+    schedule = bench.run()
+    calls = bench.calls()
+    assert calls[0] == "convex day 0 20" and kinds(schedule) == ["done"]
+    record = schedule.store.record(schedule.runs[0])
+    assert record.cpu_seconds == pytest.approx(3.0, rel=0.05)
+    assert record.iterations == int(calls[-1].split()[-1])
+    folder = bench.root / "out" / schedule.runs[0].folder
+    assert not list(folder.glob("trial_*")) and (folder / "evaluation.json").exists()
+
+
+def test_the_report_tells_margins_and_gains_as_numpy_computes_them(bench):
+    bench.content |= {
+        "methods": ["quick", "other", "longest_name"],
+        "seeds": [0, 1, 2],
+        "margins_of": "longest_name",
+    }
+    bench.content |= {"ladder": [{"name": "up", "steps": ["quick", "other", "longest_name"]}]}
+    bench.content["scenes"].append(str(bench.root / "night"))
+    schedule = bench.run(jobs=4)
+    rng = np.random.default_rng(0)
+    values = {}
+    for run in schedule.runs:  # evaluations whose numbers we know
+        psnr = values[run.method.name, run.scene.name, run.seed] = rng.normal(35.0, 1.0, 3)
+        path = bench.root / "out" / run.folder / "evaluation.json"
+        content = json.loads(path.read_text())
+        for part, value in zip(("LDR-OE", "LDR-NE", "HDR"), psnr, strict=True):
+            content["means"][part]["psnr"] = value
+        path.write_text(json.dumps(content))
+    path, table = write_report(schedule, bench.root / "report.md", "physhdr benchmark")
+    text = path.read_text()
+
+    def differences(method, other):
+        runs = [key[1:] for key in values if key[0] == method]
+        return np.array([values[(method, *run)] - values[(other, *run)] for run in runs])
+
+    d = differences("longest_name", "quick")
+    row = next(line for line in text.splitlines() if line.startswith("| quick | 6 |"))
+    for k in range(3):
+        assert f"| {d[:, k].mean():+.2f} ± {d[:, k].std(ddof=1):.2f} | {d[:, k].min():+.2f} |" in row
+    assert row.count("yes") == sum(d[:, k].mean() > d[:, k].std(ddof=1) for k in range(3))
+    gain = differences("other", "quick")[:, 2]
+    step = next(
+        line for line in text.splitlines() if line.startswith("| other | 6 |") and line.count("|") > 12
+    )
+    assert f"{gain.mean():+.2f} ± {gain.std(ddof=1):.2f} | {gain.min():+.2f}" in step
+    of_seed = [np.mean([values["other", s, k][2] for s in ("day", "night")]) for k in (0, 1, 2)]
+    main = next(line for line in text.splitlines() if line.startswith("| other | "))
+    assert f"{np.mean(of_seed):.2f}" in main and f"± {np.std(of_seed, ddof=1):.2f}" in main
+    rows = list(csv.DictReader(table.open()))
+    assert len(rows) == 18 and float(rows[0]["LDR-OE.psnr"]) == values["quick", "day", 0][0]
