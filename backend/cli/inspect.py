@@ -161,7 +161,7 @@ def _exposure_table(exposures: list[Exposure]) -> Table:
     for exposure in exposures:
         shares = [NONE if v is None else f"{v:.1%}" for v in (exposure.white, exposure.black)]
         table.add_row(
-            f"{exposure.place}", f"{exposure.seconds:g}", f"{exposure.ev:+g}", *shares, USES[exposure.use]
+            f"{exposure.place}", f"{exposure.seconds:g}", f"{exposure.ev:+.3g}", *shares, USES[exposure.use]
         )
     return table
 
@@ -195,7 +195,7 @@ def _table(all_found: list[Inspection]) -> Table:
             found.scene,
             _size(found) if found.resolution else NONE,
             "/".join(str(count) for count in counts),
-            f"{evs[0]:+g}…{evs[-1]:+g}" if evs else NONE,
+            f"{evs[0]:+.3g}…{evs[-1]:+.3g}" if evs else NONE,
             _stops(found.dynamic_range),
             f"{len(found.lights)}",
             f"{sum(len(entry['poses']) for entry in found.relit)}",

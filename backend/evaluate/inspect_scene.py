@@ -27,10 +27,11 @@ def look_at_scene(scene: Scene, found: Inspection) -> None:
     found.scene = scene.name
     splits = {name: views for name, views in scene.splits.items() if views}
     found.splits = {name: Split(len(views)) for name, views in splits.items()}
-    tell_exposures(
-        found,
-        (dict(zip(view.bracket, view.exposures, strict=True)) for views in splits.values() for view in views),
-    )
+    brackets = {
+        name: [dict(zip(view.bracket, view.exposures, strict=True)) for view in views]
+        for name, views in splits.items()
+    }
+    tell_exposures(found, brackets)
     if scene.response_anchor is not None:
         light, code = scene.response_anchor
         found.response = f"response of {code:g} at exposure × radiance = {light:g}"

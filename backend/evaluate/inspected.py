@@ -2,7 +2,6 @@
 """What an inspection of a data set says, and the judgements that are the same for every layout."""
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, TypeGuard
 
@@ -88,11 +87,14 @@ class Inspection:
 # ---- exposures ---------------------------------------------------------------------------------------
 
 
-def tell_exposures(found: Inspection, brackets: Iterable[dict[int, float]]) -> None:
-    """The exposures by their place in the bracket, and how training may use them; one bracket a view."""
+def tell_exposures(found: Inspection, brackets: dict[str, list[dict[int, float]]]) -> None:
+    """The exposures by their place in the bracket, and how training may use them.
+
+    ``brackets``: of each split, one a view, place → seconds.
+    """
     places: dict[int, float] = {}
     differ = False
-    for bracket in brackets:
+    for bracket in (bracket for views in brackets.values() for bracket in views):
         for k, seconds in bracket.items():
             differ |= places.setdefault(k, seconds) != seconds
     if differ:
@@ -100,9 +102,9 @@ def tell_exposures(found: Inspection, brackets: Iterable[dict[int, float]]) -> N
     for k, seconds in sorted(places.items()):
         use = "OE" if k in OBSERVED_EXPOSURES else "NE" if k in NOVEL_EXPOSURES else "unused"
         found.exposures.append(Exposure(seconds, round(math.log2(seconds), 4), use, place=k))
-    observed = sum(exposure.use == "OE" for exposure in found.exposures)
+    trained = {k for bracket in brackets.get("train", []) for k in bracket if k in OBSERVED_EXPOSURES}
     if found.exposures:
-        found.exposure_modes = ["exp1", "exp3"] if observed > 1 else ["exp1"]
+        found.exposure_modes = ["exp1", "exp3"] if len(trained) > 1 else ["exp1"]
 
 
 class Clipped:

@@ -164,7 +164,9 @@ class _Inspector:
                 )
 
     def _exposures(self) -> None:
-        tell_exposures(self.found, (frame["seconds"] for frames in self.frames.values() for frame in frames))
+        tell_exposures(
+            self.found, {split: [frame["seconds"] for frame in self.frames[split]] for split in self.frames}
+        )
 
     # -- pictures ------------------------------------------------------------------------------------------
 

@@ -51,7 +51,7 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
     if folder is ready:
         reduction = Reduction()
     names = _picture_names(folder)
-    rows = _read_rows(root / LOOKS_FOR, names)
+    rows = _read_rows(root / LOOKS_FOR, folder, names)
     size = one_size([folder / name for name in names.values()])
     poses, bracket_messages = _poses(root / LOOKS_FOR, names, rows, folder, size)
     check_numbers(poses, "all", folder)
@@ -105,7 +105,7 @@ def _picture_names(folder: Path) -> dict[tuple[int, int], str]:
     return names
 
 
-def _read_rows(path: Path, names: dict[tuple[int, int], str]) -> np.ndarray:
+def _read_rows(path: Path, folder: Path, names: dict[tuple[int, int], str]) -> np.ndarray:
     """``[pictures, 18]`` float64, finite."""
     try:
         # Mapped, not read: a header that claims more than the file holds is refused, nothing is allocated.
@@ -118,7 +118,7 @@ def _read_rows(path: Path, names: dict[tuple[int, int], str]) -> np.ndarray:
         )
     if len(rows) != len(names):
         raise DataMismatchError(
-            f"{path} has {len(rows)} rows, the folder of pictures {len(names)} pictures",
+            f"{path} has {len(rows)} rows, {folder.name}/ has {len(names)} pictures",
             "There must be a row for each picture, in the order of names: copy what is missing again.",
         )
     if not np.isfinite(rows).all():

@@ -14,9 +14,11 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 
 from physhdr.backend.evaluate import truth
+from physhdr.backend.evaluate.protocol import evaluate
 from physhdr.backend.scene import Scene, View, read_scene
 from physhdr.backend.scene.gausshdr import published_factor
 from physhdr.bridge.errors import BadValueError
@@ -218,6 +220,30 @@ def test_exposures_that_were_not_taken_keep_the_others_places(
     np.testing.assert_array_equal(scene.points.positions, layouts.POINTS.astype(np.float32))
     np.testing.assert_allclose(scene.points.colours[2], [0.0, 0.0, 0.2], atol=1e-7)
     assert_points_are_on_their_spots(layouts, scene)
+
+
+class Grey:
+    """A model that shows the same grey everywhere, radiance 12."""
+
+    lights = ("ambient",)
+
+    def hdr(self, camera, lighting_level=1.0):
+        return torch.full((3, camera.height, camera.width), 12.0)
+
+    def ldr(self, camera, exposure, lighting_level=1.0):
+        return torch.full((3, camera.height, camera.width), 0.25)
+
+
+def test_evaluation_counts_by_the_place_in_the_bracket(layouts: ModuleType, tmp_path: Path) -> None:
+    """Test poses 1 and 3, of which one has no exposures 1 and 3: LDR-NE is of the other alone."""
+    root = layouts.write_gausshdr(tmp_path / "coffee", {1: (1, 3)})
+    result = evaluate(Grey(), read_scene(root, 2))
+    rows = [(row.index, row.exposure_index, row.exposure) for row in result.ldr]
+    exposures = layouts.EXPOSURES
+    assert rows == [*((1, k, exposures[k]) for k in (0, 2, 4)), *((3, k, exposures[k]) for k in range(5))]
+    # HDR truth at full size, the constant 10 + pose's number: found, and reduced to the prediction.
+    assert [(row.index, row.normaliser) for row in result.hdr] == [(1, 11.0), (3, 13.0)]
+    assert [row.scale_ratio for row in result.hdr] == pytest.approx([12 / 11, 12 / 13], rel=1e-6)
 
 
 def test_without_true_radiance_nothing_is_known_of_the_response(layouts: ModuleType, tmp_path: Path) -> None:
