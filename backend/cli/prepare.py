@@ -17,7 +17,7 @@ from ..scene.capture.choice import Choice, photos_to_match, thinned
 from ..scene.capture.data_set import Written, new_folder, write_data_set
 from ..scene.capture.exposures import Exposures, exposures_from_exif, exposures_from_file, some_names
 from ..scene.capture.gravity import rotation_to_z, up_direction
-from ..scene.capture.lens import make_lens
+from ..scene.capture.lens import make_lenses
 from ..scene.capture.photos import Photo, find_photos
 from ..scene.capture.structure import (
     CAPTURE_REMEDY,
@@ -93,14 +93,14 @@ class Prepare:
             _require_enough(structure, brackets, self.partial)
             up = up_direction([shot.rotation for shot in structure.shots.values()])
             structure = structure.turned(rotation_to_z(up))
-            lenses = [make_lens(camera, self._scale(camera.width)) for camera in structure.cameras]
+            lenses = make_lenses(structure.cameras, self._scale(photos[0].width))
             origin = {
                 "format": "physhdr-capture",
                 "version": 1,
                 "exposures": exposures.meaning,
                 "brackets": brackets.how,
                 "cameras": words,
-                "lens": [f"{c.model_name} {c.params_to_string()}" for c in structure.cameras],
+                "lens": [f"{c.model_name} {c.params_to_string()}" for c in structure.cameras.values()],
                 "up": "turned so that +Z is up; scale and place are structure from motion's own",
                 "options": {key: _plain(value) for key, value in dataclasses.asdict(self).items()},
                 "left_out": [pose.name for k, pose in enumerate(brackets.poses) if k not in structure.shots],
@@ -116,7 +116,7 @@ class Prepare:
                     origin,
                     lambda done, total: bar.update(task, completed=done, total=total),
                 )
-            size = lenses[0].width, lenses[0].height
+            size = next((lens.width, lens.height) for lens in lenses.values())
         self._report(structure, brackets, written, size)
         return 0
 
@@ -170,7 +170,7 @@ class Prepare:
             f"reprojection error {written.reprojection_error:.2f} pixels; exposures EV {evs}",
             soft_wrap=True,
         )
-        for camera in structure.cameras:
+        for camera in structure.cameras.values():
             console.print(f"lens: {camera.model_name} {camera.params_to_string()}", soft_wrap=True)
         console.print("the world is turned so that +Z is up; its scale is arbitrary, not metres")
         left_out = [pose.name for k, pose in enumerate(brackets.poses) if k not in structure.shots]

@@ -222,14 +222,18 @@ def _check_pauses(groups: list[list[Photo]]) -> None:
     if len(groups) < 2 or any(photo.taken is None for group in groups for photo in group):
         return
 
-    def pause(photo: Photo, following: Photo) -> float:
+    def gap(photo: Photo, following: Photo) -> float:
         assert photo.taken is not None and following.taken is not None
-        return (following.taken - photo.taken).total_seconds() - (photo.shutter or 0.0)
+        return (following.taken - photo.taken).total_seconds()
+
+    def pause(photo: Photo, following: Photo) -> float:
+        """At least so long: cameras write down either the beginning or the end of an exposure."""
+        return gap(photo, following) - max(photo.shutter or 0.0, following.shutter or 0.0)
 
     length = len(groups[0])
     inside = [statistics.median(pause(group[k], group[k + 1]) for group in groups) for k in range(length - 1)]
     pairs = itertools.pairwise(groups)
-    between = statistics.median(pause(group[-1], following[0]) for group, following in pairs)
+    between = statistics.median(gap(group[-1], following[0]) for group, following in pairs)
     longest = max(range(length - 1), key=lambda k: inside[k])
     if inside[longest] > PAUSE_RATIO * between + PAUSE_SECONDS:
         raise DataMismatchError(

@@ -14,6 +14,9 @@ Choice = Literal["same", "each"] | int
 
 #: Codes up to the first and from the second on say nothing of what is there.
 BLACK, WHITE = 5, 250
+#: Steps that clip so little more than the best are as good: the one nearest to a middling code is taken, for
+#: features in dark pictures are noise.
+AS_GOOD, MIDDLE = 0.01, 118.0
 #: The number k in the data set of each step of a bracket of so many. Training sees 0, 2 and 4, evaluation
 #: keeps 1 and 3 as exposures that training has not seen, so short brackets are trained on whole and the
 #: darkest and the brightest always are.
@@ -39,8 +42,8 @@ def clipped_share(pixels: np.ndarray) -> float:
 def photos_to_match(poses: Sequence[Bracket], choice: Choice) -> tuple[dict[int, Photo], str]:
     """One photo for each pose's number, and in words which.
 
-    ``choice``: ``same``, the step that has the fewest clipped pixels over all poses; ``each``, that of each
-    pose; or a step, 0 the darkest. Raises ``BadValueError`` for a step that there is not.
+    ``choice``: ``same``, the step that is best exposed over all poses, with the fewest clipped pixels;
+    ``each``, that of each pose; or a step, 0 the darkest. Raises ``BadValueError`` where it is not there.
     """
     length = len(poses[0].photos)
     if isinstance(choice, int):
@@ -49,11 +52,24 @@ def photos_to_match(poses: Sequence[Bracket], choice: Choice) -> tuple[dict[int,
         return {number: pose.photos[choice] for number, pose in enumerate(poses)}, f"step {choice}, as asked"
     if length == 1:
         return {number: pose.photos[0] for number, pose in enumerate(poses)}, "the only exposure"
-    clipped = np.array([[clipped_share(photo.thumbnail()) for photo in pose.photos] for pose in poses])
+    measured = np.array([[_quality(photo.thumbnail()) for photo in pose.photos] for pose in poses])
     if choice == "each":
-        best = clipped.argmin(axis=1)
-        words = f"each pose's best exposed photo ({clipped.min(axis=1).mean():.1%} clipped)"
+        best = [best_step(pose) for pose in measured]
+        clipped = np.mean([pose[k, 0] for pose, k in zip(measured, best, strict=True)])
+        words = f"each pose's best exposed photo ({clipped:.1%} clipped)"
     else:
-        best = np.full(len(poses), clipped.mean(axis=0).argmin())
-        words = f"step {best[0]} of 0…{length - 1} ({clipped[:, best[0]].mean():.1%} clipped, the least)"
+        step = best_step(measured.mean(axis=0))
+        best = [step] * len(poses)
+        words = f"step {step} of 0…{length - 1}, the best exposed ({measured[:, step, 0].mean():.1%} clipped)"
     return {number: pose.photos[best[number]] for number, pose in enumerate(poses)}, words
+
+
+def _quality(pixels: np.ndarray) -> tuple[float, float]:
+    return clipped_share(pixels), float(np.median(pixels))
+
+
+def best_step(measured: np.ndarray) -> int:
+    """The best exposed of ``[K, 2]``: share of clipped pixels, median code."""
+    clipped, median = measured.T
+    good = clipped <= clipped.min() + AS_GOOD
+    return int(np.where(good, np.abs(median - MIDDLE), np.inf).argmin())

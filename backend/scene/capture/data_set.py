@@ -8,7 +8,7 @@ it all came from.
 
 import json
 import struct
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -97,7 +97,7 @@ def write_data_set(
     folder: Path,
     poses: Sequence[Bracket],
     structure: Structure,
-    lenses: Sequence[Lens],
+    lenses: Mapping[int, Lens],
     test_every: int,
     origin: dict[str, Any],
     done: Callable[[int, int], None] = lambda pictures, of: None,
@@ -134,7 +134,7 @@ def _write_json(path: Path, value: object) -> None:
     path.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")
 
 
-def reprojection_error(structure: Structure, lenses: Sequence[Lens]) -> float:
+def reprojection_error(structure: Structure, lenses: Mapping[int, Lens]) -> float:
     """Mean distance in pixels of the written pictures, over every observation of a point."""
     distances = []
     for shot in structure.shots.values():
@@ -149,15 +149,15 @@ def reprojection_error(structure: Structure, lenses: Sequence[Lens]) -> float:
 # ---- COLMAP's binary files (its documentation, "Output Format") ----------------------------------------
 
 
-def _write_sparse(folder: Path, structure: Structure, lenses: Sequence[Lens], names: dict[int, str]) -> int:
+def _write_sparse(
+    folder: Path, structure: Structure, lenses: Mapping[int, Lens], names: dict[int, str]
+) -> int:
     """``cameras``, ``images`` and ``points3D.bin``; returns the number of points, those that a pose sees."""
     folder.mkdir(parents=True)
-    used = sorted({shot.camera for shot in structure.shots.values()})
     with open(folder / "cameras.bin", "wb") as file:
-        file.write(struct.pack("<Q", len(used)))
-        for camera in used:
-            lens = lenses[camera]
-            head = struct.pack("<iiQQ", camera + 1, PINHOLE, lens.width, lens.height)
+        file.write(struct.pack("<Q", len(lenses)))
+        for number, lens in lenses.items():
+            head = struct.pack("<iiQQ", number, PINHOLE, lens.width, lens.height)
             file.write(head + struct.pack("<4d", lens.fx, lens.fy, lens.cx, lens.cy))
     tracks: dict[int, list[tuple[int, int]]] = {}
     with open(folder / "images.bin", "wb") as file:
@@ -177,7 +177,7 @@ def _write_sparse(folder: Path, structure: Structure, lenses: Sequence[Lens], na
 
 def _write_image(file: BinaryIO, image_id: int, shot: Shot, name: str, lens: Lens) -> None:
     file.write(struct.pack("<i7d", image_id, *quaternion(shot.rotation), *shot.translation))
-    file.write(struct.pack("<i", shot.camera + 1) + name.encode() + b"\0")
+    file.write(struct.pack("<i", shot.camera) + name.encode() + b"\0")
     entries = np.empty(len(shot.points), np.dtype([("xy", "<f8", 2), ("point", "<i8")]))
     entries["xy"], entries["point"] = lens.straightened(shot.keypoints), shot.points + 1
     file.write(struct.pack("<Q", len(entries)) + entries.tobytes())

@@ -2,7 +2,9 @@
 """Pictures without distortion: what a pinhole camera at the same place would have taken, or smaller."""
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -19,10 +21,9 @@ SMALLEST_SHARE = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Lens:
-    """The pinhole camera that takes the place of a real one, in pixels, and how its pixels are looked up.
+    """The pinhole camera that takes the place of a real one (``source``, pycolmap's), in pixels.
 
-    ``grid``: ``[over·height, over·width, 2]`` float32, the place in the photo of each of ``over``² samples in
-    every pixel, −1…1 from edge to edge.
+    Each of its pixels is the mean of ``over``² samples of the photo.
     """
 
     source: Any
@@ -33,13 +34,12 @@ class Lens:
     cx: float
     cy: float
     over: int
-    grid: torch.Tensor
 
     def picture(self, photo: np.ndarray) -> np.ndarray:
         """``[H, W, 3]`` uint8 as this camera would have taken it: the mean code over each pixel's area."""
         codes = torch.from_numpy(photo.astype(np.float32)).permute(2, 0, 1)[None]
         taken = F.grid_sample(
-            codes, self.grid[None], mode="bicubic", padding_mode="border", align_corners=False
+            codes, _places(self)[None], mode="bicubic", padding_mode="border", align_corners=False
         )
         mean = F.avg_pool2d(taken.clamp(0.0, 255.0), self.over)
         return mean[0].permute(1, 2, 0).round().to(torch.uint8).numpy()
@@ -49,6 +49,19 @@ class Lens:
         if not len(keypoints):
             return keypoints
         return self.source.cam_from_img(keypoints) * (self.fx, self.fy) + (self.cx, self.cy)
+
+
+def make_lenses(cameras: Mapping[int, Any], scale: float) -> dict[int, Lens]:
+    """A pinhole camera for each of pycolmap's, all with pictures of one size; raises as ``make_lens``."""
+    lenses = {number: make_lens(camera, scale) for number, camera in cameras.items()}
+    width = min(lens.width for lens in lenses.values())
+    height = min(lens.height for lens in lenses.values())
+    return {number: _cropped(lens, width, height) for number, lens in lenses.items()}
+
+
+def _cropped(lens: Lens, width: int, height: int) -> Lens:
+    cx, cy = lens.cx - 0.5 * (lens.width - width), lens.cy - 0.5 * (lens.height - height)
+    return replace(lens, width=width, height=height, cx=cx, cy=cy)
 
 
 def make_lens(camera: Any, scale: float) -> Lens:
@@ -71,13 +84,19 @@ def make_lens(camera: Any, scale: float) -> Lens:
     cx = 0.5 * (width - (left + right) * fx)
     cy = 0.5 * (height - (top + bottom) * fy)
     over = math.ceil(1.0 / scale - 1e-6)
-    columns = ((np.arange(over * width) + 0.5) / over - cx) / fx
-    rows = ((np.arange(over * height) + 0.5) / over - cy) / fy
-    grid = np.empty((over * height, over * width, 2), np.float32)
+    return Lens(camera, width, height, fx, fy, cx, cy, over)
+
+
+@lru_cache(maxsize=1)  # of many cameras each is used for its own pictures, one after the other
+def _places(lens: Lens) -> torch.Tensor:
+    """``[over·height, over·width, 2]`` float32: where in the photo each sample is, −1…1 from edge to edge."""
+    columns = ((np.arange(lens.over * lens.width) + 0.5) / lens.over - lens.cx) / lens.fx
+    rows = ((np.arange(lens.over * lens.height) + 0.5) / lens.over - lens.cy) / lens.fy
+    places = np.empty((len(rows), len(columns), 2), np.float32)
     for k, row in enumerate(rows):
         rays = np.stack([columns, np.full_like(columns, row), np.ones_like(columns)], axis=1)
-        grid[k] = 2.0 * camera.img_from_cam(rays) / (camera.width, camera.height) - 1.0
-    return Lens(camera, width, height, fx, fy, cx, cy, over, torch.from_numpy(grid))
+        places[k] = 2.0 * lens.source.img_from_cam(rays) / (lens.source.width, lens.source.height) - 1.0
+    return torch.from_numpy(places)
 
 
 def _inside(camera: Any) -> tuple[float, float, float, float]:

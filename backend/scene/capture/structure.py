@@ -9,6 +9,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
@@ -54,7 +55,7 @@ def require_pycolmap() -> ModuleType:
 class Shot:
     """One registered pose. World to camera in OpenCV axes: x_camera = ``rotation`` x + ``translation``.
 
-    ``camera``: index into ``Structure.cameras``. ``keypoints``: ``[M, 2]`` pixels in the photo; ``points``:
+    ``camera``: number in ``Structure.cameras``. ``keypoints``: ``[M, 2]`` pixels in the photo; ``points``:
     ``[M]`` index of the point that each shows.
     """
 
@@ -74,11 +75,12 @@ class Shot:
 class Structure:
     """Cameras and points of one capture.
 
-    ``cameras``: pycolmap's, for photos of full size. ``shots``: by the pose's number in the capture.
-    ``positions`` ``[P, 3]``, ``colours`` ``[P, 3]`` uint8, ``errors`` ``[P]`` pixels of the full photo.
+    ``cameras``: pycolmap's by number, those that are used, for photos of full size. ``shots``: by the
+    pose's number in the capture. ``positions`` ``[P, 3]``, ``colours`` ``[P, 3]`` uint8, ``errors`` ``[P]``
+    pixels of the full photo.
     """
 
-    cameras: tuple[Any, ...]
+    cameras: dict[int, Any]
     shots: dict[int, Shot]
     positions: np.ndarray
     colours: np.ndarray
@@ -229,7 +231,6 @@ def _read(model: Path, numbers: Mapping[str, int]) -> Structure:
     point_ids = sorted(model_read.points3D)
     index = {point_id: k for k, point_id in enumerate(point_ids)}
     points = [model_read.points3D[point_id] for point_id in point_ids]
-    camera_ids = sorted(model_read.cameras)
     shots: dict[int, Shot] = {}
     for image_id in sorted(model_read.reg_image_ids(), key=lambda k: model_read.image(k).name):
         image = model_read.image(image_id)
@@ -240,14 +241,14 @@ def _read(model: Path, numbers: Mapping[str, int]) -> Structure:
         pose = image.cam_from_world().matrix()
         seen = [point for point in image.points2D if point.has_point3D()]
         shots[number] = Shot(
-            camera_ids.index(image.camera_id),
+            image.camera_id,
             pose[:, :3],
             pose[:, 3],
             np.array([point.xy for point in seen], np.float64).reshape(-1, 2),
             np.array([index[point.point3D_id] for point in seen], np.int64),
         )
     return Structure(
-        tuple(model_read.cameras[camera_id] for camera_id in camera_ids),
+        {k: deepcopy(model_read.cameras[k]) for k in sorted({shot.camera for shot in shots.values()})},
         dict(sorted(shots.items())),
         np.array([point.xyz for point in points], np.float64).reshape(-1, 3),
         np.array([point.color for point in points], np.uint8).reshape(-1, 3),
@@ -258,7 +259,7 @@ def _read(model: Path, numbers: Mapping[str, int]) -> Structure:
 def _at_size(structure: Structure, width: int, height: int) -> Structure:
     """The same for photos of ``width × height``; COLMAP may have seen smaller copies of them."""
     shots, factor = dict(structure.shots), 1.0
-    for number, camera in enumerate(structure.cameras):
+    for number, camera in structure.cameras.items():
         factor = width / camera.width
         if abs(height - camera.height * factor) > max(1.0, factor):
             raise DataMismatchError(

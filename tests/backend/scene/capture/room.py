@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 from PIL import ExifTags, Image, TiffImagePlugin
-from scipy.ndimage import zoom
 
 WIDTH, HEIGHT = 400, 300
 FOCAL, CX, CY = 380.0, 200.0, 150.0
@@ -89,7 +88,7 @@ def _texture(seed: int, texels: int) -> np.ndarray:
     albedo = np.full((texels, texels, 3), 0.45, np.float32)
     for size, strength in ((32, 0.2), (8, 0.25), (2, 0.35)):
         noise = random.uniform(-1.0, 1.0, (texels // size, texels // size, 3)).astype(np.float32)
-        albedo += strength * zoom(noise, (size, size, 1), order=1)
+        albedo += strength * noise.repeat(size, axis=0).repeat(size, axis=1)
     return np.clip(albedo, 0.03, 0.95)
 
 
@@ -117,25 +116,25 @@ def radiance(position: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """``[n, 3]`` radiance that reaches ``position`` from ``directions`` ``[n, 3]``."""
     nearest = np.full(len(directions), np.inf)
     face = np.zeros(len(directions), np.int64)
+    along = np.ascontiguousarray(directions.T)
     with np.errstate(divide="ignore"):
-        inverse = 1.0 / directions
+        inverse = 1.0 / along
     for number, (low, high) in enumerate(BOXES):
-        first, second = (np.array(low) - position) * inverse, (np.array(high) - position) * inverse
-        entry, leave = np.minimum(first, second), np.maximum(first, second)
-        enters, leaves = entry.max(axis=1), leave.min(axis=1)
-        inside = number == 0  # the room is seen from inside
-        distance = leaves if inside else enters
-        axis = leave.argmin(axis=1) if inside else entry.argmax(axis=1)
-        hit = (leaves > np.maximum(enters, 0.0)) & (distance > 1e-6) & (distance < nearest)
-        positive = np.take_along_axis(directions, axis[:, None], 1)[:, 0] > 0.0
-        nearest = np.where(hit, distance, nearest)
-        face = np.where(hit, 6 * number + 2 * axis + positive, face)
+        first, second = ((np.array(end) - position)[:, None] * inverse for end in (low, high))
+        entries, exits = np.minimum(first, second), np.maximum(first, second)
+        # The room is seen from inside, what stands in it from outside.
+        axis = exits.argmin(axis=0) if number == 0 else entries.argmax(axis=0)
+        distance = np.choose(axis, exits if number == 0 else entries)
+        hit = (exits.min(axis=0) > np.maximum(entries.max(axis=0), 0.0)) & (distance > 1e-6)
+        hit &= distance < nearest
+        nearest[hit] = distance[hit]
+        face[hit] = (6 * number + 2 * axis + (np.choose(axis, along) > 0.0))[hit]
     places = position + directions * nearest[:, None]
-    albedo = np.empty((len(directions), 3))
+    albedo = np.empty((len(directions), 3), np.float32)
     for one in np.unique(face):
-        here = face == one
-        box = one // 6
-        plane = np.delete(places[here] - BOXES[box][0], (one % 6) // 2, axis=1)
+        here, box, normal = face == one, one // 6, (one % 6) // 2
+        across = [axis for axis in range(3) if axis != normal]
+        plane = places[here][:, across] - np.array(BOXES[box][0])[across]
         albedo[here] = albedo_at(textures()[one], plane * (TEXELS[box] / TILES[box]))
     # A lamp in a corner: from bright to dark over five stops.
     towards = np.array([2.2, 1.8, 2.3]) - places
@@ -179,6 +178,7 @@ def write_photo(
 ) -> None:
     """A photo with what EXIF is asked for; ``more``: further tags by their EXIF names."""
     exif = Image.Exif()
+    exif[ExifTags.Base.Make] = "Room"
     inner = exif.get_ifd(ExifTags.IFD.Exif)
     if seconds is not None:
         inner[ExifTags.Base.ExposureTime] = TiffImagePlugin.IFDRational(round(seconds * 1_000_000), 1_000_000)
@@ -191,7 +191,7 @@ def write_photo(
     for name, value in more.items():
         (exif if name == "Orientation" else inner)[ExifTags.Base[name]] = value
     options = {"quality": 95, "subsampling": 0} if path.suffix == ".jpg" else {}
-    Image.fromarray(pixels).save(path, exif=exif, **options)
+    Image.fromarray(pixels).save(path, exif=exif.tobytes(), **options)
 
 
 def write_brackets(folder: Path, capture: Capture, order: tuple[int, ...] = (1, 0, 2)) -> None:

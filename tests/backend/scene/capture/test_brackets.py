@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Brackets found by name, and by order, pattern and pauses; what is not plain is refused."""
+
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from physhdr.backend.scene.capture.brackets import find_brackets
+from physhdr.backend.scene.capture.choice import best_step, clipped_share, thinned
+from physhdr.backend.scene.capture.photos import Photo
+from physhdr.bridge.errors import PhysHDRError
+
+
+def shots(evs, names=None, pauses=None):
+    """Photos and their seconds: exposures in EV, names, seconds between the starts of one and the next."""
+    moment, photos, seconds = datetime(2026, 5, 1), [], {}
+    for k, ev in enumerate(evs):
+        name = names[k] if names else f"IMG_{k:04d}.jpg"
+        photos.append(Photo(Path(name), 30, 20, moment if pauses else None, 2.0**ev))
+        seconds[name] = 2.0**ev
+        moment += timedelta(seconds=pauses[k] if pauses else 0)
+    return photos, seconds
+
+
+def poses(found):
+    return [[photo.path.stem for photo in pose.photos] for pose in found.poses]
+
+
+def refused(*arguments, **options):
+    with pytest.raises(PhysHDRError) as caught:
+        find_brackets(*arguments, **options)
+    assert caught.value.hint
+    return str(caught.value)
+
+
+def test_automatic_bracketing_is_sorted_by_exposure():
+    found = find_brackets(*shots([0, -2, 2] * 4))
+    assert poses(found)[0] == ["IMG_0001", "IMG_0000", "IMG_0002"] and len(found.poses) == 4
+    assert found.evs == [-2, 0, 2] and found.drift == 0.0
+
+
+def test_four_equal_steps_are_not_taken_for_two():
+    assert find_brackets(*shots([-3, -1, 1, 3] * 3)).length == 4
+
+
+def test_automatic_exposure_between_brackets():
+    """The pattern counts, not the exposures: the camera chose another base for each pose."""
+    found = find_brackets(*shots([b + e for b in (0, 0.7, -1.0, 0.3) for e in (0, -2, 2)]))
+    assert found.length == 3 and found.drift == pytest.approx(1.7)
+
+
+def test_one_exposure_is_a_capture_of_one_each():
+    assert poses(find_brackets(*shots([1.0] * 5))) == [[f"IMG_{k:04d}"] for k in range(5)]
+
+
+def test_time_goes_before_names_and_names_settle_ties():
+    """The camera's counter runs over from 9999 to 0000; its clock knows whole seconds only."""
+    names = ["D_9998.jpg", "D_9999.jpg", "D_0000.jpg", "D_0001.jpg"]
+    found = find_brackets(*shots([0, 2, 0, 2], names, pauses=[1, 30, 0, 30]))
+    assert poses(found) == [["D_9998", "D_9999"], ["D_0000", "D_0001"]]
+
+
+def test_names_of_pose_and_step():
+    names = [f"{pose}_{k}.png" for pose in ("desk", "door 10", "door 9") for k in (2, 0, 1)]
+    found = find_brackets(*shots([2, -2, 0] * 3, names))
+    assert "by name" in found.how
+    assert poses(found) == [[f"{pose}_{k}" for k in (0, 1, 2)] for pose in ("desk", "door 9", "door 10")]
+
+
+def test_a_missing_photo_is_found_where_it_is_missing():
+    evs = [0, -2, 2] * 5
+    del evs[7]  # the third bracket's −2
+    message = refused(*shots(evs))
+    assert (
+        "come again after 3, 3, 2, 3, 3 photos" in message and "IMG_0006.jpg 1 s, IMG_0007.jpg 4 s" in message
+    )
+    assert "--bracket" in message
+
+
+def test_pauses_show_brackets_that_are_shifted():
+    """One photo is missing at the start and one at the end: the pattern repeats, but across poses."""
+    evs, pauses = [-2, 2] + [0, -2, 2] * 3 + [0], [1, 20] + [1, 1, 20] * 3 + [1]
+    message = refused(*shots(evs, pauses=pauses))
+    assert "missing or stray at the start" in message and "IMG_0002.jpg" in message
+    assert find_brackets(*shots([0, -2, 2] * 4, pauses=[1, 1, 20] * 4)).length == 3
+
+
+def test_a_long_exposure_is_no_pause():
+    assert find_brackets(*shots([0, 3, 5] * 3, pauses=[2, 9, 38] * 3)).length == 3
+
+
+def test_what_is_not_plain_the_user_says():
+    photos, seconds = shots([0, 2, 0.7, 2.7, 0, 2, 0.7, 2.7])  # two of two poses, or four of one
+    assert find_brackets(photos, seconds, length=2).length == 2
+    assert find_brackets(photos, seconds, length=4).length == 4
+    assert "cannot be 3 to a pose" in refused(photos, seconds, length=3)
+    assert "of the same exposure" in refused(*shots([0, 0, 1, 1]), length=2)
+    assert len(find_brackets(*shots([0, 1, 0.4, 2.2, 5]), by="none").poses) == 5
+    names = ["a_0.jpg", "a_1.jpg", "b_0.jpg", "b_1.jpg", "c_1.jpg"]
+    assert "pose 'c' has 1 photos (c_1.jpg), most poses have 2" in refused(
+        *shots([0, 1, 0, 1, 1], names), by="names"
+    )
+
+
+def test_long_brackets_are_thinned_evenly():
+    found, steps = thinned(find_brackets(*shots(list(range(9)) * 2)))
+    assert steps == (0, 2, 4, 6, 8) and found.evs == [0, 2, 4, 6, 8]
+    assert thinned(find_brackets(*shots([0, 1, 2] * 2)))[1] == (0, 1, 2)
+
+
+def test_the_best_exposed_step():
+    pixels = np.full((10, 10, 3), 100, np.uint8)
+    pixels[:2], pixels[5:, :, 1], pixels[5:6, :, 1] = 3, 255, 249
+    assert clipped_share(pixels) == pytest.approx(0.6)
+    assert best_step(np.array([[0.4, 100.0], [0.05, 200.0], [0.3, 118.0]])) == 1  # the fewest clipped
+    assert best_step(np.array([[0.0, 20.0], [0.004, 90.0], [0.2, 118.0]])) == 1  # as good, and less dark
