@@ -189,3 +189,4 @@ class ToneMapper(nn.Module):
             optimiser.zero_grad(set_to_none=True)
             error.backward()
             optimiser.step()
+        optimiser.zero_grad(set_to_none=True)  # the training's first step must not find this gradient

@@ -91,7 +91,8 @@ def iteration(side: Side, oracle: Side, preset: str, size: int, count: int) -> I
             _rough_up(trainer)
             method.active_sh_degree = trainer.config.method.sh_degree
             view = trainer.views[1]
-            rendering = method.render(view.camera, view.exposures[2], view.lighting_levels)
+            drawn = method.draw(view.camera, view.lighting_levels, view.exposures[2])
+            rendering = method.develop(drawn, view.exposures[2])
             total = torch.stack(list(method.losses(rendering, trainer.pictures.get(view, 2)).values())).sum()
             total.backward()
         parameters = {**method.gaussians.parameters, **dict(method.named_parameters())}

@@ -11,6 +11,7 @@ from physhdr.backend.export.baked import network_comments, parameter_columns, pa
 from physhdr.backend.export.blender_model import to_model
 from physhdr.backend.methods.physhdr import PhysHDR, PhysHDRConfig
 from physhdr.backend.model.gaussians import initial_gaussians
+from physhdr.backend.scene.camera import Camera
 from physhdr.bridge.display import display_colour_sh
 from physhdr.bridge.errors import BadValueError
 from physhdr.bridge.gaussian_ply import read_ply, standard_columns, write_lossless_ply
@@ -86,10 +87,12 @@ def test_the_model_file_of_several_lights_renders_as_the_method(tmp_path: Path) 
     method, model = write(tmp_path / "a.ply", PhysHDRConfig(), lights)
     write_model(tmp_path / "m.safetensors", model)
     back = read_model(tmp_path / "m.safetensors")
+    at_origin = Camera.from_field_of_view(np.eye(4), 8, 8, 0.8)
     directions = model.position / np.linalg.norm(model.position, axis=1, keepdims=True)
     for levels in [(1.0, 1.0, 1.0), (0.0, 4.0, 0.5), (8.0, 0.0, 0.0)]:
         with torch.no_grad():
-            expected = method.radiance(torch.zeros(3), levels).numpy()
+            splats = method.gaussians.splats(at_origin, method.active_sh_degree)
+            expected = method.radiance_of(splats, levels).numpy()
         np.testing.assert_allclose(back.radiance(directions, levels), expected, rtol=1e-3)
 
 

@@ -53,6 +53,10 @@ def make(preset: str, trained: bool = True, lights: tuple[str, ...] = ("ambient"
     return method
 
 
+def render(method, camera, exposure, level=1.0):
+    return method.develop(method.draw(camera, level, exposure), exposure)
+
+
 def raster64(method, colours, camera):
     g = method.gaussians
     arrays = (g.means, g.quaternions, g.scales, g.opacities, colours)
@@ -63,15 +67,15 @@ def test_the_paper_fuses_crosswise(camera):
     """Eq. 8–14 step by step: two renders, four tone-mapped images, two fused ones, their mean."""
     method, t = make("paper"), 2.0
     mapper = method.tone_mapper
-    viewpoint = torch.tensor(camera.position, dtype=torch.float32)
     with torch.no_grad():
-        hdr = raster64(method, method.radiance(viewpoint, None), camera)
-        relit = raster64(method, method.radiance(viewpoint, t), camera)
+        splats = method.gaussians.splats(camera, method.active_sh_degree)
+        hdr = raster64(method, method.radiance_of(splats, None), camera)
+        relit = raster64(method, method.radiance_of(splats, (t,)), camera)
         context = raster64(method, method.gaussians.context, camera)
         glo, loc = mapper.tone_map(hdr * t, context)
         relit_glo, relit_loc = mapper.tone_map(relit, context)  # not multiplied by t: l = t does that
         ldr_ig, ldr_gi = mapper.mix(glo, relit_loc), mapper.mix(relit_glo, loc)
-        rendering = method.render(camera, t)
+        rendering = render(method, camera, t)
     assert torch.allclose(rendering.exposed, hdr * t, atol=1e-4)
     assert torch.allclose(rendering.relit, relit, atol=1e-4)
     for got, expected in zip(rendering.supervised, (0.5 * (ldr_ig + ldr_gi), ldr_ig, ldr_gi), strict=True):
@@ -82,14 +86,14 @@ def test_the_paper_fuses_crosswise(camera):
 def test_untrained_branches_of_the_paper_agree(camera):
     """g starts as the product and φ as a scaling by l = t, so that L_cons starts at zero."""
     method = make("paper", trained=False)
-    rendering = method.render(camera, 8.0)
+    rendering = render(method, camera, 8.0)
     assert torch.allclose(rendering.exposed, rendering.relit, rtol=1e-4)
     assert method.losses(rendering, torch.rand(3, 20, 24))["cons"] < 1e-5
 
 
 def test_losses_are_weighted_sums_of_their_definitions(camera):
     method = make("paper")
-    rendering = method.render(camera, 2.0)
+    rendering = render(method, camera, 2.0)
     picture = torch.rand(3, 20, 24)
     terms = method.losses(rendering, picture)
     config = method.config.loss
@@ -157,7 +161,7 @@ def test_levels_that_do_not_fit_the_lights(camera):
         with pytest.raises(BadValueError, match=message):
             method.hdr(camera, levels)
         with pytest.raises(BadValueError, match=message):
-            method.render(camera, 1.0, levels)
+            render(method, camera, 1.0, levels)
 
 
 def test_a_learned_modulator_knows_one_light():
@@ -181,9 +185,9 @@ def test_without_an_illumination_branch_a_level_only_scales(camera):
 def test_every_parameter_of_every_preset_receives_a_gradient(camera):
     for preset in PRESETS:
         method = make(preset)
-        terms = method.losses(method.render(camera, 2.0, 1.0), torch.rand(3, 20, 24))
+        terms = method.losses(render(method, camera, 2.0, 1.0), torch.rand(3, 20, 24))
         if method.config.lighting_level == "view":  # a share shows only under other light
-            lit = method.losses(method.render(camera, 2.0, 4.0), torch.rand(3, 20, 24))
+            lit = method.losses(render(method, camera, 2.0, 4.0), torch.rand(3, 20, 24))
             terms["lit"] = lit["rec"]
         torch.stack(list(terms.values())).sum().backward()
         for name, tensor in [*method.named_parameters(), *method.gaussians.parameters.items()]:

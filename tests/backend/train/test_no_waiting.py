@@ -81,7 +81,7 @@ def trainer_elsewhere(monkeypatch):
         device = torch.device("meta")
         trainer.device = trainer.pictures.device = device
         trainer.method.to_device(device)
-        trainer.statistics = densify.DensifyState.empty(trainer.method.gaussians)
+        trainer.growth.statistics = densify.DensifyState.empty(trainer.method.gaussians)
         monkeypatch.setattr(rasterizers, "_implementation", lambda name, means: draw_nothing)
         # Torch's fused Adam does not know this device; on CUDA it keeps its step count there.
         monkeypatch.setattr(trainer.optimiser, "step", lambda iteration: None)
@@ -90,7 +90,7 @@ def trainer_elsewhere(monkeypatch):
                 trainer.pictures.get(view, k)
         with torch.no_grad():
             for view in trainer.views:
-                trainer.method.render(view.camera, 1.0, 1.0, torch.zeros(1, 2, device=device))
+                trainer.method.draw(view.camera, 1.0, 1.0, watch=True)
         trainer.step()
         trainer.iteration = 19
         return trainer

@@ -172,12 +172,14 @@ def test_exp1_keeps_one_exposure_for_each_view(tiny_data):
     trainer = Trainer(scene, short("default", exposure_mode="exp1"))
     seen = {}
     for iteration in range(60):
-        view, k = trainer.draw(iteration)
+        view, (k,) = trainer.draw(iteration)
         seen.setdefault(view.name, set()).add(k)
     assert all(len(ks) == 1 for ks in seen.values()) and len(seen) == 5
     everything = Trainer(scene, short("default"))
     drawn = [everything.draw(i) for i in range(300)]
-    assert {k for _, k in drawn} == {0, 2, 4}
+    assert {k for _, ks in drawn for k in ks} == {0, 2, 4}
+    whole = Trainer(scene, short("default", supervision="bracket"))
+    assert whole.draw(0)[1] == (0, 2, 4)
     # each epoch shows each view once
     assert len({view.name for view, _ in drawn[:5]}) == 5
 

@@ -16,7 +16,7 @@ from physhdr.backend.train.warm_up import half_sized, halved
 def test_halving_averages_blocks_and_keeps_the_rays():
     camera = Camera(np.eye(4), 200, 136, 150.0, 140.0, 97.0, 70.0)
     picture = torch.rand(3, 136, 200, generator=torch.Generator().manual_seed(0))
-    half, small = halved(camera, picture)
+    half, (small,) = halved(camera, [picture])
     assert small.shape == (3, half.height, half.width) == (3, 68, 100)
     blocks = picture.numpy().reshape(3, 68, 2, 100, 2).mean(axis=(2, 4))
     assert np.allclose(small.numpy(), blocks, atol=1e-6)
@@ -28,11 +28,11 @@ def test_halving_averages_blocks_and_keeps_the_rays():
 
 def test_odd_sizes_are_covered_and_small_ones_left_alone():
     camera = Camera.from_field_of_view(np.eye(4), 201, 151, 0.9)
-    half, small = halved(camera, torch.full((3, 151, 201), 0.25))
+    half, (small,) = halved(camera, [torch.full((3, 151, 201), 0.25)])
     assert small.shape[1:] == (half.height, half.width) == (75, 100)
     assert torch.allclose(small, torch.tensor(0.25))
     tiny, picture = Camera.from_field_of_view(np.eye(4), 100, 300, 0.9), torch.zeros(3, 300, 100)
-    assert halved(tiny, picture) == (tiny, picture)
+    assert halved(tiny, [picture]) == (tiny, [picture])
 
 
 def test_only_the_start_of_training_is_half_sized(tiny_data, monkeypatch):
@@ -40,13 +40,13 @@ def test_only_the_start_of_training_is_half_sized(tiny_data, monkeypatch):
     config = dataclasses.replace(PRESETS["default"], iterations=10, half_size_until=0.3)
     trainer = Trainer(read_scene(tiny_data), config)
     widths = []
-    render = trainer.method.render
+    draw = trainer.method.draw
 
-    def watched(camera, *arguments):
+    def watched(camera, *arguments, **named):
         widths.append(camera.width)
-        return render(camera, *arguments)
+        return draw(camera, *arguments, **named)
 
-    monkeypatch.setattr(trainer.method, "render", watched)
+    monkeypatch.setattr(trainer.method, "draw", watched)
     for _ in range(5):
         trainer.step()
     assert widths == [16, 16, 16, 32, 32]
