@@ -17,8 +17,13 @@ from .progress import console
 from .run_folder import open_run
 
 
-def camera_named(scene: Scene, name: str) -> Camera:
-    """The camera of ``test/3``, ``train/0`` or ``lit/2``; raises ``BadValueError`` naming what there is."""
+def camera_named(scene: Scene, name: str | None) -> Camera:
+    """The camera of ``test/3``, ``train/0`` or ``lit/2``; None: the first test view, or training view.
+
+    Raises ``BadValueError`` naming what there is.
+    """
+    if name is None:
+        return (scene.test or scene.train)[0].camera
     split, slash, index = name.partition("/")
     index = index.removeprefix("r_")
     if not slash or not index.isdigit():
@@ -36,8 +41,8 @@ class Render:
     folder: tyro.conf.Positional[Path]
     #: The picture to write: .exr (scene-linear radiance) or .png (through the learned response).
     out: Path
-    #: Which camera: SPLIT/POSE.
-    view: str = "test/0"
+    #: Which camera: SPLIT/POSE; default: the first test view.
+    view: str | None = None
     #: Seconds; for .png only. Default: the middle exposure of the data set.
     exposure: float | None = None
     #: The first light, which is the ambient one wherever that has levels, relative to the standard views.

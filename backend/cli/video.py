@@ -60,8 +60,8 @@ class Video:
     sweep_range: tuple[float, float] | None = None
     #: Which light a lighting sweep turns; default: the first.
     light: str | None = None
-    #: Where a still camera stands: SPLIT/POSE.
-    view: str = "test/0"
+    #: Where a still camera stands: SPLIT/POSE; default: the first test view.
+    view: str | None = None
     #: Seconds of exposure, but in an exposure sweep; default: the middle exposure of the data set.
     exposure: float | None = None
     #: Levels of lights by name, but of the one that is swept: NAME=VALUE …; those not named are at 1.

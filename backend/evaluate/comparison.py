@@ -248,7 +248,8 @@ class Table:
             return NONE, ""
         each = self.columns[i]
         spread = "" if cell.spread is None else f" ± {each.text(cell.spread, cell.mean)}"
-        return each.text(cell.mean), spread + (f" ({len(cell.scenes)} scenes)" if cell.partial else "")
+        count = f"{len(cell.scenes)} scene{'s' if len(cell.scenes) > 1 else ''}"
+        return each.text(cell.mean), spread + (f" ({count})" if cell.partial else "")
 
     def _markdown_cell(self, i: int, cell: Cell, published: bool) -> str:
         mean, rest = self._texts(i, cell)

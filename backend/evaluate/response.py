@@ -29,7 +29,8 @@ BIN_STOPS, BIN_ENDS, BIN_VALUES = 0.25, (-16.0, 16.0), 50
 TELLING = (0.02, 0.98)
 #: A fall smaller than this (of 1) is rounding: a thousandth of a step of 8 bit.
 FALL_TOLERANCE = 1e-3 / 255.0
-CHANNELS = ("red", "green", "blue")
+#: Names and colours of the channels in the figure.
+CHANNELS = {"red": "#c8372d", "green": "#2c8c3c", "blue": "#2b5fc0"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,32 +164,36 @@ def write_response_figure(path: Path, learned: Curve, scene: Scene) -> ResponseC
     true = true_response(scene, learned)
     check = check_response(learned, true)
     measured = measured_response(scene)
-    figure = figures.Figure(figsize=(7.2, 4.6), dpi=150, layout="constrained")
-    axes = figure.add_subplot()
+    figure = figures.Figure(figsize=(7.2, 4.4 if true is None else 5.8), dpi=150, layout="constrained")
+    heights = (1,) if true is None else (3, 1)
+    panels = figure.subplots(len(heights), sharex=True, squeeze=False, height_ratios=heights)
+    upper = panels[0, 0]
     if measured is not None:
-        for c in range(3):
-            axes.plot(measured.exposure, measured.code[:, c], ".", color="0.72", markersize=3.5, zorder=1)
-        axes.plot([], [], ".", color="0.72", label="the data: median code of the test pixels")
-    if true is not None and not (measured is not None and true.exposure is not learned.exposure):
-        axes.plot(true.exposure, true.code[:, 0], "--", color="black", lw=1.2, label="true", zorder=4)
-    for c, (name, colour) in enumerate(zip(CHANNELS, ("#c8372d", "#2c8c3c", "#2b5fc0"), strict=True)):
-        axes.plot(
-            learned.exposure, learned.code[:, c], color=colour, lw=1.6, label=f"learned, {name}", zorder=3
-        )
+        upper.plot(measured.exposure, measured.code, ".", color="0.72", ms=3.5, zorder=1)
+        upper.plot([], [], ".", color="0.72", label="the data: median code of the test pixels")
+    if true is not None and true.exposure is learned.exposure:
+        upper.plot(true.exposure, true.code[:, 0], "--", color="black", lw=1.2, label="true", zorder=4)
+    for c, (name, colour) in enumerate(CHANNELS.items()):
+        upper.plot(learned.exposure, learned.code[:, c], color=colour, lw=1.6, label=f"learned, {name}")
+        if true is not None:
+            error = np.interp(true.exposure, learned.exposure, learned.code[:, c]) - true.code[:, c]
+            panels[1, 0].plot(true.exposure, 255.0 * error, color=colour, lw=1.2)
     if scene.response_anchor is not None:
         exposure, code = scene.response_anchor
         label = f"anchor: {code:.3f} at {exposure:g}"
-        axes.plot(
-            [exposure], [code], "*", color="#e0a000", markeredgecolor="black", ms=13, label=label, zorder=5
-        )
-    axes.set_xscale("log", base=2)
-    axes.set_xlim(*_shown(learned, measured))
-    axes.set_ylim(-0.02, 1.02)
-    axes.set_xlabel("exposure × radiance (seconds × scene-linear units, absolute)")
-    axes.set_ylabel("code value (8-bit sRGB-coded pixel / 255)")
-    axes.set_title(f"{scene.name}: {check}", fontsize=8, loc="left")
-    axes.grid(alpha=0.25)
-    axes.legend(fontsize=8, loc="upper left")
+        upper.plot([exposure], [code], "*", color="#e0a000", mec="black", ms=13, label=label, zorder=5)
+    upper.set_xscale("log", base=2)
+    upper.set_xlim(*_shown(learned, measured))
+    upper.set_ylim(-0.02, 1.02)
+    upper.set_ylabel("code value (8-bit pixel / 255)")
+    if true is not None:
+        panels[1, 0].axhline(0.0, color="black", lw=0.8)
+        panels[1, 0].set_ylabel("learned − true\n(1/255)")
+    upper.set_title(scene.name + "\n" + str(check).replace("; ", "\n", 1), fontsize=8, loc="left")
+    upper.legend(fontsize=8, loc="upper left")
+    for axes in panels[:, 0]:
+        axes.grid(alpha=0.25)
+    panels[-1, 0].set_xlabel("exposure × radiance (seconds × scene-linear units, absolute)")
     with atomic_path(path) as temporary:
         figure.savefig(temporary, format="png")
     return check

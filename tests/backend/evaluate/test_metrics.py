@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import pytorch_msssim
 import torch
-from skimage.metrics import structural_similarity
+from scipy.signal import convolve2d
+from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from physhdr.backend.evaluate.lpips import Lpips
 from physhdr.backend.evaluate.metrics import (
@@ -48,6 +49,27 @@ def test_psnr_closed_form() -> None:
     zero = torch.zeros(3, 4, 4)
     assert psnr(zero, zero + 0.1) == pytest.approx(20.0, abs=1e-5)
     assert psnr(zero, zero) == math.inf
+
+
+def test_psnr_agrees_with_another_program(pair) -> None:
+    picture, other = (each.double().numpy() for each in pair)
+    assert psnr(*pair) == pytest.approx(peak_signal_noise_ratio(other, picture, data_range=1.0), abs=1e-9)
+
+
+def test_ssim_is_its_definition_borders_and_all(pair) -> None:
+    """3DGS's SSIM in words: 11×11 Gaussian, σ 1.5, zeros outside; every pixel of a plane, in two dimensions."""
+    x, y = (each[1].double().numpy() for each in pair)
+    g = np.exp(-((np.arange(11) - 5) ** 2) / (2 * 1.5**2))
+    window = np.outer(g, g) / np.outer(g, g).sum()
+
+    def mean(plane: np.ndarray) -> np.ndarray:
+        return convolve2d(plane, window, mode="same", boundary="fill")
+
+    mx, my = mean(x), mean(y)
+    vx, vy, covariance = mean(x * x) - mx**2, mean(y * y) - my**2, mean(x * y) - mx * my
+    expected = (2 * mx * my + 1e-4) * (2 * covariance + 9e-4)
+    expected /= (mx**2 + my**2 + 1e-4) * (vx + vy + 9e-4)
+    np.testing.assert_allclose(ssim_map(*pair)[1].numpy(), expected, atol=1e-9)
 
 
 def test_ssim_agrees_with_two_other_programs_where_there_is_no_padding(pair) -> None:
@@ -164,6 +186,15 @@ def test_both_conventions_of_lpips_differ_and_vanish_for_equal_pictures() -> Non
     assert lpips.unscaled(other, reference) == pytest.approx(lpips.raw(other, reference))
     assert lpips.unscaled(other, reference) < lpips(other, reference)
     assert lpips(reference, reference) == lpips.unscaled(reference, reference) == 0.0
+
+
+@needs_weights
+def test_both_conventions_in_one_pass_are_what_they_are_alone() -> None:
+    lpips = Lpips.from_file(LPIPS_WEIGHTS)
+    reference, other = example("ex_ref.png"), example("ex_p0.png")
+    canonical, unscaled = lpips.both(other, reference)
+    assert canonical == pytest.approx(0.721881, abs=1e-5)
+    assert unscaled == pytest.approx(lpips.unscaled(other, reference), abs=1e-6)
 
 
 @needs_weights

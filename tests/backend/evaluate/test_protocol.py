@@ -4,6 +4,7 @@
 import csv
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -14,7 +15,7 @@ from rich.console import Console
 
 from physhdr.backend.evaluate.protocol import evaluate, lpips_from
 from physhdr.backend.evaluate.report import to_dict, to_markdown, to_terminal, write_report
-from physhdr.backend.evaluate.results import Evaluation, LdrRow, Metrics
+from physhdr.backend.evaluate.results import Evaluation, HdrRow, LdrRow, Metrics
 from physhdr.backend.evaluate.sheets import comparison_sheet, labelled_grid
 from physhdr.backend.scene import Camera, read_scene
 from physhdr.bridge.errors import (
@@ -202,6 +203,72 @@ def test_lists_of_relit_truth_that_mean_nothing(data_set: Path, small, relit, ki
     assert caught.value.hint
 
 
+def test_missing_exposures_keep_their_place_in_the_bracket(data_set: Path, small: ModuleType) -> None:
+    """A view with brackets 0 and 3 alone (GaussHDR's packaging) counts for OE and NE, not for 0 and 1."""
+    scene = read_scene(data_set)
+    first, second = scene.test
+    some = replace(
+        first,
+        exposures=(first.exposures[0], first.exposures[3]),
+        image_paths=(first.image_paths[0], first.image_paths[3]),
+        bracket=(0, 3),
+    )
+    result = evaluate(Oracle(small), replace(scene, test=[some, second]))
+    rows = [(row.index, row.exposure_index, row.exposure) for row in result.ldr]
+    assert rows[:2] == [(first.index, 0, 0.125), (first.index, 3, 8.0)] and len(rows) == 7
+    assert [(each.exposure_index, each.part, each.views) for each in result.exposures] == [
+        (0, "LDR-OE", 2),
+        (1, "LDR-NE", 1),
+        (2, "LDR-OE", 1),
+        (3, "LDR-NE", 2),
+        (4, "LDR-OE", 1),
+    ]
+    assert result.ldr_oe is not None and result.ldr_oe.psnr > 50
+
+
+def test_means_of_exposures_and_views() -> None:
+    rows = [LdrRow(f"r_{i}", i, k, 2.0**k, Metrics(10.0 * k + i, 0.1 * k)) for i in (0, 1) for k in range(5)]
+    hdr = [HdrRow("r_1", 1, 8.0, 1.25, Metrics(33.0, 0.9), Metrics(34.0, 0.9))]
+    result = Evaluation("s", "test", "exp3", (8, 8), rows, hdr, [])
+    assert [(each.exposure, each.metrics.psnr) for each in result.exposures] == [
+        (2.0**k, 10.0 * k + 0.5) for k in range(5)
+    ]
+    first, second = result.views
+    assert first.ldr_oe == Metrics(pytest.approx(20.0), pytest.approx(0.2)) and first.hdr is None
+    assert second.ldr_ne is not None and second.ldr_ne.psnr == 21.0
+    assert second.hdr is not None and (second.hdr.psnr, second.scale_ratio) == (33.0, 1.25)
+    text, content = to_markdown(result), to_dict(result)
+    assert "| 3: 8 s | LDR-NE | 30.50 | 0.3000 | – | – |" in text
+    assert "| r_1 | 21.00 | 21.00 | 33.00 | 0.2000 | 0.2000 | 0.9000 | 1.250 |" in text
+    assert content["exposures"][4]["metrics"]["psnr"] == 40.5 and content["views"][0]["hdr"] is None
+
+
+def test_a_bracket_is_rendered_at_once_where_the_method_can(data_set: Path, small: ModuleType) -> None:
+    class Together(Oracle):
+        asked = 0
+
+        def ldr_bracket(self, camera, exposures, lighting_level=1.0):
+            Together.asked += 1
+            return [super(Together, self).ldr(camera, t, lighting_level) for t in exposures]
+
+        def ldr(self, *_):
+            raise AssertionError("one by one")
+
+    together = evaluate(Together(small), read_scene(data_set))
+    assert together.ldr == evaluate(Oracle(small), read_scene(data_set)).ldr and Together.asked == 2
+
+
+def test_the_response_of_the_method_is_checked(data_set: Path, small: ModuleType) -> None:
+    class Knows(Oracle):
+        def response_curve(self):
+            x = torch.linspace(-6, 6, 50)
+            return x, torch.from_numpy(small.response(x.exp().numpy() / 1.1))[:, None].expand(-1, 3)
+
+    result = evaluate(Knows(small), read_scene(data_set))
+    assert result.response is not None and result.response.scale == pytest.approx(1.1, rel=5e-3)
+    assert to_dict(result)["response"]["largest_fall"] == 0.0 and "response: rises" in to_markdown(result)
+
+
 def test_oe_and_ne_average_each_exposure_first() -> None:
     rows = [LdrRow(f"r_{i}", i, k, 2.0**k, Metrics(10.0 * k + i, 0.1 * k)) for i in (0, 1) for k in range(5)]
     result = Evaluation("s", "test", "exp3", (8, 8), rows, [], [])
@@ -336,10 +403,10 @@ def test_comparison_sheet_has_a_row_for_each_thing_compared(data_set: Path, smal
     assert whole.shape[1] == ldr_only.shape[1]
     row = (whole.shape[0] - ldr_only.shape[0]) / 2
     assert row > 180, "six rows against four: the difference is two"
-    # a perfect renderer: the LDR residual (third column) is black
+    # a perfect renderer: the last residual (third column, above the legend) is black
     cell = 240
     column = slice(24 + 2 * (cell + 14) + 10, 24 + 2 * (cell + 14) + cell - 10)
-    assert (whole[-60:-40, column] == 0).all()
+    assert (whole[-160:-120, column] == 0).all()
 
 
 def test_labelled_grid_keeps_pictures_as_they_are() -> None:

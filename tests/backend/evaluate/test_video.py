@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Paths of cameras, and videos decoded again."""
+
+import sys
+from pathlib import Path
+
+import av
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from physhdr.backend.evaluate.camera_path import focus_of, orbit_path, spline_path
+from physhdr.backend.evaluate.optional import PackageMissingError
+from physhdr.backend.evaluate.video import frames_writer, video_writer
+from physhdr.backend.scene import Camera
+from physhdr.bridge.errors import BadValueError, OutputError
+
+
+def looking_at(position, target) -> Camera:
+    """A camera with Z up, written apart from the product's."""
+    back = np.subtract(position, target)
+    back = back / np.linalg.norm(back)
+    right = np.cross([0, 0, 1], back)
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = np.stack([right, np.cross(back, right), back], axis=1), position
+    return Camera(pose, 64, 48, 60.0, 60.0, 32.0, 24.0)
+
+
+def positions_of(cameras: list[Camera]) -> np.ndarray:
+    return np.array([camera.position for camera in cameras])
+
+
+RING = [
+    looking_at((3 * np.cos(a), 3 * np.sin(a), 1.0), (0, 0, 0.5)) for a in np.linspace(0, 2 * np.pi, 12, False)
+]
+GRID = [looking_at((x, -4.0, z), (x, 0.0, z)) for z in (0.0, 0.5, 1.0) for x in (0.0, 1.0, 2.0, 3.0)]
+
+
+# ---- paths -------------------------------------------------------------------------------------------
+
+
+def test_a_spline_passes_through_every_camera_at_an_even_speed() -> None:
+    shuffled = [RING[i] for i in (0, 5, 2, 9, 1, 7, 3, 11, 4, 6, 8, 10)]
+    path = spline_path(shuffled, 221)
+    assert all(isinstance(camera, Camera) for camera in path), "each is a rigid pose"
+    for camera in RING:
+        gap = np.linalg.norm(positions_of(path) - camera.position, axis=1)
+        nearest = path[gap.argmin()]
+        assert gap.min() < 0.03
+        turn = Rotation.from_matrix(nearest.camera_to_world[:3, :3].T @ camera.camera_to_world[:3, :3])
+        assert np.degrees(turn.magnitude()) < 1.0
+    speed = np.linalg.norm(np.diff(positions_of(path), axis=0), axis=1)
+    assert speed.max() < 1.25 * speed.min(), "the ring's order was found: no way across it"
+    assert np.linalg.norm(positions_of(path)[:, :2], axis=1).min() > 2.95
+
+
+def test_a_spline_through_a_rig_goes_the_shortest_way() -> None:
+    """4×3 stops, 1 and 0.5 apart: along columns, 4 × 1 m up and down and 3 × 1 m across."""
+    shuffled = [GRID[i] for i in np.random.default_rng(1).permutation(12)]
+    path = positions_of(spline_path(shuffled, 400))
+    length = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
+    assert 7.0 - 0.3 < length < 8.5
+
+
+def test_a_closed_spline_comes_back() -> None:
+    path = positions_of(spline_path(RING, 120, closed=True))
+    steps = np.linalg.norm(np.diff(np.vstack([path, path[:1]]), axis=0), axis=1)
+    assert steps.max() < 1.1 * steps.min()
+    np.testing.assert_allclose(np.linalg.norm(path[:, :2], axis=1), 3.0, atol=0.01)
+
+
+def test_few_cameras() -> None:
+    alone = spline_path(RING[:1], 5)
+    assert len(alone) == 5 and (positions_of(alone) == RING[0].position).all()
+    pair = positions_of(spline_path([RING[0], RING[0], RING[1]], 3))
+    np.testing.assert_allclose(pair, [RING[0].position, pair[1], RING[1].position], atol=1e-12)
+    np.testing.assert_allclose(pair[1], (pair[0] + pair[2]) / 2, atol=1e-12)
+    with pytest.raises(BadValueError, match="at least one camera"):
+        orbit_path([], 5)
+    with pytest.raises(BadValueError, match="at least 2 frames"):
+        spline_path(RING, 1)
+
+
+def test_the_focus_is_where_the_axes_meet() -> None:
+    np.testing.assert_allclose(focus_of(RING), [0, 0, 0.5], atol=1e-9)
+    ahead = focus_of(GRID)  # parallel axes along +Y: straight ahead of their middle
+    np.testing.assert_allclose(ahead[[0, 2]], [1.5, 0.5], atol=1e-9)
+    assert ahead[1] > -4.0 + 3.0
+
+
+def test_an_orbit_of_a_ring_is_the_ring() -> None:
+    path = orbit_path(RING, 24)
+    positions = positions_of(path)
+    np.testing.assert_allclose(np.linalg.norm(positions[:, :2], axis=1), 3.0, atol=1e-9)
+    np.testing.assert_allclose(positions[:, 2], 1.0, atol=1e-9)
+    for camera in path:
+        like = looking_at(camera.position, (0, 0, 0.5))
+        np.testing.assert_allclose(camera.camera_to_world, like.camera_to_world, atol=1e-9)
+
+
+def test_an_orbit_before_a_scene_stays_among_the_cameras() -> None:
+    positions = positions_of(orbit_path(GRID, 24))
+    np.testing.assert_allclose(positions[:, 1], -4.0, atol=1e-9)
+    low, high = positions_of(GRID).min(axis=0) - 0.15, positions_of(GRID).max(axis=0) + 0.15
+    assert (positions >= low).all() and (positions <= high).all()
+
+
+# ---- videos ------------------------------------------------------------------------------------------
+
+PATCHES = [(255, 0, 0), (0, 255, 0), (0, 0, 255), (255, 255, 255), (0, 0, 0), (200, 120, 40), (90, 90, 90)]
+
+
+def bt709(rgb) -> tuple[float, float, float]:
+    """Limited-range Y′CbCr of R′G′B′ codes 0…255, from the words of ITU-R BT.709."""
+    r, g, b = np.array(rgb) / 255.0
+    y = 0.2126 * r + 0.7152 * g + 0.0722 * b
+    return 16 + 219 * y, 128 + 224 * (b - y) / 1.8556, 128 + 224 * (r - y) / 1.5748
+
+
+def test_a_video_shows_its_frames_and_says_what_its_codes_mean(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "patches.mp4"
+    with video_writer(path, fps=5) as write:
+        for patch in PATCHES:
+            write(np.full((33, 47, 3), patch, np.uint8))
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        context = stream.codec_context
+        assert (context.name, context.pix_fmt, context.width, context.height) == ("h264", "yuv420p", 48, 34)
+        assert (context.color_primaries, context.color_trc, context.colorspace) == (1, 13, 1)
+        assert stream.average_rate == 5
+        frames = [frame.to_ndarray() for frame in container.decode(video=0)]
+    assert len(frames) == len(PATCHES)
+    for frame, patch in zip(frames, PATCHES, strict=True):
+        y, cb, cr = frame[:34], frame[34:42], frame[43:]  # planes below each other, chroma two rows a line
+        for plane, code in zip((y, cb, cr), bt709(patch), strict=True):
+            assert np.abs(plane.astype(float) - code).max() < 4.0, patch
+
+
+def test_frames_of_a_video_keep_their_place(tmp_path: Path) -> None:
+    picture = np.zeros((32, 64, 3), np.uint8)
+    picture[:, :32] = 220  # left bright, right dark
+    picture[:8] = 128
+    path = tmp_path / "a.mkv"
+    with video_writer(path, fps=24) as write:
+        for _ in range(3):
+            write(picture)
+    with av.open(str(path)) as container:
+        frame = next(container.decode(video=0)).to_ndarray(format="gray").astype(int)
+    assert np.abs(frame[10:, :30] - frame[10, 5]).max() < 6 and frame[20, 10] > frame[4, 40] > frame[20, 50]
+
+
+def test_a_video_that_fails_leaves_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "a.mp4"
+    with pytest.raises(BadValueError, match=r"frame 1 is \(10, 12, 3\)"), video_writer(path, fps=5) as write:
+        write(np.zeros((10, 10, 3), np.uint8))
+        write(np.zeros((10, 12, 3), np.uint8))
+    with pytest.raises(BadValueError, match="at least one frame"), video_writer(path, fps=5):
+        pass
+    with pytest.raises(BadValueError, match=r"must end in \.mp4.*got a\.gif"):
+        video_writer(tmp_path / "a.gif", 5).__enter__()
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="cannot write"):
+        video_writer(tmp_path / "file" / "a.mp4", 5).__enter__()
+    assert [each.name for each in tmp_path.iterdir()] == ["file"]
+
+
+def test_without_av_there_is_one_clear_message(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setitem(sys.modules, "av", None)
+    with pytest.raises(PackageMissingError, match=r"a video needs av[\s\S]*pip install av"):
+        video_writer(tmp_path / "a.mp4", 5).__enter__()
+    with frames_writer(tmp_path / "frames") as write:
+        for value in (10, 20):
+            write(np.full((4, 6, 3), value, np.uint8))
+    names = sorted(path.name for path in (tmp_path / "frames").iterdir())
+    assert names == ["frame_0000.png", "frame_0001.png"]
+    assert np.asarray(Image.open(tmp_path / "frames" / names[1]).convert("RGB"))[0, 0, 0] == 20

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What ``physhdr video`` would show, frame by frame."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from physhdr.backend.cli.video import Frame, Video, pictures, there_and_back
+from physhdr.backend.scene import Camera, read_scene
+from physhdr.bridge.errors import BadValueError
+
+
+class Grey:
+    """Shows its exposure as grey: a quarter of it, and how often it was asked for brackets."""
+
+    lights = ("ambient", "lamp")
+    can_relight = True
+
+    def __init__(self) -> None:
+        self.brackets = 0
+
+    def hdr(self, camera: Camera, lighting_level=1.0) -> torch.Tensor:
+        return torch.ones(3, camera.height, camera.width)
+
+    def ldr(self, camera: Camera, exposure: float, lighting_level=1.0) -> torch.Tensor:
+        return self.hdr(camera) * min(exposure / 4.0, 1.0)
+
+    def ldr_bracket(self, camera: Camera, exposures, lighting_level=1.0) -> list[torch.Tensor]:
+        self.brackets += 1
+        return [self.ldr(camera, exposure) for exposure in exposures]
+
+
+def video(**options) -> Video:
+    return Video(Path("run"), out=Path("a.mp4"), seconds=1.0, fps=20, **options)
+
+
+def test_sweeps_go_there_and_back_in_even_stops() -> None:
+    values = np.log2(there_and_back(0.125, 8.0, 12))
+    np.testing.assert_allclose(values, [-3, -2, -1, 0, 1, 2, 3, 2, 1, 0, -1, -2], atol=1e-12)
+
+
+def test_a_path_shows_the_middle_exposure(data_set: Path) -> None:
+    scene = read_scene(data_set)
+    for path in ("spline", "orbit"):
+        frames = video(path=path, width=24).plan(scene, Grey())
+        assert len(frames) == 20 and len({id(frame.camera) for frame in frames}) == 20
+        assert {(frame.exposure, frame.levels, frame.camera.width) for frame in frames} == {
+            (2.0, (1.0, 1.0), 24)
+        }
+
+
+def test_an_exposure_sweep_stands_still_and_is_rendered_in_few_passes(data_set: Path) -> None:
+    frames = video(sweep="exposure", view="test/3").plan(read_scene(data_set), Grey())
+    assert {tuple(frame.camera.position) for frame in frames} == {(3.0, -5.0, 1.0)}
+    assert (frames[0].exposure, max(frame.exposure for frame in frames)) == (0.125, pytest.approx(32.0))
+    method = Grey()
+    shown = list(pictures(method, frames))
+    assert len(shown) == 20 and method.brackets == 2
+    expected = [np.floor(255 * min(frame.exposure / 4, 1) + 0.5) for frame in frames]
+    np.testing.assert_array_equal([picture[0, 0, 0] for picture in shown], expected)
+
+
+def test_a_lighting_sweep_turns_one_light(data_set: Path) -> None:
+    frames = video(
+        sweep="lighting", light="lamp", sweep_range=(0.5, 2.0), lighting_levels=("ambient=3",)
+    ).plan(read_scene(data_set), Grey())
+    assert {frame.levels[0] for frame in frames} == {3.0} and {frame.exposure for frame in frames} == {2.0}
+    assert (frames[0].levels[1], frames[10].levels[1]) == (0.5, pytest.approx(2.0))
+
+
+def test_frames_that_differ_in_light_are_not_one_bracket(data_set: Path) -> None:
+    camera, method = read_scene(data_set).test[0].camera, Grey()
+    assert len(list(pictures(method, [Frame(camera, 1.0, (1.0,)), Frame(camera, 1.0, (2.0,))]))) == 2
+    assert method.brackets == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"path": "still"}, "still camera shows nothing new"),
+        ({"sweep": "lighting", "light": "sun"}, r"no light 'sun' in this model\n.*ambient, lamp"),
+        ({"sweep": "exposure", "view": "test/9"}, "no pose 9"),
+        ({"lighting_levels": ("sun=3",)}, "sun"),
+    ],
+)
+def test_what_cannot_be_shown(data_set: Path, options, message) -> None:
+    with pytest.raises(BadValueError, match=message):
+        video(**options).plan(read_scene(data_set), Grey())
+
+
+def test_a_method_that_cannot_relight(data_set: Path) -> None:
+    method = Grey()
+    method.can_relight = False
+    with pytest.raises(BadValueError, match=r"cannot relight[\s\S]*--sweep exposure"):
+        video(sweep="lighting").plan(read_scene(data_set), method)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"out": None}, "nowhere to write"),
+        ({"fps": 0}, "--fps 0"),
+        ({"exposure": -1.0}, "--exposure must be above 0"),
+        ({"sweep_range": (1.0, 2.0)}, "with --sweep none"),
+        ({"sweep": "exposure", "sweep_range": (0.0, 2.0)}, "two values above 0"),
+        ({"light": "lamp"}, "--light names what"),
+    ],
+)
+def test_options_that_mean_nothing(options, message) -> None:
+    """Said before the run is opened."""
+    with pytest.raises(BadValueError, match=message):
+        Video(**({"folder": Path("none"), "out": Path("a.mp4")} | options)).run()
