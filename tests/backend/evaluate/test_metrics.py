@@ -57,7 +57,7 @@ def test_psnr_agrees_with_another_program(pair) -> None:
 
 
 def test_ssim_is_its_definition_borders_and_all(pair) -> None:
-    """3DGS's SSIM in words: 11×11 Gaussian, σ 1.5, zeros outside; every pixel of a plane, in two dimensions."""
+    """3DGS's SSIM in words: 11×11 Gaussian, σ 1.5, zeros outside; every pixel of a plane, in 2-D."""
     x, y = (each[1].double().numpy() for each in pair)
     g = np.exp(-((np.arange(11) - 5) ** 2) / (2 * 1.5**2))
     window = np.outer(g, g) / np.outer(g, g).sum()
