@@ -18,7 +18,7 @@ from .search import TOLERANCE
 
 REPORT_FILE = "report.md"
 COSTS = ("cost.cpu_seconds", "cost.seconds", "cost.iterations", "cost.gaussians", "cost.memory_MB")
-MAIN_METRICS = (*DEFAULT_METRICS, "HDR-aligned.psnr", "relit.psnr", *COSTS)
+MAIN_METRICS = (*DEFAULT_METRICS, "HDR-aligned.psnr", "relit.psnr", "relit.gain", *COSTS)
 SCENE_METRICS = (*PAPER_MARGINS, "HDR-aligned.psnr", "scale", "relit.psnr", "cost.cpu_seconds")
 SCENE_METRICS += ("cost.iterations", "cost.gaussians")
 #: What stands in a row of CSV beside what names the run.

@@ -93,6 +93,9 @@ class Benchmark:
         try:
             if not self.report_only:
                 self._work_off(schedule, plan)
+        except KeyboardInterrupt:
+            console.print("stopped: what is done is kept, and the same command goes on from there")
+            raise
         finally:  # also after CTRL-C: what is done is reported
             self._write_report(schedule)
         bad = [run for run in schedule.runs if schedule.status[run].kind in ("failed", "blocked")]
