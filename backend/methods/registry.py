@@ -13,11 +13,14 @@ from ..model.anchors import Anchors, AnchorsConfig
 from ..model.backbone import Attributes, Backbone
 from ..model.gaussians import Gaussians
 from ..rasterize import Implementation
-from . import hdr_nerf, physhdr
+from . import gausshdr, hdr_gs, hdr_nerf, physhdr
 from .base import Method
 
 #: The command line keeps --method.… flags, of the preset's method, where there are several to choose from.
-MethodConfig = Annotated[physhdr.PhysHDRConfig | hdr_nerf.HDRNeRFConfig, tyro.conf.AvoidSubcommands]
+MethodConfig = Annotated[
+    physhdr.PhysHDRConfig | gausshdr.GaussHDRConfig | hdr_gs.HDRGSConfig | hdr_nerf.HDRNeRFConfig,
+    tyro.conf.AvoidSubcommands,
+]
 
 
 @dataclass(frozen=True)
@@ -52,12 +55,24 @@ def _physhdr(config: physhdr.PhysHDRConfig, anchors: AnchorsConfig | None, facts
     return physhdr.PhysHDR(config, backbone, facts.anchor, facts.implementation, facts.lights)
 
 
+def _gausshdr(config: gausshdr.GaussHDRConfig, anchors: AnchorsConfig | None, facts: Facts) -> Method:
+    backbone = backbone_of(config.attributes(), anchors)
+    return gausshdr.GaussHDR(config, backbone, facts.anchor, facts.implementation)
+
+
+def _hdr_gs(config: hdr_gs.HDRGSConfig, anchors: AnchorsConfig | None, facts: Facts) -> Method:
+    backbone = backbone_of(config.attributes(), anchors)
+    return hdr_gs.HDRGS(config, backbone, facts.anchor, facts.implementation)
+
+
 def _hdr_nerf(config: hdr_nerf.HDRNeRFConfig, anchors: AnchorsConfig | None, facts: Facts) -> Method:
     return hdr_nerf.HDRNeRF(config, facts.anchor)
 
 
 ENTRIES: dict[type, Entry] = {
     physhdr.PhysHDRConfig: Entry("physhdr", _physhdr, physhdr.kernels_needed),
+    gausshdr.GaussHDRConfig: Entry("gausshdr", _gausshdr, gausshdr.kernels_needed),
+    hdr_gs.HDRGSConfig: Entry("hdr-gs", _hdr_gs, hdr_gs.kernels_needed),
     hdr_nerf.HDRNeRFConfig: Entry("hdr-nerf", _hdr_nerf, hdr_nerf.kernels_needed),
 }
 

@@ -11,6 +11,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError, OutputError
+from ..methods.gausshdr import GaussHDRConfig
+from ..methods.hdr_gs import HDRGSConfig
 from ..methods.physhdr import PhysHDRConfig
 from ..methods.registry import MethodConfig, config_named, entry_of
 from ..model.anchors import AnchorsConfig
@@ -106,6 +108,34 @@ def baseline(iterations: int = 3000) -> TrainConfig:
     )
 
 
+#: 3DGS's own densification, without a budget.
+STOCK_DENSIFY = DensifyConfig(start=500, stop=0.5, reset_every=3000, budget=0, threshold=2e-4)
+
+
+def gausshdr(iterations: int = 30_000) -> TrainConfig:
+    """GaussHDR on 3DGS, whose code nobody has published: its tone mapper and losses, 3DGS's schedule."""
+    return TrainConfig(
+        iterations=iterations,
+        half_size_until=0.0,
+        sh_degree_every=1000,
+        method=GaussHDRConfig(),
+        optimiser=STOCK_3DGS,
+        densify=STOCK_DENSIFY,
+    )
+
+
+def hdr_gs(iterations: int = 30_000) -> TrainConfig:
+    """HDR-GS without HDR ground truth, one set of values for all scenes: 3DGS's schedule."""
+    return TrainConfig(
+        iterations=iterations,
+        half_size_until=0.0,
+        sh_degree_every=1000,
+        method=HDRGSConfig(),
+        optimiser=STOCK_3DGS,
+        densify=STOCK_DENSIFY,
+    )
+
+
 def fast(iterations: int = 1500) -> TrainConfig:
     """``default`` for the impatient: half of its iterations, more of them at half resolution."""
     return TrainConfig(iterations=iterations, half_size_until=0.2)
@@ -120,6 +150,8 @@ PRESETS: dict[str, TrainConfig] = {
     "fast": fast(),
     "paper": paper(),
     "baseline": baseline(),
+    "gausshdr": gausshdr(),
+    "hdr-gs": hdr_gs(),
 }
 
 

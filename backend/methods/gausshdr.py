@@ -1,0 +1,293 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""GaussHDR on either backbone: local tone mapping of splats and of pixels, fused by their uncertainties.
+
+Every splat has ln e and a context feature; one tone mapper, with a local correction and an uncertainty, is
+used twice. **3-D**: on each splat, whose LDR colour and uncertainty are drawn. **2-D**: on each pixel of the
+drawn radiance and context. One pass of the rasteriser draws all that both need. The facts are those of the
+released code, which has Scaffold-GS's backbone only; docs/method.md names what its paper has otherwise.
+"""
+
+import math
+from dataclasses import dataclass, field
+
+import torch
+from torch import nn
+
+from ...bridge.errors import BadValueError
+from ...bridge.lights import Levels, as_levels
+from ..kernels.local_curves import local_curves
+from ..kernels.plain import can_fuse
+from ..kernels.pointwise import log_of_exposure
+from ..kernels.ssim import SsimTarget, ssim_and_error, ssim_map
+from ..kernels.warmup import Needs
+from ..model.backbone import Attributes, Backbone, Splats
+from ..model.gaussians import LOG_RADIANCE_RANGE
+from ..model.radiance import DARKEST, SmallNetwork
+from ..model.tone_mapper import LOG_EPSILON, ToneMapper, ToneMapperConfig
+from ..rasterize import Implementation, Rasterization
+from ..scene.camera import Camera
+from ..train.rates import Rate
+from .base import Drawn, Outcome, Shot, SplattingMethod
+
+#: Of the tone mapper with its uncertainty.
+TONE_MAPPER_RATE = Rate(start=5e-4, final=5e-5, shape="exponential")
+
+
+@dataclass(frozen=True, kw_only=True)
+class GaussHDRConfig:
+    """What the method is made of: the released code's values."""
+
+    sh_degree: int = 3
+    #: Softplus bends the global curve: by a remark in their code better for synthetic scenes on 3DGS; they
+    #: use ReLU elsewhere. The local curves and the uncertainty are always of ReLU.
+    tone_mapper: ToneMapperConfig = field(
+        default_factory=lambda: ToneMapperConfig(
+            anchored=False, initial_slope=None, local=True, warm_start_steps=1000
+        )
+    )
+    #: ℓ: this weight for 1 − SSIM, the rest of 1 for the absolute difference.
+    dssim_weight: float = 0.2
+    #: Of both uncertainties' likelihoods (the code has 1, the paper is said to have ½).
+    uncertainty_weight: float = 1.0
+    #: No uncertainty is smaller.
+    least_uncertainty: float = 0.1
+    #: γ, of ℓ of the 2-D global picture, where the data name an anchor of the response (synthetic scenes) …
+    global_weight_anchored: float = 0.5
+    #: … and where they do not (real ones).
+    global_weight: float = 0.2
+    #: Of L_unit, where the data name an anchor.
+    unit_weight: float = 0.5
+    #: The share of the training in which global curves stand in for the local ones (the paper: 6 k of 30 k
+    #: iterations; the code: none).
+    global_until: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not self.tone_mapper.local or self.tone_mapper.mix:
+            raise BadValueError(
+                "GaussHDR has local curves and fuses by uncertainties",
+                "Leave --method.tone-mapper.local on and --method.tone-mapper.mix off.",
+            )
+        if not 0 <= self.sh_degree <= 3:
+            raise BadValueError(f"the SH degree must be 0 to 3, got {self.sh_degree}")
+        if self.least_uncertainty <= 0.0:
+            raise BadValueError(f"the least uncertainty must be above 0, got {self.least_uncertainty}")
+
+    @property
+    def channels(self) -> int:
+        """How many channels one pass draws: 3-D LDR, its uncertainty, radiance and the context."""
+        return 9 + self.tone_mapper.context_size
+
+    def attributes(self) -> Attributes:
+        """What the backbone's splats must carry."""
+        return Attributes(sh_degree=self.sh_degree, context_size=self.tone_mapper.context_size)
+
+
+class Uncertainty(nn.Module):
+    """u = max(softplus(network(x, context)), least): one network for all channels, which learns no input.
+
+    The code makes three networks and asks only the red channel's.
+    """
+
+    def __init__(self, config: ToneMapperConfig) -> None:
+        super().__init__()
+        self.network = SmallNetwork(1 + config.context_size, config.hidden, 1)
+
+    def forward(self, log_exposure: torch.Tensor, context: torch.Tensor) -> torch.Tensor:
+        """``log_exposure`` ``[3, …]``, ``context`` ``[K, …]`` → u ``[3, …]``, before its bound from below."""
+        n = self.network
+        # The three channels are like three branches that share a context.
+        x = log_exposure.detach().reshape(1, 3, -1)
+        features = context.detach().reshape(context.shape[0], -1)
+        u = local_curves(x, features, n.w1[None], n.b1[None], n.w2, n.b2)
+        return nn.functional.softplus(u).reshape(log_exposure.shape)
+
+
+@dataclass(frozen=True)
+class Half:
+    """The LDR picture of one of the two ways, and its uncertainty, both ``[3, H, W]``."""
+
+    ldr: torch.Tensor
+    uncertainty: torch.Tensor
+
+
+@dataclass(frozen=True)
+class DrawnPicture(Drawn):
+    """One pass and what a camera records of it: by the 3-D and by the 2-D way, and fused.
+
+    ``weight`` ``[3, H, W]``: of the 3-D way. ``global_2d``: the 2-D way without local correction.
+    """
+
+    in_3d: Half | None = None
+    in_2d: Half | None = None
+    global_2d: torch.Tensor | None = None
+    weight: torch.Tensor | None = None
+
+    @property
+    def ldr(self) -> torch.Tensor:
+        """The picture that is reported."""
+        assert self.in_3d is not None and self.in_2d is not None and self.weight is not None
+        return torch.lerp(self.in_2d.ldr, self.in_3d.ldr, self.weight)
+
+
+class GaussHDR(SplattingMethod):
+    """The method: a backbone, a tone mapper and the network of its uncertainty."""
+
+    def __init__(
+        self,
+        config: GaussHDRConfig,
+        backbone: Backbone,
+        anchor: tuple[float, float] | None,
+        implementation: Implementation = "auto",
+    ) -> None:
+        self.config = config
+        super().__init__(backbone, implementation)
+        self.tone_mapper = ToneMapper(config.tone_mapper, anchor)
+        self.uncertainty = Uncertainty(config.tone_mapper)
+        self.uses_local = True
+
+    @property
+    def sh_degree(self) -> int:
+        return self.config.sh_degree
+
+    def network_groups(self) -> dict[str, list[torch.Tensor]]:
+        groups = super().network_groups()
+        return groups | {"tone_mapper": [*groups["tone_mapper"], *self.uncertainty.parameters()]}
+
+    def rates(self) -> dict[str, Rate]:
+        return super().rates() | {"tone_mapper": TONE_MAPPER_RATE}
+
+    def follow_schedule(self, iteration: int, iterations: int, sh_degree_every: int) -> None:
+        super().follow_schedule(iteration, iterations, sh_degree_every)
+        self.uses_local = iteration >= self.config.global_until * iterations
+
+    # -- the forward pass --------------------------------------------------------------------------------
+
+    def log_radiance(self, splats: Splats) -> torch.Tensor:
+        """ln e ``[M, 3]``. What light makes of it is not known apart: ``log_illumination`` stays 0."""
+        return splats.log_reflectance.clamp(*LOG_RADIANCE_RANGE)
+
+    def radiance_of(self, splats: Splats, levels: tuple[float, ...] | None) -> torch.Tensor:
+        return self.log_radiance(splats).exp()
+
+    def respond(
+        self, log_exposure: torch.Tensor, context: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """The tone mapper of both ways: global and local LDR, and u.
+
+        ``log_exposure`` ``[3, 1, M]`` of splats or ``[3, H, W]`` of pixels, ``context`` ``[K, M]`` or
+        ``[K, H, W]``. The local one is clip(global + Δ − ½, 0, 1).
+        """
+        glo, loc = self.tone_mapper.tone_map_log(log_exposure, context)
+        assert loc is not None
+        return glo, loc if self.uses_local else glo, self.uncertainty(log_exposure, context)
+
+    def draw(self, camera: Camera, exposure: float, watch: bool = False) -> DrawnPicture:
+        """What a camera with ``exposure`` seconds records. ``watch``: for growth."""
+        splats = self.backbone.splats(camera, self.active_sh_degree)
+        assert splats.context is not None
+        log_radiance = self.log_radiance(splats)
+        log_exposure = (log_radiance + math.log(exposure)).T.contiguous()[:, None]
+        _, colours, uncertainty = self.respond(log_exposure, splats.context.T.contiguous())
+        # The code draws the splats' global LDR as well, which nothing uses.
+        channels = [colours[:, 0].T, uncertainty[:, 0].T, log_radiance.exp(), splats.context]
+        offsets = self.watched(splats) if watch else None
+        drawn = self.rasterize(splats, torch.cat(channels, dim=1), camera, screen_offsets=offsets)
+        # Split, not sliced: the gradient of a slice is a whole picture of zeros with the slice in it.
+        ldr_3d, uncertainty_3d, radiance, context = drawn.image.split([c.shape[1] for c in channels])
+        in_3d, in_2d, global_2d, weight = self.develop(ldr_3d, uncertainty_3d, radiance, context, exposure)
+        return DrawnPicture(
+            splats, drawn, offsets, in_3d=in_3d, in_2d=in_2d, global_2d=global_2d, weight=weight
+        )
+
+    def develop(
+        self,
+        ldr_3d: torch.Tensor,
+        uncertainty_3d: torch.Tensor,
+        radiance: torch.Tensor,
+        context: torch.Tensor,
+        exposure: float,
+    ) -> tuple[Half, Half, torch.Tensor, torch.Tensor]:
+        """The drawn channels ``[…, H, W]`` → both ways, the 2-D global picture, and the 3-D way's weight.
+
+        Each way weighs as much as the other one is uncertain: (u₂² I₃ + u₃² I₂) / (u₂² + u₃²), where the
+        weight itself learns nothing.
+        """
+        least = self.config.least_uncertainty
+        global_2d, ldr_2d, uncertainty_2d = self.respond(
+            log_of_exposure(radiance * exposure, LOG_EPSILON), context
+        )
+        in_3d = Half(ldr_3d, uncertainty_3d.clamp_min(least))
+        in_2d = Half(ldr_2d, uncertainty_2d.clamp_min(least))
+        with torch.no_grad():
+            square_3d, square_2d = in_3d.uncertainty.square(), in_2d.uncertainty.square()
+            weight = square_2d / (square_2d + square_3d)
+        return in_3d, in_2d, global_2d, weight
+
+    # -- training ----------------------------------------------------------------------------------------
+
+    def training_outcome(self, shot: Shot) -> Outcome:
+        if len(shot.exposures) != 1:
+            raise BadValueError(
+                "the splats of GaussHDR have another colour at each exposure: a bracket is several drawings",
+                "Set --supervision one.",
+            )
+        (exposure,), (picture,) = shot.exposures, shot.pictures
+        drawn = self.draw(shot.camera, exposure, watch=True)
+        return Outcome(self.losses(drawn, picture) | self.backbone_terms(drawn.splats), drawn)
+
+    def losses(self, drawn: DrawnPicture, picture: torch.Tensor) -> dict[str, torch.Tensor]:
+        """The weighted terms of the loss for a picture ``[3, H, W]`` in [0, 1]; their sum is minimised.
+
+        ``rec``: mean of w ℓ₃ + (1 − w) ℓ₂. ``uncertainty``: Σ over both ways of mean D / 2u² + ½ ln u, a
+        likelihood of D = 1 − SSIM, through which D learns nothing. ``global``: ℓ of the 2-D global picture.
+        """
+        config, anchor = self.config, self.tone_mapper.anchor
+        assert drawn.in_3d is not None and drawn.in_2d is not None
+        assert drawn.global_2d is not None and drawn.weight is not None
+        target = SsimTarget(picture) if can_fuse(picture) else picture
+        part, pixel_part = config.dssim_weight, 1.0 - config.dssim_weight
+        rec, likelihoods = [], []
+        for half, weight in ((drawn.in_3d, drawn.weight), (drawn.in_2d, 1.0 - drawn.weight)):
+            dissimilarity = 1.0 - ssim_map(half.ldr, target)
+            error = pixel_part * (half.ldr - picture).abs() + part * dissimilarity
+            rec.append((weight * error).mean())
+            u = half.uncertainty
+            likelihoods.append((dissimilarity.detach() / (2.0 * u * u) + 0.5 * u.log()).mean())
+        similarity, pixel = ssim_and_error(drawn.global_2d, target, "l1")
+        gamma = config.global_weight if anchor is None else config.global_weight_anchored
+        terms = {
+            "rec": rec[0] + rec[1],
+            "uncertainty": config.uncertainty_weight * (likelihoods[0] + likelihoods[1]),
+            "global": gamma * (pixel_part * pixel + part * (1.0 - similarity)),
+        }
+        if anchor is not None and config.unit_weight:
+            terms["unit"] = config.unit_weight * self.tone_mapper.unit_exposure_error()
+        return terms
+
+    # -- use ---------------------------------------------------------------------------------------------
+
+    @torch.no_grad()
+    def ldr(self, camera: Camera, exposure: float, lighting_level: Levels = 1.0) -> torch.Tensor:
+        """As ``Method.ldr``; a level scales the radiance, as an exposure does."""
+        level = as_levels(lighting_level, self.lights)[0]
+        return self.draw(camera, exposure * max(level, DARKEST)).ldr
+
+    @torch.no_grad()
+    def preview_ldr(
+        self, drawn: Rasterization, camera: Camera, exposure: float, lighting_level: Levels = 1.0
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        nothing = drawn.image.new_zeros(3, 1, 1)
+        context = drawn.image.new_zeros(self.config.tone_mapper.context_size, 1, 1)
+        in_3d, in_2d, _, weight = self.develop(nothing, nothing, nothing, context, exposure)
+        return self.ldr(camera, exposure, lighting_level), torch.lerp(in_2d.ldr, in_3d.ldr, weight)
+
+
+def kernels_needed(config: GaussHDRConfig) -> Needs:
+    """The CPU kernels that training this method calls."""
+    return Needs(
+        channels=tuple(sorted({3, config.channels})),  # three: the view that is shown
+        networks=(),
+        activation=config.tone_mapper.activation,
+        local_branches=(1, 3),  # the curves of each channel; the uncertainty of all three
+        blur=False,
+    )

@@ -1,0 +1,236 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""HDR-GS on either backbone: a global response applied to every splat, whose LDR colours are drawn.
+
+Each splat has ln e; its LDR colour at exposure t is f(ln e + ln t), f a network for each colour channel. HDR
+pictures draw e itself. Nothing fixes the absolute scale (their code has L_unit switched off), so that HDR
+figures mean something only when ``scale aligned``.
+
+Their published figures come of training that sees the true HDR pictures. Here that is off; it needs a switch
+and the path of the truth, and says so at every start and in every report.
+"""
+
+import functools
+import math
+import warnings
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import torch
+from torch.nn import functional
+
+from ...bridge.errors import BadValueError, FileMissingError
+from ...bridge.lights import Levels, as_levels
+from ..kernels.ssim import ssim_and_error
+from ..kernels.warmup import Needs
+from ..model.backbone import Attributes, Backbone, Splats
+from ..model.gaussians import LOG_RADIANCE_RANGE
+from ..model.radiance import DARKEST
+from ..model.tone_mapper import ToneMapper, ToneMapperConfig
+from ..rasterize import Implementation, Rasterization
+from ..scene.camera import Camera
+from ..scene.pictures import read_exr
+from ..scene.scene import View
+from ..train.rates import Rate
+from .base import Drawn, Outcome, Shot, SplattingMethod, mean_terms
+
+#: Their code makes a schedule for it that is never stepped.
+TONE_MAPPER_RATE = Rate(start=5e-4)
+
+#: Of the μ-law of their HDR loss, whose truth is rounded to so many steps.
+MU, STEPS = 5000.0, 255.0
+
+#: Adam steps to the curve by which first radiance is told from pictures, where f itself starts at random.
+FIRST_RESPONSE_STEPS = 1000
+
+
+@dataclass(frozen=True, kw_only=True)
+class HDRGSConfig:
+    """What the method is made of: one set of values for all scenes (theirs differ from scene to scene)."""
+
+    sh_degree: int = 3
+    tone_mapper: ToneMapperConfig = field(
+        default_factory=lambda: ToneMapperConfig(
+            hidden=128, activation="relu", anchored=False, initial_slope=None
+        )
+    )
+    #: The weight of 1 − SSIM, the rest of 1 is that of the absolute difference.
+    dssim_weight: float = 0.2
+    #: ln e at the start: the colours of the data set's points as they are (theirs; where points have none:
+    #: merged), or radiance merged from the brackets.
+    initial_radiance: Literal["points", "merged"] = "points"
+    #: Train with the true HDR pictures in ``hdr_truth`` (a folder of hdr_000.exr …), as the original does on
+    #: synthetic scenes. What is trained so cannot be compared with methods that see pictures alone.
+    hdr_supervision: bool = False
+    hdr_truth: str = ""
+    #: Of the HDR loss.
+    hdr_weight: float = 0.6
+
+    def __post_init__(self) -> None:
+        if self.tone_mapper.local or self.tone_mapper.mix:
+            raise BadValueError(
+                "HDR-GS has one global curve a channel", "Leave --method.tone-mapper.local and .mix off."
+            )
+        if not 0 <= self.sh_degree <= 3:
+            raise BadValueError(f"the SH degree must be 0 to 3, got {self.sh_degree}")
+        if self.hdr_supervision != bool(self.hdr_truth):
+            raise BadValueError(
+                "training with true HDR pictures is off unless it is asked for twice",
+                "Give both --method.hdr-supervision and --method.hdr-truth FOLDER, or neither.",
+            )
+
+    def attributes(self) -> Attributes:
+        """What the backbone's splats must carry."""
+        return Attributes(sh_degree=self.sh_degree)
+
+
+class HDRGS(SplattingMethod):
+    """The method: a backbone and a global tone mapper."""
+
+    def __init__(
+        self,
+        config: HDRGSConfig,
+        backbone: Backbone,
+        anchor: tuple[float, float] | None,
+        implementation: Implementation = "auto",
+    ) -> None:
+        self.config = config
+        super().__init__(backbone, implementation)
+        self.tone_mapper = ToneMapper(config.tone_mapper, anchor)
+
+    @property
+    def sh_degree(self) -> int:
+        return self.config.sh_degree
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        if not self.config.hdr_supervision:
+            return ()
+        return (
+            f"Trained with HDR ground truth from {self.config.hdr_truth}: these figures cannot be compared "
+            "with those of methods that see pictures alone.",
+        )
+
+    @property
+    def first_response(self) -> ToneMapper:
+        """f where it is warm-started; else a curve that is: a random one knows nothing of pictures."""
+        if self.config.tone_mapper.warm_start_steps:
+            return self.tone_mapper
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(0)
+            config = ToneMapperConfig(
+                anchored=False, initial_slope=None, warm_start_steps=FIRST_RESPONSE_STEPS
+            )
+            mapper = ToneMapper(config, None)
+            mapper.warm_start(0)
+        return mapper
+
+    def prepare(self, seed: int) -> None:
+        super().prepare(seed)
+        for remark in self.remarks:
+            warnings.warn(remark, stacklevel=2)
+
+    def rates(self) -> dict[str, Rate]:
+        return super().rates() | {"tone_mapper": TONE_MAPPER_RATE}
+
+    # -- the forward pass --------------------------------------------------------------------------------
+
+    def log_radiance(self, splats: Splats) -> torch.Tensor:
+        """ln e ``[M, 3]``. What light makes of it is not known apart: ``log_illumination`` stays 0."""
+        return splats.log_reflectance.clamp(*LOG_RADIANCE_RANGE)
+
+    def radiance_of(self, splats: Splats, levels: tuple[float, ...] | None) -> torch.Tensor:
+        return self.log_radiance(splats).exp()
+
+    def colours(self, splats: Splats, exposure: float) -> torch.Tensor:
+        """LDR colours ``[M, 3]`` in (0, 1) at ``exposure`` seconds."""
+        log_exposure = (self.log_radiance(splats) + math.log(exposure)).T.contiguous()
+        return self.tone_mapper.response(log_exposure).T
+
+    # -- training ----------------------------------------------------------------------------------------
+
+    def training_outcome(self, shot: Shot) -> Outcome:
+        """One drawing of LDR colours for each exposure of the shot; growth watches them, and nothing else.
+
+        The radiance is drawn for the HDR loss alone, apart, so that growth does not see its gradient.
+        """
+        splats = self.backbone.splats(shot.camera, self.active_sh_degree)
+        offsets, each, drawn = self.watched(splats), [], None
+        for exposure, picture in zip(shot.exposures, shot.pictures, strict=True):
+            drawn = self.rasterize(
+                splats, self.colours(splats, exposure), shot.camera, screen_offsets=offsets
+            )
+            each.append({"rec": self.difference(drawn.image, picture)})
+        assert drawn is not None
+        terms = mean_terms(each) | self.backbone_terms(splats)
+        if self.config.hdr_supervision:
+            hdr = self.rasterize(splats, self.radiance_of(splats, None), shot.camera).image
+            truth = compressed_truth(Path(self.config.hdr_truth), seen_view(shot).index, *hdr.shape[1:])
+            terms["hdr"] = self.config.hdr_weight * self.difference(compressed(hdr), truth.to(hdr))
+        return Outcome(terms, Drawn(splats, drawn, offsets))
+
+    def difference(self, image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+        """(1 − λ) · mean |x − y| + λ (1 − SSIM) of pictures ``[3, H, W]``."""
+        similarity, pixel = ssim_and_error(image, target, "l1")
+        part = self.config.dssim_weight
+        return (1.0 - part) * pixel + part * (1.0 - similarity)
+
+    # -- use ---------------------------------------------------------------------------------------------
+
+    @torch.no_grad()
+    def ldr(self, camera: Camera, exposure: float, lighting_level: Levels = 1.0) -> torch.Tensor:
+        """As ``Method.ldr``; a level scales the radiance, as an exposure does."""
+        level = as_levels(lighting_level, self.lights)[0]
+        splats = self.backbone.splats(camera, self.active_sh_degree)
+        return self.rasterize(splats, self.colours(splats, exposure * max(level, DARKEST)), camera).image
+
+    @torch.no_grad()
+    def preview_ldr(
+        self, drawn: Rasterization, camera: Camera, exposure: float, lighting_level: Levels = 1.0
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        # Colours are blended after the response: where nothing is, nothing is added.
+        return self.ldr(camera, exposure, lighting_level), drawn.image.new_zeros(3, 1, 1)
+
+
+# ---- HDR supervision: the original's, and no part of a benchmark -------------------------------------------
+
+
+def compressed(radiance: torch.Tensor) -> torch.Tensor:
+    """μ-law of a picture ``[3, H, W]`` over its own largest value: ln(1 + μ x) / ln(1 + μ)."""
+    relative = radiance.clamp_min(0.0) / radiance.max().clamp_min(DARKEST)
+    return torch.log1p(MU * relative) / math.log1p(MU)
+
+
+@functools.lru_cache(maxsize=256)
+def compressed_truth(folder: Path, index: int, height: int, width: int) -> torch.Tensor:
+    """``compressed`` true radiance ``[3, H, W]`` of a pose, rounded to 8 bit; raises ``FileMissingError``."""
+    path = folder / f"hdr_{index:03d}.exr"
+    if not path.is_file():
+        raise FileMissingError(
+            f"there is no true HDR picture {path}",
+            "Name the folder of train_hdr's EXR files by --method.hdr-truth, or leave HDR supervision off.",
+        )
+    radiance = torch.from_numpy(read_exr(path).copy()).permute(2, 0, 1).float()
+    reduced = functional.interpolate(radiance[None], (height, width), mode="area")[0]
+    return (compressed(reduced) * STEPS).round() / STEPS
+
+
+def seen_view(shot: Shot) -> View:
+    """The view whose camera the shot has; raises ``BadValueError`` where it sees it at another size."""
+    for view in shot.pool.views:
+        if view.camera is shot.camera:
+            return view
+    raise BadValueError(
+        "the true HDR picture of a view at half its size is not known", "Set --half-size-until 0."
+    )
+
+
+def kernels_needed(config: HDRGSConfig) -> Needs:
+    """The CPU kernels that training this method calls."""
+    return Needs(
+        channels=(3,),
+        networks=(),
+        activation=config.tone_mapper.activation,
+        local_branches=(),
+        blur=False,
+    )
