@@ -32,14 +32,17 @@ LARGEST_LOG_SCALE = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class AnchorGrowthConfig:
-    """When and where anchors are added and removed. Defaults: Scaffold-GS's over 30,000 iterations."""
+    """When and where anchors are added and removed. Defaults: Scaffold-GS's; when, as shares of its 30,000.
 
-    #: Statistics are gathered after this iteration, …
-    observe_from: int = 500
-    #: … anchors added and removed after this one, …
-    start: int = 1500
+    In a shorter training everything begins and ends earlier, or nothing would happen in it.
+    """
+
+    #: Statistics are gathered from this share of the training on (from iteration 500), …
+    observe_from: float = 500 / 30_000
+    #: … anchors added and removed after this one (1500), every so many iterations, …
+    start: float = 1500 / 30_000
     every: int = 100
-    #: … and both end at this share of the training (15,000 of 30,000).
+    #: … and both end at this one (15,000).
     stop: float = 0.5
     #: τ: mean norm of ∂L/∂(NDC position) of a neural Gaussian; doubled from each level to the next finer.
     threshold: float = 2e-4
@@ -300,6 +303,8 @@ class Anchors(Backbone):
     def _shares(self, logits: torch.Tensor) -> torch.Tensor:
         """As ``Gaussians.light_share``, from logits ``[M, C·3]``: a softmax with what no light turns."""
         logits = logits.reshape(-1, self.attributes.lights, 3)
+        if self.attributes.lights == 1:
+            return logits.sigmoid()
         return nn.functional.pad(logits, (0, 0, 0, 1)).softmax(dim=1)[:, :-1]
 
     def regulariser(self, splats: Splats) -> torch.Tensor | None:

@@ -225,13 +225,14 @@ class AnchorGrowth:
 
     def observe(self, drawn: Drawn, camera: Camera, iteration: int) -> None:
         offsets, config = drawn.screen_offsets, self.config
-        is_time = config.observe_from <= iteration < config.stop * self.iterations
+        is_time = config.observe_from <= iteration / self.iterations < config.stop
         if is_time and offsets is not None and offsets.grad is not None:
             observe(self.statistics, offsets.grad, drawn, camera, config)
 
     def control(self, iteration: int) -> None:
         config = self.config
-        if config.start < iteration < config.stop * self.iterations and iteration % config.every == 0:
+        is_time = config.start < iteration / self.iterations < config.stop
+        if is_time and iteration % config.every == 0:
             seed = np.random.SeedSequence([*self.seed, iteration]).generate_state(1)[0]
             generator = torch.Generator().manual_seed(int(seed))
             self.statistics = grow_and_prune(self.anchors, self.optimiser, self.statistics, config, generator)

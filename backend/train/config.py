@@ -15,7 +15,7 @@ from ..methods.gausshdr import GaussHDRConfig
 from ..methods.hdr_gs import HDRGSConfig
 from ..methods.physhdr import PhysHDRConfig
 from ..methods.registry import MethodConfig, config_named, entry_of
-from ..model.anchors import AnchorsConfig
+from ..model.anchors import AnchorGrowthConfig, AnchorsConfig
 from ..model.tone_mapper import ToneMapperConfig
 from .densify import DensifyConfig
 from .initialise import Source
@@ -141,6 +141,16 @@ def fast(iterations: int = 1500) -> TrainConfig:
     return TrainConfig(iterations=iterations, half_size_until=0.2)
 
 
+def on_anchors(config: TrainConfig, anchors: AnchorsConfig) -> TrainConfig:
+    """The same method on Scaffold-GS's backbone, which has rates and a growth of its own."""
+    return dataclasses.replace(config, anchors=anchors)
+
+
+#: Scaffold-GS as published, with the paper's s_a = σ(|L_a − L̂_a|) + 1 on the gradients.
+PAPER_ANCHORS = AnchorsConfig(growth=AnchorGrowthConfig(scaling_strength=1.0))
+#: For short trainings on the CPU, where every anchor costs an evaluation of the networks.
+FEWER_ANCHORS = AnchorsConfig(placement=32, growth=AnchorGrowthConfig(stop=0.6, budget=120_000))
+
 #: Settings by names they had before → as they are called now.
 RENAMED = {"ambient_share_logits": "light_share_logits"}
 
@@ -150,6 +160,9 @@ PRESETS: dict[str, TrainConfig] = {
     "fast": fast(),
     "paper": paper(),
     "baseline": baseline(),
+    "default-scaffold": on_anchors(TrainConfig(), FEWER_ANCHORS),
+    "paper-scaffold": on_anchors(paper(), PAPER_ANCHORS),
+    "baseline-scaffold": on_anchors(baseline(), FEWER_ANCHORS),
     "gausshdr": gausshdr(),
     "hdr-gs": hdr_gs(),
 }
