@@ -7,6 +7,7 @@ volume rendering of what the tone mapper makes of every *sample* (3-D tone mappi
 of e, with the same weights. An iteration sees rays of all training pictures at once.
 """
 
+import hashlib
 import math
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Sequence
@@ -36,7 +37,7 @@ UNIT_VALUE = 0.5
 PHOTOGRAPH_NOISE = 1.0
 #: Samples that go through a network at once: their activations stay in a CPU's cache, and the memory is
 #: bounded (a full batch of the published size would need 4 GiB). A card wants many, measured in megabytes.
-CPU_VALUES, CUDA_VALUES = 1 << 18, 1 << 26
+CPU_VALUES, CUDA_VALUES = 1 << 19, 1 << 26
 #: Rendered pictures are kept up to this many bytes: whoever asks for the radiance after the bracket has it.
 KEPT_BYTES = 1 << 28
 
@@ -283,13 +284,20 @@ class HDRNeRF(Method):
         The radiance comes along, and what was rendered is kept until a parameter changes: marching is a
         thousand times as dear as asking twice.
         """
-        self._kept.forget_unless(tuple((id(p), p._version) for p in self.parameters()))
+        self._kept.forget_unless(self._state())
         if any((camera, exposure) not in self._kept for exposure in exposures):
             wanted = tuple(dict.fromkeys((*exposures, None)))
             for exposure, picture in zip(wanted, self._render(camera, wanted), strict=True):
                 self._kept[camera, exposure] = picture
             self._kept.shrink(keep=len(wanted))
         return [self._kept[camera, exposure].clone() for exposure in exposures]
+
+    def _state(self) -> bytes:
+        """A hash of all that pictures depend on; torch's version counters miss what a fused Adam does."""
+        digest = hashlib.blake2b()
+        for tensor in (*self.parameters(), *self.buffers()):
+            digest.update(tensor.detach().cpu().contiguous().numpy().tobytes())
+        return digest.digest()
 
     def _render(self, camera: Camera, exposures: tuple[float | None, ...]) -> torch.Tensor:
         """``[E, 3, H, W]``."""
@@ -416,10 +424,10 @@ def film_of(pool: Pool, space: RaySpace, device: torch.device) -> Film:
 class _Kept(OrderedDict[tuple[Camera, float | None], torch.Tensor]):
     """Rendered pictures by camera and exposure, the oldest forgotten first."""
 
-    state: tuple[tuple[int, int], ...] = ()
+    state = b""
 
-    def forget_unless(self, state: tuple[tuple[int, int], ...]) -> None:
-        """Forget all that was rendered by parameters in another state."""
+    def forget_unless(self, state: bytes) -> None:
+        """Forget all that was rendered in another state of the method."""
         if state != self.state:
             self.clear()
             self.state = state
