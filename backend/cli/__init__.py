@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The command ``physhdr``: train, evaluate, export, render, inspect, warmup, serve, check."""
+"""The command ``physhdr``: train, evaluate, benchmark, export, render, video, prepare, inspect, …"""
 
 import sys
 from typing import Annotated, Any
@@ -37,12 +37,15 @@ def _command(argv: list[str]) -> Any:
 
     if argv[:1] == ["serve"]:  # parsed without the others, which import torch: it must answer at once
         return tyro.cli(Serve, prog="physhdr serve", args=argv[1:])
+    from .benchmark import Benchmark
     from .check import Check
     from .evaluate import Evaluate
     from .export import Export
     from .inspect import Inspect
+    from .prepare import Prepare
     from .render import Render
     from .train import Train, preset_named
+    from .video import Video
     from .warmup import Warmup
 
     # The preset decides the defaults of the other options, so it is read first.
@@ -52,6 +55,9 @@ def _command(argv: list[str]) -> Any:
         | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
         | Annotated[Export, tyro.conf.subcommand("export")]
         | Annotated[Render, tyro.conf.subcommand("render")]
+        | Annotated[Video, tyro.conf.subcommand("video")]
+        | Annotated[Benchmark, tyro.conf.subcommand("benchmark")]
+        | Annotated[Prepare, tyro.conf.subcommand("prepare")]
         | Annotated[Inspect, tyro.conf.subcommand("inspect")]
         | Annotated[Warmup, tyro.conf.subcommand("warmup")]
         | Annotated[Serve, tyro.conf.subcommand("serve")]

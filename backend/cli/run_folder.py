@@ -71,7 +71,7 @@ def open_run(
 ) -> Run:
     """Open a trained run; ``data`` stands in for the folder it was trained on, where that has moved."""
     config, trained_on, preset = read_config(folder / CONFIG_FILE)
-    scene = read_scene(data or trained_on)
+    scene = read_scene(data or trained_on, config.downscale)
     method, iteration = load_method(
         folder, config, scene.response_anchor, rasteriser, choose_device(device, report)[0]
     )

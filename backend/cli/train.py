@@ -4,7 +4,7 @@
 import signal
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import torch
 import tyro
@@ -36,7 +36,7 @@ def preset_named(argv: list[str]) -> TrainConfig:
 
 @dataclass(frozen=True)
 class Train:
-    """Train PhysHDR-GS on a data set. CTRL-C saves a checkpoint; --resume goes on from it."""
+    """Train PhysHDR-GS, or another method, on a data set. CTRL-C saves a checkpoint; --resume goes on."""
 
     config: Annotated[TrainConfig, tyro.conf.arg(name="")]
     #: Folder of the data set.
@@ -48,7 +48,7 @@ class Train:
     #: Start again where --out already holds a run, replacing it.
     overwrite: bool = False
     #: Where the other options' defaults come from.
-    preset: Literal["default", "fast", "paper", "baseline"] = "default"
+    preset: Annotated[str, tyro.conf.arg(metavar="{" + ",".join(PRESETS) + "}")] = "default"
     #: What draws the Gaussians; auto: CUDA where there is one, else the CPU kernels.
     rasteriser: Implementation = "auto"
     #: Where to compute; auto: a CUDA card if there is one that works, else the CPU.

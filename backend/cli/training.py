@@ -59,7 +59,7 @@ def start_run(
     """A new run in ``out``, at iteration 0; raises what reading, training and writing raise."""
     if not overwrite:
         refuse_a_run(out)
-    scene = read_scene(data)
+    scene = read_scene(data, config.downscale)
     folder = writable_folder(out)
     trainer = workshop.trainer(scene, config)
     EventLog.clear(folder)
@@ -70,7 +70,7 @@ def start_run(
 def resume_run(folder: Path, data: Path | None, workshop: Workshop) -> tuple[Trainer, Run]:
     """A run from its checkpoint; ``data`` stands in for its data set, where that has moved."""
     config, trained_on, preset = read_config(folder / CONFIG_FILE)
-    trainer = workshop.trainer(read_scene(data or trained_on), config)
+    trainer = workshop.trainer(read_scene(data or trained_on, config.downscale), config)
     trainer.resume(folder)
     run = Run(writable_folder(folder), preset, config, trainer.scene, trainer.method, trainer.iteration)
     return trainer, run

@@ -8,7 +8,9 @@ import types
 import typing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
+
+import tyro
 
 from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError, OutputError
 from ..methods.gausshdr import GaussHDRConfig
@@ -38,6 +40,8 @@ class TrainConfig:
     supervision: Literal["one", "bracket"] = "one"
     #: Indices of the exposures that training may see (LDR-OE of the paper).
     training_exposures: tuple[int, ...] = (0, 2, 4)
+    #: Pictures are reduced by this factor as they are read; None: as the layout's publication has it.
+    downscale: float | None = None
     #: Start from the data set's points, from stereo between the training views, or from random ones in the
     #: cameras' frusta; auto: the data set's if it has any, else stereo's.
     initial_points: Source = "auto"
@@ -53,7 +57,7 @@ class TrainConfig:
     sh_degree_every: int = 150
     method: MethodConfig = field(default_factory=PhysHDRConfig)
     #: Scaffold-GS's backbone instead of 3DGS's.
-    anchors: AnchorsConfig | None = None
+    anchors: Annotated[AnchorsConfig | None, tyro.conf.AvoidSubcommands] = None
     optimiser: OptimiserConfig = field(default_factory=OptimiserConfig)
     densify: DensifyConfig = field(default_factory=DensifyConfig)
 

@@ -94,10 +94,12 @@ class Trainer:
         return GaussianGrowth(self.method, self.optimiser, config.densify, config.iterations, seed)
 
     def _allowed_exposures(self, view: View, index: int) -> tuple[int, ...]:
-        allowed = tuple(k for k in self.config.training_exposures if k < len(view.exposures))
+        """Positions in the view's bracket; ``training_exposures`` are places in the whole one."""
+        places = [view.place_of(k) for k in self.config.training_exposures]
+        allowed = tuple(place for place in places if place is not None)
         if not allowed:
             raise DataMismatchError(
-                f"view {view.name} has {len(view.exposures)} exposures, training wants "
+                f"view {view.name} has the exposures {list(view.bracket)}, training wants "
                 f"{list(self.config.training_exposures)}",
                 "Set --training-exposures to indices that the data set has.",
             )
@@ -213,7 +215,7 @@ class Trainer:
         """
         total = self.config.iterations
         begun, begun_cpu = time.perf_counter(), time.process_time()
-        message = f"started from {self.start_message}"
+        message = ". ".join([f"started from {self.start_message}", *self.scene.messages])
         yield Started(self.iteration, total, self.method.size, message)
         sums: dict[str, torch.Tensor] = {}
         window_start, window_first = time.perf_counter(), self.iteration
