@@ -10,7 +10,7 @@ from rich.progress import Progress
 from ...bridge.atomic import atomic_path
 from ...bridge.errors import BadValueError
 from ..device import DeviceName
-from ..evaluate.comparison import Entry, Table, comparison_table, load_evaluation
+from ..evaluate.comparison import SHORT_METRICS, Entry, comparison_table, load_evaluation
 from ..evaluate.optional import PackageMissingError
 from ..evaluate.protocol import evaluate, lpips_from
 from ..evaluate.report import to_terminal, write_report
@@ -96,8 +96,9 @@ def _compare(runs: list[tuple[Run, Path]], out: Path) -> list[Path]:
         entries.append(
             Entry(name, scene.name, run.config.exposure_mode, run.config.seed, load_evaluation(folder))
         )
-    table: Table = comparison_table(entries, title=f"{scene.name}, test views")
-    console.print(table.rich())
+    title = f"{scene.name}, test views"
+    console.print(comparison_table(entries, metrics=SHORT_METRICS, title=title).rich())
+    table = comparison_table(entries, title=title)
     paths = [out / f"{METHODS_NAME}.{kind}" for kind in ("md", "csv", "png")]
     for path, text in zip(paths, (table.markdown(), table.csv()), strict=False):
         with atomic_path(path) as temporary:

@@ -92,6 +92,8 @@ PAPER_METRICS = tuple(
     f"{part}.{metric}" for part in ("LDR-OE", "LDR-NE", "HDR") for metric in ("psnr", "ssim", "lpips_01")
 )
 DEFAULT_METRICS = (*PAPER_METRICS, "scale")
+#: What fits a terminal of 80 columns with spreads.
+SHORT_METRICS = ("LDR-OE.psnr", "LDR-NE.psnr", "HDR.psnr", "scale")
 
 
 @dataclass(frozen=True)
@@ -232,7 +234,7 @@ class Table:
         for heading in self.label_headings:
             table.add_column(heading)
         for each in self.columns:
-            table.add_column(each.heading, justify="right")
+            table.add_column(each.heading.replace(" ", "\n", 1), justify="right", no_wrap=True)
         for row in self.rows:
             cells = []
             for i, cell in enumerate(row.cells):

@@ -130,9 +130,14 @@ def hdr_pair(prediction: torch.Tensor, truth: torch.Tensor) -> HdrPair:
     ``prediction`` ``[3, h, w]`` and ``truth`` ``[3, H, W]`` are radiance. M is the maximum of the truth at
     its full resolution; the truth is μ-law'd there and then resized to the prediction; both pass 8 bit.
     """
+    shown, normaliser = hdr_shown(truth, prediction.shape[1], prediction.shape[2])
+    return HdrPair(quantise(display(prediction, normaliser)), shown, normaliser)
+
+
+def hdr_shown(truth: torch.Tensor, height: int, width: int) -> tuple[torch.Tensor, float]:
+    """The truth of an ``HdrPair`` of that size, and M: for comparing several predictions with one truth."""
     normaliser = hdr_normaliser(truth)
-    shown = resize_to(display(truth, normaliser), prediction.shape[1], prediction.shape[2])
-    return HdrPair(quantise(display(prediction, normaliser)), quantise(shown), normaliser)
+    return quantise(resize_to(display(truth, normaliser), height, width)), normaliser
 
 
 def scale_ratio(prediction: torch.Tensor, truth: torch.Tensor) -> float:

@@ -23,7 +23,7 @@ from ..scene.camera import Camera
 from ..scene.scene import Scene, View
 from . import truth
 from .lpips import SMALLEST_SIDE, Lpips
-from .metrics import hdr_normaliser, hdr_pair, psnr, quantise, resize_to, scale_ratio, ssim
+from .metrics import display, hdr_pair, hdr_shown, psnr, quantise, resize_to, scale_ratio, ssim
 from .published import data_set_of
 from .response import check_response, learned_response, true_response
 from .results import Evaluation, HdrRow, LdrRow, Metrics, RelitRow
@@ -229,15 +229,16 @@ def _relit_row(renderer: Renderer, standard: _StandardView, item: truth.RelitTru
     # A picture times 0 is black: nobody would offer that for a light that is switched off.
     factor = changed[0] if len(changed) == 1 and changed[0] > 0.0 else best_factor
 
+    shown, normaliser = hdr_shown(relit, height, width)
+
     def score(prediction: torch.Tensor) -> float:
-        pair = hdr_pair(prediction, relit)
-        return psnr(pair.prediction, pair.truth)
+        return psnr(quantise(display(prediction, normaliser)), shown)
 
     return RelitRow(
         levels=item.levels,
         view=view.name,
         index=view.index,
-        normaliser=hdr_normaliser(relit),
+        normaliser=normaliser,
         scale_ratio=scale_ratio(ours, relit),
         ours=score(ours),
         scaled_truth=(scaled_truth := score(factor * truth_standard)),
