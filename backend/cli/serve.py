@@ -21,7 +21,17 @@ from ..serve.server import Server
 log = logging.getLogger(__name__)
 
 #: Of ``train.config.PRESETS``, which knows torch; clients are told them before torch is loaded.
-PRESET_NAMES = ("default", "fast", "paper", "baseline")
+PRESET_NAMES = (
+    "default",
+    "fast",
+    "paper",
+    "baseline",
+    "default-scaffold",
+    "paper-scaffold",
+    "baseline-scaffold",
+    "gausshdr",
+    "hdr-gs",
+)
 
 
 @dataclass(frozen=True)
