@@ -44,6 +44,8 @@ class PhysHDRConfig:
     mix_frozen_until: float = 1.0 / 3.0
     #: I_LDR: the mean of the two fused images, or their sum as eq. 14 has it (which cannot fit; method.md).
     aggregate: Literal["mean", "sum"] = "mean"
+    #: I_GI: f_mix(Î_glo, I_loc), crosswise as its name has it, or f_mix(I_glo, I_loc), as eq. 13 is printed.
+    illumination_fusion: Literal["crosswise", "literal"] = "crosswise"
     #: Add the global image to L_rec, so that L_unit binds the curve that is in use.
     global_supervision: float = 0.0
     tone_mapper: ToneMapperConfig = field(default_factory=ToneMapperConfig)
@@ -260,11 +262,13 @@ class PhysHDR(SplattingMethod):
         globals_, locals_ = self.tone_mapper.tone_map(torch.stack([exposed, relit], dim=1), context)
         # Crosswise: each branch's global image with the other's local one. Eq. 13 lacks its hats; GI is the
         # GI branch's global with the IE branch's local image.
-        others = (globals_ if locals_ is None else locals_).flip(1)
+        firsts, others = globals_, (globals_ if locals_ is None else locals_).flip(1)
+        if self.config.illumination_fusion == "literal":
+            firsts = globals_[:, :1].expand_as(globals_)
         if self.config.tone_mapper.mix:
-            fused = self.tone_mapper.mix(globals_, others)  # eq. 12, 13
+            fused = self.tone_mapper.mix(firsts, others)  # eq. 12, 13
         else:
-            fused = 0.5 * (globals_ + others)
+            fused = 0.5 * (firsts + others)
         ldr_ig, ldr_gi = fused.unbind(1)
         glo = globals_[:, 0]
         ldr = ldr_ig + ldr_gi

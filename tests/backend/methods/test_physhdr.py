@@ -89,6 +89,19 @@ def test_the_paper_fuses_crosswise(camera):
     assert not torch.allclose(ldr_ig, ldr_gi, atol=1e-3)
 
 
+def test_the_printed_equation_13_fuses_the_exposed_branch_with_itself(camera):
+    method, t = make("paper"), 2.0
+    method.config = dataclasses.replace(method.config, illumination_fusion="literal")
+    with torch.no_grad():
+        drawn = method.draw(camera, 1.0, t)
+        exposed = drawn.image_exposure * t
+        glo, loc = method.tone_mapper.tone_map(exposed, drawn.context)
+        _, relit_loc = method.tone_mapper.tone_map(drawn.illumination, drawn.context)
+        _, ldr_ig, ldr_gi = method.develop(drawn, t).supervised
+    assert torch.allclose(ldr_gi, method.tone_mapper.mix(glo, loc), atol=1e-6)
+    assert torch.allclose(ldr_ig, method.tone_mapper.mix(glo, relit_loc), atol=1e-6)
+
+
 def test_untrained_branches_of_the_paper_agree(camera):
     """g starts as the product and φ as a scaling by l = t, so that L_cons starts at zero."""
     method = make("paper", trained=False)
