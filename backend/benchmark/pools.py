@@ -11,6 +11,9 @@ from typing import Any, Protocol
 from ...bridge.errors import BadValueError
 from .job import Job, Outcome, execute
 
+#: Ray gives a cluster that it starts half a minute, which a busy machine may need for reading it from the disk.
+STARTS = 3
+
 
 class Pool(Protocol):
     """Does jobs at the same time. A context manager: at its end every job's processes have ended."""
@@ -81,13 +84,18 @@ class RayPool:
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nothing is sent to anybody
         local = self._address == "local"
         options: dict[str, Any] = {"include_dashboard": False} if local else {"address": self._address}
-        try:
-            self._ray.init(log_to_driver=False, logging_level=logging.ERROR, **options)
-        except (ConnectionError, ValueError, RuntimeError, TimeoutError) as error:
-            raise BadValueError(
-                f"the Ray cluster at {self._address} does not answer: {error}",
-                "Start one by `ray start --head`, or give --ray local.",
-            ) from error
+        for attempt in range(STARTS if local else 1):
+            try:
+                self._ray.init(log_to_driver=False, logging_level=logging.ERROR, **options)
+                break
+            except Exception as error:  # noqa: BLE001 (Ray raises Exception itself where a start is slow)
+                self._ray.shutdown()
+                if local and attempt + 1 < STARTS:
+                    continue
+                raise BadValueError(
+                    f"the Ray cluster at {self._address} does not answer: {error}",
+                    "Start one by `ray start --head`, or give --ray local.",
+                ) from error
         self._execute = self._ray.remote(num_cpus=self._threads, max_retries=0)(execute)
         return self
 

@@ -174,9 +174,20 @@ def _conditions(schedule: Schedule, finished: Sequence[Finished]) -> list[str]:
     for scene in plan.scenes:
         facts = scene_facts(schedule.store.out, scene, schedule.store.data[scene.name])
         lines.append(f"scene {scene_line(scene, facts)}")
-    if not plan.lpips_weights:
-        lines.append("LPIPS was left out: the plan names no weights")
-    return lines
+    return lines + _messages(finished)
+
+
+def _messages(finished: Sequence[Finished]) -> list[str]:
+    """What evaluations say beside their numbers: what was left out, what a method saw that others may not."""
+    said: dict[str, list[str]] = {}
+    for each in finished:
+        for message in each.entry.evaluation.get("messages", []):
+            said.setdefault(message, []).append(each.run.method.name)
+    everybody = {each.run.method.name for each in finished}
+    return [
+        message if set(names) == everybody else f"{', '.join(dict.fromkeys(names))}: {message}"
+        for message, names in said.items()
+    ]
 
 
 def _misses(budget: Budget, finished: Sequence[Finished]) -> list[str]:

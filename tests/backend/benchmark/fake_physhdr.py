@@ -60,7 +60,9 @@ def evaluate(words: list[str]) -> int:
     base = 30.0 + len((given.folder / "preset").read_text()) + 0.1 * config["seed"]
     means = {part: {"psnr": base, "ssim": 0.9} for part in ("LDR-OE", "LDR-NE", "HDR")}
     content = {"format": "physhdr-evaluation", "version": 1, "means": means, "conditions": {}}
-    content |= {"scale_ratio": 1.0, "weights": given.lpips_weights}
+    content |= {"scale_ratio": 1.0, "weights": given.lpips_weights, "messages": ["all was dark"]}
+    if base >= 40.0:  # the longest name
+        content["messages"].append("it has seen the truth")
     (Path(given.out or given.folder) / "evaluation.json").write_text(json.dumps(content))
     return 0
 

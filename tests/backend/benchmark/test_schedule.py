@@ -249,6 +249,8 @@ def test_the_report_tells_margins_and_gains_as_numpy_computes_them(bench):
     path, table = write_report(schedule, bench.root / "report.md", "physhdr benchmark")
     text = path.read_text()
 
+    assert "\n- all was dark\n- longest_name: it has seen the truth\n" in text
+
     def differences(method, other):
         runs = [key[1:] for key in values if key[0] == method]
         return np.array([values[(method, *run)] - values[(other, *run)] for run in runs])
