@@ -15,9 +15,11 @@ import tyro
 from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError, OutputError
 from ..methods.gausshdr import GaussHDRConfig
 from ..methods.hdr_gs import HDRGSConfig
+from ..methods.hdr_nerf import HDRNeRFConfig
 from ..methods.physhdr import PhysHDRConfig
 from ..methods.registry import MethodConfig, config_named, entry_of
 from ..model.anchors import AnchorGrowthConfig, AnchorsConfig
+from ..model.field import FieldConfig
 from ..model.tone_mapper import ToneMapperConfig
 from .densify import DensifyConfig
 from .initialise import Source
@@ -140,6 +142,25 @@ def hdr_gs(iterations: int = 30_000) -> TrainConfig:
     )
 
 
+def hdr_nerf(iterations: int = 200_000) -> TrainConfig:
+    """HDR-NeRF as published for rendered data: 16 CPU seconds an iteration, which calls for a card."""
+    return TrainConfig(iterations=iterations, half_size_until=0.0, method=HDRNeRFConfig())
+
+
+def hdr_nerf_small(iterations: int = 400) -> TrainConfig:
+    """HDR-NeRF in the minutes that the others take on a CPU: smaller networks, fewer samples, faster rates."""
+    field = FieldConfig(depth=4, width=64, view_width=32)
+    method = HDRNeRFConfig(
+        field=field,
+        rays_per_iteration=512,
+        coarse_samples=32,
+        fine_samples=32,
+        learning_rate=5e-3,
+        final_rate_share=0.1,
+    )
+    return TrainConfig(iterations=iterations, half_size_until=0.0, method=method)
+
+
 def fast(iterations: int = 1500) -> TrainConfig:
     """``default`` for the impatient: half of its iterations, more of them at half resolution."""
     return TrainConfig(iterations=iterations, half_size_until=0.2)
@@ -169,6 +190,8 @@ PRESETS: dict[str, TrainConfig] = {
     "baseline-scaffold": on_anchors(baseline(), FEWER_ANCHORS),
     "gausshdr": gausshdr(),
     "hdr-gs": hdr_gs(),
+    "hdr-nerf": hdr_nerf(),
+    "hdr-nerf-small": hdr_nerf_small(),
 }
 
 
