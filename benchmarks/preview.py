@@ -16,7 +16,8 @@ from synthetic import STANDSTILL, gaussians
 from websockets.sync.client import connect
 
 from physhdr.backend.scene import read_scene
-from physhdr.backend.train.config import PRESETS, write_config
+from physhdr.backend.train.config import write_config
+from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import Trainer
 from physhdr.bridge.connection import Connection, read_connection
 from physhdr.bridge.errors import PhysHDRError

@@ -24,7 +24,7 @@ def memory(preset: str, threads: str) -> dict[str, float]:
     from synthetic import trainer
 
     from physhdr.backend.rasterize import cpu
-    from physhdr.backend.train.config import PRESETS
+    from physhdr.backend.train.presets import PRESETS
 
     cpu.set_threads(int(threads))
     torch.set_num_threads(int(threads))

@@ -22,7 +22,8 @@ from physhdr.backend.evaluate.sheets import as_picture, display_white, labelled_
 from physhdr.backend.evaluate.truth import hdr_truth, relit_truth
 from physhdr.backend.scene.pictures import read_exr, write_png
 from physhdr.backend.train.checkpoint import load_checkpoint
-from physhdr.backend.train.config import CONFIG_FILE, PRESETS, read_config
+from physhdr.backend.train.config import CONFIG_FILE, read_config
+from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import CHECKPOINT_FILE
 from physhdr.bridge.errors import PhysHDRError
 

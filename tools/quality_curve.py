@@ -31,7 +31,8 @@ from physhdr.backend.evaluate.metrics import hdr_pair, psnr, quantise
 from physhdr.backend.methods.physhdr import PhysHDR
 from physhdr.backend.rasterize.cpu import set_threads, thread_count
 from physhdr.backend.scene import Scene, read_scene
-from physhdr.backend.train.config import PRESETS, TrainConfig
+from physhdr.backend.train.config import TrainConfig
+from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import CHECKPOINT_FILE, Trainer
 
 ROOT = Path(__file__).resolve().parent.parent

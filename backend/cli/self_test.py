@@ -13,7 +13,7 @@ from ..kernels.warmup import warmup
 from ..methods.base import SplattingMethod
 from ..scene import Camera, Points, Scene, View
 from ..scene.scene import PictureCache
-from ..train.config import PRESETS
+from ..train.presets import PRESETS
 from ..train.trainer import Trainer
 from .check import CheckFailedError
 

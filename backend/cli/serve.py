@@ -30,7 +30,13 @@ PRESET_NAMES = (
     "paper-scaffold",
     "baseline-scaffold",
     "gausshdr",
+    "gausshdr-scaffold",
     "hdr-gs",
+    "paper-short",
+    "paper-scaffold-short",
+    "gausshdr-short",
+    "gausshdr-scaffold-short",
+    "hdr-gs-short",
 )
 
 

@@ -13,7 +13,8 @@ from ...bridge.errors import BadValueError
 from ..device import DeviceName
 from ..rasterize import Implementation
 from ..rasterize.cpu import set_threads
-from ..train.config import PRESETS, TrainConfig
+from ..train.config import TrainConfig
+from ..train.presets import PRESETS
 from ..train.trainer import Trainer
 from .monitor import view_monitor
 from .progress import EventLog, console

@@ -46,7 +46,8 @@ from ..kernels.warmup import Needs, warmup
 from ..methods.registry import kernels_needed
 from ..rasterize.cpu import set_threads, thread_count
 from ..train import events
-from ..train.config import CONFIG_FILE, PRESETS, TrainConfig
+from ..train.config import CONFIG_FILE, TrainConfig
+from ..train.presets import PRESETS
 from ..train.trainer import CHECKPOINT_FILE, Trainer
 from . import preview
 from .curves import Curves, Speed

@@ -13,18 +13,12 @@ from typing import Annotated, Any, Literal
 import tyro
 
 from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError, OutputError
-from ..methods.gausshdr import GaussHDRConfig
-from ..methods.hdr_gs import HDRGSConfig
-from ..methods.hdr_nerf import HDRNeRFConfig
 from ..methods.physhdr import PhysHDRConfig
 from ..methods.registry import MethodConfig, config_named, entry_of
-from ..model.anchors import AnchorGrowthConfig, AnchorsConfig
-from ..model.field import FieldConfig
-from ..model.tone_mapper import ToneMapperConfig
+from ..model.anchors import AnchorsConfig
 from .densify import DensifyConfig
 from .initialise import Source
-from .losses import LossConfig
-from .optimisers import STOCK_3DGS, OptimiserConfig
+from .optimisers import OptimiserConfig
 
 CONFIG_FILE = "config.json"
 
@@ -70,129 +64,8 @@ class TrainConfig:
             raise BadValueError("there must be at least one training exposure", "For example 0 2 4.")
 
 
-def paper(iterations: int = 30_000) -> TrainConfig:
-    """The paper's Algorithm 1 with the open points filled as in docs/method.md; l = t."""
-    return TrainConfig(
-        iterations=iterations,
-        half_size_until=0.0,
-        sh_degree_every=1000,
-        method=PhysHDRConfig(
-            branches="both",
-            lighting_level="exposure",
-            composer="learned",
-            modulator="learned",
-            tone_mapper=ToneMapperConfig(
-                anchored=False, initial_slope=None, local=True, mix=True, warm_start_steps=1000
-            ),
-            loss=LossConfig(
-                pixel="mse",
-                pixel_weight=0.2,
-                dssim_weight=1.0,
-                consistency_weight=0.5,
-                consistency_domain="linear",
-                unit_weight=0.5,
-            ),
-        ),
-        optimiser=STOCK_3DGS,
-        densify=DensifyConfig(
-            start=500, stop=0.5, scaling_strength=1.0, reset_every=3000, budget=0, threshold=2e-4
-        ),
-    )
-
-
-def baseline(iterations: int = 3000) -> TrainConfig:
-    """The yardstick: the image-exposure branch alone under one global tone mapper."""
-    return TrainConfig(
-        iterations=iterations,
-        method=PhysHDRConfig(
-            branches="image-exposure",
-            lighting_level="exposure",
-            composer="product",
-            tone_mapper=ToneMapperConfig(anchored=False, initial_slope=None, warm_start_steps=1000),
-            loss=LossConfig(unit_weight=0.5),
-        ),
-    )
-
-
-#: 3DGS's own densification, without a budget.
-STOCK_DENSIFY = DensifyConfig(start=500, stop=0.5, reset_every=3000, budget=0, threshold=2e-4)
-
-
-def gausshdr(iterations: int = 30_000) -> TrainConfig:
-    """GaussHDR on 3DGS, whose code nobody has published: its tone mapper and losses, 3DGS's schedule."""
-    return TrainConfig(
-        iterations=iterations,
-        half_size_until=0.0,
-        sh_degree_every=1000,
-        method=GaussHDRConfig(),
-        optimiser=STOCK_3DGS,
-        densify=STOCK_DENSIFY,
-    )
-
-
-def hdr_gs(iterations: int = 30_000) -> TrainConfig:
-    """HDR-GS without HDR ground truth, one set of values for all scenes: 3DGS's schedule."""
-    return TrainConfig(
-        iterations=iterations,
-        half_size_until=0.0,
-        sh_degree_every=1000,
-        method=HDRGSConfig(),
-        optimiser=STOCK_3DGS,
-        densify=STOCK_DENSIFY,
-    )
-
-
-def hdr_nerf(iterations: int = 200_000) -> TrainConfig:
-    """HDR-NeRF as published for rendered data: 16 CPU seconds an iteration, which calls for a card."""
-    return TrainConfig(iterations=iterations, half_size_until=0.0, method=HDRNeRFConfig())
-
-
-def hdr_nerf_small(iterations: int = 400) -> TrainConfig:
-    """HDR-NeRF within the seconds that others take on a CPU: smaller networks, fewer samples, faster rates."""
-    field = FieldConfig(depth=4, width=64, view_width=32)
-    method = HDRNeRFConfig(
-        field=field,
-        rays_per_iteration=512,
-        coarse_samples=32,
-        fine_samples=32,
-        learning_rate=5e-3,
-        final_rate_share=0.1,
-    )
-    return TrainConfig(iterations=iterations, half_size_until=0.0, method=method)
-
-
-def fast(iterations: int = 1500) -> TrainConfig:
-    """``default`` for the impatient: half of its iterations, more of them at half resolution."""
-    return TrainConfig(iterations=iterations, half_size_until=0.2)
-
-
-def on_anchors(config: TrainConfig, anchors: AnchorsConfig) -> TrainConfig:
-    """The same method on Scaffold-GS's backbone, which has rates and a growth of its own."""
-    return dataclasses.replace(config, anchors=anchors)
-
-
-#: Scaffold-GS as published, with the paper's s_a = σ(|L_a − L̂_a|) + 1 on the gradients.
-PAPER_ANCHORS = AnchorsConfig(growth=AnchorGrowthConfig(scaling_strength=1.0))
-#: For short trainings on the CPU, where every anchor costs an evaluation of the networks.
-FEWER_ANCHORS = AnchorsConfig(placement=32, growth=AnchorGrowthConfig(stop=0.6, budget=120_000))
-
 #: Settings by names they had before → as they are called now.
 RENAMED = {"ambient_share_logits": "light_share_logits"}
-
-#: The presets by name. They differ in config fields only.
-PRESETS: dict[str, TrainConfig] = {
-    "default": TrainConfig(),
-    "fast": fast(),
-    "paper": paper(),
-    "baseline": baseline(),
-    "default-scaffold": on_anchors(TrainConfig(), FEWER_ANCHORS),
-    "paper-scaffold": on_anchors(paper(), PAPER_ANCHORS),
-    "baseline-scaffold": on_anchors(baseline(), FEWER_ANCHORS),
-    "gausshdr": gausshdr(),
-    "hdr-gs": hdr_gs(),
-    "hdr-nerf": hdr_nerf(),
-    "hdr-nerf-small": hdr_nerf_small(),
-}
 
 
 def write_config(path: Path, config: TrainConfig, data: Path, preset: str) -> None:

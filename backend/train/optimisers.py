@@ -6,7 +6,7 @@ from typing import Literal
 
 import torch
 
-from ..methods.base import Method
+from ..methods.base import Method, SplattingMethod
 from ..model.backbone import Backbone
 from .rates import Rate
 
@@ -35,6 +35,9 @@ class OptimiserConfig:
     #: g and φ (the paper: 6e-5), f (the paper: 2e-4).
     radiance_networks: float = 6e-5
     tone_mapper: float = 2e-4
+    #: All networks of the method learn so many times faster, for trainings much shorter than they were
+    #: published for.
+    networks_times: float = 1.0
     #: What is annealed by a cosine to zero: the networks, or the Gaussians' appearance and shape as well.
     cosine: Literal["networks", "all"] = "networks"
 
@@ -62,6 +65,9 @@ class Optimiser:
         groups = method.parameter_groups()
         self.rates = {name: config.rate(name) for name in groups if name not in method.rates()}
         self.rates |= {name: rate for name, rate in method.rates().items() if name in groups}
+        if isinstance(method, SplattingMethod) and config.networks_times != 1.0:
+            for name in method.network_groups().keys() & self.rates.keys():
+                self.rates[name] = self.rates[name].times(config.networks_times)
         self.adam = torch.optim.Adam(
             [{"name": name, "params": params, "lr": 0.0} for name, params in groups.items()],
             lr=0.0,

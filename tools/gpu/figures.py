@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import torch
 
-from physhdr.backend.train.config import PRESETS, TrainConfig
+from physhdr.backend.train.config import TrainConfig
+from physhdr.backend.train.presets import PRESETS
 
 from . import truth
 from .loading import ROOT

@@ -12,7 +12,8 @@ from physhdr.backend.model.tone_mapper import ToneMapper
 from physhdr.backend.rasterize.reference import rasterize
 from physhdr.backend.scene.camera import Camera
 from physhdr.backend.scene.scene import PictureCache, Points, Scene, View
-from physhdr.backend.train.config import PRESETS, TrainConfig
+from physhdr.backend.train.config import TrainConfig
+from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import Trainer
 
 from .side import Side

@@ -13,8 +13,8 @@ from physhdr.backend.model.gaussians import Gaussians, initial_gaussians
 from physhdr.backend.model.tone_mapper import ToneMapperConfig
 from physhdr.backend.rasterize.reference import rasterize
 from physhdr.backend.scene.camera import Camera
-from physhdr.backend.train.config import PRESETS
 from physhdr.backend.train.losses import LossConfig, consistency_loss, reconstruction_loss
+from physhdr.backend.train.presets import PRESETS
 from physhdr.bridge.errors import BadValueError
 
 ANCHOR = (1.0, 0.73)

@@ -12,7 +12,7 @@ from websockets.uri import parse_uri
 
 from physhdr.backend.cli.serve import PRESET_NAMES
 from physhdr.backend.methods.hdr_nerf import HDRNeRFConfig
-from physhdr.backend.train.config import PRESETS
+from physhdr.backend.train.presets import PRESETS
 from physhdr.bridge.messages import (
     PROTOCOL_VERSION,
     TEXT_BYTES_MAX,

@@ -23,7 +23,8 @@ from physhdr.backend.serve.curves import Curves
 from physhdr.backend.serve.inbox import Abandoned, Command, Inbox
 from physhdr.backend.serve.preview import camera_of, render
 from physhdr.backend.train.checkpoint import load_checkpoint, save_checkpoint
-from physhdr.backend.train.config import PRESETS, write_config
+from physhdr.backend.train.config import write_config
+from physhdr.backend.train.presets import PRESETS
 from physhdr.bridge.connection import Connection
 from physhdr.bridge.messages import (
     ControlTake,

@@ -9,7 +9,6 @@ import torch
 
 from physhdr.backend.methods.physhdr import PhysHDR
 from physhdr.backend.model.gaussians import initial_gaussians
-from physhdr.backend.train.config import PRESETS
 from physhdr.backend.train.densify import (
     DensifyConfig,
     DensifyState,
@@ -19,6 +18,7 @@ from physhdr.backend.train.densify import (
 )
 from physhdr.backend.train.morton import morton_order
 from physhdr.backend.train.optimisers import Optimiser
+from physhdr.backend.train.presets import PRESETS
 
 
 def make(count=8):

@@ -14,11 +14,11 @@ from torch.overrides import TorchFunctionMode
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from physhdr.backend import rasterize as rasterizers
-from physhdr.backend.rasterize import Rasterization
 from physhdr.backend.methods.physhdr import PhysHDRConfig
+from physhdr.backend.rasterize import Rasterization
 from physhdr.backend.scene import read_scene
 from physhdr.backend.train import densify
-from physhdr.backend.train.config import PRESETS
+from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import Trainer
 
 aten = torch.ops.aten

@@ -11,7 +11,7 @@ from physhdr.backend.kernels import plain_torch
 from physhdr.backend.model.tone_mapper import ToneMapperConfig
 from physhdr.backend.rasterize import cpu
 from physhdr.backend.scene import read_scene
-from physhdr.backend.train.config import PRESETS
+from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import Trainer
 
 TOLERANCE = 0.1  # dB

@@ -16,11 +16,11 @@ from physhdr.backend.methods.hdr_nerf import HDRNeRFConfig
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.pictures import read_exr, write_exr, write_png
 from physhdr.backend.train.checkpoint import load_checkpoint
-from physhdr.backend.train.config import PRESETS, read_config, write_config
+from physhdr.backend.train.config import read_config, write_config
 from physhdr.backend.train.densify import DensifyConfig
+from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import CHECKPOINT_FILE, Trainer, TrainingDivergedError, load_method
 from physhdr.bridge.errors import BadValueError, DataMismatchError, FileDamagedError, FileMissingError
-
 
 #: Those on anchors and HDR-NeRF are resumed in the tests of their own.
 ON_GAUSSIANS = [

@@ -8,7 +8,7 @@ import torch
 
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.camera import Camera
-from physhdr.backend.train.config import PRESETS
+from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import Trainer
 from physhdr.backend.train.warm_up import half_sized, halved
 

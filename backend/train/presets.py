@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The presets by name: ours, every method as published, and those on the schedule of ``default``.
+
+The published ones have their papers' 30,000 iterations in mind: rates, when growth starts, when opacities are
+reset. ``…-short`` are the same methods on what ``default`` has for its backbone and schedule, and with faster
+networks, so that a comparison at a few thousand iterations compares methods and not schedules.
+"""
+
+import dataclasses
+
+from ..methods.gausshdr import GaussHDRConfig
+from ..methods.hdr_gs import HDRGSConfig
+from ..methods.hdr_nerf import HDRNeRFConfig
+from ..methods.physhdr import PhysHDRConfig
+from ..model.anchors import AnchorGrowthConfig, AnchorsConfig
+from ..model.field import FieldConfig
+from ..model.tone_mapper import ToneMapperConfig
+from .config import TrainConfig
+from .densify import DensifyConfig
+from .losses import LossConfig
+from .optimisers import STOCK_3DGS, OptimiserConfig
+
+
+def paper(iterations: int = 30_000) -> TrainConfig:
+    """The paper's Algorithm 1 with the open points filled as in docs/method.md; l = t."""
+    return TrainConfig(
+        iterations=iterations,
+        half_size_until=0.0,
+        sh_degree_every=1000,
+        method=PhysHDRConfig(
+            branches="both",
+            lighting_level="exposure",
+            composer="learned",
+            modulator="learned",
+            tone_mapper=ToneMapperConfig(
+                anchored=False, initial_slope=None, local=True, mix=True, warm_start_steps=1000
+            ),
+            loss=LossConfig(
+                pixel="mse",
+                pixel_weight=0.2,
+                dssim_weight=1.0,
+                consistency_weight=0.5,
+                consistency_domain="linear",
+                unit_weight=0.5,
+            ),
+        ),
+        optimiser=STOCK_3DGS,
+        densify=DensifyConfig(
+            start=500, stop=0.5, scaling_strength=1.0, reset_every=3000, budget=0, threshold=2e-4
+        ),
+    )
+
+
+def baseline(iterations: int = 3000) -> TrainConfig:
+    """The yardstick: the image-exposure branch alone under one global tone mapper."""
+    return TrainConfig(
+        iterations=iterations,
+        method=PhysHDRConfig(
+            branches="image-exposure",
+            lighting_level="exposure",
+            composer="product",
+            tone_mapper=ToneMapperConfig(anchored=False, initial_slope=None, warm_start_steps=1000),
+            loss=LossConfig(unit_weight=0.5),
+        ),
+        optimiser=OptimiserConfig(networks_times=10.0),
+    )
+
+
+#: 3DGS's own densification, without a budget.
+STOCK_DENSIFY = DensifyConfig(start=500, stop=0.5, reset_every=3000, budget=0, threshold=2e-4)
+
+
+def gausshdr(iterations: int = 30_000) -> TrainConfig:
+    """GaussHDR on 3DGS, whose code nobody has published: its tone mapper and losses, 3DGS's schedule."""
+    return TrainConfig(
+        iterations=iterations,
+        half_size_until=0.0,
+        sh_degree_every=1000,
+        method=GaussHDRConfig(),
+        optimiser=STOCK_3DGS,
+        densify=STOCK_DENSIFY,
+    )
+
+
+def hdr_gs(iterations: int = 30_000) -> TrainConfig:
+    """HDR-GS without HDR ground truth, one set of values for all scenes: 3DGS's schedule."""
+    return TrainConfig(
+        iterations=iterations,
+        half_size_until=0.0,
+        sh_degree_every=1000,
+        method=HDRGSConfig(),
+        optimiser=STOCK_3DGS,
+        densify=STOCK_DENSIFY,
+    )
+
+
+def hdr_nerf(iterations: int = 200_000) -> TrainConfig:
+    """HDR-NeRF as published for rendered data: 16 CPU seconds an iteration, which calls for a card."""
+    return TrainConfig(iterations=iterations, half_size_until=0.0, method=HDRNeRFConfig())
+
+
+def hdr_nerf_small(iterations: int = 400) -> TrainConfig:
+    """HDR-NeRF within the seconds that others take on a CPU: smaller networks, fewer samples, higher rates."""
+    field = FieldConfig(depth=4, width=64, view_width=32)
+    method = HDRNeRFConfig(
+        field=field,
+        rays_per_iteration=512,
+        coarse_samples=32,
+        fine_samples=32,
+        learning_rate=5e-3,
+        final_rate_share=0.1,
+    )
+    return TrainConfig(iterations=iterations, half_size_until=0.0, method=method)
+
+
+def short(published: TrainConfig, iterations: int = 3000) -> TrainConfig:
+    """A published method on the backbone's settings and the schedule of ``default``."""
+    ours = TrainConfig()
+    return dataclasses.replace(
+        published,
+        iterations=iterations,
+        half_size_until=ours.half_size_until,
+        sh_degree_every=ours.sh_degree_every,
+        optimiser=OptimiserConfig(networks_times=10.0),
+        densify=dataclasses.replace(ours.densify, scaling_strength=published.densify.scaling_strength),
+    )
+
+
+def fast(iterations: int = 1500) -> TrainConfig:
+    """``default`` for the impatient: half of its iterations, more of them at half resolution."""
+    return TrainConfig(iterations=iterations, half_size_until=0.2)
+
+
+def on_anchors(config: TrainConfig, anchors: AnchorsConfig) -> TrainConfig:
+    """The same method on Scaffold-GS's backbone, which has rates and a growth of its own."""
+    return dataclasses.replace(config, anchors=anchors)
+
+
+#: Scaffold-GS as published, and with the paper's s_a = σ(|L_a − L̂_a|) + 1 on the gradients.
+PUBLISHED_ANCHORS = AnchorsConfig()
+PAPER_ANCHORS = AnchorsConfig(growth=AnchorGrowthConfig(scaling_strength=1.0))
+#: For short trainings on the CPU, where every anchor costs an evaluation of the networks.
+FEWER_ANCHORS = AnchorsConfig(placement=32, growth=AnchorGrowthConfig(stop=0.6, budget=120_000))
+FEWER_PAPER_ANCHORS = dataclasses.replace(
+    FEWER_ANCHORS, growth=dataclasses.replace(FEWER_ANCHORS.growth, scaling_strength=1.0)
+)
+
+#: The presets by name. They differ in config fields only.
+PRESETS: dict[str, TrainConfig] = {
+    "default": TrainConfig(),
+    "fast": fast(),
+    "paper": paper(),
+    "baseline": baseline(),
+    "default-scaffold": on_anchors(TrainConfig(), FEWER_ANCHORS),
+    "paper-scaffold": on_anchors(paper(), PAPER_ANCHORS),
+    "baseline-scaffold": on_anchors(baseline(), FEWER_ANCHORS),
+    "gausshdr": gausshdr(),
+    "gausshdr-scaffold": on_anchors(gausshdr(), PUBLISHED_ANCHORS),
+    "hdr-gs": hdr_gs(),
+    "hdr-nerf": hdr_nerf(),
+    "paper-short": short(paper()),
+    "paper-scaffold-short": on_anchors(short(paper()), FEWER_PAPER_ANCHORS),
+    "gausshdr-short": short(gausshdr()),
+    "gausshdr-scaffold-short": on_anchors(short(gausshdr()), FEWER_ANCHORS),
+    "hdr-gs-short": short(hdr_gs()),
+    "hdr-nerf-small": hdr_nerf_small(),
+}
