@@ -88,7 +88,7 @@ class RayPool:
             try:
                 self._ray.init(log_to_driver=False, logging_level=logging.ERROR, **options)
                 break
-            except Exception as error:  # noqa: BLE001 (Ray raises Exception itself where a start is slow)
+            except Exception as error:
                 self._ray.shutdown()
                 if local and attempt + 1 < STARTS:
                     continue
