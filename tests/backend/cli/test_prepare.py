@@ -21,7 +21,7 @@ from physhdr.bridge.errors import PhysHDRError
 
 POSES = 9
 #: What similarity alignment may leave: millimetres in a room of 6 m, degrees.
-MILLIMETRES, DEGREES = 4.0, 0.15
+MILLIMETRES, DEGREES = 5.0, 0.2
 
 
 @pytest.fixture(scope="module")
