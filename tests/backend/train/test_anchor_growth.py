@@ -16,9 +16,9 @@ from physhdr.backend.rasterize.contract import Rasterization
 from physhdr.backend.scene.camera import Camera
 from physhdr.backend.scene.hdr_nerf_syn import read_scene
 from physhdr.backend.train.anchor_growth import AnchorStatistics, grow_and_prune, grown, observe
-from physhdr.backend.train.config import PRESETS
 from physhdr.backend.train.morton import morton_order
 from physhdr.backend.train.optimisers import Optimiser
+from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import Trainer
 
 K = 2
@@ -122,7 +122,7 @@ def test_candidates_in_one_cell_share_an_anchor_with_the_largest_features(everyo
 
 
 def test_candidates_pass_by_chance_with_1_minus_a_half_to_the_level():
-    """10,000 Gaussians in cells of their own: about half pass on level 0, then three quarters, seven eighths."""
+    """Of 10,000 in cells of their own about half pass on level 0, then three quarters, seven eighths."""
     config = dataclasses.replace(CONFIG, offsets=2500)
     anchors, _ = make(config)
     with torch.no_grad():
@@ -212,15 +212,15 @@ def test_statistics_are_means_in_ndc_of_what_was_drawn():
     assert scaled.gradient_sum[4] == pytest.approx(15.0)  # s_a = 1.5 without deviation (eq. 17)
 
 
-# -- a training -----------------------------------------------------------------------------------------------
+# -- a training ---------------------------------------------------------------------------------------------
 
 SHORT = AnchorGrowthConfig(every=40, stop=0.7, threshold=1e-4, seen_share=0.2)
 
 
-def short_training(tiny_data, preset: str = "baseline", iterations: int = 150) -> Trainer:
+def short_training(tiny_data) -> Trainer:
     config = dataclasses.replace(
-        PRESETS[preset],
-        iterations=iterations,
+        PRESETS["default"],
+        iterations=200,
         half_size_until=0.0,
         anchors=AnchorsConfig(offsets=4, growth=SHORT),
     )
@@ -237,10 +237,11 @@ def test_a_short_training_learns_and_grows(tiny_data):
     # Anchors never move: those that were not pruned are where they were.
     same = (trainer.method.backbone.positions[:, None] == start).all(dim=2)
     assert int(same.any(dim=0).sum()) > 0.5 * before
-    view = trainer.scene.test[0]
-    truth = torch.tensor(view.image(2)).permute(2, 0, 1) / 255.0
-    learned = psnr(trainer.method.ldr(view.camera, view.exposures[2]), truth)
-    assert learned > 22.0, learned
+    learned = [
+        psnr(trainer.method.ldr(v.camera, v.exposures[2]), torch.tensor(v.image(2)).permute(2, 0, 1) / 255.0)
+        for v in trainer.scene.test
+    ]
+    assert np.mean(learned) > 26.0, learned  # 27.8 where this was written, 3DGS's backbone 25.5
 
 
 def test_a_resumed_training_is_the_same_bit_for_bit(tiny_data, tmp_path):
@@ -249,10 +250,10 @@ def test_a_resumed_training_is_the_same_bit_for_bit(tiny_data, tmp_path):
             trainer.step()
         return trainer
 
-    whole = until(short_training(tiny_data, "default"), 90)
-    broken = until(short_training(tiny_data, "default"), 55)  # between two growths
+    whole = until(short_training(tiny_data), 90)
+    broken = until(short_training(tiny_data), 55)  # between two growths
     broken.save(tmp_path)
-    resumed = short_training(tiny_data, "default")
+    resumed = short_training(tiny_data)
     resumed.resume(tmp_path)
     until(resumed, 90)
     assert len(whole.method.backbone) == len(resumed.method.backbone)
