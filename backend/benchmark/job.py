@@ -200,7 +200,7 @@ def _require_config(job: Job, folder: Path, iterations: int) -> None:
     """The fingerprint stands for ``job.config``: what was trained must be that."""
     written = _json(folder / CONFIG_FILE).get("config", {})
     if found := differences(job.config | {"iterations": iterations}, written):
-        why = f"a defect of ours: the run's {CONFIG_FILE} is not what the plan says: {'; '.join(found)}"
+        why = f"the code changed meanwhile: {CONFIG_FILE} is not what the plan came to: {'; '.join(found)}"
         raise _FailedError("train", 0, why)
 
 

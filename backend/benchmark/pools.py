@@ -11,7 +11,7 @@ from typing import Any, Protocol
 from ...bridge.errors import BadValueError
 from .job import Job, Outcome, execute
 
-#: Ray gives a cluster that it starts half a minute, which a busy machine may need for reading it from the disk.
+#: Ray gives a cluster that it starts half a minute, which a busy machine may need to read it from the disk.
 STARTS = 3
 
 
