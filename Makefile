@@ -8,7 +8,7 @@ PYTHON ?= python3
 WITH_TORCH := $(if $(wildcard $(BACKEND)),$(BACKEND),$(PYTHON))
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test benchmark gpu-check gui-test extension lint clean
+.PHONY: help setup demo test benchmark report gpu-check gui-test extension lint clean
 
 help: ## Show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -24,6 +24,13 @@ test: setup ## All tests, both sides of the house
 
 benchmark: setup ## Speed of the kernels against their alternatives, in one run
 	@$(BACKEND) benchmarks/run.py
+
+report: setup ## Every method on three scenes, at equal iterations and CPU seconds: docs/benchmarks.md (hours)
+	@$(BACKEND) tools/benchmark_data.py
+	@.venvs/backend/bin/physhdr benchmark --plan benchmarks/methods.toml --jobs 2 \
+		--out runs/methods --report docs/benchmarks.md
+	@.venvs/backend/bin/physhdr benchmark --plan benchmarks/ladder.toml --jobs 2 \
+		--out runs/ladder --report docs/ablation.md
 
 gpu-check: ## Is the CUDA path right, and how fast? Says so and ends where there is no card
 	@$(WITH_TORCH) tools/gpu_check.py
