@@ -42,7 +42,7 @@ class Saved:
 class Finished:
     """Training ended: by itself, or because somebody asked (``stopped``).
 
-    ``seconds`` on the clock, ``cpu_seconds`` of all cores together.
+    ``seconds`` on the clock; ``cpu_seconds`` of all cores together, without the monitor's pictures.
     """
 
     iteration: int

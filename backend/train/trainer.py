@@ -217,6 +217,7 @@ class Trainer:
         begun, begun_cpu = time.perf_counter(), time.process_time()
         message = ". ".join([f"started from {self.start_message}", *self.scene.messages])
         yield Started(self.iteration, total, self.method.size, message)
+        watching = 0.0  # CPU seconds that training does not need
         sums: dict[str, torch.Tensor] = {}
         window_start, window_first = time.perf_counter(), self.iteration
         try:
@@ -233,7 +234,9 @@ class Trainer:
                     self._refuse_nan(losses)
                     rate = (done - window_first) / (time.perf_counter() - window_start)
                     due = monitor is not None and (done % monitor_every == 0 or done == total)
+                    begun_watching = time.process_time()
                     measured = monitor(self.method) if due and monitor is not None else {}
+                    watching += time.process_time() - begun_watching
                     yield Progress(
                         done, total, self.method.size, losses, rate, (total - done) / rate, measured
                     )
@@ -250,7 +253,7 @@ class Trainer:
         yield Finished(
             self.iteration,
             time.perf_counter() - begun,
-            time.process_time() - begun_cpu,
+            time.process_time() - begun_cpu - watching,
             stopped=self.iteration < total,
         )
 
