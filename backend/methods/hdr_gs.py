@@ -40,9 +40,6 @@ TONE_MAPPER_RATE = Rate(start=5e-4)
 #: Of the μ-law of their HDR loss, whose truth is rounded to so many steps.
 MU, STEPS = 5000.0, 255.0
 
-#: Adam steps to the curve by which first radiance is told from pictures, where f itself starts at random.
-FIRST_RESPONSE_STEPS = 1000
-
 
 @dataclass(frozen=True, kw_only=True)
 class HDRGSConfig:
@@ -113,17 +110,11 @@ class HDRGS(SplattingMethod):
 
     @property
     def first_response(self) -> ToneMapper:
-        """f where it is warm-started; else a curve that is: a random one knows nothing of pictures."""
+        """f where it is warm-started; else ``default``'s at its start: a random one knows no pictures."""
         if self.config.tone_mapper.warm_start_steps:
             return self.tone_mapper
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(0)
-            config = ToneMapperConfig(
-                anchored=False, initial_slope=None, warm_start_steps=FIRST_RESPONSE_STEPS
-            )
-            mapper = ToneMapper(config, None)
-            mapper.warm_start(0)
-        return mapper
+        with torch.random.fork_rng(devices=[]):  # what is drawn here is nobody's
+            return ToneMapper(ToneMapperConfig(anchored=False), None)
 
     def prepare(self, seed: int) -> None:
         super().prepare(seed)

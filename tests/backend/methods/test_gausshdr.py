@@ -12,7 +12,7 @@ import torch
 from physhdr.backend.evaluate.protocol import evaluate
 from physhdr.backend.kernels import ssim_map_reference
 from physhdr.backend.methods.base import Shot
-from physhdr.backend.methods.gausshdr import DrawnPicture, GaussHDR, GaussHDRConfig, Half
+from physhdr.backend.methods.gausshdr import GaussHDR, GaussHDRConfig, Half
 from physhdr.backend.model.gaussians import initial_gaussians
 from physhdr.backend.model.tone_mapper import ToneMapperConfig
 from physhdr.backend.rasterize.reference import rasterize
@@ -293,16 +293,17 @@ def test_it_goes_on_bit_identically_across_the_switch_to_local_curves(tiny_data,
 
 
 def test_it_learns_the_tiny_scene(tiny_data, tmp_path):
+    """Few and soft Gaussians before a bright background are hard for the 3-D way, which blends LDR colours."""
     scene = read_scene(tiny_data)
-    config = PRESETS["gausshdr"]
+    config = PRESETS["gausshdr-short"]
     config = dataclasses.replace(
-        config, iterations=400, densify=dataclasses.replace(config.densify, stop=0.0)
+        config, iterations=400, sh_degree_every=1000, densify=dataclasses.replace(config.densify, stop=0.0)
     )
     trainer = Trainer(scene, config)
     before = evaluate(trainer.method, scene)
     for _ in trainer.run(tmp_path):
         pass
     after = evaluate(trainer.method, scene)
-    assert after.ldr_oe.psnr > max(26.0, before.ldr_oe.psnr + 6.0)
-    assert torch.isfinite(trainer.method.draw(scene.test[0].camera, 2.0).in_3d.uncertainty).all()
-    assert isinstance(trainer.method.draw(scene.test[0].camera, 2.0), DrawnPicture)
+    assert after.ldr_oe.psnr > max(22.5, before.ldr_oe.psnr + 8.0)
+    drawn = trainer.method.draw(scene.test[0].camera, 2.0)
+    assert drawn.in_3d.uncertainty.min() >= 0.1 and drawn.in_2d.uncertainty.std() > 0.0
