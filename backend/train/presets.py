@@ -12,7 +12,7 @@ from ..methods.gausshdr import GaussHDRConfig
 from ..methods.hdr_gs import HDRGSConfig
 from ..methods.hdr_nerf import HDRNeRFConfig
 from ..methods.physhdr import PhysHDRConfig
-from ..model.anchors import AnchorGrowthConfig, AnchorsConfig
+from ..model.anchors import SHORT_TRAINING, AnchorGrowthConfig, AnchorsConfig
 from ..model.field import FieldConfig
 from ..model.tone_mapper import ToneMapperConfig
 from .config import TrainConfig
@@ -139,8 +139,7 @@ def on_anchors(config: TrainConfig, anchors: AnchorsConfig) -> TrainConfig:
 #: Scaffold-GS as published, and with the paper's s_a = σ(|L_a − L̂_a|) + 1 on the gradients.
 PUBLISHED_ANCHORS = AnchorsConfig()
 PAPER_ANCHORS = AnchorsConfig(growth=AnchorGrowthConfig(scaling_strength=1.0))
-#: For short trainings on the CPU, where every anchor costs an evaluation of the networks.
-FEWER_ANCHORS = AnchorsConfig(placement=32, growth=AnchorGrowthConfig(stop=0.6, budget=120_000))
+FEWER_ANCHORS = SHORT_TRAINING
 FEWER_PAPER_ANCHORS = dataclasses.replace(
     FEWER_ANCHORS, growth=dataclasses.replace(FEWER_ANCHORS.growth, scaling_strength=1.0)
 )
