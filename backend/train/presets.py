@@ -100,7 +100,7 @@ def hdr_nerf(iterations: int = 200_000) -> TrainConfig:
 
 
 def hdr_nerf_small(iterations: int = 400) -> TrainConfig:
-    """HDR-NeRF within the seconds that others take on a CPU: smaller networks, fewer samples, higher rates."""
+    """HDR-NeRF in the seconds that others take on a CPU: smaller networks, fewer samples, higher rates."""
     field = FieldConfig(depth=4, width=64, view_width=32)
     method = HDRNeRFConfig(
         field=field,

@@ -293,7 +293,7 @@ def test_it_goes_on_bit_identically_across_the_switch_to_local_curves(tiny_data,
 
 
 def test_it_learns_the_tiny_scene(tiny_data, tmp_path):
-    """Few and soft Gaussians before a bright background are hard for the 3-D way, which blends LDR colours."""
+    """Few soft Gaussians before a bright background are hard for the 3-D way, which blends LDR colours."""
     scene = read_scene(tiny_data)
     config = PRESETS["gausshdr-short"]
     config = dataclasses.replace(
