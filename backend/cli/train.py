@@ -39,7 +39,8 @@ def preset_named(argv: list[str]) -> TrainConfig:
 class Train:
     """Train PhysHDR-GS, or another method, on a data set. CTRL-C saves a checkpoint; --resume goes on."""
 
-    config: Annotated[TrainConfig, tyro.conf.arg(name="")]
+    # The flags are those of the preset's own method and backbone, without a choice of others.
+    config: Annotated[TrainConfig, tyro.conf.arg(name=""), tyro.conf.AvoidSubcommands]
     #: Folder of the data set.
     data: tyro.conf.Positional[Path | None] = None
     #: Folder of the run: configuration, checkpoint, logs.

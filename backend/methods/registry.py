@@ -3,9 +3,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Any
-
-import tyro
+from typing import Any
 
 from ...bridge.lights import AMBIENT
 from ..kernels.warmup import Needs
@@ -16,11 +14,8 @@ from ..rasterize import Implementation
 from . import gausshdr, hdr_gs, hdr_nerf, physhdr
 from .base import Method
 
-#: The command line keeps --method.… flags, of the preset's method, where there are several to choose from.
-MethodConfig = Annotated[
-    physhdr.PhysHDRConfig | gausshdr.GaussHDRConfig | hdr_gs.HDRGSConfig | hdr_nerf.HDRNeRFConfig,
-    tyro.conf.AvoidSubcommands,
-]
+#: The configurations of all methods.
+MethodConfig = physhdr.PhysHDRConfig | gausshdr.GaussHDRConfig | hdr_gs.HDRGSConfig | hdr_nerf.HDRNeRFConfig
 
 
 @dataclass(frozen=True)

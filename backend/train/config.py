@@ -8,9 +8,7 @@ import types
 import typing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
-
-import tyro
+from typing import Any, Literal
 
 from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError, OutputError
 from ..methods.physhdr import PhysHDRConfig
@@ -53,7 +51,7 @@ class TrainConfig:
     sh_degree_every: int = 150
     method: MethodConfig = field(default_factory=PhysHDRConfig)
     #: Scaffold-GS's backbone instead of 3DGS's.
-    anchors: Annotated[AnchorsConfig | None, tyro.conf.AvoidSubcommands] = None
+    anchors: AnchorsConfig | None = None
     optimiser: OptimiserConfig = field(default_factory=OptimiserConfig)
     densify: DensifyConfig = field(default_factory=DensifyConfig)
 

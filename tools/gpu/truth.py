@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from physhdr.backend.methods.base import SplattingMethod
 from physhdr.backend.model.gaussians import SH_C0, Gaussians
-from physhdr.backend.model.tone_mapper import ToneMapper
 from physhdr.backend.rasterize.reference import rasterize
 from physhdr.backend.scene.camera import Camera
 from physhdr.backend.scene.scene import PictureCache, Points, Scene, View
@@ -112,9 +112,9 @@ class TrainerOn(Trainer):
     def __init__(self, scene: Scene, config: TrainConfig, side: Side) -> None:
         super().__init__(scene, config, side.implementation, side.device)
 
-    def _start(self, tone_mapper: ToneMapper) -> Gaussians:
+    def _place(self, method: SplattingMethod) -> None:
         assert self.scene.points is not None
-        return grey_gaussians(self.scene.points.positions, self.config)
+        method.backbone.parameters = grey_gaussians(self.scene.points.positions, self.config).parameters
 
 
 def grey_gaussians(positions: np.ndarray, config: TrainConfig) -> Gaussians:

@@ -68,17 +68,17 @@ def test_the_model_file_renders_as_the_method(run):
     camera = opened.scene.test[0].camera
     directions = model.position - camera.position
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    viewpoint = torch.as_tensor(camera.position, dtype=torch.float32)
     with torch.no_grad():
+        splats = opened.method.gaussians.splats(camera, opened.method.active_sh_degree)
         exact = opened.config.method.composer == "product"
-        ours = opened.method.radiance(viewpoint, None).numpy()
+        ours = opened.method.radiance_of(splats, None).numpy()
         np.testing.assert_allclose(model.radiance(directions), ours, rtol=1e-3 if exact else 0.05)
         if not opened.method.can_relight:
             relit = 2.0 * ours
         elif exact:
-            relit = opened.method.radiance(viewpoint, 2.0).numpy()
+            relit = opened.method.radiance_of(splats, (2.0,)).numpy()
         else:  # the file relights radiance at level 1 by φ's gain: c · ĉ(2)/ĉ(1)
-            gain = opened.method.radiance(viewpoint, 2.0) / opened.method.radiance(viewpoint, 1.0)
+            gain = opened.method.radiance_of(splats, (2.0,)) / opened.method.radiance_of(splats, (1.0,))
             relit = ours * gain.numpy()
         np.testing.assert_allclose(model.radiance(directions, 2.0), relit, rtol=1e-3 if exact else 0.06)
 
