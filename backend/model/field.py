@@ -6,6 +6,7 @@ the position and the direction of sight; the colour is ln radiance, without an a
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from torch import nn
@@ -30,6 +31,9 @@ class FieldConfig:
     #: Octaves of the encodings of position and direction.
     position_octaves: int = 10
     direction_octaves: int = 4
+    #: First weights of the layers with a ReLU: torch's own for a linear layer, as HDR-NeRF has them, which let
+    #: a signal fade from layer to layer, or He's (2015), which do not: short trainings need that.
+    first_weights: Literal["torch", "he"] = "torch"
 
 
 def positional_encoding(x: torch.Tensor, octaves: int) -> torch.Tensor:
@@ -61,6 +65,15 @@ class Field(nn.Module):
         self.feature = nn.Linear(config.width, config.width)
         self.view = nn.Linear(config.width + direction, config.view_width)
         self.log_radiance = nn.Linear(config.view_width, 3)
+        if config.first_weights == "he":
+            for weight, bias in ((each.weight, each.bias) for each in (*self.linear_layers, self.view)):
+                nn.init.kaiming_uniform_(weight, nonlinearity="relu")
+                nn.init.zeros_(bias)
+
+    @property
+    def linear_layers(self) -> list[nn.Linear]:
+        """Those before the density."""
+        return [layer for layer in self.layers if isinstance(layer, nn.Linear)]
 
     def trunk(self, points: torch.Tensor) -> torch.Tensor:
         """``[P, 3]`` → ``[P, width]``."""

@@ -139,6 +139,19 @@ def test_the_published_size():
     assert HDRNeRF(HDRNeRFConfig(), None).size == 2 * (595_844 + 3 * (3 * 128 + 1))
 
 
+def test_hes_first_weights_keep_a_signal_as_large_as_it_was():
+    torch.manual_seed(0)
+    points = torch.rand(4000, 3) * 2.0 - 1.0
+    entering = positional_encoding(points, 10).square().mean()
+    with torch.no_grad():
+        kept, faded = (
+            Field(FieldConfig(first_weights=kind)).trunk(points).square().mean() / entering
+            for kind in ("he", "torch")
+        )
+    assert 0.5 < kept.item() < 4.0
+    assert faded.item() < 0.05
+
+
 def test_a_slab_of_constant_density_lets_exp_of_minus_sigma_l_through():
     sigma, samples = 1.7, 50
     t = torch.linspace(0.0, 1.0, samples, dtype=torch.float64)[None]
@@ -439,10 +452,10 @@ def test_what_was_rendered_is_kept_until_a_parameter_changes(monkeypatch):
 
 LEARNING = dataclasses.replace(
     TINY,
-    field=FieldConfig(depth=3, width=32, view_width=16, position_octaves=6, direction_octaves=2),
-    rays_per_iteration=256,
-    coarse_samples=16,
-    fine_samples=16,
+    field=dataclasses.replace(TINY.field, width=32, view_width=16, first_weights="he"),
+    rays_per_iteration=128,
+    coarse_samples=12,
+    fine_samples=12,
     learning_rate=5e-3,
     final_rate_share=0.1,
     warm_start_steps=200,
@@ -459,7 +472,7 @@ def train(scene, config, folder, stop_at=None):
 
 def test_a_short_training_learns_the_scene_and_its_files_hold_it(tiny_data, tmp_path):
     scene = read_scene(tiny_data)
-    config = TrainConfig(method=LEARNING, iterations=150)
+    config = TrainConfig(method=LEARNING, iterations=300)
     trainer = train(scene, config, tmp_path)
     view = scene.train[1]
     truth = torch.from_numpy(view.image(2).copy()).permute(2, 0, 1) / 255.0
