@@ -3,10 +3,12 @@
 
 Every splat has ln e and a context feature; one tone mapper, with a local correction and an uncertainty, is
 used twice. **3-D**: on each splat, whose LDR colour and uncertainty are drawn. **2-D**: on each pixel of the
-drawn radiance and context. One pass of the rasteriser draws all that both need. The facts are those of the
-released code, which has Scaffold-GS's backbone only; docs/method.md names what its paper has otherwise.
+drawn radiance and context. One pass of the rasteriser draws all that both need, a small one the uncertainty,
+whose likelihood then teaches nothing else. The facts are those of the released code, which has Scaffold-GS's
+backbone only; docs/method.md names what its paper has otherwise.
 """
 
+import dataclasses
 import math
 from dataclasses import dataclass, field
 
@@ -49,6 +51,9 @@ class GaussHDRConfig:
     dssim_weight: float = 0.2
     #: Of both uncertainties' likelihoods (the code has 1, the paper is said to have ½).
     uncertainty_weight: float = 1.0
+    #: Let the likelihood of the 3-D uncertainty move and fade the splats it is drawn with. The network's
+    #: inputs are kept from learning of it; through the drawing it costs 4.7 dB (docs/method.md).
+    uncertainty_moves_splats: bool = False
     #: No uncertainty is smaller.
     least_uncertainty: float = 0.1
     #: γ, of ℓ of the 2-D global picture, where the data name an anchor of the response (synthetic scenes) …
@@ -74,8 +79,8 @@ class GaussHDRConfig:
 
     @property
     def channels(self) -> int:
-        """How many channels one pass draws: 3-D LDR, its uncertainty, radiance and the context."""
-        return 9 + self.tone_mapper.context_size
+        """How many the pass draws: 3-D LDR, radiance, context, and uncertainty if it moves splats."""
+        return 6 + self.tone_mapper.context_size + (3 if self.uncertainty_moves_splats else 0)
 
     def attributes(self) -> Attributes:
         """What the backbone's splats must carry."""
@@ -100,6 +105,12 @@ class Uncertainty(nn.Module):
         features = context.detach().reshape(context.shape[0], -1)
         u = local_curves(x, features, n.w1[None], n.b1[None], n.w2, n.b2)
         return nn.functional.softplus(u).reshape(log_exposure.shape)
+
+
+def held(splats: Splats) -> Splats:
+    """The same splats, whose shape and opacity learn nothing of what is drawn with them."""
+    shape = {name: getattr(splats, name).detach() for name in ("means", "quaternions", "scales", "opacities")}
+    return dataclasses.replace(splats, **shape)
 
 
 @dataclass(frozen=True)
@@ -189,11 +200,14 @@ class GaussHDR(SplattingMethod):
         log_exposure = (log_radiance + math.log(exposure)).T.contiguous()[:, None]
         _, colours, uncertainty = self.respond(log_exposure, splats.context.T.contiguous())
         # The code draws the splats' global LDR as well, which nothing uses.
-        channels = [colours[:, 0].T, uncertainty[:, 0].T, log_radiance.exp(), splats.context]
+        channels = [colours[:, 0].T, log_radiance.exp(), splats.context]
+        if self.config.uncertainty_moves_splats:
+            channels.append(uncertainty[:, 0].T)
         offsets = self.watched(splats) if watch else None
         drawn = self.rasterize(splats, torch.cat(channels, dim=1), camera, screen_offsets=offsets)
         # Split, not sliced: the gradient of a slice is a whole picture of zeros with the slice in it.
-        ldr_3d, uncertainty_3d, radiance, context = drawn.image.split([c.shape[1] for c in channels])
+        ldr_3d, radiance, context, *rest = drawn.image.split([c.shape[1] for c in channels])
+        uncertainty_3d = rest[0] if rest else self.rasterize(held(splats), uncertainty[:, 0].T, camera).image
         in_3d, in_2d, global_2d, weight = self.develop(ldr_3d, uncertainty_3d, radiance, context, exposure)
         return DrawnPicture(
             splats, drawn, offsets, in_3d=in_3d, in_2d=in_2d, global_2d=global_2d, weight=weight
@@ -285,7 +299,7 @@ class GaussHDR(SplattingMethod):
 def kernels_needed(config: GaussHDRConfig) -> Needs:
     """The CPU kernels that training this method calls."""
     return Needs(
-        channels=tuple(sorted({3, config.channels})),  # three: the view that is shown
+        channels=tuple(sorted({3, config.channels})),  # three: uncertainty, and the view that is shown
         networks=(),
         activation=config.tone_mapper.activation,
         local_branches=(1, 3),  # the curves of each channel; the uncertainty of all three

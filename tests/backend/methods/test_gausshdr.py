@@ -183,6 +183,16 @@ def test_only_the_likelihood_teaches_the_uncertainty(camera):
     )
     assert all(g.abs().max() > 0 for g in gradients[: len(network)])
     assert all(g is None or not g.any() for g in gradients[len(network) :])
+    # … nor do the splats, unless they are let.
+    shapes = [method.gaussians.parameters[name] for name in ("means", "log_scales", "opacity_logits")]
+    gradients = torch.autograd.grad(terms["uncertainty"], shapes, allow_unused=True)
+    assert all(g is None or not g.any() for g in gradients)
+    literal = make(uncertainty_moves_splats=True)
+    drawn, drawn_at_once = method.draw(camera, EXPOSURE), literal.draw(camera, EXPOSURE)
+    assert drawn_at_once.rasterization.image.shape[0] == drawn.rasterization.image.shape[0] + 3 == 13
+    assert torch.allclose(drawn.in_3d.uncertainty, drawn_at_once.in_3d.uncertainty, atol=1e-5)
+    literal.losses(drawn_at_once, picture)["uncertainty"].backward()
+    assert literal.gaussians.means.grad.any() and literal.gaussians.opacity_logits.grad.any()
 
 
 def test_a_perfect_picture_leaves_the_logarithm_of_the_uncertainties(camera):
@@ -297,7 +307,7 @@ def test_it_learns_the_tiny_scene(tiny_data, tmp_path):
     scene = read_scene(tiny_data)
     config = PRESETS["gausshdr-short"]
     config = dataclasses.replace(
-        config, iterations=400, sh_degree_every=1000, densify=dataclasses.replace(config.densify, stop=0.0)
+        config, iterations=250, sh_degree_every=1000, densify=dataclasses.replace(config.densify, stop=0.0)
     )
     trainer = Trainer(scene, config)
     before = evaluate(trainer.method, scene)
