@@ -31,8 +31,8 @@ class FieldConfig:
     #: Octaves of the encodings of position and direction.
     position_octaves: int = 10
     direction_octaves: int = 4
-    #: First weights of the layers with a ReLU: torch's own for a linear layer, as HDR-NeRF has them, which let
-    #: a signal fade from layer to layer, or He's (2015), which do not: short trainings need that.
+    #: First weights of the layers with a ReLU: torch's own for a linear layer, as in HDR-NeRF, which let a
+    #: signal fade from layer to layer, or He's (2015), which do not: short trainings need that.
     first_weights: Literal["torch", "he"] = "torch"
 
 
