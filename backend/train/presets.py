@@ -70,25 +70,16 @@ def baseline(iterations: int = 3000) -> TrainConfig:
 STOCK_DENSIFY = DensifyConfig(start=500, stop=0.5, reset_every=3000, budget=0, threshold=2e-4)
 
 
-def gausshdr(iterations: int = 30_000) -> TrainConfig:
-    """GaussHDR on 3DGS, whose code nobody has published: its tone mapper and losses, 3DGS's schedule."""
+def on_3dgs(method: GaussHDRConfig | HDRGSConfig, iterations: int = 30_000) -> TrainConfig:
+    """A peer on 3DGS with 3DGS's schedule, and one set of values for all scenes.
+
+    GaussHDR on 3DGS is in its paper, but its code is not published.
+    """
     return TrainConfig(
         iterations=iterations,
         half_size_until=0.0,
         sh_degree_every=1000,
-        method=GaussHDRConfig(),
-        optimiser=STOCK_3DGS,
-        densify=STOCK_DENSIFY,
-    )
-
-
-def hdr_gs(iterations: int = 30_000) -> TrainConfig:
-    """HDR-GS without HDR ground truth, one set of values for all scenes: 3DGS's schedule."""
-    return TrainConfig(
-        iterations=iterations,
-        half_size_until=0.0,
-        sh_degree_every=1000,
-        method=HDRGSConfig(),
+        method=method,
         optimiser=STOCK_3DGS,
         densify=STOCK_DENSIFY,
     )
@@ -155,14 +146,14 @@ PRESETS: dict[str, TrainConfig] = {
     "default-scaffold": on_anchors(TrainConfig(), FEWER_ANCHORS),
     "paper-scaffold": on_anchors(paper(), PAPER_ANCHORS),
     "baseline-scaffold": on_anchors(baseline(), FEWER_ANCHORS),
-    "gausshdr": gausshdr(),
-    "gausshdr-scaffold": on_anchors(gausshdr(), PUBLISHED_ANCHORS),
-    "hdr-gs": hdr_gs(),
+    "gausshdr": on_3dgs(GaussHDRConfig()),
+    "gausshdr-scaffold": on_anchors(on_3dgs(GaussHDRConfig()), PUBLISHED_ANCHORS),
+    "hdr-gs": on_3dgs(HDRGSConfig()),
     "hdr-nerf": hdr_nerf(),
     "paper-short": short(paper()),
     "paper-scaffold-short": on_anchors(short(paper()), FEWER_PAPER_ANCHORS),
-    "gausshdr-short": short(gausshdr()),
-    "gausshdr-scaffold-short": on_anchors(short(gausshdr()), FEWER_ANCHORS),
-    "hdr-gs-short": short(hdr_gs()),
+    "gausshdr-short": short(on_3dgs(GaussHDRConfig())),
+    "gausshdr-scaffold-short": on_anchors(short(on_3dgs(GaussHDRConfig())), FEWER_ANCHORS),
+    "hdr-gs-short": short(on_3dgs(HDRGSConfig())),
     "hdr-nerf-small": hdr_nerf_small(),
 }
