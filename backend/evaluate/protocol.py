@@ -134,7 +134,7 @@ def _what_is_left_out(
     elif min(camera.width, camera.height) < SMALLEST_SIDE:
         messages.append(f"LPIPS left out: pictures are smaller than {SMALLEST_SIDE}×{SMALLEST_SIDE}.")
     if not truth.has_hdr_truth(scene.root, "test"):
-        messages.append(f"HDR and relit left out: {scene.root / 'test_hdr'} does not exist.")
+        messages.append(f"HDR and relit left out: {scene.root} has no true radiance of its test views.")
     elif not relit:
         messages.append(f"Relit left out: {scene.root / 'relit'} holds no level_*/hdr_*.exr.")
     elif unknown:

@@ -132,9 +132,8 @@ def on_anchors(config: TrainConfig, anchors: AnchorsConfig) -> TrainConfig:
 #: Scaffold-GS as published, and with the paper's s_a = σ(|L_a − L̂_a|) + 1 on the gradients.
 PUBLISHED_ANCHORS = AnchorsConfig()
 PAPER_ANCHORS = AnchorsConfig(growth=AnchorGrowthConfig(scaling_strength=1.0))
-FEWER_ANCHORS = SHORT_TRAINING
-FEWER_PAPER_ANCHORS = dataclasses.replace(
-    FEWER_ANCHORS, growth=dataclasses.replace(FEWER_ANCHORS.growth, scaling_strength=1.0)
+SHORT_PAPER_ANCHORS = dataclasses.replace(
+    SHORT_TRAINING, growth=dataclasses.replace(SHORT_TRAINING.growth, scaling_strength=1.0)
 )
 
 #: The presets by name. They differ in config fields only.
@@ -143,17 +142,17 @@ PRESETS: dict[str, TrainConfig] = {
     "fast": fast(),
     "paper": paper(),
     "baseline": baseline(),
-    "default-scaffold": on_anchors(TrainConfig(), FEWER_ANCHORS),
+    "default-scaffold": on_anchors(TrainConfig(), SHORT_TRAINING),
     "paper-scaffold": on_anchors(paper(), PAPER_ANCHORS),
-    "baseline-scaffold": on_anchors(baseline(), FEWER_ANCHORS),
+    "baseline-scaffold": on_anchors(baseline(), SHORT_TRAINING),
     "gausshdr": on_3dgs(GaussHDRConfig()),
     "gausshdr-scaffold": on_anchors(on_3dgs(GaussHDRConfig()), PUBLISHED_ANCHORS),
     "hdr-gs": on_3dgs(HDRGSConfig()),
     "hdr-nerf": hdr_nerf(),
     "paper-short": short(paper()),
-    "paper-scaffold-short": on_anchors(short(paper()), FEWER_PAPER_ANCHORS),
+    "paper-scaffold-short": on_anchors(short(paper()), SHORT_PAPER_ANCHORS),
     "gausshdr-short": short(on_3dgs(GaussHDRConfig())),
-    "gausshdr-scaffold-short": on_anchors(short(on_3dgs(GaussHDRConfig())), FEWER_ANCHORS),
+    "gausshdr-scaffold-short": on_anchors(short(on_3dgs(GaussHDRConfig())), SHORT_TRAINING),
     "hdr-gs-short": short(on_3dgs(HDRGSConfig())),
     "hdr-nerf-small": hdr_nerf_small(),
 }
