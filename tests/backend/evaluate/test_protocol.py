@@ -297,7 +297,7 @@ def test_without_truth_parts_are_absent_with_a_message(small: ModuleType, tmp_pa
     shutil.rmtree(root / "test_hdr")
     result = evaluate(Oracle(small), read_scene(root))
     assert not result.hdr and result.ldr and result.scale_ratio is None and result.hdr_mean is None
-    assert any("HDR and relit left out" in message and "true radiance" in message for message in result.messages)
+    assert any("HDR and relit left out" in said and "true radiance" in said for said in result.messages)
     assert "HDR" not in to_markdown(result).split("\n\n")[0]
 
 
