@@ -228,13 +228,19 @@ def test_it_learns_the_tiny_scene(tiny_data, tmp_path):
     scene = read_scene(tiny_data)
     config = PRESETS["hdr-gs-short"]
     config = dataclasses.replace(
-        config, iterations=400, sh_degree_every=1000, densify=dataclasses.replace(config.densify, stop=0.0)
+        config,
+        iterations=400,
+        sh_degree_every=1000,
+        densify=dataclasses.replace(config.densify, stop=0.0),
+        # The literal start; at their published rate the networks would learn little of the response in so few
+        # iterations.
+        method=PRESETS["hdr-gs"].method,
+        optimiser=dataclasses.replace(config.optimiser, networks_times=10.0),
     )
     trainer = Trainer(scene, config)
     before = evaluate(trainer.method, scene)
     for _ in trainer.run(tmp_path):
         pass
     after = evaluate(trainer.method, scene)
-    # At the published rate of its networks the response is far from learned after so few iterations.
-    assert after.ldr_oe.psnr > max(21.5, before.ldr_oe.psnr + 3.0), before.ldr_oe
+    assert after.ldr_oe.psnr > max(24.0, before.ldr_oe.psnr + 3.0), before.ldr_oe
     assert after.hdr_aligned_mean.psnr > after.hdr_mean.psnr - 0.5
