@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """By how much one method is ahead of another: differences of runs on the same scene with the same seed."""
 
+import math
 import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +17,8 @@ PAPER_MARGINS = {"LDR-OE.psnr": 0.39, "LDR-NE.psnr": 0.45, "HDR.psnr": 0.13}
 class Margin:
     """Paired differences, one for each (scene, seed) that both methods have.
 
-    ``spread``: their sample standard deviation, None for fewer than two.
+    ``spread``: their standard deviation over the seeds of a scene, pooled over the scenes (scenes differ, which
+    is no noise); None where no scene has two seeds.
     """
 
     mean: float
@@ -34,11 +36,21 @@ def margin(entries: Sequence[Entry], method: str, other: str, key: str) -> Margi
     """``method`` − ``other`` in the column ``key`` (``LDR-OE.psnr``); None where no run can be paired."""
     each = column(key)
     ours, theirs = _by_run(entries, method, each), _by_run(entries, other, each)
-    differences = [ours[run] - theirs[run] for run in ours if run in theirs]
-    if not differences:
+    of_scene: dict[str, list[float]] = {}
+    for run in ours.keys() & theirs.keys():
+        of_scene.setdefault(run[0], []).append(ours[run] - theirs[run])
+    if not of_scene:
         return None
-    spread = statistics.stdev(differences) if len(differences) > 1 else None
-    return Margin(statistics.fmean(differences), spread, min(differences), len(differences))
+    differences = [difference for scene in of_scene.values() for difference in scene]
+    return Margin(statistics.fmean(differences), _spread(of_scene), min(differences), len(differences))
+
+
+def _spread(of_scene: dict[str, list[float]]) -> float | None:
+    repeated = [scene for scene in of_scene.values() if len(scene) > 1]
+    if not repeated:
+        return None
+    squares = sum(statistics.variance(scene) * (len(scene) - 1) for scene in repeated)
+    return math.sqrt(squares / sum(len(scene) - 1 for scene in repeated))
 
 
 def _by_run(entries: Sequence[Entry], method: str, each: Column) -> dict[tuple[str, int | None], float]:

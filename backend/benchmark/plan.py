@@ -7,7 +7,7 @@ settings = ["exp3", "exp1"]
 seeds = [0, 1, 2]
 budgets = ["iterations=1000", "cpu-seconds=60"]
 set = ["densify.budget=30000"]                            # for every method
-margins_of = "default"                                    # whose lead over the others is reported
+margins_of = ["default"]                                  # whose lead over the others is reported
 [[ladder]]
 name = "ablation"
 steps = ["baseline", "dim", "default"]
@@ -94,7 +94,7 @@ class SceneFolder:
 
 @dataclass(frozen=True)
 class Budget:
-    """What every method may spend on a run: ``iterations``, or ``cpu-seconds`` of its training loop."""
+    """What every method may spend on a run: ``iterations``, or ``cpu-seconds`` of its training."""
 
     kind: str
     amount: float
@@ -146,7 +146,7 @@ class Plan:
     threads_per_job: int = 1
     device: str = "auto"
     lpips_weights: Path | None = None
-    margins_of: str = ""
+    margins_of: tuple[str, ...] = ()
     ladders: tuple[Ladder, ...] = ()
 
     def __post_init__(self) -> None:
@@ -162,8 +162,7 @@ class Plan:
             raise BadValueError(f"--threads-per-job must be at least 1, got {self.threads_per_job}")
         for text in self.assignments:
             option_words(text)  # raises where it cannot be used
-        named = [self.margins_of] if self.margins_of else []
-        for name in [*named, *(step for ladder in self.ladders for step in ladder.steps)]:
+        for name in [*self.margins_of, *(step for ladder in self.ladders for step in ladder.steps)]:
             if name not in names:
                 raise BadValueError(f"the plan has no method '{name}'", f"Choose from: {', '.join(names)}.")
         for ladder in self.ladders:
@@ -209,7 +208,7 @@ _KEYS: dict[str, tuple[str, Callable[[Any, Path], Any]]] = {
     "threads_per_job": ("threads_per_job", lambda value, _: _whole(value)),
     "device": ("device", lambda value, _: str(value)),
     "lpips_weights": ("lpips_weights", lambda value, at: at / str(value)),
-    "margins_of": ("margins_of", lambda value, _: str(value)),
+    "margins_of": ("margins_of", lambda value, _: tuple(_texts(value))),
     "ladder": ("ladders", lambda value, _: tuple(Ladder(str(x["name"]), tuple(x["steps"])) for x in value)),
 }
 
@@ -265,7 +264,7 @@ def write_plan(plan: Plan, path: Path) -> None:
     if plan.lpips_weights:
         rows["lpips_weights"] = str(plan.lpips_weights)
     if plan.margins_of:
-        rows["margins_of"] = plan.margins_of
+        rows["margins_of"] = list(plan.margins_of)
     # A string, a number or a list of them is the same in JSON and in TOML.
     lines = [f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in rows.items()]
     for ladder in plan.ladders:

@@ -57,7 +57,7 @@ class Run:
 class Record:
     """What ``run.json`` holds of a run that is done: what it was, and what training alone cost.
 
-    ``cpu_seconds``: user and system time of the training loop; ``seconds``: its time on the clock.
+    ``cpu_seconds``: user and system time of the training, first points included; ``seconds``: on the clock.
     ``gaussians``: at the end (0 for a method without). ``peak_memory``: bytes, of the training process.
     ``training``, ``evaluation``: fingerprints of all that decides the result. ``note``: for the report.
     """

@@ -55,8 +55,8 @@ class Benchmark:
     budget: tuple[str, ...] = ()
     #: FIELD=VALUE for every method, such as densify.budget=30000.
     set: tuple[str, ...] = ()
-    #: Whose margins over the others are told; default: the first method's.
-    margins_of: str | None = None
+    #: Whose margins over all but these are told: names between commas; default: the first method's.
+    margins_of: tuple[str, ...] = ()
     #: LPIPS weights, as for physhdr evaluate.
     lpips_weights: Path | None = None
     #: Where to compute.
@@ -118,7 +118,7 @@ class Benchmark:
             "seeds": [_number(word) for word in _split(self.seeds)],
             "budgets": _split(self.budget),
             "set": list(self.set),
-            "margins_of": self.margins_of,
+            "margins_of": _split(self.margins_of),
             "lpips_weights": self.lpips_weights and str(self.lpips_weights.resolve()),
             "device": self.device,
             "threads_per_job": self.threads_per_job,

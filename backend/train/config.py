@@ -31,14 +31,15 @@ class TrainConfig:
     exposure_mode: Literal["exp3", "exp1"] = "exp3"
     #: one: an iteration compares its view at one of its exposures; bracket: at all that training may see, of
     #: one drawing (the radiance is the same, only its development differs).
-    supervision: Literal["one", "bracket"] = "one"
+    supervision: Literal["one", "bracket"] = "bracket"
     #: Indices of the exposures that training may see (LDR-OE of the paper).
     training_exposures: tuple[int, ...] = (0, 2, 4)
     #: Pictures are reduced by this factor as they are read; None: as the layout's publication has it.
     downscale: float | None = None
     #: Start from the data set's points, from stereo between the training views, or from random ones in the
-    #: cameras' frusta; auto: the data set's if it has any, else stereo's.
-    initial_points: Source = "auto"
+    #: cameras' frusta; both: the data set's and, where it has none, stereo's; auto: the data set's if it has
+    #: any, else stereo's.
+    initial_points: Source = "both"
     random_points: int = 20_000
     initial_opacity: float = 0.1
     #: Initial size of a Gaussian over the distance to its neighbours (3DGS: 1).

@@ -42,7 +42,8 @@ class Saved:
 class Finished:
     """Training ended: by itself, or because somebody asked (``stopped``).
 
-    ``seconds`` on the clock; ``cpu_seconds`` of all cores together, without the monitor's pictures.
+    ``seconds`` on the clock; ``cpu_seconds`` of all cores together, without the monitor's pictures. Both
+    count the search for the first points.
     """
 
     iteration: int

@@ -20,7 +20,7 @@ from .stereo import stereo_points, stereo_view
 #: Metres; what cameras in one place have.
 SMALLEST_EXTENT = 1e-3
 
-Source = Literal["auto", "file", "stereo", "random"]
+Source = Literal["auto", "both", "file", "stereo", "random"]
 
 #: Random points lie between these depths of the training cameras, evenly in log depth, in units of the
 #: cameras' extent (``scene_extent``).
@@ -75,9 +75,10 @@ def initial_points(
 ) -> FirstPoints:
     """The data set's points, or those of stereo, or random ones, as ``source`` says.
 
-    ``auto``: the data set's if it has any, else stereo's; where views do not overlap, random ones. Stereo
-    reads ``views`` (of one light) at ``exposures``, their indices that training may see. Sorted by place
-    (``morton``), as densification keeps them. Raises ``BadValueError`` where ``source`` has none.
+    ``auto``: the data set's if it has any, else stereo's; where views do not overlap, random ones. ``both``:
+    as well as the data set's those that stereo finds where it has none. Stereo reads ``views`` (of one light)
+    at ``exposures``, their indices that training may see. Sorted by place (``morton``), as densification
+    keeps them. Raises ``BadValueError`` where ``source`` has none.
     """
     points = _points(scene, views, exposures, tone_mapper, source, random_count, seed)
     order = morton_order(torch.as_tensor(points.positions)).numpy()
@@ -94,38 +95,74 @@ def _points(
     random_count: int,
     seed: int,
 ) -> FirstPoints:
-    if source == "file" and scene.points is None:
+    given = _given_points(scene) if source in ("auto", "both", "file") else None
+    if source == "file" and given is None:
         raise BadValueError(
             f"{scene.root} has no points3d.ply",
             "Train with --initial-points auto, which finds points by stereo, or give the data set the points "
             "of structure from motion.",
         )
-    if source in ("auto", "file") and scene.points is not None:
-        positions, colours = (a.astype(np.float64) for a in (scene.points.positions, scene.points.colours))
-        return FirstPoints(positions, f"{len(positions)} points of the data set", colours)
-    why = "as asked for"
-    if source != "random":
-        votes = Votes(tone_mapper)
-        positions = stereo_points(
-            [
-                stereo_view(view.camera, *log_radiance_picture(view, indices, votes))
-                for view, indices in zip(views, exposures, strict=True)
-            ]
+    if given is not None and source != "both":
+        return given
+    if source == "random":
+        return _random(scene, random_count, seed, "as asked for")
+    seen = _stereo_points(views, exposures, tone_mapper)
+    if len(seen) >= FEWEST_STEREO_POINTS:
+        if given is None:
+            return FirstPoints(seen, f"{len(seen)} points by stereo from the training views")
+        return _joined(given, seen)
+    if given is not None:
+        return given
+    if source == "stereo":
+        raise BadValueError(
+            f"stereo found {len(seen)} points on {scene.root}, too few to start from",
+            "Its views overlap too little: train with --initial-points random.",
         )
-        if len(positions) > MOST_STEREO_POINTS:
-            along = morton_order(torch.as_tensor(positions)).numpy()  # so that what stays is evenly spread
-            positions = positions[along[np.linspace(0, len(along) - 1, MOST_STEREO_POINTS).astype(int)]]
-        if len(positions) >= FEWEST_STEREO_POINTS:
-            return FirstPoints(positions, f"{len(positions)} points by stereo from the training views")
-        if source == "stereo":
-            raise BadValueError(
-                f"stereo found {len(positions)} points on {scene.root}, too few to start from",
-                "Its views overlap too little: train with --initial-points random.",
-            )
-        why = "the data set has no points and its views overlap too little for stereo"
-    return FirstPoints(
-        random_points(scene.train, random_count, seed), f"{random_count} random points ({why})"
+    return _random(
+        scene, random_count, seed, "the data set has no points and its views overlap too little for stereo"
     )
+
+
+def _given_points(scene: Scene) -> FirstPoints | None:
+    if scene.points is None:
+        return None
+    positions, colours = (a.astype(np.float64) for a in (scene.points.positions, scene.points.colours))
+    return FirstPoints(positions, f"{len(positions)} points of the data set", colours)
+
+
+def _random(scene: Scene, count: int, seed: int, why: str) -> FirstPoints:
+    return FirstPoints(random_points(scene.train, count, seed), f"{count} random points ({why})")
+
+
+def _stereo_points(
+    views: list[View], exposures: list[tuple[int, ...]], tone_mapper: ToneMapper
+) -> np.ndarray:
+    """At most ``MOST_STEREO_POINTS``, ``[P, 3]``."""
+    votes = Votes(tone_mapper)
+    positions = stereo_points(
+        [
+            stereo_view(view.camera, *log_radiance_picture(view, indices, votes))
+            for view, indices in zip(views, exposures, strict=True)
+        ]
+    )
+    if len(positions) > MOST_STEREO_POINTS:
+        along = morton_order(torch.as_tensor(positions)).numpy()  # so that what stays is evenly spread
+        positions = positions[along[np.linspace(0, len(along) - 1, MOST_STEREO_POINTS).astype(int)]]
+    return positions
+
+
+def _joined(given: FirstPoints, seen: np.ndarray) -> FirstPoints:
+    """The data set's points, and those of stereo where it has none.
+
+    What lies behind mirrors, panes and windows, and the sky, stereo sees where light seems to come from;
+    surfaces that were sampled, or matched sparsely, are not there. A point of stereo that has a given one
+    nearer than its own neighbours (the mean distance of three) says nothing new.
+    """
+    from scipy.spatial import KDTree  # here, because only this needs SciPy
+
+    spacing = KDTree(seen).query(seen, k=4)[0][:, 1:].mean(axis=1)  # its nearest is itself
+    new = seen[KDTree(given.positions).query(seen)[0] > spacing]
+    return FirstPoints(np.concatenate([given.positions, new]), f"{given.message}, {len(new)} more by stereo")
 
 
 def _pixels(points: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:

@@ -25,6 +25,8 @@ def paper(iterations: int = 30_000) -> TrainConfig:
     """The paper's Algorithm 1 with the open points filled as in docs/method.md; l = t."""
     return TrainConfig(
         iterations=iterations,
+        supervision="one",
+        initial_points="auto",
         half_size_until=0.0,
         sh_degree_every=1000,
         method=PhysHDRConfig(
@@ -55,6 +57,8 @@ def baseline(iterations: int = 3000) -> TrainConfig:
     """The yardstick: the image-exposure branch alone under one global tone mapper."""
     return TrainConfig(
         iterations=iterations,
+        supervision="one",
+        initial_points="auto",
         method=PhysHDRConfig(
             branches="image-exposure",
             lighting_level="exposure",
@@ -77,6 +81,8 @@ def on_3dgs(method: GaussHDRConfig | HDRGSConfig, iterations: int = 30_000) -> T
     """
     return TrainConfig(
         iterations=iterations,
+        supervision="one",
+        initial_points="auto",
         half_size_until=0.0,
         sh_degree_every=1000,
         method=method,
@@ -87,7 +93,7 @@ def on_3dgs(method: GaussHDRConfig | HDRGSConfig, iterations: int = 30_000) -> T
 
 def hdr_nerf(iterations: int = 200_000) -> TrainConfig:
     """HDR-NeRF as published for rendered data: 16 CPU seconds an iteration, which calls for a card."""
-    return TrainConfig(iterations=iterations, half_size_until=0.0, method=HDRNeRFConfig())
+    return TrainConfig(iterations=iterations, supervision="one", half_size_until=0.0, method=HDRNeRFConfig())
 
 
 def hdr_nerf_small(iterations: int = 2500) -> TrainConfig:
@@ -103,7 +109,7 @@ def hdr_nerf_small(iterations: int = 2500) -> TrainConfig:
         learning_rate=5e-3,
         final_rate_share=0.1,
     )
-    return TrainConfig(iterations=iterations, half_size_until=0.0, method=method)
+    return TrainConfig(iterations=iterations, supervision="one", half_size_until=0.0, method=method)
 
 
 def short(published: TrainConfig, iterations: int = 3000, networks_times: float = 10.0) -> TrainConfig:

@@ -15,7 +15,7 @@ settings = ["exp3", "exp1"]
 seeds = [0, 1]
 budgets = ["iterations=1000", "cpu-seconds=2.5"]
 set = ["densify.budget=30000", "half_size_until=0.1"]
-margins_of = "bold"
+margins_of = ["bold"]
 [[ladder]]
 name = "one \\"step\\""
 steps = ["default", "bold"]
@@ -59,7 +59,7 @@ def test_assignments_become_the_words_of_the_command():
         ('"cpu-seconds=2.5"', '"cpu-seconds=nan"', "is no budget"),
         ('"iterations=1000"', '"iterations=2.5"', "whole numbers"),
         ("half_size_until=0.1", "seed=3", "--set seed=3 cannot be used"),
-        ('margins_of = "bold"', 'margins_of = "shy"', "no method 'shy'"),
+        ('margins_of = ["bold"]', 'margins_of = ["shy"]', "no method 'shy'"),
         ('"default", "bold"]', '"default", "shy"]', "no method 'shy'"),
         ("settings =", "seetings =", "a plan has no 'seetings'"),
         ("methods = [", "methods = [[", "is not a plan"),

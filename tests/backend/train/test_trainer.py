@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 import torch
 from safetensors import safe_open
+from scipy.spatial import KDTree
 
 from physhdr.backend.cli.monitor import view_monitor
 from physhdr.backend.evaluate.protocol import evaluate
 from physhdr.backend.methods.hdr_nerf import HDRNeRFConfig
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.pictures import read_exr, write_exr, write_png
+from physhdr.backend.scene.scene import Points
 from physhdr.backend.train.checkpoint import load_checkpoint
 from physhdr.backend.train.config import read_config, write_config
 from physhdr.backend.train.densify import DensifyConfig
@@ -251,6 +253,27 @@ def test_training_works_without_a_points_file(tiny_data, tmp_path):
     assert "150 random points (the data set has no points" in first_message(trainer, tmp_path / "one view")
     with pytest.raises(BadValueError, match=r"stereo found 0 points(.|\n)*--initial-points random"):
         Trainer(lonely, short("default", initial_points="stereo"))
+
+
+def test_stereo_adds_points_where_the_data_set_has_none(tiny_data, tmp_path):
+    scene = read_scene(tiny_data)
+    positions = scene.points.positions
+    left = positions[:, 0] < np.median(positions[:, 0])
+    half = Points(positions[left], scene.points.colours[left])
+
+    def start(points, source):
+        trainer = Trainer(dataclasses.replace(scene, points=points), short("default", initial_points=source))
+        return trainer, {tuple(p) for p in trainer.method.gaussians.means.detach().tolist()}
+
+    (_, given), (_, seen) = start(half, "file"), start(half, "stereo")
+    trainer, both = start(half, "both")
+    assert given < both <= given | seen and f"{len(both - given)} more by stereo" in trainer.start_message
+    spare = np.array(sorted(seen - both))  # these have a given point near them, the added ones have none
+    nearest = KDTree(positions[left]).query
+    assert nearest(spare)[0].max() < np.median(nearest(np.array(sorted(both - given)))[0])
+    assert len(start(scene.points, "both")[1]) - len(positions) < len(both - given)
+    lonely = dataclasses.replace(scene, train=scene.train[:1], lit=[])  # no stereo: the data set's alone
+    assert len(Trainer(lonely, short("default")).method.gaussians) == len(positions)
 
 
 def test_stereo_sees_only_what_training_may(tiny_data, tmp_path):
