@@ -247,13 +247,26 @@ class PhysHDR(SplattingMethod):
                 exposed = exposed if is_standard(drawn.levels) else relit
             ldr, supervised, glo = self._fuse(exposed, relit, drawn.context)
             return Picture(exposed, relit, ldr, supervised, glo)
+        return self._develop_one_branch(drawn, [exposure])[0]
+
+    def _develop_one_branch(self, drawn: DrawnLight, exposures: Sequence[float]) -> list[Picture]:
+        """What each of ``exposures`` records where one branch is drawn: tone-mapped in one go."""
         image = drawn.image_exposure if drawn.illumination is None else drawn.illumination
         assert image is not None
-        scales = drawn.illumination is None or not by_exposure
-        exposed = image * exposure if scales else image
-        glo, loc = self.tone_mapper.tone_map(exposed, drawn.context)
-        ldr = glo if loc is None else loc
-        return Picture(exposed, None, ldr, [ldr], glo)
+        scales = drawn.illumination is None or self.config.lighting_level == "view"
+        exposed = torch.stack([image * exposure if scales else image for exposure in exposures], dim=1)
+        globals_, locals_ = self.tone_mapper.tone_map(exposed, drawn.context)
+        shown = globals_ if locals_ is None else locals_
+        return [
+            Picture(radiance, None, ldr, [ldr], glo)
+            for radiance, ldr, glo in zip(exposed.unbind(1), shown.unbind(1), globals_.unbind(1), strict=True)
+        ]
+
+    def develop_bracket(self, drawn: DrawnLight, exposures: Sequence[float]) -> list[Picture]:
+        """``develop`` for each of ``exposures`` (seconds) of a bracket."""
+        if self.config.branches == "both":
+            return [self.develop(drawn, exposure) for exposure in exposures]
+        return self._develop_one_branch(drawn, exposures)
 
     def _fuse(
         self, exposed: torch.Tensor, relit: torch.Tensor, context: torch.Tensor | None
@@ -285,8 +298,10 @@ class PhysHDR(SplattingMethod):
             )
         drawn = self.draw(shot.camera, shot.levels, shot.exposures[0], watch=True)
         each = [
-            self.losses(self.develop(drawn, exposure), picture)
-            for exposure, picture in zip(shot.exposures, shot.pictures, strict=True)
+            self.losses(rendering, picture)
+            for rendering, picture in zip(
+                self.develop_bracket(drawn, shot.exposures), shot.pictures, strict=True
+            )
         ]
         return Outcome(mean_terms(each) | self.backbone_terms(drawn.splats), drawn)
 
@@ -362,7 +377,7 @@ class PhysHDR(SplattingMethod):
         if not self._exposure_only_scales or not (self.can_relight or is_standard(levels)):
             return super().ldr_bracket(camera, exposures, lighting_level)
         drawn = self.draw(camera, levels)
-        return [self.develop(drawn, exposure).ldr for exposure in exposures]
+        return [rendering.ldr for rendering in self.develop_bracket(drawn, exposures)]
 
 
 def kernels_needed(config: PhysHDRConfig) -> Needs:
