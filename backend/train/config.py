@@ -25,7 +25,7 @@ CONFIG_FILE = "config.json"
 class TrainConfig:
     """Everything that decides a run's result. Defaults are the preset ``default``."""
 
-    iterations: int = 3000
+    iterations: int = 2500
     seed: int = 0
     #: exp3: every iteration draws one of the training exposures; exp1: one is drawn for each view and kept.
     exposure_mode: Literal["exp3", "exp1"] = "exp3"

@@ -53,7 +53,7 @@ def paper(iterations: int = 30_000) -> TrainConfig:
     )
 
 
-def baseline(iterations: int = 3000) -> TrainConfig:
+def baseline(iterations: int = 2500) -> TrainConfig:
     """The yardstick: the image-exposure branch alone under one global tone mapper."""
     return TrainConfig(
         iterations=iterations,
@@ -112,7 +112,7 @@ def hdr_nerf_small(iterations: int = 2500) -> TrainConfig:
     return TrainConfig(iterations=iterations, supervision="one", half_size_until=0.0, method=method)
 
 
-def short(published: TrainConfig, iterations: int = 3000, networks_times: float = 10.0) -> TrainConfig:
+def short(published: TrainConfig, iterations: int = 2500, networks_times: float = 10.0) -> TrainConfig:
     """A published method on the backbone's settings and the schedule of ``default``."""
     ours = TrainConfig()
     return dataclasses.replace(
@@ -125,7 +125,7 @@ def short(published: TrainConfig, iterations: int = 3000, networks_times: float 
     )
 
 
-def fast(iterations: int = 1500) -> TrainConfig:
+def fast(iterations: int = 1250) -> TrainConfig:
     """``default`` for the impatient: half of its iterations, more of them at half resolution."""
     return TrainConfig(iterations=iterations, half_size_until=0.2)
 
