@@ -12,9 +12,13 @@ from .paths import PACKAGE, user_folder
 
 PRESETS = [
     ("default", "Default", "PhysHDR with the physical product: best pictures, relights"),
-    ("fast", "Fast", "The default with half the iterations and simpler appearance"),
+    ("fast", "Fast", "The default with half of its iterations, more of them at half resolution"),
     ("paper", "Paper", "PhysHDR-GS as the paper states it: both branches, learned networks; slow"),
     ("baseline", "Baseline", "Plain 3DGS with a learned response: no relighting"),
+    # After those that were first: a .blend keeps the place in this list.
+    ("default-scaffold", "Default on Anchors", "The default on Scaffold-GS's anchors: twice the time"),
+    ("gausshdr-short", "GaussHDR", "GaussHDR on the default's schedule: no relighting"),
+    ("hdr-gs-short", "HDR-GS", "HDR-GS on the default's schedule: no relighting, no absolute scale"),
 ]
 EXPOSURE_MODES = [
     ("exp3", "All exposures (exp3)", "Every view is trained at each of its training exposures"),

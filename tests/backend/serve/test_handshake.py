@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Who is let in, and what happens to those who do not keep to the protocol: nobody brings it down."""
 
+import ast
 import json
 import socket
 import time
+from pathlib import Path
 
 import pytest
 from websockets.client import ClientProtocol
@@ -29,6 +31,7 @@ from physhdr.bridge.messages import (
     encode,
 )
 
+ROOT = Path(__file__).parents[3]
 HELLO = encode(Envelope("request", 1, Hello(protocol=PROTOCOL_VERSION, client="raw")))
 
 
@@ -147,6 +150,14 @@ def test_values_out_of_range_are_refused_with_a_reason(backend, enter, refusal, 
     assert refusal(peer, TrainStart(**{**good, "data": "/no/such/folder"})).code == "file_missing"
     assert refusal(peer, RunOpen(run=str(tmp_path))).code == "file_missing"
     assert peer.ask(StatusGet()).state == "idle"
+
+
+def test_the_panel_offers_presets_that_there_are():
+    tree = ast.parse((ROOT / "addon/settings.py").read_text())
+    assignments = [node for node in tree.body if isinstance(node, ast.Assign)]
+    items = next(node.value for node in assignments if node.targets[0].id == "PRESETS")
+    offered = [item[0] for item in ast.literal_eval(items)]
+    assert set(offered) < set(PRESET_NAMES) and offered[:4] == ["default", "fast", "paper", "baseline"]
 
 
 def test_the_welcome_says_what_is_there(backend, enter):

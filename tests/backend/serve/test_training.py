@@ -192,26 +192,33 @@ def test_a_checkpoint_is_written_as_time_passes(tiny_data, tmp_path, monkeypatch
 
 @pytest.fixture(scope="module")
 def runs(whole_run, tiny_data, tmp_path_factory):
-    """A trained run of each kind of preset: one picture for both tones, and one with local curves."""
-    paper = tmp_path_factory.mktemp("paper")
-    short = ["--iterations", "12", "--method.tone-mapper.warm-start-steps", "0"]
-    assert main(["train", str(tiny_data), "--out", str(paper), "--preset", "paper", *short]) == 0
-    return {"default": whole_run, "paper": paper}
+    """A trained run of each kind: one picture for both tones, one with local curves, other methods."""
+    folders = {"default": whole_run}
+    for preset in ("paper", "default-scaffold", "gausshdr-short", "hdr-gs-short"):
+        folders[preset] = tmp_path_factory.mktemp(preset)
+        command = ["train", str(tiny_data), "--out", str(folders[preset]), "--preset", preset]
+        if hasattr(PRESETS[preset].method, "tone_mapper"):
+            command += ["--method.tone-mapper.warm-start-steps", "0"]
+        assert main([*command, "--iterations", "12"]) == 0
+    return folders
 
 
 def srgb_to_linear(codes):
     return np.where(codes <= 0.04045, codes / 12.92, ((codes + 0.055) / 1.055) ** 2.4)
 
 
-@pytest.mark.parametrize("preset", ["default", "paper"])
-def test_previews_are_the_methods_pictures(backend, enter, runs, preset):
+@pytest.mark.parametrize("preset", ["default", "paper", "default-scaffold", "gausshdr-short", "hdr-gs-short"])
+def test_previews_are_the_methods_pictures(backend, enter, runs, tmp_path, preset):
     peer = enter(backend)
     peer.ask(ControlTake())
     assert peer.ask(RunOpen(run=str(runs[preset]))) == Done()
-    assert peer.status.state == "open" and peer.status.has_model and peer.status.can_relight
+    method = open_run(runs[preset]).method
+    assert peer.status.state == "open" and peer.status.has_model
+    assert (
+        peer.status.can_relight == method.can_relight == (preset in ("default", "paper", "default-scaffold"))
+    )
     assert peer.status.lights == ("ambient",)
     assert peer.status.preset == preset and peer.status.gaussians > 0
-    method = open_run(runs[preset]).method
     asked = camera()
     ours = camera_of(asked)
     for sequence, (level, ev) in enumerate([(1.0, 0.0), (2.5, 3.0), (0.0, -1.5)], start=1):
@@ -232,6 +239,8 @@ def test_previews_are_the_methods_pictures(backend, enter, runs, preset):
         np.testing.assert_allclose(learned.rgba[opaque, :3], expected[opaque], atol=4e-3)
         assert not learned.rgba[alpha == 0].any() and learned.rgba.min() >= 0.0
         np.testing.assert_array_equal(learned.depth, frame.depth)
+    exported = peer.ask(ModelExport(path=str(tmp_path / "model.safetensors")))
+    assert read_model(tmp_path / "model.safetensors").count == exported.gaussians > 0
 
 
 def test_previews_by_several_lights(backend, enter, two_lights_data, tmp_path):
