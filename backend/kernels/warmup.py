@@ -19,6 +19,7 @@ from . import curve_mlp, evaluate_sh, gaussian_blur, local_curves, small_mlp, ss
 from .mlp import Activation
 from .pointwise import blend, corrected, log_of_exposure
 from .ssim import _ssim_rows
+from .stereo import matching_costs, semi_global
 
 #: Channels that the methods draw: radiance; with its ambient part, context or depth; all of them.
 CHANNELS = (3, 4, 6, 7, 10)
@@ -68,6 +69,7 @@ def _jobs(needs: Needs) -> dict[str, Callable[[], None]]:
     """By name; the longest first, so that they are not last."""
     jobs: dict[str, Callable[[], None]] = {"rasteriser": partial(_rasterise, needs.channels)}
     jobs["response curves"] = partial(_curves, needs.activation)
+    jobs["stereo"] = _stereo
     jobs["SSIM"] = _ssim
     for inputs, outputs in needs.networks:
         jobs[f"network {inputs} → {outputs}"] = partial(_network, inputs, outputs)
@@ -97,6 +99,11 @@ def _rasterise(channels: Iterable[int]) -> None:
 
 def _ssim() -> None:
     ssim(torch.rand(3, 16, 16, requires_grad=True), torch.rand(3, 16, 16)).backward()
+
+
+def _stereo() -> None:
+    picture, place = np.zeros((8, 8), np.float32), np.zeros((1, 3, 64), np.float32)
+    semi_global(matching_costs(picture, [picture], place, np.ones((1, 3), np.float32), np.ones(8)))
 
 
 def _blur() -> None:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from physhdr.backend.scene.camera import Camera
+from physhdr.backend.simd import set_threads, thread_count
 from physhdr.backend.train.stereo import stereo_points, stereo_view
 
 SIZE, ANGLE = 72, 0.9
@@ -101,6 +102,17 @@ def test_units_do_not_matter(room_cameras, room_points):
     points = stereo_points(large) / 1000.0
     assert abs(len(points) / len(room_points) - 1.0) < 0.02
     assert (parallax_error(points) < 0.5).mean() > 0.9
+
+
+def test_points_do_not_depend_on_the_number_of_threads(room_cameras, room_points):
+    offsets = np.random.default_rng(1).uniform(-0.5, 0.5, len(room_cameras))
+    views, before = list(views_of(room, room_cameras, offsets)), thread_count()
+    try:
+        for threads in (1, 4):
+            set_threads(threads)
+            assert np.array_equal(stereo_points(views), room_points)
+    finally:
+        set_threads(before)
 
 
 def test_cameras_around_an_object():
