@@ -41,7 +41,8 @@ class TrainConfig:
     #: any, else stereo's.
     initial_points: Source = "both"
     random_points: int = 20_000
-    initial_opacity: float = 0.1
+    #: 3DGS: 0.1. Points of surfaces are opaque; less leaves time for what lies before them to hide them.
+    initial_opacity: float = 0.3
     #: Initial size of a Gaussian over the distance to its neighbours (3DGS: 1).
     initial_scale: float = 1.0
     #: Of a data set with one light; of several each starts with as much as what no light turns.

@@ -21,12 +21,15 @@ from .losses import LossConfig
 from .optimisers import STOCK_3DGS, OptimiserConfig
 
 
+def as_published(config: TrainConfig) -> TrainConfig:
+    """Without what ``default`` alone does about its start and the pictures of an iteration."""
+    return dataclasses.replace(config, supervision="one", initial_points="auto", initial_opacity=0.1)
+
+
 def paper(iterations: int = 30_000) -> TrainConfig:
     """The paper's Algorithm 1 with the open points filled as in docs/method.md; l = t."""
-    return TrainConfig(
+    config = TrainConfig(
         iterations=iterations,
-        supervision="one",
-        initial_points="auto",
         half_size_until=0.0,
         sh_degree_every=1000,
         method=PhysHDRConfig(
@@ -51,14 +54,13 @@ def paper(iterations: int = 30_000) -> TrainConfig:
             start=500, stop=0.5, scaling_strength=1.0, reset_every=3000, budget=0, threshold=2e-4
         ),
     )
+    return as_published(config)
 
 
 def baseline(iterations: int = 2500) -> TrainConfig:
     """The yardstick: the image-exposure branch alone under one global tone mapper."""
-    return TrainConfig(
+    config = TrainConfig(
         iterations=iterations,
-        supervision="one",
-        initial_points="auto",
         method=PhysHDRConfig(
             branches="image-exposure",
             lighting_level="exposure",
@@ -68,6 +70,7 @@ def baseline(iterations: int = 2500) -> TrainConfig:
         ),
         optimiser=OptimiserConfig(networks_times=10.0),
     )
+    return as_published(config)
 
 
 #: 3DGS's own densification, without a budget.
@@ -79,21 +82,20 @@ def on_3dgs(method: GaussHDRConfig | HDRGSConfig, iterations: int = 30_000) -> T
 
     GaussHDR on 3DGS is in its paper, but its code is not published.
     """
-    return TrainConfig(
+    config = TrainConfig(
         iterations=iterations,
-        supervision="one",
-        initial_points="auto",
         half_size_until=0.0,
         sh_degree_every=1000,
         method=method,
         optimiser=STOCK_3DGS,
         densify=STOCK_DENSIFY,
     )
+    return as_published(config)
 
 
 def hdr_nerf(iterations: int = 200_000) -> TrainConfig:
     """HDR-NeRF as published for rendered data: 16 CPU seconds an iteration, which calls for a card."""
-    return TrainConfig(iterations=iterations, supervision="one", half_size_until=0.0, method=HDRNeRFConfig())
+    return as_published(TrainConfig(iterations=iterations, half_size_until=0.0, method=HDRNeRFConfig()))
 
 
 def hdr_nerf_small(iterations: int = 2500) -> TrainConfig:
@@ -109,7 +111,7 @@ def hdr_nerf_small(iterations: int = 2500) -> TrainConfig:
         learning_rate=5e-3,
         final_rate_share=0.1,
     )
-    return TrainConfig(iterations=iterations, supervision="one", half_size_until=0.0, method=method)
+    return as_published(TrainConfig(iterations=iterations, half_size_until=0.0, method=method))
 
 
 def short(published: TrainConfig, iterations: int = 2500, networks_times: float = 10.0) -> TrainConfig:
