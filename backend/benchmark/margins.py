@@ -17,7 +17,7 @@ PAPER_MARGINS = {"LDR-OE.psnr": 0.39, "LDR-NE.psnr": 0.45, "HDR.psnr": 0.13}
 class Margin:
     """Paired differences, one for each (scene, seed) that both methods have.
 
-    ``spread``: their standard deviation over the seeds of a scene, pooled over the scenes (scenes differ, which
+    ``spread``: their standard deviation over the seeds of a scene, pooled over the scenes (that scenes differ
     is no noise); None where no scene has two seeds.
     """
 

@@ -221,8 +221,8 @@ def _what_margins_are(leaders: Sequence[str]) -> str:
     return (
         f"PSNR of {' and of '.join(f'`{name}`' for name in leaders)} minus that of each other method, in dB: "
         "the mean of the differences of runs on the same scene with the same seed ± their standard deviation "
-        "over the seeds (within the scenes, pooled), and the least of them. *Ahead*: whether the mean is above "
-        "0 by more than that standard deviation."
+        "over the seeds (within the scenes, pooled), and the least of them. *Ahead*: whether the mean is "
+        "above 0 by more than that standard deviation."
     )
 
 
@@ -234,7 +234,7 @@ def _margins_of(leader: str, schedule: Schedule, entries: list[Entry]) -> str:
     headings = [f"{leader} over", "pairs"]
     for key in PAPER_MARGINS:
         headings += [column(key).heading.removesuffix(" PSNR"), "least", "ahead"]
-    rows, short = [], []
+    rows, short, undecided = [], [], False
     for other in schedule.store.plan.methods:
         if other.name in _leaders(schedule):
             continue
@@ -243,12 +243,18 @@ def _margins_of(leader: str, schedule: Schedule, entries: list[Entry]) -> str:
         cells = [other.name, str(pairs)]
         for key, each in found.items():
             cells += _margin_cells(each)
-            if each is None or not each.is_ahead or each.mean <= PAPER_MARGINS[key]:
+            if each is None or each.is_ahead is False or each.mean <= PAPER_MARGINS[key]:
                 part = key.partition(".")[0]
                 short.append(f"{other.name} on {part} ({_signed(each.mean) if each else 'not measured'})")
+            elif each.is_ahead is None:
+                undecided = True
         rows.append(cells)
     wanted = ", ".join(f"{_signed(value)}" for value in PAPER_MARGINS.values())
     said = f"no: {', '.join(short)}" if short else "yes"
+    if undecided:
+        said += (
+            "; the spread of one seed is not known" if short else ", but the spread of one seed is not known"
+        )
     verdict = (
         f"`{leader}` is ahead of every method above on LDR-OE, LDR-NE and HDR by more than the spread and by "
         f"more than the paper's margins over GaussHDR ({wanted} dB): **{said}**."

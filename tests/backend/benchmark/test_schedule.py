@@ -229,6 +229,25 @@ def test_without_a_completed_run_a_pilot_comes_first_and_does_not_count(bench):
     assert not list(folder.glob("trial_*")) and (folder / "evaluation.json").exists()
 
 
+@pytest.mark.parametrize("lead", [1.0, 0.2])
+def test_one_seed_decides_no_lead_but_refutes_one(bench, lead):
+    """The verdict: margins that are too small are named, what only more seeds could tell is said."""
+    bench.content |= {"methods": ["quick", "other"], "seeds": [0]}
+    schedule = bench.run(jobs=2)
+    for run in schedule.runs:
+        path = bench.root / "out" / run.folder / "evaluation.json"
+        content = json.loads(path.read_text())
+        for part in ("LDR-OE", "LDR-NE", "HDR"):
+            content["means"][part]["psnr"] = 35.0 + (lead if run.method.name == "quick" else 0.0)
+        path.write_text(json.dumps(content))
+    text = write_report(schedule, bench.root / "report.md", "physhdr benchmark")[0].read_text()
+    verdict = next(line for line in text.splitlines() if line.startswith("`quick` is ahead"))
+    if lead > 0.5:
+        assert "**yes, but the spread of one seed is not known**" in verdict
+    else:  # more than the paper's margin in HDR alone
+        assert "**no: other on LDR-OE (+0.20), other on LDR-NE (+0.20); the spread" in verdict
+
+
 def test_the_report_tells_margins_and_gains_as_numpy_computes_them(bench):
     bench.content |= {
         "methods": ["quick", "other", "longest_name"],
