@@ -19,7 +19,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[2]
 
 #: Packages that the trainer imports and this check can do without.
-DISPENSABLE = ("OpenEXR", "PIL", "plyfile", "safetensors", "scipy", "numba")
+DISPENSABLE = ("OpenEXR", "PIL", "plyfile", "safetensors", "scipy", "numba", "llvmlite")
 
 
 class Absent(types.ModuleType):
