@@ -272,25 +272,41 @@ def _margin_cells(each: Margin | None) -> list[str]:
 
 def _ladder_section(ladder: Ladder) -> Callable[[Schedule, list[Entry]], str]:
     def section(_: Schedule, entries: list[Entry]) -> str:
-        headings = ["step", "pairs"]
-        for key in PAPER_MARGINS:
-            headings += [column(key).heading, "gain", "least", "more than the spread"]
-        rows = []
-        for i, step in enumerate(ladder.steps):
-            cells, pairs = [], 0
-            runs = [entry for entry in entries if entry.method == step]
-            table = comparison_table(runs, metrics=list(PAPER_MARGINS), keep_empty=True) if runs else None
-            for k, key in enumerate(PAPER_MARGINS):
-                mean = next(r for r in table.rows if not r.published).cells[k].mean if table else None
-                gain = margin(entries, step, ladder.steps[i - 1], key) if i else None
-                pairs = max(pairs, gain.pairs if gain else 0)
-                cells += [NONE if mean is None else f"{mean:.2f}", *_margin_cells(gain)]
-            rows.append([step, str(pairs) if i else NONE, *cells])
-        return _table(headings, rows) + (
-            "\n\nEach step adds to the one before. Gains: as the margins above, over the step before."
-        )
+        scenes = list(dict.fromkeys(entry.scene for entry in entries))
+        parts = []
+        if len(scenes) > 1:  # a step may gain on one kind of data and lose on another
+            for scene in scenes:
+                parts += [f"**{scene}**", _steps(ladder, [each for each in entries if each.scene == scene])]
+            parts.append("**all scenes**")
+        parts += [_steps(ladder, entries), "Gains: as the margins above, over the step before."]
+        return "\n\n".join(parts)
 
     return section
+
+
+def _steps(ladder: Ladder, entries: list[Entry]) -> str:
+    headings = ["step", "pairs"]
+    for key in PAPER_MARGINS:
+        headings += [column(key).heading, "gain", "least", "more than the spread"]
+    size = column("cost.gaussians")
+    rows = []
+    for i, step in enumerate(ladder.steps):
+        cells, pairs = [], 0
+        runs = [entry for entry in entries if entry.method == step]
+        for key in PAPER_MARGINS:
+            gain = margin(entries, step, ladder.steps[i - 1], key) if i else None
+            pairs = max(pairs, gain.pairs if gain else 0)
+            cells += [_mean_cell(runs, key), *_margin_cells(gain)]
+        rows.append([step, str(pairs) if i else NONE, *cells, _mean_cell(runs, size.key)])
+    return _table([*headings, size.heading], rows)
+
+
+def _mean_cell(runs: list[Entry], key: str) -> str:
+    if not runs:
+        return NONE
+    table = comparison_table(runs, metrics=[key], keep_empty=True)
+    mean = next(row for row in table.rows if not row.published).cells[0].mean
+    return NONE if mean is None else column(key).text(mean)
 
 
 # ---- what is not there -------------------------------------------------------------------------------------

@@ -1,13 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A plan from a file, from flags and back; what is refused, each with one clear message."""
 
+import itertools
+import shutil
+import tomllib
 from pathlib import Path
 
 import pytest
 
 from physhdr.backend.benchmark.plan import Method, make_plan, option_words, read_plan, write_plan
+from physhdr.backend.cli.benchmark import configuration
 from physhdr.bridge.errors import PhysHDRError
 
+ROOT = Path(__file__).parents[3]
 PLAN = """
 methods = ["default", 'bold := default --densify.threshold 4e-4 --method.no-light "a b"']
 scenes = ["rooms/bath", "night=rooms/bath"]
@@ -71,6 +76,18 @@ def test_what_cannot_be_run_is_refused(file, old, new, said):
     file.write_text(text.replace(old, new, 1))
     with pytest.raises(PhysHDRError, match=said):
         make_plan(read_plan(file), Path.cwd())
+
+
+@pytest.mark.parametrize("name", ["methods.toml", "ladder.toml"])
+def test_the_plans_of_make_report_can_be_run(name, tmp_path):
+    (tmp_path / "benchmarks").mkdir()
+    file = Path(shutil.copy(ROOT / "benchmarks" / name, tmp_path / "benchmarks"))
+    for scene in tomllib.loads(file.read_text())["scenes"]:
+        (file.parent / scene).mkdir(parents=True)  # the data sets are made by make report
+    plan = make_plan(read_plan(file), Path.cwd())
+    configs = {method.name: configuration(plan, method.name) for method in plan.methods}
+    alike = [(a, b) for a, b in itertools.combinations(configs, 2) if configs[a] == configs[b]]
+    assert not alike  # every option of a variant changes something
 
 
 def test_a_method_is_a_preset_under_its_own_name():

@@ -288,6 +288,9 @@ def test_the_report_tells_margins_and_gains_as_numpy_computes_them(bench):
         line for line in text.splitlines() if line.startswith("| other | 6 |") and line.count("|") > 12
     )
     assert f"{gain.mean():+.2f} ± {spread(gain):.2f} | {gain.min():+.2f}" in step
+    by_scene = [line for line in text.splitlines() if line.startswith("| other | 3 |")]
+    for line, d in zip(by_scene, np.split(gain, 2), strict=True):  # a table for each scene
+        assert f"{d.mean():+.2f} ± {d.std(ddof=1):.2f} | {d.min():+.2f}" in line
     of_seed = [np.mean([values["other", s, k][2] for s in ("day", "night")]) for k in (0, 1, 2)]
     main = next(line for line in text.splitlines() if line.startswith("| other | "))
     assert f"{np.mean(of_seed):.2f}" in main and f"± {np.std(of_seed, ddof=1):.2f}" in main
