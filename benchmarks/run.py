@@ -34,6 +34,7 @@ from shares import shares
 
 from physhdr.backend.kernels.warmup import warmup
 from physhdr.backend.rasterize import cpu
+from physhdr.backend.train.presets import needed_by_presets
 
 #: Columns of the table where nobody says how wide the paper is.
 WIDTH = 80
@@ -181,7 +182,10 @@ def main() -> None:
         console = Console(width=WIDTH)
     with console.status("compiling …") as status:
         start = time.perf_counter()
-        warmup(lambda what, done, total: status.update(f"compiling {done}/{total}: {what}"))
+        warmup(
+            needed_by_presets(),
+            lambda what, done, total: status.update(f"compiling {done}/{total}: {what}"),
+        )
         ready = time.perf_counter() - start
     words = machine(options.threads)
     console.print(f"{words}; kernels ready after {ready:.1f} s\n")

@@ -23,7 +23,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import torch
-from synthetic import steady_trainer
+from synthetic import SIZE, steady_trainer
 
 from physhdr.backend import kernels
 from physhdr.backend.methods.physhdr import PhysHDR
@@ -103,8 +103,7 @@ def stopwatch() -> Iterator[Stopwatch]:
     watch = Stopwatch()
     try:
         watch.put_around(Trainer, "step", OTHER, "forward")
-        watch.put_around(PhysHDR, "render", REST, "forward")
-        watch.put_around(PhysHDR, "losses", REST, "forward")
+        watch.put_around(PhysHDR, "training_outcome", REST, "forward")
         watch.put_around(torch.Tensor, "backward", REST, "backward")
         watch.put_around(densify, "observe", "densification's statistics", "forward")
         watch.put_around(Optimiser, "step", "optimiser", "forward")
@@ -122,9 +121,9 @@ def stopwatch() -> Iterator[Stopwatch]:
         watch.take_off()
 
 
-def shares(preset: str, count: int, steps: int = 15) -> dict[str, dict[str, float]]:
+def shares(preset: str, count: int, steps: int = 15, size: int = SIZE) -> dict[str, dict[str, float]]:
     """Median milliseconds of each part of an iteration, by direction, the costliest part first."""
-    trainer = steady_trainer(preset, count)
+    trainer = steady_trainer(preset, count, size)
     samples: dict[tuple[str, str], list[float]] = defaultdict(list)
     with stopwatch() as watch:
         for _ in range(3):

@@ -81,8 +81,20 @@ def set_up_blender() -> int:
     return 0
 
 
+#: Run by Blender's Python: the packages of pyproject.toml's extra but bpy, which it is, into the folder SITE.
+INSTALL = """
+import numpy, subprocess, sys, tomllib
+with open({project!r}, "rb") as file:
+    wanted = tomllib.load(file)["project"]["optional-dependencies"]["blender"]
+wanted = [each for each in wanted if not each.startswith("bpy")]
+wanted.append("numpy==" + numpy.__version__)  # some of them bring it; Blender's own parts know this one
+pip = [sys.executable, "-m", "pip", "install", "--quiet", "--upgrade", "--target", {site!r}]
+sys.exit(subprocess.call([*pip, *wanted]))
+"""
+
+
 def set_up_blender_binary() -> int:
-    """No Python 3.13: use the ``blender`` on PATH, with pytest in a folder of its own."""
+    """No Python 3.13: use the ``blender`` on PATH, with what our side of it needs in a folder of its own."""
     blender = shutil.which("blender")
     version = blender_version(blender) if blender else None
     if version is None or version < BLENDER_MINIMUM:
@@ -95,13 +107,13 @@ def set_up_blender_binary() -> int:
     stamp = VENVS / "blender-site.stamp"
     if stamp.exists() and stamp.read_text() == fingerprint(blender):
         return 0
-    expression = (
-        "import subprocess, sys; sys.exit(subprocess.call([sys.executable, '-m', 'pip', 'install', "
-        f"'--quiet', '--upgrade', '--target', {str(site)!r}, 'pytest>=8']))"
-    )
+    expression = INSTALL.format(project=str(ROOT / "pyproject.toml"), site=str(site))
     run([blender, "-b", "--python-expr", "import ensurepip; ensurepip.bootstrap()"])
     if run([blender, "-b", "--python-exit-code", "1", "--python-expr", expression]).returncode:
-        return fail("pytest could not be installed for Blender's Python", "Check the network, try again.")
+        return fail(
+            "the packages that pyproject.toml wants could not be installed for Blender's Python",
+            "Check the network and the disk, then try again.",
+        )
     write_launcher(
         f'export PYTHONPATH="{site}"\nscript="$1"; shift\n'
         f'exec "{blender}" -b --factory-startup --python-use-system-env --python-exit-code 1 '
@@ -146,8 +158,9 @@ def make_environment(name: str, python: str, requirement: str) -> int:
 
 
 def fingerprint(interpreter: str) -> str:
-    """Changes when the project's requirements or the interpreter do."""
-    return hashlib.sha256((ROOT / "pyproject.toml").read_bytes() + interpreter.encode()).hexdigest()
+    """Changes when the project's requirements, how they are installed, or the interpreter do."""
+    content = (ROOT / "pyproject.toml").read_bytes() + Path(__file__).read_bytes()
+    return hashlib.sha256(content + interpreter.encode()).hexdigest()
 
 
 def find_python(versions: tuple[str, ...]) -> str | None:

@@ -13,7 +13,7 @@ from ..kernels.warmup import warmup
 from ..methods.base import SplattingMethod
 from ..scene import Camera, Points, Scene, View
 from ..scene.scene import PictureCache
-from ..train.presets import PRESETS
+from ..train.presets import PRESETS, needed_by_presets
 from ..train.trainer import Trainer
 from .check import CheckFailedError
 
@@ -40,8 +40,8 @@ def device(report: Callable[[str], None]) -> tuple[str, str]:
 
 
 def compile_kernels(report: Callable[[str, int, int], None]) -> None:
-    """All of them: every preset then starts at once."""
-    warmup(report)
+    """Those of all presets: each then starts at once."""
+    warmup(needed_by_presets(), report)
 
 
 def made_up_scene() -> Scene:

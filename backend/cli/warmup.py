@@ -7,22 +7,23 @@ from dataclasses import dataclass
 from rich.progress import Progress
 
 from ..kernels.warmup import Needs, warmup
+from ..train.presets import needed_by_presets
 from .progress import console
 
 #: Shorter than this nothing was compiled, and nothing is said.
 COMPILED_SECONDS = 5.0
 
 
-def compile_kernels(needs: Needs | None = None) -> float:
-    """Compile what is not in the cache (all, or what ``needs`` says), with a bar; returns the seconds."""
+def compile_kernels(needs: Needs) -> float:
+    """Compile what is needed and not in the cache, with a bar; returns the seconds."""
     begun = time.perf_counter()
     with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("compiling kernels", total=None)
         warmup(
+            needs,
             lambda what, done, total: bar.update(
                 task, completed=done, total=total, description=f"compiled {what}"
             ),
-            needs,
         )
     seconds = time.perf_counter() - begun
     if seconds > COMPILED_SECONDS:
@@ -32,8 +33,8 @@ def compile_kernels(needs: Needs | None = None) -> float:
 
 @dataclass(frozen=True)
 class Warmup:
-    """Compile every CPU kernel now; the first training then starts at once."""
+    """Compile the CPU kernels of every preset now; the first training then starts at once."""
 
     def run(self) -> int:
-        console.print(f"kernels ready after {compile_kernels():.1f} s")
+        console.print(f"kernels ready after {compile_kernels(needed_by_presets()):.1f} s")
         return 0

@@ -8,7 +8,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -21,36 +21,46 @@ from .pointwise import blend, corrected, log_of_exposure
 from .ssim import _ssim_rows
 from .stereo import matching_costs, semi_global
 
-#: Channels that the methods draw: radiance; with its ambient part, context or depth; all of them.
-CHANNELS = (3, 4, 6, 7, 10)
-
 #: (inputs, outputs) of the method's networks with one hidden layer: g, φ, f_mix.
 COMPOSER, MODULATOR, FUSION = (4, 3), (2, 1), (6, 3)
 
 #: The context of the local curves.
 CONTEXT = 4
 
+T = TypeVar("T")
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, kw_only=True)
 class Needs:
-    """What a training calls. The defaults are all that the presets have."""
+    """What a training calls beside what every one does; ``|`` is what two of them call."""
 
-    channels: tuple[int, ...] = CHANNELS
-    networks: tuple[tuple[int, int], ...] = (COMPOSER, MODULATOR, FUSION)
+    #: Numbers of channels that are drawn.
+    channels: tuple[int, ...] = ()
+    #: (inputs, outputs) of networks with one hidden layer.
+    networks: tuple[tuple[int, int], ...] = ()
     #: Of the global curves.
-    activation: Activation = "softplus"
+    activations: tuple[Activation, ...] = ()
     #: Branches that ask the local curves at once.
-    local_branches: tuple[int, ...] = (1, 2)
-    blur: bool = True
+    local_branches: tuple[int, ...] = ()
+    blur: bool = False
+
+    def __or__(self, other: "Needs") -> "Needs":
+        return Needs(
+            channels=_union(self.channels, other.channels),
+            networks=_union(self.networks, other.networks),
+            activations=_union(self.activations, other.activations),
+            local_branches=_union(self.local_branches, other.local_branches),
+            blur=self.blur or other.blur,
+        )
 
 
-def warmup(report: Callable[[str, int, int], None] | None = None, needs: Needs | None = None) -> None:
-    """Run everything once on a few numbers. ``report(what, done, total)`` is called when something is done.
+def warmup(needs: Needs, report: Callable[[str, int, int], None] | None = None) -> None:
+    """Run what is needed once on a few numbers. ``report(what, done, total)`` is called after each.
 
     About 25 s on two cores where nothing is cached, else a second. The compiler works on one core, so
     where nothing is cached several processes share the work and leave the results on disk.
     """
-    jobs = _jobs(needs or Needs())
+    jobs = _jobs(needs)
     if not _are_cached() and (os.cpu_count() or 1) > 1:
         context = multiprocessing.get_context("spawn")
         with ProcessPoolExecutor(min(os.cpu_count() or 1, len(jobs)), context) as pool:
@@ -68,7 +78,8 @@ def warmup(report: Callable[[str, int, int], None] | None = None, needs: Needs |
 def _jobs(needs: Needs) -> dict[str, Callable[[], None]]:
     """By name; the longest first, so that they are not last."""
     jobs: dict[str, Callable[[], None]] = {"rasteriser": partial(_rasterise, needs.channels)}
-    jobs["response curves"] = partial(_curves, needs.activation)
+    for activation in needs.activations:
+        jobs[f"response curves, {activation}"] = partial(_curves, activation)
     jobs["stereo"] = _stereo
     jobs["SSIM"] = _ssim
     for inputs, outputs in needs.networks:
@@ -80,6 +91,10 @@ def _jobs(needs: Needs) -> dict[str, Callable[[], None]]:
     if needs.blur:
         jobs["blur"] = _blur
     return jobs
+
+
+def _union(some: tuple[T, ...], others: tuple[T, ...]) -> tuple[T, ...]:
+    return tuple(dict.fromkeys((*some, *others)))
 
 
 def _are_cached() -> bool:

@@ -300,8 +300,6 @@ def kernels_needed(config: GaussHDRConfig) -> Needs:
     """The CPU kernels that training this method calls."""
     return Needs(
         channels=tuple(sorted({3, config.channels})),  # three: uncertainty, and the view that is shown
-        networks=(),
-        activation=config.tone_mapper.activation,
+        activations=(config.tone_mapper.activation,),
         local_branches=(1, 3),  # the curves of each channel; the uncertainty of all three
-        blur=False,
     )

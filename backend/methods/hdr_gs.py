@@ -218,10 +218,4 @@ def seen_view(shot: Shot) -> View:
 
 def kernels_needed(config: HDRGSConfig) -> Needs:
     """The CPU kernels that training this method calls."""
-    return Needs(
-        channels=(3,),
-        networks=(),
-        activation=config.tone_mapper.activation,
-        local_branches=(),
-        blur=False,
-    )
+    return Needs(channels=(3,), activations=(config.tone_mapper.activation,))

@@ -439,6 +439,6 @@ class _Kept(OrderedDict[tuple[Camera, float | None], torch.Tensor]):
             held -= self.popitem(last=False)[1].nbytes
 
 
-def kernels_needed(_: HDRNeRFConfig) -> Needs:
+def kernels_needed(config: HDRNeRFConfig) -> Needs:
     """The CPU kernels that training this method calls."""
-    return Needs(channels=(), networks=(), activation="relu", local_branches=(), blur=False)
+    return Needs(activations=(config.tone_mapper.activation,))

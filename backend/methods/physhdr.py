@@ -391,7 +391,7 @@ def kernels_needed(config: PhysHDRConfig) -> Needs:
     return Needs(
         channels=tuple(sorted({3, config.channels})),  # three: the view that is shown
         networks=tuple(shape for shape, is_wanted in wanted.items() if is_wanted),
-        activation=config.tone_mapper.activation,
+        activations=(config.tone_mapper.activation,),
         local_branches=local,
         blur=config.branches == "both" and config.loss.consistency_weight > 0,
     )

@@ -456,12 +456,11 @@ class Engine:
 
     def _compile(self, needs: Needs) -> None:
         """The kernels of a method and of its previews."""
-        channels = tuple(sorted({*needs.channels, PREVIEW_CHANNELS}))
         warmup(
+            needs | Needs(channels=(PREVIEW_CHANNELS,)),
             lambda what, done, total: self._progress_of_preparing(
                 f"compiling kernels {done}/{total}: {what}"
             ),
-            dataclasses.replace(needs, channels=channels),
         )
 
     def _progress_of_preparing(self, message: str) -> None:

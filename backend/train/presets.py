@@ -7,11 +7,15 @@ networks, so that a comparison at a few thousand iterations compares methods and
 """
 
 import dataclasses
+import functools
+import operator
 
+from ..kernels.warmup import Needs
 from ..methods.gausshdr import GaussHDRConfig
 from ..methods.hdr_gs import HDRGSConfig
 from ..methods.hdr_nerf import HDRNeRFConfig
 from ..methods.physhdr import PhysHDRConfig
+from ..methods.registry import kernels_needed
 from ..model.anchors import SHORT_TRAINING, AnchorGrowthConfig, AnchorsConfig
 from ..model.field import FieldConfig
 from ..model.tone_mapper import ToneMapperConfig
@@ -165,3 +169,12 @@ PRESETS: dict[str, TrainConfig] = {
     "hdr-gs-short": short(on_3dgs(HDRGSConfig(initial_radiance="merged")), networks_times=1.0),
     "hdr-nerf-small": hdr_nerf_small(),
 }
+
+#: Channels that are drawn by some setting or other: radiance; with its ambient part, context or depth; all.
+CHANNELS = (3, 4, 6, 7, 10)
+
+
+def needed_by_presets() -> Needs:
+    """The CPU kernels that the presets call, and drawing as many channels as any setting asks for."""
+    needs = (kernels_needed(config.method) for config in PRESETS.values())
+    return functools.reduce(operator.or_, needs, Needs(channels=CHANNELS))

@@ -1,0 +1,41 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What ``physhdr warmup`` compiles is all that the first steps of a training call, whichever the preset."""
+
+import json
+import subprocess
+import sys
+
+#: In a process of its own: in this one, other tests have compiled whatever they needed.
+FIRST_STEPS = """
+import dataclasses, json, sys
+import numba.core.registry
+from physhdr.backend.kernels.warmup import warmup
+from physhdr.backend.scene import read_scene
+from physhdr.backend.train.presets import PRESETS, needed_by_presets
+from physhdr.backend.train.trainer import Trainer
+
+def compiled():
+    modules = [m for name, m in list(sys.modules.items()) if name.startswith("physhdr.backend.")]
+    found = {}
+    for module in modules:
+        for value in vars(module).values():
+            if isinstance(value, numba.core.registry.CPUDispatcher):
+                found[f"{value.py_func.__module__}.{value.py_func.__name__}"] = len(value.signatures)
+    return found
+
+warmup(needed_by_presets())
+scene, more = read_scene(sys.argv[1]), {}
+for preset in sys.argv[2:]:
+    before = compiled()
+    Trainer(scene, dataclasses.replace(PRESETS[preset], iterations=1), "cpu").step()
+    more[preset] = [name for name, count in compiled().items() if count != before.get(name, 0)]
+print(json.dumps(more))
+"""
+
+
+def test_first_steps_compile_nothing(tiny_data):
+    presets = ["default", "paper-short", "gausshdr-short", "hdr-gs-short", "hdr-nerf-small"]
+    command = [sys.executable, "-c", FIRST_STEPS, str(tiny_data), *presets]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout.splitlines()[-1]) == {preset: [] for preset in presets}

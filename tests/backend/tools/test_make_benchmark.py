@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What ``make benchmark`` measures can be measured: its trainings, its plain alternative, its stopwatch."""
+
+import inspect
+from pathlib import Path
+
+import pytest
+import torch
+
+from physhdr.backend.methods.physhdr import PhysHDR
+from physhdr.backend.train.trainer import Trainer
+
+COUNT, SIZE = 300, 48
+
+
+@pytest.fixture(autouse=True)
+def benchmarks(monkeypatch):
+    monkeypatch.syspath_prepend(Path(__file__).parents[3] / "benchmarks")
+
+
+@pytest.mark.parametrize("preset", ["default", "paper"])
+def test_an_iteration_can_be_timed_beside_plain_torch(preset):
+    from iteration import plain_step
+    from synthetic import steady_trainer
+
+    trainer = steady_trainer(preset, COUNT, SIZE)
+    first = trainer.method.gaussians.means.detach().clone()
+    assert len(first) == COUNT
+    for step in (trainer.step, plain_step(trainer)):
+        step()
+    after = trainer.method.gaussians.means
+    assert len(after) == COUNT and torch.allclose(first, after, atol=1e-6)  # every step does the same work
+
+
+@pytest.mark.parametrize("preset", ["default", "paper"])
+def test_where_an_iteration_s_time_goes(preset):
+    from shares import REST, shares
+
+    watched = [(Trainer, "step"), (PhysHDR, "training_outcome"), (torch.Tensor, "backward")]
+    before = [inspect.getattr_static(owner, name) for owner, name in watched]
+    parts = shares(preset, COUNT, steps=1, size=SIZE)
+    assert before == [inspect.getattr_static(owner, name) for owner, name in watched]
+    for part in ("tiles", "projection and binning", "SSIM", REST):
+        assert parts[part]["forward"] > 0 and parts[part]["backward"] > 0, part
+    assert ("blur" in parts) == (preset == "paper")
+    assert parts["optimiser"]["forward"] > 0
+
+
+def test_memory_is_measured_of_a_real_training(monkeypatch):
+    import synthetic
+    import workers
+
+    def small(config, count, views):  # noqa: ARG001 (a tenth of the views, a thousandth of the Gaussians)
+        return whole(config, COUNT, 3, SIZE)
+
+    whole = synthetic.trainer
+    monkeypatch.setattr(synthetic, "trainer", small)
+    result = workers.memory("default", str(torch.get_num_threads()))
+    assert result["gaussians"] > COUNT  # it has grown
+    assert result["pictures_mb"] == pytest.approx(3 * 5 * SIZE * SIZE * 3 / 1e6)
+    assert result["peak_mb"] > 100
