@@ -22,8 +22,8 @@ demo: setup ## Scene → data → training → relit picture: runs/demo/result.p
 test: setup ## All tests, both sides of the house
 	@$(PYTHON) tools/run_tests.py
 
-benchmark: setup ## Speed of the kernels against their alternatives, in one run
-	@$(BACKEND) benchmarks/run.py
+benchmark: setup ## Speed of the kernels against their alternatives, in one run; WITH="--quick" and other options
+	@$(BACKEND) benchmarks/run.py $(WITH)
 
 report: setup ## Every method on three scenes, at equal iterations and CPU seconds: docs/benchmarks.md (hours)
 	@$(BACKEND) tools/benchmark_data.py

@@ -28,7 +28,8 @@ from quality_plot import plot
 from physhdr.backend.cli.warmup import compile_kernels
 from physhdr.backend.evaluate import truth
 from physhdr.backend.evaluate.metrics import hdr_pair, psnr, quantise
-from physhdr.backend.methods.physhdr import PhysHDR
+from physhdr.backend.methods.base import Method
+from physhdr.backend.methods.registry import kernels_needed
 from physhdr.backend.rasterize.cpu import set_threads, thread_count
 from physhdr.backend.scene import Scene, read_scene
 from physhdr.backend.train.config import TrainConfig
@@ -68,7 +69,8 @@ def main() -> int:
         config = dataclasses.replace(config, iterations=lengths.get(preset, config.iterations))
         curves[preset] = train_curve(scene, config, arguments.out / preset, arguments.measurements)
         last = curves[preset]["points"][-1]
-        say(f"{preset}: {last['seconds']:.0f} s, LDR-OE {last['LDR-OE']:.2f} dB, HDR {last['HDR']:.2f} dB")
+        measured = ", ".join(f"{name} {last[name]:.2f} dB" for name in ("LDR-OE", "HDR") if name in last)
+        say(f"{preset}: {last['seconds']:.0f} s, {measured}")
     result = {
         "data": str(arguments.data.resolve()),
         "threads": thread_count(),
@@ -99,7 +101,7 @@ def train_curve(scene: Scene, config: TrainConfig, folder: Path, measurements: i
 
     shares = (np.arange(1, measurements + 1) / measurements) ** 2
     due = {max(1, round(share * config.iterations)) for share in shares}
-    compile_kernels()  # before the clock starts
+    compile_kernels(kernels_needed(config.method))  # before the clock starts
     started = Clock()
     with started:
         trainer = Trainer(scene, config)
@@ -117,7 +119,7 @@ def train_curve(scene: Scene, config: TrainConfig, folder: Path, measurements: i
                     "iteration": trainer.iteration,
                     "seconds": clock.seconds,
                     "cpu_seconds": clock.cpu_seconds,
-                    "gaussians": len(trainer.method.gaussians),
+                    "gaussians": trainer.method.size,
                     **quality(trainer.method, scene, config.training_exposures),
                 }
             )
@@ -141,7 +143,7 @@ class Clock:
 
 
 @torch.no_grad()
-def quality(method: PhysHDR, scene: Scene, exposures: tuple[int, ...]) -> dict[str, float]:
+def quality(method: Method, scene: Scene, exposures: tuple[int, ...]) -> dict[str, float]:
     """Mean PSNR of the test views as ``physhdr evaluate`` has it: LDR-OE, and HDR where there is a truth."""
     found = {k: [] for k in exposures}
     hdr = []

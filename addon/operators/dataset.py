@@ -135,7 +135,7 @@ class PHYSHDR_OT_dataset_render(PhysHDROperator):
         description="Test views that are rendered at each level too, to measure relighting",
     )
     ambient_levels: bpy.props.StringProperty(
-        name="At Levels", default="0.25 0.5 2 4", description="Factors on the ambient light"
+        name="At Levels", default="0.125 0.5 2 8", description="Factors on the ambient light"
     )
     wait: bpy.props.BoolProperty(default=bpy.app.background, options={"HIDDEN", "SKIP_SAVE"})
 

@@ -29,8 +29,8 @@ def failure_of(error: BaseException, log: str = "") -> Failure:
         return Failure(
             code=OUT_OF_MEMORY,
             message="there is not enough memory",
-            hint="Close other programs, take smaller pictures or the preset 'fast'. A training was saved "
-            "where its state was whole: resume it when there is room.",
+            hint="Close other programs, or train on smaller pictures or with fewer Gaussians. A training "
+            "was saved where its state was whole: resume it when there is room.",
         )
     first = (str(error).strip().splitlines() or [""])[0]
     return Failure(

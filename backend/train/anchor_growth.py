@@ -216,7 +216,7 @@ class AnchorGrowth:
     ) -> None:
         if not isinstance(method.backbone, Anchors):
             raise BadValueError(
-                "only anchors can grow as Scaffold-GS's do", "Set --anchors in the configuration."
+                "only anchors can grow as Scaffold-GS's do", "Take a preset whose name has '-scaffold'."
             )
         self.anchors, self.optimiser = method.backbone, optimiser
         self.config = method.backbone.config.growth

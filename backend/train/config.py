@@ -27,10 +27,10 @@ class TrainConfig:
 
     iterations: int = 2500
     seed: int = 0
-    #: exp3: every iteration draws one of the training exposures; exp1: one is drawn for each view and kept.
+    #: exp3: a view is seen at all training exposures; exp1: at one of them, drawn for each view and kept.
     exposure_mode: Literal["exp3", "exp1"] = "exp3"
-    #: one: an iteration compares its view at one of its exposures; bracket: at all that training may see, of
-    #: one drawing (the radiance is the same, only its development differs).
+    #: one: an iteration compares its view at one of its exposures, drawn anew; bracket: at all that training
+    #: may see, of one drawing (the radiance is the same, only its development differs).
     supervision: Literal["one", "bracket"] = "bracket"
     #: Indices of the exposures that training may see (LDR-OE of the paper).
     training_exposures: tuple[int, ...] = (0, 2, 4)

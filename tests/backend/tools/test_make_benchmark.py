@@ -50,7 +50,7 @@ def test_memory_is_measured_of_a_real_training(monkeypatch):
     import synthetic
     import workers
 
-    def small(config, count, views):  # noqa: ARG001 (a tenth of the views, a thousandth of the Gaussians)
+    def small(config, count, views):
         return whole(config, COUNT, 3, SIZE)
 
     whole = synthetic.trainer
