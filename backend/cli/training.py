@@ -14,7 +14,9 @@ from ..methods.registry import kernels_needed
 from ..rasterize import Implementation
 from ..scene import Scene, read_scene
 from ..train.config import CONFIG_FILE, TrainConfig, read_config, write_config
+from ..train.presets import PRESETS
 from ..train.trainer import CHECKPOINT_FILE, Trainer
+from ..train.without_effect import changed_without_effect
 from .progress import EventLog
 from .run_folder import Run, writable_folder
 
@@ -62,6 +64,8 @@ def start_run(
     scene = read_scene(data, config.downscale)
     folder = writable_folder(out)
     trainer = workshop.trainer(scene, config)
+    if preset in PRESETS and (options := changed_without_effect(trainer, PRESETS[preset])):
+        workshop.report(f"this method, on its backbone, does not read {', '.join(options)}")
     EventLog.clear(folder)
     write_config(folder / CONFIG_FILE, config, data, preset)
     return trainer, Run(folder, preset, config, scene, trainer.method, 0)

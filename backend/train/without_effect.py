@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Settings that were changed and that this training does not read: better said than silently accepted."""
+
+import dataclasses
+from collections.abc import Iterator
+from typing import Any
+
+from ..methods.base import SplattingMethod
+from ..model.anchors import Anchors
+from .config import TrainConfig
+from .optimisers import OptimiserConfig
+from .trainer import Trainer
+
+#: Networks begin at random values, and a batch of rays is drawn from all pictures.
+OF_SPLATS = (
+    "densify",
+    "optimiser",
+    "random_points",
+    "initial_points",
+    "initial_opacity",
+    "initial_scale",
+    "initial_ambient_share",
+    "half_size_until",
+    "sh_degree_every",
+    "supervision",
+)
+#: Of anchors a network says how opaque a Gaussian is and which light it has; they grow by anchors.growth.
+OF_3DGS = ("densify", "initial_opacity", "initial_ambient_share")
+
+
+def changed_without_effect(trainer: Trainer, preset: TrainConfig) -> list[str]:
+    """Options as ``physhdr train`` names them, that are not the preset's and that ``trainer`` never reads."""
+    unread = _unread(trainer)
+    return [
+        f"--{name.replace('_', '-')}"
+        for name in _differences(trainer.config, preset)
+        if name in unread or name.partition(".")[0] in unread
+    ]
+
+
+def _unread(trainer: Trainer) -> set[str]:
+    method = trainer.method
+    if not isinstance(method, SplattingMethod):
+        return set(OF_SPLATS)
+    unread = set(OF_3DGS) if isinstance(method.backbone, Anchors) else set()
+    rates = {each.name for each in dataclasses.fields(OptimiserConfig) if each.type is float}
+    own = method.rates().keys()
+    learning = {name for name in trainer.optimiser.rates if name not in own}
+    if "means" in learning:
+        learning.add("means_final")
+    unread |= {f"optimiser.{name}" for name in rates - learning - {"networks_times"}}
+    return unread
+
+
+def _differences(config: Any, other: Any, prefix: str = "") -> Iterator[str]:
+    """Dotted names of the fields whose values differ; a field that is there once only is itself different."""
+    for each in dataclasses.fields(config):
+        here, there = getattr(config, each.name), getattr(other, each.name)
+        if dataclasses.is_dataclass(here) and type(here) is type(there):
+            yield from _differences(here, there, f"{prefix}{each.name}.")
+        elif here != there:
+            yield prefix + each.name

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Changed settings that a training does not read are named; those that it reads are not, and act."""
+
+import dataclasses
+
+import pytest
+import torch
+
+from physhdr.backend.scene import read_scene
+from physhdr.backend.train.presets import PRESETS
+from physhdr.backend.train.trainer import Trainer
+from physhdr.backend.train.without_effect import changed_without_effect
+
+CHANGES = {
+    "--initial-opacity": lambda c: dataclasses.replace(c, initial_opacity=0.17),
+    "--initial-scale": lambda c: dataclasses.replace(c, initial_scale=0.7),
+    "--densify.threshold": lambda c: dataclasses.replace(
+        c, densify=dataclasses.replace(c.densify, threshold=1.0)
+    ),
+    "--densify.budget": lambda c: dataclasses.replace(c, densify=dataclasses.replace(c.densify, budget=1)),
+    "--optimiser.tone-mapper": lambda c: dataclasses.replace(
+        c, optimiser=dataclasses.replace(c.optimiser, tone_mapper=1e-3)
+    ),
+    "--optimiser.means-final": lambda c: dataclasses.replace(
+        c, optimiser=dataclasses.replace(c.optimiser, means_final=1e-3)
+    ),
+    "--supervision": lambda c: dataclasses.replace(
+        c, supervision="one" if c.supervision == "bracket" else "bracket"
+    ),
+}
+#: What each preset reads and what it does not.
+CASES = {
+    "default": (tuple(CHANGES), ()),
+    "default-scaffold": (
+        ("--initial-scale", "--optimiser.tone-mapper", "--supervision"),
+        ("--initial-opacity", "--densify.threshold", "--densify.budget", "--optimiser.means-final"),
+    ),
+    "gausshdr-short": (("--densify.budget",), ("--optimiser.tone-mapper",)),
+    "hdr-nerf-small": ((), ("--supervision",)),
+}
+
+
+def trained(scene, config):
+    """The trainer, and all parameters after a short training in one vector."""
+    trainer = Trainer(scene, config, "cpu")
+    for _ in range(config.iterations):
+        trainer.step()
+    groups = trainer.method.parameter_groups()
+    return trainer, torch.cat([p.detach().flatten() for group in groups.values() for p in group])
+
+
+@pytest.mark.parametrize("preset", CASES)
+def test_what_is_not_read_is_named_and_changes_nothing(preset, tiny_data):
+    scene = read_scene(tiny_data)
+    whole = PRESETS[preset]
+    base = dataclasses.replace(
+        whole,
+        iterations=4,
+        initial_points="file",
+        densify=dataclasses.replace(whole.densify, start=1, every=2, stop=0.9),
+    )
+    _, expected = trained(scene, base)
+    read, unread = CASES[preset]
+    for option in (*read, *unread):
+        trainer, parameters = trained(scene, CHANGES[option](base))
+        assert changed_without_effect(trainer, base) == ([option] if option in unread else [])
+        same = parameters.shape == expected.shape and torch.equal(parameters, expected)
+        assert same == (option in unread), option
