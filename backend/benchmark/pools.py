@@ -126,5 +126,7 @@ class RayPool:
     def _outcome(self, reference: Any) -> Outcome:
         try:
             return self._ray.get(reference)
-        except (self._ray.exceptions.WorkerCrashedError, self._ray.exceptions.NodeDiedError) as error:
-            return Outcome("failed", f"a machine of the cluster was lost: {error}".splitlines()[0])
+        except self._ray.exceptions.RayTaskError:
+            raise  # an error of ours
+        except self._ray.exceptions.RayError as error:  # its machine was lost, its memory was too little
+            return Outcome("failed", f"Ray: {type(error).__name__}: {error}".splitlines()[0])
