@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
+from ...bridge.errors import PhysHDRError
 from ..train.config import CONFIG_FILE
 from .runs import (
     FAILED_FILE,
@@ -27,6 +28,7 @@ from .runs import (
     Record,
     Search,
     differences,
+    has_gaussians,
     put_in_place,
     write_json,
 )
@@ -92,16 +94,21 @@ class _FailedError(Exception):
 def execute(job: Job, should_stop: Callable[[], bool] = lambda: False) -> Outcome:
     """Do the job; whatever happens, its processes have ended afterwards.
 
-    Raises ``OutputError`` or ``OSError`` where results cannot be written.
+    Where results cannot be written (a full disk, a file in the way) it has failed without a ``failed.json``.
     """
-    job.work.mkdir(parents=True, exist_ok=True)
     try:
-        return _done(job, should_stop)
+        job.work.mkdir(parents=True, exist_ok=True)
+        try:
+            return _done(job, should_stop)
+        except _FailedError as error:
+            return _failed(job, error)
     except _StoppedError:
-        shutil.rmtree(job.work, ignore_errors=True)
-        return Outcome("stopped")
-    except _FailedError as error:
-        return _failed(job, error)
+        outcome = Outcome("stopped")
+    except (OSError, PhysHDRError) as error:
+        gone = isinstance(error, FileNotFoundError) and not job.work.exists()
+        outcome = Outcome("stopped") if gone else Outcome("failed", str(error).splitlines()[0])
+    shutil.rmtree(job.work, ignore_errors=True)
+    return outcome
 
 
 def _failed(job: Job, error: _FailedError) -> Outcome:
@@ -190,7 +197,7 @@ def _train(job: Job, folder: Path, iterations: int, should_stop: Callable[[], bo
         iterations=int(finished["iteration"]),
         cpu_seconds=float(finished["cpu_seconds"]),
         seconds=float(finished["seconds"]),
-        gaussians=gaussians,
+        gaussians=gaussians if has_gaussians(job.config) else 0,
         peak_memory=usage.get("peak_memory"),
         machine=usage.get("machine", {}),
     )

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ...bridge.atomic import atomic_path
-from ..evaluate.comparison import DEFAULT_METRICS, NONE, Entry, column, comparison_table, load_evaluation
+from ..evaluate.comparison import DEFAULT_METRICS, NONE, Entry, column, comparison_table
 from .facts import machine_lines, scene_facts, scene_line
 from .margins import PAPER_MARGINS, Margin, margin
 from .plan import CPU_SECONDS, Budget, Ladder
-from .runs import Record, Run
+from .runs import Record, Run, has_gaussians
 from .schedule import Schedule
 from .search import TOLERANCE
 
@@ -32,11 +32,12 @@ LOG_LINES = 6
 
 @dataclass(frozen=True)
 class Finished:
-    """A run that is done, and what the tables take of it."""
+    """A run that is done, and what the tables take of it. ``gaussians``: None of a method without."""
 
     run: Run
     record: Record
     entry: Entry
+    gaussians: int | None
 
 
 def finished_runs(schedule: Schedule) -> list[Finished]:
@@ -45,19 +46,22 @@ def finished_runs(schedule: Schedule) -> list[Finished]:
     found = []
     for run in schedule.runs:
         record = schedule.store.record(run)
-        if schedule.status[run].kind != "done" or record is None:
+        evaluation = schedule.store.evaluation(run)
+        if schedule.status[run].kind != "done" or record is None or evaluation is None:
             continue
+        # Early records of methods without Gaussians hold another number.
+        gaussians = record.gaussians if has_gaussians(schedule.store.configs[run.method.name]) else None
         cost = {
             "cpu_seconds": record.cpu_seconds,
             "seconds": record.seconds,
             "iterations": float(record.iterations),
-            "gaussians": float(record.gaussians),
         }
+        if gaussians is not None:
+            cost["gaussians"] = float(gaussians)
         if record.peak_memory:
             cost["memory_MB"] = record.peak_memory / 1e6
-        evaluation = load_evaluation(schedule.store.out / run.folder)
         entry = Entry(run.method.name, run.scene.name, run.setting, run.seed, evaluation, cost)
-        found.append(Finished(run, record, entry))
+        found.append(Finished(run, record, entry, gaussians))
     return sorted(
         found, key=lambda each: (plan.methods.index(each.run.method), plan.scenes.index(each.run.scene))
     )
@@ -89,7 +93,8 @@ def to_csv(finished: Sequence[Finished]) -> str:
         line: list[object] = [run.budget, run.setting, run.scene.name, run.method.name, run.method.preset]
         line += [" ".join(run.method.options), run.seed]
         line += ["" if (value := one.value(each.entry)) is None else value for one in columns]
-        line += [record.cpu_seconds, record.seconds, record.iterations, record.gaussians]
+        line += [record.cpu_seconds, record.seconds, record.iterations]
+        line += ["" if each.gaussians is None else each.gaussians]
         line += [record.peak_memory or "", record.threads, record.machine.get("host", "")]
         line += [record.machine.get("versions", {}).get("physhdr", "")]
         writer.writerow(line)
@@ -158,7 +163,7 @@ def _conditions(schedule: Schedule, finished: Sequence[Finished]) -> list[str]:
     lines = machine_lines(each.record for each in finished)
     for budget in plan.budgets:
         if budget.kind != CPU_SECONDS:
-            lines.append(f"budget {_in_words(budget)}: `--iterations {budget.amount:g}` for every method")
+            lines.append(f"budget {_in_words(budget)}: `--iterations {budget.amount:.15g}` for every method")
             continue
         lines.append(
             f"budget {_in_words(budget)}: user and system time of the training, first points included. The "
@@ -204,7 +209,7 @@ def _misses(budget: Budget, finished: Sequence[Finished]) -> list[str]:
         shares = [each.record.cpu_seconds / budget.amount for each in runs]
         if max(abs(share - 1.0) for share in shares) > TOLERANCE:
             lines.append(
-                f"{name} took {min(shares):.0%} to {max(shares):.0%} of the {budget.amount:g} CPU seconds"
+                f"{name} took {min(shares):.0%} to {max(shares):.0%} of the {budget.amount:.15g} CPU seconds"
             )
     return lines
 
@@ -234,30 +239,36 @@ def _margins_of(leader: str, schedule: Schedule, entries: list[Entry]) -> str:
     headings = [f"{leader} over", "pairs"]
     for key in PAPER_MARGINS:
         headings += [column(key).heading.removesuffix(" PSNR"), "least", "ahead"]
-    rows, short, undecided = [], [], False
-    for other in schedule.store.plan.methods:
+    plan = schedule.store.plan
+    wanted = len(plan.scenes) * len(plan.seeds)
+    rows, short, missing, undecided = [], [], [], False
+    for other in plan.methods:
         if other.name in _leaders(schedule):
             continue
         found = {key: margin(entries, leader, other.name, key) for key in PAPER_MARGINS}
-        pairs = max((each.pairs for each in found.values() if each), default=0)
-        cells = [other.name, str(pairs)]
+        pairs = {key.partition(".")[0]: each.pairs if each else 0 for key, each in found.items()}
+        if lacking := [part for part, count in pairs.items() if count < wanted]:
+            where = "" if len(lacking) == len(pairs) else f" on {', '.join(lacking)}"
+            missing.append(f"{other.name}{where} ({min(pairs.values())} of {wanted})")
+        cells = [other.name, str(max(pairs.values()))]
         for key, each in found.items():
             cells += _margin_cells(each)
-            if each is None or each.is_ahead is False or each.mean <= PAPER_MARGINS[key]:
-                part = key.partition(".")[0]
-                short.append(f"{other.name} on {part} ({_signed(each.mean) if each else 'not measured'})")
-            elif each.is_ahead is None:
+            if each and (each.is_ahead is False or each.mean <= PAPER_MARGINS[key]):
+                short.append(f"{other.name} on {key.partition('.')[0]} ({_signed(each.mean)})")
+            elif each and each.is_ahead is None:
                 undecided = True
         rows.append(cells)
-    wanted = ", ".join(f"{_signed(value)}" for value in PAPER_MARGINS.values())
-    said = f"no: {', '.join(short)}" if short else "yes"
+    if not rows:
+        return f"`{leader}`: the plan has no other method that it could be ahead of."
+    said = f"no: {', '.join(short)}" if short else "not known" if missing else "yes"
+    if missing:
+        said += f"; pairs are missing: {', '.join(missing)}"
     if undecided:
-        said += (
-            "; the spread of one seed is not known" if short else ", but the spread of one seed is not known"
-        )
+        said += f"{', but' if said == 'yes' else ';'} the spread of one seed is not known"
+    least = ", ".join(f"{_signed(value)}" for value in PAPER_MARGINS.values())
     verdict = (
         f"`{leader}` is ahead of every method above on LDR-OE, LDR-NE and HDR by more than the spread and by "
-        f"more than the paper's margins over GaussHDR ({wanted} dB): **{said}**."
+        f"more than the paper's margins over GaussHDR ({least} dB): **{said}**."
     )
     return f"{_table(headings, rows)}\n\n{verdict}"
 
@@ -266,7 +277,7 @@ def _margin_cells(each: Margin | None) -> list[str]:
     if each is None:
         return [NONE, NONE, NONE]
     spread = "" if each.spread is None else f" ± {each.spread:.2f}"
-    ahead = {True: "yes", False: "no", None: "one pair"}[each.is_ahead]
+    ahead = {True: "yes", False: "no", None: "one seed"}[each.is_ahead]
     return [f"{_signed(each.mean)}{spread}", _signed(each.least), ahead]
 
 
@@ -344,7 +355,7 @@ def _failures(schedule: Schedule) -> str:
 
 
 def _in_words(budget: Budget) -> str:
-    return f"{budget.amount:g} {'CPU seconds' if budget.kind == CPU_SECONDS else 'iterations'}"
+    return f"{budget.amount:.15g} {'CPU seconds' if budget.kind == CPU_SECONDS else 'iterations'}"
 
 
 def _count(items: Sequence[object], name: str) -> str:

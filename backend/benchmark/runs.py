@@ -10,14 +10,15 @@ import dataclasses
 import hashlib
 import json
 import os
+import re
 import shutil
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 from ...bridge.atomic import atomic_path
-from ...bridge.errors import BadValueError
-from ..evaluate.comparison import EVALUATION_FILE
+from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
+from ..evaluate.comparison import load_evaluation
 from ..train.config import CONFIG_FILE
 from .plan import CPU_SECONDS, Budget, Method, Plan, SceneFolder
 
@@ -25,6 +26,8 @@ RUN_FILE, FAILED_FILE, SEARCH_FILE = "run.json", "failed.json", "search.json"
 RUN_LOG = "benchmark.log"
 #: Fields of the configuration that the plan sets for each run.
 PER_RUN = ("iterations", "seed", "exposure_mode")
+#: Methods without Gaussians: what their training calls so are the parameters of networks.
+WITHOUT_GAUSSIANS = ("hdr-nerf",)
 #: Renders from which a data set was made: neither training nor evaluation reads them.
 UNREAD = "passes"
 
@@ -50,7 +53,8 @@ class Run:
 
     @property
     def claim(self) -> str:
-        return "__".join(self.folder.parts)
+        """The folder as one name, another for every run: ``a__b`` / ``c`` is not ``a`` / ``b__c``."""
+        return "__".join(re.sub("^_|_(?=_|$)", "~", part) for part in self.folder.parts)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,6 +100,11 @@ class Failure:
     log: list[str]
     training: str
     evaluation: str
+
+
+def has_gaussians(config: dict[str, Any]) -> bool:
+    """Whether the method of a configuration (as in ``config.json``) is made of Gaussians."""
+    return config.get("method", {}).get("name") not in WITHOUT_GAUSSIANS
 
 
 State = Literal["done", "evaluate", "failed", "todo"]
@@ -154,6 +163,13 @@ class Store:
         wanted = (self.training_fingerprint(run), self.evaluation_fingerprint)
         return failure if failure and (failure.training, failure.evaluation) == wanted else None
 
+    def evaluation(self, run: Run) -> dict[str, Any] | None:
+        """What ``physhdr evaluate`` wrote of it; None where that is not there or damaged."""
+        try:
+            return load_evaluation(self.out / run.folder)
+        except (FileMissingError, FileDamagedError):
+            return None
+
     def search(self, run: Run) -> Search | None:
         """The search for the budget of ``run``, if it was done for the same method, data and threads."""
         found = _read(Search, self.out / run.group / SEARCH_FILE)
@@ -180,8 +196,9 @@ class Store:
         record = self.record(run)
         if record is None or not self.is_trained(run):
             return "todo"
-        evaluated = (self.out / run.folder / EVALUATION_FILE).is_file()
-        return "done" if evaluated and record.evaluation == self.evaluation_fingerprint else "evaluate"
+        if record.evaluation != self.evaluation_fingerprint or self.evaluation(run) is None:
+            return "evaluate"
+        return "done"
 
     def changes(self, run: Run) -> list[str]:
         """Why a run that is there has to be done again; [] where there is none, or nothing changed."""

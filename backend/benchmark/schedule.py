@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from ..evaluate.comparison import load_evaluation
 from .claims import Claims
 from .job import EVENT_LOG, PROGRAM, TRIAL, Job, Outcome
 from .plan import CPU_SECONDS
@@ -74,8 +73,9 @@ class Schedule:
     def _on_disk(self, run: Run) -> Status:
         state = self.store.state(run)
         if state == "done" and run not in self._evaluate_again:
-            means = load_evaluation(self.store.out / run.folder)["means"]
-            return Status("done", psnr=(means.get("LDR-OE") or {}).get("psnr"))
+            evaluation = self.store.evaluation(run)
+            if evaluation is not None:
+                return Status("done", psnr=(evaluation["means"].get("LDR-OE") or {}).get("psnr"))
         failure = self.store.failure(run) if state == "failed" and run not in self._retry else None
         if failure:
             return Status("failed", failure.log[-1] if failure.log else f"status {failure.status}")
@@ -162,13 +162,17 @@ class Schedule:
                 self.status[run] = Status("running", "", iteration, iterations)
 
     def _settle(self, run: Run, outcome: Outcome) -> None:
-        del self._work[run]
+        shutil.rmtree(self._work.pop(run), ignore_errors=True)  # there only if the job's machine died
+        if outcome.kind == "stopped":  # not by us, who settle nothing then: somebody took the run over
+            self.status[run] = self._on_disk(run)  # and until it is done there, its claim is taken
+            self.tell(f"{run.folder}: another command took it over")
+            return
         self._retry.discard(run)
         self._evaluate_again.discard(run)
         self.status[run] = self._on_disk(run)
         status = self.status[run]
         record = self.store.record(run)
-        if status.kind == "done" and record:
+        if outcome.kind == "done" and status.kind == "done" and record:
             psnr = "" if status.psnr is None else f", LDR-OE {status.psnr:.2f} dB"
             cost = f"{record.iterations} iterations in {record.cpu_seconds:.1f} CPU seconds"
             self.tell(f"{run.folder}: done, {cost}{psnr}")

@@ -36,6 +36,8 @@ def train(words: list[str]) -> int:
     given.out.mkdir(exist_ok=True)
     config = {"strength": given.strength, "iterations": given.iterations, "seed": given.seed}
     config |= {"exposure_mode": given.exposure_mode}
+    if given.preset == "hdr-nerf":
+        config["method"] = {"name": "hdr-nerf"}
     (given.out / "config.json").write_text(json.dumps({"config": config}))
     events = [{"event": "progress", "iteration": 1, "iterations": given.iterations, "gaussians": 7}]
     (given.out / "log.jsonl").write_text(json.dumps(events[0]) + "\n")

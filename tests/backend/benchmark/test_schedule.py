@@ -6,6 +6,7 @@ import importlib.util
 import json
 import math
 import os
+import shutil
 import sys
 import threading
 import time
@@ -40,6 +41,7 @@ class Bench:
     def schedule(self, weights="", **options):
         plan = make_plan(self.content, self.root)
         configs = {m.name: {"strength": "".join(m.options[1:2])} for m in plan.methods}
+        configs |= {m.name: {"method": {"name": "hdr-nerf"}} for m in plan.methods if m.name == "hdr-nerf"}
         data = {scene.name: data_fingerprint(scene.data) for scene in plan.scenes}
         store = Store(self.root / "out", plan, configs, data, weights)
         self.told.clear()
@@ -191,8 +193,72 @@ def test_what_a_dead_command_left_is_taken_over(bench):
     claims = bench.root / "out" / ".claims"
     claims.mkdir()
     owner = {"host": os.uname().nodename, "pid": 2**22 + 1, "token": "x"}  # beyond Linux's largest pid
-    (claims / "iterations-50__exp3__day__quick__seed_0").write_text(json.dumps(owner))
+    claim = claims / "iterations-50__exp3__day__quick__seed_0"
+    claim.write_text(json.dumps(owner))
+    os.utime(claim, (1e9, 1e9))  # of an earlier version: its age decides
     assert kinds(bench.run()) == ["done"] and not bench.left_over()
+
+
+def test_a_run_that_another_command_took_over_is_theirs_and_no_failure(bench):
+    """As after a time in which nobody could see us: our claim is buried, our working folder removed."""
+    bench.run()
+    finished = bench.root / "finished"
+    (bench.root / "out" / "iterations-50" / "exp3" / "day" / "quick" / "seed_0").rename(finished)
+    bench.content["methods"] = ["hangs"]
+    schedule = bench.schedule()
+    run = schedule.runs[0]
+    folder, claim = bench.root / "out" / run.folder, bench.root / "out" / ".claims" / run.claim
+    seen = []
+
+    def they_take_it_over_and_finish_it():
+        status = schedule.status[run]
+        if status.iteration and "elsewhere" not in seen:
+            claim.write_text(json.dumps({"host": "elsewhere", "pid": 1, "token": "theirs"}))
+            for work in folder.parent.glob(".seed_0-*"):
+                shutil.rmtree(work)
+        if status.kind == "elsewhere" and not folder.exists():
+            shutil.copytree(finished, folder)
+            claim.unlink()
+        seen.append(status.kind)
+        assert len(seen) < 200
+
+    schedule.work_off(LocalPool(1), they_take_it_over_and_finish_it)
+    assert "elsewhere" in seen and "failed" not in seen and kinds(schedule) == ["done"]
+    assert any("another command took it over" in line for line in bench.told) and not bench.left_over()
+
+
+def test_a_file_in_the_way_fails_what_needs_the_place_and_nothing_else(bench):
+    bench.content["budgets"] = ["iterations=50", "iterations=60"]
+    (bench.root / "out").mkdir()
+    (bench.root / "out" / "iterations-50").write_text("in the way")
+    schedule = bench.run()
+    assert kinds(schedule) == ["failed", "done"] and not bench.left_over()
+    assert any("failed: " in line and "Not a directory" in line for line in bench.told)
+    text = write_report(schedule, bench.root / "report.md", "physhdr benchmark")[0].read_text()
+    assert "Not a directory" in text
+
+
+def test_a_damaged_evaluation_is_done_again_alone(bench):
+    bench.content["methods"] = ["quick", "other"]
+    bench.run()
+    bench.calls()
+    path = bench.root / "out" / "iterations-50" / "exp3" / "day" / "quick" / "seed_0" / "evaluation.json"
+    path.write_text(path.read_text()[:40])
+    assert kinds(bench.schedule()) == ["waiting", "done"]
+    assert kinds(bench.run()) == ["done"] * 2 and bench.calls() == []
+    assert json.loads(path.read_text())["means"]
+
+
+def test_no_two_runs_share_a_claim(bench):
+    """The names of folders may hold what stands between them in a claim's name."""
+    names = ["a", "a_", "a__b", "a__b__c", "_b", "b", "b__c", "c", "_c", "__", "_"]
+    bench.content["methods"] = [f"{name} := quick" for name in names]
+    bench.content["scenes"] = [f"{name}={bench.root / 'day'}" for name in names]
+    runs = bench.schedule().runs
+    assert len({run.claim for run in runs}) == len(runs) == len(names) ** 2
+    bench.content |= {"methods": ["paper-short"], "scenes": [f"my_room={bench.root / 'day'}"]}
+    claim = bench.schedule().runs[0].claim
+    assert claim == "iterations-50__exp3__my_room__paper-short__seed_0"  # as earlier versions call it
 
 
 def test_equal_cpu_seconds_are_found_from_the_run_at_equal_iterations(bench):
@@ -242,10 +308,52 @@ def test_one_seed_decides_no_lead_but_refutes_one(bench, lead):
         path.write_text(json.dumps(content))
     text = write_report(schedule, bench.root / "report.md", "physhdr benchmark")[0].read_text()
     verdict = next(line for line in text.splitlines() if line.startswith("`quick` is ahead"))
+    row = next(line for line in text.splitlines() if line.startswith("| other | 1 |"))
+    assert row.count("| one seed |") == 3
     if lead > 0.5:
         assert "**yes, but the spread of one seed is not known**" in verdict
     else:  # more than the paper's margin in HDR alone
         assert "**no: other on LDR-OE (+0.20), other on LDR-NE (+0.20); the spread" in verdict
+
+
+def verdicts(bench, schedule):
+    text = write_report(schedule, bench.root / "report.md", "physhdr benchmark")[0].read_text()
+    return [line for line in text.splitlines() if line.startswith("`quick`")]
+
+
+def test_no_lead_is_told_over_a_method_whose_runs_are_missing(bench):
+    bench.content |= {"methods": ["quick", "other", "v := other --strength 1"], "seeds": [0, 1]}
+    schedule = bench.run()
+    for run in schedule.runs:
+        path = bench.root / "out" / run.folder / "evaluation.json"
+        content = json.loads(path.read_text())
+        for part in ("LDR-OE", "LDR-NE", "HDR"):
+            content["means"][part] = {"psnr": 35.0 + (run.method.name == "quick")}
+        if run.method.name == "other":
+            content["means"]["HDR"] = None
+        path.write_text(json.dumps(content))
+    (bench.root / "out" / schedule.runs[-1].folder / "evaluation.json").unlink()
+    (verdict,) = verdicts(bench, bench.schedule())
+    assert "**not known; pairs are missing: other on HDR (0 of 2), v (1 of 2); the spread" in verdict
+    bench.content["methods"] = ["quick"]
+    assert not verdicts(bench, bench.schedule())  # nothing to compare it with
+    bench.content |= {"methods": ["quick", "other"], "margins_of": ["quick", "other"]}
+    (said,) = verdicts(bench, bench.schedule())
+    assert "no other method" in said and "yes" not in said
+
+
+def test_a_method_without_gaussians_shows_none(bench):
+    """Its training tells the parameters of its networks, and early records hold them."""
+    bench.content |= {"methods": ["quick", "hdr-nerf"], "budgets": ["iterations=1234567"]}
+    schedule = bench.run()
+    assert [schedule.store.record(run).gaussians for run in schedule.runs] == [7, 0]
+    path = bench.root / "out" / schedule.runs[1].folder / "run.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"gaussians": 46926}))
+    report, table = write_report(schedule, bench.root / "report.md", "physhdr benchmark")
+    text = report.read_text()
+    assert [row["gaussians"] for row in csv.DictReader(table.open())] == ["7", ""]
+    assert "46,926" not in text and "| 7.00 |" in text
+    assert "budget 1234567 iterations: `--iterations 1234567`" in text and "e+06" not in text
 
 
 def test_the_report_tells_margins_and_gains_as_numpy_computes_them(bench):
