@@ -11,7 +11,7 @@ import json
 import math
 import statistics
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -161,16 +161,18 @@ def column(key: str) -> Column:
 class Cell:
     """One number: mean and spread (None with fewer than two seeds); how many seeds and which scenes.
 
-    ``rank``: 1 best of its block, 2 second, 0 neither or not ranked. ``partial``: some scenes are missing
-    that others in the block have, so that it cannot be compared.
+    ``seeds``: those that every scene has. ``runs``: all pairs of scene and seed. ``rank``: 1 best of its
+    block, 2 second, 0 neither or not ranked. ``partial``: scenes or seeds are missing that others in the
+    block have, so that it cannot be compared; says what there is (``1 scene``, ``2 runs``), "" where all is.
     """
 
     mean: float | None
     spread: float | None = None
     seeds: int = 0
     scenes: tuple[str, ...] = ()
+    runs: int = 0
     rank: int = 0
-    partial: bool = False
+    partial: str = ""
 
 
 @dataclass(frozen=True)
@@ -250,8 +252,7 @@ class Table:
             return NONE, ""
         each = self.columns[i]
         spread = "" if cell.spread is None else f" ± {each.text(cell.spread, cell.mean)}"
-        count = f"{len(cell.scenes)} scene{'s' if len(cell.scenes) > 1 else ''}"
-        return each.text(cell.mean), spread + (f" ({count})" if cell.partial else "")
+        return each.text(cell.mean), spread + (f" ({cell.partial})" if cell.partial else "")
 
     def _markdown_cell(self, i: int, cell: Cell, published: bool) -> str:
         mean, rest = self._texts(i, cell)
@@ -273,8 +274,10 @@ def comparison_table(
     With ``"scene"`` in ``group`` there is a block a scene, else rows are means over scenes. ``published``:
     the paper's numbers stand below ours where the data set and the scenes are the same. A column without
     any number is left out unless ``keep_empty``; so is a label column that is the same everywhere, which
-    then stands in the notes. Methods, scenes and settings stay in the order of ``entries``. Raises
-    ``BadValueError`` for no entries, two of the same run, an unknown metric, or settings that would be mixed.
+    then stands in the notes. Where evaluations of one scene are of different picture sizes or splits, a note
+    says so and nothing of their block is ranked. Methods, scenes and settings stay in the order of
+    ``entries``. Raises ``BadValueError`` for no entries, two of the same run, an unknown metric, or settings
+    that would be mixed.
     """
     entries = list(entries)
     _require_comparable(entries, group)
@@ -295,17 +298,19 @@ def comparison_table(
         if i not in shown and key
     ]
     rows: list[Row] = []
+    differences: list[str] = []
     for key, methods in blocks.items():
         labels = tuple(key[i] or NONE for i in shown)
-        rows += _ranked(
-            columns,
-            [
-                Row((*labels, method), tuple(_cell(each, runs) for each in columns), published)
-                for (method, published), runs in methods.items()
-            ],
-        )
+        block = [
+            Row((*labels, method), tuple(_cell(each, runs) for each in columns), published)
+            for (method, published), runs in methods.items()
+        ]
+        mixed = _different_pictures([run for runs in methods.values() for run in runs])
+        differences += mixed
+        rows += _ranked(columns, block, comparable=not mixed)
     headings = (*(group[i].replace("_", " ") for i in shown), "method")
     notes = _notes(entries, constant, rows, "scene" not in group)
+    notes += dict.fromkeys(differences)
     return Table(title, headings, tuple(columns), tuple(rows), tuple(notes))
 
 
@@ -352,29 +357,54 @@ def _cell(each: Column, runs: list[Entry]) -> Cell:
     common = set.intersection(*(set(seeds) for seeds in by_scene.values()))
     over_scenes = [statistics.fmean(seeds[seed] for seeds in by_scene.values()) for seed in common]
     spread = statistics.stdev(over_scenes) if len(over_scenes) > 1 else None
-    return Cell(mean, spread, len(common), tuple(sorted(by_scene)))
+    count = sum(len(seeds) for seeds in by_scene.values())
+    return Cell(mean, spread, len(common), tuple(sorted(by_scene)), count)
 
 
-def _ranked(columns: list[Column], rows: list[Row]) -> list[Row]:
-    """The rows of one block with best and second marked in each column."""
+def _different_pictures(runs: list[Entry]) -> list[str]:
+    """A line for each scene whose evaluations, as far as they say, are not of the same pictures."""
+    seen: dict[tuple[str, str], dict[str, list[str]]] = {}
+    for run in runs:
+        conditions = run.evaluation.get("conditions", {})
+        match conditions:
+            case {"resolution": [width, height]}:
+                pictures = f"{conditions.get('split', 'test')} at {width}×{height}"
+                methods = seen.setdefault((run.data_set, run.scene), {}).setdefault(pictures, [])
+                methods += [run.method] if run.method not in methods else []
+    return [
+        f"NOT COMPARABLE, not ranked: {scene} is evaluated on "
+        + ", on ".join(f"{pictures} ({', '.join(methods)})" for pictures, methods in found.items())
+        for (_, scene), found in seen.items()
+        if len(found) > 1
+    ]
+
+
+def _ranked(columns: list[Column], rows: list[Row], comparable: bool) -> list[Row]:
+    """The rows of one block: what is partial and, if ``comparable``, best and second in each column."""
     cells = [list(row.cells) for row in rows]
     for i, each in enumerate(columns):
-        scenes = {scene for row in rows if not row.published for scene in row.cells[i].scenes}
+        ours = [row.cells[i] for row in rows if not row.published]
+        scenes = {scene for cell in ours for scene in cell.scenes}
+        most = max((cell.runs for cell in ours), default=0)
         merits: dict[int, float] = {}
         for r, row in enumerate(rows):
             cell = row.cells[i]
-            partial = cell.mean is not None and len(cell.scenes) < len(scenes)
-            cells[r][i] = Cell(cell.mean, cell.spread, cell.seeds, cell.scenes, 0, partial)
-            if cell.mean is not None and not partial and not row.published and each.better != "neither":
+            if cell.mean is None:
+                continue
+            partial = ""
+            if len(cell.scenes) < len(scenes):
+                partial = _count(len(cell.scenes), "scene")
+            elif not row.published and cell.runs < most:
+                partial = _count(cell.runs, "run")
+            cells[r][i] = replace(cell, partial=partial)
+            if not partial and not row.published and each.better != "neither":
                 merits[r] = each.merit(cell.mean)
-        if len(set(merits.values())) < 2:
+        if not comparable or len(set(merits.values())) < 2:
             continue  # one alone, or all alike: there is no best
         best_two = sorted(set(merits.values()), reverse=True)[:2]
         for r, merit in merits.items():
-            cell = cells[r][i]
             if merit in best_two:
-                rank = best_two.index(merit) + 1
-                cells[r][i] = Cell(cell.mean, cell.spread, cell.seeds, cell.scenes, rank)
+                cells[r][i] = replace(cells[r][i], rank=best_two.index(merit) + 1)
     return [Row(row.labels, tuple(cells[r]), row.published) for r, row in enumerate(rows)]
 
 
@@ -386,13 +416,21 @@ def _notes(entries: list[Entry], constant: list[str], rows: list[Row], over_scen
     scenes = list(dict.fromkeys(entry.scene for entry in measured))
     if over_scenes and len(scenes) > 1:
         notes.append(f"means over {len(scenes)} scenes: {', '.join(scenes)}")
-    seeds = sorted({cell.seeds for row in rows if not row.published for cell in row.cells if cell.seeds})
-    if any(cell.spread is not None for row in rows for cell in row.cells):
-        count = str(seeds[0]) if len(seeds) == 1 else f"{seeds[0]} to {seeds[-1]}"
+    ours = [cell for row in rows if not row.published for cell in row.cells if cell.mean is not None]
+    spread_over = [cell.seeds for cell in ours if cell.spread is not None]
+    if spread_over:
         what = "the mean over scenes" if over_scenes and len(scenes) > 1 else "the number"
-        notes.append(f"±: standard deviation of {what} over {count} seeds")
-    elif measured:
+        without = "; none where fewer than two are common to the scenes"
+        notes.append(
+            f"±: standard deviation of {what} over {_range(spread_over)} seeds"
+            + (without if len(spread_over) < len(ours) else "")
+        )
+    elif measured and all(cell.runs == len(cell.scenes) for cell in ours):
         notes.append("one seed: no spread is known")
+    elif measured:
+        runs = [(entry.method, entry.data_set, entry.scene, entry.setting) for entry in measured]
+        counts = _range([runs.count(each) for each in runs])
+        notes.append(f"{counts} seeds, no two of them common to all scenes of a method: no spread is known")
     if any(cell.rank for row in rows for cell in row.cells):
         notes.append("best bold, second underlined; equal printed numbers share a place")
     if any(entry.published for entry in entries):
@@ -400,8 +438,26 @@ def _notes(entries: list[Entry], constant: list[str], rows: list[Row], over_scen
             "published: the paper's own figures (evaluate/published.csv), other hardware; not ranked"
         )
     if any(cell.partial for row in rows for cell in row.cells):
-        notes.append("numbers over fewer scenes than others have are not ranked")
+        notes.append("numbers over fewer scenes or seeds than others have are not ranked")
+    notes += dict.fromkeys(line for entry in measured if (line := _interrupted(entry)))
     return notes
+
+
+def _interrupted(entry: Entry) -> str:
+    match entry.evaluation.get("conditions", {}):
+        case {"iteration": int(done), "iterations": int(planned)} if done < planned:
+            seed = "" if entry.seed is None else f", seed {entry.seed}"
+            return f"{entry.method} on {entry.scene}{seed}: {done} of {planned} iterations"
+    return ""
+
+
+def _count(number: int, thing: str) -> str:
+    return f"{number} {thing}{'s' if number > 1 else ''}"
+
+
+def _range(numbers: Sequence[int]) -> str:
+    least, most = min(numbers), max(numbers)
+    return str(least) if least == most else f"{least} to {most}"
 
 
 def _escaped(text: str) -> str:

@@ -30,6 +30,7 @@ def entry(method: str, scene: str = "room", seed: int | None = 0, psnr: float | 
     means |= {"LDR-NE": None, "HDR": None}
     evaluation = {"means": means, "scale_ratio": more.pop("scale", None), "conditions": {}}
     evaluation["conditions"]["data_set"] = more.pop("data_set", "")
+    evaluation["conditions"] |= more.pop("conditions", {})
     return Entry(method, scene, more.pop("setting", "exp3"), seed, evaluation, **more)
 
 
@@ -90,7 +91,53 @@ def test_uneven_seeds_spread_over_those_that_every_scene_has() -> None:
     numbers = {("a", 0): 30.0, ("a", 1): 32.0, ("b", 0): 40.0}
     table = comparison_table([entry("ours", scene, seed, psnr) for (scene, seed), psnr in numbers.items()])
     cell = cells(table, "LDR-OE.psnr")["ours"]
-    assert (cell.mean, cell.spread, cell.seeds) == (35.5, None, 1)
+    assert (cell.mean, cell.spread, cell.seeds, cell.runs) == (35.5, None, 1, 3)
+    note = "1 to 2 seeds, no two of them common to all scenes of a method: no spread is known"
+    assert note in table.notes and not any("one seed" in each for each in table.notes)
+
+
+def test_a_method_that_lacks_seeds_is_not_ranked() -> None:
+    runs = [("a", 0, 30.0), ("a", 1, 32.0), ("b", 0, 40.0), ("b", 1, 41.0), ("c", 0, 50.0)]
+    table = comparison_table([entry(method, seed=seed, psnr=psnr) for method, seed, psnr in runs])
+    assert {name: cell.rank for name, cell in cells(table, "LDR-OE.psnr").items()} == {"a": 2, "b": 1, "c": 0}
+    assert "| c | 50.00 (1 run) |" in table.markdown()
+    assert "numbers over fewer scenes or seeds than others have are not ranked" in table.notes
+    assert (
+        "±: standard deviation of the number over 2 seeds; none where fewer than two are common to the scenes"
+        in table.notes
+    )
+
+
+def test_the_papers_numbers_lack_no_seeds() -> None:
+    ours = [entry(m, "box", seed, data_set="HDR-NeRF-Real") for m in ("a", "b") for seed in (0, 1)]
+    table = comparison_table(ours)
+    assert len(table.rows) > 2 and not any(cell.partial for row in table.rows for cell in row.cells)
+
+
+def test_one_seed_is_said_only_where_there_is_one_everywhere() -> None:
+    said = "one seed: no spread is known"
+    assert said in comparison_table([entry("a"), entry("b")]).notes
+    assert said in comparison_table([entry("a", "x"), entry("a", "y")]).notes
+
+
+def test_evaluations_of_other_pictures_are_not_ranked() -> None:
+    whole, half = {"resolution": [400, 300], "split": "test"}, {"resolution": [200, 150], "split": "test"}
+    both = [entry("a", conditions=whole), entry("b", psnr=31.0, conditions=half)]
+    table = comparison_table(both)
+    assert [cell.rank for cell in cells(table, "LDR-OE.psnr").values()] == [0, 0]
+    note = "room is evaluated on test at 400×300 (a), on test at 200×150 (b)"
+    assert f"NOT COMPARABLE, not ranked: {note}" in table.notes
+    # Scenes may differ, and an evaluation of before may not say.
+    for others in ([entry("a", "hall", conditions=half), entry("b", "hall", conditions=half)], [entry("c")]):
+        table = comparison_table([*others, both[0], entry("b", conditions=whole)])
+        assert not any("NOT COMPARABLE" in note for note in table.notes)
+
+
+def test_an_interrupted_run_is_told() -> None:
+    done, stopped = {"iteration": 1000, "iterations": 1000}, {"iteration": 500, "iterations": 1000}
+    table = comparison_table([entry("a", conditions=done), entry("b", conditions=stopped)])
+    assert "b on room, seed 0: 500 of 1000 iterations" in table.notes
+    assert not any(note.startswith("a on") for note in table.notes)
 
 
 def test_blocks_by_scene_and_setting_rank_by_themselves() -> None:
