@@ -104,9 +104,8 @@ def train_curve(scene: Scene, config: TrainConfig, folder: Path, measurements: i
     compile_kernels(kernels_needed(config.method))  # before the clock starts
     started = Clock()
     with started:
-        trainer = Trainer(scene, config)
-    if points and (folder / CHECKPOINT_FILE).is_file():
-        trainer.resume(folder)
+        goes_on = points and (folder / CHECKPOINT_FILE).is_file()
+        trainer = Trainer(scene, config, resumed=folder if goes_on else None)
     # A record is written before its checkpoint: what was measured after that is measured again.
     del points[next((i for i, p in enumerate(points) if p["iteration"] > trainer.iteration), len(points)) :]
     clock = Clock(points[-1]["seconds"], points[-1]["cpu_seconds"]) if points else started

@@ -42,8 +42,8 @@ class Workshop:
             self.compile_kernels(kernels_needed(config.method))
         return device
 
-    def trainer(self, scene: Scene, config: TrainConfig) -> Trainer:
-        return Trainer(scene, config, self.rasteriser, self.place(config))
+    def trainer(self, scene: Scene, config: TrainConfig, resumed: Path | None = None) -> Trainer:
+        return Trainer(scene, config, self.rasteriser, self.place(config), resumed)
 
 
 def refuse_a_run(folder: Path) -> None:
@@ -74,7 +74,6 @@ def start_run(
 def resume_run(folder: Path, data: Path | None, workshop: Workshop) -> tuple[Trainer, Run]:
     """A run from its checkpoint; ``data`` stands in for its data set, where that has moved."""
     config, trained_on, preset = read_config(folder / CONFIG_FILE)
-    trainer = workshop.trainer(read_scene(data or trained_on, config.downscale), config)
-    trainer.resume(folder)
+    trainer = workshop.trainer(read_scene(data or trained_on, config.downscale), config, folder)
     run = Run(writable_folder(folder), preset, config, trainer.scene, trainer.method, trainer.iteration)
     return trainer, run

@@ -81,6 +81,8 @@ class Method(nn.Module, ABC):
     """A system of the benchmark. ``lights``: names of those it has levels for."""
 
     lights: tuple[str, ...] = (AMBIENT,)
+    #: Adam's. 3DGS's: gradients of Gaussians are tiny, and Adam's default would damp them.
+    adam_epsilon: float = 1e-15
 
     @abstractmethod
     def training_outcome(self, shot: Shot) -> Outcome:

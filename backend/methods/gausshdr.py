@@ -88,23 +88,24 @@ class GaussHDRConfig:
 
 
 class Uncertainty(nn.Module):
-    """u = max(softplus(network(x, context)), least): one network for all channels, which learns no input.
+    """u = max(softplus(network(x, context)), ``least``): one network for all channels, which learns no input.
 
     The code makes three networks and asks only the red channel's.
     """
 
-    def __init__(self, config: ToneMapperConfig) -> None:
+    def __init__(self, config: ToneMapperConfig, least: float) -> None:
         super().__init__()
         self.network = SmallNetwork(1 + config.context_size, config.hidden, 1)
+        self.least = least
 
     def forward(self, log_exposure: torch.Tensor, context: torch.Tensor) -> torch.Tensor:
-        """``log_exposure`` ``[3, …]``, ``context`` ``[K, …]`` → u ``[3, …]``, before its bound from below."""
+        """``log_exposure`` ``[3, …]``, ``context`` ``[K, …]`` → u ``[3, …]``."""
         n = self.network
         # The three channels are like three branches that share a context.
         x = log_exposure.detach().reshape(1, 3, -1)
         features = context.detach().reshape(context.shape[0], -1)
         u = local_curves(x, features, n.w1[None], n.b1[None], n.w2, n.b2)
-        return nn.functional.softplus(u).reshape(log_exposure.shape)
+        return nn.functional.softplus(u).clamp_min(self.least).reshape(log_exposure.shape)
 
 
 def held(splats: Splats) -> Splats:
@@ -153,7 +154,7 @@ class GaussHDR(SplattingMethod):
         self.config = config
         super().__init__(backbone, implementation)
         self.tone_mapper = ToneMapper(config.tone_mapper, anchor)
-        self.uncertainty = Uncertainty(config.tone_mapper)
+        self.uncertainty = Uncertainty(config.tone_mapper, config.least_uncertainty)
         self.uses_local = True
 
     @property
@@ -231,7 +232,7 @@ class GaussHDR(SplattingMethod):
             log_of_exposure(radiance * exposure, LOG_EPSILON), context
         )
         in_3d = Half(ldr_3d, uncertainty_3d.clamp_min(least))
-        in_2d = Half(ldr_2d, uncertainty_2d.clamp_min(least))
+        in_2d = Half(ldr_2d, uncertainty_2d)
         with torch.no_grad():
             square_3d, square_2d = in_3d.uncertainty.square(), in_2d.uncertainty.square()
             weight = square_2d / (square_2d + square_3d)

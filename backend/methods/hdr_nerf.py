@@ -112,6 +112,8 @@ class Film:
 class HDRNeRF(Method):
     """``anchor``: a known point of the response, (exposure × radiance, code value), or None."""
 
+    adam_epsilon = 1e-8
+
     def __init__(self, config: HDRNeRFConfig, anchor: tuple[float, float] | None = None) -> None:
         super().__init__()
         self.config = config

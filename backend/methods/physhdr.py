@@ -62,6 +62,11 @@ class PhysHDRConfig:
                 "the image-exposure branch alone has no lighting level",
                 "Set --method.lighting-level exposure, or --method.branches both or illumination.",
             )
+        if self.branches == "illumination" and self.lighting_level == "exposure":
+            raise BadValueError(
+                "the illumination branch alone has no radiance that is the same at every exposure",
+                "Set --method.lighting-level view, or --method.branches both.",
+            )
         if not 0 <= self.sh_degree <= 3:
             raise BadValueError(f"the SH degree must be 0 to 3, got {self.sh_degree}")
 
@@ -177,8 +182,10 @@ class PhysHDR(SplattingMethod):
         return self.modulator(splats.log_illumination, levels[0])
 
     def radiance_of(self, splats: Splats, levels: Levels | None) -> torch.Tensor:
-        """c (eq. 8), or ĉ when levels are given."""
+        """c (eq. 8), or ĉ when levels are given; ĉ of level 1 where c is never drawn."""
         log_illumination = splats.log_illumination
+        if levels is None and self.config.branches == "illumination" and self.config.modulator == "learned":
+            levels = 1.0  # at which the additive modulator is the identity, and a network need not be
         if levels is not None:
             log_illumination = self.log_modulated_illumination(splats, levels)
         return self.composer(log_illumination, splats.log_reflectance)

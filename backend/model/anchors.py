@@ -26,7 +26,8 @@ from .backbone import Attributes, Backbone, Splats, Start
 VOXELS_PER_SPACING = 16
 #: Splats reach this many standard deviations; beyond it an anchor's ellipsoid does not count as seen.
 REACH = 3.0
-#: ln of the largest factor between an anchor's and its Gaussians' size (Scaffold-GS clamps to it).
+#: ln of the largest size of an anchor's Gaussians (Scaffold-GS, in the units of its reconstructions; ours are
+#: metres, so that it is 1.05 m there). It is applied where anchors grow.
 LARGEST_LOG_SCALE = 0.05
 
 

@@ -160,10 +160,14 @@ class ToneMapper(nn.Module):
         return (self.curve_logits(x).sigmoid() - value).square().mean()
 
     def inverse(self, ldr: torch.Tensor) -> torch.Tensor:
-        """ln(exposure × radiance) at which the global response gives ``ldr`` ``[3, P]``, by table."""
+        """ln(exposure × radiance) at which the global response gives ``ldr`` ``[3, P]``, by table.
+
+        On the device of ``ldr``, wherever the curve is.
+        """
         with torch.no_grad():
             x = torch.linspace(-12.0, 12.0, 2049, device=self.w1.device)
             y = self.curve_logits(x.expand(3, -1).contiguous()).sigmoid().cummax(dim=1).values
+            x, y = x.to(ldr.device), y.to(ldr.device)
             index = torch.searchsorted(y.contiguous(), ldr.contiguous()).clamp(max=x.numel() - 1)
             return x[index]
 
@@ -189,4 +193,4 @@ class ToneMapper(nn.Module):
             optimiser.zero_grad(set_to_none=True)
             error.backward()
             optimiser.step()
-        optimiser.zero_grad(set_to_none=True)  # the training's first step must not find this gradient
+        self.zero_grad(set_to_none=True)  # the training's first step must not find these gradients

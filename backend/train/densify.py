@@ -22,8 +22,6 @@ from .optimisers import Optimiser
 
 #: A split makes two, each this much smaller (3DGS).
 SPLIT_SHRINK = 1.6
-#: Screen-size pruning begins only after the first opacity reset (3DGS); its bound in pixels.
-SCREEN_SIZE_LIMIT = 20.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +39,8 @@ class DensifyConfig:
     #: Clone up to this size, split above (share of the scene's extent).
     clone_below: float = 0.01
     prune_opacity: float = 0.005
-    #: Prune Gaussians larger than this share of the extent (after the first reset).
+    #: Prune Gaussians larger than this share of the extent (after the first reset). 3DGS's test of their size
+    #: on the screen is not here: its program clears what that reads just before.
     prune_scale: float = 0.1
     #: Iterations between opacity resets; 0: never.
     reset_every: int = 0
@@ -56,12 +55,11 @@ class DensifyState:
 
     gradient_sum: torch.Tensor
     visits: torch.Tensor
-    largest_radius: torch.Tensor
 
     @classmethod
     def empty(cls, gaussians: Gaussians) -> "DensifyState":
         zeros = torch.zeros(len(gaussians), device=gaussians.means.device)
-        return cls(zeros, zeros.clone(), zeros.clone())
+        return cls(zeros, zeros.clone())
 
 
 def gradient_scaling(deviation: torch.Tensor, strength: float) -> torch.Tensor:
@@ -84,7 +82,6 @@ def observe(
     visible = drawn.rasterization.radii > 0
     state.gradient_sum += torch.where(visible, norm, torch.zeros_like(norm))
     state.visits += visible
-    torch.maximum(state.largest_radius, drawn.rasterization.radii, out=state.largest_radius)
 
 
 def is_due(iteration: int, iterations: int, config: DensifyConfig) -> bool:
@@ -121,9 +118,6 @@ def densify(
     largest = scales.max(dim=1).values
 
     pruned = opacities < config.prune_opacity
-    if config.reset_every and iteration > config.reset_every:
-        pruned |= (largest > config.prune_scale * extent) | (state.largest_radius > SCREEN_SIZE_LIMIT)
-
     grows = (gradient > config.threshold) & ~pruned
     if config.budget:
         room = max(config.budget - int((~pruned).sum()), 0)
@@ -131,10 +125,12 @@ def densify(
             kept = torch.where(grows, gradient, torch.full_like(gradient, -1.0)).topk(room).indices
             grows = torch.zeros_like(grows).index_fill_(0, kept, True)
     splits = grows & (largest > config.clone_below * extent)
-    clones = grows & ~splits
+    if config.reset_every and iteration > config.reset_every:  # what is split counts by its children's size
+        size = torch.where(splits, largest / SPLIT_SHRINK, largest)
+        pruned |= size > config.prune_scale * extent
 
     index = torch.arange(count, device=gaussians.means.device)
-    stay, clone, split = index[~pruned & ~splits], index[clones], index[splits]
+    stay, clone, split = (index[~pruned & chosen] for chosen in (~splits, grows & ~splits, splits))
     source = torch.cat([stay, clone, split, split])
     fresh = torch.arange(len(source), device=source.device) >= len(stay)
     is_child = torch.arange(len(source), device=source.device) >= len(stay) + len(clone)
@@ -200,4 +196,5 @@ class GaussianGrowth:
         return dict(vars(self.statistics))
 
     def restore(self, tensors: dict[str, torch.Tensor]) -> None:
-        self.statistics = DensifyState(**tensors)
+        names = vars(self.statistics)  # checkpoints of earlier versions hold more
+        self.statistics = DensifyState(**{name: tensors[name] for name in names})

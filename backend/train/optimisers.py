@@ -10,9 +10,6 @@ from ..methods.base import Method, SplattingMethod
 from ..model.backbone import Backbone
 from .rates import Rate
 
-#: 3DGS's epsilon: Gaussians' gradients are tiny, and Adam's default would damp them.
-ADAM_EPSILON = 1e-15
-
 
 @dataclass(frozen=True, kw_only=True)
 class OptimiserConfig:
@@ -71,7 +68,7 @@ class Optimiser:
         self.adam = torch.optim.Adam(
             [{"name": name, "params": params, "lr": 0.0} for name, params in groups.items()],
             lr=0.0,
-            eps=ADAM_EPSILON,
+            eps=method.adam_epsilon,
             fused=True,
         )
 

@@ -131,6 +131,12 @@ def short(published: TrainConfig, iterations: int = 2500, networks_times: float 
     )
 
 
+def released_gausshdr() -> GaussHDRConfig:
+    """GaussHDR on Scaffold-GS's backbone, as its released code has it: the global curve bends by ReLU."""
+    config = GaussHDRConfig()
+    return dataclasses.replace(config, tone_mapper=dataclasses.replace(config.tone_mapper, activation="relu"))
+
+
 def fast(iterations: int = 1250) -> TrainConfig:
     """``default`` for the impatient: half of its iterations, more of them at half resolution."""
     return TrainConfig(iterations=iterations, half_size_until=0.2)
@@ -158,7 +164,7 @@ PRESETS: dict[str, TrainConfig] = {
     "paper-scaffold": on_anchors(paper(), PAPER_ANCHORS),
     "baseline-scaffold": on_anchors(baseline(), SHORT_TRAINING),
     "gausshdr": on_3dgs(GaussHDRConfig()),
-    "gausshdr-scaffold": on_anchors(on_3dgs(GaussHDRConfig()), PUBLISHED_ANCHORS),
+    "gausshdr-scaffold": on_anchors(on_3dgs(released_gausshdr()), PUBLISHED_ANCHORS),
     "hdr-gs": on_3dgs(HDRGSConfig()),
     "hdr-nerf": hdr_nerf(),
     "paper-short": short(paper()),

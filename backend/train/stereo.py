@@ -197,7 +197,10 @@ def _inverse_depths(camera: Camera, others: list[Camera]) -> np.ndarray | None:
     From the farthest to the nearest depth at which neighbours see what the camera sees, in steps of about a
     pixel's motion in the neighbour where it moves most.
     """
-    rays = _rays(camera)[:: max(1, camera.width * camera.height // 256)]
+    stride = max(1, camera.width * camera.height // 256)
+    while math.gcd(stride, camera.width) > 1:  # or the samples would stand in a few columns
+        stride += 1
+    rays = _rays(camera)[::stride]
     baseline = np.median([np.linalg.norm(other.position - camera.position) for other in others])
     candidates = np.concatenate([np.zeros(1), np.logspace(-3.0, 1.0, 81)]) / baseline
     seen, motion = [], []

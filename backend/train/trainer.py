@@ -31,6 +31,8 @@ from .warm_up import halved
 CHECKPOINT_FILE = "checkpoint.safetensors"
 #: Prefix of the backbone's parameters in a checkpoint, of either backbone.
 PRIMITIVES = "gaussians."
+#: Prefix of what growth counts.
+STATISTICS = "statistics."
 
 #: Streams of random numbers, so that no two purposes draw the same ones.
 STREAM_VIEWS, STREAM_EXPOSURES, STREAM_GROWTH, STREAM_SHOT = range(4)
@@ -46,8 +48,9 @@ class TrainingDivergedError(PhysHDRError):
 class Trainer:
     """A run: the method, its optimiser, its growth and the iteration.
 
-    ``device``: where everything is computed; ``implementation`` picks the rasteriser. Raises
-    ``BadValueError`` or ``DataMismatchError`` where the scene cannot be trained with ``config``.
+    ``device``: where everything is computed; ``implementation`` picks the rasteriser. ``resumed``: a run's
+    folder, to go on from its checkpoint, bit-identically on the CPU. Raises ``BadValueError`` or
+    ``DataMismatchError`` where the scene cannot be trained with ``config``; what reading a checkpoint raises.
     """
 
     def __init__(
@@ -56,10 +59,13 @@ class Trainer:
         config: TrainConfig,
         implementation: Implementation = "auto",
         device: torch.device | str = "cpu",
+        resumed: Path | None = None,
     ) -> None:
         self.scene, self.config, self.device = scene, config, torch.device(device)
         self.pictures = Pictures(self.device)
         self.iteration = 0
+        #: What training took so far, the search for the first points included, in all its parts.
+        self.seconds = self.cpu_seconds = 0.0
         self._sound = True  # whether the state is one that a checkpoint may hold
         uses_light = getattr(config.method, "lighting_level", "exposure") == "view"
         self.lights = scene.lights if uses_light else (AMBIENT,)
@@ -71,22 +77,31 @@ class Trainer:
         torch.manual_seed(config.seed)  # initial values of the networks
         facts = Facts(scene.response_anchor, implementation, self.lights)
         self.method = new_method(config.method, config.anchors, facts)
-        self.method.prepare(config.seed)
+        state = self._restore(resumed) if resumed else {}
+        if not resumed:
+            self._begin()
+        self.method.to_device(self.device)
+        self.optimiser = Optimiser(
+            self.method, config.optimiser, scene_extent(scene.train), config.iterations
+        )
+        self.growth = self._new_growth()
+        if resumed:
+            state = {name: tensor.to(self.device) for name, tensor in state.items()}
+            self.optimiser.load_state_tensors(state)
+            self.growth.restore(
+                {k.removeprefix(STATISTICS): v for k, v in state.items() if k.startswith(STATISTICS)}
+            )
+            self._follow_schedule(self.iteration)
+
+    def _begin(self) -> None:
+        """The state at iteration 0."""
+        self.method.prepare(self.config.seed)
         self.start_message = "random networks"
         begun, begun_cpu = time.perf_counter(), time.process_time()
         if isinstance(self.method, SplattingMethod):
             self._place(self.method)
-        #: Seconds and CPU seconds that finding the first points took: they count as training.
-        self.placing = time.perf_counter() - begun, time.process_time() - begun_cpu
-        self.method.to_device(self.device)
-        self._begin_optimising()
-
-    def _begin_optimising(self) -> None:
-        config, method = self.config, self.method
-        self.optimiser = Optimiser(
-            method, config.optimiser, scene_extent(self.scene.train), config.iterations
-        )
-        self.growth = self._new_growth()
+        self.seconds = time.perf_counter() - begun
+        self.cpu_seconds = time.process_time() - begun_cpu
 
     def _new_growth(self) -> Growth:
         config, seed = self.config, (self.config.seed, STREAM_GROWTH)
@@ -217,10 +232,9 @@ class Trainer:
         for how many seconds it held the training up (a pause), which then count in no rate.
         """
         total = self.config.iterations
-        begun, begun_cpu = time.perf_counter(), time.process_time()
+        begun, begun_cpu = time.perf_counter() - self.seconds, time.process_time() - self.cpu_seconds
         message = ". ".join([f"started from {self.start_message}", *self.scene.messages])
         yield Started(self.iteration, total, self.method.size, message)
-        watching = 0.0  # CPU seconds that training does not need
         sums: dict[str, torch.Tensor] = {}
         window_start, window_first = time.perf_counter(), self.iteration
         try:
@@ -239,11 +253,12 @@ class Trainer:
                     due = monitor is not None and (done % monitor_every == 0 or done == total)
                     begun_watching = time.process_time()
                     measured = monitor(self.method) if due and monitor is not None else {}
-                    watching += time.process_time() - begun_watching
+                    begun_cpu += time.process_time() - begun_watching  # training does not need it
                     yield Progress(
                         done, total, self.method.size, losses, rate, (total - done) / rate, measured
                     )
                     sums, window_start, window_first = {}, time.perf_counter(), done
+                self.seconds, self.cpu_seconds = time.perf_counter() - begun, time.process_time() - begun_cpu
                 if done % checkpoint_every == 0 and done < total:
                     yield self.save(folder)
                 held = between()
@@ -253,12 +268,7 @@ class Trainer:
             if self._sound:
                 self.save(folder)
         yield Saved(self.iteration, str(folder / CHECKPOINT_FILE))
-        yield Finished(
-            self.iteration,
-            time.perf_counter() - begun + self.placing[0],
-            time.process_time() - begun_cpu - watching + self.placing[1],
-            stopped=self.iteration < total,
-        )
+        yield Finished(self.iteration, self.seconds, self.cpu_seconds, stopped=self.iteration < total)
 
     def _refuse_nan(self, losses: dict[str, float]) -> None:
         bad = [name for name, value in losses.items() if not math.isfinite(value)]
@@ -276,18 +286,19 @@ class Trainer:
     # -- checkpoints ---------------------------------------------------------------------------------------
 
     def save(self, folder: Path) -> Saved:
-        """Write everything that ``resume`` needs; raises ``OutputError``."""
+        """Write everything that going on needs; raises ``OutputError``."""
         tensors = {f"networks.{k}": v for k, v in self.method.state_dict().items()}
         if isinstance(self.method, SplattingMethod):
             tensors |= {f"{PRIMITIVES}{k}": v for k, v in self.method.backbone.parameters.items()}
-        tensors |= {f"statistics.{k}": v for k, v in self.growth.tensors().items()}
+        tensors |= {f"{STATISTICS}{k}": v for k, v in self.growth.tensors().items()}
         tensors |= self.optimiser.state_tensors()
         path = folder / CHECKPOINT_FILE
-        save_checkpoint(path, tensors, {"iteration": str(self.iteration)}, self.lights)
+        spent = {"seconds": f"{self.seconds:.3f}", "cpu_seconds": f"{self.cpu_seconds:.3f}"}
+        save_checkpoint(path, tensors, {"iteration": str(self.iteration), **spent}, self.lights)
         return Saved(self.iteration, str(path))
 
-    def resume(self, folder: Path) -> None:
-        """Go on from the checkpoint in ``folder``: the run continues bit-identically on the CPU."""
+    def _restore(self, folder: Path) -> dict[str, torch.Tensor]:
+        """The method as the checkpoint in ``folder`` has it; returns the checkpoint's tensors."""
         tensors, metadata = load_checkpoint(folder / CHECKPOINT_FILE)
         lights = lights_of(metadata, folder / CHECKPOINT_FILE)
         if lights != self.lights:
@@ -297,14 +308,10 @@ class Trainer:
                 "Give the data set that it was begun with.",
             )
         restore_method(self.method, tensors)
-        self.method.to_device(self.device)
-        self._begin_optimising()
-        self.optimiser.load_state_tensors({k: v.to(self.device) for k, v in tensors.items()})
-        statistics = {k: v.to(self.device) for k, v in tensors.items() if k.startswith("statistics.")}
-        self.growth.restore({k.removeprefix("statistics."): v for k, v in statistics.items()})
         self.iteration = int(metadata["iteration"])
+        self.seconds, self.cpu_seconds = (float(metadata.get(name, 0)) for name in ("seconds", "cpu_seconds"))
         self.start_message = f"the checkpoint in {folder}"
-        self._follow_schedule(self.iteration)
+        return tensors
 
 
 def restore_method(method: Method, tensors: dict[str, torch.Tensor]) -> None:

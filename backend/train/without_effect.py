@@ -42,7 +42,7 @@ def _unread(trainer: Trainer) -> set[str]:
     method = trainer.method
     if not isinstance(method, SplattingMethod):
         return set(OF_SPLATS)
-    unread = set(OF_3DGS) if isinstance(method.backbone, Anchors) else set()
+    unread: set[str] = {*OF_3DGS} if isinstance(method.backbone, Anchors) else set()
     rates = {each.name for each in dataclasses.fields(OptimiserConfig) if each.type is float}
     own = method.rates().keys()
     learning = {name for name in trainer.optimiser.rates if name not in own}

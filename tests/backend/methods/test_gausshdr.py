@@ -195,6 +195,14 @@ def test_only_the_likelihood_teaches_the_uncertainty(camera):
     assert literal.gaussians.means.grad.any() and literal.gaussians.opacity_logits.grad.any()
 
 
+def test_no_splat_is_more_certain_than_the_bound():
+    method = make()
+    with torch.no_grad():
+        method.uncertainty.network.b2.fill_(-20.0)
+    u = method.uncertainty(torch.zeros(3, 7), torch.zeros(4, 7))
+    assert torch.equal(u, torch.full((3, 7), 0.1))
+
+
 def test_a_perfect_picture_leaves_the_logarithm_of_the_uncertainties(camera):
     method = make()
     picture = torch.rand(3, 20, 24)
@@ -292,8 +300,7 @@ def test_it_goes_on_bit_identically_across_the_switch_to_local_curves(tiny_data,
     trainer = Trainer(scene, config)
     for _ in trainer.run(tmp_path / "parts", should_stop=lambda: trainer.iteration >= 15):
         pass
-    resumed = Trainer(scene, config)
-    resumed.resume(tmp_path / "parts")
+    resumed = Trainer(scene, config, resumed=tmp_path / "parts")
     for _ in resumed.run(tmp_path / "parts"):
         pass
     whole, parts = (load_checkpoint(tmp_path / name / CHECKPOINT_FILE)[0] for name in ("whole", "parts"))

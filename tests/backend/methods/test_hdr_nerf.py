@@ -498,8 +498,7 @@ def test_a_stopped_and_resumed_run_is_bit_identical(tiny_data, tmp_path, noise):
     config = TrainConfig(method=method, iterations=12, exposure_mode="exp1")
     train(scene, config, tmp_path / "whole")
     train(scene, config, tmp_path / "parts", stop_at=5)
-    trainer = Trainer(scene, config)
-    trainer.resume(tmp_path / "parts")
+    trainer = Trainer(scene, config, resumed=tmp_path / "parts")
     for _ in trainer.run(tmp_path / "parts"):
         pass
     whole, parts = (load_checkpoint(tmp_path / name / CHECKPOINT_FILE)[0] for name in ("whole", "parts"))

@@ -189,6 +189,19 @@ def test_a_learned_modulator_knows_one_light():
         PhysHDR(config, Gaussians({}), ANCHOR, lights=("ambient", "pendant"))
 
 
+def test_what_the_illumination_branch_alone_develops_is_its_radiance(camera):
+    config = dataclasses.replace(PRESETS["default"].method, modulator="learned")
+    method = PhysHDR(config, make("default").backbone, ANCHOR)
+    with torch.no_grad():
+        for parameter in method.modulator.parameters():
+            parameter.add_(0.3)  # no longer the identity at level 1
+    assert torch.allclose(method.hdr(camera), method.hdr(camera, 1.0 + 1e-6), rtol=1e-4)
+    developed = method.tone_mapper.tone_map(method.hdr(camera) * 2.0, None)[0]
+    assert torch.allclose(method.ldr(camera, 2.0), developed, atol=1e-5)
+    with pytest.raises(BadValueError, match=r"illumination branch alone[\s\S]*lighting-level view"):
+        dataclasses.replace(config, lighting_level="exposure")
+
+
 @pytest.mark.parametrize("preset", OURS)
 def test_level_0_is_finite(preset, camera):
     method = make(preset)

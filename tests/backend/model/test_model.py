@@ -135,6 +135,12 @@ def test_the_warm_start_fits_the_curve_of_hdr_nerf():
     assert error.mean() < 0.03
 
 
+def test_the_warm_start_leaves_no_gradient_behind():
+    mapper = ToneMapper(ToneMapperConfig(initial_slope=0.6, warm_start_steps=3), ANCHOR)
+    mapper.warm_start(0)
+    assert all(parameter.grad is None for parameter in mapper.parameters())
+
+
 def test_the_inverse_undoes_the_response():
     mapper = ToneMapper(ToneMapperConfig(), ANCHOR)
     x = torch.linspace(-6.0, 4.0, 50).expand(3, -1).contiguous()

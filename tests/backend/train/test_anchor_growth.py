@@ -217,14 +217,14 @@ def test_statistics_are_means_in_ndc_of_what_was_drawn():
 SHORT = AnchorGrowthConfig(every=40, stop=0.7, threshold=1e-4, seen_share=0.2)
 
 
-def short_training(tiny_data) -> Trainer:
+def short_training(tiny_data, resumed=None) -> Trainer:
     config = dataclasses.replace(
         PRESETS["default"],
         iterations=200,
         half_size_until=0.0,
         anchors=AnchorsConfig(offsets=4, growth=SHORT),
     )
-    return Trainer(read_scene(tiny_data), config)
+    return Trainer(read_scene(tiny_data), config, resumed=resumed)
 
 
 def test_a_short_training_learns_and_grows(tiny_data):
@@ -253,8 +253,7 @@ def test_a_resumed_training_is_the_same_bit_for_bit(tiny_data, tmp_path):
     whole = until(short_training(tiny_data), 90)
     broken = until(short_training(tiny_data), 55)  # between two growths
     broken.save(tmp_path)
-    resumed = short_training(tiny_data)
-    resumed.resume(tmp_path)
+    resumed = short_training(tiny_data, tmp_path)
     until(resumed, 90)
     assert len(whole.method.backbone) == len(resumed.method.backbone)
     for name, tensor in whole.method.backbone.parameters.items():

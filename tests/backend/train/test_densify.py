@@ -42,12 +42,12 @@ def make(count=8):
     return method, optimiser
 
 
-def control(method, optimiser, gradients, **changes):
+def control(method, optimiser, gradients, iteration=1, **changes):
     config = dataclasses.replace(DensifyConfig(threshold=1.0, clone_below=0.01, budget=0), **changes)
     state = DensifyState.empty(method.gaussians)
     state.gradient_sum += torch.tensor(gradients) * 3.0
     state.visits += 3.0  # the mean over visits is what counts
-    return densify(method, optimiser, state, 1, config, torch.Generator().manual_seed(0))
+    return densify(method, optimiser, state, iteration, config, torch.Generator().manual_seed(0))
 
 
 def test_small_ones_are_cloned_large_ones_split_and_transparent_ones_pruned():
@@ -74,6 +74,20 @@ def test_small_ones_are_cloned_large_ones_split_and_transparent_ones_pruned():
     assert moments[children].max() == 0 and moments[copies[:, 3:].any(dim=1)].min() > 0
     original, clone = moments[copies[:, 0]]  # at the same place, the older one first
     assert original.min() > 0 and clone.max() == 0
+
+
+def test_after_the_first_reset_the_oversized_go_and_those_split_count_by_their_children():
+    method, optimiser = make()  # extent 1: the limit is 0.1
+    with torch.no_grad():
+        method.gaussians.log_scales.fill_(np.log(0.05))
+        method.gaussians.log_scales[:4] = torch.tensor([0.12, 0.12, 0.2, 0.09]).log()[:, None]
+    before = method.gaussians.means.detach().clone()
+    gradients = [2.0, 0.0, 2.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+    control(method, optimiser, gradients, reset_every=1, iteration=2)
+    copies = (method.gaussians.means[:, None] == before).all(dim=2)
+    assert copies.sum(dim=0).tolist() == [0, 0, 0, 1, 1, 1, 1, 1]
+    children = method.gaussians.scales[~copies.any(dim=1)]  # of 0.12 alone: 0.2 / 1.6 is too large
+    assert torch.allclose(children, torch.full((2, 3), 0.12 / 1.6))
 
 
 def test_the_budget_goes_to_the_largest_gradients():

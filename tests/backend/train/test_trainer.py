@@ -75,12 +75,23 @@ def test_a_stopped_and_resumed_run_is_bit_identical(preset, data, request, tmp_p
     whole = train(scene, config, tmp_path / "whole")
     train(scene, config, tmp_path / "parts", stop_at=17)
     assert load_checkpoint(tmp_path / "parts" / CHECKPOINT_FILE)[1]["iteration"] == "17"
-    resumed = Trainer(scene, config)
-    resumed.resume(tmp_path / "parts")
+    resumed = Trainer(scene, config, resumed=tmp_path / "parts")
     for _ in resumed.run(tmp_path / "parts"):
         pass
     assert len(whole.method.gaussians) > 60  # densification took part
     assert_identical(weights(tmp_path / "whole"), weights(tmp_path / "parts"))
+
+
+def test_a_resumed_training_searches_no_points_and_goes_on_counting_seconds(tiny_data, tmp_path, monkeypatch):
+    scene, config = read_scene(tiny_data), short("default", iterations=12)
+    stopped = train(scene, config, tmp_path, stop_at=5)
+    spent = stopped.seconds, stopped.cpu_seconds
+    monkeypatch.delattr(f"{Trainer.__module__}.initial_points")
+    resumed = Trainer(scene, config, resumed=tmp_path)
+    assert (resumed.seconds, resumed.cpu_seconds) == pytest.approx(spent, abs=1e-3)
+    *_, last = resumed.run(tmp_path)
+    assert last.seconds > spent[0] and last.cpu_seconds > spent[1]
+    assert not last.stopped and last.iteration == 12
 
 
 # The small HDR-NeRF is the same method; the published sizes would take ten minutes here.
@@ -151,7 +162,7 @@ def test_the_ambient_light_alone_is_kept_as_before_there_were_others(tiny_data, 
     train(scene, config, tmp_path / "one")
     with safe_open(tmp_path / "one" / CHECKPOINT_FILE, "pt") as file:
         names = set(file.keys())
-        assert set(file.metadata()) == {"format", "version", "iteration"}
+        assert set(file.metadata()) == {"format", "version", "iteration", "seconds", "cpu_seconds"}
         assert file.get_slice("gaussians.ambient_share_logits").get_shape()[1:] == [3]
         assert file.get_slice("adam.ambient_share_logits.0.exp_avg").get_shape()[1:] == [3]
         assert "adam.ambient_share_logits.0.step" in names and not any("light_share" in n for n in names)
@@ -161,7 +172,7 @@ def test_the_ambient_light_alone_is_kept_as_before_there_were_others(tiny_data, 
         assert file.get_slice("gaussians.light_share_logits").get_shape()[1:] == [2, 3]
     for folder, other in (("one", two_lights_data), ("two", tiny_data)):
         with pytest.raises(DataMismatchError, match=r"has levels of ambient[\s\S]*begun with"):
-            Trainer(read_scene(other), config).resume(tmp_path / folder)
+            Trainer(read_scene(other), config, resumed=tmp_path / folder)
 
 
 def test_a_configuration_of_before_there_were_lights_is_read(tmp_path):
