@@ -1,18 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Exposures of pictures, in seconds: from a file that states them, or from what the camera wrote (EXIF)."""
 
-import math
 import statistics
-import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-
-from PIL import ExifTags, Image
 
 from ...bridge.errors import BadValueError, DataMismatchError
 from .checks import number, plain_name, read_json
-from .pictures import READABLE
+from .exif import read_exif
 
 #: Beside ``images/``: {picture's file name: exposure in seconds} (GaussHDR's file).
 EXPOSURE_FILE = "exposure.json"
@@ -39,48 +34,6 @@ def read_exposure_file(path: Path) -> dict[str, float]:
             )
         exposures[plain_name(key).removeprefix("images/")] = seconds
     return exposures
-
-
-@dataclass(frozen=True)
-class Exif:
-    """What a camera wrote of a picture's exposure; None where it did not. ``time``: seconds."""
-
-    time: float | None = None
-    iso: float | None = None
-    f_number: float | None = None
-
-
-def read_exif(path: Path) -> Exif:
-    """A picture's EXIF; all None where it has none, or what it has cannot be read."""
-    try:
-        with Image.open(path, formats=READABLE) as picture:
-            tags = picture.getexif().get_ifd(ExifTags.IFD.Exif)
-    except (
-        OSError,
-        SyntaxError,
-        ValueError,
-        KeyError,
-        TypeError,
-        struct.error,
-        Image.DecompressionBombError,
-    ):
-        return Exif()  # the reader of pictures says what is wrong with the file
-    return Exif(
-        _positive(tags.get(ExifTags.Base.ExposureTime)),
-        _positive(tags.get(ExifTags.Base.ISOSpeedRatings)),
-        _positive(tags.get(ExifTags.Base.FNumber)),
-    )
-
-
-def _positive(value: object) -> float | None:
-    """A tag as a number; None where it is missing, 0 (a lens without contacts has F 0) or nonsense."""
-    if isinstance(value, tuple):  # ISO may be a list of one
-        value = value[0] if value else None
-    try:
-        result = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError, ZeroDivisionError, OverflowError):
-        return None
-    return result if math.isfinite(result) and result > 0.0 else None
 
 
 def exposures_from_exif(paths: Sequence[Path]) -> tuple[list[float], str] | None:

@@ -7,12 +7,12 @@ import struct
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from PIL import ExifTags, Image, ImageOps
 
 from ....bridge.errors import DataMismatchError, FileDamagedError, FileMissingError
+from ..exif import Tags, exposure_of, positive, tags_of
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 #: What cameras write that is no 8-bit picture; named in the message where nothing else is found.
@@ -135,58 +135,25 @@ def _read_header(path: Path) -> Photo:
                     "Save it again as JPEG, PNG or TIFF with 8 bits a channel, RGB.",
                 )
             width, height = picture.size
-            try:
-                exif = picture.getexif()
-                tags: dict[int, Any] = {**exif, **exif.get_ifd(ExifTags.IFD.Exif)}
-            except (SyntaxError, ValueError, KeyError, TypeError, struct.error):
-                tags = {}  # EXIF that is damaged says nothing; where it is needed, its absence is named
+            tags = tags_of(picture)
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise _damaged(path, error) from error
     if tags.get(ExifTags.Base.Orientation) in TURNED:
         width, height = height, width
+    exposure = exposure_of(tags)
     return Photo(
         path,
         width,
         height,
         taken=_moment(tags),
-        shutter=_positive(tags, ExifTags.Base.ExposureTime) or _apex(tags, "ShutterSpeedValue", -1.0),
-        iso=_iso(tags),
-        f_number=_positive(tags, ExifTags.Base.FNumber) or _apex(tags, "ApertureValue", 0.5),
-        focal_35mm=_positive(tags, ExifTags.Base.FocalLengthIn35mmFilm),
+        shutter=exposure.time,
+        iso=exposure.iso,
+        f_number=exposure.f_number,
+        focal_35mm=positive(tags, ExifTags.Base.FocalLengthIn35mmFilm),
     )
 
 
-def _number(tags: dict[int, Any], tag: int) -> float | None:
-    value = tags.get(tag)
-    if isinstance(value, tuple | list) and value:
-        value = value[0]
-    try:
-        number = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError, ZeroDivisionError):
-        return None
-    return number if math.isfinite(number) else None
-
-
-def _positive(tags: dict[int, Any], tag: int) -> float | None:
-    number = _number(tags, tag)
-    return number if number is not None and number > 0.0 else None
-
-
-def _apex(tags: dict[int, Any], name: str, power: float) -> float | None:
-    """Time = 2^−Tv, F = 2^(Av/2) (EXIF 2.3, annex C), where a camera gives only these."""
-    value = _number(tags, ExifTags.Base[name])
-    return None if value is None or abs(value) > 40.0 else 2.0 ** (power * value)
-
-
-def _iso(tags: dict[int, Any]) -> float | None:
-    """ISO; above 65534 its old tag says 65535 and the index tag has the value (EXIF 2.3)."""
-    iso = _positive(tags, ExifTags.Base.ISOSpeedRatings)
-    if iso is None or iso >= 65535:
-        return _positive(tags, ExifTags.Base.RecommendedExposureIndex) or iso
-    return iso
-
-
-def _moment(tags: dict[int, Any]) -> datetime | None:
+def _moment(tags: Tags) -> datetime | None:
     try:
         moment = datetime.strptime(
             str(tags[ExifTags.Base.DateTimeOriginal]).strip(" \0"), "%Y:%m:%d %H:%M:%S"

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a camera wrote of a picture (EXIF): read here alone, for data sets and for photos to be prepared."""
+
+import math
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from PIL import ExifTags, Image
+
+from .pictures import READABLE
+
+#: Above this ISO its old tag holds 65535, and the index tag the value (EXIF 2.3).
+LARGEST_ISO = 65534
+#: No APEX value of a time or an aperture is beyond.
+LARGEST_APEX = 40.0
+
+#: Tags by number.
+Tags = Mapping[int, Any]
+
+
+@dataclass(frozen=True)
+class Exif:
+    """What a camera wrote of a picture's exposure; None where it did not. ``time``: seconds."""
+
+    time: float | None = None
+    iso: float | None = None
+    f_number: float | None = None
+
+
+def read_exif(path: Path) -> Exif:
+    """A picture's EXIF; all None where it has none, or what it has cannot be read."""
+    try:
+        with Image.open(path, formats=READABLE) as picture:
+            return exposure_of(tags_of(picture))
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError):
+        return Exif()  # the reader of pictures says what is wrong with the file
+
+
+def tags_of(picture: Image.Image) -> Tags:
+    """The EXIF tags of an open picture; {} where they are damaged: whoever needs one names its lack."""
+    try:
+        exif = picture.getexif()
+        return {**exif, **exif.get_ifd(ExifTags.IFD.Exif)}
+    except (SyntaxError, ValueError, KeyError, TypeError, struct.error):
+        return {}
+
+
+def exposure_of(tags: Tags) -> Exif:
+    """Time, ISO and aperture; the APEX values count where a camera gives only these."""
+    return Exif(
+        positive(tags, ExifTags.Base.ExposureTime) or _apex(tags, ExifTags.Base.ShutterSpeedValue, -1.0),
+        _iso(tags),
+        positive(tags, ExifTags.Base.FNumber) or _apex(tags, ExifTags.Base.ApertureValue, 0.5),
+    )
+
+
+def positive(tags: Tags, tag: int) -> float | None:
+    """A tag as a number; None where it is missing, 0 (a lens without contacts has F 0) or nonsense."""
+    number = _number(tags, tag)
+    return number if number is not None and number > 0.0 else None
+
+
+def _number(tags: Tags, tag: int) -> float | None:
+    value = tags.get(tag)
+    if isinstance(value, tuple | list) and value:  # ISO may be a list of one
+        value = value[0]
+    try:
+        number = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, ZeroDivisionError, OverflowError):
+        return None
+    return number if math.isfinite(number) else None
+
+
+def _apex(tags: Tags, tag: int, power: float) -> float | None:
+    """Time = 2^−Tv, F = 2^(Av/2) (EXIF 2.3, annex C)."""
+    value = _number(tags, tag)
+    return None if value is None or abs(value) > LARGEST_APEX else 2.0 ** (power * value)
+
+
+def _iso(tags: Tags) -> float | None:
+    iso = positive(tags, ExifTags.Base.ISOSpeedRatings)
+    if iso is None or iso > LARGEST_ISO:
+        return positive(tags, ExifTags.Base.RecommendedExposureIndex) or iso
+    return iso
