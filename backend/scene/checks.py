@@ -26,7 +26,7 @@ def read_json(path: Path) -> dict[str, Any]:
             f"{path} is not valid JSON: line {error.lineno}, column {error.colno}: {error.msg}",
             f"Mend that line. {MAKE_AGAIN}",
         ) from error
-    except (UnicodeDecodeError, RecursionError, OSError) as error:
+    except (ValueError, RecursionError, OSError) as error:  # not UTF-8, a number of thousands of digits
         raise FileDamagedError(f"{path} cannot be read as JSON: {error}", MAKE_AGAIN) from error
     if not isinstance(content, dict):
         raise FileDamagedError(f"{path} holds a {type(content).__name__}, not an object", MAKE_AGAIN)
@@ -42,9 +42,12 @@ def require(path: Path, content: dict[str, Any], key: str, where: str = "") -> A
 
 
 def number(path: Path, value: Any, what: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise BadValueError(f"{path}: {what} must be a finite number, got {value!r}", "Mend it in that file.")
-    return float(value)
+    try:
+        if not isinstance(value, bool) and isinstance(value, int | float) and math.isfinite(value):
+            return float(value)
+    except OverflowError:
+        pass  # an integer beyond the range of floats
+    raise BadValueError(f"{path}: {what} must be a finite number, got {value!r:.80}", "Mend it in that file.")
 
 
 def plain_name(name: str) -> str:
@@ -68,7 +71,7 @@ def rigid_pose(path: Path, matrix: Any, which: str) -> np.ndarray:
     remedy = f"Mend 'transform_matrix' of that frame in {path.name}; scale and shear must be removed."
     try:
         pose = np.array(matrix, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         pose = np.empty(0)
     if pose.shape != (4, 4):
         raise BadValueError(

@@ -17,7 +17,17 @@ from .checks import path_inside
 from .colmap_files import SparseImage, SparseModel, find_model, read_model
 from .exposures import EXPOSURE_FILE, SAY_EXPOSURES, exposures_from_exif, read_exposure_file
 from .info import read_anchor, read_info
-from .poses import Picture, Pose, bracket_name, fitted, missing_in_words, one_size, split_somehow
+from .poses import (
+    Picture,
+    Pose,
+    bracket_name,
+    check_numbers,
+    fitted,
+    missing_in_words,
+    numbered,
+    one_size,
+    split_somehow,
+)
 from .resize import Reduction, capped
 from .scene import PictureCache, Points, Scene
 
@@ -27,6 +37,8 @@ LOOKS_FOR = "images/ and sparse/0"
 SUFFIXES = (".png", ".jpg", ".jpeg")
 #: Cameras of one bracket that are farther apart than this share of the cameras' spread are worth a message.
 STEADY = 0.002
+#: Pictures whose cameras are farther apart than this share are no bracket: a hand does not move so far.
+FAR = 0.1
 
 
 def is_mine(root: Path) -> bool:
@@ -41,12 +53,18 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
     ``FileDamagedError``, ``DataMismatchError`` or ``BadValueError``, each naming the file and the remedy.
     """
     found = read_poses(root, root / "images")
-    return scene_of(found, split_somehow(found.poses), layout=NAME, anchor=None, downscale=downscale)
+    train, test, rule = split_somehow(found.poses)
+    check_numbers(train, "training", root / "images")
+    check_numbers(test, "test", root / "images")
+    return scene_of(found, (train, test, rule), layout=NAME, anchor=None, downscale=downscale)
 
 
 @dataclass(frozen=True, eq=False)
 class FoundPoses:
-    """Poses with full-size cameras, sorted by name; ``size`` of the pictures; ``messages`` about them."""
+    """Poses with full-size cameras, sorted by name; ``size`` of the pictures; ``messages`` about them.
+
+    A pose's index is its place in that order, or what ``numbered`` says.
+    """
 
     root: Path
     poses: list[Pose]
@@ -88,11 +106,18 @@ def read_poses(root: Path, pictures: Path) -> FoundPoses:
     assert folder is not None, "is_mine has found it"
     model = read_model(folder)
     stated = read_exposure_file(root / EXPOSURE_FILE) if (root / EXPOSURE_FILE).is_file() else None
-    groups = _brackets_by_name(model.images, pictures)
+    spread = float(np.ptp([model.camera(image).position for image in model.images], axis=0).max())
+    groups = _brackets_by_name(model.images, pictures) or _single(model.images)
     messages = []
-    bracketed = groups is not None
-    if groups is None:
-        groups = _single(model.images)
+    far = [group for group in groups if _camera(model, group)[1] > FAR * spread]
+    if far:
+        names = ", ".join(f"'{group.name}_…'" for group in far)
+        messages.append(
+            f"names like brackets, but the cameras of {names} are far apart: each of their pictures in the "
+            "model is a view of its own"
+        )
+        groups = [one for group in groups for one in (_single(group.registered) if group in far else [group])]
+    bracketed = any(len(group.names) > 1 for group in groups)
     seconds, told = _exposures(groups, pictures, stated, folder, must=bracketed)
     messages.append(told)
     groups = [_without_unknown(group, seconds, folder) for group in groups]
@@ -118,14 +143,15 @@ def read_poses(root: Path, pictures: Path) -> FoundPoses:
         )
     if all(len(pose.pictures) == 1 for pose in poses):
         messages.append("one exposure a view: 'physhdr prepare' groups photographs into brackets")
-    spread = np.ptp([pose.camera.position for pose in poses], axis=0).max()
     if apart > STEADY * spread:
         messages.append(
             f"cameras of one bracket are up to {apart:.2g} units apart ({apart / spread:.1%} of all cameras' "
             "spread): each view takes that of the picture with the most points"
         )
     missing = missing_in_words(poses)
-    return FoundPoses(root, poses, size, model.points, (*messages, *([missing] if missing else [])))
+    return FoundPoses(
+        root, numbered(root, poses), size, model.points, (*messages, *([missing] if missing else []))
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,7 @@ from .poses import (
     check_numbers,
     fitted,
     missing_in_words,
+    numbered,
     one_size,
     pose_number,
     split_by_name,
@@ -81,6 +82,7 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
         camera = fitted(model.camera(image), size, folder, bracket[0].path)
         number = pose_number(name)
         poses.append(Pose(name, order if number is None else number, camera, bracket))
+    poses = numbered(root, poses)
     split = split_by_name(poses)
     if split is None:
         raise DataMismatchError(

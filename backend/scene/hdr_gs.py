@@ -6,13 +6,12 @@ file of exposures (HDR-GS has five numbers in its code, wrong for some scenes): 
 added.
 """
 
-from dataclasses import replace
 from pathlib import Path
 
 from .colmap import read_poses, scene_of
 from .colmap_files import find_model
 from .info import ORIGINAL_ANCHOR
-from .poses import pose_number
+from .poses import check_numbers
 from .scene import Scene
 
 NAME = "HDR-GS"
@@ -34,13 +33,11 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
     reader of COLMAP's folders raises.
     """
     found = read_poses(root, root / "images")
-    poses = [
-        replace(pose, index=order if (number := pose_number(pose.name)) is None else number)
-        for order, pose in enumerate(sorted(found.poses, key=lambda pose: pose.name))
-    ]
+    poses = sorted(found.poses, key=lambda pose: pose.name)
+    check_numbers(poses, "all", root / "images")  # their truth is in one folder
     rule = "split as HDR-GS: poses in the order of their names as text, every second one is for testing"
     return scene_of(
-        replace(found, poses=poses),
+        found,
         (poses[::2], poses[1::2], rule),
         layout=NAME,
         anchor=ORIGINAL_ANCHOR,

@@ -55,6 +55,11 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
     size = one_size([folder / name for name in names.values()])
     poses, bracket_messages = _poses(root / LOOKS_FOR, names, rows, folder, size)
     check_numbers(poses, "all", folder)
+    if all(pose.index % 2 for pose in poses):
+        raise DataMismatchError(
+            f"{folder} has no pose for training: those are the even ones, and it has {poses[0].name} …",
+            "Copy the even poses too, 000_0.jpg and so on.",
+        )
     model_folder, points, model_messages = find_model(root), None, ()
     if model_folder is not None:
         poses, points, model_messages = _with_model(model_folder, poses, size)

@@ -4,7 +4,7 @@
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ...bridge.errors import DataMismatchError, PhysHDRError
@@ -15,6 +15,8 @@ from .scene import PictureCache, View
 
 #: Where nothing says which views are for testing: every eighth from the first, as 3DGS has it.
 TEST_EVERY = 8
+#: Where any layout keeps true radiance (``evaluate/truth.py``), by the poses' numbers. Never opened here.
+TRUTH_FOLDERS = ("train_hdr", "test_hdr", "images_hdr", "exr")
 
 
 @dataclass(frozen=True)
@@ -146,6 +148,27 @@ def pose_number(name: str) -> int | None:
     """The number at the end of a name (``train_r_12`` → 12); None where there is none."""
     digits = re.search(r"(\d+)$", name)
     return int(digits.group()) if digits else None
+
+
+def numbered(root: Path, poses: Sequence[Pose]) -> list[Pose]:
+    """The poses by the numbers of their names where the data set holds true radiance, which these name.
+
+    Elsewhere as they are. Raises ``DataMismatchError`` for a name without a number; ``check_numbers`` of each
+    split comes after it.
+    """
+    truth = next((folder for folder in TRUTH_FOLDERS if (root / folder).is_dir()), None)
+    if truth is None:
+        return list(poses)
+    found = []
+    for pose in poses:
+        number = pose_number(pose.name)
+        if number is None:
+            raise DataMismatchError(
+                f"{root}: the pose '{pose.name}' has no number, which names its true radiance in {truth}/",
+                f"End its name with the number, as r_3; or move {truth}/ away.",
+            )
+        found.append(replace(pose, index=number))
+    return found
 
 
 def check_numbers(poses: Sequence[Pose], split: str, told_by: Path) -> None:

@@ -7,6 +7,7 @@ puts them: whoever misreads an axis, a quaternion or a principal point does not 
 
 import json
 import struct
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ POINTS = np.array([[0.1, 0.2, 0.0], [-0.7, 0.1, 0.45], [0.6, -0.3, -0.35]])
 SPOT, PEAK = 2.0, 120.0
 
 
-def world_to_camera(index: int) -> tuple[np.ndarray, np.ndarray]:
+def world_to_camera(index: float) -> tuple[np.ndarray, np.ndarray]:
     """R and t of camera ``index``, OpenCV axes: it stands askew on a ring and looks near the origin."""
     angle = 0.25 * index - 0.6
     centre = np.array([3.0 * np.sin(angle), -3.0 * np.cos(angle), 0.4 + 0.1 * index])
@@ -109,14 +110,14 @@ MODELS = {"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "OPENCV": 4, "O
 
 def write_sparse(
     folder: Path,
-    images: dict[str, int],
+    images: Mapping[str, float],
     form: str = "bin",
     model: str = "PINHOLE",
     params: tuple[float, ...] = (FX, FY, CX, CY),
     size: tuple[int, int] = (WIDTH, HEIGHT),
     observations: dict[str, int] | None = None,
 ) -> None:
-    """COLMAP's three files; ``images``: name → camera of ``world_to_camera``."""
+    """COLMAP's three files; ``images``: name → camera of ``world_to_camera``; 2.1 is beside 2."""
     folder.mkdir(parents=True, exist_ok=True)
     observations = observations or {}
     colours = ((255, 0, 0), (0, 255, 0), (0, 0, 51))
@@ -213,12 +214,16 @@ def write_real(root: Path, poses: int = 5, scale: float = 4.0) -> Path:
 
 
 def write_gausshdr(
-    root: Path, missing: dict[int, tuple[int, ...]] | None = None, suffix: str = "png", form: str = "bin"
+    root: Path,
+    missing: dict[int, tuple[int, ...]] | None = None,
+    suffix: str = "png",
+    form: str = "bin",
+    poses: int = 5,
 ) -> Path:
     """GaussHDR's packaging: even poses for training, ``missing``: pose → exposures that were not taken."""
     missing = missing or {}
     images, seconds = {}, {}
-    for index in range(5):
+    for index in range(poses):
         split = ("train", "test")[index % 2]
         base = f"{split}_r_{index}"
         for k, t in enumerate(EXPOSURES):

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from physhdr.backend.evaluate.inspection import inspect
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.colmap_files import read_model
 from physhdr.bridge.errors import (
@@ -126,6 +127,9 @@ REAL: list[Case] = [
     ("picture missing", remove("input_images/001_2.jpg"), DataMismatchError, ("6 rows", "5 pictures")),
     ("name", lambda _, r: (r / "input_images/000_0.jpg").rename(r / "input_images/a.jpg"), DataMismatchError,
      ("a.jpg", "003_1.jpg")),
+    ("none to train", lambda _, r: [change_rows(lambda rows: rows[3:])(_, r),
+        *(p.unlink() for p in r.glob("input_images/000_*"))], DataMismatchError,
+     ("no pose for training", "it has 001", "Copy the even poses")),
     ("no picture", write("input_images/001_2.jpg", b"jpeg"), FileDamagedError,
      ("001_2.jpg is not a readable",)),
     ("size", wrong_size("input_images/001_2.jpg"), DataMismatchError, ("001_2.jpg is 8×9", "one size")),
@@ -142,6 +146,12 @@ GAUSSHDR: list[Case] = [
      ("test_r_1_0.png", "0 s")),
     ("text", edit("exposure.json", lambda c: c.update({"test_r_1_0.png": "1/8"})), BadValueError,
      ("test_r_1_0.png", "'1/8'", "finite number")),
+    ("huge", edit("exposure.json", lambda c: c.update({"test_r_1_0.png": 10**400})), BadValueError,
+     ("test_r_1_0.png", "finite number")),
+    ("no number", lambda L, r: [edit("exposure.json", lambda c: c.update({"train_new_0.png": 1.0}))(L, r),
+        L.save(r / "images/train_new_0.png", L.draw(0, 0)), L.write_sparse(r / "sparse/0",
+        {"train_r_0_0.png": 0, "train_new_0.png": 0})], DataMismatchError,
+     ("'train_new' has no number", "images_hdr/", "as r_3")),
     ("no place", edit("exposure.json", lambda c: c.update({"train_r.png": 1})), DataMismatchError,
      ("'train_r.png'", "<pose>_<exposure>")),
     ("twice", edit("exposure.json", lambda c: c.update({"test_r_1_0.jpg": 1})), DataMismatchError,
@@ -155,6 +165,17 @@ GAUSSHDR: list[Case] = [
      ("no exposure for 'train_r_9_0'",)),
     ("none to train", lambda L, r: L.write_sparse(r / "sparse/0", {"test_r_1_0.png": 0}), DataMismatchError,
      ("'train' or 'test'", "none is for training")),
+]  # fmt: skip
+
+HDR_GS: list[Case] = [
+    ("one number", lambda L, r: [(r / "images/1_0.png").rename(r / "images/b_0_0.png"),
+        edit("exposure.json", lambda c: c.update({"b_0_0.png": 1.0}))(L, r),
+        L.write_sparse(r / "sparse/0", {"0_0.png": 0, "b_0_0.png": 1})],
+     DataMismatchError, ("'0', 'b_0' have one number, 0", "the number names the truth")),
+    ("no number", lambda L, r: [(r / "images/1_0.png").rename(r / "images/b_0.png"),
+        edit("exposure.json", lambda c: c.update({"b_0.png": 1.0}))(L, r),
+        L.write_sparse(r / "sparse/0", {"0_0.png": 0, "b_0.png": 1})],
+     DataMismatchError, ("'b' has no number", "exr/")),
 ]  # fmt: skip
 
 COLMAP: list[Case] = [
@@ -214,6 +235,13 @@ NERFSTUDIO: list[Case] = [
      ("two frames have the picture",)),
     ("no pose", frame(1, transform_matrix=None), FileDamagedError, ("no 'transform_matrix'", "frame_00001")),
     ("scaled", frame(1, transform_matrix=(2.0 * np.eye(4)).tolist()), BadValueError, ("not a rotation",)),
+    ("huge", edit("transforms.json", lambda c: c.update(w=10**400)), BadValueError, ("'w'", "finite number")),
+    ("huge pose", frame(1, transform_matrix=[[10**400, 0, 0, 0]] * 4), BadValueError, ("not a 4×4 matrix",)),
+    ("endless", write("transforms.json", b'{"w": ' + b"9" * 5000 + b"}"), FileDamagedError,
+     ("transforms.json cannot be read as JSON",)),
+    ("no number", lambda _, r: [(r / "exr").mkdir(),
+        (r / "images/frame_00001.png").rename(r / "images/a.png"),
+        frame(1, file_path="images/a.png")(_, r)], DataMismatchError, ("'images/a' has no number", "exr/")),
     ("no file", frame(1, file_path=None), FileDamagedError, ("no 'file_path'",)),
     ("outside", frame(1, file_path="/etc/passwd"), BadValueError, ("/etc/passwd", "without '..'")),
     ("missing", remove("images/frame_00001.png"), FileMissingError, ("frame_00001.png is missing",)),
@@ -253,6 +281,7 @@ def parameters(writer: str, cases: list[Case], **arguments):
     [
         *parameters("write_real", REAL, poses=2, scale=1.0),
         *parameters("write_gausshdr", GAUSSHDR),
+        *parameters("write_hdr_gs", HDR_GS, poses=2),
         *parameters("write_colmap", COLMAP, poses=3),
         *parameters("write_nerfstudio", NERFSTUDIO, poses=3),
     ],
@@ -269,6 +298,14 @@ def test_damage_is_named_with_a_remedy(
     for word in words:
         assert word in text, f"'{word}' is not in: {text}"
     assert caught.value.hint, f"no remedy in: {text}"
+
+
+def test_inspect_names_what_the_reader_refuses(layouts: ModuleType, tmp_path: Path) -> None:
+    root = layouts.write_real(tmp_path / "odd", poses=2, scale=1.0)
+    for path in root.glob("input_images/000_*"):
+        path.unlink()
+    change_rows(lambda rows: rows[3:])(layouts, root)
+    assert "no pose for training" in " ".join(inspect(root).errors)
 
 
 def test_exposures_of_hdr_gs_are_never_assumed(layouts: ModuleType, tmp_path: Path) -> None:

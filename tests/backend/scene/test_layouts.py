@@ -20,7 +20,10 @@ from PIL import Image
 from physhdr.backend.evaluate import truth
 from physhdr.backend.evaluate.protocol import evaluate
 from physhdr.backend.scene import Scene, View, read_scene
+from physhdr.backend.scene.capture.exposures import exposures_from_exif
+from physhdr.backend.scene.capture.photos import find_photos
 from physhdr.backend.scene.gausshdr import published_factor
+from physhdr.backend.scene.poses import TRUTH_FOLDERS
 from physhdr.bridge.errors import BadValueError
 
 #: Pixels by which a spot's measured centre may be off: JPEG, 8 bits and, where reduced, resampling.
@@ -90,6 +93,35 @@ def test_truth_is_found_by_evaluation_and_never_opened_by_readers(
     scene = read_scene(root)
     for view, i in scene.pictures():
         view.image(i)
+
+
+def test_the_number_of_a_pose_names_its_truth_whoever_reads_it(layouts: ModuleType, tmp_path: Path) -> None:
+    """A stray entry makes GaussHDR's packaging a plain COLMAP folder: test_r_11 comes before test_r_3."""
+    root = layouts.write_gausshdr(tmp_path / "sofa", poses=13)
+    stated = json.loads((root / "exposure.json").read_text())
+    (root / "exposure.json").write_text(json.dumps(stated | {"greycard_0.png": 1.0}))
+    scene = read_scene(root)
+    assert scene.layout == "COLMAP"
+    assert [view.index for view in scene.test] == [1, 11, 3, 5, 7, 9]
+    for split in ("train", "test"):
+        for view in scene.splits[split]:
+            shown = int(view.name.rsplit("_", 1)[1])
+            assert float(truth.hdr_truth(root, split, view.index).mean()) == 10.0 + shown
+
+
+def test_nerfstudio_beside_true_radiance_counts_by_names(layouts: ModuleType, tmp_path: Path) -> None:
+    root = layouts.write_nerfstudio(tmp_path / "data")
+    content = json.loads((root / "transforms.json").read_text())
+    content["frames"] = [frame for frame in content["frames"] if "00003" not in frame["file_path"]]
+    (root / "transforms.json").write_text(json.dumps(content))
+    assert [view.index for view in read_scene(root).train] == [1, 2, 3, 4, 5, 6, 7]
+    (root / "test_hdr").mkdir()
+    assert [view.index for view in read_scene(root).train] == [1, 2, 4, 5, 6, 7, 8]
+
+
+def test_readers_know_where_evaluation_looks_for_truth() -> None:
+    looked = {place.folder(split) for place in truth._PLACES for split in ("train", "test")}
+    assert looked == set(TRUTH_FOLDERS)
 
 
 @pytest.mark.parametrize("writer", ["write_real", "write_colmap", "write_nerfstudio"])
@@ -287,6 +319,20 @@ def test_exposures_are_read_from_exif(layouts: ModuleType, tmp_path: Path) -> No
     assert "exposures from EXIF, seconds at ISO 100 and f/8" in scene.messages
 
 
+def test_high_iso_and_apex_times_are_read_as_prepare_reads_them(layouts: ModuleType, tmp_path: Path) -> None:
+    """ISO 204800: 65535 in the old tag; a time of 2^-Tv alone."""
+    root = layouts.write_colmap(tmp_path / "data", poses=2)
+    told = [{0x829A: 0.01}, {0x9201: 5.0}, {0x9201: 3.0}]
+    for path in sorted((root / "images").glob("*.jpg")):
+        k = int(path.stem[-1])
+        tags = {0x8827: 65535, 0x8832: 204800} | told[k]
+        layouts.save(path, layouts.draw(int(path.stem[5:7]), k), exif=tags)
+    expected = (20.48, 2048 / 32, 2048 / 8)
+    assert read_scene(root).train[0].exposures == pytest.approx(expected, rel=1e-3)
+    prepared = exposures_from_exif(find_photos(root / "images")).seconds
+    assert [prepared[f"shot_00_{k}.jpg"] for k in range(3)] == pytest.approx(expected, rel=1e-3)
+
+
 def test_what_no_picture_tells_counts_as_constant(layouts: ModuleType, tmp_path: Path) -> None:
     root = layouts.write_colmap(tmp_path / "data", poses=2)
     for path in sorted((root / "images").glob("*.jpg")):
@@ -313,7 +359,7 @@ def test_a_stated_exposure_comes_before_exif(layouts: ModuleType, tmp_path: Path
 def test_the_camera_of_a_bracket_is_that_with_the_most_points(layouts: ModuleType, tmp_path: Path) -> None:
     """All pictures of the brackets are in the model, each where structure from motion put it."""
     root = layouts.write_colmap(tmp_path / "data", registered=(0, 1, 2), poses=4)
-    images = {f"shot_{i:02d}_{k}.jpg": i if k == 1 else (i + 1) % 4 for i in range(4) for k in range(3)}
+    images = {f"shot_{i:02d}_{k}.jpg": i if k == 1 else i + 0.05 for i in range(4) for k in range(3)}
     most = {name: 9 for name in images if name.endswith("_1.jpg")}
     for form in ("bin", "txt"):
         shutil.rmtree(root / "sparse")
@@ -324,8 +370,8 @@ def test_the_camera_of_a_bracket_is_that_with_the_most_points(layouts: ModuleTyp
 
 
 def test_pictures_that_are_no_brackets_are_views(layouts: ModuleType, tmp_path: Path) -> None:
-    """frame_00012 is a number, not a bracket; frame_1 … frame_9 of one exposure are none either."""
-    for name, message in (("frame_{:05d}.jpg", "one exposure a view"), ("frame_{}.jpg", "have one exposure")):
+    """frame_00012 is a number, not a bracket; frame_1 … frame_9 of nine places are none either."""
+    for name, message in (("frame_{:05d}.jpg", "one exposure a view"), ("frame_{}.jpg", "are far apart")):
         root = tmp_path / str(len(name))
         images = {name.format(i): i for i in range(9)}
         for file, i in images.items():
@@ -336,6 +382,39 @@ def test_pictures_that_are_no_brackets_are_views(layouts: ModuleType, tmp_path: 
         assert all(view.exposures == pytest.approx((0.02,)) for view in [*scene.train, *scene.test])
         assert any(message in told for told in scene.messages)
         assert_points_are_on_their_spots(layouts, scene)
+
+
+@pytest.mark.parametrize("exif", [True, False])
+def test_nine_places_are_no_bracket(layouts: ModuleType, tmp_path: Path, exif: bool) -> None:
+    """img_1 … img_9 of a walk with automatic exposure, or without EXIF; beside a bracket that is one."""
+    walk = {f"img_{i}.jpg": float(i) for i in range(1, 10)}
+    for name, i in walk.items():
+        tags = layouts.camera_exif(0.01 * i) if exif else None
+        layouts.save(tmp_path / "images" / name, layouts.draw(int(i), 0), exif=tags)
+    layouts.write_sparse(tmp_path / "sparse" / "0", walk)
+    scene = read_scene(tmp_path)
+    views = {view.name: view.exposures for view in (*scene.train, *scene.test)}
+    expected = {f"img_{i}": pytest.approx((0.01 * i if exif else 1.0,)) for i in range(1, 10)}
+    assert views == expected
+    assert any("cameras of 'img_…' are far apart" in message for message in scene.messages)
+    if exif:
+        held = {f"hand_{k}.jpg": 4.0 + 0.02 * k for k in range(3)}
+        for k, name in enumerate(held):
+            layouts.save(tmp_path / "images" / name, layouts.draw(4, k), exif=layouts.camera_exif(0.1 * 4**k))
+        layouts.write_sparse(tmp_path / "sparse" / "0", walk | held)
+        scene = read_scene(tmp_path)
+        views = {view.name: view.exposures for view in (*scene.train, *scene.test)}
+        assert views == expected | {"hand": pytest.approx((0.1, 0.4, 1.6))}
+    assert_points_are_on_their_spots(layouts, scene)
+
+
+def test_pictures_of_one_exposure_are_no_bracket(layouts: ModuleType, tmp_path: Path) -> None:
+    root = layouts.write_colmap(tmp_path / "data", poses=4)
+    for path in sorted((root / "images").glob("*.jpg")):
+        layouts.save(path, layouts.draw(int(path.stem[5:7]), 0), exif=layouts.camera_exif(0.02))
+    scene = read_scene(root)
+    assert [view.name for view in scene.train] == ["shot_01_1", "shot_02_1", "shot_03_1"]
+    assert any("have one exposure" in message for message in scene.messages)
 
 
 def test_plain_pictures_without_exif_are_ldr(layouts: ModuleType, tmp_path: Path) -> None:
