@@ -90,14 +90,29 @@ class _Encoder:
         self._container.mux(self._stream.encode(None))
 
 
+def frame_name(number: int) -> str:
+    """``frame_0000.png`` and so on."""
+    return f"frame_{number:04d}.png"
+
+
 @contextmanager
 def frames_writer(folder: Path) -> Iterator[FrameSink]:
-    """A sink that writes ``frame_0000.png`` … into ``folder``; raises ``OutputError``."""
+    """A sink that writes ``frame_0000.png`` … into ``folder``; raises ``OutputError``.
+
+    Frames of a longer video that was there before are removed at the end, if the block ends without an error.
+    """
     count = 0
 
     def write(frame: np.ndarray) -> None:
         nonlocal count
-        write_png(Path(folder) / f"frame_{count:04d}.png", frame)
+        write_png(Path(folder) / frame_name(count), frame)
         count += 1
 
     yield write
+    for path in Path(folder).glob("frame_*.png"):
+        digits = path.stem.removeprefix("frame_")
+        if digits.isdecimal() and int(digits) >= count and path.name == frame_name(int(digits)):
+            try:
+                path.unlink()
+            except OSError as error:
+                raise OutputError(f"cannot remove {path}: {error.strerror}", "Remove it by hand.") from error

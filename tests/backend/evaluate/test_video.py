@@ -173,6 +173,29 @@ def test_without_av_there_is_one_clear_message(tmp_path: Path, monkeypatch) -> N
     with frames_writer(tmp_path / "frames") as write:
         for value in (10, 20):
             write(np.full((4, 6, 3), value, np.uint8))
-    names = sorted(path.name for path in (tmp_path / "frames").iterdir())
+    frames = tmp_path / "frames"
+    names = sorted(path.name for path in frames.iterdir())
     assert names == ["frame_0000.png", "frame_0001.png"]
-    assert np.asarray(Image.open(tmp_path / "frames" / names[1]).convert("RGB"))[0, 0, 0] == 20
+    assert np.asarray(Image.open(frames / names[1]).convert("RGB"))[0, 0, 0] == 20
+
+
+def test_a_shorter_video_leaves_no_frames_of_the_longer_one(tmp_path: Path) -> None:
+    picture = np.zeros((4, 6, 3), np.uint8)
+
+    def write_frames(count: int) -> None:
+        with frames_writer(tmp_path) as write:
+            for _ in range(count):
+                write(picture)
+            if count == 1:
+                raise KeyboardInterrupt
+
+    write_frames(4)
+    for name in ("frame_00003.png", "frame_last.png", "frame_0009.jpg"):  # not ours
+        (tmp_path / name).touch()
+    with pytest.raises(KeyboardInterrupt):
+        write_frames(1)
+    assert (tmp_path / "frame_0003.png").is_file(), "removed only once the new ones are complete"
+    write_frames(2)
+    names = {path.name for path in tmp_path.iterdir()}
+    others = {"frame_00003.png", "frame_last.png", "frame_0009.jpg"}
+    assert names == {"frame_0000.png", "frame_0001.png"} | others
