@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """``physhdr export``: the model file for Blender and the two PLY files."""
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,11 +17,13 @@ from .progress import console
 from .run_folder import open_run, writable_folder
 
 MODEL_FILE = "model.safetensors"
+#: Exposures beyond, in EV, show nothing but black or white.
+EV_MAX = 30.0
 
 
 @dataclass(frozen=True)
 class Export:
-    """Write RUN/model.safetensors (for Blender), a standard 3DGS PLY and the lossless PLY."""
+    """Write RUN/model.safetensors (for Blender), a standard 3DGS PLY; of Gaussians also the lossless PLY."""
 
     #: Folder of the run.
     folder: tyro.conf.Positional[Path]
@@ -38,10 +39,10 @@ class Export:
     data: Path | None = None
 
     def run(self) -> int:
-        if not self.lighting_level >= 0.0 or not math.isfinite(self.exposure_ev):
+        if not self.lighting_level >= 0.0 or not abs(self.exposure_ev) <= EV_MAX:
             raise BadValueError(
                 f"cannot bake at EV {self.exposure_ev} and lighting level {self.lighting_level}",
-                "Give a finite EV and a lighting level of 0 or more.",
+                f"Give an EV of −{EV_MAX:g} to {EV_MAX:g} and a lighting level of 0 or more.",
             )
         run = open_run(self.folder, self.data)
         levels = levels_asked(self.lighting_level, self.lighting_levels, run.method.lights)
