@@ -55,10 +55,17 @@ class Evaluate:
                 bar.update(task, completed=done, total=total, description=f"evaluate {what}")
 
             evaluation = evaluate(
-                run.method, run.scene, lpips=lpips, exposure_mode=run.config.exposure_mode, progress=show
+                run.method,
+                run.scene,
+                lpips=lpips,
+                exposure_mode=run.config.exposure_mode,
+                training_exposures=run.config.training_exposures,
+                iteration=run.iteration,
+                iterations=run.config.iterations,
+                progress=show,
             )
+        paths = write_report(evaluation, out)  # before anything else that can fail: the numbers took long
         console.print(to_terminal(evaluation))
-        paths = write_report(evaluation, out)
         sheet = out / SHEET_FILE
         write_png(sheet, comparison_sheet(run.method, run.scene))
         paths = [*paths, sheet, *_draw_response(run, out / RESPONSE_FILE)]
@@ -97,12 +104,12 @@ def _compare(runs: list[tuple[Run, Path]], out: Path) -> list[Path]:
             Entry(name, scene.name, run.config.exposure_mode, run.config.seed, load_evaluation(folder))
         )
     title = f"{scene.name}, test views"
-    console.print(comparison_table(entries, metrics=SHORT_METRICS, title=title).rich())
     table = comparison_table(entries, title=title)
     paths = [out / f"{METHODS_NAME}.{kind}" for kind in ("md", "csv", "png")]
     for path, text in zip(paths, (table.markdown(), table.csv()), strict=False):
         with atomic_path(path) as temporary:
             temporary.write_text(text, encoding="utf-8")
+    console.print(comparison_table(entries, metrics=SHORT_METRICS, title=title).rich())
     renderers = {name: run.method for name, (run, _) in zip(names, runs, strict=True)}
     write_png(paths[-1], method_sheet(renderers, scene))
     return paths

@@ -5,6 +5,7 @@ LDR: every test view at every exposure, through 8 bit, in PSNR, SSIM and LPIPS; 
 then LDR-OE over exposure indices 0, 2, 4 (those that training saw) and LDR-NE over 1, 3 (those it did not).
 HDR: ``metrics.hdr_pair``, once as it is and once after dividing by the median scale ratio.
 Relit: the μ-law PSNR under other light, beside what scaling a picture would give (``results.RelitRow``).
+The PSNR of a picture is at most ``metrics.PSNR_CAP``, 100 dB; a message says where that was so.
 """
 
 import math
@@ -23,10 +24,10 @@ from ..scene.camera import Camera
 from ..scene.scene import Scene, View
 from . import truth
 from .lpips import SMALLEST_SIDE, Lpips
-from .metrics import display, hdr_pair, hdr_shown, psnr, quantise, resize_to, scale_ratio, ssim
+from .metrics import PSNR_CAP, display, hdr_pair, hdr_shown, psnr, quantise, resize_to, scale_ratio, ssim
 from .published import data_set_of
 from .response import check_response, learned_response, true_response
-from .results import Evaluation, HdrRow, LdrRow, Metrics, RelitRow
+from .results import NOVEL_EXPOSURES, OBSERVED_EXPOSURES, Evaluation, HdrRow, LdrRow, Metrics, RelitRow
 
 
 class Renderer(Protocol):
@@ -55,14 +56,20 @@ def evaluate(
     *,
     lpips: Lpips | None = None,
     exposure_mode: str = "unknown",
+    training_exposures: Sequence[int] = OBSERVED_EXPOSURES,
+    iteration: int | None = None,
+    iterations: int | None = None,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> Evaluation:
     """Render and compare the whole test split.
 
-    ``exposure_mode``: how training chose exposures (exp1, exp3), stated beside the numbers. ``progress`` is
-    called with (done, total, what is next). Parts for which the data set has no truth are left out, with a
-    message. Raises ``DataMismatchError`` without test views, ``BadValueError`` if the model renders NaN, and
-    what ``read_png`` and ``read_exr`` raise.
+    ``exposure_mode``: how training chose exposures (exp1, exp3), stated beside the numbers.
+    ``training_exposures``: the exposure indices it chose from; a message says where LDR-OE and LDR-NE are not
+    what they are called. ``iteration`` of the ``iterations`` that were planned is evaluated; None: not known.
+    ``progress`` is called with (done, total, what is next). Parts for which the data set has no truth are
+    left out, with a message. Raises ``DataMismatchError`` without test views, ``BadValueError`` if the model
+    renders NaN or ``dataset.json`` states a response that is none, and what ``read_png`` and ``read_exr``
+    raise.
     """
     if not scene.test:
         raise DataMismatchError(
@@ -72,13 +79,16 @@ def evaluate(
     relit = truth.relit_truth(scene.root)
     unknown = [item for item in relit if not item.can_be_shown(renderer.lights)]
     messages = [*getattr(renderer, "remarks", ()), *_what_is_left_out(scene, lpips, relit, unknown)]
+    messages += _what_training_was(training_exposures, iteration, iterations)
     relit = [item for item in relit if item not in unknown]
     camera = scene.test[0].camera
     if min(camera.width, camera.height) < SMALLEST_SIDE:
         lpips = None
     step = _Steps(2 * len(scene.test) + len(relit), progress)
 
+    # Before rendering, which takes long: a response that dataset.json states may be none.
     learned = learned_response(renderer)
+    response = None if learned is None else check_response(learned, true_response(scene, learned))
     ldr = []
     for view in scene.test:
         step(f"LDR {view.name}")
@@ -93,6 +103,7 @@ def evaluate(
             scene.find("test", item.index)  # says which poses there are
             relit_rows.append(_relit_row(renderer, standard[item.index], item))
     step.end()
+    messages += _what_is_capped(ldr, hdr, relit_rows)
     return Evaluation(
         scene=scene.name,
         split="test",
@@ -104,7 +115,9 @@ def evaluate(
         messages=messages,
         seconds=time.monotonic() - started,
         data_set=data_set_of(scene),
-        response=None if learned is None else check_response(learned, true_response(scene, learned)),
+        response=response,
+        iteration=iteration,
+        iterations=iterations,
     )
 
 
@@ -141,6 +154,38 @@ def _what_is_left_out(
         conditions = ", ".join(dict.fromkeys(item.condition for item in unknown))
         messages.append(f"Relit left out, because the model has no level for a light of it: {conditions}.")
     return messages
+
+
+def _what_training_was(exposures: Sequence[int], iteration: int | None, iterations: int | None) -> list[str]:
+    """What has to be said where it was not the protocol's, or not all of what was planned."""
+    messages = []
+    given = f"(--training-exposures {' '.join(map(str, exposures))})"
+    if seen := [str(k) for k in NOVEL_EXPOSURES if k in exposures]:
+        messages.append(f"LDR-NE is not of novel exposures: training saw index {' and '.join(seen)} {given}.")
+    if unseen := [str(k) for k in OBSERVED_EXPOSURES if k not in exposures]:
+        messages.append(
+            f"LDR-OE is not of observed exposures: training did not see index {' and '.join(unseen)} {given}."
+        )
+    if iteration is not None and iterations is not None and iteration < iterations:
+        messages.append(f"The training is not complete: {iteration} of {iterations} iterations.")
+    return messages
+
+
+def _what_is_capped(ldr: list[LdrRow], hdr: list[HdrRow], relit: list[RelitRow]) -> list[str]:
+    relit_numbers = [(row.ours, row.scaled_truth, row.scaled_ours, row.best_scaled_truth) for row in relit]
+    parts = {
+        "LDR": [row.metrics.psnr for row in ldr],
+        "HDR": [row.metrics.psnr for row in hdr],
+        "HDR, scale aligned": [row.aligned.psnr for row in hdr],
+        "relit": [number for row in relit_numbers for number in row],
+    }
+    capped = [part for part, numbers in parts.items() if PSNR_CAP in numbers]
+    if not capped:
+        return []
+    return [
+        f"PSNR is capped at {PSNR_CAP:g} dB, which was reached in {'; '.join(capped)}: pictures that equal "
+        "the truth, or nearly."
+    ]
 
 
 def _require_finite(picture: torch.Tensor, what: str) -> torch.Tensor:

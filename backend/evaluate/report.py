@@ -27,7 +27,7 @@ RELIT_COLUMNS = ("ours", "level × truth", "best × truth", "level × ours", "ga
 
 
 def to_dict(evaluation: Evaluation) -> dict[str, Any]:
-    """Everything, ready for JSON: the conditions, the means, then the rows. Infinity becomes None."""
+    """Everything, ready for JSON: the conditions, the means, then the rows. NaN becomes None."""
     content = {
         "format": "physhdr-evaluation",
         "version": 1,
@@ -37,6 +37,8 @@ def to_dict(evaluation: Evaluation) -> dict[str, Any]:
             "split": evaluation.split,
             "exposure_mode": evaluation.exposure_mode,
             "resolution": list(evaluation.resolution),
+            "iteration": evaluation.iteration,
+            "iterations": evaluation.iterations,
             "mu": evaluation.mu,
             "hdr_normaliser": "maximum of the full-resolution true picture, for each view",
             "hdr_normaliser_range": _normaliser_range(evaluation),
@@ -67,7 +69,7 @@ def to_dict(evaluation: Evaluation) -> dict[str, Any]:
         "messages": evaluation.messages,
         "seconds": round(evaluation.seconds, 2),
     }
-    return _without_infinity(content)
+    return _finite(content)
 
 
 def write_report(evaluation: Evaluation, folder: Path) -> list[Path]:
@@ -272,10 +274,10 @@ def _rich_table(title: str, columns: tuple[str, ...], rows: list[tuple[str, ...]
     return table
 
 
-def _without_infinity(value: Any) -> Any:
-    """JSON has no infinity (the PSNR of equal pictures) and no NaN (the scale of a black one): None."""
+def _finite(value: Any) -> Any:
+    """JSON has no NaN (the scale of a black picture) and no infinity: None."""
     if isinstance(value, dict):
-        return {key: _without_infinity(item) for key, item in value.items()}
+        return {key: _finite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_without_infinity(item) for item in value]
+        return [_finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -70,16 +70,33 @@ def stated_response(info: dict[str, Any]) -> Callable[[np.ndarray], np.ndarray] 
     """The curve that ``dataset.json`` states by a formula or by its points; None where it does not.
 
     A camera model with faults of its own (noise, white balance, local response) leaves it for what it is.
+    Raises ``BadValueError`` for a curve that is not pairs of numbers whose first rises.
     """
     match info.get("response"):
-        case {"curve": [[_, _], *_] as points}:
-            x, code = np.array(points, np.float64).T
+        case {"curve": points} if points is not None:
+            x, code = _columns(points)
             return lambda exposure: np.interp(exposure, x, code)
         case {"name": "reinhard-gamma"}:
             return lambda exposure: (exposure / (1.0 + exposure)) ** (1.0 / 2.2)
         case {"name": "srgb"}:
             return lambda exposure: to_srgb(np.minimum(exposure, 1.0))
     return None
+
+
+def _columns(points: Any) -> tuple[np.ndarray, np.ndarray]:
+    """exposure × radiance ``[N]``, rising, and code ``[N]`` of a curve as ``dataset.json`` has it."""
+    try:
+        columns = np.array(points, np.float64).T
+    except (TypeError, ValueError, OverflowError):  # text, or rows of different lengths
+        columns = np.empty(0)
+    sound = columns.ndim == 2 and len(columns) == 2 and bool(np.isfinite(columns).all())
+    if not sound or not (np.diff(columns[0]) > 0.0).all():
+        raise BadValueError(
+            "the response's 'curve' in dataset.json is not a list of [exposure × radiance, code] whose first "
+            "number rises",
+            "Give pairs of finite numbers in rising order, or remove 'curve' from dataset.json.",
+        )
+    return columns[0], columns[1]
 
 
 def measured_response(scene: Scene) -> Curve | None:

@@ -15,7 +15,7 @@ NOVEL_EXPOSURES = (1, 3)
 
 @dataclass(frozen=True)
 class Metrics:
-    """PSNR in dB, SSIM, LPIPS both ways (``lpips`` canonical, ``lpips_01`` the paper's); None: left out."""
+    """PSNR in dB (at most ``PSNR_CAP``), SSIM, LPIPS (canonical), LPIPS 01 (the paper's); None: left out."""
 
     psnr: float
     ssim: float
@@ -141,7 +141,8 @@ class ResponseCheck:
     ``largest_fall``: how far the code falls anywhere while exposure rises (0: monotonic), in 1/255.
     ``rms_error``, ``largest_error``: of the code against the true curve where that is telling, in 1/255.
     ``scale``: the median of learned / true exposure at equal code, over all channels (1: the absolute scale
-    is right). None: the true response is not known.
+    is right). None: the true response is not known; ``scale`` alone: no true code is one that the learned
+    curve passes.
     """
 
     largest_fall: float
@@ -157,9 +158,10 @@ class ResponseCheck:
         rises = "rises everywhere" if self.is_monotonic else f"FALLS by {self.largest_fall:.2f}/255"
         if self.rms_error is None:
             return f"response: {rises}; the true one is not known"
+        scale = "not measurable" if self.scale is None else f"at equal code {self.scale:.4f}"
         return (
             f"response: {rises}; against the true one {self.rms_error:.2f}/255 RMS, at most "
-            f"{self.largest_error:.2f}/255; exposure scale at equal code {self.scale:.4f}"
+            f"{self.largest_error:.2f}/255; exposure scale {scale}"
         )
 
 
@@ -168,7 +170,8 @@ class Evaluation:
     """Every number, row by row; means are computed from them. ``messages``: what was left out, and why.
 
     ``data_set``: the published benchmark that the scene is of (``published.data_set_of``), else "".
-    ``response``: of a method with a global response curve.
+    ``response``: of a method with a global response curve. ``iteration``: what was evaluated, of the
+    ``iterations`` that were planned; None: not known.
     """
 
     scene: str
@@ -183,6 +186,8 @@ class Evaluation:
     seconds: float = 0.0
     data_set: str = ""
     response: ResponseCheck | None = None
+    iteration: int | None = None
+    iterations: int | None = None
 
     def ldr_mean(self, exposure_indices: tuple[int, ...]) -> Metrics | None:
         """Mean over the views for each exposure, then over ``exposure_indices``; None if there are none."""

@@ -13,6 +13,7 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from physhdr.backend.evaluate.lpips import Lpips
 from physhdr.backend.evaluate.metrics import (
+    PSNR_CAP,
     display,
     hdr_pair,
     mu_law,
@@ -48,7 +49,8 @@ def pair() -> tuple[torch.Tensor, torch.Tensor]:
 def test_psnr_closed_form() -> None:
     zero = torch.zeros(3, 4, 4)
     assert psnr(zero, zero + 0.1) == pytest.approx(20.0, abs=1e-5)
-    assert psnr(zero, zero) == math.inf
+    assert psnr(zero, zero + 1e-4) == pytest.approx(80.0, abs=1e-3)
+    assert psnr(zero, zero) == psnr(zero, zero + 1e-6) == PSNR_CAP
 
 
 def test_psnr_agrees_with_another_program(pair) -> None:

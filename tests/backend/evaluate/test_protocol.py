@@ -77,9 +77,83 @@ def test_a_perfect_renderer(data_set: Path, small: ModuleType) -> None:
     result = evaluate(Oracle(small), read_scene(data_set), exposure_mode="exp3")
     assert len(result.ldr) == 2 * 5 and len(result.hdr) == 2 and len(result.relit) == 2
     assert result.ldr_oe is not None and result.ldr_oe.psnr > 60 and result.ldr_oe.ssim > 0.9999
-    assert result.hdr_mean is not None and result.hdr_mean.psnr == np.inf
+    assert result.hdr_mean is not None and result.hdr_mean.psnr == 100.0
     assert result.scale_ratio == pytest.approx(1.0)
-    assert result.messages == ["LPIPS left out: no weights were given."]
+    without_lpips, capped = result.messages
+    assert without_lpips == "LPIPS left out: no weights were given."
+    assert capped.startswith(
+        "PSNR is capped at 100 dB, which was reached in LDR; HDR; HDR, scale aligned; relit:"
+    )
+
+
+def test_one_exact_picture_does_not_take_the_mean_away(
+    data_set: Path, small: ModuleType, tmp_path: Path
+) -> None:
+    class ExactOnce(Oracle):
+        def hdr(self, camera: Camera, lighting_level: Levels = 1.0) -> torch.Tensor:
+            exact = round(float(camera.position[0])) == 1
+            return super().hdr(camera, lighting_level) * (1.0 if exact else 1.1)
+
+    result = evaluate(ExactOnce(small), read_scene(data_set))
+    exact, other = (row.metrics.psnr for row in result.hdr)
+    assert exact == 100.0 and 36 < other < 42
+    write_report(result, tmp_path / "run")
+    means = json.loads((tmp_path / "run" / "evaluation.json").read_text())["means"]
+    assert means["HDR"]["psnr"] == pytest.approx((100.0 + other) / 2)
+    assert any("capped at 100 dB" in message for message in result.messages)
+    far = evaluate(Oracle(small, scale=1.1), read_scene(data_set))
+    assert not any("relit" in message or "HDR;" in message for message in far.messages)
+
+
+@pytest.mark.parametrize(
+    ("training", "said"),
+    [
+        ((0, 2, 4), []),
+        (
+            (0, 1, 2, 3, 4),
+            [
+                "LDR-NE is not of novel exposures: training saw index 1 and 3 "
+                "(--training-exposures 0 1 2 3 4)."
+            ],
+        ),
+        (
+            (0, 3, 4),
+            [
+                "LDR-NE is not of novel exposures: training saw index 3 (--training-exposures 0 3 4).",
+                "LDR-OE is not of observed exposures: training did not see index 2 "
+                "(--training-exposures 0 3 4).",
+            ],
+        ),
+    ],
+)
+def test_parts_that_are_not_what_they_are_called_are_told(data_set: Path, small, training, said) -> None:
+    result = evaluate(Oracle(small), read_scene(data_set), training_exposures=training)
+    assert [message for message in result.messages if message.startswith("LDR-")] == said
+    assert all(message in to_markdown(result) for message in said)
+
+
+def test_an_interrupted_training_is_told_and_written(data_set: Path, small: ModuleType) -> None:
+    result = evaluate(Oracle(small), read_scene(data_set), iteration=500, iterations=1000)
+    assert "The training is not complete: 500 of 1000 iterations." in result.messages
+    conditions = to_dict(result)["conditions"]
+    assert (conditions["iteration"], conditions["iterations"]) == (500, 1000)
+    result = evaluate(Oracle(small), read_scene(data_set), iteration=1000, iterations=1000)
+    assert not any("iterations" in message for message in result.messages)
+
+
+@pytest.mark.parametrize("curve", [[[0, 0], [1]], [["dark", 0], [1, 1]], [[0, 0], [2, 1], [1, 0.5]]])
+def test_a_stated_curve_that_is_none_is_found_before_rendering(data_set: Path, small, curve) -> None:
+    class Knows(Oracle):
+        def response_curve(self):
+            return torch.linspace(-6, 6, 50), torch.linspace(0, 1, 50)[:, None].expand(-1, 3)
+
+    path = data_set / "dataset.json"
+    info = json.loads(path.read_text())
+    path.write_text(json.dumps(info | {"response": {"name": "file", "curve": curve}}))
+    method = Knows(small)
+    with pytest.raises(BadValueError, match=r"'curve' in dataset\.json is not a list of"):
+        evaluate(method, read_scene(data_set))
+    assert method.rendered == 0
 
 
 def test_hdr_psnr_and_scale_of_a_renderer_that_is_too_bright(data_set: Path, small: ModuleType) -> None:
@@ -283,7 +357,7 @@ def test_oe_and_ne_average_each_exposure_first() -> None:
 @pytest.mark.skipif(not LPIPS_WEIGHTS.is_file(), reason=f"the LPIPS weights are not at {LPIPS_WEIGHTS}")
 def test_lpips_is_in_every_row_where_weights_are_given(data_set: Path, small: ModuleType) -> None:
     result = evaluate(Oracle(small, scale=1.5), read_scene(data_set), lpips=lpips_from(LPIPS_WEIGHTS))
-    assert result.messages == []
+    assert not any("LPIPS" in message for message in result.messages)
     assert result.hdr_mean is not None and result.ldr_oe is not None
     assert result.hdr_mean.lpips is not None and result.hdr_mean.lpips_01 is not None
     assert result.hdr_mean.lpips > 1e-4 and result.ldr_oe.lpips is not None
@@ -342,9 +416,10 @@ def test_reports(data_set: Path, small: ModuleType, tmp_path: Path) -> None:
             assert word in text
 
 
-def test_infinity_becomes_null_in_json(data_set: Path, small: ModuleType) -> None:
-    content = to_dict(evaluate(Oracle(small), read_scene(data_set)))
-    assert content["hdr"][0]["metrics"]["psnr"] is None
+def test_what_is_no_number_becomes_null_in_json() -> None:
+    hdr = [HdrRow("r_1", 1, 8.0, float("nan"), Metrics(33.0, 0.9), Metrics(34.0, 0.9))]
+    content = to_dict(Evaluation("s", "test", "exp3", (8, 8), [], hdr, []))
+    assert content["hdr"][0]["scale_ratio"] is None and content["scale_ratio"] is None
     json.dumps(content, allow_nan=False)
 
 

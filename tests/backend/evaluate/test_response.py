@@ -70,6 +70,14 @@ def test_a_curve_that_falls_is_found_to(small: ModuleType, data_set: Path) -> No
     assert "FALLS" in str(check)
 
 
+def test_a_collapsed_curve_has_an_error_but_no_scale(small: ModuleType, data_set: Path) -> None:
+    method = Learned(small)
+    method.curve = method.curve[0], torch.full_like(method.curve[1], 0.5)
+    check = check_of(method, data_set)
+    assert check.rms_error is not None and check.rms_error > 50 and check.scale is None
+    assert str(check).endswith("exposure scale not measurable")
+
+
 def test_the_data_show_their_response(small: ModuleType, data_set: Path) -> None:
     """Within one step of 8 bit and what the curve rises over half a bin (⅛ stop)."""
     curve = measured_response(read_scene(data_set))
@@ -104,7 +112,19 @@ def test_stated_responses() -> None:
     points = stated_response({"response": {"name": "file", "curve": [[0.0, 0.0], [1.0, 0.5], [3.0, 1.0]]}})
     assert points is not None
     np.testing.assert_allclose(points(x), [0.0, 0.001, 0.25, 0.5, 1.0])
+    assert stated_response({"response": {"name": "filmic", "curve": None}}) is None
     assert stated_response({}) is None and stated_response({"response": {"name": "filmic"}}) is None
+
+
+@pytest.mark.parametrize(
+    "points",
+    ["abc", 3, [], [[0, 0], [1]], [["a", 0], [1, 1]], [[0, 0, 0], [1, 1, 1]], [[0, 0], [float("nan"), 1]]]
+    + [[[0, 0], [2, 1], [1, 0.5]], [[0, 0], [1, 0.5], [1, 1]], [[0, 0], [10**400, 1]]],
+)
+def test_stated_curves_that_are_none(points) -> None:
+    with pytest.raises(BadValueError, match=r"'curve' in dataset\.json is not a list of") as caught:
+        stated_response({"response": {"name": "file", "curve": points}})
+    assert "remove 'curve'" in caught.value.hint
 
 
 @pytest.mark.parametrize(
