@@ -7,6 +7,8 @@ it all came from.
 """
 
 import json
+import os
+import re
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -22,29 +24,44 @@ from PIL import Image
 from ....bridge.errors import BadValueError, OutputError
 from .brackets import Bracket
 from .choice import NUMBERS
+from .exposures import some_names
 from .lens import Lens
 from .structure import Shot, Structure
 
 #: The file by which a folder is known as this command's own.
 ORIGIN_FILE = "prepare.json"
+#: All that this command writes into a data set.
+WRITTEN = re.compile(
+    r"prepare\.json|exposure\.json|images(/(train|test)_\d+_\d\.png)?"
+    r"|sparse(/0(/(cameras|images|points3D)\.bin)?)?"
+)
 #: COLMAP's number for a pinhole camera with fx, fy, cx, cy.
 PINHOLE = 1
 
 
 @contextmanager
 def new_folder(out: Path, overwrite: bool) -> Iterator[Path]:
-    """A folder beside ``out`` that takes its place only if the block ends without an error.
+    """A folder beside ``out`` whose content takes its place there only if the block ends without an error.
 
-    Raises ``OutputError`` where ``out`` is not empty, unless ``overwrite`` and this command made it.
+    Raises ``OutputError`` where ``out`` is a mount point, or is not empty, unless ``overwrite`` and this
+    command made all that is in it.
     """
+    out = out.resolve()
     if out.exists() and not out.is_dir():
         raise OutputError(f"{out} is a file", "Give a folder that is not there yet.")
+    if os.path.ismount(out):  # what lies beside it is another file system
+        raise OutputError(f"{out} is a mount point", f"Give a folder in it, such as {out / 'data'}.")
     if out.is_dir() and any(out.iterdir()):
         if not overwrite:
             raise OutputError(f"{out} is not empty", "Give another folder, or --overwrite to replace it.")
         if not (out / ORIGIN_FILE).is_file():
             raise OutputError(
                 f"{out} was not made by 'physhdr prepare': it is not replaced", "Give another folder."
+            )
+        if others := _not_ours(out):
+            raise OutputError(
+                f"{out} holds what 'physhdr prepare' did not write: {some_names(others)}: it is not replaced",
+                "Move that away, or give another folder.",
             )
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -56,12 +73,41 @@ def new_folder(out: Path, overwrite: bool) -> Iterator[Path]:
         made.mkdir()
         yield made
         if out.exists():
-            out.rename(temporary / "replaced")
-        made.rename(out)
+            _replace(out, made, temporary / "replaced")
+        else:
+            made.rename(out)
     except OSError as error:
         raise _cannot_write(out, error) from error
     finally:
         rmtree(temporary, ignore_errors=True)
+
+
+def _replace(out: Path, made: Path, replaced: Path) -> None:
+    """What is in ``made`` goes into ``out``, what was there into ``replaced``, or back where that fails.
+
+    ``out`` itself stays: a shell may stand in it.
+    """
+    replaced.mkdir()
+    try:
+        for entry in list(out.iterdir()):
+            entry.rename(replaced / entry.name)
+    except OSError:
+        for entry in list(replaced.iterdir()):
+            entry.rename(out / entry.name)
+        raise
+    for entry in list(made.iterdir()):
+        entry.rename(out / entry.name)
+
+
+def _not_ours(out: Path) -> list[str]:
+    """What is in ``out`` that this command does not write; of a folder only its own name."""
+    others = []
+    for folder, folders, files in os.walk(out):
+        inside = Path(folder).relative_to(out)
+        names = [(inside / name).as_posix() for name in (*folders, *files)]
+        others += [name for name in names if not WRITTEN.fullmatch(name)]
+        folders[:] = [name for name in folders if (inside / name).as_posix() not in others]
+    return sorted(others)
 
 
 def _cannot_write(out: Path, error: OSError) -> OutputError:

@@ -252,8 +252,11 @@ def test_what_is_there_is_not_replaced_unasked(room, tmp_path):
     assert "not made by 'physhdr prepare'" in refused(photos, "--out", out, "--overwrite")
     # Made by us: replaced only by what succeeds, and this fails, for grey has no features.
     (out / "prepare.json").write_text("{}")
+    message = refused(photos, "--out", out, "--overwrite")
+    assert "did not write: letter.txt" in message and (out / "letter.txt").read_text() == "mine"
+    (out / "letter.txt").unlink()
     assert "0 could be placed" in refused(photos, "--out", out, "--overwrite")
-    assert (out / "letter.txt").read_text() == "mine"
+    assert (out / "prepare.json").read_text() == "{}"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["out", "photos"]
 
 

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The folder of a prepared data set: where it may be, and what it replaces."""
+
+from pathlib import Path
+
+import pytest
+
+from physhdr.backend.scene.capture.data_set import new_folder
+from physhdr.bridge.errors import OutputError
+
+
+def make(out: Path, content: str = "new", overwrite: bool = False) -> None:
+    with new_folder(out, overwrite) as folder:
+        (folder / "prepare.json").write_text(content)
+        for name in ("images/train_000_0.png", "sparse/0/cameras.bin"):
+            (folder / name).parent.mkdir(parents=True)
+            (folder / name).write_text(content)
+
+
+def refused(out: Path, overwrite: bool = False) -> str:
+    with pytest.raises(OutputError) as caught, new_folder(out, overwrite):
+        pytest.fail("the block must not begin")
+    assert caught.value.hint
+    return str(caught.value)
+
+
+def test_the_working_directory_may_be_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = tmp_path / "here"
+    out.mkdir()
+    monkeypatch.chdir(out)
+    make(Path("."))
+    assert Path("images/train_000_0.png").read_text() == "new"  # this folder, not one that took its name
+    make(Path("."), "newer", overwrite=True)
+    assert Path("prepare.json").read_text() == "newer"
+    assert sorted(path.name for path in out.iterdir()) == ["images", "prepare.json", "sparse"]
+    assert list(tmp_path.iterdir()) == [out]
+
+
+def test_a_mount_point_cannot_be_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("os.path.ismount", lambda path: Path(path) == tmp_path)
+    assert "is a mount point" in refused(tmp_path)
+    make(tmp_path / "data")
+
+
+def test_what_others_put_there_is_not_replaced(tmp_path: Path) -> None:
+    out = tmp_path / "data"
+    make(out)
+    for name in ("run/config.json", "run/log.jsonl", "images/mine.png", "notes.txt"):
+        (out / name).parent.mkdir(exist_ok=True)
+        (out / name).write_text("mine")
+    assert "did not write: images/mine.png, notes.txt, run: it is not" in refused(out, overwrite=True)
+    assert (out / "run" / "config.json").read_text() == "mine"
+    assert (out / "prepare.json").read_text() == "new"
+
+
+def test_a_failure_leaves_what_was_there(tmp_path: Path) -> None:
+    out = tmp_path / "data"
+    make(out)
+    with pytest.raises(KeyboardInterrupt), new_folder(out, True) as folder:
+        (folder / "prepare.json").write_text("half")
+        raise KeyboardInterrupt
+    assert (out / "prepare.json").read_text() == "new" and list(tmp_path.iterdir()) == [out]
