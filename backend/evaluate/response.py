@@ -75,6 +75,8 @@ def stated_response(info: dict[str, Any]) -> Callable[[np.ndarray], np.ndarray] 
     match info.get("response"):
         case {"curve": points} if points is not None:
             x, code = _columns(points)
+            if x[0] > 0.0:  # as synth/response.py has it
+                x, code = np.insert(x, 0, 0.0), np.insert(code, 0, 0.0)
             return lambda exposure: np.interp(exposure, x, code)
         case {"name": "reinhard-gamma"}:
             return lambda exposure: (exposure / (1.0 + exposure)) ** (1.0 / 2.2)

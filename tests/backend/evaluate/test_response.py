@@ -112,6 +112,8 @@ def test_stated_responses() -> None:
     points = stated_response({"response": {"name": "file", "curve": [[0.0, 0.0], [1.0, 0.5], [3.0, 1.0]]}})
     assert points is not None
     np.testing.assert_allclose(points(x), [0.0, 0.001, 0.25, 0.5, 1.0])
+    begins_late = stated_response({"response": {"name": "file", "curve": [[0.2, 0.1], [1.0, 1.0]]}})
+    assert begins_late is not None and begins_late(np.array([0.0, 0.1])) == pytest.approx([0.0, 0.05])
     assert stated_response({"response": {"name": "filmic", "curve": None}}) is None
     assert stated_response({}) is None and stated_response({"response": {"name": "filmic"}}) is None
 
