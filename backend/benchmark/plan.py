@@ -6,7 +6,7 @@ scenes = ["../data/demo", "night=../data/bathroom"]      # beside the file, or a
 settings = ["exp3", "exp1"]
 seeds = [0, 1, 2]
 budgets = ["iterations=1000", "cpu-seconds=60"]
-set = ["densify.budget=30000"]                            # for every method
+set = ["downscale=2"]                                     # for every method
 margins_of = ["default"]                                  # whose lead over the others is reported
 [[ladder]]
 name = "ablation"
@@ -185,7 +185,7 @@ def option_words(assignment: str) -> tuple[str, ...]:
     if not equals or not name or f"--{name}" in OURS:
         raise BadValueError(
             f"--set {assignment} cannot be used",
-            "It takes FIELD=VALUE, of a field that the plan does not set itself: densify.budget=30000",
+            "It takes FIELD=VALUE, of a field that the plan does not set itself: downscale=2",
         )
     if value.strip().lower() == "true":
         return (f"--{name}",)

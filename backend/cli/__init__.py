@@ -24,6 +24,11 @@ def main(argv: list[str] | None = None) -> int:
     except ModuleNotFoundError as error:
         sys.stderr.write(f"error: {error}\n  Install what is missing; physhdr check says what that is.\n")
         return 1
+    except OSError as error:  # a full disk, a file in the way of a folder: the message names the path
+        sys.stderr.write(
+            f"error: {error}\n  Check that path, its permissions, and that the disk has space.\n"
+        )
+        return 1
     except KeyboardInterrupt:
         sys.stderr.write("interrupted\n")
         return 130

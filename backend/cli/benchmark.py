@@ -17,7 +17,7 @@ from typing import Any
 import tyro
 from rich.live import Live
 
-from ...bridge.errors import BadValueError, FileMissingError
+from ...bridge.errors import BadValueError, FileMissingError, PhysHDRError
 from ..benchmark.job import PROGRAM
 from ..benchmark.live import progress_table
 from ..benchmark.plan import PLAN_FILE, Plan, make_plan, read_plan, write_plan
@@ -53,7 +53,7 @@ class Benchmark:
     seeds: tuple[str, ...] = ()
     #: iterations=N or cpu-seconds=S, the same for every run; several are several tables.
     budget: tuple[str, ...] = ()
-    #: FIELD=VALUE for every method, such as densify.budget=30000.
+    #: FIELD=VALUE for every method, such as downscale=2.
     set: tuple[str, ...] = ()
     #: Whose margins over all but these are told: names between commas; default: the first method's.
     margins_of: tuple[str, ...] = ()
@@ -69,7 +69,7 @@ class Benchmark:
     ray: str | None = None
     #: Write the report (and a .csv beside it) here as well.
     report: Path | None = None
-    #: Run nothing: report what is there.
+    #: Run nothing: report what is there; the plan in --out stays as it is.
     report_only: bool = False
     #: Try runs again that failed.
     retry: bool = False
@@ -82,7 +82,8 @@ class Benchmark:
         console.print(f"reading {len(plan.scenes)} data sets to know them again")
         data = {scene.name: data_fingerprint(scene.data) for scene in plan.scenes}
         out = writable_folder(self.out)
-        write_plan(plan, out / PLAN_FILE)
+        if not self.report_only and not _is_in(out / PLAN_FILE, plan):
+            write_plan(plan, out / PLAN_FILE)
         schedule = Schedule(
             Store(out.resolve(), plan, configs, data, _weights(plan.lpips_weights)),
             tell=lambda line: console.print(line, soft_wrap=True, markup=False),
@@ -172,6 +173,14 @@ def configuration(plan: Plan, name: str) -> dict[str, Any]:
         path = Path(folder) / CONFIG_FILE
         write_config(path, train.config, Path(folder), method.preset)
         return json.loads(path.read_text(encoding="utf-8"))["config"]
+
+
+def _is_in(path: Path, plan: Plan) -> bool:
+    """Whether the file says just this; written by hand, it may say it with comments and relative folders."""
+    try:
+        return make_plan(read_plan(path), path.parent) == plan
+    except PhysHDRError:
+        return False
 
 
 @contextlib.contextmanager

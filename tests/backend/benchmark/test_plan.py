@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A plan from a file, from flags and back; what is refused, each with one clear message."""
 
+import errno
 import itertools
 import shutil
 import tomllib
@@ -9,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from physhdr.backend.benchmark.plan import Method, make_plan, option_words, read_plan, write_plan
-from physhdr.backend.cli.benchmark import configuration
+from physhdr.backend.cli import main
+from physhdr.backend.cli.benchmark import Benchmark, configuration
 from physhdr.bridge.errors import PhysHDRError
 
 ROOT = Path(__file__).parents[3]
@@ -94,3 +96,43 @@ def test_a_method_is_a_preset_under_its_own_name():
     assert Method.parsed("paper") == Method("paper", "paper")
     assert str(Method.parsed("paper")) == "paper"
     assert str(Method.parsed("x:=paper --a 'b c'")) == "x := paper --a 'b c'"
+
+
+def test_a_plan_written_by_hand_stays_as_it_is(tiny_data, tmp_path, monkeypatch, capsys):
+    """Reporting does not change it, nor does a command that asks for the same."""
+    out = tmp_path / "out"
+    out.mkdir()
+    (tmp_path / "tiny").symlink_to(tiny_data)
+    written = """# Why these: they are quick.
+methods = ["baseline", "paper"]
+scenes = ["tiny=../tiny"]
+budgets = ["iterations=5"]
+set = ["downscale=2"]
+"""
+    (out / "plan.toml").write_text(written)
+    assert main(["benchmark", "--out", str(out), "--report-only", "--methods", "paper"]) == 0
+    assert "paper (1 of 1)" in (out / "report.md").read_text()
+    monkeypatch.setattr(Benchmark, "_work_off", lambda *_: None)
+    assert main(["benchmark", "--out", str(out)]) == 0
+    assert (out / "plan.toml").read_text() == written
+    assert main(["benchmark", "--out", str(out), "--methods", "paper"]) == 0  # another plan is kept
+    assert 'methods = ["paper"]' in (out / "plan.toml").read_text()
+
+
+def test_what_the_disk_refuses_is_one_clear_message(tiny_data, tmp_path, monkeypatch, capsys):
+    def full(_):
+        raise OSError(errno.ENOSPC, "No space left on device", "/somewhere/file")
+
+    monkeypatch.setattr("physhdr.backend.cli.benchmark.data_fingerprint", full)
+    words = ["--methods", "paper", "--scenes", str(tiny_data), "--budget", "iterations=5"]
+    assert main(["benchmark", *words, "--out", str(tmp_path / "out")]) == 1
+    said = capsys.readouterr().err
+    assert said.startswith("error: ") and "No space left" in said and "/somewhere/file" in said
+
+
+def test_what_the_example_sets_acts_on_every_method(tiny_data):
+    """``set`` in docs/benchmarking.md and in the help."""
+    content = {"methods": ["default", "default-scaffold", "hdr-nerf", "gausshdr", "hdr-gs"]}
+    content |= {"scenes": [str(tiny_data)], "budgets": ["iterations=5"], "set": ["downscale=2"]}
+    plan = make_plan(content, tiny_data)
+    assert all(configuration(plan, method.name)["downscale"] == 2 for method in plan.methods)

@@ -11,6 +11,7 @@ import sys
 import threading
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -40,8 +41,9 @@ class Bench:
 
     def schedule(self, weights="", **options):
         plan = make_plan(self.content, self.root)
-        configs = {m.name: {"strength": "".join(m.options[1:2])} for m in plan.methods}
-        configs |= {m.name: {"method": {"name": "hdr-nerf"}} for m in plan.methods if m.name == "hdr-nerf"}
+        configs: dict[str, Any] = {m.name: {"strength": "".join(m.options[1:2])} for m in plan.methods}
+        if "hdr-nerf" in configs:
+            configs["hdr-nerf"]["method"] = {"name": "hdr-nerf"}
         data = {scene.name: data_fingerprint(scene.data) for scene in plan.scenes}
         store = Store(self.root / "out", plan, configs, data, weights)
         self.told.clear()
