@@ -67,7 +67,8 @@ def wait_for(
 
 def describe(job: JobStatus) -> str:
     """A job in one line: iterations, Gaussians, PSNR."""
-    parts = [job.state, f"iteration {job.iteration} of {job.iterations}", f"{job.gaussians} Gaussians"]
+    parts = [job.state, f"iteration {job.iteration} of {job.iterations}"]
+    parts += [f"{job.gaussians} Gaussians"] if job.gaussians else []
     if "PSNR" in job.monitor:
         parts.append(f"{job.monitor['PSNR']:.2f} dB")
     return ", ".join(parts)

@@ -70,9 +70,9 @@ class EventLog:
             ) from error
         if isinstance(event, events.Started):
             self._bar.update(self._task, total=event.iterations, completed=event.iteration)
+            gaussians = f"{event.gaussians} Gaussians; " if event.gaussians else ""
             console.print(
-                f"training from iteration {event.iteration}: {event.gaussians} Gaussians; {event.message}",
-                soft_wrap=True,
+                f"training from iteration {event.iteration}: {gaussians}{event.message}", soft_wrap=True
             )
         elif isinstance(event, events.Progress):
             self._show_progress(event)
@@ -93,12 +93,14 @@ class EventLog:
             self._board.add_scalar(f"loss/{name}", value, step)
         for name, value in event.monitor.items():
             self._board.add_scalar(f"test view/{name}", value, step)
-        self._board.add_scalar("gaussians", event.gaussians, step)
+        if event.gaussians:
+            self._board.add_scalar("gaussians", event.gaussians, step)
         self._board.add_scalar("iterations per second", event.iterations_per_second, step)
 
         losses = "  ".join(f"{name} {value:.4f}" for name, value in event.losses.items())
         measured = "  ".join(f"{name} {value:.2f}" for name, value in self._monitor.items())
-        status = f"{losses}  {measured}  {event.gaussians} G  {event.iterations_per_second:.0f} it/s"
+        gaussians = f"  {event.gaussians} G" if event.gaussians else ""
+        status = f"{losses}  {measured}{gaussians}  {event.iterations_per_second:.0f} it/s"
         self._bar.update(self._task, completed=step, status=status)
         now = time.monotonic()
         last = event.iteration == event.iterations

@@ -105,7 +105,7 @@ class Method(nn.Module, ABC):
     @property
     @abstractmethod
     def size(self) -> int:
-        """How many Gaussians there are; of a method that has none, how many parameters."""
+        """How many Gaussians there are; 0 of a method that has none."""
 
     @property
     @abstractmethod

@@ -130,7 +130,7 @@ class HDRNeRF(Method):
 
     @property
     def size(self) -> int:
-        return sum(parameter.numel() for parameter in self.parameters())
+        return 0
 
     @property
     def device(self) -> torch.device:

@@ -231,6 +231,8 @@ JUNK = [
     [{}],
     [{"folder": 3, "levels": {"ambient": "x"}}],
     {"psnr": ["x"], "ambient": []},
+    10**400,
+    [{"folder": "x", "levels": {"ambient": 10**400}}],
 ]
 
 
