@@ -8,6 +8,7 @@ seeds = [0, 1, 2]
 budgets = ["iterations=1000", "cpu-seconds=60"]
 set = ["downscale=2"]                                     # for every method
 margins_of = ["default"]                                  # whose lead over the others is reported
+controls = ["dim"]                                        # that the verdict on that lead does not count
 [[ladder]]
 name = "ablation"
 steps = ["baseline", "dim", "default"]
@@ -147,6 +148,7 @@ class Plan:
     device: str = "auto"
     lpips_weights: Path | None = None
     margins_of: tuple[str, ...] = ()
+    controls: tuple[str, ...] = ()
     ladders: tuple[Ladder, ...] = ()
 
     def __post_init__(self) -> None:
@@ -162,7 +164,8 @@ class Plan:
             raise BadValueError(f"--threads-per-job must be at least 1, got {self.threads_per_job}")
         for text in self.assignments:
             option_words(text)  # raises where it cannot be used
-        for name in [*self.margins_of, *(step for ladder in self.ladders for step in ladder.steps)]:
+        steps = [step for ladder in self.ladders for step in ladder.steps]
+        for name in [*self.margins_of, *self.controls, *steps]:
             if name not in names:
                 raise BadValueError(f"the plan has no method '{name}'", f"Choose from: {', '.join(names)}.")
         for ladder in self.ladders:
@@ -209,6 +212,7 @@ _KEYS: dict[str, tuple[str, Callable[[Any, Path], Any]]] = {
     "device": ("device", lambda value, _: str(value)),
     "lpips_weights": ("lpips_weights", lambda value, at: at / str(value)),
     "margins_of": ("margins_of", lambda value, _: tuple(_texts(value))),
+    "controls": ("controls", lambda value, _: tuple(_texts(value))),
     "ladder": ("ladders", lambda value, _: tuple(Ladder(str(x["name"]), tuple(x["steps"])) for x in value)),
 }
 
@@ -265,6 +269,8 @@ def write_plan(plan: Plan, path: Path) -> None:
         rows["lpips_weights"] = str(plan.lpips_weights)
     if plan.margins_of:
         rows["margins_of"] = list(plan.margins_of)
+    if plan.controls:
+        rows["controls"] = list(plan.controls)
     # A string, a number or a list of them is the same in JSON and in TOML.
     lines = [f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in rows.items()]
     for ladder in plan.ladders:

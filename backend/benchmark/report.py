@@ -246,13 +246,16 @@ def _margins_of(leader: str, schedule: Schedule, entries: list[Entry]) -> str:
         if other.name in _leaders(schedule):
             continue
         found = {key: margin(entries, leader, other.name, key) for key in PAPER_MARGINS}
+        counts = other.name not in plan.controls
         pairs = {key.partition(".")[0]: each.pairs if each else 0 for key, each in found.items()}
-        if lacking := [part for part, count in pairs.items() if count < wanted]:
+        if counts and (lacking := [part for part, count in pairs.items() if count < wanted]):
             where = "" if len(lacking) == len(pairs) else f" on {', '.join(lacking)}"
             missing.append(f"{other.name}{where} ({min(pairs.values())} of {wanted})")
         cells = [other.name, str(max(pairs.values()))]
         for key, each in found.items():
             cells += _margin_cells(each)
+            if not counts:
+                continue
             if each and (each.is_ahead is False or each.mean <= PAPER_MARGINS[key]):
                 short.append(f"{other.name} on {key.partition('.')[0]} ({_signed(each.mean)})")
             elif each and each.is_ahead is None:
@@ -260,6 +263,8 @@ def _margins_of(leader: str, schedule: Schedule, entries: list[Entry]) -> str:
         rows.append(cells)
     if not rows:
         return f"`{leader}`: the plan has no other method that it could be ahead of."
+    if all(row[0] in plan.controls for row in rows):
+        return _table(headings, rows)
     said = f"no: {', '.join(short)}" if short else "not known" if missing else "yes"
     if missing:
         said += f"; pairs are missing: {', '.join(missing)}"
@@ -268,9 +273,14 @@ def _margins_of(leader: str, schedule: Schedule, entries: list[Entry]) -> str:
     least = ", ".join(f"{_signed(value)}" for value in PAPER_MARGINS.values())
     verdict = (
         f"`{leader}` is ahead of every method above on LDR-OE, LDR-NE and HDR by more than the spread and by "
-        f"more than the paper's margins over GaussHDR ({least} dB): **{said}**."
+        f"more than the paper's margins over GaussHDR ({least} dB)"
+        f"{_but_for(plan.controls)}: **{said}**."
     )
     return f"{_table(headings, rows)}\n\n{verdict}"
+
+
+def _but_for(controls: Sequence[str]) -> str:
+    return f", but for the controls ({', '.join(f'`{name}`' for name in controls)})" if controls else ""
 
 
 def _margin_cells(each: Margin | None) -> list[str]:

@@ -23,6 +23,7 @@ seeds = [0, 1]
 budgets = ["iterations=1000", "cpu-seconds=2.5"]
 set = ["densify.budget=30000", "half_size_until=0.1"]
 margins_of = ["bold"]
+controls = ["default"]
 [[ladder]]
 name = "one \\"step\\""
 steps = ["default", "bold"]
@@ -67,6 +68,7 @@ def test_assignments_become_the_words_of_the_command():
         ('"iterations=1000"', '"iterations=2.5"', "whole numbers"),
         ("half_size_until=0.1", "seed=3", "--set seed=3 cannot be used"),
         ('margins_of = ["bold"]', 'margins_of = ["shy"]', "no method 'shy'"),
+        ('controls = ["default"]', 'controls = ["shy"]', "no method 'shy'"),
         ('"default", "bold"]', '"default", "shy"]', "no method 'shy'"),
         ("settings =", "seetings =", "a plan has no 'seetings'"),
         ("methods = [", "methods = [[", "is not a plan"),
