@@ -82,7 +82,7 @@ def test_a_signal_saves_the_training_and_says_good_bye(start, enter, tiny_data, 
 )
 def test_lack_of_memory_has_a_code_and_advice(error):
     failure = failure_of(error)
-    assert failure.code == "out_of_memory" and "fast" in failure.hint
+    assert failure.code == "out_of_memory" and "smaller pictures" in failure.hint
     assert failure_of(ValueError("x"), "/the.log").code == "internal"
     assert "/the.log" in failure_of(ValueError("x"), "/the.log").hint
 
