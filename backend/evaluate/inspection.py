@@ -132,7 +132,8 @@ class _Inspector:
 
     def _head(self) -> None:
         info, found = self.info, self.found
-        found.scene = str(info.get("scene") or found.scene)
+        said = info.get("scene")
+        found.scene = said if said and isinstance(said, str) else found.scene
         maker = _object(info.get("generator"))
         found.made_by = " ".join(str(maker[key]) for key in ("name", "version") if key in maker)
         if "blender" in maker:

@@ -339,7 +339,7 @@ def test_no_lead_is_told_over_a_method_whose_runs_are_missing(bench):
     assert "**not known; pairs are missing: other on HDR (0 of 2), v (1 of 2); the spread" in verdict
     bench.content["controls"] = ["v"]
     (verdict,) = verdicts(bench, bench.schedule())
-    assert "but for the controls (`v`): **not known; pairs are missing: other on HDR (0 of 2); the" in verdict
+    assert "but for the controls (`v`): **not known; pairs are missing: other on HDR (0 of 2)**" in verdict
     bench.content["controls"] = ["other", "v"]
     assert not any("is ahead of" in verdict for verdict in verdicts(bench, bench.schedule()))
     del bench.content["controls"]
