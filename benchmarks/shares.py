@@ -38,6 +38,7 @@ OTHER = "pictures, schedules, rest"
 PART_OF_MODULE = {
     "blur": "blur",
     "curve_table": "networks",
+    "local_curves": "local curves",
     "mlp": "networks",
     "spherical_harmonics": "SH",
     "ssim": "SSIM",
