@@ -38,7 +38,7 @@ from physhdr.backend.train.trainer import CHECKPOINT_FILE, Trainer
 
 ROOT = Path(__file__).resolve().parent.parent
 #: The figure's presets, the quickest first.
-CURVES = ("fast", "default", "baseline", "paper")
+CURVES = ("fast", "default", "baseline", "hdr-gs-short", "paper-short", "gausshdr-short")
 #: Measurements of a run: at these shares of its iterations squared, so that the steep start is seen well.
 MEASUREMENTS = 16
 RECORD = "curve.json"
@@ -48,7 +48,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Plot test PSNR of presets against seconds of training.")
     parser.add_argument("--data", type=Path, required=True, help="folder of a data set with test views")
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "quality", help="folder of the runs")
-    parser.add_argument("--presets", nargs="+", default=[p for p in CURVES if p in PRESETS], choices=PRESETS)
+    parser.add_argument("--presets", nargs="+", default=CURVES, choices=PRESETS)
     parser.add_argument("--figure", type=Path, help="where the figure goes; default: OUT/quality.png")
     parser.add_argument(
         "--iterations", nargs="+", default=[], metavar="PRESET=N", help="instead of a preset's"

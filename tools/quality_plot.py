@@ -14,6 +14,9 @@ COLOURS = {
     "default": (31, 119, 180),
     "baseline": (148, 120, 40),
     "paper": (214, 69, 65),
+    "paper-short": (214, 69, 65),
+    "gausshdr-short": (130, 80, 170),
+    "hdr-gs-short": (90, 150, 160),
 }
 METRICS = ("LDR-OE", "HDR")
 #: Seconds on the axis; those within its range are drawn.

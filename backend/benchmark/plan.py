@@ -9,6 +9,9 @@ budgets = ["iterations=1000", "cpu-seconds=60"]
 set = ["downscale=2"]                                     # for every method
 margins_of = ["default"]                                  # whose lead over the others is reported
 controls = ["dim"]                                        # that the verdict on that lead does not count
+[[group]]
+name = "one backbone"                                     # the verdict over these alone, too
+methods = ["baseline", "default"]
 [[ladder]]
 name = "ablation"
 steps = ["baseline", "dim", "default"]
@@ -124,6 +127,14 @@ class Budget:
 
 
 @dataclass(frozen=True)
+class Group:
+    """Methods of one kind, among which a lead is told once more."""
+
+    name: str
+    methods: tuple[str, ...]
+
+
+@dataclass(frozen=True)
 class Ladder:
     """Methods of which each adds one thing to the one before."""
 
@@ -149,6 +160,7 @@ class Plan:
     lpips_weights: Path | None = None
     margins_of: tuple[str, ...] = ()
     controls: tuple[str, ...] = ()
+    groups: tuple[Group, ...] = ()
     ladders: tuple[Ladder, ...] = ()
 
     def __post_init__(self) -> None:
@@ -165,7 +177,8 @@ class Plan:
         for text in self.assignments:
             option_words(text)  # raises where it cannot be used
         steps = [step for ladder in self.ladders for step in ladder.steps]
-        for name in [*self.margins_of, *self.controls, *steps]:
+        grouped = [name for group in self.groups for name in group.methods]
+        for name in [*self.margins_of, *self.controls, *grouped, *steps]:
             if name not in names:
                 raise BadValueError(f"the plan has no method '{name}'", f"Choose from: {', '.join(names)}.")
         for ladder in self.ladders:
@@ -213,6 +226,7 @@ _KEYS: dict[str, tuple[str, Callable[[Any, Path], Any]]] = {
     "lpips_weights": ("lpips_weights", lambda value, at: at / str(value)),
     "margins_of": ("margins_of", lambda value, _: tuple(_texts(value))),
     "controls": ("controls", lambda value, _: tuple(_texts(value))),
+    "group": ("groups", lambda value, _: tuple(Group(str(x["name"]), tuple(x["methods"])) for x in value)),
     "ladder": ("ladders", lambda value, _: tuple(Ladder(str(x["name"]), tuple(x["steps"])) for x in value)),
 }
 
@@ -273,9 +287,11 @@ def write_plan(plan: Plan, path: Path) -> None:
         rows["controls"] = list(plan.controls)
     # A string, a number or a list of them is the same in JSON and in TOML.
     lines = [f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in rows.items()]
-    for ladder in plan.ladders:
-        lines += ["", "[[ladder]]", f"name = {json.dumps(ladder.name, ensure_ascii=False)}"]
-        lines += [f"steps = {json.dumps(list(ladder.steps), ensure_ascii=False)}"]
+    tables = [("group", each.name, "methods", each.methods) for each in plan.groups]
+    tables += [("ladder", each.name, "steps", each.steps) for each in plan.ladders]
+    for table, name, key, methods in tables:
+        lines += ["", f"[[{table}]]", f"name = {json.dumps(name, ensure_ascii=False)}"]
+        lines += [f"{key} = {json.dumps(list(methods), ensure_ascii=False)}"]
     with atomic_path(path) as temporary:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
 

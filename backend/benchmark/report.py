@@ -236,47 +236,62 @@ def _margins(schedule: Schedule, entries: list[Entry]) -> str:
 
 
 def _margins_of(leader: str, schedule: Schedule, entries: list[Entry]) -> str:
+    plan = schedule.store.plan
+    rivals = {
+        other.name: {key: margin(entries, leader, other.name, key) for key in PAPER_MARGINS}
+        for other in plan.methods
+        if other.name not in _leaders(schedule)
+    }
+    if not rivals:
+        return f"`{leader}`: the plan has no other method that it could be ahead of."
     headings = [f"{leader} over", "pairs"]
     for key in PAPER_MARGINS:
         headings += [column(key).heading.removesuffix(" PSNR"), "least", "ahead"]
-    plan = schedule.store.plan
+    rows = []
+    for name, found in rivals.items():
+        cells = [name, str(max(each.pairs if each else 0 for each in found.values()))]
+        rows.append([*cells, *(cell for each in found.values() for cell in _margin_cells(each))])
+    parts = [_table(headings, rows)]
+
+    judged = {name: found for name, found in rivals.items() if name not in plan.controls}
+    if not judged:
+        return parts[0]
     wanted = len(plan.scenes) * len(plan.seeds)
-    rows, short, missing, undecided = [], [], [], False
-    for other in plan.methods:
-        if other.name in _leaders(schedule):
-            continue
-        found = {key: margin(entries, leader, other.name, key) for key in PAPER_MARGINS}
-        counts = other.name not in plan.controls
+    least = ", ".join(f"{_signed(value)}" for value in PAPER_MARGINS.values())
+    parts.append(
+        f"`{leader}` is ahead of every method above on LDR-OE, LDR-NE and HDR by more than the spread and by "
+        f"more than the paper's margins over GaussHDR ({least} dB)"
+        f"{_but_for(plan.controls)}: **{_verdict(judged, wanted)}**."
+    )
+    for group in plan.groups:
+        among = {name: found for name, found in judged.items() if name in group.methods}
+        if leader in group.methods and among:
+            names = ", ".join(f"`{name}`" for name in among)
+            parts.append(
+                f"The same over those of {group.name} alone ({names}): **{_verdict(among, wanted)}**."
+            )
+    return "\n\n".join(parts)
+
+
+def _verdict(rivals: dict[str, dict[str, Margin | None]], wanted: int) -> str:
+    """Whether a method is ahead of ``rivals``, by its margins over each, of ``wanted`` pairs."""
+    short, missing, undecided = [], [], False
+    for name, found in rivals.items():
         pairs = {key.partition(".")[0]: each.pairs if each else 0 for key, each in found.items()}
-        if counts and (lacking := [part for part, count in pairs.items() if count < wanted]):
+        if lacking := [part for part, count in pairs.items() if count < wanted]:
             where = "" if len(lacking) == len(pairs) else f" on {', '.join(lacking)}"
-            missing.append(f"{other.name}{where} ({min(pairs.values())} of {wanted})")
-        cells = [other.name, str(max(pairs.values()))]
+            missing.append(f"{name}{where} ({min(pairs.values())} of {wanted})")
         for key, each in found.items():
-            cells += _margin_cells(each)
-            if not counts:
-                continue
             if each and (each.is_ahead is False or each.mean <= PAPER_MARGINS[key]):
-                short.append(f"{other.name} on {key.partition('.')[0]} ({_signed(each.mean)})")
+                short.append(f"{name} on {key.partition('.')[0]} ({_signed(each.mean)})")
             elif each and each.is_ahead is None:
                 undecided = True
-        rows.append(cells)
-    if not rows:
-        return f"`{leader}`: the plan has no other method that it could be ahead of."
-    if all(row[0] in plan.controls for row in rows):
-        return _table(headings, rows)
     said = f"no: {', '.join(short)}" if short else "not known" if missing else "yes"
     if missing:
         said += f"; pairs are missing: {', '.join(missing)}"
     if undecided:
         said += f"{', but' if said == 'yes' else ';'} the spread of one seed is not known"
-    least = ", ".join(f"{_signed(value)}" for value in PAPER_MARGINS.values())
-    verdict = (
-        f"`{leader}` is ahead of every method above on LDR-OE, LDR-NE and HDR by more than the spread and by "
-        f"more than the paper's margins over GaussHDR ({least} dB)"
-        f"{_but_for(plan.controls)}: **{said}**."
-    )
-    return f"{_table(headings, rows)}\n\n{verdict}"
+    return said
 
 
 def _but_for(controls: Sequence[str]) -> str:

@@ -2,8 +2,9 @@
 """What a camera wrote of a picture (EXIF): read here alone, for data sets and for photos to be prepared."""
 
 import math
+import statistics
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,32 @@ class Exif:
     time: float | None = None
     iso: float | None = None
     f_number: float | None = None
+
+
+@dataclass(frozen=True)
+class ComparableExposures:
+    """``seconds`` for each picture, at ISO 100 and at ``f_number``, the pictures' median (None: not told)."""
+
+    seconds: list[float]
+    f_number: float | None
+
+
+def comparable(pictures: Sequence[Exif]) -> ComparableExposures:
+    """time × ISO / 100 × (F_median / F)² for each picture: equal radiance then gives equal exposure.
+
+    Every picture must tell its time. An ISO or an aperture that no picture tells (a manual lens) is the same
+    for all and cancels; that all tell it or none is the callers' to check.
+    """
+    f_numbers = [picture.f_number for picture in pictures if picture.f_number is not None]
+    median = statistics.median(f_numbers) if f_numbers else None
+    seconds = []
+    for picture in pictures:
+        assert picture.time is not None
+        gain = (picture.iso or 100.0) / 100.0
+        if median is not None and picture.f_number is not None:
+            gain *= (median / picture.f_number) ** 2
+        seconds.append(picture.time * gain)
+    return ComparableExposures(seconds, median)
 
 
 def read_exif(path: Path) -> Exif:

@@ -1,13 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Exposures of pictures, in seconds: from a file that states them, or from what the camera wrote (EXIF)."""
 
-import statistics
 from collections.abc import Sequence
 from pathlib import Path
 
 from ...bridge.errors import BadValueError, DataMismatchError
 from .checks import number, plain_name, read_json
-from .exif import read_exif
+from .exif import comparable, read_exif
 
 #: Beside ``images/``: {picture's file name: exposure in seconds} (GaussHDR's file).
 EXPOSURE_FILE = "exposure.json"
@@ -39,9 +38,9 @@ def read_exposure_file(path: Path) -> dict[str, float]:
 def exposures_from_exif(paths: Sequence[Path]) -> tuple[list[float], str] | None:
     """Seconds for each picture, and in words where they are from; None where no picture says its time.
 
-    Exposure = time × ISO / 100 × (F / f)²: seconds at ISO 100 and at the pictures' median aperture F, which
-    gives the same radiance. ISO or aperture, where *no* picture tells it, counts as constant. Raises
-    ``DataMismatchError`` where some pictures say something that others do not.
+    Seconds at ISO 100 and at the pictures' median aperture (``exif.comparable``). ISO or aperture, where *no*
+    picture tells it, counts as constant. Raises ``DataMismatchError`` where some pictures say something that
+    others do not.
     """
     tags = [read_exif(path) for path in paths]
     if all(tag.time is None for tag in tags):
@@ -54,15 +53,12 @@ def exposures_from_exif(paths: Sequence[Path]) -> tuple[list[float], str] | None
                 f"({sum(known)} of {len(paths)} pictures have)",
                 SAY_EXPOSURES,
             )
-    apertures = [tag.f_number for tag in tags if tag.f_number is not None]
-    reference = statistics.median(apertures) if apertures else 1.0
-    seconds = [
-        (tag.time or 1.0) * (tag.iso or 100.0) / 100.0 * (reference / (tag.f_number or reference)) ** 2
-        for tag in tags
-    ]
-    told = "exposures from EXIF, seconds at ISO 100" + (f" and f/{reference:g}" if apertures else "")
+    exposures = comparable(tags)
+    told = "exposures from EXIF, seconds at ISO 100"
+    if exposures.f_number is not None:
+        told += f" and f/{exposures.f_number:g}"
     if tags[0].iso is None:
         told += "; no picture tells its ISO: taken as constant"
-    if not apertures:
+    if exposures.f_number is None:
         told += "; no picture tells its aperture: taken as constant"
-    return seconds, told
+    return exposures.seconds, told

@@ -148,9 +148,9 @@ def on_anchors(config: TrainConfig, anchors: AnchorsConfig) -> TrainConfig:
 
 
 def default_scaffold(iterations: int = 2500) -> TrainConfig:
-    """``default`` on anchors of fewer Gaussians, longer at half resolution, where an iteration costs twice as much.
+    """``default`` on anchors, whose iterations are dear: fewer Gaussians each, longer at half size.
 
-    At equal iterations as good as Scaffold-GS's ten Gaussians an anchor, and 15% cheaper (docs/method.md).
+    At equal iterations as good as Scaffold-GS's ten Gaussians an anchor, and 10% cheaper (docs/method.md).
     """
     config = TrainConfig(iterations=iterations, half_size_until=0.3)
     return on_anchors(config, dataclasses.replace(SHORT_TRAINING, offsets=5))

@@ -4,12 +4,12 @@
 import csv
 import json
 import math
-import statistics
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from ....bridge.errors import BadValueError, DataMismatchError, FileDamagedError, FileMissingError
+from ..exif import Exif, comparable
 from .photos import Photo
 
 #: Names that a message lists before it says how many more there are.
@@ -32,40 +32,34 @@ def some_names(names: Sequence[str]) -> str:
 
 
 def exposures_from_exif(photos: Sequence[Photo]) -> Exposures:
-    """time × ISO/100 × (F_median/F)²: seconds at ISO 100 and the photos' median aperture.
+    """Seconds at ISO 100 and at the photos' median aperture (``exif.comparable``).
 
     What no photo tells (ISO, aperture: a manual lens) is the same for all of them and cancels. Raises
     ``DataMismatchError`` where a time is missing, or where only some photos tell the rest.
     """
-    _require(photos, "exposure time", lambda photo: photo.shutter)
-    iso = _all_or_none(photos, "ISO", lambda photo: photo.iso)
-    f_number = _all_or_none(photos, "aperture", lambda photo: photo.f_number)
-    median_f = statistics.median(f_number) if f_number else 0.0
-    seconds = {}
-    for k, photo in enumerate(photos):
-        assert photo.shutter is not None
-        gain = (iso[k] / 100.0 if iso else 1.0) * ((median_f / f_number[k]) ** 2 if f_number else 1.0)
-        seconds[photo.name] = photo.shutter * gain
-    at = "ISO 100" if iso else "one ISO that EXIF does not tell"
-    aperture = f"f/{median_f:g}" if f_number else "one aperture that EXIF does not tell"
+    _require(photos, "exposure time", [photo.shutter for photo in photos])
+    iso = [photo.iso for photo in photos]
+    f_numbers = [photo.f_number for photo in photos]
+    for what, values in (("ISO", iso), ("aperture", f_numbers)):
+        if any(value is not None for value in values):
+            _require(photos, what, values)
+    exposures = comparable([Exif(photo.shutter, photo.iso, photo.f_number) for photo in photos])
+    at = "one ISO that EXIF does not tell" if iso[0] is None else "ISO 100"
+    if exposures.f_number is None:
+        aperture = "one aperture that EXIF does not tell"
+    else:
+        aperture = f"f/{exposures.f_number:g}"
+    seconds = {photo.name: value for photo, value in zip(photos, exposures.seconds, strict=True)}
     return Exposures(seconds, f"EXIF; seconds at {at} and {aperture}")
 
 
-def _require(photos: Sequence[Photo], what: str, value: Callable[[Photo], float | None]) -> None:
-    without = [photo.name for photo in photos if value(photo) is None]
+def _require(photos: Sequence[Photo], what: str, values: Sequence[float | None]) -> None:
+    """Every photo has a value; raises ``DataMismatchError``."""
+    without = [photo.name for photo, value in zip(photos, values, strict=True) if value is None]
     if without:
         share = "no photo" if len(without) == len(photos) else f"{len(without)} of {len(photos)} photos"
         verb = "tells" if len(without) == len(photos) else "do not tell"
         raise DataMismatchError(f"{share} {verb} its {what} in EXIF: {some_names(without)}", GIVE_A_FILE)
-
-
-def _all_or_none(
-    photos: Sequence[Photo], what: str, value: Callable[[Photo], float | None]
-) -> list[float] | None:
-    if all(value(photo) is None for photo in photos):
-        return None
-    _require(photos, what, value)
-    return [number for photo in photos if (number := value(photo)) is not None]
 
 
 def exposures_from_file(path: Path, photos: Sequence[Photo]) -> Exposures:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from physhdr.backend.benchmark.plan import Method, make_plan, option_words, read_plan, write_plan
+from physhdr.backend.benchmark.plan import Group, Method, make_plan, option_words, read_plan, write_plan
 from physhdr.backend.cli import main
 from physhdr.backend.cli.benchmark import Benchmark, configuration
 from physhdr.bridge.errors import PhysHDRError
@@ -24,6 +24,9 @@ budgets = ["iterations=1000", "cpu-seconds=2.5"]
 set = ["densify.budget=30000", "half_size_until=0.1"]
 margins_of = ["bold"]
 controls = ["default"]
+[[group]]
+name = "bold ones"
+methods = ["bold"]
 [[ladder]]
 name = "one \\"step\\""
 steps = ["default", "bold"]
@@ -41,6 +44,7 @@ def test_a_plan_survives_being_written(file, tmp_path):
     plan = make_plan(read_plan(file), Path.cwd())
     assert plan.methods[1].options == ("--densify.threshold", "4e-4", "--method.no-light", "a b")
     assert plan.scenes[1].name == "night" and plan.scenes[1].data == tmp_path / "rooms" / "bath"
+    assert plan.groups == (Group("bold ones", ("bold",)),)
     assert plan.options == ("--densify.budget", "30000", "--half-size-until", "0.1")
     write_plan(plan, tmp_path / "elsewhere" / "plan.toml")
     assert make_plan(read_plan(tmp_path / "elsewhere" / "plan.toml"), Path.cwd()) == plan
@@ -68,6 +72,7 @@ def test_assignments_become_the_words_of_the_command():
         ('"iterations=1000"', '"iterations=2.5"', "whole numbers"),
         ("half_size_until=0.1", "seed=3", "--set seed=3 cannot be used"),
         ('margins_of = ["bold"]', 'margins_of = ["shy"]', "no method 'shy'"),
+        ('methods = ["bold"]', 'methods = ["shy"]', "no method 'shy'"),
         ('controls = ["default"]', 'controls = ["shy"]', "no method 'shy'"),
         ('"default", "bold"]', '"default", "shy"]', "no method 'shy'"),
         ("settings =", "seetings =", "a plan has no 'seetings'"),

@@ -320,7 +320,7 @@ def test_one_seed_decides_no_lead_but_refutes_one(bench, lead):
 
 def verdicts(bench, schedule):
     text = write_report(schedule, bench.root / "report.md", "physhdr benchmark")[0].read_text()
-    return [line for line in text.splitlines() if line.startswith("`quick`")]
+    return [line for line in text.splitlines() if line.startswith(("`quick`", "The same over"))]
 
 
 def test_no_lead_is_told_over_a_method_whose_runs_are_missing(bench):
@@ -340,9 +340,13 @@ def test_no_lead_is_told_over_a_method_whose_runs_are_missing(bench):
     bench.content["controls"] = ["v"]
     (verdict,) = verdicts(bench, bench.schedule())
     assert "but for the controls (`v`): **not known; pairs are missing: other on HDR (0 of 2)**" in verdict
+    bench.content["group"] = [{"name": "one kind", "methods": ["quick", "other"]}]
+    bench.content["group"] += [{"name": "another", "methods": ["v", "other"]}]  # not of the leader's
+    (_, verdict) = verdicts(bench, bench.schedule())
+    assert "over those of one kind alone (`other`): **not known; pairs are missing: other on HDR" in verdict
     bench.content["controls"] = ["other", "v"]
-    assert not any("is ahead of" in verdict for verdict in verdicts(bench, bench.schedule()))
-    del bench.content["controls"]
+    assert not verdicts(bench, bench.schedule())
+    del bench.content["controls"], bench.content["group"]
     bench.content["methods"] = ["quick"]
     assert not verdicts(bench, bench.schedule())  # nothing to compare it with
     bench.content |= {"methods": ["quick", "other"], "margins_of": ["quick", "other"]}
