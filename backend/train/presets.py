@@ -150,7 +150,7 @@ def on_anchors(config: TrainConfig, anchors: AnchorsConfig) -> TrainConfig:
 def default_scaffold(iterations: int = 2500) -> TrainConfig:
     """``default`` on anchors, whose iterations are dear: fewer Gaussians each, longer at half size.
 
-    At equal iterations as good as Scaffold-GS's ten Gaussians an anchor, and 10% cheaper (docs/method.md).
+    At equal iterations as good as Scaffold-GS's ten Gaussians an anchor, and cheaper (docs/method.md).
     """
     config = TrainConfig(iterations=iterations, half_size_until=0.3)
     return on_anchors(config, dataclasses.replace(SHORT_TRAINING, offsets=5))
