@@ -140,7 +140,7 @@ def _damage(data: bytearray, generator: random.Random) -> None:
 
 
 def json_mutations(value: Any, count: int, seed: int) -> Iterator[Any]:
-    """``count`` damaged copies of a JSON value: somewhere in it another kind of value, too few or too many."""
+    """``count`` damaged copies of a JSON value: somewhere in it another kind of value, one less or more."""
     generator = random.Random(seed)
     for _ in range(count):
         damaged = copy.deepcopy(value)
@@ -150,7 +150,7 @@ def json_mutations(value: Any, count: int, seed: int) -> Iterator[Any]:
 
 
 def json_bytes(value: Any) -> bytes:
-    """A JSON value as a file's bytes, with what JSON does not allow (NaN, lone surrogates) as Python has it."""
+    """A JSON value as a file's bytes; what JSON does not allow (NaN, lone surrogates) as Python has it."""
     return json.dumps(value).encode("ascii")
 
 
