@@ -10,6 +10,7 @@ import math
 import mmap
 import os
 import secrets
+import stat
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -25,6 +26,8 @@ from .lights import AMBIENT, Levels, as_levels, check_lights
 
 FORMAT = "physhdr-model"
 VERSION = 1
+#: What the name of a model file ends with.
+SUFFIX = ".safetensors"
 WORKING_SPACE = "Linear Rec.709"
 #: The safetensors library's own limit; a larger number is a file of something else.
 HEADER_BYTES_MAX = 100_000_000
@@ -218,12 +221,70 @@ def read_model(path: str | os.PathLike[str]) -> Model:
     return model
 
 
+def refuse_what_is_not_ours(path: str | os.PathLike[str]) -> None:
+    """Raises ``OutputError`` where ``path`` is anything that a model file must not take the place of.
+
+    Only a model file may be replaced: a regular file whose header says so, whatever its tensors are like, so
+    that a damaged or a newer one is no obstacle. Never a link, wherever it leads, since what is at its end is
+    not what the caller named; nor a folder, a pipe or a device, which are not even opened. What comes to lie
+    there after this has looked is not seen.
+    """
+    path = Path(path)
+    try:
+        found = os.lstat(path)
+        if stat.S_ISLNK(found.st_mode):
+            what = f"a link to {os.readlink(path)} is there"
+        elif stat.S_ISDIR(found.st_mode):
+            what = "a folder is there"
+        elif not stat.S_ISREG(found.st_mode):
+            what = "a pipe or a device is there"
+        elif not _says_model(path):
+            what = "a file is there that is not a PhysHDR model"
+        else:
+            return
+    except (FileNotFoundError, NotADirectoryError):
+        return
+    except OSError as error:
+        raise OutputError(
+            f"cannot write the model file {path}: what is there cannot be looked at: "
+            f"{error.strerror or error}",
+            "Only a model file is replaced: choose another name, or make it readable.",
+        ) from error
+    raise OutputError(
+        f"cannot write the model file {path}: {what}",
+        "Only a model file is replaced: choose another name, or delete what is there yourself.",
+    )
+
+
+def _says_model(path: Path) -> bool:
+    """Whether the header of the regular file at ``path`` says that it is a model; raises ``OSError``."""
+    with open(path, "rb", opener=_without_waiting) as file:
+        found = os.fstat(file.fileno())
+        if not stat.S_ISREG(found.st_mode):
+            return False
+        length = int.from_bytes(file.read(8), "little")
+        if length > min(HEADER_BYTES_MAX, found.st_size):
+            return False
+        header = file.read(length)
+    try:
+        return json.loads(header.decode("utf-8"))["__metadata__"]["format"] == FORMAT
+    except (ValueError, RecursionError, KeyError, TypeError):
+        return False
+
+
 def write_model(path: str | os.PathLike[str], model: Model) -> None:
     """Write a model file in one step: it is there complete or not at all, an older one until then.
 
-    Raises ``OutputError`` where it cannot be written.
+    Raises ``OutputError`` where it cannot be written, and where something else than a model file is there
+    (``refuse_what_is_not_ours``).
     """
     path = Path(path)
+    refuse_what_is_not_ours(path)
+    if not os.path.isdir(path.parent):
+        raise OutputError(
+            f"cannot write the model file {path}: there is no folder {path.parent}",
+            "Make that folder, or choose another one.",
+        )
     tensors, modulator = model.tensors(), str(model.modulator)
     if modulator == "additive" and model.lights != (AMBIENT,):
         modulator = ADDITIVE_LIGHTS
@@ -255,8 +316,9 @@ def write_model(path: str | os.PathLike[str], model: Model) -> None:
     header_bytes = json.dumps(header, separators=(",", ":")).encode()
     header_bytes += b" " * (-len(header_bytes) % 8)  # aligns the data, as the safetensors library does
 
-    # Beside the target, because only a rename within one file system is atomic.
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
+    # Beside the target, because only a rename within one file system is atomic. Its name is short, so that
+    # the target's may be as long as the file system allows.
+    temporary = path.with_name(f".physhdr-{secrets.token_hex(4)}.tmp")
     try:
         with open(temporary, "xb") as file:
             file.write(len(header_bytes).to_bytes(8, "little"))
@@ -265,11 +327,12 @@ def write_model(path: str | os.PathLike[str], model: Model) -> None:
                 file.write(array.data)
             file.flush()
             os.fsync(file.fileno())
+        refuse_what_is_not_ours(path)  # again: writing takes seconds, the rename no time
         os.replace(temporary, path)
     except OSError as error:
         raise OutputError(
             f"cannot write the model file {path}: {error.strerror or error}",
-            "Check that the folder exists, that you may write there and that the disk has room.",
+            "Check that you may write there, that the name is not too long and that the disk has room.",
         ) from error
     finally:
         with suppress(OSError):
@@ -283,11 +346,19 @@ def _damaged(path: Path, what: str) -> FileDamagedError:
     return FileDamagedError(f"{path} {what}", "Export the model again (physhdr export).")
 
 
+def _without_waiting(path: str, flags: int) -> int:
+    """How ``open`` opens what may be a pipe, which it would otherwise wait for until somebody writes."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
+
+
 def _map_file(path: Path) -> memoryview:
     """The file's bytes, memory-mapped; the map lives as long as an array that uses it."""
     try:
-        with open(path, "rb") as file:
-            size = os.fstat(file.fileno()).st_size
+        with open(path, "rb", opener=_without_waiting) as file:
+            found = os.fstat(file.fileno())
+            if not stat.S_ISREG(found.st_mode):
+                raise _damaged(path, "is not a PhysHDR model: it is a pipe or a device")
+            size = found.st_size
             if size < 8:
                 raise _damaged(path, f"is not a PhysHDR model: it has only {size} bytes")
             return memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))

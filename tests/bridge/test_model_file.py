@@ -17,7 +17,7 @@ from physhdr.bridge.errors import (
     FileMissingError,
     OutputError,
 )
-from physhdr.bridge.model_file import Model, read_model, write_model
+from physhdr.bridge.model_file import Model, read_model, refuse_what_is_not_ours, write_model
 
 
 def make_model(
@@ -341,7 +341,7 @@ def test_levels_must_be_there_and_rise():
 
 
 def test_a_path_that_cannot_be_written_leaves_nothing(tmp_path: Path):
-    with pytest.raises(OutputError, match=r"cannot write[\s\S]*folder exists"):
+    with pytest.raises(OutputError, match=r"there is no folder .*none[\s\S]*Make that folder"):
         write_model(tmp_path / "none" / "m.safetensors", make_model())
     (tmp_path / "folder").mkdir()
     with pytest.raises(OutputError):
@@ -354,3 +354,89 @@ def test_writing_replaces_a_file_that_is_being_read(path: Path):
     write_model(path, make_model(seed=1))
     np.testing.assert_array_equal(old.position, make_model().position)
     np.testing.assert_array_equal(read_model(path).position, make_model(seed=1).position)
+
+
+def write_header(path: Path, metadata, data: bytes = b"") -> None:
+    text = json.dumps({"__metadata__": metadata}).encode()
+    path.write_bytes(len(text).to_bytes(8, "little") + text + data)
+
+
+def other_files(folder: Path) -> dict[str, Path]:
+    """Files of the user's that are no models, by what is said of them."""
+    (folder / "notes.safetensors").write_text("what I must not forget")
+    (folder / "empty.safetensors").touch()
+    write_header(folder / "checkpoint.safetensors", {"format": "physhdr-checkpoint"}, b"months")
+    write_header(folder / "list.safetensors", ["physhdr-model"])
+    claim = b'{"__metadata__": {"format": "physhdr-model"}}'
+    (folder / "claims.safetensors").write_bytes(b"\xff" * 8 + claim)  # behind a length of 2^64 − 1
+    (folder / "deep.safetensors").write_bytes((200_000).to_bytes(8, "little") + b"[" * 200_000)
+    return {path.name: path for path in sorted(folder.iterdir())}
+
+
+def test_no_file_of_the_users_is_replaced(tmp_path: Path):
+    for path in other_files(tmp_path).values():
+        before = path.read_bytes()
+        with pytest.raises(OutputError, match=rf"{path}: a file is there that is not[\s\S]*another name"):
+            write_model(path, make_model())
+        assert path.read_bytes() == before
+    assert len(os.listdir(tmp_path)) == 6  # nothing temporary is left, either
+
+
+def test_a_model_is_replaced_whatever_its_state(path: Path):
+    """One that is cut off, or a newer PhysHDR's: it is ours, and its header says so."""
+    whole = path.read_bytes()
+    for old in (whole[: len(whole) // 2], whole.replace(b'"version":"1"', b'"version":"9"')):
+        path.write_bytes(old)
+        write_model(path, make_model(seed=2))
+        np.testing.assert_array_equal(read_model(path).position, make_model(seed=2).position)
+    path.write_bytes(whole[:20])  # nothing says any more what it was
+    with pytest.raises(OutputError, match="delete what is there yourself"):
+        write_model(path, make_model())
+
+
+def test_links_are_neither_followed_nor_replaced(path: Path, tmp_path: Path):
+    (tmp_path / "notes.txt").write_text("mine")
+    for name, goal in {"a": "notes.txt", "b": "model.safetensors", "c": "nowhere"}.items():
+        link = tmp_path / f"{name}.safetensors"
+        link.symlink_to(tmp_path / goal)
+        with pytest.raises(OutputError, match=rf"a link to .*{goal} is there"):
+            write_model(link, make_model(seed=1))
+        assert link.is_symlink()
+    assert (tmp_path / "notes.txt").read_text() == "mine" and not (tmp_path / "nowhere").exists()
+    np.testing.assert_array_equal(read_model(path).position, make_model().position)
+
+
+def test_a_pipe_is_not_waited_for(tmp_path: Path):
+    pipe = tmp_path / "pipe.safetensors"
+    os.mkfifo(pipe)
+    with pytest.raises(OutputError, match="a pipe or a device is there"):
+        write_model(pipe, make_model())
+    assert pipe.is_fifo()
+    with pytest.raises(FileDamagedError, match="a pipe or a device"):
+        read_model(pipe)
+    with pytest.raises(OutputError, match="a pipe or a device"):
+        refuse_what_is_not_ours("/dev/null")
+    with pytest.raises(OutputError, match="a folder is there"):
+        refuse_what_is_not_ours(tmp_path)
+
+
+def test_what_comes_to_lie_there_while_it_is_written_stays(tmp_path: Path, monkeypatch):
+    """The user saves a file of that name in the seconds that a large model takes."""
+    path, sync = tmp_path / "m.safetensors", os.fsync
+
+    def save_meanwhile(number: int) -> None:
+        sync(number)
+        path.write_text("mine")
+
+    monkeypatch.setattr(os, "fsync", save_meanwhile)
+    with pytest.raises(OutputError, match="not a PhysHDR model"):
+        write_model(path, make_model())
+    assert path.read_text() == "mine" and os.listdir(tmp_path) == [path.name]
+
+
+def test_names_may_be_as_long_as_the_file_system_allows(tmp_path: Path):
+    longest = tmp_path / ("ü" * 121 + "a.safetensors")  # 255 bytes
+    write_model(longest, make_model())
+    assert read_model(longest).count == 7 and len(os.listdir(tmp_path)) == 1
+    with pytest.raises(OutputError, match=r"File name too long[\s\S]*choose another name"):
+        write_model(tmp_path / ("x" * 300 + ".safetensors"), make_model())
