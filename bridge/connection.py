@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The connection file: where a backend listens, and the secret that opens it. For its owner alone (0600).
 
-It lies in the backend's home folder, so that a Blender that starts later finds a training that runs.
+It lies in the backend's home folder, so that a Blender that starts later finds a training that runs. The
+home, too, is its owner's alone (0700): who could write there could have a Blender talk to another backend,
+or start another Python; who could read there could hold the lock that keeps a second backend out.
 """
 
 import json
 import os
 import secrets
+import stat
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -35,6 +38,53 @@ class Connection:
         return f"ws://{HOST}:{self.port}"
 
 
+def private_home(folder: Path) -> None:
+    """Make the home folder for its owner alone; one that is there is made so, with what is in it unchanged.
+
+    Raises ``OutputError`` where that cannot be, where the folder or something in it belongs to another user,
+    and where it is open to others because it is not a backend's alone: one that all users write to, as
+    ``/tmp``, and the user's own folder and those around it. On Windows, whose folders have no modes, it is
+    only made.
+    """
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        found = folder.stat()
+        if is_of_another(found):
+            raise OutputError(
+                f"{folder} belongs to another user, who could read and replace what the backend keeps there",
+                "Choose a home folder of your own.",
+            )
+        if os.name != "nt" and stat.S_IMODE(found.st_mode) & 0o077:
+            _close_to_others(folder, found)
+        for entry in folder.iterdir():
+            with suppress(FileNotFoundError):  # of a backend that runs there: it comes and goes
+                if is_of_another(entry.lstat()):
+                    raise OutputError(
+                        f"{entry} belongs to another user, who put it there while {folder} was open",
+                        "Delete it, or choose another home folder.",
+                    )
+    except OSError as error:
+        raise OutputError(
+            f"cannot use {folder} as the backend's home: {error.strerror or error}",
+            "Choose another home folder, or make that one yours and writable.",
+        ) from error
+
+
+def _close_to_others(folder: Path, found: os.stat_result) -> None:
+    own = Path(os.path.expanduser("~")).resolve()
+    if found.st_mode & stat.S_ISVTX or folder.resolve() in (own, *own.parents):
+        raise OutputError(
+            f"{folder} is open to other users, and closing it to them would close more than a backend's",
+            f"Choose a folder in it as the home, say {folder / 'physhdr'}.",
+        )
+    folder.chmod(0o700)
+
+
+def is_of_another(found: os.stat_result) -> bool:
+    """Whether a file belongs to another user than this process's and root; never on Windows."""
+    return os.name != "nt" and found.st_uid not in (0, os.geteuid())
+
+
 def new_token() -> str:
     return secrets.token_hex(TOKEN_BYTES)
 
@@ -60,10 +110,16 @@ def write_connection(folder: Path, connection: Connection) -> Path:
 
 
 def read_connection(folder: Path) -> Connection:
-    """Read it; raises ``FileMissingError`` where no backend is there, ``FileDamagedError``."""
+    """Read it; raises ``FileMissingError`` where no backend is there, ``FileDamagedError``.
+
+    The latter also where another user wrote it, whose backend that would be.
+    """
     path = folder / CONNECTION_FILE
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        with open(path, encoding="utf-8") as file:
+            if is_of_another(os.fstat(file.fileno())):
+                raise FileDamagedError(f"{path} belongs to another user", "Choose another home folder.")
+            content = json.loads(file.read())
     except FileNotFoundError:
         raise FileMissingError(f"no backend is running: there is no {path}", "Start one.") from None
     except (OSError, ValueError) as error:

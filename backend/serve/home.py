@@ -2,14 +2,17 @@
 """A backend's home folder: one backend a folder, found by its connection file."""
 
 import os
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO
+
+from filelock import FileLock, SoftFileLock, Timeout
 
 from ...bridge.connection import (
     CONNECTION_FILE,
     Connection,
+    private_home,
     read_connection,
     remove_connection,
     write_connection,
@@ -22,25 +25,27 @@ LOCK_FILE = "backend.lock"
 
 @contextmanager
 def own_home(folder: Path) -> Iterator[None]:
-    """While active, no other backend serves ``folder``.
+    """While active, no other backend serves ``folder``, which is made its owner's alone.
 
     The operating system takes the lock back when the process ends, however it ends: a connection file that
     was left behind is stale exactly if the lock can be had. Raises ``BusyError`` and ``OutputError``.
     """
+    private_home(folder)
+    path = folder / LOCK_FILE
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        file = open(folder / LOCK_FILE, "a")  # noqa: SIM115 (closed below, with the lock)
-    except OSError as error:
-        raise OutputError(
-            f"cannot use {folder} as the backend's home: {error.strerror or error}",
-            "Choose another --home, or make that folder writable.",
-        ) from error
-    with file:
-        if not _lock(file):
-            raise BusyError(
-                f"a backend already serves {folder}{_who(folder)}",
-                "Connect to it (its connection file is there), end it, or choose another --home.",
-            )
+        _tighten(path)
+        held = FileLock(path, mode=0o600).acquire(timeout=0)
+    except Timeout:
+        raise BusyError(
+            f"a backend already serves {folder}{_who(folder)}",
+            "Connect to it (its connection file is there), end it, or choose another --home.",
+        ) from None
+    except (OSError, NotImplementedError) as error:
+        raise _no_lock(path, getattr(error, "strerror", None) or str(error)) from error
+    with held as lock:
+        if isinstance(lock, SoftFileLock):
+            # What the library does where there are no locks: such a one would outlive a killed process.
+            raise _no_lock(path, "the disk knows no locks")
         with suppress(OSError):
             (folder / CONNECTION_FILE).unlink(missing_ok=True)  # of a backend that was killed
         yield
@@ -63,25 +68,12 @@ def _who(folder: Path) -> str:
         return ""  # it is only just starting
 
 
-def _lock(file: IO[str]) -> bool:
-    """Lock the file for this process; False where another one has it."""
-    if os.name == "nt":
-        import msvcrt
+def _tighten(path: Path) -> None:
+    """A lock that is there already, of a version that left it open to all, for its owner alone."""
+    with suppress(FileNotFoundError):
+        if stat.S_ISREG(os.lstat(path).st_mode):
+            path.chmod(0o600)
 
-        try:
-            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]
-        except OSError:
-            return False
-        return True
-    import fcntl
 
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError as error:
-        raise OutputError(
-            f"{file.name} cannot be locked: {error.strerror or error}",
-            "Choose a --home on a disk of this machine.",
-        ) from error
-    return True
+def _no_lock(path: Path, why: str) -> OutputError:
+    return OutputError(f"{path} cannot be locked: {why}", "Choose a --home on a disk of this machine.")

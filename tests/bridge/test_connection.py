@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The connection file: for its owner alone, whole or not there, and no stranger's."""
+"""The connection file and its folder: for their owner alone, whole or not there, and no stranger's."""
 
 import json
 import os
 import stat
+from types import SimpleNamespace
 
 import pytest
 
@@ -11,6 +12,7 @@ from physhdr.bridge.connection import (
     CONNECTION_FILE,
     Connection,
     new_token,
+    private_home,
     read_connection,
     remove_connection,
     write_connection,
@@ -85,3 +87,93 @@ def test_a_home_that_cannot_be_written_is_told(tmp_path):
     with pytest.raises(OutputError, match="--home"):
         write_connection(tmp_path, connection())
     assert [file.name for file in tmp_path.iterdir()] == [CONNECTION_FILE]
+
+
+def mode(path):
+    return stat.S_IMODE(path.stat().st_mode)
+
+
+@pytest.fixture
+def open_umask():
+    """As a system has it on which everybody may write everywhere."""
+    before = os.umask(0)
+    yield
+    os.umask(before)
+
+
+def test_a_home_is_its_owners_alone_whether_made_or_found(tmp_path, open_umask):
+    private_home(tmp_path / "new" / "home")
+    assert mode(tmp_path / "new" / "home") == 0o700
+    for found in (0o777, 0o755, 0o2775, 0o711):
+        home = tmp_path / f"{found:o}"
+        home.mkdir()
+        (home / "environment").mkdir(mode=0o755)
+        home.chmod(found)
+        private_home(home)
+        private_home(home)
+        assert mode(home) == 0o700 and mode(home / "environment") == 0o755
+
+
+def test_folders_that_are_not_a_backends_alone_are_left_as_they_are(tmp_path, monkeypatch):
+    """The user's own folder, those around it, and those that all users write to: a wrong --home, no more."""
+    own, everybodys = tmp_path / "home" / "me", tmp_path / "tmp"
+    own.mkdir(parents=True)
+    everybodys.mkdir()
+    monkeypatch.setenv("HOME", str(own))
+    (tmp_path / "link").symlink_to(own)
+    for folder, found in (
+        (own, 0o755),
+        (own.parent, 0o755),
+        (everybodys, 0o1777),
+        (tmp_path / "link", 0o755),
+    ):
+        folder.chmod(found)
+        with pytest.raises(OutputError, match=rf"{folder} is open[\s\S]*say {folder / 'physhdr'}"):
+            private_home(folder)
+        assert mode(folder) == found
+    private_home(everybodys / "physhdr")  # as it says
+
+
+def stranger(monkeypatch, wrote):
+    """``wrote`` (its inode) looks as if another user had written it."""
+    number = wrote.lstat().st_ino
+    real = {name: getattr(os, name) for name in ("stat", "lstat", "fstat")}
+
+    def seen(name):
+        def look(*arguments, **options):
+            found = real[name](*arguments, **options)
+            if found.st_ino != number:
+                return found
+            return SimpleNamespace(st_uid=os.geteuid() + 4711, st_mode=found.st_mode)
+
+        return look
+
+    for name in real:
+        monkeypatch.setattr(os, name, seen(name))
+
+
+def test_another_users_home_is_not_used(tmp_path, monkeypatch):
+    home = tmp_path / "home"
+    home.mkdir(mode=0o777)
+    stranger(monkeypatch, home)
+    with pytest.raises(OutputError, match=r"home belongs to another user[\s\S]*of your own"):
+        private_home(home)
+
+
+def test_what_another_user_left_in_a_home_is_named(tmp_path, monkeypatch):
+    home = tmp_path / "home"
+    private_home(home)
+    write_connection(home, connection())
+    stranger(monkeypatch, home / CONNECTION_FILE)
+    for _ in range(2):  # that the folder is closed by now changes nothing
+        with pytest.raises(OutputError, match=r"connection\.json belongs to another user[\s\S]*Delete it"):
+            private_home(home)
+    with pytest.raises(FileDamagedError, match=r"connection\.json belongs to another user"):
+        read_connection(home)
+
+
+def test_a_file_in_the_place_of_a_home_is_told(tmp_path):
+    (tmp_path / "file").touch()
+    for folder in (tmp_path / "file", tmp_path / "file" / "home", tmp_path / ("x" * 300)):
+        with pytest.raises(OutputError, match=r"as the backend's home[\s\S]*Choose another"):
+            private_home(folder)
