@@ -123,7 +123,7 @@ def why_not(state: State, action: str, choices: Choices | None = None) -> str:
             return "" if choices.out_has_run else "Choose the folder of a run that was trained"
         case "import":
             if state.link.status == "connected" and state.job.has_model:
-                return ""
+                return _why_not_steer(state)  # the backend writes the file for the one who steers
             return "" if choices.out_has_run else "Train a model, or choose the folder of a run, first"
         case "preview":
             return "" if state.job.has_model else "There is no model yet: start a training or open a run"

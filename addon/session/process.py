@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 from contextlib import suppress
+from pathlib import Path
 from typing import IO, Any
 
 #: What a child would inherit of Blender's Python, and what would break another one.
@@ -39,6 +40,19 @@ def spawn(command: list[str], output: int | IO[Any], environment: dict[str, str]
         env=environment,
         **group,
     )
+
+
+def open_log(path: Path, mode: str) -> IO[str]:
+    """A log for its owner alone (0600), whether it is made now or was there; raises ``OSError``."""
+
+    def opened(name: str, flags: int) -> int:
+        # The mode is given at creation: there is no moment at which others could open it.
+        return os.open(name, flags, 0o600)
+
+    file = open(path, mode, encoding="utf-8", errors="replace", opener=opened)  # noqa: SIM115 (the caller's)
+    with suppress(OSError):  # a disk without modes
+        path.chmod(0o600)
+    return file
 
 
 def interrupt(pid: int) -> None:

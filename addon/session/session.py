@@ -6,17 +6,18 @@ window, operators that wait do it in scripts), and never waits itself.
 """
 
 import json
+import os
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from ...bridge.connection import read_connection
+from ...bridge.connection import is_of_another, private_home, read_connection
 from ...bridge.errors import FileDamagedError, FileMissingError, OutputError, PhysHDRError
 from ...bridge.messages import PreviewFrame, PreviewRequest, Request, WhenClosed
 from ..dataset_summary import summarise
 from .client import Client, PreviewRefused
-from .process import clean_environment, is_alive, kill, spawn
+from .process import clean_environment, is_alive, kill, open_log, spawn
 from .state import (
     Asked,
     Connect,
@@ -95,6 +96,7 @@ class Session:
         """Start a child process; one of a name at a time. Raises ``OutputError``."""
         if name in self._tasks:
             raise OutputError(f"{name} is under way already", "Wait for it to end, or cancel it.")
+        private_home(self.home)  # tasks write there: an environment, logs
         self._tasks[name] = ChildTask(name, command, log, environment)
         self.dispatch(TaskStarted(name, str(log)))
 
@@ -115,6 +117,9 @@ class Session:
             summary = summarise(Path(folder))
         except PhysHDRError as error:
             dataset = Dataset(folder, problem=Problem(error.message, error.hint))
+        except OSError as error:  # the system will not have the path, be it too long
+            problem = Problem(f"{folder}: {error.strerror or error}", "Choose another folder.")
+            dataset = Dataset(folder, problem=problem)
         else:
             dataset = Dataset(folder, tuple(summary.lines), tuple(summary.warnings))
         self.dispatch(DatasetChosen(dataset))
@@ -211,12 +216,14 @@ class Session:
         command = self.backend_command("serve", "--home", str(self.home), "--log", str(log))
         self.dispatch(Started(str(log)))
         try:
-            self.home.mkdir(parents=True, exist_ok=True)
+            private_home(self.home)
             if log.exists() and log.stat().st_size > LOG_BYTES:
                 log.unlink()
             # Another Blender may be starting one just now: its log must not be cut off.
-            with open(log, "a", encoding="utf-8") as output:
+            with open_log(log, "a") as output:
                 self._process = spawn(command, output, self.environment())
+        except OutputError as error:
+            self.dispatch(LinkLost(f"{error.message}. {error.hint}"))
         except OSError as error:
             self.dispatch(LinkLost(f"cannot start {command[0]}: {error.strerror or error}"))
         self._started = time.monotonic()
@@ -276,9 +283,15 @@ class Session:
 
 
 def read_choice(path: Path) -> PythonChosen:
-    """The Python that passed a check in an earlier session; an empty one where there is none."""
+    """The Python that passed a check in an earlier session; an empty one where there is none.
+
+    It will be run: one that another user wrote down is none.
+    """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        with open(path, encoding="utf-8") as file:
+            if is_of_another(os.fstat(file.fileno())):
+                return PythonChosen("")
+            content = json.loads(file.read())
         python, report = str(content["python"]), dict(content["report"])
     except (OSError, ValueError, KeyError, TypeError):
         return PythonChosen("")

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from ...bridge.errors import OutputError
-from .process import clean_environment, interrupt, kill, spawn
+from .process import clean_environment, interrupt, kill, open_log, spawn
 
 #: Seconds that a cancelled child has to end by itself.
 PATIENCE = 10.0
@@ -60,7 +60,7 @@ class ChildTask:
         self._events: queue.SimpleQueue[TaskEvent] = queue.SimpleQueue()
         try:
             log.parent.mkdir(parents=True, exist_ok=True)
-            self._log = open(log, "w", encoding="utf-8", errors="replace")  # noqa: SIM115 (the thread's)
+            self._log = open_log(log, "w")
             self._log.write("$ " + " ".join(command) + "\n")
             self._process = spawn(command, subprocess.PIPE, environment or clean_environment())
         except OSError as error:

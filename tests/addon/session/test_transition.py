@@ -231,6 +231,11 @@ def test_only_the_one_in_control_may_steer():
     )
     assert why_not(state, "take_control") == ""
     assert why_not(training(), "take_control") == "This Blender is in control already"
+    # To import what the backend holds it writes a file; where it holds nothing, the run's own is taken.
+    watching = training(in_control=False, controller="Blender on the left", has_model=True)
+    assert "Blender on the left is in control: take control" in why_not(watching, "import")
+    assert why_not(training(has_model=True), "import") == ""
+    assert why_not(state, "import", Choices("/data", "/run", True)) == ""
     assert why_not(training(), "pause") == "" and why_not(training(), "continue") == "Nothing is paused"
 
 

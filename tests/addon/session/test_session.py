@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The session with real files and processes, without Blender: what it writes, and what it does not trust."""
+
+import os
+import stat
+import sys
+from types import SimpleNamespace
+
+import pytest
+
+from physhdr.addon.session.advice import problem_of
+from physhdr.addon.session.session import CHOICE_FILE, LOG_FILE, Session, read_choice, write_choice
+from physhdr.addon.session.state import KeepReport, PythonChosen
+from physhdr.bridge.errors import OutputError
+from physhdr.bridge.messages import StatusGet
+
+REPORT = {"versions": {"torch": "2.13.0"}}
+
+
+def mode(path):
+    return stat.S_IMODE(path.stat().st_mode)
+
+
+@pytest.fixture
+def open_umask():
+    """As a system has it on which everybody may write everywhere."""
+    before = os.umask(0)
+    yield
+    os.umask(before)
+
+
+@pytest.fixture
+def launcher(tmp_path):
+    """Stands in for the backend: says something and ends."""
+    path = tmp_path / "launch.py"
+    path.write_text("raise SystemExit('no torch')")
+    return path
+
+
+def ask_for_a_backend(home, launcher):
+    """The session after its backend has ended, or was not even started."""
+    session = Session(home, launcher)
+    session.dispatch(PythonChosen(sys.executable, REPORT))
+    session.ask(StatusGet())
+    assert session.wait(lambda state: state.link.status == "off", 30.0)
+    return session
+
+
+@pytest.mark.parametrize("found", [None, 0o666])
+def test_the_home_and_its_logs_are_their_owners_alone(tmp_path, launcher, open_umask, found):
+    home = tmp_path / "home"
+    logs = [home / LOG_FILE, home / "install.log"]
+    if found:
+        home.mkdir()
+        for log in logs:
+            log.touch()
+            log.chmod(found)
+    session = ask_for_a_backend(home, launcher)
+    assert "no torch" in problem_of(session.state).message
+    session.start_task("install", [sys.executable, "-c", "print('fetched')"], home / "install.log")
+    assert session.wait(lambda state: not state.tasks, 30.0)
+    assert mode(home) == 0o700 and [mode(log) for log in logs] == [0o600, 0o600]
+    assert "no torch" in logs[0].read_text() and "fetched" in logs[1].read_text()
+
+
+def test_a_home_that_cannot_be_closed_to_others_is_told(tmp_path, launcher):
+    everybodys = tmp_path / "tmp"
+    everybodys.mkdir()
+    everybodys.chmod(0o1777)
+    problem = problem_of(ask_for_a_backend(everybodys, launcher).state)
+    assert f"{everybodys} is open to other users" in problem.message
+    assert f"say {everybodys / 'physhdr'}" in problem.message  # the remedy
+    with pytest.raises(OutputError, match="open to other users"):
+        Session(everybodys, launcher).start_task("install", [sys.executable], everybodys / "install.log")
+    assert list(everybodys.iterdir()) == [] and mode(everybodys) == 0o1777
+
+
+def test_a_python_that_another_user_wrote_down_is_not_run(tmp_path, monkeypatch):
+    kept = KeepReport(sys.executable, REPORT)
+    write_choice(tmp_path / CHOICE_FILE, kept)
+    assert read_choice(tmp_path / CHOICE_FILE) == PythonChosen(sys.executable, REPORT)
+    real = os.fstat
+    monkeypatch.setattr(os, "fstat", lambda number: SimpleNamespace(**_of_another(real(number))))
+    assert read_choice(tmp_path / CHOICE_FILE) == PythonChosen("")
+
+
+def _of_another(found):
+    fields = {name: getattr(found, name) for name in dir(found) if name.startswith("st_")}
+    return {**fields, "st_uid": os.geteuid() + 4711}
+
+
+def test_a_path_that_the_system_refuses_is_a_problem_of_the_data_set(tmp_path, launcher):
+    session = Session(tmp_path, launcher)
+    folder = str(tmp_path / ("x" * 300))
+    session.choose_dataset(folder)
+    problem = session.state.dataset.problem
+    assert folder in problem.message and "too long" in problem.message and problem.hint
