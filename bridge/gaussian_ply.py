@@ -20,7 +20,8 @@ import numpy as np
 import plyfile
 
 from .atomic import atomic_path
-from .errors import BadValueError, DataMismatchError, FileDamagedError, FileMissingError
+from .errors import BadValueError, DataMismatchError, FileDamagedError
+from .regular import damaged_where_it_fails, regular_file
 
 #: The constant spherical harmonic Y_0, with the digits that 3DGS's viewers use.
 SH_C0 = 0.28209479
@@ -190,36 +191,55 @@ def read_ply(path: Path) -> GaussianPly:
     ``f_dc_*`` (nerfstudio without SH), those are made from them. Raises ``FileMissingError``;
     ``FileDamagedError`` if it is no PLY, truncated, or holds no Gaussians.
     """
-    path = Path(path)
-    if not path.exists():
-        raise FileMissingError(f"{path} is missing", "Check the path, or choose another PLY.")
-    if not path.is_file():
-        raise FileMissingError(f"{path} is a folder, not a PLY", "Choose a file in it.")
-    try:
-        ply = plyfile.PlyData.read(str(path))
-    except (
-        plyfile.PlyParseError,
-        ValueError,
-        KeyError,
-        OSError,
-        EOFError,
-        MemoryError,
-        OverflowError,
-    ) as error:
-        raise FileDamagedError(
-            f"{path} is not a readable PLY: {error}", "Copy or export it again: it may be cut off."
-        ) from error
+    path = regular_file(Path(path), "Check the path, or choose another PLY.")
+    ply = open_ply(path, "PLY", "Copy or export it again: it may be cut off.")
     elements = {element.name: element for element in ply.elements}
     if "vertex" not in elements:
         raise FileDamagedError(f"{path} is not a PLY of Gaussians: it has no vertex element", _GAUSSIANS_HINT)
     vertex = elements["vertex"]
     names = [p.name for p in vertex.properties if not isinstance(p, plyfile.PlyListProperty)]
     _check_names(path, names, packed="chunk" in elements)
-    columns = _columns(vertex.data, names)
+    with np.errstate(over="ignore"):  # a double beyond float32 becomes infinite: its Gaussian is of no use
+        columns = _columns(vertex.data, names)
     if "f_dc_0" not in columns:
         for index, name in enumerate(("red", "green", "blue")):
             columns[f"f_dc_{index}"] = ((columns[name] / 255.0 - 0.5) / SH_C0).astype(np.float32)
     return GaussianPly(columns, list(ply.comments))
+
+
+def open_ply(path: Path, kind: str, remedy: str) -> plyfile.PlyData:
+    """A PLY of anything; ``kind`` is what it should be, and ``remedy`` the hint, for the message.
+
+    Raises what ``regular_file`` raises, ``FileDamagedError`` where it cannot be read or claims more than it
+    has bytes for.
+    """
+    regular_file(path, remedy)
+    with damaged_where_it_fails(f"{path} is not a readable {kind}", remedy):
+        _check_room(path)
+        return plyfile.PlyData.read(str(path))
+
+
+def _check_room(path: Path) -> None:
+    """Raises ``ValueError`` where a file is too short for what its header claims.
+
+    plyfile takes memory for the rows of a text file, and of those with lists, before it looks for them. In
+    either form a value has one byte at least.
+    """
+    with open(path, "rb") as file:
+        header = file.read(_LONGEST_HEADER).partition(b"end_header")[0]
+    size = path.stat().st_size
+    rows = values = 0
+    for words in (line.split() for line in header.splitlines()):
+        if words[:1] == [b"element"] and len(words) == 3:
+            rows = int(words[2])
+        elif words[:1] == [b"property"]:
+            values += rows
+    if values > size:
+        raise ValueError(f"it claims {values} values in {size} bytes")
+
+
+#: Bytes; the comments of a lossless PLY, with its networks, have a few hundred thousand.
+_LONGEST_HEADER = 1 << 24
 
 
 #: The same reader under the name of the layout that keeps our columns: nothing is dropped.

@@ -54,7 +54,7 @@ EXPOSURE = Bounds(
 )
 
 #: Lighting levels other than 0. Data sets have 1/1024 to 1024; a level enters the networks as its logarithm.
-LEVEL = Bounds(1e-6, 1e6, "times the standard light", "A light that is switched off has the level 0.")
+LEVEL = Bounds(1e-6, 1e6, "times the standard light", "Light cannot be negative, and one that is switched off has the level 0.")
 
 #: Focal lengths in pixels: a picture of 100 pixels with a focal length of 0.01 sees 179.99 degrees, which no
 #: pinhole camera does; a telescope of 10 m on pixels of 3 µm has 3e6.
@@ -67,6 +67,8 @@ PRINCIPAL_POINT = Bounds(-1e6, 1e6, "pixels", "Give the principal point in pixel
 #: float32's end: 1e24 × 3 × 2^27 = 4e32.
 RADIANCE_MAX = 1e12
 
+#: Pixels of a side that a camera is told to have; the largest sensors and scanners have a tenth.
+LARGEST_SIDE = 1 << 20
 #: Pixels of a picture. No picture of ours is larger; a header that claims more is damaged or hostile.
 MAX_PIXELS = 1 << 27
 

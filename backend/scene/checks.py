@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the readers of all layouts check alike: JSON, numbers, poses."""
 
-import json
 import math
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 
-from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
+from ...bridge import limits
+from ...bridge.errors import BadValueError, FileDamagedError
+from ...bridge.regular import read_json_object
 
 #: A rotation's columns may be this far from orthonormal: poses are written with about six digits.
 RIGID_TOLERANCE = 1e-3
@@ -17,20 +18,8 @@ MAKE_AGAIN = "Make the data set again (only what is missing is rendered), or cop
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    if not path.is_file():
-        raise FileMissingError(f"{path} is missing", MAKE_AGAIN)
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except json.JSONDecodeError as error:
-        raise FileDamagedError(
-            f"{path} is not valid JSON: line {error.lineno}, column {error.colno}: {error.msg}",
-            f"Mend that line. {MAKE_AGAIN}",
-        ) from error
-    except (ValueError, RecursionError, OSError) as error:  # not UTF-8, a number of thousands of digits
-        raise FileDamagedError(f"{path} cannot be read as JSON: {error}", MAKE_AGAIN) from error
-    if not isinstance(content, dict):
-        raise FileDamagedError(f"{path} holds a {type(content).__name__}, not an object", MAKE_AGAIN)
-    return content
+    """The object in a file of a data set; raises what ``read_json_object`` raises."""
+    return read_json_object(path, MAKE_AGAIN)
 
 
 def require(path: Path, content: dict[str, Any], key: str, where: str = "") -> Any:
@@ -48,6 +37,12 @@ def number(path: Path, value: Any, what: str) -> float:
     except OverflowError:
         pass  # an integer beyond the range of floats
     raise BadValueError(f"{path}: {what} must be a finite number, got {value!r:.80}", "Mend it in that file.")
+
+
+def exposure(path: Path, value: Any, whose: str) -> float:
+    """Seconds; raises ``BadValueError`` for what is no number or no exposure."""
+    what = f"the exposure of '{whose}'"
+    return limits.EXPOSURE.check(number(path, value, what), f"{path}: {what}")
 
 
 def plain_name(name: str) -> str:
@@ -79,14 +74,17 @@ def rigid_pose(path: Path, matrix: Any, which: str) -> np.ndarray:
         )
     if not np.isfinite(pose).all():
         raise BadValueError(f"{path}: frame {which}: 'transform_matrix' holds NaN or infinity", remedy)
-    rotation = pose[:3, :3]
-    rigid = (
-        np.allclose(rotation.T @ rotation, np.eye(3), atol=RIGID_TOLERANCE)
-        and np.linalg.det(rotation) > 0.0
-        and np.allclose(pose[3], (0.0, 0.0, 0.0, 1.0), atol=RIGID_TOLERANCE)
-    )
-    if not rigid:
+    if not (is_rotation(pose[:3, :3]) and np.allclose(pose[3], (0.0, 0.0, 0.0, 1.0), atol=RIGID_TOLERANCE)):
         raise BadValueError(
             f"{path}: frame {which}: 'transform_matrix' is not a rotation and a translation", remedy
         )
+    limits.check_position(pose[:3, 3], f"{path}: the camera of frame {which}")
     return pose
+
+
+def is_rotation(matrix: np.ndarray) -> bool:
+    """Whether a finite ``[3, 3]`` matrix is one, to ``RIGID_TOLERANCE``."""
+    if np.abs(matrix).max() > 2.0:  # whose squares might overflow
+        return False
+    orthonormal = np.allclose(matrix.T @ matrix, np.eye(3), atol=RIGID_TOLERANCE)
+    return bool(orthonormal and np.linalg.det(matrix) > 0.0)

@@ -105,7 +105,7 @@ def read_poses(root: Path, pictures: Path) -> FoundPoses:
     folder = find_model(root)
     assert folder is not None, "is_mine has found it"
     model = read_model(folder)
-    stated = read_exposure_file(root / EXPOSURE_FILE) if (root / EXPOSURE_FILE).is_file() else None
+    stated = read_exposure_file(root / EXPOSURE_FILE) if (root / EXPOSURE_FILE).exists() else None
     spread = float(np.ptp([model.camera(image).position for image in model.images], axis=0).max())
     groups = _brackets_by_name(model.images, pictures) or _single(model.images)
     messages = []

@@ -15,8 +15,11 @@ import numpy as np
 
 from ...bridge.affine import matrices_of
 from ...bridge.axes import camera_to_world_opengl
-from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError, FileMissingError
+from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError
+from ...bridge.limits import FOCAL_LENGTH, LARGEST_SIDE, PRINCIPAL_POINT, check_position
+from ...bridge.regular import read_bytes, read_text, regular_file
 from .camera import Camera
+from .points import check_points
 from .scene import Points
 
 #: COLMAP's camera models: name, number of parameters, by the number that the binary form has.
@@ -59,6 +62,8 @@ UNDISTORT = (
     "Undistort the pictures: 'physhdr prepare' does, or 'colmap image_undistorter'. "
     "Then read the folder that it wrote."
 )
+#: Bytes of a file; images.bin of ten thousand pictures with ten thousand keypoints each has 2.4e9.
+LARGEST_FILE = 1 << 34
 RUN_AGAIN = "Copy the model again, or run COLMAP again."
 
 
@@ -110,7 +115,7 @@ class SparseModel:
 def find_model(root: Path) -> Path | None:
     """The folder of COLMAP's files: ``sparse/0``, or ``sparse`` as ``image_undistorter`` has it; or None."""
     for folder in (root / "sparse" / "0", root / "sparse"):
-        if any((folder / f"images.{kind}").is_file() for kind in ("bin", "txt")):
+        if any((folder / f"images.{kind}").exists() for kind in ("bin", "txt")):
             return folder
     return None
 
@@ -121,17 +126,16 @@ def read_model(folder: Path) -> SparseModel:
     Raises ``FileMissingError``, ``FileDamagedError`` (each naming the file, and the byte or line), and
     ``DataMismatchError`` if two pictures have one name.
     """
-    kind = "bin" if (folder / "images.bin").is_file() else "txt"
+    kind = "bin" if (folder / "images.bin").exists() else "txt"
     paths = {name: folder / f"{name}.{kind}" for name in ("cameras", "images", "points3D")}
     for name in ("cameras", "images"):
-        if not paths[name].is_file():
-            raise FileMissingError(f"{paths[name]} is missing", RUN_AGAIN)
+        regular_file(paths[name], RUN_AGAIN)
     if kind == "bin":
         cameras, images = _cameras_bin(paths["cameras"]), _images_bin(paths["images"])
-        points = _points_bin(paths["points3D"]) if paths["points3D"].is_file() else None
+        points = _points_bin(paths["points3D"]) if paths["points3D"].exists() else None
     else:
         cameras, images = _cameras_txt(paths["cameras"]), _images_txt(paths["images"])
-        points = _points_txt(paths["points3D"]) if paths["points3D"].is_file() else None
+        points = _points_txt(paths["points3D"]) if paths["points3D"].exists() else None
     if not images:
         raise FileDamagedError(f"{paths['images']} holds no pictures", RUN_AGAIN)
     images.sort(key=lambda image: image.name)
@@ -153,8 +157,10 @@ def _pinhole(folder: Path, number: int, camera: SparseCamera) -> tuple[float, fl
         raise BadValueError(f"{what} with the distortion {numbers}: pictures of it are bent", UNDISTORT)
     fx, fy = camera.params[0], camera.params[focal_lengths - 1]
     cx, cy = camera.params[focal_lengths : focal_lengths + 2]
-    if fx <= 0.0 or fy <= 0.0:
-        raise BadValueError(f"{folder}: camera {number} has the focal length {min(fx, fy):g}", RUN_AGAIN)
+    for focal in (fx, fy):
+        FOCAL_LENGTH.check(focal, f"{folder}: the focal length of camera {number}")
+    for coordinate in (cx, cy):
+        PRINCIPAL_POINT.check(coordinate, f"{folder}: the principal point of camera {number}")
     return fx, fy, cx, cy
 
 
@@ -162,7 +168,7 @@ def _pinhole(folder: Path, number: int, camera: SparseCamera) -> tuple[float, fl
 
 
 def _camera_of(path: Path, where: str, model: str, width: int, height: int, params) -> SparseCamera:
-    if not (0 < width < 1 << 20 and 0 < height < 1 << 20) or not all(map(math.isfinite, params)):
+    if not (0 < width <= LARGEST_SIDE and 0 < height <= LARGEST_SIDE) or not all(map(math.isfinite, params)):
         raise FileDamagedError(
             f"{path}: {where} is {width}×{height} with parameters {list(params)}", RUN_AGAIN
         )
@@ -172,23 +178,24 @@ def _camera_of(path: Path, where: str, model: str, width: int, height: int, para
 def _image_of(path: Path, where: str, pose, camera: int, name: str, observed: int) -> SparseImage:
     """``pose``: quaternion wxyz, then translation."""
     values = np.array(pose, dtype=np.float64)
-    length = float(np.linalg.norm(values[:4]))
+    length = math.hypot(*values[:4])
     if not np.isfinite(values).all() or not 0.5 < length < 2.0:
         raise FileDamagedError(f"{path}: {where} ('{name}') has the pose {values.tolist()}", RUN_AGAIN)
     matrix = np.eye(4)
     matrix[:3, :3] = matrices_of(values[None, :4] / length)[0]
     matrix[:3, 3] = values[4:]
+    with np.errstate(over="ignore"):
+        check_position(-matrix[:3, :3].T @ values[4:], f"{path}: the camera of {where} ('{name}')")
     return SparseImage(name.replace("\\", "/"), camera, matrix, observed)
 
 
 def _points_of(path: Path, positions: np.ndarray, colours: np.ndarray) -> Points | None:
     if len(positions) == 0:
         return None
-    with np.errstate(over="ignore"):
-        positions = positions.astype(np.float32)
     if not np.isfinite(positions).all():
         raise FileDamagedError(f"{path} holds NaN or infinity", RUN_AGAIN)
-    return Points(positions, (colours / 255.0).astype(np.float32))
+    check_points(path, positions)
+    return Points(positions.astype(np.float32), (colours / 255.0).astype(np.float32))
 
 
 # ---- binary --------------------------------------------------------------------------------------------
@@ -199,10 +206,7 @@ class _Bytes:
 
     def __init__(self, path: Path) -> None:
         self.path, self.at = path, 0
-        try:
-            self.data = path.read_bytes()
-        except OSError as error:
-            raise FileDamagedError(f"{path} cannot be read: {error.strerror}", RUN_AGAIN) from error
+        self.data = read_bytes(path, RUN_AGAIN, LARGEST_FILE)
 
     def damaged(self, why: str) -> NoReturn:
         raise FileDamagedError(f"{self.path} is damaged at byte {self.at}: {why}", RUN_AGAIN)
@@ -303,10 +307,7 @@ def _points_bin(path: Path) -> Points | None:
 
 def _lines(path: Path) -> list[tuple[int, str]]:
     """(line number, line) of all that is no comment; empty lines stay, for a picture may have no points."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise FileDamagedError(f"{path} cannot be read: {error}", RUN_AGAIN) from error
+    text = read_text(path, RUN_AGAIN, LARGEST_FILE)
     lines = [(k, line.strip()) for k, line in enumerate(text.split("\n"), start=1)]
     return [(k, line) for k, line in lines if not line.startswith("#")]
 

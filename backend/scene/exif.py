@@ -11,6 +11,8 @@ from typing import Any
 
 from PIL import ExifTags, Image
 
+from ...bridge.errors import PhysHDRError
+from ...bridge.regular import damaged_where_it_fails, regular_file
 from .pictures import READABLE
 
 #: Above this ISO its old tag holds 65535, and the index tag the value (EXIF 2.3).
@@ -60,9 +62,9 @@ def comparable(pictures: Sequence[Exif]) -> ComparableExposures:
 def read_exif(path: Path) -> Exif:
     """A picture's EXIF; all None where it has none, or what it has cannot be read."""
     try:
-        with Image.open(path, formats=READABLE) as picture:
+        with damaged_where_it_fails(str(path)), Image.open(regular_file(path), formats=READABLE) as picture:
             return exposure_of(tags_of(picture))
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError):
+    except PhysHDRError:
         return Exif()  # the reader of pictures says what is wrong with the file
 
 

@@ -4,8 +4,9 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from ...bridge.errors import BadValueError, DataMismatchError
-from .checks import number, plain_name, read_json
+from ...bridge.errors import DataMismatchError
+from ...bridge.limits import EXPOSURE
+from .checks import exposure, plain_name, read_json
 from .exif import comparable, read_exif
 
 #: Beside ``images/``: {picture's file name: exposure in seconds} (GaussHDR's file).
@@ -21,18 +22,12 @@ SAY_EXPOSURES = (
 def read_exposure_file(path: Path) -> dict[str, float]:
     """Seconds by picture name (relative to ``images/``, forward slashes).
 
-    Raises what ``read_json`` raises, ``BadValueError`` where an exposure is no number above 0.
+    Raises what ``read_json`` raises, ``BadValueError`` where an exposure is no number within the bounds.
     """
-    exposures = {}
-    for key, value in read_json(path).items():
-        seconds = number(path, value, f"the exposure of '{key}'")
-        if seconds <= 0.0:
-            raise BadValueError(
-                f"{path}: the exposure of '{key}' is {seconds:g} s",
-                "An exposure must be longer than 0 s: mend it.",
-            )
-        exposures[plain_name(key).removeprefix("images/")] = seconds
-    return exposures
+    return {
+        plain_name(key).removeprefix("images/"): exposure(path, value, key)
+        for key, value in read_json(path).items()
+    }
 
 
 def exposures_from_exif(paths: Sequence[Path]) -> tuple[list[float], str] | None:
@@ -40,7 +35,7 @@ def exposures_from_exif(paths: Sequence[Path]) -> tuple[list[float], str] | None
 
     Seconds at ISO 100 and at the pictures' median aperture (``exif.comparable``). ISO or aperture, where *no*
     picture tells it, counts as constant. Raises ``DataMismatchError`` where some pictures say something that
-    others do not.
+    others do not, ``BadValueError`` where an exposure comes out absurd.
     """
     tags = [read_exif(path) for path in paths]
     if all(tag.time is None for tag in tags):
@@ -54,6 +49,8 @@ def exposures_from_exif(paths: Sequence[Path]) -> tuple[list[float], str] | None
                 SAY_EXPOSURES,
             )
     exposures = comparable(tags)
+    for path, seconds in zip(paths, exposures.seconds, strict=True):
+        EXPOSURE.check(seconds, f"{path}: the exposure by its EXIF data")
     told = "exposures from EXIF, seconds at ISO 100"
     if exposures.f_number is not None:
         told += f" and f/{exposures.f_number:g}"

@@ -6,10 +6,10 @@ and which ``physhdr prepare`` writes (shared/method.md section 3).
 seconds by file name. Names say ``train`` or ``test``. Exposures that were not taken have no entry.
 """
 
-import json
 from pathlib import Path
 
-from ...bridge.errors import DataMismatchError
+from ...bridge.errors import DataMismatchError, PhysHDRError
+from ...bridge.regular import read_json_object
 from .checks import path_inside
 from .colmap_files import SparseImage, find_model, read_model
 from .exposures import EXPOSURE_FILE, read_exposure_file
@@ -45,13 +45,13 @@ TRUTH_FOLDER = "images_hdr"
 
 def is_mine(root: Path) -> bool:
     """Whether ``root`` looks like this layout: all names in its exposure file say train or test."""
-    if find_model(root) is None or not (root / EXPOSURE_FILE).is_file() or not (root / "images").is_dir():
+    if find_model(root) is None or not (root / EXPOSURE_FILE).exists() or not (root / "images").is_dir():
         return False
     try:
-        names = json.loads((root / EXPOSURE_FILE).read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
+        names = read_json_object(root / EXPOSURE_FILE)
+    except PhysHDRError:
         return False  # the next reader says what is wrong with it
-    return isinstance(names, dict) and bool(names) and all(split_named(name) for name in names)
+    return bool(names) and all(split_named(name) for name in names)
 
 
 def published_factor(width: int, height: int) -> float:

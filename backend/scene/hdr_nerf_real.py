@@ -13,8 +13,10 @@ import numpy as np
 
 from ...bridge.axes import camera_to_world_from_llff
 from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError, FileMissingError
+from ...bridge.limits import EXPOSURE, FOCAL_LENGTH, LARGEST_SIDE, check_position
+from ...bridge.regular import damaged_where_it_fails, regular_file
 from .camera import Camera
-from .checks import RIGID_TOLERANCE
+from .checks import is_rotation
 from .colmap_files import find_model, read_model
 from .info import read_anchor, read_info
 from .poses import Picture, Pose, bracket_name, check_numbers, fitted, missing_in_words, one_size
@@ -33,7 +35,7 @@ COPY_AGAIN = "Copy the data set again."
 
 def is_mine(root: Path) -> bool:
     """Whether ``root`` looks like this layout."""
-    return (root / LOOKS_FOR).is_file()
+    return (root / LOOKS_FOR).exists()
 
 
 def read_scene(root: Path, downscale: float | None = None) -> Scene:
@@ -112,11 +114,10 @@ def _picture_names(folder: Path) -> dict[tuple[int, int], str]:
 
 def _read_rows(path: Path, folder: Path, names: dict[tuple[int, int], str]) -> np.ndarray:
     """``[pictures, 18]`` float64, finite."""
-    try:
+    regular_file(path, COPY_AGAIN)
+    with damaged_where_it_fails(f"{path} is not a readable array", COPY_AGAIN):
         # Mapped, not read: a header that claims more than the file holds is refused, nothing is allocated.
         rows = np.array(np.load(path, mmap_mode="r", allow_pickle=False), dtype=np.float64)
-    except (OSError, ValueError, EOFError, SyntaxError, TypeError, OverflowError) as error:
-        raise FileDamagedError(f"{path} is not a readable array ({error})", COPY_AGAIN) from error
     if rows.ndim != 2 or rows.shape[1] != COLUMNS:
         raise FileDamagedError(
             f"{path} has the shape {rows.shape}, not one row of {COLUMNS} a picture", COPY_AGAIN
@@ -129,11 +130,8 @@ def _read_rows(path: Path, folder: Path, names: dict[tuple[int, int], str]) -> n
     if not np.isfinite(rows).all():
         row = int(np.argwhere(~np.isfinite(rows))[0][0])
         raise BadValueError(f"{path}: row {row} holds NaN or infinity", COPY_AGAIN)
-    if (rows[:, 17] <= 0.0).any():
-        row = int(np.argmax(rows[:, 17] <= 0.0))
-        raise BadValueError(
-            f"{path}: row {row} has the exposure {rows[row, 17]:g} s", "An exposure must be longer than 0 s."
-        )
+    for row, seconds in enumerate(rows[:, 17].tolist()):
+        EXPOSURE.check(seconds, f"{path}: the exposure of row {row}")
     return rows
 
 
@@ -166,13 +164,10 @@ def _camera(path: Path, number: int, row: np.ndarray) -> Camera:
     matrix = row[:15].reshape(3, 5)
     height, width, focal = matrix[:, 4]
     pose = camera_to_world_from_llff(matrix[:, :4])
-    rotation = pose[:3, :3]
-    if (
-        not np.allclose(rotation.T @ rotation, np.eye(3), atol=RIGID_TOLERANCE)
-        or np.linalg.det(rotation) < 0.0
-    ):
-        raise BadValueError(f"{path}: pose {number} is not a rotation: {rotation.tolist()}", COPY_AGAIN)
-    if not (1.0 <= width < 1 << 20 and 1.0 <= height < 1 << 20 and focal > 0.0):
+    if not is_rotation(pose[:3, :3]):
+        raise BadValueError(f"{path}: pose {number} is not a rotation: {pose[:3, :3].tolist()}", COPY_AGAIN)
+    check_position(pose[:3, 3], f"{path}: the camera of pose {number}")
+    if not (1.0 <= width <= LARGEST_SIDE and 1.0 <= height <= LARGEST_SIDE and focal in FOCAL_LENGTH):
         raise BadValueError(
             f"{path}: pose {number} has {width:g}×{height:g} pixels, focal length {focal:g}", COPY_AGAIN
         )

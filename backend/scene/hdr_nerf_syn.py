@@ -14,8 +14,9 @@ import numpy as np
 
 from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError, PhysHDRError
 from ...bridge.lights import AMBIENT, check_lights, in_words, named_levels
+from ...bridge.limits import FOCAL_LENGTH, check_level
 from .camera import Camera
-from .checks import MAKE_AGAIN, number, plain_name, read_json, require, rigid_pose
+from .checks import MAKE_AGAIN, exposure, number, plain_name, read_json, require, rigid_pose
 from .info import ORIGINAL_ANCHOR, read_anchor, read_info
 from .pictures import picture_size
 from .points import read_points
@@ -34,7 +35,7 @@ ORIGINAL_SIZE, ORIGINAL_REDUCTION = (800, 800), 2.0
 
 def is_mine(root: Path) -> bool:
     """Whether ``root`` looks like this layout."""
-    return (root / LOOKS_FOR).is_file()
+    return (root / LOOKS_FOR).exists()
 
 
 def read_scene(root: Path, downscale: float | None = None) -> Scene:
@@ -197,11 +198,7 @@ def _levels(
         key = "lighting_level" if lights == (AMBIENT,) else "lighting_levels"
         require(path, entry, key, f": {which}")
     for name, level in levels.items():
-        if level < 0.0:
-            raise BadValueError(
-                f"{path}: {which}: the lighting level of {name!r} is {level}",
-                "Light cannot be negative: mend it.",
-            )
+        check_level(level, f"{path}: {which}: the lighting level of {name!r}")
     if not is_lit:
         changed = {name: level for name, level in levels.items() if level != 1.0}
         if changed:
@@ -217,7 +214,9 @@ def _levels(
 
 def _camera(path: Path, frame: _Frame, width: int, height: int, angle: float) -> Camera:
     try:
-        return Camera.from_field_of_view(frame.pose, width, height, angle)
+        camera = Camera.from_field_of_view(frame.pose, width, height, angle)
+        FOCAL_LENGTH.check(camera.fx, f"the focal length of 'camera_angle_x' = {angle:g}")
+        return camera
     except PhysHDRError as error:
         raise BadValueError(
             f"{path}: frame '{frame.stem}': {error.message}",
@@ -234,13 +233,7 @@ def _read_exposures(path: Path) -> dict[str, dict[int, float]]:
             raise FileDamagedError(
                 f"{path}: '{key}' is not of the form './train/r_3_0.png'", "Mend or remove that entry."
             )
-        seconds = number(path, value, f"the exposure of '{key}'")
-        if seconds <= 0.0:
-            raise BadValueError(
-                f"{path}: the exposure of '{key}' is {seconds} s",
-                "An exposure must be longer than 0 s: mend it.",
-            )
-        brackets.setdefault(parts.group(1), {})[int(parts.group(2))] = seconds
+        brackets.setdefault(parts.group(1), {})[int(parts.group(2))] = exposure(path, value, key)
     return brackets
 
 

@@ -11,8 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError
+from ...bridge.limits import FOCAL_LENGTH, LARGEST_SIDE, PRINCIPAL_POINT
 from .camera import Camera
-from .checks import MAKE_AGAIN, number, path_inside, plain_name, read_json, require, rigid_pose
+from .checks import MAKE_AGAIN, exposure, number, path_inside, plain_name, read_json, require, rigid_pose
 from .exposures import exposures_from_exif
 from .info import read_anchor, read_info
 from .pictures import picture_size
@@ -36,7 +37,7 @@ UNDISTORT = "Undistort the pictures first, for example by 'physhdr prepare' from
 
 def is_mine(root: Path) -> bool:
     """Whether ``root`` looks like this layout."""
-    return (root / LOOKS_FOR).is_file()
+    return (root / LOOKS_FOR).exists()
 
 
 def read_scene(root: Path, downscale: float | None = None) -> Scene:
@@ -125,8 +126,13 @@ def _camera(path: Path, where: str, given: dict[str, Any], file: Path) -> Camera
     pose = rigid_pose(path, require(path, given, "transform_matrix", f": {where}"), where)
     actual = picture_size(file)
     size = [number(path, given.get(key, actual[k]), f"{where}: '{key}'") for k, key in enumerate("wh")]
-    width, height = (round(value) for value in size)
-    if width < 1 or height < 1 or abs(height * actual[0] - actual[1] * width) > max(width, actual[0]):
+    width, height = (round(min(max(value, 0.0), 2.0 * LARGEST_SIDE)) for value in size)
+    sides = range(1, LARGEST_SIDE + 1)
+    if (
+        width not in sides
+        or height not in sides
+        or abs(height * actual[0] - actual[1] * width) > max(width, actual[0])
+    ):
         raise DataMismatchError(
             f"{path}: {where} is said to be {width}×{height}, {file} is {actual[0]}×{actual[1]}: another "
             "shape",
@@ -139,8 +145,12 @@ def _camera(path: Path, where: str, given: dict[str, Any], file: Path) -> Camera
         raise FileDamagedError(
             f"{path}: {where} has no focal length", "Add fl_x (pixels) or camera_angle_x (radians)."
         )
-    cx = number(path, given.get("cx", 0.5 * width), f"{where}: 'cx'")
-    cy = number(path, given.get("cy", 0.5 * height), f"{where}: 'cy'")
+    cx, cy = (
+        PRINCIPAL_POINT.check(
+            number(path, given.get(key, 0.5 * side), f"{where}: '{key}'"), f"{path}: {where}: '{key}'"
+        )
+        for key, side in (("cx", width), ("cy", height))
+    )
     camera = Camera(pose, width, height, fx, fy, cx, cy)
     return camera if (width, height) == actual else camera.resized(*actual)
 
@@ -149,9 +159,7 @@ def _focal(path: Path, where: str, given: dict[str, Any], axis: str, side: int) 
     """A focal length in pixels, from itself or the field of view; None where the file has neither."""
     if f"fl_{axis}" in given:
         focal = number(path, given[f"fl_{axis}"], f"{where}: 'fl_{axis}'")
-        if focal <= 0.0:
-            raise BadValueError(f"{path}: {where}: 'fl_{axis}' is {focal:g}", "Mend it: pixels, above 0.")
-        return focal
+        return FOCAL_LENGTH.check(focal, f"{path}: {where}: 'fl_{axis}'")
     if f"camera_angle_{axis}" not in given:
         return None
     angle = number(path, given[f"camera_angle_{axis}"], f"{where}: 'camera_angle_{axis}'")
@@ -159,7 +167,10 @@ def _focal(path: Path, where: str, given: dict[str, Any], axis: str, side: int) 
         raise BadValueError(
             f"{path}: {where}: 'camera_angle_{axis}' is {angle:g}", "Mend it: radians, between 0 and π."
         )
-    return 0.5 * side / math.tan(0.5 * angle)
+    focal = 0.5 * side / math.tan(0.5 * angle)
+    return FOCAL_LENGTH.check(
+        focal, f"{path}: {where}: the focal length of 'camera_angle_{axis}' = {angle:g}"
+    )
 
 
 def _exposures(path: Path, frames: Sequence[tuple[Path, dict[str, Any]]]) -> tuple[list[float], str]:
@@ -171,15 +182,7 @@ def _exposures(path: Path, frames: Sequence[tuple[Path, dict[str, Any]]]) -> tup
                 f"{path}: frame '{frames[known.index(False)][0].name}' has no 'exposure_time', others have",
                 "Give each frame one, or none.",
             )
-        seconds = [
-            number(path, frame["exposure_time"], f"the exposure of '{file.name}'") for file, frame in frames
-        ]
-        if min(seconds) <= 0.0:
-            worst = frames[seconds.index(min(seconds))][0].name
-            raise BadValueError(
-                f"{path}: the exposure of '{worst}' is {min(seconds):g} s",
-                "An exposure must be longer than 0 s.",
-            )
+        seconds = [exposure(path, frame["exposure_time"], file.name) for file, frame in frames]
         return seconds, f"exposures from 'exposure_time' in {LOOKS_FOR}"
     from_exif = exposures_from_exif([file for file, _ in frames])
     if from_exif is not None:

@@ -2,7 +2,7 @@
 """Pictures on disk: 8-bit PNG or JPEG, 32-bit float OpenEXR; read with suspicion and written atomically."""
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -11,14 +11,16 @@ import OpenEXR
 from PIL import Image
 
 from ...bridge.atomic import atomic_path
-from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError, OutputError
+from ...bridge.errors import BadValueError, FileDamagedError, OutputError
+from ...bridge.limits import MAX_PIXELS, RADIANCE_MAX
+from ...bridge.regular import damaged_where_it_fails, regular_file
 
-#: No picture of ours is larger; a header that claims more is damaged or hostile.
-MAX_PIXELS = 1 << 27
 #: A file of N bytes can hold at most this many pixels per byte. RLE, the weakest of EXR's codecs, reaches 64
 #: on constant data and ZIP about 1000; a real render stays below 1. A 376-byte file that claims 16000×16000
 #: would make the OpenEXR library allocate 1.5 GB (shared/data.md).
 MAX_PIXELS_PER_BYTE = 1024
+#: Nor more values of all channels. Measured on a constant picture of 2048×2048: DWAB 4015, ZIP 412, RLE 29.
+MAX_VALUES_PER_BYTE = 4096
 #: Pillow's modes that are 8 bits a channel (or fewer) and become RGB without loss.
 EIGHT_BIT_MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX")
 #: Pillow's names of the formats that a data set's pictures may have.
@@ -27,12 +29,8 @@ READABLE = ("PNG", "JPEG")
 T = TypeVar("T")
 
 
-def _require_file(path: Path) -> None:
-    if not path.is_file():
-        raise FileMissingError(
-            f"{path} is missing",
-            "Restore the file, or make the data set again: only what is missing is rendered.",
-        )
+_RESTORE = "Restore the file, or make the data set again: only what is missing is rendered."
+_DELETE = "Delete it and make the data set again (only what is missing is rendered), or copy it again."
 
 
 def picture_size(path: Path) -> tuple[int, int]:
@@ -61,27 +59,21 @@ def _as_rgb(picture: Image.Image) -> np.ndarray:
 
 def _open_picture(path: Path, formats: tuple[str, ...], look: Callable[[Image.Image], T]) -> T:
     """What ``look`` sees in a picture whose header can be believed."""
-    _require_file(path)
+    regular_file(path, _RESTORE)
     kinds = " or ".join(formats)
-    try:
-        with warnings.catch_warnings():
-            # Pillow's own limit, at 89 million pixels, only warns; ours is below.
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-            with Image.open(path, formats=formats) as picture:
-                width, height = picture.size
-                if width * height > MAX_PIXELS:
-                    raise ValueError(f"it claims {width}×{height} pixels")
-                if picture.mode not in EIGHT_BIT_MODES:
-                    raise FileDamagedError(
-                        f"{path} is not an 8-bit colour {kinds} (Pillow's mode {picture.mode})",
-                        "Save it again as 8-bit RGB or RGBA.",
-                    )
-                return look(picture)
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise FileDamagedError(
-            f"{path} is not a readable {kinds} ({error})",
-            "Delete it and make the data set again (only what is missing is rendered), or copy it again.",
-        ) from error
+    with damaged_where_it_fails(f"{path} is not a readable {kinds}", _DELETE), warnings.catch_warnings():
+        # Pillow's own limit, at 89 million pixels, only warns; ours is below.
+        warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+        with Image.open(path, formats=formats) as picture:
+            width, height = picture.size
+            if width * height > MAX_PIXELS:
+                raise ValueError(f"it claims {width}×{height} pixels")
+            if picture.mode not in EIGHT_BIT_MODES:
+                raise FileDamagedError(
+                    f"{path} is not an 8-bit colour {kinds} (Pillow's mode {picture.mode})",
+                    "Save it again as 8-bit RGB or RGBA.",
+                )
+            return look(picture)
 
 
 def write_png(path: Path, picture: np.ndarray) -> None:
@@ -92,67 +84,82 @@ def write_png(path: Path, picture: np.ndarray) -> None:
         Image.fromarray(picture).save(temporary, format="PNG")
 
 
-def _damaged_exr(path: Path, why: str) -> FileDamagedError:
-    return FileDamagedError(
-        f"{path} is not a readable OpenEXR picture: {why}",
-        "Delete it and make the data set again (only what is missing is rendered), or copy it again.",
-    )
-
-
-def _open_exr(path: Path, header_only: bool) -> Any:
-    try:
-        return OpenEXR.File(str(path), separate_channels=True, header_only=header_only)
-    except Exception as error:  # the binding documents no class: each one means that the file is damaged
-        raise _damaged_exr(path, str(error)) from error
-
-
-def _check_exr_header(path: Path) -> tuple[int, int]:
-    """``(width, height)``, believed only if the file is large enough to hold them."""
-    file = _open_exr(path, header_only=True)
-    if len(file.parts) == 0:  # what a damaged file may come back as, without an exception
-        raise _damaged_exr(path, "it holds no picture")
-    header = file.parts[0].header
-    window = header.get("dataWindow")
-    if window is None:
-        raise _damaged_exr(path, "its header has no data window")
-    (x0, y0), (x1, y1) = np.asarray(window[0]).tolist(), np.asarray(window[1]).tolist()
-    width, height = x1 - x0 + 1, y1 - y0 + 1
-    most = min(MAX_PIXELS, path.stat().st_size * MAX_PIXELS_PER_BYTE)
-    if width < 1 or height < 1 or width * height > most:
-        raise _damaged_exr(path, f"it claims {width}×{height} pixels in {path.stat().st_size} bytes")
-    names = {channel.name for channel in header.get("channels", [])}
-    if not {"R", "G", "B"} <= names:
-        raise _damaged_exr(path, f"it has no channels R, G, B but {sorted(names)}")
-    return width, height
-
-
 def read_exr(path: Path) -> np.ndarray:
     """``[H, W, 3]`` float32, scene-linear radiance; channels other than R, G, B are ignored.
 
     Raises ``FileMissingError``; ``FileDamagedError`` if it is no OpenEXR, truncated, its header claims more
-    than the file can hold, or a channel is missing; ``BadValueError`` if a value is NaN or infinite.
+    than the file can hold, or a channel is missing; ``BadValueError`` if a value is NaN, infinite or absurd.
     """
     path = Path(path)
-    _require_file(path)
-    width, height = _check_exr_header(path)
-    file = _open_exr(path, header_only=False)
-    if len(file.parts) == 0:
-        raise _damaged_exr(path, "it is truncated: it holds no picture")
-    channels = file.parts[0].channels
-    if not {"R", "G", "B"} <= set(channels):
-        raise _damaged_exr(path, "it is truncated: channels are missing")
-    planes = [np.asarray(channels[name].pixels) for name in "RGB"]
-    for plane in planes:
-        if plane.shape != (height, width):
-            raise _damaged_exr(path, f"a channel is {plane.shape}, the header says {(height, width)}")
-    radiance = np.stack(planes, axis=-1).astype(np.float32)
+    planes = read_exr_channels(path, _RESTORE, ("R", "G", "B"))
+    radiance = np.stack([planes[name] for name in "RGB"], axis=-1)
     if not np.isfinite(radiance).all():
         row, column = np.argwhere(~np.isfinite(radiance))[0][:2]
         raise BadValueError(
             f"{path} holds NaN or infinity, first at row {row}, column {column}",
             "Render it again; a renderer that writes NaN has a broken material or light.",
         )
+    largest = float(np.abs(radiance).max())
+    if largest > RADIANCE_MAX:
+        raise BadValueError(
+            f"{path} holds the radiance {largest:g}: no more than {RADIANCE_MAX:g} is possible",
+            "Render it again; the sun's disc has 2e7.",
+        )
     return radiance
+
+
+def read_exr_channels(path: Path, remedy: str, wanted: Sequence[str] = ()) -> dict[str, np.ndarray]:
+    """Channels of an OpenEXR file by name, each ``[H, W]`` float32, as they are.
+
+    ``wanted``: of its first part; without them all channels of its only part. ``remedy``: the hint where the
+    file is not there. Raises ``FileMissingError``; ``FileDamagedError`` if it is no OpenEXR, truncated, deep,
+    claims more than the file can hold, or lacks a channel.
+    """
+    regular_file(path, remedy)
+    parts = _exr_parts(path, header_only=True)
+    if len(parts) != 1 and not (parts and wanted):  # none is what a damaged file may come back as
+        raise _damaged_exr(path, f"it holds {len(parts)} pictures")
+    claims = [_exr_claim(path, part.header) for part in parts]
+    size = path.stat().st_size
+    for width, height, names in claims:
+        most = min(MAX_PIXELS, size * MAX_PIXELS_PER_BYTE, size * MAX_VALUES_PER_BYTE // max(len(names), 1))
+        if width < 1 or height < 1 or width * height > most:
+            claim = f"it claims {width}×{height} pixels of {len(names)} channels in {size} bytes"
+            raise _damaged_exr(path, claim)
+    width, height, names = claims[0]
+    if not names or not set(wanted) <= set(names):
+        raise _damaged_exr(path, f"it has no channels {', '.join(wanted)} but {sorted(names)}")
+    parts = _exr_parts(path, header_only=False)
+    if len(parts) != len(claims) or set(parts[0].channels) != set(names):
+        raise _damaged_exr(path, "it is truncated: channels are missing")
+    planes = {}
+    for name in wanted or names:
+        with damaged_where_it_fails(f"{path} is not a readable OpenEXR picture: channel {name}", _DELETE):
+            planes[name] = np.asarray(parts[0].channels[name].pixels).astype(np.float32)
+        if planes[name].shape != (height, width):
+            shape = planes[name].shape
+            raise _damaged_exr(path, f"channel {name} is {shape}, the header says {(height, width)}")
+    return planes
+
+
+def _exr_parts(path: Path, header_only: bool) -> list[Any]:
+    with damaged_where_it_fails(f"{path} is not a readable OpenEXR picture", _DELETE):
+        return list(OpenEXR.File(str(path), separate_channels=True, header_only=header_only).parts)
+
+
+def _exr_claim(path: Path, header: dict[str, Any]) -> tuple[int, int, list[str]]:
+    """Width, height and channels that a part's header tells of."""
+    with damaged_where_it_fails(
+        f"{path} is not a readable OpenEXR picture: its header means nothing", _DELETE
+    ):
+        if header.get("type") in (OpenEXR.deepscanline, OpenEXR.deeptile):
+            raise ValueError("it is deep, with any number of values a pixel")
+        (x0, y0), (x1, y1) = (np.asarray(corner).tolist() for corner in header["dataWindow"])
+        return x1 - x0 + 1, y1 - y0 + 1, [channel.name for channel in header.get("channels", [])]
+
+
+def _damaged_exr(path: Path, why: str) -> FileDamagedError:
+    return FileDamagedError(f"{path} is not a readable OpenEXR picture: {why}", _DELETE)
 
 
 def write_exr(path: Path, radiance: np.ndarray, attributes: dict[str, str] | None = None) -> None:

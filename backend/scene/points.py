@@ -4,42 +4,56 @@
 from pathlib import Path
 
 import numpy as np
-import plyfile
 
-from ...bridge.errors import FileDamagedError
+from ...bridge.errors import BadValueError, FileDamagedError
+from ...bridge.gaussian_ply import open_ply
+from ...bridge.limits import COORDINATE
+from ...bridge.regular import damaged_where_it_fails
 from .scene import Points
 
 
 def read_points(path: Path) -> Points:
     """The points of a PLY with ``x y z`` and ``red green blue`` (uchar, or float in 0…1).
 
-    Raises ``FileDamagedError`` (not a PLY, truncated, columns missing, no points, NaN).
+    Raises ``FileMissingError``, ``FileDamagedError`` (not a PLY, truncated, columns missing, no points, NaN),
+    ``BadValueError`` (a point too far away).
     """
     remedy = (
         "Make the data set again, write the points as docs/formats.md says, or delete the file: training "
         "then starts from random points."
     )
-    try:
-        vertex = plyfile.PlyData.read(str(path))["vertex"]
-        positions = np.stack([np.asarray(vertex[axis], np.float32) for axis in "xyz"], axis=-1)
-        channels = [np.asarray(vertex[name]) for name in ("red", "green", "blue")]
-    except (
-        plyfile.PlyParseError,
-        ValueError,
-        KeyError,
-        OSError,
-        EOFError,
-        MemoryError,
-        OverflowError,
-    ) as error:
-        why = f"no {error}" if isinstance(error, KeyError) else str(error)
-        raise FileDamagedError(f"{path} is not a readable point cloud ({why})", remedy) from error
-    colours = np.stack([_unit_range(channel) for channel in channels], axis=-1)
+    columns = {element.name: element.data for element in open_ply(path, "point cloud", remedy).elements}
+    wanted = ("x", "y", "z", "red", "green", "blue")
+    lacking = (
+        [name for name in wanted if name not in (columns["vertex"].dtype.names or ())]
+        if "vertex" in columns
+        else ["vertex"]
+    )
+    if lacking:
+        raise FileDamagedError(f"{path} is not a readable point cloud (no {', '.join(lacking)})", remedy)
+    vertex = columns["vertex"]
+    with damaged_where_it_fails(f"{path} is not a readable point cloud", remedy), np.errstate(over="ignore"):
+        positions = np.stack([np.asarray(vertex[axis], np.float64) for axis in "xyz"], axis=-1)
+        channels = [_unit_range(np.asarray(vertex[name])) for name in ("red", "green", "blue")]
+    colours = np.stack(channels, axis=-1)
     if len(positions) == 0:
         raise FileDamagedError(f"{path} holds no points", remedy)
     if not (np.isfinite(positions).all() and np.isfinite(colours).all()):
         raise FileDamagedError(f"{path} holds NaN or infinity", remedy)
-    return Points(positions, np.clip(colours, 0.0, 1.0))
+    check_points(path, positions)
+    return Points(positions.astype(np.float32), np.clip(colours, 0.0, 1.0))
+
+
+def check_points(path: Path, positions: np.ndarray) -> None:
+    """Raises ``BadValueError`` where some of ``positions`` ``[P, 3]``, finite, are too far away."""
+    far = np.flatnonzero(np.abs(positions).max(axis=1) > COORDINATE.high)
+    if len(far):
+        x, y, z = positions[far[0]].tolist()
+        raise BadValueError(
+            f"{path}: {len(far)} of {len(positions)} points are too far away, the first, {far[0]}, at "
+            f"({x:g}, {y:g}, {z:g}): coordinates must be {COORDINATE} metres",
+            f"{COORDINATE.remedy} Single points that stray so far are mistakes: delete them.",
+        )
 
 
 def _unit_range(channel: np.ndarray) -> np.ndarray:

@@ -186,7 +186,8 @@ COLMAP: list[Case] = [
     ("distorted text", lambda L, r: [(r / "sparse/0/images.bin").unlink(), sparse(
         form="txt", model="OPENCV", params=(90.0, 90.0, 48.0, 36.0, 0.1, 0.0, 0.0, 0.0))(L, r)],
      BadValueError, ("OPENCV", "0.1", "physhdr prepare")),
-    ("focal length", sparse(params=(-90.0, 90.0, 48.0, 36.0)), BadValueError, ("focal length -90",)),
+    ("focal length", sparse(params=(-90.0, 90.0, 48.0, 36.0)), BadValueError,
+     ("focal length of camera 7 is -90",)),
     ("NaN", sparse(params=(np.nan, 90.0, 48.0, 36.0)), FileDamagedError, ("cameras.bin", "nan")),
     ("another shape", sparse(size=(96, 96)), DataMismatchError, ("96×96", "96×72", "another shape")),
     ("cameras cut", change_bytes("sparse/0/cameras.bin", lambda raw: raw[:-1]), FileDamagedError,
@@ -266,8 +267,8 @@ NERFSTUDIO: list[Case] = [
     ("both", edit("transforms.json", lambda c: c.update(
         train_filenames=["images/frame_00001.png"], val_filenames=["images/frame_00001.png"])),
      DataMismatchError, ("'images/frame_00001' is in 'train_filenames' and in 'val_filenames'",)),
-    ("no points", edit("transforms.json", lambda c: c.update(ply_file_path="gone.ply")), FileDamagedError,
-     ("gone.ply", "not a readable point cloud")),
+    ("no points", edit("transforms.json", lambda c: c.update(ply_file_path="gone.ply")), FileMissingError,
+     ("gone.ply is missing", "delete the file")),
 ]  # fmt: skip
 
 
