@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A run's folder: its configuration and its checkpoint, as they are opened, and as a training goes on."""
+
+import dataclasses
+import functools
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .cases import InsaneError, Target
+from .mutate import tests_module
+
+#: A few iterations of every kind of method and backbone; of each what it has in its checkpoint differs.
+PRESETS = ("default", "default-scaffold", "paper-short", "hdr-nerf-small")
+ITERATIONS = 3
+#: Data that the runs were trained on: beside them, and not itself a thing that is changed.
+DATA = "data-of-the-runs"
+
+
+@functools.cache
+def _scene(folder: Path) -> Any:
+    from physhdr.backend.scene import read_scene
+
+    return read_scene(folder)
+
+
+def _data(seeds: Path) -> Path:
+    """The data set beside the folder of variants; made once."""
+    folder = seeds.parent / DATA
+    if not folder.exists():
+        tests_module("backend/tiny_scene.py").write_tiny_scene(folder, size=16, gaussians=20)
+    return folder
+
+
+def write_runs(folder: Path) -> None:
+    from physhdr.backend.train.config import CONFIG_FILE, write_config
+    from physhdr.backend.train.presets import PRESETS as ALL
+    from physhdr.backend.train.trainer import Trainer
+
+    data = _data(folder)
+    for preset in PRESETS:
+        run = folder / preset
+        run.mkdir(parents=True)
+        config = dataclasses.replace(ALL[preset], iterations=ITERATIONS, random_points=50)
+        if preset == "hdr-nerf-small":
+            config = _small_networks(config)
+        write_config(run / CONFIG_FILE, config, data, preset)
+        trainer = Trainer(_scene(data), config, "reference")
+        for _ in trainer.run(run, should_stop=lambda trainer=trainer: trainer.iteration >= ITERATIONS - 1):
+            pass
+
+
+def _small_networks(config: Any) -> Any:
+    """HDR-NeRF's networks of a size that is damaged and read in no time."""
+    field = dataclasses.replace(config.method.field, width=8, view_width=8)
+    method = dataclasses.replace(
+        config.method, field=field, rays_per_iteration=8, coarse_samples=4, fine_samples=4
+    )
+    return dataclasses.replace(config, method=method)
+
+
+def load(folder: Path, file: str, _: bytes) -> None:
+    """The file alone."""
+    from physhdr.backend.train.checkpoint import load_checkpoint
+
+    tensors, metadata = load_checkpoint(folder / file)
+    _require(all(isinstance(value, str) for value in metadata.values()), "metadata that are no text")
+    _require(all(bool(tensor.isfinite().all()) for tensor in tensors.values()), "a tensor that is not finite")
+
+
+def open_(folder: Path, file: str, _: bytes) -> None:
+    """As every command opens a run; then it is drawn."""
+    from physhdr.backend.cli.run_folder import open_run
+
+    data = _data(folder.parent)
+    run = open_run(folder, data, "reference", "cpu", report=lambda text: None)
+    _require(0 <= run.iteration <= run.config.iterations, "an iteration beyond the last")
+    _require(run.preset.isprintable(), "a preset's name")
+    camera = run.scene.test[0].camera
+    picture = run.method.hdr(camera)
+    _require(tuple(picture.shape) == (3, camera.height, camera.width), "a picture's shape")
+    _require(bool(picture.isfinite().all()), "radiance that is not finite")
+
+
+def resume(folder: Path, file: str, _: bytes) -> None:
+    """As a training goes on; then it takes a step."""
+    from physhdr.backend.train.config import CONFIG_FILE, read_config
+    from physhdr.backend.train.trainer import Trainer
+
+    config = read_config(folder / CONFIG_FILE).config
+    trainer = Trainer(_scene(_data(folder.parent)), config, "reference", resumed=folder)
+    _require(0 <= trainer.iteration <= config.iterations, "an iteration beyond the last")
+    _require(math.isfinite(trainer.seconds) and trainer.seconds >= 0.0, "the seconds that it took")
+    if trainer.iteration < config.iterations:
+        losses = trainer.step()
+        _require(all(np.isfinite(float(value)) for value in losses.values()), "a loss that is not a number")
+
+
+def _require(right: bool, what: str) -> None:
+    if not right:
+        raise InsaneError(f"accepted though wrong is {what}")
+
+
+CHECKPOINT, CONFIG = ("checkpoint.safetensors",), ("config.json",)
+
+TARGETS = (
+    Target("checkpoint: bytes", write_runs, load, 2500, chosen=CHECKPOINT),
+    Target("checkpoint: open", write_runs, open_, 1200, chosen=CHECKPOINT, patience=40.0),
+    Target("checkpoint: resume", write_runs, resume, 800, chosen=CHECKPOINT, patience=40.0),
+    Target("config.json: open", write_runs, open_, 1000, chosen=CONFIG, patience=40.0),
+    Target("config.json: resume", write_runs, resume, 700, chosen=CONFIG, patience=40.0),
+)
