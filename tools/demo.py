@@ -21,7 +21,7 @@ from physhdr.backend.evaluate.metrics import display, hdr_pair, psnr
 from physhdr.backend.evaluate.sheets import as_picture, display_white, labelled_grid
 from physhdr.backend.evaluate.truth import hdr_truth, relit_truth
 from physhdr.backend.scene.pictures import read_exr, write_png
-from physhdr.backend.train.checkpoint import load_checkpoint
+from physhdr.backend.train.checkpoint import load_checkpoint, require_configuration
 from physhdr.backend.train.config import CONFIG_FILE, read_config
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import CHECKPOINT_FILE
@@ -107,11 +107,13 @@ def step(title: str, command: list) -> None:
 def trained_iterations(out: Path) -> int:
     """How far ``out`` is with the preset as it is today; 0 where it holds no such run."""
     try:
-        config, _, preset = read_config(out / CONFIG_FILE)
+        written = read_config(out / CONFIG_FILE)
         _, metadata = load_checkpoint(out / CHECKPOINT_FILE)
+        require_configuration(metadata, written.fingerprint, out / CHECKPOINT_FILE)
     except PhysHDRError:
         return 0
-    return int(metadata["iteration"]) if (config, preset) == (PRESETS["default"], "default") else 0
+    is_todays = (written.config, written.preset) == (PRESETS["default"], "default")
+    return int(metadata["iteration"]) if is_todays else 0
 
 
 def list_position(data: Path, pose: int) -> int:

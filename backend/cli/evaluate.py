@@ -13,18 +13,13 @@ from ..device import DeviceName
 from ..evaluate.comparison import SHORT_METRICS, Entry, comparison_table, load_evaluation
 from ..evaluate.optional import PackageMissingError
 from ..evaluate.protocol import evaluate, lpips_from
-from ..evaluate.report import to_terminal, write_report
+from ..evaluate.report import METHODS_FILES, RESPONSE_FILE, SHEET_FILE, to_terminal, write_report
 from ..evaluate.response import learned_response, write_response_figure
 from ..evaluate.sheets import comparison_sheet, method_sheet
 from ..rasterize import Implementation
 from ..scene.pictures import write_png
 from .progress import console
 from .run_folder import Run, open_run, writable_folder
-
-SHEET_FILE = "comparison.png"
-RESPONSE_FILE = "response.png"
-#: What ``--against`` writes: the table as ``.md`` and ``.csv``, and a sheet.
-METHODS_NAME = "methods"
 
 
 @dataclass(frozen=True)
@@ -105,7 +100,7 @@ def _compare(runs: list[tuple[Run, Path]], out: Path) -> list[Path]:
         )
     title = f"{scene.name}, test views"
     table = comparison_table(entries, title=title)
-    paths = [out / f"{METHODS_NAME}.{kind}" for kind in ("md", "csv", "png")]
+    paths = [out / name for name in METHODS_FILES]
     for path, text in zip(paths, (table.markdown(), table.csv()), strict=False):
         with atomic_path(path) as temporary:
             temporary.write_text(text, encoding="utf-8")

@@ -10,13 +10,13 @@ from ...bridge.display import display_colour_sh, look_comment, look_words
 from ...bridge.errors import BadValueError
 from ...bridge.gaussian_ply import standard_columns, write_lossless_ply, write_standard_ply
 from ...bridge.model_file import write_model
+from ..export import BAKED_FILE, LOSSLESS_FILE, MODEL_FILE
 from ..export.baked import network_comments, parameter_columns
 from ..model.gaussians import Gaussians
 from .lighting import levels_asked
 from .progress import console
 from .run_folder import open_run, writable_folder
 
-MODEL_FILE = "model.safetensors"
 #: Exposures beyond, in EV, show nothing but black or white.
 EV_MAX = 30.0
 
@@ -62,18 +62,18 @@ class Export:
         }
         comments = [f"PhysHDR {key}: {value}" for key, value in run.provenance.items()]
         comments.append(look_comment(self.exposure_ev, levels, "LEARNED", model.lights))
-        write_standard_ply(out / "baked.ply", **standard, comments=comments)
-        console.print(f"wrote {out / 'baked.ply'}: for any 3DGS viewer, baked at {look}")
+        write_standard_ply(out / BAKED_FILE, **standard, comments=comments)
+        console.print(f"wrote {out / BAKED_FILE}: for any 3DGS viewer, baked at {look}")
 
         if not isinstance(run.splatting.backbone, Gaussians):
             console.print("no lossless.ply: its columns are Gaussians', and this run has anchors")
             return 0
         comments.append("phys_ columns and phys_network lines hold the model itself: scene-linear, lossless")
         write_lossless_ply(
-            out / "lossless.ply",
+            out / LOSSLESS_FILE,
             standard_columns(**standard),
             parameter_columns(method.gaussians, method.lights),
             comments + network_comments(method, model),
         )
-        console.print(f"wrote {out / 'lossless.ply'}: every parameter")
+        console.print(f"wrote {out / LOSSLESS_FILE}: every parameter")
         return 0

@@ -2,6 +2,7 @@
 """A run's folder as the commands use it: its data set, configuration and trained method."""
 
 import os
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -70,12 +71,18 @@ def open_run(
     report: Callable[[str], None] = console.print,
 ) -> Run:
     """Open a trained run; ``data`` stands in for the folder it was trained on, where that has moved."""
-    config, trained_on, preset = read_config(folder / CONFIG_FILE)
-    scene = read_scene(data or trained_on, config.downscale)
+    written = read_config(folder / CONFIG_FILE)
+    config = written.config
+    scene = read_scene(data or written.data, config.downscale)
     method, iteration = load_method(
-        folder, config, scene.response_anchor, rasteriser, choose_device(device, report)[0]
+        folder,
+        config,
+        scene.response_anchor,
+        rasteriser,
+        choose_device(device, report)[0],
+        written.fingerprint,
     )
-    return Run(folder, preset, config, scene, method, iteration)
+    return Run(folder, written.preset, config, scene, method, iteration)
 
 
 def writable_folder(path: Path) -> Path:
@@ -83,9 +90,8 @@ def writable_folder(path: Path) -> Path:
     remedy = "Choose another --out, or make it writable."
     try:
         path.mkdir(parents=True, exist_ok=True)
-        probe = path / ".physhdr-probe"
-        probe.touch()
-        probe.unlink()
+        with tempfile.TemporaryFile(dir=path):
+            pass
     except OSError as error:
         raise OutputError(f"cannot write to {path}: {error.strerror}", remedy) from error
     if not os.access(path, os.W_OK):  # root may write anywhere, whatever the permissions say

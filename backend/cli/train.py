@@ -2,6 +2,7 @@
 """``physhdr train``: run the trainer, show its events, keep its logs."""
 
 import signal
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -15,9 +16,10 @@ from ..rasterize import Implementation
 from ..rasterize.cpu import set_threads
 from ..train.config import TrainConfig
 from ..train.presets import PRESETS
-from ..train.trainer import Trainer
+from ..train.trainer import CHECKPOINT_SECONDS, Trainer
 from .monitor import view_monitor
 from .progress import EventLog, console
+from .run_folder import Run
 from .training import Workshop, resume_run, start_run
 from .warmup import compile_kernels
 
@@ -57,31 +59,32 @@ class Train:
     device: DeviceName = "auto"
     #: CPU threads; 0: one for each core. The result depends on it by rounding alone.
     threads: int = 0
-    #: Iterations between checkpoints.
-    checkpoint_every: int = 2000
+    #: Seconds between checkpoints; more where writing one would take a fiftieth of the time.
+    checkpoint_seconds: float = CHECKPOINT_SECONDS
 
     def run(self) -> int:
         if self.threads:
             set_threads(self.threads)
             torch.set_num_threads(self.threads)
-        trainer, folder = self._begin()
-        stop = _StopOnInterrupt()
-        monitor = view_monitor(trainer.scene)
-        with stop, EventLog(folder) as log:
-            events = trainer.run(
-                folder,
-                should_stop=lambda: stop.requested,
-                monitor=monitor,
-                checkpoint_every=self.checkpoint_every,
-            )
-            for event in events:
-                log.show(event)
-        if stop.requested:
-            console.print(f"stopped; go on with: physhdr train --resume {folder}")
+        if not self.checkpoint_seconds >= 0.0:
+            raise BadValueError(f"--checkpoint-seconds must be 0 or more, got {self.checkpoint_seconds}")
+        with self._begun() as (trainer, run):
+            stop = _StopOnRequest()
+            with stop, EventLog(run.folder) as log:
+                events = trainer.run(
+                    run.folder,
+                    should_stop=lambda: stop.requested,
+                    monitor=view_monitor(run.scene),
+                    checkpoint_seconds=self.checkpoint_seconds,
+                )
+                for event in events:
+                    log.show(event)
+        if trainer.iteration < run.config.iterations:
+            console.print(f"stopped; go on with: physhdr train --resume {run.folder}")
             return 130
         return 0
 
-    def _begin(self) -> tuple[Trainer, Path]:
+    def _begun(self) -> AbstractContextManager[tuple[Trainer, Run]]:
         workshop = Workshop(
             report=console.print,
             compile_kernels=compile_kernels,
@@ -89,31 +92,35 @@ class Train:
             rasteriser=self.rasteriser,
         )
         if self.resume:
-            trainer, run = resume_run(self.resume, self.data, workshop)
-        elif self.data is None or self.out is None:
+            return resume_run(self.resume, self.data, workshop)
+        if self.data is None or self.out is None:
             raise BadValueError(
                 "a data set and --out are needed",
                 "Call: physhdr train DATA --out RUN, or: physhdr train --resume RUN",
             )
-        else:
-            trainer, run = start_run(
-                self.data, self.out, self.config, self.preset, overwrite=self.overwrite, workshop=workshop
-            )
-        return trainer, run.folder
+        return start_run(
+            self.data, self.out, self.config, self.preset, overwrite=self.overwrite, workshop=workshop
+        )
 
 
-class _StopOnInterrupt:
-    """While active, the first CTRL-C asks for a stop after the iteration; a second one interrupts."""
+class _StopOnRequest:
+    """While active, the first CTRL-C or SIGTERM asks for a stop after the iteration; a second interrupts.
+
+    SIGTERM is what a cluster or a container sends before it kills.
+    """
 
     def __init__(self) -> None:
         self.requested = False
 
-    def __enter__(self) -> "_StopOnInterrupt":
-        self._previous = signal.signal(signal.SIGINT, self._handle)
+    def __enter__(self) -> "_StopOnRequest":
+        self._previous = {
+            number: signal.signal(number, self._handle) for number in (signal.SIGINT, signal.SIGTERM)
+        }
         return self
 
     def __exit__(self, *_: object) -> None:
-        signal.signal(signal.SIGINT, self._previous)
+        for number, handler in self._previous.items():
+            signal.signal(number, handler)
 
     def _handle(self, *_: object) -> None:
         if self.requested:

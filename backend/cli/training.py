@@ -1,21 +1,23 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How a training begins: the trainer and its folder, for the command line and for the server alike."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import torch
 
-from ...bridge.errors import DataMismatchError
 from ..device import DeviceName, choose_device
 from ..kernels.warmup import Needs
 from ..methods.registry import kernels_needed
 from ..rasterize import Implementation
+from ..runs.files import refuse_a_run, refuse_foreign, remove_results, remove_unfinished
+from ..runs.lock import hold
 from ..scene import Scene, read_scene
 from ..train.config import CONFIG_FILE, TrainConfig, read_config, write_config
 from ..train.presets import PRESETS
-from ..train.trainer import CHECKPOINT_FILE, Trainer
+from ..train.trainer import Trainer
 from ..train.without_effect import changed_without_effect
 from .progress import EventLog
 from .run_folder import Run, writable_folder
@@ -42,38 +44,60 @@ class Workshop:
             self.compile_kernels(kernels_needed(config.method))
         return device
 
-    def trainer(self, scene: Scene, config: TrainConfig, resumed: Path | None = None) -> Trainer:
-        return Trainer(scene, config, self.rasteriser, self.place(config), resumed)
+    def trainer(
+        self, scene: Scene, config: TrainConfig, resumed: Path | None = None, configuration: str = ""
+    ) -> Trainer:
+        return Trainer(scene, config, self.rasteriser, self.place(config), resumed, configuration)
 
 
-def refuse_a_run(folder: Path) -> None:
-    """Raises ``DataMismatchError`` where the folder holds a run already."""
-    if (folder / CHECKPOINT_FILE).exists():
-        raise DataMismatchError(
-            f"{folder} already holds a run",
-            "Go on with it by --resume, replace it by --overwrite, or choose another --out.",
-        )
-
-
+@contextmanager
 def start_run(
     data: Path, out: Path, config: TrainConfig, preset: str, *, overwrite: bool, workshop: Workshop
-) -> tuple[Trainer, Run]:
-    """A new run in ``out``, at iteration 0; raises what reading, training and writing raise."""
+) -> Iterator[tuple[Trainer, Run]]:
+    """A new run in ``out``, at iteration 0; nobody else trains there while this is active.
+
+    A run that was there stays as it is until the new one can begin, and is gone from then on. Raises what
+    reading, training and writing raise.
+    """
     if not overwrite:
         refuse_a_run(out)
-    scene = read_scene(data, config.downscale)
-    folder = writable_folder(out)
-    trainer = workshop.trainer(scene, config)
-    if preset in PRESETS and (options := changed_without_effect(trainer, PRESETS[preset])):
-        workshop.report(f"this method, on its backbone, does not read {', '.join(options)}")
-    EventLog.clear(folder)
-    write_config(folder / CONFIG_FILE, config, data, preset)
-    return trainer, Run(folder, preset, config, scene, trainer.method, 0)
+    refuse_foreign(out)
+    with _folder(out) as folder, hold(folder, workshop.report):
+        if not overwrite:  # another training may have ended just now
+            refuse_a_run(folder)
+        scene = read_scene(data, config.downscale)
+        trainer = workshop.trainer(scene, config)
+        if preset in PRESETS and (options := changed_without_effect(trainer, PRESETS[preset])):
+            workshop.report(f"this method, on its backbone, does not read {', '.join(options)}")
+        # In this order: old weights must never lie beside a new configuration, whenever this is killed.
+        remove_results(folder)
+        EventLog.clear(folder)
+        write_config(folder / CONFIG_FILE, config, data, preset)
+        yield trainer, Run(folder, preset, config, scene, trainer.method, 0)
 
 
-def resume_run(folder: Path, data: Path | None, workshop: Workshop) -> tuple[Trainer, Run]:
-    """A run from its checkpoint; ``data`` stands in for its data set, where that has moved."""
-    config, trained_on, preset = read_config(folder / CONFIG_FILE)
-    trainer = workshop.trainer(read_scene(data or trained_on, config.downscale), config, folder)
-    run = Run(writable_folder(folder), preset, config, trainer.scene, trainer.method, trainer.iteration)
-    return trainer, run
+@contextmanager
+def resume_run(folder: Path, data: Path | None, workshop: Workshop) -> Iterator[tuple[Trainer, Run]]:
+    """A run from its checkpoint; nobody else trains there while this is active.
+
+    ``data`` stands in for its data set, where that has moved.
+    """
+    read_config(folder / CONFIG_FILE)  # or there is no run, and nothing to hold
+    with hold(writable_folder(folder), workshop.report):
+        remove_unfinished(folder)
+        written = read_config(folder / CONFIG_FILE)
+        scene = read_scene(data or written.data, written.config.downscale)
+        trainer = workshop.trainer(scene, written.config, folder, written.fingerprint)
+        yield trainer, Run(folder, written.preset, written.config, scene, trainer.method, trainer.iteration)
+
+
+@contextmanager
+def _folder(out: Path) -> Iterator[Path]:
+    """The folder, made where there is none; it does not stay where nothing was put into it."""
+    is_new = not out.exists()
+    try:
+        yield writable_folder(out)
+    finally:
+        if is_new:
+            with suppress(OSError):  # it holds a run
+                out.rmdir()

@@ -25,6 +25,14 @@ VIEW_METRICS = (("PSNR", "psnr", 2), ("SSIM", "ssim", 4), ("LPIPS 01", "lpips_01
 METRIC_COLUMNS = ("PSNR dB", "SSIM", "LPIPS", "LPIPS 01")
 RELIT_COLUMNS = ("ours", "level × truth", "best × truth", "level × ours", "gain")
 
+REPORT_FILES = ("evaluation.json", "evaluation.csv", "evaluation.md")
+SHEET_FILE = "comparison.png"
+RESPONSE_FILE = "response.png"
+#: Several methods on one table and one sheet.
+METHODS_FILES = ("methods.md", "methods.csv", "methods.png")
+#: Whatever an evaluation leaves in a run's folder.
+FILES = (*REPORT_FILES, SHEET_FILE, RESPONSE_FILE, *METHODS_FILES)
+
 
 def to_dict(evaluation: Evaluation) -> dict[str, Any]:
     """Everything, ready for JSON: the conditions, the means, then the rows. NaN becomes None."""
@@ -77,13 +85,13 @@ def write_report(evaluation: Evaluation, folder: Path) -> list[Path]:
 
     Returns the three paths; raises ``OutputError``.
     """
-    contents = {
-        "evaluation.json": json.dumps(to_dict(evaluation), indent=1, allow_nan=False) + "\n",
-        "evaluation.csv": to_csv(evaluation),
-        "evaluation.md": to_markdown(evaluation),
-    }
+    texts = (
+        json.dumps(to_dict(evaluation), indent=1, allow_nan=False) + "\n",
+        to_csv(evaluation),
+        to_markdown(evaluation),
+    )
     paths = []
-    for name, text in contents.items():
+    for name, text in zip(REPORT_FILES, texts, strict=True):
         path = Path(folder) / name
         with atomic_path(path) as temporary:
             temporary.write_text(text, encoding="utf-8")

@@ -1,1 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
+"""A trained method as files for others, and what these are called in a run's folder."""
+
+MODEL_FILE = "model.safetensors"
+BAKED_FILE = "baked.ply"
+LOSSLESS_FILE = "lossless.ply"
+FILES = (MODEL_FILE, BAKED_FILE, LOSSLESS_FILE)

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from ...bridge.errors import BadValueError
 from ...bridge.lights import AMBIENT
 from ..kernels.warmup import Needs
 from ..model.anchors import Anchors, AnchorsConfig
@@ -78,8 +79,12 @@ def entry_of(config: Any) -> Entry:
 
 
 def config_named(name: str) -> type:
-    """The configuration's class of a method, as ``config.json`` names it; raises ``KeyError``."""
-    return next(config for config, entry in ENTRIES.items() if entry.name == name)
+    """The configuration's class of a method, as ``config.json`` names it; raises ``BadValueError``."""
+    for config, entry in ENTRIES.items():
+        if entry.name == name:
+            return config
+    names = ", ".join(entry.name for entry in ENTRIES.values())
+    raise BadValueError(f"there is no method {name!r}", f"There are: {names}.")
 
 
 def new_method(config: Any, anchors: AnchorsConfig | None, facts: Facts) -> Method:

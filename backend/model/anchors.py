@@ -202,6 +202,17 @@ class Anchors(Backbone):
     def rates(self) -> dict[str, Rate]:
         return self.config.rates.by_group()
 
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        shapes: dict[str, tuple[int, ...]] = {
+            "anchors": (3,),
+            "offsets": (self.config.offsets, 3),
+            "features": (self.config.feature_size,),
+            "log_scaling": (6,),
+        }
+        if self.config.base_radiance:
+            shapes["base_log_radiance"] = (3,)
+        return shapes
+
     def place(self, positions: np.ndarray, log_radiance: np.ndarray, start: Start) -> None:
         """One anchor in every cell that has a point, as large as the distance to its neighbours.
 

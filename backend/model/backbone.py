@@ -73,6 +73,10 @@ class Backbone(ABC):
     networks: nn.ModuleDict
 
     @abstractmethod
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """The axes of each of ``parameters`` after the first, which counts the primitives."""
+
+    @abstractmethod
     def place(self, positions: np.ndarray, log_radiance: np.ndarray, start: Start) -> None:
         """Begin at ``positions`` ``[P, 3]`` (metres) with ln radiance ``[P, 3]``; few: ``BadValueError``."""
 

@@ -53,6 +53,23 @@ class Gaussians(Backbone):
     def positions(self) -> torch.Tensor:
         return self.parameters["means"]
 
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        wanted = self.attributes
+        shapes: dict[str, tuple[int, ...]] = {
+            "means": (3,),
+            "log_scales": (3,),
+            "quaternions": (4,),
+            "opacity_logits": (),
+            "reflectance_dc": (1, 3),
+            "reflectance_rest": ((wanted.sh_degree + 1) ** 2 - 1, 3),
+            "log_illumination": (1,),
+        }
+        if wanted.lights:
+            shapes["light_share_logits"] = (wanted.lights, 3)
+        if wanted.context_size:
+            shapes["context"] = (wanted.context_size,)
+        return shapes
+
     def place(self, positions: np.ndarray, log_radiance: np.ndarray, start: Start) -> None:
         """3DGS's beginning: isotropic, as large as the distance to the neighbours."""
         wanted = self.attributes

@@ -14,6 +14,7 @@ import os
 import sys
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -36,17 +37,18 @@ from ...bridge.messages import (
     TrainStart,
     TrainStop,
 )
-from ...bridge.model_file import write_model
+from ...bridge.model_file import SUFFIX, refuse_what_is_not_ours, write_model
 from ..cli.monitor import view_monitor
 from ..cli.progress import LOG_FILE, EventLog
 from ..cli.run_folder import Run, open_run
-from ..cli.training import Workshop, refuse_a_run, resume_run, start_run
+from ..cli.training import Workshop, resume_run, start_run
 from ..device import DeviceName, choose_device
 from ..kernels.warmup import Needs, warmup
 from ..methods.registry import kernels_needed
 from ..rasterize.cpu import set_threads, thread_count
+from ..runs.files import refuse_a_run
 from ..train import events
-from ..train.config import CONFIG_FILE, TrainConfig
+from ..train.config import CONFIG_FILE, ITERATIONS_MAX, SEED_MAX, TrainConfig
 from ..train.presets import PRESETS
 from ..train.trainer import CHECKPOINT_FILE, Trainer
 from . import preview
@@ -59,18 +61,16 @@ log = logging.getLogger(__name__)
 
 #: Seconds between two statuses while a training runs; changes of state are told at once.
 STATUS_SECONDS = 0.25
-#: A checkpoint is written this often (seconds), but so that writing takes a fiftieth of the time at most.
-CHECKPOINT_SECONDS = 30.0
-CHECKPOINT_SHARE = 0.02
 #: While training, previews may take this share of the time; a large viewport must not stop the training.
 PREVIEW_SHARE = 0.5
 #: A preview draws radiance and depth; the kernels for so many channels are compiled with the method's own.
 PREVIEW_CHANNELS = 4
-ITERATIONS_MAX = 10_000_000
 THREADS_MAX = 256
-SEED_MAX = 2**32 - 1
 #: How long the engine sleeps at most; whatever is asked wakes it before.
 SLEEP_SECONDS = 1.0
+
+#: A run that is begun, held for as long as it is trained.
+Begun = AbstractContextManager[tuple[Trainer, Run]]
 
 RUNNING = ("preparing", "training", "paused", "stopping")
 
@@ -101,7 +101,7 @@ class Engine:
         self._speed = Speed()
         self._paused = self._stopping = False
         self._ending = ""
-        self._next_status = self._next_preview = self._next_checkpoint = 0.0
+        self._next_status = self._next_preview = 0.0
 
     def run(self) -> str:
         self._set_threads(0)
@@ -228,7 +228,7 @@ class Engine:
         if not request.overwrite:
             refuse_a_run(out)
 
-        def start(workshop: Workshop) -> tuple[Trainer, Run]:
+        def start(workshop: Workshop) -> Begun:
             return start_run(
                 data, out, config, request.preset, overwrite=request.overwrite, workshop=workshop
             )
@@ -242,7 +242,7 @@ class Engine:
         whole("threads", request.threads, 0, THREADS_MAX)
         require_run(folder)
 
-        def resume(workshop: Workshop) -> tuple[Trainer, Run]:
+        def resume(workshop: Workshop) -> Begun:
             return resume_run(folder, data, workshop)
 
         self._prepare(folder)
@@ -269,16 +269,16 @@ class Engine:
             self._trainer = None
             self._free_memory()
 
-    def _train(
-        self, begin: Callable[[Workshop], tuple[Trainer, Run]], device: DeviceName, threads: int
-    ) -> None:
+    def _train(self, begin: Callable[[Workshop], Begun], device: DeviceName, threads: int) -> None:
         self._set_threads(threads)
-        trainer, run = begin(self._workshop(device))
+        with begin(self._workshop(device)) as (trainer, run):
+            self._train_to_the_end(trainer, run)
+
+    def _train_to_the_end(self, trainer: Trainer, run: Run) -> None:
         self._progress_of_preparing("starting")
         self._trainer, self._run = trainer, run
         self._curves.read(run.folder / LOG_FILE, run.iteration)
         self._speed.clear()
-        self._next_checkpoint = time.monotonic() + CHECKPOINT_SECONDS
         self._update(
             state="training",
             message=trainer.start_message,
@@ -302,9 +302,6 @@ class Engine:
             ):
                 kept.show(event)
                 self._note(event)
-                if isinstance(event, events.Progress) and time.monotonic() >= self._next_checkpoint:
-                    # Here, because the losses have just been seen to be finite.
-                    kept.show(self._checkpoint(trainer, run.folder))
         self._run = dataclasses.replace(run, iteration=trainer.iteration)
         stopped = trainer.iteration < run.config.iterations
         self._update(
@@ -325,7 +322,6 @@ class Engine:
             while self._paused and not self._stopping:
                 self._attend(self._inbox.wait(SLEEP_SECONDS))
             held = time.perf_counter() - begun
-            self._next_checkpoint += held
         now = time.monotonic()
         if now >= self._next_status and self._status.state == "training":
             self._next_status = now + STATUS_SECONDS
@@ -353,14 +349,6 @@ class Engine:
             )
         elif isinstance(event, events.Saved):
             self._update(saved_iteration=event.iteration)
-
-    def _checkpoint(self, trainer: Trainer, folder: Path) -> events.Saved:
-        begun = time.monotonic()
-        saved = trainer.save(folder)
-        now = time.monotonic()
-        self._next_checkpoint = now + max(CHECKPOINT_SECONDS, (now - begun) / CHECKPOINT_SHARE)
-        self._note(saved)
-        return saved
 
     # -- models ------------------------------------------------------------------------------------------
 
@@ -415,9 +403,14 @@ class Engine:
         )
 
     def _export(self, request: ModelExport) -> Exported:
+        path = folder_of(request.path, "path")
+        if path.suffix != SUFFIX:
+            raise BadValueError(
+                f"path is {path}, which is no name of a model file", f"Choose a name that ends in {SUFFIX}."
+            )
         if self._run is None:
             raise NoModelError("there is no model to export yet", "Start a training, or open a run.")
-        path = folder_of(request.path, "path")
+        refuse_what_is_not_ours(path)  # before the model is made, which may take seconds
         run = dataclasses.replace(self._run, iteration=self._iteration)
         model = run.model()
         write_model(path, model)
@@ -524,13 +517,19 @@ def whole(name: str, value: int, least: int, most: int) -> int:
 
 
 def folder_of(text: str, name: str) -> Path:
-    """An absolute path: the backend's working directory is nobody's business. Raises ``BadValueError``."""
+    """An absolute path: the backend's working directory is nobody's business.
+
+    Raises ``BadValueError``, and ``OSError`` where the system will not have the path, be it too long. That
+    there is nothing at it is for those to tell who need something there.
+    """
     try:
         usable = "\0" not in text and bool(os.fsencode(text))
     except UnicodeEncodeError:
         usable = False
     if not usable or not Path(text).is_absolute():
         raise BadValueError(f"{name} is {text!r}, not an absolute path", "Give the whole path.")
+    with suppress(FileNotFoundError, NotADirectoryError):
+        os.lstat(text)
     return Path(text)
 
 

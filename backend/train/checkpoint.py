@@ -1,18 +1,22 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """One file that holds everything a run needs to go on bit-identically, replaced atomically.
 
-A safetensors file: parameters, Adam's moments, densification statistics; the iteration in its metadata.
-Random numbers are drawn from (seed, iteration), so there is no generator state to keep.
+A safetensors file: parameters, Adam's moments, densification statistics; in its metadata the iteration and
+which configuration it belongs to. Random numbers are drawn from (seed, iteration), so there is no generator
+state to keep.
 """
 
 import json
-import os
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
+from ...bridge.atomic import atomic_path
 from ...bridge.errors import DataMismatchError, FileDamagedError, FileMissingError, OutputError
 from ...bridge.lights import AMBIENT, check_lights
 
@@ -21,6 +25,19 @@ VERSION = 1
 #: The light's parameter, ``[N, C, 3]``, and what it is called in the file where the ambient light is the only
 #: one, ``[N, 3]``: as it was before there were others.
 SHARES, AMBIENT_SHARES = ".light_share_logits", ".ambient_share_logits"
+
+
+#: In the metadata: ``config.fingerprint`` of the run.
+CONFIGURATION = "configuration"
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a checkpoint's training was: ``iteration``, and the seconds that it took."""
+
+    iteration: int
+    seconds: float
+    cpu_seconds: float
 
 
 def save_checkpoint(
@@ -34,7 +51,6 @@ def save_checkpoint(
     ``lights``: names of the lights that the model has levels for. Raises ``OutputError`` where it cannot be
     written (a full disk, no permission).
     """
-    temporary = path.with_suffix(".partial")
     metadata = {"format": FORMAT, "version": str(VERSION), **metadata}
     if lights == (AMBIENT,):
         tensors = {
@@ -44,21 +60,24 @@ def save_checkpoint(
     else:
         metadata["lights"] = json.dumps(list(lights))
     try:
-        save_file({k: v.detach().cpu().contiguous() for k, v in tensors.items()}, temporary, metadata)
-        temporary.chmod(0o644)  # safetensors makes files that only their owner reads
-        with open(temporary, "rb") as file:
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    except (OSError, SafetensorError) as error:
-        temporary.unlink(missing_ok=True)
+        with atomic_path(path) as temporary:
+            try:
+                save_file({k: v.detach().cpu().contiguous() for k, v in tensors.items()}, temporary, metadata)
+            except SafetensorError as error:  # how the library tells of a full disk
+                raise OSError(str(error)) from error
+    except OutputError as error:
         raise OutputError(
-            f"cannot write the checkpoint {path}: {error}",
-            "Free some space or choose another --out; the previous checkpoint is untouched.",
+            error.message.replace("cannot write", "cannot write the checkpoint", 1),
+            "Free some space, then go on with: physhdr train --resume. The previous checkpoint is untouched.",
         ) from error
 
 
 def load_checkpoint(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
-    """Tensors and metadata of a checkpoint; errors name the file and what to do."""
+    """Tensors and metadata of a checkpoint; errors name the file and what to do.
+
+    Raises ``FileMissingError``, ``FileDamagedError`` for whatever is wrong with the container, and
+    ``DataMismatchError`` for another version. What the tensors hold is for ``check_tensors``.
+    """
     if not path.is_file():
         raise FileMissingError(
             f"there is no checkpoint {path}",
@@ -68,10 +87,10 @@ def load_checkpoint(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]
         with safe_open(path, framework="pt") as file:
             metadata = file.metadata() or {}
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
-    except (SafetensorError, OSError, ValueError) as error:
-        raise FileDamagedError(
-            f"the checkpoint {path} cannot be read: {error}", "It is damaged: train again, or restore a copy."
-        ) from error
+    except MemoryError:
+        raise
+    except Exception as error:  # the library documents no classes, and passes torch's on
+        raise damaged(path, f"it cannot be read: {error}") from error
     if metadata.get("format") != FORMAT:
         raise FileDamagedError(f"{path} is not a PhysHDR checkpoint", "Name a folder that 'train' wrote.")
     if metadata.get("version") != str(VERSION):
@@ -86,14 +105,81 @@ def load_checkpoint(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]
     return tensors, metadata
 
 
+def require_configuration(metadata: Mapping[str, str], fingerprint: str, path: Path) -> bool:
+    """Raises ``DataMismatchError`` where the checkpoint belongs to another configuration.
+
+    False where it does not say which one: those of before there were fingerprints.
+    """
+    named = metadata.get(CONFIGURATION)
+    if named is None:
+        return False
+    if named != fingerprint:
+        raise DataMismatchError(
+            f"{path} was trained with another configuration than the one that lies beside it",
+            "Restore the config.json that it was trained with, or train again with --overwrite.",
+        )
+    return True
+
+
+def progress_of(metadata: Mapping[str, str], iterations: int, path: Path) -> Progress:
+    """How far the training was, of ``iterations`` in all; raises ``FileDamagedError``."""
+    written = metadata.get("iteration", "")
+    # int() takes underscores, blanks and other scripts' digits.
+    if not (written.isascii() and written.isdigit() and int(written[:20]) <= iterations):
+        raise damaged(path, f"its iteration is {written[:20]!r}, of {iterations} in all")
+    seconds = []
+    for name in ("seconds", "cpu_seconds"):
+        try:
+            value = float(metadata.get(name, "0"))
+        except ValueError:
+            value = math.nan
+        if not 0.0 <= value < math.inf:
+            raise damaged(path, f"its {name} are {metadata[name][:20]!r}")
+        seconds.append(value)
+    return Progress(int(written), *seconds)
+
+
+def check_tensors(
+    tensors: Mapping[str, torch.Tensor], wanted: Mapping[str, torch.Tensor], path: Path
+) -> None:
+    """Raises ``FileDamagedError`` unless every tensor of ``wanted`` is there, alike in shape and type.
+
+    Every value must be finite. What is in ``tensors`` beside these is not looked at.
+    """
+    for name, like in wanted.items():
+        tensor = tensors.get(name)
+        if tensor is None:
+            raise damaged(path, f"it has no {name}")
+        if (tensor.shape, tensor.dtype) != (like.shape, like.dtype):
+            raise damaged(path, f"{name} is {_words(tensor)}; it must be {_words(like)}")
+        if tensor.is_floating_point() and not tensor.isfinite().all():
+            raise damaged(path, f"{name} has values that are NaN or infinite")
+
+
+def refuse_others(tensors: Mapping[str, torch.Tensor], known: Mapping[str, object], path: Path) -> None:
+    """Raises ``FileDamagedError`` where there is a tensor that the run does not have."""
+    for name in tensors:
+        if name not in known:
+            raise damaged(path, f"it has {name}, which a run of this configuration has not")
+
+
+def damaged(path: Path, why: str) -> FileDamagedError:
+    """What to say of a checkpoint that cannot be used."""
+    return FileDamagedError(
+        f"the checkpoint {path} is damaged: {why}", "Restore a copy, or train again with --overwrite."
+    )
+
+
+def _words(tensor: torch.Tensor) -> str:
+    return f"{str(tensor.dtype).removeprefix('torch.')} {list(tensor.shape)}"
+
+
 def lights_of(metadata: dict[str, str], path: Path) -> tuple[str, ...]:
     """The lights of a checkpoint's model, from its metadata; raises ``BadValueError``."""
     try:
         named = json.loads(metadata["lights"]) if "lights" in metadata else [AMBIENT]
-    except ValueError as error:
-        raise FileDamagedError(
-            f"{path}: its lights are not JSON: {error}", "It is damaged: restore a copy."
-        ) from error
+    except (ValueError, RecursionError) as error:
+        raise damaged(path, f"its lights are not JSON: {error}") from error
     return check_lights(named, str(path))
 
 

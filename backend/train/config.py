@@ -2,15 +2,17 @@
 """A run's whole configuration, its presets, and its file ``config.json``."""
 
 import dataclasses
+import hashlib
 import json
-import os
+import math
 import types
 import typing
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
-from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError, OutputError
+from ...bridge.atomic import atomic_path
+from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
 from ..methods.physhdr import PhysHDRConfig
 from ..methods.registry import MethodConfig, config_named, entry_of
 from ..model.anchors import AnchorsConfig
@@ -19,6 +21,10 @@ from .initialise import Source
 from .optimisers import OptimiserConfig
 
 CONFIG_FILE = "config.json"
+#: Ten million: more than anybody trains, and exact in every number that counts them.
+ITERATIONS_MAX = 10_000_000
+#: What NumPy's and torch's generators both take.
+SEED_MAX = 2**32 - 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,60 +64,122 @@ class TrainConfig:
     densify: DensifyConfig = field(default_factory=DensifyConfig)
 
     def __post_init__(self) -> None:
-        if self.iterations < 1:
-            raise BadValueError(f"--iterations must be at least 1, got {self.iterations}")
-        if not self.training_exposures:
-            raise BadValueError("there must be at least one training exposure", "For example 0 2 4.")
+        if not 1 <= self.iterations <= ITERATIONS_MAX:
+            raise BadValueError(f"--iterations must be from 1 to {ITERATIONS_MAX}, got {self.iterations}")
+        if not 0 <= self.seed <= SEED_MAX:
+            raise BadValueError(f"--seed must be from 0 to {SEED_MAX}, got {self.seed}")
+        if not self.training_exposures or min(self.training_exposures) < 0:
+            raise BadValueError(
+                f"--training-exposures must be indices of a bracket, got {list(self.training_exposures)}",
+                "For example 0 2 4.",
+            )
 
 
 #: Settings by names they had before → as they are called now.
 RENAMED = {"ambient_share_logits": "light_share_logits"}
 
 
+class RunConfig(NamedTuple):
+    """What ``config.json`` says. ``fingerprint``: of the configuration, as checkpoints name theirs."""
+
+    config: TrainConfig
+    data: Path
+    preset: str
+    fingerprint: str
+
+
 def write_config(path: Path, config: TrainConfig, data: Path, preset: str) -> None:
     """Write ``config.json``: with the data set it reproduces the run. Raises ``OutputError``."""
-    values = dataclasses.asdict(config)
-    values["method"] = {"name": entry_of(config.method).name} | values["method"]
-    content = {"data": str(data.resolve()), "preset": preset, "config": values}
-    temporary = path.with_suffix(".partial")
-    try:
+    content = {"data": str(data.resolve()), "preset": preset, "config": _values(config)}
+    with atomic_path(path) as temporary:
         temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
-        os.replace(temporary, path)
-    except OSError as error:
-        raise OutputError(f"cannot write {path}: {error}", "Choose another --out.") from error
 
 
-def read_config(path: Path) -> tuple[TrainConfig, Path, str]:
-    """The configuration, the data set's folder and the preset's name that ``write_config`` wrote."""
+def read_config(path: Path) -> RunConfig:
+    """What ``write_config`` wrote; raises ``FileMissingError`` and ``FileDamagedError``."""
     if not path.is_file():
         raise FileMissingError(
             f"there is no {path}", "Name the folder of a run, as given to physhdr train --out."
         )
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-        config = _from_dict(TrainConfig, content["config"])
-        return config, Path(content["data"]), content["preset"]
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise FileDamagedError(f"{path} is not a run's configuration: {error}", "Train again.") from error
+        values = content["config"]
+        # As it is written, not as it is understood: a setting that is added some day leaves it alone.
+        written = fingerprint_of(values)
+        config = _from_json(TrainConfig, values, "config")
+        data, preset = (_from_json(str, content[name], name) for name in ("data", "preset"))
+        return RunConfig(config, Path(data), preset, written)
+    except (OSError, ValueError, KeyError, TypeError, RecursionError, BadValueError) as error:
+        why = error.message if isinstance(error, BadValueError) else str(error)
+        raise FileDamagedError(
+            f"{path} is not a run's configuration: {why}", "Train again, or restore a copy."
+        ) from error
 
 
-def _from_dict(cls: type, values: dict[str, Any]) -> Any:
-    """A dataclass from the nested dictionary that ``dataclasses.asdict`` gave; unknown keys are refused."""
+def fingerprint(config: TrainConfig) -> str:
+    """What a checkpoint of a run with ``config`` names as its configuration: the data's path has no part."""
+    return fingerprint_of(json.loads(json.dumps(_values(config))))
+
+
+def fingerprint_of(values: Any) -> str:
+    """SHA-256 of a configuration as ``config.json`` holds it, whatever the order of its settings."""
+    return hashlib.sha256(json.dumps(_renamed(values), sort_keys=True).encode()).hexdigest()
+
+
+def _renamed(values: Any) -> Any:
+    """Settings by the names they have today."""
+    if not isinstance(values, dict):
+        return values
+    return {RENAMED.get(name, name): _renamed(value) for name, value in values.items()}
+
+
+def _values(config: TrainConfig) -> dict[str, Any]:
+    values = dataclasses.asdict(config)
+    values["method"] = {"name": entry_of(config.method).name} | values["method"]
+    return values
+
+
+def _from_json(hint: Any, value: Any, where: str) -> Any:
+    """``value`` as the annotation ``hint`` wants it; raises ``ValueError`` and what dataclasses refuse."""
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin is Literal:
+        if value in arguments:
+            return value
+    elif origin in (types.UnionType, typing.Union):
+        return _one_of(arguments, value, where)
+    elif origin is tuple:
+        if isinstance(value, list):
+            return tuple(_from_json(arguments[0], item, where) for item in value)
+    elif dataclasses.is_dataclass(hint) and isinstance(hint, type):
+        if isinstance(value, dict):
+            return _dataclass(hint, value, where)
+    elif hint is float:
+        if type(value) in (int, float) and math.isfinite(value):
+            return value
+    elif type(value) is hint:
+        return value
+    raise ValueError(f"{where} is {json.dumps(value)[:60]}, which it cannot be")
+
+
+def _one_of(hints: tuple[Any, ...], value: Any, where: str) -> Any:
+    """A choice: a number or nothing; the methods, of which a dictionary says by its name which it is."""
+    if value is None and type(None) in hints:
+        return None
+    kinds = [hint for hint in hints if hint is not type(None)]
+    if len(kinds) > 1 and isinstance(value, dict):
+        # Before there were others, it was PhysHDR.
+        kinds = [config_named(_from_json(str, value.get("name", "physhdr"), f"{where}.name"))]
+        value = {key: item for key, item in value.items() if key != "name"}
+    return _from_json(kinds[0], value, where)
+
+
+def _dataclass(cls: type, values: dict[str, Any], where: str) -> Any:
+    """A dataclass from what ``dataclasses.asdict`` gave; unknown names are refused, missing ones default."""
     hints = typing.get_type_hints(cls)
     arguments = {}
     for written, value in values.items():
         name = RENAMED.get(written, written)
         if name not in hints:
-            raise KeyError(f"unknown setting {written!r}")
-        hint = hints[name]
-        if isinstance(value, dict) and not dataclasses.is_dataclass(hint):
-            # One of several: a method says which it is (before there were others, it was PhysHDR).
-            hint = config_named(value.pop("name", "physhdr")) if name == "method" else AnchorsConfig
-        elif isinstance(value, dict):
-            value.pop("name", None)
-        if dataclasses.is_dataclass(hint) and isinstance(hint, type):
-            value = _from_dict(hint, value)
-        elif typing.get_origin(hint) is tuple or isinstance(hint, types.GenericAlias):
-            value = tuple(value)
-        arguments[name] = value
+            raise ValueError(f"there is no setting {where}.{written}")
+        arguments[name] = _from_json(hints[name], value, f"{where}.{written}")
     return cls(**arguments)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Adam for Gaussians and networks, their learning rates over time, and surgery on Adam's moments."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -53,6 +54,11 @@ STOCK_3DGS = OptimiserConfig(
 )
 
 
+#: Prefix of Adam's state in a checkpoint, and what Adam knows of a parameter.
+ADAM = "adam."
+MOMENTS = ("exp_avg", "exp_avg_sq")
+
+
 class Optimiser:
     """One fused Adam with a named group for each parameter of the primitives and one for each network."""
 
@@ -98,7 +104,7 @@ class Optimiser:
             new = old.detach()[source].contiguous().requires_grad_()
             state = self.adam.state.pop(old, None)
             if state:
-                for moment in ("exp_avg", "exp_avg_sq"):
+                for moment in MOMENTS:
                     moved = state[moment][source]
                     moved[fresh] = 0.0
                     state[moment] = moved
@@ -116,18 +122,32 @@ class Optimiser:
     def state_tensors(self) -> dict[str, torch.Tensor]:
         """Adam's state as named tensors, for a checkpoint."""
         return {
-            f"adam.{group['name']}.{index}.{key}": value
+            f"{ADAM}{group['name']}.{index}.{key}": value
             for group in self.adam.param_groups
             for index, tensor in enumerate(group["params"])
             for key, value in self.adam.state.get(tensor, {}).items()
         }
+
+    def state_like(self, tensors: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+        """What a checkpoint with ``tensors`` must hold, as tensors that are alike in shape and type.
+
+        Adam knows all of a parameter or nothing: those of which ``tensors`` has nothing are left out.
+        """
+        like: dict[str, torch.Tensor] = {}
+        for group in self.adam.param_groups:
+            for index, tensor in enumerate(group["params"]):
+                prefix = f"{ADAM}{group['name']}.{index}."
+                if any(name.startswith(prefix) for name in tensors):
+                    like[f"{prefix}step"] = torch.tensor(0.0)
+                    like |= {f"{prefix}{moment}": tensor for moment in MOMENTS}
+        return like
 
     def load_state_tensors(self, tensors: dict[str, torch.Tensor]) -> None:
         """Restore what ``state_tensors`` gave; parameters that had no state then have none now."""
         self.adam.state.clear()
         for group in self.adam.param_groups:
             for index, tensor in enumerate(group["params"]):
-                prefix = f"adam.{group['name']}.{index}."
+                prefix = f"{ADAM}{group['name']}.{index}."
                 state = {k[len(prefix) :]: v.clone() for k, v in tensors.items() if k.startswith(prefix)}
                 if state:
                     self.adam.state[tensor] = state

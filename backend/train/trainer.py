@@ -19,20 +19,36 @@ from ..rasterize import Implementation
 from ..resident import Pictures
 from ..scene.scene import Scene, View
 from .anchor_growth import AnchorGrowth
-from .checkpoint import lights_of, load_checkpoint, save_checkpoint
-from .config import TrainConfig
+from .checkpoint import (
+    CONFIGURATION,
+    check_tensors,
+    damaged,
+    lights_of,
+    load_checkpoint,
+    progress_of,
+    refuse_others,
+    require_configuration,
+    save_checkpoint,
+)
+from .config import TrainConfig, fingerprint
 from .densify import GaussianGrowth
 from .events import Event, Finished, Progress, Saved, Started
 from .growth import Growth, NoGrowth
 from .initialise import initial_points, merged_log_radiance, scene_extent
-from .optimisers import Optimiser
+from .optimisers import ADAM, Optimiser
 from .warm_up import halved
 
 CHECKPOINT_FILE = "checkpoint.safetensors"
 #: Prefix of the backbone's parameters in a checkpoint, of either backbone.
 PRIMITIVES = "gaussians."
+#: Prefix of the networks of method and backbone.
+NETWORKS = "networks."
 #: Prefix of what growth counts.
 STATISTICS = "statistics."
+
+#: A checkpoint is written this often (seconds), but so that writing takes a fiftieth of the time at most.
+CHECKPOINT_SECONDS = 30.0
+CHECKPOINT_SHARE = 0.02
 
 #: Streams of random numbers, so that no two purposes draw the same ones.
 STREAM_VIEWS, STREAM_EXPOSURES, STREAM_GROWTH, STREAM_SHOT = range(4)
@@ -49,8 +65,10 @@ class Trainer:
     """A run: the method, its optimiser, its growth and the iteration.
 
     ``device``: where everything is computed; ``implementation`` picks the rasteriser. ``resumed``: a run's
-    folder, to go on from its checkpoint, bit-identically on the CPU. Raises ``BadValueError`` or
-    ``DataMismatchError`` where the scene cannot be trained with ``config``; what reading a checkpoint raises.
+    folder, to go on from its checkpoint, bit-identically on the CPU. ``configuration``: the fingerprint that
+    its config.json has, which is that of ``config`` unless an older PhysHDR wrote it. Raises
+    ``BadValueError`` or ``DataMismatchError`` where the scene cannot be trained with ``config``, and what
+    reading a checkpoint raises.
     """
 
     def __init__(
@@ -60,8 +78,10 @@ class Trainer:
         implementation: Implementation = "auto",
         device: torch.device | str = "cpu",
         resumed: Path | None = None,
+        configuration: str = "",
     ) -> None:
         self.scene, self.config, self.device = scene, config, torch.device(device)
+        self.configuration = configuration or fingerprint(config)
         self.pictures = Pictures(self.device)
         self.iteration = 0
         #: What training took so far, the search for the first points included, in all its parts.
@@ -86,11 +106,7 @@ class Trainer:
         )
         self.growth = self._new_growth()
         if resumed:
-            state = {name: tensor.to(self.device) for name, tensor in state.items()}
-            self.optimiser.load_state_tensors(state)
-            self.growth.restore(
-                {k.removeprefix(STATISTICS): v for k, v in state.items() if k.startswith(STATISTICS)}
-            )
+            self._restore_state(state, resumed / CHECKPOINT_FILE)
             self._follow_schedule(self.iteration)
 
     def _begin(self) -> None:
@@ -223,13 +239,15 @@ class Trainer:
         monitor: Monitor | None = None,
         progress_every: int = 20,
         monitor_every: int = 200,
-        checkpoint_every: int = 2000,
+        checkpoint_seconds: float = CHECKPOINT_SECONDS,
         between: Callable[[], float] = lambda: 0.0,
     ) -> Iterator[Event]:
         """Train until done or told to stop, yielding events; a checkpoint is written on every way out.
 
-        ``between`` is called after every iteration, when the method is whole and may be looked at. It returns
-        for how many seconds it held the training up (a pause), which then count in no rate.
+        And every ``checkpoint_seconds``, or less often where writing would take more than
+        ``CHECKPOINT_SHARE`` of the time. ``between`` is called after every iteration, when the method is
+        whole and may be looked at. It returns for how many seconds it held the training up (a pause), which
+        then count in no rate.
         """
         total = self.config.iterations
         begun, begun_cpu = time.perf_counter() - self.seconds, time.process_time() - self.cpu_seconds
@@ -237,6 +255,7 @@ class Trainer:
         yield Started(self.iteration, total, self.method.size, message)
         sums: dict[str, torch.Tensor] = {}
         window_start, window_first = time.perf_counter(), self.iteration
+        next_save = time.perf_counter() + checkpoint_seconds
         try:
             while self.iteration < total and not should_stop():
                 try:
@@ -259,10 +278,15 @@ class Trainer:
                     )
                     sums, window_start, window_first = {}, time.perf_counter(), done
                 self.seconds, self.cpu_seconds = time.perf_counter() - begun, time.process_time() - begun_cpu
-                if done % checkpoint_every == 0 and done < total:
+                if time.perf_counter() >= next_save and done < total:
+                    # A loss that is no number would be noticed at the next event only.
+                    self._refuse_nan({name: float(value) for name, value in sums.items()})
+                    saving = time.perf_counter()
                     yield self.save(folder)
+                    saved = time.perf_counter()
+                    next_save = saved + max(checkpoint_seconds, (saved - saving) / CHECKPOINT_SHARE)
                 held = between()
-                window_start, begun = window_start + held, begun + held
+                window_start, begun, next_save = window_start + held, begun + held, next_save + held
         finally:
             # A diverged state, or one caught in the middle of an update, is worth less than the last file.
             if self._sound:
@@ -286,45 +310,89 @@ class Trainer:
     # -- checkpoints ---------------------------------------------------------------------------------------
 
     def save(self, folder: Path) -> Saved:
-        """Write everything that going on needs; raises ``OutputError``."""
-        tensors = {f"networks.{k}": v for k, v in self.method.state_dict().items()}
+        """Write everything that going on needs; raises ``OutputError``.
+
+        ``TrainingDivergedError`` where a value is no number: what is in ``folder`` is worth more then.
+        """
+        tensors = {f"{NETWORKS}{k}": v for k, v in self.method.state_dict().items()}
         if isinstance(self.method, SplattingMethod):
             tensors |= {f"{PRIMITIVES}{k}": v for k, v in self.method.backbone.parameters.items()}
         tensors |= {f"{STATISTICS}{k}": v for k, v in self.growth.tensors().items()}
         tensors |= self.optimiser.state_tensors()
+        for name, tensor in tensors.items():
+            if tensor.is_floating_point() and not tensor.isfinite().all():
+                raise self._diverged(f"{name} has values that are not numbers")
         path = folder / CHECKPOINT_FILE
-        spent = {"seconds": f"{self.seconds:.3f}", "cpu_seconds": f"{self.cpu_seconds:.3f}"}
-        save_checkpoint(path, tensors, {"iteration": str(self.iteration), **spent}, self.lights)
+        metadata = {
+            "iteration": str(self.iteration),
+            "seconds": f"{self.seconds:.3f}",
+            "cpu_seconds": f"{self.cpu_seconds:.3f}",
+            CONFIGURATION: self.configuration,
+        }
+        save_checkpoint(path, tensors, metadata, self.lights)
         return Saved(self.iteration, str(path))
 
     def _restore(self, folder: Path) -> dict[str, torch.Tensor]:
         """The method as the checkpoint in ``folder`` has it; returns the checkpoint's tensors."""
-        tensors, metadata = load_checkpoint(folder / CHECKPOINT_FILE)
-        lights = lights_of(metadata, folder / CHECKPOINT_FILE)
+        path = folder / CHECKPOINT_FILE
+        tensors, metadata = load_checkpoint(path)
+        self.start_message = f"the checkpoint in {folder}"
+        if not require_configuration(metadata, self.configuration, path):
+            self.start_message += ", of an older PhysHDR: it does not say which configuration it is of"
+        progress = progress_of(metadata, self.config.iterations, path)
+        lights = lights_of(metadata, path)
         if lights != self.lights:
             raise DataMismatchError(
                 f"the run in {folder} has levels of {', '.join(lights)}, the data in {self.scene.root} of "
                 f"{', '.join(self.lights)}",
                 "Give the data set that it was begun with.",
             )
-        restore_method(self.method, tensors)
-        self.iteration = int(metadata["iteration"])
-        self.seconds, self.cpu_seconds = (float(metadata.get(name, 0)) for name in ("seconds", "cpu_seconds"))
-        self.start_message = f"the checkpoint in {folder}"
+        restore_method(self.method, tensors, path)
+        self.iteration = progress.iteration
+        self.seconds, self.cpu_seconds = progress.seconds, progress.cpu_seconds
         return tensors
 
+    def _restore_state(self, tensors: dict[str, torch.Tensor], path: Path) -> None:
+        """Adam's moments and growth's statistics as the checkpoint at ``path`` has them."""
+        moments = {k: v for k, v in tensors.items() if k.startswith(ADAM)}
+        check_tensors(moments, self.optimiser.state_like(moments), path)
+        refuse_others(moments, self.optimiser.state_like(moments), path)
+        # Checkpoints of earlier versions hold more statistics.
+        counted = {f"{STATISTICS}{name}": like for name, like in self.growth.tensors().items()}
+        check_tensors(tensors, counted, path)
+        statistics = {name: tensors[name] for name in counted}
+        for name, tensor in (moments | statistics).items():
+            if not name.endswith(".exp_avg") and (tensor < 0).any():
+                raise damaged(path, f"{name} has values below 0")
+        self.optimiser.load_state_tensors({k: v.to(self.device) for k, v in moments.items()})
+        self.growth.restore(
+            {name.removeprefix(STATISTICS): v.to(self.device) for name, v in statistics.items()}
+        )
 
-def restore_method(method: Method, tensors: dict[str, torch.Tensor]) -> None:
-    """Put a checkpoint's primitives and networks into ``method``."""
+
+def restore_method(method: Method, tensors: dict[str, torch.Tensor], path: Path) -> None:
+    """Put the primitives and networks of the checkpoint at ``path`` into ``method``.
+
+    Raises ``FileDamagedError`` where they are not what ``method`` is made of.
+    """
+    networks = {k: v for k, v in tensors.items() if k.startswith(NETWORKS)}
+    primitives = {k: v for k, v in tensors.items() if k.startswith(PRIMITIVES)}
+    wanted = {f"{NETWORKS}{name}": like for name, like in method.state_dict().items()}
+    if isinstance(method, SplattingMethod):
+        shapes = method.backbone.shapes()
+        count = max((tensor.shape[0] for tensor in primitives.values() if tensor.dim()), default=0)
+        if count == 0:
+            raise damaged(path, "it has no Gaussians")
+        wanted |= {
+            f"{PRIMITIVES}{name}": torch.empty(count, *shape, device="meta") for name, shape in shapes.items()
+        }
+    check_tensors(tensors, wanted, path)
+    refuse_others(networks | primitives, wanted, path)
     if isinstance(method, SplattingMethod):
         method.backbone.parameters = {
-            k.removeprefix(PRIMITIVES): v.clone().requires_grad_()
-            for k, v in tensors.items()
-            if k.startswith(PRIMITIVES)
+            k.removeprefix(PRIMITIVES): v.clone().requires_grad_() for k, v in primitives.items()
         }
-    method.load_state_dict(
-        {k.removeprefix("networks."): v for k, v in tensors.items() if k.startswith("networks.")}
-    )
+    method.load_state_dict({k.removeprefix(NETWORKS): v for k, v in networks.items()})
 
 
 def load_method(
@@ -333,13 +401,19 @@ def load_method(
     anchor: tuple[float, float] | None,
     implementation: Implementation = "auto",
     device: torch.device | str = "cpu",
+    configuration: str = "",
 ) -> tuple[Method, int]:
-    """The trained method of a run's folder, for rendering, and the iteration it is at."""
-    tensors, metadata = load_checkpoint(folder / CHECKPOINT_FILE)
-    lights = lights_of(metadata, folder / CHECKPOINT_FILE)
+    """The trained method of a run's folder, for rendering, and the iteration it is at.
+
+    ``configuration``: as ``Trainer`` takes it.
+    """
+    path = folder / CHECKPOINT_FILE
+    tensors, metadata = load_checkpoint(path)
+    require_configuration(metadata, configuration or fingerprint(config), path)
+    iteration = progress_of(metadata, config.iterations, path).iteration
+    lights = lights_of(metadata, path)
     method = new_method(config.method, config.anchors, Facts(anchor, implementation, lights))
-    restore_method(method, tensors)
+    restore_method(method, tensors, path)
     method.to_device(torch.device(device))
-    iteration = int(metadata["iteration"])
     method.follow_schedule(max(iteration - 1, 0), config.iterations, config.sh_degree_every)
     return method, iteration

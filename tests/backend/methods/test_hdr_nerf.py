@@ -483,7 +483,7 @@ def test_a_short_training_learns_the_scene_and_its_files_hold_it(tiny_data, tmp_
     assert psnr(picture, truth) > psnr(flat, truth) + 4.0
 
     write_config(tmp_path / "config.json", config, tiny_data, "hdr-nerf")
-    read, _, _ = read_config(tmp_path / "config.json")
+    read = read_config(tmp_path / "config.json").config
     assert read == config
     method, _ = load_method(tmp_path, read, scene.response_anchor)
     assert torch.equal(method.ldr(view.camera, view.exposures[2]), picture)

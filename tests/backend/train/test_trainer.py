@@ -4,11 +4,13 @@
 import dataclasses
 import json
 import shutil
+import signal
 
 import numpy as np
 import pytest
 import torch
 from safetensors import safe_open
+from safetensors.torch import save_file
 from scipy.spatial import KDTree
 
 from physhdr.backend.cli.monitor import view_monitor
@@ -18,11 +20,17 @@ from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.pictures import read_exr, write_exr, write_png
 from physhdr.backend.scene.scene import Points
 from physhdr.backend.train.checkpoint import load_checkpoint
-from physhdr.backend.train.config import read_config, write_config
+from physhdr.backend.train.config import fingerprint, read_config, write_config
 from physhdr.backend.train.densify import DensifyConfig
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import CHECKPOINT_FILE, Trainer, TrainingDivergedError, load_method
-from physhdr.bridge.errors import BadValueError, DataMismatchError, FileDamagedError, FileMissingError
+from physhdr.bridge.errors import (
+    BadValueError,
+    DataMismatchError,
+    FileDamagedError,
+    FileMissingError,
+    OutputError,
+)
 
 #: Presets that differ from others in numbers only.
 SAME_OTHERWISE = "-short"
@@ -162,7 +170,8 @@ def test_the_ambient_light_alone_is_kept_as_before_there_were_others(tiny_data, 
     train(scene, config, tmp_path / "one")
     with safe_open(tmp_path / "one" / CHECKPOINT_FILE, "pt") as file:
         names = set(file.keys())
-        assert set(file.metadata()) == {"format", "version", "iteration", "seconds", "cpu_seconds"}
+        known = {"format", "version", "iteration", "seconds", "cpu_seconds", "configuration"}
+        assert set(file.metadata()) == known
         assert file.get_slice("gaussians.ambient_share_logits").get_shape()[1:] == [3]
         assert file.get_slice("adam.ambient_share_logits.0.exp_avg").get_shape()[1:] == [3]
         assert "adam.ambient_share_logits.0.step" in names and not any("light_share" in n for n in names)
@@ -319,7 +328,8 @@ def test_exposures_that_the_data_do_not_have_are_refused(tiny_data):
 def test_a_configuration_file_reproduces_the_configuration(tmp_path):
     for name, config in PRESETS.items():
         write_config(tmp_path / "config.json", config, tmp_path, name)
-        assert read_config(tmp_path / "config.json") == (config, tmp_path.resolve(), name)
+        written = read_config(tmp_path / "config.json")
+        assert written == (config, tmp_path.resolve(), name, fingerprint(config))
     (tmp_path / "config.json").write_text('{"data": "x", "preset": "y", "config": {"wrong": 1}}')
     with pytest.raises(FileDamagedError, match="wrong"):
         read_config(tmp_path / "config.json")
@@ -336,3 +346,192 @@ def test_a_damaged_checkpoint_is_refused(tiny_data, tmp_path):
         load_checkpoint(path)
     with pytest.raises(FileMissingError, match="physhdr train"):
         load_checkpoint(tmp_path / "none.safetensors")
+
+
+def renamed_to(folder, **metadata):
+    """The checkpoint in ``folder`` with other metadata; ``None`` takes one out."""
+    path = folder / CHECKPOINT_FILE
+    with safe_open(path, "pt") as file:
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
+        written = file.metadata() | metadata
+    save_file(tensors, path, {name: value for name, value in written.items() if value is not None})
+
+
+def test_a_checkpoint_belongs_to_its_configuration(tiny_data, tmp_path):
+    """Old weights beside a new configuration, as a kill in a bad moment once left them, are no run."""
+    scene, config = read_scene(tiny_data), short("default", iterations=12)
+    train(scene, config, tmp_path, stop_at=5)
+    for other in (short("fast", iterations=12), short("default", iterations=12, seed=77)):
+        with pytest.raises(DataMismatchError, match="another configuration"):
+            Trainer(scene, other, resumed=tmp_path)
+        with pytest.raises(DataMismatchError, match="another configuration"):
+            load_method(tmp_path, other, scene.response_anchor)
+    assert Trainer(scene, config, resumed=tmp_path).iteration == 5
+
+
+def test_a_checkpoint_of_before_it_named_its_configuration_resumes_with_a_word(tiny_data, tmp_path):
+    scene, config = read_scene(tiny_data), short("default", iterations=12)
+    train(scene, config, tmp_path, stop_at=5)
+    renamed_to(tmp_path, configuration=None)
+    resumed = Trainer(scene, config, resumed=tmp_path)
+    assert resumed.iteration == 5 and "older PhysHDR" in resumed.start_message
+    assert load_method(tmp_path, config, scene.response_anchor)[1] == 5
+
+
+def test_a_setting_that_is_added_some_day_leaves_the_fingerprint_alone(tmp_path):
+    """It is of the file's words; order and former names do not matter, values do."""
+    path = tmp_path / "config.json"
+    write_config(path, PRESETS["default"], tmp_path, "default")
+    content = json.loads(path.read_text())
+    fingerprints = set()
+    for change in (
+        lambda c: None,
+        lambda c: c.update(config=dict(reversed(c["config"].items()))),
+        lambda c: c.update(data="/somewhere/else", preset="mine"),
+        lambda c: c["config"]["optimiser"].update(
+            ambient_share_logits=c["config"]["optimiser"].pop("light_share_logits")
+        ),
+    ):
+        changed = json.loads(json.dumps(content))
+        change(changed)
+        path.write_text(json.dumps(changed))
+        fingerprints.add(read_config(path).fingerprint)
+    assert fingerprints == {fingerprint(PRESETS["default"])}
+    del content["config"]["supervision"]  # as a PhysHDR of before it wrote it
+    path.write_text(json.dumps(content))
+    assert read_config(path).config == PRESETS["default"]
+    assert read_config(path).fingerprint not in fingerprints
+
+
+@pytest.mark.parametrize(
+    "where", ["iterations", "seed", "training_exposures", "method", "optimiser", "anchors"]
+)
+@pytest.mark.parametrize("value", [{"a": 1}, [[]], "1", True, -1, 10**400, {"name": 5}, 0.5])
+def test_a_configuration_with_something_else_in_a_number_s_place_is_damaged(where, value, tmp_path):
+    path = tmp_path / "config.json"
+    write_config(path, PRESETS["default"], tmp_path, "default")
+    content = json.loads(path.read_text())
+    content["config"][where] = value
+    path.write_text(json.dumps(content))
+    with pytest.raises(FileDamagedError, match=r"config\.json is not a run's configuration"):
+        read_config(path)
+
+
+@pytest.mark.parametrize("preset", ["default", "default-scaffold", "hdr-nerf-small"])
+def test_checkpoints_are_believed_in_nothing(preset, tiny_data, tmp_path):
+    """Made by hand, one thing wrong in each: resuming and opening say so, and never a traceback."""
+    scene, config = read_scene(tiny_data), short(preset, iterations=12)
+    train(scene, config, tmp_path, stop_at=5)
+    path = tmp_path / CHECKPOINT_FILE
+    good = path.read_bytes()
+    with safe_open(path, "pt") as file:
+        names = list(file.keys())
+        whole = {name: file.get_tensor(name) for name in names}
+
+    def refused(changes=(), without=(), **metadata):
+        path.write_bytes(good)
+        tensors = {name: tensor for name, tensor in whole.items() if name not in without} | dict(changes)
+        with safe_open(path, "pt") as file:
+            written = {k: v for k, v in (file.metadata() | metadata).items() if v is not None}
+        save_file(tensors, path, written)
+        with pytest.raises(FileDamagedError, match=CHECKPOINT_FILE):
+            Trainer(scene, config, resumed=tmp_path)
+
+    for iteration in (None, "13", "1000000000", "-1", "", "5.0", "1e0", "٣", "1_0", "nan"):
+        refused(iteration=iteration)
+    for name in ("seconds", "cpu_seconds"):
+        for seconds in ("-1", "nan", "inf", "five", ""):
+            refused(**{name: seconds})
+    model = [name for name in names if name.startswith(("gaussians.", "networks."))]
+    counted = [name for name in names if name.startswith("statistics.")]
+    moments = [name for name in names if name.startswith("adam.")]
+    for name in (model[0], model[-1], *counted[:1], moments[0], moments[-1]):
+        tensor = whole[name]
+        refused(without=[name])
+        refused({name: tensor.double()} if tensor.dtype == torch.float32 else {name: tensor.float()})
+        refused({name: torch.cat([tensor.reshape(-1), tensor.reshape(-1)])})
+        if tensor.is_floating_point() and tensor.numel():
+            refused({name: torch.full_like(tensor, torch.nan)})
+            refused({name: torch.full_like(tensor, torch.inf)})
+    refused({"networks.not_there": torch.zeros(3)})
+    refused({"adam.not_there.0.step": torch.zeros(())})
+    for name in [*counted, *(name for name in moments if name.endswith(("step", "exp_avg_sq")))]:
+        refused({name: whole[name] - 1e9})
+    if preset != "hdr-nerf-small":
+        rows = {name: whole[name][:0] for name in names if name.startswith("gaussians.")}
+        refused(rows)  # no Gaussians
+    path.write_bytes(good)
+    assert Trainer(scene, config, resumed=tmp_path).iteration == 5
+
+
+def test_a_state_with_numbers_that_are_none_is_not_saved(tiny_data, tmp_path):
+    """A step may spoil the weights while the loss that led to it was a number."""
+    trainer = train(read_scene(tiny_data), short("default", iterations=12), tmp_path, stop_at=5)
+    before = (tmp_path / CHECKPOINT_FILE).read_bytes()
+    with torch.no_grad():
+        trainer.method.gaussians.log_scales[0, 0] = torch.inf
+    with pytest.raises(TrainingDivergedError, match=r"gaussians\.log_scales has values that are not numbers"):
+        trainer.save(tmp_path)
+    assert (tmp_path / CHECKPOINT_FILE).read_bytes() == before
+
+
+def test_checkpoints_are_written_by_time(tiny_data, tmp_path, monkeypatch):
+    """Every so many seconds, and writing takes a fiftieth of the time at most; a clock that is told."""
+    now = [0.0]
+    monkeypatch.setattr(f"{Trainer.__module__}.time.perf_counter", lambda: now[0])
+    trainer = Trainer(read_scene(tiny_data), short("default"))
+    step, save, saved_at = trainer.step, trainer.save, []
+
+    def slow_step():
+        now[0] += 10.0
+        return step()
+
+    def slow_save(folder):
+        saved_at.append(now[0])
+        now[0] += 2.0  # of 2 %: nothing for 100 seconds
+        return save(folder)
+
+    monkeypatch.setattr(trainer, "step", slow_step)
+    monkeypatch.setattr(trainer, "save", slow_save)
+    list(trainer.run(tmp_path, checkpoint_seconds=30.0))
+    # The last one is the end's: 40 iterations and 4 saves.
+    assert saved_at == [30.0, 132.0, 234.0, 336.0, 408.0]
+
+
+def test_a_full_disk_leaves_the_checkpoint_before(tiny_data, tmp_path):
+    trainer = train(read_scene(tiny_data), short("default", iterations=12), tmp_path, stop_at=5)
+    before = (tmp_path / CHECKPOINT_FILE).read_bytes()
+    resource = pytest.importorskip("resource")
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, limits[1]))  # a disk that is full after a page
+    try:
+        with pytest.raises(OutputError, match=rf"cannot write the checkpoint \S*{CHECKPOINT_FILE}"):
+            trainer.save(tmp_path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, handler)
+    assert (tmp_path / CHECKPOINT_FILE).read_bytes() == before
+    assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []
+
+
+@pytest.mark.parametrize("damage", ["empty", "text", "dtype", "header", "deep", "offsets"])
+def test_whatever_is_wrong_with_the_container_is_one_error(damage, tiny_data, tmp_path):
+    Trainer(read_scene(tiny_data), short("default")).save(tmp_path)
+    path = tmp_path / CHECKPOINT_FILE
+    data = path.read_bytes()
+    size = int.from_bytes(data[:8], "little")
+    header, body = data[8 : 8 + size], data[8 + size :]
+    if damage == "dtype":
+        header = header.replace(b'"F32"', b'"F99"', 1)
+    elif damage == "header":
+        header = header.replace(b"{", b"[", 1)
+    elif damage == "deep":
+        header = b'{"a":' * 20_000
+    elif damage == "offsets":
+        header = header.replace(b'"data_offsets":[0,', b'"data_offsets":[9,', 1)
+    content = len(header).to_bytes(8, "little") + header + body
+    path.write_bytes({"empty": b"", "text": b"hello"}.get(damage, content))
+    assert path.read_bytes() != data
+    with pytest.raises(FileDamagedError, match=CHECKPOINT_FILE):
+        load_checkpoint(path)

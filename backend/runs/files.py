@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What lies in a run's folder: whether it holds a run, somebody's own files, or one that is replaced."""
+
+import json
+from contextlib import suppress
+from pathlib import Path
+
+from ...bridge.atomic import remove_leftovers
+from ...bridge.errors import DataMismatchError, OutputError
+from ..evaluate import report
+from ..export import FILES as EXPORTED
+from ..train.config import CONFIG_FILE
+from ..train.trainer import CHECKPOINT_FILE
+
+
+def refuse_a_run(folder: Path) -> None:
+    """Raises ``DataMismatchError`` where the folder holds a run already."""
+    if (folder / CHECKPOINT_FILE).exists():
+        raise DataMismatchError(
+            f"{folder} already holds a run",
+            "Go on with it by --resume, replace it by --overwrite, or choose another --out.",
+        )
+
+
+def refuse_foreign(folder: Path) -> None:
+    """Raises ``DataMismatchError`` where there is a config.json that no training wrote."""
+    path = folder / CONFIG_FILE
+    if not path.exists():
+        return
+    content = None
+    with suppress(OSError, ValueError, RecursionError):
+        if path.is_file():
+            content = json.loads(path.read_text(encoding="utf-8"))
+    if not isinstance(content, dict) or not {"config", "data", "preset"} <= content.keys():
+        raise DataMismatchError(
+            f"{path} is not a run's configuration, and would be replaced",
+            "Choose another --out, or move that file away.",
+        )
+
+
+def remove_results(folder: Path) -> None:
+    """Remove what a run that is replaced has left: weights, figures, exports and unfinished files.
+
+    They would be taken for the new run's. The caller holds the folder. Raises ``OutputError``.
+    """
+    for name in (CHECKPOINT_FILE, *report.FILES, *EXPORTED):  # the weights first: all else comes of them
+        try:
+            (folder / name).unlink(missing_ok=True)
+        except OSError as error:
+            raise OutputError(
+                f"cannot remove {folder / name}: {error.strerror or error}",
+                "Close the program that has it open, or choose another --out.",
+            ) from error
+    remove_unfinished(folder)
+
+
+def remove_unfinished(folder: Path) -> None:
+    """Remove what trainings that were killed had begun to write; the caller holds the folder."""
+    for name in (CONFIG_FILE, CHECKPOINT_FILE):
+        remove_leftovers(folder / name)
+    for path in folder.glob("*.partial"):  # as they were called before they had names of their own
+        if path.name in ("checkpoint.partial", "config.partial"):
+            path.unlink(missing_ok=True)

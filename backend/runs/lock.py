@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""One training a folder: whoever trains in a run's folder holds its lock, and says who it is.
+
+The lock is the operating system's, so it goes with the process however that ends. Who holds it stands in a
+file beside it, because a locked file cannot be read on Windows.
+"""
+
+import json
+import os
+import socket
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from filelock import FileLock, Timeout
+
+from ...bridge.atomic import atomic_path
+from ...bridge.errors import OutputError, PhysHDRError
+
+LOCK_FILE = "training.lock"
+HOLDER_FILE = "training.json"
+#: A process that ends removes its lock's file; whoever opened it a moment before has to look again.
+WAIT_SECONDS = 0.5
+
+
+class RunHeldError(PhysHDRError):
+    """Another process trains in the run's folder."""
+
+
+@contextmanager
+def hold(folder: Path, report: Callable[[str], None]) -> Iterator[None]:
+    """While active, no other process trains in ``folder``, which must be there.
+
+    Where the disk knows no locks ``report`` is told so, and nothing keeps another training out. Raises
+    ``RunHeldError``, which names the holder, and ``OutputError`` where the lock's file cannot be made.
+    """
+    path = folder / LOCK_FILE
+    lock = FileLock(path, mode=0o600, fallback_to_soft=False)
+    try:
+        lock.acquire(timeout=WAIT_SECONDS)
+    except Timeout:
+        raise RunHeldError(
+            f"{folder} is being trained already{_holder(folder)}",
+            "Wait for its end, stop it (CTRL-C saves), or choose another --out.",
+        ) from None
+    except OSError as error:
+        if not path.exists():  # it could not even be made
+            raise OutputError(
+                f"cannot write to {folder}: {error.strerror or error}",
+                "Choose another --out, or make it writable.",
+            ) from error
+        report(f"{folder} cannot be locked ({error.strerror or error}): do not train there twice at once")
+        yield
+        return
+    try:
+        with suppress(OutputError):  # a full disk: what it says is a courtesy
+            _announce(folder)
+        yield
+    finally:
+        # While it is held: whoever waits for the lock looks whether its file is there still.
+        for name in (HOLDER_FILE, LOCK_FILE):
+            with suppress(OSError):  # Windows keeps an open file
+                (folder / name).unlink(missing_ok=True)
+        lock.release()
+
+
+def _announce(folder: Path) -> None:
+    holder = {"pid": os.getpid(), "host": socket.gethostname(), "since": time.strftime("%Y-%m-%d %H:%M:%S")}
+    with atomic_path(folder / HOLDER_FILE) as temporary:
+        temporary.write_text(json.dumps(holder) + "\n", encoding="utf-8")
+
+
+def _holder(folder: Path) -> str:
+    """`` by process 7 on host, since …``; empty where it has not said so (yet)."""
+    try:
+        holder = json.loads((folder / HOLDER_FILE).read_text(encoding="utf-8"))
+        return f" by process {holder['pid']} on {holder['host']}, since {holder['since']}"
+    except (OSError, ValueError, KeyError, TypeError):
+        return ""

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A run that is replaced is gone as a whole, and what is not a run's is not touched."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from physhdr.backend.cli import main
+from physhdr.backend.train.checkpoint import load_checkpoint
+
+SHORT = ["--iterations", "12", "--sh-degree-every", "5"]
+CHECKPOINT = "checkpoint.safetensors"
+
+
+@pytest.fixture(scope="module")
+def trained(tiny_data, tmp_path_factory):
+    """A run with everything that the commands leave in its folder."""
+    run = tmp_path_factory.mktemp("runs") / "run"
+    assert main(["train", str(tiny_data), "--out", str(run), *SHORT]) == 0
+    assert main(["evaluate", str(run)]) == 0 and main(["export", str(run)]) == 0
+    return run
+
+
+@pytest.fixture
+def run(trained, tmp_path):
+    """A copy of it."""
+    folder = tmp_path / "run"
+    folder.mkdir()
+    for path in trained.iterdir():
+        if path.is_file():
+            (folder / path.name).write_bytes(path.read_bytes())
+    return folder
+
+
+def physhdr(*words, **options):
+    command = [Path(sys.executable).with_name("physhdr"), *words]
+    return subprocess.Popen(
+        [str(word) for word in command],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        **options,
+    )
+
+
+def test_nothing_old_survives_a_kill_after_the_new_configuration(run, tiny_data, capsys):
+    """As attacked: replaced, killed right after "training from", resumed."""
+    replaced = physhdr(
+        "train", tiny_data, "--out", run, "--overwrite", "--preset", "fast", "--seed", "77",
+        *("--iterations", "100000"), env={**os.environ, "PYTHONUNBUFFERED": "1"}
+    )  # fmt: skip
+    for line in replaced.stdout:
+        if "training from" in line:
+            break
+    replaced.send_signal(signal.SIGKILL)
+    replaced.wait()
+    replaced.stdout.close()
+    assert json.loads((run / "config.json").read_text())["config"]["seed"] == 77
+    left = {path.name for path in run.iterdir() if not path.name.startswith(("training.", "tensorboard"))}
+    assert left <= {"config.json", "log.jsonl"}
+    for command in (["train", "--resume"], ["evaluate"], ["export"]):
+        assert main([*command, str(run)]) == 1
+        assert "there is no checkpoint" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", [["train", "--resume"], ["evaluate"], ["export"]])
+def test_old_weights_under_another_configuration_are_refused(command, run, tiny_data, tmp_path, capsys):
+    """However they came together: a copy, a crash of an older PhysHDR."""
+    other = tmp_path / "other"
+    words = ["--preset", "fast", "--seed", "77", "--iterations", "12"]
+    assert main(["train", str(tiny_data), "--out", str(other), *words]) == 0
+    (run / "config.json").write_bytes((other / "config.json").read_bytes())
+    capsys.readouterr()
+    assert main([*command, str(run)]) == 1
+    message = capsys.readouterr().err
+    assert "another configuration" in message and "Traceback" not in message
+    assert CHECKPOINT in message
+
+
+def test_a_new_training_that_cannot_begin_leaves_the_old_run_whole(run, tmp_path, capsys):
+    before = {path.name: path.read_bytes() for path in run.iterdir() if path.is_file()}
+    assert main(["train", str(tmp_path / "nothing"), "--out", str(run), "--overwrite"]) == 1
+    assert before == {path.name: path.read_bytes() for path in run.iterdir() if path.is_file()}
+
+
+def test_a_folder_of_somebody_else_s_is_left_alone(tiny_data, tmp_path, capsys):
+    (tmp_path / "config.json").write_text('{"an editor": "s settings"}')
+    (tmp_path / "comparison.png").write_text("mine")
+    for more in ([], ["--overwrite"]):
+        assert main(["train", str(tiny_data), "--out", str(tmp_path), *SHORT, *more]) == 1
+        assert "config.json is not a run's configuration" in capsys.readouterr().err
+    assert (tmp_path / "config.json").read_text() == '{"an editor": "s settings"}'
+    assert {path.name for path in tmp_path.iterdir()} == {"config.json", "comparison.png"}
+
+
+def test_two_trainings_in_one_folder(tiny_data, tmp_path, capsys):
+    """The second is refused whatever it wants, the first one is not disturbed."""
+    run = tmp_path / "run"
+    first = physhdr("train", tiny_data, "--out", run, "--iterations", "100000", "--checkpoint-seconds", "0")
+    try:
+        deadline = time.monotonic() + 120
+        while not (run / CHECKPOINT).exists():
+            assert first.poll() is None and time.monotonic() < deadline
+            time.sleep(0.05)
+        for words in (
+            ["train", str(tiny_data), "--out", str(run), "--overwrite"],
+            ["train", "--resume", str(run)],
+        ):
+            assert main(words) == 1
+            message = capsys.readouterr().err
+            assert f"is being trained already by process {first.pid} on " in message
+        reached = set()
+        while len(reached) < 5:  # every read meets a whole file
+            reached.add(load_checkpoint(run / CHECKPOINT)[1]["iteration"])
+            assert first.poll() is None and time.monotonic() < deadline
+    finally:
+        first.send_signal(signal.SIGTERM)  # as a cluster ends a job: it saves
+    said, _ = first.communicate(timeout=60)
+    assert first.returncode == 130 and "go on with: physhdr train --resume" in said
+    assert int(load_checkpoint(run / CHECKPOINT)[1]["iteration"]) >= max(map(int, reached))
+    assert not [path for path in run.iterdir() if path.name.startswith((".", "training."))]
+
+
+def test_what_a_killed_training_had_begun_to_write_goes(run):
+    for name in (".checkpoint-ab12cd_f.safetensors", ".config-zzzzzzzz.json", "checkpoint.partial"):
+        (run / name).write_bytes(b"half")
+    for name in (".checkpoint-notours.safetensors", "mine.partial"):
+        (run / name).write_bytes(b"somebody's")
+    assert main(["train", "--resume", str(run)]) == 0
+    hidden = {path.name for path in run.iterdir() if path.name.startswith(".") or path.suffix == ".partial"}
+    assert hidden == {".checkpoint-notours.safetensors", "mine.partial"}
