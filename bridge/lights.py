@@ -5,12 +5,12 @@ Everywhere a level is taken, a plain number is that of the first light (the ambi
 no others), and the others stay at 1.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from numbers import Real
 from typing import cast
 
 from .errors import BadValueError
+from .limits import check_level
 
 #: The light that every data set has: sky, sun and fill.
 AMBIENT = "ambient"
@@ -38,8 +38,8 @@ def check_lights(lights: object, whose: str) -> tuple[str, ...]:
 def as_levels(level: Levels, lights: Sequence[str]) -> tuple[float, ...]:
     """One level for each of ``lights``; a plain number is the first one's, the others are then at 1.
 
-    Raises ``BadValueError`` where there are more or fewer levels than lights, and where one is negative, NaN
-    or infinite.
+    Raises ``BadValueError`` where there are more or fewer levels than lights, and where one is negative, NaN,
+    or neither 0 nor within ``limits.LEVEL``.
     """
     if isinstance(level, Real):
         levels = (float(level), *(1.0 for _ in lights[1:]))
@@ -51,9 +51,10 @@ def as_levels(level: Levels, lights: Sequence[str]) -> tuple[float, ...]:
             f"Give one for each of: {', '.join(lights)}.",
         )
     for name, value in zip(lights, levels, strict=True):
-        if not (value >= 0.0 and math.isfinite(value)):
-            of_which = f" of {name}" if len(lights) > 1 else ""
-            raise BadValueError(f"the lighting level{of_which} must be 0 or more, got {value}")
+        whose = f"the lighting level of {name}" if len(lights) > 1 else "the lighting level"
+        if not value >= 0.0:
+            raise BadValueError(f"{whose} must be 0 or more, got {value}")
+        check_level(value, whose)
     return levels
 
 

@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 
 from .display import ColorSpace, log_radiance_of
-from .errors import BadValueError
+from .errors import BadValueError, FileDamagedError
 from .gaussian_ply import read_ply
 from .lights import AMBIENT, check_lights
+from .limits import FARTHEST, check_position
 from .model_file import ADDITIVE_LIGHTS, Model
 from .spherical_harmonics import C0
 
@@ -32,6 +33,8 @@ AMBIENT_LOGITS, LIGHT_LOGITS = "phys_ambient_share_logits", "phys_light_share_lo
 PROVENANCE = "PhysHDR "
 #: Tensors are stored as base64 in comment lines of at most this many characters.
 COMMENT_WIDTH = 400
+#: No column of a Gaussian has a larger value; squares and sums of such are still finite in float32.
+ABSURD = 1e15
 #: Columns that say how a lossless PLY's radiance is made; without all of them it is a standard PLY.
 _RADIANCE = ("phys_reflectance_dc_0", "phys_log_illumination_0")
 
@@ -118,15 +121,20 @@ def _usable(path: Path, columns: dict[str, np.ndarray]) -> tuple[dict[str, np.nd
     """The columns without Gaussians that have a value nobody can draw, and how many those were."""
     if not len(columns["x"]):
         raise BadValueError(f"{path} has no Gaussians", "Choose another file.")
-    # A sum is finite only where everything in it is: one pass. float64, so that it cannot overflow.
-    total = np.zeros(len(columns["x"]))
-    with np.errstate(invalid="ignore"):
-        for column in columns.values():
-            total += column
-        length = sum(np.square(columns[f"rot_{i}"], dtype=np.float64) for i in range(4))
-        usable = np.isfinite(total) & (length > 1e-12)
-        for axis in range(3):
-            usable &= columns[f"scale_{axis}"] < 80.0  # exp overflows float32 at 88.7
+    most = np.zeros(len(columns["x"]), np.float32)
+    for column in columns.values():
+        np.maximum(most, np.abs(column), out=most)  # NaN stays
+    length = sum(np.square(columns[f"rot_{i}"], dtype=np.float64) for i in range(4))
+    usable = (most <= ABSURD) & (length > 1e-12)
+    for axis in range(3):
+        usable &= columns[f"scale_{axis}"] < 80.0  # exp overflows float32 at 88.7
+    near = np.ones_like(usable)
+    for axis in "xyz":
+        near &= np.abs(columns[axis]) <= FARTHEST
+    if usable.any() and not (usable & near).any():
+        first = int(np.argmax(usable))
+        check_position((columns[axis][first] for axis in "xyz"), f"{path}: its first Gaussian")
+    usable &= near
     left_out = int(usable.size - np.count_nonzero(usable))
     if left_out == usable.size:
         raise BadValueError(
@@ -165,6 +173,15 @@ def _colour_sh(columns: dict[str, np.ndarray]) -> np.ndarray:
 def _lossless_model(path: Path, columns: dict[str, np.ndarray], comments: Sequence[str]) -> Model:
     """The model of our own parameters: ln radiance = ln illumination + ln reflectance(ω)."""
     coefficients = 1 + sum(name.startswith("phys_reflectance_rest_") for name in columns) // 3
+    wanted = [f"phys_reflectance_dc_{c}" for c in range(3)]
+    wanted += [f"phys_reflectance_rest_{k}" for k in range(3 * (coefficients - 1))]
+    lacking = [name for name in wanted if name not in columns]
+    if lacking or coefficients not in (1, 4, 9, 16):
+        raise FileDamagedError(
+            f"{path}: the columns of its reflectance are not those of SH degree 0 to 3"
+            + (f" (it has no {lacking[0]})" if lacking else ""),
+            "Export it again (physhdr export).",
+        )
     sh = np.empty((len(columns["x"]), coefficients, 3), np.float32)
     for channel in range(3):
         # One illumination a Gaussian, or one a channel.

@@ -7,8 +7,6 @@ deviation, over the seeds, of the mean over scenes: what another seed would have
 
 import csv
 import io
-import json
-import math
 import statistics
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -20,6 +18,8 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
+from ...bridge.regular import read_json_object
+from .inspected import is_number
 from .published import published_means
 
 FORMAT, VERSION = "physhdr-evaluation", 1
@@ -60,17 +60,15 @@ def load_evaluation(path: Path | str) -> dict[str, Any]:
     path = Path(path)
     path = path / EVALUATION_FILE if path.is_dir() else path
     remedy = "Run physhdr evaluate on the run again."
-    if not path.is_file():
+    if not path.exists():
         raise FileMissingError(f"there is no evaluation at {path}", "Run physhdr evaluate on the run first.")
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError, OSError) as error:
-        raise FileDamagedError(f"{path} cannot be read: {error}", remedy) from error
+    content = read_json_object(path, remedy)
     match content:
-        case {"format": "physhdr-evaluation", "version": 1, "means": {**means}, "conditions": {}} if all(
-            value is None or isinstance(value, dict) for value in means.values()
-        ):
-            return content
+        case {"format": "physhdr-evaluation", "version": 1, "means": {**means}, "conditions": {}}:
+            relit = content.get("relit_means") or {}
+            parts = [*means.values(), relit, *(relit.values() if isinstance(relit, dict) else ())]
+            if all(part is None or isinstance(part, dict) for part in parts):
+                return content
     raise FileDamagedError(f"{path} is not a {FORMAT} of version {VERSION}", remedy)
 
 
@@ -113,11 +111,11 @@ class Column:
         elif part == "cost":
             value = entry.cost.get(metric)
         elif part == "relit":
-            means = entry.evaluation.get("relit_means", {}).get("all") or {}
+            means = (entry.evaluation.get("relit_means") or {}).get("all") or {}
             value = means.get("ours" if metric == "psnr" else "gain_over_scaled_truth")
         else:
             value = (entry.evaluation["means"].get(PARTS[part]) or {}).get(metric)
-        return float(value) if isinstance(value, int | float) and math.isfinite(value) else None
+        return float(value) if is_number(value) else None
 
     def text(self, value: float, mean: float | None = None) -> str:
         """As the tables print it; a spread with as many decimals as its ``mean``."""

@@ -6,7 +6,6 @@ itself, and then the reader has the last word.
 """
 
 import hashlib
-import json
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +14,8 @@ from typing import Any
 import numpy as np
 
 from ...bridge.errors import PhysHDRError
+from ...bridge.limits import EXPOSURE
+from ...bridge.regular import read_json_object
 from ..scene import Scene, read_scene
 from ..scene.hdr_nerf_syn import LOOKS_FOR, NAME, OURS
 from ..scene.pictures import read_exr, read_png
@@ -43,7 +44,7 @@ def inspect(root: Path, downscale: float | None = None) -> Inspection:
     Raises nothing that a damaged data set could cause.
     """
     root = Path(root)
-    if (root / LOOKS_FOR).is_file():
+    if (root / LOOKS_FOR).exists():
         walk = _Inspector(root)
         _ask_the_reader(root, downscale, walk.found, walk.faulty)
         return walk.found
@@ -100,12 +101,9 @@ class _Inspector:
     def _json(self, path: Path) -> dict[str, Any]:
         """The object in a file; {} and an error where it holds none."""
         try:
-            content = json.loads(path.read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            return self._fault(path, f"{path} is missing")
-        except (OSError, ValueError, RecursionError) as error:
-            return self._fault(path, f"{path} is not valid JSON: {error}")
-        return content if isinstance(content, dict) else self._fault(path, f"{path} holds no object")
+            return read_json_object(path)
+        except PhysHDRError as error:
+            return self._fault(path, error.message)
 
     def _fault(self, path: Path, message: str) -> dict[str, Any]:
         self.faulty.add(path)
@@ -118,7 +116,7 @@ class _Inspector:
         brackets: dict[str, dict[int, float]] = {}
         for key, seconds in self._json(self.root / f"exposure_{split}.json").items():
             parts = re.fullmatch(r"(?:\./)?(.+)_(\d+)\.png", key)
-            if parts and is_number(seconds) and seconds > 0:
+            if parts and is_number(seconds) and seconds in EXPOSURE:
                 brackets.setdefault(parts.group(1), {})[int(parts.group(2))] = float(seconds)
         frames = []
         listed = transforms.get("frames")

@@ -5,7 +5,6 @@ The weights are not ours to ship: the user gives the path of an ``.npz`` with Al
 (``conv{0,3,6,8,10}.weight/.bias``) and the five linear heads (``lin0`` … ``lin4``).
 """
 
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +12,16 @@ import torch
 from torch.nn import functional
 
 from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
+from ...bridge.regular import damaged_where_it_fails, regular_file
 
 #: (name, stride, padding, max-pooled before) of AlexNet's convolutions, torchvision's numbering.
 LAYERS = (("conv0", 4, 2, False), ("conv3", 1, 2, True), ("conv6", 1, 1, True), ("conv8", 1, 1, False))
 LAYERS += (("conv10", 1, 1, False),)
+#: Output and input channels and the side of each convolution's weight.
+SHAPES = {"conv0": (64, 3, 11), "conv3": (192, 64, 5), "conv6": (384, 192, 3), "conv8": (256, 384, 3)}
+SHAPES["conv10"] = (256, 256, 3)
+#: Bytes of an array, unpacked; the largest of these has 3.5 million.
+LARGEST_ARRAY = 1 << 26
 #: ImageNet's mean and deviation, as LPIPS states them for inputs in −1…1.
 SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 #: Smaller pictures vanish in the second pooling.
@@ -35,15 +40,28 @@ class Lpips:
         """Load the weights; raises ``FileMissingError`` or ``FileDamagedError``."""
         path = Path(path)
         remedy = "Give the path of lpips_alex_v0.1_float32.npz, or none to leave LPIPS out."
-        if not path.is_file():
+        if not path.exists():
             raise FileMissingError(f"the LPIPS weights {path} are missing", remedy)
-        names = [f"{layer[0]}.{kind}" for layer in LAYERS for kind in ("weight", "bias")]
-        names += [f"lin{i}" for i in range(len(LAYERS))]
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                arrays = {name: np.asarray(file[name], np.float32) for name in names}
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-            raise FileDamagedError(f"{path} does not hold the weights of LPIPS: {error}", remedy) from error
+        regular_file(path, remedy)
+        shapes: dict[str, tuple[int, ...]] = {}
+        for i, (name, (wide, deep, side)) in enumerate(SHAPES.items()):
+            shapes |= {
+                f"{name}.weight": (wide, deep, side, side),
+                f"{name}.bias": (wide,),
+                f"lin{i}": (wide,),
+            }
+        what = f"{path} does not hold the weights of LPIPS"
+        arrays = {}
+        with damaged_where_it_fails(what, remedy), np.load(path, allow_pickle=False) as file:
+            large = [member.filename for member in file.zip.infolist() if member.file_size > LARGEST_ARRAY]
+            if large:
+                raise ValueError(f"{large[0]} has more than {LARGEST_ARRAY} bytes")
+            for name, shape in shapes.items():
+                # The heads are [1, C, 1, 1] in the original.
+                arrays[name] = np.asarray(file[name], np.float32).reshape(shape)
+        odd = [name for name, array in arrays.items() if not np.isfinite(array).all()]
+        if odd:
+            raise FileDamagedError(f"{what} ({odd[0]} holds NaN or infinity)", remedy)
         return cls({name: torch.from_numpy(array) for name, array in arrays.items()})
 
     def to(self, device: torch.device | str) -> "Lpips":

@@ -3,7 +3,6 @@
 imports this, and no ``Scene`` leads here.
 """
 
-import json
 import math
 import re
 from collections.abc import Callable, Sequence
@@ -12,8 +11,10 @@ from pathlib import Path
 
 import torch
 
-from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
+from ...bridge.errors import BadValueError, FileMissingError
 from ...bridge.lights import AMBIENT, check_lights, in_words, named_levels
+from ...bridge.limits import check_level
+from ...bridge.regular import read_json_object
 from ..scene.pictures import read_exr
 
 
@@ -134,6 +135,7 @@ def _named_conditions(root: Path) -> list[tuple[Path, dict[str, float]]]:
             raise BadValueError(
                 f"{folder} does not name a lighting level", "Rename it to level_0.25 and so on, or remove it."
             )
+        check_level(level, f"{folder}: its lighting level")
         found.append((folder, {AMBIENT: level}))
     return sorted(found, key=lambda condition: condition[1][AMBIENT])
 
@@ -141,13 +143,10 @@ def _named_conditions(root: Path) -> list[tuple[Path, dict[str, float]]]:
 def _listed_conditions(root: Path) -> list[tuple[Path, dict[str, float]]] | None:
     """What ``dataset.json`` lists under ``relit``, in its order; ``None`` where it lists nothing."""
     path = root / "dataset.json"
-    if not path.is_file():
+    if not path.exists():
         return None
-    try:
-        info = json.loads(path.read_text(encoding="utf-8"))
-        listed, lights = info.get("relit"), info.get("lights")
-    except (ValueError, RecursionError, AttributeError) as error:
-        raise FileDamagedError(f"{path} cannot be read: {error}", "Make the data set again.") from error
+    info = read_json_object(path, "Make the data set again.")
+    listed, lights = info.get("relit"), info.get("lights")
     if listed is None:
         return None
     if not isinstance(listed, list):
@@ -161,13 +160,15 @@ def _listed_conditions(root: Path) -> list[tuple[Path, dict[str, float]]] | None
             case _:
                 raise BadValueError(f"{where} is {entry!r}", _LIST_FORM)
         folder = root / name
-        if not folder.resolve().is_relative_to(root.resolve()):
+        if "\0" in name or not folder.resolve().is_relative_to(root.resolve()):
             raise BadValueError(f"{where}: the folder {name!r} is not in the data set", _LIST_FORM)
         if lights is not None:
             lights = check_lights(lights, str(path))
             named_levels({light: 1.0 for light in levels}, lights, where)
         if not all(type(v) in (int, float) and 0.0 <= v < math.inf for v in levels.values()):
             raise BadValueError(f"{where}: the levels are {levels!r}", "Each must be a number, 0 or more.")
+        for light, level in levels.items():
+            check_level(level, f"{where}: the level of {light!r}")
         if not folder.is_dir():
             raise FileMissingError(
                 f"{folder} is missing, which {path.name} lists", "Make the data set again, or copy it again."

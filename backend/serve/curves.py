@@ -8,7 +8,9 @@ from collections import deque
 from pathlib import Path
 from typing import Any
 
+from ...bridge.errors import PhysHDRError
 from ...bridge.messages import History
+from ...bridge.regular import regular_file
 
 #: A plot has no more pixels.
 POINTS_MAX = 4000
@@ -64,17 +66,17 @@ class Curves:
         A run that was killed has logged steps that its checkpoint does not have; a line may be cut short.
         """
         self.clear()
-        try:
-            lines = log.read_text(encoding="utf-8", errors="replace").splitlines()
-        except OSError:
-            return  # no log, no curves: nothing else depends on it
         last = 0
-        for line in lines:
-            event = _progress(line)
-            # What was done twice is taken from the first time: it was the same, on the CPU to the bit.
-            if event and last < event["iteration"] <= until:
-                last = event["iteration"]
-                self.add(last, event["losses"], event.get("monitor", {}))
+        try:
+            with open(regular_file(log), encoding="utf-8", errors="replace") as lines:
+                for line in lines:
+                    event = _progress(line)
+                    # What was done twice is taken from the first time: on the CPU it was the same to the bit.
+                    if event and last < event[0] <= until:
+                        last = event[0]
+                        self.add(*event)
+        except (OSError, PhysHDRError):
+            pass  # no log, no curves: nothing else depends on it
 
     def history(self) -> History:
         with self._lock:
@@ -87,15 +89,19 @@ class Curves:
         )
 
 
-def _progress(line: str) -> dict[str, Any] | None:
+def _progress(line: str) -> tuple[int, dict[str, float], dict[str, float]] | None:
+    """Iteration, losses and monitor of a progress event; None for others and for what cannot be read."""
     try:
-        event = json.loads(line)
-        if event["event"] == "progress":
-            float(sum(event["losses"].values()))
-            return event if type(event["iteration"]) is int else None
-    except (ValueError, KeyError, TypeError, AttributeError):
+        match json.loads(line):
+            case {"event": "progress", "iteration": int(iteration), "losses": {**losses}, **rest}:
+                return iteration, _floats(losses), _floats(dict(rest.get("monitor", {})))
+    except (ValueError, TypeError, OverflowError, RecursionError):
         pass  # a damaged line is no reason not to open a run
     return None
+
+
+def _floats(named: dict[str, Any]) -> dict[str, float]:
+    return {name: float(value) for name, value in named.items()}
 
 
 class Speed:
