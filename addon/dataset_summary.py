@@ -7,22 +7,27 @@ own reader checks more when it reads (backend/scene).
 
 from __future__ import annotations
 
-import json
 import math
 import struct
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..bridge.errors import BadValueError, FileDamagedError, FileMissingError
+from ..bridge.errors import BadValueError, FileDamagedError, FileMissingError, PhysHDRError
+from ..bridge.limits import EXPOSURE, LEVEL
+from ..bridge.regular import read_json_object, regular_file
 
 SPLITS = ("train", "test", "lit")
 FORMAT, VERSION = "physhdr-dataset", 1
 FINAL, PARTIAL = "dataset.json", "dataset.partial.json"
 POINTS = "points3d.ply"
+MOST_DIGITS = 12
+"""Of a number of points."""
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 FEWEST_EXPOSURES = 2
 """From one exposure no dynamic range can be learned."""
+MOST_STOPS = 1000
+"""float32 has 277."""
 NAMED = 3
 """So many missing files are named; of the rest the number is told."""
 
@@ -115,7 +120,7 @@ def summarise(folder: Path | str) -> DatasetSummary:
     if not folder.is_dir():
         what = "is a file" if folder.exists() else "does not exist"
         raise FileMissingError(f"The data set folder {folder} {what}", CHOOSE)
-    if not (folder / "transforms_train.json").is_file():
+    if not (folder / "transforms_train.json").exists():
         if (folder / PARTIAL).exists():
             raise FileMissingError(f"The data set in {folder} has only just been begun", MAKE_AGAIN)
         raise FileMissingError(f"{folder} is no data set: it has no transforms_train.json", CHOOSE)
@@ -136,7 +141,7 @@ def summarise(folder: Path | str) -> DatasetSummary:
         views[split] = len(frames)
         brackets[split] = _exposures(folder / f"exposure_{split}.json", warnings)
         if split == "lit":
-            levels = {float(frame.get("lighting_level", 1.0)) for frame in frames}
+            levels = _lit_levels(frames, path.name, warnings)
             lit_lights = _names(content, "lights", path.name, warnings) or lit_lights
         _check_frames(split, frames, brackets[split], warnings)
     size = _check_pictures(folder, brackets, warnings)
@@ -182,21 +187,11 @@ def _number(text: str) -> float | None:
 # ---- JSON --------------------------------------------------------------------------------------------------
 
 
-def _json(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise FileDamagedError(f"{path} cannot be read: {error}", MAKE_AGAIN) from error
-    if not isinstance(content, dict):
-        raise FileDamagedError(f"{path} holds no JSON object", MAKE_AGAIN)
-    return content
-
-
 def _info(folder: Path) -> dict[str, Any]:
     """dataset.json, or {} where there is none: HDR-NeRF-Syn's own folders have none."""
     if not (folder / FINAL).exists():
         return {}
-    info = _json(folder / FINAL)
+    info = read_json_object(folder / FINAL, MAKE_AGAIN)
     if info.get("format", FORMAT) != FORMAT:
         raise BadValueError(f"{folder / FINAL} is of the format {info['format']!r}, not {FORMAT}", CHOOSE)
     version = info.get("version", VERSION)
@@ -207,7 +202,7 @@ def _info(folder: Path) -> dict[str, Any]:
 
 def _transforms(path: Path) -> dict[str, Any]:
     """A transforms_*.json whose ``frames`` is a list of objects, and not empty."""
-    content = _json(path)
+    content = read_json_object(path, MAKE_AGAIN)
     frames = content.get("frames")
     if not isinstance(frames, list) or not all(isinstance(frame, dict) for frame in frames):
         raise FileDamagedError(f"{path} has no list 'frames'", MAKE_AGAIN)
@@ -227,15 +222,29 @@ def _names(content: dict[str, Any], key: str, file: str, warnings: list[str]) ->
     return ()
 
 
+def _lit_levels(frames: list[dict[str, Any]], file: str, warnings: list[str]) -> set[float]:
+    """The ambient levels of the extra training views; a warning where one is none."""
+    given = [frame.get("lighting_level", 1.0) for frame in frames]
+    right = [level for level in given if _is_number(level) and (level == 0 or level in LEVEL)]
+    if len(right) < len(given):
+        wrong = next(level for level in given if level not in right)
+        warnings.append(f"{file}: the lighting level {wrong!r:.80} is no number of 0 or more.")
+    return {float(level) for level in right}
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
 def _exposures(path: Path, warnings: list[str]) -> dict[str, float]:
     """Picture → seconds, the names without a leading './'."""
     if not path.exists():
         warnings.append(f"{path.name} is missing: the exposures are unknown, and training needs them.")
         return {}
     found = {}
-    for name, seconds in _json(path).items():
-        if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not 0 < seconds < math.inf:
-            warnings.append(f"{path.name}: the exposure of {name} is {seconds!r}, no time in seconds.")
+    for name, seconds in read_json_object(path, MAKE_AGAIN).items():
+        if not _is_number(seconds) or seconds not in EXPOSURE:
+            warnings.append(f"{path.name}: the exposure of {name} is {seconds!r:.80}, no time in seconds.")
         else:
             found[_plain(name)] = float(seconds)
     return found
@@ -270,9 +279,9 @@ def _check_pictures(
     for names in brackets.values():
         for name in names:
             try:
-                with open(folder / name, "rb") as file:
+                with open(regular_file(folder / name), "rb") as file:
                     head = file.read(24)
-            except OSError:
+            except (OSError, PhysHDRError):
                 missing.append(name)
                 continue
             if len(head) < 24 or head[:8] != PNG_SIGNATURE:
@@ -306,8 +315,9 @@ def _check_exposures(train: dict[str, float], warnings: list[str]) -> tuple[floa
 
 def _stops(info: dict[str, Any], exposures: tuple[float, ...]) -> tuple[float | None, str]:
     measured = info.get("dynamic_range")
-    if isinstance(measured, dict) and isinstance(measured.get("stops"), int | float):
-        return float(measured["stops"]), "measured"
+    stops = measured.get("stops") if isinstance(measured, dict) else None
+    if _is_number(stops) and abs(stops) < MOST_STOPS:
+        return float(stops), "measured"
     if len(exposures) > 1:
         return math.log2(exposures[-1] / exposures[0]), "between the shortest and the longest exposure"
     return None, ""
@@ -318,10 +328,19 @@ def _point_count(path: Path, warnings: list[str]) -> int | None:
     if not path.exists():
         warnings.append(f"{path.name} is missing: training starts from points made up from the views.")
         return None
-    with open(path, "rb") as file:
-        head = file.read(4096).partition(b"end_header")[0].split(b"\n")
-    counts = [line.split()[2] for line in head if line.startswith(b"element vertex ")]
-    if not head[0].startswith(b"ply") or not counts or not counts[0].isdigit():
+    try:
+        with open(regular_file(path), "rb") as file:
+            head = file.read(4096).partition(b"end_header")[0].split(b"\n")
+    except (OSError, PhysHDRError) as error:
+        warnings.append(f"{path.name} cannot be read: {error}.")
+        return None
+    counts = [line.split()[-1] for line in head if line.startswith(b"element vertex ")]
+    if (
+        not head[0].startswith(b"ply")
+        or not counts
+        or not counts[0].isdigit()
+        or len(counts[0]) > MOST_DIGITS
+    ):
         warnings.append(f"{path.name} is no PLY file of points.")
         return None
     return int(counts[0])

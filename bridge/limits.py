@@ -54,7 +54,12 @@ EXPOSURE = Bounds(
 )
 
 #: Lighting levels other than 0. Data sets have 1/1024 to 1024; a level enters the networks as its logarithm.
-LEVEL = Bounds(1e-6, 1e6, "times the standard light", "Light cannot be negative, and one that is switched off has the level 0.")
+LEVEL = Bounds(
+    1e-6,
+    1e6,
+    "times the standard light",
+    "Light cannot be negative, and one that is switched off has the level 0.",
+)
 
 #: Focal lengths in pixels: a picture of 100 pixels with a focal length of 0.01 sees 179.99 degrees, which no
 #: pinhole camera does; a telescope of 10 m on pixels of 3 µm has 3e6.

@@ -112,7 +112,7 @@ def tensors_from_comments(kind: str, comments: Sequence[str]) -> dict[str, np.nd
         try:
             values = np.frombuffer(base64.b64decode("".join(parts), validate=True), "<f4")
             tensors[name] = values.reshape(json.loads(shapes[name])).copy()
-        except (ValueError, TypeError, RecursionError):
+        except (ValueError, TypeError, RecursionError, OverflowError):
             continue
     return tensors
 

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from . import folder
 from .errors import DamagedFileError, NotFiniteError
 
 MAGIC = 20000630
@@ -51,11 +52,10 @@ def read_channels(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
         DamagedFileError: the file is not whole, or not of this kind.
         NotFiniteError: it has values that are not finite.
     """
+    data = folder.read(path)
     try:
-        channels, texts = _decode(path.read_bytes())
-    except OSError as error:
-        raise DamagedFileError(f"cannot read '{path}': {error.strerror or error}") from error
-    except (ValueError, KeyError, IndexError, struct.error, zlib.error) as error:
+        channels, texts = _decode(data)
+    except Exception as error:  # whatever fails on the bytes says that they are damaged
         raise DamagedFileError(
             f"'{path}' is damaged ({error}): delete it and run again to make it anew"
         ) from error
@@ -128,14 +128,20 @@ def _decode(data: bytes) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     if height * width * len(names) * 4 > 1100 * len(data):
         raise ValueError("too short for its size")
     planes = np.empty((height, len(names), width), np.float32)
+    missing = set(range(0, height, step))  # lines at which a block begins
     for (offset,) in struct.iter_unpack("<Q", data[at : at + 8 * blocks]):
+        if offset + 8 > len(data):
+            raise ValueError("ends early")
         line, size = struct.unpack_from("<ii", data, offset)
         packed = data[offset + 8 : offset + 8 + size]
+        if len(packed) != size or line - y0 not in missing:
+            raise ValueError("ends early, or has lines twice")
+        missing.remove(line - y0)
         rows = planes[line - y0 : line - y0 + step]
-        if len(packed) != size or not len(rows):
-            raise ValueError("ends early")
         raw = packed if size == rows.nbytes else _unzip(packed, rows.nbytes)
         rows[:] = np.frombuffer(raw, "<f4").reshape(rows.shape)
+    if missing:
+        raise ValueError("ends early")
     texts = {
         name: value.decode("utf-8", "replace") for name, (kind, value) in header.items() if kind == "string"
     }
@@ -149,6 +155,8 @@ def _header(data: bytes, at: int) -> tuple[dict[str, tuple[str, bytes]], int]:
         name_end = data.index(b"\0", at)
         type_end = data.index(b"\0", name_end + 1)
         (size,) = struct.unpack_from("<i", data, type_end + 1)
+        if not 0 <= size <= len(data):
+            raise ValueError("an attribute of an impossible size")
         kind = data[name_end + 1 : type_end].decode("latin-1")
         attributes[data[at:name_end].decode("latin-1")] = (kind, data[type_end + 5 : type_end + 5 + size])
         at = type_end + 5 + size
@@ -178,8 +186,10 @@ def _zip(raw: bytes) -> bytes:
 
 
 def _unzip(packed: bytes, size: int) -> bytes:
-    flat = np.frombuffer(zlib.decompress(packed), np.uint8)
-    if flat.size != size:
+    # Not more than is wanted: a block of a megabyte may unpack to a gigabyte. One byte more tells of more.
+    unpacking = zlib.decompressobj()
+    flat = np.frombuffer(unpacking.decompress(packed, size + 1), np.uint8)
+    if not unpacking.eof or flat.size != size:
         raise ValueError("block of the wrong size")
     delta = flat.astype(np.int64)
     delta[1:] -= 128

@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 import secrets
+import stat
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -58,6 +59,20 @@ def write(path: Path, data: bytes) -> None:
         ) from error
 
 
+def read(path: Path) -> bytes:
+    """All of a file. Nothing else is opened: a pipe in the folder would be waited for for ever.
+
+    Raises:
+        DamagedFileError: not a file, or not to be read.
+    """
+    try:
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise DamagedFileError(f"cannot read '{path}': it is not a file: remove it")
+        return path.read_bytes()
+    except OSError as error:
+        raise DamagedFileError(f"cannot read '{path}': {error.strerror or error}") from error
+
+
 def remove_leftovers(folder: Path) -> None:
     """Remove the half-written files of runs that were killed. Only when nobody writes any more."""
     for path in folder.rglob(f".*{TEMPORARY}*"):
@@ -72,11 +87,11 @@ def write_json(path: Path, content: dict[str, Any]) -> None:
 def read_json(path: Path) -> dict[str, Any]:
     """
     Raises:
-        DamagedFileError: not JSON, or not an object.
+        DamagedFileError: not a file, not JSON, or not an object.
     """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+        content = json.loads(read(path).decode("utf-8"))
+    except (ValueError, RecursionError) as error:
         raise DamagedFileError(
             f"'{path}' is damaged ({error}): delete it, or choose another folder (--out)"
         ) from error
@@ -116,7 +131,8 @@ def open_folder(folder: Path, options: dict[str, Any], maker: dict[str, str]) ->
             )
         return {}
     state = read_json(folder / names[0])
-    if state.get("format") != FORMAT or state.get("version") != VERSION or "options" not in state:
+    ours = state.get("format") == FORMAT and state.get("version") == VERSION
+    if not ours or not isinstance(state.get("options"), dict):
         raise OutputFolderError(
             f"'{folder / names[0]}' is not of this program: choose another folder (--out)"
         )

@@ -5,8 +5,12 @@ from __future__ import annotations
 
 import struct
 import zlib
+from pathlib import Path
 
 import numpy as np
+
+from . import folder
+from .errors import DamagedFileError
 
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
@@ -28,6 +32,21 @@ def encode(image: np.ndarray) -> bytes:
         + _chunk(b"IDAT", zlib.compress(rows.tobytes(), 9))
         + _chunk(b"IEND", b"")
     )
+
+
+def read(path: Path) -> np.ndarray:
+    """Image [height, width, 3] uint8 of a file that ``encode`` made.
+
+    Raises:
+        DamagedFileError: the file is not there, not whole, or not of this kind.
+    """
+    data = folder.read(path)
+    try:
+        return decode(data)
+    except Exception as error:  # whatever fails on the bytes says that they are damaged
+        raise DamagedFileError(
+            f"'{path}' is damaged ({error}): delete it and run again to make it anew"
+        ) from error
 
 
 def decode(data: bytes) -> np.ndarray:

@@ -150,7 +150,7 @@ def test_what_is_wrong_is_told(folder, spoil, told):
     [
         (lambda f: (f / "transforms_train.json").unlink(), FileMissingError, "no transforms_train.json"),
         (lambda f: (f / "transforms_test.json").write_text("{"), FileDamagedError, "transforms_test.json"),
-        (lambda f: (f / "transforms_test.json").write_text("[]"), FileDamagedError, "no JSON object"),
+        (lambda f: (f / "transforms_test.json").write_text("[]"), FileDamagedError, "not an object"),
         (lambda f: (f / "transforms_test.json").write_text("{}"), FileDamagedError, "no list 'frames'"),
         (lambda f: (f / "exposure_test.json").write_bytes(b"\xff"), FileDamagedError, "exposure_test.json"),
         (lambda f: (f / "dataset.json").write_text('{"format": "x"}'), BadValueError, "format 'x'"),
