@@ -122,8 +122,9 @@ def _usable(path: Path, columns: dict[str, np.ndarray]) -> tuple[dict[str, np.nd
     if not len(columns["x"]):
         raise BadValueError(f"{path} has no Gaussians", "Choose another file.")
     most = np.zeros(len(columns["x"]), np.float32)
-    for column in columns.values():
-        np.maximum(most, np.abs(column), out=most)  # NaN stays
+    with np.errstate(invalid="ignore"):
+        for column in columns.values():
+            np.maximum(most, np.abs(column), out=most)  # NaN stays
     length = sum(np.square(columns[f"rot_{i}"], dtype=np.float64) for i in range(4))
     usable = (most <= ABSURD) & (length > 1e-12)
     for axis in range(3):

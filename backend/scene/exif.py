@@ -73,7 +73,7 @@ def tags_of(picture: Image.Image) -> Tags:
     try:
         exif = picture.getexif()
         return {**exif, **exif.get_ifd(ExifTags.IFD.Exif)}
-    except (SyntaxError, ValueError, KeyError, TypeError, struct.error):
+    except (OSError, SyntaxError, ValueError, KeyError, TypeError, IndexError, OverflowError, struct.error):
         return {}
 
 

@@ -325,7 +325,7 @@ def test_script_sets_other_lights(make_model, write, camera_file, tmp_path, look
         ("model", "is truncated"),
         ("no model", "there is no model file"),
         ("index", "has no camera 5"),
-        ("json", "is not JSON"),
+        ("json", "is not valid JSON"),
         ("nan", "not a finite 4×4 pose"),
         ("no camera", "there is no camera file"),
         ("out", "cannot"),

@@ -2,13 +2,14 @@
 """Each photo's exposure in seconds: from its EXIF, or from a file that the user gives."""
 
 import csv
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ....bridge.errors import BadValueError, DataMismatchError, FileDamagedError, FileMissingError
+from ....bridge.errors import BadValueError, DataMismatchError, FileMissingError
+from ....bridge.limits import EXPOSURE
+from ....bridge.regular import damaged_where_it_fails, read_json_object, read_text
 from ..exif import Exif, comparable
 from .photos import Photo
 
@@ -35,7 +36,8 @@ def exposures_from_exif(photos: Sequence[Photo]) -> Exposures:
     """Seconds at ISO 100 and at the photos' median aperture (``exif.comparable``).
 
     What no photo tells (ISO, aperture: a manual lens) is the same for all of them and cancels. Raises
-    ``DataMismatchError`` where a time is missing, or where only some photos tell the rest.
+    ``DataMismatchError`` where a time is missing, or where only some photos tell the rest, ``BadValueError``
+    where an exposure comes out absurd.
     """
     _require(photos, "exposure time", [photo.shutter for photo in photos])
     iso = [photo.iso for photo in photos]
@@ -49,7 +51,10 @@ def exposures_from_exif(photos: Sequence[Photo]) -> Exposures:
         aperture = "one aperture that EXIF does not tell"
     else:
         aperture = f"f/{exposures.f_number:g}"
-    seconds = {photo.name: value for photo, value in zip(photos, exposures.seconds, strict=True)}
+    seconds = {
+        photo.name: EXPOSURE.check(value, f"{photo.path}: the exposure by its EXIF data")
+        for photo, value in zip(photos, exposures.seconds, strict=True)
+    }
     return Exposures(seconds, f"EXIF; seconds at {at} and {aperture}")
 
 
@@ -68,15 +73,13 @@ def exposures_from_file(path: Path, photos: Sequence[Photo]) -> Exposures:
     Raises ``FileMissingError``, ``FileDamagedError`` (neither JSON nor CSV), ``BadValueError`` (no positive
     number), ``DataMismatchError`` (a photo without an exposure).
     """
-    if not path.is_file():
+    if not path.exists():
         raise FileMissingError(f"the file of exposures {path} does not exist", GIVE_A_FILE)
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-        table = json.loads(text) if path.suffix.lower() == ".json" else _csv(text)
-    except ValueError as error:  # both kinds: not UTF-8, not JSON
-        raise FileDamagedError(f"{path} is not readable: {error}", GIVE_A_FILE) from error
-    if not isinstance(table, dict):
-        raise FileDamagedError(f"{path} is not one JSON object", GIVE_A_FILE)
+    if path.suffix.lower() == ".json":
+        table = read_json_object(path, GIVE_A_FILE)
+    else:
+        with damaged_where_it_fails(f"{path} is not readable", GIVE_A_FILE):
+            table = _csv(read_text(path, GIVE_A_FILE))
     seconds = {}
     for photo in photos:
         entry = table.get(photo.name, table.get(photo.path.stem))
@@ -113,6 +116,6 @@ def _seconds(entry: object, name: str, path: Path) -> float:
         seconds = math.nan
     if isinstance(entry, bool) or not (math.isfinite(seconds) and seconds > 0.0):
         raise BadValueError(
-            f"{path} gives {name} the exposure {entry!r}", "Give seconds above 0: 0.5 or 1/60."
+            f"{path} gives {name} the exposure {entry!r:.80}", "Give seconds above 0: 0.5 or 1/60."
         )
-    return seconds
+    return EXPOSURE.check(seconds, f"{path}: the exposure of {name}")

@@ -3,7 +3,6 @@
 
 import math
 import re
-import struct
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -12,11 +11,13 @@ import numpy as np
 from PIL import ExifTags, Image, ImageOps
 
 from ....bridge.errors import DataMismatchError, FileDamagedError, FileMissingError
+from ....bridge.regular import damaged_where_it_fails
 from ..exif import Tags, exposure_of, positive, tags_of
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
 #: What cameras write that is no 8-bit picture; named in the message where nothing else is found.
 RAW_SUFFIXES = (".cr2", ".cr3", ".nef", ".arw", ".dng", ".orf", ".raf", ".rw2", ".pef", ".heic", ".heif")
+COPY_AGAIN = "Copy it again, or move it away."
 #: Pillow's modes of 8 bits a channel that become RGB without loss; alpha is ignored, never composited.
 EIGHT_BIT_MODES = ("L", "LA", "P", "RGB", "RGBA", "RGBX")
 #: Orientation tags under which width and height change places.
@@ -55,11 +56,9 @@ class Photo:
 
     def decode(self) -> Image.Image:
         """The picture as RGB, 8 bits, upright; raises ``FileDamagedError``."""
-        try:
-            with Image.open(self.path, formats=["JPEG", "PNG", "TIFF"]) as picture:
-                return ImageOps.exif_transpose(picture).convert("RGB")
-        except (OSError, SyntaxError, ValueError, struct.error, Image.DecompressionBombError) as error:
-            raise _damaged(self.path, error) from error
+        unreadable = damaged_where_it_fails(f"{self.path} is not a readable photo", COPY_AGAIN)
+        with unreadable, Image.open(self.path, formats=["JPEG", "PNG", "TIFF"]) as picture:
+            return ImageOps.exif_transpose(picture).convert("RGB")
 
     def thumbnail(self, side: int = 256) -> np.ndarray:
         """``[h, w, 3]`` uint8 at most ``side`` wide and high, by picking pixels, so that clipping stays."""
@@ -122,22 +121,16 @@ def _require_one_size(photos: list[Photo]) -> None:
         )
 
 
-def _damaged(path: Path, error: Exception) -> FileDamagedError:
-    return FileDamagedError(f"{path} is not a readable photo ({error})", "Copy it again, or move it away.")
-
-
 def _read_header(path: Path) -> Photo:
-    try:
-        with Image.open(path, formats=["JPEG", "PNG", "TIFF"]) as picture:
-            if picture.mode not in EIGHT_BIT_MODES:
-                raise FileDamagedError(
-                    f"{path} is not an 8-bit RGB picture (Pillow's mode {picture.mode})",
-                    "Save it again as JPEG, PNG or TIFF with 8 bits a channel, RGB.",
-                )
-            width, height = picture.size
-            tags = tags_of(picture)
-    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
-        raise _damaged(path, error) from error
+    unreadable = damaged_where_it_fails(f"{path} is not a readable photo", COPY_AGAIN)
+    with unreadable, Image.open(path, formats=["JPEG", "PNG", "TIFF"]) as picture:
+        if picture.mode not in EIGHT_BIT_MODES:
+            raise FileDamagedError(
+                f"{path} is not an 8-bit RGB picture (Pillow's mode {picture.mode})",
+                "Save it again as JPEG, PNG or TIFF with 8 bits a channel, RGB.",
+            )
+        width, height = picture.size
+        tags = tags_of(picture)
     if tags.get(ExifTags.Base.Orientation) in TURNED:
         width, height = height, width
     exposure = exposure_of(tags)

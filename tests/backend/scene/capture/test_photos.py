@@ -91,8 +91,8 @@ def test_exposures_from_files(room, tmp_path):
         ("e.json", '{"a.jpg": 1, "b.jpg": 0}', "gives b.jpg the exposure 0"),
         ("e.json", '{"a.jpg": 1, "b.jpg": "fast"}', "'fast'"),
         ("e.json", '{"a.jpg": 1, "b.jpg": NaN}', "nan"),
-        ("e.json", "[1, 2]", "not one JSON object"),
-        ("e.json", "{", "not readable"),
+        ("e.json", "[1, 2]", "holds a list, not an object"),
+        ("e.json", "{", "not valid JSON"),
         ("e.csv", "a.jpg\nb.jpg\n", "line 1 is not 'name,seconds'"),
     ],
 )
