@@ -1,0 +1,405 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""SIGKILL to trainings, which then go on and must end as if nothing had happened, bit for bit."""
+
+import hashlib
+import json
+import os
+import shutil
+import time
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .bench import PATIENCE, Bench, Result, code_fingerprint
+from .oracle import (
+    SkipError,
+    badly_refused,
+    checkpoint,
+    different_tensors,
+    events,
+    lost_seconds,
+    temporaries,
+    tracebacks,
+)
+from .processes import Program
+
+CHECKPOINT, CONFIG, LOG = "checkpoint.safetensors", "config.json", "log.jsonl"
+BEGUN = "training from"
+#: How often the killed trainings save, seconds; every fifth has the command's own default.
+SECONDS_BETWEEN, DEFAULT_SECONDS = 5.0, 30.0
+#: A kill may cost the time between checkpoints, half as much for the time that a checkpoint takes, and this.
+SLACK = 10.0
+#: What an undisturbed training may take, seconds, on a machine that does other things as well.
+LONG = 7200.0
+#: Where chosen moments are looked for, how often: a small checkpoint is written in milliseconds.
+FINE = 0.0005
+
+
+@dataclass(frozen=True)
+class Size:
+    """Of the trainings that are killed."""
+
+    data: Path
+    words: tuple[object, ...]
+    old_iterations: int
+    seconds_between: float
+
+    @property
+    def key(self) -> str:
+        told = [str(self.data.resolve()), [str(word) for word in self.words], code_fingerprint()]
+        return hashlib.sha256(json.dumps(told).encode()).hexdigest()[:10]
+
+
+def size_of(bench: Bench) -> Size:
+    options = bench.options
+    if bench.short:
+        words = ("--threads", options.threads, "--iterations", 250)
+        return Size(bench.material.data, words, 40, 0.2)
+    if options.data is None or not (options.data / "dataset.json").is_file():
+        raise SkipError(f"there is no data set {options.data}: make demo, or give --data")
+    return Size(options.data, ("--threads", options.threads), 60, SECONDS_BETWEEN)
+
+
+def kill_trainings(bench: Bench) -> Result:
+    """``trainings`` × ``kills``, several at a time; what is done is kept in the folder."""
+    size = size_of(bench)
+    kills = 4 if bench.short else bench.options.kills
+    count = 1 if bench.short else bench.options.trainings
+    home = bench.folder / size.key
+    _old_run(bench, size, home)
+    with ThreadPoolExecutor(1 if bench.short else bench.options.jobs) as pool:
+        told = list(pool.map(lambda n: Killed(bench, size, home, n, kills).run(), range(count)))
+    while _kills(told) < count * kills and len(told) < 2 * count:  # some came to their end too early
+        told.append(Killed(bench, size, home, len(told), count * kills - _kills(told)).run())
+    result = Result("kills", tries=_kills(told))
+    for each in told:
+        result.complain(each["complaints"], f"seed {each['seed']}")
+    blows = [kill for each in told for kill in each["kills"]]
+    moments = {name: sum(blow["moment"] == name for blow in blows) for name in MOMENTS}
+    worst = max((blow["lost"] for blow in blows), default=0.0)
+    identical = sum(each["identical"] for each in told)
+    result.facts += [
+        f"{identical} of {len(told)} trainings bit-identical with undisturbed ones",
+        "kills: " + ", ".join(f"{number} {name}" for name, number in moments.items() if number),
+        f"{sum(blow['saved'] is None for blow in blows)} before the first checkpoint",
+        f"a kill cost {worst:.1f} s at most",
+    ]
+    return result
+
+
+def _kills(told: list[dict[str, Any]]) -> int:
+    return sum(len(each["kills"]) for each in told)
+
+
+def _old_run(bench: Bench, size: Size, home: Path) -> None:
+    """A finished training of another configuration, to be overwritten."""
+    old = home / "old"
+    if not (old / "done").exists():
+        words = ("--preset", "fast", "--seed", 999, *_without_iterations(size.words))
+        words = ("train", size.data, "--out", old, "--overwrite", *words)
+        bench.must(bench.physhdr(*words, "--iterations", size.old_iterations, log=home / "old.log"))
+        (old / "done").touch()
+
+
+def _without_iterations(words: tuple[object, ...]) -> tuple[object, ...]:
+    return words[: words.index("--iterations")] if "--iterations" in words else words
+
+
+MOMENTS = ("random", "overwriting", "begun", "saving", "final")
+
+
+class Killed:
+    """One training, its undisturbed twin, and the ledger of what was done to it."""
+
+    def __init__(self, bench: Bench, size: Size, home: Path, number: int, kills: int) -> None:
+        self.bench, self.size, self.kills = bench, size, kills
+        self.seed = 100 + number
+        self.folder, self.twin = home / f"seed_{self.seed}", home / f"undisturbed_{self.seed}"
+        self.old, self.log = home / "old", home / f"seed_{self.seed}.log"
+        self._ledger = home / f"seed_{self.seed}.json"
+        self.between = size.seconds_between
+        self.options: tuple[object, ...] = ("--checkpoint-seconds", self.between)
+        if number % 5 == 4 and not bench.short:
+            self.between, self.options = DEFAULT_SECONDS, ()
+        self.state: dict[str, Any] = {"seed": self.seed, "kills": [], "complaints": [], "identical": False}
+        with suppress(OSError, ValueError):
+            self.state = json.loads(self._ledger.read_text(encoding="utf-8"))
+        self.rng = np.random.default_rng([bench.options.seed, self.seed, len(self.state["kills"])])
+
+    def run(self) -> dict[str, Any]:
+        if self.state.get("done"):
+            self._say("done before")
+            return self.state
+        self._train_the_twin()
+        self.total = int(checkpoint(self.twin / CHECKPOINT)[1]["iteration"])
+        if not self.folder.exists():
+            shutil.copytree(self.old, self.folder)
+        tries, ended = 0, False
+        while len(self.state["kills"]) < self.kills and tries < 3 * self.kills and not ended:
+            tries += 1
+            ended = not self._strike(self._next_moment())
+        if not ended:
+            self._strike("final")
+        self._finish()
+        return self.state
+
+    # -- the undisturbed one ---------------------------------------------------------------------------
+
+    def _train_the_twin(self) -> None:
+        done = self.twin / "undisturbed.json"
+        if not done.exists():
+            self._say("the undisturbed training")
+            words = ("--seed", self.seed, *self.size.words)
+            program = self.bench.physhdr(
+                "train", self.size.data, "--out", self.twin, "--overwrite", *words, log=self.log
+            )
+            self.bench.must(program, LONG)
+            begun = next(e["time"] for e in events(self.twin / LOG) if e["event"] == "started")
+            took = {"startup": begun - program.started, "training": time.time() - begun}
+            done.write_text(json.dumps(took), encoding="utf-8")
+        took = json.loads(done.read_text(encoding="utf-8"))
+        self.startup, self.takes = took["startup"], took["training"]
+
+    # -- one kill --------------------------------------------------------------------------------------
+
+    def _next_moment(self) -> str:
+        """The first is a new run over an old one; of the others two have a chosen moment."""
+        done = [kill["moment"] for kill in self.state["kills"]]
+        if self._is_the_old_run():
+            return "overwriting"
+        left = [moment for moment in ("begun", "saving") if moment not in done]
+        if self.bench.short and "begun" in left:
+            left.remove("begun")  # so that one of few kills comes at a random time
+        chosen = left and (len(done) + len(left) >= self.kills or self.rng.random() < 0.3)
+        return str(self.rng.choice(left)) if chosen else "random"
+
+    def _strike(self, moment: str) -> bool:
+        """Go on and be killed; False where the training came to its end before."""
+        left_behind = temporaries(self.folder)
+        program = self._go_on()
+        landed = self._wait_and_kill(program, moment)
+        killed = time.time()
+        said = program.said()
+        if BEGUN in said and (stale := [path for path in left_behind if _is_older(path, program.started)]):
+            self._complain([f"the next start left {stale[0].name} of the killed one"])
+        if not landed:
+            if program.poll() not in (0, None):
+                self._complain([f"it ended with {program.poll()}: {said.strip()[-300:]}"])
+                return False
+            return program.poll() is None
+        self._judge(moment, program, killed)
+        return True
+
+    def _go_on(self) -> Program:
+        """``--resume``, or from the beginning where there is nothing to resume."""
+        words = ("--threads", self.bench.options.threads, *self.options)
+        ours = not self._is_the_old_run() and (self.folder / CONFIG).exists()
+        if ours and (self.folder / CHECKPOINT).exists():
+            program = self.bench.physhdr("train", "--resume", self.folder, *words, log=self.log)
+            if not self._has_old_weights():
+                return program
+            # The run that was replaced has left its weights: to go on from them would be another training.
+            if program.until(lambda: BEGUN in program.said(), PATIENCE):
+                self._complain(["old weights were resumed under a new configuration"])
+                program.kill()
+            else:
+                self._complain(badly_refused(program.poll() or 0, program.said(), str(self.folder)))
+        words = ("--seed", self.seed, *self.size.words, *self.options)
+        return self.bench.physhdr(
+            "train", self.size.data, "--out", self.folder, "--overwrite", *words, log=self.log
+        )
+
+    def _is_the_old_run(self) -> bool:
+        with suppress(OSError):
+            return (self.folder / CONFIG).read_bytes() == (self.old / CONFIG).read_bytes()
+        return False
+
+    def _has_old_weights(self) -> bool:
+        with suppress(OSError):
+            return (self.folder / CHECKPOINT).read_bytes() == (self.old / CHECKPOINT).read_bytes()
+        return False
+
+    def _wait_and_kill(self, program: Program, moment: str) -> bool:
+        """Whether the kill came before the end."""
+        patience = 10.0 * (self.startup + self.takes) + PATIENCE
+        if moment == "random":
+            left = max(1, self.kills - len(self.state["kills"]))
+            remaining = self.takes * (1.0 - self._iteration() / self.total)
+            time_until = self.rng.uniform(0.0, self.startup + 2.0 * remaining / (left + 1))
+            program.until(lambda: False, time_until, every=0.005)
+            return program.kill()
+        if moment == "begun":
+            program.until(lambda: BEGUN in program.said(), patience, every=0.005)
+        elif moment == "overwriting":
+            watched = CONFIG if self.rng.random() < 0.5 else CHECKPOINT
+            before = _stamp(self.folder / watched)
+            program.until(lambda: _stamp(self.folder / watched) != before, patience, FINE)
+        elif moment == "saving":
+            program.until(lambda: BEGUN in program.said(), patience, every=0.005)
+            program.until(self._is_saving, patience, FINE)
+        else:
+            log = self.folder / LOG
+            program.until(lambda: BEGUN in program.said(), patience, every=0.005)
+            program.until(lambda: self._last_told(log) >= self.total, patience, every=0.002)
+            program.until(self._is_saving, 5.0, FINE)
+        return program.kill()
+
+    def _is_saving(self) -> bool:
+        with suppress(OSError), os.scandir(self.folder) as entries:
+            return any(
+                "checkpoint" in entry.name and entry.name != CHECKPOINT and "lock" not in entry.name
+                for entry in entries
+            )
+        return False
+
+    def _last_told(self, log: Path) -> int:
+        """The iteration of the log's last lines."""
+        with suppress(OSError, ValueError, IndexError):
+            with open(log, "rb") as file:
+                file.seek(max(0, log.stat().st_size - 4096))
+                lines = file.read().decode("utf-8", "replace").splitlines()
+            told = [json.loads(line) for line in lines[-2:] if line.startswith("{") and line.endswith("}")]
+            return max(event["iteration"] for event in told)
+        return 0
+
+    # -- what is left ----------------------------------------------------------------------------------
+
+    def _iteration(self) -> int:
+        """What the folder's checkpoint is at; 0 without one, or with another run's."""
+        if self._is_the_old_run() or not (self.folder / CHECKPOINT).exists():
+            return 0
+        with suppress(Exception):
+            return int(checkpoint(self.folder / CHECKPOINT)[1]["iteration"])
+        return 0
+
+    def _judge(self, moment: str, program: Program, killed: float) -> None:
+        path, saved = self.folder / CHECKPOINT, None
+        self._complain(tracebacks(program.said()))
+        if path.exists():
+            try:
+                saved = int(checkpoint(path)[1]["iteration"])
+            except Exception as error:  # noqa: BLE001 (whatever it is, a kill must not damage a checkpoint)
+                self._complain([f"after a kill ({moment}) {path} is damaged: {error}"])
+        told = [event for event in events(self.folder / LOG) if event["time"] >= program.started]
+        old = self._has_old_weights() or self._is_the_old_run()
+        lost = 0.0 if old else lost_seconds(told, saved or 0, killed)
+        if lost > 1.5 * self.between + SLACK:
+            self._complain([f"a kill ({moment}) cost {lost:.1f} s, with checkpoints each {self.between:g} s"])
+        blow = {"moment": moment, "saved": None if old else saved, "lost": lost, "time": killed}
+        self.state["kills"].append(blow)
+        self._write()
+        self._say(
+            f"kill {len(self.state['kills'])}, {moment}: at {saved or 0}/{self.total}, {lost:.1f} s lost"
+        )
+
+    def _finish(self) -> None:
+        for _ in range(3):
+            if self._iteration() >= self.total:
+                break
+            self._complain(self.bench.done(self._go_on(), LONG))
+        differing = different_tensors(self.folder / CHECKPOINT, self.twin / CHECKPOINT)
+        self._complain(differing)
+        if (self.folder / CONFIG).read_bytes() != (self.twin / CONFIG).read_bytes():
+            self._complain(["its config.json is not the undisturbed one's"])
+        if left := temporaries(self.folder):
+            self._complain([f"{left[0].name} is left at the end"])
+        self.state |= {"identical": not differing, "done": True}
+        self._write()
+        self._say("bit-identical with the undisturbed training" if not differing else "NOT identical")
+
+    def _complain(self, complaints: list[str]) -> None:
+        for complaint in complaints:
+            self._say(f"COMPLAINT: {complaint}")
+        self.state["complaints"] += complaints
+        self._write()
+
+    def _write(self) -> None:
+        pending = self._ledger.with_suffix(".partial")
+        pending.write_text(json.dumps(self.state, indent=1), encoding="utf-8")
+        os.replace(pending, self._ledger)
+
+    def _say(self, text: str) -> None:
+        self.bench.say(f"seed {self.seed}: {text}")
+
+
+def _stamp(path: Path) -> tuple[int, int] | None:
+    with suppress(OSError):
+        status = path.stat()
+        return status.st_ino, status.st_mtime_ns
+    return None
+
+
+def _is_older(path: Path, moment: float) -> bool:
+    with suppress(OSError):
+        return path.stat().st_mtime < moment
+    return False
+
+
+# ---- a run that replaces another one ---------------------------------------------------------------------
+
+
+def kill_overwriting(bench: Bench) -> Result:
+    """A finished run is replaced by one of another configuration, which is killed as it begins.
+
+    What is in the folder afterwards is the old run or the new one, never the one's weights under the other's
+    configuration: whatever --resume makes of it ends as one of the two would have ended.
+    """
+    data, threads = bench.material.data, ("--threads", 1)
+    old_words = ("train", data, "--iterations", 60, *threads)
+    new_words = ("train", data, "--preset", "fast", "--seed", 77, "--iterations", 90, *threads)
+    old, new = bench.empty("old"), bench.empty("new")
+    bench.must(bench.physhdr(*old_words, "--out", old))
+    bench.must(bench.physhdr(*new_words, "--out", new))
+    result = Result("kills")
+    run = bench.folder / "run"
+    for number in range(3 if bench.short else bench.options.tries):
+        shutil.rmtree(run, ignore_errors=True)
+        shutil.copytree(old, run)
+        where = ("config", "checkpoint", "begun", "any")[number % 4]
+        program = bench.physhdr(*new_words, "--out", run, "--overwrite")
+        stamps = {name: _stamp(run / name) for name in (CONFIG, CHECKPOINT)}
+        if where in ("config", "checkpoint"):
+            name = CONFIG if where == "config" else CHECKPOINT
+            program.until(lambda n=name, s=stamps: _stamp(run / n) != s[n], PATIENCE, FINE)
+        elif where == "begun":
+            program.until(lambda p=program: BEGUN in p.said(), PATIENCE, FINE)
+        else:
+            program.until(lambda p=program: "computing" in p.said(), PATIENCE, FINE)
+            program.until(lambda: False, bench.rng.uniform(0.0, 1.0), FINE)
+        result.tries += program.kill()
+        result.complain(_judge_overwritten(bench, run, old, new), f"killed at '{where}'")
+        bench.say(f"{number + 1}, {where}: {len(result.complaints)} complaints")
+        again = bench.physhdr(*new_words, "--out", run, "--overwrite")
+        result.complain(bench.done(again) or different_tensors(run / CHECKPOINT, new / CHECKPOINT), "again")
+    return result
+
+
+def _judge_overwritten(bench: Bench, run: Path, old: Path, new: Path) -> list[str]:
+    config = (run / CONFIG).read_bytes() if (run / CONFIG).exists() else b""
+    twin = next((each for each in (old, new) if (each / CONFIG).read_bytes() == config), None)
+    if config and twin is None:
+        return ["config.json is neither the old run's nor the new one's"]
+    is_old_weights = (run / CHECKPOINT).exists() and (
+        (run / CHECKPOINT).read_bytes() == (old / CHECKPOINT).read_bytes()
+    )
+    may_open = twin is not None and (run / CHECKPOINT).exists() and (twin is old or not is_old_weights)
+    complaints = []
+    exported = bench.physhdr("export", run, "--out", bench.empty("exported"))
+    status = exported.wait(PATIENCE)
+    if may_open:
+        complaints += bench.done(exported)
+    else:
+        complaints += [f"export: {c}" for c in badly_refused(status, exported.said(), str(run))]
+    resumed = bench.physhdr("train", "--resume", run, "--threads", 1)
+    status = resumed.wait(PATIENCE)
+    if status == 0 and twin is not None:
+        complaints += [f"resumed: {c}" for c in different_tensors(run / CHECKPOINT, twin / CHECKPOINT)]
+    elif may_open:
+        complaints += bench.done(resumed)
+    else:
+        complaints += [f"resume: {c}" for c in badly_refused(status, resumed.said(), str(run))]
+    return complaints
