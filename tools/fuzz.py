@@ -92,10 +92,15 @@ def _try_all(targets: list[Target], arguments: argparse.Namespace, scratch: Path
     waiting: queue.SimpleQueue[Target] = queue.SimpleQueue()
     for target in targets:
         waiting.put(target)
-    total = arguments.seconds or SECONDS
-    each = total * arguments.jobs / max(len(targets), 1)
-    if arguments.short:
-        each = min(each, SHORT_SECONDS)
+    deadline = time.monotonic() + (arguments.seconds or SECONDS)
+    left, lock = [len(targets)], threading.Lock()
+
+    def share() -> float:
+        """Seconds for the next row: what is left, shared by the rows that are left."""
+        with lock:
+            seconds = (deadline - time.monotonic()) * arguments.jobs / left[0]
+            left[0] -= 1
+        return min(seconds, SHORT_SECONDS) if arguments.short else seconds
 
     def take_turns() -> None:
         worker = Worker(scratch)
@@ -105,10 +110,8 @@ def _try_all(targets: list[Target], arguments: argparse.Namespace, scratch: Path
                 count = arguments.cases or target.count
                 if arguments.short and not arguments.cases:
                     count = max(20, int(SHORT_SHARE * count))
-                seconds = each if arguments.seconds or arguments.short else max(each, 120.0)
-                worker.run(
-                    target, Order(target.name, arguments.seed, 0, count, seconds), tallies[target.name]
-                )
+                order = Order(target.name, arguments.seed, 0, count, share())
+                worker.run(target, order, tallies[target.name])
                 _say(_line(tallies[target.name]))
         except queue.Empty:
             pass

@@ -84,7 +84,7 @@ class Finding:
             "target": self.target,
             "seed": self.seed,
             "number": self.number,
-            "found": {"kind": self.kind, "where": self.where, "detail": self.detail},
+            "found": {"kind": self.kind, "where": self.where},
             "variant": self.case.variant,
             "file": self.case.file,
             "form": self.case.form,
@@ -110,7 +110,7 @@ def read_finding(path: Path) -> Finding:
         content["number"],
         found["kind"],
         found["where"],
-        found["detail"],
+        "",
         case,
     )
 

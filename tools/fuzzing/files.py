@@ -401,12 +401,12 @@ def write_connection(folder: Path) -> None:
 
 
 def read_connection(folder: Path, _: str, __: bytes) -> None:
-    from physhdr.bridge.connection import TOKEN_BYTES, read_connection
+    from physhdr.bridge.connection import read_connection
 
     found = read_connection(folder)
     _require(0 < found.port < 1 << 16, "a port")
     _require(found.pid > 0, "a process's number")
-    _require(found.token.isalnum() and len(found.token) == 2 * TOKEN_BYTES, "a token")
+    _require(found.token.isascii() and found.token.isprintable(), "a token that no header can carry")
 
 
 def write_weights(folder: Path) -> None:
@@ -491,7 +491,7 @@ TARGETS = (
     Target("PLY: model", write_plys, read_ply_model, 2000),
     Target("PLY: first points", write_points, read_points, 1500),
     Target("model file", write_models, read_model, 3000),
-    Target("benchmark plan", write_plan, read_plan, 1500, chosen=("plan.toml",)),
+    Target("benchmark plan", write_plan, read_plan, 1500, chosen=("plan.toml",), names_place=False),
     Target("evaluation.json", write_evaluation, read_evaluation, 1500),
     Target("log.jsonl", write_log, read_log, 1500),
     Target("connection.json", write_connection, read_connection, 1500),

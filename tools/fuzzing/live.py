@@ -241,10 +241,11 @@ def attack(scratch: Path, seed: int, short: bool) -> list[Tally]:
     except (RuntimeError, OSError) as error:
         return [Tally("live server", skipped=str(error))]
     try:
-        _settled(backend)
+        _ready(backend)
         before = backend.held()
         attacks = Attack(backend, seed)
         _attack(attacks, 0.1 if short else 1.0, scratch)
+        _crowds(attacks, 0.1 if short else 1.0, before)
         _afterwards(attacks, before)
         return attacks.tallies
     finally:
@@ -372,7 +373,7 @@ def _attack(attacks: Attack, share: float, scratch: Path) -> None:
     write_texts(texts)
     seeds = [path.read_bytes() for path in sorted((texts / "texts").glob("*.json"))]
     peers: list[Raw] = []
-    numbers = itertools.count(2)
+    numbers = itertools.count(10**6)  # which no damaged message has
 
     def bad_message() -> str:
         if not peers:
@@ -399,10 +400,10 @@ def _attack(attacks: Attack, share: float, scratch: Path) -> None:
     attacks.kind("mutated messages", times(3000), bad_message)
     for peer in peers:
         peer.socket.close()
-    _crowds(attacks, share)
 
 
-def _crowds(attacks: Attack, share: float) -> None:
+def _crowds(attacks: Attack, share: float, quiet: dict[str, float]) -> None:
+    """Many at once; ``quiet``: what the backend holds with nobody there."""
     connection = attacks.backend.connection
     many = max(40, int(200 * share))
     held: list[Raw] = []
@@ -433,19 +434,26 @@ def _crowds(attacks: Attack, share: float) -> None:
         peer.socket.close()
 
     def deaf() -> str:
-        """Ask a lot, and take no answer: it must be cut off, and nobody else wait for it."""
+        """Ask a lot, and take no answer: it must be cut off."""
+        settled(attacks.backend, quiet)
         with Raw(connection) as peer:
             if not isinstance(peer.enter(), Welcome):
                 return "hello was refused!"
             peer.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-            peer.socket.settimeout(PATIENCE)
+            peer.socket.settimeout(0.5)
+            connected = attacks.backend.held()["descriptors"]
             text = encode(Envelope("request", 5, StatusGet())).encode()
             begun = time.monotonic()
-            with suppress(ConnectionError):
-                while time.monotonic() - begun < PATIENCE:
+            # Whether the backend lets go is seen there: what waits in the kernel keeps this end open.
+            while time.monotonic() - begun < PATIENCE:
+                try:
                     peer.send(text)
-                return "is still served!"
-            return "cut off"
+                except ConnectionError:
+                    return "cut off"
+                except TimeoutError:
+                    if attacks.backend.held()["descriptors"] < connected:
+                        return "cut off"
+            return "is still served!"
 
     attacks.kind("asks and takes no answer", 1 if share < 1.0 else 3, deaf)
 
@@ -476,7 +484,17 @@ def _behaves(connection: Connection) -> str:
     return "served" if seconds < 2.0 else f"waited {seconds:.1f} s!"
 
 
-def _settled(backend: Backend) -> None:
+def settled(backend: Backend, quiet: dict[str, float]) -> None:
+    """Wait until it holds no more connections and threads than when it was ``quiet`` (one may linger)."""
+    deadline = time.monotonic() + PATIENCE
+    while time.monotonic() < deadline and backend.process.poll() is None:
+        held = backend.held()
+        if all(held[name] <= quiet[name] + 1 for name in ("descriptors", "threads")):
+            break
+        time.sleep(0.2)
+
+
+def _ready(backend: Backend) -> None:
     """Wait until torch is loaded and nothing changes any more."""
     deadline = time.monotonic() + PATIENCE
     while _behaves(backend.connection) != "served" and time.monotonic() < deadline:
@@ -487,12 +505,7 @@ def _settled(backend: Backend) -> None:
 def _afterwards(attacks: Attack, before: dict[str, float]) -> None:
     """It holds no more than before, serves, ends with 0 when it is told to, and has logged no traceback."""
     backend = attacks.backend
-    deadline = time.monotonic() + PATIENCE
-    while time.monotonic() < deadline and backend.process.poll() is None:
-        after = backend.held()
-        if after["descriptors"] <= before["descriptors"] and after["threads"] <= before["threads"]:
-            break
-        time.sleep(0.5)
+    settled(backend, before)
     attacks.kind("a client afterwards", 3, lambda: _behaves(backend.connection))
     if backend.process.poll() is not None:
         return

@@ -5,12 +5,16 @@ checks (a CRC, a length, JSON's grammar) would hide, done where they are right a
 Case ``number`` of a seed is the same on every machine, whichever cases were made before it.
 """
 
+import functools
 import importlib.util
 import json
 import math
+import os
 import random
+import shutil
 import struct
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +30,16 @@ def tests_module(path: str) -> Any:
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+def once(folder: Path, make: Callable[[Path], Any]) -> None:
+    """Let ``make`` fill a folder, which appears when it is whole; of two that make it one is kept."""
+    work = folder.with_name(f".{folder.name}.{os.getpid()}")
+    make(work)
+    try:
+        work.rename(folder)
+    except OSError:  # another process was first
+        shutil.rmtree(work)
 
 
 damage = tests_module("fuzzing.py")
@@ -58,16 +72,21 @@ def make_case(target: Target, seeds: dict[str, dict[str, bytes]], seed: int, num
 
 def _file(target: Target, files: list[str], generator: random.Random) -> str:
     """A file of those that the target lets change: each folder's files of a kind count as much as one."""
+    groups, weights = _groups(target, tuple(files))
+    return generator.choice(generator.choices(groups, weights)[0])
+
+
+@functools.cache
+def _groups(target: Target, files: tuple[str, ...]) -> tuple[list[list[str]], list[int]]:
+    """Files by folder and kind, and weights: what is no picture is where readers are most often wrong."""
     groups: dict[str, list[str]] = {}
     for file in files:
         if target.may_change(file):
             path = Path(file)
-            at_top = len(path.parts) == 1 or path.parent.name == "0"  # COLMAP's sparse/0
-            groups.setdefault(file if at_top else f"{path.parent}/*{path.suffix}", []).append(file)
-    # What is not a picture is where readers are most often wrong.
+            alone = len(path.parts) == 1 or path.parent.name == "0"  # COLMAP's sparse/0
+            groups.setdefault(file if alone else f"{path.parent}/*{path.suffix}", []).append(file)
     names = sorted(groups)
-    weights = [1 if "*" in name else 4 for name in names]
-    return generator.choice(groups[generator.choices(names, weights)[0]])
+    return [groups[name] for name in names], [1 if "*" in name else 4 for name in names]
 
 
 def damaged(whole: bytes, suffix: str, generator: random.Random) -> bytes:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from .cases import InsaneError, Target
-from .mutate import tests_module
+from .mutate import once, tests_module
 
 #: A few iterations of every kind of method and backbone; of each what it has in its checkpoint differs.
 PRESETS = ("default", "default-scaffold", "paper-short", "hdr-nerf-small")
@@ -30,7 +30,8 @@ def _data(seeds: Path) -> Path:
     """The data set beside the folder of variants; made once."""
     folder = seeds.parent / DATA
     if not folder.exists():
-        tests_module("backend/tiny_scene.py").write_tiny_scene(folder, size=16, gaussians=20)
+        tiny = tests_module("backend/tiny_scene.py")
+        once(folder, lambda work: tiny.write_tiny_scene(work, size=16, gaussians=20))
     return folder
 
 
@@ -67,7 +68,7 @@ def load(folder: Path, file: str, _: bytes) -> None:
 
     tensors, metadata = load_checkpoint(folder / file)
     _require(all(isinstance(value, str) for value in metadata.values()), "metadata that are no text")
-    _require(all(bool(tensor.isfinite().all()) for tensor in tensors.values()), "a tensor that is not finite")
+    _require(all(isinstance(name, str) for name in tensors), "a tensor's name")
 
 
 def open_(folder: Path, file: str, _: bytes) -> None:

@@ -4,6 +4,7 @@
 The parent watches which case is being tried and since when (shared memory), and so knows which one it was.
 """
 
+import dataclasses
 import faulthandler
 import multiprocessing
 import os
@@ -20,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from .cases import MESSAGE_MAX, Case, Finding, InsaneError, Tally, Target
-from .mutate import make_case
+from .mutate import make_case, once
 
 #: A case may not make the process larger by more than this (a picture of MAX_PIXELS is below), nor ask for
 #: more than that.
@@ -37,7 +38,7 @@ _PACKAGE = Path(__file__).resolve().parents[2]
 
 @dataclass(frozen=True)
 class Order:
-    """Cases ``start`` … ``stop`` of a target, until ``seconds`` are over; or one ``case`` alone."""
+    """Cases ``start`` … ``stop`` of a target but ``skipped``, until ``seconds`` are over; or one ``case``."""
 
     target: str
     seed: int
@@ -45,6 +46,7 @@ class Order:
     stop: int
     seconds: float
     case: Case | None = None
+    skipped: frozenset[int] = frozenset()
 
 
 class Worker:
@@ -58,14 +60,14 @@ class Worker:
     def run(self, target: Target, order: Order, tally: Tally) -> None:
         """Try what is ordered and fill ``tally``."""
         begun = time.monotonic()
-        start, deaths = order.start, 0
+        start, deadly = order.start, set[int]()
         while start < order.stop:
             left = order.seconds - (time.monotonic() - begun)
             if left <= 0.0:
                 break
             self._ensure()
-            self._pipe.send(Order(order.target, order.seed, start, order.stop, left, order.case))
-            ended = self._watch(target, tally)
+            self._pipe.send(dataclasses.replace(order, start=start, seconds=left, skipped=frozenset(deadly)))
+            start, ended = self._watch(target, tally, start)
             if ended is None:
                 break
             number, kind, detail = ended
@@ -73,28 +75,27 @@ class Worker:
                 tally.broken = f"{kind} while preparing: {detail}"
                 break
             case = order.case or make_case(
-                target, read_seeds(self._scratch / slug(target)), order.seed, number
+                target, read_seeds(seeds_folder(self._scratch, target)), order.seed, number
             )
             tally.count(f"{kind}!")
             where = f"{case.form} {Path(case.file).suffix}" if kind == "hang" else detail.partition("\n")[0]
             tally.found(Finding(target.name, order.seed, number, kind, where, detail, case))
-            start, deaths = number + 1, deaths + 1
-            if deaths == DEATHS_MAX:
-                tally.broken = f"given up after {deaths} cases that hung or crashed"
+            deadly.add(number)  # what was tried since the last report is tried again
+            if len(deadly) == DEATHS_MAX:
+                tally.broken = f"given up after {len(deadly)} cases that hung or crashed"
                 break
         tally.seconds += time.monotonic() - begun
 
-    def _watch(self, target: Target, tally: Tally) -> tuple[int, str, str] | None:
-        """Count what the process reports; the case at which it hung or died, and how."""
-        counted = -1
+    def _watch(self, target: Target, tally: Tally, start: int) -> tuple[int, tuple[int, str, str] | None]:
+        """Count what the process reports: the next case, and the one at which it hung or died, and how."""
         while True:
             try:
                 if self._pipe.poll(0.2):
                     message = self._pipe.recv()
                     if message == "end":
-                        return None
+                        return start, None
                     for number, outcome in message:
-                        counted = max(counted, number)
+                        start = max(start, number + 1)
                         if isinstance(outcome, Finding):
                             tally.count(f"{outcome.kind}!")
                             tally.found(outcome)
@@ -107,23 +108,16 @@ class Worker:
                 self._process.join(10.0)
             number, since = self._number.value, self._since.value
             if self._process.exitcode is not None:
-                self._lost(tally, counted, number)
                 status = self._process.exitcode
                 name = signal.Signals(-status).name if status < 0 else f"status {status}"
-                return number, "crash", f"{name}\n{self._last_words()}"
+                return start, (number, "crash", f"{name}\n{self._last_words()}")
             allowed = target.patience if number >= 0 else PREPARATION
             if since and time.monotonic() - since > allowed:
                 os.kill(self._process.pid, signal.SIGABRT)  # faulthandler tells where it was
                 self._process.join(10.0)
                 self._process.kill()
                 self._process.join()
-                self._lost(tally, counted, number)
-                return number, "hang", f"longer than {allowed:g} s\n{self._last_words()}"
-
-    def _lost(self, tally: Tally, counted: int, number: int) -> None:
-        """Cases that were tried, but whose outcome died with the process."""
-        if number - counted - 1 > 0 and counted >= 0:
-            tally.count("not told", number - counted - 1)
+                return start, (number, "hang", f"longer than {allowed:g} s\n{self._last_words()}")
 
     def _last_words(self) -> str:
         lines = self._log.read_text(errors="replace").splitlines()
@@ -149,8 +143,12 @@ class Worker:
             self._process.kill()
 
 
-def slug(target: Target) -> str:
-    return "".join(c if c.isalnum() else "-" for c in target.name)
+def seeds_folder(scratch: Path, target: Target) -> Path:
+    """Where the whole inputs are: rows that have the same ones share them."""
+    from .targets import TARGETS
+
+    first = next(each for each in TARGETS if each.prepare is target.prepare)
+    return scratch / "".join(c if c.isalnum() else "-" for c in first.name)
 
 
 def read_seeds(folder: Path) -> dict[str, dict[str, bytes]]:
@@ -196,10 +194,10 @@ def _work(pipe: Connection, number: Any, since: Any, scratch: Path, log: Path) -
 
 def _bench(target: Target, scratch: Path) -> tuple[Path, dict[str, dict[str, bytes]]]:
     """A folder to try things in, and the whole inputs, which are made by whoever comes first."""
-    made = scratch / slug(target)
+    made = seeds_folder(scratch, target)
     if not made.exists():
-        target.prepare(made)
-    bench = scratch / f"{slug(target)}.{os.getpid()}"
+        once(made, target.prepare)
+    bench = scratch / f"{made.name}.{os.getpid()}.{time.monotonic_ns()}"
     if not target.in_memory:
         shutil.copytree(made, bench)
     return bench, read_seeds(made)
@@ -237,6 +235,8 @@ def _try(
     outcomes: list[tuple[int, Any]] = []
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     for current in range(order.start, order.stop):
+        if current in order.skipped:
+            continue
         case = order.case or make_case(target, seeds, order.seed, current)
         number.value, since.value = current, time.monotonic()
         with _laid_out(target, bench, seeds, case):
