@@ -13,6 +13,7 @@ from typing import Any, Literal, NamedTuple
 
 from ...bridge.atomic import atomic_path
 from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
+from ...bridge.regular import read_json_object
 from ..methods.physhdr import PhysHDRConfig
 from ..methods.registry import MethodConfig, config_named, entry_of
 from ..model.anchors import AnchorsConfig
@@ -101,19 +102,18 @@ def read_config(path: Path) -> RunConfig:
         raise FileMissingError(
             f"there is no {path}", "Name the folder of a run, as given to physhdr train --out."
         )
+    remedy = "Train again, or restore a copy."
+    content = read_json_object(path, remedy)
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
         values = content["config"]
         # As it is written, not as it is understood: a setting that is added some day leaves it alone.
         written = fingerprint_of(values)
         config = _from_json(TrainConfig, values, "config")
         data, preset = (_from_json(str, content[name], name) for name in ("data", "preset"))
         return RunConfig(config, Path(data), preset, written)
-    except (OSError, ValueError, KeyError, TypeError, RecursionError, BadValueError) as error:
+    except (ValueError, KeyError, OverflowError, BadValueError) as error:
         why = error.message if isinstance(error, BadValueError) else str(error)
-        raise FileDamagedError(
-            f"{path} is not a run's configuration: {why}", "Train again, or restore a copy."
-        ) from error
+        raise FileDamagedError(f"{path} is not a run's configuration: {why}", remedy) from error
 
 
 def fingerprint(config: TrainConfig) -> str:
