@@ -22,6 +22,7 @@ from mathutils import Matrix, Vector
 
 from ..errors import AssetError
 from ..progress import quiet
+from .archive import inner_path
 
 Point = Sequence[float]  # metres
 
@@ -201,13 +202,21 @@ def _imported(model: _Model) -> list[bpy.types.Object]:
 
 
 def _extracted(model: _Model, scratch: Path) -> Path:
-    """The folder of a catalogue's model (its materials and pictures are beside it), unpacked."""
+    """The folder of a catalogue's model (its materials and pictures are beside it), unpacked.
+
+    Raises ``AssetError`` where a file of it has a name that would leave the folder, on any platform.
+    """
     folder = PurePosixPath(model.member).parent
     with zipfile.ZipFile(model.path) as file:
         for entry in file.infolist():
-            name = PurePosixPath(entry.filename)
-            if entry.is_dir() or folder not in name.parents or ".." in name.parts:
+            if entry.is_dir() or folder not in PurePosixPath(entry.filename).parents:
                 continue
+            name = inner_path(entry.filename)
+            if name is None:
+                raise AssetError(
+                    f"the catalogue '{model.path}' holds {entry.filename!r}, a name that no file may have",
+                    "remove the catalogue from --assets: it is damaged, or made to write elsewhere",
+                )
             target = scratch / name.relative_to(folder)
             target.parent.mkdir(parents=True, exist_ok=True)
             with file.open(entry) as source, open(target, "wb") as copy:
