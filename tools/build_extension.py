@@ -1,16 +1,22 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Validate and build the Blender extension with Blender's own tool: dist/physhdr-VERSION.zip."""
+"""Validate and build the Blender extension with Blender's own tool: dist/physhdr-VERSION.zip.
 
+The wheels that it bundles are those of tools/wheels.txt, by their SHA-256: in wheels/, whether they were
+there or have been fetched, and again in the zip. What differs is named, and no zip is left.
+"""
+
+import hashlib
+import re
 import shutil
 import subprocess
 import sys
+import tempfile
 import tomllib
+import zipfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-WHEELS = ROOT / "wheels"
-PINNED = ROOT / "tools" / "wheels.txt"
 PYTHON = ROOT / ".venvs" / "backend" / "bin" / "python"
 SITE_PACKAGES = ROOT / ".venvs" / "blender" / "lib"
 
@@ -24,34 +30,97 @@ def extension_tool() -> list[str] | None:
     return [blender, "--command", "extension"] if blender else None
 
 
-def fetch_wheels() -> int:
-    """The wheels that the manifest bundles, as pinned, unless they are there."""
-    with open(ROOT / "blender_manifest.toml", "rb") as file:
-        wanted = {Path(name).name for name in tomllib.load(file)["wheels"]}
-    if wanted <= {path.name for path in WHEELS.glob("*.whl")}:
-        return 0
+class BuildError(Exception):
+    """What must not be shipped or cannot be built: a message, and what to do."""
+
+    def __init__(self, message: str, remedy: str) -> None:
+        super().__init__(message)
+        self.message, self.remedy = message, remedy
+
+
+def pinned_wheels(root: Path) -> dict[str, str]:
+    """File name → SHA-256 of what is bundled; raises ``BuildError`` where manifest and pins name others."""
+    manifest = tomllib.loads((root / "blender_manifest.toml").read_text(encoding="utf-8"))
+    named = {Path(name).name for name in manifest["wheels"]}
+    text = (root / "tools" / "wheels.txt").read_text(encoding="utf-8")
+    pins = dict(re.findall(r"^(\S+==\S+) --hash=sha256:([0-9a-f]{64})$", text, re.MULTILINE))
+    wheels = {name: pins.get("==".join(name.split("-")[:2])) for name in named}
+    unpinned = sorted(name for name, digest in wheels.items() if digest is None)
+    if unpinned or len(pins) != len(named):
+        what = f"tools/wheels.txt does not pin {', '.join(unpinned)}" if unpinned else "they differ in number"
+        raise BuildError(
+            f"blender_manifest.toml and tools/wheels.txt name different wheels: {what}",
+            "Let both name the same versions; the hash of a file is listed with it on PyPI.",
+        )
+    return {name: digest for name, digest in wheels.items() if digest}
+
+
+def check_wheels(root: Path, pinned: dict[str, str]) -> list[str]:
+    """Which of the pinned wheels are not in wheels/ yet; raises ``BuildError`` at a file that is another."""
+    for path in sorted(each for each in (root / "wheels").rglob("*") if each.is_file()):
+        wanted, found = pinned.get(path.name), hashlib.sha256(path.read_bytes()).hexdigest()
+        if found != wanted:
+            what = f"its SHA-256 is {found}, {wanted} is pinned" if wanted else "nothing there names it"
+            raise BuildError(
+                f"{path} is not a file that tools/wheels.txt pins: {what}",
+                f"Delete it (rm '{path}'): what is pinned is fetched anew.",
+            )
+    return sorted(name for name in pinned if not (root / "wheels" / name).exists())
+
+
+def check_zip(path: Path, pinned: dict[str, str]) -> None:
+    """The zip bundles exactly the pinned wheels; raises ``BuildError``."""
+    with zipfile.ZipFile(path) as archive:
+        inside = [name for name in archive.namelist() if name.endswith(".whl") or name.startswith("wheels/")]
+        found = {Path(name).name: hashlib.sha256(archive.read(name)).hexdigest() for name in inside}
+    if found != pinned or len(inside) != len(pinned):
+        differing = sorted(name for name in {*found, *pinned} if found.get(name) != pinned.get(name))
+        raise BuildError(
+            f"the zip does not bundle what tools/wheels.txt pins: {', '.join(differing or inside)}",
+            "Something changed wheels/ while it was built, or the manifest leaves a wheel out: build again.",
+        )
+
+
+def fetch_wheels(root: Path) -> None:
+    """The pinned wheels into wheels/; raises ``BuildError``."""
     # Any platform, no ABI: a wheel with compiled code is not found rather than bundled.
     only_pure = ["--only-binary=:all:", "--platform", "any", "--implementation", "py", "--abi", "none"]
     command = [PYTHON, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps"]
-    command += [*only_pure, "--python-version", "3.13", "--require-hashes", "-r", PINNED, "-d", WHEELS]
-    return subprocess.call([str(part) for part in command])
+    command += [*only_pure, "--python-version", "3.13", "--require-hashes"]
+    command += ["-r", root / "tools" / "wheels.txt", "-d", root / "wheels"]
+    if subprocess.call([str(part) for part in command]):
+        raise BuildError("the wheels could not be fetched", "See pip's lines above; check the network.")
+
+
+def build(root: Path) -> int:
+    """Build the zip; returns the status of Blender's tool, raises ``BuildError``."""
+    pinned = pinned_wheels(root)
+    if check_wheels(root, pinned):
+        fetch_wheels(root)
+        if missing := check_wheels(root, pinned):
+            raise BuildError(f"pip did not bring {', '.join(missing)}", "Look at tools/wheels.txt.")
+    tool = extension_tool()
+    if tool is None:
+        raise BuildError("Blender's extension tool was not found", "Run make setup first.")
+    dist = root / "dist"
+    dist.mkdir(exist_ok=True)
+    # Beside its place, and moved there when it has been looked at.
+    with tempfile.TemporaryDirectory(dir=dist) as made:
+        for command in (["validate", "."], ["build", "--source-dir", ".", "--output-dir", made]):
+            if status := subprocess.call([*tool, *command], cwd=root):
+                return status
+        for path in Path(made).glob("*.zip"):
+            check_zip(path, pinned)
+            path.replace(dist / path.name)
+    return 0
 
 
 def main() -> int:
-    tool = extension_tool()
-    if tool is None:
-        print("error: Blender's extension tool was not found\n  Run make setup first.", file=sys.stderr)
+    try:
+        return build(ROOT)
+    except BuildError as error:
+        print(f"error: {error.message}\n  {error.remedy}", file=sys.stderr)
         return 1
-    if status := fetch_wheels():
-        print("error: the wheels could not be fetched\n  Check the network, try again.", file=sys.stderr)
-        return status
-    dist = ROOT / "dist"
-    dist.mkdir(exist_ok=True)
-    for command in (["validate", "."], ["build", "--source-dir", ".", "--output-dir", str(dist)]):
-        status = subprocess.call([*tool, *command], cwd=ROOT)
-        if status:
-            return status
-    return 0
 
 
 if __name__ == "__main__":
