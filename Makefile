@@ -8,7 +8,7 @@ PYTHON ?= python3
 WITH_TORCH := $(if $(wildcard $(BACKEND)),$(BACKEND),$(PYTHON))
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test benchmark report gpu-check gui-test extension lint clean
+.PHONY: help setup demo test benchmark report gpu-check gui-test extension lock lint clean
 
 help: ## Show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -40,6 +40,9 @@ gui-test: setup ## The extension in a real Blender window; says so and ends wher
 
 extension: setup ## Validate and build the Blender extension: dist/physhdr-*.zip
 	@$(BACKEND) tools/build_extension.py
+
+lock: ## Renew locks/: versions and hashes of what is installed; WITH=--keep adds only what is missing
+	@$(PYTHON) tools/lock.py $(WITH)
 
 lint: setup ## ruff and pyright
 	@.venvs/backend/bin/ruff check . && .venvs/backend/bin/ruff format --check . && .venvs/backend/bin/pyright

@@ -8,6 +8,11 @@
 ``blender``: .venvs/blender, Python 3.13 with the ``bpy`` wheel; where only a ``blender`` ≥ 5.2 is on PATH,
 a launcher that runs it. Either way ``.venvs/run-blender SCRIPT -- ARGS`` runs a script inside Blender.
 Does nothing where an environment is up to date.
+
+What is installed is what the locks name, file by file (locks/, tools/lock.py): pip refuses whatever has
+another SHA-256, and builds nothing but this project. torch is taken from PyTorch's own index, without CUDA;
+where that cannot be reached, from wherever pip is set up to look: PyPI's build for Linux has CUDA, and its
+libraries come with it.
 """
 
 import hashlib
@@ -21,12 +26,18 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 VENVS = ROOT / ".venvs"
+LOCKS = ROOT / "locks"
 LAUNCHER = VENVS / "run-blender"
 BLENDER_PYTHON = (3, 13)
 BLENDER_MINIMUM = (5, 2)
 BACKEND_MINIMUM = (3, 11)
 #: Preferred first: the version whose CPU build of torch is tested.
 BACKEND_CANDIDATES = ("3.11", "3.12", "3.13", "3.14")
+PYTORCH = "https://download.pytorch.org/whl/cpu"
+#: Of pip, when it asks PyTorch's index: what cannot be reached is given up after half a minute, not two.
+BRIEFLY = ("--retries", "1", "--timeout", "15")
+#: A lock is all that is needed, torch apart: pip adds nothing, and runs no code of what it installs.
+LOCKED = ("--no-deps", "--require-hashes", "--only-binary=:all:")
 LIBRARIES = (
     "libx11-6 libxext6 libxrender1 libxfixes3 libxi6 libxt6 libxkbcommon0 libsm6 libice6 "
     "libgl1 libegl1 libgl1-mesa-dri"
@@ -60,14 +71,14 @@ def set_up_backend() -> int:
             "no Python 3.11 or newer was found for the trainer",
             "Install one (Debian: apt install python3 python3-venv; anywhere: uv python install 3.12).",
         )
-    return make_environment("backend", python, ".[backend,test,develop]")
+    return make_environment("backend", python, ("backend.txt", "develop.txt"), torch=True)
 
 
 def set_up_blender() -> int:
     python = find_python((f"{BLENDER_PYTHON[0]}.{BLENDER_PYTHON[1]}",))
     if python is None:
         return set_up_blender_binary()
-    problem = make_environment("blender", python, ".[blender]")
+    problem = make_environment("blender", python, ("bpy.txt", "blender.txt"))
     if problem:
         return problem
     interpreter = VENVS / "blender" / "bin" / "python"
@@ -81,15 +92,11 @@ def set_up_blender() -> int:
     return 0
 
 
-#: Run by Blender's Python: the packages of pyproject.toml's extra but bpy, which it is, into the folder SITE.
+#: Run by Blender's Python: what our side needs beside bpy, which it is, into the folder SITE.
 INSTALL = """
-import numpy, subprocess, sys, tomllib
-with open({project!r}, "rb") as file:
-    wanted = tomllib.load(file)["project"]["optional-dependencies"]["blender"]
-wanted = [each for each in wanted if not each.startswith("bpy")]
-wanted.append("numpy==" + numpy.__version__)  # some of them bring it; Blender's own parts know this one
-pip = [sys.executable, "-m", "pip", "install", "--quiet", "--upgrade", "--target", {site!r}]
-sys.exit(subprocess.call([*pip, *wanted]))
+import subprocess, sys
+pip = [sys.executable, "-m", "pip", "install", "--quiet", "--upgrade", "--target", {site!r}, "--no-deps"]
+sys.exit(subprocess.call([*pip, "--require-hashes", "--only-binary=:all:", "-r", {lock!r}]))
 """
 
 
@@ -107,11 +114,11 @@ def set_up_blender_binary() -> int:
     stamp = VENVS / "blender-site.stamp"
     if stamp.exists() and stamp.read_text() == fingerprint(blender):
         return 0
-    expression = INSTALL.format(project=str(ROOT / "pyproject.toml"), site=str(site))
+    expression = INSTALL.format(lock=str(LOCKS / "blender.txt"), site=str(site))
     run([blender, "-b", "--python-expr", "import ensurepip; ensurepip.bootstrap()"])
     if run([blender, "-b", "--python-exit-code", "1", "--python-expr", expression]).returncode:
         return fail(
-            "the packages that pyproject.toml wants could not be installed for Blender's Python",
+            "the packages of locks/blender.txt could not be installed for Blender's Python",
             "Check the network and the disk, then try again.",
         )
     write_launcher(
@@ -133,13 +140,13 @@ def write_launcher(body: str) -> None:
     LAUNCHER.chmod(0o755)
 
 
-def make_environment(name: str, python: str, requirement: str) -> int:
-    """A virtual environment with this project (editable) and its extras, renewed when they change."""
+def make_environment(name: str, python: str, locks: tuple[str, ...], torch: bool = False) -> int:
+    """A virtual environment with what ``locks`` name and this project, editable; renewed when they change."""
     folder = VENVS / name
     stamp = folder / "physhdr.stamp"
     if stamp.exists() and stamp.read_text() == fingerprint(python):
         return 0
-    print(f"[setup] {name}: installing {requirement} with {python}; minutes, the first time", flush=True)
+    print(f"[setup] {name}: installing {', '.join(locks)} with {python}; minutes, the first time", flush=True)
     if not (folder / "bin" / "python").exists():
         made = run([python, "-m", "venv", folder])
         if made.returncode:
@@ -147,19 +154,63 @@ def make_environment(name: str, python: str, requirement: str) -> int:
                 f"{python} cannot make a virtual environment: {(made.stdout + made.stderr).strip()}",
                 "Install its venv module (Debian: apt install python3-venv).",
             )
-    pip = [folder / "bin" / "python", "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
-    installed = run([*pip, "--editable", requirement])
-    if installed.returncode:
-        return fail(
-            f"pip failed:\n{installed.stderr.strip()}", "Check the network and the disk, then try again."
-        )
+    pip = [folder / "bin" / "python", "-m", "pip", "--disable-pip-version-check"]
+    install = [*pip, "install", "--quiet"]
+    steps = [lambda: run([*install, *LOCKED, *from_locks(*locks)])]
+    steps += [lambda: install_torch(name, install)] if torch else []
+    steps += [lambda: complete(name, pip)]
+    # What would build it comes from the lock, and its requirements are there.
+    steps += [lambda: run([*install, "--no-build-isolation", "--no-deps", "--editable", "."])]
+    for step in steps:
+        done = step()
+        if done.returncode:
+            return fail_pip(done)
     stamp.write_text(fingerprint(python))
     return 0
 
 
+def from_locks(*names: str) -> list:
+    return [word for name in names for word in ("-r", LOCKS / name)]
+
+
+def install_torch(name: str, install: list) -> subprocess.CompletedProcess:
+    """torch alone, from PyTorch's own index and no other; from pip's own settings where it cannot be had."""
+    wanted = [*LOCKED, *from_locks("torch.txt")]
+    # pip's settings may name more indexes, and any of them may offer a torch: this one takes their place.
+    only = {"PIP_EXTRA_INDEX_URL": PYTORCH}
+    done = run([*install, "--index-url", PYTORCH, *BRIEFLY, *wanted], only)
+    if done.returncode and "No matching distribution found" in done.stderr:
+        print(f"[setup] {name}: no torch from {PYTORCH}; from where pip is set up to look", flush=True)
+        return run([*install, *wanted])
+    return done
+
+
+def complete(name: str, pip: list) -> subprocess.CompletedProcess:
+    """Whether all that packages ask for is there; a torch with CUDA gets its libraries first."""
+    done = run([*pip, "check"])
+    if done.returncode and re.search(r"^torch .* which is not installed", done.stdout, re.MULTILINE):
+        print(f"[setup] {name}: this torch has CUDA: fetching its libraries, several GB", flush=True)
+        done = run([*pip, "install", "--quiet", *LOCKED, *from_locks("torch-cuda.txt")])
+        return run([*pip, "check"]) if done.returncode == 0 else done
+    return done
+
+
+def fail_pip(done: subprocess.CompletedProcess) -> int:
+    said = done.stderr.strip() or done.stdout.strip()
+    said = said[max(said.find("ERROR"), 0) :]
+    if "DO NOT MATCH THE HASHES" in said:
+        return fail(
+            f"a package is not the file that was locked; it was not installed:\n{said}",
+            "Somebody may have exchanged it: see where it came from (pip config list). If it was pip's "
+            "cache: pip cache purge. If the lock is what is wrong: make lock.",
+        )
+    return fail(f"pip failed:\n{said}", "Check the network and the disk, then try again.")
+
+
 def fingerprint(interpreter: str) -> str:
-    """Changes when the project's requirements, how they are installed, or the interpreter do."""
-    content = (ROOT / "pyproject.toml").read_bytes() + Path(__file__).read_bytes()
+    """Changes when the project's requirements or locks, how they are installed, or the interpreter do."""
+    files = [ROOT / "pyproject.toml", Path(__file__), *sorted(LOCKS.glob("*.txt"))]
+    content = b"".join(path.read_bytes() for path in files)
     return hashlib.sha256(content + interpreter.encode()).hexdigest()
 
 
@@ -188,9 +239,11 @@ def works(python: str, version: str) -> bool:
     return done.returncode == 0 and done.stdout.strip() == version
 
 
-def run(command: list) -> subprocess.CompletedProcess:
+def run(command: list, more: dict[str, str] | None = None) -> subprocess.CompletedProcess:
+    """What the command said and how it ended; ``more``: added to the environment."""
+    words, environment = [str(part) for part in command], {**os.environ, **(more or {})}
     try:
-        return subprocess.run([str(part) for part in command], cwd=ROOT, capture_output=True, text=True)
+        return subprocess.run(words, cwd=ROOT, capture_output=True, text=True, env=environment)
     except OSError as error:
         return subprocess.CompletedProcess(command, 1, "", str(error))
 

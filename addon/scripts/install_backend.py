@@ -5,12 +5,19 @@
 
 The environment is made under a name that says what is in it, and is complete or not used at all; others are
 removed when it is. Says how far it is as one JSON object a line (addon/session/task.py).
+
+What is installed is what the extension's locks name, file by file (EXTENSION/locks, tools/lock.py): pip
+refuses whatever has another SHA-256, and builds nothing. From where, is the user's own setting of pip, but
+for torch: that comes from PyTorch's own index (or a folder that pip's find-links name), and nothing else
+does. With ``--torch pip`` it is the user's own build of the locked version, wherever pip finds it, and this
+one file is not compared with a hash.
 """
 
 import argparse
 import hashlib
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -23,16 +30,47 @@ STAMP = "physhdr-complete.json"
 PREFIX = "environment-"
 #: Bytes that an environment needs, unpacking included: measured 1.2 GB with torch for the CPU.
 SPACE = {"cpu": 3 << 30, "cuda": 12 << 30, "pip": 3 << 30}
-#: Where pip finds torch beside its usual places. PyPI's is CUDA's for Linux, the processor's elsewhere.
+#: The index that torch alone is taken from; none for the user's own. The locked hashes are of these builds.
 TORCH_INDEX = {
     "cpu": "https://download.pytorch.org/whl/cpu",
-    "cuda": "https://download.pytorch.org/whl/cu128" if os.name == "nt" else "",
+    "cuda": "https://download.pytorch.org/whl/cu130",
     "pip": "",
 }
-#: The project's extras that each build needs.
-EXTRAS = {"cpu": ("backend",), "cuda": ("backend", "cuda"), "pip": ("backend",)}
-#: About how many packages come with the requirements, for the progress bar.
-PACKAGES = 55
+#: The locks that each build needs beside torch's, in the folder ``locks`` beside the launcher's.
+LOCKS = {
+    "cpu": ("backend.txt",),
+    "cuda": ("backend.txt", "torch-cuda.txt", "gsplat.txt"),
+    "pip": ("backend.txt",),
+}
+TORCH_LOCK, CUDA_LOCK = "torch.txt", "torch-cuda.txt"
+#: A lock is all that is needed, torch apart: pip adds nothing, and runs no code of what it installs.
+LOCKED = ("--no-deps", "--only-binary=:all:")
+#: Where in the whole the downloads, and torch's among them, end.
+PACKAGES_DONE, TORCH_DONE, COMPLETE = 0.35, 0.7, 0.8
+#: What pip writes, and what the user is told: message ({}: the package) and hint. The first that fits.
+CAUSES = (
+    (
+        "DO NOT MATCH THE HASHES",
+        "{} is not the file that was locked; it was not installed",
+        "Somebody may have exchanged it on its way: see the log for its name and from where it came, and the "
+        "index that pip is set up with. If it is pip's own cache, 'pip cache purge' helps. Else report it.",
+    ),
+    (
+        "No space left on device",
+        "the disk is full",
+        "Free some space (on the disk of temporary files too), or set another folder in the preferences.",
+    ),
+    (
+        "connection broken by|Max retries exceeded|Could not fetch URL|Network is unreachable|timed out",
+        "pip cannot reach the index that it takes packages from",
+        "Check the network, and pip's settings if a proxy is needed (pip config list); then install again.",
+    ),
+    (
+        "No matching distribution found",
+        "there is no build of a package for this Python or system, or its index cannot be reached",
+        "Check the network; else choose another Python: 3.11 to 3.14, 64 bit.",
+    ),
+)
 
 
 class InstallError(Exception):
@@ -51,8 +89,8 @@ def say(**content: object) -> None:
 class Lines:
     """The lines that a program writes, as it writes them; then its exit ``status``."""
 
-    def __init__(self, command: list[str]) -> None:
-        self.command, self.status = command, 0
+    def __init__(self, command: list[str], environment: dict[str, str] | None = None) -> None:
+        self.command, self.environment, self.status = command, environment or {}, 0
 
     def __iter__(self) -> Iterator[str]:
         process = subprocess.Popen(
@@ -62,6 +100,7 @@ class Lines:
             text=True,
             encoding="utf-8",
             errors="replace",
+            env={**os.environ, **self.environment},
         )
         assert process.stdout is not None
         yield from process.stdout
@@ -95,20 +134,14 @@ def install(target: Path, launcher: Path, torch: str, fresh: bool) -> Path:
         raise InstallError(
             f"Python {sys.version.split()[0]} is too old for the backend", "Choose Python 3.11 or newer."
         )
-    requirements = []
-    for extra in EXTRAS[torch]:
-        command = [sys.executable, str(launcher), "requirements", extra]
-        done = subprocess.run(command, capture_output=True, text=True)
-        if done.returncode:
-            raise InstallError(
-                f"cannot read the requirements: {done.stderr.strip()}", "Reinstall the extension."
-            )
-        requirements += done.stdout.splitlines()
-    identity = json.dumps([sorted(requirements), torch, sys.version, sys.base_prefix])
+    locks = launcher.parent.parent / "locks"
+    contents = "".join(read_lock(locks / name) for name in (*LOCKS[torch], TORCH_LOCK, CUDA_LOCK))
+    locked = hashlib.sha256(contents.encode()).hexdigest()
+    identity = json.dumps([locked, torch, sys.version, sys.base_prefix])
     folder = target / (PREFIX + hashlib.sha256(identity.encode()).hexdigest()[:12])
     python = folder / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
     if (folder / STAMP).exists() and not fresh:
-        say(progress=0.8, message="the environment is there already")
+        say(progress=COMPLETE, message="the environment is there already")
         return python
     target.mkdir(parents=True, exist_ok=True)
     free = shutil.disk_usage(target).free
@@ -120,7 +153,9 @@ def install(target: Path, launcher: Path, torch: str, fresh: bool) -> Path:
     try:
         say(progress=0.01, message=f"making an environment with {sys.executable}")
         venv.EnvBuilder(with_pip=True, clear=True, symlinks=os.name != "nt").create(folder)
-        pip_install(python, requirements, TORCH_INDEX[torch])
+        pip_install(python, [locks / name for name in LOCKS[torch]], 0.03, PACKAGES_DONE)
+        torch_install(python, locks / TORCH_LOCK, TORCH_INDEX[torch])
+        complete(python, locks / CUDA_LOCK)
         (folder / STAMP).write_text(identity, encoding="utf-8")
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
@@ -131,28 +166,100 @@ def install(target: Path, launcher: Path, torch: str, fresh: bool) -> Path:
     return python
 
 
-def pip_install(python: Path, requirements: list[str], index: str) -> None:
-    """pip with a line of progress for each package."""
-    command = [str(python), "-m", "pip", "install", "--disable-pip-version-check", "--no-input"]
-    command += ["--progress-bar", "off", *(["--extra-index-url", index] if index else []), *requirements]
-    collected, last = 0, ""
+def read_lock(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InstallError(f"{path} cannot be read: {error.strerror}", "Reinstall the extension.") from error
+
+
+def pins(text: str) -> list[str]:
+    """The requirements of a lock, without hashes and comments: ``numpy==2.4.6 ; python_version < "3.12"``."""
+    lines = [line for line in text.splitlines() if line[:1].isalnum()]
+    return [re.split(r"\s*(?:--hash|\\)", line)[0] for line in lines]
+
+
+def pip_install(python: Path, locks: list[Path], begin: float, end: float) -> None:
+    """Exactly what ``locks`` name, from wherever the user's pip takes packages; raises ``InstallError``."""
+    arguments = [*LOCKED, "--require-hashes"]
+    for lock in locks:
+        arguments += ["-r", str(lock)]
+    run_pip(python, arguments, sum(len(pins(read_lock(lock))) for lock in locks), begin, end)
+
+
+def torch_install(python: Path, lock: Path, index: str) -> None:
+    """torch alone: from ``index`` and no other, or where there is none, as the user's pip finds it."""
+    if not index:
+        run_pip(python, [*LOCKED, *pins(read_lock(lock))], 1, PACKAGES_DONE, TORCH_DONE)
+        return
+    arguments = [*LOCKED, "--require-hashes", "--index-url", index, "-r", str(lock)]
+    # pip's settings may name more indexes, and any of them may offer a torch: this one takes their place.
+    run_pip(python, arguments, 1, PACKAGES_DONE, TORCH_DONE, {"PIP_EXTRA_INDEX_URL": index})
+
+
+def complete(python: Path, cuda: Path) -> None:
+    """Nothing that a package asks for is missing; a user's own torch with CUDA gets its libraries."""
+    missing = missing_packages(python)
+    if missing & {pin.partition("==")[0] for pin in pins(read_lock(cuda))}:
+        pip_install(python, [cuda], TORCH_DONE, COMPLETE)
+        missing = missing_packages(python)
+    if missing:
+        raise InstallError(
+            f"this build of torch asks for packages that were not tested: {', '.join(sorted(missing))}",
+            "Choose another build of torch, or make an environment yourself and choose its Python.",
+        )
+
+
+def missing_packages(python: Path) -> set[str]:
+    """What installed packages ask for and is not there."""
+    command = [str(python), "-m", "pip", "check", "--disable-pip-version-check"]
     lines = Lines(command)
+    found = re.findall(r" requires (\S+), which is not installed", "".join(lines))
+    return {re.sub(r"[-_.]+", "-", name).lower() for name in found}
+
+
+def run_pip(
+    python: Path,
+    arguments: list[str],
+    packages: int,
+    begin: float,
+    end: float,
+    environment: dict | None = None,
+) -> None:
+    """``pip install`` with a line of progress for each package; raises ``InstallError`` with the cause."""
+    command = [str(python), "-m", "pip", "install", "--disable-pip-version-check", "--no-input"]
+    command += ["--progress-bar", "off", *arguments]
+    collected, told = 0, []
+    lines = Lines(command, environment)
     for line in lines:
         sys.stdout.write(line)
-        last = line.strip() or last
+        told.append(line.strip())
+        share = begin + (end - begin) * min(collected / packages, 1.0) * 0.9
         if line.startswith("Collecting "):
             collected += 1
-            share = min(collected / PACKAGES, 1.0)
-            say(progress=0.05 + 0.55 * share, message=f"fetching {line.split()[1]}")
+            say(progress=share, message=f"fetching {line.split()[1]}")
         elif line.lstrip().startswith("Downloading "):
-            say(progress=0.05 + 0.55 * min(collected / PACKAGES, 1.0), message=line.strip()[:80].lower())
+            say(progress=share, message=line.strip()[:80].lower())
         elif line.startswith("Installing collected"):
-            say(progress=0.62, message="unpacking: a minute or two")
+            say(progress=begin + (end - begin) * 0.9, message="unpacking: a minute or two")
     if lines.status:
-        raise InstallError(
-            f"pip could not install the backend's packages: {last}",
-            "Check the network and the disk, then install again; the log has all of pip's lines.",
-        )
+        raise failure(told)
+
+
+def failure(told: list[str]) -> InstallError:
+    """What went wrong, from pip's lines."""
+    text = "\n".join(told)
+    errors = [line for line in told if line.startswith("ERROR")] or [line for line in told if line][-1:]
+    last = errors[-1] if errors else "it said nothing"
+    refused = re.search(r"DO NOT MATCH THE HASHES.*\n+(\S+)", text)
+    for pattern, message, hint in CAUSES:
+        if re.search(pattern, text):
+            named = message.format(refused[1]) if refused else f"{message} ({last})"
+            return InstallError(named, hint)
+    return InstallError(
+        f"pip could not install the backend's packages: {last}",
+        "Check the network and the disk, then install again; the log has all of pip's lines.",
+    )
 
 
 def check(python: Path, launcher: Path) -> int:
@@ -164,7 +271,7 @@ def check(python: Path, launcher: Path) -> int:
         except ValueError:
             content = {}
         if "progress" in content:
-            say(**{**content, "progress": round(0.8 + 0.2 * content["progress"], 4)})
+            say(**{**content, "progress": round(COMPLETE + (1.0 - COMPLETE) * content["progress"], 4)})
         elif "result" in content:
             say(result={**content["result"], "environment": str(python)})
         else:

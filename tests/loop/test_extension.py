@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The real zip in Blender, with a real backend process: training, pause, kill −9, resume, import, relit."""
 
+import hashlib
 import json
 import os
+import re
 import subprocess
 import sys
 import zipfile
@@ -61,6 +63,16 @@ def test_the_zip_is_small_and_has_no_compiled_code(extension):
     assert extension.stat().st_size - wheels < 1 << 20
     assert not [name for name in names if name.endswith((".so", ".pyd", ".dll", ".dylib"))]
     assert all(name.endswith("py3-none-any.whl") for name in names if name.endswith(".whl"))
+
+
+def test_the_zip_bundles_the_wheels_that_are_pinned_and_the_locks_of_the_trainer(extension):
+    pins = (ROOT / "tools" / "wheels.txt").read_text()
+    with zipfile.ZipFile(extension) as archive:
+        names = archive.namelist()
+        digests = [hashlib.sha256(archive.read(n)).hexdigest() for n in names if n.endswith(".whl")]
+    assert sorted(digests) == sorted(re.findall(r"--hash=sha256:(\S+)", pins))
+    locks = {"backend.txt", "torch.txt", "torch-cuda.txt", "gsplat.txt"}
+    assert {Path(name).name for name in names if name.startswith("locks/")} == locks
 
 
 def test_it_never_imports_torch(seen):

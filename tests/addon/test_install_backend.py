@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The installer, with small packages and indexes on this machine: what is locked, from where it may come.
+
+The real pip; no network.
+"""
+
+import hashlib
+import http.server
+import json
+import os
+import subprocess
+import sys
+import threading
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+
+SCRIPT = Path(__file__).resolve().parent.parent.parent / "addon" / "scripts" / "install_backend.py"
+#: Instead of backend/launch.py: the check that ends an installation, which says what can be imported.
+LAUNCHER = """
+import importlib.metadata as m, json, sys
+found = {d.metadata["Name"]: d.version for d in m.distributions()}
+import torch
+print(json.dumps({"result": {"versions": found, "torch": torch.FROM}}))
+"""
+
+
+def wheel(folder: Path, name: str, version: str, module: str = "", requires: tuple[str, ...] = ()) -> str:
+    """A wheel of one module; returns its SHA-256."""
+    info = f"{name.replace('-', '_')}-{version}.dist-info"
+    metadata = f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n"
+    files = {
+        f"{name.replace('-', '_')}.py": module,
+        f"{info}/METADATA": metadata + "".join(f"Requires-Dist: {each}\n" for each in requires),
+        f"{info}/WHEEL": "Wheel-Version: 1.0\nGenerator: test\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
+    }
+    files[f"{info}/RECORD"] = "".join(f"{each},,\n" for each in files) + f"{info}/RECORD,,\n"
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{name.replace('-', '_')}-{version}-py3-none-any.whl"
+    with zipfile.ZipFile(path, "w") as archive:
+        for each, text in files.items():
+            archive.writestr(each, text)
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+class Index:
+    """A package index on this machine, which remembers whose page it was asked for."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.asked = folder, set()
+        index = self
+
+        class Handler(http.server.BaseHTTPRequestHandler):
+            def do_GET(self):
+                name = self.path.strip("/").split("/")[-1]
+                body = index.answer(name)
+                self.send_response(200 if body is not None else 404)
+                self.send_header("Content-Type", "text/html" if body else "text/plain")
+                self.end_headers()
+                self.wfile.write(body or b"")
+
+            def log_message(self, *_):
+                pass
+
+        self.server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        threading.Thread(target=self.server.serve_forever, daemon=True).start()
+        self.url = f"http://127.0.0.1:{self.server.server_port}/simple"
+
+    def answer(self, name: str) -> bytes | None:
+        if name.endswith(".whl"):
+            return (self.folder / name).read_bytes()
+        self.asked.add(name)
+        files = sorted(self.folder.glob(f"{name.replace('-', '_')}-*.whl"))
+        return "".join(f'<a href="/{file.name}">{file.name}</a>' for file in files).encode() or None
+
+
+@pytest.fixture(scope="module")
+def empty(tmp_path_factory):
+    """An environment with nothing but pip, to be copied: making one takes seconds."""
+    folder = tmp_path_factory.mktemp("empty") / "environment"
+    venv.EnvBuilder(with_pip=True, symlinks=os.name != "nt").create(folder)
+    return folder
+
+
+@pytest.fixture
+def place(tmp_path, empty):
+    """An extension whose locks name small packages; PyTorch's index, the user's own and a second one."""
+
+    class Place:
+        root = tmp_path
+        extension, target = tmp_path / "extension", tmp_path / "environments"
+        indexes = {name: Index(tmp_path / name) for name in ("pytorch", "mine", "extra")}  # noqa: RUF012
+        hashes: dict = {}  # noqa: RUF012
+
+        def lock(self, name: str, **pins: str) -> None:
+            lines = [
+                f"{each.replace('_', '-')}==1.0 --hash=sha256:{digest}\n" for each, digest in pins.items()
+            ]
+            (self.extension / "locks" / name).write_text("# a lock\n" + "".join(lines))
+
+        def install(self, torch: str = "cpu", **environment: str) -> tuple[int, list[dict], str]:
+            """The status, the lines for the panel, and all that was written."""
+            patched = (
+                "import runpy, sys\n"
+                f"sys.argv[0] = {str(SCRIPT)!r}\n"
+                f"module = runpy.run_path({str(SCRIPT)!r})\n"
+                f"module['TORCH_INDEX']['cpu'] = {self.indexes['pytorch'].url!r}\n"
+                "module['SPACE'].update(cpu=1, cuda=1, pip=1)\n"
+                "import shutil, venv\n"
+                "copy = lambda self, folder: shutil.copytree(self.empty, folder, symlinks=True)\n"
+                f"venv.EnvBuilder.empty, venv.EnvBuilder.create = {str(empty)!r}, copy\n"
+                "sys.exit(module['main']())\n"
+            )
+            clean = {k: v for k, v in os.environ.items() if not k.startswith("PIP_")}
+            clean |= {
+                "PIP_CONFIG_FILE": os.devnull,
+                "PIP_INDEX_URL": self.indexes["mine"].url,
+                "PIP_EXTRA_INDEX_URL": self.indexes["extra"].url,
+                "PIP_NO_CACHE_DIR": "1",
+            }
+            launcher = str(self.extension / "backend" / "launch.py")
+            command = [sys.executable, "-c", patched, "--target", str(self.target), "--launcher", launcher]
+            done = subprocess.run(
+                [*command, "--torch", torch], capture_output=True, text=True, env={**clean, **environment}
+            )
+            said = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
+            return done.returncode, said, done.stdout + done.stderr
+
+    made = Place()
+    for name in ("locks", "backend"):
+        (made.extension / name).mkdir(parents=True)
+    (made.extension / "backend" / "launch.py").write_text(LAUNCHER)
+    first = wheel(tmp_path / "mine", "first", "1.0", requires=("second",))
+    second = wheel(tmp_path / "mine", "second", "1.0")
+    torch = wheel(tmp_path / "pytorch", "torch", "1.0", "FROM = 'pytorch'", ("first",))
+    made.hashes = {"first": first, "second": second, "torch": torch}
+    wheel(tmp_path / "mine", "torch", "1.0", "FROM = 'mine'", ("first", "nvidia-thing"))
+    wheel(tmp_path / "extra", "torch", "1.0", "FROM = 'extra'")
+    for name in ("torch", "first", "second"):  # what somebody else offers under these names is newer
+        wheel(tmp_path / "extra", name, "9.0", "FROM = 'extra'")
+    made.lock("backend.txt", first=first, second=second)
+    made.lock("torch.txt", torch=torch)
+    made.lock("torch-cuda.txt", nvidia_thing=wheel(tmp_path / "mine", "nvidia-thing", "1.0"))
+    yield made
+    for index in made.indexes.values():
+        index.server.shutdown()
+
+
+def environments(place) -> list[Path]:
+    return sorted(place.target.glob("environment-*"))
+
+
+def test_torch_comes_from_pytorchs_index_alone_and_all_else_by_the_users_settings(place):
+    status, said, log = place.install()
+    assert status == 0, log
+    result = said[-1]["result"]
+    assert result["torch"] == "pytorch"
+    assert {name: result["versions"][name] for name in place.hashes} == dict.fromkeys(place.hashes, "1.0")
+    assert place.indexes["pytorch"].asked == {"torch"}  # for nothing else
+    assert "torch" not in place.indexes["mine"].asked | place.indexes["extra"].asked
+    assert Path(result["environment"]).is_relative_to(place.target)
+    fractions = [line["progress"] for line in said if "progress" in line]
+    assert fractions == sorted(fractions) and 0.6 < fractions[-1] <= 0.8
+    assert any(line.get("message", "").startswith("fetching torch") for line in said)
+    # A second time it is there; a lock that has changed makes another, and the former goes.
+    [made] = environments(place)
+    assert place.install()[0] == 0 and environments(place) == [made]
+    with open(place.extension / "locks" / "backend.txt", "a") as file:
+        file.write("# renewed\n")
+    assert place.install()[0] == 0
+    assert len(environments(place)) == 1 and environments(place) != [made]
+
+
+@pytest.mark.parametrize("name", ["second", "torch"])
+def test_a_file_with_another_hash_stops_the_installation_and_nothing_stays(place, name):
+    wheel(place.root / ("pytorch" if name == "torch" else "mine"), name, "1.0", "EVIL = True")
+    status, said, log = place.install(PIP_EXTRA_INDEX_URL="")
+    error = said[-1]["error"]
+    assert status == 1 and error["code"] == "install_failed"
+    assert error["message"].startswith(f"{name}==1.0 is not the file that was locked")
+    assert "pip cache purge" in error["hint"] and "THESE PACKAGES DO NOT MATCH" in log
+    assert environments(place) == []
+
+
+def test_a_pin_without_a_hash_is_refused(place):
+    (place.extension / "locks" / "backend.txt").write_text("first==1.0\nsecond==1.0\n")
+    status, said, _ = place.install()
+    assert status == 1 and "error" in said[-1] and environments(place) == []
+
+
+def test_the_users_own_torch_brings_its_libraries_by_the_lock(place):
+    status, said, log = place.install("pip", PIP_EXTRA_INDEX_URL="")
+    assert status == 0, log
+    assert said[-1]["result"]["torch"] == "mine" and "nvidia-thing" in said[-1]["result"]["versions"]
+    assert place.indexes["pytorch"].asked == set()
+
+
+def test_a_torch_that_asks_for_what_was_never_locked_is_named(place):
+    place.lock("torch-cuda.txt")
+    status, said, _ = place.install("pip", PIP_EXTRA_INDEX_URL="")
+    assert status == 1 and "nvidia-thing" in said[-1]["error"]["message"] and environments(place) == []
+
+
+def test_an_index_that_cannot_be_reached_is_said_to_be_so(place):
+    status, said, _ = place.install(
+        PIP_INDEX_URL="http://127.0.0.1:1/simple", PIP_EXTRA_INDEX_URL="", PIP_RETRIES="1"
+    )
+    assert status == 1 and "cannot reach" in said[-1]["error"]["message"]
+    assert "network" in said[-1]["error"]["hint"] and environments(place) == []
+
+
+def test_an_extension_without_its_locks_says_to_install_it_again(place):
+    (place.extension / "locks" / "torch.txt").unlink()
+    status, said, _ = place.install()
+    assert status == 1 and "torch.txt" in said[-1]["error"]["message"]
+    assert said[-1]["error"]["hint"] == "Reinstall the extension."

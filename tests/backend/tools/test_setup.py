@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""`make setup`: pip installs what is locked or nothing, torch from its index first; a new lock is seen."""
+
+import hashlib
+import importlib.util
+import os
+import shutil
+import sys
+import venv
+import zipfile
+from pathlib import Path
+
+import pip
+import pytest
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+@pytest.fixture
+def setup(tmp_path, monkeypatch):
+    """tools/setup.py as a module, its project in an empty folder, pip without any index."""
+    spec = importlib.util.spec_from_file_location("setup_tool", ROOT / "tools" / "setup.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    for name in [name for name in os.environ if name.startswith("PIP_")]:
+        monkeypatch.delenv(name)
+    monkeypatch.setenv("PIP_CONFIG_FILE", os.devnull)
+    monkeypatch.setenv("PIP_NO_CACHE_DIR", "1")
+    monkeypatch.setattr(module, "ROOT", tmp_path)
+    monkeypatch.setattr(module, "VENVS", tmp_path / ".venvs")
+    monkeypatch.setattr(module, "LOCKS", tmp_path / "locks")
+    monkeypatch.setattr(module, "PYTORCH", "http://127.0.0.1:1/whl/cpu")  # nobody listens there
+    monkeypatch.setattr(module, "BRIEFLY", ("--retries", "0", "--timeout", "1"))
+    (tmp_path / "locks").mkdir()
+    (tmp_path / "pyproject.toml").write_text("[project]\nname = 'x'\n")
+    return module
+
+
+@pytest.fixture(scope="module")
+def environment(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("environment") / "e"
+    venv.EnvBuilder(symlinks=True).create(folder)
+    [site] = folder.glob("lib/python3*/site-packages")
+    shutil.copytree(Path(pip.__file__).parent, site / "pip")  # what ensurepip does takes seconds
+    return folder
+
+
+def wheel(folder: Path, name: str, requires: str = "") -> str:
+    """Version 1.0 of an empty package; returns its SHA-256."""
+    info = f"{name}-1.0.dist-info"
+    metadata = f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n"
+    files = {
+        f"{name}.py": "",
+        f"{info}/METADATA": metadata + (f"Requires-Dist: {requires}\n" if requires else ""),
+        f"{info}/WHEEL": "Wheel-Version: 1.0\nGenerator: test\nRoot-Is-Purelib: true\nTag: py3-none-any\n",
+    }
+    files[f"{info}/RECORD"] = "".join(f"{each},,\n" for each in files)
+    folder.mkdir(exist_ok=True)
+    path = folder / f"{name}-1.0-py3-none-any.whl"
+    with zipfile.ZipFile(path, "w") as archive:
+        for each, text in files.items():
+            archive.writestr(each, text)
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def lock(setup, name: str, **pins: str) -> None:
+    lines = [f"{package}==1.0 --hash=sha256:{digest}\n" for package, digest in pins.items()]
+    (setup.LOCKS / name).write_text("".join(lines))
+
+
+def test_a_lock_that_changes_sets_up_anew(setup):
+    lock(setup, "backend.txt", thing="0" * 64)
+    before = setup.fingerprint("python")
+    assert setup.fingerprint("python") == before
+    lock(setup, "backend.txt", thing="1" * 64)
+    assert setup.fingerprint("python") != before
+
+
+def test_a_hash_that_differs_stops_it_with_the_reason(setup, environment, tmp_path, monkeypatch, capsys):
+    wheel(tmp_path / "files", "thing")
+    lock(setup, "blender.txt", thing="0" * 64)
+    monkeypatch.setenv("PIP_NO_INDEX", "1")
+    monkeypatch.setenv("PIP_FIND_LINKS", str(tmp_path / "files"))
+    (tmp_path / ".venvs").mkdir()
+    (tmp_path / ".venvs" / "blender").symlink_to(environment)
+    assert setup.make_environment("blender", sys.executable, ("blender.txt",)) == 1
+    told = capsys.readouterr().err
+    assert "thing==1.0" in told and "not the file that was locked" in told and "make lock" in told
+    assert not (environment / "physhdr.stamp").exists()
+
+
+def test_torch_comes_by_pips_own_settings_where_pytorchs_index_cannot_be_reached(
+    setup, environment, tmp_path, monkeypatch, capsys
+):
+    """And its CUDA libraries, if it asks for them: by their lock. A file with another hash never comes."""
+    files = tmp_path / "files"
+    torch, library = wheel(files, "torch", "nvidia_thing"), wheel(files, "nvidia_thing")
+    page = tmp_path / "index" / "torch"
+    page.mkdir(parents=True)
+    (page / "index.html").write_text(
+        f'<a href="{next(files.glob("torch-*")).as_uri()}">torch-1.0-py3-none-any.whl</a>'
+    )
+    page = tmp_path / "index" / "nvidia-thing"
+    page.mkdir(parents=True)
+    name = next(files.glob("nvidia*"))
+    (page / "index.html").write_text(f'<a href="{name.as_uri()}">{name.name}</a>')
+    monkeypatch.setenv("PIP_INDEX_URL", (tmp_path / "index").as_uri())
+    lock(setup, "torch-cuda.txt", nvidia_thing=library)
+    command = [environment / "bin" / "python", "-m", "pip", "--disable-pip-version-check"]
+    lock(setup, "torch.txt", torch="0" * 64)
+    assert "DO NOT MATCH" in setup.install_torch("backend", [*command, "install"]).stderr
+    lock(setup, "torch.txt", torch=torch)
+    done = setup.install_torch("backend", [*command, "install"])
+    assert done.returncode == 0, done.stderr
+    assert "from where pip is set up to look" in capsys.readouterr().out
+    assert setup.complete("backend", command).returncode == 0
+    assert "fetching its libraries" in capsys.readouterr().out
+    assert "nvidia_thing==1.0" in setup.run([*command, "freeze"]).stdout.replace("-", "_")
