@@ -340,7 +340,8 @@ def test_exposure_that_is_not_positive(data_set: Path, seconds: float) -> None:
     edit_json(
         data_set / "exposure_train.json", lambda content: content.update({"./train/r_2_1.png": seconds})
     )
-    refusal(data_set, BadValueError, "exposure_train.json", "r_2_1.png", f"is {seconds:g} s", "longer than 0 s")
+    words = ("exposure_train.json", "r_2_1.png", f"is {seconds:g} s", "longer than 0 s")
+    refusal(data_set, BadValueError, *words)
 
 
 @pytest.mark.parametrize("seconds", [float("inf"), "1/8", None, True])
