@@ -54,7 +54,7 @@ class Curves:
     def add(self, iteration: int, losses: dict[str, float], monitor: dict[str, float]) -> None:
         """Take what a progress event tells."""
         with self._lock:
-            loss = sum(losses.values())
+            loss = sum(losses.values(), 0.0)
             if math.isfinite(loss):
                 self._losses.add(iteration, loss)
             if math.isfinite(monitor.get("PSNR", math.inf)):

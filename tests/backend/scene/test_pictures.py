@@ -1,16 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """PNG and OpenEXR: what is written is what is read, and damage is named."""
 
+import os
 import struct
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import OpenEXR
 import pytest
 from PIL import Image
 
-from physhdr.backend.scene.pictures import read_exr, read_png, write_exr, write_png
-from physhdr.bridge.errors import BadValueError, FileDamagedError, FileMissingError, OutputError
+from physhdr.backend.evaluate.layers import read_layers
+from physhdr.backend.scene.pictures import picture_size, read_exr, read_png, write_exr, write_png
+from physhdr.bridge.errors import BadValueError, FileDamagedError, FileMissingError, OutputError, PhysHDRError
 
 
 @pytest.fixture
@@ -108,3 +111,106 @@ def test_a_failed_write_leaves_what_was_there(tmp_path: Path) -> None:
     with pytest.raises(BadValueError, match="uint8"):
         write_png(path, np.zeros((2, 2, 3), np.float32))
     assert path.read_text() == "precious"
+
+
+# ---- hostile files -----------------------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("never_waits")
+@pytest.mark.parametrize("read", [read_exr, read_layers, read_png, picture_size])
+def test_a_pipe_is_no_picture(tmp_path: Path, read) -> None:
+    os.mkfifo(tmp_path / "pipe.exr")
+    with pytest.raises(FileDamagedError, match=r"pipe\.exr is a pipe, not a file"):
+        read(tmp_path / "pipe.exr")
+
+
+def write_deep(path: Path, kind: OpenEXR.Storage) -> bytes:
+    """A deep picture: each pixel has two values."""
+    pixels = np.empty((4, 4), object)
+    for place in np.ndindex(4, 4):
+        pixels[place] = np.ones(2, np.float32)
+    header = {"compression": OpenEXR.ZIPS_COMPRESSION, "type": kind}
+    if kind == OpenEXR.deeptile:
+        header["tiles"] = OpenEXR.TileDescription()
+    OpenEXR.File(header, {name: pixels for name in "RGB"}).write(str(path))
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize("kind", [OpenEXR.deepscanline, OpenEXR.deeptile])
+@pytest.mark.parametrize("read", [read_exr, read_layers])
+def test_deep_pictures_are_refused_whole_or_damaged(
+    tmp_path: Path, fuzzing: ModuleType, kind: OpenEXR.Storage, read
+) -> None:
+    path = tmp_path / "deep.exr"
+    whole = write_deep(path, kind)
+    with pytest.raises(FileDamagedError, match=r"deep\.exr is not a readable OpenEXR picture: .*it is deep"):
+        read(path)
+    for damaged in fuzzing.mutations(whole, 60, 1):
+        path.write_bytes(damaged)
+        with pytest.raises(FileDamagedError, match=r"deep\.exr is not a readable OpenEXR picture"):
+            read(path)
+
+
+def test_a_deep_tiled_file_that_says_it_is_a_flat_one(tmp_path: Path) -> None:
+    """As OpenEXR's own broken files: the version's bits and the header's type contradict each other."""
+    path = tmp_path / "deep.exr"
+    whole = write_deep(path, OpenEXR.deeptile)
+    told = b"type\0string\0" + struct.pack("<i", 8) + b"deeptile"
+    assert whole.count(told) == 1
+    for name in (b"tiledimage", b"scanlineimage", b"deepscanline", b"", b"deeptilx"):
+        path.write_bytes(whole.replace(told, b"type\0string\0" + struct.pack("<i", len(name)) + name))
+        for read in (read_exr, read_layers):
+            with pytest.raises(FileDamagedError, match=r"deep\.exr is not a readable OpenEXR picture"):
+                read(path)
+
+
+@pytest.mark.parametrize("compression", ["ZIP", "RLE", "PIZ", "DWAA", "B44", "PXR24", "NO"])
+@pytest.mark.parametrize("kind", [OpenEXR.scanlineimage, OpenEXR.tiledimage])
+def test_damage_of_every_kind_of_exr(
+    tmp_path: Path, radiance: np.ndarray, fuzzing: ModuleType, compression: str, kind: OpenEXR.Storage
+) -> None:
+    path = tmp_path / "a.exr"
+    header = {"compression": getattr(OpenEXR, f"{compression}_COMPRESSION"), "type": kind}
+    if kind == OpenEXR.tiledimage:
+        header["tiles"] = OpenEXR.TileDescription()
+    OpenEXR.File(header, {"RGB": radiance}).write(str(path))
+    for case, damaged in enumerate(fuzzing.mutations(path.read_bytes(), 25, 7)):
+        path.write_bytes(damaged)
+        for read in (read_exr, read_layers):
+            try:
+                read(path)
+            except PhysHDRError as error:
+                assert "a.exr" in error.message, f"case {case}"
+
+
+def test_a_name_of_a_channel_that_is_no_text(tmp_path: Path) -> None:
+    """The binding raises where the name is asked for, long after it opened the file."""
+    header = {"type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, {"depth": np.ones((4, 5), np.float32)}).write(str(tmp_path / "a.exr"))
+    raw = (tmp_path / "a.exr").read_bytes()
+    (tmp_path / "a.exr").write_bytes(raw.replace(b"depth\0", b"dep\xffh\0"))
+    for read in (read_exr, read_layers):
+        with pytest.raises(FileDamagedError, match=r"a\.exr is not a readable OpenEXR picture"):
+            read(tmp_path / "a.exr")
+
+
+def test_many_channels_in_a_small_file_take_no_memory(tmp_path: Path) -> None:
+    """Width and height alone would pass: 1900×1900 in 11 kB; with 500 channels they are 7 GB."""
+    pixel = np.zeros((1, 1), np.float32)
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, {f"c{k:03d}": pixel for k in range(500)}).write(
+        str(tmp_path / "a.exr")
+    )
+    raw = (tmp_path / "a.exr").read_bytes()
+    window, large = struct.pack("<4i", 0, 0, 0, 0), struct.pack("<4i", 0, 0, 1899, 1899)
+    raw = raw.replace(b"box2i\0\x10\0\0\0" + window, b"box2i\0\x10\0\0\0" + large)
+    (tmp_path / "a.exr").write_bytes(raw)
+    with pytest.raises(FileDamagedError, match="it claims 1900×1900 pixels of 500 channels"):
+        read_layers(tmp_path / "a.exr")
+
+
+@pytest.mark.parametrize("value", [3e38, -2e12])
+def test_a_radiance_that_nothing_has(tmp_path: Path, radiance: np.ndarray, value: float) -> None:
+    radiance[5, 7, 1] = value
+    write_exr(tmp_path / "a.exr", radiance)
+    with pytest.raises(BadValueError, match=r"a\.exr holds the radiance .*: no more than 1e\+12"):
+        read_exr(tmp_path / "a.exr")
