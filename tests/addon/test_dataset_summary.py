@@ -4,14 +4,18 @@
 from __future__ import annotations
 
 import json
+import math
+import os
 import struct
 import zlib
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from physhdr.addon.camera_file import read_pose
 from physhdr.addon.dataset_summary import lines, summarise
-from physhdr.bridge.errors import BadValueError, FileDamagedError, FileMissingError
+from physhdr.bridge.errors import BadValueError, FileDamagedError, FileMissingError, PhysHDRError
 
 SECONDS = (0.125, 0.5, 2.0)
 
@@ -177,3 +181,88 @@ def test_folders_that_are_none(tmp_path):
 def test_other_folders_are_no_levels(folder):
     (folder / "relit/level_high").mkdir(parents=True)
     assert summarise(folder).relit_levels == ()
+
+
+# ---- hostile files -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["transforms_train.json", "exposure_test.json", "dataset.json"])
+def test_a_pipe_in_place_of_a_file(folder, never_waits, name):
+    (folder / name).unlink(missing_ok=True)
+    os.mkfifo(folder / name)
+    with pytest.raises(FileDamagedError, match=f"{name} is a pipe, not a file"):
+        summarise(folder)
+
+
+def test_pipes_in_place_of_pictures_and_points(folder, never_waits):
+    for name in ("train/r_1_2.png", "points3d.ply"):
+        (folder / name).unlink()
+        os.mkfifo(folder / name)
+    missing, points = summarise(folder).warnings
+    assert "Pictures are missing (1): train/r_1_2.png" in missing
+    assert "points3d.ply cannot be read: " in points and "is a pipe" in points
+
+
+def test_any_value_anywhere_in_json(folder, fuzzing):
+    info = {"format": "physhdr-dataset", "version": 1, "dynamic_range": {"stops": 5.0}, "lights": ["ambient"]}
+    lit = {"camera_angle_x": 0.9, "frames": [{"file_path": "./lit/r_0", "lighting_level": 0.25}]}
+    (folder / "dataset.json").write_text(json.dumps(info))
+    (folder / "transforms_lit.json").write_text(json.dumps(lit))
+    (folder / "exposure_lit.json").write_text("{}")
+    for name in ("dataset.json", "transforms_lit.json", "exposure_train.json"):
+        path = folder / name
+        whole = path.read_text()
+        cases = [fuzzing.json_bytes(v) for v in fuzzing.json_mutations(json.loads(whole), 200, 1)]
+        for case, text in enumerate([*fuzzing.JSON_TEXTS, *cases]):
+            path.write_bytes(text)
+            try:
+                found = summarise(folder)
+                assert found.lines and all(map(math.isfinite, found.evs)), f"case {case} of {name}"
+            except PhysHDRError as error:
+                assert name in error.message, f"case {case} of {name}"
+        path.write_text(whole)
+
+
+@pytest.mark.parametrize("level", [None, "1", [], True, -1.0, 1e300, 10**400])
+def test_a_level_that_is_none(folder, level):
+    lit = {"camera_angle_x": 0.9, "frames": [{"file_path": "./lit/r_0", "lighting_level": level}]}
+    (folder / "transforms_lit.json").write_text(json.dumps(lit))
+    (folder / "exposure_lit.json").write_text("{}")
+    found = summarise(folder)
+    assert found.levels == () and "transforms_lit.json: the lighting level" in found.warnings[0]
+
+
+@pytest.mark.parametrize("seconds", [1e300, 1e-300, 10**400])
+def test_an_exposure_that_no_camera_has(folder, seconds):
+    edit(folder / "exposure_train.json", lambda e: e.update({"./train/r_0_0.png": seconds}))
+    assert "exposure of ./train/r_0_0.png is 1" in summarise(folder).warnings[0]
+
+
+@pytest.mark.parametrize("count", [b"9" * 5000, b"-1", b"x", b""])
+def test_points_without_number(folder, count):
+    (folder / "points3d.ply").write_bytes(b"ply\nelement vertex " + count + b"\nend_header\n")
+    assert "points3d.ply is no PLY file" in summarise(folder).warnings[0]
+
+
+def test_camera_files(folder, fuzzing, never_waits):
+    path = folder / "transforms_train.json"
+    matrix = [[1.0, 0, 0, 2], [0, 1, 0, 3], [0, 0, 1, 4], [0, 0, 0, 1]]
+    edit(path, lambda content: [frame.update(transform_matrix=matrix) for frame in content["frames"]])
+    np.testing.assert_array_equal(read_pose(path, 1).camera_to_world, matrix)
+    whole = json.loads(path.read_text())
+    cases = [fuzzing.json_bytes(value) for value in fuzzing.json_mutations(whole, 300, 1)]
+    for case, text in enumerate([*fuzzing.JSON_TEXTS, *cases]):
+        path.write_bytes(text)
+        try:
+            assert np.abs(read_pose(path, 1).camera_to_world[:3, 3]).max() <= 1e6, f"case {case}"
+        except PhysHDRError as error:
+            assert str(path) in error.message, f"case {case}"
+    matrix[2][3] = 3e38
+    path.write_text(json.dumps(whole))
+    edit(path, lambda content: content["frames"][1].update(transform_matrix=matrix))
+    with pytest.raises(BadValueError, match=r"camera 1 is at .*3e\+38.*(.|\n)*origin"):
+        read_pose(path, 1)
+    path.unlink()
+    os.mkfifo(path)
+    with pytest.raises(FileDamagedError, match="is a pipe"):
+        read_pose(path, 1)

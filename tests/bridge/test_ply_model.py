@@ -3,13 +3,15 @@
 
 import base64
 import json
+import os
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
 
 from physhdr.bridge import display
-from physhdr.bridge.errors import BadValueError
+from physhdr.bridge.errors import BadValueError, FileDamagedError, PhysHDRError
 from physhdr.bridge.gaussian_ply import standard_columns, write_lossless_ply, write_standard_ply
 from physhdr.bridge.model_file import Model
 from physhdr.bridge.ply_model import light_shares, read_ply_model, tensor_comments, tensors_from_comments
@@ -305,3 +307,91 @@ def test_level_0_of_all_ambient_light_is_black_and_finite():
     model.light_share[:] = 1.0
     sh = display.display_colour_sh(model, level=0.0, tone="SRGB")
     assert np.isfinite(sh).all() and (0.5 + C0 * sh[:, 0]).max() < 0.02
+
+
+# ---- hostile files -----------------------------------------------------------------------------------
+
+
+def own_layout(path: Path, count: int = 8, **changes: np.ndarray | None) -> Path:
+    """A lossless PLY of degree 1; ``changes``: columns that are other, or left out (None)."""
+    given = gaussians(count, coefficients=4)
+    columns = standard_columns(**given)
+    extra = {f"phys_reflectance_dc_{c}": given["colour_sh"][:, 0, c].copy() for c in range(3)}
+    extra |= {f"phys_reflectance_rest_{k}": np.zeros(count, np.float32) for k in range(9)}
+    extra |= {f"phys_log_illumination_{c}": np.zeros(count, np.float32) for c in range(3)}
+    extra = {name: column for name, column in (extra | changes).items() if column is not None}
+    curve = {
+        "tone_curve_log_exposure": np.linspace(-5, 5, 8),
+        "tone_curve": np.linspace(0, 1, 24).reshape(8, 3),
+    }
+    write_lossless_ply(
+        path, columns, extra, ["phys_form product additive", *tensor_comments("phys_curve", curve)]
+    )
+    return path
+
+
+@pytest.mark.filterwarnings("error::RuntimeWarning")  # arithmetic that overflows
+@pytest.mark.parametrize("kind", ["standard", "lossless"])
+def test_damaged_files_become_models_of_finite_numbers_or_errors(tmp_path: Path, fuzzing: ModuleType, kind):
+    path = tmp_path / "a.ply"
+    if kind == "lossless":
+        own_layout(path)
+    else:
+        write_standard_ply(path, **gaussians(8, coefficients=4))
+    for case, damaged in enumerate(fuzzing.mutations(path.read_bytes(), 300, 3)):
+        path.write_bytes(damaged)
+        try:
+            model = read_ply_model(path).model
+            assert all(np.isfinite(array).all() for array in model.tensors().values()), f"case {case}"
+        except PhysHDRError as error:
+            assert error.message, f"case {case}"
+
+
+@pytest.mark.parametrize("name", ["phys_reflectance_dc_2", "phys_reflectance_rest_5"])
+def test_a_lossless_file_without_one_of_its_columns(tmp_path: Path, name: str):
+    with pytest.raises(FileDamagedError, match=rf"a\.ply: the columns of its reflectance .*it has no {name}"):
+        read_ply_model(own_layout(tmp_path / "a.ply", **{name: None}))
+
+
+@pytest.mark.parametrize("name", ["x", "rot_2", "opacity", "f_dc_0"])
+def test_a_gaussian_of_an_absurd_value_is_left_out(tmp_path: Path, name: str):
+    """A square of 3e38 overflows: the rotation would become 0."""
+    columns = standard_columns(**gaussians(8, coefficients=1))
+    columns[name][2] = -3e38
+    write_lossless_ply(tmp_path / "a.ply", columns, {})
+    found = read_ply_model(tmp_path / "a.ply")
+    assert found.left_out == 1 and found.model.count == 7
+    np.testing.assert_allclose(np.linalg.norm(found.model.rotation, axis=1), 1.0, atol=1e-6)
+
+
+def test_gaussians_in_the_coordinates_of_a_map(tmp_path: Path):
+    given = gaussians(8, coefficients=1)
+    given["positions"] += np.float32([5e5, 5.3e6, 0.0])
+    write_standard_ply(tmp_path / "a.ply", **given)
+    with pytest.raises(
+        BadValueError, match=r"a\.ply: its first Gaussian is at .*5.3e\+06.*(.|\n)*world's origin"
+    ):
+        read_ply_model(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "format ascii 1.0\nelement vertex 100000000000\nproperty list uchar int x",
+        "format binary_little_endian 1.0\nelement face 9000000000\nproperty list uchar int x",
+        "format binary_little_endian 1.0\nelement vertex 99999999999999999999999\nproperty float x",
+        "format binary_little_endian 1.0\nelement vertex " + "9" * 5000 + "\nproperty float x",
+        "format ascii 1.0\nelement vertex 30\n" + "\n".join(f"property float c{k}" for k in range(40)),
+    ],
+)
+def test_a_header_that_claims_more_than_there_is_takes_no_memory(tmp_path: Path, header: str):
+    (tmp_path / "a.ply").write_text(f"ply\n{header}\nend_header\n1 2 3\n")
+    with pytest.raises(FileDamagedError, match=r"a\.ply is not a readable PLY .(it claims|Exceeds)"):
+        read_ply_model(tmp_path / "a.ply")
+
+
+@pytest.mark.usefixtures("never_waits")
+def test_a_pipe_is_no_ply(tmp_path: Path):
+    os.mkfifo(tmp_path / "a.ply")
+    with pytest.raises(FileDamagedError, match=r"a\.ply is a pipe, not a file"):
+        read_ply_model(tmp_path / "a.ply")

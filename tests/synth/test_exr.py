@@ -3,12 +3,17 @@
 
 from __future__ import annotations
 
+import os
+import resource
+import struct
+import zlib
+
 import bpy
 import numpy as np
 import pytest
 
-from physhdr.synth import exr, passes
-from physhdr.synth.errors import DamagedFileError, NotFiniteError
+from physhdr.synth import exr, folder, passes, png
+from physhdr.synth.errors import DamagedFileError, NotFiniteError, OutputFolderError
 
 
 def made_up(height=21, width=37, lights=("ambient", "pendant")):
@@ -108,6 +113,110 @@ def test_values_that_are_not_finite_are_damage(tmp_path):
     (tmp_path / "nan.exr").write_bytes(exr.encode_rgb(values))
     with pytest.raises(NotFiniteError, match="not finite"):
         exr.read(tmp_path / "nan.exr")
+
+
+def test_damage_of_any_kind_is_one_error(tmp_path, fuzzing):
+    """Among 600 are offsets beyond what Python can index, and attributes of a negative size."""
+    whole = exr.encode({name: np.ones((40, 12), np.float32) for name in "RG"}, {"facts": "{}"})
+    for damaged in fuzzing.mutations(whole, 600, 1):
+        (tmp_path / "a.exr").write_bytes(damaged)
+        try:
+            exr.read_channels(tmp_path / "a.exr")
+        except DamagedFileError as error:
+            assert "a.exr" in error.message
+
+
+def test_an_offset_that_nothing_can_index(tmp_path):
+    whole = exr.encode_rgb(np.ones((4, 4, 3), np.float32))
+    at = _table(whole)
+    (tmp_path / "a.exr").write_bytes(whole[:at] + struct.pack("<Q", 2**64 - 1) + whole[at + 8 :])
+    with pytest.raises(DamagedFileError, match=r"a\.exr' is damaged"):
+        exr.read(tmp_path / "a.exr")
+
+
+def test_lines_that_are_there_twice_leave_others_out(tmp_path):
+    """Else what happened to be in memory would be the picture's second half."""
+    whole = exr.encode_rgb(np.random.default_rng(0).normal(size=(32, 8, 3)))
+    at = _table(whole)
+    first = whole[at : at + 8]
+    (tmp_path / "a.exr").write_bytes(whole[:at] + first + first + whole[at + 16 :])
+    with pytest.raises(DamagedFileError, match="has lines twice"):
+        exr.read(tmp_path / "a.exr")
+
+
+def test_lines_above_the_picture_are_not_the_last_ones(tmp_path):
+    whole = exr.encode_rgb(np.random.default_rng(0).normal(size=(32, 8, 3)))
+    (block,) = struct.unpack_from("<Q", whole, _table(whole))
+    (tmp_path / "a.exr").write_bytes(whole[:block] + struct.pack("<i", -16) + whole[block + 4 :])
+    with pytest.raises(DamagedFileError, match="has lines twice"):
+        exr.read(tmp_path / "a.exr")
+
+
+def test_an_attribute_of_a_negative_size_is_no_way_back(tmp_path, never_waits):
+    """Its end would be its beginning: the header would be read for ever."""
+    whole = exr.encode_rgb(np.ones((4, 4, 3), np.float32))
+    head = b"compression\0compression\0"
+    size = struct.pack("<i", -len(head) - 4)
+    (tmp_path / "a.exr").write_bytes(whole.replace(head + struct.pack("<i", 1), head + size))
+    with pytest.raises(DamagedFileError, match="impossible size"):
+        exr.read(tmp_path / "a.exr")
+
+
+def test_a_block_that_unpacks_to_more_than_its_lines_takes_no_memory(tmp_path):
+    whole = exr.encode_rgb(np.zeros((4, 4, 3), np.float32))
+    (block,) = struct.unpack_from("<Q", whole, _table(whole))
+    bomb = zlib.compress(bytes(1 << 28), 9)
+    (tmp_path / "a.exr").write_bytes(whole[:block] + struct.pack("<ii", 0, len(bomb)) + bomb)
+    before = _peak()
+    with pytest.raises(DamagedFileError, match="block of the wrong size"):
+        exr.read(tmp_path / "a.exr")
+    assert _peak() - before < 100e6
+
+
+def test_pipes_are_not_waited_for(tmp_path, never_waits):
+    for name, read in (("a.exr", exr.read), ("a.png", png.read), ("dataset.json", folder.read_json)):
+        os.mkfifo(tmp_path / name)
+        with pytest.raises(DamagedFileError, match=f"cannot read '.*{name}': it is not a file"):
+            read(tmp_path / name)
+
+
+def test_a_png_comes_back_or_is_damaged(tmp_path, fuzzing):
+    path, image = tmp_path / "a.png", np.arange(300, dtype=np.uint8).reshape(10, 10, 3)
+    whole = png.encode(image)
+    path.write_bytes(whole)
+    np.testing.assert_array_equal(png.read(path), image)
+    for damaged in fuzzing.mutations(whole, 300, 2):
+        path.write_bytes(damaged)
+        try:
+            png.read(path)
+        except DamagedFileError as error:
+            assert "a.png" in error.message
+
+
+@pytest.mark.parametrize("options", [None, True, 7, [1], "text"])
+def test_a_state_without_options_is_not_ours(tmp_path, options):
+    state = {"format": "physhdr-dataset", "version": 1, "generator": {"name": "x"}, "options": options}
+    folder.write_json(tmp_path / "dataset.json", state)
+    with pytest.raises(OutputFolderError, match="is not of this program"):
+        folder.open_folder(tmp_path, {"views": 3}, {"name": "x"})
+
+
+def test_a_state_of_a_hundred_thousand_brackets(tmp_path):
+    (tmp_path / "dataset.json").write_text("[" * 100_000)
+    with pytest.raises(DamagedFileError, match=r"dataset\.json' is damaged .maximum recursion"):
+        folder.read_json(tmp_path / "dataset.json")
+
+
+def _table(data):
+    """Where the table of the blocks' offsets is: it begins with where it ends."""
+    return next(
+        at for at in range(len(data) - 8) if struct.unpack_from("<Q", data, at)[0] in (at + 8, at + 16)
+    )
+
+
+def _peak():
+    """Bytes that this process has had at most."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
 def _save_exr(path, values, codec):
