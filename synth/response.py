@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from .errors import ResponseFileError, UnknownNameError
+from . import folder
+from .errors import DamagedFileError, ResponseFileError, UnknownNameError
 
 SATURATED = 0.95
 """Above this code value 1 is no good anchor: its slope no longer tells the scale."""
@@ -93,8 +94,8 @@ def from_file(path: Path) -> Response:
         ResponseFileError: unreadable, fewer than two points, negative, or not rising.
     """
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        text = folder.read(path).decode("utf-8")
+    except (DamagedFileError, UnicodeDecodeError) as error:
         raise ResponseFileError(f"cannot read the response file '{path}': {error}") from error
     try:
         if path.suffix.lower() == ".json":
@@ -102,8 +103,10 @@ def from_file(path: Path) -> Response:
         else:
             rows = [line.split("#")[0].replace(",", " ").split() for line in text.splitlines()]
             points = np.array([[float(value) for value in row] for row in rows if row], np.float64)
-    except (ValueError, TypeError) as error:
-        raise ResponseFileError(f"response file '{path}' is not a list of number pairs: {error}") from error
+    except (ValueError, TypeError, OverflowError, RecursionError) as error:
+        raise ResponseFileError(
+            f"response file '{path}' is not a list of number pairs: {error!s:.200}"
+        ) from error
     if points.ndim != 2 or points.shape[1] != 2 or len(points) < 2 or not np.isfinite(points).all():
         raise ResponseFileError(
             f"response file '{path}' must hold at least two pairs: exposure × radiance, code 0…1"

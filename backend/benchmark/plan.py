@@ -30,6 +30,7 @@ from typing import Any
 
 from ...bridge.atomic import atomic_path
 from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
+from ...bridge.regular import read_text
 
 PLAN_FILE = "plan.toml"
 SETTINGS = ("exp1", "exp3")
@@ -253,12 +254,13 @@ def make_plan(content: dict[str, Any], beside: Path) -> Plan:
 
 def read_plan(path: Path) -> dict[str, Any]:
     """The keys of a plan file, its folders and files made absolute."""
+    remedy = "Write it as TOML, or delete it."
+    if not path.exists():
+        raise FileMissingError(f"there is no plan {path}", "Give --methods, --scenes, --budget.")
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError as error:
-        raise FileMissingError(f"there is no plan {path}", "Give --methods, --scenes, --budget.") from error
-    except (OSError, ValueError) as error:
-        raise FileDamagedError(f"{path} is not a plan: {error}", "Write it as TOML, or delete it.") from error
+        content = tomllib.loads(read_text(path, remedy))
+    except (ValueError, RecursionError) as error:
+        raise FileDamagedError(f"{path} is not a plan: {error!s:.200}", remedy) from error
     at = path.parent.resolve()
     if isinstance(content.get("scenes"), list):
         content["scenes"] = [str(SceneFolder.parsed(str(text), at)) for text in content["scenes"]]
