@@ -121,7 +121,11 @@ class RunOpen:
 
 @dataclass(frozen=True, kw_only=True)
 class ModelExport:
-    """Write the open model as it is now to the model file ``path``, for import; answered by ``Exported``."""
+    """Write the open model as it is now to the model file ``path``, for import; answered by ``Exported``.
+
+    ``path`` ends in ``.safetensors`` and lies in a folder that is there. What is at ``path`` already is
+    replaced only if it is a model file. Writing is for the connection in control, as all that steers.
+    """
 
     path: str
 
@@ -320,7 +324,7 @@ Request = (
     | Shutdown
 )
 Reply = Welcome | Done | Exported | History | JobStatus
-#: Requests that change something: only the connection in control may send them.
+#: Requests that change something, in the backend or on the disk: for the connection in control alone.
 STEERING: tuple[type, ...] = (
     TrainStart,
     TrainResume,
@@ -328,6 +332,7 @@ STEERING: tuple[type, ...] = (
     TrainContinue,
     TrainStop,
     RunOpen,
+    ModelExport,
     WhenClosed,
     Shutdown,
 )

@@ -1,10 +1,38 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Errors as data: what goes wrong in the backend, as a ``Failure`` for the wire."""
 
+import errno
+import os
+
 from ...bridge.errors import PhysHDRError
 from ...bridge.messages import Failure
 
 OUT_OF_MEMORY = "out_of_memory"
+#: The system refuses a path, or what is to be written there.
+PATH = "path"
+FREE_SPACE = (
+    "Free some space, or choose a folder on another disk; a training goes on from its last checkpoint."
+)
+ANOTHER_DISK = "Check that the disk is there and in order, or choose a folder on another one."
+#: Errors of a disk: they come from reading and writing, too, where the system does not name the file.
+OF_THE_DISK = {
+    errno.ENOSPC: FREE_SPACE,
+    errno.EDQUOT: FREE_SPACE,
+    errno.EFBIG: "The disk does not take files of that size: choose a folder on another one.",
+    errno.EROFS: "Nothing can be written there: choose a folder on another disk.",
+    errno.EIO: ANOTHER_DISK,
+    errno.ESTALE: ANOTHER_DISK,
+}
+#: What to do about the errors of a path that are known to have one remedy.
+OF_A_PATH = {
+    errno.ENAMETOOLONG: "Choose a shorter path; most disks take names of up to 255 bytes.",
+    errno.ENOENT: "Check that it is still there, or choose another path.",
+    errno.ENOTDIR: "A file is where a folder is needed: choose another path.",
+    errno.EACCES: "Change its permissions, or choose another path.",
+    errno.EPERM: "Change its permissions, or choose another path.",
+    errno.ELOOP: "Its links lead in a circle: mend them, or choose another path.",
+    errno.EMFILE: "Too many files are open at once: end the backend and start it again.",
+}
 #: What torch says on the CPU, as a plain RuntimeError.
 OUT_OF_MEMORY_WORDS = ("can't allocate memory", "not enough memory", "CUDA out of memory")
 
@@ -21,8 +49,12 @@ class NoJobError(PhysHDRError):
     """No training runs that could be paused, continued or stopped."""
 
 
-def failure_of(error: BaseException, log: str = "") -> Failure:
-    """What to tell of an error. ``log``: where its traceback can be read."""
+def failure_of(error: BaseException, log: str = "", place: str = "") -> Failure:
+    """What to tell of an error.
+
+    ``log``: where its traceback can be read. ``place``: the folder that was worked in, told where a disk
+    refuses and the system does not say at which file.
+    """
     if isinstance(error, PhysHDRError):
         return Failure(code=error.code, message=error.message, hint=error.hint)
     if is_out_of_memory(error):
@@ -32,6 +64,8 @@ def failure_of(error: BaseException, log: str = "") -> Failure:
             hint="Close other programs, or train on smaller pictures or with fewer Gaussians. A training "
             "was saved where its state was whole: resume it when there is room.",
         )
+    if isinstance(error, OSError) and (refused := _refused_path(error, place)):
+        return refused
     first = (str(error).strip().splitlines() or [""])[0]
     return Failure(
         code="internal",
@@ -45,3 +79,21 @@ def is_out_of_memory(error: BaseException) -> bool:
     return isinstance(error, MemoryError) or (
         isinstance(error, RuntimeError) and any(words in str(error) for words in OUT_OF_MEMORY_WORDS)
     )
+
+
+def _refused_path(error: OSError, place: str) -> Failure | None:
+    """The failure where the system refuses a path, or a disk what is to be written; else ``None``."""
+    # Of a renaming that fails, the second name is the one that somebody chose.
+    named = error.filename2 or error.filename
+    if isinstance(named, bytes | str) and named:
+        path = os.fsdecode(named)
+    elif error.errno in OF_THE_DISK:
+        path = f"a file in {place}" if place else "a file"
+    else:
+        return None  # of a connection or a process: no path is at fault
+    remedy = (OF_THE_DISK | OF_A_PATH).get(
+        error.errno or 0, "Check that path and its permissions, or choose another one."
+    )
+    # Halves of characters stand for bytes that are no UTF-8; nothing could show them.
+    words = f"the system refuses {path}: {error.strerror or error}".encode("utf-8", "replace").decode("utf-8")
+    return Failure(code=PATH, message=words, hint=remedy)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from filelock import FileLock, SoftFileLock, Timeout
+from filelock import FileLock, Timeout
 
 from ...bridge.connection import (
     CONNECTION_FILE,
@@ -34,18 +34,19 @@ def own_home(folder: Path) -> Iterator[None]:
     path = folder / LOCK_FILE
     try:
         _tighten(path)
-        held = FileLock(path, mode=0o600).acquire(timeout=0)
+        # Nothing in a lock's stead where the disk knows none: that would outlive a process that is killed.
+        held = FileLock(path, mode=0o600, fallback_to_soft=False).acquire(timeout=0)
     except Timeout:
         raise BusyError(
             f"a backend already serves {folder}{_who(folder)}",
             "Connect to it (its connection file is there), end it, or choose another --home.",
         ) from None
     except (OSError, NotImplementedError) as error:
-        raise _no_lock(path, getattr(error, "strerror", None) or str(error)) from error
-    with held as lock:
-        if isinstance(lock, SoftFileLock):
-            # What the library does where there are no locks: such a one would outlive a killed process.
-            raise _no_lock(path, "the disk knows no locks")
+        raise OutputError(
+            f"{path} cannot be locked: {getattr(error, 'strerror', None) or error}",
+            "Choose a --home on a disk of this machine.",
+        ) from error
+    with held:
         with suppress(OSError):
             (folder / CONNECTION_FILE).unlink(missing_ok=True)  # of a backend that was killed
         yield
@@ -73,7 +74,3 @@ def _tighten(path: Path) -> None:
     with suppress(FileNotFoundError):
         if stat.S_ISREG(os.lstat(path).st_mode):
             path.chmod(0o600)
-
-
-def _no_lock(path: Path, why: str) -> OutputError:
-    return OutputError(f"{path} cannot be locked: {why}", "Choose a --home on a disk of this machine.")

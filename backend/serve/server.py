@@ -7,6 +7,7 @@ client's slots (``client``), what clients ask goes into the ``inbox``.
 
 import asyncio
 import dataclasses
+import functools
 import hmac
 import http
 import itertools
@@ -17,7 +18,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
-from typing import Any
+from typing import Any, cast
 
 from websockets.asyncio.server import Server as WebSocketServer
 from websockets.asyncio.server import ServerConnection, serve
@@ -48,6 +49,7 @@ from ...bridge.messages import (
     Welcome,
     WhenClosed,
     decode,
+    type_name,
 )
 from .client import OUTSTANDING_MAX, WRONG_FRAMES_MAX, Client
 from .failures import failure_of
@@ -65,6 +67,11 @@ CLOSE_SECONDS = 1.0
 #: tell, since its own pings wait behind the rest.
 STALLED_SECONDS = 4.0
 CLIENTS_MAX = 16
+#: So many connections may be there that have not said hello; with the next one the oldest of them is dropped.
+#: Every user of the machine can make some, and each is an open file of this process, which needs others.
+STRANGERS_MAX = 64
+#: Refusals are logged once in so many seconds, with their number: nobody shall fill the disk by knocking.
+REFUSALS_SECONDS = 10.0
 NAME_LENGTH_MAX = 80
 #: How long a training waits for somebody in control, where the last one wished it stopped.
 ABANDONED_SECONDS = 5.0
@@ -78,6 +85,30 @@ class RefusedError(Exception):
     def __init__(self, code: int, reason: str) -> None:
         super().__init__(reason)
         self.code, self.reason = code, reason
+
+
+class Door(ServerConnection):
+    """A connection that counts among ``strangers``, the oldest first, until it has said hello."""
+
+    def __init__(self, strangers: "dict[Door, None]", *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        self._strangers = strangers
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        super().connection_made(transport)
+        self._strangers[self] = None
+        if len(self._strangers) > STRANGERS_MAX:
+            oldest = next(iter(self._strangers))
+            oldest.admitted()
+            oldest.transport.abort()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self.admitted()
+        super().connection_lost(exc)
+
+    def admitted(self) -> None:
+        """It is no stranger any more."""
+        self._strangers.pop(self, None)
 
 
 class Server:
@@ -101,6 +132,8 @@ class Server:
         self._status = JobStatus(state="preparing", message="starting: loading torch")
         self._clients: dict[int, Client] = {}  # the longest connected first
         self._numbers = itertools.count(1)
+        self._strangers: dict[Door, None] = {}
+        self._refusals, self._next_refusals = 0, 0.0  # not told yet, and when they may be
         self._controller = 0
         self._stop_when_closed = False  # as the client in control wishes
         self._abandoned: asyncio.TimerHandle | None = None
@@ -171,6 +204,7 @@ class Server:
             close_timeout=CLOSE_SECONDS,
             server_header=None,
             logger=_library_log,
+            create_connection=cast(type[ServerConnection], functools.partial(Door, self._strangers)),
         )
         watch = asyncio.create_task(self._watch_idleness())
         self._port.set_result(next(iter(server.sockets)).getsockname()[1])
@@ -220,13 +254,22 @@ class Server:
             status, why = http.HTTPStatus.SERVICE_UNAVAILABLE, f"{CLIENTS_MAX} clients are connected already"
         else:
             return None
-        log.warning("refused a connection: %s", why)
+        self._log_refusal(why)
         return connection.respond(status, why + "\n")
+
+    def _log_refusal(self, why: str) -> None:
+        self._refusals += 1
+        now = time.monotonic()
+        if now >= self._next_refusals:
+            count = "a connection" if self._refusals == 1 else f"{self._refusals} connections, the last one"
+            log.warning("refused %s: %s", count, why)
+            self._refusals, self._next_refusals = 0, now + REFUSALS_SECONDS
 
     async def _handle(self, socket: ServerConnection) -> None:
         client = None
         try:
             hello, number = await self._first_request(socket)
+            cast(Door, socket).admitted()
             client = self._enter(socket, hello, number)
             tasks = [asyncio.create_task(self._write(client)), asyncio.create_task(_drop_if_stalled(socket))]
             try:
@@ -348,7 +391,7 @@ class Server:
                 number,
                 Failure(
                     code="not_in_control",
-                    message="another connection steers this backend",
+                    message=f"{name} steers this backend; {type_name(type(message))} is for the one who does",
                     hint=f"{name} is in control: watch, or take control.",
                 ),
             )

@@ -23,12 +23,15 @@ from physhdr.bridge.messages import (
     Envelope,
     Hello,
     HistoryGet,
+    ModelExport,
     PreviewCamera,
     PreviewRequest,
     RunOpen,
     StatusGet,
+    TrainResume,
     TrainStart,
     encode,
+    type_name,
 )
 
 ROOT = Path(__file__).parents[3]
@@ -130,6 +133,30 @@ def test_what_is_no_websocket_at_all_is_dropped(backend, enter):
     assert enter(backend).welcome.pid == backend.process.pid
 
 
+def test_a_crowd_of_strangers_is_kept_small(start, enter):
+    """Connections that anybody on the machine can make use up neither the open files nor the log."""
+    backend = start()
+    peer = enter(backend)
+    peer.wait_for("idle")
+    files = Path(f"/proc/{backend.process.pid}/fd")
+    before, crowd = len(list(files.iterdir())), []
+    for _ in range(300):
+        crowd.append(socket.create_connection(("127.0.0.1", backend.connection.port), timeout=10))
+    assert peer.ask(StatusGet()).in_control
+    deadline = time.monotonic() + 2.5  # well before the first of them is given up for saying nothing
+    while len(list(files.iterdir())) - before > 70:
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    assert enter(backend).welcome.pid == backend.process.pid  # whoever has the token comes through the crowd
+    for stranger in crowd:
+        stranger.close()
+    for _ in range(50):
+        with pytest.raises(InvalidStatus):
+            enter(backend, token="0" * 64)
+    assert backend.log.read_text().count("refused") == 1
+    assert peer.ask(StatusGet()).in_control
+
+
 def test_values_out_of_range_are_refused_with_a_reason(backend, enter, refusal, tmp_path):
     peer = enter(backend)
     peer.wait_for("idle")
@@ -150,6 +177,47 @@ def test_values_out_of_range_are_refused_with_a_reason(backend, enter, refusal, 
     assert refusal(peer, TrainStart(**{**good, "data": "/no/such/folder"})).code == "file_missing"
     assert refusal(peer, RunOpen(run=str(tmp_path))).code == "file_missing"
     assert peer.ask(StatusGet()).state == "idle"
+
+
+#: Every path that a client may name.
+PATHS = {
+    "train_start.data": lambda path: TrainStart(data=path, out="/nowhere/run"),
+    "train_start.out": lambda path: TrainStart(data="/", out=path),
+    "train_resume.run": lambda path: TrainResume(run=path),
+    "train_resume.data": lambda path: TrainResume(run="/nowhere/run", data=path),
+    "run_open.run": lambda path: RunOpen(run=path),
+    "run_open.data": lambda path: RunOpen(run="/nowhere/run", data=path),
+    "model_export.path": lambda path: ModelExport(path=path),
+}
+
+
+@pytest.mark.parametrize("field", PATHS)
+def test_paths_that_the_system_refuses_are_told_with_a_remedy(backend, enter, refusal, tmp_path, field):
+    """No fault of PhysHDR's, whatever the client names: what is wrong with which path, and what to do."""
+    peer = enter(backend)
+    peer.wait_for("idle")
+    circle = tmp_path / "circle"
+    circle.symlink_to(circle)
+    for path, words, remedy in (
+        (tmp_path / ("n" * 300 + ".safetensors"), "File name too long", "shorter path"),
+        (tmp_path / "/".join(["folder"] * 700) / "x.safetensors", "File name too long", "shorter path"),
+        (circle / "x.safetensors", "symbolic links", "links lead in a circle"),
+    ):
+        failure = refusal(peer, PATHS[field](str(path)))
+        assert failure.code == "path" and f"{path}: " in failure.message and words in failure.message
+        assert remedy in failure.hint
+    for path in ("relative.safetensors", "/with\0nul.safetensors", "/half\ud800.safetensors", ""):
+        if path or field not in ("train_resume.data", "run_open.data"):  # empty there: as before
+            failure = refusal(peer, PATHS[field](path))
+            assert failure.code == "bad_value" and "absolute path" in failure.message and failure.hint
+    assert peer.ask(StatusGet()).state == "idle"
+
+
+def test_a_model_is_written_to_a_name_of_its_own_alone(backend, enter, refusal, tmp_path):
+    peer = enter(backend)
+    for name in ("notes.txt", "model", ".safetensors", "model.safetensors.bak", "model.SafeTensors"):
+        failure = refusal(peer, ModelExport(path=str(tmp_path / name)))
+        assert failure.code == "bad_value" and name in failure.message and ".safetensors" in failure.hint
 
 
 def test_the_panel_offers_presets_that_there_are():
@@ -220,8 +288,10 @@ def test_who_does_not_read_or_speak_is_dropped(backend, enter):
 def test_one_steers_and_the_others_watch(backend, enter, refusal, tmp_path):
     first, second = enter(backend, "Blender one"), enter(backend, "Blender\n two")
     assert first.welcome.in_control and not second.welcome.in_control
-    failure = refusal(second, RunOpen(run=str(tmp_path)))
-    assert failure.code == "not_in_control" and "Blender one" in failure.hint
+    for request in (RunOpen(run=str(tmp_path)), ModelExport(path=str(tmp_path / "m.safetensors"))):
+        failure = refusal(second, request)
+        assert failure.code == "not_in_control" and "Blender one" in failure.hint
+        assert "Blender one steers" in failure.message and type_name(type(request)) in failure.message
     assert second.ask(StatusGet()).controller == "Blender one"
     assert second.ask(StatusGet()).in_control is False
     assert second.ask(ControlTake()) == Done()

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The process: its home, how it is found, how it ends; and how the extension starts it."""
 
+import errno
 import json
 import os
 import runpy
@@ -85,6 +86,35 @@ def test_lack_of_memory_has_a_code_and_advice(error):
     assert failure.code == "out_of_memory" and "smaller pictures" in failure.hint
     assert failure_of(ValueError("x"), "/the.log").code == "internal"
     assert "/the.log" in failure_of(ValueError("x"), "/the.log").hint
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO])
+def test_a_disk_that_refuses_is_no_fault_of_ours(number):
+    """With the file where the system names it, else with the folder that was worked in, as far as known."""
+    words = os.strerror(number)
+    named = failure_of(OSError(number, words, "/runs/one/log.jsonl"), "/the.log", "/runs/one")
+    assert named.code == "path" and f"/runs/one/log.jsonl: {words}" in named.message and "disk" in named.hint
+    placed = failure_of(OSError(number, words), "/the.log", "/runs/one")
+    assert placed.code == "path" and f"a file in /runs/one: {words}" in placed.message
+    assert words in failure_of(OSError(number, words)).message
+    renamed = failure_of(OSError(number, words, "/runs/.tmp-1", None, "/runs/name"))
+    assert "/runs/name" in renamed.message and ".tmp" not in renamed.message
+
+
+def test_other_errors_of_the_system_are_faults_of_ours(tmp_path):
+    assert failure_of(ConnectionResetError(errno.ECONNRESET, "reset")).code == "internal"
+    assert failure_of(ChildProcessError("x")).code == "internal"
+    with pytest.raises(OSError, match="Bad file") as broken:
+        os.fstat(10**6)
+    assert failure_of(broken.value).code == "internal"
+
+
+def test_a_path_of_bytes_that_are_no_text_can_be_shown(tmp_path):
+    name = os.fsencode(tmp_path) + b"/\xff" + b"x" * 300
+    with pytest.raises(OSError, match="too long") as refused:
+        os.stat(name)
+    failure = failure_of(refused.value)
+    assert failure.code == "path" and failure.message.encode("utf-8") and "shorter" in failure.hint
 
 
 # ---- launch.py -------------------------------------------------------------------------------------------

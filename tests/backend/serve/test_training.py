@@ -23,7 +23,7 @@ from physhdr.backend.serve.curves import Curves
 from physhdr.backend.serve.inbox import Abandoned, Command, Inbox
 from physhdr.backend.serve.preview import camera_of, render
 from physhdr.backend.train.checkpoint import load_checkpoint, save_checkpoint
-from physhdr.backend.train.config import write_config
+from physhdr.backend.train.config import read_config, write_config
 from physhdr.backend.train.presets import PRESETS
 from physhdr.bridge.connection import Connection
 from physhdr.bridge.messages import (
@@ -184,8 +184,8 @@ def test_a_checkpoint_is_written_as_time_passes(tiny_data, tmp_path, monkeypatch
 
     engine = engine_module.Engine(Inbox(), Listener(), Curves(), engine_module.Options())
     engine._attend(Command(1, "test", 1, start_of(tiny_data, tmp_path / "run", 60)))
-    real, begun = time.monotonic, time.monotonic()
-    monkeypatch.setattr(engine_module.time, "monotonic", lambda: begun + 1000.0 * (real() - begun))
+    real, begun = time.perf_counter, time.perf_counter()
+    monkeypatch.setattr(time, "perf_counter", lambda: begun + 1000.0 * (real() - begun))
     engine._do(engine._job)
     assert {0, 60} < saved  # the tests above saw that without it there is one at the end only
 
@@ -349,6 +349,29 @@ def test_two_clients_are_served_in_turn(backend, enter, runs):
             assert peer.frames[-1].header.request == request
 
 
+def test_no_file_of_the_users_is_replaced_by_an_export(backend, enter, refusal, runs, tmp_path):
+    """Neither by one who watches, whatever is there, nor by the one who steers, where it is no model."""
+    steers, watches = enter(backend, "Blender"), enter(backend, "a script that watches")
+    steers.ask(RunOpen(run=str(runs["default"])))
+    other = tmp_path / "other"
+    shutil.copytree(runs["paper"], other)
+    notes, model = tmp_path / "notes.safetensors", tmp_path / "model.safetensors"
+    notes.write_text("mine")
+    checkpoint = (other / CHECKPOINT).read_bytes()
+    steers.ask(ModelExport(path=str(model)))
+    for path in (notes, other / CHECKPOINT, model, tmp_path / "new.safetensors"):
+        before = path.read_bytes() if path.exists() else None
+        assert refusal(watches, ModelExport(path=str(path))).code == "not_in_control"
+        assert (path.read_bytes() if path.exists() else None) == before
+    for path in (notes, other / CHECKPOINT):
+        failure = refusal(steers, ModelExport(path=str(path)))
+        assert failure.code == "output" and str(path) in failure.message and "another name" in failure.hint
+    assert notes.read_text() == "mine" and (other / CHECKPOINT).read_bytes() == checkpoint
+    assert isinstance(steers.ask(ModelExport(path=str(model))), Exported)  # its own is replaced
+    watches.ask(ControlTake())
+    assert isinstance(watches.ask(ModelExport(path=str(model))), Exported)
+
+
 def test_a_failed_training_is_a_state_and_the_backend_lives_on(backend, enter, refusal, tiny_data, tmp_path):
     peer = enter(backend)
     damaged = tmp_path / "damaged"
@@ -371,7 +394,7 @@ def test_a_failed_training_is_a_state_and_the_backend_lives_on(backend, enter, r
 
     # A state that diverges: the error says so, and the checkpoint stays as it was.
     tensors, _ = load_checkpoint(run / CHECKPOINT)
-    tensors["networks.tone_mapper.b1"].fill_(float("nan"))
+    tensors["networks.tone_mapper.b1"].fill_(3e38)
     save_checkpoint(run / CHECKPOINT, tensors, {"iteration": "10"})
     before = (run / CHECKPOINT).read_bytes()
     peer.ask(TrainResume(run=str(run)))
@@ -390,7 +413,8 @@ def test_a_run_whose_data_have_moved_opens_with_their_new_place(backend, enter, 
     peer = enter(backend)
     peer.ask(start_of(tiny_data, tmp_path / "run", 3))
     peer.wait_for("finished", "failed")
-    write_config(tmp_path / "run" / "config.json", PRESETS["default"], tmp_path / "gone", "default")
+    config = tmp_path / "run" / "config.json"
+    write_config(config, read_config(config).config, tmp_path / "gone", "default")
     assert refusal(peer, RunOpen(run=str(tmp_path / "run"))).code == "file_missing"
     assert peer.ask(StatusGet()).state == "finished" and peer.status.has_model  # what was open stays
     assert peer.ask(RunOpen(run=str(tmp_path / "run"), data=str(moved))) == Done()
