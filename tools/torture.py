@@ -43,15 +43,17 @@ from torture_attacks.processes import BIN, ROOT, Program, Warm, WarmProgram
 
 TABLE_FILE = "torture.md"
 SHORT_SOAK = 20.0
+#: Attacks of a short run that are made at the same time.
+AT_ONCE = 3
 
 
 @dataclass(frozen=True)
 class Attack:
-    """``what``: told in the table. ``blender``: needs Blender's Python; of its own lane in a short run."""
+    """``what``: told in the table. ``slow``: begun first in a short run, which does several at once."""
 
     what: str
     do: Callable[[Bench], Result]
-    blender: bool = False
+    slow: bool = False
 
 
 ATTACKS: dict[str, Attack] = {
@@ -64,23 +66,23 @@ ATTACKS: dict[str, Attack] = {
     "kill-export": Attack("SIGKILL during export, done again", kill_commands.kill_export),
     "kill-evaluate": Attack("SIGKILL during evaluate, done again", kill_commands.kill_evaluate),
     "kill-video": Attack("SIGKILL during video, done again", kill_commands.kill_video),
-    "kill-prepare": Attack("SIGKILL during prepare, done again", kill_commands.kill_prepare),
-    "kill-benchmark": Attack("SIGKILL during a benchmark, gone on with", kill_commands.kill_benchmark),
+    "kill-prepare": Attack("SIGKILL during prepare, done again", kill_commands.kill_prepare, True),
+    "kill-benchmark": Attack("SIGKILL during a benchmark, gone on with", kill_commands.kill_benchmark, True),
     "kill-render": Attack("SIGKILL during make_scene.py, gone on with", kill_commands.kill_render, True),
     "disk-training": Attack("disk full at every write of a training", full_disk.disk_training),
     "disk-resume": Attack("disk full at every write of a resumed training", full_disk.disk_resume),
     "disk-export": Attack("disk full at every write of export", full_disk.disk_export),
     "disk-evaluate": Attack("disk full at every write of evaluate", full_disk.disk_evaluate),
     "disk-video": Attack("disk full at every write of video", full_disk.disk_video),
-    "disk-prepare": Attack("disk full at every write of prepare", full_disk.disk_prepare),
+    "disk-prepare": Attack("disk full at every write of prepare", full_disk.disk_prepare, True),
     "disk-render": Attack("disk full at every write of make_scene.py", full_disk.disk_render, True),
     "two-trainings": Attack("two trainings on one folder", two_at_once.two_trainings),
     "two-readers": Attack("a checkpoint read all the time while it is written", two_at_once.two_readers),
     "two-renders": Attack("two make_scene.py on one folder", two_at_once.two_renders, True),
-    "two-benchmarks": Attack("two benchmarks on one folder", two_at_once.two_benchmarks),
+    "two-benchmarks": Attack("two benchmarks on one folder", two_at_once.two_benchmarks, True),
     "two-servers": Attack("two backends on one home", two_at_once.two_servers),
     "two-exports": Attack("two exports to one folder", two_at_once.two_exports),
-    "soak": Attack("previews, connections and trainings by one backend for long", soak.soak),
+    "soak": Attack("previews, connections and trainings by one backend for long", soak.soak, True),
 }
 
 
@@ -94,9 +96,12 @@ def main() -> int:
         print(f"error: there is no {BIN / 'physhdr'}: make setup", file=sys.stderr)
         return 2
     work = given.work.resolve() / ("short" if given.short else "full")
-    if given.short or given.fresh:
-        for name in chosen:
-            shutil.rmtree(work / name, ignore_errors=True)
+    for name in chosen:
+        full_disk.unmount_all(work / name)
+    if given.short:
+        shutil.rmtree(work, ignore_errors=True)
+    for name in chosen if given.fresh else []:
+        shutil.rmtree(work / name, ignore_errors=True)
     work.mkdir(parents=True, exist_ok=True)
     options = Options(
         short=given.short,
@@ -144,7 +149,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def attack_all(names: list[str], work: Path, options: Options, warm: Warm | None) -> list[Row]:
-    """The rows; in a short run those that need Blender are done beside the others."""
+    """The rows; in a short run several attacks at a time, for half of what they do is to wait."""
     code = code_fingerprint()
 
     def start(*words: object, log: Path) -> Program:
@@ -165,11 +170,11 @@ def attack_all(names: list[str], work: Path, options: Options, warm: Warm | None
         say(f"{name:<15} {row.verdict} after {row.seconds:.0f} s: {row.count}: {row.outcome}")
         return row
 
-    lanes = [[n for n in names if ATTACKS[n].blender], [n for n in names if not ATTACKS[n].blender]]
     if not options.short:
         return [attack(name) for name in names]
-    with ThreadPoolExecutor(len(lanes)) as pool:
-        return [row for rows in pool.map(lambda lane: [attack(n) for n in lane], lanes) for row in rows]
+    slow_first = sorted(names, key=lambda name: not ATTACKS[name].slow)
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        return list(pool.map(attack, slow_first))
 
 
 _printing = threading.Lock()

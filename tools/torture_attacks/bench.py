@@ -23,6 +23,8 @@ from .oracle import SkipError, badly_ended
 from .processes import BIN, BLENDER, ROOT, Program, Warm, WarmProgram
 
 ROW_FILE = "row.json"
+_locks: dict[str, threading.Lock] = {}
+_locks_lock = threading.Lock()
 #: What a command may take, seconds: long enough for a busy machine, short enough to notice that it hangs.
 PATIENCE = 900.0
 
@@ -82,6 +84,8 @@ class Bench:
         self.folder.mkdir(parents=True, exist_ok=True)
         self.rng = np.random.default_rng([options.seed, zlib.crc32(name.encode())])
         self._material, self._say = material, say
+        #: What attacks share: of this code alone, and of this size.
+        self.made = work / "made" / code_fingerprint()
 
     @property
     def short(self) -> bool:
@@ -90,6 +94,11 @@ class Bench:
     @property
     def material(self) -> Material:
         return self._material()
+
+    def making(self, name: str) -> threading.Lock:
+        """Held while something that attacks share is made."""
+        with _locks_lock:
+            return _locks.setdefault(name, threading.Lock())
 
     def say(self, text: str) -> None:
         self._say(f"{self.name:<15} {text}")
@@ -144,7 +153,7 @@ class Store:
     """Makes the material when it is first asked for, once; it stays in ``work`` for the next time."""
 
     def __init__(self, work: Path, short: bool, start: Callable[..., Program]) -> None:
-        self.folder = work / "material" / ("short" if short else "full")
+        self.folder = work / "made" / "material"
         self._short, self._start = short, start
         self._lock = threading.Lock()
         self._made: Material | None = None

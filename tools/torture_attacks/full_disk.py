@@ -13,6 +13,7 @@ import numpy as np
 
 from . import commands
 from .bench import PATIENCE, Bench, Result
+from .commands import PAGE
 from .kill_training import BEGUN, CHECKPOINT
 from .oracle import (
     SkipError,
@@ -21,12 +22,12 @@ from .oracle import (
     checkpoint,
     different_folders,
     different_tensors,
+    finals,
     unfinished_finals,
 )
 from .processes import Program
 
-#: Sizes of a tmpfs are whole pages.
-PAGE = 4096
+#: Bytes, more than anything here needs.
 PLENTY = 256 << 20
 
 
@@ -47,6 +48,17 @@ class Tmpfs:
     def clear(self) -> None:
         for entry in self.path.iterdir():
             shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
+
+
+def unmount_all(folder: Path) -> None:
+    """What a torture that was killed has left mounted under the folder."""
+    try:
+        mounts = [Path(line.split()[1]) for line in Path("/proc/self/mounts").read_text().splitlines()]
+    except OSError:  # not Linux: nothing was mounted
+        return
+    for mount in mounts:
+        if folder in mount.parents:
+            subprocess.run(["umount", "-l", mount], check=True)
 
 
 @contextmanager
@@ -79,13 +91,15 @@ def sweep(
     start: Callable[[Path], Program],
     differs: Callable[[Path], list[str]],
     sizes: int,
+    least: int,
     start_again: Callable[[Path], Program] | None = None,
     damaged: Callable[[Path], list[str]] = lambda out: [],
 ) -> Result:
-    """The command at ``sizes`` free sizes.
+    """The command at ``sizes`` free sizes up to what it needs; in a short run at one, half of ``least``.
 
-    ``fill``: what lies there before. ``differs``: whether the output is not the undisturbed one's.
-    ``damaged``: what must not be, right after the disk was full. ``start_again``: with room again.
+    ``least``: bytes that are there in the end. ``fill``: what lies there before. ``differs``: whether the
+    output is not the undisturbed one's. ``damaged``: what must not be, right after the disk was full.
+    ``start_again``: with room again.
     """
     result = Result("sizes")
     out = disk.path / "out"
@@ -98,11 +112,15 @@ def sweep(
         return disk.used
 
     held = begin()
-    peak = _peak(disk, start(out)) - held
+    if bench.short:
+        peak, frees = least, [least // 2]
+    else:
+        peak = _peak(disk, start(out)) - held
+        frees = np.linspace(0, peak, sizes, endpoint=False).astype(int).tolist()
     refused = 0
-    for free in np.unique(np.linspace(0, peak, sizes, endpoint=False).astype(int) // PAGE * PAGE):
+    for free in sorted({each // PAGE * PAGE for each in frees}):
         held = begin()
-        disk.resize(held + int(free))
+        disk.resize(held + free)
         program = start(out)
         status = program.wait(PATIENCE)
         where = f"{free // 1024} of {peak // 1024} KiB free"
@@ -136,12 +154,6 @@ def _peak(disk: Tmpfs, program: Program) -> int:
     return max(most, disk.used)
 
 
-def _sizes(bench: Bench, slow: bool = False) -> int:
-    if bench.short:
-        return 2
-    return max(6, bench.options.sizes // 4) if slow else bench.options.sizes
-
-
 # ---- trainings -------------------------------------------------------------------------------------------
 
 
@@ -173,7 +185,8 @@ def disk_training(bench: Bench) -> Result:
             start_again=again,
             differs=lambda out: _not_trained(out, reference),
             damaged=_damaged,
-            sizes=_sizes(bench),
+            sizes=bench.options.sizes,
+            least=_size(reference),
         )
 
 
@@ -201,8 +214,13 @@ def disk_resume(bench: Bench) -> Result:
             start=start,
             differs=lambda out: _not_trained(out, reference),
             damaged=lambda out: _damaged(out, saved),
-            sizes=_sizes(bench),
+            sizes=bench.options.sizes,
+            least=_size(reference),
         )
+
+
+def _size(folder: Path) -> int:
+    return sum(path.stat().st_size for path in finals(folder))
 
 
 def _not_trained(out: Path, reference: Path) -> list[str]:
@@ -230,9 +248,8 @@ def _disk(make: Callable[[Bench], commands.Command], slow: bool = False) -> Call
     def attack(bench: Bench) -> Result:
         with tmpfs(bench.folder / "disk") as disk:
             command = make(bench)
-            out, reference = disk.path / "out", bench.empty("reference")
-            bench.must(command.start(out))  # in the very place: some files name it
-            shutil.copytree(out, reference)
+            made = commands.reference_of(bench, command)
+            reference, sizes = made.folder, bench.options.sizes
             return sweep(
                 bench,
                 disk,
@@ -240,7 +257,8 @@ def _disk(make: Callable[[Bench], commands.Command], slow: bool = False) -> Call
                 start=command.start,
                 differs=lambda out: different_folders(out, reference, command.varying),
                 damaged=lambda out: unfinished_finals(out, reference, command.varying),
-                sizes=_sizes(bench, slow),
+                sizes=max(6, sizes // 4) if slow else sizes,
+                least=made.size,
             )
 
     return attack

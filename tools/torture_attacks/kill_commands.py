@@ -9,13 +9,11 @@ from pathlib import Path
 import psutil
 
 from . import commands
-from .bench import PATIENCE, Bench, Result
-from .commands import Command
+from .bench import Bench, Result
+from .commands import CHANGES_EVERY, Changes, Command, Reference, reference_of
 from .oracle import different_folders, temporaries, tracebacks, unfinished_finals
 from .processes import Program
 
-#: How often a folder is looked at for a change, seconds.
-FINE = 0.001
 #: How long processes of a killed command may live on.
 ORPHANS_END = 20.0
 
@@ -25,21 +23,15 @@ def kill(make: Callable[[Bench], Command]) -> Callable[[Bench], Result]:
 
     def attack(bench: Bench) -> Result:
         command = make(bench)
-        out, reference = bench.empty("out"), bench.empty("reference")
+        undisturbed = reference_of(bench, command)
+        out, reference = bench.empty("out"), undisturbed.folder
         result = Result("kills")
-        begun = time.monotonic()
-        changes = _Changes(out)
-        program = command.start(out)
-        program.until(changes.look, PATIENCE, FINE)
-        bench.must(program)
-        took = time.monotonic() - begun
-        out.rename(reference)
-        left = 0
+        left: list[str] = []
         for number in range(_tries(bench, command)):
             if number % 2 == 0:
                 shutil.rmtree(out, ignore_errors=True)
             program = command.start(out)
-            where = _kill(bench, program, out, number, took, changes.count)
+            where = _kill(bench, program, out, number, undisturbed)
             if where is None:
                 result.complain(tracebacks(program.said()))
             else:
@@ -48,11 +40,13 @@ def kill(make: Callable[[Bench], Command]) -> Callable[[Bench], Result]:
             result.complain(unfinished_finals(out, reference, command.varying), label)
             result.complain(bench.done(command.start(out)), f"{label}, again")
             result.complain(different_folders(out, reference, command.varying), f"{label}, again")
-            left = max(left, len(temporaries(bench.folder)))
+            now = [path.name for path in temporaries(bench.folder)]
+            left = max(left, now, key=len)
             result.complain(_orphans(out), label)
             bench.say(f"{result.tries}, {label}: {len(result.complaints)} complaints")
         if left:
-            result.facts.append(f"up to {left} temporary files of killed ones stay")
+            shown = ", ".join(left[:2])
+            result.facts.append(f"up to {len(left)} temporary files of killed ones stay, such as {shown}")
         return result
 
     return attack
@@ -65,17 +59,17 @@ def _tries(bench: Bench, command: Command) -> int:
     return max(4, bench.options.tries // 2) if slow else bench.options.tries
 
 
-def _kill(bench: Bench, program: Program, out: Path, number: int, took: float, changes: int) -> str | None:
+def _kill(bench: Bench, program: Program, out: Path, number: int, undisturbed: Reference) -> str | None:
     """In words when; None where it had ended. Every third time the first process alone is killed."""
-    alone = number % 3 == 2
+    alone, took, changes = number % 3 == 2, undisturbed.seconds, undisturbed.changes
     if number % 2 == 0 and changes:
         wanted = int(bench.rng.integers(1, changes + 1))
-        watched = _Changes(out)
-        program.until(lambda: watched.look() or watched.count >= wanted, 3.0 * took + 30.0, FINE)
+        watched = Changes(out)
+        program.until(lambda: watched.look() or watched.count >= wanted, 3.0 * took + 30.0, CHANGES_EVERY)
         where = f"at change {wanted} of {changes}"
     else:
         moment = float(bench.rng.uniform(0.1, 1.0)) * took
-        program.until(lambda: False, moment, FINE)
+        program.until(lambda: False, moment, CHANGES_EVERY)
         where = f"after {moment:.1f} s of {took:.1f}"
     if not program.kill(group=not alone):
         return None
@@ -102,31 +96,6 @@ def _working_on(out: Path) -> list[psutil.Process]:
         if ours and process.info["status"] != psutil.STATUS_ZOMBIE:
             found.append(process)
     return found
-
-
-class _Changes:
-    """Counts how often the files in a folder became others (more, fewer, other names)."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder, self.count = folder, 0
-        self._seen = self._names()
-
-    def _names(self) -> frozenset[str]:
-        """Of the folder and of hidden ones beside it, which become it."""
-        names = [path.as_posix() for path in self.folder.rglob("*")] if self.folder.is_dir() else []
-        beside = self.folder.parent.glob(f".{self.folder.name}*")
-        return frozenset([*names, *(path.name for path in beside)])
-
-    def look(self) -> bool:
-        """Always False: for ``Program.until``, which then looks until the program's end."""
-        try:
-            names = self._names()
-        except OSError:  # a folder went away while it was listed: that is a change as well
-            names = frozenset()
-        if names != self._seen:
-            self.count += 1
-            self._seen = names
-        return False
 
 
 kill_export = kill(commands.export)

@@ -214,11 +214,14 @@ def badly_refused(status: int, said: str, *names: str) -> list[str]:
         last = lines[-1] if lines else "nothing"
         return [*complaints, f"{len(errors)} lines begin with 'error:', not one; the last line: {last}"]
     message = "\n".join(lines[errors[0] :])
-    complaints += [f"the message does not name {name}: {message}" for name in names if name not in message]
+    shown = " ".join(lines[errors[0] : errors[0] + 2])
+    complaints += [f"the message does not name {name}: {shown}" for name in names if name not in message]
     first, *rest = lines[errors[0] :]
-    remedy = " ".join(rest) or re.split(r"[?:;.] ", first)[-1]
-    if len(remedy.split()) < REMEDY_WORDS or (not rest and remedy == first):
-        complaints.append(f"the message has no remedy: {message}")
+    said_after = re.split(r"[?:;.] ", first)[
+        2:
+    ]  # "error", what is wrong, and Blender's side goes on in the line
+    if len(" ".join([*said_after, *rest]).split()) < REMEDY_WORDS:
+        complaints.append(f"the message has no remedy: {shown}")
     return complaints
 
 

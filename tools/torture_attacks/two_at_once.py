@@ -121,9 +121,7 @@ def _two(make: Callable[[Bench], commands.Command], times: int) -> Callable[[Ben
 
     def attack(bench: Bench) -> Result:
         command = make(bench)
-        out, reference = bench.empty("out"), bench.empty("reference")
-        bench.must(command.start(out))
-        out.rename(reference)
+        out, reference = bench.empty("out"), commands.reference_of(bench, command).folder
         result = Result("times")
         for number in range(1 if bench.short else times):
             shutil.rmtree(out, ignore_errors=True)
