@@ -407,6 +407,20 @@ def test_a_failed_training_is_a_state_and_the_backend_lives_on(backend, enter, r
     assert peer.wait_for("finished", "failed").state == "finished"
 
 
+def test_a_path_that_fails_a_job_later_is_told_with_a_remedy(backend, enter, whole_run, tmp_path):
+    """What could not be seen when it was taken on: a folder where the log of the run is to be written."""
+    run = tmp_path / "run"
+    shutil.copytree(whole_run, run)
+    (run / "log.jsonl").unlink()
+    (run / "log.jsonl").mkdir()
+    peer = enter(backend)
+    peer.ask(TrainResume(run=str(run)))
+    peer.wait_for("preparing", "training")
+    failed = peer.wait_for("failed", "finished")
+    assert failed.failure.code == "path" and f"{run / 'log.jsonl'}: Is a directory" in failed.failure.message
+    assert "choose another" in failed.failure.hint and "PhysHDR" not in failed.failure.hint
+
+
 def test_a_run_whose_data_have_moved_opens_with_their_new_place(backend, enter, refusal, tiny_data, tmp_path):
     moved = tmp_path / "moved"
     shutil.copytree(tiny_data, moved)
