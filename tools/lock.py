@@ -18,9 +18,10 @@ environment, itself locked by its hash.
 
 torch is published by PyPI and, built for the processor alone, by PyTorch's own index: its lock has the hashes
 of both. The index is asked when it can be reached; where it cannot be, its rows for the same version stay.
-It could not be when they were first written. They are what public records of the index say, each found in two
-or more (Windows with Python 3.14: in one); the file for Linux x86-64 and Python 3.11 was at hand and is as
-recorded, and macOS's are PyPI's. A row that is wrong refuses a file that is right.
+It could not be when they were first written. They are what public records of the index say: each is in two or
+more, but for four (cpu: Windows with Python 3.14; cu130: Linux x86-64 with 3.11, aarch64 with 3.13 and 3.14),
+which are in one. The file for Linux x86-64 and Python 3.11 was at hand and is as recorded; macOS's are PyPI's.
+A row that is wrong refuses a file that is right; it cannot bring one that the index does not serve.
 """
 
 import argparse
