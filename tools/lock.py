@@ -20,7 +20,7 @@ torch is published by PyPI and, built for the processor alone, by PyTorch's own 
 of both. The index is asked when it can be reached; where it cannot be, its rows for the same version stay.
 It could not be when they were first written. They are what public records of the index say: each is in two or
 more, but for four (cpu: Windows with Python 3.14; cu130: Linux x86-64 with 3.11, aarch64 with 3.13 and 3.14),
-which are in one. That for Linux x86-64 and Python 3.11 was at hand and is as recorded; macOS's are PyPI's.
+which are in one. Cpu for Linux x86-64 with 3.11 was at hand and is as recorded; macOS's are those of PyPI.
 A row that is wrong refuses a file that is right; it cannot bring one that the index does not serve.
 """
 
