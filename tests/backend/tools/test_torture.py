@@ -113,6 +113,13 @@ def test_what_a_kill_cost():
     assert lost_seconds([], 0, 110.0) == 0.0  # it had only been starting
 
 
+def test_a_kill_that_costs_too_much():
+    from torture_attacks.kill_training import too_dear
+
+    kills = [{"moment": "random", "lost": lost} for lost in (0.0, 59.0, 61.0)]
+    assert too_dear(kills, 60.0) == ["a kill (random) cost 61.0 s"]
+
+
 # ---- programs that are killed ----------------------------------------------------------------------------
 
 PYTHON = [sys.executable, "-I", "-S", "-c"]
