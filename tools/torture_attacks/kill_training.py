@@ -32,8 +32,8 @@ CHECKPOINT, CONFIG, LOG = "checkpoint.safetensors", "config.json", "log.jsonl"
 BEGUN = "training from"
 #: How often the killed trainings save, seconds; every fifth has the command's own default.
 SECONDS_BETWEEN = 5.0
-#: What a kill may cost, seconds, and in a short run. Saving takes a fiftieth of the time at most: where a disk is
-#: busy the command saves less often than it is told.
+#: What a kill may cost, seconds, and in a short run. Saving takes a fiftieth of the time at most, so that the
+#: command saves less often than it is told where the disk is busy.
 LOST_AT_MOST, LOST_IN_SHORT = 60.0, 15.0
 #: What an undisturbed training may take, seconds, on a machine that does other things as well.
 LONG = 7200.0
