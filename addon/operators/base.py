@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the operators share: a greyed button says why, an error becomes a report."""
 
-from pathlib import Path
+import os
 from typing import ClassVar
 
 import bpy
@@ -28,7 +28,8 @@ def choices(context: bpy.types.Context) -> Choices:
 
 def has_run(folder: str) -> bool:
     """Whether a training left a checkpoint in ``folder``."""
-    return bool(folder) and (Path(folder) / CHECKPOINT_FILE).is_file()
+    # os.path says False of a name that cannot be, pathlib raises.
+    return bool(folder) and os.path.isfile(os.path.join(folder, CHECKPOINT_FILE))
 
 
 class PhysHDROperator(bpy.types.Operator):

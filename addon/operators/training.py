@@ -22,7 +22,7 @@ from ...bridge.messages import (
 from .. import settings
 from ..runtime import session
 from ..session.advice import problem_of
-from ..session.state import State, StopAsked
+from ..session.state import Problem, State, StopAsked
 from .base import PhysHDROperator, has_run
 
 MODEL_FILE = "model.safetensors"
@@ -287,7 +287,7 @@ class PHYSHDR_OT_result_import(PhysHDROperator):
         if event.type != "TIMER" or not (state.exported or state.problem or self._is_late()):
             return {"PASS_THROUGH"}
         if not state.exported:
-            self.report({"ERROR"}, state.problem.message if state.problem else "the backend does not answer")
+            self.report({"ERROR"}, _why(state.problem))
             return self._finish(context, {"CANCELLED"})
         return self._finish(context, self._import(context, Path(state.exported.path)))
 
@@ -297,8 +297,7 @@ class PHYSHDR_OT_result_import(PhysHDROperator):
         current = session()
         current.wait(lambda state: bool(state.exported or state.problem), ANSWER_SECONDS)
         if not current.state.exported:
-            problem = current.state.problem
-            self.report({"ERROR"}, problem.message if problem else "the backend does not answer")
+            self.report({"ERROR"}, _why(current.state.problem))
             return {"CANCELLED"}
         return self._import(context, Path(current.state.exported.path))
 
@@ -333,6 +332,13 @@ class PHYSHDR_OT_result_import(PhysHDROperator):
     def _finish(self, context: bpy.types.Context, result: set[str]) -> set[str]:
         context.window_manager.event_timer_remove(self._timer)
         return result
+
+
+def _why(problem: Problem | None) -> str:
+    """The problem and its remedy, in words."""
+    if problem is None:
+        return "the backend does not answer"
+    return " ".join(filter(None, (problem.message, problem.hint)))
 
 
 _CLASSES = (

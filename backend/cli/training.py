@@ -12,7 +12,7 @@ from ..device import DeviceName, choose_device
 from ..kernels.warmup import Needs
 from ..methods.registry import kernels_needed
 from ..rasterize import Implementation
-from ..runs.files import refuse_a_run, refuse_foreign, remove_results, remove_unfinished
+from ..runs.files import holds_a_run, refuse_a_run, remove_results, remove_unfinished
 from ..runs.lock import hold
 from ..scene import Scene, read_scene
 from ..train.config import CONFIG_FILE, TrainConfig, read_config, write_config
@@ -61,7 +61,7 @@ def start_run(
     """
     if not overwrite:
         refuse_a_run(out)
-    refuse_foreign(out)
+    holds_a_run(out)
     with _folder(out) as folder, hold(folder, workshop.report):
         if not overwrite:  # another training may have ended just now
             refuse_a_run(folder)
@@ -70,8 +70,9 @@ def start_run(
         if preset in PRESETS and (options := changed_without_effect(trainer, PRESETS[preset])):
             workshop.report(f"this method, on its backbone, does not read {', '.join(options)}")
         # In this order: old weights must never lie beside a new configuration, whenever this is killed.
-        remove_results(folder)
-        EventLog.clear(folder)
+        if holds_a_run(folder):
+            remove_results(folder)
+            EventLog.clear(folder)
         write_config(folder / CONFIG_FILE, config, data, preset)
         yield trainer, Run(folder, preset, config, scene, trainer.method, 0)
 

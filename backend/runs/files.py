@@ -22,11 +22,19 @@ def refuse_a_run(folder: Path) -> None:
         )
 
 
-def refuse_foreign(folder: Path) -> None:
-    """Raises ``DataMismatchError`` where there is a config.json that no training wrote."""
+def holds_a_run(folder: Path) -> bool:
+    """Whether a training wrote the folder's configuration, be it complete or not.
+
+    Raises ``DataMismatchError`` where a file of somebody else's has the name of one that would be written.
+    """
     path = folder / CONFIG_FILE
     if not path.exists():
-        return
+        if (folder / CHECKPOINT_FILE).exists():
+            raise DataMismatchError(
+                f"{folder / CHECKPOINT_FILE} has no configuration beside it, and would be replaced",
+                "Choose another --out, or move that file away.",
+            )
+        return False
     content = None
     with suppress(OSError, ValueError, RecursionError):
         if path.is_file():
@@ -36,12 +44,14 @@ def refuse_foreign(folder: Path) -> None:
             f"{path} is not a run's configuration, and would be replaced",
             "Choose another --out, or move that file away.",
         )
+    return True
 
 
 def remove_results(folder: Path) -> None:
     """Remove what a run that is replaced has left: weights, figures, exports and unfinished files.
 
-    They would be taken for the new run's. The caller holds the folder. Raises ``OutputError``.
+    They would be taken for the new run's. The caller holds the folder, which must hold a run: elsewhere
+    files of these names are somebody's own. Raises ``OutputError``.
     """
     for name in (CHECKPOINT_FILE, *report.FILES, *EXPORTED):  # the weights first: all else comes of them
         try:

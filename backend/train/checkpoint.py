@@ -6,6 +6,7 @@ which configuration it belongs to. Random numbers are drawn from (seed, iteratio
 state to keep.
 """
 
+import hashlib
 import json
 import math
 from collections.abc import Mapping
@@ -27,8 +28,8 @@ VERSION = 1
 SHARES, AMBIENT_SHARES = ".light_share_logits", ".ambient_share_logits"
 
 
-#: In the metadata: ``config.fingerprint`` of the run.
-CONFIGURATION = "configuration"
+#: In the metadata: ``config.fingerprint`` of the run, and the SHA-256 of all tensors.
+CONFIGURATION, DIGEST = "configuration", "digest"
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,7 @@ def save_checkpoint(
     written (a full disk, no permission).
     """
     metadata = {"format": FORMAT, "version": str(VERSION), **metadata}
+    tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     if lights == (AMBIENT,):
         tensors = {
             name.replace(SHARES, AMBIENT_SHARES): tensor.squeeze(1) if _is_share(name, tensor, 3) else tensor
@@ -59,10 +61,11 @@ def save_checkpoint(
         }
     else:
         metadata["lights"] = json.dumps(list(lights))
+    metadata[DIGEST] = _digest(tensors)
     try:
         with atomic_path(path) as temporary:
             try:
-                save_file({k: v.detach().cpu().contiguous() for k, v in tensors.items()}, temporary, metadata)
+                save_file(tensors, temporary, metadata)
             except SafetensorError as error:  # how the library tells of a full disk
                 raise OSError(str(error)) from error
     except OutputError as error:
@@ -90,7 +93,7 @@ def load_checkpoint(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]
     except MemoryError:
         raise
     except Exception as error:  # the library documents no classes, and passes torch's on
-        raise damaged(path, f"it cannot be read: {error}") from error
+        raise damaged(path, f"it cannot be read: {str(error)[:200]}") from error
     if metadata.get("format") != FORMAT:
         raise FileDamagedError(f"{path} is not a PhysHDR checkpoint", "Name a folder that 'train' wrote.")
     if metadata.get("version") != str(VERSION):
@@ -98,6 +101,8 @@ def load_checkpoint(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]
             f"{path} has checkpoint version {metadata.get('version')}, this program reads {VERSION}",
             "Use the version of PhysHDR that wrote it.",
         )
+    if metadata.get(DIGEST, "") not in ("", _digest(tensors)):  # none: of before there was one
+        raise damaged(path, "its numbers are not those that were written")
     tensors = {
         name.replace(AMBIENT_SHARES, SHARES): tensor[:, None] if _is_share(name, tensor, 2) else tensor
         for name, tensor in tensors.items()
@@ -168,6 +173,15 @@ def damaged(path: Path, why: str) -> FileDamagedError:
     return FileDamagedError(
         f"the checkpoint {path} is damaged: {why}", "Restore a copy, or train again with --overwrite."
     )
+
+
+def _digest(tensors: Mapping[str, torch.Tensor]) -> str:
+    """SHA-256 of the tensors' names and bytes: a bit that has tipped over would train on unseen."""
+    digest = hashlib.sha256()
+    for name in sorted(tensors):
+        digest.update(name.encode())
+        digest.update(tensors[name].numpy().data)
+    return digest.hexdigest()
 
 
 def _words(tensor: torch.Tensor) -> str:

@@ -26,6 +26,15 @@ CONFIG_FILE = "config.json"
 ITERATIONS_MAX = 10_000_000
 #: What NumPy's and torch's generators both take.
 SEED_MAX = 2**32 - 1
+#: Whole numbers that may be 0 (none, no bound, from the start); every other one is a size or an interval.
+MAY_BE_ZERO = frozenset(
+    {
+        *("seed", "start", "reset_every", "budget", "sh_degree", "warm_start_steps", "skip"),
+        *("position_octaves", "direction_octaves", "fine_samples"),
+    }
+)
+#: Settings in (0, 1): of a probability of 0 or 1 there is no logit.
+PROBABILITIES = ("initial_opacity", "initial_ambient_share")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,6 +83,30 @@ class TrainConfig:
                 f"--training-exposures must be indices of a bracket, got {list(self.training_exposures)}",
                 "For example 0 2 4.",
             )
+        for name in PROBABILITIES:
+            if not 0.0 < getattr(self, name) < 1.0:
+                raise BadValueError(f"{_flag(name)} must be between 0 and 1, got {getattr(self, name)}")
+        if not self.initial_scale > 0.0:
+            raise BadValueError(f"--initial-scale must be above 0, got {self.initial_scale}")
+        _check_numbers(self, "")
+
+
+def _check_numbers(config: Any, where: str) -> None:
+    """Raises ``BadValueError`` for a number that no setting can be, here and in the parts of ``config``."""
+    for entry in dataclasses.fields(config):
+        value, name = getattr(config, entry.name), f"{where}{entry.name}"
+        least = 0 if entry.name in MAY_BE_ZERO else 1
+        if dataclasses.is_dataclass(value):
+            _check_numbers(value, f"{name}.")
+        elif type(value) is int and not least <= value <= SEED_MAX:
+            raise BadValueError(f"{_flag(name)} must be at least {least}, got {value}")
+        elif isinstance(value, float) and not math.isfinite(value):
+            raise BadValueError(f"{_flag(name)} must be a number, got {value}")
+
+
+def _flag(name: str) -> str:
+    """``anchors.feature_size`` → ``--anchors.feature-size``."""
+    return "--" + name.replace("_", "-")
 
 
 #: Settings by names they had before → as they are called now.

@@ -99,6 +99,31 @@ def test_a_folder_of_somebody_else_s_is_left_alone(tiny_data, tmp_path, capsys):
     assert {path.name for path in tmp_path.iterdir()} == {"config.json", "comparison.png"}
 
 
+def test_a_training_removes_nothing_from_a_folder_that_held_no_run(tiny_data, tmp_path, capsys):
+    """Files of the names that ours have are the user's own there."""
+    own = {
+        "model.safetensors": b"a model of mine",
+        "methods.md": b"my notes",
+        "log.jsonl": b"a log of mine\n",
+    }
+    for name, content in own.items():
+        (tmp_path / name).write_bytes(content)
+    assert main(["train", str(tiny_data), "--out", str(tmp_path), *SHORT, "--overwrite"]) == 0
+    for name, content in own.items():
+        assert (tmp_path / name).read_bytes().startswith(content)
+    capsys.readouterr()
+    assert main(["export", str(tmp_path)]) == 1
+    assert "not a PhysHDR model" in capsys.readouterr().err
+    assert (tmp_path / "model.safetensors").read_bytes() == b"a model of mine"
+
+
+def test_weights_without_a_configuration_are_not_replaced(tiny_data, tmp_path, capsys):
+    (tmp_path / CHECKPOINT).write_bytes(b"of another program")
+    assert main(["train", str(tiny_data), "--out", str(tmp_path), *SHORT, "--overwrite"]) == 1
+    assert "no configuration beside it" in capsys.readouterr().err
+    assert (tmp_path / CHECKPOINT).read_bytes() == b"of another program"
+
+
 def test_two_trainings_in_one_folder(tiny_data, tmp_path, capsys):
     """The second is refused whatever it wants, the first one is not disturbed."""
     run = tmp_path / "run"

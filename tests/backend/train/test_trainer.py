@@ -16,6 +16,7 @@ from scipy.spatial import KDTree
 from physhdr.backend.cli.monitor import view_monitor
 from physhdr.backend.evaluate.protocol import evaluate
 from physhdr.backend.methods.hdr_nerf import HDRNeRFConfig
+from physhdr.backend.model.anchors import AnchorsConfig
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.pictures import read_exr, write_exr, write_png
 from physhdr.backend.scene.scene import Points
@@ -170,7 +171,7 @@ def test_the_ambient_light_alone_is_kept_as_before_there_were_others(tiny_data, 
     train(scene, config, tmp_path / "one")
     with safe_open(tmp_path / "one" / CHECKPOINT_FILE, "pt") as file:
         names = set(file.keys())
-        known = {"format", "version", "iteration", "seconds", "cpu_seconds", "configuration"}
+        known = {"format", "version", "iteration", "seconds", "cpu_seconds", "configuration", "digest"}
         assert set(file.metadata()) == known
         assert file.get_slice("gaussians.ambient_share_logits").get_shape()[1:] == [3]
         assert file.get_slice("adam.ambient_share_logits.0.exp_avg").get_shape()[1:] == [3]
@@ -432,7 +433,8 @@ def test_checkpoints_are_believed_in_nothing(preset, tiny_data, tmp_path):
         path.write_bytes(good)
         tensors = {name: tensor for name, tensor in whole.items() if name not in without} | dict(changes)
         with safe_open(path, "pt") as file:
-            written = {k: v for k, v in (file.metadata() | metadata).items() if v is not None}
+            written = file.metadata() | {"digest": ""} | metadata  # the numbers shall be looked at themselves
+            written = {k: v for k, v in written.items() if v is not None}
         save_file(tensors, path, written)
         with pytest.raises(FileDamagedError, match=CHECKPOINT_FILE):
             Trainer(scene, config, resumed=tmp_path)
@@ -462,6 +464,40 @@ def test_checkpoints_are_believed_in_nothing(preset, tiny_data, tmp_path):
         refused(rows)  # no Gaussians
     path.write_bytes(good)
     assert Trainer(scene, config, resumed=tmp_path).iteration == 5
+
+
+def test_a_bit_that_tipped_over_is_noticed(tiny_data, tmp_path):
+    """Anywhere in the numbers, though what it makes of one is a good number, too."""
+    scene, config = read_scene(tiny_data), short("default", iterations=12)
+    train(scene, config, tmp_path, stop_at=5)
+    path = tmp_path / CHECKPOINT_FILE
+    good = path.read_bytes()
+    start = 8 + int.from_bytes(good[:8], "little")
+    for at in np.random.default_rng(3).integers(start, len(good), 20):
+        path.write_bytes(good[:at] + bytes([good[at] ^ 1]) + good[at + 1 :])
+        with pytest.raises(FileDamagedError, match="not those that were written"):
+            load_method(tmp_path, config, scene.response_anchor)
+    path.write_bytes(good)
+    assert load_method(tmp_path, config, scene.response_anchor)[1] == 5
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"densify": DensifyConfig(every=0)},
+        {"densify": DensifyConfig(threshold=float("nan"))},
+        {"sh_degree_every": 0},
+        {"initial_opacity": 1.0},
+        {"initial_scale": 0.0},
+        {"random_points": -1},
+        {"anchors": AnchorsConfig(hidden=0)},
+        {"method": HDRNeRFConfig(rays_per_iteration=0)},
+        {"method": HDRNeRFConfig(learning_rate=float("inf"))},
+    ],
+)
+def test_settings_that_cannot_be_are_refused_when_they_are_made(change):
+    with pytest.raises(BadValueError, match="--"):
+        dataclasses.replace(PRESETS["default"], **change)
 
 
 def test_a_state_with_numbers_that_are_none_is_not_saved(tiny_data, tmp_path):
