@@ -2,6 +2,7 @@
 """What lies in a run's folder: whether it holds a run, somebody's own files, or one that is replaced."""
 
 import json
+import re
 from contextlib import suppress
 from pathlib import Path
 
@@ -11,6 +12,10 @@ from ..evaluate import report
 from ..export import FILES as EXPORTED
 from ..train.config import CONFIG_FILE
 from ..train.trainer import CHECKPOINT_FILE
+
+#: What the safetensors library calls a file that it is still writing, and how we called ours before each had
+#: a name of its own.
+UNFINISHED = re.compile(r"\.tmp[A-Za-z0-9]{6}|(checkpoint|config)\.partial")
 
 
 def refuse_a_run(folder: Path) -> None:
@@ -68,6 +73,7 @@ def remove_unfinished(folder: Path) -> None:
     """Remove what trainings that were killed had begun to write; the caller holds the folder."""
     for name in (CONFIG_FILE, CHECKPOINT_FILE):
         remove_leftovers(folder / name)
-    for path in folder.glob("*.partial"):  # as they were called before they had names of their own
-        if path.name in ("checkpoint.partial", "config.partial"):
-            path.unlink(missing_ok=True)
+    for path in folder.iterdir():
+        if UNFINISHED.fullmatch(path.name) and path.is_file():
+            with suppress(OSError):  # it is in nobody's way
+                path.unlink()

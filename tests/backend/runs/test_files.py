@@ -153,10 +153,15 @@ def test_two_trainings_in_one_folder(tiny_data, tmp_path, capsys):
 
 
 def test_what_a_killed_training_had_begun_to_write_goes(run):
-    for name in (".checkpoint-ab12cd_f.safetensors", ".config-zzzzzzzz.json", "checkpoint.partial"):
+    for name in (
+        ".checkpoint-ab12cd_f.safetensors",
+        ".config-zzzzzzzz.json",
+        "checkpoint.partial",
+        ".tmpkGAOr4",
+    ):
         (run / name).write_bytes(b"half")
-    for name in (".checkpoint-notours.safetensors", "mine.partial"):
+    for name in (".checkpoint-notours.safetensors", "mine.partial", ".tmpnotes.txt"):
         (run / name).write_bytes(b"somebody's")
     assert main(["train", "--resume", str(run)]) == 0
     hidden = {path.name for path in run.iterdir() if path.name.startswith(".") or path.suffix == ".partial"}
-    assert hidden == {".checkpoint-notours.safetensors", "mine.partial"}
+    assert hidden == {".checkpoint-notours.safetensors", "mine.partial", ".tmpnotes.txt"}
