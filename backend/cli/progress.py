@@ -2,10 +2,15 @@
 """Consumers of the training's events: the terminal, TensorBoard, and ``log.jsonl``."""
 
 import dataclasses
+import errno
 import json
 import shutil
+import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from types import TracebackType
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
@@ -38,7 +43,9 @@ class EventLog:
 
     def __enter__(self) -> "EventLog":
         self._board = None
-        self._file = open(self.folder / LOG_FILE, "a", encoding="utf-8")
+        with self._writing(self.folder / LOG_FILE):
+            self._file = open(self.folder / LOG_FILE, "a", encoding="utf-8")
+        self._hook, threading.excepthook = threading.excepthook, self._thread_failed
         self._bar = Progress(
             TextColumn("train"),
             BarColumn(),
@@ -52,22 +59,52 @@ class EventLog:
         self._task = self._bar.add_task("train", total=None, status="")
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Raises ``OutputError`` where the last events cannot be kept, unless an error is on its way."""
         self._bar.stop()
-        if self._board:
-            self._board.close()
-        self._file.close()
+        failures: list[OutputError] = []
+        # On a full disk both try again to write what they hold; either must be closed all the same.
+        for path, log in (
+            (self.folder / TENSORBOARD_FOLDER, self._board),
+            (self.folder / LOG_FILE, self._file),
+        ):
+            try:
+                with self._writing(path):
+                    if log:
+                        log.close()
+            except OutputError as failure:
+                failures.append(failure)
+        threading.excepthook = self._hook
+        if failures and error is None:
+            raise failures[0]
+
+    @contextmanager
+    def _writing(self, path: Path) -> Iterator[None]:
+        """What fails in here is told as an ``OutputError`` that names ``path``: not all libraries do."""
+        try:
+            yield
+        except OSError as error:
+            full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+            remedy = "Free some space on its disk" if full else "Make it writable"
+            raise OutputError(
+                f"cannot write {path}: {error.strerror or error}",
+                f"{remedy}, then go on: physhdr train --resume {self.folder}",
+            ) from error
+
+    def _thread_failed(self, failed: threading.ExceptHookArgs) -> None:
+        """What TensorBoard's thread could not write, its next call raises: it is not shown twice."""
+        if issubclass(failed.exc_type, OSError) and type(failed.thread).__module__.startswith("tensorboard."):
+            return
+        self._hook(failed)
 
     def show(self, event: events.Event) -> None:
         """Take one event; raises ``OutputError`` where it cannot be kept."""
         record = {"event": type(event).__name__.lower(), "time": time.time(), **dataclasses.asdict(event)}
-        try:
+        with self._writing(self.folder / LOG_FILE):
             self._file.write(json.dumps(record) + "\n")
             self._file.flush()
-        except OSError as error:
-            raise OutputError(
-                f"cannot write {self._file.name}: {error.strerror or error}", "Free some space, then resume."
-            ) from error
         if isinstance(event, events.Started):
             self._bar.update(self._task, total=event.iterations, completed=event.iteration)
             gaussians = f"{event.gaussians} Gaussians; " if event.gaussians else ""
@@ -84,18 +121,8 @@ class EventLog:
     def _show_progress(self, event: events.Progress) -> None:
         self._monitor |= event.monitor
         step = event.iteration
-        if self._board is None:
-            # Only now: importing TensorBoard takes a second, in which the first iterations are already done.
-            from torch.utils.tensorboard import SummaryWriter
-
-            self._board = SummaryWriter(str(self.folder / TENSORBOARD_FOLDER))
-        for name, value in event.losses.items():
-            self._board.add_scalar(f"loss/{name}", value, step)
-        for name, value in event.monitor.items():
-            self._board.add_scalar(f"test view/{name}", value, step)
-        if event.gaussians:
-            self._board.add_scalar("gaussians", event.gaussians, step)
-        self._board.add_scalar("iterations per second", event.iterations_per_second, step)
+        with self._writing(self.folder / TENSORBOARD_FOLDER):
+            self._keep_on_board(event)
 
         losses = "  ".join(f"{name} {value:.4f}" for name, value in event.losses.items())
         measured = "  ".join(f"{name} {value:.2f}" for name, value in self._monitor.items())
@@ -109,3 +136,18 @@ class EventLog:
             console.print(
                 f"{step:6d}/{event.iterations}  {status}  {event.seconds_left:.0f} s left", soft_wrap=True
             )
+
+    def _keep_on_board(self, event: events.Progress) -> None:
+        if self._board is None:
+            # Only now: importing TensorBoard takes a second, in which the first iterations are already done.
+            from torch.utils.tensorboard import SummaryWriter
+
+            self._board = SummaryWriter(str(self.folder / TENSORBOARD_FOLDER))
+        step = event.iteration
+        for name, value in event.losses.items():
+            self._board.add_scalar(f"loss/{name}", value, step)
+        for name, value in event.monitor.items():
+            self._board.add_scalar(f"test view/{name}", value, step)
+        if event.gaussians:
+            self._board.add_scalar("gaussians", event.gaussians, step)
+        self._board.add_scalar("iterations per second", event.iterations_per_second, step)
