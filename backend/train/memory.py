@@ -1,0 +1,296 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a training will take in memory, told before it starts; one that cannot fit is refused.
+
+The peak is a sum: the program, the pictures, every Gaussian's state, and the larger of what finding the
+first points and what one iteration need beside that. The constants are from measured peaks of trainings on
+two cores (pictures of 100² to 400², 10,000 to a million Gaussians, every method): with as many Gaussians
+as there were in the end the sum is 2 % below to 24 % above.
+"""
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+
+from ...bridge.lights import AMBIENT
+from ..kernels.warmup import CONTEXT
+from ..memory import NotEnoughMemoryError, Room, cores, gigabytes, room
+from ..methods.base import SplattingMethod
+from ..methods.registry import Facts, kernels_needed, new_method
+from ..model.anchors import VOXELS_PER_SPACING, AnchorsConfig
+from ..model.gaussians import Gaussians
+from ..resident import PICTURE_BYTES
+from ..scene.scene import CACHE_BYTES, Scene, View
+from .config import TrainConfig
+from .initialise import MOST_STEREO_POINTS
+from .stereo import MOST_DEPTHS, WORK_WIDTH
+
+FLOAT = 4
+
+#: The process with torch, Numba, SciPy, TensorBoard and the kernels loaded that has trained (490 to 550 MB).
+PROGRAM_BYTES = 550_000_000
+#: What a card's context takes beside torch's tensors (a guess, as all of a card's: none was at hand).
+CARD_BYTES = 500_000_000
+#: A parameter is there with its gradient and Adam's two moments; growth copies all of it, and the heap keeps
+#: what the smaller arrays of before have left.
+COPIES = 8
+#: An iteration's bytes for each Gaussian (activations, gradients, what is projected): of 3DGS's; of anchors,
+#: which come out of networks; for each channel of its colour; and for each thread that sorts it.
+SPLAT_BYTES, ANCHOR_SPLAT_BYTES, CHANNEL_BYTES, SORT_BYTES = 1000, 1300, 100, 16
+#: An iteration's bytes for each pixel: of the view that is drawn, with the tile lists; of each picture that
+#: is developed and compared, for each branch; and what local curves add to that.
+DRAWN_PIXEL_BYTES, DEVELOPED_PIXEL_BYTES, LOCAL_PIXEL_BYTES = 200, 250, 200
+#: Merging a view's bracket: votes, weights and two sums, three channels in float64.
+VOTE_BYTES = 3 * 8
+#: Arrays of matching costs that a thread holds in the search for the first points.
+COST_VOLUMES = 3
+#: A method of rays sends samples through its networks in portions of one size (HDR-NeRF as published: 40 MB).
+RAYS_BYTES = 100_000_000
+
+#: Where growth has no bound, so many Gaussians come of a first point: 17,600 became 162,000 to 188,000
+#: (docs/method.md). Anchors have many to begin with.
+GROWTH, ANCHOR_GROWTH = 10, 3
+#: Pictures smaller by this on each side are tried as a remedy, and no fewer Gaussians than these.
+SMALLER, FEWEST_GAUSSIANS = (2, 4, 8), 5000
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """What decides how much a training takes.
+
+    ``pixels``: of the largest training view; ``picture_bytes``: all pictures that training sees, decoded;
+    ``exposures``: the most of a view; ``compared``: how many pictures an iteration compares. ``first`` and
+    ``most``: Gaussians at the start and at the end; ``row_bytes``: state of each, ``splat_bytes``: work.
+    ``pixel_bytes``: an iteration's for each pixel; ``seeks``: whether stereo seeks the first points.
+    """
+
+    pixels: int
+    picture_bytes: int
+    exposures: int
+    first: int
+    most: int
+    row_bytes: float
+    splat_bytes: int
+    pixel_bytes: int
+    seeks: bool
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A training's peak, in bytes, by part."""
+
+    program: int
+    pictures: int
+    gaussians: int
+    iteration: int
+
+    @property
+    def total(self) -> int:
+        return self.program + self.pictures + self.gaussians + self.iteration
+
+
+def check_memory(
+    scene: Scene,
+    config: TrainConfig,
+    device: torch.device,
+    report: Callable[[str], None],
+    *,
+    resumed: bool = False,
+) -> Estimate:
+    """What training ``config`` on ``scene`` will take on ``device``, which ``report`` is told in a line.
+
+    ``resumed``: the configuration is a run's own, which no option changes. Raises ``NotEnoughMemoryError``
+    where that is more than there is, with what would make it fit.
+    """
+    sizes = sizes_of(scene, config)
+    needed, there = estimate(sizes), room()
+    on_card = device.type == "cuda"
+    if on_card:
+        # What is decoded lies in the host's memory, all else on the card.
+        if needed.program + needed.pictures > there.bytes:
+            raise _too_much(
+                needed.program + needed.pictures, "", there, ["Take smaller pictures: --downscale."]
+            )
+        needed, there = _on_card(needed), _room_on_card(device)
+    parts = _parts(needed, sizes, config)
+    if needed.total > there.bytes:
+        remedies = [] if resumed else _remedies(scene, config, sizes, there, on_card)
+        raise _too_much(needed.total, f" ({parts})", there, remedies)
+    report(f"training will take about {gigabytes(needed.total)}: {parts}; {there.in_words}")
+    return needed
+
+
+def _parts(needed: Estimate, sizes: Sizes, config: TrainConfig) -> str:
+    """In gigabytes, what takes how much."""
+
+    def short(size: int) -> str:
+        return f"{size / 1e9:.1f}" if size >= 5e7 else "less than 0.1"
+
+    guess = "" if _budget(config)[1] or sizes.most == sizes.first else "perhaps "
+    of_gaussians = f"{short(needed.gaussians)} for {guess}{sizes.most:,} Gaussians, " if sizes.most else ""
+    rest = f"{short(needed.program + needed.iteration)} for the program and one iteration"
+    return f"{short(needed.pictures)} for pictures, {of_gaussians}{rest}"
+
+
+def sizes_of(scene: Scene, config: TrainConfig) -> Sizes:
+    """The sizes of training ``config`` on ``scene``, without reading a picture."""
+    by_light = getattr(config.method, "lighting_level", "exposure") == "view"
+    views = [*scene.train, *(scene.lit if by_light else [])]
+    seen = [_exposures_seen(view, config) for view in views]
+    with torch.random.fork_rng(devices=[]):  # the method begins anew when it is trained
+        method = new_method(
+            config.method, config.anchors, Facts(lights=scene.lights if by_light else (AMBIENT,))
+        )
+    sizes = Sizes(
+        pixels=max((view.camera.width * view.camera.height for view in views), default=0),
+        picture_bytes=sum(
+            3 * view.camera.width * view.camera.height * count
+            for view, count in zip(views, seen, strict=True)
+        ),
+        exposures=max(seen, default=1),
+        first=0,
+        most=0,
+        row_bytes=0.0,
+        splat_bytes=0,
+        pixel_bytes=0,
+        seeks=False,
+    )
+    if not isinstance(method, SplattingMethod):
+        return sizes
+    needs = kernels_needed(config.method)
+    channels, local = max(needs.channels), bool(needs.local_branches)
+    branches = max(1, (channels - (CONTEXT if local else 0)) // 3)
+    compared = sizes.exposures if config.supervision == "bracket" else 1
+    developed = DEVELOPED_PIXEL_BYTES + (LOCAL_PIXEL_BYTES if local else 0)
+    points, seeks = _first_points(scene, config, views)
+    first, most = _counts(points, config)
+    backbone = method.backbone
+    if isinstance(backbone, Gaussians):
+        wanted, work = backbone.attributes, SPLAT_BYTES
+        # Means, sizes, rotation, opacity, illumination; a colour for each coefficient; shares; context.
+        floats = 12 + 3 * (wanted.sh_degree + 1) ** 2 + 3 * wanted.lights + wanted.context_size
+    else:
+        floats, work = _anchor_floats(config.anchors or AnchorsConfig()), ANCHOR_SPLAT_BYTES
+    return dataclasses.replace(
+        sizes,
+        first=first,
+        most=most,
+        row_bytes=COPIES * FLOAT * floats,
+        splat_bytes=work + CHANNEL_BYTES * channels + SORT_BYTES * cores(),
+        pixel_bytes=DRAWN_PIXEL_BYTES + compared * branches * developed,
+        seeks=seeks,
+    )
+
+
+def estimate(sizes: Sizes) -> Estimate:
+    """The peak of a training of these sizes on the CPU."""
+    pictures = min(sizes.picture_bytes, CACHE_BYTES)
+    if not sizes.most:  # the pixels of all pictures once more, as one array
+        return Estimate(PROGRAM_BYTES, pictures + sizes.picture_bytes, 0, RAYS_BYTES)
+    start = VOTE_BYTES * (2 * sizes.exposures + 2) * sizes.pixels
+    if sizes.seeks:
+        volume = FLOAT * MOST_DEPTHS * min(sizes.pixels, WORK_WIDTH**2)
+        start += cores() * COST_VOLUMES * volume
+    iteration = sizes.pixel_bytes * sizes.pixels
+    return Estimate(
+        PROGRAM_BYTES,
+        pictures,
+        round(sizes.most * (sizes.row_bytes + sizes.splat_bytes)),
+        max(start, iteration),
+    )
+
+
+def _exposures_seen(view: View, config: TrainConfig) -> int:
+    """How many of a view's pictures training sees."""
+    return 1 if config.exposure_mode == "exp1" else sum(k in view.bracket for k in config.training_exposures)
+
+
+def _first_points(scene: Scene, config: TrainConfig, views: list[View]) -> tuple[int, bool]:
+    """At most so many points training starts from, and whether stereo seeks them."""
+    given = 0 if scene.points is None else len(scene.points.positions)
+    source = config.initial_points
+    if source == "random":
+        return config.random_points, False
+    if source == "file" or (source == "auto" and given):
+        return given, False
+    found = min(MOST_STEREO_POINTS, WORK_WIDTH**2 * len(views))
+    return given + max(found, 0 if given else config.random_points), True
+
+
+def _counts(points: int, config: TrainConfig) -> tuple[int, int]:
+    """Gaussians at the start, and the most there will be."""
+    if config.anchors is None:
+        grows = config.densify.start < config.densify.stop * config.iterations
+        return points, _grown(points, config.densify.budget, GROWTH) if grows else points
+    # On surfaces, about half of the points share a cell of two spacings with another.
+    cells = points / max(1.0, config.anchors.placement / VOXELS_PER_SPACING)
+    first = round(cells) * config.anchors.offsets
+    return first, _grown(first, config.anchors.growth.budget, ANCHOR_GROWTH)
+
+
+def _grown(first: int, budget: int, growth: int) -> int:
+    return max(first, budget) if budget else growth * first
+
+
+def _anchor_floats(config: AnchorsConfig) -> float:
+    """State of an anchor for each of its Gaussians: place, two sizes, brightness, features; their offsets."""
+    return (3 + 6 + 3 * config.base_radiance + config.feature_size) / config.offsets + 3
+
+
+def _budget(config: TrainConfig) -> tuple[str, int]:
+    """The option that bounds the number of Gaussians, and its value."""
+    if config.anchors is None:
+        return "--densify.budget", config.densify.budget
+    return "--anchors.growth.budget", config.anchors.growth.budget
+
+
+# -- refusing ------------------------------------------------------------------------------------------------
+
+
+def _too_much(needed: int, parts: str, there: Room, remedies: list[str]) -> NotEnoughMemoryError:
+    return NotEnoughMemoryError(
+        f"this training would take about {gigabytes(needed)}{parts}; {there.in_words}",
+        " ".join([*remedies, there.remedy]),
+    )
+
+
+def _remedies(scene: Scene, config: TrainConfig, sizes: Sizes, there: Room, on_card: bool) -> list[str]:
+    """Options of which each would make the training fit, a sentence each."""
+
+    def total(changed: Sizes) -> int:
+        needed = estimate(changed)
+        return (_on_card(needed) if on_card else needed).total
+
+    found = []
+    for factor in SMALLER:
+        area = factor**2
+        smaller = dataclasses.replace(
+            sizes, pixels=sizes.pixels // area, picture_bytes=sizes.picture_bytes // area
+        )
+        if total(smaller) <= there.bytes:
+            downscale = factor * scene.train[0].cache.reduction.factor
+            found.append(f"Train on smaller pictures: --downscale {downscale:g}.")
+            break
+    if sizes.most:
+        each = sizes.row_bytes + sizes.splat_bytes
+        most = sizes.most + int((there.bytes - total(sizes)) / each)
+        most -= most % 1000
+        if most >= max(sizes.first, FEWEST_GAUSSIANS):
+            found.append(f"Train fewer Gaussians: {_budget(config)[0]} {most}.")
+    return found or [
+        "Train on smaller pictures (--downscale) and with fewer Gaussians, or on another machine."
+    ]
+
+
+# -- cards ---------------------------------------------------------------------------------------------------
+
+
+def _on_card(needed: Estimate) -> Estimate:
+    """The card's share: its context instead of the program, and the pictures that stay there."""
+    return dataclasses.replace(needed, program=CARD_BYTES, pictures=min(needed.pictures, PICTURE_BYTES))
+
+
+def _room_on_card(device: torch.device) -> Room:
+    free, _ = torch.cuda.mem_get_info(device)
+    return Room(free + torch.cuda.memory_reserved(device), "card")

@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a training is said to take: against the peak of a real one, and what is told where it cannot fit."""
+
+import dataclasses
+import json
+import re
+import subprocess
+import sys
+
+import pytest
+import torch
+import tyro
+
+from physhdr.backend.memory import NotEnoughMemoryError, Room
+from physhdr.backend.scene import read_scene
+from physhdr.backend.train import memory
+from physhdr.backend.train.config import TrainConfig
+from physhdr.backend.train.memory import check_memory, estimate, sizes_of
+from physhdr.backend.train.presets import PRESETS
+
+CPU = torch.device("cpu")
+#: As the command line reads a preset's options.
+AS_A_COMMAND = tyro.conf.AvoidSubcommands[TrainConfig]
+
+#: Trains in a process of its own, whose peak is its own too; prints what was estimated and what it was.
+TRAINING = """
+import dataclasses, json, sys
+from pathlib import Path
+from physhdr.backend.scene import read_scene
+from physhdr.backend.train.memory import estimate, sizes_of
+from physhdr.backend.train.presets import PRESETS
+from physhdr.backend.train.trainer import Trainer
+
+preset, data, count = sys.argv[1], Path(sys.argv[2]), int(sys.argv[3])
+config = PRESETS[preset]
+config = dataclasses.replace(
+    config, iterations=30, initial_points="random", random_points=count, half_size_until=0.0,
+    densify=dataclasses.replace(config.densify, start=5, every=5, stop=0.9, budget=count),
+)
+scene = read_scene(data)
+trainer = Trainer(scene, config)
+for _ in range(config.iterations):
+    trainer.step()
+peak = next(line for line in open("/proc/self/status") if line.startswith("VmHWM"))
+needed = estimate(sizes_of(scene, config))
+print(json.dumps([needed.total, int(peak.split()[1]) * 1024, trainer.method.size]))
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads the peak from /proc")
+@pytest.mark.parametrize(("preset", "count"), [("default", 60_000), ("paper", 30_000)])
+def test_the_estimate_holds_for_a_training(preset, count, tiny_data):
+    command = [sys.executable, "-c", TRAINING, preset, str(tiny_data), str(count)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=True)
+    needed, peak, size = json.loads(done.stdout.splitlines()[-1])
+    assert size == count
+    assert 0.9 < needed / peak < 1.5
+
+
+@pytest.fixture(scope="module")
+def scene(tiny_data):
+    return read_scene(tiny_data)
+
+
+def with_room(monkeypatch, megabytes: float, bound: str = "machine") -> None:
+    monkeypatch.setattr(memory, "room", lambda: Room(int(megabytes * 1e6), bound))
+
+
+def test_a_line_says_what_a_training_takes_and_what_is_free(monkeypatch, scene):
+    with_room(monkeypatch, 21_000)
+    told = []
+    needed = check_memory(scene, PRESETS["default"], CPU, told.append)
+    assert len(told) == 1
+    assert re.fullmatch(
+        r"training will take about 0\.\d GB: less than 0\.1 for pictures, 0\.2 for 60,000 Gaussians, "
+        r"0\.\d for the program and one iteration; 21 GB are free",
+        told[0],
+    )
+    assert needed.total == needed.program + needed.pictures + needed.gaussians + needed.iteration
+
+
+def options_of(error: NotEnoughMemoryError) -> list[list[str]]:
+    """The options that a refusal names, each with its value."""
+    return [list(found) for found in re.findall(r"(--[\w.-]+) (\d+)", error.hint)]
+
+
+@pytest.mark.parametrize("preset", ["default", "paper", "default-scaffold", "gausshdr"])
+def test_what_cannot_fit_is_refused_with_options_of_which_each_makes_it_fit(monkeypatch, preset, tiny_data):
+    config = dataclasses.replace(PRESETS[preset], initial_points="random", random_points=8000)
+    config = dataclasses.replace(config, densify=dataclasses.replace(config.densify, budget=1_000_000))
+    if config.anchors:
+        growth = dataclasses.replace(config.anchors.growth, budget=1_000_000)
+        config = dataclasses.replace(config, anchors=dataclasses.replace(config.anchors, growth=growth))
+    with_room(monkeypatch, 1500)
+    with pytest.raises(NotEnoughMemoryError, match=r"1,000,000 Gaussians.*1\.5 GB are free") as refused:
+        check_memory(read_scene(tiny_data), config, CPU, lambda _: None)
+    assert refused.value.code == "not_enough_memory" and "Close other programs" in refused.value.hint
+    found = options_of(refused.value)
+    assert found
+    for option in found:
+        changed = tyro.cli(AS_A_COMMAND, default=config, args=option)
+        check_memory(read_scene(tiny_data, changed.downscale), changed, CPU, lambda _: None)
+
+
+def test_large_pictures_are_refused_with_the_size_that_fits(monkeypatch, tiny_data):
+    scene = read_scene(tiny_data)
+    large = [dataclasses.replace(view, camera=view.camera.resized(4000)) for view in scene.train]
+    scene = dataclasses.replace(scene, train=large, lit=[])
+    with_room(monkeypatch, 6000, "container")
+    with pytest.raises(NotEnoughMemoryError, match=r"the container's limit leaves 6\.0 GB") as refused:
+        check_memory(scene, PRESETS["default"], CPU, lambda _: None)
+    assert ["--downscale", "2"] in options_of(refused.value) and "container's memory" in refused.value.hint
+
+
+def test_of_a_run_that_goes_on_no_option_is_named(monkeypatch, scene):
+    with_room(monkeypatch, 600, "addresses")
+    with pytest.raises(NotEnoughMemoryError, match=r"ulimit -v leaves 0\.6 GB") as refused:
+        check_memory(scene, PRESETS["default"], CPU, lambda _: None, resumed=True)
+    assert not options_of(refused.value) and "ulimit -v unlimited" in refused.value.hint
+
+
+def test_growth_without_a_bound_is_told_as_a_guess(monkeypatch, scene):
+    with_room(monkeypatch, 90_000)
+    told = []
+    check_memory(scene, PRESETS["paper"], CPU, told.append)
+    assert "for perhaps" in told[0]
+
+
+def test_a_method_without_gaussians_has_an_estimate(monkeypatch, scene):
+    with_room(monkeypatch, 21_000)
+    told = []
+    check_memory(scene, PRESETS["hdr-nerf"], CPU, told.append)
+    assert "Gaussians" not in told[0]
+
+
+def test_asking_changes_no_random_number(scene):
+    torch.manual_seed(3)
+    expected = torch.rand(4)
+    torch.manual_seed(3)
+    estimate(sizes_of(scene, PRESETS["paper"]))
+    assert torch.equal(torch.rand(4), expected)
+
+
+def test_on_a_card_its_own_memory_counts_beside_the_machine_s(monkeypatch, scene):
+    with_room(monkeypatch, 21_000)
+    monkeypatch.setattr(torch.cuda, "mem_get_info", lambda _: (300_000_000, 8_000_000_000))
+    monkeypatch.setattr(torch.cuda, "memory_reserved", lambda _: 0)
+    with pytest.raises(NotEnoughMemoryError, match=r"0\.3 GB are free on the card") as refused:
+        check_memory(scene, PRESETS["default"], torch.device("cuda"), lambda _: None)
+    assert "--device cpu" in refused.value.hint
