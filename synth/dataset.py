@@ -12,14 +12,13 @@ from typing import Any
 
 import bpy
 
-from . import describe, device, folder, noise, objects, open_scene, passes, plan, points, rig, settings
+from . import describe, device, folder, noise, objects, open_scene, passes, plan, png, points, rig, settings
 from .claims import Claims
 from .derive import Derivation
 from .errors import NotFiniteRenderError
 from .options import USERS_EVS, Options, seconds
 from .passes import Passes
 from .plan import Shot
-from .png import decode
 from .progress import Report
 from .renderer import Renderer, renderer, view_seed
 from .response import by_name
@@ -241,7 +240,7 @@ def _finish(
 def _write_points(job: _Job, report: Report) -> None:
     train = [shot for shot in job.shots if shot.split == "train"]
     middle = len(job.options.exposures) // 2
-    seen = [decode((job.out / shot.bracket(middle)).read_bytes()) for shot in train]
+    seen = [png.read(job.out / shot.bracket(middle)) for shot in train]
     cloud = points.cast(job.stage, [shot.pose for shot in train], seen, job.options.seed)
     folder.write(job.out / plan.POINTS, points.encode(cloud))
     if len(cloud) < FEW_POINTS:

@@ -21,6 +21,8 @@ LARGEST_EV = 19.0
 MOST_EXPOSURES = 64
 LARGEST_SIDE = 8192
 LARGEST_LEVEL = 1024.0
+LEAST_LEVEL = 1e-6
+"""The least beside 0 that the trainer's reader takes (bridge/limits.py)."""
 LARGEST_ELEVATION = 85.0
 """Degrees: nearer to the zenith the direction of 'up' is lost."""
 FOLLOW = 0
@@ -122,7 +124,7 @@ class Options:
         named = (("--ambient-levels", self.ambient_levels), ("--train-ambient-levels", self.lit_levels))
         for name, levels in named:
             for level in levels:
-                within(name, level, 0.0, LARGEST_LEVEL)
+                _check_level(name, level)
             if len(set(levels)) != len(levels):
                 raise OptionError(f"{name} {join(levels)}: each level once")
         if 1.0 in self.ambient_levels:
@@ -135,7 +137,7 @@ class Options:
             raise OptionError(f"--lit-lights {','.join(self.lit_lights)}: each light once")
         for levels in self.mixed_levels or ():
             for name, level in levels:
-                within(f"--mixed-levels: {name}", level, 0.0, LARGEST_LEVEL)
+                _check_level(f"--mixed-levels: {name}", level)
             if len({name for name, _ in levels}) != len(levels):
                 raise OptionError(f"--mixed-levels: a light is named twice in {dict(levels)}")
 
@@ -193,6 +195,11 @@ def within(name: str, value: float, low: float, high: float) -> None:
     """Raise ``OptionError`` where the value of the option ``name`` is out of range."""
     if not low <= value <= high:  # also catches NaN
         raise OptionError(f"{name}: {value:g} is not within {low:g} … {high:g}")
+
+
+def _check_level(name: str, level: float) -> None:
+    if level != 0.0:
+        within(name, level, LEAST_LEVEL, LARGEST_LEVEL)
 
 
 def join(values: tuple[float, ...]) -> str:

@@ -9,6 +9,7 @@ import tyro
 from ...bridge.display import display_colour_sh, look_comment, look_words
 from ...bridge.errors import BadValueError
 from ...bridge.gaussian_ply import standard_columns, write_lossless_ply, write_standard_ply
+from ...bridge.limits import EV_MAX
 from ...bridge.model_file import write_model
 from ..export import BAKED_FILE, LOSSLESS_FILE, MODEL_FILE
 from ..export.baked import network_comments, parameter_columns
@@ -16,9 +17,6 @@ from ..model.gaussians import Gaussians
 from .lighting import levels_asked
 from .progress import console
 from .run_folder import open_run, writable_folder
-
-#: Exposures beyond, in EV, show nothing but black or white.
-EV_MAX = 30.0
 
 
 @dataclass(frozen=True)

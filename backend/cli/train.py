@@ -2,8 +2,9 @@
 """``physhdr train``: run the trainer, show its events, keep its logs."""
 
 import signal
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -77,8 +78,10 @@ class Train:
                     monitor=view_monitor(run.scene),
                     checkpoint_seconds=self.checkpoint_seconds,
                 )
-                for event in events:
-                    log.show(event)
+                # Closed while it can still be told what fails: it saves on its way out.
+                with closing(events):
+                    for event in events:
+                        log.show(event)
         if trainer.iteration < run.config.iterations:
             console.print(f"stopped; go on with: physhdr train --resume {run.folder}")
             return 130
@@ -86,7 +89,7 @@ class Train:
 
     def _begun(self) -> AbstractContextManager[tuple[Trainer, Run]]:
         workshop = Workshop(
-            report=console.print,
+            report=partial(console.print, soft_wrap=True),
             compile_kernels=compile_kernels,
             device=self.device,
             rasteriser=self.rasteriser,

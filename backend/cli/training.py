@@ -6,8 +6,6 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-import torch
-
 from ..device import DeviceName, choose_device
 from ..kernels.warmup import Needs
 from ..methods.registry import kernels_needed
@@ -16,6 +14,7 @@ from ..runs.files import holds_a_run, refuse_a_run, remove_results, remove_unfin
 from ..runs.lock import hold
 from ..scene import Scene, read_scene
 from ..train.config import CONFIG_FILE, TrainConfig, read_config, write_config
+from ..train.memory import check_memory
 from ..train.presets import PRESETS
 from ..train.trainer import Trainer
 from ..train.without_effect import changed_without_effect
@@ -35,19 +34,17 @@ class Workshop:
     device: DeviceName = "auto"
     rasteriser: Implementation = "auto"
 
-    def place(self, config: TrainConfig) -> torch.device:
-        """The device, ready for ``config``'s method."""
-        device, why = choose_device(self.device, self.report)
-        self.report(f"computing {why}")
-        if device.type == "cpu" and self.rasteriser in ("auto", "cpu"):
-            # Before the trainer is made, which calls some of them.
-            self.compile_kernels(kernels_needed(config.method))
-        return device
-
     def trainer(
         self, scene: Scene, config: TrainConfig, resumed: Path | None = None, configuration: str = ""
     ) -> Trainer:
-        return Trainer(scene, config, self.rasteriser, self.place(config), resumed, configuration)
+        """The trainer, on its device; raises ``NotEnoughMemoryError`` before anything that takes long."""
+        device, why = choose_device(self.device, self.report)
+        self.report(f"computing {why}")
+        check_memory(scene, config, device, self.report, resumed=resumed is not None)
+        if device.type == "cpu" and self.rasteriser in ("auto", "cpu"):
+            # Before the trainer is made, which calls some of them.
+            self.compile_kernels(kernels_needed(config.method))
+        return Trainer(scene, config, self.rasteriser, device, resumed, configuration)
 
 
 @contextmanager

@@ -14,7 +14,7 @@ import os
 import sys
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager, suppress
+from contextlib import AbstractContextManager, closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -44,6 +44,7 @@ from ..cli.run_folder import Run, open_run
 from ..cli.training import Workshop, resume_run, start_run
 from ..device import DeviceName, choose_device
 from ..kernels.warmup import Needs, warmup
+from ..memory import is_out_of_memory
 from ..methods.registry import kernels_needed
 from ..rasterize.cpu import set_threads, thread_count
 from ..runs.files import refuse_a_run
@@ -53,7 +54,7 @@ from ..train.presets import PRESETS
 from ..train.trainer import CHECKPOINT_FILE, Trainer
 from . import preview
 from .curves import Curves, Speed
-from .failures import BusyError, NoJobError, NoModelError, failure_of, is_out_of_memory
+from .failures import BusyError, NoJobError, NoModelError, failure_of
 from .inbox import Abandoned, Command, Ending, Inbox, Item
 from .server import Server
 
@@ -293,13 +294,15 @@ class Engine:
             can_relight=run.method.can_relight,
             lights=run.method.lights,
         )
-        with EventLog(run.folder) as kept:
-            for event in trainer.run(
-                run.folder,
-                should_stop=lambda: self._stopping,
-                monitor=view_monitor(run.scene),
-                between=self._between_iterations,
-            ):
+        told = trainer.run(
+            run.folder,
+            should_stop=lambda: self._stopping,
+            monitor=view_monitor(run.scene),
+            between=self._between_iterations,
+        )
+        # Closed while it can still be told what fails: it saves on its way out.
+        with EventLog(run.folder) as kept, closing(told):
+            for event in told:
                 kept.show(event)
                 self._note(event)
         self._run = dataclasses.replace(run, iteration=trainer.iteration)
@@ -490,7 +493,7 @@ class Engine:
         self._tell(dataclasses.replace(self._status, **changes))
 
     def _failure(self, error: Exception) -> Failure:
-        failure = failure_of(error, self._options.log)
+        failure = failure_of(error, self._options.log, self._status.run)
         if failure.code in ("internal", "out_of_memory"):
             log.error("%s", failure.message, exc_info=error)
         else:

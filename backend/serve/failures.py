@@ -6,6 +6,7 @@ import os
 
 from ...bridge.errors import PhysHDRError
 from ...bridge.messages import Failure
+from ..memory import is_out_of_memory
 
 OUT_OF_MEMORY = "out_of_memory"
 #: The system refuses a path, or what is to be written there.
@@ -33,8 +34,6 @@ OF_A_PATH = {
     errno.ELOOP: "Its links lead in a circle: mend them, or choose another path.",
     errno.EMFILE: "Too many files are open at once: end the backend and start it again.",
 }
-#: What torch says on the CPU, as a plain RuntimeError.
-OUT_OF_MEMORY_WORDS = ("can't allocate memory", "not enough memory", "CUDA out of memory")
 
 
 class BusyError(PhysHDRError):
@@ -71,13 +70,6 @@ def failure_of(error: BaseException, log: str = "", place: str = "") -> Failure:
         code="internal",
         message=f"the backend failed unexpectedly: {type(error).__name__}: {first}",
         hint=f"This is a fault of PhysHDR: please report it with the log {log}." if log else "See its log.",
-    )
-
-
-def is_out_of_memory(error: BaseException) -> bool:
-    """Whether the error is Python's, torch's or CUDA's lack of memory."""
-    return isinstance(error, MemoryError) or (
-        isinstance(error, RuntimeError) and any(words in str(error) for words in OUT_OF_MEMORY_WORDS)
     )
 
 

@@ -9,6 +9,7 @@ import torch
 
 from ...bridge.errors import BadValueError
 from ...bridge.lights import as_levels
+from ...bridge.limits import EV_MAX
 from ...bridge.messages import (
     BINARY_BYTES_MAX,
     PREVIEW_SIDE_MAX,
@@ -22,7 +23,6 @@ from ..scene.camera import Camera
 
 #: The largest finite half.
 HALF_MAX = 65504.0
-EV_MAX = 30.0
 #: How far the axes of a pose may be from unit length; more is no rounding but a scale.
 AXIS_TOLERANCE = 0.01
 BYTES_PER_PIXEL = 12

@@ -71,7 +71,8 @@ def save_checkpoint(
     except OutputError as error:
         raise OutputError(
             error.message.replace("cannot write", "cannot write the checkpoint", 1),
-            "Free some space, then go on with: physhdr train --resume. The previous checkpoint is untouched.",
+            f"Free some space, then go on with: physhdr train --resume {path.parent}. The checkpoint before is "
+            "untouched.",
         ) from error
 
 

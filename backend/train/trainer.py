@@ -3,7 +3,7 @@
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from pathlib import Path
 
 import numpy as np
@@ -241,7 +241,7 @@ class Trainer:
         monitor_every: int = 200,
         checkpoint_seconds: float = CHECKPOINT_SECONDS,
         between: Callable[[], float] = lambda: 0.0,
-    ) -> Iterator[Event]:
+    ) -> Generator[Event, None, None]:
         """Train until done or told to stop, yielding events; a checkpoint is written on every way out.
 
         And every ``checkpoint_seconds``, or less often where writing would take more than
@@ -282,9 +282,10 @@ class Trainer:
                     # A loss that is no number would be noticed at the next event only.
                     self._refuse_nan({name: float(value) for name, value in sums.items()})
                     saving = time.perf_counter()
-                    yield self.save(folder)
-                    saved = time.perf_counter()
-                    next_save = saved + max(checkpoint_seconds, (saved - saving) / CHECKPOINT_SHARE)
+                    saved = self.save(folder)
+                    now = time.perf_counter()
+                    next_save = now + max(checkpoint_seconds, (now - saving) / CHECKPOINT_SHARE)
+                    yield saved
                 held = between()
                 window_start, begun, next_save = window_start + held, begun + held, next_save + held
         finally:
