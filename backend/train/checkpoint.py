@@ -71,7 +71,7 @@ def save_checkpoint(
     except OutputError as error:
         raise OutputError(
             error.message.replace("cannot write", "cannot write the checkpoint", 1),
-            f"Free some space, then go on with: physhdr train --resume {path.parent}. The checkpoint before is "
+            f"Free some space, then go on: physhdr train --resume {path.parent}. What was saved before is "
             "untouched.",
         ) from error
 
