@@ -8,7 +8,7 @@ PYTHON ?= python3
 WITH_TORCH := $(if $(wildcard $(BACKEND)),$(BACKEND),$(PYTHON))
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test benchmark report gpu-check gui-test extension lock lint clean
+.PHONY: help setup demo test test-long fuzz torture benchmark report gpu-check gui-test extension lock lint clean
 
 help: ## Show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -21,6 +21,16 @@ demo: setup ## Scene → data → training → relit picture: runs/demo/result.p
 
 test: setup ## All tests, both sides of the house
 	@$(PYTHON) tools/run_tests.py
+
+test-long: setup ## What takes long: a short form of make fuzz and make torture
+	@$(BACKEND) tools/fuzz.py --short
+	@$(BACKEND) tools/torture.py --short
+
+fuzz: setup ## Bad inputs for every reader, for messages and a running server; WITH="--seed 5" and other options
+	@$(BACKEND) tools/fuzz.py $(WITH)
+
+torture: setup ## Kills, full disks, two of everything at once, long use (hours); WITH="--only soak" and other options
+	@$(BACKEND) tools/torture.py $(WITH)
 
 benchmark: setup ## Speed of the kernels against their alternatives, in one run; WITH="--quick" and other options
 	@$(BACKEND) benchmarks/run.py $(WITH)
