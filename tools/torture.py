@@ -18,6 +18,7 @@ import argparse
 import fnmatch
 import os
 import shutil
+import signal
 import sys
 import threading
 import time
@@ -98,6 +99,7 @@ def main() -> int:
     work = given.work.resolve() / ("short" if given.short else "full")
     for name in chosen:
         full_disk.unmount_all(work / name)
+    end_on_signals(work, chosen)
     if given.short:
         shutil.rmtree(work, ignore_errors=True)
     for name in chosen if given.fresh else []:
@@ -125,6 +127,19 @@ def main() -> int:
     failed = [row.name for row in done if row.verdict == "FAILED"]
     say(f"{len(done)} attacks in {time.monotonic() - begun:.0f} s, {len(failed)} not borne")
     return 1 if failed else 0
+
+
+def end_on_signals(work: Path, names: list[str]) -> None:
+    """CTRL-C and SIGTERM end it at once: what it started ends with it, what it mounted goes."""
+
+    def end(*_: object) -> None:
+        for name in names:
+            full_disk.unmount_all(work / name)
+        os.write(2, b"\nstopped: the same command goes on\n")
+        os._exit(130)
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, end)
 
 
 def parser() -> argparse.ArgumentParser:
