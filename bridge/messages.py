@@ -373,15 +373,15 @@ def decode(text: str | bytes) -> Envelope:
     content = _json_object(text)
     kind, number = content.get("kind"), content.get("id", 0)
     if type(number) is not int or number < 0:
-        raise ProtocolError(f"the frame's id is {number!r}, not a whole number")
+        raise ProtocolError(f"the frame's id is {number!r:.80}, not a whole number")
     if kind == "error":
         return Envelope("error", number, _build(Failure, {k: content.get(k) for k in _fields(Failure)}))
     if kind not in ("request", "reply", "event"):
-        raise ProtocolError(f"the frame's kind is {kind!r}; it must be request, reply, error or event")
+        raise ProtocolError(f"the frame's kind is {kind!r:.80}; it must be request, reply, error or event")
     known = REQUESTS if kind == "request" else REPLIES
     name = content.get("type")
     if not isinstance(name, str) or name not in known:
-        raise ProtocolError(f"there is no {kind} of type {name!r}", "One side may be of another version.")
+        raise ProtocolError(f"there is no {kind} of type {name!r:.80}", "One side may be of another version.")
     return Envelope(kind, number, _build(known[name], content.get("body", {})))
 
 
@@ -418,6 +418,8 @@ def decode_frame(data: bytes) -> PreviewFrame:
         raise ProtocolError("a picture's frame ends inside its header")
     header = _build(PreviewHeader, _json_object(data[4:start]))
     width, height = header.request.camera.width, header.request.camera.height
+    if not (0 < width <= PREVIEW_SIDE_MAX and 0 < height <= PREVIEW_SIDE_MAX):
+        raise ProtocolError(f"a picture's sides are {(width, height)!r:.80}, not 1 to {PREVIEW_SIDE_MAX}")
     pixels = width * height
     if len(data) - start != pixels * 12:
         raise ProtocolError(f"a picture of {width}×{height} cannot be {len(data) - start} bytes")
@@ -457,7 +459,7 @@ def _build(cls: type[Message], body: Any) -> Message:
     hints = _fields(cls)
     unknown = sorted(set(body) - set(hints))
     if unknown:
-        raise ProtocolError(f"{name} has no field {unknown[0]!r}", "One side may be of another version.")
+        raise ProtocolError(f"{name} has no field {unknown[0]!r:.80}", "One side may be of another version.")
     values = {key: _convert(hints[key], value, f"{name}.{key}") for key, value in body.items()}
     try:
         return cls(**values)
@@ -488,4 +490,4 @@ def _convert(hint: Any, value: Any, where: str) -> Any:
     elif type(value) is hint:
         return value
     wanted = " or ".join(map(repr, arguments)) if origin is Literal else getattr(hint, "__name__", str(hint))
-    raise ProtocolError(f"{where} is {str(value)[:60]!r}; it must be {wanted}")
+    raise ProtocolError(f"{where} is {value!r:.80}; it must be {wanted}")

@@ -119,6 +119,24 @@ def test_what_is_no_message_is_refused(text, words):
     assert words in refused.value.message and refused.value.code == "protocol"
 
 
+@pytest.mark.parametrize(
+    "envelope",
+    [
+        {"kind": "x" * 5000, "id": 1},
+        {"kind": ["x"] * 5000, "id": 1},
+        {"kind": "request", "id": "x" * 5000},
+        {"kind": "request", "id": 1, "type": "x" * 5000},
+        {"kind": "request", "id": 1, "type": "status_get", "body": {"x" * 5000: 1}},
+        {"kind": "request", "id": 1, "type": "run_open", "body": {"run": ["\ud800" * 5000]}},
+    ],
+)
+def test_what_is_refused_is_not_repeated_at_length(envelope):
+    with pytest.raises(ProtocolError) as refused:
+        decode(json.dumps(envelope))
+    assert len(refused.value.message) < 250
+    refused.value.message.encode("utf-8")
+
+
 def test_numbers_that_json_cannot_say_are_not_sent():
     with pytest.raises(ValueError, match="JSON compliant"):
         encode(Envelope("event", 0, JobStatus(seconds_left=float("inf"))))
@@ -162,6 +180,22 @@ def test_damaged_pictures_are_refused():
             decode_frame(damaged)
     with pytest.raises(ProtocolError):
         decode_frame(data[:4] + b"?" + data[5:])
+
+
+@pytest.mark.parametrize(
+    ("width", "height"),
+    [(0, -5), (-1, -1), (0, 3), (3, 0), (PREVIEW_SIDE_MAX + 1, 1), (1, PREVIEW_SIDE_MAX + 1), (10**400, 0)],
+)
+def test_sides_that_no_request_may_have_are_refused(width, height):
+    """Also where the arrays' bytes would agree with them."""
+    sent = frame(1, 1)
+    camera = dataclasses.replace(sent.header.request.camera, width=width, height=height)
+    request = dataclasses.replace(sent.header.request, camera=camera)
+    header = dataclasses.replace(sent.header, request=request)
+    text = json.dumps(dataclasses.asdict(header)).encode()
+    with pytest.raises(ProtocolError, match="a picture's sides are") as refused:
+        decode_frame(len(text).to_bytes(4, "little") + text + bytes(12 * width * height))
+    assert len(refused.value.message) < 200
 
 
 def test_a_large_viewport_fits_a_frame():
