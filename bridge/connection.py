@@ -8,6 +8,7 @@ or start another Python; who could read there could hold the lock that keeps a s
 
 import json
 import os
+import re
 import secrets
 import stat
 from contextlib import suppress
@@ -15,11 +16,16 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
 from .errors import FileDamagedError, FileMissingError, OutputError
+from .regular import without_waiting
 
 CONNECTION_FILE = "connection.json"
 HOST = "127.0.0.1"
 #: 256 bits, as 64 hexadecimal digits.
 TOKEN_BYTES = 32
+#: Characters of a connection file; one of ours has a few hundred, most of them the log's path.
+FILE_CHARACTERS_MAX = 1 << 16
+#: The largest port; and the largest process number that the system's calls take.
+PORT_MAX, PID_MAX = (1 << 16) - 1, (1 << 31) - 1
 
 
 @dataclass(frozen=True)
@@ -112,23 +118,29 @@ def write_connection(folder: Path, connection: Connection) -> Path:
 def read_connection(folder: Path) -> Connection:
     """Read it; raises ``FileMissingError`` where no backend is there, ``FileDamagedError``.
 
-    The latter also where another user wrote it, whose backend that would be.
+    The latter also where another user wrote it, whose backend that would be, and where its numbers cannot be
+    a port and a process or its token is none of ``new_token``: all are used as they are.
     """
     path = folder / CONNECTION_FILE
     try:
-        with open(path, encoding="utf-8") as file:
-            if is_of_another(os.fstat(file.fileno())):
+        with open(path, encoding="utf-8", opener=without_waiting) as file:
+            found = os.fstat(file.fileno())
+            if is_of_another(found):
                 raise FileDamagedError(f"{path} belongs to another user", "Choose another home folder.")
-            content = json.loads(file.read())
+            if not stat.S_ISREG(found.st_mode):
+                raise FileDamagedError(f"{path} is a pipe or a device", "Delete it and start the backend.")
+            content = json.loads(file.read(FILE_CHARACTERS_MAX))
     except FileNotFoundError:
         raise FileMissingError(f"no backend is running: there is no {path}", "Start one.") from None
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise FileDamagedError(f"cannot read {path}: {error}", "Delete it and start the backend.") from error
     wanted = {entry.name: entry.type for entry in fields(Connection)}
     if (
         not isinstance(content, dict)
         or set(content) != set(wanted)
         or not all(type(content[name]) is kind for name, kind in wanted.items())
+        or not (0 < content["port"] <= PORT_MAX and 0 < content["pid"] <= PID_MAX)
+        or not re.fullmatch(rf"[0-9a-f]{{{2 * TOKEN_BYTES}}}", content["token"])
     ):
         raise FileDamagedError(f"{path} is not a connection file", "Delete it and start the backend.")
     return Connection(**content)

@@ -6,6 +6,7 @@ A pipe in a data set's folder would otherwise be waited for for ever, and a devi
 
 import errno
 import json
+import os
 import stat
 from collections import Counter
 from collections.abc import Iterator
@@ -53,15 +54,20 @@ def regular_file(path: Path, remedy: str = "") -> Path:
 def damaged_where_it_fails(what: str, remedy: str = "") -> Iterator[None]:
     """Any failure of a library on a file's bytes as ``FileDamagedError``: "``what`` (its message)".
 
-    Few libraries say which errors their readers raise, and none keeps to it on damaged bytes. Only the
-    library's call belongs inside.
+    Few libraries say which errors their readers raise, and none keeps to it on damaged bytes; some repeat
+    these at any length. Only the library's call belongs inside.
     """
     try:
         yield
     except PhysHDRError:
         raise
     except Exception as error:
-        raise FileDamagedError(f"{what} ({str(error) or type(error).__name__})", remedy) from error
+        raise FileDamagedError(f"{what} ({str(error)[:200] or type(error).__name__})", remedy) from error
+
+
+def without_waiting(path: str, flags: int) -> int:
+    """An ``opener`` for ``open`` on what may be a pipe, which it would wait for until somebody writes."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
 
 
 def read_bytes(path: Path, remedy: str = "", limit: int = LARGEST_TEXT) -> bytes:

@@ -59,6 +59,17 @@ def test_tokens_are_256_bits_and_differ():
     [
         lambda content: content | {"port": "5"},
         lambda content: content | {"port": True},
+        lambda content: content | {"port": 0},
+        lambda content: content | {"port": -5},
+        lambda content: content | {"port": 1 << 16},
+        lambda content: content | {"pid": 0},  # this process's own group
+        lambda content: content | {"pid": -1},  # every process
+        lambda content: content | {"pid": 1 << 31},
+        lambda content: content | {"token": ""},
+        lambda content: content | {"token": content["token"][:-1]},
+        lambda content: content | {"token": content["token"] + "\n"},
+        lambda content: content | {"token": content["token"][:-2] + "\r\n"},
+        lambda content: content | {"token": "ü" * 64},
         lambda content: content | {"more": 1},
         lambda content: {key: value for key, value in content.items() if key != "token"},
         lambda content: [content],
@@ -74,10 +85,16 @@ def test_what_is_no_connection_file_is_refused(tmp_path, change):
 def test_a_cut_or_binary_file_is_refused(tmp_path):
     path = write_connection(tmp_path, connection())
     whole = path.read_bytes()
-    for content in (b"", whole[:-1], b"\xff\xfe\0"):
+    for content in (b"", whole[:-1], b"\xff\xfe\0", b"[" * 60_000, b" " * 100_000 + whole):
         path.write_bytes(content)
         with pytest.raises(FileDamagedError):
             read_connection(tmp_path)
+
+
+def test_a_pipe_in_its_place_is_not_waited_for(tmp_path, never_waits):
+    os.mkfifo(tmp_path / CONNECTION_FILE)
+    with pytest.raises(FileDamagedError, match=r"a pipe or a device[\s\S]*Delete it"):
+        read_connection(tmp_path)
 
 
 def test_a_home_that_cannot_be_written_is_told(tmp_path):
