@@ -27,10 +27,10 @@ def check_lights(lights: object, whose: str) -> tuple[str, ...]:
     """
     names = list(lights) if isinstance(lights, list | tuple) else []
     if not names or not all(isinstance(n, str) and n.strip() == n != "" and n.isprintable() for n in names):
-        raise BadValueError(f"{whose}: the lights must be a list of names, got {lights!r}")
+        raise BadValueError(f"{whose}: the lights must be a list of names, got {lights!r:.200}")
     if len(set(names)) != len(names) or any("=" in name for name in names):
         raise BadValueError(
-            f"{whose}: the lights {', '.join(names)} have a name twice or one with '='", "Rename them."
+            f"{whose}: the lights {', '.join(names):.200} have a name twice or one with '='", "Rename them."
         )
     return tuple(names)
 

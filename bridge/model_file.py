@@ -23,6 +23,8 @@ import numpy as np
 from . import spherical_harmonics
 from .errors import BadValueError, DataMismatchError, FileDamagedError, FileMissingError, OutputError
 from .lights import AMBIENT, Levels, as_levels, check_lights
+from .limits import EXPOSURE, FARTHEST, LEVEL, LOG_RADIANCE_MAX, check_position
+from .regular import without_waiting
 
 FORMAT = "physhdr-model"
 VERSION = 1
@@ -173,6 +175,20 @@ def level_weights(levels: tuple[float, ...], level: float) -> np.ndarray:
     return np.array([np.interp(at, log_levels, row) for row in np.eye(len(levels))])
 
 
+def largest_log_radiance(log_radiance_sh: np.ndarray) -> np.ndarray:
+    """``[N]``: what |ln radiance| of SH ``[N, K, 3]`` cannot exceed toward any direction, in any channel.
+
+    Σ_m Y_lm² is (2l + 1) / 4π in every direction (Unsöld), so that degree l reaches no more than the length
+    of its coefficients times the root of that (Cauchy-Schwarz).
+    """
+    most = np.zeros((log_radiance_sh.shape[0], 3))
+    with np.errstate(over="ignore"):  # infinity is too much, too
+        for degree in range(spherical_harmonics.degree_of(log_radiance_sh.shape[1]) + 1):
+            sh = log_radiance_sh[:, degree**2 : (degree + 1) ** 2]
+            most += np.sqrt(np.einsum("nkc,nkc->nc", sh, sh) * ((2 * degree + 1) / (4.0 * math.pi)))
+    return most.max(axis=1)
+
+
 def read_model(path: str | os.PathLike[str]) -> Model:
     """Read a model file; the big arrays stay memory-mapped, read-only.
 
@@ -194,7 +210,7 @@ def read_model(path: str | os.PathLike[str]) -> Model:
         raise _damaged(path, f"has no {', '.join(missing)}")
     modulator = metadata.get("modulator", "")
     if modulator not in LIGHT_TENSORS:
-        raise BadValueError(f"{path}: unknown modulator {modulator!r}", _NEWER_HINT)
+        raise BadValueError(f"{path}: unknown modulator {modulator!r:.80}", _NEWER_HINT)
     if LIGHT_TENSORS[modulator] not in tensors:
         raise _damaged(path, f"has modulator {modulator!r} but no {LIGHT_TENSORS[modulator]}")
     for other in set(LIGHT_TENSORS.values()) - {LIGHT_TENSORS[modulator]}:
@@ -217,7 +233,9 @@ def read_model(path: str | os.PathLike[str]) -> Model:
         raise type(error)(f"{path}: {error.message}", error.hint) from error
     stated = metadata.get("sh_degree", str(model.sh_degree))
     if stated != str(model.sh_degree):
-        raise DataMismatchError(f"{path}: sh_degree is {stated}, but log_radiance_sh has {model.sh_degree}")
+        raise DataMismatchError(
+            f"{path}: sh_degree is {stated!r:.80}, but log_radiance_sh has {model.sh_degree}"
+        )
     return model
 
 
@@ -258,7 +276,7 @@ def refuse_what_is_not_ours(path: str | os.PathLike[str]) -> None:
 
 def _says_model(path: Path) -> bool:
     """Whether the header of the regular file at ``path`` says that it is a model; raises ``OSError``."""
-    with open(path, "rb", opener=_without_waiting) as file:
+    with open(path, "rb", opener=without_waiting) as file:
         found = os.fstat(file.fileno())
         if not stat.S_ISREG(found.st_mode):
             return False
@@ -346,15 +364,10 @@ def _damaged(path: Path, what: str) -> FileDamagedError:
     return FileDamagedError(f"{path} {what}", "Export the model again (physhdr export).")
 
 
-def _without_waiting(path: str, flags: int) -> int:
-    """How ``open`` opens what may be a pipe, which it would otherwise wait for until somebody writes."""
-    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))
-
-
 def _map_file(path: Path) -> memoryview:
     """The file's bytes, memory-mapped; the map lives as long as an array that uses it."""
     try:
-        with open(path, "rb", opener=_without_waiting) as file:
+        with open(path, "rb", opener=without_waiting) as file:
             found = os.fstat(file.fileno())
             if not stat.S_ISREG(found.st_mode):
                 raise _damaged(path, "is not a PhysHDR model: it is a pipe or a device")
@@ -398,14 +411,20 @@ def _read_metadata(header: dict[str, Any], path: Path) -> dict[str, str]:
         raise _damaged(path, "is a safetensors file, but not a PhysHDR model")
     if not all(isinstance(value, str) for value in metadata.values()):
         raise _damaged(path, "is damaged: its metadata are not all text")
+    try:
+        "".join((*metadata, *metadata.values())).encode("utf-8")
+    except UnicodeEncodeError as error:  # no terminal or file can show it, nor a file be written with it
+        raise _damaged(path, "is damaged: its metadata hold halves of characters") from error
     if metadata.get("version") != str(VERSION):
         raise BadValueError(
-            f"{path}: version {metadata.get('version')} of the model file, this PhysHDR reads {VERSION}",
+            f"{path}: version {metadata.get('version')!r:.80} of the model file, not {VERSION}",
             _NEWER_HINT,
         )
     working_space = metadata.get("working_space", WORKING_SPACE)
     if working_space != WORKING_SPACE:
-        raise BadValueError(f"{path}: working space {working_space!r}, only {WORKING_SPACE!r} is supported")
+        raise BadValueError(
+            f"{path}: working space {working_space!r:.80}, only {WORKING_SPACE!r} is supported"
+        )
     return metadata
 
 
@@ -417,16 +436,19 @@ def _read_tensor(name: str, entry: Any, data: memoryview, data_start: int, path:
         ):
             pass
         case {"dtype": str(dtype)} if dtype != "F32":
-            raise _damaged(path, f"has {name} as {dtype}; it must be F32")
+            raise _damaged(path, f"has {name} as {dtype!r:.80}; it must be F32")
         case _:
             raise _damaged(path, f"is damaged: the header's entry of {name} is not valid")
     if not 0 <= start <= end or end - start != 4 * math.prod(shape):
-        raise _damaged(path, f"is damaged: {name} of shape {shape} cannot be {end - start} bytes")
+        raise _damaged(path, f"is damaged: {name} of shape {shape!r:.80} cannot be {end - start} bytes")
     if data_start + end > len(data):
         raise _damaged(
             path, f"is truncated: {name} ends at byte {data_start + end}, the file has {len(data)}"
         )
-    return np.ndarray(tuple(shape), "<f4", data, data_start + start)
+    try:
+        return np.ndarray(tuple(shape), "<f4", data, data_start + start)
+    except (ValueError, OverflowError) as error:  # a hundred axes; one of 0 beside one of 2^70
+        raise _damaged(path, f"is damaged: {name} has the shape {shape!r:.80}") from error
 
 
 def _json(metadata: Mapping[str, str], key: str, path: Path) -> Any:
@@ -440,11 +462,14 @@ def _json(metadata: Mapping[str, str], key: str, path: Path) -> Any:
 def _numbers(metadata: Mapping[str, str], key: str, path: Path) -> tuple[float, ...]:
     """A JSON list of finite numbers in the metadata; empty where there is none."""
     values = _json(metadata, key, path)
-    if not isinstance(values, list) or not all(
-        isinstance(value, int | float) and math.isfinite(value) for value in values
-    ):
-        raise _damaged(path, f"is damaged: {key} is not a list of numbers")
-    return tuple(float(value) for value in values)
+    try:
+        if isinstance(values, list) and all(type(value) in (int, float) for value in values):
+            numbers = tuple(float(value) for value in values)
+            if all(map(math.isfinite, numbers)):
+                return numbers
+    except OverflowError:
+        pass  # a whole number of four hundred digits
+    raise _damaged(path, f"is damaged: {key} is not a list of numbers")
 
 
 def _check_shapes(shapes: dict[str, tuple[int, ...]], whose: str) -> None:
@@ -481,10 +506,19 @@ def _check_values(model: Model) -> None:
                 f"{name} has {wrong} values that are NaN or infinite",
                 "Training diverged: export an earlier checkpoint.",
             )
+    farthest = np.abs(model.position).max(axis=1)
+    if farthest.max() > FARTHEST:
+        worst = int(farthest.argmax())
+        check_position(model.position[worst].tolist(), f"Gaussian {worst}")
     if (np.square(model.rotation).sum(axis=1) < 1e-12).any():
         raise BadValueError("rotation has a quaternion of length 0")
     if (model.scale < 0.0).any():
         raise BadValueError("scale has a negative value", "It must be linear (metres), not a logarithm.")
+    if model.scale.max() > FARTHEST:
+        raise BadValueError(
+            f"scale has the value {model.scale.max():g}: no Gaussian is larger than {FARTHEST:g} metres",
+            "Training diverged: export an earlier checkpoint.",
+        )
     if (model.opacity < 0.0).any() or (model.opacity > 1.0).any():
         raise BadValueError("opacity has a value outside [0, 1]", "It must be activated, not a logit.")
     lights = check_lights(model.lights, "the model")
@@ -507,8 +541,27 @@ def _check_values(model: Model) -> None:
         if model.level_log_gain is None or len(levels) != model.level_log_gain.shape[0] or len(levels) == 0:
             raise DataMismatchError(f"there are {len(levels)} levels, but level_log_gain has another count")
         if not (np.isfinite(levels).all() and levels[0] > 0.0 and (np.diff(levels) > 0.0).all()):
-            raise BadValueError(f"levels must be positive and rising, got {list(model.levels)}")
+            raise BadValueError(f"levels must be positive and rising, got {list(model.levels)!r:.200}")
+        for level in (model.levels[0], model.levels[-1]):
+            LEVEL.check(level, "a level")
+    _check_radiance(model)
+    for seconds in model.exposures:
+        EXPOSURE.check(seconds, "an exposure")
     if (model.tone_curve is None) != (model.tone_curve_log_exposure is None):
         raise DataMismatchError("tone_curve and tone_curve_log_exposure belong together")
     if model.tone_curve_log_exposure is not None and (np.diff(model.tone_curve_log_exposure) <= 0.0).any():
         raise BadValueError("tone_curve_log_exposure must rise")
+
+
+def _check_radiance(model: Model) -> None:
+    """Raises ``BadValueError`` where a radiance could be infinite; the rest of the model is checked."""
+    most = largest_log_radiance(model.log_radiance_sh)
+    if model.level_log_gain is not None:
+        most += np.abs(model.level_log_gain).max(axis=(0, 2))
+    too_much = int(np.count_nonzero(most > LOG_RADIANCE_MAX))
+    if too_much:
+        raise BadValueError(
+            f"ln radiance of {too_much} Gaussians may reach {most.max():.3g}: "
+            f"no more than {LOG_RADIANCE_MAX:g} can be drawn",
+            "Training diverged: export an earlier checkpoint.",
+        )

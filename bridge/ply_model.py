@@ -19,8 +19,8 @@ from .display import ColorSpace, log_radiance_of
 from .errors import BadValueError, FileDamagedError
 from .gaussian_ply import read_ply
 from .lights import AMBIENT, check_lights
-from .limits import FARTHEST, check_position
-from .model_file import ADDITIVE_LIGHTS, Model
+from .limits import FARTHEST, LOG_RADIANCE_MAX, check_position
+from .model_file import ADDITIVE_LIGHTS, Model, largest_log_radiance
 from .spherical_harmonics import C0
 
 #: Comment lines of a lossless PLY: ``phys_form COMPOSER MODULATOR``, ``phys_lights NAMES`` (a JSON list, only
@@ -46,7 +46,7 @@ class PlyModel:
     model: Model
     #: ``[N, K, 3]``: the file's own display-referred colours (Σ sh·Y + ½); ``None`` for a lossless PLY.
     colour_sh: np.ndarray | None
-    #: Gaussians that were left out because a value is NaN or infinite.
+    #: Gaussians that were left out because a value is NaN, infinite or absurd.
     left_out: int
     notes: tuple[str, ...]
 
@@ -62,28 +62,37 @@ def read_ply_model(path: Path, color_space: ColorSpace = "SRGB") -> PlyModel:
     notes: list[str] = []
     names = [n for n in ply.columns if n not in ("nx", "ny", "nz", "red", "green", "blue")]
     columns, left_out = _usable(path, {name: ply.columns[name] for name in names})
-    if left_out:
-        notes.append(f"{left_out} Gaussians with NaN, infinite or absurd values were left out.")
+    is_lossless = False
     if all(name in columns for name in _RADIANCE):
         form = _form(ply.comments)
-        if form in (("product", "additive"), ("product", ADDITIVE_LIGHTS)):
-            return PlyModel(_lossless_model(path, columns, ply.comments), None, left_out, tuple(notes))
-        if form is not None:
+        is_lossless = form in (("product", "additive"), ("product", ADDITIVE_LIGHTS))
+        if form is not None and not is_lossless:
             raise BadValueError(
-                f"{path}: its radiance needs networks (composer {form[0]}, modulator {form[1]})",
+                f"{path}: its radiance needs networks (composer {form[0]:.80}, modulator {form[1]:.80})",
                 "Import the run's model.safetensors (physhdr export), or its baked.ply for one fixed look.",
             )
-        notes.append("Its phys_network comments are gone: imported as the look that was baked into it.")
-    if color_space == "SRGB":
-        notes.append("Its colours are display-referred; they were linearised as sRGB.")
-    notes.append("Nothing is known of its light: the lighting level scales everything.")
-    colour_sh = _colour_sh(columns)
-    model = Model(
-        **_shape(columns),
-        log_radiance_sh=log_radiance_of(colour_sh, color_space),
-        light_share=np.ones((len(colour_sh), 1, 3), np.float32),
-        metadata=_provenance(ply.comments),
-    )
+        if form is None:
+            notes.append("Its phys_network comments are gone: imported as the look that was baked into it.")
+    colour_sh = None
+    if is_lossless:
+        sh = _lossless_sh(path, columns)
+    else:
+        colour_sh = _colour_sh(columns)
+        sh = log_radiance_of(colour_sh, color_space)
+        if color_space == "SRGB":
+            notes.append("Its colours are display-referred; they were linearised as sRGB.")
+        notes.append("Nothing is known of its light: the lighting level scales everything.")
+    drawable = largest_log_radiance(sh) <= LOG_RADIANCE_MAX
+    if not drawable.all():
+        columns, sh = _only(path, columns, drawable), sh[drawable]
+        colour_sh = None if colour_sh is None else colour_sh[drawable]
+        left_out += int(np.count_nonzero(~drawable))
+    if left_out:
+        notes.insert(0, f"{left_out} Gaussians with NaN, infinite or absurd values were left out.")
+    light: dict[str, Any] = {"light_share": np.ones((len(sh), 1, 3), np.float32)}
+    if is_lossless:
+        light = _lossless_light(path, columns, ply.comments)
+    model = Model(**_shape(columns), log_radiance_sh=sh, **light, metadata=_provenance(ply.comments))
     return PlyModel(model, colour_sh, left_out, tuple(notes))
 
 
@@ -127,8 +136,9 @@ def _usable(path: Path, columns: dict[str, np.ndarray]) -> tuple[dict[str, np.nd
             np.maximum(most, np.abs(column), out=most)  # NaN stays
     length = sum(np.square(columns[f"rot_{i}"], dtype=np.float64) for i in range(4))
     usable = (most <= ABSURD) & (length > 1e-12)
-    for axis in range(3):
-        usable &= columns[f"scale_{axis}"] < 80.0  # exp overflows float32 at 88.7
+    with np.errstate(over="ignore"):
+        for axis in range(3):
+            usable &= np.exp(columns[f"scale_{axis}"]) <= FARTHEST
     near = np.ones_like(usable)
     for axis in "xyz":
         near &= np.abs(columns[axis]) <= FARTHEST
@@ -137,12 +147,17 @@ def _usable(path: Path, columns: dict[str, np.ndarray]) -> tuple[dict[str, np.nd
         check_position((columns[axis][first] for axis in "xyz"), f"{path}: its first Gaussian")
     usable &= near
     left_out = int(usable.size - np.count_nonzero(usable))
-    if left_out == usable.size:
+    return (_only(path, columns, usable) if left_out else columns), left_out
+
+
+def _only(path: Path, columns: dict[str, np.ndarray], usable: np.ndarray) -> dict[str, np.ndarray]:
+    """The columns of the Gaussians that are ``usable``, of which there must be one."""
+    if not usable.any():
         raise BadValueError(
             f"{path}: every Gaussian has NaN, infinite or absurd values",
             "Training diverged: export an earlier checkpoint.",
         )
-    return (columns if not left_out else {n: c[usable] for n, c in columns.items()}), left_out
+    return {name: column[usable] for name, column in columns.items()}
 
 
 def _shape(columns: dict[str, np.ndarray]) -> dict[str, Any]:
@@ -171,8 +186,8 @@ def _colour_sh(columns: dict[str, np.ndarray]) -> np.ndarray:
     return planes.transpose(2, 0, 1)
 
 
-def _lossless_model(path: Path, columns: dict[str, np.ndarray], comments: Sequence[str]) -> Model:
-    """The model of our own parameters: ln radiance = ln illumination + ln reflectance(ω)."""
+def _lossless_sh(path: Path, columns: dict[str, np.ndarray]) -> np.ndarray:
+    """``[N, K, 3]`` of our own parameters: ln radiance = ln illumination + ln reflectance(ω)."""
     coefficients = 1 + sum(name.startswith("phys_reflectance_rest_") for name in columns) // 3
     wanted = [f"phys_reflectance_dc_{c}" for c in range(3)]
     wanted += [f"phys_reflectance_rest_{k}" for k in range(3 * (coefficients - 1))]
@@ -190,18 +205,16 @@ def _lossless_model(path: Path, columns: dict[str, np.ndarray], comments: Sequen
         sh[:, 0, channel] = columns[f"phys_reflectance_dc_{channel}"] + light / np.float32(C0)
         for k in range(coefficients - 1):
             sh[:, k + 1, channel] = columns[f"phys_reflectance_rest_{3 * k + channel}"]
+    return sh
+
+
+def _lossless_light(path: Path, columns: dict[str, np.ndarray], comments: Sequence[str]) -> dict[str, Any]:
+    """The lights, their shares and the learned response of a lossless PLY, as ``Model`` takes them."""
     lights, share = _lights(path, columns, comments)
-    curve: dict[str, Any] = dict(tensors_from_comments(CURVE, comments))
+    curve = tensors_from_comments(CURVE, comments)
     if set(curve) != {"tone_curve_log_exposure", "tone_curve"}:
         curve = {}
-    return Model(
-        **_shape(columns),
-        log_radiance_sh=sh,
-        light_share=share,
-        lights=lights,
-        **curve,
-        metadata=_provenance(comments),
-    )
+    return {"lights": lights, "light_share": share, **curve}
 
 
 def _lights(

@@ -19,6 +19,10 @@ def test_sums_over_the_brightest_and_largest_picture_are_finite() -> None:
     assert np.finfo(np.float32).max > 3 * limits.MAX_PIXELS * limits.RADIANCE_MAX**2
 
 
+def test_the_brightest_gaussian_under_the_largest_level_is_finite() -> None:
+    assert np.isfinite(np.exp(np.float32(limits.LOG_RADIANCE_MAX)) * np.float32(limits.LEVEL.high))
+
+
 def test_both_ends_are_allowed_and_nothing_beyond() -> None:
     for bounds in (limits.COORDINATE, limits.EXPOSURE, limits.LEVEL, limits.FOCAL_LENGTH):
         assert bounds.low in bounds and bounds.high in bounds

@@ -9,15 +9,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from physhdr.bridge import spherical_harmonics
+from physhdr.bridge import limits, spherical_harmonics
 from physhdr.bridge.errors import (
     BadValueError,
     DataMismatchError,
     FileDamagedError,
     FileMissingError,
     OutputError,
+    PhysHDRError,
 )
-from physhdr.bridge.model_file import Model, read_model, refuse_what_is_not_ours, write_model
+from physhdr.bridge.model_file import (
+    Model,
+    largest_log_radiance,
+    read_model,
+    refuse_what_is_not_ours,
+    write_model,
+)
 
 
 def make_model(
@@ -274,7 +281,7 @@ def test_not_ours(path: Path, tmp_path: Path):
 
 def test_newer_version(path: Path):
     rewrite(path, lambda header, data: header["__metadata__"].update(version="2"))
-    with pytest.raises(BadValueError, match=r"version 2[\s\S]*update PhysHDR"):
+    with pytest.raises(BadValueError, match=r"version '2' of the model file, not 1[\s\S]*update PhysHDR"):
         read_model(path)
 
 
@@ -285,6 +292,9 @@ def test_newer_version(path: Path):
         ({"dtype": "F32", "shape": [7, 3], "data_offsets": [0, 80]}, "cannot be 80 bytes"),
         ({"dtype": "F32", "shape": [7, 3], "data_offsets": [-84, 0]}, "cannot be"),
         ({"dtype": "F32", "shape": [2**40, 3], "data_offsets": [0, 12 * 2**40]}, "truncated"),
+        ({"dtype": "x" * 5000}, "it must be F32"),
+        ({"dtype": "F32", "shape": [1] * 100, "data_offsets": [0, 4]}, r"has the shape \[1, 1"),
+        ({"dtype": "F32", "shape": [0, 2**70], "data_offsets": [0, 0]}, r"has the shape \[0, "),
         ({"dtype": "F32", "shape": [7, "3"], "data_offsets": [0, 84]}, "not valid"),
         ({"dtype": "F32", "shape": [-7, -3], "data_offsets": [0, 84]}, "not valid"),
         ({"dtype": "F32"}, "not valid"),
@@ -293,8 +303,9 @@ def test_newer_version(path: Path):
 )
 def test_damaged_header_entries(path: Path, entry, message: str):
     rewrite(path, lambda header, data: header.update(position=entry))
-    with pytest.raises(FileDamagedError, match=message):
+    with pytest.raises(FileDamagedError, match=message) as refused:
         read_model(path)
+    assert len(refused.value.message) < 400
 
 
 def test_missing_tensor_and_shapes_that_disagree(path: Path):
@@ -314,6 +325,10 @@ def test_missing_tensor_and_shapes_that_disagree(path: Path):
         ("log_radiance_sh", np.inf, "NaN or infinite"),
         ("opacity", 1.5, "opacity"),
         ("scale", -1.0, "negative"),
+        ("scale", 2e6, r"scale has the value 2e\+06"),
+        ("position", -2e6, r"Gaussian 0 is at \(-2e\+06.*must be from"),
+        ("log_radiance_sh", 1000.0, "ln radiance of 1 Gaussians may reach 28"),
+        ("log_radiance_sh", -3e38, "ln radiance of 1 Gaussians"),
         ("ambient_share", 2.0, "light_share"),
     ],
 )
@@ -324,6 +339,76 @@ def test_bad_values(path: Path, tensor: str, value: float, message: str):
 
     rewrite(path, spoil)
     with pytest.raises(BadValueError, match=message):
+        read_model(path)
+
+
+def test_no_radiance_is_infinite_and_what_training_reaches_is_taken(tmp_path: Path):
+    """The bound holds toward every direction; nothing that training's clamp lets pass comes near it."""
+    rng = np.random.default_rng(0)
+    directions = rng.normal(size=(500, 3)).astype(np.float32)
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    Y = spherical_harmonics.basis(directions, 3)
+    sh = rng.normal(size=(20, 16, 3)).astype(np.float32)
+    most = largest_log_radiance(sh)
+    reached = np.abs(np.einsum("dk,nkc->dnc", Y, sh)).max(axis=(0, 2))
+    assert (reached <= most).all() and (most < 3.0 * reached).all()
+    toward = Y[:20, :, None] * np.ones(3, np.float32)  # nowhere larger than in its own direction
+    np.testing.assert_allclose(largest_log_radiance(toward), np.square(Y[:20]).sum(axis=1), rtol=1e-5)
+    # Between the ends of the trainer's clamp, -12 and 9, and back within a few degrees.
+    stripes = 10.5 * np.sign(np.sin(9.0 * directions[:, 2:])) - 1.5
+    fitted = np.linalg.lstsq(Y, stripes, rcond=None)[0][None].repeat(3, axis=2).astype(np.float32)
+    assert largest_log_radiance(fitted) < 0.6 * limits.LOG_RADIANCE_MAX
+    model = make_model(count=20, degree=3)
+    bright = sh * np.float32(0.999 * limits.LOG_RADIANCE_MAX) / most[:, None, None].astype(np.float32)
+    model = dataclasses.replace(model, log_radiance_sh=bright)
+    write_model(tmp_path / "m.safetensors", model)
+    lit = read_model(tmp_path / "m.safetensors").radiance(directions[:20], limits.LEVEL.high)
+    assert np.isfinite(lit).all()
+
+
+def test_baked_gains_count_as_radiance():
+    model = make_model(modulator="baked-levels", degree=0)
+    gain = np.array(model.level_log_gain)
+    gain[0, 3, 1] = 80.0
+    with pytest.raises(BadValueError, match="ln radiance of 1 Gaussians may reach 8"):
+        dataclasses.replace(model, level_log_gain=gain)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("version", "x" * 5000),
+        ("modulator", "x" * 5000),
+        ("working_space", "x" * 5000),
+        ("sh_degree", "x" * 5000),
+        ("sh_degree", "\x1b[2J\n"),
+        ("lights", json.dumps(["x" * 5000, "x" * 5000])),
+        ("lights", json.dumps(["\ud800" * 5000])),
+        ("exposures", json.dumps(["x" * 5000])),
+        ("exposures", "[1" + "0" * 400 + "]"),
+        ("exposures", "[0.0]"),
+        ("exposures", "[true]"),
+        ("scene", "half \ud800"),
+        ("half \ud800", "x"),
+        ("version", "half \ud800"),
+    ],
+)
+def test_metadata_that_mean_nothing(tmp_path: Path, key: str, value: str):
+    """Told in one line that can be shown anywhere, whatever they hold."""
+    path = tmp_path / "m.safetensors"
+    write_model(path, make_model(lights=("ambient", "pendant")))
+    rewrite(path, lambda header, data: header["__metadata__"].update({key: value}))
+    with pytest.raises(PhysHDRError, match=r"m\.safetensors") as refused:
+        read_model(path)
+    assert len(refused.value.message) < 400 and refused.value.message.isprintable()
+
+
+@pytest.mark.parametrize("levels", ["[1e-7, 1.0, 2.0]", "[0.25, 1.0, 2e6]", "[0, 1, 2]"])
+def test_levels_of_a_file_are_levels(tmp_path: Path, levels: str):
+    path = tmp_path / "m.safetensors"
+    write_model(path, make_model(modulator="baked-levels"))
+    rewrite(path, lambda header, data: header["__metadata__"].update(levels=levels))
+    with pytest.raises(BadValueError, match=r"m\.safetensors: (a level is|levels must be positive)"):
         read_model(path)
 
 

@@ -364,6 +364,26 @@ def test_a_gaussian_of_an_absurd_value_is_left_out(tmp_path: Path, name: str):
     np.testing.assert_allclose(np.linalg.norm(found.model.rotation, axis=1), 1.0, atol=1e-6)
 
 
+@pytest.mark.parametrize("brightest", [400.0, 1e14])
+def test_a_gaussian_brighter_than_can_be_drawn_is_left_out(tmp_path: Path, brightest: float):
+    """ln radiance is what our own columns hold: exp of it would be infinite."""
+    illumination = np.zeros(8, np.float32)
+    illumination[3] = brightest
+    path = own_layout(tmp_path / "a.ply", phys_log_illumination_1=illumination)
+    found = read_ply_model(path)
+    assert found.left_out == 1 and found.model.count == 7 and found.notes[0].startswith("1 Gaussians")
+    assert np.isfinite(found.model.radiance(np.tile(np.float32([0.0, 0.0, 1.0]), (7, 1)))).all()
+    with pytest.raises(BadValueError, match=r"a\.ply: every Gaussian"):
+        read_ply_model(own_layout(path, phys_log_illumination_1=np.full(8, brightest, np.float32)))
+
+
+def test_gaussians_larger_than_the_world_are_left_out(tmp_path: Path):
+    given = gaussians(4, coefficients=1)
+    given["scales"][1, 2], given["scales"][2, 2] = 1.1e6, 0.9e6
+    write_standard_ply(tmp_path / "a.ply", **given)
+    assert read_ply_model(tmp_path / "a.ply").left_out == 1
+
+
 def test_gaussians_in_the_coordinates_of_a_map(tmp_path: Path):
     given = gaussians(8, coefficients=1)
     given["positions"] += np.float32([5e5, 5.3e6, 0.0])
