@@ -305,9 +305,9 @@ class Killed:
         )
 
     def _finish(self) -> None:
-        for _ in range(3):
-            if self._iteration() >= self.total:
-                break
+        for number in range(3):
+            if number and self._iteration() >= self.total:
+                break  # one start at least, which tidies up after the last kill
             self._complain(self.bench.done(self._go_on(), LONG))
         differing = different_tensors(self.folder / CHECKPOINT, self.twin / CHECKPOINT)
         self._complain(differing)
