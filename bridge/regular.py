@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from .errors import FileDamagedError, FileMissingError, PhysHDRError
+from .errors import BadValueError, FileDamagedError, FileMissingError, PhysHDRError
 
 #: Bytes of a text that is read whole; a transforms file of a hundred thousand frames has 60 million.
 LARGEST_TEXT = 1 << 27
@@ -26,6 +26,20 @@ _OTHERS = (
     (stat.S_ISCHR, "a device"),
     (stat.S_ISBLK, "a device"),
 )
+
+
+def require_text(name: str) -> None:
+    """Raises ``BadValueError`` where a path or a word of a command has bytes that are no UTF-8.
+
+    Python carries them along, but no message can show them, and safetensors and JSON refuse them: a training
+    would fail when it saves.
+    """
+    try:
+        name.encode("utf-8")
+    except UnicodeEncodeError:
+        raise BadValueError(
+            f"{name!a} has bytes that are not UTF-8", "Rename the file or folder, or give another path."
+        ) from None
 
 
 def regular_file(path: Path, remedy: str = "") -> Path:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from ...bridge.errors import PhysHDRError
+from ...bridge.regular import require_text
 from ..memory import address_limit, gigabytes, is_out_of_memory, refuse_too_few_addresses
 
 __all__ = ["main"]
@@ -17,6 +18,8 @@ def main(argv: list[str] | None = None) -> int:
     argv = sys.argv[1:] if argv is None else argv
     try:
         refuse_too_few_addresses()  # before any library is loaded, which would end the process in its own way
+        for word in argv:
+            require_text(word)
         if argv[:1] == ["check"]:
             from .check import main as check  # before any import that could fail: finding out is its task
 

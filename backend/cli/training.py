@@ -6,6 +6,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from ...bridge.regular import require_text
 from ..device import DeviceName, choose_device
 from ..kernels.warmup import Needs
 from ..methods.registry import kernels_needed
@@ -56,6 +57,8 @@ def start_run(
     A run that was there stays as it is until the new one can begin, and is gone from then on. Raises what
     reading, training and writing raise.
     """
+    for path in (data, out):
+        require_text(str(path.resolve()))  # as config.json will have it: the working directory counts
     if not overwrite:
         refuse_a_run(out)
     holds_a_run(out)

@@ -2,6 +2,7 @@
 """The command as a user calls it: what it writes, and one clear message for everything that can be wrong."""
 
 import json
+import os
 import shutil
 import signal
 import subprocess
@@ -218,6 +219,19 @@ def test_a_run_is_not_overwritten_by_mistake(tiny_data, tmp_path, capsys):
     assert (tmp_path / "checkpoint.safetensors").read_bytes() == before
     assert main([*command, "--overwrite", "--seed", "1"]) == 0
     assert (tmp_path / "checkpoint.safetensors").read_bytes() != before
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only there are names any bytes")
+def test_names_that_are_no_text_are_refused_before_anything_is_done(tiny_data, tmp_path, capsys, monkeypatch):
+    """Safetensors cannot save under them: a training would have come to its end and been lost."""
+    odd = Path(os.fsdecode(os.fsencode(tmp_path) + b"/run\xff"))
+    message = fails(capsys, "train", tiny_data, "--out", odd, "--iterations", "3")
+    assert "not UTF-8" in message and "run\\udcff" in message and not odd.exists()
+    odd.mkdir()
+    monkeypatch.chdir(odd)  # the same by another way
+    assert "not UTF-8" in fails(capsys, "train", tiny_data, "--out", "run", "--iterations", "3")
+    assert list(odd.iterdir()) == []
+    assert "not UTF-8" in fails(capsys, "evaluate", odd)
 
 
 def test_bad_input_is_one_clear_message(tiny_data, tmp_path, capsys):
