@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Pictures on disk: 8-bit PNG or JPEG, 32-bit float OpenEXR; read with suspicion and written atomically."""
 
+import sys
+import threading
 import warnings
 from collections.abc import Callable, Sequence
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -23,11 +26,18 @@ MAX_PIXELS_PER_BYTE = 1024
 MAX_VALUES_PER_BYTE = 4096
 #: Pillow's modes that are 8 bits a channel (or fewer) and become RGB without loss.
 EIGHT_BIT_MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX")
+#: Deflate, PNG's only codec, makes at most so many bytes of one: 258 of two bits, a longest match.
+MAX_DEFLATE_RATIO = 1032
+#: The fewest bits that a PNG's pixel of each mode has before deflate; its rows' filters only add to them, and
+#: interlacing does, too. A pixel of "L" has 2 to 8, one of "P" 1 to 8.
+PNG_BITS = {"1": 1, "L": 2, "LA": 16, "P": 1, "RGB": 24, "RGBA": 32}
 #: Pillow's names of the formats that a data set's pictures may have.
 READABLE = ("PNG", "JPEG")
 
 T = TypeVar("T")
 
+#: ``redirect_stdout`` puts another ``sys.stdout`` in place for all threads, and back what it has found.
+_stdout_lock = threading.Lock()
 
 _RESTORE = "Restore the file, or make the data set again: only what is missing is rendered."
 _DELETE = "Delete it and make the data set again (only what is missing is rendered), or copy it again."
@@ -73,6 +83,11 @@ def _open_picture(path: Path, formats: tuple[str, ...], look: Callable[[Image.Im
                     f"{path} is not an 8-bit colour {kinds} (Pillow's mode {picture.mode})",
                     "Save it again as 8-bit RGB or RGBA.",
                 )
+            size = path.stat().st_size
+            if picture.format == "PNG" and width * height * PNG_BITS.get(picture.mode, 1) > (
+                8 * MAX_DEFLATE_RATIO * size
+            ):
+                raise ValueError(f"it claims {width}×{height} pixels in {size} bytes")
             return look(picture)
 
 
@@ -143,7 +158,15 @@ def read_exr_channels(path: Path, remedy: str, wanted: Sequence[str] = ()) -> di
 
 
 def _exr_parts(path: Path, header_only: bool) -> list[Any]:
-    with damaged_where_it_fails(f"{path} is not a readable OpenEXR picture", _DELETE):
+    """The parts of a file; one that cannot be read is without its channels.
+
+    The binding warns of that in Python's stdout, where what a program tells other programs goes.
+    """
+    with (
+        damaged_where_it_fails(f"{path} is not a readable OpenEXR picture", _DELETE),
+        _stdout_lock,
+        redirect_stdout(sys.stderr),
+    ):
         return list(OpenEXR.File(str(path), separate_channels=True, header_only=header_only).parts)
 
 

@@ -3,6 +3,7 @@
 
 import os
 import struct
+import zlib
 from pathlib import Path
 from types import ModuleType
 
@@ -52,6 +53,17 @@ def test_truncated_exr(tmp_path: Path, radiance: np.ndarray, keep: float) -> Non
         read_exr(path)
 
 
+def test_a_damaged_exr_says_nothing_on_stdout(tmp_path: Path, radiance: np.ndarray, capfd) -> None:
+    """Where ``physhdr inspect --json`` tells programs what it has found."""
+    write_exr(tmp_path / "a.exr", radiance)
+    raw = (tmp_path / "a.exr").read_bytes()
+    (tmp_path / "a.exr").write_bytes(raw[: len(raw) // 2])
+    for read in (read_exr, read_layers):
+        with pytest.raises(FileDamagedError):
+            read(tmp_path / "a.exr")
+    assert capfd.readouterr().out == ""
+
+
 def test_exr_that_claims_to_be_huge(tmp_path: Path, radiance: np.ndarray) -> None:
     path = tmp_path / "a.exr"
     write_exr(path, radiance)
@@ -93,6 +105,63 @@ def test_png_of_16_bits_is_refused(tmp_path: Path) -> None:
     Image.fromarray(np.full((4, 4), 40000, np.uint16)).save(tmp_path / "deep.png")
     with pytest.raises(FileDamagedError, match=r"deep.png is not an 8-bit colour PNG[\s\S]*Save it again"):
         read_png(tmp_path / "deep.png")
+
+
+def png_of(width: int, height: int, depth: int, colour: int, interlaced: int = 0) -> bytes:
+    """A black PNG of bytes that deflate cannot make fewer; ``colour``: the header's own number."""
+    channels = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}[colour]
+    adam7 = [(0, 8, 0, 8), (4, 8, 0, 8), (0, 4, 4, 8), (2, 4, 0, 4), (0, 2, 2, 4), (1, 2, 0, 2), (0, 1, 1, 2)]
+    raw = 0
+    for x, across, y, down in adam7 if interlaced else [(0, 1, 0, 1)]:
+        columns, rows = len(range(x, width, across)), len(range(y, height, down))
+        raw += rows * (1 + (columns * channels * depth + 7) // 8) if columns else 0
+    header = struct.pack(">IIBBBBB", width, height, depth, colour, 0, 0, interlaced)
+    chunks = [(b"IHDR", header), (b"IDAT", zlib.compress(bytes(raw), 9)), (b"IEND", b"")]
+    if colour == 3:
+        chunks.insert(1, (b"PLTE", bytes(3)))
+    return b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+        for kind, data in chunks
+    )
+
+
+@pytest.mark.parametrize("interlaced", [0, 1])
+@pytest.mark.parametrize(
+    ("depth", "colour"),
+    [
+        (1, 0),
+        (2, 0),
+        (4, 0),
+        (8, 0),
+        (8, 2),
+        (16, 2),
+        (1, 3),
+        (2, 3),
+        (4, 3),
+        (8, 3),
+        (8, 4),
+        (16, 4),
+        (8, 6),
+    ],
+)
+def test_a_black_png_may_be_as_small_as_it_can_be(tmp_path: Path, depth, colour, interlaced) -> None:
+    """A frame that is black is no damage, nor is any kind of PNG that Pillow reads in 8 bits."""
+    path = tmp_path / "black.png"
+    path.write_bytes(png_of(1600, 1200, depth, colour, interlaced))
+    picture = read_png(path)
+    assert picture.shape == (1200, 1600, 3) and not picture.any()
+
+
+def test_a_png_that_claims_more_than_deflate_can_hold_takes_no_memory(tmp_path: Path) -> None:
+    path = tmp_path / "a.png"
+    whole = png_of(100, 80, 8, 0)
+    size = struct.pack(">II", 100, 80)
+    assert whole.count(size) == 1
+    header = b"IHDR" + struct.pack(">II", 11585, 11585) + whole[24:29]
+    path.write_bytes(whole[:12] + header + struct.pack(">I", zlib.crc32(header)) + whole[33:])
+    for read in (picture_size, read_png):
+        with pytest.raises(FileDamagedError, match=r"a\.png .*claims 11585×11585 pixels in \d+ bytes"):
+            read(path)
 
 
 def test_output_that_cannot_be_written(tmp_path: Path, radiance: np.ndarray) -> None:
