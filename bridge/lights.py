@@ -67,7 +67,7 @@ def named_levels(named: Mapping[str, float], lights: Sequence[str], whose: str =
     where = f"{whose}: " if whose else ""
     unknown = [name for name in named if name not in lights]
     if unknown:
-        raise BadValueError(f"{where}there is no light {unknown[0]!r}", f"It has: {', '.join(lights)}.")
+        raise BadValueError(f"{where}there is no light {unknown[0]!r:.80}", f"It has: {', '.join(lights)}.")
     try:
         return as_levels([named.get(name, 1.0) for name in lights], lights)
     except BadValueError as error:

@@ -41,7 +41,7 @@ def number(path: Path, value: Any, what: str) -> float:
 
 def exposure(path: Path, value: Any, whose: str) -> float:
     """Seconds; raises ``BadValueError`` for what is no number or no exposure."""
-    what = f"the exposure of '{whose}'"
+    what = f"the exposure of '{whose:.80}'"
     return limits.EXPOSURE.check(number(path, value, what), f"{path}: {what}")
 
 
@@ -55,7 +55,7 @@ def path_inside(root: Path, name: str, told_by: Path) -> Path:
     plain = PurePosixPath(plain_name(name))
     if plain.is_absolute() or ".." in plain.parts or not plain.parts or ":" in plain.parts[0]:
         raise BadValueError(
-            f"{told_by}: the file '{name}' is not in {root}",
+            f"{told_by}: the file '{name:.80}' is not in {root}",
             "Name files relative to that folder, without '..'.",
         )
     return root / plain

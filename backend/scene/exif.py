@@ -54,7 +54,8 @@ def comparable(pictures: Sequence[Exif]) -> ComparableExposures:
         assert picture.time is not None
         gain = (picture.iso or 100.0) / 100.0
         if median is not None and picture.f_number is not None:
-            gain *= (median / picture.f_number) ** 2
+            ratio = median / picture.f_number
+            gain *= ratio * ratio  # infinite where ** would raise; that is the callers' to refuse
         seconds.append(picture.time * gain)
     return ComparableExposures(seconds, median)
 

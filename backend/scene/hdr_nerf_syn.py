@@ -121,9 +121,9 @@ def _read_split(root: Path, split: str, lights: tuple[str, ...]) -> list[Pose]:
         bracket = brackets.get(frame.stem, {})
         if sorted(bracket) != list(range(len(bracket))) or not bracket:
             raise DataMismatchError(
-                f"{exposure_path} does not match {transforms_path.name}: pose '{frame.stem}' has exposures "
-                f"for pictures {sorted(bracket) or 'none'}, expected 0, 1, 2 …",
-                f"Add '{frame.stem}_0.png' and so on to {exposure_path.name}, or remove the pose. "
+                f"{exposure_path} does not match {transforms_path.name}: pose '{frame.stem:.80}' has "
+                f"exposures for pictures {sorted(bracket) or 'none'}, expected 0, 1, 2 …",
+                f"Add '{frame.stem:.80}_0.png' and so on to {exposure_path.name}, or remove the pose. "
                 + MAKE_AGAIN,
             )
         paths = tuple(root / f"{frame.stem}_{k}.png" for k in range(len(bracket)))
@@ -155,18 +155,17 @@ def _read_frames(
             raise FileDamagedError(f"{path}{where} is a {type(entry).__name__}, not an object", MAKE_AGAIN)
         file_path = require(path, entry, "file_path", where)
         if not isinstance(file_path, str):
-            raise FileDamagedError(f"{path}{where}: 'file_path' is {file_path!r}, not a text", MAKE_AGAIN)
+            raise FileDamagedError(f"{path}{where}: 'file_path' is {file_path!r:.80}, not a text", MAKE_AGAIN)
         stem = plain_name(file_path).removesuffix(".png")
-        levels = _levels(path, entry, f"frame {ordinal} ('{stem}')", lights, is_lit)
-        pose = rigid_pose(
-            path, require(path, entry, "transform_matrix", f"{where} ('{stem}')"), f"{ordinal} ('{stem}')"
-        )
-        digits = re.search(r"(\d+)$", stem)
+        which = f"{ordinal} ('{stem:.80}')"
+        levels = _levels(path, entry, f"frame {which}", lights, is_lit)
+        pose = rigid_pose(path, require(path, entry, "transform_matrix", f": frame {which}"), which)
+        digits = re.search(r"\d{1,18}$", stem)  # no int() of thousands of digits
         frames.append(_Frame(stem, int(digits.group()) if digits else ordinal, pose, levels))
     if len({frame.index for frame in frames}) != len(frames):
         twice = next(f for f in frames if sum(f.index == g.index for g in frames) > 1)
         raise DataMismatchError(
-            f"{path}: two frames have the pose number {twice.index} (one is '{twice.stem}')",
+            f"{path}: two frames have the pose number {twice.index} (one is '{twice.stem:.80}')",
             "Number the poses of a split without repetition: the number names the truth, hdr_003.exr.",
         )
     return frames
@@ -182,10 +181,10 @@ def _levels(
     named = entry.get("lighting_levels", {})
     if not isinstance(named, dict):
         raise BadValueError(
-            f"{path}: {which}: 'lighting_levels' is {named!r}, not an object",
+            f"{path}: {which}: 'lighting_levels' is {named!r:.80}, not an object",
             'Write it as {"ambient": 0.25} and so on.',
         )
-    levels = {str(n): number(path, v, f"{which}: the level of {n!r}") for n, v in named.items()}
+    levels = {str(n): number(path, v, f"{which}: the level of {n!r:.80}") for n, v in named.items()}
     if "lighting_level" in entry:
         ambient = number(path, entry["lighting_level"], f"{which}: 'lighting_level'")
         if levels.setdefault(AMBIENT, ambient) != ambient:
@@ -198,12 +197,12 @@ def _levels(
         key = "lighting_level" if lights == (AMBIENT,) else "lighting_levels"
         require(path, entry, key, f": {which}")
     for name, level in levels.items():
-        check_level(level, f"{path}: {which}: the lighting level of {name!r}")
+        check_level(level, f"{path}: {which}: the lighting level of {name!r:.80}")
     if not is_lit:
         changed = {name: level for name, level in levels.items() if level != 1.0}
         if changed:
             raise BadValueError(
-                f"{path}: {which} has the lighting levels {in_words(changed)}",
+                f"{path}: {which} has the lighting levels {in_words(changed):.200}",
                 "Training and test views are under the standard light, at 1: move it to the split 'lit'.",
             )
         return (1.0,) * len(lights)
@@ -219,7 +218,7 @@ def _camera(path: Path, frame: _Frame, width: int, height: int, angle: float) ->
         return camera
     except PhysHDRError as error:
         raise BadValueError(
-            f"{path}: frame '{frame.stem}': {error.message}",
+            f"{path}: frame '{frame.stem:.80}': {error.message}",
             error.hint or f"Mend 'camera_angle_x' in {path.name}.",
         ) from error
 
@@ -228,10 +227,10 @@ def _read_exposures(path: Path) -> dict[str, dict[int, float]]:
     """``{"train/r_3": {0: seconds, 1: …}}``; keys may or may not begin with ``./``."""
     brackets: dict[str, dict[int, float]] = {}
     for key, value in read_json(path).items():
-        parts = re.fullmatch(r"(.+)_(\d+)\.png", plain_name(key))
+        parts = re.fullmatch(r"(.+)_(\d{1,18})\.png", plain_name(key))
         if parts is None:
             raise FileDamagedError(
-                f"{path}: '{key}' is not of the form './train/r_3_0.png'", "Mend or remove that entry."
+                f"{path}: '{key:.80}' is not of the form './train/r_3_0.png'", "Mend or remove that entry."
             )
         brackets.setdefault(parts.group(1), {})[int(parts.group(2))] = exposure(path, value, key)
     return brackets

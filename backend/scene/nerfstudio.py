@@ -55,7 +55,7 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
     poses = []
     for order, (file, frame) in enumerate(frames):
         name = file.relative_to(root).as_posix().rsplit(".", 1)[0]
-        camera = _camera(path, f"frame '{name}'", content | frame, file)
+        camera = _camera(path, f"frame '{name:.80}'", content | frame, file)
         poses.append(Pose(name, order, camera, {0: Picture(file, seconds[order])}))
     train, test, rule = _split(root, path, content, numbered(root, poses))
     check_numbers(train, "training", path)
@@ -97,10 +97,14 @@ def _frames(root: Path, path: Path, content: dict[str, Any]) -> list[tuple[Path,
             )
         name = require(path, entry, "file_path", f": frame {order}")
         if not isinstance(name, str):
-            raise FileDamagedError(f"{path}: frame {order}: 'file_path' is {name!r}, not a text", MAKE_AGAIN)
+            raise FileDamagedError(
+                f"{path}: frame {order}: 'file_path' is {name!r:.80}, not a text", MAKE_AGAIN
+            )
         file = _picture(root, path, name)
         if file in frames:
-            raise DataMismatchError(f"{path}: two frames have the picture '{name}'", "Remove one of them.")
+            raise DataMismatchError(
+                f"{path}: two frames have the picture '{name:.80}'", "Remove one of them."
+            )
         frames[file] = entry
     return sorted(frames.items())
 
@@ -116,7 +120,9 @@ def _camera(path: Path, where: str, given: dict[str, Any], file: Path) -> Camera
     """The camera of a frame at the size of its picture; ``given``: the frame's entries over the file's."""
     model = given.get("camera_model", "OPENCV")
     if model not in PINHOLE_LIKE or given.get("is_fisheye"):
-        raise BadValueError(f"{path}: {where} has the camera model {model!r}, which is no pinhole", UNDISTORT)
+        raise BadValueError(
+            f"{path}: {where} has the camera model {model!r:.80}, which is no pinhole", UNDISTORT
+        )
     for key in DISTORTION:
         if abs(number(path, given.get(key, 0.0), f"{where}: '{key}'")) > NO_DISTORTION:
             raise BadValueError(
@@ -224,5 +230,5 @@ def _points(root: Path, path: Path, content: dict[str, Any]) -> Points | None:
     if name is None:
         return None
     if not isinstance(name, str):
-        raise BadValueError(f"{path}: 'ply_file_path' is {name!r}, not a text", "Mend it, or remove it.")
+        raise BadValueError(f"{path}: 'ply_file_path' is {name!r:.80}, not a text", "Mend it, or remove it.")
     return read_points(path_inside(root, name, path))

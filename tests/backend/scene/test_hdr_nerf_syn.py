@@ -308,6 +308,22 @@ def test_pose_that_is_no_matrix(data_set: Path) -> None:
     refusal(data_set, BadValueError, "transforms_train.json", "train/r_0", "not a 4×4 matrix")
 
 
+def test_names_of_any_length_are_cut_in_messages(data_set: Path) -> None:
+    long = {"file_path": "./train/" + "x" * 5000, "transform_matrix": 5}
+    edit_json(data_set / "transforms_train.json", lambda content: content["frames"][0].update(long))
+    error = refusal(data_set, BadValueError, "transforms_train.json: frame 0 ('train/xx", "not a 4×4 matrix")
+    assert len(error.message) < 500
+
+
+def test_numbers_of_any_length_in_names(data_set: Path) -> None:
+    """Python makes no number of more than 4300 digits."""
+    name = "./train/r_" + "9" * 5000
+    edit_json(data_set / "transforms_train.json", lambda content: content["frames"][0].update(file_path=name))
+    refusal(data_set, PhysHDRError, "has exposures")
+    edit_json(data_set / "exposure_train.json", lambda content: content.update({f"{name}.png": 1.0}))
+    refusal(data_set, PhysHDRError, "exposure_train.json: './train/r_9", "is not of the form")
+
+
 # ---- bad input: exposures ----------------------------------------------------------------------------
 
 

@@ -21,9 +21,10 @@ from physhdr.backend.evaluate.truth import relit_truth
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.capture.exposures import exposures_from_file
 from physhdr.backend.scene.capture.photos import Photo
-from physhdr.backend.scene.exif import Exif, read_exif
+from physhdr.backend.scene.exif import Exif, comparable, read_exif
 from physhdr.backend.scene.points import read_points
 from physhdr.bridge.errors import BadValueError, FileDamagedError, PhysHDRError
+from physhdr.bridge.limits import EXPOSURE
 
 pytestmark = pytest.mark.usefixtures("never_waits")
 
@@ -214,6 +215,12 @@ def test_an_exposure_by_exif_that_no_camera_has(layouts: ModuleType, tmp_path: P
     path = root / "images" / "shot_01_1.jpg"
     layouts.save(path, layouts.draw(1, 1), exif=layouts.camera_exif(4e9))
     refused(root, "shot_01_1.jpg: the exposure by its EXIF data is 4e+09 s", "it must be from")
+
+
+def test_apertures_that_no_lens_has() -> None:
+    """Their ratio squared is beyond a float: an exposure that is refused, by whoever knows the file."""
+    seconds = comparable([Exif(0.5, 100.0, 1e-80), Exif(0.5, 100.0, 1e100)]).seconds
+    assert seconds[0] == math.inf and seconds[0] not in EXPOSURE
 
 
 @pytest.mark.parametrize("coordinate", [3e38, 5.3e6, -1e300])
