@@ -2,8 +2,7 @@
 """Writes a capture as a data set in the packaging of GaussHDR (docs/formats.md).
 
 ``images/<split>_<pose:03d>_<k>.png``, ``exposure.json`` (file name → seconds), ``sparse/0`` of COLMAP with
-one image for each pose, named as its picture k = 0 (shared/method.md, section 3), and ``prepare.json``: where
-it all came from.
+one image for each pose, named as its picture k = 0, and ``prepare.json``: where it all came from.
 """
 
 import json
@@ -11,7 +10,7 @@ import os
 import re
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from shutil import rmtree
@@ -19,6 +18,7 @@ from tempfile import mkdtemp
 from typing import Any, BinaryIO
 
 import numpy as np
+from filelock import FileLock
 from PIL import Image
 
 from ....bridge.errors import BadValueError, OutputError
@@ -28,6 +28,8 @@ from .exposures import some_names
 from .lens import Lens
 from .structure import Shot, Structure
 
+#: Locked while the temporary folder that it lies in is used.
+IN_USE_FILE = "in-use.lock"
 #: The file by which a folder is known as this command's own.
 ORIGIN_FILE = "prepare.json"
 #: All that this command writes into a data set.
@@ -65,10 +67,14 @@ def new_folder(out: Path, overwrite: bool) -> Iterator[Path]:
             )
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
+        _remove_leftovers(out)
         temporary = Path(mkdtemp(prefix=f".{out.name}-", dir=out.parent))
     except OSError as error:
         raise _cannot_write(out, error) from error
+    in_use = FileLock(temporary / IN_USE_FILE, mode=0o600, fallback_to_soft=False)
     try:
+        with suppress(OSError):  # a disk that knows no locks: what a kill leaves there stays
+            in_use.acquire(timeout=0)
         made = temporary / "data"
         made.mkdir()
         yield made
@@ -79,7 +85,21 @@ def new_folder(out: Path, overwrite: bool) -> Iterator[Path]:
     except OSError as error:
         raise _cannot_write(out, error) from error
     finally:
+        in_use.release()
         rmtree(temporary, ignore_errors=True)
+
+
+def _remove_leftovers(out: Path) -> None:
+    """Remove what calls that were killed left beside ``out``; of one that still runs the lock is held.
+
+    Not where a data set was just being replaced: the former one lies there.
+    """
+    ours = re.compile(rf"\.{re.escape(out.name)}-[a-z0-9_]{{8}}")
+    for folder in out.parent.iterdir():
+        lock = folder / IN_USE_FILE
+        if ours.fullmatch(folder.name) and lock.is_file() and not (folder / "replaced").exists():
+            with suppress(OSError), FileLock(lock, timeout=0, fallback_to_soft=False):
+                rmtree(folder, ignore_errors=True)
 
 
 def _replace(out: Path, made: Path, replaced: Path) -> None:

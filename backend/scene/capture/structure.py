@@ -6,6 +6,7 @@ that ``colmap_process.py`` is.
 """
 
 import json
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -18,7 +19,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from ....bridge.errors import DataMismatchError, FileDamagedError, FileMissingError, PhysHDRError
+from ....bridge.errors import DataMismatchError, FileDamagedError, FileMissingError, OutputError, PhysHDRError
 from .brackets import Bracket
 from .exposures import some_names
 from .photos import Photo
@@ -33,6 +34,10 @@ CAPTURE_REMEDY = (
     "Neighbouring photos must show the same things from places a step apart (not only turned), sharp and "
     "with texture: docs/captures.md says how to shoot. --camera SIMPLE_RADIAL helps where photos are few."
 )
+
+
+#: With less than this left (SQLite's pages, a log's lines) a disk counts as full.
+FULL_BYTES = 1 << 20
 
 
 class StructureError(PhysHDRError):
@@ -106,6 +111,7 @@ def recover(
 
     ``folder``: an empty one for what COLMAP writes. ``say`` is told each step. Raises ``StructureError``
     where fewer than ``FEWEST_POSES`` can be placed, or COLMAP fails; its log stays in the message.
+    ``OutputError`` where the disk is full.
     """
     require_pycolmap()
     names = {number: f"{number:05d}.png" for number in photos}
@@ -176,6 +182,11 @@ def _run_colmap(job: dict[str, Any], folder: Path, say: Callable[[str], None]) -
             raise
     if process.returncode:
         last = "; ".join(log.read_text(encoding="utf-8", errors="replace").strip().splitlines()[-3:])
+        if shutil.disk_usage(folder).free < FULL_BYTES or "disk is full" in last:
+            raise OutputError(
+                f"COLMAP cannot write to {folder}: its disk is full",
+                "Free some space, or give an --out on another disk.",
+            )
         raise StructureError(f"COLMAP failed (status {process.returncode}): {last}", CAPTURE_REMEDY)
 
 

@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The folder of a prepared data set: where it may be, and what it replaces."""
 
+import subprocess
+import sys
+import textwrap
 from pathlib import Path
 
 import pytest
@@ -60,3 +63,44 @@ def test_a_failure_leaves_what_was_there(tmp_path: Path) -> None:
         (folder / "prepare.json").write_text("half")
         raise KeyboardInterrupt
     assert (out / "prepare.json").read_text() == "new" and list(tmp_path.iterdir()) == [out]
+
+
+KILLED = """
+    import os, signal, sys
+    from pathlib import Path
+    from physhdr.backend.scene.capture.data_set import new_folder
+    with new_folder(Path(sys.argv[1]), False) as folder:
+        (folder / "half a picture.png").write_bytes(b"half")
+        print("made", flush=True)
+        if len(sys.argv) == 2:
+            os.kill(os.getpid(), signal.SIGKILL)
+        sys.stdin.read()
+"""
+
+
+def begin(out: Path, *more: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-c", textwrap.dedent(KILLED), str(out), *more]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None and process.stdout.readline() == "made\n"
+    return process
+
+
+def test_what_a_killed_call_left_goes_and_what_another_is_at_stays(tmp_path: Path) -> None:
+    begin(tmp_path / "data").wait()
+    (left,) = tmp_path.iterdir()
+    with begin(tmp_path / "data", "goes on") as running:
+        (being_made,) = tmp_path.iterdir()  # the killed one's is gone
+        assert being_made != left
+        make(tmp_path / "data")
+        assert {path.name for path in tmp_path.iterdir()} == {"data", being_made.name}
+        running.kill()
+    make(tmp_path / "data", "newer", overwrite=True)
+    assert [path.name for path in tmp_path.iterdir()] == ["data"]
+
+
+def test_a_former_data_set_that_a_kill_left_aside_is_kept(tmp_path: Path) -> None:
+    begin(tmp_path / "data").wait()
+    (left,) = tmp_path.iterdir()
+    (left / "replaced").mkdir()
+    make(tmp_path / "data")
+    assert {path.name for path in tmp_path.iterdir()} == {"data", left.name}
