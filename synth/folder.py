@@ -22,6 +22,7 @@ FINGERPRINT = "fingerprint"
 """The option that stands for the state of a user's scene."""
 FORMAT, VERSION = "physhdr-dataset", 1
 TEMPORARY = ".tmp"
+LONGEST_SHOWN = 200
 _OURS = secrets.token_hex(4)
 """In this process's temporary names: others that write the same file do not move our half into place."""
 
@@ -144,7 +145,7 @@ def open_folder(folder: Path, options: dict[str, Any], maker: dict[str, str]) ->
     earlier = state["options"]
     differing = [key for key in options if earlier.get(key) != options[key]]
     if differing:
-        told = [f"{key} is {earlier.get(key)} there, {options[key]} asked" for key in differing]
+        told = [f"{key} is {_shown(earlier.get(key))} there, {options[key]} asked" for key in differing]
         if differing == [FINGERPRINT]:
             told = ["the scene, its lights or its camera have changed since"]
         raise ConflictError(
@@ -155,6 +156,9 @@ def open_folder(folder: Path, options: dict[str, Any], maker: dict[str, str]) ->
 
 
 def _told(maker: Any) -> str:
-    return (
-        ", ".join(str(value) for value in maker.values()) if isinstance(maker, dict) else "an unknown version"
-    )
+    return _shown(", ".join(map(str, maker.values()))) if isinstance(maker, dict) else "an unknown version"
+
+
+def _shown(value: Any) -> str:
+    """What a file says, in a message: of a sensible length, and with nothing that a terminal cannot show."""
+    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in str(value)[:LONGEST_SHOWN])

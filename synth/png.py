@@ -42,15 +42,15 @@ def read(path: Path) -> np.ndarray:
     """
     data = folder.read(path)
     try:
-        return decode(data)
+        return _decode(data)
     except Exception as error:  # whatever fails on the bytes says that they are damaged
         raise DamagedFileError(
-            f"'{path}' is damaged ({error}): delete it and run again to make it anew"
+            f"'{path}' is damaged ({error!s:.200}): delete it and run again to make it anew"
         ) from error
 
 
-def decode(data: bytes) -> np.ndarray:
-    """Image [height, width, 3] uint8 of a file that ``encode`` made."""
+def _decode(data: bytes) -> np.ndarray:
+    """Raises whatever fails on damaged bytes."""
     width, height = struct.unpack_from(">II", data, 16)
     (size,) = struct.unpack_from(">I", data, 33)
     rows = np.frombuffer(zlib.decompress(data[41 : 41 + size]), np.uint8).reshape(height, 1 + 4 * width)

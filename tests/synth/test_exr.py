@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import resource
 import struct
@@ -13,7 +14,7 @@ import numpy as np
 import pytest
 
 from physhdr.synth import exr, folder, passes, png
-from physhdr.synth.errors import DamagedFileError, NotFiniteError, OutputFolderError
+from physhdr.synth.errors import ConflictError, DamagedFileError, NotFiniteError, OutputFolderError
 
 
 def made_up(height=21, width=37, lights=("ambient", "pendant")):
@@ -199,6 +200,17 @@ def test_a_state_without_options_is_not_ours(tmp_path, options):
     folder.write_json(tmp_path / "dataset.json", state)
     with pytest.raises(OutputFolderError, match="is not of this program"):
         folder.open_folder(tmp_path, {"views": 3}, {"name": "x"})
+
+
+@pytest.mark.parametrize("foreign", ["x" * 5000, "half \ud800", "\x1b[2J", {"a": ["x"] * 5000}])
+def test_what_a_state_says_is_cut_and_shown(tmp_path, foreign):
+    """Whatever it says of who made it and how: in one message that any terminal shows."""
+    ours = {"format": "physhdr-dataset", "version": 1, "generator": {"name": "x"}, "options": {"views": 3}}
+    for other in ({"generator": {"name": foreign}}, {"options": {"views": foreign}}):
+        (tmp_path / "dataset.json").write_text(json.dumps(ours | other))
+        with pytest.raises(ConflictError) as refused:
+            folder.open_folder(tmp_path, {"views": 3}, {"name": "x"})
+        assert len(str(refused.value)) < 600 and str(refused.value).isprintable()
 
 
 def test_a_state_of_a_hundred_thousand_brackets(tmp_path):
