@@ -53,7 +53,8 @@ def regular_file(path: Path, remedy: str = "") -> Path:
     except OSError as error:
         if error.errno in (errno.ENOENT, errno.ENOTDIR):
             raise FileMissingError(f"{path} is missing", remedy) from error
-        raise FileDamagedError(f"{path} cannot be read: {error.strerror or error}", remedy) from error
+        told = f"{path!s:.400}…" if error.errno == errno.ENAMETOOLONG else str(path)
+        raise FileDamagedError(f"{told} cannot be read: {error.strerror or error}", remedy) from error
     except ValueError as error:  # a zero byte, or what no file's name can be spelled with
         raise FileMissingError(f"{str(path)!r} cannot be the name of a file", remedy) from error
     if stat.S_ISDIR(mode):

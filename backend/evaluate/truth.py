@@ -4,7 +4,9 @@ imports this, and no ``Scene`` leads here.
 """
 
 import math
+import os
 import re
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -158,20 +160,23 @@ def _listed_conditions(root: Path) -> list[tuple[Path, dict[str, float]]] | None
             case {"folder": str(name), "levels": {**levels}} if levels:
                 pass
             case _:
-                raise BadValueError(f"{where} is {entry!r}", _LIST_FORM)
+                raise BadValueError(f"{where} is {entry!r:.80}", _LIST_FORM)
         folder = root / name
         if "\0" in name or not folder.resolve().is_relative_to(root.resolve()):
-            raise BadValueError(f"{where}: the folder {name!r} is not in the data set", _LIST_FORM)
+            raise BadValueError(f"{where}: the folder {name!r:.80} is not in the data set", _LIST_FORM)
         if lights is not None:
             lights = check_lights(lights, str(path))
             named_levels({light: 1.0 for light in levels}, lights, where)
-        if not all(type(v) in (int, float) and 0.0 <= v < math.inf for v in levels.values()):
-            raise BadValueError(f"{where}: the levels are {levels!r}", "Each must be a number, 0 or more.")
+        if not all(type(v) in (int, float) and 0.0 <= v <= sys.float_info.max for v in levels.values()):
+            raise BadValueError(
+                f"{where}: the levels are {levels!r:.200}", "Each must be a number, 0 or more."
+            )
         for light, level in levels.items():
-            check_level(level, f"{where}: the level of {light!r}")
-        if not folder.is_dir():
+            check_level(level, f"{where}: the level of {light!r:.80}")
+        if not os.path.isdir(folder):  # Path.is_dir raises where a name is too long
             raise FileMissingError(
-                f"{folder} is missing, which {path.name} lists", "Make the data set again, or copy it again."
+                f"{folder!s:.400} is missing, which {path.name} lists",
+                "Make the data set again, or copy it again.",
             )
         found.append((folder, {str(light): float(level) for light, level in levels.items()}))
     return found

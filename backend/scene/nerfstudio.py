@@ -6,6 +6,7 @@ Source: nerfstudio's documentation, "Data conventions".
 """
 
 import math
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -113,7 +114,8 @@ def _picture(root: Path, path: Path, name: str) -> Path:
     """A frame's picture, whose suffix may have been left out."""
     file = path_inside(root, name, path)
     candidates = (file.with_name(file.name + suffix) for suffix in SUFFIXES)
-    return next((candidate for candidate in candidates if candidate.is_file()), file)
+    # Path.is_file raises where a name is too long; the reader of pictures then says so.
+    return next((candidate for candidate in candidates if os.path.isfile(candidate)), file)
 
 
 def _camera(path: Path, where: str, given: dict[str, Any], file: Path) -> Camera:
