@@ -287,7 +287,7 @@ def test_absurd_translations_of_colmap(layouts: ModuleType, tmp_path: Path) -> N
 def test_a_picture_whose_name_is_too_long_for_any_file(layouts: ModuleType, tmp_path: Path) -> None:
     root = layouts.write_nerfstudio(tmp_path / "data", poses=3)
     edited(root / "transforms.json", lambda c: c["frames"][1].update(file_path="images/" + "x" * 5000))
-    with pytest.raises(FileDamagedError, match="images/xxx.* cannot be read: File name too long"):
+    with pytest.raises(FileDamagedError, match=r"images/xxx.* cannot be read: File name too long"):
         read_scene(root)
 
 
