@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
+from ...bridge.limits import FARTHEST
 from ...bridge.model_file import Model
 from ...bridge.spherical_harmonics import FIT_DIRECTIONS, basis, fibonacci_sphere
 from ..methods.base import SplattingMethod
@@ -98,9 +99,10 @@ def to_model(
         gain, levels = level_log_gain(method, torch.as_tensor(viewpoint, dtype=torch.float32)), BAKED_LEVELS
     log_exposure, curve = tone_curve(method)
     return Model(
-        position=g.means.detach().numpy(),
+        # One Gaussian that ran away, which nobody sees, shall not keep the others from being written.
+        position=g.means.detach().clamp(-FARTHEST, FARTHEST).numpy(),
         rotation=torch.nn.functional.normalize(g.quaternions.detach(), dim=1).numpy(),
-        scale=g.scales.numpy(),
+        scale=g.scales.clamp(max=FARTHEST).numpy(),
         opacity=g.opacities.numpy(),
         log_radiance_sh=log_radiance_sh(method),
         light_share=share,

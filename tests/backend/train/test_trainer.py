@@ -551,6 +551,18 @@ def test_a_full_disk_leaves_the_checkpoint_before(tiny_data, tmp_path):
     assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []
 
 
+def test_numbers_of_a_type_that_no_run_has_are_refused(tiny_data, tmp_path):
+    scene, config = read_scene(tiny_data), short("default", iterations=12)
+    train(scene, config, tmp_path, stop_at=5)
+    with safe_open(tmp_path / CHECKPOINT_FILE, "pt") as file:
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
+        metadata = file.metadata()
+    tensors["gaussians.means"] = tensors["gaussians.means"].bfloat16()
+    save_file(tensors, tmp_path / CHECKPOINT_FILE, metadata)
+    with pytest.raises(FileDamagedError, match=CHECKPOINT_FILE):
+        load_method(tmp_path, config, scene.response_anchor)
+
+
 @pytest.mark.parametrize("damage", ["empty", "text", "dtype", "header", "deep", "offsets"])
 def test_whatever_is_wrong_with_the_container_is_one_error(damage, tiny_data, tmp_path):
     Trainer(read_scene(tiny_data), short("default")).save(tmp_path)
