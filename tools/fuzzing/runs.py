@@ -86,17 +86,24 @@ def open_(folder: Path, file: str, _: bytes) -> None:
 
 
 def resume(folder: Path, file: str, _: bytes) -> None:
-    """As a training goes on; then it takes a step."""
+    """As a training goes on, to its end; one that diverges must say so and leave the checkpoint alone."""
     from physhdr.backend.train.config import CONFIG_FILE, read_config
-    from physhdr.backend.train.trainer import Trainer
+    from physhdr.backend.train.trainer import CHECKPOINT_FILE, Trainer, TrainingDivergedError
 
+    before = (folder / CHECKPOINT_FILE).read_bytes()
     config = read_config(folder / CONFIG_FILE).config
     trainer = Trainer(_scene(_data(folder.parent)), config, "reference", resumed=folder)
     _require(0 <= trainer.iteration <= config.iterations, "an iteration beyond the last")
     _require(math.isfinite(trainer.seconds) and trainer.seconds >= 0.0, "the seconds that it took")
-    if trainer.iteration < config.iterations:
-        losses = trainer.step()
-        _require(all(np.isfinite(float(value)) for value in losses.values()), "a loss that is not a number")
+    try:
+        for event in trainer.run(folder):
+            losses = getattr(event, "losses", {})
+            _require(all(np.isfinite(value) for value in losses.values()), "a loss that is not a number")
+    except TrainingDivergedError:
+        _require((folder / CHECKPOINT_FILE).read_bytes() == before, "a checkpoint of what diverged")
+        raise
+    finally:  # for the next case
+        (folder / CHECKPOINT_FILE).write_bytes(before)
 
 
 def _require(right: bool, what: str) -> None:
