@@ -26,6 +26,8 @@ CONFIG_FILE = "config.json"
 ITERATIONS_MAX = 10_000_000
 #: What NumPy's and torch's generators both take.
 SEED_MAX = 2**32 - 1
+#: Characters of a preset's name, which stands in reports and exported files.
+LONGEST_NAME = 100
 #: Whole numbers that may be 0 (none, no bound, from the start); every other one is a size or an interval.
 MAY_BE_ZERO = frozenset(
     {
@@ -143,6 +145,8 @@ def read_config(path: Path) -> RunConfig:
         written = fingerprint_of(values)
         config = _from_json(TrainConfig, values, "config")
         data, preset = (_from_json(str, content[name], name) for name in ("data", "preset"))
+        if not (preset.isprintable() and len(preset) <= LONGEST_NAME):
+            raise ValueError(f"its preset is called {preset[:LONGEST_NAME]!r}")
         return RunConfig(config, Path(data), preset, written)
     except (ValueError, KeyError, OverflowError, BadValueError) as error:
         why = error.message if isinstance(error, BadValueError) else str(error)
