@@ -90,7 +90,8 @@ def resume(folder: Path, file: str, _: bytes) -> None:
     from physhdr.backend.train.config import CONFIG_FILE, read_config
     from physhdr.backend.train.trainer import CHECKPOINT_FILE, Trainer, TrainingDivergedError
 
-    before = (folder / CHECKPOINT_FILE).read_bytes()
+    path = folder / CHECKPOINT_FILE
+    before = path.read_bytes() if path.is_file() else b""
     config = read_config(folder / CONFIG_FILE).config
     trainer = Trainer(_scene(_data(folder.parent)), config, "reference", resumed=folder)
     _require(0 <= trainer.iteration <= config.iterations, "an iteration beyond the last")
@@ -100,10 +101,10 @@ def resume(folder: Path, file: str, _: bytes) -> None:
             losses = getattr(event, "losses", {})
             _require(all(np.isfinite(value) for value in losses.values()), "a loss that is not a number")
     except TrainingDivergedError:
-        _require((folder / CHECKPOINT_FILE).read_bytes() == before, "a checkpoint of what diverged")
+        _require(path.read_bytes() == before, "a checkpoint of what diverged")
         raise
     finally:  # for the next case
-        (folder / CHECKPOINT_FILE).write_bytes(before)
+        path.write_bytes(before)
 
 
 def _require(right: bool, what: str) -> None:
