@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from .display import ColorSpace, log_radiance_of
-from .errors import BadValueError, FileDamagedError
+from .errors import BadValueError, DataMismatchError, FileDamagedError
 from .gaussian_ply import read_ply
 from .lights import AMBIENT, check_lights
 from .limits import FARTHEST, LOG_RADIANCE_MAX, check_position
@@ -92,7 +92,10 @@ def read_ply_model(path: Path, color_space: ColorSpace = "SRGB") -> PlyModel:
     light: dict[str, Any] = {"light_share": np.ones((len(sh), 1, 3), np.float32)}
     if is_lossless:
         light = _lossless_light(path, columns, ply.comments)
-    model = Model(**_shape(columns), log_radiance_sh=sh, **light, metadata=_provenance(ply.comments))
+    try:
+        model = Model(**_shape(columns), log_radiance_sh=sh, **light, metadata=_provenance(ply.comments))
+    except (DataMismatchError, BadValueError) as error:  # which know arrays, and not where they are from
+        raise type(error)(f"{path}: {error.message}", error.hint) from error
     return PlyModel(model, colour_sh, left_out, tuple(notes))
 
 

@@ -245,7 +245,9 @@ def make_plan(content: dict[str, Any], beside: Path) -> Plan:
         try:
             fields[field] = read(value, beside)
         except (TypeError, KeyError, ValueError) as error:
-            raise BadValueError(f"the plan's '{key}' cannot be read: {value!r}", "See plan.py.") from error
+            raise BadValueError(
+                f"the plan's '{key}' cannot be read: {value!r:.200}", "See plan.py."
+            ) from error
     for key in ("methods", "scenes", "budgets"):
         if not fields.get(key):
             raise BadValueError(f"the plan names no {key}", f"Give --{key.replace('budgets', 'budget')}.")

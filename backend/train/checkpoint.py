@@ -99,7 +99,7 @@ def load_checkpoint(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]
         raise FileDamagedError(f"{path} is not a PhysHDR checkpoint", "Name a folder that 'train' wrote.")
     if metadata.get("version") != str(VERSION):
         raise DataMismatchError(
-            f"{path} has checkpoint version {metadata.get('version')}, this program reads {VERSION}",
+            f"{path} has checkpoint version {metadata.get('version')!s:.20}, this program reads {VERSION}",
             "Use the version of PhysHDR that wrote it.",
         )
     if metadata.get(DIGEST, "") not in ("", _digest(tensors)):  # none: of before there was one
