@@ -6,14 +6,21 @@ A subclass names one cause. Command lines print ``str(error)`` without a traceba
 
 import re
 
+#: Characters of a message; a file's own words in it may be of any length, and who reads wants the end, too.
+LONGEST_MESSAGE = 1600
+
 
 class PhysHDRError(Exception):
     """Something the user can mend.
 
-    ``message`` says what was wrong, with the file or value; ``hint`` says what to do next.
+    ``message`` says what was wrong, with the file or value; ``hint`` says what to do next. Of a very long
+    message the middle is left out.
     """
 
     def __init__(self, message: str, hint: str = "") -> None:
+        if len(message) > LONGEST_MESSAGE:
+            half = LONGEST_MESSAGE // 2
+            message = f"{message[:half]} … {message[-half:]}"
         super().__init__(message)
         self.message = message
         self.hint = hint

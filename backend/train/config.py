@@ -35,6 +35,16 @@ MAY_BE_ZERO = frozenset(
         *("position_octaves", "direction_octaves", "fine_samples"),
     }
 )
+#: Sizes of networks and of what they make, and the most of each: ten times what any system has.
+SIZES = frozenset(
+    {
+        *("hidden", "composer_hidden", "tone_mapper_hidden", "width", "view_width", "depth"),
+        *("context_size", "feature_size", "offsets", "levels", "position_octaves", "direction_octaves"),
+    }
+)
+LARGEST_SIZE = 4096
+#: No weight, rate or threshold is larger; a million times as large is still no infinity in float32.
+LARGEST_NUMBER = 1e9
 #: Settings in (0, 1): of a probability of 0 or 1 there is no logit.
 PROBABILITIES = ("initial_opacity", "initial_ambient_share")
 
@@ -98,12 +108,13 @@ def _check_numbers(config: Any, where: str) -> None:
     for entry in dataclasses.fields(config):
         value, name = getattr(config, entry.name), f"{where}{entry.name}"
         least = 0 if entry.name in MAY_BE_ZERO else 1
+        most = LARGEST_SIZE if entry.name in SIZES else SEED_MAX
         if dataclasses.is_dataclass(value):
             _check_numbers(value, f"{name}.")
-        elif type(value) is int and not least <= value <= SEED_MAX:
-            raise BadValueError(f"{_flag(name)} must be at least {least}, got {value}")
-        elif isinstance(value, float) and not math.isfinite(value):
-            raise BadValueError(f"{_flag(name)} must be a number, got {value}")
+        elif type(value) is int and not least <= value <= most:
+            raise BadValueError(f"{_flag(name)} must be from {least} to {most}, got {value}")
+        elif isinstance(value, float) and not abs(value) <= LARGEST_NUMBER:
+            raise BadValueError(f"{_flag(name)} must be a number up to {LARGEST_NUMBER:g}, got {value}")
 
 
 def _flag(name: str) -> str:

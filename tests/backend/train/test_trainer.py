@@ -488,6 +488,8 @@ def test_a_bit_that_tipped_over_is_noticed(tiny_data, tmp_path):
         {"densify": DensifyConfig(threshold=float("nan"))},
         {"sh_degree_every": 0},
         {"initial_opacity": 1.0},
+        {"initial_scale": 1e300},
+        {"anchors": AnchorsConfig(feature_size=10**6)},
         {"initial_scale": 0.0},
         {"random_points": -1},
         {"anchors": AnchorsConfig(hidden=0)},
