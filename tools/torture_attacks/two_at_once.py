@@ -35,7 +35,9 @@ def two_trainings(bench: Bench) -> Result:
     """One holds the folder, the other is refused and told by whom; the first ends as if alone."""
     data, threads = bench.material.data, ("--threads", 1)
     count = 200 if bench.short else 600
-    first_words = ("train", data, "--iterations", count, "--seed", 1, *threads)
+    # It saves often: there must be something to resume long before it ends.
+    often = ("--checkpoint-seconds", 0.2)
+    first_words = ("train", data, "--iterations", count, "--seed", 1, *often, *threads)
     other_words = ("train", data, "--iterations", count, "--seed", 2, *threads)
     references = [bench.empty("reference_1"), bench.empty("reference_2")]
     for words, reference in zip((first_words, other_words), references, strict=True):
