@@ -34,7 +34,8 @@ def _names(said: str, program: Program) -> list[str]:
 def two_trainings(bench: Bench) -> Result:
     """One holds the folder, the other is refused and told by whom; the first ends as if alone."""
     data, threads = bench.material.data, ("--threads", 1)
-    count = 200 if bench.short else 600
+    # The first must still train when the other has loaded torch; in a short run that is loaded already.
+    count = 200 if bench.short else 3000
     # It saves often: there must be something to resume long before it ends.
     often = ("--checkpoint-seconds", 0.2)
     first_words = ("train", data, "--iterations", count, "--seed", 1, *often, *threads)
