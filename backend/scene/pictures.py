@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Pictures on disk: 8-bit PNG or JPEG, 32-bit float OpenEXR; read with suspicion and written atomically."""
 
-import sys
+import io
 import threading
 import warnings
 from collections.abc import Callable, Sequence
@@ -160,12 +160,13 @@ def read_exr_channels(path: Path, remedy: str, wanted: Sequence[str] = ()) -> di
 def _exr_parts(path: Path, header_only: bool) -> list[Any]:
     """The parts of a file; one that cannot be read is without its channels.
 
-    The binding warns of that in Python's stdout, where what a program tells other programs goes.
+    The binding warns of that in Python's stdout, where what a program tells other programs goes; the error
+    that comes of it says as much.
     """
     with (
         damaged_where_it_fails(f"{path} is not a readable OpenEXR picture", _DELETE),
         _stdout_lock,
-        redirect_stdout(sys.stderr),
+        redirect_stdout(io.StringIO()),
     ):
         return list(OpenEXR.File(str(path), separate_channels=True, header_only=header_only).parts)
 
