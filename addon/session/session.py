@@ -7,6 +7,7 @@ window, operators that wait do it in scripts), and never waits itself.
 
 import json
 import os
+import subprocess
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -53,6 +54,8 @@ LOG_BYTES = 4 << 20
 START_SECONDS = 60.0
 #: Seconds between looks for a backend that another Blender started.
 LOOK_SECONDS = 2.0
+#: How long a backend of ours whose connection is gone has to end before another one is started.
+ENDING_SECONDS = 0.5
 
 
 class Session:
@@ -209,6 +212,10 @@ class Session:
         return [self.state.backend.python, str(self.launcher), *arguments]
 
     def _start_backend(self) -> None:
+        if self._process is not None:
+            # One that was killed is a process until somebody asks how it ended: it would be found alive.
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(ENDING_SECONDS)
         self._look()  # another Blender may have started one
         if self.state.link.status != "off":
             return

@@ -28,6 +28,8 @@ VERSION = 1
 SHARES, AMBIENT_SHARES = ".light_share_logits", ".ambient_share_logits"
 
 
+#: How often a checkpoint is read that is replaced meanwhile; a training replaces it twice a minute.
+READS = 20
 #: In the metadata: ``config.fingerprint`` of the run, and the SHA-256 of all tensors.
 CONFIGURATION, DIGEST = "configuration", "digest"
 
@@ -87,14 +89,7 @@ def load_checkpoint(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]
             f"there is no checkpoint {path}",
             "Train first: physhdr train DATA --out RUN, or name another run.",
         )
-    try:
-        with safe_open(path, framework="pt") as file:
-            metadata = file.metadata() or {}
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
-    except MemoryError:
-        raise
-    except Exception as error:  # the library documents no classes, and passes torch's on
-        raise damaged(path, f"it cannot be read: {str(error)[:200]}") from error
+    tensors, metadata = _read(path)
     if metadata.get("format") != FORMAT:
         raise FileDamagedError(f"{path} is not a PhysHDR checkpoint", "Name a folder that 'train' wrote.")
     if metadata.get("version") != str(VERSION):
@@ -109,6 +104,37 @@ def load_checkpoint(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]
         for name, tensor in tensors.items()
     }
     return tensors, metadata
+
+
+def _read(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
+    """What the container holds, of one moment; raises ``FileDamagedError``.
+
+    The library opens the file twice, by its name: first for the header, then for the numbers. In between a
+    training may have replaced it, and then it is read again.
+    """
+    for attempt in range(READS):
+        before = _identity(path)
+        try:
+            with safe_open(path, framework="pt") as file:
+                metadata = file.metadata() or {}
+                tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
+            if _identity(path) == before or attempt == READS - 1:
+                return tensors, metadata
+        except MemoryError:
+            raise
+        except Exception as error:  # the library documents no classes, and passes torch's on
+            if _identity(path) == before or attempt == READS - 1:
+                raise damaged(path, f"it cannot be read: {str(error)[:200]}") from error
+    raise AssertionError("the last attempt returns or raises")
+
+
+def _identity(path: Path) -> tuple[int, int, int]:
+    """Of the file that has this name now; zeros where there is none."""
+    try:
+        found = path.stat()
+    except OSError:
+        return 0, 0, 0
+    return found.st_ino, found.st_mtime_ns, found.st_size
 
 
 def require_configuration(metadata: Mapping[str, str], fingerprint: str, path: Path) -> bool:

@@ -3,6 +3,7 @@
 
 import os
 import stat
+import subprocess
 import sys
 from types import SimpleNamespace
 
@@ -11,8 +12,9 @@ import pytest
 from physhdr.addon.session.advice import problem_of
 from physhdr.addon.session.session import CHOICE_FILE, LOG_FILE, Session, read_choice, write_choice
 from physhdr.addon.session.state import KeepReport, PythonChosen
+from physhdr.bridge.connection import Connection, new_token, private_home, write_connection
 from physhdr.bridge.errors import OutputError
-from physhdr.bridge.messages import StatusGet
+from physhdr.bridge.messages import PROTOCOL_VERSION, StatusGet
 
 REPORT = {"versions": {"torch": "2.13.0"}}
 
@@ -44,6 +46,24 @@ def ask_for_a_backend(home, launcher):
     session.ask(StatusGet())
     assert session.wait(lambda state: state.link.status == "off", 30.0)
     return session
+
+
+@pytest.mark.skipif(
+    not hasattr(os, "waitid"), reason="processes that ended and were not waited for are POSIX's"
+)
+def test_a_killed_backend_is_not_taken_for_one_that_runs(tmp_path, launcher):
+    """Its connection file is there still, and its process until somebody asks how it ended."""
+    session = Session(tmp_path / "home", launcher)
+    private_home(tmp_path / "home")
+    killed = subprocess.Popen([sys.executable, "-c", "import os; os.kill(os.getpid(), 9)"])
+    os.waitid(os.P_PID, killed.pid, os.WEXITED | os.WNOWAIT)
+    session._process = killed
+    token = new_token()
+    write_connection(tmp_path / "home", Connection(PROTOCOL_VERSION, 9, token, killed.pid, "1", "log"))
+    session.dispatch(PythonChosen(sys.executable, REPORT))
+    session.ask(StatusGet())
+    assert session.wait(lambda state: state.link.status == "off", 30.0)
+    assert "no torch" in problem_of(session.state).message  # what the new one said
 
 
 @pytest.mark.parametrize("found", [None, 0o666])

@@ -553,6 +553,25 @@ def test_a_full_disk_leaves_the_checkpoint_before(tiny_data, tmp_path):
     assert [path.name for path in tmp_path.iterdir() if path.name.startswith(".")] == []
 
 
+def test_a_checkpoint_that_is_replaced_while_it_is_read_is_of_one_moment(tiny_data, tmp_path, monkeypatch):
+    """The library opens the file twice, and a training may come between: once in some thousand reads."""
+    scene, config = read_scene(tiny_data), short("default", iterations=12)
+    train(scene, config, tmp_path / "early", stop_at=3)
+    train(scene, config, tmp_path / "late", stop_at=9)
+    path = tmp_path / "early" / CHECKPOINT_FILE
+    expected = weights(tmp_path / "late")
+    opened = torch.UntypedStorage.from_file
+
+    def replaced_before_it_is_opened_again(*arguments, **options):
+        (tmp_path / "late" / CHECKPOINT_FILE).replace(path)
+        monkeypatch.setattr(torch.UntypedStorage, "from_file", opened)
+        return opened(*arguments, **options)
+
+    monkeypatch.setattr(torch.UntypedStorage, "from_file", replaced_before_it_is_opened_again)
+    assert_identical(expected, load_checkpoint(path)[0])
+    assert torch.UntypedStorage.from_file is opened  # it was in the way of the read
+
+
 def test_numbers_of_a_type_that_no_run_has_are_refused(tiny_data, tmp_path):
     scene, config = read_scene(tiny_data), short("default", iterations=12)
     train(scene, config, tmp_path, stop_at=5)
