@@ -50,7 +50,7 @@ class Camera:
         cls, camera_to_world: np.ndarray, width: int, height: int, angle_x: float
     ) -> "Camera":
         """A camera with square pixels, a centred principal point and ``angle_x`` radians of width."""
-        if not (0.0 < angle_x < math.pi):
+        if not (0.0 < angle_x < math.pi and math.tan(0.5 * angle_x) > 0.0):  # the least numbers halve to 0
             raise BadValueError(f"the horizontal field of view must be in (0, π) radians, got {angle_x}")
         focal = 0.5 * width / math.tan(0.5 * angle_x)
         return cls(camera_to_world, width, height, focal, focal, 0.5 * width, 0.5 * height)
