@@ -88,6 +88,10 @@ class RaySpace(nn.Module):
                 "this HDR-NeRF has not seen its scene yet",
                 "Train it: its rays are set at the first iteration.",
             )
+        if int(self.kind) >= len(KINDS):  # of a checkpoint that was made by hand
+            raise BadValueError(
+                f"there is no kind {int(self.kind)} of rays", "Restore a copy, or train again."
+            )
         return KINDS[int(self.kind)]
 
     def survey(

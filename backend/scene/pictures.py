@@ -34,6 +34,9 @@ PNG_BITS = {"1": 1, "L": 2, "LA": 16, "P": 1, "RGB": 24, "RGBA": 32}
 #: Pillow's names of the formats that a data set's pictures may have.
 READABLE = ("PNG", "JPEG")
 
+#: Pixels of an EXR's tile, which may be larger than its picture: the library goes through all of it.
+LARGEST_TILE = 1 << 24
+
 T = TypeVar("T")
 
 #: ``redirect_stdout`` puts another ``sys.stdout`` in place for all threads, and back what it has found.
@@ -178,6 +181,9 @@ def _exr_claim(path: Path, header: dict[str, Any]) -> tuple[int, int, list[str]]
     ):
         if header.get("type") in (OpenEXR.deepscanline, OpenEXR.deeptile):
             raise ValueError("it is deep, with any number of values a pixel")
+        tile = header.get("tiles")
+        if tile is not None and tile.xSize * tile.ySize > LARGEST_TILE:
+            raise ValueError(f"a tile of {tile.xSize}×{tile.ySize} pixels")
         (x0, y0), (x1, y1) = (np.asarray(corner).tolist() for corner in header["dataWindow"])
         return x1 - x0 + 1, y1 - y0 + 1, [channel.name for channel in header.get("channels", [])]
 
