@@ -155,9 +155,8 @@ class Schedule:
     def _watch(self) -> None:
         """How far running jobs are, from their logs."""
         for run, work in self._work.items():
-            logs = [work / EVENT_LOG, *work.glob(f"{TRIAL}*/{EVENT_LOG}")]
-            there = [log for log in logs if log.exists()]
-            iteration, iterations = _progress(max(there, key=_changed)) if there else (0, 0)
+            logs = _logs(work)
+            iteration, iterations = _progress(max(logs, key=_changed)) if logs else (0, 0)
             if iterations:
                 self.status[run] = Status("running", "", iteration, iterations)
 
@@ -239,6 +238,15 @@ class Schedule:
             return None
         record = min(found, key=lambda each: each[:2])[2]
         return Measurement(record.iterations, record.cpu_seconds)
+
+
+def _logs(work: Path) -> list[Path]:
+    """The logs in a job's folder, its trials' among them; none once its process has moved the folder away."""
+    try:
+        folders = [work, *(path for path in work.iterdir() if path.name.startswith(TRIAL))]
+    except OSError:  # it can go between any look and the next: Path.glob does not bear that either
+        return []
+    return [log for folder in folders if (log := folder / EVENT_LOG).exists()]
 
 
 def _changed(path: Path) -> float:

@@ -145,6 +145,25 @@ def test_a_failure_stops_nothing_is_told_and_tried_again_when_asked(bench):
     assert all(call.startswith("fails_once") for call in bench.calls()) and not bench.left_over()
 
 
+def test_a_job_may_move_its_folder_away_while_it_is_looked_at(bench, monkeypatch):
+    """A job's process does so when it is done, and its scheduler looks into the folder at any moment."""
+    schedule = bench.schedule()
+    work = bench.root / "work"
+    schedule._work[schedule.runs[0]] = work
+    for listing in ("scandir", "listdir"):
+        listed = getattr(os, listing)
+
+        def vanishing(path, listed=listed):
+            if Path(path) == work:
+                work.rename(bench.root / "final")
+            return listed(path)
+
+        monkeypatch.setattr(os, listing, vanishing)
+    work.mkdir()
+    schedule._watch()
+    assert not work.exists() and schedule.status[schedule.runs[0]].iteration == 0
+
+
 def test_an_interruption_leaves_what_is_done_and_nothing_half_done(bench):
     bench.content["methods"] = ["quick", "hangs"]
     schedule = bench.schedule()
