@@ -14,6 +14,7 @@ at once, on one machine or on several that share the folder, the processes share
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import signal
 import sys
 import traceback
@@ -23,9 +24,20 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from .options import Options
 
-if not globals().get("__package__"):  # run as a script: make it a module of the package `synth` (PEP 366)
-    sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-    __package__ = "synth"
+def _load_package() -> None:
+    """Make the repository's root, wherever it lies and whatever its folder is called, the package ``physhdr``."""
+    root = Path(__file__).resolve().parent.parent
+    spec = importlib.util.spec_from_file_location(
+        "physhdr", root / "__init__.py", submodule_search_locations=[str(root)]
+    )
+    assert spec and spec.loader
+    sys.modules["physhdr"] = module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+
+
+if not globals().get("__package__"):  # run as a script: make it a module of the package (PEP 366)
+    _load_package()
+    __package__ = "physhdr.synth"
 
 
 def parser() -> argparse.ArgumentParser:

@@ -15,12 +15,10 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-
-from synth import noise, png, rig, settings
-from synth.renderer import renderer
-from synth.response import by_name
-from synth.scenes import SCENES, built
+from physhdr.synth import noise, png, rig, settings
+from physhdr.synth.renderer import renderer
+from physhdr.synth.response import by_name
+from physhdr.synth.scenes import SCENES, built
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec.709
 
