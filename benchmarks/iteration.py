@@ -13,7 +13,7 @@ from physhdr.backend.rasterize.reference import project
 from physhdr.backend.scene.camera import Camera
 from physhdr.backend.train.trainer import Trainer
 
-#: Milliseconds, issue 3: (preset, Gaussians) → at most.
+#: Milliseconds that two AVX2 cores are to keep to: (preset, Gaussians) → at most.
 TARGETS = {
     ("default", 50_000): 50.0,
     ("paper", 50_000): 80.0,
@@ -21,7 +21,7 @@ TARGETS = {
     ("paper", 200_000): 170.0,
 }
 FASTER = 12.0
-#: Pictures per second at 50 k Gaussians, issue 3.
+#: Pictures per second that the same cores are to reach, at 50 k Gaussians.
 HDR_PER_SECOND, LDR_PER_SECOND = 60.0, 30.0
 
 

@@ -69,7 +69,7 @@ def main() -> int:
     if not arguments.rehearse and not torch.cuda.is_available():
         return _skip("torch sees no CUDA device")
 
-    from gpu.loading import DISPENSABLE, load_physhdr
+    from card.loading import DISPENSABLE, load_physhdr
 
     absent = load_physhdr(without=DISPENSABLE if arguments.bare else ())
     if absent:
@@ -93,8 +93,8 @@ def main() -> int:
 def _check(arguments: argparse.Namespace, has_numba: bool, report: dict[str, Any]) -> bool:
     """Compare, then measure; fills ``report`` and says whether every comparison holds."""
     import torch
-    from gpu import figures, parity
-    from gpu.side import Side, oracle
+    from card import figures, parity
+    from card.side import Side, oracle
 
     judge = oracle(has_numba)
     if arguments.rehearse:

@@ -55,8 +55,8 @@ def test_without_a_card_it_says_so_in_one_line(tmp_path):
 
 def test_a_side_that_draws_otherwise_is_found(monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "tools"))
-    from gpu import parity
-    from gpu.side import Side, oracle
+    from card import parity
+    from card.side import Side, oracle
 
     def failures() -> set[str]:
         side = Side("rehearsal", torch.device("cpu"), "reference", plain=True)

@@ -26,7 +26,7 @@ WHOLE = 30_000
 
 @dataclass(frozen=True)
 class Figure:
-    """One measurement, its target from issue 3 where there is one."""
+    """One measurement, and what it is to reach, where that was set (docs/cuda.md)."""
 
     what: str
     value: float
