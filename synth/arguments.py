@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""make_scene.py's command line: what may be written there, a function a group, and the options it means."""
+
+import argparse
+
+from . import camera_model
+from .device import DEVICES
+from .options import ALL, CURRENT, Options, join
+from .parse import parse_evs, parse_mixtures, parse_names, parse_numbers, parse_pair, parse_resolution
+from .response import BUILT_IN
+from .rig import PATH, RIGS
+from .scenes import SCENES
+
+_DEFAULT = Options()
+
+
+def parser() -> argparse.ArgumentParser:
+    """The parser of the whole command line; ``options`` reads what it returns."""
+    made = argparse.ArgumentParser(
+        prog="make_scene.py",
+        description="Render a synthetic HDR, relightable data set (layout: docs/formats.md).",
+        epilog="Started again with the same options, it renders only what is missing.",
+        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+    )
+    _add_scene(made)
+    _add_pictures(made)
+    _add_light(made)
+    _add_own_rig(made)
+    _add_work(made)
+    camera_model.add_arguments(made)
+    return made
+
+
+def _add_scene(made: argparse.ArgumentParser) -> None:
+    """Of what the data set is made, and where to."""
+    add = made.add_argument
+    add("--out", required=True, metavar="FOLDER", help="where to write: a new folder, or one to resume")
+    add(
+        "--scene",
+        default=_DEFAULT.scene,
+        metavar=f"NAME,NAME,…|{ALL}",
+        help=f"of: {', '.join(SCENES)}; several go to folders of their own within --out",
+    )
+    add("--assets", metavar="FOLDER", help="models for the furniture (.sh3f, .obj, .glb), else built-in ones")
+    add(
+        "--from-file",
+        metavar=f"FILE|{CURRENT}",
+        help="your own scene instead: a .blend, or the one that is open",
+    )
+    add("--scene-name", default="", metavar="NAME", help="the scene in that file, if not its active one")
+
+
+def _add_pictures(made: argparse.ArgumentParser) -> None:
+    """What is rendered: size, samples, poses, exposures and the response to them."""
+    add = made.add_argument
+    add(
+        "--resolution",
+        default="200",
+        metavar="N|WxH",
+        help="pixels; N alone is a square, or with --from-file the width at your render's aspect",
+    )
+    add("--samples", type=int, default=_DEFAULT.samples, help="Cycles samples a pixel, at most")
+    add(
+        "--noise-threshold",
+        type=float,
+        default=_DEFAULT.noise_threshold,
+        metavar="N",
+        help="stop sampling a pixel where its noise is below N, such as 0.01; 0: take all samples",
+    )
+    add("--views", type=int, default=_DEFAULT.views, help="training and test poses together")
+    add(
+        "--camera-rig",
+        default=_DEFAULT.camera_rig,
+        help=f"one of: {', '.join(RIGS)}; of your own scene also {PATH}",
+    )
+    exposures = made.add_mutually_exclusive_group()
+    exposures.add_argument(
+        "--exposures", metavar="T,T,…", help="in seconds, shortest first (default: the scene's own)"
+    )
+    exposures.add_argument(
+        "--evs", metavar="EV,EV,…", help="the same as EV, 0 is one second; write --evs=-3,-1,1,3,5"
+    )
+    add("--crf", default=_DEFAULT.crf, help=f"camera response: {', '.join(BUILT_IN)}, or the file of a curve")
+    add("--seed", type=int, default=_DEFAULT.seed, help="of the renders' noise; the scene itself is fixed")
+
+
+def _add_light(made: argparse.ArgumentParser) -> None:
+    """Which levels of which lights are rendered: the relit truth, and the views that are trained on."""
+    add = made.add_argument
+    add(
+        "--ambient-levels",
+        default=join(_DEFAULT.ambient_levels),
+        metavar="L,L,…",
+        help="relit truth: factors on sky, sun and fill; the lamps stay",
+    )
+    add(
+        "--relit-views",
+        type=int,
+        metavar="N",
+        help="test poses that get the relit truth (default: all)",
+    )
+    add(
+        "--mixed-levels",
+        metavar="LIGHT=L,LIGHT=L …",
+        help="relit truth with several lights turned at once, such as 'ambient=4,pendant=0.25 pendant=2' "
+        "(default: where several lights vary, between and beyond the levels trained)",
+    )
+    add(
+        "--lit-views",
+        type=int,
+        default=_DEFAULT.lit_views,
+        help="extra training views under other light",
+    )
+    add(
+        "--train-ambient-levels",
+        "--lit-levels",
+        dest="lit_levels",
+        default=join(_DEFAULT.lit_levels),
+        metavar="L,L,…",
+        help="levels of the light in them",
+    )
+    add(
+        "--lit-lights",
+        default=",".join(_DEFAULT.lit_lights),
+        metavar="LIGHT,LIGHT,…",
+        help="which lights vary in them, each by itself: every combination of levels comes equally often",
+    )
+
+
+def _add_own_rig(made: argparse.ArgumentParser) -> None:
+    """Where cameras stand in the user's own scene."""
+    add = made.add_argument_group("the rig around your own camera (with --from-file)").add_argument
+    add(
+        "--rig-distance",
+        type=float,
+        metavar="METRES",
+        help="to what it looks at (default: the focus, else what the camera sees, else the scene's middle)",
+    )
+    add("--rig-extent", metavar="WxH", help="of the grid in metres (default: 0.5 and 0.3 of the distance)")
+    add("--rig-arc", type=float, metavar="DEGREES", help="of orbit and hemisphere (default: 90)")
+    add(
+        "--rig-elevation",
+        metavar="LOW,HIGH",
+        help="of the hemisphere, in degrees (default: from 20 below to 30 above your camera's own)",
+    )
+
+
+def _add_work(made: argparse.ArgumentParser) -> None:
+    """With what it is rendered, and how the progress is told."""
+    add = made.add_argument
+    add("--device", default=_DEFAULT.device, help=f"one of: {', '.join(DEVICES)}")
+    add(
+        "--workers",
+        type=int,
+        default=_DEFAULT.workers,
+        metavar="N",
+        help="processes that render at the same time and share the cores; on small pictures as many as "
+        "there are cores is fastest. Other machines may join: start the same command on the same folder",
+    )
+    add("--worker-of", type=int, help=argparse.SUPPRESS)
+    add(
+        "--progress-json",
+        action="store_true",
+        help="tell the progress as one JSON object a line, for programs",
+    )
+    add(
+        "--denoise", action=argparse.BooleanOptionalAction, default=_DEFAULT.denoise, help="denoise with OIDN"
+    )
+
+
+def options(given: argparse.Namespace) -> Options:
+    """The options that a parsed command line means; not checked yet.
+
+    Raises:
+        OptionError: a text is no number, or no size.
+    """
+    exposures = None
+    if given.exposures is not None:
+        exposures = parse_numbers("--exposures", given.exposures)
+    elif given.evs is not None:
+        exposures = parse_evs(given.evs)
+    return Options(
+        resolution=parse_resolution(given.resolution, follow=given.from_file is not None),
+        samples=given.samples,
+        noise_threshold=given.noise_threshold,
+        views=given.views,
+        exposures=exposures,
+        crf=given.crf,
+        seed=given.seed,
+        ambient_levels=parse_numbers("--ambient-levels", given.ambient_levels),
+        relit_views=given.relit_views,
+        mixed_levels=None if given.mixed_levels is None else parse_mixtures(given.mixed_levels),
+        lit_levels=parse_numbers("--train-ambient-levels", given.lit_levels),
+        lit_views=given.lit_views,
+        lit_lights=parse_names(given.lit_lights),
+        camera_rig=given.camera_rig,
+        denoise=given.denoise,
+        device=given.device,
+        workers=given.workers,
+        camera=camera_model.from_arguments(given),
+        assets=given.assets,
+        from_file=given.from_file,
+        scene_name=given.scene_name,
+        rig_distance=given.rig_distance,
+        rig_extent=parse_pair("--rig-extent", given.rig_extent) if given.rig_extent else None,
+        rig_arc=given.rig_arc,
+        rig_elevation=parse_pair("--rig-elevation", given.rig_elevation) if given.rig_elevation else None,
+    )
