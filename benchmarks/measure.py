@@ -14,8 +14,8 @@ class Row:
     """One line of the table: what was measured, beside its alternative and its targets.
 
     ``value`` and ``plain`` (the plain-torch alternative, where there is one) are in ``unit``. Targets, where
-    one was set (docs/performance.md): ``at_most`` and ``at_least`` bound the value, ``faster`` bounds plain/value
-    from below.
+    one was set (docs/performance.md): ``at_most`` and ``at_least`` bound the value, ``faster`` bounds
+    plain/value from below.
     """
 
     work: str
