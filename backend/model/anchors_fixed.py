@@ -11,8 +11,8 @@ from torch.nn.functional import normalize
 
 from ...bridge.errors import BadValueError
 from ..kernels.spherical_harmonics import Y0, evaluate_sh_reference
-from ..resident import camera_tensors
 from ..scene.camera import Camera
+from ..scene.resident import camera_tensors
 from .gaussians import Gaussians
 
 if TYPE_CHECKING:

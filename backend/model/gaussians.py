@@ -9,8 +9,8 @@ from torch import nn
 
 from ...bridge.errors import BadValueError
 from ..kernels.spherical_harmonics import evaluate_sh
-from ..resident import camera_tensors
 from ..scene.camera import Camera
+from ..scene.resident import camera_tensors
 from .backbone import Attributes, Backbone, Splats, Start
 
 #: Bounds of ln radiance: 6e-6 … 8e3. Keeps exp() and its gradient finite (method.md section 9).

@@ -15,8 +15,8 @@ import torch
 from ..methods.base import Drawn, SplattingMethod
 from ..model.gaussians import Gaussians
 from ..rasterize.reference import rotation_matrices
-from ..resident import camera_tensors
 from ..scene.camera import Camera
+from ..scene.resident import camera_tensors
 from .morton import morton_order
 from .optimisers import Optimiser
 

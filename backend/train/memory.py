@@ -20,7 +20,7 @@ from ..methods.base import SplattingMethod
 from ..methods.registry import Facts, kernels_needed, new_method
 from ..model.anchors import VOXELS_PER_SPACING, AnchorsConfig
 from ..model.gaussians import Gaussians
-from ..resident import PICTURE_BYTES
+from ..scene.resident import PICTURE_BYTES
 from ..scene.scene import CACHE_BYTES, Scene, View
 from .config import TrainConfig
 from .initialise import MOST_STEREO_POINTS

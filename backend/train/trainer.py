@@ -16,7 +16,7 @@ from ..methods.registry import Facts, new_method
 from ..model.anchors import Anchors
 from ..model.backbone import Start
 from ..rasterize import Implementation
-from ..resident import Pictures
+from ..scene.resident import Pictures
 from ..scene.scene import Scene, View
 from .anchor_growth import AnchorGrowth
 from .checkpoint import (

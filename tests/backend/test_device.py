@@ -11,9 +11,9 @@ import torch
 from physhdr.backend import device as devices
 from physhdr.backend.device import BUILDING, choose_device
 from physhdr.backend.rasterize import cuda
-from physhdr.backend.resident import Pictures, camera_tensors
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.camera import Camera
+from physhdr.backend.scene.resident import Pictures, camera_tensors
 from physhdr.bridge.errors import BadValueError
 
 

@@ -2,7 +2,8 @@
 """What is put where the computation is once, and then stays there: cameras and pictures.
 
 A copy from ordinary host memory to a CUDA card makes the host wait for the card. An iteration must not do
-that (issue 3), so matrices and pictures are copied at their first use and kept.
+that, or the card idles while the host prepares the next one (docs/cuda.md): matrices and pictures are copied
+at their first use and kept.
 """
 
 import weakref
@@ -10,8 +11,8 @@ from dataclasses import dataclass
 
 import torch
 
-from .scene.camera import Camera
-from .scene.scene import View
+from .camera import Camera
+from .scene import View
 
 #: Pictures beyond this many bytes are copied anew at each use: a card has to hold the Gaussians, too. All of
 #: HDR-NeRF-Syn at 400×400 (35 views × 5 exposures) takes 84 MB.
