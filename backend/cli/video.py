@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """``physhdr video``: a trained run along a path of cameras, through exposures, or under changing light."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import groupby, islice
@@ -44,27 +44,28 @@ class Frame:
 
 @dataclass(frozen=True)
 class Video:
-    """A video (H.264) or numbered pictures, through the learned response."""
+    """A video (H.264), an animated WebP or numbered pictures, through the learned response."""
 
     #: Folder of the run.
     folder: tyro.conf.Positional[Path]
-    #: The video to write: .mp4, .mov or .mkv (needs the package av).
+    #: The video to write: .mp4, .mov or .mkv (these need the package av), or .webp, which web pages loop.
     out: Path | None = None
     #: Folder for numbered PNG files, beside or instead of the video.
     frames: Path | None = None
     #: Through the training cameras, round their middle, or standing still (the default of a sweep).
     path: Literal["spline", "orbit", "still"] | None = None
-    #: What changes: exposure from the shortest to the longest and back, or one light's level.
-    sweep: Literal["none", "exposure", "lighting"] = "none"
-    #: Ends of the sweep: seconds, or levels; default: the data set's exposures, or ⅛ and 8.
-    sweep_range: tuple[float, float] | None = None
+    #: What changes: exposure from the shortest to the longest and back, one light's level, or both: exposure
+    #: in the first half, light in the second, each from where it stands to both ends and back.
+    sweep: Literal["none", "exposure", "lighting", "both"] = "none"
+    #: Ends of the sweep: seconds, or levels, of both four; default: the data set's exposures, and ⅛ and 8.
+    sweep_range: tuple[float, float] | tuple[float, float, float, float] | None = None
     #: Which light a lighting sweep turns; default: the first.
     light: str | None = None
     #: Where a still camera stands: SPLIT/POSE; default: the first test view.
     view: str | None = None
     #: Seconds of exposure, but in an exposure sweep; default: the middle exposure of the data set.
     exposure: float | None = None
-    #: Levels of lights by name, but of the one that is swept: NAME=VALUE …; those not named are at 1.
+    #: Levels of lights by name: NAME=VALUE …; those not named are at 1. A sweep of both begins there.
     lighting_levels: tuple[str, ...] = ()
     #: Length in seconds.
     seconds: float = 6.0
@@ -107,12 +108,16 @@ class Video:
             )
         if self.exposure is not None and not self.exposure > 0.0:
             raise BadValueError(f"--exposure must be above 0 seconds, got {self.exposure}")
-        if self.sweep_range is not None and (self.sweep == "none" or not min(self.sweep_range) > 0.0):
-            raise BadValueError(
-                f"--sweep-range {self.sweep_range[0]:g} {self.sweep_range[1]:g} with --sweep {self.sweep}",
-                "It needs --sweep exposure or lighting, and two values above 0.",
-            )
-        if self.light is not None and self.sweep != "lighting":
+        if self.sweep_range is not None:
+            wanted = {"none": 0, "both": 4}.get(self.sweep, 2)
+            if len(self.sweep_range) != wanted or not min(self.sweep_range) > 0.0:
+                given = " ".join(f"{end:g}" for end in self.sweep_range)
+                raise BadValueError(
+                    f"--sweep-range {given} with --sweep {self.sweep}",
+                    "It needs --sweep exposure or lighting and two values above 0, or --sweep both and four: "
+                    "the exposures, then the levels.",
+                )
+        if self.light is not None and self.sweep not in ("lighting", "both"):
             raise BadValueError("--light names what --sweep lighting turns", "Add --sweep lighting.")
 
     def plan(self, scene: Scene, method: Renderer) -> list[Frame]:
@@ -131,15 +136,27 @@ class Video:
         levels = levels_asked(1.0, self.lighting_levels, method.lights)
         exposures = sorted({seconds for view in scene.train for seconds in view.exposures})
         exposure = self.exposure or exposures[len(exposures) // 2]
+        times, lit = [exposure] * count, [levels] * count
+        ends: tuple[float, ...] = self.sweep_range or ()
+        low, high = ends[:2] or (LIGHT_RANGE if self.sweep == "lighting" else (exposures[0], exposures[-1]))
         if self.sweep == "exposure":
-            swept = there_and_back(*(self.sweep_range or (exposures[0], exposures[-1])), count)
-            return [Frame(camera, t, levels) for camera, t in zip(cameras, swept, strict=True)]
-        if self.sweep == "lighting":
-            which = self._light(method)
-            swept = there_and_back(*(self.sweep_range or LIGHT_RANGE), count)
-            turned = [(*levels[:which], level, *levels[which + 1 :]) for level in swept]
-            return [Frame(camera, exposure, each) for camera, each in zip(cameras, turned, strict=True)]
-        return [Frame(camera, exposure, levels) for camera in cameras]
+            times = there_and_back(low, high, count)
+        elif self.sweep == "lighting":
+            lit = self._lit(method, levels, there_and_back(low, high, count))
+        elif self.sweep == "both":
+            half = count // 2
+            times[:half] = round_trip(exposure, low, high, half)
+            darkest, brightest = ends[2:] or LIGHT_RANGE
+            turned = round_trip(levels[self._light(method)], darkest, brightest, count - half)
+            lit[half:] = self._lit(method, levels, turned)
+        return [Frame(*each) for each in zip(cameras, times, lit, strict=True)]
+
+    def _lit(
+        self, method: Renderer, levels: tuple[float, ...], swept: Sequence[float]
+    ) -> list[tuple[float, ...]]:
+        """``levels`` with each of ``swept`` in the place of the light that is swept."""
+        which = self._light(method)
+        return [(*levels[:which], level, *levels[which + 1 :]) for level in swept]
 
     def _light(self, method: Renderer) -> int:
         """The place of the light that is swept."""
@@ -177,3 +194,15 @@ def there_and_back(low: float, high: float, count: int) -> list[float]:
     """``count`` values from ``low`` to ``high`` and back, even in stops, so that the video can be looped."""
     share = 1.0 - np.abs(np.linspace(-1.0, 1.0, count, endpoint=False))
     return [float(low * (high / low) ** s) for s in share]
+
+
+def round_trip(start: float, low: float, high: float, count: int) -> list[float]:
+    """``count`` values from ``start`` up to ``high``, down to ``low`` and back, even in stops.
+
+    The next one would be ``start`` again, or the end that is nearer to it where it lies outside.
+    """
+    stops = float(np.log2(high / low))
+    begin = float(np.clip(np.log2(start / low) / stops, 0.0, 1.0)) if stops else 0.0
+    # A triangle of period 2, which rises through ``begin`` at 0.
+    at = (begin + 2.0 * np.arange(count) / max(count, 1)) % 2.0
+    return [float(low * (high / low) ** (1.0 - abs(1.0 - each))) for each in at]

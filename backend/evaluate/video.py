@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures one after the other into a video that every player shows (H.264, 4:2:0), or into PNG files."""
+"""Pictures one after the other into a video that every player shows (H.264, 4:2:0), an animated WebP that a
+web page loops, or PNG files.
+"""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 from fractions import Fraction
+from itertools import pairwise
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from PIL import Image
 
 from ...bridge.atomic import atomic_path
 from ...bridge.errors import BadValueError, OutputError
@@ -15,10 +19,18 @@ from ..scene.pictures import write_png
 from .optional import needed
 
 CONTAINERS = (".mp4", ".mov", ".mkv")
+#: An animated picture, which needs no package beside Pillow.
+ANIMATION = ".webp"
 #: x264's constant rate factor: 18 is taken for visually lossless, 0 is lossless, 51 the worst.
 QUALITY = 16
 #: Codes of ITU-T H.273: primaries BT.709, transfer sRGB (IEC 61966-2-1), matrix BT.709, limited range.
 PRIMARIES, TRANSFER, MATRIX, LIMITED_RANGE = 1, 13, 1, 1
+#: libwebp's quality, 0 to 100, and how hard it tries, 0 to 6.
+WEBP_QUALITY, WEBP_EFFORT = 80, 6
+#: The format's longest side, pixels.
+WEBP_SIDE = 16383
+#: Pillow takes all frames of an animation at once: so many bytes of them are held at most.
+WEBP_BYTES = 2**30
 
 
 class FrameSink(Protocol):
@@ -31,13 +43,25 @@ class FrameSink(Protocol):
 def video_writer(path: Path, fps: int) -> Iterator[FrameSink]:
     """A sink that encodes frames into ``path``, which is there once the block has ended without an error.
 
-    Pixels are sRGB codes and are tagged so; an odd last row or column is repeated once, for 4:2:0 has none.
-    Raises ``PackageMissingError`` without PyAV, ``BadValueError`` for another container or frames of another
-    size, ``OutputError`` where it cannot be written.
+    Its suffix says how: one of ``CONTAINERS`` is H.264, whose pixels are tagged as the sRGB codes that they
+    are; an odd last row or column is repeated once, for 4:2:0 has none. ``ANIMATION`` is a WebP, looped for
+    ever (sRGB by the format's definition). Raises ``BadValueError`` for another suffix, frames of another
+    size or too many of them for a WebP, ``PackageMissingError`` without PyAV (not for a WebP),
+    ``OutputError`` where it cannot be written.
     """
     path = Path(path)
-    if path.suffix.lower() not in CONTAINERS:
-        raise BadValueError(f"a video must end in {', '.join(CONTAINERS)}, got {path.name}")
+    suffix = path.suffix.lower()
+    if suffix not in (*CONTAINERS, ANIMATION):
+        raise BadValueError(
+            f"a video must end in {', '.join(CONTAINERS)} or {ANIMATION}, got {path.name}",
+            f"Take .mp4 for players, {ANIMATION} for a web page, or --frames for any other program.",
+        )
+    with _webp_writer(path, fps) if suffix == ANIMATION else _h264_writer(path, fps) as sink:
+        yield sink
+
+
+@contextmanager
+def _h264_writer(path: Path, fps: int) -> Iterator[FrameSink]:
     av = needed("av", "av", "video", "writing a video")
     with atomic_path(path) as temporary:
         try:
@@ -49,6 +73,52 @@ def video_writer(path: Path, fps: int) -> Iterator[FrameSink]:
             raise OutputError(
                 f"cannot encode {path}: {error}", "Check the disk's space, or write --frames instead."
             ) from error
+
+
+@contextmanager
+def _webp_writer(path: Path, fps: int) -> Iterator[FrameSink]:
+    with atomic_path(path) as temporary:
+        frames: list[Image.Image] = []
+
+        def hold(frame: np.ndarray) -> None:
+            _require_alike(
+                frame, len(frames), (frames[0].height, frames[0].width) if frames else frame.shape[:2]
+            )
+            if max(frame.shape[:2]) > WEBP_SIDE:
+                raise BadValueError(
+                    f"a WebP's sides are at most {WEBP_SIDE} pixels, got {frame.shape[1]}×{frame.shape[0]}",
+                    "Choose a smaller --width, or write an .mp4.",
+                )
+            if (len(frames) + 1) * frame.size > WEBP_BYTES:
+                raise BadValueError(
+                    f"{path.name}: the frames of an animated WebP may take {WEBP_BYTES >> 30} GiB, which "
+                    f"are full after {len(frames)} frames",
+                    "Lower --seconds, --fps or --width, or write an .mp4.",
+                )
+            frames.append(Image.fromarray(frame))
+
+        yield hold
+        if not frames:
+            raise BadValueError("a video needs at least one frame")
+        # Whole milliseconds, whose sum does not drift from the clock.
+        ends = [round(1000 * number / fps) for number in range(len(frames) + 1)]
+        frames[0].save(
+            temporary,
+            "WEBP",
+            save_all=True,
+            append_images=frames[1:],
+            duration=[end - begin for begin, end in pairwise(ends)],
+            loop=0,
+            quality=WEBP_QUALITY,
+            method=WEBP_EFFORT,
+        )
+
+
+def _require_alike(frame: np.ndarray, number: int, shape: tuple[int, ...]) -> None:
+    if frame.shape != (*shape, 3) or frame.dtype != np.uint8:
+        raise BadValueError(
+            f"frame {number} is {frame.shape} {frame.dtype}, the video [{shape[0]}, {shape[1]}, 3] uint8"
+        )
 
 
 class _Encoder:
@@ -69,11 +139,7 @@ class _Encoder:
             context.color_primaries, context.color_trc = PRIMARIES, TRANSFER
             context.colorspace, context.color_range = MATRIX, LIMITED_RANGE
             context.time_base = Fraction(1, self._fps)
-        if frame.shape != (*self._shape, 3) or frame.dtype != np.uint8:
-            raise BadValueError(
-                f"frame {self._count} is {frame.shape} {frame.dtype}, the video [{self._shape[0]}, "
-                f"{self._shape[1]}, 3] uint8"
-            )
+        _require_alike(frame, self._count, self._shape)
         even = np.pad(frame, ((0, self._shape[0] % 2), (0, self._shape[1] % 2), (0, 0)), mode="edge")
         picture = self._av.VideoFrame.from_ndarray(even, format="rgb24").reformat(
             format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG"

@@ -151,18 +151,50 @@ def test_frames_of_a_video_keep_their_place(tmp_path: Path) -> None:
     assert np.abs(frame[10:, :30] - frame[10, 5]).max() < 6 and frame[20, 10] > frame[4, 40] > frame[20, 50]
 
 
-def test_a_video_that_fails_leaves_nothing(tmp_path: Path) -> None:
-    path = tmp_path / "a.mp4"
+def test_an_animated_webp_shows_its_frames_for_as_long_as_they_last(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "patches.webp"
+    with video_writer(path, fps=30) as write:
+        for patch in PATCHES:
+            write(np.full((33, 47, 3), patch, np.uint8))
+    with Image.open(path) as picture:
+        assert (picture.format, picture.size, picture.n_frames) == ("WEBP", (47, 33), len(PATCHES))
+        assert picture.info["loop"] == 0, "for ever"
+        ends = []
+        for number, patch in enumerate(PATCHES):
+            picture.seek(number)
+            shown = np.asarray(picture.convert("RGB")).astype(int)
+            assert np.abs(shown - patch).max() <= 6, patch
+            ends.append(picture.info["timestamp"] + picture.info["duration"])
+    assert ends == [33, 67, 100, 133, 167, 200, 233], "30 a second, without drift"
+
+
+def test_what_no_webp_can_hold_is_refused(tmp_path: Path, monkeypatch) -> None:
+    path = tmp_path / "a.webp"
+    with pytest.raises(BadValueError, match=r"16384×2[\s\S]*--width"), video_writer(path, fps=5) as write:
+        write(np.zeros((2, 16384, 3), np.uint8))
+    monkeypatch.setattr("physhdr.backend.evaluate.video.WEBP_BYTES", 700)
+    with (
+        pytest.raises(BadValueError, match=r"after 2 frames[\s\S]*--fps"),
+        video_writer(path, fps=5) as write,
+    ):
+        for _ in range(3):
+            write(np.zeros((10, 10, 3), np.uint8))
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["a.mp4", "a.webp"])
+def test_a_video_that_fails_leaves_nothing(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
     with pytest.raises(BadValueError, match=r"frame 1 is \(10, 12, 3\)"), video_writer(path, fps=5) as write:
         write(np.zeros((10, 10, 3), np.uint8))
         write(np.zeros((10, 12, 3), np.uint8))
     with pytest.raises(BadValueError, match="at least one frame"), video_writer(path, fps=5):
         pass
-    with pytest.raises(BadValueError, match=r"must end in \.mp4.*got a\.gif"):
+    with pytest.raises(BadValueError, match=r"must end in \.mp4.*\.webp, got a\.gif\n"):
         video_writer(tmp_path / "a.gif", 5).__enter__()
     (tmp_path / "file").touch()
     with pytest.raises(OutputError, match="cannot write"):
-        video_writer(tmp_path / "file" / "a.mp4", 5).__enter__()
+        video_writer(tmp_path / "file" / name, 5).__enter__()
     assert [each.name for each in tmp_path.iterdir()] == ["file"]
 
 
@@ -170,6 +202,8 @@ def test_without_av_there_is_one_clear_message(tmp_path: Path, monkeypatch) -> N
     monkeypatch.setitem(sys.modules, "av", None)
     with pytest.raises(PackageMissingError, match=r"a video needs av[\s\S]*pip install av"):
         video_writer(tmp_path / "a.mp4", 5).__enter__()
+    with video_writer(tmp_path / "a.webp", 5) as write:  # needs Pillow alone
+        write(np.zeros((4, 6, 3), np.uint8))
     with frames_writer(tmp_path / "frames") as write:
         for value in (10, 20):
             write(np.full((4, 6, 3), value, np.uint8))

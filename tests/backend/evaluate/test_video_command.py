@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from physhdr.backend.cli.video import Frame, Video, pictures, there_and_back
+from physhdr.backend.cli.video import Frame, Video, pictures, round_trip, there_and_back
 from physhdr.backend.scene import Camera, read_scene
 from physhdr.bridge.errors import BadValueError
 
@@ -41,6 +41,15 @@ def test_sweeps_go_there_and_back_in_even_stops() -> None:
     np.testing.assert_allclose(values, [-3, -2, -1, 0, 1, 2, 3, 2, 1, 0, -1, -2], atol=1e-12)
 
 
+def test_a_round_trip_begins_and_ends_where_things_stand() -> None:
+    stops = np.log2(round_trip(2.0, 0.125, 8.0, 12))
+    np.testing.assert_allclose(stops, [1, 2, 3, 2, 1, 0, -1, -2, -3, -2, -1, 0], atol=1e-12)
+    down_first = np.log2(round_trip(2.0, 8.0, 0.125, 12))
+    np.testing.assert_allclose(down_first, [1, 0, -1, -2, -3, -2, -1, 0, 1, 2, 3, 2], atol=1e-12)
+    assert round_trip(100.0, 1.0, 4.0, 4)[0] == 4.0, "from the nearer end where it stands outside"
+    assert round_trip(1.0, 3.0, 3.0, 2) == [3.0, 3.0]
+
+
 def test_a_path_shows_the_middle_exposure(data_set: Path) -> None:
     scene = read_scene(data_set)
     for path in ("spline", "orbit"):
@@ -70,6 +79,22 @@ def test_a_lighting_sweep_turns_one_light(data_set: Path) -> None:
     assert (frames[0].levels[1], frames[10].levels[1]) == (0.5, pytest.approx(2.0))
 
 
+def test_a_sweep_of_both_turns_the_exposure_and_then_the_light(data_set: Path) -> None:
+    frames = video(sweep="both", path="orbit", lighting_levels=("ambient=2", "lamp=3")).plan(
+        read_scene(data_set), Grey()
+    )
+    assert len({id(frame.camera) for frame in frames}) == 20, "along a path, if one is asked for"
+    first, second = frames[:10], frames[10:]
+    assert {frame.levels for frame in first} == {(2.0, 3.0)} and {f.exposure for f in second} == {2.0}
+    assert [frame.exposure for frame in first] == round_trip(2.0, 0.125, 32.0, 10)
+    assert [frame.levels for frame in second] == [(level, 3.0) for level in round_trip(2.0, 0.125, 8.0, 10)]
+
+    ends = (0.5, 4.0, 0.25, 4.0)
+    frames = video(sweep="both", sweep_range=ends, light="lamp").plan(read_scene(data_set), Grey())
+    assert [frame.exposure for frame in frames[:10]] == round_trip(2.0, 0.5, 4.0, 10)
+    assert [frame.levels for frame in frames[10:]] == [(1.0, x) for x in round_trip(1.0, 0.25, 4.0, 10)]
+
+
 def test_frames_that_differ_in_light_are_not_one_bracket(data_set: Path) -> None:
     camera, method = read_scene(data_set).test[0].camera, Grey()
     assert len(list(pictures(method, [Frame(camera, 1.0, (1.0,)), Frame(camera, 1.0, (2.0,))]))) == 2
@@ -93,8 +118,9 @@ def test_what_cannot_be_shown(data_set: Path, options, message) -> None:
 def test_a_method_that_cannot_relight(data_set: Path) -> None:
     method = Grey()
     method.can_relight = False
-    with pytest.raises(BadValueError, match=r"cannot relight[\s\S]*--sweep exposure"):
-        video(sweep="lighting").plan(read_scene(data_set), method)
+    for sweep in ("lighting", "both"):
+        with pytest.raises(BadValueError, match=r"cannot relight[\s\S]*--sweep exposure"):
+            video(sweep=sweep).plan(read_scene(data_set), method)
 
 
 @pytest.mark.parametrize(
@@ -105,6 +131,8 @@ def test_a_method_that_cannot_relight(data_set: Path) -> None:
         ({"exposure": -1.0}, "--exposure must be above 0"),
         ({"sweep_range": (1.0, 2.0)}, "with --sweep none"),
         ({"sweep": "exposure", "sweep_range": (0.0, 2.0)}, "two values above 0"),
+        ({"sweep": "both", "sweep_range": (1.0, 2.0)}, r"1 2 with --sweep both[\s\S]*four"),
+        ({"sweep": "exposure", "sweep_range": (1.0, 2.0, 1.0, 2.0)}, "1 2 1 2 with --sweep exposure"),
         ({"light": "lamp"}, "--light names what"),
     ],
 )
