@@ -1,0 +1,21 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The presets that people are offered are those that can be trained."""
+
+from physhdr.backend.train.presets import PRESETS
+from physhdr.bridge import presets
+
+
+def test_every_preset_that_is_offered_can_be_trained_and_the_other_way_round():
+    assert presets.PRESETS.keys() == PRESETS.keys()
+
+
+def test_each_is_listed_once_and_described_in_a_line():
+    listed = [*presets.IN_PANEL, *presets.FOR_COMPARISONS]
+    assert len(listed) == len(presets.PRESETS) == len({preset.label for preset in listed})
+    assert all(preset.description and not preset.description.endswith(".") for preset in listed)
+
+
+def test_the_panels_list_only_grows_at_its_end():
+    """A .blend keeps the place in the list: these were there first."""
+    first = ["default", "fast", "paper", "baseline", "default-scaffold", "gausshdr-short", "hdr-gs-short"]
+    assert [preset.name for preset in presets.IN_PANEL][: len(first)] == first
