@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The presets by name, for people to choose from: what Blender's panel lists and the backend trains.
 
-Their settings are the backend's (``backend/train/presets.py``), which has one for each row here and no others.
+Their settings are the backend's (``backend/train/presets.py``): one for each row here, and no others.
 """
 
 from typing import NamedTuple
@@ -36,7 +36,7 @@ FOR_COMPARISONS = (
     Preset("hdr-nerf", "HDR-NeRF, Published", "HDR-NeRF for 200,000 iterations, which call for a card"),
     Preset("paper-short", "Paper, Short", "The paper's method on the default's schedule"),
     Preset("paper-scaffold-short", "Paper on Anchors, Short", "The same on Scaffold-GS's anchors"),
-    Preset("gausshdr-scaffold-short", "GaussHDR on Anchors", "GaussHDR on anchors and the default's schedule"),
+    Preset("gausshdr-scaffold-short", "GaussHDR on Anchors", "The same on the default's schedule"),
     Preset("hdr-nerf-small", "HDR-NeRF, Small", "HDR-NeRF with smaller networks and fewer samples"),
 )
 
