@@ -16,10 +16,10 @@ from pathlib import Path
 
 import torch
 
-from physhdr.backend.cli.run_folder import Run, open_run
 from physhdr.backend.evaluate.metrics import display, hdr_pair, psnr
 from physhdr.backend.evaluate.sheets import as_picture, display_white, labelled_grid
 from physhdr.backend.evaluate.truth import hdr_truth, relit_truth
+from physhdr.backend.runs.run import Run, open_run
 from physhdr.backend.scene.pictures import read_exr, write_png
 from physhdr.backend.train.checkpoint import load_checkpoint, require_configuration
 from physhdr.backend.train.config import CONFIG_FILE, read_config

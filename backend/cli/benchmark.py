@@ -26,9 +26,9 @@ from ..benchmark.report import REPORT_FILE, write_report
 from ..benchmark.runs import Store, data_fingerprint
 from ..benchmark.schedule import Schedule
 from ..device import DeviceName
+from ..runs.files import writable_folder
+from ..runs.terminal import console
 from ..train.config import CONFIG_FILE, write_config
-from .progress import console
-from .run_folder import writable_folder
 from .train import Train, preset_named
 
 

@@ -17,9 +17,10 @@ from ..evaluate.report import METHODS_FILES, RESPONSE_FILE, SHEET_FILE, to_termi
 from ..evaluate.response import learned_response, write_response_figure
 from ..evaluate.sheets import comparison_sheet, method_sheet
 from ..rasterize import Implementation
+from ..runs.files import writable_folder
+from ..runs.run import Run, open_run
+from ..runs.terminal import console
 from ..scene.pictures import write_png
-from .progress import console
-from .run_folder import Run, open_run, writable_folder
 
 
 @dataclass(frozen=True)

@@ -14,9 +14,10 @@ from ...bridge.model_file import write_model
 from ..export import BAKED_FILE, LOSSLESS_FILE, MODEL_FILE
 from ..export.baked import network_comments, parameter_columns
 from ..model.gaussians import Gaussians
+from ..runs.files import writable_folder
+from ..runs.run import open_run
+from ..runs.terminal import console
 from .lighting import levels_asked
-from .progress import console
-from .run_folder import open_run, writable_folder
 
 
 @dataclass(frozen=True)

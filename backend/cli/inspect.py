@@ -15,8 +15,8 @@ from rich.text import Text
 from ...bridge.errors import BadValueError, DataMismatchError
 from ..evaluate.inspected import DynamicRange, Exposure, Inspection
 from ..evaluate.inspection import inspect
+from ..runs.terminal import console
 from ..scene.hdr_nerf_syn import OURS
-from .progress import console
 
 #: What an empty cell shows.
 NONE = "–"

@@ -12,6 +12,7 @@ import tyro
 from rich.progress import Progress
 
 from ...bridge.errors import BadValueError, DataMismatchError, OutputError
+from ..runs.terminal import console
 from ..scene.capture.brackets import Brackets, Grouping, find_brackets, time_in_words
 from ..scene.capture.choice import Choice, photos_to_match, thinned
 from ..scene.capture.data_set import Written, new_folder, write_data_set
@@ -28,7 +29,6 @@ from ..scene.capture.structure import (
     recover,
     require_pycolmap,
 )
-from .progress import console
 
 #: Exposures at one step that differ more between poses are worth a word, in EV.
 DRIFT_EV = 0.1

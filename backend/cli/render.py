@@ -10,11 +10,11 @@ import tyro
 from ...bridge.errors import BadValueError
 from ..device import DeviceName
 from ..rasterize import Implementation
+from ..runs.run import open_run
+from ..runs.terminal import console
 from ..scene import Camera, Scene
 from ..scene.pictures import write_exr, write_png
 from .lighting import levels_asked
-from .progress import console
-from .run_folder import open_run
 
 
 def camera_named(scene: Scene, name: str | None) -> Camera:

@@ -15,13 +15,14 @@ from ...bridge.errors import BadValueError
 from ..device import DeviceName
 from ..rasterize import Implementation
 from ..rasterize.cpu import set_threads
+from ..runs.begin import Workshop, resume_run, start_run
+from ..runs.log import EventLog
+from ..runs.monitor import view_monitor
+from ..runs.run import Run
+from ..runs.terminal import console
 from ..train.config import TrainConfig
 from ..train.presets import PRESETS
 from ..train.trainer import CHECKPOINT_SECONDS, Trainer
-from .monitor import view_monitor
-from .progress import EventLog, console
-from .run_folder import Run
-from .training import Workshop, resume_run, start_run
 from .warmup import compile_kernels
 
 

@@ -19,11 +19,12 @@ from ..evaluate.protocol import Renderer, ldr_bracket
 from ..evaluate.sheets import as_picture
 from ..evaluate.video import frames_writer, video_writer
 from ..rasterize import Implementation
+from ..runs.files import writable_folder
+from ..runs.run import open_run
+from ..runs.terminal import console
 from ..scene import Camera, Scene
 from .lighting import levels_asked
-from .progress import console
 from .render import camera_named
-from .run_folder import open_run, writable_folder
 
 #: How far a lighting sweep goes where nobody says: from an eighth to eight times, as the relit truth does.
 LIGHT_RANGE = (0.125, 8.0)

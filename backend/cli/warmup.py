@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from rich.progress import Progress
 
 from ..kernels.warmup import Needs, warmup
+from ..runs.terminal import console
 from ..train.presets import needed_by_presets
-from .progress import console
 
 #: Shorter than this nothing was compiled, and nothing is said.
 COMPILED_SECONDS = 5.0

@@ -2,7 +2,9 @@
 """What lies in a run's folder: whether it holds a run, somebody's own files, or one that is replaced."""
 
 import json
+import os
 import re
+import tempfile
 from contextlib import suppress
 from pathlib import Path
 
@@ -77,3 +79,17 @@ def remove_unfinished(folder: Path) -> None:
         if UNFINISHED.fullmatch(path.name) and path.is_file():
             with suppress(OSError):  # it is in nobody's way
                 path.unlink()
+
+
+def writable_folder(path: Path) -> Path:
+    """Make the folder and make sure that files can be made in it; raises ``OutputError``."""
+    remedy = "Choose another --out, or make it writable."
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=path):
+            pass
+    except OSError as error:
+        raise OutputError(f"cannot write to {path}: {error.strerror}", remedy) from error
+    if not os.access(path, os.W_OK):  # root may write anywhere, whatever the permissions say
+        raise OutputError(f"cannot write to {path}: it is read-only", remedy)
+    return path

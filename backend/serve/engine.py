@@ -38,16 +38,16 @@ from ...bridge.messages import (
     TrainStop,
 )
 from ...bridge.model_file import SUFFIX, refuse_what_is_not_ours, write_model
-from ..cli.monitor import view_monitor
-from ..cli.progress import LOG_FILE, EventLog
-from ..cli.run_folder import Run, open_run
-from ..cli.training import Workshop, resume_run, start_run
 from ..device import DeviceName, choose_device
 from ..kernels.warmup import Needs, warmup
 from ..memory import is_out_of_memory
 from ..methods.registry import kernels_needed
 from ..rasterize.cpu import set_threads, thread_count
+from ..runs.begin import Workshop, resume_run, start_run
 from ..runs.files import refuse_a_run
+from ..runs.log import LOG_FILE, EventLog
+from ..runs.monitor import view_monitor
+from ..runs.run import Run, open_run
 from ..train import events
 from ..train.config import CONFIG_FILE, ITERATIONS_MAX, SEED_MAX, TrainConfig
 from ..train.presets import PRESETS

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from physhdr.backend.cli import main
-from physhdr.backend.cli.run_folder import open_run
+from physhdr.backend.runs.run import open_run
 from physhdr.bridge.model_file import read_model
 from physhdr.bridge.ply_model import read_ply_model
 

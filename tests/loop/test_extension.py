@@ -15,8 +15,8 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from physhdr.backend.cli.run_folder import open_run
 from physhdr.backend.evaluate.metrics import hdr_pair, psnr
+from physhdr.backend.runs.run import open_run
 from physhdr.backend.scene.pictures import read_exr
 
 ROOT = Path(__file__).resolve().parent.parent.parent

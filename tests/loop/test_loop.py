@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from physhdr.backend.cli import main
-from physhdr.backend.cli.run_folder import open_run
 from physhdr.backend.evaluate.metrics import hdr_pair, psnr
+from physhdr.backend.runs.run import open_run
 from physhdr.backend.scene.pictures import read_exr
 
 

@@ -73,7 +73,7 @@ def load(folder: Path, file: str, _: bytes) -> None:
 
 def open_(folder: Path, file: str, _: bytes) -> None:
     """As every command opens a run; then it is drawn."""
-    from physhdr.backend.cli.run_folder import open_run
+    from physhdr.backend.runs.run import open_run
 
     data = _data(folder.parent)
     run = open_run(folder, data, "reference", "cpu", report=lambda text: None)

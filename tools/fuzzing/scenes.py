@@ -109,7 +109,7 @@ def truth(folder: Path, file: str, _: bytes) -> None:
 def inspect(folder: Path, _: str, __: bytes) -> None:
     """``physhdr inspect``, as people and as programs get it: all faults in one error."""
     from physhdr.backend.cli.inspect import Inspect
-    from physhdr.backend.cli.progress import console
+    from physhdr.backend.runs.terminal import console
 
     for as_json in (True, False):
         output = io.BytesIO()

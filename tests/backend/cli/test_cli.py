@@ -19,9 +19,9 @@ from plyfile import PlyData
 from safetensors import safe_open
 
 from physhdr.backend.cli import main
-from physhdr.backend.cli.run_folder import open_run
 from physhdr.backend.export.baked import networks_from_comments, parameters_from_columns
 from physhdr.backend.methods.physhdr import PhysHDR
+from physhdr.backend.runs.run import open_run
 from physhdr.backend.train.checkpoint import load_checkpoint
 from physhdr.bridge.model_file import read_model
 from physhdr.bridge.ply_model import read_ply_model

@@ -13,7 +13,7 @@ import pytest
 
 from physhdr.backend import cli, memory
 from physhdr.backend.cli import main
-from physhdr.backend.cli.progress import LOG_FILE, EventLog
+from physhdr.backend.runs.log import LOG_FILE, EventLog
 from physhdr.backend.train.events import Progress, Saved
 from physhdr.bridge.errors import FileDamagedError, OutputError
 

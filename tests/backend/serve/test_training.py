@@ -13,10 +13,10 @@ import pytest
 import torch
 
 from physhdr.backend.cli import main
-from physhdr.backend.cli.run_folder import open_run
 from physhdr.backend.methods.physhdr import PhysHDR, PhysHDRConfig
 from physhdr.backend.model.gaussians import initial_gaussians
 from physhdr.backend.rasterize import cpu
+from physhdr.backend.runs.run import open_run
 from physhdr.backend.serve import engine as engine_module
 from physhdr.backend.serve import server as server_module
 from physhdr.backend.serve.curves import Curves

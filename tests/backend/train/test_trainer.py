@@ -13,10 +13,10 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 from scipy.spatial import KDTree
 
-from physhdr.backend.cli.monitor import view_monitor
 from physhdr.backend.evaluate.protocol import evaluate
 from physhdr.backend.methods.hdr_nerf import HDRNeRFConfig
 from physhdr.backend.model.anchors import AnchorsConfig
+from physhdr.backend.runs.monitor import view_monitor
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.pictures import read_exr, write_exr, write_png
 from physhdr.backend.scene.scene import Points

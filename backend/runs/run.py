@@ -1,15 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A run's folder as the commands use it: its data set, configuration and trained method."""
+"""A run as a whole: its data set, its configuration and its trained method."""
 
-import os
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from ...bridge.errors import BadValueError, OutputError
+from ...bridge.errors import BadValueError
 from ...bridge.model_file import Model
 from ..device import DeviceName, choose_device
 from ..export.blender_model import on_gaussians, to_model
@@ -19,7 +17,7 @@ from ..rasterize import Implementation
 from ..scene import Scene, read_scene
 from ..train.config import CONFIG_FILE, TrainConfig, read_config
 from ..train.trainer import load_method
-from .progress import console
+from .terminal import console
 
 
 @dataclass(frozen=True)
@@ -83,17 +81,3 @@ def open_run(
         written.fingerprint,
     )
     return Run(folder, written.preset, config, scene, method, iteration)
-
-
-def writable_folder(path: Path) -> Path:
-    """Make the folder and make sure that files can be made in it; raises ``OutputError``."""
-    remedy = "Choose another --out, or make it writable."
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=path):
-            pass
-    except OSError as error:
-        raise OutputError(f"cannot write to {path}: {error.strerror}", remedy) from error
-    if not os.access(path, os.W_OK):  # root may write anywhere, whatever the permissions say
-        raise OutputError(f"cannot write to {path}: it is read-only", remedy)
-    return path

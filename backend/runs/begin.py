@@ -11,16 +11,16 @@ from ..device import DeviceName, choose_device
 from ..kernels.warmup import Needs
 from ..methods.registry import kernels_needed
 from ..rasterize import Implementation
-from ..runs.files import holds_a_run, refuse_a_run, remove_results, remove_unfinished
-from ..runs.lock import hold
 from ..scene import Scene, read_scene
 from ..train.config import CONFIG_FILE, TrainConfig, read_config, write_config
 from ..train.memory import check_memory
 from ..train.presets import PRESETS
 from ..train.trainer import Trainer
 from ..train.without_effect import changed_without_effect
-from .progress import EventLog
-from .run_folder import Run, writable_folder
+from .files import holds_a_run, refuse_a_run, remove_results, remove_unfinished, writable_folder
+from .lock import hold
+from .log import EventLog
+from .run import Run
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Consumers of the training's events: the terminal, TensorBoard, and ``log.jsonl``."""
+"""A training's events as they are kept in its folder: ``log.jsonl`` and TensorBoard's files."""
 
 import dataclasses
 import errno
@@ -12,28 +12,20 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
-
 from ...bridge.errors import OutputError
 from ..train import events
-
-console = Console(highlight=False)
-
-#: Without a terminal a line is printed this often (seconds), so that logs stay short.
-SECONDS_BETWEEN_LINES = 10.0
+from .terminal import TrainingBar
 
 LOG_FILE = "log.jsonl"
 TENSORBOARD_FOLDER = "tensorboard"
 
 
 class EventLog:
-    """Shows events as they come and keeps them in the run's folder. A context manager."""
+    """Keeps events in the run's folder as they come, and shows them (``terminal``). A context manager."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._monitor: dict[str, float] = {}
-        self._last_line = 0.0
+        self._bar = TrainingBar()
 
     @staticmethod
     def clear(folder: Path) -> None:
@@ -46,17 +38,7 @@ class EventLog:
         with self._writing(self.folder / LOG_FILE):
             self._file = open(self.folder / LOG_FILE, "a", encoding="utf-8")
         self._hook, threading.excepthook = threading.excepthook, self._thread_failed
-        self._bar = Progress(
-            TextColumn("train"),
-            BarColumn(),
-            TaskProgressColumn(),
-            TextColumn("{task.fields[status]}"),
-            TimeRemainingColumn(),
-            console=console,
-            disable=not console.is_terminal,
-        )
         self._bar.start()
-        self._task = self._bar.add_task("train", total=None, status="")
         return self
 
     def __exit__(
@@ -105,37 +87,10 @@ class EventLog:
         with self._writing(self.folder / LOG_FILE):
             self._file.write(json.dumps(record) + "\n")
             self._file.flush()
-        if isinstance(event, events.Started):
-            self._bar.update(self._task, total=event.iterations, completed=event.iteration)
-            gaussians = f"{event.gaussians} Gaussians; " if event.gaussians else ""
-            console.print(
-                f"training from iteration {event.iteration}: {gaussians}{event.message}", soft_wrap=True
-            )
-        elif isinstance(event, events.Progress):
-            self._show_progress(event)
-        elif isinstance(event, events.Finished):
-            state = "stopped" if event.stopped else "finished"
-            used = f"{event.seconds:.0f} s ({event.cpu_seconds:.0f} CPU seconds)"
-            console.print(f"{state} at iteration {event.iteration} after {used}")
-
-    def _show_progress(self, event: events.Progress) -> None:
-        self._monitor |= event.monitor
-        step = event.iteration
-        with self._writing(self.folder / TENSORBOARD_FOLDER):
-            self._keep_on_board(event)
-
-        losses = "  ".join(f"{name} {value:.4f}" for name, value in event.losses.items())
-        measured = "  ".join(f"{name} {value:.2f}" for name, value in self._monitor.items())
-        gaussians = f"  {event.gaussians} G" if event.gaussians else ""
-        status = f"{losses}  {measured}{gaussians}  {event.iterations_per_second:.0f} it/s"
-        self._bar.update(self._task, completed=step, status=status)
-        now = time.monotonic()
-        last = event.iteration == event.iterations
-        if not console.is_terminal and (last or now - self._last_line > SECONDS_BETWEEN_LINES):
-            self._last_line = now
-            console.print(
-                f"{step:6d}/{event.iterations}  {status}  {event.seconds_left:.0f} s left", soft_wrap=True
-            )
+        if isinstance(event, events.Progress):
+            with self._writing(self.folder / TENSORBOARD_FOLDER):
+                self._keep_on_board(event)
+        self._bar.show(event)
 
     def _keep_on_board(self, event: events.Progress) -> None:
         if self._board is None:
