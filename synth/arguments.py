@@ -4,12 +4,12 @@
 import argparse
 
 from . import camera_model
+from .built_in import SCENES
 from .device import DEVICES
 from .options import ALL, CURRENT, Options, join
 from .parse import parse_evs, parse_mixtures, parse_names, parse_numbers, parse_pair, parse_resolution
 from .response import BUILT_IN
 from .rig import PATH, RIGS
-from .scenes import SCENES
 
 _DEFAULT = Options()
 

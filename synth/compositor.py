@@ -13,8 +13,8 @@ from pathlib import Path
 
 import bpy
 
-from .scenes.stage import Stage
 from .settings import WORKING_SPACE
+from .stage import Stage
 
 RAW = "raw"
 """The layer of the whole picture before denoising: it tells the noise."""

@@ -13,6 +13,8 @@ from typing import Any
 import bpy
 
 from . import describe, device, folder, noise, objects, open_scene, passes, plan, png, points, rig, settings
+from .assets import Assets
+from .built_in import SCENES, built
 from .claims import Claims
 from .derive import Derivation
 from .errors import NotFiniteRenderError
@@ -22,9 +24,7 @@ from .plan import Shot
 from .progress import Report
 from .renderer import Renderer, renderer, view_seed
 from .response import by_name
-from .scenes import SCENES, built
-from .scenes.assets import Assets
-from .scenes.stage import Stage
+from .stage import Stage
 from .workers import threads_each
 
 GENERATOR = {"name": "physhdr synth", "version": "0.2.0"}

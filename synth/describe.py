@@ -16,7 +16,7 @@ from .plan import Shot
 from .png import quantise
 from .progress import Report
 from .response import Response
-from .scenes.stage import AMBIENT
+from .stage import AMBIENT
 
 DENOISER = "OpenImageDenoise"
 LOST = 0.05

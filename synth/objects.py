@@ -10,7 +10,7 @@ from contextlib import contextmanager
 import bpy
 
 from .progress import Report
-from .scenes.stage import Stage
+from .stage import Stage
 
 SURFACES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD", "VOLUME"}
 MOST = 32767  # Blender's pass_index

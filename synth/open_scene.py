@@ -22,7 +22,7 @@ from .fingerprint import fingerprint
 from .options import CURRENT, Options
 from .progress import Report, quiet
 from .rays import Rays
-from .scenes.stage import AMBIENT, CameraHints, Stage
+from .stage import AMBIENT, CameraHints, Stage
 
 _OURS = ("objects", "cameras", "worlds", "lights", "node_groups")
 _SIMULATIONS = {"CLOTH", "SOFT_BODY", "FLUID", "DYNAMIC_PAINT", "PARTICLE_SYSTEM"}

@@ -8,12 +8,12 @@ from dataclasses import asdict, dataclass, field
 from itertools import pairwise
 from typing import Any
 
+from .built_in import SCENES
 from .camera_model import CameraModel
 from .device import DEVICES
 from .errors import OptionError, UnknownNameError
 from .rig import PATH, RIGS
-from .scenes import SCENES
-from .scenes.stage import AMBIENT
+from .stage import AMBIENT
 
 USERS_EVS = (-3.0, -1.0, 1.0, 3.0, 5.0)
 """Of a user's scene; a built-in one brings its own."""
@@ -86,6 +86,12 @@ class Options:
         rigs = [*RIGS, PATH] if self.from_file else list(RIGS)
         if not self.from_file and self.scene not in SCENES:
             raise UnknownNameError("scene", self.scene, list(SCENES))
+        if not self.from_file and not SCENES[self.scene].is_here:
+            raise OptionError(
+                f"--scene {self.scene}: the built-in scenes come with the project's repository, and the "
+                "installed extension leaves them out",
+                "render a scene of your own with --from-file, or run make_scene.py in the repository",
+            )
         if self.camera_rig not in rigs:
             raise UnknownNameError("camera rig", self.camera_rig, rigs)
         if self.device not in DEVICES:

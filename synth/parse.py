@@ -6,9 +6,9 @@ from __future__ import annotations
 from fractions import Fraction
 from itertools import pairwise
 
+from .built_in import SCENES
 from .errors import OptionError
 from .options import ALL, FOLLOW, LARGEST_EV, join, seconds, within
-from .scenes import SCENES
 
 
 def parse_numbers(name: str, text: str) -> tuple[float, ...]:

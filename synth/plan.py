@@ -13,7 +13,7 @@ import numpy as np
 from . import rig
 from .errors import UnknownNameError
 from .options import Options
-from .scenes.stage import AMBIENT
+from .stage import AMBIENT, RigPoses
 
 POINTS = "points3d.ply"
 SPLITS = ("train", "test", "lit")
@@ -83,7 +83,7 @@ class Shot:
         return [*names, *(self.relit_hdr(light) for light in self.relit)]
 
 
-def shots(poses: rig.RigPoses, options: Options, lights: Sequence[str]) -> list[Shot]:
+def shots(poses: RigPoses, options: Options, lights: Sequence[str]) -> list[Shot]:
     """All poses, in the order they are rendered.
 
     Raises:

@@ -7,7 +7,7 @@ import numpy as np
 from mathutils import Vector
 
 from .rays import Rays
-from .scenes.stage import Stage
+from .stage import Stage
 
 WANTED = 18_000
 

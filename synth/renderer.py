@@ -18,7 +18,7 @@ from .errors import DamagedFileError, NotFiniteError, NotFiniteRenderError, Rend
 from .interrupts import held
 from .passes import Passes
 from .progress import quiet
-from .scenes.stage import Stage
+from .stage import Stage
 
 SAMPLE = re.compile(r"Sample (\d+)/\d+")
 """In Cycles' status line."""

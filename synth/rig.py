@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
 from .errors import OptionError, UnknownNameError
-from .scenes.stage import WORLD_UP, CameraHints
+from .stage import WORLD_UP, CameraHints, RigPoses
 
 GRID_ASPECT = 7 / 5  # columns over rows: 35 views are 5 × 7, as in HDR-NeRF's data
 
@@ -71,15 +70,6 @@ RIGS: dict[str, Callable[[CameraHints, float, float], np.ndarray]] = {
     "orbit": orbit,
     "hemisphere": hemisphere,
 }
-
-
-@dataclass(frozen=True)
-class RigPoses:
-    """Camera-to-world matrices [4, 4] of each split."""
-
-    train: list[np.ndarray]
-    test: list[np.ndarray]
-    lit: list[np.ndarray]
 
 
 def poses(name: str, hints: CameraHints, views: int, lit_views: int) -> RigPoses:

@@ -12,8 +12,8 @@ from mathutils import Vector
 from .errors import OptionError, SceneError
 from .options import FOLLOW, LARGEST_ELEVATION, Options
 from .rays import Rays
-from .rig import PATH, RigPoses
-from .scenes.stage import WORLD_UP, CameraHints
+from .rig import PATH
+from .stage import WORLD_UP, CameraHints, RigPoses
 
 GRID_SHARE = (0.5, 0.3)
 """Width and height of the grid over the distance: a step aside, not a walk around."""

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import bpy
 
 from .passes import RESERVED
-from .scenes.stage import AMBIENT
+from .stage import AMBIENT
 
 STRENGTHS = ("Strength", "Emission Strength")
 OURS = "physhdr ambient"

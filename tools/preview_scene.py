@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from physhdr.synth import noise, png, rig, settings
+from physhdr.synth.built_in import SCENES, built
 from physhdr.synth.renderer import renderer
 from physhdr.synth.response import by_name
-from physhdr.synth.scenes import SCENES, built
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec.709
 

@@ -13,14 +13,14 @@ import random
 
 import bpy
 
+from ..assets import Assets
+from ..stage import CameraHints, Stage
 from . import bathroom_fittings as fittings
 from . import materials as m
 from . import materials_bathroom as mb
-from .assets import Assets
 from .lighting import Lighting
 from .props import box
 from .small_room import Room, casement, garden, morning, shell
-from .stage import CameraHints, Stage
 
 ROOM = Room(half=1.95, back=1.6, front=-2.6, height=2.5, window=(0.55, 1.45, 1.22, 2.18))
 DADO = 1.2  # height of the tiles

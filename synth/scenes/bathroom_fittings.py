@@ -10,10 +10,10 @@ import random
 import bpy
 from mathutils import Matrix, Vector
 
+from ..assets import Assets
 from . import materials as m
 from . import materials_bathroom as mb
 from . import plush
-from .assets import Assets
 from .curved import leaf_tuft
 from .props import Point, ball, box, lathe, leaf_blade, rod, sheet
 from .small_room import Room

@@ -14,15 +14,15 @@ import random
 
 import bpy
 
+from ..assets import Assets
+from ..stage import CameraHints, Stage
 from . import bear_furniture as furniture
 from . import bear_toys as toys
 from . import materials as m
 from . import materials_nursery as mn
-from .assets import Assets
 from .lighting import Lighting
 from .props import ball, box, rod
 from .small_room import WALL, Room, casement, garden, morning, shell, side_casement
-from .stage import CameraHints, Stage
 
 WEST = (-0.62, 0.26, 0.95, 2.10)  # the window that the sun comes in by
 ROOM = Room(half=1.7, back=1.3, front=-2.3, height=2.4, window=(-1.15, -0.30, 0.98, 1.95), west=WEST)

@@ -9,10 +9,10 @@ import random
 import bpy
 from mathutils import Matrix, Vector
 
+from ..assets import Assets
 from . import materials as m
 from . import materials_nursery as mn
 from . import plush
-from .assets import Assets
 from .bear_furniture import PAINTS, SEAT
 from .curved import torus
 from .plush import Blob

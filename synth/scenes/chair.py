@@ -14,15 +14,15 @@ import random
 import bpy
 from mathutils import Vector
 
+from ..assets import Assets
+from ..stage import CameraHints, Stage
 from . import chair_things as things
 from . import materials as m
 from . import materials_fireside as hearth
 from .armchair import SIZE, armchair
-from .assets import Assets
 from .fireside import BREAST, fireplace
 from .lighting import Lighting
 from .props import ball, box, rod, sheet
-from .stage import CameraHints, Stage
 
 LEFT, RIGHT, FRONT, BACK, HEIGHT = -1.9, 2.4, -2.8, 1.6, 2.55
 WINDOW = (-1.25, 0.62, 0.86, 2.12)  # y0, y1, z0, z1

@@ -12,14 +12,14 @@ import random
 
 import bpy
 
+from ..assets import Assets
+from ..stage import CameraHints, Stage
 from . import desk_things as things
 from . import materials as m
 from . import materials_desk as md
 from .assembly import array
-from .assets import Assets
 from .lighting import Lighting
 from .props import ball, box, rod, sheet
-from .stage import CameraHints, Stage
 
 LEFT, RIGHT, FRONT, WALL, HEIGHT = -1.7, 1.7, -2.4, 0.46, 2.5
 WINDOW = (-1.12, -0.20, 1.00, 2.00)  # x0, x1, z0, z1

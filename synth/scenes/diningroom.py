@@ -13,15 +13,15 @@ import random
 
 import bpy
 
+from ..assets import Assets
+from ..stage import CameraHints, Stage
 from . import diningroom_furniture as furniture
 from . import diningroom_table as table
 from . import materials as m
 from . import materials_table as mt
-from .assets import Assets
 from .forms import ring
 from .lighting import Lighting
 from .props import ball, box, lathe, rod, sheet
-from .stage import CameraHints, Stage
 from .tubes import bent_tube
 
 WEST, EAST, BACK, FRONT, HEIGHT = -2.2, 2.4, 2.1, -2.8, 2.75

@@ -9,9 +9,9 @@ import random
 import bpy
 from mathutils import Matrix, Vector
 
+from ..assets import Assets
 from . import materials as m
 from . import materials_table as mt
-from .assets import Assets
 from .diningroom_table import branch
 from .forms import copies, framed, move, ring, standing
 from .props import ball, box, lathe, leaf_blade, rod, sheet

@@ -10,9 +10,9 @@ from collections.abc import Callable
 import bpy
 from mathutils import Matrix, Vector
 
+from ..assets import Assets
 from . import materials as m
 from . import materials_table as mt
-from .assets import Assets
 from .forms import copies, move, ring, standing
 from .lighting import Lighting
 from .props import ball, box, lathe, leaf_blade, rod, sheet

@@ -13,16 +13,16 @@ import random
 
 import bpy
 
+from ..assets import Assets
+from ..stage import CameraHints, Stage
 from . import dog_hearth as hearth
 from . import dog_room as things
 from . import materials as m
 from . import materials_hearth as mh
-from .assets import Assets
 from .dog_animal import dog
 from .forms import standing
 from .lighting import Lighting
 from .props import ball, box, rod, sheet
-from .stage import CameraHints, Stage
 
 WEST, EAST, BACK, FRONT, HEIGHT = -2.1, 2.1, 1.8, -2.8, 2.45
 WINDOW = (-1.72, -0.62, 0.72, 1.98)  # x0, x1, z0, z1

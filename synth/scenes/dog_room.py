@@ -9,10 +9,10 @@ import random
 import bpy
 from mathutils import Vector
 
+from ..assets import Assets
 from . import materials as m
 from . import materials_hearth as mh
 from . import materials_table as mt
-from .assets import Assets
 from .forms import framed, move, ring, standing
 from .lighting import Lighting
 from .props import ball, box, cushion, lathe, leaf_blade, rod, sheet

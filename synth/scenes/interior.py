@@ -13,12 +13,12 @@ import random
 
 import bpy
 
+from ..assets import Assets
+from ..stage import CameraHints, Stage
 from . import interior_furniture as furniture
 from . import materials as m
-from .assets import Assets
 from .lighting import Lighting
 from .props import ball, box, rod, sheet
-from .stage import CameraHints, Stage
 
 WIDTH, BACK, FRONT, HEIGHT = 4.2, 1.8, -2.6, 2.5
 WINDOW = (-1.45, -0.15, 0.92, 2.12)  # x0, x1, z0, z1

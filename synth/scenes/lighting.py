@@ -9,9 +9,9 @@ from collections.abc import Callable, Sequence
 import bpy
 from mathutils import Vector
 
+from ..stage import AMBIENT, LightKnob
 from .materials import Graph, Socket, emission
 from .props import ball
-from .stage import AMBIENT, LightKnob
 
 Point = Sequence[float]  # metres
 Colour = tuple[float, float, float]  # scene-linear

@@ -16,15 +16,15 @@ import bmesh
 import bpy
 from mathutils import Matrix, Vector
 
+from ..assets import Assets
+from ..stage import CameraHints, Stage
 from . import materials as m
 from . import materials_stone as stone
 from . import materials_upholstery as soft
 from . import sofa_furniture as furniture
-from .assets import Assets
 from .lighting import Lighting
 from .props import ball, box, finish, rod, sheet
 from .shapes import hanging
-from .stage import CameraHints, Stage
 from .tubes import tube
 
 LEFT, RIGHT, FRONT, BACK, HEIGHT = -2.3, 2.3, -3.1, 2.3, 2.65

@@ -9,10 +9,10 @@ import random
 import bpy
 from mathutils import Vector
 
+from ..assets import Assets
 from . import materials as m
 from . import materials_upholstery as soft
 from . import sofa_storage as storage
-from .assets import Assets
 from .lighting import Lighting
 from .props import ball, box, cushion, lathe, leaf_blade, rod, sheet
 from .shapes import turned

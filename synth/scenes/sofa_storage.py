@@ -9,9 +9,9 @@ import random
 import bpy
 from mathutils import Vector
 
+from ..assets import Assets
 from . import materials as m
 from . import materials_upholstery as soft
-from .assets import Assets
 from .lighting import Lighting
 from .props import ball, box, lathe, rod
 from .shapes import leaf, scatter

@@ -13,12 +13,12 @@ import random
 
 import bpy
 
+from ..assets import Assets
+from ..stage import CameraHints, Stage
 from . import materials as m
 from . import sponza_colonnade as colonnade
 from . import sponza_court as court
-from .assets import Assets
 from .lighting import Lighting
-from .stage import CameraHints, Stage
 
 SKY_RADIANCE = 7.5
 SUN_IRRADIANCE = 230.0

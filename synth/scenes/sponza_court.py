@@ -9,11 +9,11 @@ import random
 import bpy
 from mathutils import Vector
 
+from ..assets import Assets
 from . import materials as m
 from . import materials_stone as stone
 from . import materials_upholstery as soft
 from . import sponza_hangings as hangings
-from .assets import Assets
 from .lighting import Lighting
 from .props import ball, box, lathe, leaf_blade, sheet
 from .shapes import leaf, scatter, turned

@@ -20,7 +20,7 @@ def build_ball(scene, assets):
     """A grey ball of radius 1 on the floor z = −1, sun (ambient) and a bulb (lamp), black sky."""
     from physhdr.synth.scenes import materials, props
     from physhdr.synth.scenes.lighting import Lighting
-    from physhdr.synth.scenes.stage import CameraHints, Stage
+    from physhdr.synth.stage import CameraHints, Stage
 
     room = scene.collection
     grey = materials.plain("grey", (0.5, 0.4, 0.3), 1.0)
@@ -46,9 +46,9 @@ def build_ball(scene, assets):
 @pytest.fixture(autouse=True)
 def ball_scene(monkeypatch):
     """``--scene ball`` exists in every test."""
-    from physhdr.synth.scenes import SCENES, Entry
+    from physhdr.synth.built_in import SCENES, BuiltInScene
 
-    monkeypatch.setitem(SCENES, "ball", Entry(build_ball))
+    monkeypatch.setitem(SCENES, "ball", BuiltInScene(build_ball))
 
 
 @pytest.fixture

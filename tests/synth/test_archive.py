@@ -8,9 +8,9 @@ from pathlib import PurePosixPath, PureWindowsPath
 
 import pytest
 
+from physhdr.synth.archive import inner_path
+from physhdr.synth.assets import Assets, _extracted
 from physhdr.synth.errors import AssetError
-from physhdr.synth.scenes.archive import inner_path
-from physhdr.synth.scenes.assets import Assets, _extracted
 
 PLAIN = [
     "models/sofa/sofa.obj",

@@ -11,8 +11,8 @@ import bpy
 import pytest
 from mathutils import Vector
 
+from physhdr.synth.assets import Assets, _plain
 from physhdr.synth.errors import AssetError
-from physhdr.synth.scenes.assets import Assets, _plain
 
 #: A wedge 2 wide (x), 4 high (y), 1 deep (z), its high edge at the back (−z): SH3D's front is +z.
 WEDGE = """

@@ -265,8 +265,8 @@ def test_lights_that_vary_come_in_every_combination(tmp_path, small):
 
 def test_several_scenes_by_one_command(tmp_path, capsys, monkeypatch, small):
     from physhdr.synth import several
+    from physhdr.synth.built_in import SCENES
     from physhdr.synth.progress import JsonReport
-    from physhdr.synth.scenes import SCENES
 
     monkeypatch.setitem(SCENES, "ball 2", replace(SCENES["ball"], evs=(-4.0, -2.0, 0.0)))
     report = JsonReport()
@@ -307,11 +307,11 @@ import importlib.util, pickle, sys
 from pathlib import Path
 sys.path.insert(0, "{root}")
 from physhdr.synth import dataset, renderer
-from physhdr.synth.scenes import SCENES, Entry
+from physhdr.synth.built_in import SCENES, BuiltInScene
 spec = importlib.util.spec_from_file_location("conftest", "{tests}/conftest.py")
 conftest = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(conftest)
-SCENES["ball"] = Entry(conftest.build_ball)
+SCENES["ball"] = BuiltInScene(conftest.build_ball)
 real = renderer.Renderer.render
 def render(self, *arguments):
     print("rendered here")

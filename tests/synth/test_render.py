@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from physhdr.synth import noise, objects, settings
+from physhdr.synth.built_in import built
 from physhdr.synth.png import quantise
 from physhdr.synth.progress import Report
 from physhdr.synth.renderer import renderer, view_seed
 from physhdr.synth.response import srgb
 from physhdr.synth.rig import look_at
-from physhdr.synth.scenes import built
-from physhdr.synth.scenes.stage import Stage
+from physhdr.synth.stage import Stage
 
 SIZE = (64, 48)
 FOV = math.radians(50)  # the ball's, conftest

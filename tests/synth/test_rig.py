@@ -10,7 +10,7 @@ import pytest
 
 from physhdr.synth import rig
 from physhdr.synth.errors import OptionError, UnknownNameError
-from physhdr.synth.scenes.stage import CameraHints
+from physhdr.synth.stage import CameraHints
 
 HINTS = CameraHints(
     centre=(0.5, -2.0, 1.4),

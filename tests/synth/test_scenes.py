@@ -12,9 +12,9 @@ import pytest
 from mathutils import Vector
 
 from physhdr.synth import rig, settings
+from physhdr.synth.built_in import SCENES, built
 from physhdr.synth.rays import Rays
 from physhdr.synth.renderer import renderer
-from physhdr.synth.scenes import SCENES, built
 
 NAMES = [name for name in SCENES if name != "ball"]
 BENCHMARK = {"bathroom", "bear", "chair", "desk", "diningroom", "dog", "sofa", "sponza"}

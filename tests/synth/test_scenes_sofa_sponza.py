@@ -8,7 +8,8 @@ import bpy
 import pytest
 from mathutils import Vector
 
-from physhdr.synth.scenes import built, materials, props, shapes
+from physhdr.synth.built_in import built
+from physhdr.synth.scenes import materials, props, shapes
 
 
 def test_the_parquet_covers_the_room_once():

@@ -1,16 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a scene hands to the renderer: its lights in groups, and where cameras may stand."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import bpy
-
-if TYPE_CHECKING:
-    from ..rig import RigPoses
+import numpy as np
 
 WORLD_UP = (0.0, 0.0, 1.0)
 AMBIENT = "ambient"
@@ -38,6 +34,15 @@ class CameraHints:
     """Upward in the grid rig's pictures: not the world's where the camera looks straight down."""
     clip: tuple[float, float] = (0.01, 1000.0)
     """Nothing nearer or farther than this is seen."""
+
+
+@dataclass(frozen=True)
+class RigPoses:
+    """Camera-to-world matrices [4, 4] of each split."""
+
+    train: list[np.ndarray]
+    test: list[np.ndarray]
+    lit: list[np.ndarray]
 
 
 @dataclass(frozen=True)

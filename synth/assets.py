@@ -20,9 +20,9 @@ from pathlib import Path, PurePosixPath
 import bpy
 from mathutils import Matrix, Vector
 
-from ..errors import AssetError
-from ..progress import quiet
 from .archive import inner_path
+from .errors import AssetError
+from .progress import quiet
 
 Point = Sequence[float]  # metres
 
