@@ -6,6 +6,7 @@ on it stays finite. A reader that meets another says so, instead of training on 
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any, TypeGuard
 
 from .errors import BadValueError
 
@@ -80,6 +81,18 @@ LOG_RADIANCE_MAX = 74.0
 LARGEST_SIDE = 1 << 20
 #: Pixels of a picture. No picture of ours is larger; a header that claims more is damaged or hostile.
 MAX_PIXELS = 1 << 27
+
+
+def is_number(value: Any) -> TypeGuard[float]:
+    """Whether a value of a JSON file is a number: finite, and one that a float can hold, which not every
+    integer there can. JSON's true and false are none.
+    """
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return False
+    try:
+        return math.isfinite(value)
+    except OverflowError:
+        return False
 
 
 def check_level(value: float, whose: str) -> float:
