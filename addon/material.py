@@ -10,14 +10,12 @@ from typing import Literal
 
 import bpy
 
+from ..bridge.splatting import ALPHA_MAX, ALPHA_MIN
 from .node_builder import Field, NodeBuilder
 
 Shape = Literal["ellipsoid", "splat"]
 
 RADIANCE_ATTRIBUTE = "physhdr:radiance"
-#: The limits of our rasterisers (backend/rasterize/contract.py), so that Cycles draws the same.
-ALPHA_MAX = 0.999
-ALPHA_MIN = 1.0 / 255.0
 
 #: Custom property that marks our materials, with the version of this file's recipe.
 _MARK = "physhdr_material"
@@ -55,7 +53,7 @@ def _build(tree: bpy.types.NodeTree, shape: Shape) -> None:
             "ShaderNodeAttribute", attribute_type="INSTANCER", attribute_name=RADIANCE_ATTRIBUTE
         )
         radiance, opacity = build.output(attribute, "Color"), build.output(attribute, "Alpha")
-        falloff = build.math("POWER", opacity * 255.0, 0.0 - squared)
+        falloff = build.math("POWER", opacity * (1.0 / ALPHA_MIN), 0.0 - squared)
         alpha = build.math("MINIMUM", opacity * falloff, ALPHA_MAX)
         alpha = alpha * build.math("LESS_THAN", squared, 1.0, label="alpha > 1/255")
         if shape == "ellipsoid":

@@ -25,11 +25,12 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ..bridge.display import SRGB_CODE_KNEE, SRGB_OFFSET, SRGB_POWER, SRGB_SLOPE
+from ..bridge import srgb
 from ..bridge.lights import AMBIENT
 from ..bridge.model_file import Model
 from ..bridge.spherical_harmonics import C0, C1, C2, C3, coefficient_count
-from .material import ALPHA_MIN, RADIANCE_ATTRIBUTE, splat_material
+from ..bridge.splatting import ALPHA_MIN, JACOBIAN_MARGIN, LOW_PASS, NEAR_PLANE
+from .material import RADIANCE_ATTRIBUTE, splat_material
 from .node_builder import Field, NodeBuilder
 from .point_cloud import share_attribute
 
@@ -46,10 +47,6 @@ IMAGE_WIDTH = "Image width"
 FIXED_ATTRIBUTE = "physhdr:fixed"
 AMBIENT_ATTRIBUTE = "physhdr:ambient"
 
-#: Rasterisers widen every splat by this variance in pixel² and this clamp (rasterize/contract.py).
-LOW_PASS = 0.3
-JACOBIAN_MARGIN = 0.3
-NEAR_PLANE = 0.01
 #: An icosahedron of this radius encloses the unit sphere (1 / 0.7947, its insphere's radius).
 ICOSPHERE_RADIUS = 1.26
 
@@ -404,9 +401,9 @@ class _Assembly:
             decoded = []
             for channel in ("Red", "Green", "Blue"):
                 code = make.output(parts, channel)
-                power = make.math("POWER", (code + SRGB_OFFSET) * (1.0 / (1.0 + SRGB_OFFSET)), SRGB_POWER)
-                bright = make.math("GREATER_THAN", code, SRGB_CODE_KNEE)
-                decoded.append(self.switch(bright, code * (1.0 / SRGB_SLOPE), power))
+                power = make.math("POWER", (code + srgb.OFFSET) * (1.0 / srgb.SCALE), srgb.POWER)
+                bright = make.math("GREATER_THAN", code, srgb.CODE_KNEE)
+                decoded.append(self.switch(bright, code * (1.0 / srgb.SLOPE), power))
             return make.field("ShaderNodeCombineXYZ", *decoded)
 
     def _exp(self, vector: Field) -> Field:
@@ -444,7 +441,7 @@ class _Assembly:
             wanted = make.math("GREATER_THAN", self.inputs[IMAGE_WIDTH], 0.0)
             widening = pixel * pixel * (wanted * LOW_PASS) * self.camera.exists
         with make.frame("Reach: standard deviations to alpha = 1/255"):
-            reach = make.math("SQRT", make.math("LOGARITHM", self.opacity * 255.0, 2.718281828459045) * 2.0)
+            reach = make.math("SQRT", make.math("LOGARITHM", self.opacity * (1.0 / ALPHA_MIN), math.e) * 2.0)
             visible = make.math("GREATER_THAN", self.opacity, ALPHA_MIN)
         rotation = self.named("rotation", "QUATERNION")
         scale = self.named("scale")

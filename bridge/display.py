@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from . import srgb
 from .errors import BadValueError
 from .lights import AMBIENT, Levels, as_levels, in_words
 from .model_file import Model
@@ -31,31 +32,12 @@ Tone = Literal["LEARNED", "SRGB"]
 #: What a baked PLY's header says of each.
 TONE_WORDS: dict[Tone, str] = {"LEARNED": "the learned response", "SRGB": "the sRGB curve"}
 
-#: The sRGB transfer function (IEC 61966-2-1): slope and end of its straight piece, and its power piece.
-SRGB_SLOPE = 12.92
-SRGB_CODE_KNEE, SRGB_LINEAR_KNEE = 0.04045, 0.0031308
-SRGB_OFFSET, SRGB_POWER = 0.055, 2.4
-
 #: Display colours below this (2.5 of 255) are lifted to it before their logarithm is taken: black has none,
 #: and a deeper floor makes the fit ring. The fitted colour of random degree 3 Gaussians is then off by 0.006
 #: of 1 (root mean square) where their coefficients vary by 0.05, tests/bridge/test_ply_model.py.
 DISPLAY_FLOOR = 0.01
 #: Nodes of the quadrature with which ln radiance is fitted, by degree.
 _LOG_FIT_NODES = (1, 3, 4, 5)
-
-
-def to_linear(code: np.ndarray | float) -> np.ndarray:
-    """Scene-linear values of sRGB codes; codes above 1 go on along the curve."""
-    code = np.asarray(code)
-    power = ((np.maximum(code, SRGB_CODE_KNEE) + SRGB_OFFSET) / (1.0 + SRGB_OFFSET)) ** SRGB_POWER
-    return np.where(code <= SRGB_CODE_KNEE, code / SRGB_SLOPE, power)
-
-
-def to_srgb(linear: np.ndarray) -> np.ndarray:
-    """sRGB codes of scene-linear values; values above 1 go on along the curve."""
-    linear = np.asarray(linear)
-    power = (1.0 + SRGB_OFFSET) * np.maximum(linear, SRGB_LINEAR_KNEE) ** (1.0 / SRGB_POWER) - SRGB_OFFSET
-    return np.where(linear <= SRGB_LINEAR_KNEE, linear * SRGB_SLOPE, power)
 
 
 def log_radiance_of(colour_sh: np.ndarray, color_space: ColorSpace = "SRGB") -> np.ndarray:
@@ -67,7 +49,7 @@ def log_radiance_of(colour_sh: np.ndarray, color_space: ColorSpace = "SRGB") -> 
     degree = degree_of(colour_sh.shape[1])
     directions, weights = quadrature(_LOG_FIT_NODES[degree])
     evaluate = basis(directions, degree)
-    linear_floor = np.float32(to_linear(DISPLAY_FLOOR))
+    linear_floor = np.float32(srgb.to_linear(DISPLAY_FLOOR))
 
     def log_of_linear(colour: np.ndarray) -> np.ndarray:
         colour += np.float32(0.5)
@@ -77,13 +59,13 @@ def log_radiance_of(colour_sh: np.ndarray, color_space: ColorSpace = "SRGB") -> 
     def log_of_srgb(code: np.ndarray) -> np.ndarray:
         # ln of the power piece: one logarithm instead of a power and a logarithm.
         code += np.float32(0.5)
-        straight = np.flatnonzero(code < SRGB_CODE_KNEE)
-        low = np.log(np.maximum(code.reshape(-1)[straight] / np.float32(SRGB_SLOPE), linear_floor))
+        straight = np.flatnonzero(code < srgb.CODE_KNEE)
+        low = np.log(np.maximum(code.reshape(-1)[straight] / np.float32(srgb.SLOPE), linear_floor))
         np.maximum(code, np.float32(DISPLAY_FLOOR), out=code)
-        code += np.float32(SRGB_OFFSET)
-        code *= np.float32(1.0 / (1.0 + SRGB_OFFSET))
+        code += np.float32(srgb.OFFSET)
+        code *= np.float32(1.0 / srgb.SCALE)
         np.log(code, out=code)
-        code *= np.float32(SRGB_POWER)
+        code *= np.float32(srgb.POWER)
         code.reshape(-1)[straight] = low
         return code
 
@@ -127,10 +109,10 @@ def display_colour_sh(
             log_exposed[..., c, :] = np.interp(log_exposed[..., c, :], log_exposure, curve[:, c]) - 0.5
         return log_exposed
 
-    def srgb(log_exposed: np.ndarray) -> np.ndarray:
-        return (to_srgb(exponential(log_exposed)) - 0.5).astype(np.float32)
+    def through_srgb(log_exposed: np.ndarray) -> np.ndarray:
+        return (srgb.to_srgb(exponential(log_exposed)) - 0.5).astype(np.float32)
 
-    function = learned if tone == "LEARNED" else srgb
+    function = learned if tone == "LEARNED" else through_srgb
     return refit(sh, function, basis(directions, degree), project)
 
 

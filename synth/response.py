@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..bridge.srgb import to_srgb
 from . import folder
 from .errors import DamagedFileError, ResponseFileError, UnknownNameError
 
@@ -51,9 +52,8 @@ def reinhard_gamma(exposed: np.ndarray) -> np.ndarray:
 
 
 def srgb(exposed: np.ndarray) -> np.ndarray:
-    """The transfer function of IEC 61966-2-1, clipped at 1."""
-    x = np.minimum(exposed, 1.0)
-    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1.0 / 2.4) - 0.055)
+    """The sRGB curve, clipped at 1."""
+    return to_srgb(np.minimum(exposed, 1.0))
 
 
 def filmic(exposed: np.ndarray) -> np.ndarray:

@@ -5,6 +5,8 @@ from enum import IntFlag, auto
 
 import gpu
 
+from ...bridge import srgb
+
 #: Samples of a tone curve on the GPU, equally spaced in ln(exposure).
 TONE_SAMPLES = 1024
 
@@ -54,7 +56,8 @@ float tone_channel(float radiance, int channel)
   float high = texelFetch(tone_curve, ivec2(below + 1, 0), 0)[channel];
   float display = mix(low, high, place - float(below));
   // The learned response is a display value. As light, so that the Standard view shows just it.
-  return display <= 0.04045 ? display / 12.92 : pow((display + 0.055) / 1.055, 2.4);
+  return display <= SRGB_CODE_KNEE ? display / SRGB_SLOPE
+                                   : pow((display + SRGB_OFFSET) / SRGB_SCALE, SRGB_POWER);
 }
 
 void main()
@@ -92,6 +95,8 @@ void main()
 def create() -> gpu.types.GPUShader:
     info = gpu.types.GPUShaderCreateInfo()
     info.define("TONE_SAMPLES", str(TONE_SAMPLES))
+    for name in ("CODE_KNEE", "SLOPE", "OFFSET", "SCALE", "POWER"):
+        info.define(f"SRGB_{name}", repr(getattr(srgb, name)))
     info.vertex_in(0, "VEC2", "corner")
     interface = gpu.types.GPUStageInterfaceInfo("physhdr_overlay")
     interface.smooth("VEC2", "at")

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import gpu
 import numpy as np
 
+from ...bridge.splatting import NEAR_PLANE
 from . import gpu_arrays, splat_shaders
 from .camera import ViewCamera, object_to_camera
 from .depth_order import back_to_front
@@ -140,7 +141,7 @@ class SplatRenderer:
             first_row += item.splats.rows
         depth, texel = np.concatenate(depths), np.concatenate(texels)
         if not camera.is_orthographic:
-            in_front = depth >= splat_shaders.NEAR_PLANE
+            in_front = depth >= NEAR_PLANE
             if not in_front.all():
                 depth, texel = depth[in_front], texel[in_front]
         typical = float(np.median(depth[:: max(1, depth.size // 4096)])) if depth.size else 1.0

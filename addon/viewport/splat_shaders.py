@@ -9,13 +9,8 @@ triangle for each into the picture, the farthest first.
 import gpu
 
 from ...bridge import spherical_harmonics as sh
+from ...bridge import splatting
 from .splat_data import WIDTH
-
-LOW_PASS = 0.3
-ALPHA_MAX = 0.999
-ALPHA_MIN = 1.0 / 255.0
-JACOBIAN_MARGIN = 0.3
-NEAR_PLANE = 0.01
 
 #: Bits of ``counts.w``.
 DEGREE, ORTHOGRAPHIC, HAS_LEVELS = 3, 4, 8
@@ -226,5 +221,5 @@ def _new_info() -> gpu.types.GPUShaderCreateInfo:
     info.vertex_in(0, "VEC2", "corner")
     info.define("WIDTH", str(WIDTH))
     for name in ("LOW_PASS", "ALPHA_MAX", "ALPHA_MIN", "JACOBIAN_MARGIN", "NEAR_PLANE"):
-        info.define(name, repr(globals()[name]))
+        info.define(name, repr(getattr(splatting, name)))
     return info

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from ...bridge.atomic import atomic_path
-from ...bridge.display import to_srgb
 from ...bridge.errors import BadValueError
+from ...bridge.srgb import to_srgb
 from ..scene.scene import Scene
 from . import truth
 from .metrics import resize_to

@@ -13,9 +13,9 @@ import torch
 from torch import nn
 
 from ...bridge.errors import BadValueError
-from ..rasterize.contract import LOW_PASS
-from ..resident import camera_tensors
-from ..scene.camera import NEAR_PLANE, Camera
+from ...bridge.splatting import LOW_PASS, NEAR_PLANE
+from ..scene.camera import Camera
+from ..scene.resident import camera_tensors
 from ..train.morton import morton_order
 from ..train.rates import Rate
 from .anchor_networks import DIRECTION, Head, run_heads

@@ -30,9 +30,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from ..resident import camera_tensors
-from ..scene.camera import NEAR_PLANE, Camera
-from .contract import LOW_PASS, Rasterization
+from ...bridge.splatting import LOW_PASS, NEAR_PLANE
+from ..scene.camera import Camera
+from ..scene.resident import camera_tensors
+from .contract import Rasterization
 
 TILE = 16
 

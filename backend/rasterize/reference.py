@@ -7,15 +7,16 @@ footprint can touch it is evaluated densely at every pixel.
 
 import torch
 
-from ..scene.camera import NEAR_PLANE, Camera
-from .contract import (
+from ...bridge.splatting import (
     ALPHA_MAX,
     ALPHA_MIN,
     JACOBIAN_MARGIN,
     LOW_PASS,
+    NEAR_PLANE,
     TRANSMITTANCE_MIN,
-    Rasterization,
 )
+from ..scene.camera import Camera
+from .contract import Rasterization
 
 TILE = 16
 

@@ -11,9 +11,6 @@ import torch
 from ...bridge.axes import world_to_camera_opencv
 from ...bridge.errors import BadValueError
 
-#: Gaussians nearer to the camera than this (metres) are not drawn, as in GaussHDR and gsplat.
-NEAR_PLANE = 0.01
-
 
 @dataclass(frozen=True, eq=False)
 class Camera:

@@ -7,6 +7,7 @@ import time
 import numpy as np
 import torch
 
+from ...bridge import srgb
 from ...bridge.errors import BadValueError
 from ...bridge.lights import as_levels
 from ...bridge.limits import EV_MAX
@@ -59,7 +60,8 @@ def levels_of(request: PreviewRequest, lights: tuple[str, ...]) -> tuple[float, 
 
 def srgb_to_linear(codes: torch.Tensor) -> torch.Tensor:
     """IEC 61966-2-1, on [0, 1]."""
-    return torch.where(codes <= 0.04045, codes / 12.92, ((codes + 0.055) / 1.055) ** 2.4)
+    power = ((codes + srgb.OFFSET) / srgb.SCALE) ** srgb.POWER
+    return torch.where(codes <= srgb.CODE_KNEE, codes / srgb.SLOPE, power)
 
 
 @torch.no_grad()

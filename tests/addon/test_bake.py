@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from physhdr.bridge import display
+from physhdr.bridge import srgb
 from physhdr.bridge.affine import matrices_of
 from physhdr.bridge.gaussian_ply import read_ply
 from physhdr.bridge.spherical_harmonics import basis
@@ -92,7 +92,7 @@ def test_the_operator_bakes_the_look_of_the_sliders(registered, make_toned, writ
     constant = np.exp(0.5 / math.sqrt(math.pi) * model.log_radiance_sh[:, 0])
     relit = 2**1.5 * constant * (1.0 + model.light_share[:, 0])
     shown = 0.5 + 0.28209479 * colour_sh(flat.columns)[:, 0]
-    np.testing.assert_allclose(shown, display.to_srgb(relit), rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(shown, srgb.to_srgb(relit), rtol=1e-4, atol=1e-5)
 
 
 def test_a_bake_of_several_lights_is_the_models_radiance_at_their_levels(
@@ -112,7 +112,7 @@ def test_a_bake_of_several_lights_is_the_models_radiance_at_their_levels(
         assert ply.comments[-1].endswith(f"baked at EV 0, lighting levels {words}")
         radiance = model.radiance(np.tile([0.0, 0.0, 1.0], (model.count, 1)), levels)
         shown = 0.5 + 0.28209479 * colour_sh(ply.columns)[:, 0]
-        np.testing.assert_allclose(shown, display.to_srgb(radiance), rtol=1e-4, atol=1e-5)
+        np.testing.assert_allclose(shown, srgb.to_srgb(radiance), rtol=1e-4, atol=1e-5)
 
 
 EXPORT = """

@@ -10,8 +10,8 @@ import gpu  # noqa: E402
 from physhdr.addon.viewport import gpu_arrays  # noqa: E402
 from physhdr.addon.viewport.camera import ViewCamera, from_matrices  # noqa: E402
 from physhdr.addon.viewport.overlay import Compositor, Layer, Picture, ToneCurve, upload  # noqa: E402
-from physhdr.bridge.display import to_linear  # noqa: E402
 from physhdr.bridge.errors import DataMismatchError  # noqa: E402
+from physhdr.bridge.srgb import to_linear  # noqa: E402
 
 WIDTH, HEIGHT = 60, 40
 NEAR, FAR = 0.1, 100.0

@@ -25,7 +25,8 @@ of x/z and y/z inside J passes no gradient where it acts.
 import numpy as np
 from numba import njit
 
-from ...scene.camera import NEAR_PLANE, Camera
+from ....bridge.splatting import ALPHA_MIN, JACOBIAN_MARGIN, LOW_PASS, NEAR_PLANE
+from ...scene.camera import Camera
 from ...simd import (
     LANES,
     absolute,
@@ -46,7 +47,6 @@ from ...simd import (
     store_transposed,
     total,
 )
-from ..contract import ALPHA_MIN, JACOBIAN_MARGIN, LOW_PASS
 
 #: Floats of a Gaussian's record; its colours follow after ``RECORD_HEAD`` of them. A record of six channels
 #: is one cache line.

@@ -25,6 +25,7 @@ v is 0 where alpha was clamped. Per Gaussian and tile, Σ v and its moments abou
 import numpy as np
 from numba import njit
 
+from ....bridge.splatting import ALPHA_MAX, TRANSMITTANCE_MIN
 from ...simd import (
     LANES,
     absolute,
@@ -57,7 +58,6 @@ from ...simd import (
     take_ticket,
     zero_each,
 )
-from ..contract import ALPHA_MAX, TRANSMITTANCE_MIN
 from .projection import (
     BIAS,
     INVERSE_L11,

@@ -8,7 +8,8 @@ import pytest
 import torch
 
 from physhdr.backend.rasterize import rasterize
-from physhdr.backend.scene.camera import NEAR_PLANE, Camera
+from physhdr.backend.scene.camera import Camera
+from physhdr.bridge.splatting import NEAR_PLANE
 
 #: Three axes of different lengths: a sphere's rotation has no gradient to compare.
 ELLIPSOID = torch.tensor([1.0, 0.6, 0.3])

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from physhdr.backend.rasterize import contract, reference
+from physhdr.backend.rasterize import reference
+from physhdr.bridge import splatting
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -65,5 +66,5 @@ def test_a_side_that_draws_otherwise_is_found(monkeypatch):
 
     assert failures() == set()
     # A rasteriser that leaves out faint edges.
-    monkeypatch.setattr(reference, "ALPHA_MIN", 4 * contract.ALPHA_MIN)
+    monkeypatch.setattr(reference, "ALPHA_MIN", 4 * splatting.ALPHA_MIN)
     assert {"3 channels: picture", "3 channels: gradient of means"} <= failures()
