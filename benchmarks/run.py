@@ -32,7 +32,7 @@ from rich.console import Console
 from rich.table import Table
 from shares import shares
 
-from physhdr.backend.kernels.warmup import warmup
+from physhdr.backend.kernels.ahead import compile_ahead
 from physhdr.backend.rasterize import cpu
 from physhdr.backend.train.presets import needed_by_presets
 
@@ -182,7 +182,7 @@ def main() -> None:
         console = Console(width=WIDTH)
     with console.status("compiling …") as status:
         start = time.perf_counter()
-        warmup(
+        compile_ahead(
             needed_by_presets(),
             lambda what, done, total: status.update(f"compiling {done}/{total}: {what}"),
         )

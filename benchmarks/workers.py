@@ -79,14 +79,14 @@ def speeds(threads: str) -> dict[str, float]:
     from measure import alternate
     from synthetic import gaussians, steady_trainer
 
-    from physhdr.backend.kernels.warmup import warmup
+    from physhdr.backend.kernels.ahead import compile_ahead
     from physhdr.backend.rasterize import cpu
     from physhdr.backend.train.presets import needed_by_presets
 
     cpu.set_threads(int(threads))
     torch.set_num_threads(int(threads))
     start = time.perf_counter()
-    warmup(needed_by_presets())
+    compile_ahead(needed_by_presets())
     ready = time.perf_counter() - start
     steps = {
         "draw 50 k, 6 channels": draw(*gaussians(50_000, 6)),

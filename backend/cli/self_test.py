@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from ..device import choose_device
-from ..kernels.warmup import warmup
+from ..kernels.ahead import compile_ahead
 from ..methods.base import SplattingMethod
 from ..scene import Camera, Points, Scene, View
 from ..scene.scene import PictureCache
@@ -41,7 +41,7 @@ def device(report: Callable[[str], None]) -> tuple[str, str]:
 
 def compile_kernels(report: Callable[[str, int, int], None]) -> None:
     """Those of all presets: each then starts at once."""
-    warmup(needed_by_presets(), report)
+    compile_ahead(needed_by_presets(), report)
 
 
 def made_up_scene() -> Scene:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from rich.progress import Progress
 
-from ..kernels.warmup import Needs, warmup
+from ..kernels.ahead import Needs, compile_ahead
 from ..runs.terminal import console
 from ..train.presets import needed_by_presets
 
@@ -19,7 +19,7 @@ def compile_kernels(needs: Needs) -> float:
     begun = time.perf_counter()
     with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("compiling kernels", total=None)
-        warmup(
+        compile_ahead(
             needs,
             lambda what, done, total: bar.update(
                 task, completed=done, total=total, description=f"compiled {what}"

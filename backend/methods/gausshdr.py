@@ -17,11 +17,11 @@ from torch import nn
 
 from ...bridge.errors import BadValueError
 from ...bridge.lights import Levels, as_levels
+from ..kernels.ahead import Needs
 from ..kernels.local_curves import local_curves
 from ..kernels.plain import can_fuse
 from ..kernels.pointwise import log_of_exposure
 from ..kernels.ssim import SsimTarget, ssim_and_error, ssim_map
-from ..kernels.warmup import Needs
 from ..model.backbone import Attributes, Backbone, Splats
 from ..model.gaussians import LOG_RADIANCE_RANGE
 from ..model.radiance import DARKEST, SmallNetwork

@@ -21,8 +21,8 @@ from torch.nn import functional
 
 from ...bridge.errors import BadValueError, FileMissingError
 from ...bridge.lights import Levels, as_levels
+from ..kernels.ahead import Needs
 from ..kernels.ssim import ssim_and_error
-from ..kernels.warmup import Needs
 from ..model.backbone import Attributes, Backbone, Splats
 from ..model.gaussians import LOG_RADIANCE_RANGE
 from ..model.radiance import DARKEST

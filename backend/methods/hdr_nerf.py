@@ -19,7 +19,7 @@ import torch
 
 from ...bridge.lights import Levels, as_levels
 from ..device import use_whole_float32
-from ..kernels.warmup import Needs
+from ..kernels.ahead import Needs
 from ..model.field import Field, FieldConfig, importance_samples, ray_weights, stratified
 from ..model.gaussians import LOG_RADIANCE_RANGE
 from ..model.rays import Rays, RaySpace, pixel_directions

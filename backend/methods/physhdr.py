@@ -14,9 +14,9 @@ import torch
 
 from ...bridge.errors import BadValueError
 from ...bridge.lights import AMBIENT, Levels, as_levels, check_lights
+from ..kernels.ahead import COMPOSER, FUSION, MODULATOR, Needs
 from ..kernels.plain import can_fuse
 from ..kernels.ssim import SsimTarget
-from ..kernels.warmup import COMPOSER, FUSION, MODULATOR, Needs
 from ..model.backbone import Attributes, Backbone, Splats
 from ..model.radiance import AdditiveModulator, LearnedComposer, LearnedModulator, ProductComposer
 from ..model.tone_mapper import ToneMapper, ToneMapperConfig

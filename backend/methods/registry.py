@@ -7,7 +7,7 @@ from typing import Any
 
 from ...bridge.errors import BadValueError
 from ...bridge.lights import AMBIENT
-from ..kernels.warmup import Needs
+from ..kernels.ahead import Needs
 from ..model.anchors import Anchors, AnchorsConfig
 from ..model.backbone import Attributes, Backbone
 from ..model.gaussians import Gaussians

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ...bridge.regular import require_text
 from ..device import DeviceName, choose_device
-from ..kernels.warmup import Needs
+from ..kernels.ahead import Needs
 from ..methods.registry import kernels_needed
 from ..rasterize import Implementation
 from ..scene import Scene, read_scene

@@ -39,7 +39,7 @@ from ...bridge.messages import (
 )
 from ...bridge.model_file import SUFFIX, refuse_what_is_not_ours, write_model
 from ..device import DeviceName, choose_device
-from ..kernels.warmup import Needs, warmup
+from ..kernels.ahead import Needs, compile_ahead
 from ..memory import is_out_of_memory
 from ..methods.registry import kernels_needed
 from ..rasterize.cpu import set_threads, thread_count
@@ -452,7 +452,7 @@ class Engine:
 
     def _compile(self, needs: Needs) -> None:
         """The kernels of a method and of its previews."""
-        warmup(
+        compile_ahead(
             needs | Needs(channels=(PREVIEW_CHANNELS,)),
             lambda what, done, total: self._progress_of_preparing(
                 f"compiling kernels {done}/{total}: {what}"

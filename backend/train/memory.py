@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import torch
 
 from ...bridge.lights import AMBIENT
-from ..kernels.warmup import CONTEXT
+from ..kernels.ahead import CONTEXT
 from ..memory import NotEnoughMemoryError, Room, cores, gigabytes, room
 from ..methods.base import SplattingMethod
 from ..methods.registry import Facts, kernels_needed, new_method

@@ -10,7 +10,7 @@ import dataclasses
 import functools
 import operator
 
-from ..kernels.warmup import Needs
+from ..kernels.ahead import Needs
 from ..methods.gausshdr import GaussHDRConfig
 from ..methods.hdr_gs import HDRGSConfig
 from ..methods.hdr_nerf import HDRNeRFConfig

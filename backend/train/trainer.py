@@ -34,9 +34,9 @@ from .config import TrainConfig, fingerprint
 from .densify import GaussianGrowth
 from .events import Event, Finished, Progress, Saved, Started
 from .growth import Growth, NoGrowth
+from .half_size import halved
 from .initialise import initial_points, merged_log_radiance, scene_extent
 from .optimisers import ADAM, Optimiser
-from .warm_up import halved
 
 CHECKPOINT_FILE = "checkpoint.safetensors"
 #: Prefix of the backbone's parameters in a checkpoint, of either backbone.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Resolution warm-up: early iterations see views at half their size.
+"""Views at half their size, as early iterations see them (``half_size_until``).
 
 While Gaussians are few and blurred, a quarter of the pixels teaches as much. Pictures are averaged as they
 are, display-referred: at a bright edge that differs from the picture of averaged radiance, which is one more

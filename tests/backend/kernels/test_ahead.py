@@ -9,7 +9,7 @@ import sys
 FIRST_STEPS = """
 import dataclasses, json, sys
 import numba.core.registry
-from physhdr.backend.kernels.warmup import warmup
+from physhdr.backend.kernels.ahead import compile_ahead
 from physhdr.backend.scene import read_scene
 from physhdr.backend.train.presets import PRESETS, needed_by_presets
 from physhdr.backend.train.trainer import Trainer
@@ -23,7 +23,7 @@ def compiled():
                 found[f"{value.py_func.__module__}.{value.py_func.__name__}"] = len(value.signatures)
     return found
 
-warmup(needed_by_presets())
+compile_ahead(needed_by_presets())
 scene, more = read_scene(sys.argv[1]), {}
 for preset in sys.argv[2:]:
     before = compiled()

@@ -54,7 +54,7 @@ class Needs:
         )
 
 
-def warmup(needs: Needs, report: Callable[[str, int, int], None] | None = None) -> None:
+def compile_ahead(needs: Needs, report: Callable[[str, int, int], None] | None = None) -> None:
     """Run what is needed once on a few numbers. ``report(what, done, total)`` is called after each.
 
     About 25 s on two cores where nothing is cached, else a second. The compiler works on one core, so
