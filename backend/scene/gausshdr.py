@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The reader of GaussHDR's packaging, in which it ships HDR-NeRF-Syn, HDR-NeRF-Real and HDR-Plenoxels-Real,
-and which ``physhdr prepare`` writes (shared/method.md section 3).
+and which ``physhdr prepare`` writes (https://github.com/LiuJF1226/GaussHDR).
 
 ``images/<name>_<k>.png`` or ``.jpg``, ``sparse/0`` of COLMAP with one picture a pose, ``exposure.json`` of
 seconds by file name. Names say ``train`` or ``test``. Exposures that were not taken have no entry.

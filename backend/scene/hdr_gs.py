@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The reader of HDR-GS's packaging of HDR-NeRF-Syn (shared/method.md section 2).
+"""The reader of HDR-GS's packaging of HDR-NeRF-Syn (https://github.com/caiyuanhao1998/HDR-GS).
 
 ``images/<pose>_<k>.png``, ``exr/<pose>.exr`` and ``sparse/0`` of COLMAP with one picture a pose. It has no
 file of exposures (HDR-GS has five numbers in its code, wrong for some scenes): ``exposure.json`` must be

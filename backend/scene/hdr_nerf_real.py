@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The reader of HDR-NeRF-Real's layout, which is LLFF's with exposures (shared/method.md section 1).
+"""The reader of HDR-NeRF-Real's layout, which is LLFF's with exposures (https://github.com/xhuangcv/hdr-nerf,
+https://github.com/Fyusion/LLFF).
 
 ``input_images/<pose>_<k>.jpg`` and ``poses_bounds_exps.npy`` with a row of 18 numbers a picture, in the order
 of names: a 3×5 matrix (LLFF's axes, position, then height, width, focal length), nearest and farthest depth,

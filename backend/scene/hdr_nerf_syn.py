@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The reader of HDR-NeRF-Syn's layout and of our own data sets, which extend it (docs/formats.md).
 
-Source of the layout: HDR-NeRF's loader (shared/method.md section 1). Headers of all pictures are checked
-here, once; their pixels are decoded when a view is asked for them.
+The layout is that of Blender's NeRF scenes with a file of exposures, as HDR-NeRF loads it
+(https://github.com/xhuangcv/hdr-nerf). Headers of all pictures are checked here, once; their pixels are
+decoded when a view is asked for them.
 """
 
 import re

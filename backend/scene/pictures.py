@@ -20,7 +20,7 @@ from ...bridge.regular import damaged_where_it_fails, regular_file
 
 #: A file of N bytes can hold at most this many pixels per byte. RLE, the weakest of EXR's codecs, reaches 64
 #: on constant data and ZIP about 1000; a real render stays below 1. A 376-byte file that claims 16000×16000
-#: would make the OpenEXR library allocate 1.5 GB (shared/data.md).
+#: makes the OpenEXR library (3.5) allocate 1.5 GB before it notices that the pixels are not there.
 MAX_PIXELS_PER_BYTE = 1024
 #: Nor more values of all channels. Measured on a constant picture of 2048×2048: DWAB 4015, ZIP 412, RLE 29.
 MAX_VALUES_PER_BYTE = 4096

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Pictures at less than their full size, and the cameras that belong to them.
 
-Each published data set has its convention (shared/method.md sections 1 to 3): HDR-NeRF averages areas,
-the 3DGS lineage (HDR-GS, GaussHDR) resamples with Pillow's bicubic filter.
+Each published data set has the convention of the code that reads it: HDR-NeRF averages areas (OpenCV's
+INTER_AREA, ImageMagick), the 3DGS lineage (HDR-GS, GaussHDR) resamples with Pillow's bicubic filter.
 """
 
 import math

@@ -53,8 +53,8 @@ def write_tiny_scene(
 ) -> Path:
     """Write the data set; half of ``views`` are for training, and two more lit views.
 
-    With two ``lights`` there are lit and relit views at pairs of their levels, as issue 5's data sets name
-    them: each Gaussian and channel has a share of each light, and a fixed one.
+    With two ``lights`` there are lit and relit views at pairs of their levels, named as data sets name them
+    (docs/formats.md): each Gaussian and channel has a share of each light, and a fixed one.
     """
     two = len(lights) == 2
     rng = np.random.default_rng(seed)
