@@ -5,34 +5,33 @@ It looks at the JSON files and at the headers of pictures, so that a panel can s
 own reader checks more when it reads (backend/scene).
 """
 
-from __future__ import annotations
-
 import math
 import struct
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ..bridge.errors import BadValueError, FileDamagedError, FileMissingError, PhysHDRError
-from ..bridge.limits import EXPOSURE, LEVEL
+from ..bridge import data_set
+from ..bridge.contents import SplitContents, split_contents
+from ..bridge.errors import FileDamagedError, FileMissingError, PhysHDRError
+from ..bridge.lights import AMBIENT
+from ..bridge.limits import LEVEL, is_number
 from ..bridge.regular import read_json_object, regular_file
 
-SPLITS = ("train", "test", "lit")
-FORMAT, VERSION = "physhdr-dataset", 1
-FINAL, PARTIAL = "dataset.json", "dataset.partial.json"
-POINTS = "points3d.ply"
+#: Of a number of points.
 MOST_DIGITS = 12
-"""Of a number of points."""
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+#: From one exposure no dynamic range can be learned.
 FEWEST_EXPOSURES = 2
-"""From one exposure no dynamic range can be learned."""
+#: float32 has 277.
 MOST_STOPS = 1000
-"""float32 has 277."""
+#: So many missing files are named; of the rest the number is told.
 NAMED = 3
-"""So many missing files are named; of the rest the number is told."""
 
 MAKE_AGAIN = "Render the data set again into the same folder: only what is missing is made."
-CHOOSE = "Choose the folder that holds transforms_train.json, or render a data set from this scene."
+TRAINING = data_set.transforms_file(data_set.TRAIN)
+CHOOSE = f"Choose the folder that holds {TRAINING}, or render a data set from this scene."
 
 
 @dataclass(frozen=True)
@@ -48,7 +47,6 @@ class DatasetSummary:
     change another light than the ambient one. ``warnings``: what is wrong, in the order of its weight.
     """
 
-    folder: Path
     name: str
     views: dict[str, int]
     size: tuple[int, int] | None = None
@@ -61,9 +59,7 @@ class DatasetSummary:
     lights: tuple[str, ...] = ()
     lit_lights: tuple[str, ...] = ()
     mixtures: int = 0
-    truth: bool = False
-    complete: bool = True
-    warnings: tuple[str, ...] = field(default=())
+    warnings: tuple[str, ...] = ()
 
     @property
     def evs(self) -> tuple[float, ...]:
@@ -72,40 +68,37 @@ class DatasetSummary:
 
     @property
     def lines(self) -> list[str]:
-        """What a panel shows, without the warnings."""
-        return lines(self)
-
-
-def lines(summary: DatasetSummary) -> list[str]:
-    """One line each of views and size, exposures, dynamic range, ambient light, lights, points."""
-    views = summary.views
-    parts = [f"{views.get('train', 0)} training views", f"{views.get('test', 0)} test"]
-    if "lit" in views:
-        parts.append(f"{views['lit']} under other light")
-    size = f", {summary.size[0]} × {summary.size[1]}" if summary.size else ""
-    told = [f"{summary.name}: {', '.join(parts)}{size}"]
-    if summary.exposures:
-        many = "exposures" if len(summary.exposures) > 1 else "exposure"
-        told.append(f"{len(summary.exposures)} {many}: EV {', '.join(f'{ev:+.3g}' for ev in summary.evs)}")
-    if summary.stops is not None:
-        told.append(f"Dynamic range: {summary.stops:.1f} stops ({summary.stops_from})")
-    light = []
-    if summary.levels:
-        light.append(f"trained at {_levels(summary.levels)}")
-    if summary.relit_levels:
-        light.append(f"truth at {_levels(summary.relit_levels)}")
-    if light:
-        told.append(f"Ambient light: {'; '.join(light)}")
-    if summary.lights:
-        parts = [", ".join(summary.lights)]
-        if summary.lit_lights:
-            parts.append(f"levels to learn from: {', '.join(summary.lit_lights)}")
-        if summary.mixtures:
-            parts.append(f"truth for {summary.mixtures} mixture{'s' if summary.mixtures > 1 else ''}")
-        told.append(f"Lights: {'; '.join(parts)}")
-    if summary.points is not None:
-        told.append(f"{summary.points} first points")
-    return told
+        """What a panel shows without the warnings: one line each of views and size, exposures, dynamic range,
+        ambient light, lights, points.
+        """
+        views = self.views
+        parts = [f"{views.get(data_set.TRAIN, 0)} training views", f"{views.get(data_set.TEST, 0)} test"]
+        if data_set.LIT in views:
+            parts.append(f"{views[data_set.LIT]} under other light")
+        size = f", {self.size[0]} × {self.size[1]}" if self.size else ""
+        told = [f"{self.name}: {', '.join(parts)}{size}"]
+        if self.exposures:
+            many = "exposures" if len(self.exposures) > 1 else "exposure"
+            told.append(f"{len(self.exposures)} {many}: EV {', '.join(f'{ev:+.3g}' for ev in self.evs)}")
+        if self.stops is not None:
+            told.append(f"Dynamic range: {self.stops:.1f} stops ({self.stops_from})")
+        light = []
+        if self.levels:
+            light.append(f"trained at {_levels(self.levels)}")
+        if self.relit_levels:
+            light.append(f"truth at {_levels(self.relit_levels)}")
+        if light:
+            told.append(f"Ambient light: {'; '.join(light)}")
+        if self.lights:
+            parts = [", ".join(self.lights)]
+            if self.lit_lights:
+                parts.append(f"levels to learn from: {', '.join(self.lit_lights)}")
+            if self.mixtures:
+                parts.append(f"truth for {self.mixtures} mixture{'s' if self.mixtures > 1 else ''}")
+            told.append(f"Lights: {'; '.join(parts)}")
+        if self.points is not None:
+            told.append(f"{self.points} first points")
+        return told
 
 
 def summarise(folder: Path | str) -> DatasetSummary:
@@ -120,41 +113,40 @@ def summarise(folder: Path | str) -> DatasetSummary:
     if not folder.is_dir():
         what = "is a file" if folder.exists() else "does not exist"
         raise FileMissingError(f"The data set folder {folder} {what}", CHOOSE)
-    if not (folder / "transforms_train.json").exists():
-        if (folder / PARTIAL).exists():
+    unfinished = data_set.is_unfinished(folder)
+    if not (folder / TRAINING).exists():
+        if unfinished:
             raise FileMissingError(f"The data set in {folder} has only just been begun", MAKE_AGAIN)
-        raise FileMissingError(f"{folder} is no data set: it has no transforms_train.json", CHOOSE)
-    info = _info(folder)
+        raise FileMissingError(f"{folder} is no data set: it has no {TRAINING}", CHOOSE)
+    info = data_set.read_info(folder, MAKE_AGAIN)
     warnings: list[str] = []
-    if (folder / PARTIAL).exists():
+    if unfinished:
         warnings.append(f"The data set is not complete yet. {MAKE_AGAIN}")
+    splits: dict[str, SplitContents] = {}
     views: dict[str, int] = {}
-    brackets: dict[str, dict[str, float]] = {}
     levels: set[float] = set()
-    lit_lights = _names(info, "lit_lights", FINAL, warnings)
-    for split in SPLITS:
-        path = folder / f"transforms_{split}.json"
+    lit_lights = _names(info, "lit_lights", data_set.INFO_FILE, warnings)
+    for name in data_set.SPLITS:
+        path = folder / data_set.transforms_file(name)
         if not path.exists():
             continue
-        content = _transforms(path)
-        frames = content["frames"]
-        views[split] = len(frames)
-        brackets[split] = _exposures(folder / f"exposure_{split}.json", warnings)
-        if split == "lit":
-            levels = _lit_levels(frames, path.name, warnings)
-            lit_lights = _names(content, "lights", path.name, warnings) or lit_lights
-        _check_frames(split, frames, brackets[split], warnings)
-    size = _check_pictures(folder, brackets, warnings)
-    exposures = _check_exposures(brackets.get("train", {}), warnings)
-    if "test" not in views:
+        transforms = _transforms(path)
+        views[name] = len(transforms["frames"])
+        split = splits[name] = _split(folder / data_set.exposure_file(name), transforms, warnings)
+        if name == data_set.LIT:
+            levels = _lit_levels(split, path.name, warnings)
+            lit_lights = _names(transforms, "lights", path.name, warnings) or lit_lights
+        _check_frames(name, split, views[name], warnings)
+    size = _check_pictures(folder, splits.values(), warnings)
+    exposures = _check_exposures(splits[data_set.TRAIN], warnings)
+    if data_set.TEST not in views:
         warnings.append("There is no test split: the quality cannot be measured.")
     stops, stops_from = _stops(info, exposures)
-    points = _point_count(folder / POINTS, warnings)
-    relit = [_number(path.name.removeprefix("level_")) for path in folder.glob("relit/level_*")]
-    settings = [path for path in folder.glob("relit/*") if path.is_dir()]
+    points = _point_count(folder / data_set.POINTS_FILE, warnings)
+    mixtures = [data_set.mixture_levels(name) for name in data_set.mixture_folders(folder)]
+    relit = [mixture[AMBIENT] for mixture in mixtures if list(mixture) == [AMBIENT]]
     return DatasetSummary(
-        folder=folder,
-        name=str(info.get("scene") or folder.resolve().name),
+        name=data_set.scene_name(folder, info),
         views=views,
         size=size,
         exposures=exposures,
@@ -162,13 +154,11 @@ def summarise(folder: Path | str) -> DatasetSummary:
         stops_from=stops_from,
         points=points,
         levels=tuple(sorted(levels)),
-        relit_levels=tuple(sorted(level for level in relit if level is not None)),
+        relit_levels=tuple(sorted(relit)),
         # A folder from elsewhere may tell of no others than those that vary.
-        lights=_names(info, "lights", FINAL, warnings) or lit_lights,
+        lights=_names(info, "lights", data_set.INFO_FILE, warnings) or lit_lights,
         lit_lights=lit_lights,
-        mixtures=len(settings) - sum(level is not None for level in relit),
-        truth=(folder / "test_hdr").is_dir(),
-        complete=not (folder / PARTIAL).exists(),
+        mixtures=len(mixtures) - len(relit),
         warnings=tuple(warnings),
     )
 
@@ -177,27 +167,7 @@ def _levels(levels: tuple[float, ...]) -> str:
     return ", ".join(f"{level:g}" for level in levels)
 
 
-def _number(text: str) -> float | None:
-    try:
-        return float(text)
-    except ValueError:
-        return None
-
-
 # ---- JSON --------------------------------------------------------------------------------------------------
-
-
-def _info(folder: Path) -> dict[str, Any]:
-    """dataset.json, or {} where there is none: HDR-NeRF-Syn's own folders have none."""
-    if not (folder / FINAL).exists():
-        return {}
-    info = read_json_object(folder / FINAL, MAKE_AGAIN)
-    if info.get("format", FORMAT) != FORMAT:
-        raise BadValueError(f"{folder / FINAL} is of the format {info['format']!r}, not {FORMAT}", CHOOSE)
-    version = info.get("version", VERSION)
-    if not isinstance(version, int) or version > VERSION:
-        raise BadValueError(f"{folder / FINAL}: version {version} is not known here", "Update PhysHDR.")
-    return info
 
 
 def _transforms(path: Path) -> dict[str, Any]:
@@ -222,62 +192,50 @@ def _names(content: dict[str, Any], key: str, file: str, warnings: list[str]) ->
     return ()
 
 
-def _lit_levels(frames: list[dict[str, Any]], file: str, warnings: list[str]) -> set[float]:
+def _lit_levels(split: SplitContents, file: str, warnings: list[str]) -> set[float]:
     """The ambient levels of the extra training views; a warning where one is none."""
-    given = [frame.get("lighting_level", 1.0) for frame in frames]
-    right = [level for level in given if _is_number(level) and (level == 0 or level in LEVEL)]
+    given = [frame.levels.get(AMBIENT, 1.0) for frame in split.frames]
+    right = [level for level in given if is_number(level) and (level == 0 or level in LEVEL)]
     if len(right) < len(given):
         wrong = next(level for level in given if level not in right)
         warnings.append(f"{file}: the lighting level {wrong!r:.80} is no number of 0 or more.")
     return {float(level) for level in right}
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
-def _exposures(path: Path, warnings: list[str]) -> dict[str, float]:
-    """Picture → seconds, the names without a leading './'."""
-    if not path.exists():
+def _split(path: Path, transforms: dict[str, Any], warnings: list[str]) -> SplitContents:
+    """The split of which ``path`` tells the exposures; warnings where it is missing or one is none."""
+    exposures: dict[str, Any] = {}
+    if path.exists():
+        exposures = read_json_object(path, MAKE_AGAIN)
+    else:
         warnings.append(f"{path.name} is missing: the exposures are unknown, and training needs them.")
-        return {}
-    found = {}
-    for name, seconds in read_json_object(path, MAKE_AGAIN).items():
-        if not _is_number(seconds) or seconds not in EXPOSURE:
-            warnings.append(f"{path.name}: the exposure of {name} is {seconds!r:.80}, no time in seconds.")
-        else:
-            found[_plain(name)] = float(seconds)
-    return found
-
-
-def _plain(name: str) -> str:
-    return name.replace("\\", "/").removeprefix("./")
+    split = split_contents(transforms, exposures)
+    for name, seconds in split.wrong.items():
+        warnings.append(f"{path.name}: the exposure of {name} is {seconds!r:.80}, no time in seconds.")
+    return split
 
 
 # ---- checks ------------------------------------------------------------------------------------------------
 
 
-def _check_frames(
-    split: str, frames: list[dict[str, Any]], brackets: dict[str, float], warnings: list[str]
-) -> None:
-    if not brackets:
+def _check_frames(name: str, split: SplitContents, count: int, warnings: list[str]) -> None:
+    """``count``: of all frames; those that name no file are told as ``?``."""
+    if not split.pictures:
         return
-    of = {name.rpartition("_")[0] for name in brackets}
-    without = [
-        stem
-        for stem in (_plain(str(frame.get("file_path", "?"))).removesuffix(".png") for frame in frames)
-        if stem not in of
-    ]
+    without = [frame.stem for frame in split.frames if not frame.seconds]
+    without += ["?"] * (count - len(split.frames))
     if without:
-        warnings.append(f"exposure_{split}.json names no picture of {_some(without)}.")
+        warnings.append(f"{data_set.exposure_file(name)} names no picture of {_some(without)}.")
 
 
 def _check_pictures(
-    folder: Path, brackets: dict[str, dict[str, float]], warnings: list[str]
+    folder: Path, splits: Iterable[SplitContents], warnings: list[str]
 ) -> tuple[int, int] | None:
-    missing, damaged, sizes = [], [], {}
-    for names in brackets.values():
-        for name in names:
+    missing: list[str] = []
+    damaged: list[str] = []
+    sizes: dict[tuple[int, int], str] = {}
+    for split in splits:
+        for name in split.pictures:
             try:
                 with open(regular_file(folder / name), "rb") as file:
                     head = file.read(24)
@@ -287,7 +245,8 @@ def _check_pictures(
             if len(head) < 24 or head[:8] != PNG_SIGNATURE:
                 damaged.append(name)
             else:
-                sizes.setdefault(struct.unpack(">II", head[16:24]), name)
+                width, height = struct.unpack(">II", head[16:24])
+                sizes.setdefault((width, height), name)
     if missing:
         warnings.append(f"Pictures are missing ({len(missing)}): {_some(missing)}. {MAKE_AGAIN}")
     if damaged:
@@ -299,14 +258,11 @@ def _check_pictures(
     return next(iter(sizes), None)
 
 
-def _check_exposures(train: dict[str, float], warnings: list[str]) -> tuple[float, ...]:
-    exposures = tuple(sorted(set(train.values())))
-    if train and len(exposures) < FEWEST_EXPOSURES:
+def _check_exposures(train: SplitContents, warnings: list[str]) -> tuple[float, ...]:
+    exposures = tuple(sorted(set(train.pictures.values())))
+    if train.pictures and len(exposures) < FEWEST_EXPOSURES:
         warnings.append("All training pictures have one exposure: high dynamic range cannot be learned.")
-    counts = {}
-    for name in train:
-        stem = name.rpartition("_")[0]
-        counts[stem] = counts.get(stem, 0) + 1
+    counts = {frame.stem: len(frame.seconds) for frame in train.frames if frame.seconds}
     if len(set(counts.values())) > 1:
         odd = min(counts, key=lambda stem: counts[stem])
         warnings.append(f"Not all poses have the same number of exposures: {odd} has {counts[odd]}.")
@@ -314,9 +270,8 @@ def _check_exposures(train: dict[str, float], warnings: list[str]) -> tuple[floa
 
 
 def _stops(info: dict[str, Any], exposures: tuple[float, ...]) -> tuple[float | None, str]:
-    measured = info.get("dynamic_range")
-    stops = measured.get("stops") if isinstance(measured, dict) else None
-    if _is_number(stops) and abs(stops) < MOST_STOPS:
+    stops = data_set.stated_stops(info)
+    if stops is not None and abs(stops) < MOST_STOPS:
         return float(stops), "measured"
     if len(exposures) > 1:
         return math.log2(exposures[-1] / exposures[0]), "between the shortest and the longest exposure"

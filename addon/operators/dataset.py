@@ -16,8 +16,9 @@ from typing import ClassVar
 
 import bpy
 
+from ...bridge.data_set import INFO_FILE
 from ...bridge.errors import BadValueError, OutputError, PhysHDRError
-from ..dataset_summary import FINAL, summarise
+from ..dataset_summary import summarise
 from ..paths import ROOT
 from ..runtime import session
 from ..session.state import DATASET
@@ -192,7 +193,7 @@ class PHYSHDR_OT_dataset_render(PhysHDROperator):
         finally:
             _remove_copies()
         problem = current.state.problem
-        if problem or not (out / FINAL).is_file():
+        if problem or not (out / INFO_FILE).is_file():
             told = (problem.message, problem.hint) if problem else ("the rendering was cancelled",)
             self.report({"ERROR"}, ": ".join(filter(None, told)))
             return {"CANCELLED"}
@@ -251,7 +252,7 @@ def _choose_when_done(name: str, out: Path) -> None:
         if session().state.task(DATASET):
             return LOOK_SECONDS
         scene = bpy.data.scenes.get(name)
-        if scene and (out / FINAL).is_file():
+        if scene and (out / INFO_FILE).is_file():
             scene.physhdr.data = str(out)
         return None
 

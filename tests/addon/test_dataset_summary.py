@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the panel says of a data set's folder. No Blender: the folders are written here, by hand."""
 
-from __future__ import annotations
-
 import json
 import math
 import os
@@ -14,7 +12,7 @@ import numpy as np
 import pytest
 
 from physhdr.addon.camera_file import read_pose
-from physhdr.addon.dataset_summary import lines, summarise
+from physhdr.addon.dataset_summary import summarise
 from physhdr.bridge.errors import BadValueError, FileDamagedError, FileMissingError, PhysHDRError
 
 SECONDS = (0.125, 0.5, 2.0)
@@ -60,8 +58,8 @@ def test_a_plain_folder(folder):
     assert found.views == {"train": 3, "test": 2} and found.size == (6, 4) and found.points == 7
     assert found.exposures == SECONDS and found.evs == (-3.0, -1.0, 1.0)
     assert found.stops == 4.0 and "exposure" in found.stops_from  # log2(2 / 0.125), by hand
-    assert not found.warnings and found.complete and not found.truth
-    assert lines(found) == [
+    assert not found.warnings
+    assert found.lines == [
         f"{folder.name}: 3 training views, 2 test, 6 × 4",
         "3 exposures: EV -3, -1, +1",
         "Dynamic range: 4.0 stops (between the shortest and the longest exposure)",
