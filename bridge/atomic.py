@@ -4,24 +4,45 @@
 import contextlib
 import os
 import re
-import tempfile
+import secrets
+import stat
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from .errors import OutputError
 
 #: A temporary file that nobody has written to for so long (seconds) is of a process that was killed.
 ABANDONED_SECONDS = 3600.0
+#: Stands in the name of every temporary file, before the suffix.
+MARK = ".tmp"
+#: Bytes of the longest name that a file may have, on most systems.
+LONGEST_NAME = 255
+REMEDY = "Check that the folder can be written and that the disk has space, or choose another path."
 
 
 @contextlib.contextmanager
-def atomic_path(path: Path) -> Iterator[Path]:
+def atomic_path(
+    path: Path,
+    *,
+    remedy: str = REMEDY,
+    mode: int = 0o666,
+    check: Callable[[Path], None] | None = None,
+    sync_name: bool = True,
+) -> Iterator[Path]:
     """A temporary path beside ``path`` that becomes ``path`` only if the block ends without an error.
 
     The temporary file is this call's own, so that any number of processes may write to ``path`` at once: the
-    last one to end wins, whole. It is on the disk before it gets its name. Creates the folder. Raises
-    ``OutputError`` if the folder or the file cannot be written; what was at ``path`` is then untouched.
+    last one to end wins, whole. It is there, empty, when the block begins, with the suffix of ``path`` if
+    that has one, and on the disk before it gets its name. Creates the folder.
+
+    ``mode``: the file's, less what the process's umask takes away, from its creation on. ``check``: called
+    with ``path`` at the last moment; what it raises keeps what is there. ``sync_name``: whether the name is
+    on the disk, too, at the end, which takes as long again; without it a power cut may bring back what was
+    there before.
+
+    Raises ``OutputError`` with the hint ``remedy`` if the folder or the file cannot be written; what was at
+    ``path`` is then untouched.
     """
     path = Path(path)
     temporary: Path | None = None
@@ -30,28 +51,29 @@ def atomic_path(path: Path) -> Iterator[Path]:
         if path.is_dir():
             raise OutputError(f"cannot write {path}: a folder is there", "Choose another file name.")
         remove_leftovers(path, ABANDONED_SECONDS)
-        handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
-        os.close(handle)
-        temporary = Path(name)
+        temporary, given = _created(path, mode)
         yield temporary
-        # mkstemp makes files that only their owner reads; give what open() would have given.
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(0o666 & ~mask)
+        # A library that writes by a rename of its own has put a file of its own mode here.
+        temporary.chmod(given)
         sync(temporary)
+        if check is not None:
+            check(path)
         temporary.replace(path)
         temporary = None
-        with contextlib.suppress(OSError):  # the name: Windows cannot, and some disks refuse it
-            sync(path.parent)
+        if sync_name:
+            with contextlib.suppress(OSError):  # Windows cannot, and some disks refuse it
+                sync(path.parent)
     except OSError as error:
-        raise OutputError(
-            f"cannot write {path}: {error.strerror or error}",
-            "Check that the folder can be written and that the disk has space, or choose another path.",
-        ) from error
+        raise OutputError(f"cannot write {path}: {error.strerror or error}", remedy) from error
     finally:
         if temporary is not None:
             with contextlib.suppress(OSError):
                 temporary.unlink(missing_ok=True)
+
+
+def temporary_name(path: Path) -> Path:
+    """A name beside ``path`` that no file has, with its suffix; ``remove_leftovers`` knows it again."""
+    return path.with_name(f".{_stem(path)}-{secrets.token_hex(4)}{MARK}{path.suffix}")
 
 
 def remove_leftovers(path: Path, older_than: float = 0.0) -> None:
@@ -60,7 +82,8 @@ def remove_leftovers(path: Path, older_than: float = 0.0) -> None:
     Only those that nobody has touched for ``older_than`` seconds; with 0 the caller must know that nobody
     writes ``path`` now.
     """
-    ours = re.compile(rf"\.{re.escape(path.stem)}-[a-z0-9_]{{8}}{re.escape(path.suffix)}")
+    begin, end, mark = (re.escape(each) for each in (f".{_stem(path)}-", path.suffix, MARK))
+    ours = re.compile(f"{begin}[a-z0-9_]{{8}}({mark})?{end}")  # earlier versions' have no mark
     with contextlib.suppress(OSError):  # a folder that cannot be listed has nothing to tidy
         for entry in os.scandir(path.parent):
             if ours.fullmatch(entry.name) and entry.is_file(follow_symlinks=False):
@@ -76,3 +99,22 @@ def sync(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def _created(path: Path, mode: int) -> tuple[Path, int]:
+    """A new empty temporary file for ``path``, and the mode that it was given; raises ``OSError``."""
+    temporary = temporary_name(path)
+    descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode)
+    try:
+        return temporary, stat.S_IMODE(os.fstat(descriptor).st_mode)
+    finally:
+        os.close(descriptor)
+
+
+def _stem(path: Path) -> str:
+    """The stem, shortened where a temporary name would be too long though the name itself is not."""
+    room = LONGEST_NAME - len(f".-12345678{MARK}".encode()) - len(os.fsencode(path.suffix))
+    stem = path.stem
+    while stem and len(os.fsencode(stem)) > room:
+        stem = stem[:-1]
+    return stem

@@ -15,6 +15,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
+from .atomic import atomic_path
 from .errors import FileDamagedError, FileMissingError, OutputError
 from .regular import without_waiting
 
@@ -98,20 +99,15 @@ def new_token() -> str:
 def write_connection(folder: Path, connection: Connection) -> Path:
     """Write the file in one step, readable by its owner alone; raises ``OutputError``."""
     path = folder / CONNECTION_FILE
-    temporary = folder / f".{CONNECTION_FILE}.{secrets.token_hex(4)}.tmp"
+    remedy = "Choose another --home, or make that folder writable."
     try:
-        # The mode is given at creation: there is no moment at which others could read it.
-        with open(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
-            json.dump(asdict(connection), file)
-        os.replace(temporary, path)
-    except OSError as error:
-        raise OutputError(
-            f"cannot write the connection file {path}: {error.strerror or error}",
-            "Choose another --home, or make that folder writable.",
-        ) from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
+        if not folder.is_dir():
+            raise OutputError(f"cannot write {path}: there is no folder {folder}")
+        with atomic_path(path, mode=0o600) as temporary:
+            temporary.write_text(json.dumps(asdict(connection)), encoding="utf-8")
+    except OutputError as error:
+        message = error.message.replace("cannot write", "cannot write the connection file", 1)
+        raise OutputError(message, remedy) from error
     return path
 
 

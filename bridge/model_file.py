@@ -9,10 +9,8 @@ import json
 import math
 import mmap
 import os
-import secrets
 import stat
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -21,6 +19,7 @@ from typing import Any, Literal
 import numpy as np
 
 from . import spherical_harmonics
+from .atomic import atomic_path
 from .errors import BadValueError, DataMismatchError, FileDamagedError, FileMissingError, OutputError
 from .lights import AMBIENT, Levels, as_levels, check_lights
 from .limits import EXPOSURE, FARTHEST, LEVEL, LOG_RADIANCE_MAX, check_position
@@ -334,29 +333,22 @@ def write_model(path: str | os.PathLike[str], model: Model) -> None:
     header_bytes = json.dumps(header, separators=(",", ":")).encode()
     header_bytes += b" " * (-len(header_bytes) % 8)  # aligns the data, as the safetensors library does
 
-    # Beside the target, because only a rename within one file system is atomic. Its name is short, so that
-    # the target's may be as long as the file system allows.
-    temporary = path.with_name(f".physhdr-{secrets.token_hex(4)}.tmp")
     try:
-        with open(temporary, "xb") as file:
+        # Looked at again at the end: writing takes seconds, the rename no time.
+        with (
+            atomic_path(path, remedy=_WRITE_HINT, check=refuse_what_is_not_ours) as temporary,
+            open(temporary, "wb") as file,
+        ):
             file.write(len(header_bytes).to_bytes(8, "little"))
             file.write(header_bytes)
             for array in arrays.values():
                 file.write(array.data)
-            file.flush()
-            os.fsync(file.fileno())
-        refuse_what_is_not_ours(path)  # again: writing takes seconds, the rename no time
-        os.replace(temporary, path)
-    except OSError as error:
-        raise OutputError(
-            f"cannot write the model file {path}: {error.strerror or error}",
-            "Check that you may write there, that the name is not too long and that the disk has room.",
-        ) from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
+    except OutputError as error:
+        message = error.message.replace(f"cannot write {path}", f"cannot write the model file {path}", 1)
+        raise OutputError(message, error.hint) from error
 
 
+_WRITE_HINT = "Check that you may write there, that the name is not too long and that the disk has room."
 _NEWER_HINT = "It may come from a newer PhysHDR: update PhysHDR here, or export the model again."
 
 

@@ -8,54 +8,42 @@ it becomes ``dataset.json`` when all is there. A file under its final name is al
 from __future__ import annotations
 
 import json
-import os
-import secrets
 import stat
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from ..bridge.atomic import MARK, atomic_path, temporary_name
+from ..bridge.errors import OutputError
 from .errors import ConflictError, DamagedFileError, OutputFolderError
 
 FINAL, PARTIAL = "dataset.json", "dataset.partial.json"
 FINGERPRINT = "fingerprint"
 """The option that stands for the state of a user's scene."""
 FORMAT, VERSION = "physhdr-dataset", 1
-TEMPORARY = ".tmp"
 LONGEST_SHOWN = 200
-_OURS = secrets.token_hex(4)
-"""In this process's temporary names: others that write the same file do not move our half into place."""
-
-
-def temporary(path: Path) -> Path:
-    """The name a file has until it is whole."""
-    return path.with_name(f".{path.name}.{_OURS}{TEMPORARY}")
 
 
 def scratch(path: Path) -> Path:
     """A temporary name for what Blender writes, which has to end in .exr."""
-    return path.with_name(f"{temporary(path).name}.exr")
+    return temporary_name(path.with_suffix(".exr"))
 
 
 def write(path: Path, data: bytes) -> None:
     """Write under a temporary name, then rename: a reader never sees half a file.
 
+    A file whose name a power cut takes is made again: waiting for a dozen names would cost a tenth of a
+    second a pose, which takes about one to render.
+
     Raises:
         OutputFolderError: the disk is full, or not to be written.
     """
-    pending = temporary(path)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with open(pending, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(pending, path)
-    except OSError as error:
-        with suppress(OSError):
-            pending.unlink(missing_ok=True)
+        with atomic_path(path, sync_name=False) as pending:
+            pending.write_bytes(data)
+    except OutputError as error:
         raise OutputFolderError(
-            f"cannot write '{path}' ({error.strerror or error})",
+            error.message,
             "is the disk full? Make room and give the same command again: what is there is kept",
         ) from error
 
@@ -76,7 +64,7 @@ def read(path: Path) -> bytes:
 
 def remove_leftovers(folder: Path) -> None:
     """Remove the half-written files of runs that were killed. Only when nobody writes any more."""
-    for path in folder.rglob(f".*{TEMPORARY}*"):
+    for path in folder.rglob(f".*{MARK}*"):
         with suppress(OSError):
             path.unlink()
 
@@ -115,7 +103,7 @@ def open_folder(folder: Path, options: dict[str, Any], maker: dict[str, str]) ->
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        probe = temporary(folder / "write-probe")
+        probe = temporary_name(folder / "write-probe")
         probe.write_bytes(b"")
         probe.unlink(missing_ok=True)
         held = [entry.name for entry in folder.iterdir()]

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
+from ...bridge.atomic import atomic_path
 from ...bridge.connection import is_of_another, private_home, read_connection
 from ...bridge.errors import FileDamagedError, FileMissingError, OutputError, PhysHDRError
 from ...bridge.messages import PreviewFrame, PreviewRequest, Request, WhenClosed
@@ -307,11 +308,8 @@ def read_choice(path: Path) -> PythonChosen:
 
 def write_choice(path: Path, kept: KeepReport) -> None:
     """Remember a Python; where that is impossible it is asked for again next time, no more."""
-    temporary = path.with_name(path.name + ".tmp")
-    with suppress(OSError):
-        path.parent.mkdir(parents=True, exist_ok=True)
+    with suppress(OutputError), atomic_path(path) as temporary:
         temporary.write_text(json.dumps({"python": kept.python, "report": kept.report}), encoding="utf-8")
-        temporary.replace(path)
 
 
 def _last_line(log: Path) -> str:

@@ -347,7 +347,8 @@ def test_interrupted_run_goes_on(tmp_path, small, monkeypatch):
         calls.append(scratch)
         if len(calls) == 3:  # as a kill in the middle of writing leaves it
             scratch.write_bytes(b"half an EXR")
-            folder.temporary(out / "passes/test_000.exr").write_bytes(b"half an EXR")
+            folder.scratch(out / "passes/test_000.exr").write_bytes(b"half an EXR")
+            (out / "passes/.test_000.exr.1f2bbed2.tmp").write_bytes(b"an earlier version's")
             raise KeyboardInterrupt
         return real(self, pose, seed, scratch)
 
