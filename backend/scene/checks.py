@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ...bridge import limits
+from ...bridge.data_set import plain_name
 from ...bridge.errors import BadValueError, FileDamagedError
 from ...bridge.regular import read_json_object
 
@@ -43,11 +44,6 @@ def exposure(path: Path, value: Any, whose: str) -> float:
     """Seconds; raises ``BadValueError`` for what is no number or no exposure."""
     what = f"the exposure of '{whose:.80}'"
     return limits.EXPOSURE.check(number(path, value, what), f"{path}: {what}")
-
-
-def plain_name(name: str) -> str:
-    """A path as the data sets write it, without ``./`` and with forward slashes."""
-    return name.replace("\\", "/").removeprefix("./")
 
 
 def path_inside(root: Path, name: str, told_by: Path) -> Path:

@@ -4,9 +4,10 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from ...bridge.data_set import plain_name
 from ...bridge.errors import DataMismatchError
 from ...bridge.limits import EXPOSURE
-from .checks import exposure, plain_name, read_json
+from .checks import exposure, read_json
 from .exif import comparable, read_exif
 
 #: Beside ``images/``: {picture's file name: exposure in seconds} (GaussHDR's file).

@@ -4,33 +4,17 @@
 from pathlib import Path
 from typing import Any
 
+from ...bridge import data_set
 from ...bridge.errors import BadValueError
-from .checks import number, read_json
+from .checks import MAKE_AGAIN, number
 
 #: The response of HDR-NeRF-Syn at exposure × radiance = 1: the constant of its unit-exposure loss.
 ORIGINAL_ANCHOR = (1.0, 0.73)
 
-#: The version of ``dataset.json`` that is understood.
-DATASET_FORMAT, DATASET_VERSION = "physhdr-dataset", 1
-
 
 def read_info(root: Path) -> dict[str, Any]:
-    """``dataset.json`` as it is, checked to be ours; ``{}`` where there is none."""
-    path = root / "dataset.json"
-    if not path.exists():
-        return {}  # the original data sets have none
-    info = read_json(path)
-    if info.get("format", DATASET_FORMAT) != DATASET_FORMAT:
-        raise BadValueError(
-            f"{path}: the format is {info['format']!r}, not '{DATASET_FORMAT}'",
-            "Choose a PhysHDR data set, or remove dataset.json to read the folder as plain HDR-NeRF-Syn.",
-        )
-    if number(path, info.get("version", DATASET_VERSION), "'version'") > DATASET_VERSION:
-        raise BadValueError(
-            f"{path}: version {info['version']} is newer than this program knows ({DATASET_VERSION})",
-            "Update PhysHDR.",
-        )
-    return info
+    """``dataset.json`` as it is, checked to be ours; ``{}`` where there is none. Raises as in ``bridge``."""
+    return data_set.read_info(root, MAKE_AGAIN)
 
 
 def read_anchor(
@@ -46,7 +30,7 @@ def read_anchor(
     anchor = response.get("anchor") if isinstance(response, dict) else None
     if anchor is None:
         return None
-    path = root / "dataset.json"
+    path = root / data_set.INFO_FILE
     if not isinstance(anchor, list) or len(anchor) != 2:
         raise BadValueError(
             f"{path}: response.anchor must be [exposure × radiance, code value], got {anchor!r}",
