@@ -9,6 +9,7 @@ budgets = ["iterations=1000", "cpu-seconds=60"]
 set = ["downscale=2"]                                     # for every method
 margins_of = ["default"]                                  # whose lead over the others is reported
 controls = ["dim"]                                        # that the verdict on that lead does not count
+note = "What the figures do not show."                    # stands at the top of the report
 [[group]]
 name = "one backbone"                                     # the verdict over these alone, too
 methods = ["baseline", "default"]
@@ -148,6 +149,7 @@ class Plan:
     """Everything that decides what is run and told. Names are unique in each list, and no list is empty.
 
     ``assignments``: of ``--set``, for every method; ``options``: the words for ``physhdr train`` they become.
+    ``note``: a paragraph in Markdown for the top of the report.
     """
 
     methods: tuple[Method, ...]
@@ -163,6 +165,7 @@ class Plan:
     controls: tuple[str, ...] = ()
     groups: tuple[Group, ...] = ()
     ladders: tuple[Ladder, ...] = ()
+    note: str = ""
 
     def __post_init__(self) -> None:
         names = [method.name for method in self.methods]
@@ -227,6 +230,7 @@ _KEYS: dict[str, tuple[str, Callable[[Any, Path], Any]]] = {
     "lpips_weights": ("lpips_weights", lambda value, at: at / str(value)),
     "margins_of": ("margins_of", lambda value, _: tuple(_texts(value))),
     "controls": ("controls", lambda value, _: tuple(_texts(value))),
+    "note": ("note", lambda value, _: str(value)),
     "group": ("groups", lambda value, _: tuple(Group(str(x["name"]), tuple(x["methods"])) for x in value)),
     "ladder": ("ladders", lambda value, _: tuple(Ladder(str(x["name"]), tuple(x["steps"])) for x in value)),
 }
@@ -289,6 +293,8 @@ def write_plan(plan: Plan, path: Path) -> None:
         rows["margins_of"] = list(plan.margins_of)
     if plan.controls:
         rows["controls"] = list(plan.controls)
+    if plan.note:
+        rows["note"] = plan.note
     # A string, a number or a list of them is the same in JSON and in TOML.
     lines = [f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in rows.items()]
     tables = [("group", each.name, "methods", each.methods) for each in plan.groups]

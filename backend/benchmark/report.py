@@ -3,6 +3,7 @@
 
 import csv
 import io
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +29,8 @@ CSV_METRICS = (
     *("scale", "relit.psnr", "relit.gain"),
 )
 LOG_LINES = 6
+#: Where the code lies.
+PACKAGE = Path(__file__).resolve().parents[2]
 
 
 @dataclass(frozen=True)
@@ -73,7 +76,7 @@ def write_report(schedule: Schedule, path: Path, command: str) -> list[Path]:
     table = path.with_suffix(".csv")
     for file, text in (
         (path, to_markdown(schedule, finished, command, table.name)),
-        (table, to_csv(finished)),
+        (table, without_places(to_csv(finished), schedule)),
     ):
         with atomic_path(file) as temporary:
             temporary.write_text(text, encoding="utf-8")
@@ -102,7 +105,7 @@ def to_csv(finished: Sequence[Finished]) -> str:
 
 
 def to_markdown(schedule: Schedule, finished: Sequence[Finished], command: str, csv_name: str) -> str:
-    """The whole report. ``command``: what makes it again."""
+    """The whole report, without the machine's paths. ``command``: what makes it again."""
     plan = schedule.store.plan
     parts = ["# Benchmark", _opening(schedule, finished, command, csv_name)]
     parts += ["## Conditions", _listed(_conditions(schedule, finished))]
@@ -132,7 +135,22 @@ def to_markdown(schedule: Schedule, finished: Sequence[Finished], command: str, 
                 parts.append(section(schedule, [each.entry for each in chosen]).rstrip())
     if failures := _failures(schedule):
         parts += ["## Runs that failed", failures]
-    return "\n\n".join(parts) + "\n"
+    return without_places("\n\n".join(parts) + "\n", schedule)
+
+
+def without_places(text: str, schedule: Schedule) -> str:
+    """``text`` in which no path says where on a machine things lay, for a report is read elsewhere.
+
+    A data set is called by its name in the plan, the benchmark's folder ``OUT``, the checkout ``physhdr``,
+    the user's folder ``~``: in evaluations' messages, logs of runs that failed, options that name a file.
+    """
+    names = {scene.data: scene.name for scene in schedule.store.plan.scenes}
+    names |= {schedule.store.out.resolve(): "OUT", schedule.store.out.absolute(): "OUT", PACKAGE: "physhdr"}
+    names |= {Path.home(): "~"}
+    for place in sorted(names, key=lambda each: len(str(each)), reverse=True):  # the innermost first
+        if place != Path(place.anchor):
+            text = re.sub(rf"(?<![\w./\\-]){re.escape(str(place))}(?![\w-])", names[place], text)
+    return text
 
 
 # ---- conditions ------------------------------------------------------------------------------------------
@@ -152,8 +170,9 @@ def _opening(schedule: Schedule, finished: Sequence[Finished], command: str, csv
         _count(plan.seeds, "seed"),
         _count(plan.budgets, "budget"),
     ]
+    note = f"{plan.note.strip()}\n\n" if plan.note.strip() else ""
     return (
-        f"Written by `{command}`; do not edit. {said} Every run is in [{csv_name}]({csv_name}).\n\n"
+        f"{note}Written by `{command}`; do not edit. {said} Every run is in [{csv_name}]({csv_name}).\n\n"
         f"{' × '.join(factors)}."
     )
 
@@ -173,7 +192,10 @@ def _conditions(schedule: Schedule, finished: Sequence[Finished]) -> list[str]:
             "for nothing else. The other seeds train as many iterations"
         )
         lines += _misses(budget, finished)
-    lines.append("CPU seconds and seconds are of the training alone, without evaluation, start and compiling")
+    lines.append(
+        "CPU seconds are of the training alone, first points included, without evaluation, start, compiling "
+        "and the pictures by which progress is watched; seconds are on the clock, those pictures included"
+    )
     if plan.assignments:
         lines.append(f"for every method: `{' '.join(plan.assignments)}`")
     lines += [f"method {method.name}: `{method}`" for method in plan.methods if str(method) != method.name]

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from physhdr.backend.benchmark import report
 from physhdr.backend.benchmark.live import progress_table
 from physhdr.backend.benchmark.plan import make_plan
 from physhdr.backend.benchmark.pools import LocalPool
@@ -143,6 +144,29 @@ def test_a_failure_stops_nothing_is_told_and_tried_again_when_asked(bench):
     assert kinds(bench.run()) == ["failed", "done", "blocked", "done"] and bench.calls() == []
     assert kinds(bench.run(retry=True)) == ["done"] * 4
     assert all(call.startswith("fails_once") for call in bench.calls()) and not bench.left_over()
+
+
+def test_no_report_says_where_things_lie(bench):
+    """Of messages, logs and options: a data set by its name in the plan, the benchmark's folder as OUT."""
+    (bench.root / "day-2").mkdir()
+    (bench.root / "day-2" / "data.json").write_text("{}")
+    checkout, at = Path(report.__file__).parents[2], bench.root
+    bench.content |= {
+        "methods": ["quick", "fails", f"v := other --strength {at}/day/truth"],
+        "scenes": [f"noon={at}/day", str(at / "day-2")],
+        "note": "One scene alone.",
+    }
+    schedule = bench.run()
+    path = at / "out" / "iterations-50" / "exp3" / "noon" / "quick" / "seed_0" / "evaluation.json"
+    message = f"{at}/day/a, {at}/day-2/a, {at}/out/a, {checkout}/a, {Path.home()}/a; not /else{at}/day"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"messages": [message]}))
+    path, table = write_report(schedule, at / "report.md", "physhdr benchmark --out out")
+    text, rows = path.read_text(), table.read_text()
+    assert text.startswith("# Benchmark\n\nOne scene alone.\n\nWritten by ")
+    assert f"noon/a, day-2/a, OUT/a, physhdr/a, ~/a; not /else{at}/day" in text
+    assert "method v: `v := other --strength noon/truth`" in text and "--strength noon/truth" in rows
+    everything = (text + rows).replace(f"/else{at}", "")
+    assert not any(str(place) in everything for place in (at, checkout, Path.home()))
 
 
 def test_a_job_may_move_its_folder_away_while_it_is_looked_at(bench, monkeypatch):
