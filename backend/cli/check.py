@@ -7,52 +7,20 @@ Standard library only at the top: what is missing must be found and named, be it
 import argparse
 import importlib
 import json
-import platform
 import re
 import socket
 import sys
-import time
 from collections.abc import Callable
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from ...bridge.errors import PhysHDRError
 from ..project import requirements, version, version_of
+from .findings import CheckFailedError, Findings, MissingModuleError
 
 #: What a requirement is imported as, where its name differs.
 MODULES = {"pillow": "PIL"}
 #: Where in the whole the parts end, for the bar.
 IMPORTED, KERNELS_READY = 0.3, 0.9
-
-
-class MissingModuleError(PhysHDRError):
-    """A module that the backend needs is not there, or cannot be loaded."""
-
-
-class CheckFailedError(PhysHDRError):
-    """Everything is there, but the backend does not compute what it should."""
-
-
-@dataclass
-class Findings:
-    """What the check found; grows while it runs. ``seconds``: by part."""
-
-    python: str = platform.python_version()
-    executable: str = sys.executable
-    version: str = ""
-    versions: dict[str, str] = field(default_factory=dict)
-    device: str = ""
-    why: str = ""
-    loss: float = 0.0
-    gaussians: int = 0
-    warnings: list[str] = field(default_factory=list)
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    @contextmanager
-    def timed(self, part: str):
-        begun = time.perf_counter()
-        yield
-        self.seconds[part] = round(time.perf_counter() - begun, 2)
 
 
 @dataclass(frozen=True)
@@ -104,10 +72,10 @@ def check(tell: Callable[[float, str], None]) -> Findings:
             if not _fits(findings.versions[name], requirement):
                 findings.warnings.append(f"{name} {findings.versions[name]} was not tested: {requirement}")
     _listen()
-    from . import self_test  # torch and all the rest of ours
+    from . import trial_step  # torch and all the rest of ours
 
     with findings.timed("device"):
-        findings.device, findings.why = self_test.device(lambda message: tell(IMPORTED, message))
+        findings.device, findings.why = trial_step.device(lambda message: tell(IMPORTED, message))
     if findings.device == "cpu":
         with findings.timed("kernels"):
             furthest = IMPORTED
@@ -119,10 +87,10 @@ def check(tell: Callable[[float, str], None]) -> Findings:
                     furthest = fraction
                     tell(fraction, f"compiling kernels {done}/{total}: {what}")
 
-            self_test.compile_kernels(compiled)
+            trial_step.compile_kernels(compiled)
     tell(KERNELS_READY, "one training step")
     with findings.timed("training step"):
-        findings.loss, findings.gaussians = self_test.one_step(findings.device)
+        findings.loss, findings.gaussians = trial_step.one_step(findings.device)
     tell(1.0, "everything works")
     return findings
 

@@ -15,7 +15,7 @@ from ..scene import Camera, Points, Scene, View
 from ..scene.scene import PictureCache
 from ..train.presets import PRESETS, needed_by_presets
 from ..train.trainer import Trainer
-from .check import CheckFailedError
+from .findings import CheckFailedError
 
 SIZE, VIEWS, POINTS = 48, 3, 200
 EXPOSURES = (0.125, 0.5, 2.0, 8.0, 32.0)
