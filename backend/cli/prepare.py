@@ -91,7 +91,7 @@ class Prepare:
         with new_folder(self.out, self.overwrite) as folder:
             structure, words = self._structure(brackets, folder)
             _require_enough(structure, brackets, self.partial)
-            up = up_direction([shot.rotation for shot in structure.shots.values()])
+            up = up_direction([pose.rotation for pose in structure.registered.values()])
             structure = structure.turned(rotation_to_z(up))
             lenses = make_lenses(structure.cameras, self._scale(photos[0].width))
             origin = {
@@ -103,7 +103,9 @@ class Prepare:
                 "lens": [f"{c.model_name} {c.params_to_string()}" for c in structure.cameras.values()],
                 "up": "turned so that +Z is up; scale and place are structure from motion's own",
                 "options": {key: _plain(value) for key, value in dataclasses.asdict(self).items()},
-                "left_out": [pose.name for k, pose in enumerate(brackets.poses) if k not in structure.shots],
+                "left_out": [
+                    pose.name for k, pose in enumerate(brackets.poses) if k not in structure.registered
+                ],
             }
             with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
                 task = bar.add_task("writing pictures", total=None)
@@ -166,14 +168,14 @@ class Prepare:
             soft_wrap=True,
         )
         console.print(
-            f"{len(structure.shots)} of {len(brackets.poses)} poses placed, {written.points} points, "
+            f"{len(structure.registered)} of {len(brackets.poses)} poses placed, {written.points} points, "
             f"reprojection error {written.reprojection_error:.2f} pixels; exposures EV {evs}",
             soft_wrap=True,
         )
         for camera in structure.cameras.values():
             console.print(f"lens: {camera.model_name} {camera.params_to_string()}", soft_wrap=True)
         console.print("the world is turned so that +Z is up; its scale is arbitrary, not metres")
-        left_out = [pose.name for k, pose in enumerate(brackets.poses) if k not in structure.shots]
+        left_out = [pose.name for k, pose in enumerate(brackets.poses) if k not in structure.registered]
         if left_out:
             _warn(f"left out, for they could not be placed: {some_names(left_out)}")
         console.print(
@@ -209,9 +211,9 @@ def _show_photos(photos: list[Photo], brackets: Brackets, exposures: Exposures) 
 
 
 def _require_enough(structure: Structure, brackets: Brackets, partial: bool) -> None:
-    placed, all_poses = len(structure.shots), len(brackets.poses)
+    placed, all_poses = len(structure.registered), len(brackets.poses)
     if placed < FEWEST_POSES or (2 * placed < all_poses and not partial):
-        left_out = [pose.name for k, pose in enumerate(brackets.poses) if k not in structure.shots]
+        left_out = [pose.name for k, pose in enumerate(brackets.poses) if k not in structure.registered]
         raise StructureError(
             f"only {placed} of {all_poses} poses could be placed; not {some_names(left_out)}",
             CAPTURE_REMEDY + " --partial goes on with those that were placed.",

@@ -18,7 +18,7 @@ from .colmap_files import SparseImage, SparseModel, find_model, read_model
 from .exposures import EXPOSURE_FILE, SAY_EXPOSURES, exposures_from_exif, read_exposure_file
 from .info import read_anchor, read_info
 from .poses import (
-    Picture,
+    PictureFile,
     Pose,
     bracket_name,
     check_numbers,
@@ -137,7 +137,7 @@ def read_poses(root: Path, pictures: Path) -> FoundPoses:
         camera, distance = _camera(model, group)
         apart = max(apart, distance)
         paths = {k: path_inside(pictures, name, folder) for k, name in group.names.items()}
-        bracket = {k: Picture(path, seconds[group.names[k]]) for k, path in paths.items()}
+        bracket = {k: PictureFile(path, seconds[group.names[k]]) for k, path in paths.items()}
         poses.append(
             Pose(group.name, order, fitted(camera, size, folder, next(iter(paths.values()))), bracket)
         )

@@ -15,7 +15,7 @@ from .colmap_files import SparseImage, find_model, read_model
 from .exposures import EXPOSURE_FILE, read_exposure_file
 from .info import ORIGINAL_ANCHOR, read_anchor, read_info
 from .poses import (
-    Picture,
+    PictureFile,
     Pose,
     bracket_name,
     check_numbers,
@@ -133,10 +133,10 @@ def _base(image: SparseImage) -> str:
     return parts[0]
 
 
-def _brackets(root: Path, images: list[SparseImage]) -> tuple[dict[str, dict[int, Picture]], int]:
+def _brackets(root: Path, images: list[SparseImage]) -> tuple[dict[str, dict[int, PictureFile]], int]:
     """The pictures of each of the model's poses, as the exposure file lists them; how many it lists more."""
     path = root / EXPOSURE_FILE
-    listed: dict[str, dict[int, Picture]] = {}
+    listed: dict[str, dict[int, PictureFile]] = {}
     for name, seconds in read_exposure_file(path).items():
         parts = bracket_name(name)
         if parts is None:
@@ -149,8 +149,8 @@ def _brackets(root: Path, images: list[SparseImage]) -> tuple[dict[str, dict[int
                 f"{path}: '{name}' and '{place[parts[1]].path.name}' are the same exposure of one pose",
                 "Remove one of them.",
             )
-        place[parts[1]] = Picture(path_inside(root / "images", name, path), seconds)
-    brackets: dict[str, dict[int, Picture]] = {}
+        place[parts[1]] = PictureFile(path_inside(root / "images", name, path), seconds)
+    brackets: dict[str, dict[int, PictureFile]] = {}
     for image in images:
         name = _base(image)
         if name in brackets:

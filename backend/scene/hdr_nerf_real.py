@@ -20,7 +20,7 @@ from .camera import Camera
 from .checks import is_rotation
 from .colmap_files import find_model, read_model
 from .info import read_anchor, read_info
-from .poses import Picture, Pose, bracket_name, check_numbers, fitted, missing_in_words, one_size
+from .poses import PictureFile, Pose, bracket_name, check_numbers, fitted, missing_in_words, one_size
 from .resize import Reduction
 from .scene import PictureCache, Points, Scene
 
@@ -148,7 +148,7 @@ def _poses(
         middle = rows[order[number, places[len(places) // 2]]]
         camera = fitted(_camera(path, number, middle), size, path, folder / names[number, places[0]])
         pictures = {
-            k: Picture(folder / names[number, k], float(rows[order[number, k], 17])) for k in sorted(places)
+            k: PictureFile(folder / names[number, k], float(rows[order[number, k], 17])) for k in sorted(places)
         }
         for k in places:
             other = rows[order[number, k], :15].reshape(3, 5)[:, 3]

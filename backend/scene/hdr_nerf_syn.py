@@ -21,7 +21,7 @@ from .checks import MAKE_AGAIN, exposure, number, plain_name, read_json, require
 from .info import ORIGINAL_ANCHOR, read_anchor, read_info
 from .pictures import picture_size
 from .points import read_points
-from .poses import Picture, Pose, wrong_size
+from .poses import PictureFile, Pose, wrong_size
 from .resize import Reduction
 from .scene import PictureCache, Scene
 
@@ -130,7 +130,7 @@ def _read_split(root: Path, split: str, lights: tuple[str, ...]) -> list[Pose]:
         paths = tuple(root / f"{frame.stem}_{k}.png" for k in range(len(bracket)))
         width, height = _check_bracket(paths, exposure_path)
         camera = _camera(transforms_path, frame, width, height, angle)
-        pictures = {k: Picture(path, bracket[k]) for k, path in enumerate(paths)}
+        pictures = {k: PictureFile(path, bracket[k]) for k, path in enumerate(paths)}
         poses.append(Pose(frame.stem, frame.index, camera, pictures, frame.lighting_levels))
 
     odd = next((pose for pose in poses if len(pose.pictures) != len(poses[0].pictures)), None)

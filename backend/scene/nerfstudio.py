@@ -19,7 +19,7 @@ from .exposures import exposures_from_exif
 from .info import read_anchor, read_info
 from .pictures import picture_size
 from .points import read_points
-from .poses import Picture, Pose, check_numbers, numbered, one_size, split_somehow
+from .poses import PictureFile, Pose, check_numbers, numbered, one_size, split_somehow
 from .resize import WIDEST, Reduction
 from .scene import PictureCache, Points, Scene
 
@@ -57,7 +57,7 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
     for order, (file, frame) in enumerate(frames):
         name = file.relative_to(root).as_posix().rsplit(".", 1)[0]
         camera = _camera(path, f"frame '{name:.80}'", content | frame, file)
-        poses.append(Pose(name, order, camera, {0: Picture(file, seconds[order])}))
+        poses.append(Pose(name, order, camera, {0: PictureFile(file, seconds[order])}))
     train, test, rule = _split(root, path, content, numbered(root, poses))
     check_numbers(train, "training", path)
     check_numbers(test, "test", path)

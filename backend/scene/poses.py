@@ -20,7 +20,7 @@ TRUTH_FOLDERS = ("train_hdr", "test_hdr", "images_hdr", "exr")
 
 
 @dataclass(frozen=True)
-class Picture:
+class PictureFile:
     """A file and its exposure, seconds."""
 
     path: Path
@@ -34,7 +34,7 @@ class Pose:
     name: str
     index: int
     camera: Camera
-    pictures: dict[int, Picture]
+    pictures: dict[int, PictureFile]
     lighting_levels: tuple[float, ...] = (1.0,)
 
     def view(self, reduction: Reduction, cache: PictureCache) -> View:

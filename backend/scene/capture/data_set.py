@@ -26,7 +26,7 @@ from .brackets import Bracket
 from .choice import NUMBERS
 from .exposures import some_names
 from .lens import Lens
-from .structure import Shot, Structure
+from .structure import RegisteredPose, Structure
 
 #: Locked while the temporary folder that it lies in is used.
 IN_USE_FILE = "in-use.lock"
@@ -173,17 +173,17 @@ def write_data_set(
     ``lenses``: one for each of the structure's cameras. ``origin`` goes into ``prepare.json``, with the
     source of every picture.
     """
-    split_of = splits(list(structure.shots), test_every)
+    split_of = splits(list(structure.registered), test_every)
     k_of = NUMBERS[len(poses[0].photos)]
     (folder / "images").mkdir()
     exposures: dict[str, float] = {}
     sources: dict[str, str] = {}
     names: dict[int, str] = {}
-    total = len(structure.shots) * len(k_of)
-    for number, shot in structure.shots.items():
+    total = len(structure.registered) * len(k_of)
+    for number, pose in structure.registered.items():
         for k, photo, seconds in zip(k_of, poses[number].photos, poses[number].seconds, strict=True):
             name = f"{split_of[number]}_{number:03d}_{k}.png"
-            picture = lenses[shot.camera].picture(np.asarray(photo.decode()))
+            picture = lenses[pose.camera].picture(np.asarray(photo.decode()))
             Image.fromarray(picture).save(folder / "images" / name)
             exposures[name], sources[name] = seconds, photo.name
             done(len(exposures), total)
@@ -203,11 +203,11 @@ def _write_json(path: Path, value: object) -> None:
 def reprojection_error(structure: Structure, lenses: Mapping[int, Lens]) -> float:
     """Mean distance in pixels of the written pictures, over every observation of a point."""
     distances = []
-    for shot in structure.shots.values():
-        lens = lenses[shot.camera]
-        seen = structure.positions[shot.points] @ shot.rotation.T + shot.translation
+    for pose in structure.registered.values():
+        lens = lenses[pose.camera]
+        seen = structure.positions[pose.points] @ pose.rotation.T + pose.translation
         projected = seen[:, :2] / seen[:, 2:] * (lens.fx, lens.fy) + (lens.cx, lens.cy)
-        distances.append(np.linalg.norm(projected - lens.straightened(shot.keypoints), axis=1))
+        distances.append(np.linalg.norm(projected - lens.straightened(pose.keypoints), axis=1))
     together = np.concatenate(distances)
     return float(together.mean()) if len(together) else 0.0
 
@@ -227,10 +227,10 @@ def _write_sparse(
             file.write(head + struct.pack("<4d", lens.fx, lens.fy, lens.cx, lens.cy))
     tracks: dict[int, list[tuple[int, int]]] = {}
     with open(folder / "images.bin", "wb") as file:
-        file.write(struct.pack("<Q", len(structure.shots)))
-        for number, shot in structure.shots.items():
-            _write_image(file, number + 1, shot, names[number], lenses[shot.camera])
-            for place, point in enumerate(shot.points):
+        file.write(struct.pack("<Q", len(structure.registered)))
+        for number, pose in structure.registered.items():
+            _write_image(file, number + 1, pose, names[number], lenses[pose.camera])
+            for place, point in enumerate(pose.points):
                 tracks.setdefault(int(point), []).append((number + 1, place))
     with open(folder / "points3D.bin", "wb") as file:
         file.write(struct.pack("<Q", len(tracks)))
@@ -241,11 +241,11 @@ def _write_sparse(
     return len(tracks)
 
 
-def _write_image(file: BinaryIO, image_id: int, shot: Shot, name: str, lens: Lens) -> None:
-    file.write(struct.pack("<i7d", image_id, *quaternion(shot.rotation), *shot.translation))
-    file.write(struct.pack("<i", shot.camera) + name.encode() + b"\0")
-    entries = np.empty(len(shot.points), np.dtype([("xy", "<f8", 2), ("point", "<i8")]))
-    entries["xy"], entries["point"] = lens.straightened(shot.keypoints), shot.points + 1
+def _write_image(file: BinaryIO, image_id: int, pose: RegisteredPose, name: str, lens: Lens) -> None:
+    file.write(struct.pack("<i7d", image_id, *quaternion(pose.rotation), *pose.translation))
+    file.write(struct.pack("<i", pose.camera) + name.encode() + b"\0")
+    entries = np.empty(len(pose.points), np.dtype([("xy", "<f8", 2), ("point", "<i8")]))
+    entries["xy"], entries["point"] = lens.straightened(pose.keypoints), pose.points + 1
     file.write(struct.pack("<Q", len(entries)) + entries.tobytes())
 
 

@@ -57,7 +57,7 @@ def require_pycolmap() -> ModuleType:
 
 
 @dataclass(frozen=True, eq=False)
-class Shot:
+class RegisteredPose:
     """One registered pose. World to camera in OpenCV axes: x_camera = ``rotation`` x + ``translation``.
 
     ``camera``: number in ``Structure.cameras``. ``keypoints``: ``[M, 2]`` pixels in the photo; ``points``:
@@ -80,21 +80,23 @@ class Shot:
 class Structure:
     """Cameras and points of one capture.
 
-    ``cameras``: pycolmap's by number, those that are used, for photos of full size. ``shots``: by the
+    ``cameras``: pycolmap's by number, those that are used, for photos of full size. ``registered``: by the
     pose's number in the capture. ``positions`` ``[P, 3]``, ``colours`` ``[P, 3]`` uint8, ``errors`` ``[P]``
     pixels of the full photo.
     """
 
     cameras: dict[int, Any]
-    shots: dict[int, Shot]
+    registered: dict[int, RegisteredPose]
     positions: np.ndarray
     colours: np.ndarray
     errors: np.ndarray
 
     def turned(self, rotation: np.ndarray) -> "Structure":
         """The same in a world that is turned by ``rotation`` ``[3, 3]``."""
-        shots = {k: replace(shot, rotation=shot.rotation @ rotation.T) for k, shot in self.shots.items()}
-        return replace(self, shots=shots, positions=self.positions @ rotation.T)
+        registered = {
+            k: replace(pose, rotation=pose.rotation @ rotation.T) for k, pose in self.registered.items()
+        }
+        return replace(self, registered=registered, positions=self.positions @ rotation.T)
 
 
 # ---- structure from motion ---------------------------------------------------------------------------
@@ -216,9 +218,9 @@ def existing(folder: Path, poses: Sequence[Bracket]) -> Structure:
         for photo in pose.photos:
             numbers[photo.name] = number
     structure = _read(model, numbers)
-    if len(structure.shots) < FEWEST_POSES:
+    if len(structure.registered) < FEWEST_POSES:
         raise DataMismatchError(
-            f"{model} places {len(structure.shots)} of the {len(poses)} poses; photos are named as "
+            f"{model} places {len(structure.registered)} of the {len(poses)} poses; photos are named as "
             f"{some_names([photo.name for photo in poses[0].photos])}",
             "Its pictures must have the photos' file names.",
         )
@@ -242,25 +244,25 @@ def _read(model: Path, numbers: Mapping[str, int]) -> Structure:
     point_ids = sorted(model_read.points3D)
     index = {point_id: k for k, point_id in enumerate(point_ids)}
     points = [model_read.points3D[point_id] for point_id in point_ids]
-    shots: dict[int, Shot] = {}
+    registered: dict[int, RegisteredPose] = {}
     for image_id in sorted(model_read.reg_image_ids(), key=lambda k: model_read.image(k).name):
         image = model_read.image(image_id)
         name = Path(image.name)
         number = numbers.get(name.name, numbers.get(name.stem))
-        if number is None or number in shots:
+        if number is None or number in registered:
             continue
-        pose = image.cam_from_world().matrix()
+        matrix = image.cam_from_world().matrix()
         seen = [point for point in image.points2D if point.has_point3D()]
-        shots[number] = Shot(
+        registered[number] = RegisteredPose(
             image.camera_id,
-            pose[:, :3],
-            pose[:, 3],
+            matrix[:, :3],
+            matrix[:, 3],
             np.array([point.xy for point in seen], np.float64).reshape(-1, 2),
             np.array([index[point.point3D_id] for point in seen], np.int64),
         )
     return Structure(
-        {k: deepcopy(model_read.cameras[k]) for k in sorted({shot.camera for shot in shots.values()})},
-        dict(sorted(shots.items())),
+        {k: deepcopy(model_read.cameras[k]) for k in sorted({pose.camera for pose in registered.values()})},
+        dict(sorted(registered.items())),
         np.array([point.xyz for point in points], np.float64).reshape(-1, 3),
         np.array([point.color for point in points], np.uint8).reshape(-1, 3),
         np.array([point.error for point in points], np.float64),
@@ -269,7 +271,7 @@ def _read(model: Path, numbers: Mapping[str, int]) -> Structure:
 
 def _at_size(structure: Structure, width: int, height: int) -> Structure:
     """The same for photos of ``width × height``; COLMAP may have seen smaller copies of them."""
-    shots, factor = dict(structure.shots), 1.0
+    registered, factor = dict(structure.registered), 1.0
     for number, camera in structure.cameras.items():
         factor = width / camera.width
         if abs(height - camera.height * factor) > max(1.0, factor):
@@ -279,8 +281,8 @@ def _at_size(structure: Structure, width: int, height: int) -> Structure:
                 "It must be of these photos, not cropped and not turned.",
             )
         scale = np.array([factor, height / camera.height])
-        for pose, shot in shots.items():
-            if shot.camera == number:
-                shots[pose] = replace(shot, keypoints=shot.keypoints * scale)
+        for place, pose in registered.items():
+            if pose.camera == number:
+                registered[place] = replace(pose, keypoints=pose.keypoints * scale)
         camera.rescale(width, height)
-    return replace(structure, shots=shots, errors=structure.errors * factor)
+    return replace(structure, registered=registered, errors=structure.errors * factor)
