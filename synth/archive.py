@@ -5,8 +5,6 @@ The same answer on every platform: what Windows would read as a drive, a share, 
 a file is refused on Linux too.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import PurePosixPath
 

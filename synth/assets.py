@@ -5,8 +5,6 @@ A folder holds Sweet Home 3D catalogues (``.sh3f``, as in Debian's ``sweethome3d
 after the kind: ``sofa.obj``, ``teddy.glb``, ``armchair/…/armchair.obj``.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import shutil
@@ -77,8 +75,8 @@ class Assets:
                 "(Debian's sweethome3d-furniture has /usr/share/sweethome3d/furniture)",
             )
         self.folder = folder
+        #: Kind → the model's file, or ``built-in``. For dataset.json.
         self.used: dict[str, str] = {}
-        """Kind → the model's file, or ``built-in``. For dataset.json."""
 
     def place(
         self,

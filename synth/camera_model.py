@@ -12,8 +12,6 @@ What the light passes through, in this order; x is exposure × radiance, each ch
 With all of them off a picture is exactly ``quantise(response(radiance * exposure))``. Numpy only.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 from dataclasses import asdict, dataclass, fields
@@ -24,28 +22,28 @@ from .errors import OptionError
 from .png import quantise
 from .response import MIDDLE_GREY, Response
 
+#: What middle grey is of saturation. ISO 12232: a meter gives 10 / S lux seconds, saturation is at 78 / S.
 METERED_SHARE = 10 / 78
-"""What middle grey is of saturation. ISO 12232: a meter gives 10 / S lux seconds, saturation is at 78 / S."""
+#: The exposure × radiance (1.404) at which the sensor would be full: the fixed point of its noise.
 SATURATION = MIDDLE_GREY / METERED_SHARE
-"""The exposure × radiance (1.404) at which the sensor would be full: the fixed point of its noise."""
+#: Electrons of a pixel at saturation and ISO 100; half of it for every doubling of the ISO. Measured: Canon
+#: 5D Mark III 67,684, Canon 6D 79,546 (Magic Lantern's forum, topic 10111).
 FULL_WELL = 68_000
-"""Electrons of a pixel at saturation and ISO 100; half of it for every doubling of the ISO. Measured: Canon
-5D Mark III 67,684, Canon 6D 79,546 (Magic Lantern's forum, topic 10111)."""
+#: Electrons, before the amplifier and after it, the latter at ISO 100: more gain makes it matter less.
+#: Cameras lie between under 2 and about 15 (clarkvision.com, Sensor Performance Summary).
 READ_NOISE, AMPLIFIED_READ_NOISE = 2.0, 6.0
-"""Electrons, before the amplifier and after it, the latter at ISO 100: more gain makes it matter less.
-Cameras lie between under 2 and about 15 (clarkvision.com, Sensor Performance Summary)."""
+#: Where numpy's Poisson sampler is safe; the noise is a part in 3e7 there.
 MOST_ELECTRONS = 1e15
-"""Where numpy's Poisson sampler is safe; the noise is a part in 3e7 there."""
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec.709
 
+#: Of the picture's height: half the side of the windows in which the base layer looks for edges.
 LOCAL_RADIUS = 0.08
-"""Of the picture's height: half the side of the windows in which the base layer looks for edges."""
+#: Stops: what varies more than this within a window is an edge of the base, what varies less is detail.
 LOCAL_CONTRAST = 0.5
-"""Stops: what varies more than this within a window is an edge of the base, what varies less is detail."""
+#: Stops that local tone mapping brightens or darkens at most.
 LOCAL_LIMIT = 3.0
-"""Stops that local tone mapping brightens or darkens at most."""
+#: Exposure × radiance that is added before the logarithm: what is darker is black to the camera.
 LOCAL_BLACK = 2.0**-10
-"""Exposure × radiance that is added before the logarithm: what is darker is black to the camera."""
 
 LIMITS = {
     "iso": (50.0, 409_600.0),
@@ -59,14 +57,14 @@ LIMITS = {
 class CameraModel:
     """Which faults the camera has, and how much of them."""
 
+    #: Photon and read noise of a sensor at this speed; ``None`` is a sensor without noise.
     iso: float | None = None
-    """Photon and read noise of a sensor at this speed; ``None`` is a sensor without noise."""
+    #: Standard deviation in stops of the red and the blue gain, drawn once a view; green keeps.
     white_balance_jitter: float = 0.0
-    """Standard deviation in stops of the red and the blue gain, drawn once a view; green keeps."""
+    #: Stops that the picture's corners lose.
     vignetting: float = 0.0
-    """Stops that the picture's corners lose."""
+    #: Strength 0…1 of local tone mapping: the share of the base layer's contrast that is taken away.
     local_response: float = 0.0
-    """Strength 0…1 of local tone mapping: the share of the base layer's contrast that is taken away."""
 
     @property
     def off(self) -> bool:
@@ -99,7 +97,7 @@ class CameraModel:
             }
         return entry
 
-    def view(self, seed: int, name: str) -> ViewCamera:
+    def view(self, seed: int, name: str) -> "ViewCamera":
         """The camera as it is for the whole bracket of one view, such as ``train/r_3``."""
         return ViewCamera(self, seed, name)
 

@@ -5,8 +5,6 @@ Denoised apart the lights still add up: against the denoised whole their sum has
 200×200, 64 samples), far above the noise itself.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -16,8 +14,8 @@ import bpy
 from .settings import WORKING_SPACE
 from .stage import Stage
 
+#: The layer of the whole picture before denoising: it tells the noise.
 RAW = "raw"
-"""The layer of the whole picture before denoising: it tells the noise."""
 PLANES = {"depth": "Depth", "index": "Object Index", "samples": "Debug Sample Count"}
 NORMAL = "Normal"
 

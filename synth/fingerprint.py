@@ -5,8 +5,6 @@ It is no proof of sameness (texture files and single vertices are not looked at)
 does between two runs: things moved, added, hidden, lit or coloured otherwise.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from typing import Any

@@ -36,8 +36,8 @@ if not globals().get("__package__"):  # run as a script: make it a module of the
 
 def main(arguments: list[str]) -> int:
     """Exit code: 0 done, 1 an error the message explains, 2 wrong usage, 130 interrupted."""
+    from ..bridge.errors import PhysHDRError
     from .arguments import options, parser
-    from .errors import SynthError
     from .parse import parse_scenes
     from .progress import JsonReport, Report
     from .several import make_all
@@ -53,7 +53,7 @@ def main(arguments: list[str]) -> int:
         wanted, scenes = options(given), parse_scenes(given.scene)
         with helping(others, arguments, given.from_file):
             report.end(make_all(Path(given.out), scenes, wanted, report))
-    except SynthError as error:
+    except PhysHDRError as error:
         report.fail(error.code, error.message, error.hint)
         return 1
     except OSError as error:

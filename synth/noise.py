@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The noise of the data: PSNR between two renders of one view, as the metrics of the method measure it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -11,8 +9,8 @@ from .png import quantise
 from .response import Response
 
 MU = 5000.0
+#: dB reported for identical pictures, whose PSNR is infinite (JSON has no infinity).
 CEILING = 99.0
-"""dB reported for identical pictures, whose PSNR is infinite (JSON has no infinity)."""
 BY_DENOISER, BY_LAPLACIAN = "difference to the denoised picture", "Immerkær's Laplacian"
 
 

@@ -5,8 +5,6 @@ The file is never saved. What must be turned meanwhile (render settings are ``se
 back on the way out, also after an error or CTRL-C.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -26,8 +24,8 @@ from .stage import AMBIENT, CameraHints, Stage
 
 _OURS = ("objects", "cameras", "worlds", "lights", "node_groups")
 _SIMULATIONS = {"CLOTH", "SOFT_BODY", "FLUID", "DYNAMIC_PAINT", "PARTICLE_SYSTEM"}
+#: Share of a rig's cameras behind or within things from which on the user is told.
 CROWDED = 0.2
-"""Share of a rig's cameras behind or within things from which on the user is told."""
 
 
 @contextmanager

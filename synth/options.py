@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What is asked for: the options of a data set, their defaults and their limits."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, dataclass, field
 from itertools import pairwise
@@ -15,22 +13,22 @@ from .errors import OptionError, UnknownNameError
 from .rig import PATH, RIGS
 from .stage import AMBIENT
 
+#: Of a user's scene; a built-in one brings its own.
 USERS_EVS = (-3.0, -1.0, 1.0, 3.0, 5.0)
-"""Of a user's scene; a built-in one brings its own."""
 LARGEST_EV = 19.0
 MOST_EXPOSURES = 64
 LARGEST_SIDE = 8192
 LARGEST_LEVEL = 1024.0
+#: The least beside 0 that the trainer's reader takes (bridge/limits.py).
 LEAST_LEVEL = 1e-6
-"""The least beside 0 that the trainer's reader takes (bridge/limits.py)."""
+#: Degrees: nearer to the zenith the direction of 'up' is lost.
 LARGEST_ELEVATION = 85.0
-"""Degrees: nearer to the zenith the direction of 'up' is lost."""
+#: The height of a resolution that follows the aspect of the user's scene.
 FOLLOW = 0
-"""The height of a resolution that follows the aspect of the user's scene."""
+#: The value of ``--scene`` that means every built-in one.
 ALL = "all"
-"""The value of ``--scene`` that means every built-in one."""
+#: The value of ``from_file`` that means the file that is open.
 CURRENT = "current"
-"""The value of ``from_file`` that means the file that is open."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,47 +37,47 @@ class Options:
 
     scene: str = "interior"
     resolution: tuple[int, int] = (200, 200)
+    #: At most so many a pixel.
     samples: int = 32
-    """At most so many a pixel."""
+    #: Where Cycles stops sampling a pixel earlier; 0 never.
     noise_threshold: float = 0.0
-    """Where Cycles stops sampling a pixel earlier; 0 never."""
     views: int = 35
+    #: Seconds, shortest first; the scene's own if ``None``.
     exposures: tuple[float, ...] | None = None
-    """Seconds, shortest first; the scene's own if ``None``."""
     crf: str = "reinhard-gamma"
     seed: int = 0
+    #: Of the relit truth, the ambient light alone; further lights that vary get the same. The default lies
+    #: between and beyond ``lit_levels``, those that are trained.
     ambient_levels: tuple[float, ...] = (0.125, 0.5, 2.0, 8.0)
-    """Of the relit truth, the ambient light alone; further lights that vary get the same. The default lies
-    between and beyond ``lit_levels``, those that are trained."""
+    #: Test poses that get the relit truth; all if ``None``.
     relit_views: int | None = None
-    """Test poses that get the relit truth; all if ``None``."""
+    #: Relit truth with several lights at once; by itself (``plan.mixtures``) if ``None``.
     mixed_levels: tuple[tuple[tuple[str, float], ...], ...] | None = None
-    """Relit truth with several lights at once; by itself (``plan.mixtures``) if ``None``."""
     lit_levels: tuple[float, ...] = (0.25, 4.0)
     lit_views: int = 12
+    #: The lights that vary in the lit views.
     lit_lights: tuple[str, ...] = (AMBIENT,)
-    """The lights that vary in the lit views."""
     camera_rig: str = "grid"
     denoise: bool = True
     device: str = "CPU"
+    #: Processes that render at the same time, this one included.
     workers: int = 1
-    """Processes that render at the same time, this one included."""
+    #: Noise and other faults of the camera that takes the brackets.
     camera: CameraModel = field(default_factory=CameraModel)
-    """Noise and other faults of the camera that takes the brackets."""
+    #: A folder of models for the furniture of built-in scenes.
     assets: str | None = None
-    """A folder of models for the furniture of built-in scenes."""
+    #: A .blend file, or ``CURRENT``: the data set is made of the user's scene in it instead of ``scene``.
     from_file: str | None = None
-    """A .blend file, or ``CURRENT``: the data set is made of the user's scene in it instead of ``scene``."""
+    #: The scene in that file; its active one if empty.
     scene_name: str = ""
-    """The scene in that file; its active one if empty."""
+    #: Metres from the user's camera to what the rig looks at; found by itself if ``None``.
     rig_distance: float | None = None
-    """Metres from the user's camera to what the rig looks at; found by itself if ``None``."""
+    #: Width and height of the grid in metres; a share of the distance if ``None``.
     rig_extent: tuple[float, float] | None = None
-    """Width and height of the grid in metres; a share of the distance if ``None``."""
+    #: Degrees of azimuth of orbit and hemisphere.
     rig_arc: float | None = None
-    """Degrees of azimuth of orbit and hemisphere."""
+    #: Lowest and highest degrees above the horizon of the hemisphere.
     rig_elevation: tuple[float, float] | None = None
-    """Lowest and highest degrees above the horizon of the hemisphere."""
 
     def check(self) -> None:
         """Raise ``OptionError`` or ``UnknownNameError`` for the first option that cannot be."""

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The command line's texts as values; each error names the option and what was wrong."""
 
-from __future__ import annotations
-
 from fractions import Fraction
 from itertools import pairwise
 

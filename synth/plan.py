@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a data set consists of: its poses, the levels of the lights in each, and the names of all files."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,8 +15,8 @@ from .stage import AMBIENT, RigPoses
 
 POINTS = "points3d.ply"
 SPLITS = ("train", "test", "lit")
+#: Exponents on the outermost trained levels: the default mixtures lie between and beyond those trained.
 BETWEEN, BEYOND = 0.5, 1.5
-"""Exponents on the outermost trained levels: the default mixtures lie between and beyond those trained."""
 DIGITS = 4
 
 
@@ -26,8 +24,8 @@ DIGITS = 4
 class Relighting:
     """One setting of the lights of which the test poses get the true radiance."""
 
+    #: Of the lights that are not at 1.
     levels: Mapping[str, float]
-    """Of the lights that are not at 1."""
 
     @property
     def folder(self) -> str:
@@ -47,10 +45,10 @@ class Shot:
 
     split: str
     index: int
+    #: Camera to world [4, 4].
     pose: np.ndarray
-    """Camera to world [4, 4]."""
+    #: Of the lights that are not at 1 in the pictures of this pose.
     levels: Mapping[str, float]
-    """Of the lights that are not at 1 in the pictures of this pose."""
     relit: tuple[Relighting, ...] = ()
 
     @property

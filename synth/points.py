@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Points on visible surfaces, as from structure from motion: exact ray hits of the training cameras."""
 
-from __future__ import annotations
-
 import numpy as np
 from mathutils import Vector
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a ray meets first of what is rendered."""
 
-from __future__ import annotations
-
 import bpy
 from mathutils import Vector
 

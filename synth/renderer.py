@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Renders one pose: the light of each group and the geometry, as numbers checked to be whole."""
 
-from __future__ import annotations
-
 import re
 import zlib
 from collections.abc import Iterator
@@ -20,20 +18,13 @@ from .passes import Passes
 from .progress import quiet
 from .stage import Stage
 
+#: In Cycles' status line.
 SAMPLE = re.compile(r"Sample (\d+)/\d+")
-"""In Cycles' status line."""
 
 
 def view_seed(seed: int, name: str) -> int:
     """Cycles seed of a picture: a hash of ``--seed`` and the pose's name, so that no two share noise."""
     return zlib.crc32(f"{seed}/{name}".encode()) & 0x7FFFFFFF
-
-
-@contextmanager
-def renderer(stage: Stage, denoise: bool) -> Iterator[Renderer]:
-    """A camera in a built stage, and the passes switched on. ``settings.applied`` must be around it."""
-    with compositor.connected(stage, denoise) as file:
-        yield Renderer(stage, denoise, file)
 
 
 class Renderer:
@@ -108,6 +99,13 @@ class Renderer:
             },
             **planes,
         )
+
+
+@contextmanager
+def renderer(stage: Stage, denoise: bool) -> Iterator[Renderer]:
+    """A camera in a built stage, and the passes switched on. ``settings.applied`` must be around it."""
+    with compositor.connected(stage, denoise) as file:
+        yield Renderer(stage, denoise, file)
 
 
 @contextmanager

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Camera responses: exposure × radiance (scene-linear, ≥ 0) → code value 0…1, each channel by itself."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,8 +12,8 @@ from ..bridge.srgb import to_srgb
 from . import folder
 from .errors import DamagedFileError, ResponseFileError, UnknownNameError
 
+#: Above this code value 1 is no good anchor: its slope no longer tells the scale.
 SATURATED = 0.95
-"""Above this code value 1 is no good anchor: its slope no longer tells the scale."""
 MIDDLE_GREY = 0.18
 
 

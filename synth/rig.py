@@ -4,8 +4,6 @@
 Poses are 4 × 4 camera-to-world matrices in Blender's world (metres); the camera looks down its −Z, +Y is up.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 
@@ -17,8 +15,8 @@ from .stage import WORLD_UP, CameraHints, RigPoses
 GRID_ASPECT = 7 / 5  # columns over rows: 35 views are 5 × 7, as in HDR-NeRF's data
 
 
+#: The rig of a user's scene that follows the camera's own animation (``user_camera.path``).
 PATH = "path"
-"""The rig of a user's scene that follows the camera's own animation (``user_camera.path``)."""
 
 
 def look_at(

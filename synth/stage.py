@@ -9,31 +9,31 @@ import bpy
 import numpy as np
 
 WORLD_UP = (0.0, 0.0, 1.0)
+#: The group of sky, sun and fill: what the data set's plain ``lighting_level`` turns.
 AMBIENT = "ambient"
-"""The group of sky, sun and fill: what the data set's plain ``lighting_level`` turns."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CameraHints:
     """Where the camera rigs of a scene may put cameras (metres, radians, Blender world)."""
 
+    #: Middle of the grid rig.
     centre: tuple[float, float, float]
-    """Middle of the grid rig."""
+    #: What the cameras look at.
     target: tuple[float, float, float]
-    """What the cameras look at."""
+    #: Width and height of the grid rig.
     extent: tuple[float, float]
-    """Width and height of the grid rig."""
+    #: Horizontal field of view.
     angle_x: float
-    """Horizontal field of view."""
     orbit_radius: float
+    #: Azimuth range of the orbit and hemisphere rigs, centred on the direction target → centre.
     orbit_arc: float
-    """Azimuth range of the orbit and hemisphere rigs, centred on the direction target → centre."""
+    #: Elevation range of the hemisphere rig; the orbit rig uses its middle.
     elevation: tuple[float, float]
-    """Elevation range of the hemisphere rig; the orbit rig uses its middle."""
+    #: Upward in the grid rig's pictures: not the world's where the camera looks straight down.
     up: tuple[float, float, float] = WORLD_UP
-    """Upward in the grid rig's pictures: not the world's where the camera looks straight down."""
+    #: Nothing nearer or farther than this is seen.
     clip: tuple[float, float] = (0.01, 1000.0)
-    """Nothing nearer or farther than this is seen."""
 
 
 @dataclass(frozen=True)
@@ -70,20 +70,20 @@ class Stage:
 
     scene: bpy.types.Scene
     cameras: CameraHints
+    #: Light → the numbers that turn it, ``AMBIENT`` (sky, sun, fill) first; none in a user's scene, where
+    #: nothing is turned: there the passes alone tell the lights apart.
     lights: dict[str, list[LightKnob]] = field(default_factory=dict)
-    """Light → the numbers that turn it, ``AMBIENT`` (sky, sun, fill) first; none in a user's scene, where
-    nothing is turned: there the passes alone tell the lights apart."""
+    #: Light → its light group of Cycles, where that has another name; ``""`` is what remains of the picture
+    #: without all others.
     groups: dict[str, str] = field(default_factory=dict)
-    """Light → its light group of Cycles, where that has another name; ``""`` is what remains of the picture
-    without all others."""
+    #: What is rendered and what rays are cast in; the scene's first view layer if ``None``.
     layer: bpy.types.ViewLayer | None = None
-    """What is rendered and what rays are cast in; the scene's first view layer if ``None``."""
+    #: Cameras that no rig of hints gives: those of the user's own animation.
     poses: RigPoses | None = None
-    """Cameras that no rig of hints gives: those of the user's own animation."""
+    #: Where a user's scene came from, for dataset.json.
     source: dict[str, Any] = field(default_factory=dict)
-    """Where a user's scene came from, for dataset.json."""
+    #: Of a user's scene: another value means that the scene has changed.
     fingerprint: str = ""
-    """Of a user's scene: another value means that the scene has changed."""
 
     @property
     def view_layer(self) -> bpy.types.ViewLayer:

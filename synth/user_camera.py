@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The user's own camera: its lens, what it looks at, and the rigs around it."""
 
-from __future__ import annotations
-
 import math
 
 import bpy
@@ -15,17 +13,17 @@ from .rays import Rays
 from .rig import PATH
 from .stage import WORLD_UP, CameraHints, RigPoses
 
+#: Width and height of the grid over the distance: a step aside, not a walk around.
 GRID_SHARE = (0.5, 0.3)
-"""Width and height of the grid over the distance: a step aside, not a walk around."""
 ARC = 90.0
+#: Degrees of the hemisphere below and above the user's own camera.
 BELOW, ABOVE = 20.0, 30.0
-"""Degrees of the hemisphere below and above the user's own camera."""
+#: Rays across the picture, and down it, that find out how far away things are.
 RASTER = 15
-"""Rays across the picture, and down it, that find out how far away things are."""
+#: The share of those rays that must meet something.
 ENOUGH = 0.1
-"""The share of those rays that must meet something."""
+#: Beyond this |cosine| to the vertical the grid's 'up' is the camera's own, not the world's.
 STEEP = 0.9
-"""Beyond this |cosine| to the vertical the grid's 'up' is the camera's own, not the world's."""
 GOLDEN = 0.6180339887498949
 STILL = 1e-6
 

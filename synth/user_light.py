@@ -6,8 +6,6 @@ user's own light groups are further lights, as far as anything in them shines; w
 remains of the picture.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -27,11 +25,11 @@ LAMPS = "lamps"
 class Grouped:
     """How the lights of a scene are told apart."""
 
+    #: Light → light group of Cycles; ``""`` for what remains. ``AMBIENT`` first.
     groups: dict[str, str]
-    """Light → light group of Cycles; ``""`` for what remains. ``AMBIENT`` first."""
     has_ambient: bool
+    #: What could not be done, for the user.
     notes: list[str] = field(default_factory=list)
-    """What could not be done, for the user."""
 
 
 @contextmanager

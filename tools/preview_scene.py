@@ -6,8 +6,6 @@
 For those who make a scene; data sets are made by ``synth/make_scene.py``.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import time

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A buttoned armchair with rolled arms and turned legs: 0.90 wide, 0.88 deep, 1.06 high."""
 
-from __future__ import annotations
-
 import math
 
 import bpy

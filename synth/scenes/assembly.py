@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Things made of many parts in axes of their own, and rings."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -6,8 +6,6 @@ free-standing bathtub; the sun falls past the tub on the patterned floor. Candle
 washstand is open below: the deep shadow. Three groups: ambient, the bulbs ``vanity`` and ``candles``.
 """
 
-from __future__ import annotations
-
 import math
 import random
 

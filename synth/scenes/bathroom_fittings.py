@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What stands in ``bathroom``: washstand and mirror, bathtub, shelf, towels, plants, stool, door."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import random

@@ -7,8 +7,6 @@ lamp like the moon (``moon``). The bench and the
 toy crate are open and dark inside: the deep shadow. A round mirror, a humming top and a bell shine.
 """
 
-from __future__ import annotations
-
 import math
 import random
 

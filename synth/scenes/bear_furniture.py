@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The furniture of ``bear``: toy bench, bookcase with the night lamp, crate, rug, curtains, pictures."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import random
@@ -28,6 +26,7 @@ CASE_TOP = 0.98
 BULB = (1.00, 1.10, CASE_TOP + 0.30)
 BULB_RADIUS = 0.042
 
+#: Scene-linear colours of toys and books.
 PAINTS = [
     (0.55, 0.06, 0.04),
     (0.65, 0.38, 0.03),
@@ -36,7 +35,6 @@ PAINTS = [
     (0.58, 0.22, 0.22),
     (0.30, 0.12, 0.32),
 ]
-"""Scene-linear colours of toys and books."""
 
 
 def furnish(room: Collection, at: Room, dice: random.Random) -> None:

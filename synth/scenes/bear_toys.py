@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The bear and his company: a rabbit, books, blocks, a ball, rings, a train, a humming top."""
 
-from __future__ import annotations
-
 import math
 import random
 

@@ -6,8 +6,6 @@ mirror over it). Ambient is sky and sun; ``lamp`` is the bare bulb behind the ch
 with the candle of its mantelpiece.
 """
 
-from __future__ import annotations
-
 import math
 import random
 

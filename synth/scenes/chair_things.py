@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What stands about the armchair of ``chair``: side table, pouf, log basket, plant, lamp, window, panels."""
 
-from __future__ import annotations
-
 import math
 import random
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Rings and arching leaves."""
 
-from __future__ import annotations
-
 import math
 import random
 

@@ -5,8 +5,6 @@ The desk stands against the wall y = ``WALL``, a window to the left of its monit
 right. Ambient is sky and sun; ``screen`` is the monitor's picture, ``lamp`` the bare bulb.
 """
 
-from __future__ import annotations
-
 import math
 import random
 

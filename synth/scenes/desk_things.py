@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What lies and stands on the desk of ``desk``, and what is pinned above it. ``TOP`` is the desk's height."""
 
-from __future__ import annotations
-
 import math
 import random
 

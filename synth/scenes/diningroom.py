@@ -6,8 +6,6 @@ mirror, a tall clock. Ambient light is sky, sun and a soft fill behind the camer
 the bare bulbs of the chandelier and the candles.
 """
 
-from __future__ import annotations
-
 import math
 import random
 

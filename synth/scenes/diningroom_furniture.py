@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What stands and hangs in ``diningroom``: six chairs, rug, sideboard and mirror, clock, plant, pictures."""
 
-from __future__ import annotations
-
 import math
 import random
 

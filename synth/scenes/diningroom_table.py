@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What is on the table of ``diningroom``: cloth, six places, fruit, bread, wine, candles that burn."""
 
-from __future__ import annotations
-
 import math
 import random
 from collections.abc import Callable

@@ -6,8 +6,6 @@ Ambient light is sky, sun and a soft fill behind the camera; the lamps are two g
 bulb on the side table.
 """
 
-from __future__ import annotations
-
 import math
 import random
 

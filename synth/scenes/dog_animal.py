@@ -5,8 +5,6 @@ Body, head and ears are each a heap of tapered capsules, made one skin by a voxe
 fur is a geometry-nodes modifier that sets thin cones on that skin.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

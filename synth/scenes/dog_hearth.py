@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The fireplace of ``dog``: piers of field stone, an oak mantel, a sooty box with coals and small flames."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import random

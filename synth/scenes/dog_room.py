@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What else is in ``dog``: braided rug, basket, bowls, toys, an armchair, side table and lamp, plants."""
 
-from __future__ import annotations
-
 import math
 import random
 

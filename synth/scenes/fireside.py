@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The fireplace of ``chair``: chimney breast, marble surround, a fire on a grate, mirror and candles."""
 
-from __future__ import annotations
-
 import math
 import random
 

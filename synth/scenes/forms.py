@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """More building blocks: rings, copies that share a mesh, frames."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Plants whose leaves are set by geometry nodes: one leaf, many points with a rotation and a size each."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import random

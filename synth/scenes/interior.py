@@ -6,8 +6,6 @@ slatted chair. Ambient light is sky, sun and a soft fill behind the camera; the 
 hanging bulb and the bulb of the standing lamp.
 """
 
-from __future__ import annotations
-
 import math
 import random
 

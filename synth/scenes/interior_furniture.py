@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The furniture of ``interior``: sofa, coffee table, slatted chair, plant, rug."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import random

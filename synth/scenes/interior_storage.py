@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What stands and hangs along the walls of ``interior``: bookshelf, cabinet, console, pictures, clock."""
 
-from __future__ import annotations
-
 import math
 import random
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Makes the lights of a built scene, each in one of Cycles' light groups, with the knobs that turn it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 

@@ -5,8 +5,6 @@ Every pattern has its finest visible feature at some centimetres, about one pixe
 of a room: finer grain would only alias, and a splat could not hold it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

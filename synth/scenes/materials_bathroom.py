@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Materials of a bathroom: glazed tiles, marble, a mirror, thin glass, terry cloth."""
 
-from __future__ import annotations
-
 import bpy
 
 from .materials import Colour, Graph, Socket

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Procedural materials of a desk: a screen with its picture, cork, written paper, thin glass, leather."""
 
-from __future__ import annotations
-
 import bpy
 
 from .materials import Colour, Graph, Socket

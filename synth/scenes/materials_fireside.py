@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Procedural materials of a fireside: woven and buttoned cloth, marble, sooty bricks, embers, flames."""
 
-from __future__ import annotations
-
 import math
 
 import bpy

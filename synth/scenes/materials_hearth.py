@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Materials about a hearth: stone, bark, soot, live coals, flames, leather; a dog's coat."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import bpy

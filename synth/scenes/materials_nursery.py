@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Materials of a child's room: painted blocks, a striped ball, a moon, a ringed rug, a patchwork."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Procedural materials of old buildings: rock, masonry, inlaid floors, patina, hanging cloth, water."""
 
-from __future__ import annotations
-
 import bpy
 
 from .materials import Colour, Graph, Socket

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Materials of a dining room: linen, thin glass, rush, parquet, damask, silver."""
 
-from __future__ import annotations
-
 import bpy
 
 from .materials import Colour, Graph

@@ -4,8 +4,6 @@
 Patterns are of some centimetres in the object's own X and Y, as ``props.cushion`` lies before it is turned.
 """
 
-from __future__ import annotations
-
 import bpy
 
 from .materials import Colour, Graph, Socket

@@ -5,8 +5,6 @@ A tuft is a cone of three sides, some millimetres wide: about half a pixel of a 
 a pelt has its soft outline and its grain, at a fraction of the cost of hair.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import bmesh
@@ -17,13 +15,13 @@ from . import materials as m
 from .props import Point, finish
 
 Colour = m.Colour
+#: An ellipsoid: centre, half axes (metres), rotation (radians).
 Blob = tuple[Point, Point, Point]
-"""An ellipsoid: centre, half axes (metres), rotation (radians)."""
 
+#: Attribute of a tuft: the normal where it stands.
 SKIN = "skin normal"
-"""Attribute of a tuft: the normal where it stands."""
+#: Attribute of a tuft: 0 at its root, 1 at its tip.
 ALONG = "along tuft"
-"""Attribute of a tuft: 0 at its root, 1 at its tip."""
 
 
 def pelt(name: str, root: Colour, tip: Colour, scale: float = 9.0) -> bpy.types.Material:

@@ -4,8 +4,6 @@
 Only bmesh and the data API are used, no operators: they work without a window or an active object.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Sequence

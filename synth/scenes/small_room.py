@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A small room with a window in its back wall (+Y), and a garden outside: shell of bathroom and bear."""
 
-from __future__ import annotations
-
 import math
 import random
 from dataclasses import dataclass
@@ -26,10 +24,10 @@ class Room:
     back: float
     front: float
     height: float
+    #: The hole in the back wall: x0, x1, z0, z1.
     window: tuple[float, float, float, float]
-    """The hole in the back wall: x0, x1, z0, z1."""
+    #: One more in the left wall: y0, y1, z0, z1.
     west: tuple[float, float, float, float] | None = None
-    """One more in the left wall: y0, y1, z0, z1."""
 
     @property
     def window_middle(self) -> tuple[float, float, float]:

@@ -6,8 +6,6 @@ sofa in the right corner. Lamps: ``arc``, a bare bulb on a bent pole; ``string``
 the back and right walls; ``screen``, the television. Ambient is sky, sun and a soft fill behind the camera.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import random

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The furniture of ``sofa``: corner sofa with cushions and throw, table, carpet, banana plant, pouf."""
 
-from __future__ import annotations
-
 import math
 import random
 

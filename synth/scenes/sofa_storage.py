@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What stands and hangs along the walls of ``sofa``: television, shelf, arc lamp, mirror, pictures."""
 
-from __future__ import annotations
-
 import math
 import random
 
@@ -21,8 +19,8 @@ Collection = bpy.types.Collection
 
 BULB_RADIANCE = 400.0
 SCREEN_RADIANCE = 5.0
+#: Mean of the television's picture, of ``SCREEN_RADIANCE``.
 SCREEN_COLOUR = (0.30, 0.12, 0.07)
-"""Mean of the television's picture, of ``SCREEN_RADIANCE``."""
 WARM = (1.0, 0.70, 0.40)
 
 

@@ -6,8 +6,6 @@ aisle; the right side lies in shade. Lamps: ``lanterns`` with bare bulbs in the 
 Ambient is sun and sky.
 """
 
-from __future__ import annotations
-
 import math
 import random
 

@@ -4,8 +4,6 @@
 Each side is built along its own X from 0 to its length, the court at −Y, and then turned into place.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 
@@ -20,11 +18,11 @@ from .shapes import copy, turned
 
 Collection = bpy.types.Collection
 
+#: The lines of the columns.
 HALF_X, HALF_Y = 3.0, 7.0
-"""The lines of the columns."""
 BAY, AISLE = 2.0, 2.3
+#: Of the lower arches: height of the capitals, radius, top of their wall.
 SPRING, RADIUS, STOREY = 2.5, 0.78, 3.85
-"""Of the lower arches: height of the capitals, radius, top of their wall."""
 GALLERY, RAIL, UPPER_SPRING, UPPER_RADIUS, UPPER_TOP = 4.05, 4.85, 5.75, 0.36, 6.45
 THICK = 0.5
 OUT_X, OUT_Y = HALF_X + AISLE, HALF_Y + AISLE

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What stands in ``sponza``: pool and water lilies, orange trees and agaves, vessels, benches."""
 
-from __future__ import annotations
-
 import math
 import random
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What hangs and burns in ``sponza``: banners and curtains, a creeper, lanterns, braziers."""
 
-from __future__ import annotations
-
 import math
 import random
 

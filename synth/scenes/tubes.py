@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Round bars along a path: cables, handles, stems, garlands, rolls of cloth."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence

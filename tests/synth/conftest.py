@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A stage that renders in a blink, and readers of the files that share no code with synth."""
 
-from __future__ import annotations
-
 import json
 import math
 import struct

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Models from catalogues and folders: found by kind, fitted into their place, or an error that names them."""
 
-from __future__ import annotations
-
 import math
 import zipfile
 from pathlib import Path

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A real camera's faults against closed forms: noise, vignetting, white balance, local tone mapping."""
 
-from __future__ import annotations
-
 import argparse
 import json
 

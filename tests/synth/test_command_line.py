@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Bad input: one clear message on stderr, exit code 1 (2 for usage), no traceback, nothing written."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

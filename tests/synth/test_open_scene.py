@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The user's own scene: rigs around their camera, their light at other levels, nothing of theirs changed."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import math

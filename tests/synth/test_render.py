@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """One render of one pose: lights that add up, geometry in its place, settings that come back."""
 
-from __future__ import annotations
-
 import math
 
 import bpy

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Camera responses against closed forms, published points and Blender's own output."""
 
-from __future__ import annotations
-
 import json
 
 import bpy

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Where the cameras stand and look."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Every built-in scene: light that can be recombined, free cameras on every rig, and a range of 14 stops."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 

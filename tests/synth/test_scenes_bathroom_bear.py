@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Plush, which the bear, his rabbit and the rugs wear: as much as asked for, and always the same."""
 
-from __future__ import annotations
-
 import math
 
 import bpy

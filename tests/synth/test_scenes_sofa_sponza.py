@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Geometry that the scenes sofa and sponza rest on: parquet without gaps or overlaps, strewn leaves."""
 
-from __future__ import annotations
-
 import bmesh
 import bpy
 import pytest
