@@ -11,7 +11,8 @@ import bpy
 
 from ..bridge.errors import PhysHDRError
 from . import nodes
-from .point_cloud import IDENTITY, lights_of
+from .attributes import IDENTITY
+from .point_cloud import lights_of
 
 
 def inputs(lights: Sequence[str]) -> list[str]:
@@ -39,11 +40,6 @@ class Look:
 def is_model(target: bpy.types.Object | None) -> bool:
     """Whether an object is an imported model (or a copy of one)."""
     return target is not None and target.type == "POINTCLOUD" and IDENTITY in target.data
-
-
-def models_in(scene: bpy.types.Scene) -> list[bpy.types.Object]:
-    """The models of a scene, in its order."""
-    return [target for target in scene.objects if is_model(target)]
 
 
 def look_of(target: bpy.types.Object, depsgraph: bpy.types.Depsgraph | None = None) -> Look:

@@ -11,11 +11,11 @@ from typing import Literal
 import bpy
 
 from ..bridge.splatting import ALPHA_MAX, ALPHA_MIN
+from .attributes import RADIANCE
 from .node_builder import Field, NodeBuilder
 
 Shape = Literal["ellipsoid", "splat"]
 
-RADIANCE_ATTRIBUTE = "physhdr:radiance"
 
 #: Custom property that marks our materials, with the version of this file's recipe.
 _MARK = "physhdr_material"
@@ -50,7 +50,7 @@ def _build(tree: bpy.types.NodeTree, shape: Shape) -> None:
         squared = _ray_distance_squared(build) if shape == "ellipsoid" else _card_distance_squared(build)
     with build.frame("Alpha = opacity · (255 opacity)^(−d²)"):
         attribute = build.node(
-            "ShaderNodeAttribute", attribute_type="INSTANCER", attribute_name=RADIANCE_ATTRIBUTE
+            "ShaderNodeAttribute", attribute_type="INSTANCER", attribute_name=RADIANCE.name
         )
         radiance, opacity = build.output(attribute, "Color"), build.output(attribute, "Alpha")
         falloff = build.math("POWER", opacity * (1.0 / ALPHA_MIN), 0.0 - squared)

@@ -13,8 +13,9 @@ from ..bridge.display import ColorSpace
 from ..bridge.errors import PhysHDRError
 from ..bridge.model_file import read_model
 from ..bridge.ply_model import PlyModel, read_ply_model
-from .nodes import add_modifier
+from .attributes import COLOR_SPACE, FILE
 from .point_cloud import build_point_cloud
+from .radiance_tree import add_modifier
 
 Orientation = Literal["AS_IS", "Y_UP", "COLMAP"]
 
@@ -56,9 +57,9 @@ def import_file(
     source = read_ply_model(path, color_space) if is_ply else PlyModel(read_model(path), None, 0, ())
     name = name or path.stem
     cloud = build_point_cloud(source.model, name, source.colour_sh)
-    cloud["physhdr_file"] = str(path)
+    cloud[FILE] = str(path)
     if source.colour_sh is not None:
-        cloud["physhdr_color_space"] = color_space
+        cloud[COLOR_SPACE] = color_space
     target = bpy.data.objects.new(name, cloud)
     if is_ply:
         target.rotation_euler.x = TURNS[orientation]

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Write node trees as formulas: sockets with operators, frames with titles, a layout people can read."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Union
 
 import bpy
+
+from .attributes import Attribute, AttributeType
 
 #: Grid of the layout, in node editor units: a column is wide enough for a 140 wide node and its links.
 COLUMN_WIDTH = 190
@@ -16,13 +16,13 @@ HEADER_HEIGHT = 60
 SOCKET_HEIGHT = 24
 ROW_GAP = 30
 
-Operand = "Field | float | tuple[float, float, float]"
+Operand = Union["Field", float, tuple[float, float, float]]
 
 
 class Field:
     """An output socket with arithmetic: ``+ − * /`` make math nodes (vector math with a vector)."""
 
-    def __init__(self, builder: NodeBuilder, socket: bpy.types.NodeSocket) -> None:
+    def __init__(self, builder: "NodeBuilder", socket: bpy.types.NodeSocket) -> None:
         self.builder = builder
         self.socket = socket
 
@@ -30,22 +30,22 @@ class Field:
     def is_vector(self) -> bool:
         return self.socket.type in {"VECTOR", "RGBA"}
 
-    def __add__(self, other: Operand) -> Field:
+    def __add__(self, other: Operand) -> "Field":
         return self.builder.arithmetic("ADD", self, other)
 
-    def __sub__(self, other: Operand) -> Field:
+    def __sub__(self, other: Operand) -> "Field":
         return self.builder.arithmetic("SUBTRACT", self, other)
 
-    def __mul__(self, other: Operand) -> Field:
+    def __mul__(self, other: Operand) -> "Field":
         return self.builder.arithmetic("MULTIPLY", self, other)
 
-    def __truediv__(self, other: Operand) -> Field:
+    def __truediv__(self, other: Operand) -> "Field":
         return self.builder.arithmetic("DIVIDE", self, other)
 
-    def __rsub__(self, other: Operand) -> Field:
+    def __rsub__(self, other: Operand) -> "Field":
         return self.builder.arithmetic("SUBTRACT", other, self)
 
-    def __rtruediv__(self, other: Operand) -> Field:
+    def __rtruediv__(self, other: Operand) -> "Field":
         return self.builder.arithmetic("DIVIDE", other, self)
 
     __radd__ = __add__
@@ -148,3 +148,24 @@ class NodeBuilder:
         for node in nodes:
             columns[depths[node.name]].append(node)
         return columns
+
+
+class GeometryBuilder(NodeBuilder):
+    """Adds geometry nodes to a tree."""
+
+    def named(self, attribute: Attribute, as_type: AttributeType | None = None) -> Field:
+        """The attribute of each point; ``as_type`` where nodes know its own type under another name."""
+        kind = as_type or attribute.type
+        return self.field(
+            "GeometryNodeInputNamedAttribute", attribute.name, data_type=kind, label=attribute.name
+        )
+
+    def store(self, geometry: Field, attribute: Attribute, value: Field) -> Field:
+        """The geometry with the attribute set to ``value``."""
+        name, kind = attribute.name, attribute.type
+        return self.field(
+            "GeometryNodeStoreNamedAttribute", geometry, None, name, value, data_type=kind, label=name
+        )
+
+    def switch(self, condition: Field, off: Any, on: Any, kind: str = "FLOAT") -> Field:
+        return self.field("GeometryNodeSwitch", condition, off, on, input_type=kind)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The camera of a 3D view, or of the scene, as a pinhole in pixels: what rasterisers want.
+"""The camera of a 3D view as a pinhole in pixels: what rasterisers want.
 
 Blender gives two matrices for a region: ``view_matrix`` (world to camera, looks down −Z) and
 ``window_matrix`` (camera to clip space). The second holds everything about the picture: focal length,
@@ -114,21 +114,6 @@ def from_matrices(
 def of_region(region: "bpy.types.Region", rv3d: "bpy.types.RegionView3D") -> ViewCamera:
     """The camera through which a 3D view's region is seen: user view or camera view alike."""
     return from_matrices(rv3d.view_matrix, rv3d.window_matrix, region.width, region.height)
-
-
-def of_scene_camera(
-    camera: "bpy.types.Object", depsgraph: "bpy.types.Depsgraph", width: int, height: int
-) -> ViewCamera:
-    """The camera of a render of ``width`` by ``height`` pixels, as evaluated (animation, constraints).
-
-    The camera's own scale is ignored, as Blender does.
-    """
-    scene = depsgraph.scene.render
-    evaluated = camera.evaluated_get(depsgraph)
-    window = evaluated.calc_matrix_camera(
-        depsgraph, x=width, y=height, scale_x=scene.pixel_aspect_x, scale_y=scene.pixel_aspect_y
-    )
-    return from_matrices(evaluated.matrix_world.normalized().inverted(), window, width, height)
 
 
 def object_to_camera(camera: ViewCamera, matrix_world: Sequence[Sequence[float]]) -> np.ndarray:

@@ -14,6 +14,7 @@ from pathlib import Path
 import bpy
 
 from ...bridge.messages import PreviewCamera, PreviewFrame, PreviewRequest
+from ..attributes import FILE
 from ..look import is_model
 from ..session.session import Session
 from ..settings import preview_levels
@@ -82,7 +83,7 @@ class LivePreview:
         hidden = {
             identity(target.data)
             for target in bpy.data.objects
-            if is_on and is_model(target) and Path(target.data.get("physhdr_file", "")).parent == run
+            if is_on and is_model(target) and Path(target.data.get(FILE, "")).parent == run
         }
         if hidden != self._hidden:
             self._hidden = hidden
@@ -107,7 +108,9 @@ class LivePreview:
         if frame is None:
             schedule.lost()
         elif schedule.received(now, asked.request.number, 1e-3 * frame.header.milliseconds):
-            overlay.set_picture(asked.key, overlay.Picture(frame.rgba, frame.depth, asked.request.camera))
+            overlay.set_picture(
+                asked.key, overlay.RenderedView(frame.rgba, frame.depth, asked.request.camera)
+            )
 
     def _ask(self, session: Session, regions: "dict[int, View]", now: float) -> None:
         # The view after the one that was served last comes first.

@@ -30,6 +30,7 @@ import gpu
 import numpy as np
 
 from ...bridge.errors import DataMismatchError
+from ..tone_curve import ToneCurve
 from . import gpu_arrays, overlay_shader
 from .camera import OPENGL_TO_OPENCV, ViewCamera, between, of_region
 from .overlay_shader import Flag
@@ -39,28 +40,10 @@ _DEPTH_STRIDE = 8
 
 
 @dataclass(frozen=True, eq=False)
-class ToneCurve:
-    """The camera's learned response: ``log_exposure`` ``[M]`` rising, ``values`` ``[M, 3]`` in 0…1."""
-
-    log_exposure: np.ndarray
-    values: np.ndarray
-
-    @cached_property
-    def key(self) -> bytes:
-        """Equal for equal curves; hashable."""
-        return self.log_exposure.tobytes() + self.values.tobytes()
-
-    def resampled(self, count: int) -> tuple[np.ndarray, float, float]:
-        """``[count, 3]`` values at equal steps of ln(exposure), the first place and the step."""
-        start, end = float(self.log_exposure[0]), float(self.log_exposure[-1])
-        places = np.linspace(start, end, count)
-        values = [np.interp(places, self.log_exposure, self.values[:, c]) for c in range(3)]
-        return np.stack(values, axis=1), start, (end - start) / (count - 1)
-
-
-@dataclass(frozen=True, eq=False)
-class Picture:
-    """What a backend rendered. Raises ``DataMismatchError`` where the sizes do not agree."""
+class RenderedView:
+    """What a backend rendered for a camera: colours with depths. Raises ``DataMismatchError`` where their
+    sizes do not agree with it.
+    """
 
     #: ``[H, W, 4]`` float16 or float32: scene-linear, premultiplied, top row first.
     rgba: np.ndarray
@@ -106,7 +89,7 @@ class Layer:
 Source = Callable[[bpy.types.Context, ViewCamera], Iterable[Layer]]
 
 
-def upload(picture: Picture) -> Layer:
+def upload(picture: RenderedView) -> Layer:
     """The picture on the GPU; needs an active GPU context (a draw handler)."""
     # Full floats: they are what Blender uploads, and the driver need not convert them.
     colour = gpu_arrays.texture(np.asarray(picture.rgba, np.float32), "RGBA32F")
@@ -179,8 +162,8 @@ class _Runtime:
     def __init__(self) -> None:
         self.handlers: list[Any] = []
         self.sources: list[Source] = []
-        self.pictures: dict[int, Picture] = {}
-        self.layers: dict[int, tuple[Picture, Layer]] = {}
+        self.pictures: dict[int, RenderedView] = {}
+        self.layers: dict[int, tuple[RenderedView, Layer]] = {}
         self.compositor: Compositor | None = None
         self.scene_framebuffer: gpu.types.GPUFrameBuffer | None = None
 
@@ -201,7 +184,7 @@ def view_regions() -> Iterable[tuple[bpy.types.Area, bpy.types.Region]]:
                 yield from ((area, region) for region in area.regions if region.type == "WINDOW")
 
 
-def set_picture(key: int, picture: Picture | None) -> None:
+def set_picture(key: int, picture: RenderedView | None) -> None:
     """Show this in the region with that ``region_key`` from now on; ``None``: no longer. Redraws it.
 
     May be called from a timer: the upload happens when the region is drawn.
@@ -215,10 +198,6 @@ def set_picture(key: int, picture: Picture | None) -> None:
         _runtime.pictures[key] = picture
     if key in regions:
         regions[key].tag_redraw()
-
-
-def has_picture(key: int) -> bool:
-    return key in _runtime.pictures
 
 
 def clear() -> None:

@@ -170,16 +170,6 @@ class PreviewSchedule:
         self._outstanding = self._last = None
         self._failed = True
 
-    def wakes_at(self, now: float) -> float | None:
-        """When ``wants`` may say something new although nothing happens; ``None``: never."""
-        if self._outstanding is not None:
-            return self._outstanding[1] + self.timeout_seconds
-        if self._failed or now < self._retry_at:
-            return max(now, self._retry_at)
-        if self._held is not None and (self._last is None or not self._last[0].is_sharp):
-            return max(now, self._changed_at + self.rest_seconds)
-        return None
-
     def _rests(self, now: float) -> bool:
         return now - self._changed_at >= self.rest_seconds
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from ...bridge.errors import PhysHDRError
 from ...bridge.spherical_harmonics import degree_of
-from ..point_cloud import IDENTITY, lights_of, read_attribute, read_shares
+from ..attributes import BASE, IDENTITY, LEVEL_LOG_GAIN, LOG_SH, POSITION, ROTATION, SCALE
+from ..point_cloud import lights_of, read_attribute, read_levels, read_numbered, read_shares
 from . import gpu_arrays
-from .overlay import ToneCurve
 
 #: Gaussian i is texel (i mod WIDTH, i div WIDTH) of every texture.
 WIDTH = 2048
@@ -22,7 +22,7 @@ LIGHTS_MAX = 255
 
 _serial = itertools.count()
 
-_REQUIRED = ("position", "scale", "rotation", "radiance:base", "physhdr:log_sh_0")
+_REQUIRED = (POSITION, SCALE, ROTATION, BASE, LOG_SH[0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,16 +50,16 @@ def is_splats(cloud: bpy.types.PointCloud) -> bool:
         drawable = len(lights_of(cloud)) <= LIGHTS_MAX
     except PhysHDRError:  # the panel and the bake say what is wrong with it
         return False
-    return drawable and all(name in cloud.attributes for name in _REQUIRED)
+    return drawable and all(attribute.name in cloud.attributes for attribute in _REQUIRED)
 
 
 def read_arrays(cloud: bpy.types.PointCloud) -> SplatArrays:
     """The attributes of a point cloud for which ``is_splats``. ``ValueError`` for a wrong number of SH."""
-    base = read_attribute(cloud, "radiance:base")
-    log_sh = _numbered(cloud, "physhdr:log_sh_")
+    base = read_attribute(cloud, BASE.name)
+    log_sh = read_numbered(cloud, LOG_SH)
     degree_of(len(log_sh))
-    levels = tuple(float(level) for level in cloud.get("physhdr_levels", ()))
-    gains = _numbered(cloud, "physhdr:level_log_gain_")
+    levels = read_levels(cloud)
+    gains = read_numbered(cloud, LEVEL_LOG_GAIN)
     if levels and len(gains) == len(levels):
         light = np.stack(gains)
     else:
@@ -71,22 +71,14 @@ def read_arrays(cloud: bpy.types.PointCloud) -> SplatArrays:
             light = np.zeros((len(lights_of(cloud)), len(base), 3), np.float32)
             light[0] = 1.0
     return SplatArrays(
-        position=read_attribute(cloud, "position"),
-        rotation=read_attribute(cloud, "rotation"),
-        scale=read_attribute(cloud, "scale"),
+        position=read_attribute(cloud, POSITION.name),
+        rotation=read_attribute(cloud, ROTATION.name),
+        scale=read_attribute(cloud, SCALE.name),
         opacity=np.ascontiguousarray(base[:, 3]),
         log_sh=np.stack(log_sh),
         light=light,
         levels=levels,
     )
-
-
-def read_tone_curve(cloud: bpy.types.PointCloud) -> ToneCurve | None:
-    """The learned response that came with the model, if any."""
-    places, values = cloud.get("physhdr_tone_curve_log_exposure"), cloud.get("physhdr_tone_curve")
-    if places is None or values is None:
-        return None
-    return ToneCurve(np.array(places, np.float32), np.array(values, np.float32).reshape(-1, 3))
 
 
 def identity(cloud: bpy.types.PointCloud) -> str:
@@ -100,16 +92,8 @@ def fingerprint(cloud: bpy.types.PointCloud) -> tuple[int, ...]:
     Sums of the bits of the attributes that such edits change. Blender reports a changed modifier input as a
     changed point cloud; uploading again at every step of a slider would be slow.
     """
-    values = (read_attribute(cloud, name) for name in ("position", "scale", "radiance:base"))
+    values = (read_attribute(cloud, attribute.name) for attribute in (POSITION, SCALE, BASE))
     return len(cloud.points), *(int(array.view(np.uint32).sum(dtype=np.uint64)) for array in values)
-
-
-def _numbered(cloud: bpy.types.PointCloud, prefix: str) -> list[np.ndarray]:
-    """Attributes ``prefix0``, ``prefix1``, … as long as there are."""
-    values: list[np.ndarray] = []
-    while f"{prefix}{len(values)}" in cloud.attributes:
-        values.append(read_attribute(cloud, f"{prefix}{len(values)}"))
-    return values
 
 
 class SplatTextures:

@@ -13,10 +13,11 @@ import gpu
 import numpy as np
 
 from ...bridge.splatting import NEAR_PLANE
+from ..tone_curve import ToneCurve
 from . import gpu_arrays, splat_shaders
 from .camera import ViewCamera, object_to_camera
 from .depth_order import back_to_front
-from .overlay import Layer, ToneCurve
+from .overlay import Layer
 from .splat_data import WIDTH, SplatTextures
 
 #: Gaussians in one draw call. A triangle each: in software a third faster than quads for small pictures, the

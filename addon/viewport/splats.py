@@ -13,14 +13,16 @@ from typing import Any, NamedTuple
 import bpy
 import numpy as np
 
+from ..attributes import RADIUS
 from ..look import Look, look_of
 from ..nodes import find_modifier
-from ..point_cloud import Attribute, write_attribute
+from ..point_cloud import read_tone_curve, write_attribute
+from ..tone_curve import ToneCurve
 from . import overlay
 from .camera import ViewCamera
-from .overlay import Layer, ToneCurve
+from .overlay import Layer
 from .schedule import REST_SECONDS, STEP, ResolutionLadder
-from .splat_data import SplatTextures, fingerprint, identity, is_splats, read_arrays, read_tone_curve
+from .splat_data import SplatTextures, fingerprint, identity, is_splats, read_arrays
 from .splat_renderer import Drawing, Item, SplatRenderer, Target
 
 #: A redraw may spend about as long here.
@@ -263,10 +265,10 @@ def _apply_display(target: bpy.types.Object, context: bpy.types.Context | None) 
     modifier.show_viewport = not as_splats
     target.display_type = "BOUNDS" if as_splats else "TEXTURED"
     cloud = target.data
-    if as_splats and cloud.is_editable and "radius" not in cloud.attributes:
+    if as_splats and cloud.is_editable and RADIUS.name not in cloud.attributes:
         # Material Preview and Rendered draw the points themselves, whatever the display type. The modifier
         # puts out instances only, and they have a size of their own.
-        write_attribute(cloud, Attribute("radius", "FLOAT", np.zeros(len(cloud.points), np.float32)))
+        write_attribute(cloud, RADIUS, np.zeros(len(cloud.points)))
 
 
 def register() -> None:

@@ -250,7 +250,7 @@ def test_what_cannot_be_baked_says_why(registered, make_model, write, tmp_path):
 
 def test_looks_follow_keyframes_and_survive_without_the_modifier(scene, make_toned, write):
     target = model_import.import_model(write(make_toned()))
-    assert look.models_in(scene) == [target]
+    assert [each for each in scene.objects if look.is_model(each)] == [target]
     modifier = nodes.find_modifier(target)
     modifier.name = "another name"
     for frame, value in [(1, 0.0), (11, 2.0)]:

@@ -12,7 +12,7 @@ from physhdr.bridge import spherical_harmonics
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
 import physhdr  # noqa: E402
-from physhdr.addon import model_import, point_cloud  # noqa: E402
+from physhdr.addon import attributes, model_import, point_cloud  # noqa: E402
 
 
 @pytest.fixture
@@ -87,7 +87,7 @@ def test_provenance_is_kept(scene, make_model, write):
     assert cloud["physhdr_modulator"] == "additive"
     assert list(cloud["physhdr_exposures"]) == [0.25, 1.0, 4.0]
     assert cloud["physhdr_file"] == str(path)
-    assert len(cloud[point_cloud.IDENTITY]) == 32
+    assert len(cloud[attributes.IDENTITY]) == 32
 
 
 def test_operator_imports_selects_and_names(registered, make_model, write):
@@ -103,7 +103,7 @@ def test_two_models_of_one_kind_share_the_tree_and_the_materials(registered, mak
     assert len(bpy.data.node_groups) == 1
     assert len(bpy.data.materials) == 2
     first, second = bpy.data.objects
-    assert first.data[point_cloud.IDENTITY] != second.data[point_cloud.IDENTITY]
+    assert first.data[attributes.IDENTITY] != second.data[attributes.IDENTITY]
 
 
 def test_operator_reports_what_is_wrong_and_makes_nothing(registered, make_model, write, tmp_path):

@@ -9,7 +9,8 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
-from physhdr.addon import look, model_import, nodes, point_cloud, render  # noqa: E402
+from physhdr.addon import attributes, look, model_import, nodes, point_cloud, render  # noqa: E402
+from physhdr.addon.radiance_tree import radiance_tree  # noqa: E402
 from physhdr.bridge.lights import Levels  # noqa: E402
 
 LIGHTS = ("ambient", "pendant", "desk lamp, Küche")
@@ -59,7 +60,7 @@ def test_fixed_and_ambient_parts_add_up(add):
     model, target, modifier, _ = add()
     nodes.set_input(modifier, nodes.LIGHTING_LEVEL, 3.0)
     fixed, ambient = (
-        evaluated(target, name)[:, :3] for name in (nodes.FIXED_ATTRIBUTE, nodes.AMBIENT_ATTRIBUTE)
+        evaluated(target, name)[:, :3] for name in (attributes.FIXED_PART.name, attributes.FIRST_PART.name)
     )
     np.testing.assert_allclose(ambient / (fixed + ambient), model.light_share[:, 0], rtol=1e-4, atol=1e-6)
     np.testing.assert_allclose(evaluated(target)[:, :3], fixed + 3.0 * ambient, rtol=1e-5)
@@ -85,8 +86,8 @@ def test_several_lights_have_a_level_each(add, degree: int):
         nodes.set_input(modifier, nodes.EXPOSURE, -1.5)
         expected = expected_radiance(model, target, camera, levels, -1.5)
         np.testing.assert_allclose(evaluated(target)[:, :3], expected, rtol=1e-5, atol=1e-7)
-    parts = [evaluated(target, nodes.light_attribute(index))[:, :3] for index in range(3)]
-    at_1 = evaluated(target, nodes.FIXED_ATTRIBUTE)[:, :3] + sum(parts)
+    parts = [evaluated(target, attributes.light_part(index).name)[:, :3] for index in range(3)]
+    at_1 = evaluated(target, attributes.FIXED_PART.name)[:, :3] + sum(parts)
     np.testing.assert_allclose(at_1, expected_radiance(model, target, camera), rtol=1e-5)
     np.testing.assert_allclose(np.stack(parts, 1) / at_1[:, None], model.light_share, rtol=1e-4, atol=1e-6)
 
@@ -189,7 +190,7 @@ def test_saved_and_reopened_it_gives_the_same(add, tmp_path):
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "saved.blend"))
     target = bpy.data.objects[name]
     np.testing.assert_array_equal(evaluated(target), before)
-    assert nodes.get_input(target.modifiers[0], nodes.LIGHTING_LEVEL) == 2.5
+    assert look.look_of(target).lighting_levels == (2.5,)
     assert all(material.users for material in bpy.data.materials)
 
 
@@ -218,7 +219,7 @@ def test_appended_or_linked_into_another_file_it_still_works(add, tmp_path, link
 
 def test_every_node_has_a_frame_or_a_place_of_its_own(scene):
     """The tree can be read in the editor: no two nodes lie upon each other."""
-    for tree in (nodes.radiance_tree(3, (0.5, 1.0, 2.0)), nodes.radiance_tree(1, lights=LIGHTS)):
+    for tree in (radiance_tree(3, (0.5, 1.0, 2.0)), radiance_tree(1, lights=LIGHTS)):
         places = [tuple(node.location) for node in tree.nodes if node.type != "FRAME"]
         assert len(places) == len(set(places))
         assert all(node.label for node in tree.nodes if node.type == "FRAME")

@@ -10,6 +10,7 @@ bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, o
 
 import physhdr  # noqa: E402
 from physhdr.addon import look, model_import, nodes, point_cloud  # noqa: E402
+from physhdr.addon.attributes import Attribute  # noqa: E402
 
 
 @pytest.fixture
@@ -71,7 +72,7 @@ def test_undo_and_redo_of_an_import_and_of_a_slider(registered, make_model, writ
     for _ in range(2):
         bpy.ops.ed.undo()
         bpy.ops.ed.undo()
-        assert not bpy.data.objects and look.models_in(bpy.context.scene) == []
+        assert not bpy.data.objects
         bpy.ops.ed.redo()
         assert look.look_of(bpy.data.objects[0]) == look.Look()
         bpy.ops.ed.redo()
@@ -117,7 +118,7 @@ def test_appended_by_a_script_next_to_its_like_it_is_independent(registered, mak
     nodes.set_input(nodes.find_modifier(appended), nodes.EXPOSURE, 3.0)
     np.testing.assert_allclose(radiance(appended), 8.0 * constant(model), rtol=1e-5)
     np.testing.assert_allclose(radiance(here), constant(model), rtol=1e-5)
-    assert len(look.models_in(bpy.context.scene)) == 2
+    assert sum(map(look.is_model, bpy.context.scene.objects)) == 2
 
 
 def test_models_of_different_degree_modulator_and_response_side_by_side(scene, make_model, write, response):
@@ -179,7 +180,7 @@ def test_points_that_were_deleted_stay_away(scene, make_model, write):
         keep[key] = target.data[key]
     for attribute in target.data.attributes:
         values = point_cloud.read_attribute(target.data, attribute.name)[:10]
-        point_cloud.write_attribute(keep, point_cloud.Attribute(attribute.name, attribute.data_type, values))
+        point_cloud.write_attribute(keep, Attribute(attribute.name, attribute.data_type), values)
     target.data = keep
     np.testing.assert_allclose(radiance(target), constant(model)[:10], rtol=1e-5)
     assert point_cloud.model_of(keep).count == 10

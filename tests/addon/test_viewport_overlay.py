@@ -7,9 +7,10 @@ import pytest
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 import gpu  # noqa: E402
 
+from physhdr.addon.tone_curve import ToneCurve  # noqa: E402
 from physhdr.addon.viewport import gpu_arrays  # noqa: E402
 from physhdr.addon.viewport.camera import ViewCamera, from_matrices  # noqa: E402
-from physhdr.addon.viewport.overlay import Compositor, Layer, Picture, ToneCurve, upload  # noqa: E402
+from physhdr.addon.viewport.overlay import Compositor, Layer, RenderedView, upload  # noqa: E402
 from physhdr.bridge.errors import DataMismatchError  # noqa: E402
 from physhdr.bridge.srgb import to_linear  # noqa: E402
 
@@ -61,13 +62,13 @@ def compositor():
     return Compositor()
 
 
-def picture(depth: float | np.ndarray = 3.0, tone=None, camera: ViewCamera | None = None) -> Picture:
+def picture(depth: float | np.ndarray = 3.0, tone=None, camera: ViewCamera | None = None) -> RenderedView:
     """Noise, premultiplied, half covered, HDR; the top left pixel shows nothing."""
     camera = camera or camera_at(0.0)
     rgba = np.random.default_rng(0).uniform(0.0, 30.0, (camera.height, camera.width, 4)).astype(np.float32)
     rgba[..., 3] = 0.5
     rgba[0, 0] = 0.0
-    return Picture(rgba, np.broadcast_to(np.float32(depth), rgba.shape[:2]).copy(), camera, tone)
+    return RenderedView(rgba, np.broadcast_to(np.float32(depth), rgba.shape[:2]).copy(), camera, tone)
 
 
 def test_in_front_of_the_scene_it_covers_with_its_alpha(compositor):
@@ -112,7 +113,7 @@ def test_half_as_many_pixels_are_stretched_over_the_same_view(compositor):
     small = camera_at(0.0).resized(WIDTH // 2, HEIGHT // 2)
     rgba = np.ones((HEIGHT // 2, WIDTH // 2, 4), np.float32)
     rgba[..., :3] = (np.arange(WIDTH // 2)[None, :, None] + 0.5) * 2.0
-    shown = Picture(rgba, np.full(rgba.shape[:2], 3.0, np.float32), small)
+    shown = RenderedView(rgba, np.full(rgba.shape[:2], 3.0, np.float32), small)
     got = View().draw(compositor, upload(shown), camera_at(0.0))
     np.testing.assert_allclose(
         got[:, 1:-1, 0], np.broadcast_to(np.arange(1, WIDTH - 1) + 0.5, (HEIGHT, WIDTH - 2)), rtol=2e-3
@@ -124,7 +125,7 @@ def test_an_older_picture_moves_with_the_view(compositor):
     old, now = camera_at(0.0), camera_at(0.1)
     rgba = np.zeros((HEIGHT, WIDTH, 4), np.float32)
     rgba[10:30, 30:40] = (4.0, 4.0, 4.0, 1.0)
-    shown = Picture(rgba, np.full(rgba.shape[:2], 3.0, np.float32), old)
+    shown = RenderedView(rgba, np.full(rgba.shape[:2], 3.0, np.float32), old)
     got = View().draw(compositor, upload(shown), now)
     weight = np.clip(got[..., 0] - 0.25, 0.0, None)
     centre = (weight.sum(axis=0) * (np.arange(WIDTH) + 0.5)).sum() / weight.sum()
@@ -154,4 +155,4 @@ def test_infinite_radiance_does_not_spoil_the_view(compositor):
 
 def test_sizes_must_agree():
     with pytest.raises(DataMismatchError, match=r"60×40 pixels.*\[10, 10, 4\]"):
-        Picture(np.zeros((10, 10, 4)), np.zeros((10, 10)), camera_at(0.0))
+        RenderedView(np.zeros((10, 10, 4)), np.zeros((10, 10)), camera_at(0.0))

@@ -7,6 +7,7 @@ import pytest
 from physhdr.addon.viewport.camera import ViewCamera
 from physhdr.addon.viewport.schedule import (
     LOWEST_STEP,
+    REST_SECONDS,
     RETRY_SECONDS,
     PreviewSchedule,
     ResolutionLadder,
@@ -33,7 +34,6 @@ def test_the_first_picture_is_sharp_and_then_there_is_peace():
     now = answer(schedule, 10.0, request, 0.03)
     assert schedule.wants(now, view()) is None
     assert schedule.wants(now + 100.0, view()) is None
-    assert schedule.wakes_at(now) is None
 
 
 def test_one_request_at_a_time_and_the_newest_view_wins():
@@ -53,9 +53,7 @@ def test_small_while_moving_sharp_at_rest():
     assert not moving.is_sharp and moving.camera.width < 800
     now = answer(schedule, now, moving, 0.02)
     assert schedule.wants(now, view(1.0)) is None, "not yet at rest"
-    rests_at = schedule.wakes_at(now)
-    assert rests_at is not None
-    sharp = schedule.wants(rests_at, view(1.0))
+    sharp = schedule.wants(0.05 + REST_SECONDS, view(1.0))
     assert sharp.is_sharp and sharp.camera.width == 800
 
 
@@ -107,7 +105,6 @@ def test_training_goes_on_under_a_resting_view():
 def test_a_lost_reply_is_asked_for_again():
     schedule = PreviewSchedule(timeout_seconds=5.0)
     first = schedule.wants(0.0, view())
-    assert schedule.wakes_at(1.0) == 5.0
     assert schedule.wants(4.9, view()) is None
     assert schedule.wants(5.0, view()) is None, "the loss is noticed; first a pause"
     second = schedule.wants(5.0 + RETRY_SECONDS, view())

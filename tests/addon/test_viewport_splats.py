@@ -11,7 +11,7 @@ import pytest
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 import gpu  # noqa: E402
 
-from physhdr.addon import model_import, nodes, point_cloud, viewport  # noqa: E402
+from physhdr.addon import attributes, model_import, nodes, point_cloud, viewport  # noqa: E402
 from physhdr.addon.viewport import splats  # noqa: E402
 from physhdr.addon.viewport.camera import ViewCamera  # noqa: E402
 from physhdr.addon.viewport.splat_data import LIGHTS_MAX, SplatArrays, SplatTextures, read_arrays  # noqa: E402
@@ -313,11 +313,10 @@ def test_files_of_before_there_were_several_lights(registered, renderer, make_mo
 def as_before_lights(target):
     """The point cloud's data as PhysHDR wrote it before there were other lights than the ambient one."""
     cloud = target.data
-    share = point_cloud.read_attribute(cloud, point_cloud.share_attribute(0))
-    cloud.attributes.remove(cloud.attributes[point_cloud.share_attribute(0)])
-    old = point_cloud.Attribute(point_cloud.OLD_SHARE_ATTRIBUTE, "FLOAT_VECTOR", share)
-    point_cloud.write_attribute(cloud, old)
-    del cloud[point_cloud.LIGHTS]
+    share = point_cloud.read_attribute(cloud, attributes.LIGHT_SHARE[0].name)
+    cloud.attributes.remove(cloud.attributes[attributes.LIGHT_SHARE[0].name])
+    point_cloud.write_attribute(cloud, attributes.OLD_SHARE, share)
+    del cloud[attributes.LIGHTS]
     return target
 
 
@@ -326,7 +325,7 @@ def test_lights_that_were_edited_to_nonsense(registered, renderer, make_model, w
     """The 3D view draws nothing; whoever reads the model is told what is wrong."""
     target = model_import.import_model(write(make_model(count=20)))
     target.physhdr_viewport = "SPLATS"
-    target.data[point_cloud.LIGHTS] = stated
+    target.data[attributes.LIGHTS] = stated
     assert not groups()
     with pytest.raises(DataMismatchError, match="no list of lights"):
         point_cloud.model_of(target.data)

@@ -44,7 +44,7 @@ def test(window: Window) -> Iterator[float]:
     ]
     for (x, y), value in zip(centres, PATCHES, strict=True):
         rgba[y - 30 : y + 30, x - 30 : x + 30] = (value, value, value, 1.0)
-    overlay.set_picture(overlay.region_key(window.region), overlay.Picture(rgba, depth, camera))
+    overlay.set_picture(overlay.region_key(window.region), overlay.RenderedView(rgba, depth, camera))
     report = {}
     for transform in ("Standard", "AgX"):
         bpy.context.scene.view_settings.view_transform = transform
