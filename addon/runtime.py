@@ -5,7 +5,7 @@ import traceback
 
 import bpy
 
-from . import paths, plot, settings
+from . import changes, paths, plot, settings
 from .session.session import Session
 from .viewport.live import LivePreview
 
@@ -84,12 +84,26 @@ def _follow_lights(current: Session) -> None:
             settings.follow_lights(window.scene.physhdr, current.state.job.lights)
 
 
+def _when_closed_changed() -> None:
+    session().set_when_closed(settings.when_closed())
+
+
+def _dataset_chosen(folder: str) -> None:
+    session().choose_dataset(folder)
+
+
 def register() -> None:
+    changes.home.follow(renew)
+    changes.when_closed.follow(_when_closed_changed)
+    changes.dataset.follow(_dataset_chosen)
     if not bpy.app.background:
         bpy.app.timers.register(_tick, first_interval=QUIET, persistent=True)
 
 
 def unregister() -> None:
+    changes.home.leave(renew)
+    changes.when_closed.leave(_when_closed_changed)
+    changes.dataset.leave(_dataset_chosen)
     if bpy.app.timers.is_registered(_tick):
         bpy.app.timers.unregister(_tick)
     _live.clear()

@@ -8,18 +8,12 @@ from typing import Any
 import bpy
 
 from ..bridge.messages import WhenClosed
+from ..bridge.presets import IN_PANEL
+from . import changes
 from .paths import PACKAGE, user_folder
 
-PRESETS = [
-    ("default", "Default", "PhysHDR with the physical product: best pictures, relights"),
-    ("fast", "Fast", "The default with half of its iterations, more of them at half resolution"),
-    ("paper", "Paper", "PhysHDR-GS as the paper states it: both branches, learned networks; slow"),
-    ("baseline", "Baseline", "Plain 3DGS with a learned response: no relighting"),
-    # After those that were first: a .blend keeps the place in this list.
-    ("default-scaffold", "Default on Anchors", "The default on Scaffold-GS's anchors: twice the time"),
-    ("gausshdr-short", "GaussHDR", "GaussHDR on the default's schedule: no relighting"),
-    ("hdr-gs-short", "HDR-GS", "HDR-GS on the default's schedule: no relighting, no absolute scale"),
-]
+#: As Blender lists them: name, label, description.
+PRESETS = [(preset.name, preset.label, preset.description) for preset in IN_PANEL]
 EXPOSURE_MODES = [
     ("exp3", "All exposures (exp3)", "Every view is trained at each of its training exposures"),
     ("exp1", "One exposure (exp1)", "Each view is trained at one exposure, drawn once"),
@@ -70,15 +64,11 @@ def when_closed() -> WhenClosed:
 
 
 def _close_changed(self: Any, context: bpy.types.Context) -> None:
-    from .runtime import session
-
-    session().set_when_closed(when_closed())
+    changes.when_closed.tell()
 
 
 def _home_changed(self: Any, context: bpy.types.Context) -> None:
-    from .runtime import renew
-
-    renew()
+    changes.home.tell()
 
 
 class PHYSHDR_Preferences(bpy.types.AddonPreferences):
@@ -106,10 +96,8 @@ class PHYSHDR_Preferences(bpy.types.AddonPreferences):
 
 
 def _folder_chosen(self: Any, context: bpy.types.Context) -> None:
-    from .runtime import session
-
     if self.data:
-        session().choose_dataset(bpy.path.abspath(self.data))
+        changes.dataset.tell(bpy.path.abspath(self.data))
 
 
 class PHYSHDR_LightLevel(bpy.types.PropertyGroup):
