@@ -156,7 +156,8 @@ def is_unfinished(root: Path) -> bool:
 
 def scene_name(root: Path, info: dict[str, Any]) -> str:
     """What ``dataset.json`` calls the scene, else the folder's name."""
-    return str(info.get("scene") or root.resolve().name)
+    said = info.get("scene")
+    return said if isinstance(said, str) and said else root.resolve().name
 
 
 def stated_stops(info: dict[str, Any]) -> float | None:

@@ -11,7 +11,7 @@ from pathlib import Path
 from contact_sheet import GAP, assemble, caption, save, shrunk
 from PIL import Image
 
-from physhdr.backend.evaluate.inspection import inspect
+from physhdr.backend.inspect import inspect
 from physhdr.backend.scene.pictures import read_exr
 from physhdr.bridge.errors import PhysHDRError
 from physhdr.synth.camera_model import CameraModel

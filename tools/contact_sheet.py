@@ -15,8 +15,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from physhdr.backend.evaluate.inspection import Inspection, inspect
-from physhdr.backend.evaluate.layers import read_layers
+from physhdr.backend.inspect import inspect
+from physhdr.backend.inspect.findings import Inspection
+from physhdr.backend.inspect.layers import read_layers
 from physhdr.backend.scene.pictures import read_exr, read_png
 from physhdr.bridge.atomic import atomic_path
 from physhdr.bridge.errors import BadValueError, FileMissingError, OutputError, PhysHDRError

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ...bridge.atomic import atomic_path
-from ..evaluate.inspection import inspect
+from ..inspect import inspect
 from .plan import SceneFolder
 from .runs import Record
 

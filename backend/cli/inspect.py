@@ -12,9 +12,11 @@ from rich import box
 from rich.table import Table
 from rich.text import Text
 
+from ...bridge.data_set import SPLITS
 from ...bridge.errors import BadValueError, DataMismatchError
-from ..evaluate.inspected import DynamicRange, Exposure, Inspection
-from ..evaluate.inspection import inspect
+from ...bridge.limits import is_number
+from ..inspect import inspect
+from ..inspect.findings import DynamicRange, Exposure, Inspection
 from ..runs.terminal import console
 from ..scene.hdr_nerf_syn import OURS
 
@@ -110,7 +112,7 @@ def _facts(found: Inspection) -> list[tuple[str, str]]:
     if found.points is not None:
         facts.append(("points", f"{found.points}"))
     if found.response or found.camera:
-        faults = ", ".join(f"{key} {value:g}" for key, value in found.camera.items() if _is_number(value))
+        faults = ", ".join(f"{key} {value:g}" for key, value in found.camera.items() if is_number(value))
         facts.append(("camera", (found.response or "unknown response") + (f"; {faults}" if faults else "")))
     if found.exposure_modes:
         facts.append(("exposure modes", " and ".join(found.exposure_modes)))
@@ -150,7 +152,7 @@ def _noise(found: Inspection) -> str:
     if not floor:
         return "not measured"
     hdr = floor.get("hdr_psnr")
-    return f"{_numbers(floor['psnr'])} dB at the exposures" + (f", HDR {hdr:g} dB" if _is_number(hdr) else "")
+    return f"{_numbers(floor['psnr'])} dB at the exposures" + (f", HDR {hdr:g} dB" if is_number(hdr) else "")
 
 
 def _exposure_table(exposures: list[Exposure]) -> Table:
@@ -180,15 +182,13 @@ def _table(all_found: list[Inspection]) -> Table:
     table = Table(
         box=box.SIMPLE_HEAD,
         pad_edge=False,
-        caption="views: train/test/lit; stops: ≈ an estimate, no true HDR; noise: dB of HDR",
+        caption=f"views: {'/'.join(SPLITS)}; stops: ≈ an estimate, no true HDR; noise: dB of HDR",
         caption_justify="left",
     )
     for column in ("scene", "size", "views", "EV", "stops", "lights", "relit", "noise", ""):
         table.add_column(column, no_wrap=True)
     for found in all_found:
-        counts = (
-            found.splits[name].poses if name in found.splits else 0 for name in ("train", "test", "lit")
-        )
+        counts = (found.splits[name].poses if name in found.splits else 0 for name in SPLITS)
         evs = sorted(exposure.ev for exposure in found.exposures)
         noise = (found.noise_floor or {}).get("hdr_psnr")
         table.add_row(
@@ -199,7 +199,7 @@ def _table(all_found: list[Inspection]) -> Table:
             _stops(found.dynamic_range),
             f"{len(found.lights)}",
             f"{sum(len(entry['poses']) for entry in found.relit)}",
-            f"{noise:.1f}" if _is_number(noise) else NONE,
+            f"{noise:.1f}" if is_number(noise) else NONE,
             f"{len(found.errors)} faults" if found.errors else "warnings" if found.warnings else "good",
         )
     return table
@@ -225,7 +225,3 @@ def _span(values: list[float]) -> str:
         return NONE
     ends = dict.fromkeys(f"{value:.4g}" for value in (min(values), max(values)))
     return " … ".join(ends)
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)

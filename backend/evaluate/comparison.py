@@ -18,8 +18,8 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
+from ...bridge.limits import is_number
 from ...bridge.regular import read_json_object
-from .inspected import is_number
 from .published import published_means
 
 FORMAT, VERSION = "physhdr-evaluation", 1

@@ -143,7 +143,7 @@ def read_exr(folder: Path, file: str, _: bytes) -> None:
 
 
 def read_layers(folder: Path, file: str, _: bytes) -> None:
-    from physhdr.backend.evaluate.layers import read_layers
+    from physhdr.backend.inspect.layers import read_layers
 
     planes = read_layers(folder / file)
     _require(len({plane.shape for plane in planes.values()}) == 1, "layers of several sizes")

@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from physhdr.backend.cli import main
-from physhdr.backend.evaluate.inspection import inspect
+from physhdr.backend.inspect import inspect
 from physhdr.backend.runs.terminal import console
 from physhdr.backend.scene.pictures import read_exr, write_exr
 

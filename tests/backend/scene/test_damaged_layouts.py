@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from physhdr.backend.evaluate.inspection import inspect
+from physhdr.backend.inspect import inspect
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.colmap_files import read_model
 from physhdr.bridge.errors import (

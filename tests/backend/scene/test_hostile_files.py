@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from physhdr.backend.evaluate.inspection import inspect
 from physhdr.backend.evaluate.truth import relit_truth
+from physhdr.backend.inspect import inspect
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.capture.exposures import exposures_from_file
 from physhdr.backend.scene.capture.photos import Photo

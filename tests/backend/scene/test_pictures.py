@@ -12,7 +12,7 @@ import OpenEXR
 import pytest
 from PIL import Image
 
-from physhdr.backend.evaluate.layers import read_layers
+from physhdr.backend.inspect.layers import read_layers
 from physhdr.backend.scene.pictures import picture_size, read_exr, read_png, write_exr, write_png
 from physhdr.bridge.errors import BadValueError, FileDamagedError, FileMissingError, OutputError, PhysHDRError
 

@@ -11,7 +11,7 @@ import OpenEXR
 import pytest
 from PIL import Image
 
-from physhdr.backend.evaluate.inspection import inspect
+from physhdr.backend.inspect import inspect
 
 TOOL = Path(__file__).resolve().parents[3] / "tools" / "contact_sheet.py"
 

@@ -7,19 +7,13 @@ any.
 
 import numpy as np
 
+from ...bridge.data_set import TRAIN
 from ...bridge.errors import PhysHDRError
+from ..evaluate import truth
 from ..scene import Scene, View
-from . import truth
-from .inspected import (
-    LUMINANCE,
-    Clipped,
-    Estimate,
-    Inspection,
-    Split,
-    dynamic_range_of,
-    tell_exposures,
-    warn_of_exposures,
-)
+from ..scene.pictures import read_exr
+from .findings import Inspection, Split, tell_exposures, warn_of_exposures
+from .pixels import TrainingPixels
 
 
 def look_at_scene(scene: Scene, found: Inspection) -> None:
@@ -35,17 +29,15 @@ def look_at_scene(scene: Scene, found: Inspection) -> None:
     if scene.response_anchor is not None:
         light, code = scene.response_anchor
         found.response = f"response of {code:g} at exposure × radiance = {light:g}"
-    clipped, estimate = Clipped(), Estimate()
+    pixels = TrainingPixels()
     for name, views in splits.items():
         for view in views:
             for i, seconds in enumerate(view.exposures):
                 picture = _picture(view, i, found)
-                if picture is not None and name == "train":
-                    clipped.add(picture, view.bracket[i])
-                    estimate.add(picture, seconds)
-    clipped.tell(found)
-    found.dynamic_range = estimate.range()
-    _look_at_truth(scene, found)
+                if picture is not None and name == TRAIN:
+                    pixels.add_picture(picture, view.bracket[i], seconds)
+    _look_at_truth(scene, found, pixels)
+    pixels.tell(found)
     if found.points is None:
         found.warnings.append(
             "there are no first points: training starts from random ones, and is worse for it"
@@ -61,18 +53,15 @@ def _picture(view: View, i: int, found: Inspection) -> np.ndarray | None:
         return None
 
 
-def _look_at_truth(scene: Scene, found: Inspection) -> None:
-    """Count the true pictures; the dynamic range of the training views is taken from them."""
-    luminance = []
+def _look_at_truth(scene: Scene, found: Inspection, pixels: TrainingPixels) -> None:
+    """Count the true pictures."""
     for name, split in found.splits.items():
         for view in scene.splits[name] if truth.has_hdr_truth(scene.root, name) else []:
             try:
-                radiance = truth.hdr_truth(scene.root, name, view.index).numpy()
+                radiance = read_exr(truth.hdr_truth_path(scene.root, name, view.index))
             except PhysHDRError as error:
                 found.errors.append(error.message)
                 continue
             split.hdr += 1
-            if name == "train":
-                luminance.append(np.tensordot(LUMINANCE, radiance.astype(np.float64), axes=1).ravel())
-    if luminance:
-        found.dynamic_range = dynamic_range_of(np.concatenate(luminance))
+            if name == TRAIN:
+                pixels.add_truth(radiance)

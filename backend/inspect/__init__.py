@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is in a data set's folder: a list of everything, with all that is missing or damaged.
+
+The reader (``backend/scene``) stops at the first fault, as training must. Here each file is looked at by
+itself, and then the reader has the last word.
+"""
+
+from pathlib import Path
+
+from ...bridge.errors import PhysHDRError
+from ..scene import Scene, hdr_nerf_syn, read_scene
+from .any_layout import look_at_scene
+from .findings import Inspection
+from .own_layout import look_at_folder
+
+__all__ = ["inspect"]
+
+
+def inspect(root: Path, downscale: float | None = None) -> Inspection:
+    """Look at every file of a data set, in whichever layout; ``downscale`` as training would read it.
+
+    Raises nothing that a damaged data set could cause.
+    """
+    root = Path(root)
+    found = Inspection(str(root), scene=root.resolve().name)
+    if hdr_nerf_syn.is_mine(root):
+        faulty = look_at_folder(root, found)
+        _ask_the_reader(root, downscale, found, faulty)
+    elif scene := _ask_the_reader(root, downscale, found, set()):
+        look_at_scene(scene, found)
+    return found
+
+
+def _ask_the_reader(
+    root: Path, downscale: float | None, found: Inspection, faulty: set[Path]
+) -> Scene | None:
+    """What training would say, unless it has been said of one of the ``faulty`` files already."""
+    try:
+        scene = read_scene(root, downscale)
+    except PhysHDRError as error:
+        if not any(str(path) in error.message for path in faulty):
+            found.errors.append(error.message)
+        return None
+    camera = scene.train[0].camera
+    found.layout, found.messages = scene.layout, list(scene.messages)
+    found.resolution = camera.width, camera.height
+    found.points = len(scene.points.positions) if scene.points else None
+    return scene

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What an inspection of a data set says, and the judgements that are the same for every layout."""
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+from ...bridge.contents import lost_at_the_ends
+from ...bridge.data_set import TEST, TRAIN
+from ..evaluate.results import NOVEL_EXPOSURES, OBSERVED_EXPOSURES
+
+
+@dataclass
+class Split:
+    """``poses``: how many. ``levels``: light → the levels it has here. ``hdr``: how many true pictures."""
+
+    poses: int
+    levels: dict[str, list[float]] = field(default_factory=dict)
+    hdr: int = 0
+
+
+@dataclass
+class Exposure:
+    """``use``: OE (training sees it), NE (evaluation only). ``white``, ``black``: of the training pixels.
+
+    ``place``: in the bracket, 0 to 4 in the paper's data.
+    """
+
+    seconds: float
+    ev: float
+    use: str
+    white: float | None = None
+    black: float | None = None
+    place: int = 0
+
+
+@dataclass
+class DynamicRange:
+    """Luminance of the training views from the 1st percentile to the maximum, in stops.
+
+    ``estimated``: from the pictures, through an assumed response; ``at_least``: some were clipped.
+    """
+
+    percentile_1: float
+    maximum: float
+    stops: float | None
+    estimated: bool = False
+    at_least: bool = False
+
+
+@dataclass
+class Inspection:
+    """Everything found in ``folder``; ``errors`` are faults that make the data unusable as they are.
+
+    ``messages``: what the reader decided, in sentences. ``resolution``: that training sees, pixels.
+    """
+
+    folder: str
+    layout: str = ""
+    scene: str = ""
+    made_by: str = ""
+    resolution: tuple[int, int] | None = None
+    splits: dict[str, Split] = field(default_factory=dict)
+    exposures: list[Exposure] = field(default_factory=list)
+    exposure_modes: list[str] = field(default_factory=list)
+    lights: list[str] = field(default_factory=list)
+    relit: list[dict[str, Any]] = field(default_factory=list)
+    passes: int = 0
+    renders: dict[str, list[float]] = field(default_factory=dict)
+    """``samples`` and ``noise_psnr`` (dB, before denoising) of each pose's render."""
+    points: int | None = None
+    response: str = ""
+    camera: dict[str, Any] = field(default_factory=dict)
+    dynamic_range: DynamicRange | None = None
+    noise_floor: dict[str, Any] | None = None
+    messages: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    errors: list[str] = field(default_factory=list)
+
+
+def tell_exposures(found: Inspection, brackets: dict[str, list[dict[int, float]]]) -> None:
+    """The exposures by their place in the bracket, and how training may use them.
+
+    ``brackets``: of each split, one a view, place → seconds.
+    """
+    places: dict[int, float] = {}
+    differ = False
+    for bracket in (bracket for views in brackets.values() for bracket in views):
+        for k, seconds in bracket.items():
+            differ |= places.setdefault(k, seconds) != seconds
+    if differ:
+        found.warnings.append("the exposures differ from view to view: the first view's are shown")
+    for k, seconds in sorted(places.items()):
+        use = "OE" if k in OBSERVED_EXPOSURES else "NE" if k in NOVEL_EXPOSURES else "unused"
+        found.exposures.append(Exposure(seconds, round(math.log2(seconds), 4), use, place=k))
+    trained = {k for bracket in brackets.get(TRAIN, []) for k in bracket if k in OBSERVED_EXPOSURES}
+    if found.exposures:
+        found.exposure_modes = ["exp1", "exp3"] if len(trained) > 1 else ["exp1"]
+
+
+def warn_of_exposures(found: Inspection) -> None:
+    """What is lost at both ends of the bracket, too few exposures, no test views."""
+    warn = found.warnings.append
+    if found.exposures:
+        in_order = sorted(found.exposures, key=lambda exposure: exposure.seconds)
+        for lost, other in lost_at_the_ends(in_order[0].white, in_order[-1].black):
+            warn(f"{lost}: {other} exposures would show more")
+        if len(found.exposure_modes) < 2:
+            warn("training sees one exposure only: the scale of the radiance comes from the response alone")
+    if TEST not in found.splits:
+        warn("there are no test views: physhdr evaluate has nothing to measure")

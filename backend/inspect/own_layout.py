@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is in a data set of our own layout: one walk through the folder, file by file."""
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...bridge import data_set
+from ...bridge.contents import SplitContents, split_contents
+from ...bridge.errors import PhysHDRError
+from ...bridge.lights import AMBIENT
+from ...bridge.limits import is_number
+from ...bridge.regular import read_json_object
+from ..scene.hdr_nerf_syn import NAME, OURS
+from ..scene.pictures import read_exr, read_png
+from .findings import Inspection, Split, tell_exposures, warn_of_exposures
+from .layers import read_layers
+from .pixels import TrainingPixels
+
+#: dataset.json may differ from what is measured by its rounding.
+STOPS_TOLERANCE = 0.05
+
+
+def look_at_folder(root: Path, found: Inspection) -> set[Path]:
+    """Add to ``found`` what is there and every fault; returns the files that have one."""
+    return _Walk(root, found).faulty
+
+
+class _Walk:
+    """One walk through a folder; ``found`` is the result, ``faulty`` the files with a fault."""
+
+    def __init__(self, root: Path, found: Inspection) -> None:
+        self.root, self.found = root, found
+        self.faulty: set[Path] = set()
+        self.info: dict[str, Any] = {}
+        if (root / data_set.INFO_FILE).exists():
+            self.info = self._json(root / data_set.INFO_FILE)
+        self.found.layout = OURS if self.info else NAME
+        self.splits = {
+            split: self._split(split) for split in data_set.SPLITS if data_set.has_split(root, split)
+        }
+        self.pixels = TrainingPixels()
+        self._head()
+        self._splits()
+        tell_exposures(
+            found, {name: [frame.seconds for frame in split.frames] for name, split in self.splits.items()}
+        )
+        self._pictures()
+        self._truth()
+        self.pixels.tell(found)
+        self._relit()
+        self._passes()
+        self._warn()
+
+    # -- text ----------------------------------------------------------------------------------------------
+
+    def _json(self, path: Path) -> dict[str, Any]:
+        """The object in a file; {} and an error where it holds none."""
+        try:
+            return read_json_object(path)
+        except PhysHDRError as error:
+            return self._fault(path, error.message)
+
+    def _fault(self, path: Path, message: str) -> dict[str, Any]:
+        self.faulty.add(path)
+        self.found.errors.append(message)
+        return {}
+
+    def _split(self, name: str) -> SplitContents:
+        transforms = self._json(self.root / data_set.transforms_file(name))
+        return split_contents(transforms, self._json(self.root / data_set.exposure_file(name)))
+
+    def _head(self) -> None:
+        info, found = self.info, self.found
+        found.scene = data_set.scene_name(self.root, info)
+        maker = _object(info.get("generator"))
+        found.made_by = " ".join(str(maker[key]) for key in ("name", "version") if key in maker)
+        if "blender" in maker:
+            found.made_by += f", Blender {maker['blender']}"
+        found.response = str(_object(info.get("response")).get("name", ""))
+        found.camera = _object(info.get("camera_model"))
+        floor = _object(info.get("noise_floor"))
+        if isinstance(floor.get("psnr"), list) and all(map(is_number, floor["psnr"])):
+            found.noise_floor = floor
+        lights = info.get("lights")
+        found.lights = [str(name) for name in lights] if isinstance(lights, list) else [AMBIENT]
+
+    def _splits(self) -> None:
+        for name, split in self.splits.items():
+            levels: dict[str, set[float]] = {}
+            for frame in split.frames:
+                for light, level in frame.levels.items():
+                    if is_number(level):
+                        levels.setdefault(light, set()).add(float(level))
+            described = {light: sorted(values) for light, values in levels.items()}
+            self.found.splits[name] = Split(len(split.frames), described)
+        for name, count in _object(self.info.get("splits")).items():
+            there = self.found.splits[name].poses if name in self.found.splits else 0
+            if count != there:
+                self.found.errors.append(
+                    f"{self.root / data_set.INFO_FILE} speaks of {count} {name} poses, "
+                    f"{data_set.transforms_file(name)} holds {there}"
+                )
+
+    # -- pictures ------------------------------------------------------------------------------------------
+
+    def _pictures(self) -> None:
+        """Every PNG."""
+        for name, split in self.splits.items():
+            for frame in split.frames:
+                for place, seconds in frame.seconds.items():
+                    picture = self._picture(self.root / data_set.picture_file(frame.stem, place), read_png)
+                    if picture is not None and name == data_set.TRAIN:
+                        self.pixels.add_picture(picture, place, seconds)
+
+    def _picture(self, path: Path, read: Callable[[Path], np.ndarray]) -> np.ndarray | None:
+        """What ``read`` returns; None and an error where it fails, or the size is not the data set's."""
+        try:
+            picture = read(path)
+        except PhysHDRError as error:
+            self._fault(path, error.message)
+            return None
+        height, width = picture.shape[:2]
+        if self.found.resolution is None:
+            self.found.resolution = _size(self.info.get("resolution")) or (width, height)
+        right = self.found.resolution
+        if (width, height) != right:
+            self._fault(path, f"{path} is {width}×{height} pixels, not {right[0]}×{right[1]}")
+            return None
+        return picture
+
+    def _truth(self) -> None:
+        """The true radiance of each split, where the data set has any."""
+        for name, split in self.splits.items():
+            folder = self.root / data_set.truth_folder(name)
+            for frame in split.frames if folder.is_dir() else []:
+                radiance = self._picture(folder / data_set.truth_file(frame.index), read_exr)
+                if radiance is not None:
+                    self.found.splits[name].hdr += 1
+                    if name == data_set.TRAIN:
+                        self.pixels.add_truth(radiance)
+
+    def _relit(self) -> None:
+        """Every picture of every relit folder, those that dataset.json names and those that are there."""
+        named = self.info.get("relit")
+        told = {
+            str(entry["folder"]): {k: v for k, v in _object(entry.get("levels")).items() if is_number(v)}
+            for entry in (named if isinstance(named, list) else [])
+            if isinstance(entry, dict) and "folder" in entry
+        }
+        for folder in dict.fromkeys([*told, *data_set.mixture_folders(self.root)]):
+            paths = sorted((self.root / folder).glob(data_set.TRUTH_FILES))
+            whole = [path for path in paths if self._picture(path, read_exr) is not None]
+            if not paths:
+                self._fault(
+                    self.root / folder, f"{self.root / folder} holds no relit truth ({data_set.TRUTH_FILES})"
+                )
+            numbers = (data_set.truth_number(path.name) for path in whole)
+            poses = [number for number in numbers if number is not None]
+            levels = told.get(folder) or data_set.mixture_levels(folder)
+            self.found.relit.append({"folder": folder, "levels": levels, "poses": poses})
+
+    def _passes(self) -> None:
+        """Every pose's passes: readable, and the bytes that dataset.json has the hash of."""
+        told = {}
+        for frame in map(_object, _object(self.info.get("frames")).values()):
+            told[self.root / str(frame.get("file"))] = frame.get("sha256")
+            for key in ("samples", "noise_psnr"):
+                if is_number(frame.get(key)):
+                    self.found.renders.setdefault(key, []).append(frame[key])
+        for path in sorted((self.root / data_set.PASSES_FOLDER).glob("*.exr")):
+            if self._picture(path, lambda path: next(iter(read_layers(path).values()))) is None:
+                continue
+            self.found.passes += 1
+            if told.get(path, "") and told[path] != hashlib.sha256(path.read_bytes()).hexdigest():
+                self._fault(path, f"{path} was changed: it has not the hash that dataset.json tells")
+        absent = sum(not path.is_file() for path in told)
+        if absent:
+            self.found.warnings.append(f"{absent} of {len(told)} passes are missing: training needs none")
+
+    # -- judgement -----------------------------------------------------------------------------------------
+
+    def _warn(self) -> None:
+        found, warn = self.found, self.found.warnings.append
+        if data_set.is_unfinished(self.root):
+            warn("the data set is not finished: make_scene.py is at it, or was interrupted (start it again)")
+        warn_of_exposures(found)
+        said, measured = data_set.stated_stops(self.info), found.dynamic_range
+        known = measured.stops if measured and not measured.estimated else None
+        if said is not None and known is not None and abs(said - known) > STOPS_TOLERANCE:
+            warn(f"dataset.json says {said} stops, train_hdr/ has {known}: was it made anew?")
+
+
+# ---- parts of dataset.json ---------------------------------------------------------------------------
+
+
+def _object(value: Any) -> dict[str, Any]:
+    return value if isinstance(value, dict) else {}
+
+
+def _size(value: Any) -> tuple[int, int] | None:
+    if isinstance(value, list) and len(value) == 2 and all(isinstance(side, int) for side in value):
+        return value[0], value[1]
+    return None

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the decoded pictures of the training views show: how much is clipped, and how many stops there are."""
+
+import math
+
+import numpy as np
+
+from ...bridge.contents import LUMINANCE, dynamic_range
+from .findings import DynamicRange, Inspection
+
+#: The response that is assumed where radiance is estimated from pictures: (x / (1 + x))^(1 / 2.2), which is
+#: HDR-NeRF-Syn's camera.
+GAMMA = 2.2
+
+
+class TrainingPixels:
+    """Counts of the pictures and luminance of the truth; ``tell`` says what they come to."""
+
+    def __init__(self) -> None:
+        self._clipped: dict[int, list[tuple[float, float]]] = {}
+        self._codes: dict[float, np.ndarray] = {}
+        self._luminance: list[np.ndarray] = []
+
+    def add_picture(self, picture: np.ndarray, place: int, seconds: float) -> None:
+        """``picture`` ``[H, W, 3]`` uint8, its place in the bracket and exposure.
+
+        White is a pixel with a channel at 255, black one with all at 0; codes are means over the channels.
+        """
+        brightest = picture.max(-1)
+        self._clipped.setdefault(place, []).append(((brightest == 255).mean(), (brightest == 0).mean()))
+        codes = np.round(picture.mean(-1)).astype(np.int64)
+        counted = np.bincount(codes.ravel(), minlength=256)
+        self._codes[seconds] = self._codes.get(seconds, np.zeros(256, np.int64)) + counted
+
+    def add_truth(self, radiance: np.ndarray) -> None:
+        """``radiance`` ``[H, W, 3]``, scene-linear."""
+        self._luminance.append((radiance.astype(np.float64) @ LUMINANCE).ravel())
+
+    def tell(self, found: Inspection) -> None:
+        """The clipped shares of each exposure, and the dynamic range: of the truth, where there is any."""
+        for exposure in found.exposures:
+            if exposure.place in self._clipped:
+                means = np.mean(self._clipped[exposure.place], axis=0)
+                exposure.white, exposure.black = (round(float(value), 5) for value in means)
+        if self._luminance:
+            found.dynamic_range = DynamicRange(*dynamic_range(np.concatenate(self._luminance)))
+        elif self._codes:
+            found.dynamic_range = self._estimate()
+
+    def _estimate(self) -> DynamicRange:
+        """From pictures alone: the brightest pixel of the shortest exposure over the 1st percentile of the
+        longest, both through the inverse of the response that is assumed.
+        """
+        shortest, longest = min(self._codes), max(self._codes)
+        brightest = int(np.nonzero(self._codes[shortest])[0][-1])
+        share = np.cumsum(self._codes[longest]) / self._codes[longest].sum()
+        darkest = int(np.searchsorted(share, 0.01))
+        high, low = _radiance(min(brightest, 254), shortest), _radiance(max(darkest, 1), longest)
+        clipped = brightest == 255 or darkest == 0
+        stops = round(math.log2(high / low), 1) if high > low else 0.0
+        return DynamicRange(low, high, stops, estimated=True, at_least=clipped)
+
+
+def _radiance(code: int, seconds: float) -> float:
+    linear = (code / 255.0) ** GAMMA
+    return linear / (1.0 - linear) / seconds
