@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Gaussians as PLY: the standard 3DGS layout for every viewer, and a lossless one with our own columns.
 
-The standard layout (shared/data.md): one element ``vertex``, float32 ``x y z``, ``nx ny nz`` (zero),
-``f_dc_0…2``, ``f_rest_*`` channel-major (all red, then green, then blue), ``opacity`` (logit), ``scale_0…2``
-(natural logarithm, metres), ``rot_0…3`` (wxyz). Its colour 0.28209479·f_dc + 0.5 + … is display-referred:
-scene-linear radiance must be baked at an exposure before it comes here.
+The standard layout is 3DGS's: one element ``vertex``, float32 ``x y z``, ``nx ny nz`` (zero), ``f_dc_0…2``,
+``f_rest_*`` channel-major (all red, then green, then blue), ``opacity`` (logit), ``scale_0…2`` (natural
+logarithm, metres), ``rot_0…3`` (wxyz). Its colour 0.28209479·f_dc + 0.5 + … is display-referred: scene-linear
+radiance must be baked at an exposure before it comes here.
 
-The lossless layout has the same columns first, so that viewers draw it, and then ``phys_…`` columns, which
-they ignore and keep. We write binary little endian; whatever plyfile reads, we read.
+The lossless layout has the same columns first, so that viewers draw it, then the trained parameters as
+``phys_…`` columns, and comment lines that say what they mean. Reading it here loses nothing. What another
+program makes of it is another matter: splat-transform 3.7 kept all 125 columns of such a file and none of its
+comments, so that only the baked look can be imported afterwards (``ply_model``). It also writes opacities of
+exactly 1 as a logit of +∞. We write binary little endian; whatever plyfile reads, we read.
 """
 
 import re
@@ -134,7 +137,7 @@ def write_lossless_ply(
     extra: Mapping[str, np.ndarray],
     comments: Sequence[str] = (),
 ) -> None:
-    """Write the standard ``columns`` (of ``standard_columns``), then ``extra`` ones, atomically, bit for bit.
+    """Write the standard ``columns`` (of ``standard_columns``), then ``extra`` ones, bit for bit, atomically.
 
     Each column is ``[N]``, float32; the names of ``extra`` begin with ``phys_``. ``comments`` say what
     the extra columns mean. Raises ``BadValueError``, ``DataMismatchError`` or ``OutputError``.
@@ -240,10 +243,6 @@ def _check_room(path: Path) -> None:
 
 #: Bytes; the comments of a lossless PLY, with its networks, have a few hundred thousand.
 _LONGEST_HEADER = 1 << 24
-
-
-#: The same reader under the name of the layout that keeps our columns: nothing is dropped.
-read_lossless_ply = read_ply
 
 
 _GAUSSIANS_HINT = (

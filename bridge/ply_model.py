@@ -3,7 +3,13 @@
 
 Another program's PLY is display-referred: its colours are linearised, nothing is known of its light (a level
 scales everything) and it has no learned response. Our lossless PLY holds the trained parameters: with the
-physical product and the additive modulator the model is exact, as ``physhdr export`` would write it.
+physical product and the additive modulator the model is what ``physhdr export`` would write, but for
+opacities within 1.2e-7 of 0 and 1, which have no finite logit.
+
+Two things that other programs do to a PLY cost more than they need. Where its comments are gone
+(splat-transform 3.7 drops them), the baked look is imported and networks are said to be missing, although an
+additive model has none. A logit of +∞, as which the same program writes an opacity of 1, counts as damage: of
+the demo's 60,000 Gaussians 2,072, opaque ones, are left out.
 """
 
 import base64
@@ -35,8 +41,12 @@ PROVENANCE = "PhysHDR "
 COMMENT_WIDTH = 400
 #: No column of a Gaussian has a larger value; squares and sums of such are still finite in float32.
 ABSURD = 1e15
+#: Columns of ln reflectance: 3 of SH degree 0, and 3 (K − 1) of the others, coefficient by coefficient.
+REFLECTANCE_DC, REFLECTANCE_REST = "phys_reflectance_dc", "phys_reflectance_rest"
+#: Columns of ln illumination: one, or one a channel.
+LOG_ILLUMINATION = "phys_log_illumination"
 #: Columns that say how a lossless PLY's radiance is made; without all of them it is a standard PLY.
-_RADIANCE = ("phys_reflectance_dc_0", "phys_log_illumination_0")
+_RADIANCE = (f"{REFLECTANCE_DC}_0", f"{LOG_ILLUMINATION}_0")
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,9 +201,9 @@ def _colour_sh(columns: dict[str, np.ndarray]) -> np.ndarray:
 
 def _lossless_sh(path: Path, columns: dict[str, np.ndarray]) -> np.ndarray:
     """``[N, K, 3]`` of our own parameters: ln radiance = ln illumination + ln reflectance(ω)."""
-    coefficients = 1 + sum(name.startswith("phys_reflectance_rest_") for name in columns) // 3
-    wanted = [f"phys_reflectance_dc_{c}" for c in range(3)]
-    wanted += [f"phys_reflectance_rest_{k}" for k in range(3 * (coefficients - 1))]
+    coefficients = 1 + sum(name.startswith(f"{REFLECTANCE_REST}_") for name in columns) // 3
+    wanted = [f"{REFLECTANCE_DC}_{c}" for c in range(3)]
+    wanted += [f"{REFLECTANCE_REST}_{k}" for k in range(3 * (coefficients - 1))]
     lacking = [name for name in wanted if name not in columns]
     if lacking or coefficients not in (1, 4, 9, 16):
         raise FileDamagedError(
@@ -204,10 +214,10 @@ def _lossless_sh(path: Path, columns: dict[str, np.ndarray]) -> np.ndarray:
     sh = np.empty((len(columns["x"]), coefficients, 3), np.float32)
     for channel in range(3):
         # One illumination a Gaussian, or one a channel.
-        light = columns.get(f"phys_log_illumination_{channel}", columns["phys_log_illumination_0"])
-        sh[:, 0, channel] = columns[f"phys_reflectance_dc_{channel}"] + light / np.float32(C0)
+        light = columns.get(f"{LOG_ILLUMINATION}_{channel}", columns[f"{LOG_ILLUMINATION}_0"])
+        sh[:, 0, channel] = columns[f"{REFLECTANCE_DC}_{channel}"] + light / np.float32(C0)
         for k in range(coefficients - 1):
-            sh[:, k + 1, channel] = columns[f"phys_reflectance_rest_{3 * k + channel}"]
+            sh[:, k + 1, channel] = columns[f"{REFLECTANCE_REST}_{3 * k + channel}"]
     return sh
 
 

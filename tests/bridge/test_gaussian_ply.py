@@ -17,7 +17,6 @@ from physhdr.bridge.errors import (
 )
 from physhdr.bridge.gaussian_ply import (
     SH_C0,
-    read_lossless_ply,
     read_ply,
     standard_columns,
     standard_names,
@@ -128,7 +127,7 @@ def test_lossless_keeps_our_columns_after_the_standard_ones(
     write_lossless_ply(tmp_path / "a.ply", standard, extra, comments)
     names, values, written = parse(tmp_path / "a.ply")
     assert names == [*standard, *extra]
-    read = read_lossless_ply(tmp_path / "a.ply")
+    read = read_ply(tmp_path / "a.ply")
     assert list(read.extra) == list(extra)
     for name, column in {**standard, **extra}.items():
         assert column.tobytes() == read.columns[name].tobytes() == np.float32(values[name]).tobytes(), name
