@@ -58,7 +58,7 @@ def bake(target: bpy.types.Object, path: Path, look: Look, tone: Tone, apply_tra
 
 class PHYSHDR_OT_model_bake(bpy.types.Operator, ExportHelper):
     """Export the active model with its current look (exposure, lighting levels, tone) as a 3DGS PLY. Viewers
-    blend colours that are tone mapped already: the picture is near the live preview's (26.5 dB in the demo)"""
+    blend colours that are tone mapped already: near the live preview's picture (26.5 dB in the demo)"""
 
     bl_idname = "physhdr.model_bake"
     bl_label = "Bake to PLY"
