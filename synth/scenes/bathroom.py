@@ -18,7 +18,7 @@ from . import materials as m
 from . import materials_bathroom as mb
 from .lighting import Lighting
 from .props import box
-from .small_room import Room, casement, garden, morning, shell
+from .small_room import MORNING, Room, casement, garden, shell
 
 ROOM = Room(half=1.95, back=1.6, front=-2.6, height=2.5, window=(0.55, 1.45, 1.22, 2.18))
 DADO = 1.2  # height of the tiles
@@ -76,7 +76,7 @@ def _walls(room: bpy.types.Collection) -> None:
 
 
 def _light(lighting: Lighting) -> None:
-    lighting.sky(morning, SKY_RADIANCE)
+    lighting.sky(MORNING, SKY_RADIANCE)
     lighting.portal(ROOM.window_middle, (0.0, -1.0, 0.0), ROOM.window_size)
     lighting.sun((-0.42, -0.55, -0.70), SUN_IRRADIANCE, angle=1.0)  # over the tub on the floor
     lighting.area(

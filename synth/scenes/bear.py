@@ -20,7 +20,7 @@ from . import materials as m
 from . import materials_nursery as mn
 from .lighting import Lighting
 from .props import ball, box, rod
-from .small_room import WALL, Room, casement, garden, morning, shell, side_casement
+from .small_room import MORNING, WALL, Room, casement, garden, shell, side_casement
 
 WEST = (-0.62, 0.26, 0.95, 2.10)  # the window that the sun comes in by
 ROOM = Room(half=1.7, back=1.3, front=-2.3, height=2.4, window=(-1.15, -0.30, 0.98, 1.95), west=WEST)
@@ -99,7 +99,7 @@ def _repeat(item: bpy.types.Object, count: int, step: tuple[float, float, float]
 
 
 def _light(room: bpy.types.Collection, lighting: Lighting) -> None:
-    lighting.sky(morning, SKY_RADIANCE)
+    lighting.sky(MORNING, SKY_RADIANCE)
     lighting.portal(ROOM.window_middle, (0.0, -1.0, 0.0), ROOM.window_size)
     y0, y1, z0, z1 = WEST
     at = (-ROOM.half - WALL - 0.005, (y0 + y1) / 2, (z0 + z1) / 2)

@@ -21,6 +21,7 @@ from .armchair import SIZE, armchair
 from .fireside import BREAST, fireplace
 from .lighting import Lighting
 from .props import ball, box, rod, sheet
+from .skies import clouded
 
 LEFT, RIGHT, FRONT, BACK, HEIGHT = -1.9, 2.4, -2.8, 1.6, 2.55
 WINDOW = (-1.25, 0.62, 0.86, 2.12)  # y0, y1, z0, z1
@@ -28,6 +29,15 @@ SECOND = (-2.62, -1.72, 0.86, 2.12)  # beside the cameras, for the sun on the ru
 
 SKY_RADIANCE = 4.5  # at the horizon; W / m² / sr, any unit does
 SUN_IRRADIANCE = 24.0
+
+#: Soft clouds, warm and brightest near the horizon.
+SKY = clouded(
+    [(0.0, (1.0, 0.88, 0.70)), (0.12, (0.80, 0.88, 0.97)), (0.55, (0.26, 0.46, 0.86))],
+    clouds=(1.6, 1.46, 1.28),
+    cover=(0.45, 0.66),
+    scale=5.0,
+    flat=2.4,
+)
 
 
 def build(scene: bpy.types.Scene, assets: Assets) -> Stage:
@@ -174,20 +184,9 @@ def _outside(room: bpy.types.Collection) -> None:
     )  # fmt: skip
 
 
-def _sky(graph: m.Graph, direction: m.Socket) -> m.Socket:
-    """A gradient with soft clouds, warm and brightest near the horizon."""
-    height = graph.add("ShaderNodeSeparateXYZ", {"Vector": direction}).outputs["Z"]
-    blue = graph.ramp(
-        height, [(0.0, (1.0, 0.88, 0.70)), (0.12, (0.80, 0.88, 0.97)), (0.55, (0.26, 0.46, 0.86))]
-    )
-    stretched = graph.add("ShaderNodeMapping", {"Vector": direction, "Scale": (1.0, 1.0, 2.4)}).outputs[0]
-    white = graph.ramp(graph.noise(stretched, 5.0, 3.0, 0.3), [(0.45, (0.0,) * 3), (0.66, (1.0,) * 3)])
-    return graph.mix(white, blue, (1.6, 1.46, 1.28))
-
-
 def _light(lighting: Lighting) -> None:
     """Sky and sun through the windows. Few lights, so that each has many samples."""
-    lighting.sky(_sky, SKY_RADIANCE)
+    lighting.sky(SKY, SKY_RADIANCE)
     y0, y1, z0, z1 = SECOND[0], *WINDOW[1:]  # one portal over both: little of it is wall
     lighting.portal((LEFT - 0.145, (y0 + y1) / 2, (z0 + z1) / 2), (1.0, 0.0, 0.0), (y1 - y0, z1 - z0))
     lighting.sun((0.50, 0.60, -0.50), SUN_IRRADIANCE, angle=0.6)

@@ -13,6 +13,7 @@ from .assembly import Assembly, array, disk, ring
 from .greenery import arching, leaf_colour, leaf_mesh
 from .lighting import Lighting
 from .props import ball, box, lathe, rod, sheet
+from .shading import Colour
 from .tubes import tube
 
 Collection = bpy.types.Collection
@@ -105,7 +106,7 @@ def side_table(room: Collection, foot: Foot) -> None:
         book(table, (0.11, 0.0, z + 0.03 * k), (0.13, 0.19, 0.03), colour, turn)
 
 
-def book(room: Collection | Assembly, foot: Foot, size: Foot, colour: m.Colour, turn: float) -> None:
+def book(room: Collection | Assembly, foot: Foot, size: Foot, colour: Colour, turn: float) -> None:
     """A book lying flat: cover, pages that show on three sides."""
     lying = Assembly(getattr(room, "room", room), "book", foot, turn)
     if isinstance(room, Assembly):

@@ -18,6 +18,7 @@ from . import materials_desk as md
 from .assembly import array
 from .lighting import Lighting
 from .props import ball, box, rod, sheet
+from .skies import clouded
 
 LEFT, RIGHT, FRONT, WALL, HEIGHT = -1.7, 1.7, -2.4, 0.46, 2.5
 WINDOW = (-1.12, -0.20, 1.00, 2.00)  # x0, x1, z0, z1
@@ -26,6 +27,15 @@ TOP = things.TOP
 
 SKY_RADIANCE = 7.0  # at the horizon; W / m² / sr, any unit does
 SUN_IRRADIANCE = 26.0
+
+#: Warm and brightest near the horizon, with soft clouds.
+SKY = clouded(
+    [(0.0, (1.0, 0.88, 0.70)), (0.12, (0.78, 0.87, 0.97)), (0.55, (0.26, 0.46, 0.86))],
+    clouds=(1.6, 1.46, 1.28),
+    cover=(0.45, 0.66),
+    scale=5.0,
+    flat=2.4,
+)
 
 
 def build(scene: bpy.types.Scene, assets: Assets) -> Stage:
@@ -186,20 +196,9 @@ def _desk(room: bpy.types.Collection) -> None:
     )
 
 
-def _sky(graph: m.Graph, direction: m.Socket) -> m.Socket:
-    """A gradient, warm and brightest near the horizon, with soft clouds."""
-    height = graph.add("ShaderNodeSeparateXYZ", {"Vector": direction}).outputs["Z"]
-    blue = graph.ramp(
-        height, [(0.0, (1.0, 0.88, 0.70)), (0.12, (0.78, 0.87, 0.97)), (0.55, (0.26, 0.46, 0.86))]
-    )
-    stretched = graph.add("ShaderNodeMapping", {"Vector": direction, "Scale": (1.0, 1.0, 2.4)}).outputs[0]
-    white = graph.ramp(graph.noise(stretched, 5.0, 3.0, 0.3), [(0.45, (0.0,) * 3), (0.66, (1.0,) * 3)])
-    return graph.mix(white, blue, (1.6, 1.46, 1.28))
-
-
 def _light(lighting: Lighting) -> None:
     """Sky and sun through the blind. Few lights, so that each has many samples."""
     x0, x1, z0, z1 = WINDOW
-    lighting.sky(_sky, SKY_RADIANCE)
+    lighting.sky(SKY, SKY_RADIANCE)
     lighting.portal(((x0 + x1) / 2, WALL + 0.125, (z0 + z1) / 2), (0.0, -1.0, 0.0), (x1 - x0, z1 - z0))
     lighting.sun((0.44, -0.62, -0.62), SUN_IRRADIANCE, angle=0.5)

@@ -20,6 +20,7 @@ from . import materials_table as mt
 from .forms import ring
 from .lighting import Lighting
 from .props import ball, box, lathe, rod, sheet
+from .skies import clouded
 from .tubes import bent_tube
 
 WEST, EAST, BACK, FRONT, HEIGHT = -2.2, 2.4, 2.1, -2.8, 2.75
@@ -33,6 +34,16 @@ FLAME_COLOUR = (1.0, 0.56, 0.18)
 SKY_RADIANCE = 20.0  # at the horizon; W / m² / sr, any unit does
 SUN_IRRADIANCE = 75.0
 FILL_POWER = 40.0  # watts
+
+#: Evening: gold at the horizon, violet-blue above, thin clouds lit from below.
+SKY = clouded(
+    [(0.0, (1.0, 0.66, 0.36)), (0.12, (0.95, 0.76, 0.58)), (0.5, (0.30, 0.42, 0.72))],
+    clouds=(1.7, 1.15, 0.78),
+    cover=(0.46, 0.66),
+    scale=4.0,
+    flat=3.4,
+    distortion=0.4,
+)
 
 
 def build(scene: bpy.types.Scene, assets: Assets) -> Stage:
@@ -197,22 +208,10 @@ def _outside(room: bpy.types.Collection, dice: random.Random) -> None:
     sheet(room, "hills", hills, hill, steps=(60, 4))
 
 
-def _sky(graph: m.Graph, direction: m.Socket) -> m.Socket:
-    """Evening: gold at the horizon, violet-blue above, thin clouds lit from below."""
-    height = graph.add("ShaderNodeSeparateXYZ", {"Vector": direction}).outputs["Z"]
-    blue = graph.ramp(
-        height, [(0.0, (1.0, 0.66, 0.36)), (0.12, (0.95, 0.76, 0.58)), (0.5, (0.30, 0.42, 0.72))]
-    )
-    stretched = graph.add("ShaderNodeMapping", {"Vector": direction, "Scale": (1.0, 1.0, 3.4)}).outputs[0]
-    clouds = graph.noise(stretched, 4.0, 3.0, 0.4)
-    white = graph.ramp(clouds, [(0.46, (0.0,) * 3), (0.66, (1.0,) * 3)])
-    return graph.mix(white, blue, (1.7, 1.15, 0.78))
-
-
 def _daylight(lighting: Lighting) -> None:
     """Sky and low sun through the window, a soft fill (the rest of the house)."""
     y0, y1, z0, z1 = WINDOW
-    lighting.sky(_sky, SKY_RADIANCE)
+    lighting.sky(SKY, SKY_RADIANCE)
     lighting.portal((WEST - 0.13, (y0 + y1) / 2, (z0 + z1) / 2), (1.0, 0.0, 0.0), (y1 - y0, z1 - z0))
     lighting.sun((0.86, -0.30, -0.41), SUN_IRRADIANCE, (1.0, 0.70, 0.42), angle=0.6)
     lighting.area(

@@ -21,6 +21,7 @@ from .dog_animal import dog
 from .forms import standing
 from .lighting import Lighting
 from .props import ball, box, rod, sheet
+from .skies import clouded
 
 WEST, EAST, BACK, FRONT, HEIGHT = -2.1, 2.1, 1.8, -2.8, 2.45
 WINDOW = (-1.72, -0.62, 0.72, 1.98)  # x0, x1, z0, z1
@@ -32,6 +33,16 @@ SKY_RADIANCE = 22.0  # at the horizon; W / m² / sr, any unit does
 SUN_IRRADIANCE = 64.0
 FILL_POWER = 70.0  # watts
 COAL_RADIANCE, FLAME_RADIANCE, FIRE_POWER = 120.0, 110.0, 450.0
+
+#: A clear autumn day with some high cloud.
+SKY = clouded(
+    [(0.0, (1.0, 0.88, 0.72)), (0.12, (0.80, 0.88, 1.0)), (0.5, (0.28, 0.47, 0.85))],
+    clouds=(1.5, 1.4, 1.25),
+    cover=(0.48, 0.70),
+    scale=4.0,
+    flat=3.0,
+    distortion=0.4,
+)
 
 
 def build(scene: bpy.types.Scene, assets: Assets) -> Stage:
@@ -177,22 +188,10 @@ def _outside(room: bpy.types.Collection, dice: random.Random) -> None:
     sheet(room, "hills", hills, hill, steps=(60, 4))
 
 
-def _sky(graph: m.Graph, direction: m.Socket) -> m.Socket:
-    """A clear autumn day with some high cloud."""
-    height = graph.add("ShaderNodeSeparateXYZ", {"Vector": direction}).outputs["Z"]
-    blue = graph.ramp(
-        height, [(0.0, (1.0, 0.88, 0.72)), (0.12, (0.80, 0.88, 1.0)), (0.5, (0.28, 0.47, 0.85))]
-    )
-    stretched = graph.add("ShaderNodeMapping", {"Vector": direction, "Scale": (1.0, 1.0, 3.0)}).outputs[0]
-    clouds = graph.noise(stretched, 4.0, 3.0, 0.4)
-    white = graph.ramp(clouds, [(0.48, (0.0,) * 3), (0.70, (1.0,) * 3)])
-    return graph.mix(white, blue, (1.5, 1.4, 1.25))
-
-
 def _daylight(lighting: Lighting) -> None:
     """Sky and sun through the window, a soft fill (the rest of the cottage)."""
     x0, x1, z0, z1 = WINDOW
-    lighting.sky(_sky, SKY_RADIANCE)
+    lighting.sky(SKY, SKY_RADIANCE)
     lighting.portal(((x0 + x1) / 2, BACK + 0.13, (z0 + z1) / 2), (0.0, -1.0, 0.0), (x1 - x0, z1 - z0))
     lighting.sun((0.38, -0.70, -0.45), SUN_IRRADIANCE, (1.0, 0.80, 0.56), angle=0.6)  # a patch on rug and dog
     lighting.area(

@@ -11,8 +11,8 @@ import bpy
 import numpy as np
 from mathutils import Euler, Vector
 
-from .materials import Colour, Graph
 from .props import finish
+from .shading import Colour, Graph, begin
 from .tubes import tube
 
 Collection = bpy.types.Collection
@@ -52,14 +52,12 @@ def leaf_mesh(
 
 def leaf_colour(name: str, dark: Colour, light: Colour) -> bpy.types.Material:
     """For ``leaf_mesh``: a pale rib, darker flanks, broad clouds. Finer veins would be below a pixel."""
-    material = bpy.data.materials.new(name)
-    graph = Graph(material.node_tree)
+    material, graph = begin(name)
     vector = graph.coordinates()
     aside = graph.math("ABSOLUTE", graph.add("ShaderNodeSeparateXYZ", {"Vector": vector}).outputs["X"], 0.0)
     tone = graph.math("ADD", graph.math("MULTIPLY", aside, 2.2), graph.noise(vector, 2.2, 1.0))
     colour = graph.ramp(tone, [(0.42, light), (0.85, dark)])
-    inputs = {"Base Color": colour, "Roughness": 0.42, "Specular IOR Level": 0.35}
-    graph.finish(graph.add("ShaderNodeBsdfPrincipled", inputs).outputs["BSDF"])
+    graph.surface(colour, 0.42, specular=0.35)
     return material
 
 

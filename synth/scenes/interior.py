@@ -17,6 +17,7 @@ from . import interior_furniture as furniture
 from . import materials as m
 from .lighting import Lighting
 from .props import ball, box, rod, sheet
+from .skies import clouded
 
 WIDTH, BACK, FRONT, HEIGHT = 4.2, 1.8, -2.6, 2.5
 WINDOW = (-1.45, -0.15, 0.92, 2.12)  # x0, x1, z0, z1
@@ -26,6 +27,15 @@ BULB_COLOUR = (1.0, 0.72, 0.42)
 SKY_RADIANCE = 10.0  # at the horizon; W / m² / sr, any unit does
 SUN_IRRADIANCE = 20.0
 FILL_POWER = 22.0  # watts
+
+#: Soft clouds, brightest near the horizon.
+SKY = clouded(
+    [(0.0, (1.0, 0.86, 0.68)), (0.10, (0.85, 0.90, 0.98)), (0.5, (0.30, 0.50, 0.85))],
+    clouds=(1.55, 1.42, 1.25),
+    cover=(0.45, 0.68),
+    scale=4.5,
+    flat=2.6,
+)
 
 
 def build(scene: bpy.types.Scene, assets: Assets) -> Stage:
@@ -160,22 +170,10 @@ def _outside(room: bpy.types.Collection, dice: random.Random) -> None:
     sheet(room, "hills", hills, hill, steps=(60, 4))
 
 
-def _sky(graph: m.Graph, direction: m.Socket) -> m.Socket:
-    """A gradient with soft clouds, brightest near the horizon."""
-    height = graph.add("ShaderNodeSeparateXYZ", {"Vector": direction}).outputs["Z"]
-    blue = graph.ramp(
-        height, [(0.0, (1.0, 0.86, 0.68)), (0.10, (0.85, 0.90, 0.98)), (0.5, (0.30, 0.50, 0.85))]
-    )
-    stretched = graph.add("ShaderNodeMapping", {"Vector": direction, "Scale": (1.0, 1.0, 2.6)}).outputs[0]
-    clouds = graph.noise(stretched, 4.5, 3.0, 0.3)
-    white = graph.ramp(clouds, [(0.45, (0.0,) * 3), (0.68, (1.0,) * 3)])
-    return graph.mix(white, blue, (1.55, 1.42, 1.25))
-
-
 def _light(room: bpy.types.Collection, lighting: Lighting) -> None:
     """Sky and low sun through the window, a soft fill (the rest of the flat), two bulbs."""
     x0, x1, z0, z1 = WINDOW
-    lighting.sky(_sky, SKY_RADIANCE)
+    lighting.sky(SKY, SKY_RADIANCE)
     lighting.portal(((x0 + x1) / 2, BACK + 0.125, (z0 + z1) / 2), (0.0, -1.0, 0.0), (x1 - x0, z1 - z0))
     lighting.sun((0.34, -0.78, -0.62), SUN_IRRADIANCE)  # a patch on the rug and the table
     lighting.area(

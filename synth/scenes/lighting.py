@@ -2,17 +2,18 @@
 """Makes the lights of a built scene, each in one of Cycles' light groups, with the knobs that turn it."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import bpy
 from mathutils import Vector
 
 from ..stage import AMBIENT, LightKnob
-from .materials import Graph, Socket, emission
+from .materials import emission
 from .props import ball
+from .shading import Colour, Graph, Socket
+from .skies import Sky
 
 Point = Sequence[float]  # metres
-Colour = tuple[float, float, float]  # scene-linear
 
 
 class Lighting:
@@ -26,7 +27,7 @@ class Lighting:
         self.groups: dict[str, list[LightKnob]] = {}
         self._enter(AMBIENT)
 
-    def sky(self, colour: Callable[[Graph, Socket], Socket], strength: float, group: str = AMBIENT) -> None:
+    def sky(self, colour: Sky, strength: float, group: str = AMBIENT) -> None:
         """The world. ``colour``: from the graph and the direction (unit vector, Z up) to the sky's colour;
         ``strength``: its radiance where that colour is white."""
         world = bpy.data.worlds.new("sky")

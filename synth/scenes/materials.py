@@ -6,112 +6,16 @@ of a room: finer grain would only alias, and a splat could not hold it.
 """
 
 from collections.abc import Sequence
-from typing import Any
 
 import bpy
 
-Colour = tuple[float, float, float]  # scene-linear reflectance
-Socket = Any  # bpy.types.NodeSocket, or a plain value where an input takes one
-
-
-class Graph:
-    """A node tree under construction: each method adds a node and returns the output to link on."""
-
-    def __init__(self, tree: bpy.types.NodeTree) -> None:
-        self.tree = tree
-        tree.nodes.clear()
-
-    def add(self, kind: str, inputs: dict[str, Socket] | None = None, **attributes: Any) -> bpy.types.Node:
-        """A node of type ``kind`` with attributes set; inputs (by identifier) are linked or set."""
-        node = self.tree.nodes.new(kind)
-        for key, value in attributes.items():
-            setattr(node, key, value)
-        by_identifier = {socket.identifier: socket for socket in node.inputs}
-        for key, value in (inputs or {}).items():
-            target = by_identifier[key]
-            if isinstance(value, bpy.types.NodeSocket):
-                self.tree.links.new(value, target)
-            elif isinstance(value, tuple) and target.type == "RGBA":
-                target.default_value = (*value, 1.0)
-            else:
-                target.default_value = value
-        return node
-
-    def coordinates(
-        self, scale: Sequence[float] = (1, 1, 1), rotation: Sequence[float] = (0, 0, 0), space: str = "Object"
-    ) -> Socket:
-        """Texture coordinates in metres of the object (or ``Generated``: 0…1 over its bounds)."""
-        source = self.add("ShaderNodeTexCoord").outputs[space]
-        inputs = {"Vector": source, "Scale": tuple(scale), "Rotation": tuple(rotation)}
-        return self.add("ShaderNodeMapping", inputs).outputs["Vector"]
-
-    def noise(self, vector: Socket, scale: float, detail: float = 2.0, distortion: float = 0.0) -> Socket:
-        inputs = {"Vector": vector, "Scale": scale, "Detail": detail, "Distortion": distortion}
-        return self.add("ShaderNodeTexNoise", inputs).outputs["Factor"]
-
-    def wave(
-        self, vector: Socket, scale: float, distortion: float = 0.0, direction: str = "X", rings: bool = False
-    ) -> Socket:
-        attributes = {"wave_type": "RINGS"} if rings else {"wave_type": "BANDS", "bands_direction": direction}
-        inputs = {"Vector": vector, "Scale": scale, "Distortion": distortion, "Detail": 1.0}
-        return self.add("ShaderNodeTexWave", inputs, **attributes).outputs["Factor"]
-
-    def voronoi(
-        self, vector: Socket, scale: float, output: str = "Distance", randomness: float = 1.0
-    ) -> Socket:
-        inputs = {"Vector": vector, "Scale": scale, "Randomness": randomness}
-        return self.add("ShaderNodeTexVoronoi", inputs).outputs[output]
-
-    def ramp(
-        self, factor: Socket, stops: Sequence[tuple[float, Colour]], interpolation: str = "LINEAR"
-    ) -> Socket:
-        """Colour looked up in a ramp of (position 0…1, colour)."""
-        node = self.add("ShaderNodeValToRGB", {"Fac": factor})
-        ramp = node.color_ramp
-        ramp.interpolation = interpolation
-        while len(ramp.elements) < len(stops):
-            ramp.elements.new(0.5)
-        for element, (position, colour) in zip(ramp.elements, stops, strict=True):
-            element.position = position
-            element.color = (*colour, 1.0)
-        return node.outputs["Color"]
-
-    def mix(self, factor: Socket, a: Socket, b: Socket, blend: str = "MIX") -> Socket:
-        inputs = {"Factor_Float": factor, "A_Color": a, "B_Color": b}
-        return self.add("ShaderNodeMix", inputs, data_type="RGBA", blend_type=blend).outputs[2]
-
-    def math(self, operation: str, a: Socket, b: Socket) -> Socket:
-        return self.add("ShaderNodeMath", {"Value": a, "Value_001": b}, operation=operation).outputs[0]
-
-    def finish(self, shader: Socket) -> None:
-        self.add("ShaderNodeOutputMaterial", {"Surface": shader})
-
-
-def _principled(
-    graph: Graph,
-    colour: Socket,
-    roughness: float = 0.6,
-    metallic: float = 0.0,
-    specular: float = 0.3,
-) -> None:
-    inputs: dict[str, Socket] = {
-        "Base Color": colour,
-        "Roughness": roughness,
-        "Metallic": metallic,
-        "Specular IOR Level": specular,
-    }
-    graph.finish(graph.add("ShaderNodeBsdfPrincipled", inputs).outputs["BSDF"])
-
-
-def _new(name: str) -> tuple[bpy.types.Material, Graph]:
-    material = bpy.data.materials.new(name)
-    return material, Graph(material.node_tree)
+from .shading import Colour, Socket, begin
 
 
 def plain(name: str, colour: Colour, roughness: float = 0.6, metallic: float = 0.0) -> bpy.types.Material:
     """One colour: glaze, metal, paint."""
-    material, graph = _new(name)
-    _principled(graph, colour, roughness, metallic, specular=0.5)
+    material, graph = begin(name)
+    graph.surface(colour, roughness, specular=0.5, metallic=metallic)
     return material
 
 
@@ -119,18 +23,18 @@ def speckled(
     name: str, base: Colour, spot: Colour, scale: float, roughness: float = 0.25
 ) -> bpy.types.Material:
     """Glazed ceramic with soft spots."""
-    material, graph = _new(name)
+    material, graph = begin(name)
     spots = graph.voronoi(graph.coordinates(), scale)
-    _principled(graph, graph.ramp(spots, [(0.22, spot), (0.42, base)]), roughness, specular=0.5)
+    graph.surface(graph.ramp(spots, [(0.22, spot), (0.42, base)]), roughness, specular=0.5)
     return material
 
 
 def banded(name: str, bands: Sequence[Colour], roughness: float = 0.25) -> bpy.types.Material:
     """Ceramic with painted horizontal bands from foot to rim."""
-    material, graph = _new(name)
+    material, graph = begin(name)
     height = graph.add("ShaderNodeSeparateXYZ", {"Vector": graph.coordinates(space="Generated")}).outputs["Z"]
     stops = [(index / len(bands), band) for index, band in enumerate(bands)]
-    _principled(graph, graph.ramp(height, stops, "CONSTANT"), roughness, specular=0.5)
+    graph.surface(graph.ramp(height, stops, "CONSTANT"), roughness, specular=0.5)
     return material
 
 
@@ -138,7 +42,7 @@ def wood(
     name: str, dark: Colour, light: Colour, axis: str = "X", scale: float = 5.0, roughness: float = 0.45
 ) -> bpy.types.Material:
     """Grain that runs along an object's ``axis``."""
-    material, graph = _new(name)
+    material, graph = begin(name)
     stretch = {"X": (0.22, 1.7, 1.7), "Y": (1.7, 0.22, 1.7), "Z": (1.7, 1.7, 0.22)}[axis]
     vector = graph.coordinates(scale=stretch)
     across = "Y" if axis == "X" else "X"
@@ -147,39 +51,26 @@ def wood(
     colour = graph.mix(
         0.5, graph.ramp(grain, [(0.1, dark), (0.9, light)]), graph.ramp(streaks, [(0.3, dark), (0.7, light)])
     )
-    _principled(graph, colour, roughness)
+    graph.surface(colour, roughness)
     return material
 
 
 def floorboards(name: str) -> bpy.types.Material:
     """Oak boards of 14 cm with dark joints; every board has its own tone and grain."""
-    material, graph = _new(name)
+    material, graph = begin(name)
     vector = graph.coordinates(rotation=(0.0, 0.0, 1.5708))
-    brick = graph.add(
-        "ShaderNodeTexBrick",
-        {
-            "Vector": vector,
-            "Color1": (0.36, 0.19, 0.085),
-            "Color2": (0.16, 0.075, 0.032),
-            "Mortar": (0.02, 0.01, 0.006),
-            "Scale": 1.0,
-            "Mortar Size": 0.007,
-            "Mortar Smooth": 0.2,
-            "Brick Width": 1.1,
-            "Row Height": 0.14,
-        },
-        offset=0.37,
-    )
+    tones, joint = ((0.36, 0.19, 0.085), (0.16, 0.075, 0.032)), (0.02, 0.01, 0.006)
+    brick = graph.bricks(vector, tones, joint, (1.1, 0.14), 0.007, smooth=0.2, offset=0.37)
     grain = graph.noise(graph.coordinates(scale=(9.0, 1.1, 1.0)), 2.2, detail=3.0, distortion=1.2)
     tone = graph.ramp(grain, [(0.25, (0.45, 0.42, 0.4)), (0.75, (1.25, 1.22, 1.18))])
     colour = graph.mix(1.0, brick.outputs["Color"], tone, "MULTIPLY")
-    _principled(graph, colour, 0.38, specular=0.35)
+    graph.surface(colour, 0.38, specular=0.35)
     return material
 
 
 def wallpaper(name: str, ground: Colour, stripe: Colour, motif: Colour) -> bpy.types.Material:
     """Broad stripes along the wall's X with a staggered motif, as printed paper."""
-    material, graph = _new(name)
+    material, graph = begin(name)
     vector = graph.coordinates()
     stripes = graph.wave(vector, 0.95, direction="X")
     base = graph.ramp(stripes, [(0.42, ground), (0.58, stripe)])
@@ -188,17 +79,17 @@ def wallpaper(name: str, ground: Colour, stripe: Colour, motif: Colour) -> bpy.t
     )
     printed = graph.mix(graph.ramp(cells, [(0.2, (1, 1, 1)), (0.3, (0, 0, 0))]), base, motif)
     stains = graph.ramp(graph.noise(vector, 1.6, 4.0), [(0.3, (0.78, 0.76, 0.72)), (0.7, (1.05, 1.04, 1.02))])
-    _principled(graph, graph.mix(1.0, printed, stains, "MULTIPLY"), 0.85, specular=0.1)
+    graph.surface(graph.mix(1.0, printed, stains, "MULTIPLY"), 0.85, specular=0.1)
     return material
 
 
 def plaster(name: str, colour: Colour, contrast: float = 0.25) -> bpy.types.Material:
     """Painted plaster with the uneven tone of a brush and a trowel."""
-    material, graph = _new(name)
+    material, graph = begin(name)
     vector = graph.coordinates()
     dark = tuple(channel * (1.0 - contrast) for channel in colour)
     cloud = graph.noise(vector, 2.6, 4.0, 0.8)
-    _principled(graph, graph.ramp(cloud, [(0.3, dark), (0.7, colour)]), 0.9, specular=0.1)
+    graph.surface(graph.ramp(cloud, [(0.3, dark), (0.7, colour)]), 0.9, specular=0.1)
     return material
 
 
@@ -206,23 +97,22 @@ def cloth(
     name: str, warp: Colour, weft: Colour, scale: float = 5.0, angle: float = 0.0
 ) -> bpy.types.Material:
     """Plaid: two crossing sets of bands."""
-    material, graph = _new(name)
+    material, graph = begin(name)
     vector = graph.coordinates(rotation=(angle, angle, angle))
     first = graph.ramp(graph.wave(vector, scale, 0.4, "X"), [(0.45, warp), (0.6, weft)])
     second = graph.ramp(graph.wave(vector, scale, 0.4, "Z"), [(0.45, weft), (0.6, warp)])
-    mottling = graph.ramp(graph.noise(vector, 14.0, 2.0), [(0.3, (0.72,) * 3), (0.7, (1.12,) * 3)])
+    mottling = graph.clouds(vector, 14.0, 2.0, 0.72, 1.12)
     colour = graph.mix(1.0, graph.mix(0.5, first, second), mottling, "MULTIPLY")
-    _principled(graph, colour, 0.95, specular=0.05)
+    graph.surface(colour, 0.95, specular=0.05)
     return material
 
 
 def fabric(name: str, dark: Colour, light: Colour, scale: float = 11.0) -> bpy.types.Material:
     """Heavy woven cover: mottled."""
-    material, graph = _new(name)
+    material, graph = begin(name)
     vector = graph.coordinates()
     weave = graph.noise(vector, scale, 3.0)
-    _principled(
-        graph,
+    graph.surface(
         graph.ramp(weave, [(0.32, dark), (0.68, light)]),
         0.95,
         specular=0.05,
@@ -232,19 +122,16 @@ def fabric(name: str, dark: Colour, light: Colour, scale: float = 11.0) -> bpy.t
 
 def curtain(name: str, colour: Colour, stripe: Colour) -> bpy.types.Material:
     """Thin cloth: half of the light comes through."""
-    material, graph = _new(name)
+    material, graph = begin(name)
     height = graph.wave(graph.coordinates(), 1.6, direction="Z")
     tone = graph.ramp(height, [(0.75, colour), (0.9, stripe)])
-    diffuse = graph.add("ShaderNodeBsdfDiffuse", {"Color": tone}).outputs[0]
-    translucent = graph.add("ShaderNodeBsdfTranslucent", {"Color": tone}).outputs[0]
-    mixed = graph.add("ShaderNodeMixShader", {"Fac": 0.4, "Shader": diffuse, "Shader_001": translucent})
-    graph.finish(mixed.outputs[0])
+    graph.finish(graph.thin_cloth(tone, 0.4))
     return material
 
 
 def rug(name: str) -> bpy.types.Material:
     """Oriental rug: border bands and a field of diamonds (object X, Y in metres about the centre)."""
-    material, graph = _new(name)
+    material, graph = begin(name)
     red, blue, cream, ochre = (0.30, 0.03, 0.025), (0.02, 0.045, 0.14), (0.62, 0.52, 0.36), (0.45, 0.22, 0.04)
     axes = graph.add("ShaderNodeSeparateXYZ", {"Vector": graph.coordinates(space="Generated")})
     distances = [
@@ -268,14 +155,14 @@ def rug(name: str) -> bpy.types.Material:
     ).outputs["Color"]
     in_field = graph.math("LESS_THAN", edge, 0.68)
     colour = graph.mix(in_field, border, diamonds)
-    wear = graph.ramp(graph.noise(graph.coordinates(), 8.0, 3.0), [(0.3, (0.7,) * 3), (0.7, (1.15,) * 3)])
-    _principled(graph, graph.mix(1.0, colour, wear, "MULTIPLY"), 1.0, specular=0.0)
+    wear = graph.clouds(graph.coordinates(), 8.0, 3.0, 0.7, 1.15)
+    graph.surface(graph.mix(1.0, colour, wear, "MULTIPLY"), 1.0, specular=0.0)
     return material
 
 
 def painting(name: str, kind: str) -> bpy.types.Material:
     """A canvas: ``landscape`` (sky, hills, water) or ``abstract`` (colour fields)."""
-    material, graph = _new(name)
+    material, graph = begin(name)
     generated = graph.coordinates(space="Generated")
     if kind == "landscape":
         height = graph.add("ShaderNodeSeparateXYZ", {"Vector": generated}).outputs["Z"]
@@ -307,42 +194,31 @@ def painting(name: str, kind: str) -> bpy.types.Material:
             ],
             "CONSTANT",
         )
-    _principled(graph, colour, 0.7, specular=0.1)
+    graph.surface(colour, 0.7, specular=0.1)
     return material
 
 
 def leaf(name: str, dark: Colour, light: Colour) -> bpy.types.Material:
     """Leaves: shiny above, veined by bands along the blade, a little light comes through."""
-    material, graph = _new(name)
+    material, graph = begin(name)
     veins = graph.wave(graph.coordinates(), 7.0, 1.0, "Y")
     colour = graph.ramp(veins, [(0.2, dark), (0.8, light)])
-    _principled(graph, colour, 0.4, specular=0.4)
+    graph.surface(colour, 0.4, specular=0.4)
     return material
 
 
 def bricks(name: str) -> bpy.types.Material:
     """The house across the street."""
-    material, graph = _new(name)
-    brick = graph.add(
-        "ShaderNodeTexBrick",
-        {
-            "Vector": graph.coordinates(rotation=(1.5708, 0.0, 0.0)),
-            "Color1": (0.42, 0.15, 0.09),
-            "Color2": (0.28, 0.10, 0.07),
-            "Mortar": (0.5, 0.46, 0.4),
-            "Scale": 1.0,
-            "Mortar Size": 0.05,
-            "Brick Width": 1.4,
-            "Row Height": 0.5,
-        },
-    )
-    _principled(graph, brick.outputs["Color"], 0.9, specular=0.1)
+    material, graph = begin(name)
+    vector, tones = graph.coordinates(rotation=(1.5708, 0.0, 0.0)), ((0.42, 0.15, 0.09), (0.28, 0.10, 0.07))
+    brick = graph.bricks(vector, tones, (0.5, 0.46, 0.4), (1.4, 0.5), 0.05)
+    graph.surface(brick.outputs["Color"], 0.9, specular=0.1)
     return material
 
 
 def emission(name: str, colour: Colour, radiance: float) -> tuple[bpy.types.Material, Socket]:
     """A luminous surface and its strength input (scene-linear radiance of a white source)."""
-    material, graph = _new(name)
+    material, graph = begin(name)
     node = graph.add("ShaderNodeEmission", {"Color": colour, "Strength": radiance})
     graph.finish(node.outputs[0])
     return material, node.inputs["Strength"]

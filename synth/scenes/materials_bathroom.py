@@ -3,12 +3,7 @@
 
 import bpy
 
-from .materials import Colour, Graph, Socket
-
-
-def _new(name: str) -> tuple[bpy.types.Material, Graph]:
-    material = bpy.data.materials.new(name)
-    return material, Graph(material.node_tree)
+from .shading import Colour, Graph, begin
 
 
 def _position(graph: Graph) -> bpy.types.Node:
@@ -24,25 +19,12 @@ def tiled_wall(
 
     ``height``: a multiple of 0.1 m. For walls along X or Y.
     """
-    material, graph = _new(name)
+    material, graph = begin(name)
     at = _position(graph)
     along = graph.math("ADD", at.outputs["X"], at.outputs["Y"])
     vector = graph.add("ShaderNodeCombineXYZ", {"X": along, "Y": at.outputs["Z"]}).outputs[0]
     grout = (0.30, 0.29, 0.26)
-    brick = graph.add(
-        "ShaderNodeTexBrick",
-        {
-            "Vector": vector,
-            "Color1": tones[0],
-            "Color2": tones[1],
-            "Mortar": grout,
-            "Scale": 1.0,
-            "Mortar Size": 0.004,
-            "Mortar Smooth": 0.2,
-            "Brick Width": 0.2,
-            "Row Height": 0.1,
-        },
-    )
+    brick = graph.bricks(vector, tones, grout, (0.2, 0.1), 0.004, smooth=0.2)
     joint = brick.outputs["Factor"]
     z = at.outputs["Z"]
     row = graph.math(
@@ -53,22 +35,15 @@ def tiled_wall(
     # A glaze is never flat: every highlight of a bulb breaks differently.
     waves = graph.noise(vector, 9.0, 1.0)
     relief = graph.math("SUBTRACT", graph.math("MULTIPLY", waves, 0.5), joint)
-    normal = graph.add("ShaderNodeBump", {"Strength": 0.5, "Distance": 0.004, "Height": relief}).outputs[0]
+    normal = graph.bumps(relief, 0.004, 0.5)
     rough = graph.math("ADD", graph.math("MULTIPLY", joint, 0.6), 0.16)
-    inputs: dict[str, Socket] = {
-        "Base Color": glaze,
-        "Roughness": rough,
-        "Specular IOR Level": 0.5,
-        "Normal": normal,
-    }
-    tiles = graph.add("ShaderNodeBsdfPrincipled", inputs).outputs[0]
+    tiles = graph.principled(glaze, rough, specular=0.5, Normal=normal)
     cloud = graph.noise(vector, 2.6, 4.0, 0.8)
     dark = tuple(channel * 0.78 for channel in paint)
     wash = graph.ramp(cloud, [(0.3, dark), (0.7, paint)])
     plaster = graph.add("ShaderNodeBsdfDiffuse", {"Color": wash}).outputs[0]
     above = graph.math("GREATER_THAN", z, height)
-    mixed = graph.add("ShaderNodeMixShader", {"Fac": above, "Shader": tiles, "Shader_001": plaster})
-    graph.finish(mixed.outputs[0])
+    graph.finish(graph.blend(above, tiles, plaster))
     return material
 
 
@@ -76,7 +51,7 @@ def patterned_floor(
     name: str, light: Colour, dark: Colour, dot: Colour, size: float = 0.24
 ) -> bpy.types.Material:
     """Cement tiles of ``size`` in two tones, laid diagonally, with a dot where four corners meet."""
-    material, graph = _new(name)
+    material, graph = begin(name)
     point = graph.add("ShaderNodeNewGeometry").outputs["Position"]
     turned = graph.add(
         "ShaderNodeMapping",
@@ -102,27 +77,25 @@ def patterned_floor(
     colour = graph.mix(corner, graph.mix(joint, base, (0.16, 0.15, 0.14)), dot)
     colour = graph.mix(1.0, colour, wear, "MULTIPLY")
     rough = graph.math("ADD", graph.math("MULTIPLY", graph.noise(point, 12.0), 0.25), 0.2)
-    inputs: dict[str, Socket] = {"Base Color": colour, "Roughness": rough, "Specular IOR Level": 0.4}
-    graph.finish(graph.add("ShaderNodeBsdfPrincipled", inputs).outputs[0])
+    graph.surface(colour, rough, specular=0.4)
     return material
 
 
 def marble(name: str, ground: Colour, vein: Colour) -> bpy.types.Material:
     """Polished stone with veins of some millimetres."""
-    material, graph = _new(name)
+    material, graph = begin(name)
     vector = graph.coordinates(rotation=(0.3, 0.2, 0.6))
     bands = graph.wave(vector, 1.6, 11.0)
     colour = graph.ramp(
         bands, [(0.0, vein), (0.10, ground), (0.75, tuple(0.88 * c for c in ground)), (1.0, ground)]
     )
-    inputs: dict[str, Socket] = {"Base Color": colour, "Roughness": 0.15, "Specular IOR Level": 0.5}
-    graph.finish(graph.add("ShaderNodeBsdfPrincipled", inputs).outputs[0])
+    graph.surface(colour, 0.15, specular=0.5)
     return material
 
 
 def mirror(name: str) -> bpy.types.Material:
     """Silvered glass."""
-    material, graph = _new(name)
+    material, graph = begin(name)
     graph.finish(
         graph.add("ShaderNodeBsdfGlossy", {"Color": (0.86, 0.88, 0.87), "Roughness": 0.0}).outputs[0]
     )
@@ -131,13 +104,12 @@ def mirror(name: str) -> bpy.types.Material:
 
 def thin_glass(name: str, tint: Colour, strength: float = 1.0) -> bpy.types.Material:
     """Glass without refraction, so without caustics: it tints what is behind it and shines at its edges."""
-    material, graph = _new(name)
+    material, graph = begin(name)
     facing = graph.add("ShaderNodeLayerWeight", {"Blend": 0.35}).outputs["Facing"]
     shine = graph.math("ADD", graph.math("MULTIPLY", facing, 0.55 * strength), 0.05)
     clear = graph.add("ShaderNodeBsdfTransparent", {"Color": tint}).outputs[0]
     gloss = graph.add("ShaderNodeBsdfGlossy", {"Color": (0.9, 0.9, 0.9), "Roughness": 0.06}).outputs[0]
-    mixed = graph.add("ShaderNodeMixShader", {"Fac": shine, "Shader": clear, "Shader_001": gloss})
-    graph.finish(mixed.outputs[0])
+    graph.finish(graph.blend(shine, clear, gloss))
     return material
 
 
@@ -145,13 +117,13 @@ def terry(
     name: str, ground: Colour, stripe: Colour, stripes: tuple[float, float] = (0.78, 0.9)
 ) -> bpy.types.Material:
     """Towelling: looped cloth with one woven band near its lower end (object Z, generated 0…1)."""
-    material, graph = _new(name)
+    material, graph = begin(name)
     height = graph.add("ShaderNodeSeparateXYZ", {"Vector": graph.coordinates(space="Generated")}).outputs["Z"]
     low, high = 1.0 - stripes[1], 1.0 - stripes[0]
     band = graph.math(
         "MULTIPLY", graph.math("GREATER_THAN", height, low), graph.math("LESS_THAN", height, high)
     )
-    loops = graph.ramp(graph.noise(graph.coordinates(), 55.0, 1.0), [(0.3, (0.68,) * 3), (0.7, (1.1,) * 3)])
+    loops = graph.clouds(graph.coordinates(), 55.0, 1.0, 0.68, 1.1)
     colour = graph.mix(1.0, graph.mix(band, ground, stripe), loops, "MULTIPLY")
     graph.finish(graph.add("ShaderNodeBsdfDiffuse", {"Color": colour}).outputs[0])
     return material
@@ -159,12 +131,9 @@ def terry(
 
 def sheer(name: str, colour: Colour) -> bpy.types.Material:
     """Voile: more light comes through than is thrown back."""
-    material, graph = _new(name)
+    material, graph = begin(name)
     threads = graph.ramp(
         graph.wave(graph.coordinates(), 9.0, 0.5), [(0.2, tuple(0.8 * c for c in colour)), (0.8, colour)]
     )
-    front = graph.add("ShaderNodeBsdfDiffuse", {"Color": threads}).outputs[0]
-    through = graph.add("ShaderNodeBsdfTranslucent", {"Color": threads}).outputs[0]
-    mixed = graph.add("ShaderNodeMixShader", {"Fac": 0.6, "Shader": front, "Shader_001": through})
-    graph.finish(mixed.outputs[0])
+    graph.finish(graph.thin_cloth(threads, 0.6))
     return material

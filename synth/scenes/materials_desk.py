@@ -3,8 +3,7 @@
 
 import bpy
 
-from .materials import Colour, Graph, Socket
-from .materials_fireside import begin, surface
+from .shading import Colour, Graph, Socket, begin
 
 ROWS = 15.0  # lines of text on the screen
 
@@ -25,11 +24,8 @@ def screen(name: str, radiance: float) -> tuple[bpy.types.Material, Socket]:
     )
     colour = graph.mix(graph.math("GREATER_THAN", v, 0.945), panel, bar)
     light = graph.add("ShaderNodeEmission", {"Color": colour, "Strength": radiance})
-    glass = graph.add(
-        "ShaderNodeBsdfPrincipled",
-        {"Base Color": (0.01, 0.01, 0.012), "Roughness": 0.18, "Specular IOR Level": 0.4},
-    )
-    both = graph.add("ShaderNodeAddShader", {"Shader": light.outputs[0], "Shader_001": glass.outputs["BSDF"]})
+    glass = graph.principled((0.01, 0.01, 0.012), 0.18, specular=0.4)
+    both = graph.add("ShaderNodeAddShader", {"Shader": light.outputs[0], "Shader_001": glass})
     graph.finish(both.outputs[0])
     return material, light.inputs["Strength"]
 
@@ -104,8 +100,8 @@ def cork(name: str) -> bpy.types.Material:
     tone = graph.ramp(
         crumb, [(0.0, (0.20, 0.10, 0.04)), (0.35, (0.40, 0.23, 0.10)), (0.8, (0.50, 0.31, 0.15))]
     )
-    cloud = graph.ramp(graph.noise(vector, 7.0, 3.0), [(0.3, (0.75,) * 3), (0.7, (1.1,) * 3)])
-    surface(graph, graph.mix(1.0, tone, cloud, "MULTIPLY"), 0.95, specular=0.05)
+    cloud = graph.clouds(vector, 7.0, 3.0, 0.75, 1.1)
+    graph.surface(graph.mix(1.0, tone, cloud, "MULTIPLY"), 0.95, specular=0.05)
     return material
 
 
@@ -125,7 +121,7 @@ def written(
     inked = graph.math("MULTIPLY", inked, graph.math("GREATER_THAN", graph.math("FRACT", line, 0.0), 0.55))
     words = graph.noise(graph.coordinates(scale=(1.0, 0.05, 1.0)), 95.0, 1.0)
     inked = graph.math("MULTIPLY", inked, graph.math("GREATER_THAN", words, 0.44))
-    surface(graph, graph.mix(inked, (0.72, 0.69, 0.61), ink), 0.9, specular=0.1)
+    graph.surface(graph.mix(inked, (0.72, 0.69, 0.61), ink), 0.9, specular=0.1)
     return material
 
 
@@ -133,12 +129,9 @@ def thin_glass(name: str, tint: Colour = (0.86, 0.93, 0.91)) -> bpy.types.Materi
     """A thin wall of glass: mirrors at its rim, else lets everything through unbent, so without caustics."""
     material, graph = begin(name)
     edge = graph.add("ShaderNodeLayerWeight", {"Blend": 0.22}).outputs["Fresnel"]
-    clear = graph.add("ShaderNodeBsdfTransparent", {"Color": tint})
-    shine = graph.add("ShaderNodeBsdfAnisotropic", {"Color": (1.0, 1.0, 1.0), "Roughness": 0.05})
-    mixed = graph.add(
-        "ShaderNodeMixShader", {"Fac": edge, "Shader": clear.outputs[0], "Shader_001": shine.outputs[0]}
-    )
-    graph.finish(mixed.outputs[0])
+    clear = graph.add("ShaderNodeBsdfTransparent", {"Color": tint}).outputs[0]
+    shine = graph.add("ShaderNodeBsdfAnisotropic", {"Color": (1.0, 1.0, 1.0), "Roughness": 0.05}).outputs[0]
+    graph.finish(graph.blend(edge, clear, shine))
     return material
 
 
@@ -148,5 +141,5 @@ def leather(name: str, colour: Colour) -> bpy.types.Material:
     vector = graph.coordinates()
     rubbed = graph.noise(vector, 9.0, 3.0, 0.5)
     worn = tuple(min(1.0, 1.7 * channel + 0.01) for channel in colour)
-    surface(graph, graph.ramp(rubbed, [(0.35, colour), (0.75, worn)]), 0.42, specular=0.4)
+    graph.surface(graph.ramp(rubbed, [(0.35, colour), (0.75, worn)]), 0.42, specular=0.4)
     return material

@@ -5,32 +5,7 @@ import math
 
 import bpy
 
-from .materials import Colour, Graph, Socket
-
-
-def begin(name: str) -> tuple[bpy.types.Material, Graph]:
-    """An empty material and its graph."""
-    material = bpy.data.materials.new(name)
-    return material, Graph(material.node_tree)
-
-
-def surface(
-    graph: Graph,
-    colour: Socket,
-    roughness: Socket = 0.6,
-    metallic: float = 0.0,
-    specular: float = 0.3,
-    sheen: float = 0.0,
-) -> None:
-    """End ``graph`` in a principled surface."""
-    inputs: dict[str, Socket] = {
-        "Base Color": colour,
-        "Roughness": roughness,
-        "Metallic": metallic,
-        "Specular IOR Level": specular,
-        "Sheen Weight": sheen,
-    }
-    graph.finish(graph.add("ShaderNodeBsdfPrincipled", inputs).outputs["BSDF"])
+from .shading import Colour, Socket, begin
 
 
 def velvet(name: str, dark: Colour, light: Colour) -> bpy.types.Material:
@@ -38,7 +13,7 @@ def velvet(name: str, dark: Colour, light: Colour) -> bpy.types.Material:
     material, graph = begin(name)
     vector = graph.coordinates()
     crushed = graph.ramp(graph.noise(vector, 6.0, 3.0, 0.6), [(0.3, dark), (0.7, light)])
-    surface(graph, crushed, 0.85, specular=0.1, sheen=0.35)
+    graph.surface(crushed, 0.85, specular=0.1, sheen=0.35)
     return material
 
 
@@ -49,9 +24,9 @@ def herringbone(name: str, dark: Colour, light: Colour, scale: float = 13.0) -> 
     along = graph.math("ADD", axes.outputs["Y"], axes.outputs["Z"])
     fold = graph.math("PINGPONG", axes.outputs["X"], 0.07)
     band = graph.math("PINGPONG", graph.math("MULTIPLY", graph.math("ADD", along, fold), scale), 0.5)
-    worn = graph.ramp(graph.noise(graph.coordinates(), 9.0, 3.0), [(0.3, (0.7,) * 3), (0.7, (1.1,) * 3)])
+    worn = graph.clouds(graph.coordinates(), 9.0, 3.0, 0.7, 1.1)
     twill = graph.ramp(band, [(0.18, dark), (0.32, light)])
-    surface(graph, graph.mix(1.0, twill, worn, "MULTIPLY"), 0.95, specular=0.05, sheen=0.15)
+    graph.surface(graph.mix(1.0, twill, worn, "MULTIPLY"), 0.95, specular=0.05, sheen=0.15)
     return material
 
 
@@ -62,7 +37,7 @@ def knit(name: str, dark: Colour, light: Colour, scale: float = 7.0) -> bpy.type
     rib = graph.wave(vector, scale, 1.5, "Z")
     stitch = graph.noise(vector, 12.0, 2.0)
     yarn = graph.math("MULTIPLY", rib, graph.math("ADD", 0.4, stitch))
-    surface(graph, graph.ramp(yarn, [(0.1, dark), (0.8, light)]), 1.0, specular=0.05, sheen=0.2)
+    graph.surface(graph.ramp(yarn, [(0.1, dark), (0.8, light)]), 1.0, specular=0.05, sheen=0.2)
     return material
 
 
@@ -82,8 +57,8 @@ def damask(name: str, ground: Colour, line: Colour, motif: Colour) -> bpy.types.
         graph.math("COSINE", graph.math("MULTIPLY", z, 2.0 * math.pi / 0.26), 0.0),
     )
     printed = graph.mix(graph.ramp(petal, [(0.55, (0,) * 3), (0.68, (1,) * 3)]), base, motif)
-    stains = graph.ramp(graph.noise(graph.coordinates(), 1.6, 4.0), [(0.3, (0.75,) * 3), (0.7, (1.05,) * 3)])
-    surface(graph, graph.mix(1.0, printed, stains, "MULTIPLY"), 0.6, specular=0.25)
+    stains = graph.clouds(graph.coordinates(), 1.6, 4.0, 0.75, 1.05)
+    graph.surface(graph.mix(1.0, printed, stains, "MULTIPLY"), 0.6, specular=0.25)
     return material
 
 
@@ -97,29 +72,18 @@ def marble(name: str, ground: Colour, vein: Colour) -> bpy.types.Material:
     colour = graph.mix(
         1.0, veins, graph.ramp(cloud, [(0.3, (0.82, 0.82, 0.84)), (0.65, (1.0,) * 3)]), "MULTIPLY"
     )
-    surface(graph, colour, 0.22, specular=0.5)
+    graph.surface(colour, 0.22, specular=0.5)
     return material
 
 
 def soot_bricks(name: str) -> bpy.types.Material:
     """Fire bricks, black toward the top (object X and Z in metres)."""
     material, graph = begin(name)
-    brick = graph.add(
-        "ShaderNodeTexBrick",
-        {
-            "Vector": graph.coordinates(rotation=(1.5708, 0.0, 0.0)),
-            "Color1": (0.26, 0.10, 0.055),
-            "Color2": (0.15, 0.06, 0.04),
-            "Mortar": (0.10, 0.08, 0.07),
-            "Scale": 1.0,
-            "Mortar Size": 0.010,
-            "Brick Width": 0.19,
-            "Row Height": 0.075,
-        },
-    )
+    vector, tones = graph.coordinates(rotation=(1.5708, 0.0, 0.0)), ((0.26, 0.10, 0.055), (0.15, 0.06, 0.04))
+    brick = graph.bricks(vector, tones, (0.10, 0.08, 0.07), (0.19, 0.075), 0.010)
     height = graph.add("ShaderNodeSeparateXYZ", {"Vector": graph.coordinates(space="Generated")}).outputs["Z"]
     soot = graph.ramp(height, [(0.15, (0.9,) * 3), (0.95, (0.12,) * 3)])
-    surface(graph, graph.mix(1.0, brick.outputs["Color"], soot, "MULTIPLY"), 0.95, specular=0.1)
+    graph.surface(graph.mix(1.0, brick.outputs["Color"], soot, "MULTIPLY"), 0.95, specular=0.1)
     return material
 
 
@@ -150,10 +114,7 @@ def flame(name: str, radiance: float) -> tuple[bpy.types.Material, Socket]:
     light = graph.add("ShaderNodeEmission", {"Color": colour, "Strength": radiance})
     facing = graph.add("ShaderNodeLayerWeight", {"Blend": 0.35}).outputs["Facing"]
     thin = graph.math("MAXIMUM", facing, graph.math("MULTIPLY", height, 0.85))
-    clear = graph.add("ShaderNodeBsdfTransparent")
-    mixed = graph.add(
-        "ShaderNodeMixShader", {"Fac": thin, "Shader": light.outputs[0], "Shader_001": clear.outputs[0]}
-    )
-    graph.finish(mixed.outputs[0])
+    clear = graph.add("ShaderNodeBsdfTransparent").outputs[0]
+    graph.finish(graph.blend(thin, light.outputs[0], clear))
     material.cycles.emission_sampling = "NONE"
     return material, light.inputs["Strength"]

@@ -5,17 +5,7 @@ from collections.abc import Sequence
 
 import bpy
 
-from .materials import Colour, Graph, Socket
-
-
-def _start(name: str) -> tuple[bpy.types.Material, Graph]:
-    material = bpy.data.materials.new(name)
-    return material, Graph(material.node_tree)
-
-
-def _surface(graph: Graph, colour: Socket, roughness: float, specular: float = 0.2) -> None:
-    inputs = {"Base Color": colour, "Roughness": roughness, "Specular IOR Level": specular}
-    graph.finish(graph.add("ShaderNodeBsdfPrincipled", inputs).outputs["BSDF"])
+from .shading import Colour, Graph, Socket, begin
 
 
 def _random(graph: Graph, low: float, high: float) -> Socket:
@@ -26,27 +16,27 @@ def _random(graph: Graph, low: float, high: float) -> Socket:
 
 def stone(name: str, dark: Colour, light: Colour) -> bpy.types.Material:
     """Field stone with lichen; each stone has a tone of its own."""
-    material, graph = _start(name)
+    material, graph = begin(name)
     vector = graph.coordinates(space="Object")
     cloud = graph.ramp(graph.noise(vector, 7.0, 4.0, 0.6), [(0.3, dark), (0.7, light)])
     spots = graph.ramp(graph.voronoi(vector, 24.0), [(0.12, (0.7, 0.72, 0.68)), (0.3, (1.0, 1.0, 1.0))])
     colour = graph.mix(1.0, graph.mix(1.0, cloud, spots, "MULTIPLY"), _random(graph, 0.55, 1.25), "MULTIPLY")
-    _surface(graph, colour, 0.85, 0.15)
+    graph.surface(colour, 0.85, specular=0.15)
     return material
 
 
 def bark(name: str) -> bpy.types.Material:
     """Furrowed bark along an object's Z."""
-    material, graph = _start(name)
+    material, graph = begin(name)
     furrows = graph.noise(graph.coordinates(scale=(3.0, 3.0, 0.5)), 12.0, 3.0, 0.5)
     colour = graph.ramp(furrows, [(0.35, (0.03, 0.018, 0.012)), (0.65, (0.20, 0.13, 0.085))])
-    _surface(graph, graph.mix(1.0, colour, _random(graph, 0.7, 1.3), "MULTIPLY"), 0.9, 0.1)
+    graph.surface(graph.mix(1.0, colour, _random(graph, 0.7, 1.3), "MULTIPLY"), 0.9, specular=0.1)
     return material
 
 
 def sawn(name: str) -> bpy.types.Material:
     """The end of a log: year rings about the object's Z and a crack."""
-    material, graph = _start(name)
+    material, graph = begin(name)
     rings = graph.add(
         "ShaderNodeTexWave",
         {"Vector": graph.coordinates(), "Scale": 17.0, "Distortion": 1.2, "Detail": 1.0},
@@ -54,34 +44,34 @@ def sawn(name: str) -> bpy.types.Material:
         rings_direction="Z",
     ).outputs["Factor"]
     colour = graph.ramp(rings, [(0.2, (0.30, 0.17, 0.075)), (0.8, (0.58, 0.40, 0.22))])
-    _surface(graph, graph.mix(1.0, colour, _random(graph, 0.75, 1.1), "MULTIPLY"), 0.85, 0.1)
+    graph.surface(graph.mix(1.0, colour, _random(graph, 0.75, 1.1), "MULTIPLY"), 0.85, specular=0.1)
     return material
 
 
 def boards(name: str, colour: Colour, worn: Colour) -> bpy.types.Material:
     """Painted boards, each a little different, rubbed off in streaks along Z."""
-    material, graph = _start(name)
+    material, graph = begin(name)
     streaks = graph.noise(graph.coordinates(scale=(6.0, 6.0, 0.7)), 4.0, 4.0, 0.4)
     tone = graph.ramp(streaks, [(0.32, worn), (0.46, colour)])
-    _surface(graph, graph.mix(1.0, tone, _random(graph, 0.85, 1.1), "MULTIPLY"), 0.55, 0.25)
+    graph.surface(graph.mix(1.0, tone, _random(graph, 0.85, 1.1), "MULTIPLY"), 0.55, specular=0.25)
     return material
 
 
 def leather(name: str, dark: Colour, light: Colour) -> bpy.types.Material:
     """Worn leather: creased, lighter where it is rubbed."""
-    material, graph = _start(name)
+    material, graph = begin(name)
     creases = graph.voronoi(graph.coordinates(), 13.0, "Distance")
     cloud = graph.noise(graph.coordinates(), 5.0, 3.0, 0.5)
     colour = graph.mix(
         0.35, graph.ramp(cloud, [(0.3, dark), (0.7, light)]), graph.ramp(creases, [(0.1, light), (0.6, dark)])
     )
-    _surface(graph, colour, 0.38, 0.4)
+    graph.surface(colour, 0.38, specular=0.4)
     return material
 
 
 def coals(name: str, radiance: float) -> tuple[bpy.types.Material, Socket]:
     """Lumps with a grey crust that glow through its cracks and from below, up to ``radiance``."""
-    material, graph = _start(name)
+    material, graph = begin(name)
     vector = graph.coordinates()
     heat = graph.noise(graph.coordinates(space="Object"), 11.0, 3.0, 0.4)
     each = graph.add("ShaderNodeObjectInfo").outputs["Random"]
@@ -109,7 +99,7 @@ def coals(name: str, radiance: float) -> tuple[bpy.types.Material, Socket]:
 
 def flame(name: str, radiance: float) -> tuple[bpy.types.Material, Socket]:
     """A tongue of fire (Generated Z from its root): bright and yellow below, thin at its edge and tip."""
-    material, graph = _start(name)
+    material, graph = begin(name)
     height = graph.add("ShaderNodeSeparateXYZ", {"Vector": graph.coordinates(space="Generated")}).outputs["Z"]
     colour = graph.ramp(
         height, [(0.0, (1.0, 0.5, 0.14)), (0.5, (0.7, 0.24, 0.04)), (1.0, (0.25, 0.04, 0.004))]
@@ -118,11 +108,7 @@ def flame(name: str, radiance: float) -> tuple[bpy.types.Material, Socket]:
     facing = graph.add("ShaderNodeLayerWeight", {"Blend": 0.5}).outputs["Facing"]
     thin = graph.ramp(facing, [(0.1, (0.15,) * 3), (0.85, (1.0,) * 3)])
     clear = graph.add("ShaderNodeBsdfTransparent").outputs[0]
-    graph.finish(
-        graph.add(
-            "ShaderNodeMixShader", {"Fac": thin, "Shader": light.outputs[0], "Shader_001": clear}
-        ).outputs[0]
-    )
+    graph.finish(graph.blend(thin, light.outputs[0], clear))
     material.cycles.emission_sampling = "NONE"
     return material, light.inputs["Strength"]
 
@@ -132,7 +118,7 @@ def coat(
 ) -> bpy.types.Material:
     """Fur in patches. Each patch: its colour, and the (axis, from, to) of the object's metres that it covers;
     ``from`` > ``to`` covers what is below. Borders are ragged and about 2 cm wide."""
-    material, graph = _start(name)
+    material, graph = begin(name)
     vector = graph.coordinates()
     ragged = graph.math("MULTIPLY", graph.math("SUBTRACT", graph.noise(vector, 14.0, 3.0), 0.5), 0.07)
     axes = graph.add("ShaderNodeSeparateXYZ", {"Vector": vector})
@@ -148,6 +134,6 @@ def coat(
             )
             inside = graph.math("MULTIPLY", inside, ramp.outputs[0])
         colour = graph.mix(inside, colour, tint)
-    fine = graph.ramp(graph.noise(vector, 60.0, 2.0), [(0.3, (0.7,) * 3), (0.7, (1.2,) * 3)])
-    _surface(graph, graph.mix(1.0, colour, fine, "MULTIPLY"), 0.7, 0.15)
+    fine = graph.clouds(vector, 60.0, 2.0, 0.7, 1.2)
+    graph.surface(graph.mix(1.0, colour, fine, "MULTIPLY"), 0.7, specular=0.15)
     return material

@@ -6,18 +6,8 @@ from collections.abc import Sequence
 
 import bpy
 
-from .materials import Colour, Graph, Socket
 from .plush import shaded, soft
-
-
-def _new(name: str) -> tuple[bpy.types.Material, Graph]:
-    material = bpy.data.materials.new(name)
-    return material, Graph(material.node_tree)
-
-
-def _painted(graph: Graph, colour: Socket, roughness: float) -> None:
-    inputs: dict[str, Socket] = {"Base Color": colour, "Roughness": roughness, "Specular IOR Level": 0.4}
-    graph.finish(graph.add("ShaderNodeBsdfPrincipled", inputs).outputs[0])
+from .shading import Colour, Graph, Socket, begin
 
 
 def _from_middle(graph: Graph) -> list[Socket]:
@@ -31,7 +21,7 @@ def _from_middle(graph: Graph) -> list[Socket]:
 
 def block(name: str, paint: Colour, sign: str) -> bpy.types.Material:
     """A wooden block, each face with a painted frame and a ``sign``: disc, ring, cross or square."""
-    material, graph = _new(name)
+    material, graph = begin(name)
     x, y, z = _from_middle(graph)
     low, high = graph.math("MINIMUM", x, y), graph.math("MAXIMUM", x, y)
     # On a face one of the three is 1: the middle one is the larger of the other two.
@@ -56,13 +46,13 @@ def block(name: str, paint: Colour, sign: str) -> bpy.types.Material:
     )
     grain = graph.noise(graph.coordinates(scale=(4.0, 40.0, 40.0)), 1.0, 2.0)
     wood = graph.ramp(grain, [(0.3, (0.36, 0.22, 0.11)), (0.7, (0.58, 0.40, 0.22))])
-    _painted(graph, graph.mix(graph.math("MAXIMUM", inside, frame), wood, paint), 0.4)
+    graph.surface(graph.mix(graph.math("MAXIMUM", inside, frame), wood, paint), 0.4, specular=0.4)
     return material
 
 
 def gores(name: str, colours: Sequence[Colour]) -> bpy.types.Material:
     """A ball of gores, like a beach ball's, with a white cap (object axes, about Z)."""
-    material, graph = _new(name)
+    material, graph = begin(name)
     axes = graph.add("ShaderNodeSeparateXYZ", {"Vector": graph.coordinates(space="Generated")})
     x = graph.math("SUBTRACT", axes.outputs["X"], 0.5)
     y = graph.math("SUBTRACT", axes.outputs["Y"], 0.5)
@@ -70,7 +60,7 @@ def gores(name: str, colours: Sequence[Colour]) -> bpy.types.Material:
     part = graph.math("ADD", turn, 0.5)
     stripes = graph.ramp(part, [(k / len(colours), c) for k, c in enumerate(colours)], "CONSTANT")
     cap = graph.math("GREATER_THAN", axes.outputs["Z"], 0.965)
-    _painted(graph, graph.mix(cap, stripes, (0.7, 0.68, 0.62)), 0.18)
+    graph.surface(graph.mix(cap, stripes, (0.7, 0.68, 0.62)), 0.18, specular=0.4)
     return material
 
 
@@ -79,7 +69,7 @@ def moon(name: str, colour: Colour, radiance: float) -> tuple[bpy.types.Material
 
     Light is not sampled on it (a point light within gives it): half of all samples would go there.
     """
-    material, graph = _new(name)
+    material, graph = begin(name)
     vector = graph.coordinates()
     seas = graph.ramp(graph.noise(vector, 9.0, 3.0, 0.4), [(0.38, (0.45,) * 3), (0.60, (1.15,) * 3)])
     craters = graph.ramp(graph.voronoi(vector, 26.0), [(0.12, (0.75,) * 3), (0.30, (1.15,) * 3)])
@@ -92,7 +82,7 @@ def moon(name: str, colour: Colour, radiance: float) -> tuple[bpy.types.Material
 
 def ringed(name: str, rings: Sequence[tuple[float, Colour]]) -> bpy.types.Material:
     """Tufts in rings about the object's Z: (radius in metres from which on, colour), for a round rug."""
-    material, graph = _new(name)
+    material, graph = begin(name)
     flat = graph.add(
         "ShaderNodeVectorMath",
         {"Vector": graph.coordinates(), "Vector_001": (1.0, 1.0, 0.0)},
@@ -113,7 +103,7 @@ def ringed(name: str, rings: Sequence[tuple[float, Colour]]) -> bpy.types.Materi
 
 def dotted(name: str, ground: Colour, dot: Colour, scale: float) -> bpy.types.Material:
     """Cotton printed with dots."""
-    material, graph = _new(name)
+    material, graph = begin(name)
     cells = graph.voronoi(graph.coordinates(), scale, randomness=0.15)
     colour = graph.ramp(cells, [(0.26, dot), (0.32, ground)])
     graph.finish(graph.add("ShaderNodeBsdfDiffuse", {"Color": colour}).outputs[0])

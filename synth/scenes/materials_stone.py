@@ -3,32 +3,21 @@
 
 import bpy
 
-from .materials import Colour, Graph, Socket
-from .materials_upholstery import bumps
-
-
-def _begin(name: str) -> tuple[bpy.types.Material, Graph]:
-    material = bpy.data.materials.new(name)
-    return material, Graph(material.node_tree)
-
-
-def _shade(graph: Graph, colour: Socket, roughness: Socket, specular: float = 0.3, **more: Socket) -> None:
-    inputs = {"Base Color": colour, "Roughness": roughness, "Specular IOR Level": specular, **more}
-    graph.finish(graph.add("ShaderNodeBsdfPrincipled", inputs).outputs["BSDF"])
+from .shading import Colour, begin
 
 
 def rock(
     name: str, dark: Colour, light: Colour, scale: float = 2.4, relief: float = 0.02, roughness: float = 0.85
 ) -> bpy.types.Material:
     """Carved stone: clouded, pitted, with the rain's dark runs."""
-    material, graph = _begin(name)
+    material, graph = begin(name)
     place = graph.coordinates()
     clouds = graph.ramp(graph.noise(place, scale, 4.0, 0.5), [(0.3, dark), (0.7, light)])
     runs = graph.noise(graph.coordinates(scale=(5.0, 5.0, 0.5)), scale, 2.0)
     stain = graph.ramp(runs, [(0.32, (0.62, 0.60, 0.58)), (0.55, (1.0, 1.0, 1.0))])
     pits = graph.noise(place, scale * 7.0, 3.0)
     colour = graph.mix(1.0, clouds, stain, "MULTIPLY")
-    _shade(graph, colour, roughness, 0.25, Normal=bumps(graph, pits, relief))
+    graph.surface(colour, roughness, specular=0.25, Normal=graph.bumps(pits, relief))
     return material
 
 
@@ -42,26 +31,13 @@ def masonry(
     relief: float = 0.02,
 ) -> bpy.types.Material:
     """Courses of blocks, width × height in metres, on a wall in the object's ``plane`` (across, up)."""
-    material, graph = _begin(name)
+    material, graph = begin(name)
     place = graph.coordinates()
     axes = graph.add("ShaderNodeSeparateXYZ", {"Vector": place})
     flat = graph.add(
         "ShaderNodeCombineXYZ", {"X": axes.outputs[plane[0]], "Y": axes.outputs[plane[1]]}
     ).outputs[0]
-    brick = graph.add(
-        "ShaderNodeTexBrick",
-        {
-            "Vector": flat,
-            "Color1": tones[0],
-            "Color2": tones[1],
-            "Mortar": mortar,
-            "Scale": 1.0,
-            "Mortar Size": joint,
-            "Mortar Smooth": 0.3,
-            "Brick Width": block[0],
-            "Row Height": block[1],
-        },
-    )
+    brick = graph.bricks(flat, tones, mortar, block, joint, smooth=0.3)
     clouds = graph.ramp(
         graph.noise(place, 2.2 / block[0] ** 0.5, 4.0, 0.6), [(0.3, (0.68, 0.66, 0.64)), (0.7, (1.1,) * 3)]
     )
@@ -69,7 +45,7 @@ def masonry(
         "SUBTRACT", graph.noise(place, 9.0, 3.0), graph.math("MULTIPLY", brick.outputs[1], 1.4)
     )
     colour = graph.mix(1.0, brick.outputs[0], clouds, "MULTIPLY")
-    _shade(graph, colour, 0.88, 0.2, Normal=bumps(graph, rough, relief))
+    graph.surface(colour, 0.88, specular=0.2, Normal=graph.bumps(rough, relief))
     return material
 
 
@@ -78,7 +54,7 @@ def inlay(name: str, pale: Colour, dark: Colour, red: Colour, tile: float = 0.6)
 
     Each tile has its own tone, and dull places where many have walked.
     """
-    material, graph = _begin(name)
+    material, graph = begin(name)
     place = graph.coordinates(scale=(1.0 / tile,) * 3)
     axes = graph.add("ShaderNodeSeparateXYZ", {"Vector": place})
     x, y = (graph.math("PINGPONG", axes.outputs[i], 0.5) for i in (0, 1))  # 0 at the joints, ½ in the middle
@@ -99,25 +75,25 @@ def inlay(name: str, pale: Colour, dark: Colour, red: Colour, tile: float = 0.6)
     colour = graph.mix(1.0, colour, graph.ramp(shade, [(0.3, (0.62,) * 3), (0.9, (1.12,) * 3)]), "MULTIPLY")
     dull = graph.noise(graph.coordinates(), 0.9, 3.0)
     gloss = graph.math("ADD", graph.math("MULTIPLY", dull, 0.5), 0.08)
-    _shade(graph, colour, gloss, 0.45)
+    graph.surface(colour, gloss, specular=0.45)
     return material
 
 
 def patina(name: str, metal: Colour, green: Colour, amount: float = 0.45) -> bpy.types.Material:
     """Bronze or copper: bright where it is rubbed, verdigris in the rest."""
-    material, graph = _begin(name)
+    material, graph = begin(name)
     eaten = graph.noise(graph.coordinates(), 7.0, 4.0, 0.6)
     covered = graph.ramp(eaten, [(amount - 0.08, (1.0,) * 3), (amount + 0.08, (0.0,) * 3)])
     colour = graph.mix(covered, metal, green)
     bare = graph.math("SUBTRACT", 1.0, covered)
     roughness = graph.math("ADD", graph.math("MULTIPLY", covered, 0.5), 0.24)
-    _shade(graph, colour, roughness, 0.4, Metallic=bare)
+    graph.surface(colour, roughness, specular=0.4, Metallic=bare)
     return material
 
 
 def glazed(name: str, ground: Colour, line: Colour) -> bpy.types.Material:
     """Painted and glazed earthenware: zigzag bands round the body (object Z up, metres)."""
-    material, graph = _begin(name)
+    material, graph = begin(name)
     axes = graph.add("ShaderNodeSeparateXYZ", {"Vector": graph.coordinates()})
     around = graph.math("ARCTAN2", axes.outputs["Y"], axes.outputs["X"])
     zigzag = graph.math("PINGPONG", graph.math("MULTIPLY", around, 2.546), 0.5)  # eight teeth
@@ -126,7 +102,7 @@ def glazed(name: str, ground: Colour, line: Colour) -> bpy.types.Material:
     )
     band = graph.math("FRACT", up, 0.0)
     colour = graph.ramp(band, [(0.0, line), (0.3, ground), (0.55, line), (0.62, ground)], "CONSTANT")
-    _shade(graph, colour, 0.14, 0.5)
+    graph.surface(colour, 0.14, specular=0.5)
     return material
 
 
@@ -135,7 +111,7 @@ def drape(name: str, colour: Colour, border: Colour, motif: Colour) -> bpy.types
 
     A third of the light comes through.
     """
-    material, graph = _begin(name)
+    material, graph = begin(name)
     axes = graph.add("ShaderNodeSeparateXYZ", {"Vector": graph.coordinates(space="Generated")})
     x, z = axes.outputs["X"], axes.outputs["Z"]
     aside = graph.math("SUBTRACT", 0.5, graph.math("ABSOLUTE", graph.math("SUBTRACT", x, 0.5), 0.0))
@@ -144,20 +120,17 @@ def drape(name: str, colour: Colour, border: Colour, motif: Colour) -> bpy.types
     v = graph.math("PINGPONG", graph.math("MULTIPLY", z, 8.0), 0.5)
     lozenge = graph.math("GREATER_THAN", graph.math("ADD", u, v), 0.80)
     tone = graph.mix(lozenge, colour, motif)
-    faded = graph.ramp(graph.noise(graph.coordinates(), 3.0, 3.0), [(0.3, (0.75,) * 3), (0.7, (1.12,) * 3)])
+    faded = graph.clouds(graph.coordinates(), 3.0, 3.0, 0.75, 1.12)
     tone = graph.mix(1.0, tone, faded, "MULTIPLY")
     trim = graph.ramp(edge, [(0.0, border), (0.03, colour), (0.045, border), (0.085, colour)], "CONSTANT")
     tone = graph.mix(graph.math("LESS_THAN", edge, 0.10), tone, trim)
-    lit = graph.add("ShaderNodeBsdfDiffuse", {"Color": tone}).outputs[0]
-    through = graph.add("ShaderNodeBsdfTranslucent", {"Color": tone}).outputs[0]
-    mixed = graph.add("ShaderNodeMixShader", {"Fac": 0.35, "Shader": lit, "Shader_001": through})
-    graph.finish(mixed.outputs[0])
+    graph.finish(graph.thin_cloth(tone, 0.35))
     return material
 
 
 def water(name: str, deep: Colour) -> bpy.types.Material:
     """Still, dark water: a mirror at grazing angles, hardly rippled."""
-    material, graph = _begin(name)
+    material, graph = begin(name)
     ripples = graph.noise(graph.coordinates(), 3.5, 2.0, 0.6)
-    _shade(graph, deep, 0.03, 0.5, IOR=1.33, Normal=bumps(graph, ripples, 0.02, 0.12))
+    graph.surface(deep, 0.03, specular=0.5, IOR=1.33, Normal=graph.bumps(ripples, 0.02, 0.12))
     return material

@@ -3,27 +3,12 @@
 
 import bpy
 
-from .materials import Colour, Graph
-
-
-def _start(name: str) -> tuple[bpy.types.Material, Graph]:
-    material = bpy.data.materials.new(name)
-    return material, Graph(material.node_tree)
-
-
-def _surface(graph: Graph, colour, roughness: float, specular: float = 0.3, metallic: float = 0.0):
-    inputs = {
-        "Base Color": colour,
-        "Roughness": roughness,
-        "Specular IOR Level": specular,
-        "Metallic": metallic,
-    }
-    return graph.add("ShaderNodeBsdfPrincipled", inputs).outputs["BSDF"]
+from .shading import Colour, Socket, begin
 
 
 def linen(name: str, ground: Colour, figure: Colour, hem: Colour, hem_height: float) -> bpy.types.Material:
     """A tablecloth: woven figures, two stripes at ``hem_height`` (object Z, metres); light comes through."""
-    material, graph = _start(name)
+    material, graph = begin(name)
     vector = graph.coordinates()
     cells = graph.voronoi(graph.coordinates(scale=(9.0, 9.0, 9.0)), 1.0, randomness=0.15)
     woven = graph.mix(graph.ramp(cells, [(0.22, (1, 1, 1)), (0.34, (0, 0, 0))]), ground, figure)
@@ -31,34 +16,30 @@ def linen(name: str, ground: Colour, figure: Colour, hem: Colour, hem_height: fl
     off = graph.math("ABSOLUTE", graph.math("SUBTRACT", height, hem_height), 0.0)
     stripes = graph.ramp(off, [(0.0, (0, 0, 0)), (0.008, (1, 1, 1)), (0.024, (0, 0, 0))], "CONSTANT")
     colour = graph.mix(stripes, woven, hem)
-    tone = graph.ramp(graph.noise(vector, 5.0, 3.0), [(0.3, (0.86,) * 3), (0.7, (1.0,) * 3)])
+    tone = graph.clouds(vector, 5.0, 3.0, 0.86, 1.0)
     colour = graph.mix(1.0, colour, tone, "MULTIPLY")
     through = graph.add("ShaderNodeBsdfTranslucent", {"Color": colour}).outputs[0]
-    body = _surface(graph, colour, 0.9, 0.1)
-    graph.finish(
-        graph.add("ShaderNodeMixShader", {"Fac": 0.12, "Shader": body, "Shader_001": through}).outputs[0]
-    )
+    body = graph.principled(colour, 0.9, specular=0.1)
+    graph.finish(graph.blend(0.12, body, through))
     return material
 
 
 def glass(name: str, tint: Colour = (0.93, 0.95, 0.94), roughness: float = 0.06) -> bpy.types.Material:
     """A thin wall of glass: it mirrors toward its edges and is clear elsewhere. Nothing is refracted."""
-    material, graph = _start(name)
+    material, graph = begin(name)
     facing = graph.add("ShaderNodeLayerWeight", {"Blend": 0.35}).outputs["Facing"]
     share = graph.ramp(facing, [(0.0, (0.06,) * 3), (0.6, (0.14,) * 3), (1.0, (0.75,) * 3)])
     clear = graph.add("ShaderNodeBsdfTransparent", {"Color": tint}).outputs[0]
     shine = graph.add(
         "ShaderNodeBsdfAnisotropic", {"Color": (0.95, 0.95, 0.95), "Roughness": roughness}
     ).outputs[0]
-    graph.finish(
-        graph.add("ShaderNodeMixShader", {"Fac": share, "Shader": clear, "Shader_001": shine}).outputs[0]
-    )
+    graph.finish(graph.blend(share, clear, shine))
     return material
 
 
 def rush(name: str, dark: Colour, light: Colour, spacing: float = 0.02) -> bpy.types.Material:
     """A woven seat: strands of ``spacing`` (metres) in four triangles that meet in the middle."""
-    material, graph = _start(name)
+    material, graph = begin(name)
     axes = graph.add("ShaderNodeSeparateXYZ", {"Vector": graph.coordinates()})
     x, y = (graph.math("ABSOLUTE", axes.outputs[i], 0.0) for i in (0, 1))
     side = graph.math("GREATER_THAN", x, y)
@@ -68,32 +49,20 @@ def rush(name: str, dark: Colour, light: Colour, spacing: float = 0.02) -> bpy.t
     strand = graph.ramp(graph.math("MULTIPLY", band, 2.0 / spacing), [(0.1, dark), (0.7, light)])
     tone = graph.mix(side, (0.85, 0.85, 0.85), (1.0, 1.0, 1.0))
     colour = graph.mix(1.0, strand, tone, "MULTIPLY")
-    worn = graph.ramp(graph.noise(graph.coordinates(), 18.0, 2.0), [(0.3, (0.75,) * 3), (0.7, (1.1,) * 3)])
-    graph.finish(_surface(graph, graph.mix(1.0, colour, worn, "MULTIPLY"), 0.8, 0.15))
+    worn = graph.clouds(graph.coordinates(), 18.0, 2.0, 0.75, 1.1)
+    graph.surface(graph.mix(1.0, colour, worn, "MULTIPLY"), 0.8, specular=0.15)
     return material
 
 
 def parquet(name: str, tile: float = 0.42) -> bpy.types.Material:
     """Square panels of boards, laid alternately along and across."""
-    material, graph = _start(name)
+    material, graph = begin(name)
 
-    def boards(turn: float):
-        brick = graph.add(
-            "ShaderNodeTexBrick",
-            {
-                "Vector": graph.coordinates(rotation=(0.0, 0.0, turn)),
-                "Color1": (0.30, 0.145, 0.06),
-                "Color2": (0.15, 0.065, 0.028),
-                "Mortar": (0.018, 0.009, 0.005),
-                "Scale": 1.0,
-                "Mortar Size": 0.004,
-                "Mortar Smooth": 0.3,
-                "Brick Width": tile,
-                "Row Height": tile / 4,
-            },
-            offset=0.0,
-        )
-        return brick.outputs["Color"]
+    def boards(turn: float) -> Socket:
+        vector = graph.coordinates(rotation=(0.0, 0.0, turn))
+        tones, joint = ((0.30, 0.145, 0.06), (0.15, 0.065, 0.028)), (0.018, 0.009, 0.005)
+        made = graph.bricks(vector, tones, joint, (tile, tile / 4), 0.004, smooth=0.3, offset=0.0)
+        return made.outputs["Color"]
 
     checks = graph.add(
         "ShaderNodeTexChecker",
@@ -102,13 +71,13 @@ def parquet(name: str, tile: float = 0.42) -> bpy.types.Material:
     colour = graph.mix(checks, boards(0.0), boards(1.570796))
     grain = graph.noise(graph.coordinates(scale=(4.0, 4.0, 1.0)), 3.0, 3.0, 1.0)
     tone = graph.ramp(grain, [(0.25, (0.6, 0.58, 0.55)), (0.75, (1.25, 1.2, 1.15))])
-    graph.finish(_surface(graph, graph.mix(1.0, colour, tone, "MULTIPLY"), 0.28, 0.4))
+    graph.surface(graph.mix(1.0, colour, tone, "MULTIPLY"), 0.28, specular=0.4)
     return material
 
 
 def damask(name: str, ground: Colour, figure: Colour, cell: float = 0.26) -> bpy.types.Material:
     """Wallpaper with staggered ogees and their kernels (object X + Y and Z in metres)."""
-    material, graph = _start(name)
+    material, graph = begin(name)
     vector = graph.coordinates()
     axes = graph.add("ShaderNodeSeparateXYZ", {"Vector": vector})
     turn = 6.283185 / cell
@@ -122,25 +91,25 @@ def damask(name: str, ground: Colour, figure: Colour, cell: float = 0.26) -> bpy
         [(0.0, (1, 1, 1)), (0.16, (0.9, 0.9, 0.9)), (0.24, (0, 0, 0)), (0.78, (0, 0, 0)), (0.9, (1, 1, 1))],
     )
     colour = graph.mix(lines, ground, figure)
-    stains = graph.ramp(graph.noise(vector, 1.7, 4.0), [(0.3, (0.78,) * 3), (0.7, (1.05,) * 3)])
-    graph.finish(_surface(graph, graph.mix(1.0, colour, stains, "MULTIPLY"), 0.7, 0.2))
+    stains = graph.clouds(vector, 1.7, 4.0, 0.78, 1.05)
+    graph.surface(graph.mix(1.0, colour, stains, "MULTIPLY"), 0.7, specular=0.2)
     return material
 
 
 def metal(name: str, colour: Colour, roughness: float, worn: float = 0.0) -> bpy.types.Material:
     """Silver, brass, a mirror. ``worn``: how much darker its tarnish is."""
-    material, graph = _start(name)
+    material, graph = begin(name)
     tint = colour
     if worn > 0.0:
         dark = tuple(channel * (1.0 - worn) for channel in colour)
         tint = graph.ramp(graph.noise(graph.coordinates(), 16.0, 3.0), [(0.35, dark), (0.6, colour)])
-    graph.finish(_surface(graph, tint, roughness, 0.5, 1.0))
+    graph.surface(tint, roughness, specular=0.5, metallic=1.0)
     return material
 
 
 def wicker(name: str, dark: Colour, light: Colour, scale: float = 26.0) -> bpy.types.Material:
     """Basketry: withies over and under each other (object X + Y across, Z up)."""
-    material, graph = _start(name)
+    material, graph = begin(name)
     axes = graph.add("ShaderNodeSeparateXYZ", {"Vector": graph.coordinates()})
     around = graph.add(
         "ShaderNodeMath", {"Value": axes.outputs[1], "Value_001": axes.outputs[0]}, operation="ARCTAN2"
@@ -151,5 +120,5 @@ def wicker(name: str, dark: Colour, light: Colour, scale: float = 26.0) -> bpy.t
     colour = graph.ramp(
         graph.math("ADD", graph.math("MULTIPLY", weave, 0.5), 0.5), [(0.2, dark), (0.7, light)]
     )
-    graph.finish(_surface(graph, colour, 0.7, 0.2))
+    graph.surface(colour, 0.7, specular=0.2)
     return material

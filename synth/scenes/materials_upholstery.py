@@ -6,43 +6,27 @@ Patterns are of some centimetres in the object's own X and Y, as ``props.cushion
 
 import bpy
 
-from .materials import Colour, Graph, Socket
-
-
-def _begin(name: str) -> tuple[bpy.types.Material, Graph]:
-    material = bpy.data.materials.new(name)
-    return material, Graph(material.node_tree)
-
-
-def _shade(graph: Graph, colour: Socket, roughness: float, specular: float = 0.3, **more: Socket) -> None:
-    inputs = {"Base Color": colour, "Roughness": roughness, "Specular IOR Level": specular, **more}
-    graph.finish(graph.add("ShaderNodeBsdfPrincipled", inputs).outputs["BSDF"])
-
-
-def bumps(graph: Graph, height: Socket, distance: float, strength: float = 0.6) -> Socket:
-    """The normal of a surface that rises by up to ``distance`` metres where ``height`` is 1."""
-    inputs = {"Height": height, "Distance": distance, "Strength": strength}
-    return graph.add("ShaderNodeBump", inputs).outputs["Normal"]
+from .shading import Colour, Socket, begin
 
 
 def leather(name: str, dark: Colour, light: Colour) -> bpy.types.Material:
     """Waxed hide: clouded, worn light in places, with soft creases; half shiny."""
-    material, graph = _begin(name)
+    material, graph = begin(name)
     vector = graph.coordinates()
     clouds = graph.noise(vector, 5.0, 3.0, 0.5)
     colour = graph.ramp(clouds, [(0.3, dark), (0.72, light)])
     creases = graph.noise(graph.coordinates(scale=(1.0, 1.6, 1.0)), 14.0, 3.0, 1.5)
-    _shade(graph, colour, 0.36, 0.5, Normal=bumps(graph, creases, 0.012, 0.5))
+    graph.surface(colour, 0.36, specular=0.5, Normal=graph.bumps(creases, 0.012, 0.5))
     return material
 
 
 def velvet(name: str, deep: Colour, sheen: Colour) -> bpy.types.Material:
     """Dark where looked at straight, light at grazing angles, brushed in patches."""
-    material, graph = _begin(name)
+    material, graph = begin(name)
     facing = graph.add("ShaderNodeLayerWeight", {"Blend": 0.35}).outputs["Facing"]
     brushed = graph.noise(graph.coordinates(), 7.0, 2.0)
     amount = graph.math("MULTIPLY", facing, graph.math("ADD", brushed, 0.4))
-    _shade(graph, graph.mix(amount, deep, sheen), 0.95, 0.05)
+    graph.surface(graph.mix(amount, deep, sheen), 0.95, specular=0.05)
     return material
 
 
@@ -51,7 +35,7 @@ def printed(name: str, kind: str, colours: list[Colour], period: float = 0.12) -
 
     ``kind``: ``stripes``, ``chevron``, ``diamonds`` (one within the other, as in a kilim) or ``dots``.
     """
-    material, graph = _begin(name)
+    material, graph = begin(name)
     axes = graph.add("ShaderNodeSeparateXYZ", {"Vector": graph.coordinates(scale=(1.0 / period,) * 3)})
     x, y = axes.outputs["X"], axes.outputs["Y"]
     zigzag_x = graph.math("MULTIPLY", graph.math("PINGPONG", x, 0.5), 2.0)
@@ -66,15 +50,15 @@ def printed(name: str, kind: str, colours: list[Colour], period: float = 0.12) -
         flat = graph.coordinates(scale=(1.0 / period, 1.0 / period, 0.0))
         value = graph.voronoi(flat, 1.0, randomness=0.0)
     stops = [(index / len(colours), colour) for index, colour in enumerate(colours)]
-    worn = graph.ramp(graph.noise(graph.coordinates(), 22.0, 2.0), [(0.3, (0.8,) * 3), (0.7, (1.1,) * 3)])
+    worn = graph.clouds(graph.coordinates(), 22.0, 2.0, 0.8, 1.1)
     colour = graph.mix(1.0, graph.ramp(value, stops, "CONSTANT"), worn, "MULTIPLY")
-    _shade(graph, colour, 0.95, 0.05)
+    graph.surface(colour, 0.95, specular=0.05)
     return material
 
 
 def parquet(name: str) -> bpy.types.Material:
     """Waxed oak for blocks with the vertex attribute ``plank``: metres along and across, the block's tone."""
-    material, graph = _begin(name)
+    material, graph = begin(name)
     plank = graph.add("ShaderNodeAttribute", attribute_name="plank").outputs["Vector"]
     tone = graph.add("ShaderNodeSeparateXYZ", {"Vector": plank}).outputs["Z"]
     stretched = graph.add("ShaderNodeMapping", {"Vector": plank, "Scale": (4.0, 45.0, 31.0)}).outputs[0]
@@ -83,35 +67,31 @@ def parquet(name: str) -> bpy.types.Material:
         tone, [(0.0, (0.10, 0.048, 0.022)), (0.5, (0.21, 0.11, 0.052)), (1.0, (0.33, 0.19, 0.095))]
     )
     streaks = graph.ramp(grain, [(0.3, (0.72, 0.68, 0.64)), (0.7, (1.2, 1.18, 1.15))])
-    _shade(graph, graph.mix(1.0, base, streaks, "MULTIPLY"), 0.3, 0.45)
+    graph.surface(graph.mix(1.0, base, streaks, "MULTIPLY"), 0.3, specular=0.45)
     return material
 
 
 def thin_glass(name: str, tint: Colour = (0.92, 0.96, 0.95)) -> bpy.types.Material:
     """A thin wall of glass: it reflects as glass does and lets light straight through, without caustics."""
-    material, graph = _begin(name)
+    material, graph = begin(name)
     mirrored = graph.add("ShaderNodeFresnel", {"IOR": 1.5}).outputs[0]
     clear = graph.add("ShaderNodeBsdfTransparent", {"Color": tint}).outputs[0]
     shiny = graph.add("ShaderNodeBsdfGlossy", {"Color": (0.9, 0.9, 0.9), "Roughness": 0.03}).outputs[0]
     # Both walls of the vessel reflect.
     factor = graph.math("MINIMUM", graph.math("MULTIPLY", mirrored, 1.6), 1.0)
-    mixed = graph.add("ShaderNodeMixShader", {"Fac": factor, "Shader": clear, "Shader_001": shiny})
-    graph.finish(mixed.outputs[0])
+    graph.finish(graph.blend(factor, clear, shiny))
     return material
 
 
 def foliage(name: str, dark: Colour, light: Colour) -> bpy.types.Material:
     """Leaves, each of its own green; a third of the light comes through, so against the sun they glow."""
-    material, graph = _begin(name)
+    material, graph = begin(name)
     own = graph.add("ShaderNodeObjectInfo").outputs["Random"]
     ribs = graph.wave(graph.coordinates(), 6.0, 1.2, "Y")
     colour = graph.mix(own, graph.ramp(ribs, [(0.2, dark), (0.9, light)]), light)
-    top = graph.add(
-        "ShaderNodeBsdfPrincipled", {"Base Color": colour, "Roughness": 0.4, "Specular IOR Level": 0.35}
-    ).outputs["BSDF"]
+    top = graph.principled(colour, 0.4, specular=0.35)
     through = graph.add("ShaderNodeBsdfTranslucent", {"Color": colour}).outputs[0]
-    mixed = graph.add("ShaderNodeMixShader", {"Fac": 0.33, "Shader": top, "Shader_001": through})
-    graph.finish(mixed.outputs[0])
+    graph.finish(graph.blend(0.33, top, through))
     return material
 
 
@@ -121,7 +101,7 @@ def evening_film(name: str, radiance: float) -> tuple[bpy.types.Material, Socket
     Returns the material and the strength its light is linear in. It is seen by cameras and mirrors only,
     and Cycles need not sample it: an area light shines for it.
     """
-    material, graph = _begin(name)
+    material, graph = begin(name)
     axes = graph.add("ShaderNodeSeparateXYZ", {"Vector": graph.coordinates(space="Generated")})
     x, z = axes.outputs["X"], axes.outputs["Z"]
     sky = graph.ramp(

@@ -11,10 +11,9 @@ import bmesh
 import bpy
 from mathutils import Euler, Matrix, Vector
 
-from . import materials as m
 from .props import Point, finish
+from .shading import Colour, Graph, Socket, begin
 
-Colour = m.Colour
 #: An ellipsoid: centre, half axes (metres), rotation (radians).
 Blob = tuple[Point, Point, Point]
 
@@ -26,8 +25,7 @@ ALONG = "along tuft"
 
 def pelt(name: str, root: Colour, tip: Colour, scale: float = 9.0) -> bpy.types.Material:
     """Every tuft has its own tone between ``root`` and ``tip``; patches of some centimetres."""
-    material = bpy.data.materials.new(name)
-    graph = m.Graph(material.node_tree)
+    material, graph = begin(name)
     own = graph.add("ShaderNodeNewGeometry").outputs["Random Per Island"]
     patch = graph.noise(graph.coordinates(), scale, 2.0)
     tone = graph.math("ADD", graph.math("MULTIPLY", own, 0.35), graph.math("MULTIPLY", patch, 0.65))
@@ -36,13 +34,13 @@ def pelt(name: str, root: Colour, tip: Colour, scale: float = 9.0) -> bpy.types.
     return material
 
 
-def shaded(graph: m.Graph, colour: m.Socket) -> m.Socket:
+def shaded(graph: Graph, colour: Socket) -> Socket:
     """``colour`` darker toward the root of each tuft: tufts throw no shadows on each other (``tufted``)."""
     along = graph.add("ShaderNodeAttribute", attribute_name=ALONG).outputs["Fac"]
     return graph.mix(1.0, colour, graph.ramp(along, [(0.0, (0.66,) * 3), (0.8, (1.06,) * 3)]), "MULTIPLY")
 
 
-def soft(graph: m.Graph) -> m.Socket:
+def soft(graph: Graph) -> Socket:
     """Shading normals mostly of the skin that a tuft stands on: fur is lit as a whole, with less noise."""
     skin = graph.add("ShaderNodeAttribute", attribute_name=SKIN).outputs["Vector"]
     world = graph.add(
@@ -92,7 +90,7 @@ def tufted(
     tree = bpy.data.node_groups.new(f"plush {item.name}", "GeometryNodeTree")
     for way in ("INPUT", "OUTPUT"):
         tree.interface.new_socket("Geometry", in_out=way, socket_type="NodeSocketGeometry")
-    graph = m.Graph(tree)
+    graph = Graph(tree)
     skin = graph.add("NodeGroupInput").outputs[0]
     spread = graph.add(
         "GeometryNodeDistributePointsOnFaces", {"Mesh": skin, "Density": density, "Seed": seed}

@@ -9,11 +9,21 @@ import bpy
 
 from . import materials as m
 from .props import ball, box, rod, sheet
+from .skies import clouded
 
 Collection = bpy.types.Collection
 Material = bpy.types.Material
 
 WALL = 0.16  # thickness, metres: the reveal that the sun grazes
+
+#: The sky: soft clouds, brightest near the horizon.
+MORNING = clouded(
+    [(0.0, (1.0, 0.88, 0.72)), (0.12, (0.82, 0.89, 0.98)), (0.5, (0.28, 0.48, 0.85))],
+    clouds=(1.5, 1.42, 1.28),
+    cover=(0.46, 0.68),
+    scale=4.0,
+    flat=2.4,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,14 +139,3 @@ def garden(room: Collection, at: Room, dice: random.Random) -> None:
         return x, 55 + 10 * v, -3.0 + (ridge + 3.0) * v
 
     sheet(room, "hills", hills, hill, steps=(48, 3))
-
-
-def morning(graph: m.Graph, direction: m.Socket) -> m.Socket:
-    """The sky: a gradient with soft clouds, brightest near the horizon."""
-    height = graph.add("ShaderNodeSeparateXYZ", {"Vector": direction}).outputs["Z"]
-    blue = graph.ramp(
-        height, [(0.0, (1.0, 0.88, 0.72)), (0.12, (0.82, 0.89, 0.98)), (0.5, (0.28, 0.48, 0.85))]
-    )
-    stretched = graph.add("ShaderNodeMapping", {"Vector": direction, "Scale": (1.0, 1.0, 2.4)}).outputs[0]
-    clouds = graph.ramp(graph.noise(stretched, 4.0, 3.0, 0.3), [(0.46, (0.0,) * 3), (0.68, (1.0,) * 3)])
-    return graph.mix(clouds, blue, (1.5, 1.42, 1.28))

@@ -23,6 +23,7 @@ from . import sofa_furniture as furniture
 from .lighting import Lighting
 from .props import ball, box, finish, rod, sheet
 from .shapes import hanging
+from .skies import clouded
 from .tubes import tube
 
 LEFT, RIGHT, FRONT, BACK, HEIGHT = -2.3, 2.3, -3.1, 2.3, 2.65
@@ -34,6 +35,16 @@ SUN_IRRADIANCE = 44.0
 FILL_POWER = 15.0  # watts
 STRING_RADIANCE = 400.0
 WARM = (1.0, 0.68, 0.36)
+
+#: Evening: peach at the horizon, blue above, long thin clouds.
+SKY = clouded(
+    [(0.0, (1.0, 0.74, 0.50)), (0.12, (0.85, 0.80, 0.80)), (0.55, (0.28, 0.44, 0.78))],
+    clouds=(1.5, 1.2, 0.95),
+    cover=(0.5, 0.72),
+    scale=3.2,
+    flat=4.5,
+    distortion=0.4,
+)
 
 
 def build(scene: bpy.types.Scene, assets: Assets) -> Stage:
@@ -215,20 +226,9 @@ def _outside(room: bpy.types.Collection, dice: random.Random) -> None:
                 box(room, "far pane", (-21.88, *at[1:]), (0.1, 1.0, 1.4), pane)
 
 
-def _sky(graph: m.Graph, direction: m.Socket) -> m.Socket:
-    """Evening: peach at the horizon, blue above, long thin clouds."""
-    height = graph.add("ShaderNodeSeparateXYZ", {"Vector": direction}).outputs["Z"]
-    clear = graph.ramp(
-        height, [(0.0, (1.0, 0.74, 0.50)), (0.12, (0.85, 0.80, 0.80)), (0.55, (0.28, 0.44, 0.78))]
-    )
-    stretched = graph.add("ShaderNodeMapping", {"Vector": direction, "Scale": (1.0, 1.0, 4.5)}).outputs[0]
-    clouds = graph.ramp(graph.noise(stretched, 3.2, 3.0, 0.4), [(0.5, (0.0,) * 3), (0.72, (1.0,) * 3)])
-    return graph.mix(clouds, clear, (1.5, 1.2, 0.95))
-
-
 def _light(room: bpy.types.Collection, lighting: Lighting) -> None:
     y0, y1, z0, z1 = WINDOW
-    lighting.sky(_sky, SKY_RADIANCE)
+    lighting.sky(SKY, SKY_RADIANCE)
     lighting.portal((LEFT - 0.145, (y0 + y1) / 2, (z0 + z1) / 2), (1.0, 0.0, 0.0), (y1 - y0, z1 - z0))
     lighting.sun((0.80, -0.13, -0.38), SUN_IRRADIANCE, (1.0, 0.74, 0.46), angle=1.0)
     lighting.area(

@@ -13,13 +13,23 @@ import bpy
 
 from ..assets import Assets
 from ..stage import CameraHints, Stage
-from . import materials as m
 from . import sponza_colonnade as colonnade
 from . import sponza_court as court
 from .lighting import Lighting
+from .skies import clouded
 
 SKY_RADIANCE = 7.5
 SUN_IRRADIANCE = 230.0
+
+#: Deep blue at the zenith, pale toward the horizon, some fair-weather clouds.
+SKY = clouded(
+    [(0.0, (0.95, 0.92, 0.86)), (0.2, (0.55, 0.72, 0.95)), (0.8, (0.16, 0.36, 0.80))],
+    clouds=(1.7, 1.65, 1.55),
+    cover=(0.52, 0.66),
+    scale=5.0,
+    detail=4.0,
+    distortion=0.5,
+)
 
 
 def build(scene: bpy.types.Scene, assets: Assets) -> Stage:
@@ -28,7 +38,7 @@ def build(scene: bpy.types.Scene, assets: Assets) -> Stage:
     lighting = Lighting(scene)
     colonnade.build_court(room)
     court.furnish(room, assets, lighting, random.Random(5))
-    lighting.sky(_sky, SKY_RADIANCE)
+    lighting.sky(SKY, SKY_RADIANCE)
     lighting.sun((-0.36, 0.30, -0.88), SUN_IRRADIANCE, (1.0, 0.90, 0.74), angle=0.6)
     hints = CameraHints(
         centre=(0.15, -5.3, 1.95),
@@ -40,14 +50,3 @@ def build(scene: bpy.types.Scene, assets: Assets) -> Stage:
         elevation=(math.radians(-8.0), math.radians(14.0)),
     )
     return Stage(scene=scene, cameras=hints, lights=lighting.groups)
-
-
-def _sky(graph: m.Graph, direction: m.Socket) -> m.Socket:
-    """Deep blue at the zenith, pale toward the horizon, some fair-weather clouds."""
-    height = graph.add("ShaderNodeSeparateXYZ", {"Vector": direction}).outputs["Z"]
-    clear = graph.ramp(
-        height, [(0.0, (0.95, 0.92, 0.86)), (0.2, (0.55, 0.72, 0.95)), (0.8, (0.16, 0.36, 0.80))]
-    )
-    clouds = graph.noise(direction, 5.0, 4.0, 0.5)
-    white = graph.ramp(clouds, [(0.52, (0.0,) * 3), (0.66, (1.0,) * 3)])
-    return graph.mix(white, clear, (1.7, 1.65, 1.55))
