@@ -8,7 +8,7 @@ PYTHON ?= python3
 WITH_TORCH := $(if $(wildcard $(BACKEND)),$(BACKEND),$(PYTHON))
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-long fuzz torture benchmark report gpu-check gui-test extension lock lint clean
+.PHONY: help setup demo test test-long fuzz torture benchmark report gpu-check gui-test extension dist lock lint clean
 
 help: ## Show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -22,7 +22,8 @@ demo: setup ## Scene → data → training → relit picture: runs/demo/result.p
 test: setup ## All tests, both sides of the house
 	@$(PYTHON) tools/run_tests.py
 
-test-long: setup ## What takes long: a short form of make fuzz and make torture
+test-long: setup ## What takes long: the installed wheel, a short form of make fuzz and make torture
+	@$(BACKEND) tools/try_wheel.py
 	@$(BACKEND) tools/fuzz.py --short
 	@$(BACKEND) tools/torture.py --short
 
@@ -51,11 +52,14 @@ gui-test: setup ## The extension in a real Blender window; says so and ends wher
 extension: setup ## Validate and build the Blender extension: dist/physhdr-*.zip
 	@$(BACKEND) tools/build_extension.py
 
+dist: setup ## Build what pip installs: dist/physhdr-*.tar.gz and .whl
+	@$(BACKEND) tools/build_dist.py
+
 lock: ## Renew locks/: versions and hashes of what is installed; WITH=--keep adds only what is missing
 	@$(PYTHON) tools/lock.py $(WITH)
 
-lint: setup ## ruff and pyright
-	@.venvs/backend/bin/ruff check . && .venvs/backend/bin/ruff format --check . && .venvs/backend/bin/pyright
+lint: setup ## ruff and pyright, as on Linux, Windows and macOS; WITH=--whole looks at every file for each
+	@$(BACKEND) tools/lint.py $(WITH)
 
 clean: ## Remove what was built (data, runs and environments stay)
 	@rm -rf build dist .pytest_cache .ruff_cache

@@ -1,0 +1,71 @@
+#!/usr/bin/env python3
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""ruff, its formatting, and pyright over all rooms: as on Linux, then as on Windows and on macOS.
+
+    .venvs/backend/bin/python tools/lint.py            what `make lint` and `make test` run
+    .venvs/backend/bin/python tools/lint.py --whole    every file for every system, not only where they differ
+
+Two programs run at a time. For Windows and macOS only those files are looked at that import something which
+is not the same there (``DIFFERS``): that takes less than half as long, and finds the same.
+"""
+
+import argparse
+import re
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+ROOMS = ("addon", "backend", "bridge", "synth")
+#: What pyright calls the systems on which most users of Blender are.
+OTHER_SYSTEMS = ("Windows", "Darwin")
+#: Modules of which a system lacks a part, or the whole; and the questions which system this is.
+DIFFERS = re.compile(
+    r"^\s*(?:import|from)\s+(?:asyncio|ctypes|fcntl|mmap|msvcrt|multiprocessing|os|psutil|pwd|resource|select"
+    r"|selectors|shutil|signal|socket|subprocess|tempfile|termios|threading|time|winreg)\b"
+    r"|\bsys\.(?:platform|getwindowsversion)\b|\.(?:owner|group)\(\)",
+    re.MULTILINE,
+)
+
+
+def files_that_differ(root: Path) -> list[str]:
+    """The rooms' files, relative to ``root``, whose types may be others on another system."""
+    files = sorted(path for room in ROOMS for path in (root / room).rglob("*.py"))
+    return [str(path.relative_to(root)) for path in files if DIFFERS.search(path.read_text(encoding="utf-8"))]
+
+
+def checks(whole: bool) -> dict[str, list[str]]:
+    """Name → command, the longest first among those that take long."""
+    programs = Path(sys.executable).parent
+    ruff, pyright = str(programs / "ruff"), str(programs / "pyright")
+    found = {"ruff check": [ruff, "check", "."], "ruff format": [ruff, "format", "--check", "."]}
+    found["pyright"] = [pyright, "--pythonplatform", "Linux"]
+    files = [] if whole else files_that_differ(ROOT)
+    for system in OTHER_SYSTEMS:
+        found[f"pyright, {system}"] = [pyright, "--pythonplatform", system, *files]
+    return found
+
+
+def run(name: str, command: list[str]) -> bool:
+    """Run one of the checks and print what it says; whether it found nothing."""
+    begun = time.perf_counter()
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    said = (done.stdout + done.stderr).rstrip()
+    verdict = "passed" if done.returncode == 0 else "FAILED"
+    print(f"{said}\n[lint] {name}: {verdict} after {time.perf_counter() - begun:.0f} s", flush=True)
+    return done.returncode == 0
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--whole", action="store_true", help="every file for every system")
+    wanted = checks(parser.parse_args().whole)
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        passed = list(pool.map(run, wanted.keys(), wanted.values()))
+    return 0 if all(passed) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
