@@ -132,7 +132,7 @@ def mixture_folder(levels: Mapping[str, float]) -> str:
 def mixture_levels(folder: str) -> dict[str, float]:
     """The levels that the name of a mixture's folder tells; {} where it is of another form."""
     levels = {}
-    for part in folder.removeprefix(f"{RELIT_FOLDER}/").split("+"):
+    for part in re.split(r"(?<!\de)\+", folder.removeprefix(f"{RELIT_FOLDER}/")):  # not at 1e+06's sign
         light, _, level = part.rpartition("_")
         try:
             levels[AMBIENT if light == _LEVEL else light] = float(level)

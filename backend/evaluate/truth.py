@@ -5,7 +5,6 @@ imports this, and no ``Scene`` leads here.
 
 import math
 import os
-import re
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,10 +12,12 @@ from pathlib import Path
 
 import torch
 
+from ...bridge import data_set
 from ...bridge.errors import BadValueError, FileMissingError
 from ...bridge.lights import AMBIENT, check_lights, in_words, named_levels
 from ...bridge.limits import check_level
 from ...bridge.regular import read_json_object
+from ..scene import gausshdr, hdr_gs
 from ..scene.pictures import read_exr
 
 
@@ -33,9 +34,9 @@ class _Place:
 
 #: HDR-NeRF-Syn's and ours; GaussHDR's packaging; HDR-GS's, which has all poses in one folder.
 _PLACES = (
-    _Place(lambda split: f"{split}_hdr", lambda split, index: f"hdr_{index:03d}.exr"),
-    _Place(lambda split: "images_hdr", lambda split, index: f"{split}_hdr_{index:03d}.exr"),
-    _Place(lambda split: "exr", lambda split, index: f"{index}.exr"),
+    _Place(data_set.truth_folder, lambda split, index: data_set.truth_file(index)),
+    _Place(lambda split: gausshdr.TRUTH_FOLDER, lambda split, index: f"{split}_hdr_{index:03d}.exr"),
+    _Place(lambda split: hdr_gs.TRUTH_FOLDER, lambda split, index: f"{index}.exr"),
 )
 
 
@@ -109,18 +110,18 @@ def relit_truth(root: Path) -> list[RelitTruth]:
     ``FileDamagedError`` and ``FileMissingError`` where a folder, its levels or a file's name mean nothing.
     """
     root = Path(root)
-    if not (root / "relit").is_dir():
+    if not (root / data_set.RELIT_FOLDER).is_dir():
         return []
     listed = _listed_conditions(root)
     conditions = _named_conditions(root) if listed is None else listed
     found = []
     for folder, levels in conditions:
         poses = []
-        for path in folder.glob("hdr_*.exr"):
-            number = re.fullmatch(r"hdr_(\d+)", path.stem)
+        for path in folder.glob(data_set.TRUTH_FILES):
+            number = data_set.truth_number(path.name)
             if number is None:
                 raise BadValueError(f"{path} does not name a pose", "Rename it to hdr_003.exr, or remove it.")
-            poses.append(RelitTruth(levels, int(number.group(1)), path))
+            poses.append(RelitTruth(levels, number, path))
         found += sorted(poses, key=lambda truth: truth.index)
     return found
 
@@ -128,12 +129,10 @@ def relit_truth(root: Path) -> list[RelitTruth]:
 def _named_conditions(root: Path) -> list[tuple[Path, dict[str, float]]]:
     """The folders ``relit/level_0.25`` and what they say of the ambient light, rising."""
     found = []
-    for folder in (root / "relit").glob("level_*"):
-        try:
-            level = float(folder.name.removeprefix("level_"))
-        except ValueError:
-            level = -1.0
-        if not 0.0 <= level < math.inf:
+    for folder in (root / data_set.RELIT_FOLDER).glob("level_*"):
+        levels = data_set.mixture_levels(folder.name)
+        level = levels.get(AMBIENT, -1.0)
+        if len(levels) != 1 or not 0.0 <= level < math.inf:
             raise BadValueError(
                 f"{folder} does not name a lighting level", "Rename it to level_0.25 and so on, or remove it."
             )
@@ -144,7 +143,7 @@ def _named_conditions(root: Path) -> list[tuple[Path, dict[str, float]]]:
 
 def _listed_conditions(root: Path) -> list[tuple[Path, dict[str, float]]] | None:
     """What ``dataset.json`` lists under ``relit``, in its order; ``None`` where it lists nothing."""
-    path = root / "dataset.json"
+    path = root / data_set.INFO_FILE
     if not path.exists():
         return None
     info = read_json_object(path, "Make the data set again.")

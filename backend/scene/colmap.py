@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ...bridge.data_set import scene_name
 from ...bridge.errors import DataMismatchError
 from .camera import Camera
 from .checks import path_inside
@@ -88,7 +89,7 @@ def scene_of(
     info = read_info(found.root)
     return Scene(
         root=found.root,
-        name=str(info.get("scene") or found.root.resolve().name),
+        name=scene_name(found.root, info),
         train=[pose.view(reduction, cache) for pose in train],
         test=[pose.view(reduction, cache) for pose in test],
         lit=[],

@@ -8,6 +8,7 @@ seconds by file name. Names say ``train`` or ``test``. Exposures that were not t
 
 from pathlib import Path
 
+from ...bridge.data_set import scene_name
 from ...bridge.errors import DataMismatchError, PhysHDRError
 from ...bridge.regular import read_json_object
 from .checks import path_inside
@@ -110,7 +111,7 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
     ]
     return Scene(
         root=root,
-        name=str(info.get("scene") or root.resolve().name),
+        name=scene_name(root, info),
         train=train,
         test=test,
         lit=[],

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from ...bridge.axes import camera_to_world_from_llff
+from ...bridge.data_set import scene_name
 from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError, FileMissingError
 from ...bridge.limits import EXPOSURE, FOCAL_LENGTH, LARGEST_SIDE, check_position
 from ...bridge.regular import damaged_where_it_fails, regular_file
@@ -80,7 +81,7 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
     ]
     return Scene(
         root=root,
-        name=str(info.get("scene") or root.resolve().name),
+        name=scene_name(root, info),
         train=[view for view in views if view.index % 2 == 0],
         test=[view for view in views if view.index % 2 == 1],
         lit=[],
@@ -148,7 +149,8 @@ def _poses(
         middle = rows[order[number, places[len(places) // 2]]]
         camera = fitted(_camera(path, number, middle), size, path, folder / names[number, places[0]])
         pictures = {
-            k: PictureFile(folder / names[number, k], float(rows[order[number, k], 17])) for k in sorted(places)
+            k: PictureFile(folder / names[number, k], float(rows[order[number, k], 17]))
+            for k in sorted(places)
         }
         for k in places:
             other = rows[order[number, k], :15].reshape(3, 5)[:, 3]

@@ -13,11 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from ...bridge import data_set
 from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError, PhysHDRError
 from ...bridge.lights import AMBIENT, check_lights, in_words, named_levels
 from ...bridge.limits import FOCAL_LENGTH, check_level
 from .camera import Camera
-from .checks import MAKE_AGAIN, exposure, number, plain_name, read_json, require, rigid_pose
+from .checks import MAKE_AGAIN, exposure, number, read_json, require, rigid_pose
 from .info import ORIGINAL_ANCHOR, read_anchor, read_info
 from .pictures import picture_size
 from .points import read_points
@@ -27,7 +28,7 @@ from .scene import PictureCache, Scene
 
 NAME = "HDR-NeRF-Syn"
 #: What a folder must hold to be taken for this layout.
-LOOKS_FOR = "transforms_train.json"
+LOOKS_FOR = data_set.transforms_file(data_set.TRAIN)
 #: The name of the layout where a ``dataset.json`` says that the data are ours.
 OURS = "PhysHDR"
 #: HDR-NeRF's pictures as they are downloaded, and its ``half_res``.
@@ -48,10 +49,12 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
     """
     root = Path(root)
     info = read_info(root)
-    lights = _read_lights(root) if _has_split(root, "lit") else (AMBIENT,)
+    lights = _read_lights(root) if data_set.has_split(root, data_set.LIT) else (AMBIENT,)
     splits = {
-        split: _read_split(root, split, lights) if split == "train" or _has_split(root, split) else []
-        for split in ("train", "test", "lit")
+        split: _read_split(root, split, lights)
+        if split == data_set.TRAIN or data_set.has_split(root, split)
+        else []
+        for split in data_set.SPLITS
     }
     size = _check_one_size([pose for poses in splits.values() for pose in poses])
     if downscale is None:
@@ -59,7 +62,7 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
     reduction = Reduction(downscale)
     cache = PictureCache(reduction=reduction)
     views = {split: [pose.view(reduction, cache) for pose in poses] for split, poses in splits.items()}
-    points_path = root / "points3d.ply"
+    points_path = root / data_set.POINTS_FILE
     messages = (
         "split as transforms_train.json and transforms_test.json say",
         reduction.in_words(*size),
@@ -67,7 +70,7 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
     )
     return Scene(
         root=root,
-        name=str(info.get("scene") or root.resolve().name),
+        name=data_set.scene_name(root, info),
         train=views["train"],
         test=views["test"],
         lit=views["lit"],
@@ -83,11 +86,6 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
 # ---- splits ------------------------------------------------------------------------------------------
 
 
-def _has_split(root: Path, split: str) -> bool:
-    """Whether any of a split's two files is there: half a split is an error, none is no split."""
-    return any((root / f"{kind}_{split}.json").exists() for kind in ("transforms", "exposure"))
-
-
 @dataclass(frozen=True)
 class _Frame:
     """A frame of a transforms file: ``stem`` is ``train/r_3``, without a leading ``./``."""
@@ -100,7 +98,7 @@ class _Frame:
 
 def _read_lights(root: Path) -> tuple[str, ...]:
     """The lights whose levels differ between the lit views; older data sets name none: the ambient one."""
-    path = root / "transforms_lit.json"
+    path = root / data_set.transforms_file(data_set.LIT)
     try:
         return check_lights(read_json(path).get("lights", [AMBIENT]), str(path))
     except BadValueError as error:
@@ -108,13 +106,13 @@ def _read_lights(root: Path) -> tuple[str, ...]:
 
 
 def _read_split(root: Path, split: str, lights: tuple[str, ...]) -> list[Pose]:
-    transforms_path = root / f"transforms_{split}.json"
-    exposure_path = root / f"exposure_{split}.json"
+    transforms_path = root / data_set.transforms_file(split)
+    exposure_path = root / data_set.exposure_file(split)
     transforms = read_json(transforms_path)
     angle = number(
         transforms_path, require(transforms_path, transforms, "camera_angle_x"), "'camera_angle_x'"
     )
-    frames = _read_frames(transforms_path, transforms, lights, is_lit=split == "lit")
+    frames = _read_frames(transforms_path, transforms, lights, is_lit=split == data_set.LIT)
     brackets = _read_exposures(exposure_path)
 
     poses = []
@@ -127,7 +125,7 @@ def _read_split(root: Path, split: str, lights: tuple[str, ...]) -> list[Pose]:
                 f"Add '{frame.stem:.80}_0.png' and so on to {exposure_path.name}, or remove the pose. "
                 + MAKE_AGAIN,
             )
-        paths = tuple(root / f"{frame.stem}_{k}.png" for k in range(len(bracket)))
+        paths = tuple(root / data_set.picture_file(frame.stem, k) for k in range(len(bracket)))
         width, height = _check_bracket(paths, exposure_path)
         camera = _camera(transforms_path, frame, width, height, angle)
         pictures = {k: PictureFile(path, bracket[k]) for k, path in enumerate(paths)}
@@ -157,12 +155,12 @@ def _read_frames(
         file_path = require(path, entry, "file_path", where)
         if not isinstance(file_path, str):
             raise FileDamagedError(f"{path}{where}: 'file_path' is {file_path!r:.80}, not a text", MAKE_AGAIN)
-        stem = plain_name(file_path).removesuffix(".png")
+        stem = data_set.stem_of(file_path)
         which = f"{ordinal} ('{stem:.80}')"
         levels = _levels(path, entry, f"frame {which}", lights, is_lit)
         pose = rigid_pose(path, require(path, entry, "transform_matrix", f": frame {which}"), which)
-        digits = re.search(r"\d{1,18}$", stem)  # no int() of thousands of digits
-        frames.append(_Frame(stem, int(digits.group()) if digits else ordinal, pose, levels))
+        index = data_set.number_of(stem)
+        frames.append(_Frame(stem, ordinal if index is None else index, pose, levels))
     if len({frame.index for frame in frames}) != len(frames):
         twice = next(f for f in frames if sum(f.index == g.index for g in frames) > 1)
         raise DataMismatchError(
@@ -228,12 +226,13 @@ def _read_exposures(path: Path) -> dict[str, dict[int, float]]:
     """``{"train/r_3": {0: seconds, 1: …}}``; keys may or may not begin with ``./``."""
     brackets: dict[str, dict[int, float]] = {}
     for key, value in read_json(path).items():
-        parts = re.fullmatch(r"(.+)_(\d{1,18})\.png", plain_name(key))
+        parts = data_set.stem_and_place(key)
         if parts is None:
             raise FileDamagedError(
                 f"{path}: '{key:.80}' is not of the form './train/r_3_0.png'", "Mend or remove that entry."
             )
-        brackets.setdefault(parts.group(1), {})[int(parts.group(2))] = exposure(path, value, key)
+        stem, place = parts
+        brackets.setdefault(stem, {})[place] = exposure(path, value, key)
     return brackets
 
 

@@ -11,10 +11,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from ...bridge.data_set import plain_name, scene_name
 from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError
 from ...bridge.limits import FOCAL_LENGTH, LARGEST_SIDE, PRINCIPAL_POINT
 from .camera import Camera
-from .checks import MAKE_AGAIN, exposure, number, path_inside, plain_name, read_json, require, rigid_pose
+from .checks import MAKE_AGAIN, exposure, number, path_inside, read_json, require, rigid_pose
 from .exposures import exposures_from_exif
 from .info import read_anchor, read_info
 from .pictures import picture_size
@@ -66,7 +67,7 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
     info = read_info(root)
     return Scene(
         root=root,
-        name=str(info.get("scene") or root.resolve().name),
+        name=scene_name(root, info),
         train=[pose.view(reduction, cache) for pose in train],
         test=[pose.view(reduction, cache) for pose in test],
         lit=[],

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from ...bridge import data_set
 from ...bridge.errors import DataMismatchError, PhysHDRError
 from .camera import Camera
 from .pictures import picture_size
@@ -16,7 +17,7 @@ from .scene import PictureCache, View
 #: Where nothing says which views are for testing: every eighth from the first, as 3DGS has it.
 TEST_EVERY = 8
 #: Where any layout keeps true radiance (``evaluate/truth.py``), by the poses' numbers. Never opened here.
-TRUTH_FOLDERS = ("train_hdr", "test_hdr", "images_hdr", "exr")
+TRUTH_FOLDERS = (*map(data_set.truth_folder, (data_set.TRAIN, data_set.TEST)), "images_hdr", "exr")
 
 
 @dataclass(frozen=True)

@@ -64,6 +64,11 @@ def test_what_is_no_number_of_a_pose_is_none() -> None:
     assert data_set.number_of("train/front") is None
 
 
+@pytest.mark.parametrize("levels", [{"ambient": 1e6}, {"ambient": 1e6, "pendant": 1e-6}, {"a_lamp": 0.0}])
+def test_a_folder_tells_the_levels_that_it_was_named_by(levels: dict[str, float]) -> None:
+    assert data_set.mixture_levels(data_set.mixture_folder(levels)) == levels
+
+
 def test_a_folder_of_another_name_tells_no_levels() -> None:
     for name in ("relit/level_high", "relit/notes", "relit/ambient_4+lamp"):
         assert data_set.mixture_levels(name) == {}
