@@ -7,11 +7,7 @@ client's slots (``client``), what clients ask goes into the ``inbox``.
 
 import asyncio
 import dataclasses
-import functools
-import hmac
-import http
 import itertools
-import json
 import logging
 import threading
 import time
@@ -23,15 +19,12 @@ from typing import Any, cast
 from websockets.asyncio.server import Server as WebSocketServer
 from websockets.asyncio.server import ServerConnection, serve
 from websockets.exceptions import ConnectionClosed
-from websockets.http11 import Request as HttpRequest
-from websockets.http11 import Response as HttpResponse
 
 from ...bridge.connection import HOST
 from ...bridge.errors import OutputError
 from ...bridge.messages import (
     HEARTBEAT_SECONDS,
     HEARTBEAT_TIMEOUT_SECONDS,
-    PROTOCOL_VERSION,
     STEERING,
     TEXT_BYTES_MAX,
     ControlTake,
@@ -51,64 +44,29 @@ from ...bridge.messages import (
     decode,
     type_name,
 )
+from .admission import HELLO_SECONDS, Admission, Door
 from .client import OUTSTANDING_MAX, WRONG_FRAMES_MAX, Client
+from .control import Control
 from .failures import failure_of
-from .inbox import Abandoned, Command, Ending, Inbox, WantedPreview
+from .frames import (
+    CLOSE_SECONDS,
+    GOING_AWAY,
+    INTERNAL,
+    POLICY,
+    RefusedError,
+    close,
+    drop_if_stalled,
+    object_in,
+    text_of,
+)
+from .inbox import Command, Ending, Inbox, WantedPreview
 
 log = logging.getLogger(__name__)
 #: The library's own words (a stranger's half-open connection is a traceback there) stay out of our log.
 _library_log = logging.getLogger("websockets.physhdr")
 _library_log.setLevel(logging.CRITICAL)
 
-HELLO_SECONDS = 5.0
-#: How long a close may take: both sides say good-bye, or the connection is dropped.
-CLOSE_SECONDS = 1.0
-#: A peer that has taken nothing of what waits for it for so long is dropped: the library's heartbeat cannot
-#: tell, since its own pings wait behind the rest.
-STALLED_SECONDS = 4.0
-CLIENTS_MAX = 16
-#: So many connections may be there that have not said hello; with the next one the oldest of them is dropped.
-#: Every user of the machine can make some, and each is an open file of this process, which needs others.
-STRANGERS_MAX = 64
-#: Refusals are logged once in so many seconds, with their number: nobody shall fill the disk by knocking.
-REFUSALS_SECONDS = 10.0
 NAME_LENGTH_MAX = 80
-#: How long a training waits for somebody in control, where the last one wished it stopped.
-ABANDONED_SECONDS = 5.0
-#: Close codes of RFC 6455, section 7.4.1.
-GOING_AWAY, PROTOCOL, UNSUPPORTED, INVALID_DATA, POLICY, INTERNAL = 1001, 1002, 1003, 1007, 1008, 1011
-
-
-class RefusedError(Exception):
-    """Ends a connection: the close code, and the reason for people (at most 123 bytes)."""
-
-    def __init__(self, code: int, reason: str) -> None:
-        super().__init__(reason)
-        self.code, self.reason = code, reason
-
-
-class Door(ServerConnection):
-    """A connection that counts among ``strangers``, the oldest first, until it has said hello."""
-
-    def __init__(self, strangers: "dict[Door, None]", *arguments: Any, **options: Any) -> None:
-        super().__init__(*arguments, **options)
-        self._strangers = strangers
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        super().connection_made(transport)
-        self._strangers[self] = None
-        if len(self._strangers) > STRANGERS_MAX:
-            oldest = next(iter(self._strangers))
-            oldest.admitted()
-            oldest.transport.abort()
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        self.admitted()
-        super().connection_lost(exc)
-
-    def admitted(self) -> None:
-        """It is no stranger any more."""
-        self._strangers.pop(self, None)
 
 
 class Server:
@@ -127,16 +85,12 @@ class Server:
         idle_timeout: float = 0.0,
     ) -> None:
         self._inbox, self._welcome, self._history = inbox, welcome, history
-        self._authorization = f"Bearer {token}".encode()
+        self._admission = Admission(token, welcome.version)
+        self._control = Control(inbox)
         self._idle_timeout = idle_timeout
         self._status = JobStatus(state="preparing", message="starting: loading torch")
         self._clients: dict[int, Client] = {}  # the longest connected first
         self._numbers = itertools.count(1)
-        self._strangers: dict[Door, None] = {}
-        self._refusals, self._next_refusals = 0, 0.0  # not told yet, and when they may be
-        self._controller = 0
-        self._stop_when_closed = False  # as the client in control wishes
-        self._abandoned: asyncio.TimerHandle | None = None
         self._closing = ""
         self._port: Future[int] = Future()
         self._thread = threading.Thread(target=self._run, name="physhdr server", daemon=True)
@@ -195,7 +149,9 @@ class Server:
             self._handle,
             HOST,
             0,
-            process_request=self._admit_request,
+            process_request=lambda connection, request: self._admission.refusal(
+                connection, request, len(self._clients)
+            ),
             compression=None,  # half-float pictures hardly shrink, and it would take longer than the way
             max_size=TEXT_BYTES_MAX,
             open_timeout=HELLO_SECONDS,
@@ -204,7 +160,7 @@ class Server:
             close_timeout=CLOSE_SECONDS,
             server_header=None,
             logger=_library_log,
-            create_connection=cast(type[ServerConnection], functools.partial(Door, self._strangers)),
+            create_connection=self._admission.door,
         )
         watch = asyncio.create_task(self._watch_idleness())
         self._port.set_result(next(iter(server.sockets)).getsockname()[1])
@@ -217,7 +173,7 @@ class Server:
             async with asyncio.timeout(CLOSE_SECONDS):
                 while not all(client.idle for client in self._clients.values()):
                     await asyncio.sleep(0.01)
-        closing = [_close(client.socket, GOING_AWAY, self._closing) for client in self._clients.values()]
+        closing = [close(client.socket, GOING_AWAY, self._closing) for client in self._clients.values()]
         await asyncio.gather(*closing, return_exceptions=True)
         server.close()
         with suppress(TimeoutError):
@@ -238,40 +194,13 @@ class Server:
 
     # -- a connection ------------------------------------------------------------------------------------
 
-    def _admit_request(self, connection: ServerConnection, request: HttpRequest) -> HttpResponse | None:
-        """The HTTP request for a WebSocket: refused unless it has the token and no browser sent it."""
-        given = request.headers.get_all("Authorization")
-        right = len(given) == 1 and hmac.compare_digest(
-            given[0].encode("utf-8", "replace"), self._authorization
-        )
-        if request.path != "/":
-            status, why = http.HTTPStatus.NOT_FOUND, "there is only /"
-        elif request.headers.get_all("Origin"):
-            status, why = http.HTTPStatus.FORBIDDEN, "web pages may not connect"
-        elif not right:
-            status, why = http.HTTPStatus.UNAUTHORIZED, "the token is missing or wrong"
-        elif len(self._clients) >= CLIENTS_MAX:
-            status, why = http.HTTPStatus.SERVICE_UNAVAILABLE, f"{CLIENTS_MAX} clients are connected already"
-        else:
-            return None
-        self._log_refusal(why)
-        return connection.respond(status, why + "\n")
-
-    def _log_refusal(self, why: str) -> None:
-        self._refusals += 1
-        now = time.monotonic()
-        if now >= self._next_refusals:
-            count = "a connection" if self._refusals == 1 else f"{self._refusals} connections, the last one"
-            log.warning("refused %s: %s", count, why)
-            self._refusals, self._next_refusals = 0, now + REFUSALS_SECONDS
-
     async def _handle(self, socket: ServerConnection) -> None:
         client = None
         try:
-            hello, number = await self._first_request(socket)
+            hello, number = await self._admission.hello_of(socket)
             cast(Door, socket).admitted()
             client = self._enter(socket, hello, number)
-            tasks = [asyncio.create_task(self._write(client)), asyncio.create_task(_drop_if_stalled(socket))]
+            tasks = [asyncio.create_task(self._write(client)), asyncio.create_task(drop_if_stalled(socket))]
             try:
                 async for frame in socket:
                     self._take(client, frame)
@@ -282,12 +211,12 @@ class Server:
             log.info("%s left", client.name)
         except RefusedError as refused:
             log.warning("closed %s: %s", client.name if client else "a connection", refused.reason)
-            await _close(socket, refused.code, refused.reason)
+            await close(socket, refused.code, refused.reason)
         except ConnectionClosed as closed:
             log.warning("lost %s: %s", client.name if client else "a connection", closed)
         except Exception:
             log.exception("a connection failed")
-            await _close(socket, INTERNAL, "the backend failed; see its log")
+            await close(socket, INTERNAL, "the backend failed; see its log")
         finally:
             if client:
                 self._leave(client)
@@ -299,46 +228,16 @@ class Server:
             pass  # the reading side says so
         except Exception:
             log.exception("writing to %s failed", client.name)
-            await _close(client.socket, INTERNAL, "the backend failed; see its log")
-
-    async def _first_request(self, socket: ServerConnection) -> tuple[Hello, int]:
-        """``Hello`` and its id; raises ``RefusedError``."""
-        try:
-            async with asyncio.timeout(HELLO_SECONDS):
-                frame = await socket.recv()
-        except TimeoutError:
-            raise RefusedError(POLICY, f"no hello within {HELLO_SECONDS:g} seconds") from None
-        content = _object(frame)
-        # The version is looked at before anything else: another one's hello may have other fields.
-        body = content.get("body")
-        if content.get("type") == "hello" and isinstance(body, dict):
-            spoken = body.get("protocol")
-            if spoken != PROTOCOL_VERSION:
-                failure = Failure(
-                    code="wrong_protocol",
-                    message=f"this backend speaks version {PROTOCOL_VERSION} of the protocol, "
-                    f"not {json.dumps(spoken)[:20]}",
-                    hint=f"It is PhysHDR {self._welcome.version}: use the same version on both sides.",
-                )
-                await socket.send(_error_text(content, failure))
-                raise RefusedError(PROTOCOL, failure.message)
-        try:
-            envelope = decode(frame)
-        except ProtocolError as error:
-            await socket.send(_error_text(content, failure_of(error)))
-            raise RefusedError(POLICY, error.message) from error
-        if envelope.kind != "request" or not isinstance(envelope.message, Hello):
-            raise RefusedError(POLICY, "the first frame must be the request hello")
-        return envelope.message, envelope.id
+            await close(client.socket, INTERNAL, "the backend failed; see its log")
 
     def _enter(self, socket: ServerConnection, hello: Hello, number: int) -> Client:
         name = "".join(c for c in hello.client if c.isprintable())[:NAME_LENGTH_MAX] or "a client"
         client = Client(socket, next(self._numbers), name, self._inbox.sent)
         self._clients[client.number] = client
         log.info("%s connected", name)
-        if not self._controller:
-            self._put_in_control(client.number)
-        in_control = self._controller == client.number
+        if not self._control.controller:
+            self._control.give_to(client.number)
+        in_control = self._control.controller == client.number
         client.reply(
             number,
             dataclasses.replace(self._welcome, in_control=in_control, device=self._status.device),
@@ -349,31 +248,22 @@ class Server:
     def _leave(self, client: Client) -> None:
         self._clients.pop(client.number, None)
         self._inbox.forget(client.number)
-        if self._controller == client.number:
-            if self._stop_when_closed:
-                self._abandoned = self._loop.call_later(ABANDONED_SECONDS, self._inbox.put, Abandoned())
-            self._controller = 0
-            if self._clients:
-                self._put_in_control(next(iter(self._clients)))  # whoever has been here longest
+        if self._control.controller == client.number:
+            self._control.pass_on(self._clients)  # to whoever has been here longest
             self._tell_all()
-
-    def _put_in_control(self, number: int) -> None:
-        self._controller, self._stop_when_closed = number, False
-        if self._abandoned:
-            self._abandoned.cancel()
 
     # -- frames ------------------------------------------------------------------------------------------
 
     def _take(self, client: Client, frame: str | bytes) -> None:
         """One frame of a client; raises ``RefusedError`` where the connection must end."""
         try:
-            envelope = decode(_text(frame))
+            envelope = decode(text_of(frame))
             if envelope.kind != "request":
                 raise ProtocolError(f"clients send requests, not frames of kind {envelope.kind!r}")
             if isinstance(envelope.message, Hello):
                 raise ProtocolError("hello was said already")
         except ProtocolError as error:
-            content = _object(frame)
+            content = object_in(frame)
             client.wrong_frames += 1
             number = content.get("id")
             if type(number) is not int or number < 0:
@@ -385,7 +275,7 @@ class Server:
         self._obey(client, envelope.id, envelope.message)
 
     def _obey(self, client: Client, number: int, message: Any) -> None:
-        if isinstance(message, STEERING) and client.number != self._controller:
+        if isinstance(message, STEERING) and client.number != self._control.controller:
             name = self._controller_name
             client.fail(
                 number,
@@ -400,12 +290,12 @@ class Server:
         elif isinstance(message, HistoryGet):
             client.reply(number, self._history())
         elif isinstance(message, ControlTake):
-            self._put_in_control(client.number)
+            self._control.give_to(client.number)
             log.info("%s takes control", client.name)
             self._tell_all()
             client.reply(number, Done())
         elif isinstance(message, WhenClosed):
-            self._stop_when_closed = message.training == "stop"
+            self._control.stop_when_closed = message.training == "stop"
             client.reply(number, Done())
         elif isinstance(message, PreviewRequest):
             self._want_preview(client, number, message)
@@ -442,14 +332,14 @@ class Server:
 
     @property
     def _controller_name(self) -> str:
-        controller = self._clients.get(self._controller)
+        controller = self._clients.get(self._control.controller)
         return controller.name if controller else ""
 
     def _personal(self, client: Client) -> JobStatus:
         return dataclasses.replace(
             self._status,
             controller=self._controller_name,
-            in_control=client.number == self._controller,
+            in_control=client.number == self._control.controller,
         )
 
     def _publish(self, status: JobStatus) -> None:
@@ -477,54 +367,3 @@ class Server:
         self._inbox.sent(wanted.client)
         if client and isinstance(frame, Failure):
             client.fail(wanted.id, frame)
-
-
-async def _drop_if_stalled(socket: ServerConnection) -> None:
-    """Cut the connection when the peer does not take what is sent."""
-    waiting, since = 0, time.monotonic()
-    while True:
-        await asyncio.sleep(0.25)
-        before, waiting = waiting, socket.transport.get_write_buffer_size()
-        now = time.monotonic()
-        if waiting == 0 or waiting < before:
-            since = now
-        elif now - since > STALLED_SECONDS:
-            log.warning("dropped a connection that took nothing for %g seconds", STALLED_SECONDS)
-            socket.transport.abort()
-            return
-
-
-async def _close(socket: ServerConnection, code: int, reason: str) -> None:
-    """Say why, and close; a peer that does not read is not waited for."""
-    cut = reason.encode("utf-8", "replace")[:123].decode(
-        "utf-8", "ignore"
-    )  # as much as a close frame carries
-    try:
-        async with asyncio.timeout(2 * CLOSE_SECONDS):
-            await socket.close(code, cut)
-    except TimeoutError:
-        socket.transport.abort()
-
-
-def _text(frame: str | bytes) -> str:
-    if isinstance(frame, bytes):
-        raise RefusedError(UNSUPPORTED, "clients send text frames only")
-    return frame
-
-
-def _object(frame: str | bytes) -> dict[str, Any]:
-    """The JSON object in a frame, whatever it says; raises ``RefusedError``."""
-    try:
-        content = json.loads(_text(frame))
-    except (ValueError, RecursionError):
-        raise RefusedError(INVALID_DATA, "a frame is not JSON") from None
-    if not isinstance(content, dict):
-        raise RefusedError(POLICY, "a frame is not a JSON object")
-    return content
-
-
-def _error_text(request: dict[str, Any], failure: Failure) -> str:
-    """The error that answers a request which could not be decoded, in the words of every version."""
-    number = request.get("id")
-    number = number if type(number) is int and number >= 0 else 0
-    return json.dumps({"kind": "error", "id": number, **dataclasses.asdict(failure)})

@@ -17,6 +17,7 @@ from physhdr.backend.methods.physhdr import PhysHDR, PhysHDRConfig
 from physhdr.backend.model.gaussians import initial_gaussians
 from physhdr.backend.rasterize import cpu
 from physhdr.backend.runs.run import open_run
+from physhdr.backend.serve import control
 from physhdr.backend.serve import engine as engine_module
 from physhdr.backend.serve import server as server_module
 from physhdr.backend.serve.curves import Curves
@@ -468,7 +469,7 @@ def test_training_ends_with_its_blender_if_so_wished(start, enter, tiny_data, tm
 
 @pytest.mark.parametrize(("taken_over", "stops"), [(False, True), (True, False)])
 def test_who_takes_over_in_time_keeps_the_training(taken_over, stops, enter, monkeypatch):
-    monkeypatch.setattr(server_module, "ABANDONED_SECONDS", 0.3)
+    monkeypatch.setattr(control, "ABANDONED_SECONDS", 0.3)
     inbox = Inbox()
     welcome = Welcome(
         protocol=1, version="", pid=0, log="", device="", torch="", presets=(), in_control=False

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Frames that no contract covers: those of strangers, wrong ones, and how a connection is ended."""
+
+import asyncio
+import dataclasses
+import json
+import logging
+import time
+from typing import Any
+
+from websockets.asyncio.server import ServerConnection
+
+from ...bridge.messages import Failure
+
+log = logging.getLogger(__name__)
+
+#: How long a close may take: both sides say good-bye, or the connection is dropped.
+CLOSE_SECONDS = 1.0
+#: A peer that has taken nothing of what waits for it for so long is dropped: the library's heartbeat cannot
+#: tell, since its own pings wait behind the rest.
+STALLED_SECONDS = 4.0
+#: Close codes of RFC 6455, section 7.4.1.
+GOING_AWAY, PROTOCOL, UNSUPPORTED, INVALID_DATA, POLICY, INTERNAL = 1001, 1002, 1003, 1007, 1008, 1011
+
+
+class RefusedError(Exception):
+    """Ends a connection: the close code, and the reason for people (at most 123 bytes)."""
+
+    def __init__(self, code: int, reason: str) -> None:
+        super().__init__(reason)
+        self.code, self.reason = code, reason
+
+
+async def drop_if_stalled(socket: ServerConnection) -> None:
+    """Cut the connection when the peer does not take what is sent."""
+    waiting, since = 0, time.monotonic()
+    while True:
+        await asyncio.sleep(0.25)
+        before, waiting = waiting, socket.transport.get_write_buffer_size()
+        now = time.monotonic()
+        if waiting == 0 or waiting < before:
+            since = now
+        elif now - since > STALLED_SECONDS:
+            log.warning("dropped a connection that took nothing for %g seconds", STALLED_SECONDS)
+            socket.transport.abort()
+            return
+
+
+async def close(socket: ServerConnection, code: int, reason: str) -> None:
+    """Say why, and close; a peer that does not read is not waited for."""
+    # As much as a close frame carries.
+    cut = reason.encode("utf-8", "replace")[:123].decode("utf-8", "ignore")
+    try:
+        async with asyncio.timeout(2 * CLOSE_SECONDS):
+            await socket.close(code, cut)
+    except TimeoutError:
+        socket.transport.abort()
+
+
+def text_of(frame: str | bytes) -> str:
+    """A frame's text; raises ``RefusedError`` for one of bytes."""
+    if isinstance(frame, bytes):
+        raise RefusedError(UNSUPPORTED, "clients send text frames only")
+    return frame
+
+
+def object_in(frame: str | bytes) -> dict[str, Any]:
+    """The JSON object in a frame, whatever it says; raises ``RefusedError``."""
+    try:
+        content = json.loads(text_of(frame))
+    except (ValueError, RecursionError):
+        raise RefusedError(INVALID_DATA, "a frame is not JSON") from None
+    if not isinstance(content, dict):
+        raise RefusedError(POLICY, "a frame is not a JSON object")
+    return content
+
+
+def error_text(request: dict[str, Any], failure: Failure) -> str:
+    """The error that answers a request which could not be decoded, in the words of every version."""
+    number = request.get("id")
+    number = number if type(number) is int and number >= 0 else 0
+    return json.dumps({"kind": "error", "id": number, **dataclasses.asdict(failure)})

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a request asks for, checked before anything is done about it."""
+
+import dataclasses
+import os
+from collections.abc import Callable
+from contextlib import AbstractContextManager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, cast
+
+from ...bridge.errors import BadValueError, FileMissingError
+from ...bridge.messages import ModelExport, RunOpen, TrainResume, TrainStart
+from ...bridge.model_file import SUFFIX
+from ..device import DeviceName
+from ..runs.begin import Workshop, resume_run, start_run
+from ..runs.files import refuse_a_run
+from ..runs.run import Run
+from ..train.config import CONFIG_FILE, ITERATIONS_MAX, SEED_MAX, TrainConfig
+from ..train.presets import PRESETS
+from ..train.trainer import CHECKPOINT_FILE, Trainer
+
+THREADS_MAX = 256
+
+#: A run that is begun, held for as long as it is trained.
+Begun = AbstractContextManager[tuple[Trainer, Run]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """A training to be begun in ``folder``; ``known``: what its status says before anything is read."""
+
+    folder: Path
+    begin: Callable[[Workshop], Begun]
+    device: DeviceName
+    threads: int
+    known: dict[str, Any] = field(default_factory=dict)
+
+
+def new_training(request: TrainStart) -> Job:
+    """The job that the request asks for; raises ``PhysHDRError`` where it cannot be begun."""
+    data, out = folder_of(request.data, "data"), folder_of(request.out, "out")
+    if request.preset not in PRESETS:
+        raise BadValueError(f"there is no preset {request.preset!r}", f"Choose from: {', '.join(PRESETS)}.")
+    config = PRESETS[request.preset]
+    changes: dict[str, Any] = {"exposure_mode": request.exposure_mode, "seed": request.seed}
+    if request.iterations is not None:
+        changes["iterations"] = whole("iterations", request.iterations, 1, ITERATIONS_MAX)
+    whole("seed", request.seed, 0, SEED_MAX)
+    whole("threads", request.threads, 0, THREADS_MAX)
+    config = cast(TrainConfig, dataclasses.replace(config, **changes))
+    if not data.is_dir():
+        raise FileMissingError(f"the data set folder {data} does not exist", "Choose another folder.")
+    if not request.overwrite:
+        refuse_a_run(out)
+
+    def start(workshop: Workshop) -> Begun:
+        return start_run(data, out, config, request.preset, overwrite=request.overwrite, workshop=workshop)
+
+    return Job(
+        folder=out,
+        begin=start,
+        device=request.device,
+        threads=request.threads,
+        known={"data": str(data), "preset": request.preset, "iterations": config.iterations},
+    )
+
+
+def resumed_training(request: TrainResume) -> Job:
+    """As ``new_training``, of a run that is there."""
+    folder, data = run_and_data(request)
+    whole("threads", request.threads, 0, THREADS_MAX)
+    require_run(folder)
+
+    def resume(workshop: Workshop) -> Begun:
+        return resume_run(folder, data, workshop)
+
+    return Job(folder=folder, begin=resume, device=request.device, threads=request.threads)
+
+
+def run_and_data(request: TrainResume | RunOpen) -> tuple[Path, Path | None]:
+    """The run's folder, and the place of its data set where that has moved."""
+    return folder_of(request.run, "run"), folder_of(request.data, "data") if request.data else None
+
+
+def model_path(request: ModelExport) -> Path:
+    """Where the model is to be written; raises ``BadValueError`` for what is no name of a model file."""
+    path = folder_of(request.path, "path")
+    if path.suffix != SUFFIX:
+        raise BadValueError(
+            f"path is {path}, which is no name of a model file", f"Choose a name that ends in {SUFFIX}."
+        )
+    return path
+
+
+def whole(name: str, value: int, least: int, most: int) -> int:
+    """``value``; raises ``BadValueError`` where it is not from ``least`` to ``most``."""
+    if not least <= value <= most:
+        raise BadValueError(f"{name} is {value}", f"It must be from {least} to {most}.")
+    return value
+
+
+def folder_of(text: str, name: str) -> Path:
+    """An absolute path: the backend's working directory is nobody's business.
+
+    Raises ``BadValueError``, and ``OSError`` where the system will not have the path, be it too long. That
+    there is nothing at it is for those to tell who need something there.
+    """
+    try:
+        usable = "\0" not in text and bool(os.fsencode(text))
+    except UnicodeEncodeError:
+        usable = False
+    if not usable or not Path(text).is_absolute():
+        raise BadValueError(f"{name} is {text!r}, not an absolute path", "Give the whole path.")
+    with suppress(FileNotFoundError, NotADirectoryError):
+        os.lstat(text)
+    return Path(text)
+
+
+def require_run(folder: Path) -> None:
+    """Raises ``FileMissingError`` where the folder holds no run."""
+    for name in (CONFIG_FILE, CHECKPOINT_FILE):
+        if not (folder / name).is_file():
+            raise FileMissingError(
+                f"{folder} is not a run: there is no {name} in it", "Choose another folder."
+            )

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A training under way: what is told of it, and what is attended to between two of its iterations."""
+
+import dataclasses
+import time
+from contextlib import closing
+from typing import Any, Protocol
+
+from ..runs.log import LOG_FILE, EventLog
+from ..runs.monitor import view_monitor
+from ..runs.run import Run
+from ..train import events
+from ..train.trainer import Trainer
+from .curves import Curves, Speed
+from .status import Status, device_words, finite
+
+#: Seconds between two statuses while a training runs; changes of state are told at once.
+STATUS_SECONDS = 0.25
+
+
+class Desk(Protocol):
+    """The engine, as a training sees it."""
+
+    @property
+    def stopping(self) -> bool:
+        """Whether the training shall end."""
+        ...
+
+    def look(self) -> None:
+        """Do all that has been asked."""
+        ...
+
+    def wait(self) -> None:
+        """Do what is asked next; returns after a while if nothing is."""
+        ...
+
+
+class Training:
+    """``run_to_the_end`` trains; the other methods are called from within it, by way of ``desk``."""
+
+    def __init__(self, trainer: Trainer, run: Run, desk: Desk, status: Status, curves: Curves) -> None:
+        self._trainer, self._run = trainer, run
+        self._desk, self._status, self._curves = desk, status, curves
+        self._speed = Speed()
+        self._paused = False
+        self._next_status = 0.0
+
+    @property
+    def iteration(self) -> int:
+        """The iteration reached."""
+        return self._trainer.iteration
+
+    def pause(self, paused: bool) -> None:
+        """Wait after this iteration, or go on."""
+        self._paused = paused
+        self._speed.clear()
+        self._status.change(
+            state="paused" if paused else "training",
+            iteration=self.iteration,
+            gaussians=self._trainer.method.size,
+            iterations_per_second=0.0,
+        )
+
+    def run_to_the_end(self) -> Run:
+        """Train until the last iteration, or until the desk wants a stop; returns the run as it is then."""
+        trainer, run = self._trainer, self._run
+        self._curves.read(run.folder / LOG_FILE, run.iteration)
+        self._status.change(
+            state="training",
+            message=trainer.start_message,
+            data=str(run.scene.root),
+            preset=run.preset,
+            device=device_words(trainer.device),
+            iteration=trainer.iteration,
+            iterations=run.config.iterations,
+            gaussians=run.method.size,
+            saved_iteration=run.iteration,
+            has_model=True,
+            can_relight=run.method.can_relight,
+            lights=run.method.lights,
+        )
+        told = trainer.run(
+            run.folder,
+            should_stop=lambda: self._desk.stopping,
+            monitor=view_monitor(run.scene),
+            between=self._between_iterations,
+        )
+        # Closed while it can still be told what fails: it saves on its way out.
+        with EventLog(run.folder) as kept, closing(told):
+            for event in told:
+                kept.show(event)
+                self._note(event)
+        stopped = trainer.iteration < run.config.iterations
+        self._status.change(
+            state="stopped" if stopped else "finished",
+            message=f"{'stopped' if stopped else 'finished'} at iteration {trainer.iteration}",
+            iteration=trainer.iteration,
+            gaussians=run.method.size,
+            iterations_per_second=0.0,
+            seconds_left=0.0,
+        )
+        return dataclasses.replace(run, iteration=trainer.iteration)
+
+    def _between_iterations(self) -> float:
+        """Look what is asked; returns the seconds of a pause."""
+        self._desk.look()
+        held = 0.0
+        if self._paused and not self._desk.stopping:
+            begun = time.perf_counter()
+            while self._paused and not self._desk.stopping:
+                self._desk.wait()
+            held = time.perf_counter() - begun
+        now = time.monotonic()
+        if now >= self._next_status and self._status.now.state == "training":
+            self._next_status = now + STATUS_SECONDS
+            self._status.change(**self._pace(now))
+        return held
+
+    def _pace(self, now: float) -> dict[str, Any]:
+        iteration, total = self.iteration, self._status.now.iterations
+        rate = self._speed.note(now, iteration)
+        return {
+            "iteration": iteration,
+            "gaussians": self._trainer.method.size,
+            "iterations_per_second": rate,
+            "seconds_left": (total - iteration) / rate if rate else 0.0,
+        }
+
+    def _note(self, event: events.Event) -> None:
+        if isinstance(event, events.Progress):
+            losses, monitor = finite(event.losses), finite(event.monitor)
+            self._curves.add(event.iteration, losses, monitor)
+            self._status.note(losses=losses, monitor=self._status.now.monitor | monitor)
+        elif isinstance(event, events.Saved):
+            self._status.change(saved_iteration=event.iteration)
