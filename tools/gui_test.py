@@ -6,24 +6,29 @@
     python tools/gui_test.py panel          one of them
     python tools/gui_test.py --keep         then put the guide's pictures into docs/images/guide
 
-Blender comes from Debian sid (shared/blender.md): debootstrap makes a root folder of 1.7 GB, once, in
-PHYSHDR_BLENDER_ROOT (default: /var/cache/physhdr/blender). Mounts are made in a namespace of their own and
-are gone with it.
+Debian sid has a Blender that is new enough, and opens its window without a graphics card. debootstrap makes a
+root folder of 1.7 GB, once, in PHYSHDR_BLENDER_ROOT (default: /var/cache/physhdr/blender), of what the
+system's own apt is set up to take Debian from, or PHYSHDR_DEBIAN_MIRROR. Mounts are made in a namespace of
+their own and are gone with it.
 """
 
 import os
+import platform
+import re
 import shlex
 import shutil
 import subprocess
 import sys
 import time
+import urllib.request
+from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 CHROOT = Path(os.environ.get("PHYSHDR_BLENDER_ROOT", "/var/cache/physhdr/blender"))
 OUT = ROOT / "runs" / "gui"
 PYTHON = ROOT / ".venvs" / "backend" / "bin" / "python"
-MIRROR = "http://deb.debian.org/debian"
+APT = Path("/etc/apt")
 PACKAGES = (
     "blender xvfb xauth xdotool libgl1-mesa-dri libegl1 libgl1 x11-utils imagemagick "
     "python3-numpy python3-requests python3-cattr python3-zstandard"
@@ -31,7 +36,8 @@ PACKAGES = (
 SCREEN = "-screen 0 1280x800x24 +extension GLX"
 #: Seconds for one test; software rendering on two cores is slow.
 PATIENCE = 900
-
+#: Seconds for the first answer of the mirror.
+PAGE_SECONDS = 20
 
 #: Screenshots that docs/guide.md shows: name there, and test and name of the screenshot.
 KEPT = {
@@ -52,8 +58,49 @@ class Skip(Exception):  # noqa: N818 (not an error)
     """Why there can be no window here."""
 
 
+def mirror(apt: Path = APT) -> str:
+    """The address of Debian's archive, as the system's apt is set up to use it; raises ``Skip``."""
+    if named := os.environ.get("PHYSHDR_DEBIAN_MIRROR"):
+        return named
+    if shutil.which("apt-get") is None:
+        raise Skip("there is no apt that knows where Debian is to be had; PHYSHDR_DEBIAN_MIRROR may say it")
+    system = platform.freedesktop_os_release()
+    releases = {"stable", "testing", "unstable", "sid", system.get("VERSION_CODENAME", "sid")}
+    for address, suite, components in sources(apt) if system.get("ID") == "debian" else ():
+        if suite in releases and "main" in components and re.match("https?://|file:/", address):
+            return address.rstrip("/")
+    raise Skip(f"apt's settings in {apt} name no archive of Debian; PHYSHDR_DEBIAN_MIRROR may say one")
+
+
+def sources(apt: Path) -> Iterator[tuple[str, str, list[str]]]:
+    """Address, suite and components of each source of packages in apt's settings, in both of their forms."""
+    for path in [apt / "sources.list", *sorted((apt / "sources.list.d").glob("*.list"))]:
+        for line in path.read_text(encoding="utf-8").splitlines() if path.is_file() else ():
+            words = re.sub(r"\[.*?\]|#.*", " ", line).split()
+            if len(words) > 2 and words[0] == "deb":
+                yield words[1], words[2], words[3:]
+    for path in sorted((apt / "sources.list.d").glob("*.sources")):
+        lines = [line for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
+        for paragraph in re.split(r"\n\s*\n", "\n".join(lines)):
+            fields = dict(re.findall(r"^([\w-]+):(.*(?:\n[ \t].*)*)", paragraph, re.MULTILINE))
+            named = {name.lower(): value.split() for name, value in fields.items()}
+            if "deb" in named.get("types", ()) and named.get("enabled") != ["no"]:
+                for address in named.get("uris", ()):
+                    for suite in named.get("suites", ()):
+                        yield address, suite, named.get("components", [])
+
+
+def require_answer(address: str) -> None:
+    """Raises ``Skip`` where the archive at ``address`` cannot be reached, or has no Debian sid."""
+    try:
+        with urllib.request.urlopen(f"{address}/dists/sid/Release", timeout=PAGE_SECONDS):
+            pass
+    except (OSError, ValueError) as error:
+        raise Skip(f"{address} cannot be reached, or has no Debian sid: {error}") from error
+
+
 def make_blender() -> None:
-    """Debian sid with Blender in ``CHROOT``, unless it is there."""
+    """Debian sid with Blender in ``CHROOT``, unless it is there; raises ``Skip``."""
     if os.name != "posix" or os.geteuid() != 0:
         raise Skip("a chroot needs root")
     for program in ("debootstrap", "unshare"):
@@ -61,13 +108,15 @@ def make_blender() -> None:
             raise Skip(f"there is no {program} (apt-get install debootstrap util-linux)")
     if (CHROOT / "usr" / "bin" / "xdotool").exists() and (CHROOT / "usr" / "bin" / "blender").exists():
         return
-    print(f"installing Debian sid's Blender in {CHROOT}: 2 to 4 minutes, once", flush=True)
+    address = mirror()
+    require_answer(address)
+    print(f"installing Debian sid's Blender from {address} in {CHROOT}: 2 to 4 minutes, once", flush=True)
     CHROOT.mkdir(parents=True, exist_ok=True)
     log = ROOT / "runs" / "gui" / "install.log"
     log.parent.mkdir(parents=True, exist_ok=True)
     with open(log, "w") as output:
         made = (CHROOT / "usr" / "bin" / "apt-get").exists() or not subprocess.call(
-            ["debootstrap", "--variant=minbase", "sid", str(CHROOT), MIRROR], stdout=output, stderr=output
+            ["debootstrap", "--variant=minbase", "sid", str(CHROOT), address], stdout=output, stderr=output
         )
         install = f"apt-get install -y --no-install-recommends {PACKAGES}"
         if not made or enter(install, [], output):
