@@ -10,7 +10,6 @@ radiance.
 import json
 
 import numpy as np
-import torch
 
 from ...bridge.lights import AMBIENT
 from ...bridge.model_file import ADDITIVE_LIGHTS, Model
@@ -22,7 +21,6 @@ from ...bridge.ply_model import (
     LIGHTS,
     NETWORK,
     tensor_comments,
-    tensors_from_comments,
 )
 from ..methods.base import SplattingMethod
 from ..model.gaussians import Gaussians
@@ -44,27 +42,6 @@ def parameter_columns(gaussians: Gaussians, lights: tuple[str, ...] = (AMBIENT,)
     return columns
 
 
-def parameters_from_columns(columns: dict[str, np.ndarray]) -> Gaussians:
-    """The Gaussians that ``parameter_columns`` was given."""
-    found: dict[str, dict[int, np.ndarray]] = {}
-    for column, values in columns.items():
-        if column.startswith("phys_"):
-            prefix, _, index = column.rpartition("_")
-            name = (LIGHT_LOGITS if prefix == AMBIENT_LOGITS else prefix).removeprefix("phys_")
-            found.setdefault(name, {})[int(index)] = values
-    parameters = {}
-    for name, parts in found.items():
-        tensor = torch.from_numpy(np.stack([parts[i] for i in range(len(parts))], axis=1))
-        if name == "opacity_logits":
-            tensor = tensor[:, 0]
-        elif name.startswith("reflectance") or name == "light_share_logits":
-            tensor = tensor.reshape(len(tensor), -1, 3)
-        parameters[name] = tensor.contiguous()
-    if "reflectance_rest" not in parameters:  # degree 0 has none
-        parameters["reflectance_rest"] = torch.zeros(len(parameters["means"]), 0, 3)
-    return Gaussians(parameters)
-
-
 def network_comments(method: SplattingMethod, model: Model) -> list[str]:
     """The networks, the sampled response and what the radiance is made of, as comment lines."""
     by_network = method.can_relight and not method.has_light_share
@@ -81,8 +58,3 @@ def network_comments(method: SplattingMethod, model: Model) -> list[str]:
         *tensor_comments(CURVE, curve),
         *tensor_comments(NETWORK, networks),
     ]
-
-
-def networks_from_comments(comments: list[str]) -> dict[str, torch.Tensor]:
-    """The networks that ``network_comments`` wrote, by their names."""
-    return {name: torch.from_numpy(array) for name, array in tensors_from_comments(NETWORK, comments).items()}

@@ -1,12 +1,26 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 import importlib.util
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
-_spec = importlib.util.spec_from_file_location("tiny_scene", Path(__file__).parent / "tiny_scene.py")
-tiny_scene = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(tiny_scene)
+
+def _module(name: str) -> ModuleType:
+    """``NAME.py`` beside this file."""
+    spec = importlib.util.spec_from_file_location(name, Path(__file__).parent / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+tiny_scene = _module("tiny_scene")
+
+
+@pytest.fixture(scope="session")
+def lossless() -> ModuleType:
+    """``tests/backend/lossless.py``: what is read back from a lossless PLY."""
+    return _module("lossless")
 
 
 @pytest.fixture(scope="session")

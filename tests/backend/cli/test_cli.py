@@ -19,7 +19,6 @@ from plyfile import PlyData
 from safetensors import safe_open
 
 from physhdr.backend.cli import main
-from physhdr.backend.export.baked import networks_from_comments, parameters_from_columns
 from physhdr.backend.methods.physhdr import PhysHDR
 from physhdr.backend.runs.run import open_run
 from physhdr.backend.train.checkpoint import load_checkpoint
@@ -84,15 +83,15 @@ def test_the_model_file_renders_as_the_method(run):
         np.testing.assert_allclose(model.radiance(directions, 2.0), relit, rtol=1e-3 if exact else 0.06)
 
 
-def test_the_lossless_ply_holds_the_whole_model(run):
+def test_the_lossless_ply_holds_the_whole_model(run, lossless):
     assert main(["export", str(run)]) == 0
     opened = open_run(run)
     ply = PlyData.read(str(run / "lossless.ply"))
     vertices = ply["vertex"]
     columns = {p.name: np.array(vertices[p.name]) for p in vertices.properties}
-    gaussians = parameters_from_columns(columns)
+    gaussians = lossless.parameters_from_columns(columns)
     method = PhysHDR(opened.config.method, gaussians, opened.scene.response_anchor)
-    method.load_state_dict(networks_from_comments(ply.comments))
+    method.load_state_dict(lossless.networks_from_comments(ply.comments))
     method.active_sh_degree = opened.method.active_sh_degree
     camera = opened.scene.test[0].camera
     assert torch.equal(method.ldr(camera, 2.0), opened.method.ldr(camera, 2.0))

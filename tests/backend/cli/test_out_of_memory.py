@@ -6,20 +6,15 @@ import json
 import os
 import subprocess
 import sys
-import threading
 from pathlib import Path
 
 import pytest
 
 from physhdr.backend import cli, memory
 from physhdr.backend.cli import main
-from physhdr.backend.runs.log import LOG_FILE, EventLog
-from physhdr.backend.train.events import Progress, Saved
-from physhdr.bridge.errors import FileDamagedError, OutputError
+from physhdr.bridge.errors import FileDamagedError
 
 resource = pytest.importorskip("resource", reason="limits of a process are POSIX's")
-
-FULL_DISK = Path("/dev/full")
 
 
 def under_limit(megabytes: int, *argv: str) -> subprocess.CompletedProcess[str]:
@@ -110,48 +105,6 @@ def test_a_full_disk_is_told_as_one_and_names_the_run(monkeypatch, capsys, tmp_p
     message = told(monkeypatch, capsys, full, "train", "--resume", str(tmp_path))
     assert "No space left on device" in message and "that path" not in message
     assert "Free some space" in message and f"physhdr train --resume {tmp_path}" in message
-
-
-# -- the log of a training on a full disk --------------------------------------------------------------------
-
-SAVED = Saved(20, "checkpoint")
-PROGRESS = Progress(20, 100, 1000, {"rec": 0.5}, 10.0, 8.0, {})
-
-
-@pytest.mark.skipif(not FULL_DISK.exists(), reason="needs /dev/full")
-def test_a_log_that_cannot_be_written_is_named_and_can_be_closed(tmp_path):
-    (tmp_path / LOG_FILE).symlink_to(FULL_DISK)
-    with pytest.raises(OutputError, match=LOG_FILE) as caught, EventLog(tmp_path) as log:
-        log.show(SAVED)
-    assert "Free some space" in caught.value.hint and f"--resume {tmp_path}" in caught.value.hint
-
-
-def test_tensorboard_that_cannot_be_written_is_named_and_tells_it_once(tmp_path, capfd, monkeypatch):
-    (tmp_path / LOG_FILE).symlink_to(os.devnull)
-    seen = []
-    monkeypatch.setattr(threading, "excepthook", seen.append)
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (10, before[1]))  # no file may grow beyond 10 bytes
-    try:
-        with pytest.raises(OutputError, match="tensorboard"), EventLog(tmp_path) as log:
-            log.show(PROGRESS)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    assert not seen and "Traceback" not in capfd.readouterr().err
-    assert threading.excepthook == seen.append
-
-
-def test_what_tensorboard_cannot_write_at_its_end_is_not_lost_in_silence(tmp_path, monkeypatch):
-    monkeypatch.setattr(threading, "excepthook", lambda _: None)
-    (tmp_path / LOG_FILE).symlink_to(os.devnull)
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    try:
-        with pytest.raises(OutputError, match="tensorboard"), EventLog(tmp_path) as log:
-            log.show(PROGRESS)
-            resource.setrlimit(resource.RLIMIT_FSIZE, (10, before[1]))
-            log.show(PROGRESS)  # its thread notices now or when it ends
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 # -- what there is -------------------------------------------------------------------------------------------

@@ -2,12 +2,13 @@
 """The lossless PLY read without torch, as Blender reads it, against the model file of the same method."""
 
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
 import torch
 
-from physhdr.backend.export.baked import network_comments, parameter_columns, parameters_from_columns
+from physhdr.backend.export.baked import network_comments, parameter_columns
 from physhdr.backend.export.blender_model import to_model
 from physhdr.backend.methods.physhdr import PhysHDR, PhysHDRConfig
 from physhdr.backend.model.gaussians import initial_gaussians
@@ -60,13 +61,13 @@ def write(path: Path, config: PhysHDRConfig, lights: tuple[str, ...] = ("ambient
     ids=["default", "degree 0", "baseline", "three lights", "a lamp alone"],
 )
 def test_without_networks_in_the_radiance_it_is_the_model_file(
-    tmp_path: Path, config: PhysHDRConfig, lights: tuple[str, ...]
+    tmp_path: Path, lossless: ModuleType, config: PhysHDRConfig, lights: tuple[str, ...]
 ) -> None:
     method, expected = write(tmp_path / "a.ply", config, lights)
     found = read_ply_model(tmp_path / "a.ply")
     assert found.model.lights == expected.lights == lights
     ply = read_ply(tmp_path / "a.ply")
-    for name, tensor in parameters_from_columns(ply.columns).parameters.items():
+    for name, tensor in lossless.parameters_from_columns(ply.columns).parameters.items():
         assert torch.equal(tensor, method.gaussians.parameters[name]), name
     assert found.notes == () and dict(found.model.metadata) == {"scene": "test"}
     assert found.model.tensors().keys() == expected.tensors().keys()
