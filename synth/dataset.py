@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Makes a data set (docs/formats.md): renders the poses that are missing and derives everything else."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,10 +10,10 @@ from typing import Any
 
 import bpy
 
+from ..bridge.lock import Claims
 from . import describe, device, folder, noise, objects, open_scene, passes, plan, png, points, rig, settings
 from .assets import Assets
 from .built_in import SCENES, built
-from .claims import Claims
 from .derive import Derivation
 from .errors import NotFiniteRenderError
 from .options import USERS_EVS, Options, seconds
@@ -29,10 +27,12 @@ from .workers import threads_each
 
 GENERATOR = {"name": "physhdr synth", "version": "0.2.0"}
 FEW_POINTS = 100
+#: Seconds between looks at what other processes are at work on.
 WAIT = 1.0
-"""Seconds between looks at what other processes are at work on."""
+#: The folder of what is claimed: one owner a picture, of those who fill the folder at the same time.
+CLAIMS = ".claims"
+#: The claim on what is made once all poses are there.
 FINISH = "finish"
-"""The claim on what is made once all poses are there."""
 
 
 def make(out: Path, options: Options, report: Report | None = None) -> dict[str, Any]:
@@ -66,7 +66,7 @@ def make(out: Path, options: Options, report: Report | None = None) -> dict[str,
             threads=threads_each(options.workers) if options.workers > 1 else 0,
         )
         with (
-            Claims(out) as claims,
+            Claims(out / CLAIMS, report.say) as claims,
             settings.applied(stage.scene, wanted, None if users else settings.WORKING_SPACE) as record,
             objects.numbered(stage, report) as numbers,
             renderer(stage, options.denoise) as camera,
@@ -89,15 +89,21 @@ class _Job:
     stage: Stage
     shots: list[Shot]
     derivation: Derivation
+    #: The first entries of dataset.json.
     head: dict[str, Any]
-    """The first entries of dataset.json."""
+    #: What an earlier run left in dataset.json or dataset.partial.json.
     state: dict[str, Any]
-    """What an earlier run left in dataset.json or dataset.partial.json."""
     assets: Assets
 
     @property
     def lights(self) -> list[str]:
         return list(self.stage.lights)
+
+    @property
+    def exposures(self) -> tuple[float, ...]:
+        """In seconds; the options of a scene that is staged have some."""
+        assert self.options.exposures is not None
+        return self.options.exposures
 
     def passes(self, shot: Shot) -> Passes:
         return passes.read(self.out / shot.passes, self.lights, self.options.resolution)
@@ -239,7 +245,7 @@ def _finish(
 
 def _write_points(job: _Job, report: Report) -> None:
     train = [shot for shot in job.shots if shot.split == "train"]
-    middle = len(job.options.exposures) // 2
+    middle = len(job.exposures) // 2
     seen = [png.read(job.out / shot.bracket(middle)) for shot in train]
     cloud = points.cast(job.stage, [shot.pose for shot in train], seen, job.options.seed)
     folder.write(job.out / plan.POINTS, points.encode(cloud))
@@ -256,7 +262,7 @@ def _noise_floor(job: _Job, camera: Renderer) -> dict[str, Any]:
     seeds = [view_seed(job.options.seed, name) for name in (shot.name, f"{shot.name}/again")]
     again = camera.render(shot.pose, seeds[1], folder.scratch(job.out / "noise_floor.exr"))
     first, second = (each.radiance(shot.levels) for each in (job.passes(shot), again))
-    measured = noise.floor(first, second, job.derivation.response, job.options.exposures)
+    measured = noise.floor(first, second, job.derivation.response, job.exposures)
     return {"view": shot.index, "seeds": seeds, **measured}
 
 

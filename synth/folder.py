@@ -5,8 +5,6 @@ While a run is under way ``dataset.partial.json`` holds the options (and the noi
 it becomes ``dataset.json`` when all is there. A file under its final name is always whole.
 """
 
-from __future__ import annotations
-
 import json
 import stat
 from contextlib import suppress
@@ -18,8 +16,8 @@ from ..bridge.errors import OutputError
 from .errors import ConflictError, DamagedFileError, OutputFolderError
 
 FINAL, PARTIAL = "dataset.json", "dataset.partial.json"
+#: The option that stands for the state of a user's scene.
 FINGERPRINT = "fingerprint"
-"""The option that stands for the state of a user's scene."""
 FORMAT, VERSION = "physhdr-dataset", 1
 LONGEST_SHOWN = 200
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """CTRL-C while Blender renders: raised afterwards, for within Cycles' own Python it would be lost."""
 
-from __future__ import annotations
-
 import signal
 import threading
 from collections.abc import Iterator

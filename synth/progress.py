@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How a run tells what it does: text for people, or JSON lines for programs (``--progress-json``)."""
 
-from __future__ import annotations
-
 import json
 import os
 import sys
@@ -89,6 +87,7 @@ class Report:
 
     def advance(self, name: str) -> None:
         """The pose ``name`` is done."""
+        assert self._progress, "begin comes first"
         self._progress.advance(self._where + name)
 
     def finishing(self, what: str) -> None:
@@ -109,8 +108,8 @@ class JsonReport(Report):
     last ``{"result": {…}}`` or ``{"error": {"code": …, "message": …, "hint": …}}``.
     """
 
+    #: The share of rendering in the whole; brackets, points and the noise floor are the rest.
     RENDERING = 0.97
-    """The share of rendering in the whole; brackets, points and the noise floor are the rest."""
 
     @property
     def _text(self) -> TextIO:
@@ -122,7 +121,8 @@ class JsonReport(Report):
 
     def start(self, name: str) -> None:
         step = self._progress
-        line = {"progress": self._share(), "message": f"rendering {self._where}{name}"}
+        assert step, "begin comes first"
+        line: dict[str, Any] = {"progress": self._share(), "message": f"rendering {self._where}{name}"}
         if step.done:
             line["seconds_left"] = round(step.seconds_left(), 1)
         self._emit(line)

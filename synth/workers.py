@@ -5,8 +5,6 @@ Small pictures keep only part of a processor busy (synchronising the scene and d
 so one process for each core is faster than one with all of them; docs/performance.md has the figures.
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -21,8 +19,8 @@ from .options import CURRENT
 from .progress import Report
 
 SCRIPT = Path(__file__).resolve().parent / "make_scene.py"
+#: Seconds that a worker has to give up when it is told to end.
 PATIENCE = 10.0
-"""Seconds that a worker has to give up when it is told to end."""
 
 
 def threads_each(workers: int) -> int:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from .claims import Claims
+from ...bridge.lock import Claims
 from .job import EVENT_LOG, PROGRAM, TRIAL, Job, Outcome
 from .plan import CPU_SECONDS
 from .pools import Pool
@@ -88,7 +88,7 @@ class Schedule:
 
     def work_off(self, pool: Pool, show: Callable[[], None] = lambda: None) -> None:
         """Until every run is done, failed or blocked by one that failed. ``show`` is called all the time."""
-        with Claims(self.store.out / CLAIMS_FOLDER) as claims:
+        with Claims(self.store.out / CLAIMS_FOLDER, self.tell) as claims:
             try:
                 with pool:
                     looked = 0.0
@@ -120,7 +120,7 @@ class Schedule:
                 continue
             self.status[run] = self._on_disk(run)  # another command may have done it meanwhile
             if self.status[run].kind == "waiting":
-                job = self._job(run)
+                job = self._job(run, alone=claims.keep_others_out)
                 self._work[run] = job.work
                 self.status[run] = Status("running")
                 pool.submit(run.claim, job)
@@ -162,8 +162,8 @@ class Schedule:
 
     def _settle(self, run: Run, outcome: Outcome) -> None:
         shutil.rmtree(self._work.pop(run), ignore_errors=True)  # there only if the job's machine died
-        if outcome.kind == "stopped":  # not by us, who settle nothing then: somebody took the run over
-            self.status[run] = self._on_disk(run)  # and until it is done there, its claim is taken
+        if outcome.kind == "stopped":  # not by us, who settle nothing then: somebody removed its folder
+            self.status[run] = self._on_disk(run)
             self.tell(f"{run.folder}: another command took it over")
             return
         self._retry.discard(run)
@@ -181,10 +181,11 @@ class Schedule:
 
     # -- one job -----------------------------------------------------------------------------------------
 
-    def _job(self, run: Run) -> Job:
+    def _job(self, run: Run, alone: bool) -> Job:
+        """``alone``: nobody else can be at this run, so that what is there of it is a dead process's."""
         store, plan = self.store, self.store.plan
         final = store.out / run.folder
-        for left in final.parent.glob(f".{final.name}-*"):  # of a process that died: the claim is ours
+        for left in final.parent.glob(f".{final.name}-*") if alone else ():
             shutil.rmtree(left, ignore_errors=True)
         done = store.record(run) if store.is_trained(run) else None
         iterations = store.iterations(run)

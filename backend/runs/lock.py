@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """One training a folder: whoever trains in a run's folder holds its lock, and says who it is.
 
-The lock is the operating system's, so it goes with the process however that ends. Who holds it stands in a
-file beside it, because a locked file cannot be read on Windows.
+The lock goes with the process however that ends (``bridge.lock``). Who holds it stands in a file beside it,
+because a locked file cannot be read on Windows.
 """
 
 import json
@@ -13,10 +13,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from filelock import FileLock, Timeout
-
 from ...bridge.atomic import atomic_path
 from ...bridge.errors import OutputError, PhysHDRError
+from ...bridge.lock import Lock, LocksRefusedError
 
 LOCK_FILE = "training.lock"
 HOLDER_FILE = "training.json"
@@ -35,33 +34,27 @@ def hold(folder: Path, report: Callable[[str], None]) -> Iterator[None]:
     Where the disk knows no locks ``report`` is told so, and nothing keeps another training out. Raises
     ``RunHeldError``, which names the holder, and ``OutputError`` where the lock's file cannot be made.
     """
-    path = folder / LOCK_FILE
-    lock = FileLock(path, mode=0o600, fallback_to_soft=False)
+    lock = Lock(folder / LOCK_FILE, mode=0o600)  # who could read it could hold it
     try:
-        lock.acquire(timeout=WAIT_SECONDS)
-    except Timeout:
+        free = lock.take(WAIT_SECONDS)
+    except LocksRefusedError as error:
+        report(f"{folder} cannot be locked ({error.message}): do not train there twice at once")
+        yield
+        return
+    except OutputError as error:
+        raise OutputError(error.message, "Choose another --out, or make it writable.") from error
+    if not free:
         raise RunHeldError(
             f"{folder} is being trained already{_holder(folder)}",
             "Wait for its end, stop it (CTRL-C saves), or choose another --out.",
-        ) from None
-    except OSError as error:
-        if not path.exists():  # it could not even be made
-            raise OutputError(
-                f"cannot write to {folder}: {error.strerror or error}",
-                "Choose another --out, or make it writable.",
-            ) from error
-        report(f"{folder} cannot be locked ({error.strerror or error}): do not train there twice at once")
-        yield
-        return
+        )
     try:
         with suppress(OutputError):  # a full disk: what it says is a courtesy
             _announce(folder)
         yield
     finally:
-        # While it is held: whoever waits for the lock looks whether its file is there still.
-        for name in (HOLDER_FILE, LOCK_FILE):
-            with suppress(OSError):  # Windows keeps an open file
-                (folder / name).unlink(missing_ok=True)
+        with suppress(OSError):
+            (folder / HOLDER_FILE).unlink(missing_ok=True)
         lock.release()
 
 

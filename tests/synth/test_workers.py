@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Several processes on one folder: the same files as one alone makes, and nobody is left behind."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import subprocess
@@ -51,9 +49,8 @@ def test_a_worker_ends_when_its_parent_is_gone():
         "print(child.pid, flush=True)\n"
     )
     worker = (
-        "import os, sys, time\n"
-        f"sys.path.insert(0, {str(workers.SCRIPT.parent.parent)!r})\n"
-        "from synth.workers import WorkerReport\n"
+        "import os, time\n"
+        "from physhdr.synth.workers import WorkerReport\n"
         "report = WorkerReport(os.getppid())\n"
         "report.start('first')\n"
         "print('began', flush=True)\n"

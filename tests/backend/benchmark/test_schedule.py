@@ -23,6 +23,7 @@ from physhdr.backend.benchmark.pools import LocalPool
 from physhdr.backend.benchmark.report import write_report
 from physhdr.backend.benchmark.runs import Store, data_fingerprint
 from physhdr.backend.benchmark.schedule import Schedule
+from physhdr.bridge.lock import Claims
 
 FAKE = Path(__file__).with_name("fake_physhdr.py")
 _spec = importlib.util.spec_from_file_location("fake_physhdr", FAKE)
@@ -232,20 +233,32 @@ def test_two_commands_share_the_runs(bench):
     assert sorted(bench.calls()) == [f"quick day {k} 50" for k in range(6)] and not bench.left_over()
 
 
+def test_two_commands_where_nothing_can_be_locked_do_the_runs_twice_and_say_so(bench, monkeypatch):
+    monkeypatch.setitem(sys.modules, "filelock", None)
+    schedules = [bench.schedule(), bench.schedule()]
+    threads = [threading.Thread(target=s.work_off, args=(LocalPool(1),)) for s in schedules]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join(60)
+    assert [kinds(s) for s in schedules] == [["done"]] * 2 and not bench.left_over()
+    assert len([line for line in bench.told if "cannot be locked (this Python has no filelock)" in line]) == 2
+
+
 def test_what_a_dead_command_left_is_taken_over(bench):
     folder = bench.root / "out" / "iterations-50" / "exp3" / "day" / "quick"
     (folder / ".seed_0-dead").mkdir(parents=True)
     claims = bench.root / "out" / ".claims"
     claims.mkdir()
-    owner = {"host": os.uname().nodename, "pid": 2**22 + 1, "token": "x"}  # beyond Linux's largest pid
-    claim = claims / "iterations-50__exp3__day__quick__seed_0"
-    claim.write_text(json.dumps(owner))
-    os.utime(claim, (1e9, 1e9))  # of an earlier version: its age decides
+    # An earlier version's claim, which lies there without a lock as a dead process's does.
+    owner = {"host": os.uname().nodename, "pid": os.getpid(), "token": "x"}
+    (claims / "iterations-50__exp3__day__quick__seed_0").write_text(json.dumps(owner))
+    (claims / "iterations-50__exp3__day__quick__seed_7").write_text(json.dumps(owner))
     assert kinds(bench.run()) == ["done"] and not bench.left_over()
 
 
 def test_a_run_that_another_command_took_over_is_theirs_and_no_failure(bench):
-    """As after a time in which nobody could see us: our claim is buried, our working folder removed."""
+    """As where somebody deletes the hidden folders: our claim is gone, our working folder, too."""
     bench.run()
     finished = bench.root / "finished"
     (bench.root / "out" / "iterations-50" / "exp3" / "day" / "quick" / "seed_0").rename(finished)
@@ -253,17 +266,20 @@ def test_a_run_that_another_command_took_over_is_theirs_and_no_failure(bench):
     schedule = bench.schedule()
     run = schedule.runs[0]
     folder, claim = bench.root / "out" / run.folder, bench.root / "out" / ".claims" / run.claim
-    seen = []
+    seen, theirs = [], Claims(claim.parent, pytest.fail)
 
     def they_take_it_over_and_finish_it():
         status = schedule.status[run]
-        if status.iteration and "elsewhere" not in seen:
-            claim.write_text(json.dumps({"host": "elsewhere", "pid": 1, "token": "theirs"}))
+        if status.iteration and "theirs" not in seen:
+            seen.append("theirs")
+            claim.unlink()
+            assert theirs.take(run.claim)
             for work in folder.parent.glob(".seed_0-*"):
                 shutil.rmtree(work)
         if status.kind == "elsewhere" and not folder.exists():
+            assert claim.exists()  # our giving up has not removed theirs
             shutil.copytree(finished, folder)
-            claim.unlink()
+            theirs.release(run.claim)
         seen.append(status.kind)
         assert len(seen) < 200
 
