@@ -6,7 +6,7 @@ import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ..evaluate.comparison import Column, Entry, column
+from ..evaluate.comparison import Column, ComparedRun, column
 
 #: What a method is judged by, and the paper's margins over GaussHDR on its synthetic scenes, in dB (Ours† −
 #: GaussHDR†, exp3: 44.26 − 43.87, 43.19 − 42.74, 39.21 − 39.08).
@@ -32,7 +32,7 @@ class Margin:
         return None if self.spread is None else self.mean > self.spread
 
 
-def margin(entries: Sequence[Entry], method: str, other: str, key: str) -> Margin | None:
+def margin(entries: Sequence[ComparedRun], method: str, other: str, key: str) -> Margin | None:
     """``method`` − ``other`` in the column ``key`` (``LDR-OE.psnr``); None where no run can be paired."""
     each = column(key)
     ours, theirs = _by_run(entries, method, each), _by_run(entries, other, each)
@@ -53,7 +53,7 @@ def _spread(of_scene: dict[str, list[float]]) -> float | None:
     return math.sqrt(squares / sum(len(scene) - 1 for scene in repeated))
 
 
-def _by_run(entries: Sequence[Entry], method: str, each: Column) -> dict[tuple[str, int | None], float]:
+def _by_run(entries: Sequence[ComparedRun], method: str, each: Column) -> dict[tuple[str, int | None], float]:
     values = {
         (entry.scene, entry.seed): each.value(entry)
         for entry in entries

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ...bridge.atomic import atomic_path
-from ..evaluate.comparison import DEFAULT_METRICS, NONE, Entry, column, comparison_table
+from ..evaluate.comparison import DEFAULT_METRICS, NONE, ComparedRun, column, comparison_table
 from .facts import machine_lines, scene_facts, scene_line
 from .margins import PAPER_MARGINS, Margin, margin
 from .plan import CPU_SECONDS, Budget, Ladder
@@ -39,7 +39,7 @@ class Finished:
 
     run: Run
     record: Record
-    entry: Entry
+    entry: ComparedRun
     gaussians: int | None
 
 
@@ -63,7 +63,7 @@ def finished_runs(schedule: Schedule) -> list[Finished]:
             cost["gaussians"] = float(gaussians)
         if record.peak_memory:
             cost["memory_MB"] = record.peak_memory / 1e6
-        entry = Entry(run.method.name, run.scene.name, run.setting, run.seed, evaluation, cost)
+        entry = ComparedRun(run.method.name, run.scene.name, run.setting, run.seed, evaluation, cost)
         found.append(Finished(run, record, entry, gaussians))
     return sorted(
         found, key=lambda each: (plan.methods.index(each.run.method), plan.scenes.index(each.run.scene))
@@ -110,7 +110,7 @@ def to_markdown(schedule: Schedule, finished: Sequence[Finished], command: str, 
     parts = ["# Benchmark", _opening(schedule, finished, command, csv_name)]
     parts += ["## Conditions", _listed(_conditions(schedule, finished))]
     groups = [(budget, setting) for budget in plan.budgets for setting in plan.settings]
-    sections: list[tuple[str, Callable[[Schedule, list[Entry]], str]]] = [
+    sections: list[tuple[str, Callable[[Schedule, list[ComparedRun]], str]]] = [
         ("Methods", lambda _, entries: comparison_table(entries, metrics=MAIN_METRICS).markdown()),
         ("Margins", _margins),
         *((f"Ladder: {ladder.name}", _ladder_section(ladder)) for ladder in plan.ladders),
@@ -253,11 +253,11 @@ def _what_margins_are(leaders: Sequence[str]) -> str:
     )
 
 
-def _margins(schedule: Schedule, entries: list[Entry]) -> str:
+def _margins(schedule: Schedule, entries: list[ComparedRun]) -> str:
     return "\n\n".join(_margins_of(leader, schedule, entries) for leader in _leaders(schedule))
 
 
-def _margins_of(leader: str, schedule: Schedule, entries: list[Entry]) -> str:
+def _margins_of(leader: str, schedule: Schedule, entries: list[ComparedRun]) -> str:
     plan = schedule.store.plan
     rivals = {
         other.name: {key: margin(entries, leader, other.name, key) for key in PAPER_MARGINS}
@@ -328,8 +328,8 @@ def _margin_cells(each: Margin | None) -> list[str]:
     return [f"{_signed(each.mean)}{spread}", _signed(each.least), ahead]
 
 
-def _ladder_section(ladder: Ladder) -> Callable[[Schedule, list[Entry]], str]:
-    def section(_: Schedule, entries: list[Entry]) -> str:
+def _ladder_section(ladder: Ladder) -> Callable[[Schedule, list[ComparedRun]], str]:
+    def section(_: Schedule, entries: list[ComparedRun]) -> str:
         scenes = list(dict.fromkeys(entry.scene for entry in entries))
         parts = []
         if len(scenes) > 1:  # a step may gain on one kind of data and lose on another
@@ -342,7 +342,7 @@ def _ladder_section(ladder: Ladder) -> Callable[[Schedule, list[Entry]], str]:
     return section
 
 
-def _steps(ladder: Ladder, entries: list[Entry]) -> str:
+def _steps(ladder: Ladder, entries: list[ComparedRun]) -> str:
     headings = ["step", "pairs"]
     for key in PAPER_MARGINS:
         headings += [column(key).heading, "gain", "least", "more than the spread"]
@@ -359,7 +359,7 @@ def _steps(ladder: Ladder, entries: list[Entry]) -> str:
     return _table([*headings, size.heading], rows)
 
 
-def _mean_cell(runs: list[Entry], key: str) -> str:
+def _mean_cell(runs: list[ComparedRun], key: str) -> str:
     if not runs:
         return NONE
     table = comparison_table(runs, metrics=[key], keep_empty=True)

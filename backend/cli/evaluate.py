@@ -10,7 +10,7 @@ from rich.progress import Progress
 from ...bridge.atomic import atomic_path
 from ...bridge.errors import BadValueError
 from ..device import DeviceName
-from ..evaluate.comparison import SHORT_METRICS, Entry, comparison_table, load_evaluation
+from ..evaluate.comparison import SHORT_METRICS, ComparedRun, comparison_table, load_evaluation
 from ..evaluate.optional import PackageMissingError
 from ..evaluate.protocol import evaluate, lpips_from
 from ..evaluate.report import METHODS_FILES, RESPONSE_FILE, SHEET_FILE, to_terminal, write_report
@@ -97,7 +97,7 @@ def _compare(runs: list[tuple[Run, Path]], out: Path) -> list[Path]:
                 "Compare runs on one data set, or give --data where it has moved.",
             )
         entries.append(
-            Entry(name, scene.name, run.config.exposure_mode, run.config.seed, load_evaluation(folder))
+            ComparedRun(name, scene.name, run.config.exposure_mode, run.config.seed, load_evaluation(folder))
         )
     title = f"{scene.name}, test views"
     table = comparison_table(entries, title=title)

@@ -31,7 +31,7 @@ Grouping = Literal["data_set", "setting", "scene"]
 
 
 @dataclass(frozen=True)
-class Entry:
+class ComparedRun:
     """One evaluated run. ``setting``: exp1, exp3. ``evaluation``: what ``load_evaluation`` returns.
 
     ``cost``: what it took, by any names (``cpu_seconds``, ``iterations``, ``gaussians``), for the columns
@@ -103,7 +103,7 @@ class Column:
     digits: int | None
     better: Better
 
-    def value(self, entry: Entry) -> float | None:
+    def value(self, entry: ComparedRun) -> float | None:
         """The entry's number; None where it was not measured."""
         part, _, metric = self.key.partition(".")
         if self.key == "scale":
@@ -259,7 +259,7 @@ class Table:
 
 
 def comparison_table(
-    entries: Iterable[Entry],
+    entries: Iterable[ComparedRun],
     *,
     metrics: Sequence[str] = DEFAULT_METRICS,
     group: Sequence[Grouping] = ("data_set", "setting"),
@@ -284,7 +284,7 @@ def comparison_table(
     columns = [column(key) for key in metrics]
     if not keep_empty:
         columns = [each for each in columns if any(each.value(entry) is not None for entry in entries)]
-    blocks: dict[tuple[str, ...], dict[tuple[str, bool], list[Entry]]] = {}
+    blocks: dict[tuple[str, ...], dict[tuple[str, bool], list[ComparedRun]]] = {}
     for entry in entries:
         key = tuple(str(getattr(entry, name)) for name in group)
         blocks.setdefault(key, {}).setdefault((entry.method, entry.published), []).append(entry)
@@ -312,18 +312,20 @@ def comparison_table(
     return Table(title, headings, tuple(columns), tuple(rows), tuple(notes))
 
 
-def published_entries(entries: Iterable[Entry]) -> list[Entry]:
+def published_entries(entries: Iterable[ComparedRun]) -> list[ComparedRun]:
     """The paper's numbers for each (data set, scene, setting) of ``entries``; [] where it has none."""
     there = dict.fromkeys((entry.data_set, entry.scene, entry.setting) for entry in entries)
     found = []
     for data_set, scene, setting in there:
         for method, means in published_means(data_set, scene, setting).items():
             evaluation = {"means": means, "conditions": {"data_set": data_set}}
-            found.append(Entry(f"{method} (published)", scene, setting, None, evaluation, published=True))
+            found.append(
+                ComparedRun(f"{method} (published)", scene, setting, None, evaluation, published=True)
+            )
     return found
 
 
-def _require_comparable(entries: list[Entry], group: Sequence[Grouping]) -> None:
+def _require_comparable(entries: list[ComparedRun], group: Sequence[Grouping]) -> None:
     if not entries:
         raise BadValueError("there is nothing to compare", "Give at least one evaluated run.")
     seen: set[tuple[object, ...]] = set()
@@ -342,7 +344,7 @@ def _require_comparable(entries: list[Entry], group: Sequence[Grouping]) -> None
         )
 
 
-def _cell(each: Column, runs: list[Entry]) -> Cell:
+def _cell(each: Column, runs: list[ComparedRun]) -> Cell:
     """Mean over seeds, then over scenes; the spread over the seeds that every scene has."""
     by_scene: dict[str, dict[int | None, float]] = {}
     for run in runs:
@@ -359,7 +361,7 @@ def _cell(each: Column, runs: list[Entry]) -> Cell:
     return Cell(mean, spread, len(common), tuple(sorted(by_scene)), count)
 
 
-def _different_pictures(runs: list[Entry]) -> list[str]:
+def _different_pictures(runs: list[ComparedRun]) -> list[str]:
     """A line for each scene whose evaluations, as far as they say, are not of the same pictures."""
     seen: dict[tuple[str, str], dict[str, list[str]]] = {}
     for run in runs:
@@ -406,7 +408,7 @@ def _ranked(columns: list[Column], rows: list[Row], comparable: bool) -> list[Ro
     return [Row(row.labels, tuple(cells[r]), row.published) for r, row in enumerate(rows)]
 
 
-def _notes(entries: list[Entry], constant: list[str], rows: list[Row], over_scenes: bool) -> list[str]:
+def _notes(entries: list[ComparedRun], constant: list[str], rows: list[Row], over_scenes: bool) -> list[str]:
     notes = []
     if constant:
         notes.append("; ".join(constant))
@@ -441,7 +443,7 @@ def _notes(entries: list[Entry], constant: list[str], rows: list[Row], over_scen
     return notes
 
 
-def _interrupted(entry: Entry) -> str:
+def _interrupted(entry: ComparedRun) -> str:
     match entry.evaluation.get("conditions", {}):
         case {"iteration": int(done), "iterations": int(planned)} if done < planned:
             seed = "" if entry.seed is None else f", seed {entry.seed}"

@@ -30,7 +30,7 @@ EPSILON = 1e-10  # of the original's unit normalisation
 
 
 class Lpips:
-    """The distance of two pictures: 0 for equal ones. Weights stay on the CPU unless ``to`` moves them."""
+    """The distance of two pictures on the CPU: 0 for equal ones."""
 
     def __init__(self, weights: dict[str, torch.Tensor]) -> None:
         self._weights = weights
@@ -64,27 +64,16 @@ class Lpips:
             raise FileDamagedError(f"{what} ({odd[0]} holds NaN or infinity)", remedy)
         return cls({name: torch.from_numpy(array) for name, array in arrays.items()})
 
-    def to(self, device: torch.device | str) -> "Lpips":
-        """The same distance, computed on ``device``."""
-        return Lpips({name: weight.to(device) for name, weight in self._weights.items()})
-
-    def __call__(self, picture: torch.Tensor, truth: torch.Tensor) -> float:
-        """Canonical ``lpips``: ``[3, H, W]`` pictures in 0…1 are scaled to −1…1, as LPIPS is defined."""
-        return self.raw(2.0 * picture - 1.0, 2.0 * truth - 1.0)
-
-    def unscaled(self, picture: torch.Tensor, truth: torch.Tensor) -> float:
-        """``lpips_01``: pictures in 0…1 are fed as they are, as 3DGS, GaussHDR and the paper do (lower)."""
-        return self.raw(picture, truth)
-
     def both(self, picture: torch.Tensor, truth: torch.Tensor) -> tuple[float, float]:
-        """(``lpips``, ``lpips_01``) in one pass, which is a sixth faster than two."""
+        """``lpips`` and ``lpips_01`` of ``[3, H, W]`` pictures in 0…1.
+
+        The former scales them to −1…1, as LPIPS is defined; the latter is fed 0…1 as they are, as 3DGS,
+        GaussHDR and the paper do, and is lower. One pass is a sixth faster than two. Raises ``BadValueError``
+        where the pictures are too small.
+        """
         pictures = torch.stack([picture, truth])
         canonical, unscaled = self._distances(torch.cat([2.0 * pictures - 1.0, pictures]))
         return canonical, unscaled
-
-    def raw(self, picture: torch.Tensor, truth: torch.Tensor) -> float:
-        """The distance of ``[3, H, W]`` inputs as they are; ``BadValueError`` if they are too small."""
-        return self._distances(torch.stack([picture, truth]))[0]
 
     @torch.no_grad()
     def _distances(self, x: torch.Tensor) -> list[float]:
@@ -94,7 +83,7 @@ class Lpips:
                 f"LPIPS needs pictures of at least {SMALLEST_SIDE} pixels a side, got {tuple(x.shape[1:])}",
                 "Use a higher resolution, or leave LPIPS out.",
             )
-        x = x.to(self._weights["lin0"].device, torch.float32)
+        x = x.to(torch.float32)
         x = (x - x.new_tensor(SHIFT).view(1, 3, 1, 1)) / x.new_tensor(SCALE).view(1, 3, 1, 1)
         distances = x.new_zeros(len(x) // 2)
         for i, (name, stride, padding, pooled) in enumerate(LAYERS):

@@ -128,7 +128,7 @@ class HdrPair:
 
 
 def hdr_pair(prediction: torch.Tensor, truth: torch.Tensor) -> HdrPair:
-    """The HDR protocol of GaussHDR and the paper (shared/data.md): no alignment of scale.
+    """The HDR protocol of GaussHDR (https://arxiv.org/abs/2503.10143) and the paper: no alignment of scale.
 
     ``prediction`` ``[3, h, w]`` and ``truth`` ``[3, H, W]`` are radiance. M is the maximum of the truth at
     its full resolution; the truth is μ-law'd there and then resized to the prediction; both pass 8 bit.

@@ -34,7 +34,9 @@ class Benchmark:
     test_views: int
 
 
-#: Facts of shared/method.md, sections 1, 3 and 5.
+#: As their authors packed them, at the sizes at which GaussHDR and the paper compare: HDR-NeRF
+#: (https://arxiv.org/abs/2111.14451), GaussHDR (https://arxiv.org/abs/2503.10143), HDR-Plenoxels
+#: (https://arxiv.org/abs/2208.06787).
 BENCHMARKS = {
     "HDR-NeRF-Syn": Benchmark(
         ("HDR-NeRF-Syn", "GaussHDR"),

@@ -363,9 +363,9 @@ def write_evaluation(folder: Path) -> None:
 
 def read_evaluation(folder: Path, file: str, _: bytes) -> None:
     """Read, and shown in a table of every column."""
-    from physhdr.backend.evaluate.comparison import METRICS, PARTS, Entry, column, load_evaluation
+    from physhdr.backend.evaluate.comparison import METRICS, PARTS, ComparedRun, column, load_evaluation
 
-    entry = Entry("method", "scene", "exp3", 0, load_evaluation(folder / file))
+    entry = ComparedRun("method", "scene", "exp3", 0, load_evaluation(folder / file))
     keys = [f"{part}.{metric}" for part in PARTS for metric in METRICS]
     for each in map(column, (*keys, "scale", "relit.psnr", "relit.gain")):
         value = each.value(entry)

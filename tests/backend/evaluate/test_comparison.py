@@ -12,7 +12,7 @@ import pytest
 from rich.console import Console
 
 from physhdr.backend.evaluate.comparison import (
-    Entry,
+    ComparedRun,
     column,
     comparison_table,
     load_evaluation,
@@ -25,13 +25,15 @@ from physhdr.backend.scene import Camera, Scene, read_scene
 from physhdr.bridge.errors import BadValueError, FileDamagedError, FileMissingError
 
 
-def entry(method: str, scene: str = "room", seed: int | None = 0, psnr: float | None = 30.0, **more) -> Entry:
+def entry(
+    method: str, scene: str = "room", seed: int | None = 0, psnr: float | None = 30.0, **more
+) -> ComparedRun:
     means = {"LDR-OE": {"psnr": psnr, "ssim": more.pop("ssim", 0.9), "lpips": None, "lpips_01": None}}
     means |= {"LDR-NE": None, "HDR": None}
     evaluation = {"means": means, "scale_ratio": more.pop("scale", None), "conditions": {}}
     evaluation["conditions"]["data_set"] = more.pop("data_set", "")
     evaluation["conditions"] |= more.pop("conditions", {})
-    return Entry(method, scene, more.pop("setting", "exp3"), seed, evaluation, **more)
+    return ComparedRun(method, scene, more.pop("setting", "exp3"), seed, evaluation, **more)
 
 
 def cells(table, key: str) -> dict[str, object]:
@@ -198,7 +200,7 @@ def test_a_written_evaluation_is_what_a_column_reads(tmp_path: Path) -> None:
     hdr = [HdrRow("r_0", 0, 8.0, 1.02, Metrics(38.0, 0.97, 0.02, 0.01), Metrics(39.0, 0.98))]
     write_report(Evaluation("room", "test", "exp3", (8, 8), ldr, hdr, []), tmp_path)
     for path in (tmp_path, tmp_path / "evaluation.json"):
-        loaded = Entry("ours", "room", "exp3", 0, load_evaluation(path))
+        loaded = ComparedRun("ours", "room", "exp3", 0, load_evaluation(path))
         assert column("LDR-OE.psnr").value(loaded) == pytest.approx(32.5)
         assert column("LDR-NE.psnr").value(loaded) == pytest.approx(32.5)
         assert column("HDR.lpips_01").value(loaded) == 0.01

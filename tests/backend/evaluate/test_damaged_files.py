@@ -10,7 +10,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from physhdr.backend.evaluate.comparison import Entry, comparison_table, load_evaluation
+from physhdr.backend.evaluate.comparison import ComparedRun, comparison_table, load_evaluation
 from physhdr.backend.evaluate.lpips import SHAPES, Lpips
 from physhdr.bridge.errors import FileDamagedError, PhysHDRError
 
@@ -28,7 +28,7 @@ METRICS = ("LDR-OE.psnr", "HDR.psnr", "scale", "relit.psnr", "relit.gain")
 
 
 def table(folder: Path) -> str:
-    entry = Entry("ours", "room", "exp3", 0, load_evaluation(folder))
+    entry = ComparedRun("ours", "room", "exp3", 0, load_evaluation(folder))
     return comparison_table([entry], metrics=METRICS).markdown()
 
 
@@ -56,7 +56,7 @@ def test_parts_that_are_no_objects(tmp_path: Path, part: str, value: object) -> 
 def test_numbers_that_no_float_holds_are_not_measured(tmp_path: Path) -> None:
     (tmp_path / "evaluation.json").write_text(json.dumps(EVALUATION | {"scale_ratio": 10**400}))
     columns = comparison_table(
-        [Entry("ours", "room", "exp3", 0, load_evaluation(tmp_path))], metrics=METRICS
+        [ComparedRun("ours", "room", "exp3", 0, load_evaluation(tmp_path))], metrics=METRICS
     ).columns
     assert [column.key for column in columns] == ["LDR-OE.psnr", "relit.psnr", "relit.gain"]
 

@@ -64,7 +64,7 @@ class Oracle:
 
 
 def mu_psnr(small: ModuleType, prediction: np.ndarray, truth: np.ndarray) -> float:
-    """The HDR protocol once more, in numpy, from its words in shared/data.md."""
+    """The HDR protocol once more, in numpy, from the words of ``hdr_pair``."""
 
     def shown(radiance: np.ndarray) -> np.ndarray:
         share = np.clip(radiance.astype(np.float64) / truth.max(), 0, 1)
@@ -203,7 +203,7 @@ def test_a_renderer_that_only_scales_gains_nothing(data_set: Path, small: Module
 
 
 def list_relit(root: Path, small: ModuleType, conditions: list[dict[str, float]], poses=(1, 3)) -> None:
-    """Relit truth of both test views as issue 5's data sets list it."""
+    """Relit truth of both test views, listed in ``dataset.json`` as data sets with several lights do."""
     shutil.rmtree(root / "relit")
     listed = []
     for levels in conditions:
