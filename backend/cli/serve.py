@@ -11,6 +11,7 @@ from typing import Literal
 
 from ...bridge.connection import Connection, new_token
 from ...bridge.messages import PROTOCOL_VERSION, JobStatus, Welcome
+from ...bridge.presets import PRESETS
 from ..project import version, version_of
 from ..serve.curves import Curves
 from ..serve.failures import failure_of
@@ -20,24 +21,10 @@ from ..serve.server import Server
 
 log = logging.getLogger(__name__)
 
-#: Of ``train.config.PRESETS``, which knows torch; clients are told them before torch is loaded.
-PRESET_NAMES = (
-    "default",
-    "fast",
-    "paper",
-    "baseline",
-    "default-scaffold",
-    "paper-scaffold",
-    "baseline-scaffold",
-    "gausshdr",
-    "gausshdr-scaffold",
-    "hdr-gs",
-    "paper-short",
-    "paper-scaffold-short",
-    "gausshdr-short",
-    "gausshdr-scaffold-short",
-    "hdr-gs-short",
-)
+#: Presets of HDR-NeRF, which has no splats: nothing that Blender could show.
+WITHOUT_SPLATS = ("hdr-nerf", "hdr-nerf-small")
+#: What clients may ask for, told to them before torch is loaded.
+PRESET_NAMES = tuple(name for name in PRESETS if name not in WITHOUT_SPLATS)
 
 
 @dataclass(frozen=True)
