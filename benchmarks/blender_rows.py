@@ -10,7 +10,7 @@ from measure import Row
 
 ROOT = Path(__file__).resolve().parent.parent
 BLENDER = ROOT / ".venvs" / "run-blender"
-#: Issue 4's bound for a million Gaussians on two cores, seconds.
+#: Seconds that a million Gaussians may take on two cores.
 AT_MOST = 5.0
 
 

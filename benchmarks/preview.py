@@ -39,7 +39,7 @@ from physhdr.bridge.messages import (
 )
 
 COUNT = 50_000
-#: Issue 4: frames per second at 400×400.
+#: What is to be reached: frames per second at 400×400.
 AT_LEAST = 15.0
 SECONDS = 6.0
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""An iteration never makes the host wait for a card, and never copies to it (issue 3).
+"""An iteration never makes the host wait for a card, and never copies to it.
 
 Shown without a card, on torch's ``meta`` device: its tensors have shapes and no values, so that whatever asks
 for one fails; copies from the host and tensors that are made of Python numbers are refused here.
