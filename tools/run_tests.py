@@ -2,62 +2,105 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Run every room's tests with the interpreter that it needs, and print how long each took.
 
-The two rooms run side by side: most of their tests keep one core busy. What Blender's side says is printed
-when the backend's is done.
+    python tools/run_tests.py           what `make test` runs: all but the tests that are marked `long`
+    python tools/run_tests.py --long    the tests that are marked `long`: several trainings, statistics, Ray
+
+Other arguments are passed on to pytest. Two lanes run side by side, in each one suite after the other. What a
+suite says is printed when it is done, but for the first lane's, which comes as it is said.
 """
 
 import subprocess
 import sys
 import tempfile
+import threading
 import time
-from contextlib import ExitStack
 from pathlib import Path
+from typing import IO
 
 ROOT = Path(__file__).resolve().parent.parent
 BACKEND = ROOT / ".venvs" / "backend" / "bin"
 BLENDER = ROOT / ".venvs" / "run-blender"
 
-#: What runs, in which interpreter, on which folders: the quick and the fundamental first, one row at a time.
-STAGES = [
-    {"lint": [BACKEND / "ruff", "check", "."]},
+PYTEST = (BACKEND / "python", "-m", "pytest")
+IN_BLENDER = (BLENDER, "tests/run_in_blender.py", "--")
+#: The backend's suite in two processes: a third of its tests wait for processes that they started.
+BESIDE = ("-n", "2", "--dist", "loadfile")
+
+#: Name of a suite → its command. Each lane keeps about one core busy, and both take about as long.
+LANES: tuple[dict[str, tuple], ...] = (
+    {"backend": (*PYTEST, *BESIDE, "-m", "not long", "tests/bridge", "tests/backend")},
     {
-        "backend": [BACKEND / "python", "-m", "pytest", "tests/bridge", "tests/backend"],
-        "blender": [BLENDER, "tests/run_in_blender.py", "--", "tests/bridge", "tests/synth", "tests/addon"],
+        "lint": (BACKEND / "python", "tools/lint.py"),
+        "blender": (*IN_BLENDER, "-m", "not long", "tests/bridge", "tests/synth", "tests/addon"),
+        "loop": (*PYTEST, "-m", "not long", "tests/loop"),
     },
-    {"loop": [BACKEND / "python", "-m", "pytest", "tests/loop"]},
-]
+)
+LONG: tuple[dict[str, tuple], ...] = (
+    {"long": (*PYTEST, "-m", "long", "tests/backend")},
+    {"long loop": (*PYTEST, "-m", "long", "tests/loop")},
+)
+
+
+class Lane(threading.Thread):
+    """Runs suites one after the other; ``passed`` once it has ended, if all of them did.
+
+    ``loud``: the suites write to this process's output as they run; else what they wrote is in ``written``,
+    one file a suite, complete when the suite's name is in ``done``.
+    """
+
+    def __init__(self, suites: dict[str, tuple], arguments: list[str], *, loud: bool) -> None:
+        super().__init__()
+        self.suites, self.arguments, self.loud = suites, arguments, loud
+        self.passed = True
+
+    def run(self) -> None:
+        for name, command in self.suites.items():
+            begun = time.perf_counter()
+            words = [str(part) for part in command] + self.arguments * (name != "lint")
+            if self.loud:
+                say(f"\n== {name} ==")
+                status = subprocess.call(words, cwd=ROOT)
+            else:
+                with tempfile.TemporaryFile() as output:
+                    status = subprocess.call(words, cwd=ROOT, stdout=output, stderr=subprocess.STDOUT)
+                    show(name, output)
+            self.passed &= status == 0
+            verdict = "passed" if status == 0 else "FAILED"
+            say(f"== {name}: {verdict} after {time.perf_counter() - begun:.0f} s ==")
+
+
+PRINTING = threading.Lock()
+
+
+def say(line: str) -> None:
+    with PRINTING:
+        print(line, flush=True)
+
+
+def show(name: str, output: IO[bytes]) -> None:
+    """All that a suite wrote, in one piece."""
+    output.seek(0)
+    with PRINTING:
+        print(f"\n== {name} ==", flush=True)
+        sys.stdout.buffer.write(output.read())
+        sys.stdout.flush()
 
 
 def main() -> int:
+    arguments = sys.argv[1:]
+    lanes = LANES
+    if "--long" in arguments:
+        arguments.remove("--long")
+        lanes = LONG
     begun = time.perf_counter()
-    for stage in STAGES:
-        if not run_together(stage):
-            return 1
-    print(f"\nall suites passed in {time.perf_counter() - begun:.0f} s")
-    return 0
-
-
-def run_together(suites: dict[str, list]) -> bool:
-    """Run the suites at the same time; the output of the first as it comes, then of the others."""
-    start = time.perf_counter()
-    passed = True
-    with ExitStack() as files:
-        running = []
-        for name, command in suites.items():
-            output = files.enter_context(tempfile.TemporaryFile()) if running else None
-            words = [str(part) for part in command] + sys.argv[1:] * (name != "lint")
-            process = subprocess.Popen(words, cwd=ROOT, stdout=output, stderr=output and subprocess.STDOUT)
-            running.append((name, process, output))
-        for name, process, output in running:
-            print(f"\n== {name} ==", flush=True)
-            status = process.wait()
-            if output is not None:
-                output.seek(0)
-                sys.stdout.buffer.write(output.read())
-            seconds = time.perf_counter() - start
-            print(f"== {name}: {'passed' if status == 0 else 'FAILED'} after {seconds:.0f} s ==", flush=True)
-            passed &= status == 0
-    return passed
+    running = [Lane(suites, arguments, loud=index == 0) for index, suites in enumerate(lanes)]
+    for lane in running:
+        lane.start()
+    for lane in running:
+        lane.join()
+    passed = all(lane.passed for lane in running)
+    say(f"\n{'all' if passed else 'NOT all'} suites passed, in {time.perf_counter() - begun:.0f} s")
+    return 0 if passed else 1
 
 
 if __name__ == "__main__":

@@ -19,6 +19,9 @@ from physhdr.backend.evaluate.metrics import hdr_pair, psnr
 from physhdr.backend.runs.run import open_run
 from physhdr.backend.scene.pictures import read_exr
 
+#: It installs a trainer and trains several times.
+pytestmark = pytest.mark.long
+
 ROOT = Path(__file__).resolve().parent.parent.parent
 #: Enough for the pause, the stop and the kill to fall into the middle.
 ITERATIONS = 400
