@@ -22,7 +22,8 @@ demo: setup ## Scene → data → training → relit picture: runs/demo/result.p
 test: setup ## All tests, both sides of the house
 	@$(PYTHON) tools/run_tests.py
 
-test-long: setup ## What takes long: the installed wheel, a short form of make fuzz and make torture
+test-long: setup ## What takes long: the demo's figures, the installed wheel, a short form of fuzz and torture
+	@$(PYTHON) tools/run_tests.py --long
 	@$(BACKEND) tools/try_wheel.py
 	@$(BACKEND) tools/fuzz.py --short
 	@$(BACKEND) tools/torture.py --short
