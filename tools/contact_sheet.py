@@ -26,15 +26,15 @@ from physhdr.synth.response import BUILT_IN
 
 EXPOSURES = (0, 2, 4)
 LEVELS = (0.25, 4.0)
+#: Bytes: what a still picture in docs/ may have.
 LIMIT = 400_000
-"""Bytes: what a picture in docs/ may have."""
 QUALITIES = (85, 80, 75, 70)
 PAPER, INK, FAINT = (255, 255, 255), (24, 24, 28), (96, 96, 104)
 MARGIN, GAP, HEAD = 10, 4, 22
+#: Metres from which on a depth is no surface.
 SKY = 1e9
-"""Metres from which on a depth is no surface."""
+#: Quantiles of the depth that are shown as white and as nearly black.
 NEAR, FAR = 0.02, 0.98
-"""Quantiles of the depth that are shown as white and as nearly black."""
 
 
 def main() -> int:

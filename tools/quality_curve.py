@@ -72,7 +72,7 @@ def main() -> int:
         measured = ", ".join(f"{name} {last[name]:.2f} dB" for name in ("LDR-OE", "HDR") if name in last)
         say(f"{preset}: {last['seconds']:.0f} s, {measured}")
     result = {
-        "data": str(arguments.data.resolve()),
+        "data": arguments.data.resolve().name,
         "threads": thread_count(),
         "presets": {name: curve["points"] for name, curve in curves.items()},
     }
