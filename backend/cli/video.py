@@ -17,7 +17,7 @@ from ..device import DeviceName
 from ..evaluate.camera_path import orbit_path, spline_path
 from ..evaluate.protocol import Renderer, ldr_bracket
 from ..evaluate.sheets import as_picture
-from ..evaluate.video import frames_writer, video_writer
+from ..evaluate.video import frames_writer, require_suffix, video_writer
 from ..rasterize import Implementation
 from ..runs.files import writable_folder
 from ..runs.run import open_run
@@ -103,6 +103,8 @@ class Video:
             raise BadValueError(
                 "there is nowhere to write to", "Give --out VIDEO.mp4, --frames FOLDER or both."
             )
+        if self.out is not None:
+            require_suffix(self.out)
         if not (0.0 < self.seconds < 3600.0) or not 1 <= self.fps <= 240:
             raise BadValueError(
                 f"--seconds {self.seconds:g} at --fps {self.fps}", "Seconds: up to an hour; fps: 1 to 240."

@@ -39,6 +39,15 @@ class FrameSink(Protocol):
     def __call__(self, frame: np.ndarray) -> None: ...
 
 
+def require_suffix(path: Path) -> None:
+    """Raise ``BadValueError`` unless the name ends as a video that can be written."""
+    if path.suffix.lower() not in (*CONTAINERS, ANIMATION):
+        raise BadValueError(
+            f"a video must end in {', '.join(CONTAINERS)} or {ANIMATION}, got {path.name}",
+            f"Take .mp4 for players, {ANIMATION} for a web page, or --frames for any other program.",
+        )
+
+
 @contextmanager
 def video_writer(path: Path, fps: int) -> Iterator[FrameSink]:
     """A sink that encodes frames into ``path``, which is there once the block has ended without an error.
@@ -50,13 +59,8 @@ def video_writer(path: Path, fps: int) -> Iterator[FrameSink]:
     ``OutputError`` where it cannot be written.
     """
     path = Path(path)
-    suffix = path.suffix.lower()
-    if suffix not in (*CONTAINERS, ANIMATION):
-        raise BadValueError(
-            f"a video must end in {', '.join(CONTAINERS)} or {ANIMATION}, got {path.name}",
-            f"Take .mp4 for players, {ANIMATION} for a web page, or --frames for any other program.",
-        )
-    with _webp_writer(path, fps) if suffix == ANIMATION else _h264_writer(path, fps) as sink:
+    require_suffix(path)
+    with _webp_writer(path, fps) if path.suffix.lower() == ANIMATION else _h264_writer(path, fps) as sink:
         yield sink
 
 

@@ -127,6 +127,7 @@ def test_a_method_that_cannot_relight(data_set: Path) -> None:
     ("options", "message"),
     [
         ({"out": None}, "nowhere to write"),
+        ({"out": Path("a.gif")}, r"must end in .*\.webp, got a\.gif\n.*--frames"),
         ({"fps": 0}, "--fps 0"),
         ({"exposure": -1.0}, "--exposure must be above 0"),
         ({"sweep_range": (1.0, 2.0)}, "with --sweep none"),
