@@ -32,7 +32,7 @@ LANES: tuple[dict[str, tuple], ...] = (
     {
         "lint": (BACKEND / "python", "tools/lint.py"),
         "blender": (*IN_BLENDER, "-m", "not long", "tests/bridge", "tests/synth", "tests/addon"),
-        "loop": (*PYTEST, "-m", "not long", "tests/loop"),
+        "loop": (*PYTEST, "-m", "not long", "tests/loop", "tests/test_docs.py"),
     },
 )
 LONG: tuple[dict[str, tuple], ...] = (
