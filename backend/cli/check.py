@@ -87,7 +87,7 @@ def check(tell: Callable[[float, str], None]) -> Findings:
                     furthest = fraction
                     tell(fraction, f"compiling kernels {done}/{total}: {what}")
 
-            trial_step.compile_kernels(compiled)
+            trial_step.compile_for_presets(compiled)
     tell(KERNELS_READY, "one training step")
     with findings.timed("training step"):
         findings.loss, findings.gaussians = trial_step.one_step(findings.device)

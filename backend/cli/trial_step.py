@@ -39,8 +39,8 @@ def device(report: Callable[[str], None]) -> tuple[str, str]:
     return chosen.type, why
 
 
-def compile_kernels(report: Callable[[str, int, int], None]) -> None:
-    """Those of all presets: each then starts at once."""
+def compile_for_presets(report: Callable[[str, int, int], None]) -> None:
+    """The kernels of all presets: each then starts at once."""
     compile_ahead(needed_by_presets(), report)
 
 
