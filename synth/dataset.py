@@ -10,6 +10,7 @@ from typing import Any
 
 import bpy
 
+from ..bridge import data_set
 from ..bridge.lock import Claims
 from . import describe, device, folder, noise, objects, open_scene, passes, plan, png, points, rig, settings
 from .assets import Assets
@@ -53,7 +54,7 @@ def make(out: Path, options: Options, report: Report | None = None) -> dict[str,
             settings.check_denoiser(stage.scene)
         job = _job(out, stage, options, assets, report)
         if job.is_complete():
-            told = folder.read_json(out / folder.FINAL)
+            told = folder.read_json(out / data_set.INFO_FILE)
             report.say(f"data set {out}: complete already, nothing to do")
             return _summary(out, told, report, began)
         users = bool(options.from_file)
@@ -109,7 +110,7 @@ class _Job:
         return passes.read(self.out / shot.passes, self.lights, self.options.resolution)
 
     def is_complete(self) -> bool:
-        names = [plan.POINTS, folder.FINAL, *describe.json_files(self.shots)]
+        names = [data_set.POINTS_FILE, data_set.INFO_FILE, *describe.json_files(self.shots)]
         return all((self.out / name).exists() for name in names) and not any(
             self.derivation.missing(shot) for shot in self.shots
         )
@@ -127,15 +128,15 @@ def _job(out: Path, stage: Stage, options: Options, assets: Assets, report: Repo
         asked["assets"] = assets.used
     maker = {**GENERATOR, "blender": bpy.app.version_string}
     state = folder.open_folder(out, asked, maker)
-    head = {"format": folder.FORMAT, "version": folder.VERSION, "generator": maker, "options": asked}
+    head = {"format": data_set.FORMAT, "version": data_set.VERSION, "generator": maker, "options": asked}
     job = _Job(out, options, stage, shots, Derivation(out, options, response), head, state, assets)
     there = [shot for shot in shots if (out / shot.passes).exists()]
     for shot in there:
         job.passes(shot)  # whole, and of this scene
         job.derivation.check(shot)
     report.say(f"data set {out}: {len(shots)} poses of '{options.scene}', {len(there)} already rendered")
-    if not (out / folder.FINAL).exists():
-        folder.write_json(out / folder.PARTIAL, {**head, "noise_floor": state.get("noise_floor")})
+    if not (out / data_set.INFO_FILE).exists():
+        folder.write_json(out / data_set.PARTIAL_FILE, {**head, "noise_floor": state.get("noise_floor")})
     describe.write_poses(out, shots, options, job.lights, stage.cameras.angle_x)
     return job
 
@@ -211,9 +212,9 @@ def _finish(
         time.sleep(WAIT)
     try:
         if "splits" not in job.state and job.is_complete():  # another process was faster
-            return folder.read_json(job.out / folder.FINAL)
+            return folder.read_json(job.out / data_set.INFO_FILE)
         report.finishing("points")
-        if not (job.out / plan.POINTS).exists():
+        if not (job.out / data_set.POINTS_FILE).exists():
             _write_points(job, report)
         report.finishing("measuring the noise")
         floor = job.state.get("noise_floor") or _noise_floor(job, camera)
@@ -235,8 +236,8 @@ def _finish(
             content["source"] = {**job.stage.source, "warnings": report.warnings}
         else:
             content["assets"] = job.assets.used
-        folder.write_json(job.out / folder.FINAL, content)
-        (job.out / folder.PARTIAL).unlink(missing_ok=True)
+        folder.write_json(job.out / data_set.INFO_FILE, content)
+        (job.out / data_set.PARTIAL_FILE).unlink(missing_ok=True)
         folder.remove_leftovers(job.out)
         return content
     finally:
@@ -244,11 +245,11 @@ def _finish(
 
 
 def _write_points(job: _Job, report: Report) -> None:
-    train = [shot for shot in job.shots if shot.split == "train"]
+    train = [shot for shot in job.shots if shot.split == data_set.TRAIN]
     middle = len(job.exposures) // 2
     seen = [png.read(job.out / shot.bracket(middle)) for shot in train]
     cloud = points.cast(job.stage, [shot.pose for shot in train], seen, job.options.seed)
-    folder.write(job.out / plan.POINTS, points.encode(cloud))
+    folder.write(job.out / data_set.POINTS_FILE, points.encode(cloud))
     if len(cloud) < FEW_POINTS:
         report.warn(
             f"only {len(cloud)} points lie on surfaces that the cameras see: are they pointed at the scene?"
@@ -257,7 +258,7 @@ def _write_points(job: _Job, report: Report) -> None:
 
 def _noise_floor(job: _Job, camera: Renderer) -> dict[str, Any]:
     """Render the middle test view again with another seed and compare."""
-    tests = [shot for shot in job.shots if shot.split == "test"]
+    tests = [shot for shot in job.shots if shot.split == data_set.TEST]
     shot = tests[len(tests) // 2]
     seeds = [view_seed(job.options.seed, name) for name in (shot.name, f"{shot.name}/again")]
     again = camera.render(shot.pose, seeds[1], folder.scratch(job.out / "noise_floor.exr"))

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The JSON files of a data set: poses, exposures, and dataset.json, which tells how all was made."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,18 +8,17 @@ from typing import Any
 
 import numpy as np
 
+from ..bridge import data_set
+from ..bridge.contents import LUMINANCE, dynamic_range, lost_at_the_ends
+from ..bridge.lights import AMBIENT
 from . import exr, folder, noise, passes, plan, settings
 from .options import Options, evs
 from .plan import Shot
 from .png import quantise
 from .progress import Report
 from .response import Response
-from .stage import AMBIENT
 
 DENOISER = "OpenImageDenoise"
-LOST = 0.05
-"""Share of pixels without a usable exposure from which on the user is told."""
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec.709
 
 
 def write_poses(
@@ -29,7 +26,7 @@ def write_poses(
 ) -> None:
     """transforms_*.json and exposure_*.json of each split."""
     varied = plan.varied_lights(options, lights)
-    for split in plan.SPLITS:
+    for split in data_set.SPLITS:
         chosen = [shot for shot in shots if shot.split == split]
         if not chosen:
             continue
@@ -40,17 +37,17 @@ def write_poses(
                 "file_path": f"./{shot.stem}",
                 "transform_matrix": shot.pose.tolist(),
             }
-            if split == "lit":
+            if split == data_set.LIT:
                 frame["lighting_level"] = shot.levels.get(AMBIENT, 1.0)
                 frame["lighting_levels"] = {name: shot.levels[name] for name in varied}
             frames.append(frame)
-            exposures.update({f"./{shot.bracket(k)}": t for k, t in enumerate(options.exposures)})
+            exposures.update({f"./{shot.bracket(k)}": t for k, t in enumerate(options.bracket)})
         transforms: dict[str, Any] = {"camera_angle_x": angle_x}
-        if split == "lit":
+        if split == data_set.LIT:
             transforms["lights"] = varied
         for name, content in (
-            (f"transforms_{split}.json", {**transforms, "frames": frames}),
-            (f"exposure_{split}.json", exposures),
+            (data_set.transforms_file(split), {**transforms, "frames": frames}),
+            (data_set.exposure_file(split), exposures),
         ):
             if not (out / name).exists():
                 folder.write_json(out / name, content)
@@ -59,28 +56,22 @@ def write_poses(
 def json_files(shots: list[Shot]) -> list[str]:
     """Names of what ``write_poses`` writes."""
     splits = dict.fromkeys(shot.split for shot in shots)
-    return [f"{kind}_{split}.json" for split in splits for kind in ("transforms", "exposure")]
+    names = (data_set.transforms_file, data_set.exposure_file)
+    return [name(split) for split in splits for name in names]
 
 
 def training_radiance(out: Path, shots: list[Shot]) -> np.ndarray:
     """[views, height, width, 3] of the training split."""
-    return np.stack([exr.read(out / shot.hdr) for shot in shots if shot.split == "train"])
+    return np.stack([exr.read(out / shot.hdr) for shot in shots if shot.split == data_set.TRAIN])
 
 
 def judge_exposures(radiance: np.ndarray, response: Response, options: Options, report: Report) -> None:
     """Warn where many training pixels are white even at the shortest exposure, or black at the longest."""
     brightest = radiance.max(-1).astype(np.float64)
-    white = float((quantise(response(brightest * options.exposures[0])) == 255).mean())
-    black = float((quantise(response(brightest * options.exposures[-1])) == 0).mean())
-    for share, what, which, other in (
-        (white, "white", "shortest", "shorter"),
-        (black, "black", "longest", "longer"),
-    ):
-        if share > LOST:
-            report.warn(
-                f"{share:.0%} of the training pixels are {what} even at the {which} exposure: "
-                f"add {other} ones to --exposures"
-            )
+    white = float((quantise(response(brightest * options.bracket[0])) == 255).mean())
+    black = float((quantise(response(brightest * options.bracket[-1])) == 0).mean())
+    for lost, other in lost_at_the_ends(white, black):
+        report.warn(f"{lost}: add {other} ones to --exposures")
 
 
 def content(
@@ -98,10 +89,8 @@ def content(
     ``head``: format, version, generator, options. ``record``: what was set for rendering. ``radiance``: that
     of the training views.
     """
-    counts = {split: sum(shot.split == split for shot in shots) for split in plan.SPLITS}
-    luminance = radiance.astype(np.float64) @ LUMINANCE
-    low, high = float(np.percentile(luminance, 1)), float(luminance.max())
-    stops = round(float(np.log2(high / low)), 2) if low > 0 else None
+    counts = {split: sum(shot.split == split for shot in shots) for split in data_set.SPLITS}
+    low, high, stops = dynamic_range(radiance.astype(np.float64) @ LUMINANCE)
     relit = next((shot.relit for shot in shots if shot.relit), ())
     return {
         "format": head["format"],
@@ -117,14 +106,14 @@ def content(
         "render_settings": record,
         "response": response.describe(),
         "camera_model": options.camera.describe(),
-        "exposures": list(options.exposures),
-        "evs": evs(options.exposures),
+        "exposures": list(options.bracket),
+        "evs": evs(options.bracket),
         "splits": counts,
         "lights": list(lights),
-        "lit_lights": plan.varied_lights(options, lights) if counts["lit"] else [],
+        "lit_lights": plan.varied_lights(options, lights) if counts[data_set.LIT] else [],
         "relit": [setting.describe() for setting in relit],
         "lighting_levels": {
-            "lit": sorted({shot.levels.get(AMBIENT, 1.0) for shot in shots if shot.split == "lit"}),
+            "lit": sorted({shot.levels.get(AMBIENT, 1.0) for shot in shots if shot.split == data_set.LIT}),
             "relit": [setting.levels[AMBIENT] for setting in relit if list(setting.levels) == [AMBIENT]],
             "relit_views": [shot.index for shot in shots if shot.relit],
         },

@@ -7,8 +7,6 @@ notes render times in its files, and the same picture has to give the same bytes
 Format: https://openexr.com/en/latest/OpenEXRFileLayout.html
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections.abc import Mapping

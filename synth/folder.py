@@ -12,13 +12,12 @@ from pathlib import Path
 from typing import Any
 
 from ..bridge.atomic import MARK, atomic_path, temporary_name
+from ..bridge.data_set import FORMAT, INFO_FILE, PARTIAL_FILE, VERSION
 from ..bridge.errors import OutputError
 from .errors import ConflictError, DamagedFileError, OutputFolderError
 
-FINAL, PARTIAL = "dataset.json", "dataset.partial.json"
 #: The option that stands for the state of a user's scene.
 FINGERPRINT = "fingerprint"
-FORMAT, VERSION = "physhdr-dataset", 1
 LONGEST_SHOWN = 200
 
 
@@ -110,11 +109,12 @@ def open_folder(folder: Path, options: dict[str, Any], maker: dict[str, str]) ->
             f"cannot write to the output folder '{folder}': {error.strerror or error}. "
             "Choose another folder (--out)"
         ) from error
-    names = [name for name in (FINAL, PARTIAL) if name in held]
+    names = [name for name in (INFO_FILE, PARTIAL_FILE) if name in held]
     if not names:
         if any(not name.startswith(".") for name in held):
             raise OutputFolderError(
-                f"'{folder}' holds files but no {FINAL}: choose a new or empty folder (nothing was changed)"
+                f"'{folder}' holds files but no {INFO_FILE}: "
+                "choose a new or empty folder (nothing was changed)"
             )
         return {}
     state = read_json(folder / names[0])

@@ -79,6 +79,12 @@ class Options:
     #: Lowest and highest degrees above the horizon of the hemisphere.
     rig_elevation: tuple[float, float] | None = None
 
+    @property
+    def bracket(self) -> tuple[float, ...]:
+        """The exposures in seconds, which are known once there is a scene."""
+        assert self.exposures is not None
+        return self.exposures
+
     def check(self) -> None:
         """Raise ``OptionError`` or ``UnknownNameError`` for the first option that cannot be."""
         rigs = [*RIGS, PATH] if self.from_file else list(RIGS)

@@ -6,8 +6,6 @@ second render. Layers of the file: ``<light>.R/.G/.B``, ``depth.V``, ``normal.X/
 ``samples.V`` (docs/formats.md).
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,11 +17,11 @@ import numpy as np
 from . import exr, folder
 from .errors import DamagedFileError
 
+#: The text of the file's header that holds ``Passes.facts``.
 FACTS = "physhdr"
-"""The text of the file's header that holds ``Passes.facts``."""
 PLANES = ("depth", "index", "samples")
+#: Names of layers that no light may have.
 RESERVED = {*PLANES, "normal"}
-"""Names of layers that no light may have."""
 AXES = "XYZ"
 
 
@@ -31,18 +29,18 @@ AXES = "XYZ"
 class Passes:
     """One pose. All float32, top row first, working space Linear Rec.709."""
 
+    #: Light → radiance [height, width, 3] that it alone causes, at level 1.
     lights: dict[str, np.ndarray]
-    """Light → radiance [height, width, 3] that it alone causes, at level 1."""
+    #: [height, width] metres along the camera's axis of the pixel's first sample; 1e10 where there is sky.
     depth: np.ndarray
-    """[height, width] metres along the camera's axis of the pixel's first sample; 1e10 where there is sky."""
+    #: [height, width, 3] in world space, mean over the pixel.
     normal: np.ndarray
-    """[height, width, 3] in world space, mean over the pixel."""
+    #: [height, width] number (dataset.json ``objects``) of what the pixel's first sample hit; 0: none.
     index: np.ndarray
-    """[height, width] number (dataset.json ``objects``) of what the pixel's first sample hit; 0: none."""
+    #: [height, width] samples taken.
     samples: np.ndarray
-    """[height, width] samples taken."""
+    #: ``seed``, ``samples`` (mean a pixel), ``noise_psnr`` (dB, noise.estimate).
     facts: dict[str, Any]
-    """``seed``, ``samples`` (mean a pixel), ``noise_psnr`` (dB, noise.estimate)."""
 
     def radiance(self, levels: Mapping[str, float]) -> np.ndarray:
         """Radiance [height, width, 3] float32 with each light at its level; those not named are at 1."""

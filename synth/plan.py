@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a data set consists of: its poses, the levels of the lights in each, and the names of all files."""
+"""What a data set consists of: its poses, the levels of the lights in each, and all their files."""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from ..bridge import data_set
+from ..bridge.data_set import LIT, TEST, TRAIN
 from . import rig
 from .errors import UnknownNameError
 from .options import Options
 from .stage import AMBIENT, RigPoses
 
-POINTS = "points3d.ply"
-SPLITS = ("train", "test", "lit")
 #: Exponents on the outermost trained levels: the default mixtures lie between and beyond those trained.
 BETWEEN, BEYOND = 0.5, 1.5
 DIGITS = 4
@@ -30,9 +30,7 @@ class Relighting:
     @property
     def folder(self) -> str:
         """``relit/level_0.25`` for ambient light alone, else ``relit/ambient_4+pendant_0.25``."""
-        if list(self.levels) == [AMBIENT]:
-            return f"relit/level_{self.levels[AMBIENT]:g}"
-        return "relit/" + "+".join(f"{name}_{level:g}" for name, level in self.levels.items())
+        return data_set.mixture_folder(self.levels)
 
     def describe(self) -> dict[str, Any]:
         """An entry of dataset.json's ``relit``."""
@@ -58,22 +56,22 @@ class Shot:
     @property
     def passes(self) -> str:
         """Path of the render, under the data set's folder as all that follow."""
-        return f"passes/{self.name}.exr"
+        return data_set.passes_file(self.split, self.index)
 
     @property
     def hdr(self) -> str:
-        return f"{self.split}_hdr/hdr_{self.index:03d}.exr"
+        return f"{data_set.truth_folder(self.split)}/{data_set.truth_file(self.index)}"
 
     @property
     def stem(self) -> str:
-        return f"{self.split}/r_{self.index}"
+        return data_set.pose_stem(self.split, self.index)
 
     def bracket(self, k: int) -> str:
         """Picture of exposure ``k``."""
-        return f"{self.stem}_{k}.png"
+        return data_set.picture_file(self.stem, k)
 
     def relit_hdr(self, light: Relighting) -> str:
-        return f"{light.folder}/hdr_{self.index:03d}.exr"
+        return f"{light.folder}/{data_set.truth_file(self.index)}"
 
     def files(self, exposures: int) -> list[str]:
         """Everything that belongs to this pose."""
@@ -93,9 +91,9 @@ def shots(poses: RigPoses, options: Options, lights: Sequence[str]) -> list[Shot
     chosen = set(rig.spread_indices(len(poses.test), count))
     varied = lit_levels(len(poses.lit), options, lights)
     return [
-        *(Shot("train", k, pose, {}) for k, pose in enumerate(poses.train)),
-        *(Shot("test", k, pose, {}, relit if k in chosen else ()) for k, pose in enumerate(poses.test)),
-        *(Shot("lit", k, pose, varied[k]) for k, pose in enumerate(poses.lit)),
+        *(Shot(TRAIN, k, pose, {}) for k, pose in enumerate(poses.train)),
+        *(Shot(TEST, k, pose, {}, relit if k in chosen else ()) for k, pose in enumerate(poses.test)),
+        *(Shot(LIT, k, pose, varied[k]) for k, pose in enumerate(poses.lit)),
     ]
 
 

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Writes and reads 8-bit RGBA PNG without colour management: code values in, the same code values on disk."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from pathlib import Path

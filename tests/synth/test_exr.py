@@ -210,7 +210,8 @@ def test_what_a_state_says_is_cut_and_shown(tmp_path, foreign):
         (tmp_path / "dataset.json").write_text(json.dumps(ours | other))
         with pytest.raises(ConflictError) as refused:
             folder.open_folder(tmp_path, {"views": 3}, {"name": "x"})
-        assert len(str(refused.value)) < 600 and str(refused.value).isprintable()
+        told = refused.value
+        assert len(str(told)) < 600 and f"{told.message} {told.hint}".isprintable()
 
 
 def test_a_state_of_a_hundred_thousand_brackets(tmp_path):

@@ -428,7 +428,8 @@ def read_weights(folder: Path, file: str, _: bytes) -> None:
 
     distance = Lpips.from_file(folder / file)
     picture = torch.linspace(0.0, 1.0, 3 * 32 * 32).reshape(3, 32, 32)
-    _require(math.isfinite(distance(picture, 1.0 - picture)), "weights: the distance is not finite")
+    both = distance.both(picture, 1.0 - picture)
+    _require(all(map(math.isfinite, both)), "weights: the distance is not finite")
 
 
 def write_response(folder: Path) -> None:
@@ -444,11 +445,11 @@ def read_response(folder: Path, file: str, _: bytes) -> None:
 
 
 def write_state(folder: Path) -> None:
-    from physhdr.synth import folder as synth_folder
+    from physhdr.bridge import data_set
 
-    state = {"format": synth_folder.FORMAT, "version": synth_folder.VERSION, "generator": {"name": "physhdr"}}
+    state = {"format": data_set.FORMAT, "version": data_set.VERSION, "generator": {"name": "physhdr"}}
     state |= {"options": {"seed": 0, "scene": "demo"}, "frames": {}}
-    path = _folder(folder, "out") / synth_folder.PARTIAL
+    path = _folder(folder, "out") / data_set.PARTIAL_FILE
     path.write_text(json.dumps(state))
 
 
