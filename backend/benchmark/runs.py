@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from ...bridge import data_set
 from ...bridge.atomic import atomic_path
 from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
 from ..evaluate.comparison import load_evaluation
@@ -29,7 +30,7 @@ PER_RUN = ("iterations", "seed", "exposure_mode")
 #: Methods without Gaussians: what their training calls so are the parameters of networks.
 WITHOUT_GAUSSIANS = ("hdr-nerf",)
 #: Renders from which a data set was made: neither training nor evaluation reads them.
-UNREAD = "passes"
+UNREAD = data_set.PASSES_FOLDER
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from typing import Literal
 import torch
 from torch.nn import functional
 
+from ...bridge.data_set import truth_file
 from ...bridge.errors import BadValueError, FileMissingError
 from ...bridge.lights import Levels, as_levels
 from ..kernels.ahead import Needs
@@ -195,7 +196,7 @@ def compressed(radiance: torch.Tensor) -> torch.Tensor:
 @functools.lru_cache(maxsize=256)
 def compressed_truth(folder: Path, index: int, height: int, width: int) -> torch.Tensor:
     """``compressed`` true radiance ``[3, H, W]`` of a pose, rounded to 8 bit; raises ``FileMissingError``."""
-    path = folder / f"hdr_{index:03d}.exr"
+    path = folder / truth_file(index)
     if not path.is_file():
         raise FileMissingError(
             f"there is no true HDR picture {path}",
