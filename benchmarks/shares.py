@@ -26,7 +26,7 @@ import torch
 from synthetic import SIZE, steady_trainer
 
 from physhdr.backend import kernels
-from physhdr.backend.methods.physhdr import PhysHDR
+from physhdr.backend.methods.physhdr_common import PhysHDRMethod
 from physhdr.backend.rasterize import cpu
 from physhdr.backend.train import densify
 from physhdr.backend.train.optimisers import Optimiser
@@ -104,7 +104,7 @@ def stopwatch() -> Iterator[Stopwatch]:
     watch = Stopwatch()
     try:
         watch.put_around(Trainer, "step", OTHER, "forward")
-        watch.put_around(PhysHDR, "training_outcome", REST, "forward")
+        watch.put_around(PhysHDRMethod, "training_outcome", REST, "forward")
         watch.put_around(torch.Tensor, "backward", REST, "backward")
         watch.put_around(densify, "observe", "densification's statistics", "forward")
         watch.put_around(Optimiser, "step", "optimiser", "forward")

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from physhdr.backend.model.morton import morton_order
 from physhdr.backend.scene.camera import Camera
 from physhdr.backend.scene.scene import PictureCache, Points, Scene, View
 from physhdr.backend.train.config import TrainConfig
-from physhdr.backend.train.morton import morton_order
 from physhdr.backend.train.optimisers import OptimiserConfig
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import Trainer

@@ -29,7 +29,6 @@ from physhdr.backend.cli.warmup import compile_kernels
 from physhdr.backend.evaluate import truth
 from physhdr.backend.evaluate.metrics import hdr_pair, psnr, quantise
 from physhdr.backend.methods.base import Method
-from physhdr.backend.methods.registry import kernels_needed
 from physhdr.backend.rasterize.cpu import set_threads, thread_count
 from physhdr.backend.scene import Scene, read_scene
 from physhdr.backend.train.config import TrainConfig
@@ -101,7 +100,7 @@ def train_curve(scene: Scene, config: TrainConfig, folder: Path, measurements: i
 
     shares = (np.arange(1, measurements + 1) / measurements) ** 2
     due = {max(1, round(share * config.iterations)) for share in shares}
-    compile_kernels(kernels_needed(config.method))  # before the clock starts
+    compile_kernels(config.method.kernels_needed())  # before the clock starts
     started = Clock()
     with started:
         goes_on = points and (folder / CHECKPOINT_FILE).is_file()

@@ -10,7 +10,6 @@ import torch
 
 from ..device import choose_device
 from ..kernels.ahead import compile_ahead
-from ..methods.base import SplattingMethod
 from ..scene import Camera, Points, Scene, View
 from ..scene.scene import PictureCache
 from ..train.presets import PRESETS, needed_by_presets
@@ -74,8 +73,8 @@ def one_step(where: str) -> tuple[float, int]:
     """
     scene = made_up_scene()
     trainer = Trainer(scene, PRESETS["default"], device=where)
-    method, camera = trainer.method, scene.train[0].camera
-    assert isinstance(method, SplattingMethod)
+    method, camera = trainer.method.splatting, scene.train[0].camera
+    assert method is not None
     before = {name: t.detach().clone() for name, t in method.backbone.parameters.items()}
     loss = float(sum(trainer.step().values()))
     after = method.backbone.parameters

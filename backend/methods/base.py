@@ -1,29 +1,86 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the trainer, the evaluation, the server and the export want of every method.
 
-``Method`` is any system that can be trained on shots and asked for pictures. ``SplattingMethod`` is one that
-draws a backbone's splats, which has its whole use (pictures, previews) written once: it needs the colours of
-the splats and the way from radiance to the picture.
+``Method`` is any system that can be trained on batches and asked for pictures; its configuration
+(``MethodConfig``) declares what others must know of it. ``SplattingMethod`` is one that draws a backbone's
+splats, which has its whole use (pictures, previews) written once: it needs the colours of the splats and the
+way from radiance to the picture.
 """
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol
 
+import numpy as np
 import torch
 from torch import nn
 
 from ...bridge.errors import BadValueError
-from ...bridge.lights import AMBIENT, Levels, as_levels
+from ...bridge.lights import AMBIENT, Levels, as_levels, check_lights
 from ..device import use_whole_float32
-from ..model.backbone import Backbone, Splats
+from ..kernels.ahead import Needs
+from ..model.backbone import Attributes, Backbone, Splats
 from ..model.gaussians import Gaussians
+from ..model.rates import Rate
 from ..model.tone_mapper import ToneMapper
 from ..rasterize import Implementation, Rasterization, rasterize
 from ..scene.camera import Camera
 from ..scene.scene import View
-from ..train.rates import Rate
+
+
+@dataclass(frozen=True, kw_only=True)
+class Traits:
+    """What others must know of a method, as its configuration declares it."""
+
+    #: It draws a backbone's splats, which start at points, grow, and can be exported (``Method.splatting``).
+    splats: bool = True
+    #: What the lighting level follows. view: it learns from views under other light, each at its own level;
+    #: exposure: it knows no light but that of the exposure, and such views would only confuse it.
+    light: Literal["view", "exposure"] = "exposure"
+    #: An iteration can compare a view at several exposures. Else each exposure is another drawing.
+    brackets_at_once: bool = True
+    #: It can learn from views at half their size.
+    half_sizes: bool = True
+    #: ln radiance at the start: merged from the brackets, or the data set's points' colours as they are.
+    initial_radiance: Literal["merged", "points"] = "merged"
+
+
+@dataclass(frozen=True, kw_only=True)
+class MethodConfig(ABC):
+    """What a method is made of: its settings, which stand in ``config.json``.
+
+    Settings that contradict each other are refused by ``__post_init__``, with ``BadValueError``.
+    """
+
+    @property
+    @abstractmethod
+    def traits(self) -> Traits:
+        """What others must know of a method with these settings."""
+
+    @abstractmethod
+    def kernels_needed(self) -> Needs:
+        """The CPU kernels that training it calls, so that they are compiled before."""
+
+    def attributes(self, lights: tuple[str, ...]) -> Attributes:
+        """What the backbone's splats must carry, where ``lights`` have levels; asked if the method splats.
+
+        Raises ``BadValueError`` where the method cannot tell so many lights apart.
+        """
+        return Attributes()
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What a method must know of the data and the machine.
+
+    ``anchor``: a known point of the response, (exposure × radiance, code value), or None. ``implementation``:
+    of the rasteriser. ``lights``: names of those whose levels vary.
+    """
+
+    anchor: tuple[float, float] | None = None
+    implementation: Implementation = "auto"
+    lights: tuple[str, ...] = (AMBIENT,)
 
 
 class Pool(Protocol):
@@ -37,19 +94,23 @@ class Pool(Protocol):
         """``[3, H, W]`` in [0, 1], where the method is."""
         ...
 
+    def first_points(self) -> np.ndarray:
+        """Points of surfaces ``[P, 3]`` (metres): the data set's, else stereo's by ``first_response``."""
+        ...
+
 
 @dataclass(frozen=True)
-class Shot:
+class Batch:
     """What one iteration sees: a view at one exposure, or at all of its bracket's that training may see.
 
-    ``exposures``: seconds; ``pictures``: one ``[3, H, W]`` in [0, 1] for each; ``levels``: of the lights.
+    ``exposures``: seconds; ``pictures``: one ``[3, H, W]`` in [0, 1] for each; ``levels``: one a light.
     ``pool`` and ``seed``: for methods that sample pixels of all pictures themselves.
     """
 
     camera: Camera
     exposures: tuple[float, ...]
     pictures: tuple[torch.Tensor, ...]
-    levels: Levels
+    levels: tuple[float, ...]
     iteration: int
     pool: Pool
     seed: tuple[int, ...] = (0,)
@@ -78,23 +139,35 @@ class Outcome:
 
 
 class Method(nn.Module, ABC):
-    """A system of the benchmark. ``lights``: names of those it has levels for."""
+    """A system of the benchmark. ``lights``: names of those it has levels for.
+
+    Whoever uses one gives lighting levels as ``Levels``; here they become one number a light, once.
+    """
 
     lights: tuple[str, ...] = (AMBIENT,)
     #: Adam's. 3DGS's: gradients of Gaussians are tiny, and Adam's default would damp them.
     adam_epsilon: float = 1e-15
 
     @abstractmethod
-    def training_outcome(self, shot: Shot) -> Outcome:
+    def training_outcome(self, batch: Batch) -> Outcome:
         """The forward pass and the losses of one iteration."""
 
     @abstractmethod
     def parameter_groups(self) -> dict[str, list[torch.Tensor]]:
         """What is optimised, by the names that learning rates have; empty groups are left out."""
 
+    def network_groups(self) -> dict[str, list[torch.Tensor]]:
+        """Those of ``parameter_groups`` that ``OptimiserConfig.networks_times`` hastens."""
+        return {}
+
     def rates(self) -> dict[str, Rate]:
         """Learning rates that are the method's own; the others are ``OptimiserConfig``'s."""
         return {}
+
+    @property
+    @abstractmethod
+    def first_response(self) -> ToneMapper:
+        """The response by which pictures say how bright the first points are, and where stereo finds them."""
 
     def prepare(self, seed: int) -> None:
         """Done once before a training, such as a warm start of the response."""
@@ -116,6 +189,11 @@ class Method(nn.Module, ABC):
         """Move everything; an optimiser must be made after this."""
 
     @property
+    def splatting(self) -> "SplattingMethod | None":
+        """Itself where it draws splats (``Traits.splats``), else None."""
+        return None
+
+    @property
     def remarks(self) -> tuple[str, ...]:
         """What every report on this model must say, such as that it has seen what others may not."""
         return ()
@@ -125,19 +203,38 @@ class Method(nn.Module, ABC):
         """Whether light can be turned apart from the exposure; without, a level only scales."""
         return False
 
-    @abstractmethod
+    # -- use -------------------------------------------------------------------------------------------
+
+    @torch.no_grad()
     def hdr(self, camera: Camera, lighting_level: Levels = 1.0) -> torch.Tensor:
         """Scene-linear radiance ``[3, H, W]``."""
+        return self.hdr_at(camera, as_levels(lighting_level, self.lights))
 
-    @abstractmethod
+    @torch.no_grad()
     def ldr(self, camera: Camera, exposure: float, lighting_level: Levels = 1.0) -> torch.Tensor:
         """The picture ``[3, H, W]`` in [0, 1] that a camera with ``exposure`` seconds would record."""
+        return self.ldr_at(camera, exposure, as_levels(lighting_level, self.lights))
 
+    @torch.no_grad()
     def ldr_bracket(
         self, camera: Camera, exposures: Sequence[float], lighting_level: Levels = 1.0
     ) -> list[torch.Tensor]:
-        """``ldr`` at several exposures, for methods to do at less than their sum."""
-        return [self.ldr(camera, exposure, lighting_level) for exposure in exposures]
+        """``ldr`` at several exposures, which costs less than each alone where the method knows how."""
+        return self.bracket_at(camera, exposures, as_levels(lighting_level, self.lights))
+
+    @abstractmethod
+    def hdr_at(self, camera: Camera, levels: tuple[float, ...]) -> torch.Tensor:
+        """``hdr`` at one level a light."""
+
+    @abstractmethod
+    def ldr_at(self, camera: Camera, exposure: float, levels: tuple[float, ...]) -> torch.Tensor:
+        """``ldr`` at one level a light."""
+
+    def bracket_at(
+        self, camera: Camera, exposures: Sequence[float], levels: tuple[float, ...]
+    ) -> list[torch.Tensor]:
+        """``ldr_bracket`` at one level a light."""
+        return [self.ldr_at(camera, exposure, levels) for exposure in exposures]
 
     def response_curve(self) -> tuple[torch.Tensor, torch.Tensor] | None:
         """The learned global response: ln(exposure × radiance) ``[S]`` and LDR ``[S, 3]``; or None."""
@@ -147,33 +244,33 @@ class Method(nn.Module, ABC):
 class SplattingMethod(Method):
     """A method on a backbone of splats and with a global response curve (and perhaps more).
 
-    Subclasses say what colour the splats have (``radiance_of``) and how a picture comes of it (``ldr``).
+    Subclasses say what colour the splats have (``radiance_of``) and how a picture comes of it (``ldr_at``).
     """
 
     backbone: Backbone
     tone_mapper: ToneMapper
 
-    def __init__(self, backbone: Backbone, implementation: Implementation) -> None:
+    def __init__(self, config: MethodConfig, backbone: Backbone, facts: Facts) -> None:
         super().__init__()
+        self.lights = check_lights(facts.lights, "the method")
+        self.attributes = config.attributes(self.lights)
         self.backbone = backbone
         #: The backbone's share of what a checkpoint holds.
         self.backbone_networks = backbone.networks
-        self.implementation: Implementation = implementation
+        self.implementation: Implementation = facts.implementation
         #: SH coefficients above this degree are not used yet (3DGS's schedule raises it).
-        self.active_sh_degree = self.sh_degree
-
-    @property
-    def sh_degree(self) -> int:
-        """The degree that the schedule ends at."""
-        return 3
+        self.active_sh_degree = self.attributes.sh_degree
 
     @abstractmethod
     def radiance_of(self, splats: Splats, levels: tuple[float, ...] | None) -> torch.Tensor:
         """Scene-linear colours ``[M, 3]`` of splats; ``levels`` None: as captured."""
 
     @property
+    def splatting(self) -> "SplattingMethod":
+        return self
+
+    @property
     def first_response(self) -> ToneMapper:
-        """The response by which pictures say how bright the first points are, and where stereo finds them."""
         return self.tone_mapper
 
     @property
@@ -184,7 +281,7 @@ class SplattingMethod(Method):
     @property
     def has_light_share(self) -> bool:
         """Whether each splat knows which share of its radiance each light causes."""
-        return False
+        return self.attributes.lights > 0
 
     @property
     def gaussians(self) -> Gaussians:
@@ -231,7 +328,7 @@ class SplattingMethod(Method):
         self.tone_mapper.warm_start(seed)
 
     def follow_schedule(self, iteration: int, iterations: int, sh_degree_every: int) -> None:
-        self.active_sh_degree = min(self.sh_degree, iteration // sh_degree_every)
+        self.active_sh_degree = min(self.attributes.sh_degree, iteration // sh_degree_every)
 
     # -- drawing ---------------------------------------------------------------------------------------
 
@@ -261,27 +358,26 @@ class SplattingMethod(Method):
         """Zeros ``[M, 2]`` to add to screen positions, whose gradient growth reads."""
         return torch.zeros(splats.means.shape[0], 2, device=splats.means.device, requires_grad=True)
 
-    def seen_radiance(self, splats: Splats, lighting_level: Levels) -> torch.Tensor:
-        """``[M, 3]``; without an illumination branch the (first light's) level scales all of it."""
-        levels = as_levels(lighting_level, self.lights)
+    def seen_radiance(self, splats: Splats, levels: tuple[float, ...]) -> torch.Tensor:
+        """``[M, 3]``; where the method cannot relight, the (first light's) level scales all of it."""
         standard = is_standard(levels)
         colours = self.radiance_of(splats, levels if self.can_relight and not standard else None)
         return colours if self.can_relight or standard else colours * levels[0]
 
     # -- use -------------------------------------------------------------------------------------------
 
-    @torch.no_grad()
-    def hdr(self, camera: Camera, lighting_level: Levels = 1.0) -> torch.Tensor:
+    def hdr_at(self, camera: Camera, levels: tuple[float, ...]) -> torch.Tensor:
         splats = self.backbone.splats(camera, self.active_sh_degree)
-        return self.rasterize(splats, self.seen_radiance(splats, lighting_level), camera).image
+        return self.rasterize(splats, self.seen_radiance(splats, levels), camera).image
 
     @torch.no_grad()
     def preview(self, camera: Camera, lighting_level: Levels = 1.0) -> Rasterization:
         """The radiance of ``hdr`` with alpha and depth (metres along the camera's axis), in one pass."""
+        levels = as_levels(lighting_level, self.lights)
         splats = self.backbone.splats(camera, self.active_sh_degree)
-        return self.rasterize(splats, self.seen_radiance(splats, lighting_level), camera, with_depth=True)
+        return self.rasterize(splats, self.seen_radiance(splats, levels), camera, with_depth=True)
 
-    @abstractmethod
+    @torch.no_grad()
     def preview_ldr(
         self, drawn: Rasterization, camera: Camera, exposure: float, lighting_level: Levels = 1.0
     ) -> tuple[torch.Tensor, torch.Tensor]:
@@ -289,6 +385,13 @@ class SplattingMethod(Method):
 
         ``[3, H, W]``, and ``[3, 1, 1]``: what the tone mapper makes of a pixel where nothing is.
         """
+        return self.preview_ldr_at(drawn, camera, exposure, as_levels(lighting_level, self.lights))
+
+    @abstractmethod
+    def preview_ldr_at(
+        self, drawn: Rasterization, camera: Camera, exposure: float, levels: tuple[float, ...]
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """``preview_ldr`` at one level a light."""
 
     @torch.no_grad()
     def response_curve(self) -> tuple[torch.Tensor, torch.Tensor] | None:

@@ -16,7 +16,6 @@ import torch
 from torch import nn
 
 from ...bridge.errors import BadValueError
-from ...bridge.lights import Levels, as_levels
 from ..kernels.ahead import Needs
 from ..kernels.local_curves import local_curves
 from ..kernels.plain import can_fuse
@@ -25,18 +24,18 @@ from ..kernels.ssim import SsimTarget, ssim_and_error, ssim_map
 from ..model.backbone import Attributes, Backbone, Splats
 from ..model.gaussians import LOG_RADIANCE_RANGE
 from ..model.radiance import DARKEST, SmallNetwork
+from ..model.rates import Rate
 from ..model.tone_mapper import LOG_EPSILON, ToneMapper, ToneMapperConfig
-from ..rasterize import Implementation, Rasterization
+from ..rasterize import Rasterization
 from ..scene.camera import Camera
-from ..train.rates import Rate
-from .base import Drawn, Outcome, Shot, SplattingMethod
+from .base import Batch, Drawn, Facts, MethodConfig, Outcome, SplattingMethod, Traits
 
 #: Of the tone mapper with its uncertainty.
 TONE_MAPPER_RATE = Rate(start=5e-4, final=5e-5, shape="exponential")
 
 
 @dataclass(frozen=True, kw_only=True)
-class GaussHDRConfig:
+class GaussHDRConfig(MethodConfig):
     """What the method is made of: the released code's values."""
 
     sh_degree: int = 3
@@ -78,13 +77,23 @@ class GaussHDRConfig:
             raise BadValueError(f"the least uncertainty must be above 0, got {self.least_uncertainty}")
 
     @property
+    def traits(self) -> Traits:
+        return Traits(brackets_at_once=False)  # the splats have another colour at each exposure
+
+    @property
     def channels(self) -> int:
         """How many the pass draws: 3-D LDR, radiance, context, and uncertainty if it moves splats."""
         return 6 + self.tone_mapper.context_size + (3 if self.uncertainty_moves_splats else 0)
 
-    def attributes(self) -> Attributes:
-        """What the backbone's splats must carry."""
+    def attributes(self, lights: tuple[str, ...]) -> Attributes:
         return Attributes(sh_degree=self.sh_degree, context_size=self.tone_mapper.context_size)
+
+    def kernels_needed(self) -> Needs:
+        return Needs(
+            channels=tuple(sorted({3, self.channels})),  # three: uncertainty, and the view that is shown
+            activations=(self.tone_mapper.activation,),
+            local_branches=(1, 3),  # the curves of each channel; the uncertainty of all three
+        )
 
 
 class Uncertainty(nn.Module):
@@ -144,22 +153,12 @@ class DrawnPicture(Drawn):
 class GaussHDR(SplattingMethod):
     """The method: a backbone, a tone mapper and the network of its uncertainty."""
 
-    def __init__(
-        self,
-        config: GaussHDRConfig,
-        backbone: Backbone,
-        anchor: tuple[float, float] | None,
-        implementation: Implementation = "auto",
-    ) -> None:
+    def __init__(self, config: GaussHDRConfig, backbone: Backbone, facts: Facts) -> None:
+        super().__init__(config, backbone, facts)
         self.config = config
-        super().__init__(backbone, implementation)
-        self.tone_mapper = ToneMapper(config.tone_mapper, anchor)
+        self.tone_mapper = ToneMapper(config.tone_mapper, facts.anchor)
         self.uncertainty = Uncertainty(config.tone_mapper, config.least_uncertainty)
         self.uses_local = True
-
-    @property
-    def sh_degree(self) -> int:
-        return self.config.sh_degree
 
     def network_groups(self) -> dict[str, list[torch.Tensor]]:
         groups = super().network_groups()
@@ -240,14 +239,9 @@ class GaussHDR(SplattingMethod):
 
     # -- training ----------------------------------------------------------------------------------------
 
-    def training_outcome(self, shot: Shot) -> Outcome:
-        if len(shot.exposures) != 1:
-            raise BadValueError(
-                "the splats of GaussHDR have another colour at each exposure: a bracket is several drawings",
-                "Set --supervision one.",
-            )
-        (exposure,), (picture,) = shot.exposures, shot.pictures
-        drawn = self.draw(shot.camera, exposure, watch=True)
+    def training_outcome(self, batch: Batch) -> Outcome:
+        (exposure,), (picture,) = batch.exposures, batch.pictures
+        drawn = self.draw(batch.camera, exposure, watch=True)
         return Outcome(self.losses(drawn, picture) | self.backbone_terms(drawn.splats), drawn)
 
     def losses(self, drawn: DrawnPicture, picture: torch.Tensor) -> dict[str, torch.Tensor]:
@@ -281,26 +275,14 @@ class GaussHDR(SplattingMethod):
 
     # -- use ---------------------------------------------------------------------------------------------
 
-    @torch.no_grad()
-    def ldr(self, camera: Camera, exposure: float, lighting_level: Levels = 1.0) -> torch.Tensor:
-        """As ``Method.ldr``; a level scales the radiance, as an exposure does."""
-        level = as_levels(lighting_level, self.lights)[0]
-        return self.draw(camera, exposure * max(level, DARKEST)).ldr
+    def ldr_at(self, camera: Camera, exposure: float, levels: tuple[float, ...]) -> torch.Tensor:
+        """A level scales the radiance, as an exposure does."""
+        return self.draw(camera, exposure * max(levels[0], DARKEST)).ldr
 
-    @torch.no_grad()
-    def preview_ldr(
-        self, drawn: Rasterization, camera: Camera, exposure: float, lighting_level: Levels = 1.0
+    def preview_ldr_at(
+        self, drawn: Rasterization, camera: Camera, exposure: float, levels: tuple[float, ...]
     ) -> tuple[torch.Tensor, torch.Tensor]:
         nothing = drawn.image.new_zeros(3, 1, 1)
         context = drawn.image.new_zeros(self.config.tone_mapper.context_size, 1, 1)
         in_3d, in_2d, _, weight = self.develop(nothing, nothing, nothing, context, exposure)
-        return self.ldr(camera, exposure, lighting_level), torch.lerp(in_2d.ldr, in_3d.ldr, weight)
-
-
-def kernels_needed(config: GaussHDRConfig) -> Needs:
-    """The CPU kernels that training this method calls."""
-    return Needs(
-        channels=tuple(sorted({3, config.channels})),  # three: uncertainty, and the view that is shown
-        activations=(config.tone_mapper.activation,),
-        local_branches=(1, 3),  # the curves of each channel; the uncertainty of all three
-    )
+        return self.ldr_at(camera, exposure, levels), torch.lerp(in_2d.ldr, in_3d.ldr, weight)

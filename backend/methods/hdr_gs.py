@@ -21,19 +21,17 @@ from torch.nn import functional
 
 from ...bridge.data_set import truth_file
 from ...bridge.errors import BadValueError, FileMissingError
-from ...bridge.lights import Levels, as_levels
 from ..kernels.ahead import Needs
 from ..kernels.ssim import ssim_and_error
 from ..model.backbone import Attributes, Backbone, Splats
 from ..model.gaussians import LOG_RADIANCE_RANGE
 from ..model.radiance import DARKEST
+from ..model.rates import Rate
 from ..model.tone_mapper import ToneMapper, ToneMapperConfig
-from ..rasterize import Implementation, Rasterization
+from ..rasterize import Rasterization
 from ..scene.camera import Camera
 from ..scene.pictures import read_exr
-from ..scene.scene import View
-from ..train.rates import Rate
-from .base import Drawn, Outcome, Shot, SplattingMethod, mean_terms
+from .base import Batch, Drawn, Facts, MethodConfig, Outcome, SplattingMethod, Traits, mean_terms
 
 #: Their code makes a schedule for it that is never stepped.
 TONE_MAPPER_RATE = Rate(start=5e-4)
@@ -43,7 +41,7 @@ MU, STEPS = 5000.0, 255.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class HDRGSConfig:
+class HDRGSConfig(MethodConfig):
     """What the method is made of: one set of values for all scenes (theirs differ from scene to scene)."""
 
     sh_degree: int = 3
@@ -77,28 +75,25 @@ class HDRGSConfig:
                 "Give both --method.hdr-supervision and --method.hdr-truth FOLDER, or neither.",
             )
 
-    def attributes(self) -> Attributes:
-        """What the backbone's splats must carry."""
+    @property
+    def traits(self) -> Traits:
+        # Of a view at half its size the true HDR picture is not known.
+        return Traits(half_sizes=not self.hdr_supervision, initial_radiance=self.initial_radiance)
+
+    def attributes(self, lights: tuple[str, ...]) -> Attributes:
         return Attributes(sh_degree=self.sh_degree)
+
+    def kernels_needed(self) -> Needs:
+        return Needs(channels=(3,), activations=(self.tone_mapper.activation,))
 
 
 class HDRGS(SplattingMethod):
     """The method: a backbone and a global tone mapper."""
 
-    def __init__(
-        self,
-        config: HDRGSConfig,
-        backbone: Backbone,
-        anchor: tuple[float, float] | None,
-        implementation: Implementation = "auto",
-    ) -> None:
+    def __init__(self, config: HDRGSConfig, backbone: Backbone, facts: Facts) -> None:
+        super().__init__(config, backbone, facts)
         self.config = config
-        super().__init__(backbone, implementation)
-        self.tone_mapper = ToneMapper(config.tone_mapper, anchor)
-
-    @property
-    def sh_degree(self) -> int:
-        return self.config.sh_degree
+        self.tone_mapper = ToneMapper(config.tone_mapper, facts.anchor)
 
     @property
     def remarks(self) -> tuple[str, ...]:
@@ -141,23 +136,24 @@ class HDRGS(SplattingMethod):
 
     # -- training ----------------------------------------------------------------------------------------
 
-    def training_outcome(self, shot: Shot) -> Outcome:
-        """One drawing of LDR colours for each exposure of the shot; growth watches them, and nothing else.
+    def training_outcome(self, batch: Batch) -> Outcome:
+        """One drawing of LDR colours for each exposure of the batch; growth watches them, and nothing else.
 
         The radiance is drawn for the HDR loss alone, apart, so that growth does not see its gradient.
         """
-        splats = self.backbone.splats(shot.camera, self.active_sh_degree)
+        splats = self.backbone.splats(batch.camera, self.active_sh_degree)
         offsets, each, drawn = self.watched(splats), [], None
-        for exposure, picture in zip(shot.exposures, shot.pictures, strict=True):
+        for exposure, picture in zip(batch.exposures, batch.pictures, strict=True):
             drawn = self.rasterize(
-                splats, self.colours(splats, exposure), shot.camera, screen_offsets=offsets
+                splats, self.colours(splats, exposure), batch.camera, screen_offsets=offsets
             )
             each.append({"rec": self.difference(drawn.image, picture)})
         assert drawn is not None
         terms = mean_terms(each) | self.backbone_terms(splats)
         if self.config.hdr_supervision:
-            hdr = self.rasterize(splats, self.radiance_of(splats, None), shot.camera).image
-            truth = compressed_truth(Path(self.config.hdr_truth), seen_view(shot).index, *hdr.shape[1:])
+            hdr = self.rasterize(splats, self.radiance_of(splats, None), batch.camera).image
+            index = next(view.index for view in batch.pool.views if view.camera is batch.camera)
+            truth = compressed_truth(Path(self.config.hdr_truth), index, *hdr.shape[1:])
             terms["hdr"] = self.config.hdr_weight * self.difference(compressed(hdr), truth.to(hdr))
         return Outcome(terms, Drawn(splats, drawn, offsets))
 
@@ -169,19 +165,16 @@ class HDRGS(SplattingMethod):
 
     # -- use ---------------------------------------------------------------------------------------------
 
-    @torch.no_grad()
-    def ldr(self, camera: Camera, exposure: float, lighting_level: Levels = 1.0) -> torch.Tensor:
-        """As ``Method.ldr``; a level scales the radiance, as an exposure does."""
-        level = as_levels(lighting_level, self.lights)[0]
+    def ldr_at(self, camera: Camera, exposure: float, levels: tuple[float, ...]) -> torch.Tensor:
+        """A level scales the radiance, as an exposure does."""
         splats = self.backbone.splats(camera, self.active_sh_degree)
-        return self.rasterize(splats, self.colours(splats, exposure * max(level, DARKEST)), camera).image
+        return self.rasterize(splats, self.colours(splats, exposure * max(levels[0], DARKEST)), camera).image
 
-    @torch.no_grad()
-    def preview_ldr(
-        self, drawn: Rasterization, camera: Camera, exposure: float, lighting_level: Levels = 1.0
+    def preview_ldr_at(
+        self, drawn: Rasterization, camera: Camera, exposure: float, levels: tuple[float, ...]
     ) -> tuple[torch.Tensor, torch.Tensor]:
         # Colours are blended after the response: where nothing is, nothing is added.
-        return self.ldr(camera, exposure, lighting_level), drawn.image.new_zeros(3, 1, 1)
+        return self.ldr_at(camera, exposure, levels), drawn.image.new_zeros(3, 1, 1)
 
 
 # ---- HDR supervision: the original's, and no part of a benchmark -------------------------------------------
@@ -205,18 +198,3 @@ def compressed_truth(folder: Path, index: int, height: int, width: int) -> torch
     radiance = torch.from_numpy(read_exr(path).copy()).permute(2, 0, 1).float()
     reduced = functional.interpolate(radiance[None], (height, width), mode="area")[0]
     return (compressed(reduced) * STEPS).round() / STEPS
-
-
-def seen_view(shot: Shot) -> View:
-    """The view whose camera the shot has; raises ``BadValueError`` where it sees it at another size."""
-    for view in shot.pool.views:
-        if view.camera is shot.camera:
-            return view
-    raise BadValueError(
-        "the true HDR picture of a view at half its size is not known", "Set --half-size-until 0."
-    )
-
-
-def kernels_needed(config: HDRGSConfig) -> Needs:
-    """The CPU kernels that training this method calls."""
-    return Needs(channels=(3,), activations=(config.tone_mapper.activation,))

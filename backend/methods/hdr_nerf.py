@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""HDR-NeRF (Huang et al., CVPR 2022): right, if slow. Written from the facts in shared/method.md, section 1.
+"""HDR-NeRF (Huang et al., CVPR 2022, arXiv:2111.14451): right, if slow.
 
 Two fields, a coarse one that finds where to look and a fine one, give density and ln radiance ln e; each
 has a tone mapper of its own, a curve for each colour channel of ln e + ln t. A picture of exposure t is the
@@ -12,24 +12,21 @@ import math
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Literal
 
 import numpy as np
 import torch
 
-from ...bridge.lights import Levels, as_levels
+from ...bridge.errors import BadValueError
 from ..device import use_whole_float32
 from ..kernels.ahead import Needs
 from ..model.field import Field, FieldConfig, importance_samples, ray_weights, stratified
 from ..model.gaussians import LOG_RADIANCE_RANGE
+from ..model.rates import Rate
 from ..model.rays import Rays, RaySpace, pixel_directions
 from ..model.tone_mapper import ToneMapper, ToneMapperConfig
 from ..scene.camera import Camera
-from ..scene.scene import Scene
-from ..train.brackets import Votes, log_radiance_picture
-from ..train.rates import Rate
-from ..train.stereo import stereo_points, stereo_view
-from .base import Method, Outcome, Pool, Shot
+from .base import Batch, Facts, Method, MethodConfig, Outcome, Pool, Traits
 
 #: Where the data name no point of the response, f(ln 1) is this (HDR-NeRF on photographs).
 UNIT_VALUE = 0.5
@@ -43,7 +40,7 @@ KEPT_BYTES = 1 << 28
 
 
 @dataclass(frozen=True, kw_only=True)
-class HDRNeRFConfig:
+class HDRNeRFConfig(MethodConfig):
     """Sizes and schedule. The defaults are the published ones, for rendered data."""
 
     #: Both fields, coarse and fine.
@@ -69,6 +66,27 @@ class HDRNeRFConfig:
     #: photographs: in 250 k, which is 0.158).
     learning_rate: float = 5e-4
     final_rate_share: float = 0.398
+
+    def __post_init__(self) -> None:
+        if self.coarse_samples < 3:
+            raise BadValueError(
+                f"{self.coarse_samples} coarse samples are too few: what lies between the first and the last "
+                "says where to look",
+                "Set --method.coarse-samples to 3 or more.",
+            )
+        self.rate()  # refuses one that cannot be
+
+    def rate(self) -> Rate:
+        """Adam's, of everything."""
+        final = self.learning_rate * self.final_rate_share
+        return Rate(start=self.learning_rate, final=final, shape="exponential")
+
+    @property
+    def traits(self) -> Traits:
+        return Traits(splats=False)  # an iteration's rays are of all pictures anyway
+
+    def kernels_needed(self) -> Needs:
+        return Needs(activations=(self.tone_mapper.activation,))
 
     @property
     def tone_mapper(self) -> ToneMapperConfig:
@@ -110,20 +128,20 @@ class Film:
 
 
 class HDRNeRF(Method):
-    """``anchor``: a known point of the response, (exposure × radiance, code value), or None."""
+    """The method: two fields, each with the curves of its tone mapper, and the space that rays are in."""
 
     adam_epsilon = 1e-8
 
-    def __init__(self, config: HDRNeRFConfig, anchor: tuple[float, float] | None = None) -> None:
+    def __init__(self, config: HDRNeRFConfig, facts: Facts) -> None:
         super().__init__()
         self.config = config
         self.coarse, self.fine = Field(config.field), Field(config.field)
-        unit = anchor or (1.0, UNIT_VALUE)
+        unit = facts.anchor or (1.0, UNIT_VALUE)
         self.coarse_curves = ToneMapper(config.tone_mapper, unit)
         self.fine_curves = ToneMapper(config.tone_mapper, unit)
         self.density_noise = config.density_noise
         if self.density_noise is None:
-            self.density_noise = PHOTOGRAPH_NOISE if anchor is None else 0.0
+            self.density_noise = PHOTOGRAPH_NOISE if facts.anchor is None else 0.0
         self.space = RaySpace()
         self._film: tuple[Pool, Film] | None = None
         self._kept = _Kept()
@@ -155,9 +173,11 @@ class HDRNeRF(Method):
         return self.fine, self.fine_curves
 
     def rates(self) -> dict[str, Rate]:
-        start = self.config.learning_rate
-        rate = Rate(start=start, final=start * self.config.final_rate_share, shape="exponential")
-        return {"coarse": rate, "fine": rate}
+        return {"coarse": self.config.rate(), "fine": self.config.rate()}
+
+    @property
+    def first_response(self) -> ToneMapper:
+        return self.fine_curves
 
     def prepare(self, seed: int) -> None:
         self.coarse_curves.warm_start(seed)
@@ -191,9 +211,9 @@ class HDRNeRF(Method):
 
     # -- training --------------------------------------------------------------------------------------
 
-    def training_outcome(self, shot: Shot) -> Outcome:
-        film = self._film_of(shot.pool)
-        rays, targets, log_exposures, generator = self._draw(film, shot.seed)
+    def training_outcome(self, batch: Batch) -> Outcome:
+        film = self._film_of(batch.pool)
+        rays, targets, log_exposures, generator = self._draw(film, batch.seed)
         draws = self._chances(len(rays), generator)
         parts = [part.split(self._rays_at_once()) for part in (targets, log_exposures, *draws)]
         work = zip(rays.split(self._rays_at_once()), *parts, strict=True)
@@ -258,27 +278,23 @@ class HDRNeRF(Method):
         if self._film is None or self._film[0] is not pool:
             if not self.space.is_known:
                 cameras = [view.camera for view in pool.views]
-                self.space.survey(cameras, first_points(pool, self.fine_curves), self.config.rays)
+                self.space.survey(cameras, pool.first_points(), self.config.rays)
             self._film = pool, film_of(pool, self.space, self.device)
         return self._film[1]
 
     # -- use -------------------------------------------------------------------------------------------
 
-    @torch.no_grad()
-    def hdr(self, camera: Camera, lighting_level: Levels = 1.0) -> torch.Tensor:
-        """As ``Method.hdr``; a level only scales."""
-        return self._pictures(camera, (None,))[0] * as_levels(lighting_level, self.lights)[0]
+    def hdr_at(self, camera: Camera, levels: tuple[float, ...]) -> torch.Tensor:
+        """A level only scales."""
+        return self._pictures(camera, (None,))[0] * levels[0]
 
-    @torch.no_grad()
-    def ldr(self, camera: Camera, exposure: float, lighting_level: Levels = 1.0) -> torch.Tensor:
-        return self.ldr_bracket(camera, [exposure], lighting_level)[0]
+    def ldr_at(self, camera: Camera, exposure: float, levels: tuple[float, ...]) -> torch.Tensor:
+        return self.bracket_at(camera, [exposure], levels)[0]
 
-    @torch.no_grad()
-    def ldr_bracket(
-        self, camera: Camera, exposures: Sequence[float], lighting_level: Levels = 1.0
+    def bracket_at(
+        self, camera: Camera, exposures: Sequence[float], levels: tuple[float, ...]
     ) -> list[torch.Tensor]:
-        level = as_levels(lighting_level, self.lights)[0]
-        return self._pictures(camera, tuple(exposure * level for exposure in exposures))
+        return self._pictures(camera, tuple(exposure * levels[0] for exposure in exposures))
 
     def _pictures(self, camera: Camera, exposures: tuple[float | None, ...]) -> list[torch.Tensor]:
         """Pictures ``[3, H, W]`` at ``exposures`` (seconds; None: the radiance), marched through once.
@@ -386,26 +402,6 @@ class _SumInParts(torch.autograd.Function):
 # -- what training sees ------------------------------------------------------------------------------------
 
 
-@runtime_checkable
-class _OfScene(Protocol):
-    """A pool that knows which scene it is of, as the trainer does."""
-
-    scene: Scene
-
-
-def first_points(pool: Pool, curves: ToneMapper) -> np.ndarray:
-    """Points ``[P, 3]`` (metres) that say how deep the scene is: the data set's, else stereo's, if any."""
-    if isinstance(pool, _OfScene) and pool.scene.points is not None:
-        return pool.scene.points.positions.astype(np.float64)
-    votes = Votes(curves)
-    return stereo_points(
-        [
-            stereo_view(view.camera, *log_radiance_picture(view, indices, votes))
-            for view, indices in zip(pool.views, pool.exposures, strict=True)
-        ]
-    )
-
-
 def film_of(pool: Pool, space: RaySpace, device: torch.device) -> Film:
     """All pixels of ``pool``, as 8 bits, on ``device``."""
     each = [(view, k) for view, indices in zip(pool.views, pool.exposures, strict=True) for k in indices]
@@ -439,8 +435,3 @@ class _Kept(OrderedDict[tuple[Camera, float | None], torch.Tensor]):
         held = sum(picture.nbytes for picture in self.values())
         while held > KEPT_BYTES and len(self) > keep:
             held -= self.popitem(last=False)[1].nbytes
-
-
-def kernels_needed(config: HDRNeRFConfig) -> Needs:
-    """The CPU kernels that training this method calls."""
-    return Needs(activations=(config.tone_mapper.activation,))

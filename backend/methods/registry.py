@@ -1,97 +1,66 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Every method by its configuration. A new method is one file and one line here."""
+"""Every method by its name. A new method is one file and one row here."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 from ...bridge.errors import BadValueError
-from ...bridge.lights import AMBIENT
-from ..kernels.ahead import Needs
 from ..model.anchors import Anchors, AnchorsConfig
 from ..model.backbone import Attributes, Backbone
 from ..model.gaussians import Gaussians
-from ..rasterize import Implementation
-from . import gausshdr, hdr_gs, hdr_nerf, physhdr
-from .base import Method
+from .base import Facts, Method, MethodConfig
+from .gausshdr import GaussHDR, GaussHDRConfig
+from .hdr_gs import HDRGS, HDRGSConfig
+from .hdr_nerf import HDRNeRF, HDRNeRFConfig
+from .physhdr import PhysHDR
+from .physhdr_common import PhysHDRConfig
+from .physhdr_paper import PaperPhysHDR
 
-#: The configurations of all methods.
-MethodConfig = physhdr.PhysHDRConfig | gausshdr.GaussHDRConfig | hdr_gs.HDRGSConfig | hdr_nerf.HDRNeRFConfig
 
+class Row(NamedTuple):
+    """A method: its settings, and what makes it of them.
 
-@dataclass(frozen=True)
-class Facts:
-    """What a method must know of the data and the machine.
-
-    ``anchor``: a known point of the response, (exposure × radiance, code value), or None. ``lights``: names
-    of those whose levels vary.
+    ``make`` is called with the settings, a backbone without primitives where the method draws splats, and
+    the ``Facts``.
     """
 
-    anchor: tuple[float, float] | None = None
-    implementation: Implementation = "auto"
-    lights: tuple[str, ...] = (AMBIENT,)
+    config: type[MethodConfig]
+    make: Callable[..., Method]
 
 
-@dataclass(frozen=True)
-class Entry:
-    """A method: its name in files, how it is made, and what its training compiles."""
-
-    name: str
-    make: Callable[[Any, AnchorsConfig | None, Facts], Method]
-    kernels_needed: Callable[[Any], Needs]
+def _physhdr(config: PhysHDRConfig, backbone: Backbone, facts: Facts) -> Method:
+    return (PaperPhysHDR if config.branches == "both" else PhysHDR)(config, backbone, facts)
 
 
-def backbone_of(attributes: Attributes, anchors: AnchorsConfig | None) -> Backbone:
-    """An empty backbone: 3DGS's, or Scaffold-GS's where ``anchors`` are configured."""
-    return Gaussians({}, attributes) if anchors is None else Anchors(anchors, attributes)
-
-
-def _physhdr(config: physhdr.PhysHDRConfig, anchors: AnchorsConfig | None, facts: Facts) -> Method:
-    backbone = backbone_of(config.attributes(facts.lights), anchors)
-    return physhdr.PhysHDR(config, backbone, facts.anchor, facts.implementation, facts.lights)
-
-
-def _gausshdr(config: gausshdr.GaussHDRConfig, anchors: AnchorsConfig | None, facts: Facts) -> Method:
-    backbone = backbone_of(config.attributes(), anchors)
-    return gausshdr.GaussHDR(config, backbone, facts.anchor, facts.implementation)
-
-
-def _hdr_gs(config: hdr_gs.HDRGSConfig, anchors: AnchorsConfig | None, facts: Facts) -> Method:
-    backbone = backbone_of(config.attributes(), anchors)
-    return hdr_gs.HDRGS(config, backbone, facts.anchor, facts.implementation)
-
-
-def _hdr_nerf(config: hdr_nerf.HDRNeRFConfig, anchors: AnchorsConfig | None, facts: Facts) -> Method:
-    return hdr_nerf.HDRNeRF(config, facts.anchor)
-
-
-ENTRIES: dict[type, Entry] = {
-    physhdr.PhysHDRConfig: Entry("physhdr", _physhdr, physhdr.kernels_needed),
-    gausshdr.GaussHDRConfig: Entry("gausshdr", _gausshdr, gausshdr.kernels_needed),
-    hdr_gs.HDRGSConfig: Entry("hdr-gs", _hdr_gs, hdr_gs.kernels_needed),
-    hdr_nerf.HDRNeRFConfig: Entry("hdr-nerf", _hdr_nerf, hdr_nerf.kernels_needed),
+#: By the names that stand in files.
+METHODS = {
+    "physhdr": Row(PhysHDRConfig, _physhdr),
+    "gausshdr": Row(GaussHDRConfig, GaussHDR),
+    "hdr-gs": Row(HDRGSConfig, HDRGS),
+    "hdr-nerf": Row(HDRNeRFConfig, HDRNeRF),
 }
 
 
-def entry_of(config: Any) -> Entry:
-    """The method that a configuration is of."""
-    return ENTRIES[type(config)]
+def name_of(config: MethodConfig) -> str:
+    """The method that ``config`` is of, as ``config.json`` names it."""
+    return next(name for name, row in METHODS.items() if row.config is type(config))
 
 
-def config_named(name: str) -> type:
-    """The configuration's class of a method, as ``config.json`` names it; raises ``BadValueError``."""
-    for config, entry in ENTRIES.items():
-        if entry.name == name:
-            return config
-    names = ", ".join(entry.name for entry in ENTRIES.values())
-    raise BadValueError(f"there is no method {name!r}", f"There are: {names}.")
+def config_named(name: str) -> type[MethodConfig]:
+    """The settings' class of a method, as ``config.json`` names it; raises ``BadValueError``."""
+    if name not in METHODS:
+        raise BadValueError(f"there is no method {name!r}", f"There are: {', '.join(METHODS)}.")
+    return METHODS[name].config
 
 
-def new_method(config: Any, anchors: AnchorsConfig | None, facts: Facts) -> Method:
+def new_method(config: MethodConfig, anchors: AnchorsConfig | None, facts: Facts) -> Method:
     """An untrained method without primitives; raises ``BadValueError`` where it cannot be with these data."""
-    return entry_of(config).make(config, anchors, facts)
+    make = METHODS[name_of(config)].make
+    if not config.traits.splats:
+        return make(config, facts)
+    return make(config, new_backbone(config.attributes(facts.lights), anchors), facts)
 
 
-def kernels_needed(config: Any) -> Needs:
-    """The CPU kernels that training with ``config`` calls, so that they are compiled before."""
-    return entry_of(config).kernels_needed(config)
+def new_backbone(attributes: Attributes, anchors: AnchorsConfig | None) -> Backbone:
+    """An empty backbone: 3DGS's, or Scaffold-GS's where ``anchors`` are configured."""
+    return Gaussians({}, attributes) if anchors is None else Anchors(anchors, attributes)

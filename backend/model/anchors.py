@@ -16,10 +16,12 @@ from ...bridge.errors import BadValueError
 from ...bridge.splatting import LOW_PASS, NEAR_PLANE
 from ..scene.camera import Camera
 from ..scene.resident import camera_tensors
-from ..train.morton import morton_order
-from ..train.rates import Rate
 from .anchor_networks import DIRECTION, Head, run_heads
 from .backbone import Attributes, Backbone, Splats, Start
+from .gaussians import Gaussians
+from .harmonics_fit import HarmonicsFit
+from .morton import morton_order
+from .rates import Rate
 
 #: A voxel for the growth is the neighbours' distance over this, where none is given: the coarsest of
 #: Scaffold-GS's three cells (16 voxels) then is as large as the distance to the neighbours.
@@ -29,6 +31,12 @@ REACH = 3.0
 #: ln of the largest size of an anchor's Gaussians (Scaffold-GS, in the units of its reconstructions; ours are
 #: metres, so that it is 1.05 m there). It is applied where anchors grow.
 LARGEST_LOG_SCALE = 0.05
+#: Anchors that are fixed at once: the normal equations of k Gaussians each fit into memory.
+FIXED_AT_ONCE = 4096
+#: A Gaussian that a view has switched off says little of its colour there, but more than nothing.
+LEAST_WEIGHT = 1e-3
+#: Opacities are kept this far from 0 and 1, where their logits end.
+OPACITY_MARGIN = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,6 +88,9 @@ class AnchorRates:
     colour: float = 0.008
     colour_final: float = 5e-5
 
+    def __post_init__(self) -> None:
+        self.by_group()  # refuses rates that cannot be
+
     def by_group(self) -> dict[str, Rate]:
         """A rate for each parameter and each network of ``Anchors``."""
         colour = Rate(start=self.colour, final=self.colour_final, shape="exponential")
@@ -124,22 +135,6 @@ class AnchorsConfig:
     def __post_init__(self) -> None:
         if self.offsets < 1 or self.placement < 1:
             raise BadValueError("an anchor needs at least one Gaussian, and a cell at least one voxel")
-
-
-#: For a tenth of the iterations and less, on a CPU, where every anchor costs an evaluation of the networks:
-#: fewer anchors, and rates three times as large (docs/method.md has what was measured).
-SHORT_TRAINING = AnchorsConfig(
-    placement=32,
-    rates=AnchorRates(
-        features=0.0225,
-        log_scaling=0.014,
-        base_log_radiance=0.01,
-        opacity=0.006,
-        covariance=0.012,
-        colour=0.024,
-    ),
-    growth=AnchorGrowthConfig(stop=0.6, budget=120_000),
-)
 
 
 @dataclass(frozen=True)
@@ -342,10 +337,70 @@ class Anchors(Backbone):
         volumes = splats.scales.prod(dim=1)
         return self.config.volume_weight * volumes.sum() / max(volumes.shape[0], 1)
 
-    def fixed(self, cameras: Sequence[Camera]) -> Backbone:
-        from .anchors_fixed import fix_anchors  # here, as nothing else needs SH
+    # -- fixed -------------------------------------------------------------------------------------------
 
-        return fix_anchors(self, cameras)
+    @torch.no_grad()
+    def fixed(self, cameras: Sequence[Camera]) -> Gaussians:
+        """Plain Gaussians, as nearly as can be what ``cameras`` see; none: ``BadValueError``.
+
+        Opacity and covariance are those of the mean viewing direction of the cameras that have the anchor in
+        their picture; ln H_r is fitted to what the network says in the directions that they really see it
+        from, weighted by the opacity there; illumination, shares of light and context have no direction and
+        stay. What no camera sees is left out. Lost are opacities and shapes that change with the direction
+        (docs/method.md says what that costs), and details finer than the harmonics.
+        """
+        if not cameras:
+            raise BadValueError("anchors can only be fixed for cameras", "Give the training cameras.")
+        visible = torch.zeros(len(cameras), len(self), dtype=torch.bool, device=self.positions.device)
+        for flags, camera in zip(visible, cameras, strict=True):
+            flags[self.in_frustum(camera)] = True
+        some = visible.any(dim=0).nonzero().squeeze(1)
+        if not len(some):
+            raise BadValueError("none of the cameras sees an anchor", "Give the training cameras.")
+        parts = [self._fixed(cameras, visible, chunk) for chunk in some.split(FIXED_AT_ONCE)]
+        return Gaussians(
+            {name: torch.cat([part[name] for part in parts]).requires_grad_() for name in parts[0]},
+            self.attributes,
+        )
+
+    def _fixed(
+        self, cameras: Sequence[Camera], visible: torch.Tensor, chunk: torch.Tensor
+    ) -> dict[str, torch.Tensor]:
+        """Parameters of the Gaussians of the anchors ``chunk`` ``[A]``, each seen by a camera."""
+        k, positions = self.config.offsets, self.positions[chunk]
+        viewpoints = [camera_tensors(camera, positions).position for camera in cameras]
+        directions = torch.stack(
+            [nn.functional.normalize(positions - viewpoint, dim=1) for viewpoint in viewpoints]
+        )
+        mean_direction = nn.functional.normalize((directions * visible[:, chunk, None]).sum(0), dim=1)
+        said = self.outputs(chunk, mean_direction)
+        drawn = (said["opacity"] > 0).nonzero().squeeze(1)
+        splats = self.neural_gaussians(said, chunk, drawn, said["opacity"].new_zeros(len(chunk)))
+        base = self.parameters.get("base_log_radiance")
+        base = positions.new_zeros(len(chunk), 3) if base is None else base[chunk]
+
+        fit = HarmonicsFit(splats.means, self.attributes.sh_degree)
+        for c, viewpoint in enumerate(viewpoints):
+            # The networks say it of every anchor; views that do not have it in their picture weigh nothing.
+            here = self.outputs(chunk, directions[c])
+            weight = here["opacity"][drawn].clamp_min(LEAST_WEIGHT) * visible[c, chunk][drawn // k]
+            fit.add(viewpoint, here["colour"][drawn] + base[drawn // k], weight)
+        coefficients = fit.solved()
+
+        parameters = {
+            "means": splats.means,
+            "log_scales": splats.scales.log(),
+            "quaternions": nn.functional.normalize(splats.quaternions, dim=1),
+            "opacity_logits": splats.opacities.clamp(OPACITY_MARGIN, 1.0 - OPACITY_MARGIN).logit(),
+            "reflectance_dc": coefficients[:, :1],
+            "reflectance_rest": coefficients[:, 1:],
+            "log_illumination": splats.log_illumination,
+        }
+        if "light_share" in said:
+            parameters["light_share_logits"] = said["light_share"][drawn].reshape(len(drawn), -1, 3)
+        if splats.context is not None:
+            parameters["context"] = splats.context
+        return {name: tensor.contiguous() for name, tensor in parameters.items()}
 
 
 def _neighbour_distance(points: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ import torch
 from torch import nn
 
 from ..scene.camera import Camera
-from ..train.rates import Rate
+from .rates import Rate
 
 
 @dataclass(frozen=True, kw_only=True)

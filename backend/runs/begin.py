@@ -9,7 +9,6 @@ from pathlib import Path
 from ...bridge.regular import require_text
 from ..device import DeviceName, choose_device
 from ..kernels.ahead import Needs
-from ..methods.registry import kernels_needed
 from ..rasterize import Implementation
 from ..scene import Scene, read_scene
 from ..train.config import CONFIG_FILE, TrainConfig, read_config, write_config
@@ -44,7 +43,7 @@ class Workshop:
         check_memory(scene, config, device, self.report, resumed=resumed is not None)
         if device.type == "cpu" and self.rasteriser in ("auto", "cpu"):
             # Before the trainer is made, which calls some of them.
-            self.compile_kernels(kernels_needed(config.method))
+            self.compile_kernels(config.method.kernels_needed())
         return Trainer(scene, config, self.rasteriser, device, resumed, configuration)
 
 

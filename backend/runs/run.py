@@ -12,7 +12,7 @@ from ...bridge.model_file import Model
 from ..device import DeviceName, choose_device
 from ..export.blender_model import on_gaussians, to_model
 from ..methods.base import Method, SplattingMethod
-from ..methods.registry import entry_of
+from ..methods.registry import name_of
 from ..rasterize import Implementation
 from ..scene import Scene, read_scene
 from ..train.config import CONFIG_FILE, TrainConfig, read_config
@@ -36,19 +36,20 @@ class Run:
         """Where an exported file comes from, for its metadata."""
         return {
             "scene": self.scene.name,
-            "method": f"{entry_of(self.config.method).name}, preset {self.preset}",
+            "method": f"{name_of(self.config.method)}, preset {self.preset}",
             "iteration": str(self.iteration),
         }
 
     @property
     def splatting(self) -> SplattingMethod:
         """The method, where it draws splats; raises ``BadValueError`` where it does not (HDR-NeRF)."""
-        if not isinstance(self.method, SplattingMethod):
+        method = self.method.splatting
+        if method is None:
             raise BadValueError(
-                f"{self.folder} is of {entry_of(self.config.method).name}, which has no Gaussians",
+                f"{self.folder} is of {name_of(self.config.method)}, which has no Gaussians",
                 "Render pictures of it by physhdr render; the other methods can be exported and previewed.",
             )
-        return self.method
+        return method
 
     def on_gaussians(self) -> SplattingMethod:
         """The method on plain Gaussians on the CPU, as files hold it."""

@@ -31,7 +31,6 @@ from ...bridge.model_file import refuse_what_is_not_ours, write_model
 from ..device import DeviceName
 from ..kernels.ahead import Needs
 from ..memory import is_out_of_memory
-from ..methods.registry import kernels_needed
 from ..runs.begin import Workshop
 from ..runs.log import LOG_FILE
 from ..runs.run import Run, open_run
@@ -266,7 +265,7 @@ class Engine:
                 report=self._progress_of_preparing,
             )
             if run.method.device.type != "cuda":
-                self._compile(kernels_needed(run.config.method))
+                self._compile(run.config.method.kernels_needed())
         except BaseException:
             self._stopping = False
             self._status.tell(before)

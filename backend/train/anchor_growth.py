@@ -14,10 +14,10 @@ import torch
 from ...bridge.errors import BadValueError
 from ..methods.base import Drawn, SplattingMethod
 from ..model.anchors import LARGEST_LOG_SCALE, AnchorGrowthConfig, Anchors, AnchorSplats
+from ..model.morton import morton_order
 from ..scene.camera import Camera
 from ..scene.resident import camera_tensors
 from .densify import gradient_scaling
-from .morton import morton_order
 from .optimisers import Optimiser
 
 

@@ -14,11 +14,12 @@ from typing import Any, Literal, NamedTuple
 from ...bridge.atomic import atomic_path
 from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
 from ...bridge.regular import read_json_object
-from ..methods.physhdr import PhysHDRConfig
-from ..methods.registry import MethodConfig, config_named, entry_of
+from ..methods.base import MethodConfig
+from ..methods.physhdr_common import PhysHDRConfig
+from ..methods.registry import config_named, name_of
 from ..model.anchors import AnchorsConfig
+from ..start.initialise import Source
 from .densify import DensifyConfig
-from .initialise import Source
 from .optimisers import OptimiserConfig
 
 CONFIG_FILE = "config.json"
@@ -101,6 +102,22 @@ class TrainConfig:
         if not self.initial_scale > 0.0:
             raise BadValueError(f"--initial-scale must be above 0, got {self.initial_scale}")
         _check_numbers(self, "")
+        self._check_traits()
+
+    def _check_traits(self) -> None:
+        """Raises ``BadValueError`` for a schedule that the method cannot follow."""
+        name, traits = name_of(self.method), self.method.traits
+        if self.supervision == "bracket" and not traits.brackets_at_once:
+            raise BadValueError(
+                f"{name}, with these settings, draws a view anew for each exposure: a bracket cannot be "
+                "compared at once",
+                "Set --supervision one.",
+            )
+        if self.half_size_until > 0.0 and not traits.half_sizes:
+            raise BadValueError(
+                f"{name}, with these settings, cannot learn from views at half their size",
+                "Set --half-size-until 0.",
+            )
 
 
 def _check_numbers(config: Any, where: str) -> None:
@@ -183,18 +200,23 @@ def _renamed(values: Any) -> Any:
 
 def _values(config: TrainConfig) -> dict[str, Any]:
     values = dataclasses.asdict(config)
-    values["method"] = {"name": entry_of(config.method).name} | values["method"]
+    values["method"] = {"name": name_of(config.method)} | values["method"]
     return values
 
 
 def _from_json(hint: Any, value: Any, where: str) -> Any:
     """``value`` as the annotation ``hint`` wants it; raises ``ValueError`` and what dataclasses refuse."""
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if hint is MethodConfig:
+        return _method(value, where)
     if origin is Literal:
         if value in arguments:
             return value
     elif origin in (types.UnionType, typing.Union):
-        return _one_of(arguments, value, where)
+        if value is None and type(None) in arguments:
+            return None
+        kind, *_ = (each for each in arguments if each is not type(None))
+        return _from_json(kind, value, where)
     elif origin is tuple:
         if isinstance(value, list):
             return tuple(_from_json(arguments[0], item, where) for item in value)
@@ -209,16 +231,12 @@ def _from_json(hint: Any, value: Any, where: str) -> Any:
     raise ValueError(f"{where} is {json.dumps(value)[:60]}, which it cannot be")
 
 
-def _one_of(hints: tuple[Any, ...], value: Any, where: str) -> Any:
-    """A choice: a number or nothing; the methods, of which a dictionary says by its name which it is."""
-    if value is None and type(None) in hints:
-        return None
-    kinds = [hint for hint in hints if hint is not type(None)]
-    if len(kinds) > 1 and isinstance(value, dict):
-        # Before there were others, it was PhysHDR.
-        kinds = [config_named(_from_json(str, value.get("name", "physhdr"), f"{where}.name"))]
-        value = {key: item for key, item in value.items() if key != "name"}
-    return _from_json(kinds[0], value, where)
+def _method(value: Any, where: str) -> MethodConfig:
+    """The settings of the method that their ``name`` says; before there were others, it was PhysHDR."""
+    if not isinstance(value, dict):
+        raise ValueError(f"{where} is {json.dumps(value)[:60]}, which it cannot be")
+    kind = config_named(_from_json(str, value.get("name", "physhdr"), f"{where}.name"))
+    return _dataclass(kind, {key: item for key, item in value.items() if key != "name"}, where)
 
 
 def _dataclass(cls: type, values: dict[str, Any], where: str) -> Any:

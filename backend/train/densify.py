@@ -12,12 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from ...bridge.errors import BadValueError
 from ..methods.base import Drawn, SplattingMethod
 from ..model.gaussians import Gaussians
+from ..model.morton import morton_order
 from ..rasterize.reference import rotation_matrices
 from ..scene.camera import Camera
 from ..scene.resident import camera_tensors
-from .morton import morton_order
 from .optimisers import Optimiser
 
 #: A split makes two, each this much smaller (3DGS).
@@ -47,6 +48,10 @@ class DensifyConfig:
     reset_opacity: float = 0.01
     #: Never more Gaussians than this; those with the largest gradients come first. 0: no bound.
     budget: int = 60_000
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.reset_opacity < 1.0:
+            raise BadValueError(f"--densify.reset-opacity must be between 0 and 1, got {self.reset_opacity}")
 
 
 @dataclass

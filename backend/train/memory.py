@@ -13,18 +13,15 @@ from dataclasses import dataclass
 
 import torch
 
-from ...bridge.lights import AMBIENT
 from ..kernels.ahead import CONTEXT
 from ..memory import NotEnoughMemoryError, Room, cores, gigabytes, room
-from ..methods.base import SplattingMethod
-from ..methods.registry import Facts, kernels_needed, new_method
 from ..model.anchors import VOXELS_PER_SPACING, AnchorsConfig
-from ..model.gaussians import Gaussians
 from ..scene.resident import PICTURE_BYTES
 from ..scene.scene import CACHE_BYTES, Scene, View
+from ..start.initialise import MOST_STEREO_POINTS
+from ..start.stereo import MOST_DEPTHS, WORK_WIDTH
 from .config import TrainConfig
-from .initialise import MOST_STEREO_POINTS
-from .stereo import MOST_DEPTHS, WORK_WIDTH
+from .views import training_lights, training_views
 
 FLOAT = 4
 
@@ -135,13 +132,8 @@ def _parts(needed: Estimate, sizes: Sizes, config: TrainConfig) -> str:
 
 def sizes_of(scene: Scene, config: TrainConfig) -> Sizes:
     """The sizes of training ``config`` on ``scene``, without reading a picture."""
-    by_light = getattr(config.method, "lighting_level", "exposure") == "view"
-    views = [*scene.train, *(scene.lit if by_light else [])]
+    views = training_views(scene, config)
     seen = [_exposures_seen(view, config) for view in views]
-    with torch.random.fork_rng(devices=[]):  # the method begins anew when it is trained
-        method = new_method(
-            config.method, config.anchors, Facts(lights=scene.lights if by_light else (AMBIENT,))
-        )
     sizes = Sizes(
         pixels=max((view.camera.width * view.camera.height for view in views), default=0),
         picture_bytes=sum(
@@ -156,22 +148,22 @@ def sizes_of(scene: Scene, config: TrainConfig) -> Sizes:
         pixel_bytes=0,
         seeks=False,
     )
-    if not isinstance(method, SplattingMethod):
+    if not config.method.traits.splats:
         return sizes
-    needs = kernels_needed(config.method)
+    needs = config.method.kernels_needed()
     channels, local = max(needs.channels), bool(needs.local_branches)
     branches = max(1, (channels - (CONTEXT if local else 0)) // 3)
     compared = sizes.exposures if config.supervision == "bracket" else 1
     developed = DEVELOPED_PIXEL_BYTES + (LOCAL_PIXEL_BYTES if local else 0)
     points, seeks = _first_points(scene, config, views)
     first, most = _counts(points, config)
-    backbone = method.backbone
-    if isinstance(backbone, Gaussians):
-        wanted, work = backbone.attributes, SPLAT_BYTES
+    wanted = config.method.attributes(training_lights(scene, config))
+    if config.anchors is None:
         # Means, sizes, rotation, opacity, illumination; a colour for each coefficient; shares; context.
-        floats = 12 + 3 * (wanted.sh_degree + 1) ** 2 + 3 * wanted.lights + wanted.context_size
+        floats, work = 12 + 3 * (wanted.sh_degree + 1) ** 2 + 3 * wanted.lights, SPLAT_BYTES
+        floats += wanted.context_size
     else:
-        floats, work = _anchor_floats(config.anchors or AnchorsConfig()), ANCHOR_SPLAT_BYTES
+        floats, work = _anchor_floats(config.anchors), ANCHOR_SPLAT_BYTES
     return dataclasses.replace(
         sizes,
         first=first,

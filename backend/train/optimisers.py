@@ -1,15 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Adam for Gaussians and networks, their learning rates over time, and surgery on Adam's moments."""
 
+import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
 import torch
 
-from ..methods.base import Method, SplattingMethod
+from ..methods.base import Method
 from ..model.backbone import Backbone
-from .rates import Rate
+from ..model.rates import Rate
+
+#: Numbers of ``OptimiserConfig`` that are no group's rate at the start.
+NO_RATES = ("means_final", "networks_times")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +42,11 @@ class OptimiserConfig:
     networks_times: float = 1.0
     #: What is annealed by a cosine to zero: the networks, or the Gaussians' appearance and shape as well.
     cosine: Literal["networks", "all"] = "networks"
+
+    def __post_init__(self) -> None:
+        for each in dataclasses.fields(self):
+            if each.type is float and each.name not in NO_RATES:
+                self.rate(each.name)  # refuses one that cannot be
 
     def rate(self, name: str) -> Rate:
         """How the rate of a group goes."""
@@ -68,7 +77,7 @@ class Optimiser:
         groups = method.parameter_groups()
         self.rates = {name: config.rate(name) for name in groups if name not in method.rates()}
         self.rates |= {name: rate for name, rate in method.rates().items() if name in groups}
-        if isinstance(method, SplattingMethod) and config.networks_times != 1.0:
+        if config.networks_times != 1.0:
             for name in method.network_groups().keys() & self.rates.keys():
                 self.rates[name] = self.rates[name].times(config.networks_times)
         self.adam = torch.optim.Adam(

@@ -10,14 +10,14 @@ import numpy as np
 import torch
 
 from ...bridge.errors import BadValueError, DataMismatchError, PhysHDRError
-from ...bridge.lights import AMBIENT
-from ..methods.base import Method, Shot, SplattingMethod
-from ..methods.registry import Facts, new_method
+from ..methods.base import Batch, Facts, Method, SplattingMethod
+from ..methods.registry import new_method
 from ..model.anchors import Anchors
 from ..model.backbone import Start
 from ..rasterize import Implementation
 from ..scene.resident import Pictures
 from ..scene.scene import Scene, View
+from ..start.initialise import initial_points, merged_log_radiance, scene_extent, seen_points
 from .anchor_growth import AnchorGrowth
 from .checkpoint import (
     CONFIGURATION,
@@ -35,8 +35,8 @@ from .densify import GaussianGrowth
 from .events import Event, Finished, Progress, Saved, Started
 from .growth import Growth, NoGrowth
 from .half_size import halved
-from .initialise import initial_points, merged_log_radiance, scene_extent
 from .optimisers import ADAM, Optimiser
+from .views import training_exposures, training_lights, training_views
 
 CHECKPOINT_FILE = "checkpoint.safetensors"
 #: Prefix of the backbone's parameters in a checkpoint, of either backbone.
@@ -51,7 +51,7 @@ CHECKPOINT_SECONDS = 30.0
 CHECKPOINT_SHARE = 0.02
 
 #: Streams of random numbers, so that no two purposes draw the same ones.
-STREAM_VIEWS, STREAM_EXPOSURES, STREAM_GROWTH, STREAM_SHOT = range(4)
+STREAM_VIEWS, STREAM_EXPOSURES, STREAM_GROWTH, STREAM_BATCH = range(4)
 
 #: Measures a fixed test view; given the method, returns named numbers.
 Monitor = Callable[[Method], dict[str, float]]
@@ -87,9 +87,8 @@ class Trainer:
         #: What training took so far, the search for the first points included, in all its parts.
         self.seconds = self.cpu_seconds = 0.0
         self._sound = True  # whether the state is one that a checkpoint may hold
-        uses_light = getattr(config.method, "lighting_level", "exposure") == "view"
-        self.lights = scene.lights if uses_light else (AMBIENT,)
-        self.views = [*scene.train, *(scene.lit if uses_light else [])]
+        self.lights = training_lights(scene, config)
+        self.views = training_views(scene, config)
         if not self.views:
             raise BadValueError(f"{scene.root} has no training views")
         self.exposures = [self._allowed_exposures(view, index) for index, view in enumerate(self.views)]
@@ -114,29 +113,23 @@ class Trainer:
         self.method.prepare(self.config.seed)
         self.start_message = "random networks"
         begun, begun_cpu = time.perf_counter(), time.process_time()
-        if isinstance(self.method, SplattingMethod):
-            self._place(self.method)
+        if self.method.splatting is not None:
+            self._place(self.method.splatting)
         self.seconds = time.perf_counter() - begun
         self.cpu_seconds = time.process_time() - begun_cpu
 
     def _new_growth(self) -> Growth:
         config, seed = self.config, (self.config.seed, STREAM_GROWTH)
-        if not isinstance(self.method, SplattingMethod):
+        method = self.method.splatting
+        if method is None:
             return NoGrowth()
-        if isinstance(self.method.backbone, Anchors):
-            return AnchorGrowth(self.method, self.optimiser, config.iterations, seed)
-        return GaussianGrowth(self.method, self.optimiser, config.densify, config.iterations, seed)
+        if isinstance(method.backbone, Anchors):
+            return AnchorGrowth(method, self.optimiser, config.iterations, seed)
+        return GaussianGrowth(method, self.optimiser, config.densify, config.iterations, seed)
 
     def _allowed_exposures(self, view: View, index: int) -> tuple[int, ...]:
-        """Positions in the view's bracket; ``training_exposures`` are places in the whole one."""
-        places = [view.place_of(k) for k in self.config.training_exposures]
-        allowed = tuple(place for place in places if place is not None)
-        if not allowed:
-            raise DataMismatchError(
-                f"view {view.name} has the exposures {list(view.bracket)}, training wants "
-                f"{list(self.config.training_exposures)}",
-                "Set --training-exposures to indices that the data set has.",
-            )
+        """Positions in the view's bracket: all that training may see, or the one drawn for this view."""
+        allowed = training_exposures(view, self.config)
         if self.config.exposure_mode == "exp1":
             rng = np.random.default_rng([self.config.seed, STREAM_EXPOSURES, index])
             return (int(rng.choice(allowed)),)
@@ -145,7 +138,7 @@ class Trainer:
     def _place(self, method: SplattingMethod) -> None:
         """Put the backbone's first primitives where the scene is, as bright as the brackets say.
 
-        Where a method wants ``initial_radiance`` of the points, ln radiance is their colour (HDR-GS).
+        Where a method wants its ``initial_radiance`` of the points, ln radiance is their colour (HDR-GS).
         """
         config, response = self.config, method.first_response
         # Only views under the standard light say how bright a point is at level 1.
@@ -167,7 +160,7 @@ class Trainer:
             ambient_share=config.initial_ambient_share,
             seed=config.seed,
         )
-        radiance = points.colours if getattr(config.method, "initial_radiance", "") == "points" else None
+        radiance = points.colours if config.method.traits.initial_radiance == "points" else None
         if radiance is None:
             radiance = merged_log_radiance(points.positions, views, exposures, response)
         method.backbone.place(points.positions, radiance, start)
@@ -191,34 +184,40 @@ class Trainer:
         """``[3, H, W]`` in [0, 1], on the device: what methods that sample all pictures ask for."""
         return self.pictures.get(view, k)
 
-    def shot(self, iteration: int) -> Shot:
+    def first_points(self) -> np.ndarray:
+        """``[P, 3]`` metres: what methods ask for that start elsewhere, but must know where the scene is."""
+        if self.scene.points is not None:
+            return self.scene.points.positions.astype(np.float64)
+        return seen_points(self.views, self.exposures, self.method.first_response)
+
+    def batch(self, iteration: int) -> Batch:
         """What an iteration (from 0) sees."""
         config = self.config
         view, indices = self.draw(iteration)
         camera, pictures = view.camera, [self.pictures.get(view, k) for k in indices]
         if iteration < config.half_size_until * config.iterations:
             camera, pictures = halved(camera, pictures)
-        return Shot(
+        return Batch(
             camera=camera,
             exposures=tuple(view.exposures[k] for k in indices),
             pictures=tuple(pictures),
-            levels=1.0 if view.is_standard else view.lighting_levels,
+            levels=tuple(1.0 for _ in self.lights) if view.is_standard else view.lighting_levels,
             iteration=iteration,
             pool=self,
-            seed=(config.seed, STREAM_SHOT, iteration),
+            seed=(config.seed, STREAM_BATCH, iteration),
         )
 
     def step(self) -> dict[str, torch.Tensor]:
         """One iteration; returns the weighted loss terms (detached)."""
         iteration = self.iteration
-        shot = self.shot(iteration)
+        batch = self.batch(iteration)
         self._follow_schedule(iteration)
-        outcome = self.method.training_outcome(shot)
+        outcome = self.method.training_outcome(batch)
         total = torch.stack(list(outcome.terms.values())).sum()
         total.backward()
 
         if outcome.drawn is not None:
-            self.growth.observe(outcome.drawn, shot.camera, iteration)
+            self.growth.observe(outcome.drawn, batch.camera, iteration)
         self._sound = False
         self.optimiser.step(iteration)
         self.iteration = iteration + 1
@@ -316,8 +315,9 @@ class Trainer:
         ``TrainingDivergedError`` where a value is no number: what is in ``folder`` is worth more then.
         """
         tensors = {f"{NETWORKS}{k}": v for k, v in self.method.state_dict().items()}
-        if isinstance(self.method, SplattingMethod):
-            tensors |= {f"{PRIMITIVES}{k}": v for k, v in self.method.backbone.parameters.items()}
+        if self.method.splatting is not None:
+            primitives = self.method.splatting.backbone.parameters
+            tensors |= {f"{PRIMITIVES}{k}": v for k, v in primitives.items()}
         tensors |= {f"{STATISTICS}{k}": v for k, v in self.growth.tensors().items()}
         tensors |= self.optimiser.state_tensors()
         for name, tensor in tensors.items():
@@ -379,8 +379,9 @@ def restore_method(method: Method, tensors: dict[str, torch.Tensor], path: Path)
     networks = {k: v for k, v in tensors.items() if k.startswith(NETWORKS)}
     primitives = {k: v for k, v in tensors.items() if k.startswith(PRIMITIVES)}
     wanted = {f"{NETWORKS}{name}": like for name, like in method.state_dict().items()}
-    if isinstance(method, SplattingMethod):
-        shapes = method.backbone.shapes()
+    splatting = method.splatting
+    if splatting is not None:
+        shapes = splatting.backbone.shapes()
         count = max((tensor.shape[0] for tensor in primitives.values() if tensor.dim()), default=0)
         if count == 0:
             raise damaged(path, "it has no Gaussians")
@@ -389,8 +390,8 @@ def restore_method(method: Method, tensors: dict[str, torch.Tensor], path: Path)
         }
     check_tensors(tensors, wanted, path)
     refuse_others(networks | primitives, wanted, path)
-    if isinstance(method, SplattingMethod):
-        method.backbone.parameters = {
+    if splatting is not None:
+        splatting.backbone.parameters = {
             k.removeprefix(PRIMITIVES): v.clone().requires_grad_() for k, v in primitives.items()
         }
     method.load_state_dict({k.removeprefix(NETWORKS): v for k, v in networks.items()})

@@ -5,7 +5,6 @@ import dataclasses
 from collections.abc import Iterator
 from typing import Any
 
-from ..methods.base import SplattingMethod
 from ..model.anchors import Anchors
 from .config import TrainConfig
 from .optimisers import OptimiserConfig
@@ -39,8 +38,8 @@ def changed_without_effect(trainer: Trainer, preset: TrainConfig) -> list[str]:
 
 
 def _unread(trainer: Trainer) -> set[str]:
-    method = trainer.method
-    if not isinstance(method, SplattingMethod):
+    method = trainer.method.splatting
+    if method is None:
         return set(OF_SPLATS)
     unread: set[str] = {*OF_3DGS} if isinstance(method.backbone, Anchors) else set()
     rates = {each.name for each in dataclasses.fields(OptimiserConfig) if each.type is float}

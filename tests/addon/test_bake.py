@@ -120,7 +120,9 @@ import sys
 from pathlib import Path
 import numpy as np, torch
 from physhdr.backend.export.blender_model import to_model
-from physhdr.backend.methods.physhdr import PhysHDR, PhysHDRConfig
+from physhdr.backend.methods.base import Facts
+from physhdr.backend.methods.physhdr import PhysHDR
+from physhdr.backend.methods.physhdr_common import PhysHDRConfig
 from physhdr.backend.model.gaussians import initial_gaussians
 from physhdr.bridge.display import display_colour_sh
 from physhdr.bridge.gaussian_ply import write_standard_ply
@@ -135,7 +137,7 @@ gaussians = initial_gaussians(
 )
 for tensor in gaussians.parameters.values():
     tensor.data += 0.1 * torch.randn_like(tensor)
-method = PhysHDR(config, gaussians, (1.0, 0.73))
+method = PhysHDR(config, gaussians, Facts((1.0, 0.73)))
 for tensor in method.parameters():
     tensor.data += 0.05 * torch.randn_like(tensor)
 model = to_model(method, np.zeros(3), (1.0,), {"scene": "test", "method": "m", "iteration": "1"})

@@ -10,7 +10,9 @@ import torch
 
 from physhdr.backend.export.baked import network_comments, parameter_columns
 from physhdr.backend.export.blender_model import to_model
-from physhdr.backend.methods.physhdr import PhysHDR, PhysHDRConfig
+from physhdr.backend.methods.base import Facts
+from physhdr.backend.methods.physhdr import PhysHDR
+from physhdr.backend.methods.physhdr_common import PhysHDRConfig
 from physhdr.backend.model.gaussians import initial_gaussians
 from physhdr.backend.scene.camera import Camera
 from physhdr.bridge.display import display_colour_sh
@@ -37,7 +39,7 @@ def write(path: Path, config: PhysHDRConfig, lights: tuple[str, ...] = ("ambient
     )
     for tensor in gaussians.parameters.values():
         tensor.data += 0.2 * torch.randn_like(tensor)
-    method = PhysHDR(config, gaussians, (1.0, 0.73), lights=lights)
+    method = PhysHDR(config, gaussians, Facts((1.0, 0.73), lights=lights))
     for parameter in method.parameters():
         parameter.data += 0.05 * torch.randn_like(parameter)
     model = to_model(method, np.zeros(3), (1.0,), {"scene": "test"})
@@ -97,7 +99,7 @@ def test_the_model_file_of_several_lights_renders_as_the_method(tmp_path: Path) 
         np.testing.assert_allclose(back.radiance(directions, levels), expected, rtol=1e-3)
 
 
-@pytest.mark.parametrize(("composer", "modulator"), [("learned", "additive"), ("product", "learned")])
+@pytest.mark.parametrize(("composer", "modulator"), [("learned", "learned"), ("product", "learned")])
 def test_networks_in_the_radiance_need_the_model_file(tmp_path: Path, composer, modulator) -> None:
     write(tmp_path / "a.ply", PhysHDRConfig(composer=composer, modulator=modulator))
     with pytest.raises(BadValueError, match=rf"composer {composer}, modulator {modulator}"):

@@ -11,7 +11,7 @@ import torch
 
 from physhdr.backend.evaluate.protocol import evaluate
 from physhdr.backend.kernels import ssim_map_reference
-from physhdr.backend.methods.base import Shot
+from physhdr.backend.methods.base import Facts
 from physhdr.backend.methods.gausshdr import GaussHDR, GaussHDRConfig, Half
 from physhdr.backend.model.gaussians import initial_gaussians
 from physhdr.backend.model.tone_mapper import ToneMapperConfig
@@ -49,7 +49,7 @@ def make(anchor=ANCHOR, implementation="cpu", **changes) -> GaussHDR:
         seed=0,
     )
     torch.manual_seed(2)
-    method = GaussHDR(config, gaussians, anchor, implementation)
+    method = GaussHDR(config, gaussians, Facts(anchor, implementation))
     generator = torch.Generator().manual_seed(4)
     with torch.no_grad():
         for name, tensor in [*method.named_parameters(), *gaussians.parameters.items()]:
@@ -254,17 +254,15 @@ def test_global_curves_stand_in_for_local_ones_until(camera):
     assert all(p.grad.abs().max() > 0 for p in method.tone_mapper.local_curves.parameters())
 
 
-def test_what_cannot_be(camera):
+def test_what_cannot_be():
     with pytest.raises(BadValueError, match="local"):
         GaussHDRConfig(tone_mapper=ToneMapperConfig(local=False))
     with pytest.raises(BadValueError, match="SH degree"):
         GaussHDRConfig(sh_degree=4)
     with pytest.raises(BadValueError, match="uncertainty"):
         GaussHDRConfig(least_uncertainty=0.0)
-    pictures = (torch.rand(3, 20, 24), torch.rand(3, 20, 24))
-    shot = Shot(camera, (1.0, 2.0), pictures, 1.0, 0, pool=None)
-    with pytest.raises(BadValueError, match="bracket"):
-        make().training_outcome(shot)
+    with pytest.raises(BadValueError, match=r"bracket[\s\S]*--supervision one"):
+        dataclasses.replace(PRESETS["gausshdr"], supervision="bracket")
 
 
 def test_the_published_rates_and_parts():

@@ -11,7 +11,7 @@ import torch
 from physhdr.backend.evaluate.protocol import evaluate
 from physhdr.backend.evaluate.report import to_markdown
 from physhdr.backend.kernels import ssim_map_reference
-from physhdr.backend.methods.base import Shot
+from physhdr.backend.methods.base import Batch, Facts
 from physhdr.backend.methods.hdr_gs import HDRGS, HDRGSConfig, compressed, compressed_truth
 from physhdr.backend.model.gaussians import initial_gaussians
 from physhdr.backend.model.tone_mapper import ToneMapperConfig
@@ -50,7 +50,7 @@ def make(implementation="cpu", **changes) -> HDRGS:
         seed=0,
     )
     torch.manual_seed(2)
-    method = HDRGS(config, gaussians, None, implementation)
+    method = HDRGS(config, gaussians, Facts(implementation=implementation))
     generator = torch.Generator().manual_seed(4)
     with torch.no_grad():
         for name, tensor in [*method.named_parameters(), *gaussians.parameters.items()]:
@@ -70,9 +70,9 @@ class SeenView:
     index: int
 
 
-def shot_of(camera, exposures=(EXPOSURE,), index=0):
+def batch_of(camera, exposures=(EXPOSURE,), index=0):
     pictures = tuple(torch.rand(3, 20, 24, generator=torch.Generator().manual_seed(1)) for _ in exposures)
-    return Shot(camera, exposures, pictures, 1.0, 0, pool=Pool([SeenView(camera, index)]))
+    return Batch(camera, exposures, pictures, (1.0,), 0, pool=Pool([SeenView(camera, index)]))
 
 
 def by_hand(method, camera):
@@ -97,9 +97,9 @@ def test_the_forward_pass_is_as_described(camera):
     ldr, hdr = by_hand(method, camera)
     assert (method.ldr(camera, EXPOSURE) - ldr).abs().max() < 1e-4
     assert (method.hdr(camera) - hdr).abs().max() < 1e-4 * hdr.max()
-    outcome = method.training_outcome(shot_of(camera))
+    outcome = method.training_outcome(batch_of(camera))
     assert torch.allclose(outcome.drawn.rasterization.image.double(), ldr, atol=1e-4)
-    picture = shot_of(camera).pictures[0].double()
+    picture = batch_of(camera).pictures[0].double()
     expected = 0.8 * (ldr - picture).abs().mean() + 0.2 * (1.0 - ssim_map_reference(ldr, picture).mean())
     assert outcome.terms["rec"].item() == pytest.approx(expected.item(), rel=1e-4)
     assert set(outcome.terms) == {"rec"}  # no unit exposure: their code has it switched off
@@ -115,8 +115,8 @@ def test_a_level_scales_as_an_exposure(camera):
 
 def test_a_bracket_is_the_mean_of_its_pictures(camera):
     method = make()
-    each = [method.training_outcome(shot_of(camera, (t,))).terms["rec"] for t in (0.5, 2.0, 8.0)]
-    whole = method.training_outcome(shot_of(camera, (0.5, 2.0, 8.0))).terms["rec"]
+    each = [method.training_outcome(batch_of(camera, (t,))).terms["rec"] for t in (0.5, 2.0, 8.0)]
+    whole = method.training_outcome(batch_of(camera, (0.5, 2.0, 8.0))).terms["rec"]
     assert whole.item() == pytest.approx(torch.stack(each).mean().item(), rel=1e-6)
 
 
@@ -169,6 +169,9 @@ def test_hdr_supervision_must_be_asked_for_twice(tmp_path):
         with pytest.raises(BadValueError, match="asked for twice"):
             HDRGSConfig(**half)
     assert not any(getattr(preset.method, "hdr_supervision", False) for preset in PRESETS.values())
+    method = HDRGSConfig(hdr_supervision=True, hdr_truth=str(tmp_path))
+    with pytest.raises(BadValueError, match=r"half their size[\s\S]*--half-size-until 0"):
+        dataclasses.replace(PRESETS["hdr-gs-short"], method=method)  # of which no truth is known
     with pytest.raises(BadValueError, match="global curve"):
         HDRGSConfig(tone_mapper=ToneMapperConfig(local=True))
 
@@ -185,7 +188,7 @@ def test_growth_sees_the_ldr_pass_alone(camera, tmp_path):
     plain, supervised = make(), make(hdr_supervision=True, hdr_truth=str(tmp_path))
     gradients = []
     for method in (plain, supervised):
-        outcome = method.training_outcome(shot_of(camera, index=3))
+        outcome = method.training_outcome(batch_of(camera, index=3))
         torch.stack(list(outcome.terms.values())).sum().backward()
         gradients.append((outcome.drawn.screen_offsets.grad, method.gaussians.means.grad))
     assert torch.equal(gradients[0][0], gradients[1][0]) and gradients[0][0].any()
@@ -197,7 +200,7 @@ def test_growth_sees_the_ldr_pass_alone(camera, tmp_path):
     expected += 0.2 * (1.0 - ssim_map_reference(prediction, truth.double()).mean())
     assert outcome.terms["hdr"].item() == pytest.approx(0.6 * expected.item(), rel=1e-3)
     with pytest.raises(FileMissingError, match=r"hdr_004\.exr"):
-        supervised.training_outcome(shot_of(camera, index=4))
+        supervised.training_outcome(batch_of(camera, index=4))
 
 
 def test_hdr_supervision_is_said_aloud_and_written_down(tiny_data, tmp_path):

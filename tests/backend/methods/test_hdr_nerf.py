@@ -10,8 +10,8 @@ import torch
 
 from physhdr.backend.evaluate.metrics import psnr
 from physhdr.backend.methods import hdr_nerf
-from physhdr.backend.methods.base import Shot
-from physhdr.backend.methods.hdr_nerf import HDRNeRF, HDRNeRFConfig, first_points, sum_in_parts
+from physhdr.backend.methods.base import Batch, Facts
+from physhdr.backend.methods.hdr_nerf import HDRNeRF, HDRNeRFConfig, sum_in_parts
 from physhdr.backend.model.field import (
     Field,
     FieldConfig,
@@ -82,7 +82,7 @@ def space_of(kind: str) -> tuple[RaySpace, list[Camera], np.ndarray]:
 def method_of(config: HDRNeRFConfig = TINY, anchor=ANCHOR, double: bool = False) -> HDRNeRF:
     """One whose fields are not black anywhere: random networks often are."""
     torch.manual_seed(1)
-    method = HDRNeRF(config, anchor)
+    method = HDRNeRF(config, Facts(anchor))
     with torch.no_grad():
         for network in (method.coarse, method.fine):
             network.density.weight.mul_(4.0)
@@ -136,7 +136,7 @@ def test_the_field_is_nerf_layer_by_layer(config):
 def test_the_published_size():
     """NeRF's network has 595,844 parameters; both, and twice three curves 1 → 128 → 1."""
     assert sum(p.numel() for p in Field(FieldConfig()).parameters()) == 595_844
-    parameters = HDRNeRF(HDRNeRFConfig(), None).parameters()
+    parameters = HDRNeRF(HDRNeRFConfig(), Facts()).parameters()
     assert sum(each.numel() for each in parameters) == 2 * (595_844 + 3 * (3 * 128 + 1))
 
 
@@ -289,9 +289,9 @@ def test_losses_and_gradients_are_those_of_the_equations(tiny_data, monkeypatch)
     config = dataclasses.replace(TINY, rays_per_iteration=12)
     trainer = Trainer(read_scene(tiny_data), TrainConfig(method=config, iterations=10))
     method = method_of(config, double=True)
-    shot = dataclasses.replace(trainer.shot(3), pool=trainer)
+    batch = trainer.batch(3)
     film = method._film_of(trainer)
-    rays, targets, log_t, generator = method._draw(film, shot.seed)
+    rays, targets, log_t, generator = method._draw(film, batch.seed)
     jitter, u = method._chances(len(rays), generator)
 
     def curve(curves, x):  # [3] → [3]
@@ -317,7 +317,7 @@ def test_losses_and_gradients_are_those_of_the_equations(tiny_data, monkeypatch)
     parameters = list(method.parameters())
     gradients = torch.autograd.grad(sum(expected.values()), parameters)
 
-    terms = method.training_outcome(shot).terms
+    terms = method.training_outcome(batch).terms
     assert terms.keys() == expected.keys()
     for name, term in terms.items():
         assert term.item() == pytest.approx(expected[name].item(), rel=1e-10), name
@@ -330,13 +330,13 @@ def test_losses_and_gradients_are_those_of_the_equations(tiny_data, monkeypatch)
 
 def test_float32_with_kernels_agrees_with_float64(tiny_data):
     trainer = Trainer(read_scene(tiny_data), TrainConfig(method=TINY, iterations=10))
-    shot = trainer.shot(0)
+    batch = trainer.batch(0)
     config = dataclasses.replace(TINY, rays_per_iteration=400)
     single, double = method_of(config), method_of(config, double=True)
     double.load_state_dict(single.state_dict())
     # The same chances: float64 draws others than float32 does.
     film = single._film_of(trainer)
-    rays, targets, log_t, generator = single._draw(film, shot.seed)
+    rays, targets, log_t, generator = single._draw(film, batch.seed)
     chances = single._chances(len(rays), generator)
     errors = []
     for method in (single, double):
@@ -360,9 +360,9 @@ def test_sums_in_parts_hand_each_group_its_own_gradient():
 
 def test_without_a_known_response_the_unit_is_a_half_and_photographs_have_noise():
     torch.manual_seed(0)
-    photographs, rendered = HDRNeRF(TINY, None), HDRNeRF(TINY, ANCHOR)
+    photographs, rendered = HDRNeRF(TINY, Facts()), HDRNeRF(TINY, Facts(ANCHOR))
     assert (photographs.density_noise, rendered.density_noise) == (1.0, 0.0)
-    assert HDRNeRF(dataclasses.replace(TINY, density_noise=0.0), None).density_noise == 0.0
+    assert HDRNeRF(dataclasses.replace(TINY, density_noise=0.0), Facts()).density_noise == 0.0
     curves = photographs.fine_curves
     with torch.no_grad():
         at_one = ((curves.w2 * curves.b1.relu()).sum(1) + curves.b2).sigmoid()
@@ -376,7 +376,7 @@ def test_without_a_known_response_the_unit_is_a_half_and_photographs_have_noise(
 
 def test_the_warm_start_reaches_its_target():
     torch.manual_seed(0)
-    method = HDRNeRF(HDRNeRFConfig(field=TINY.field), ANCHOR)  # 500 steps, 128 hidden
+    method = HDRNeRF(HDRNeRFConfig(field=TINY.field), Facts(ANCHOR))  # 500 steps, 128 hidden
     x = torch.linspace(-3.0, 3.0, 101).expand(3, -1).contiguous()
     target = torch.nn.functional.softplus(x).clamp(0.0, 1.0)
     error = lambda curves: (curves.response(x) - target).abs().mean().item()  # noqa: E731
@@ -388,7 +388,7 @@ def test_the_warm_start_reaches_its_target():
 
 
 def test_rates_fall_as_published():
-    rate = HDRNeRF(TINY, ANCHOR).rates()["fine"]
+    rate = HDRNeRF(TINY, Facts(ANCHOR)).rates()["fine"]
     assert rate.at(0.0, 7.0) == pytest.approx(5e-4)  # no extent in it
     assert rate.at(1.0, 7.0) == pytest.approx(5e-4 * 0.1 ** (200 / 500), rel=1e-3)
     assert rate.at(0.5, 7.0) == pytest.approx(5e-4 * 0.1 ** (100 / 500), rel=1e-3)
@@ -510,9 +510,9 @@ def test_a_stopped_and_resumed_run_is_bit_identical(tiny_data, tmp_path, noise):
 
 def test_points_come_from_the_data_set_else_from_stereo(tiny_data):
     trainer = Trainer(read_scene(tiny_data), TrainConfig(method=TINY, iterations=4))
-    assert len(first_points(trainer, trainer.method.fine_curves)) == 60
+    assert len(trainer.first_points()) == 60
     trainer.scene = dataclasses.replace(trainer.scene, points=None)
-    found = first_points(trainer, trainer.method.fine_curves)
+    found = trainer.first_points()
     assert found.shape[1:] == (3,)
     trainer.step()
     assert trainer.method.space.is_known
@@ -533,7 +533,7 @@ def test_every_picture_that_training_may_see_is_on_the_film(tiny_data):
     film = method._film_of(trainer)
     assert film.codes.shape == (3 * 3 * 32 * 32, 3)  # three views, three exposures
     rays, targets, log_exposures, _ = method._draw(film, (0, 0))
-    assert isinstance(trainer.shot(0), Shot)
+    assert isinstance(trainer.batch(0), Batch)
     allowed = {round(math.log(view.exposures[k]), 4) for view in trainer.views for k in (0, 2, 4)}
     assert {round(x, 4) for x in log_exposures.tolist()} == allowed
     # A drawn ray is that of its pixel: find the pixel by projecting, and compare its value.

@@ -8,12 +8,15 @@ import numpy as np
 import pytest
 import torch
 
-from physhdr.backend.methods.physhdr import PhysHDR, PhysHDRConfig
-from physhdr.backend.model.gaussians import Gaussians, initial_gaussians
+from physhdr.backend.methods.base import Facts
+from physhdr.backend.methods.losses import LossConfig, consistency_loss, reconstruction_loss
+from physhdr.backend.methods.physhdr import PhysHDR
+from physhdr.backend.methods.physhdr_common import PhysHDRConfig, PhysHDRMethod
+from physhdr.backend.methods.registry import METHODS, new_method
+from physhdr.backend.model.gaussians import initial_gaussians
 from physhdr.backend.model.tone_mapper import ToneMapperConfig
 from physhdr.backend.rasterize.reference import rasterize
 from physhdr.backend.scene.camera import Camera
-from physhdr.backend.train.losses import LossConfig, consistency_loss, reconstruction_loss
 from physhdr.backend.train.presets import PRESETS
 from physhdr.bridge.errors import BadValueError
 
@@ -33,7 +36,7 @@ def camera():
     return Camera.from_field_of_view(pose, 24, 20, 0.8)
 
 
-def make(preset: str, trained: bool = True, lights: tuple[str, ...] = ("ambient",)) -> PhysHDR:
+def make(preset: str, trained: bool = True, lights: tuple[str, ...] = ("ambient",)) -> PhysHDRMethod:
     """A method with the preset's parts; ``trained``: nothing is where it started."""
     config = PRESETS[preset].method
     rng = np.random.default_rng(5)
@@ -49,7 +52,7 @@ def make(preset: str, trained: bool = True, lights: tuple[str, ...] = ("ambient"
         lights=len(lights),
     )
     torch.manual_seed(2)
-    method = PhysHDR(config, gaussians, ANCHOR, "reference", lights)
+    method = METHODS["physhdr"].make(config, gaussians, Facts(ANCHOR, "reference", lights))
     if trained:
         generator = torch.Generator().manual_seed(4)
         with torch.no_grad():
@@ -60,7 +63,7 @@ def make(preset: str, trained: bool = True, lights: tuple[str, ...] = ("ambient"
 
 
 def render(method, camera, exposure, level=1.0):
-    return method.develop(method.draw(camera, level, exposure), exposure)
+    return method.develop(method.draw(camera, (level,), exposure), exposure)
 
 
 def raster64(method, colours, camera):
@@ -93,7 +96,7 @@ def test_the_printed_equation_13_fuses_the_exposed_branch_with_itself(camera):
     method, t = make("paper"), 2.0
     method.config = dataclasses.replace(method.config, illumination_fusion="literal")
     with torch.no_grad():
-        drawn = method.draw(camera, 1.0, t)
+        drawn = method.draw(camera, (1.0,), t)
         exposed = drawn.image_exposure * t
         glo, loc = method.tone_mapper.tone_map(exposed, drawn.context)
         _, relit_loc = method.tone_mapper.tone_map(drawn.illumination, drawn.context)
@@ -180,18 +183,22 @@ def test_levels_that_do_not_fit_the_lights(camera):
         with pytest.raises(BadValueError, match=message):
             method.hdr(camera, levels)
         with pytest.raises(BadValueError, match=message):
-            render(method, camera, 1.0, levels)
+            method.ldr(camera, 1.0, levels)
+        with pytest.raises(BadValueError, match=message):
+            method.ldr_bracket(camera, [1.0, 2.0], levels)
+        with pytest.raises(BadValueError, match=message):
+            method.preview(camera, levels)
 
 
 def test_a_learned_modulator_knows_one_light():
     config = PhysHDRConfig(modulator="learned")
     with pytest.raises(BadValueError, match=r"learned modulator knows one light[\s\S]*additive"):
-        PhysHDR(config, Gaussians({}), ANCHOR, lights=("ambient", "pendant"))
+        new_method(config, None, Facts(ANCHOR, lights=("ambient", "pendant")))
 
 
 def test_what_the_illumination_branch_alone_develops_is_its_radiance(camera):
     config = dataclasses.replace(PRESETS["default"].method, modulator="learned")
-    method = PhysHDR(config, make("default").backbone, ANCHOR)
+    method = PhysHDR(config, make("default").backbone, Facts(ANCHOR))
     with torch.no_grad():
         for parameter in method.modulator.parameters():
             parameter.add_(0.3)  # no longer the identity at level 1
@@ -235,3 +242,7 @@ def test_settings_that_contradict_each_other_are_refused():
         PhysHDRConfig(branches="image-exposure")
     with pytest.raises(BadValueError, match="SH degree"):
         PhysHDRConfig(sh_degree=4)
+    with pytest.raises(BadValueError, match=r"learned composer[\s\S]*--method.modulator learned"):
+        PhysHDRConfig(composer="learned")
+    with pytest.raises(BadValueError, match=r"bracket[\s\S]*--supervision one"):
+        dataclasses.replace(PRESETS["paper"], supervision="bracket")

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from physhdr.backend.methods.physhdr import PhysHDR
+from physhdr.backend.methods.physhdr_common import PhysHDRMethod
 from physhdr.backend.train.trainer import Trainer
 
 COUNT, SIZE = 300, 48
@@ -36,7 +36,7 @@ def test_an_iteration_can_be_timed_beside_plain_torch(preset):
 def test_where_an_iteration_s_time_goes(preset):
     from shares import REST, shares
 
-    watched = [(Trainer, "step"), (PhysHDR, "training_outcome"), (torch.Tensor, "backward")]
+    watched = [(Trainer, "step"), (PhysHDRMethod, "training_outcome"), (torch.Tensor, "backward")]
     before = [inspect.getattr_static(owner, name) for owner, name in watched]
     parts = shares(preset, COUNT, steps=1, size=SIZE)
     assert before == [inspect.getattr_static(owner, name) for owner, name in watched]

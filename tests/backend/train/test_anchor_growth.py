@@ -8,15 +8,15 @@ import pytest
 import torch
 
 from physhdr.backend.evaluate.metrics import psnr
-from physhdr.backend.methods.base import Drawn
+from physhdr.backend.methods.base import Drawn, Facts
 from physhdr.backend.methods.physhdr import PhysHDR
 from physhdr.backend.model.anchors import AnchorGrowthConfig, Anchors, AnchorsConfig, AnchorSplats
 from physhdr.backend.model.backbone import Attributes, Start
+from physhdr.backend.model.morton import morton_order
 from physhdr.backend.rasterize.contract import Rasterization
 from physhdr.backend.scene.camera import Camera
 from physhdr.backend.scene.hdr_nerf_syn import read_scene
 from physhdr.backend.train.anchor_growth import AnchorStatistics, grow_and_prune, grown, observe
-from physhdr.backend.train.morton import morton_order
 from physhdr.backend.train.optimisers import Optimiser
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import Trainer
@@ -37,7 +37,7 @@ def make(config: AnchorsConfig = CONFIG) -> tuple[Anchors, Optimiser]:
     with torch.no_grad():
         anchors.parameters["log_scaling"].zero_()
         anchors.parameters["features"] += torch.arange(16.0).reshape(4, 4)
-    method = PhysHDR(preset.method, anchors, (1.0, 0.73))
+    method = PhysHDR(preset.method, anchors, Facts((1.0, 0.73)))
     optimiser = Optimiser(method, preset.optimiser, extent=1.0, iterations=100)
     for tensor in anchors.parameters.values():
         tensor.grad = torch.ones_like(tensor)

@@ -7,8 +7,10 @@ import math
 import numpy as np
 import torch
 
+from physhdr.backend.methods.base import Facts
 from physhdr.backend.methods.physhdr import PhysHDR
 from physhdr.backend.model.gaussians import initial_gaussians
+from physhdr.backend.model.morton import morton_order
 from physhdr.backend.train.densify import (
     DensifyConfig,
     DensifyState,
@@ -16,7 +18,6 @@ from physhdr.backend.train.densify import (
     gradient_scaling,
     reset_opacity,
 )
-from physhdr.backend.train.morton import morton_order
 from physhdr.backend.train.optimisers import Optimiser
 from physhdr.backend.train.presets import PRESETS
 
@@ -34,7 +35,7 @@ def make(count=8):
         context_size=0,
         seed=0,
     )
-    method = PhysHDR(config.method, gaussians, (1.0, 0.73))
+    method = PhysHDR(config.method, gaussians, Facts((1.0, 0.73)))
     optimiser = Optimiser(method, config.optimiser, extent=1.0, iterations=100)
     for tensor in gaussians.parameters.values():  # one step, so that Adam has moments
         tensor.grad = torch.ones_like(tensor)

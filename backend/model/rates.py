@@ -6,6 +6,8 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
+from ...bridge.errors import BadValueError
+
 
 @dataclass(frozen=True, kw_only=True)
 class Rate:
@@ -17,6 +19,10 @@ class Rate:
     #: Multiplied by the scene's extent (3DGS: positions).
     of_extent: bool = False
 
+    def __post_init__(self) -> None:
+        if not min(self.start, self.final) >= 0.0:
+            raise BadValueError(f"a learning rate must be 0 or more, got {self.start} to {self.final}")
+
     def times(self, factor: float) -> "Rate":
         """The same course, ``factor`` times as high."""
         return dataclasses.replace(self, start=factor * self.start, final=factor * self.final)
@@ -24,7 +30,7 @@ class Rate:
     def at(self, progress: float, extent: float) -> float:
         """The rate at ``progress`` (0 … 1)."""
         rate = self.start
-        if self.shape == "exponential":
+        if self.shape == "exponential" and rate:
             rate *= (self.final / self.start) ** progress
         elif self.shape == "cosine":
             rate *= 0.5 * (1.0 + math.cos(math.pi * progress))

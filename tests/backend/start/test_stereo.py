@@ -8,7 +8,7 @@ import pytest
 
 from physhdr.backend.scene.camera import Camera
 from physhdr.backend.simd import set_threads, thread_count
-from physhdr.backend.train.stereo import stereo_points, stereo_view
+from physhdr.backend.start.stereo import stereo_points, stereo_view
 
 SIZE, ANGLE = 72, 0.9
 

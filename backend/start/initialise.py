@@ -10,11 +10,11 @@ import torch
 
 from ...bridge.errors import BadValueError
 from ..model.gaussians import LOG_RADIANCE_RANGE
+from ..model.morton import morton_order
 from ..model.tone_mapper import ToneMapper
 from ..scene.camera import Camera
 from ..scene.scene import Scene, View
 from .brackets import Votes, log_radiance_picture
-from .morton import morton_order
 from .stereo import stereo_points, stereo_view
 
 #: Metres; what cameras in one place have.
@@ -106,7 +106,7 @@ def _points(
         return given
     if source == "random":
         return _random(scene, random_count, seed, "as asked for")
-    seen = _stereo_points(views, exposures, tone_mapper)
+    seen = _thinned(seen_points(views, exposures, tone_mapper))
     if len(seen) >= FEWEST_STEREO_POINTS:
         if given is None:
             return FirstPoints(seen, f"{len(seen)} points by stereo from the training views")
@@ -134,17 +134,19 @@ def _random(scene: Scene, count: int, seed: int, why: str) -> FirstPoints:
     return FirstPoints(random_points(scene.train, count, seed), f"{count} random points ({why})")
 
 
-def _stereo_points(
-    views: list[View], exposures: list[tuple[int, ...]], tone_mapper: ToneMapper
-) -> np.ndarray:
-    """At most ``MOST_STEREO_POINTS``, ``[P, 3]``."""
+def seen_points(views: list[View], exposures: list[tuple[int, ...]], tone_mapper: ToneMapper) -> np.ndarray:
+    """Points ``[P, 3]`` (metres) that stereo finds in ``views``, each merged from its ``exposures``."""
     votes = Votes(tone_mapper)
-    positions = stereo_points(
+    return stereo_points(
         [
             stereo_view(view.camera, *log_radiance_picture(view, indices, votes))
             for view, indices in zip(views, exposures, strict=True)
         ]
     )
+
+
+def _thinned(positions: np.ndarray) -> np.ndarray:
+    """At most ``MOST_STEREO_POINTS``, ``[P, 3]``."""
     if len(positions) > MOST_STEREO_POINTS:
         along = morton_order(torch.as_tensor(positions)).numpy()  # so that what stays is evenly spread
         positions = positions[along[np.linspace(0, len(along) - 1, MOST_STEREO_POINTS).astype(int)]]

@@ -4,7 +4,7 @@
 import numpy as np
 import torch
 
-from physhdr.backend.train.morton import BITS, morton_codes, morton_order
+from physhdr.backend.model.morton import BITS, morton_codes, morton_order
 
 
 def code_by_hand(point, low, side):

@@ -6,6 +6,7 @@ from typing import Literal
 
 import torch
 
+from ...bridge.errors import BadValueError
 from ..kernels.blur import gaussian_blur
 from ..kernels.ssim import PixelError, SsimTarget, ssim_and_error
 
@@ -29,6 +30,10 @@ class LossConfig:
     blur_sigma: float = 3.0
     #: λ3, the weight of L_unit; used only where the data name an anchor.
     unit_weight: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.consistency_weight and self.blur_size % 2 == 0:
+            raise BadValueError(f"the blur of L_cons must be an odd number of pixels, got {self.blur_size}")
 
 
 def reconstruction_loss(

@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What both forms of PhysHDR-GS have: light that is a factor of its own, the response, the losses.
+
+Each Gaussian has a reflectance H_r and an ambient illumination L_a. Composed they are its radiance
+c = g(L_a, H_r); under another light ĉ = g(φ(L_a, l), H_r), relit to the level l. ``physhdr.py`` draws one of
+the two (presets ``default`` and ``baseline``), ``physhdr_paper.py`` both, and fuses what a tone mapper makes
+of them (``paper``).
+"""
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Generic, Literal, TypeVar
+
+import torch
+
+from ...bridge.errors import BadValueError
+from ..kernels.ahead import COMPOSER, FUSION, MODULATOR, Needs
+from ..kernels.plain import can_fuse
+from ..kernels.ssim import SsimTarget
+from ..model.backbone import Attributes, Backbone, Splats
+from ..model.radiance import AdditiveModulator, LearnedComposer, LearnedModulator, ProductComposer
+from ..model.tone_mapper import ToneMapper, ToneMapperConfig
+from ..scene.camera import Camera
+from .base import Batch, Drawn, Facts, MethodConfig, Outcome, SplattingMethod, Traits, mean_terms
+from .losses import LossConfig, consistency_loss, reconstruction_loss
+
+#: What a form draws.
+D = TypeVar("D", bound=Drawn)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhysHDRConfig(MethodConfig):
+    """What the method is made of. The defaults are the preset ``default``; see docs/method.md for the why."""
+
+    #: Which branches are rendered. One branch costs three channels, both cost six (and the context).
+    branches: Literal["both", "image-exposure", "illumination"] = "illumination"
+    #: l: the exposure of the picture (the paper) or the lighting level that the data give for the view.
+    lighting_level: Literal["exposure", "view"] = "view"
+    #: g: the physical product L_a · H_r, or the product times what a network learns (the paper).
+    composer: Literal["product", "learned"] = "product"
+    #: φ: additive (each light has a share of each Gaussian's), or a network (the paper).
+    modulator: Literal["additive", "learned"] = "additive"
+    composer_hidden: int = 64
+    sh_degree: int = 3
+    #: f_mix stays at its start (a plain mean) for this share of the training (the paper: 10 k of 30 k).
+    mix_frozen_until: float = 1.0 / 3.0
+    #: I_LDR: the mean of the two fused images, or their sum as eq. 14 has it (which cannot fit; method.md).
+    aggregate: Literal["mean", "sum"] = "mean"
+    #: I_GI: f_mix(Î_glo, I_loc), crosswise as its name has it, or f_mix(I_glo, I_loc), as eq. 13 is printed.
+    illumination_fusion: Literal["crosswise", "literal"] = "crosswise"
+    #: Add the global image to L_rec, so that L_unit binds the curve that is in use.
+    global_supervision: float = 0.0
+    tone_mapper: ToneMapperConfig = field(default_factory=ToneMapperConfig)
+    loss: LossConfig = field(default_factory=LossConfig)
+
+    def __post_init__(self) -> None:
+        if self.tone_mapper.mix and not (self.tone_mapper.local and self.branches == "both"):
+            raise BadValueError(
+                "f_mix fuses global and local images of both branches",
+                "Set --method.branches both and --method.tone-mapper.local, or leave mix off.",
+            )
+        if self.branches == "image-exposure" and self.lighting_level == "view":
+            raise BadValueError(
+                "the image-exposure branch alone has no lighting level",
+                "Set --method.lighting-level exposure, or --method.branches both or illumination.",
+            )
+        if self.branches == "illumination" and self.lighting_level == "exposure":
+            raise BadValueError(
+                "the illumination branch alone has no radiance that is the same at every exposure",
+                "Set --method.lighting-level view, or --method.branches both.",
+            )
+        if not 0 <= self.sh_degree <= 3:
+            raise BadValueError(f"the SH degree must be 0 to 3, got {self.sh_degree}")
+
+        # φ would have to give g one ln L̂_a a Gaussian; the additive one gives one a colour channel.
+        if self.composer == "learned" and self.has_light_share:
+            raise BadValueError(
+                "the learned composer reads one illumination a Gaussian, the additive modulator gives three",
+                "Set --method.modulator learned, or --method.composer product.",
+            )
+
+    @property
+    def traits(self) -> Traits:
+        draws_anew = self.lighting_level == "exposure" and self.can_relight
+        return Traits(light=self.lighting_level, brackets_at_once=not draws_anew)
+
+    @property
+    def can_relight(self) -> bool:
+        """Whether there is an illumination branch; without one a lighting level only scales."""
+        return self.branches != "image-exposure"
+
+    @property
+    def channels(self) -> int:
+        """How many channels one pass draws."""
+        context = self.tone_mapper.context_size if self.tone_mapper.local else 0
+        return (6 if self.branches == "both" else 3) + context
+
+    def attributes(self, lights: tuple[str, ...]) -> Attributes:
+        if len(lights) > 1 and not self.has_light_share:
+            raise BadValueError(
+                f"the {self.modulator} modulator knows one light, the data have {', '.join(lights)}",
+                "Set --method.modulator additive, or train without the lit views.",
+            )
+        return Attributes(
+            sh_degree=self.sh_degree,
+            context_size=self.tone_mapper.context_size if self.tone_mapper.local else 0,
+            lights=len(lights) if self.has_light_share else 0,
+        )
+
+    @property
+    def has_light_share(self) -> bool:
+        """Whether each Gaussian learns which share of its radiance each light causes."""
+        return self.modulator == "additive" and self.can_relight
+
+    def kernels_needed(self) -> Needs:
+        wanted = {
+            COMPOSER: self.composer == "learned",
+            MODULATOR: self.modulator == "learned" and self.can_relight,
+            FUSION: self.tone_mapper.mix,
+        }
+        return Needs(
+            channels=tuple(sorted({3, self.channels})),  # three: the view that is shown
+            networks=tuple(shape for shape, is_wanted in wanted.items() if is_wanted),
+            activations=(self.tone_mapper.activation,),
+            local_branches=(2 if self.branches == "both" else 1,) if self.tone_mapper.local else (),
+            blur=self.branches == "both" and self.loss.consistency_weight > 0,
+        )
+
+
+@dataclass(frozen=True)
+class Developed:
+    """One drawn view as a camera records it.
+
+    ``exposed``: what the response sees, I_HDR · t ``[3, H, W]`` (or Î · t where only the GI branch is drawn).
+    ``relit``: Î_HDR, only with both branches. ``ldr``: the prediction. ``supervised``: every LDR image that
+    L_rec compares with the picture. ``global_ldr``: the prediction by the global curves alone.
+    """
+
+    exposed: torch.Tensor
+    relit: torch.Tensor | None
+    ldr: torch.Tensor
+    supervised: list[torch.Tensor]
+    global_ldr: torch.Tensor
+
+
+class PhysHDRMethod(SplattingMethod, Generic[D]):
+    """A backbone and three networks; subclasses say what is drawn (``D``) and how it is developed.
+
+    ``facts.lights``: names of the lights that have levels. Only the additive modulator knows more than one:
+    else ``BadValueError``.
+    """
+
+    def __init__(self, config: PhysHDRConfig, backbone: Backbone, facts: Facts) -> None:
+        super().__init__(config, backbone, facts)
+        self.config = config
+        hidden = config.composer_hidden
+        self.composer = ProductComposer() if config.composer == "product" else LearnedComposer(hidden)
+        self.modulator = AdditiveModulator() if config.modulator == "additive" else LearnedModulator(hidden)
+        self.tone_mapper = ToneMapper(config.tone_mapper, facts.anchor)
+
+    @property
+    def can_relight(self) -> bool:
+        return self.config.can_relight
+
+    @property
+    def composes_by_product(self) -> bool:
+        return self.config.composer == "product"
+
+    def network_groups(self) -> dict[str, list[torch.Tensor]]:
+        radiance: list[torch.Tensor] = [*self.composer.parameters(), *self.modulator.parameters()]
+        return {"radiance_networks": radiance} | super().network_groups()
+
+    # -- radiance of the splats ------------------------------------------------------------------------
+
+    def log_modulated_illumination(self, splats: Splats, levels: tuple[float, ...]) -> torch.Tensor:
+        """ln L̂_a = ln φ(L_a, l) (eq. 10), ``[M, 1 or 3]``."""
+        if isinstance(self.modulator, AdditiveModulator):
+            assert splats.light_share is not None
+            return self.modulator(splats.log_illumination, levels, splats.light_share)
+        return self.modulator(splats.log_illumination, levels[0])
+
+    def radiance_of(self, splats: Splats, levels: tuple[float, ...] | None) -> torch.Tensor:
+        """c (eq. 8), or ĉ when levels are given."""
+        log_illumination = splats.log_illumination
+        if levels is not None:
+            log_illumination = self.log_modulated_illumination(splats, levels)
+        return self.composer(log_illumination, splats.log_reflectance)
+
+    # -- training --------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def draw(self, camera: Camera, levels: tuple[float, ...], exposure: float, watch: bool = False) -> D:
+        """Draw a view under ``levels``, all that is wanted of it in one pass. ``watch``: for growth.
+
+        ``exposure`` (seconds) counts where it is the method's lighting level, and nowhere else.
+        """
+
+    @abstractmethod
+    def develop_bracket(self, drawn: D, exposures: Sequence[float]) -> list[Developed]:
+        """What a camera with each of ``exposures`` (seconds) records of a drawn view."""
+
+    def develop(self, drawn: D, exposure: float) -> Developed:
+        """``develop_bracket`` of one exposure."""
+        return self.develop_bracket(drawn, [exposure])[0]
+
+    def training_outcome(self, batch: Batch) -> Outcome:
+        drawn = self.draw(batch.camera, batch.levels, batch.exposures[0], watch=True)
+        developed = self.develop_bracket(drawn, batch.exposures)
+        each = [self.losses(one, picture) for one, picture in zip(developed, batch.pictures, strict=True)]
+        return Outcome(mean_terms(each) | self.backbone_terms(drawn.splats), drawn)
+
+    def losses(self, developed: Developed, picture: torch.Tensor) -> dict[str, torch.Tensor]:
+        """The weighted terms of L_total (eq. 19) for a picture ``[3, H, W]`` in [0, 1]; sum them."""
+        loss = self.config.loss
+        ssim_target = SsimTarget(picture) if can_fuse(picture) else None
+        terms = {
+            "rec": torch.stack(
+                [reconstruction_loss(image, picture, loss, ssim_target) for image in developed.supervised]
+            ).sum()
+        }
+        if self.config.global_supervision:
+            terms["global"] = self.config.global_supervision * reconstruction_loss(
+                developed.global_ldr, picture, loss, ssim_target
+            )
+        if loss.consistency_weight and developed.relit is not None:
+            terms["cons"] = loss.consistency_weight * consistency_loss(
+                developed.exposed, developed.relit, loss
+            )
+        if loss.unit_weight and self.tone_mapper.anchor is not None:
+            terms["unit"] = loss.unit_weight * self.tone_mapper.unit_exposure_error()
+        return terms
+
+
+@torch.no_grad()
+def illumination_deviation(splats: Splats, log_relit: torch.Tensor) -> torch.Tensor:
+    """|L_a − L̂_a| ``[M]``, which scales growth (eq. 17)."""
+    return (splats.log_illumination.exp() - log_relit.exp()).abs().mean(dim=1)

@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What of a scene a training sees: which views, at which of their exposures, with levels of which lights."""
+
+from ...bridge.errors import DataMismatchError
+from ...bridge.lights import AMBIENT
+from ..scene.scene import Scene, View
+from .config import TrainConfig
+
+
+def training_views(scene: Scene, config: TrainConfig) -> list[View]:
+    """Those of the standard light, and those of other light where the method knows what to make of them."""
+    return [*scene.train, *(scene.lit if config.method.traits.light == "view" else [])]
+
+
+def training_lights(scene: Scene, config: TrainConfig) -> tuple[str, ...]:
+    """Names of the lights that the method has levels for."""
+    return scene.lights if config.method.traits.light == "view" else (AMBIENT,)
+
+
+def training_exposures(view: View, config: TrainConfig) -> tuple[int, ...]:
+    """Positions in the view's bracket; ``config.training_exposures`` are places in the whole one.
+
+    Raises ``DataMismatchError`` where the view has none of them.
+    """
+    places = [view.place_of(k) for k in config.training_exposures]
+    allowed = tuple(place for place in places if place is not None)
+    if not allowed:
+        raise DataMismatchError(
+            f"view {view.name} has the exposures {list(view.bracket)}, training wants "
+            f"{list(config.training_exposures)}",
+            "Set --training-exposures to indices that the data set has.",
+        )
+    return allowed
