@@ -80,6 +80,9 @@ LEVELS, EXPOSURES = "physhdr_levels", "physhdr_exposures"
 #: Custom properties with the learned response: ln exposure ``[M]``, and values ``[M, 3]`` row by row.
 TONE_CURVE_LOG_EXPOSURE, TONE_CURVE = "physhdr_tone_curve_log_exposure", "physhdr_tone_curve"
 
+#: Property of an object, registered by ``viewport.splats``: how the 3D view draws it.
+DISPLAY = "physhdr_viewport"
+
 
 def light_part(index: int) -> Attribute:
     """Where the modifier stores a light's part of the radiance at level 1."""

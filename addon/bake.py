@@ -10,7 +10,7 @@ splat (``bridge/splatting.py``), and 24.8 dB with its defaults.
 
 import dataclasses
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import bpy
 import numpy as np
@@ -20,6 +20,7 @@ from ..bridge.affine import transform_gaussians
 from ..bridge.display import Tone, display_colour_sh, look_comment
 from ..bridge.errors import PhysHDRError
 from ..bridge.gaussian_ply import write_standard_ply
+from .blender import add_entry, cloud_of, layout_of, remove_entry
 from .look import Look, is_model, look_of
 from .point_cloud import lights_of, model_of
 
@@ -33,7 +34,7 @@ def bake(target: bpy.types.Object, path: Path, look: Look, tone: Tone, apply_tra
     ``apply_transform``: in world space (any scale and shear is exact), else in the object's own. Raises
     ``DataMismatchError`` and ``BadValueError`` for what cannot be baked, ``OutputError``.
     """
-    model = model_of(target.data)
+    model = model_of(cloud_of(target))
     if not look.view_dependent:
         model = dataclasses.replace(model, log_radiance_sh=model.log_radiance_sh[:, :1])
     shape = model.position, model.rotation, model.scale
@@ -64,6 +65,9 @@ class PHYSHDR_OT_model_bake(bpy.types.Operator, ExportHelper):
     bl_label = "Bake to PLY"
     bl_options: ClassVar[set[str]] = {"REGISTER"}
 
+    if TYPE_CHECKING:
+        filepath: str  # ExportHelper's
+
     filename_ext = ".ply"
     filter_glob: bpy.props.StringProperty(default="*.ply", options={"HIDDEN"})
     tone: bpy.props.EnumProperty(
@@ -90,11 +94,11 @@ class PHYSHDR_OT_model_bake(bpy.types.Operator, ExportHelper):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if not self.filepath:
-            self.filepath = f"{context.object.name}.ply"
-        return super().invoke(context, event)
+            self.filepath = f"{_active_model(context).name}.ply"
+        return set(super().invoke(context, event))
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        target, path = context.object, Path(bpy.path.abspath(self.filepath))
+        target, path = _active_model(context), Path(bpy.path.abspath(self.filepath))
         depsgraph = context.evaluated_depsgraph_get()  # drivers and keyframes, as of this frame
         tone: Tone = self.tone
         try:
@@ -102,7 +106,7 @@ class PHYSHDR_OT_model_bake(bpy.types.Operator, ExportHelper):
             if self.tone == "LOOK":
                 tone = "LEARNED" if look.tone_mapper else "SRGB"
             count = bake(target, path, look, tone, self.apply_transform)
-            words = look_comment(look.exposure_ev, look.lighting_levels, tone, lights_of(target.data))
+            words = look_comment(look.exposure_ev, look.lighting_levels, tone, lights_of(cloud_of(target)))
         except PhysHDRError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
@@ -110,15 +114,21 @@ class PHYSHDR_OT_model_bake(bpy.types.Operator, ExportHelper):
         return {"FINISHED"}
 
 
+def _active_model(context: bpy.types.Context) -> bpy.types.Object:
+    """The object for which ``poll`` let the operator run."""
+    assert is_model(context.object)
+    return context.object
+
+
 def _draw_export_menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
-    menu.layout.operator(PHYSHDR_OT_model_bake.bl_idname, text="PhysHDR Gaussians, baked (.ply)")
+    layout_of(menu).operator(PHYSHDR_OT_model_bake.bl_idname, text="PhysHDR Gaussians, baked (.ply)")
 
 
 def register() -> None:
     bpy.utils.register_class(PHYSHDR_OT_model_bake)
-    bpy.types.TOPBAR_MT_file_export.append(_draw_export_menu)
+    add_entry(bpy.types.TOPBAR_MT_file_export, _draw_export_menu)
 
 
 def unregister() -> None:
-    bpy.types.TOPBAR_MT_file_export.remove(_draw_export_menu)
+    remove_entry(bpy.types.TOPBAR_MT_file_export, _draw_export_menu)
     bpy.utils.unregister_class(PHYSHDR_OT_model_bake)

@@ -5,13 +5,14 @@ saved, undone, keyframed and driven as everything in Blender; what draws a model
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeGuard
 
 import bpy
 
 from ..bridge.errors import PhysHDRError
 from . import nodes
 from .attributes import IDENTITY
+from .blender import cloud_of
 from .point_cloud import lights_of
 
 
@@ -37,9 +38,9 @@ class Look:
         return 2.0**self.exposure_ev
 
 
-def is_model(target: bpy.types.Object | None) -> bool:
+def is_model(target: bpy.types.Object | None) -> TypeGuard[bpy.types.Object]:
     """Whether an object is an imported model (or a copy of one)."""
-    return target is not None and target.type == "POINTCLOUD" and IDENTITY in target.data
+    return target is not None and target.type == "POINTCLOUD" and IDENTITY in cloud_of(target)
 
 
 def look_of(target: bpy.types.Object, depsgraph: bpy.types.Depsgraph | None = None) -> Look:
@@ -48,7 +49,7 @@ def look_of(target: bpy.types.Object, depsgraph: bpy.types.Depsgraph | None = No
     A model whose modifier was removed has the look it was captured with; a light that the modifier knows
     nothing of (an older one's) is at 1. Raises ``DataMismatchError`` as ``lights_of`` does.
     """
-    lights = lights_of(target.data)
+    lights = lights_of(cloud_of(target))
     values: dict[str, Any] = {}
     modifier = nodes.find_modifier(target)
     if modifier is not None:
@@ -60,7 +61,7 @@ def look_of(target: bpy.types.Object, depsgraph: bpy.types.Depsgraph | None = No
         }
         if depsgraph is not None:
             modifier = target.evaluated_get(depsgraph).modifiers[modifier.name]
-        found = modifier.properties.inputs
+        found = nodes.inputs_of(modifier)
         values = {label: getattr(found, name).value for label, name in identifiers.items()}
     levels = [values.get(nodes.level_input(lights, index), 1.0) for index in range(len(lights))]
     return Look(
@@ -83,7 +84,7 @@ def draw_look(layout: bpy.types.UILayout, target: bpy.types.Object) -> None:
         layout.label(text="Its PhysHDR modifier was removed: import it again", icon="ERROR")
         return
     try:
-        lights = lights_of(target.data)
+        lights = lights_of(cloud_of(target))
     except PhysHDRError as error:
         layout.label(text=str(error), icon="ERROR")
         return
@@ -93,5 +94,5 @@ def draw_look(layout: bpy.types.UILayout, target: bpy.types.Object) -> None:
     names = {nodes.level_input(lights, index): slider_name(lights, index) for index in range(len(lights))}
     for label in inputs(lights):
         if nodes.has_input(modifier, label):
-            socket = getattr(modifier.properties.inputs, nodes.input_identifier(modifier, label))
+            socket = getattr(nodes.inputs_of(modifier), nodes.input_identifier(modifier, label))
             column.prop(socket, "value", text=names.get(label, label))

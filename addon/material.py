@@ -12,6 +12,7 @@ import bpy
 
 from ..bridge.splatting import ALPHA_MAX, ALPHA_MIN
 from .attributes import RADIANCE
+from .blender import settings_of_cycles
 from .node_builder import Field, NodeBuilder
 
 Shape = Literal["ellipsoid", "splat"]
@@ -38,7 +39,8 @@ def splat_material(shape: Shape) -> bpy.types.Material:
     # Order-independent in EEVEE: instances are not sorted among each other.
     material.surface_render_method = "DITHERED"
     # Gaussians carry their light with them. Sampling each as a lamp would only cost time.
-    material.cycles.emission_sampling = "NONE"
+    settings_of_cycles(material).emission_sampling = "NONE"
+    assert material.node_tree is not None  # every material has one since Blender 5
     _build(material.node_tree, shape)
     return material
 

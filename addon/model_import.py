@@ -4,7 +4,7 @@
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 import bpy
 from bpy_extras.io_utils import ImportHelper, poll_file_object_drop
@@ -13,7 +13,8 @@ from ..bridge.display import ColorSpace
 from ..bridge.errors import PhysHDRError
 from ..bridge.model_file import read_model
 from ..bridge.ply_model import PlyModel, read_ply_model
-from .attributes import COLOR_SPACE, FILE
+from .attributes import COLOR_SPACE, DISPLAY, FILE
+from .blender import add_entry, cloud_of, layout_of, remove_entry
 from .point_cloud import build_point_cloud
 from .radiance_tree import add_modifier
 
@@ -75,6 +76,9 @@ class PHYSHDR_OT_model_import(bpy.types.Operator, ImportHelper):
     bl_label = "Import Gaussians"
     bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
+    if TYPE_CHECKING:
+        filepath: str  # ImportHelper's
+
     filename_ext = ".safetensors"
     filter_glob: bpy.props.StringProperty(default="*.safetensors;*.ply", options={"HIDDEN"})
     directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
@@ -127,7 +131,7 @@ class PHYSHDR_OT_model_import(bpy.types.Operator, ImportHelper):
         return self.invoke_popup(context)
 
     def draw(self, context: bpy.types.Context) -> None:
-        column = self.layout.column()
+        column = layout_of(self).column()
         column.use_property_split = True
         for name in ("name", "orientation", "color_space", "viewport"):
             column.prop(self, name)
@@ -154,7 +158,7 @@ class PHYSHDR_OT_model_import(bpy.types.Operator, ImportHelper):
             return {"CANCELLED"}
         _select(context, [each.target for each in imported])
         for each in imported:
-            count = len(each.target.data.points)
+            count = len(cloud_of(each.target).points)
             self.report(
                 {"INFO"}, " ".join([f"Imported {count} Gaussians as {each.target.name!r}.", *each.notes])
             )
@@ -171,14 +175,14 @@ class PHYSHDR_OT_model_import(bpy.types.Operator, ImportHelper):
         # A collection linked from another file takes no objects.
         collection = context.collection if context.collection.is_editable else None
         done = import_file(path, name, collection, self.color_space, self.orientation)
-        if hasattr(done.target, "physhdr_viewport"):  # absent where the 3D view's drawing is not registered
-            done.target.physhdr_viewport = self.viewport
+        if hasattr(done.target, DISPLAY):  # absent where the 3D view's drawing is not registered
+            setattr(done.target, DISPLAY, self.viewport)
         return done
 
 
 def _select(context: bpy.types.Context, targets: list[bpy.types.Object]) -> None:
     """Make ``targets`` the selection and the last one active, as far as this view layer shows them."""
-    for selected in context.selected_objects:
+    for selected in context.selected_objects or ():
         selected.select_set(False)
     for target in targets:
         if target.name in context.view_layer.objects:  # not where its collection is excluded
@@ -200,7 +204,7 @@ class PHYSHDR_FH_gaussians(bpy.types.FileHandler):
 
 
 def _draw_import_menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
-    menu.layout.operator(
+    layout_of(menu).operator(
         PHYSHDR_OT_model_import.bl_idname, text="PhysHDR model, Gaussians (.safetensors/.ply)"
     )
 
@@ -211,10 +215,10 @@ _CLASSES = (PHYSHDR_OT_model_import, PHYSHDR_FH_gaussians)
 def register() -> None:
     for cls in _CLASSES:
         bpy.utils.register_class(cls)
-    bpy.types.TOPBAR_MT_file_import.append(_draw_import_menu)
+    add_entry(bpy.types.TOPBAR_MT_file_import, _draw_import_menu)
 
 
 def unregister() -> None:
-    bpy.types.TOPBAR_MT_file_import.remove(_draw_import_menu)
+    remove_entry(bpy.types.TOPBAR_MT_file_import, _draw_import_menu)
     for cls in reversed(_CLASSES):
         bpy.utils.unregister_class(cls)

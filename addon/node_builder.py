@@ -108,7 +108,8 @@ class NodeBuilder:
     def dot(self, left: Operand, right: Operand) -> Field:
         return self.vector("DOT_PRODUCT", left, right)
 
-    def _connect(self, value: Any, socket: bpy.types.NodeSocket) -> None:
+    def _connect(self, value: Any, socket: Any) -> None:
+        # Any: a socket's ``default_value`` is of its own class, what sockets have in common has none.
         if isinstance(value, Field):
             self.tree.links.new(value.socket, socket)
         elif value is None:
@@ -139,8 +140,9 @@ class NodeBuilder:
     def _columns(self, nodes: list[bpy.types.Node]) -> list[list[bpy.types.Node]]:
         sources: dict[str, list[str]] = {node.name: [] for node in nodes}
         for link in self.tree.links:
-            if link.from_node.name in sources and link.to_node.name in sources:
-                sources[link.to_node.name].append(link.from_node.name)
+            source, target = link.from_node, link.to_node
+            if source and target and source.name in sources and target.name in sources:
+                sources[target.name].append(source.name)
         depths: dict[str, int] = {}
         for node in nodes:  # made in order, so every source is placed before what uses it
             depths[node.name] = 1 + max((depths[name] for name in sources[node.name]), default=-1)

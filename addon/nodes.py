@@ -2,7 +2,7 @@
 """A model's modifier and its inputs, which scripts, panels, keyframes and drivers reach by their labels."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, cast
 
 import bpy
 
@@ -24,18 +24,35 @@ def level_input(lights: Sequence[str], index: int) -> str:
     return LIGHTING_LEVEL if index == 0 else f"Level of {lights[index]}"
 
 
-def find_modifier(target: bpy.types.Object) -> bpy.types.Modifier | None:
+def find_modifier(target: bpy.types.Object) -> bpy.types.NodesModifier | None:
     """The object's modifier with one of our trees, of any version and whatever it is called now."""
     for modifier in target.modifiers:
-        if modifier.type == "NODES" and modifier.node_group and MARK in modifier.node_group:
+        if not isinstance(modifier, bpy.types.NodesModifier):
+            continue
+        if modifier.node_group is not None and MARK in modifier.node_group:
             return modifier
     return None
 
 
+def inputs_of(modifier: bpy.types.Modifier) -> Any:
+    """The inputs of a modifier with a node tree: attributes by the sockets' identifiers, with a ``value``."""
+    assert isinstance(modifier, bpy.types.NodesModifier) and modifier.properties is not None
+    return cast(Any, modifier.properties).inputs
+
+
+def _declared(modifier: bpy.types.Modifier, name: str) -> bpy.types.NodeTreeInterfaceSocket | None:
+    """The input of that label which the modifier's tree declares, if it does."""
+    assert isinstance(modifier, bpy.types.NodesModifier)
+    tree = modifier.node_group
+    items = tree.interface.items_tree if tree and tree.interface else ()
+    sockets = (item for item in items if isinstance(item, bpy.types.NodeTreeInterfaceSocket))
+    return next((item for item in sockets if item.in_out == "INPUT" and item.name == name), None)
+
+
 def set_input(modifier: bpy.types.Modifier, name: str, value: Any) -> None:
     """Set an input of the modifier by its label, e.g. ``set_input(modifier, EXPOSURE, 1.5)``."""
-    getattr(modifier.properties.inputs, input_identifier(modifier, name)).value = value
-    modifier.id_data.update_tag()
+    getattr(inputs_of(modifier), input_identifier(modifier, name)).value = value
+    cast(bpy.types.Object, modifier.id_data).update_tag()
 
 
 def input_data_path(modifier: bpy.types.Modifier, name: str) -> str:
@@ -45,15 +62,13 @@ def input_data_path(modifier: bpy.types.Modifier, name: str) -> str:
 
 
 def input_identifier(modifier: bpy.types.Modifier, name: str) -> str:
-    for item in modifier.node_group.interface.items_tree:
-        if item.item_type == "SOCKET" and item.in_out == "INPUT" and item.name == name:
-            return item.identifier
-    raise KeyError(f"the modifier {modifier.name!r} has no input {name!r}")
+    """What the modifier calls the input of that label; ``KeyError`` where it has none."""
+    socket = _declared(modifier, name)
+    if socket is None:
+        raise KeyError(f"the modifier {modifier.name!r} has no input {name!r}")
+    return socket.identifier
 
 
 def has_input(modifier: bpy.types.Modifier, name: str) -> bool:
     """Whether the modifier's tree has that input: older trees, or those without a response, lack some."""
-    return any(
-        item.item_type == "SOCKET" and item.in_out == "INPUT" and item.name == name
-        for item in modifier.node_group.interface.items_tree
-    )
+    return _declared(modifier, name) is not None

@@ -3,22 +3,28 @@
 
 import textwrap
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import bpy
 
 from ..bridge.lights import AMBIENT
 from . import plot
+from .blender import layout_of
 from .look import draw_look, is_model, slider_name
 from .operators.base import choices
 from .runtime import session
 from .session.advice import headline, next_step, problem_of, why_not
 from .session.state import CHECK, DATASET, INSTALL, Problem, State
+from .settings import PHYSHDR_Settings
 from .viewport import overlay
 from .viewport.camera import ORTHOGRAPHIC_HINT
 
+if TYPE_CHECKING:
+    from bpy.stub_internal.rna_enums import IconItems
+
 #: Pixels of a character at the interface's scale 1, to wrap texts to the panel's width.
 CHARACTER = 6.4
-ICONS = {
+ICONS: "dict[str, IconItems]" = {
     "training": "PLAY",
     "preparing": "SORTTIME",
     "paused": "PAUSE",
@@ -44,7 +50,7 @@ class PHYSHDR_PT_train(_Panel, bpy.types.Panel):
     bl_label = "Train PhysHDR"
 
     def draw(self, context: bpy.types.Context) -> None:
-        state, layout = session().state, self.layout
+        state, layout = session().state, layout_of(self)
         problem = problem_of(state)
         icon = ICONS.get(state.job.state, "RADIOBUT_ON" if state.backend.ready else "RADIOBUT_OFF")
         layout.label(text=headline(state), icon="ERROR" if problem else icon)
@@ -62,15 +68,15 @@ class PHYSHDR_MT_backend(bpy.types.Menu):
     bl_label = "Another Backend"
 
     def draw(self, context: bpy.types.Context) -> None:
-        self.layout.operator("physhdr.backend_install", text="Install Again…", icon="IMPORT")
-        self.layout.operator("physhdr.backend_use", text="Use Existing Python…", icon="FILEBROWSER")
+        layout_of(self).operator("physhdr.backend_install", text="Install Again…", icon="IMPORT")
+        layout_of(self).operator("physhdr.backend_use", text="Use Existing Python…", icon="FILEBROWSER")
 
 
 class PHYSHDR_PT_backend(_Subpanel, bpy.types.Panel):
     bl_label = "Backend"
 
     def draw(self, context: bpy.types.Context) -> None:
-        state, layout = session().state, self.layout
+        state, layout = session().state, layout_of(self)
         if state.backend.ready:
             self._draw_ready(context, layout, state)
         else:
@@ -110,7 +116,7 @@ class PHYSHDR_PT_dataset(_Subpanel, bpy.types.Panel):
     bl_label = "Data Set"
 
     def draw(self, context: bpy.types.Context) -> None:
-        state, layout = session().state, self.layout
+        state, layout = session().state, layout_of(self)
         layout.prop(context.scene.physhdr, "data", text="")
         dataset = state.dataset
         if dataset.folder == choices(context).data and not state.active:
@@ -129,7 +135,7 @@ class PHYSHDR_PT_training(_Subpanel, bpy.types.Panel):
     bl_label = "Training"
 
     def draw(self, context: bpy.types.Context) -> None:
-        state, layout, settings = session().state, self.layout, context.scene.physhdr
+        state, layout, settings = session().state, layout_of(self), context.scene.physhdr
         if state.active:
             self._draw_steering(context, layout, state)
         else:
@@ -165,7 +171,7 @@ class PHYSHDR_PT_illumination(_Subpanel, bpy.types.Panel):
     bl_label = "Illumination"
 
     def draw(self, context: bpy.types.Context) -> None:
-        state, layout, settings = session().state, self.layout, context.scene.physhdr
+        state, layout, settings = session().state, layout_of(self), context.scene.physhdr
         target = context.object
         if target is not None and is_model(target):
             layout.label(text=target.name, icon="OUTLINER_OB_POINTCLOUD")
@@ -193,7 +199,7 @@ class PHYSHDR_PT_illumination(_Subpanel, bpy.types.Panel):
             write(context, layout, "This method learns no illumination: the level only scales", "INFO")
 
 
-def draw_levels(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup, lights: Sequence[str]) -> None:
+def draw_levels(layout: bpy.types.UILayout, settings: PHYSHDR_Settings, lights: Sequence[str]) -> None:
     """The live preview's slider for each light of the backend's model."""
     layout.prop(settings, "lighting_level", text=slider_name(lights, 0))
     for index, name in enumerate(lights[1:], 1):
@@ -254,7 +260,7 @@ def button(
     action: str,
     operator: str,
     text: str,
-    icon: str,
+    icon: "IconItems",
 ) -> None:
     """An operator's button, greyed where the user's choices do not allow it (``reasons`` says why)."""
     cell = layout.row(align=True)
@@ -285,7 +291,9 @@ def draw_task(layout: bpy.types.UILayout, state: State, name: str) -> None:
         column.label(text=task.message)
 
 
-def write(context: bpy.types.Context, layout: bpy.types.UILayout, text: str, icon: str = "NONE") -> None:
+def write(
+    context: bpy.types.Context, layout: bpy.types.UILayout, text: str, icon: "IconItems" = "NONE"
+) -> None:
     """A text of several lines, as wide as the panel."""
     column = layout.column(align=True)
     column.scale_y = 0.8

@@ -7,7 +7,7 @@ import bpy
 
 ROOT = Path(__file__).resolve().parent.parent
 #: The package's full name: ``bl_ext.<repository>.physhdr`` where it is installed as an extension.
-PACKAGE = __package__.rpartition(".")[0]
+PACKAGE = __name__.removesuffix(".addon.paths")
 LAUNCHER = ROOT / "backend" / "launch.py"
 
 

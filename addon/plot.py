@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The training's curves as a picture for the panel: loss (logarithmic) and PSNR, each on its own scale."""
 
+from typing import Any
+
 import bpy
 import bpy.utils.previews
 import numpy as np
@@ -59,7 +61,8 @@ def update(history: History) -> None:
         return
     if _icons is None:
         _icons = bpy.utils.previews.new()
-    icon = _icons.get(_NAME) or _icons.new(_NAME)
+    # Any: what is set here is an array, of which Blender's types say that it cannot be.
+    icon: Any = _icons.get(_NAME) or _icons.new(_NAME)
     icon.image_size = (WIDTH, HEIGHT)
     icon.image_pixels_float.foreach_set(draw_curves(history).reshape(-1))
 

@@ -42,9 +42,10 @@ CURVE_STEPS = 256
 _RECIPE = 3
 
 
-def add_modifier(target: bpy.types.Object, model: Model) -> bpy.types.Modifier:
+def add_modifier(target: bpy.types.Object, model: Model) -> bpy.types.NodesModifier:
     """Give a point cloud object made from ``model`` the modifier that lights and draws it."""
     modifier = target.modifiers.new(MODIFIER_NAME, "NODES")
+    assert isinstance(modifier, bpy.types.NodesModifier)
     curve = None
     if model.tone_curve is not None and model.tone_curve_log_exposure is not None:
         curve = ToneCurve(model.tone_curve_log_exposure, model.tone_curve)
@@ -73,6 +74,7 @@ def radiance_tree(
     if len(lights) > 1:
         kind += f", {len(lights)} lights"
     tree = bpy.data.node_groups.new(f"PhysHDR radiance (degree {sh_degree}, {kind})", "GeometryNodeTree")
+    assert isinstance(tree, bpy.types.GeometryNodeTree)
     tree[MARK] = mark
     tree.is_modifier = True
     _declare_interface(tree, curve is not None, lights)
@@ -88,13 +90,15 @@ def level_description(lights: Sequence[str], index: int) -> str:
 
 
 def _declare_interface(tree: bpy.types.NodeTree, has_curve: bool, lights: tuple[str, ...]) -> None:
+    interface: Any = tree.interface  # which types a socket may have is known only to Blender
+
     def declare(name: str, kind: str, description: str = "", **properties: Any) -> None:
-        socket = tree.interface.new_socket(name, in_out="INPUT", socket_type=f"NodeSocket{kind}")
+        socket = interface.new_socket(name, in_out="INPUT", socket_type=f"NodeSocket{kind}")
         socket.description = description
         for key, value in properties.items():
             setattr(socket, key, value)
 
-    tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
+    interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
     declare("Geometry", "Geometry")
     declare(EXPOSURE, "Float", "Radiance is multiplied by 2 to this power", min_value=-30.0, max_value=30.0)
     for index in range(len(lights)):
@@ -249,6 +253,7 @@ class _Assembly:
             # A colour of our own making: this node and its sockets only carry numbers.
             place = make.field("FunctionNodeCombineColor", *places)
             node = make.node("ShaderNodeRGBCurve", 1.0, place, label="response")
+            assert isinstance(node, bpy.types.ShaderNodeRGBCurve) and node.mapping is not None
             _set_curves(node.mapping, curve)
             parts = make.node("FunctionNodeSeparateColor", make.output(node, "Color"))
         with make.frame("Decode sRGB"):

@@ -2,12 +2,14 @@
 """Render settings that Gaussians need, a camera from a data set's pose, and pictures for comparing."""
 
 from pathlib import Path
+from typing import Any, cast
 
 import bpy
 import mathutils
 import numpy as np
 
 from ..bridge.errors import OutputError
+from .blender import settings_of_cycles
 
 #: Gaussians a ray may pass. Cycles' own limit is 1024; a ray through a trained room meets hundreds.
 TRANSPARENT_BOUNCES = 1024
@@ -28,10 +30,10 @@ def prepare_cycles(scene: bpy.types.Scene, samples: int = 1, filter_width: float
     of noise at 1 sample, and it is what the trainer's rasterisers draw. More samples help only with a
     ``filter_width`` (in pixels) near 1, for other objects' edges.
     """
-    scene.render.engine = "CYCLES"
+    _choose_engine(scene, "CYCLES")
     scene.render.film_transparent = True
     scene.render.use_motion_blur = False
-    cycles = scene.cycles
+    cycles = settings_of_cycles(scene)
     cycles.samples = samples
     cycles.use_adaptive_sampling = False
     cycles.use_denoising = False
@@ -52,16 +54,22 @@ def prepare_eevee(scene: bpy.types.Scene, samples: int = 64) -> None:
     EEVEE draws transparency by chance (dithered): a picture converges to Cycles' with 1/√samples. Headless
     (``blender -b``, the bpy wheel) it needs ``gpu.init()`` first.
     """
-    scene.render.engine = "BLENDER_EEVEE"
+    _choose_engine(scene, "BLENDER_EEVEE")
     scene.render.film_transparent = True
     scene.render.use_motion_blur = False
     scene.render.filter_size = POINT_SAMPLING
     eevee = scene.eevee
+    assert eevee is not None
     eevee.taa_render_samples = samples
     eevee.clamp_surface_direct = eevee.clamp_surface_indirect = 0.0
     # Gaussians carry their light with them.
     eevee.use_shadows = False
     eevee.use_raytracing = False
+
+
+def _choose_engine(scene: bpy.types.Scene, name: str) -> None:
+    render: Any = scene.render  # engines register themselves: the types know none but EEVEE
+    render.engine = name
 
 
 def set_resolution(scene: bpy.types.Scene, width: int, height: int) -> None:
@@ -131,9 +139,10 @@ def read_exr(path: Path) -> np.ndarray:
     """``[H, W, 4]`` float32 scene-linear pixels of an EXR, top row first."""
     image = bpy.data.images.load(str(path), check_existing=False)
     try:
-        image.colorspace_settings.name = "Non-Color"  # the numbers as they are
+        settings: Any = image.colorspace_settings  # which spaces there are says the configuration of colours
+        settings.name = "Non-Color"  # the numbers as they are
         image.alpha_mode = "CHANNEL_PACKED"
-        width, height = image.size
+        width, height = cast(Any, image.size)
         pixels = np.empty(width * height * 4, np.float32)
         image.pixels.foreach_get(pixels)
     finally:

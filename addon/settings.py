@@ -10,8 +10,11 @@ import bpy
 from ..bridge.messages import WhenClosed
 from ..bridge.presets import IN_PANEL
 from . import changes
+from .blender import layout_of
 from .paths import PACKAGE, user_folder
 
+#: The property of a scene that holds its ``PHYSHDR_Settings``.
+SETTINGS = "physhdr"
 #: As Blender lists them: name, label, description.
 PRESETS = [(preset.name, preset.label, preset.description) for preset in IN_PANEL]
 EXPOSURE_MODES = [
@@ -89,7 +92,7 @@ class PHYSHDR_Preferences(bpy.types.AddonPreferences):
     torch: bpy.props.EnumProperty(name="Build of torch", items=TORCH_BUILDS)
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout = self.layout
+        layout = layout_of(self)
         layout.use_property_split = True
         for name in ("home", "torch", "when_closed"):
             layout.prop(self, name)
@@ -172,10 +175,10 @@ _CLASSES = (PHYSHDR_Preferences, PHYSHDR_LightLevel, PHYSHDR_Settings)
 def register() -> None:
     for cls in _CLASSES:
         bpy.utils.register_class(cls)
-    bpy.types.Scene.physhdr = bpy.props.PointerProperty(type=PHYSHDR_Settings)
+    setattr(bpy.types.Scene, SETTINGS, bpy.props.PointerProperty(type=PHYSHDR_Settings))
 
 
 def unregister() -> None:
-    del bpy.types.Scene.physhdr
+    delattr(bpy.types.Scene, SETTINGS)
     for cls in reversed(_CLASSES):
         bpy.utils.unregister_class(cls)

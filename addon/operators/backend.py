@@ -8,6 +8,7 @@ import bpy
 
 from ...bridge.messages import ControlTake, Shutdown
 from .. import settings
+from ..blender import layout_of
 from ..paths import ROOT
 from ..runtime import session
 from ..session.pythons import find_pythons, working_python
@@ -50,7 +51,7 @@ class PHYSHDR_OT_backend_install(PhysHDROperator):
         return context.window_manager.invoke_props_dialog(self, width=460)
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout = self.layout
+        layout = layout_of(self)
         layout.use_property_split = True
         layout.prop(self, "python")
         layout.prop(self, "torch")

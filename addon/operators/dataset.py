@@ -12,17 +12,21 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import bpy
 
 from ...bridge.data_set import INFO_FILE
 from ...bridge.errors import BadValueError, OutputError, PhysHDRError
+from ..blender import layout_of
 from ..dataset_summary import summarise
 from ..paths import ROOT
 from ..runtime import session
 from ..session.state import DATASET
 from .base import PhysHDROperator
+
+if TYPE_CHECKING:
+    from bpy.stub_internal.rna_enums import PropertyFlagItems
 
 SCRIPT = ROOT / "synth" / "make_scene.py"
 #: Seconds that scripts wait for a data set.
@@ -35,7 +39,7 @@ AUTOMATIC = {
     "rig_height": "Grid Height",
     "resolution_y": "Height",
 }
-RELATIVE = {"PATH_SUPPORTS_BLEND_RELATIVE"}
+RELATIVE: "set[PropertyFlagItems]" = {"PATH_SUPPORTS_BLEND_RELATIVE"}
 
 RIGS = [
     ("GRID", "Grid", "A flat grid around your camera, facing the scene"),
@@ -153,7 +157,7 @@ class PHYSHDR_OT_dataset_render(PhysHDROperator):
         return context.window_manager.invoke_props_dialog(self, width=440, confirm_text="Render")
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout = self.layout
+        layout = layout_of(self)
         layout.use_property_split = True
         layout.prop(self, "out")
         rig = layout.column(align=True)
@@ -235,7 +239,7 @@ class PHYSHDR_OT_dataset_render(PhysHDROperator):
         return [*(f"--{name}={value}" for name, value in given.items()), denoise, "--progress-json"]
 
 
-def _auto(operator: PHYSHDR_OT_dataset_render, name: str) -> dict[str, str]:
+def _auto(operator: PHYSHDR_OT_dataset_render, name: str) -> dict[str, Any]:
     """The text of a setting whose 0 means that it is found by itself; it says so while it is 0."""
     if name not in AUTOMATIC or getattr(operator, name):
         return {}

@@ -4,7 +4,7 @@
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import bpy
 
@@ -34,6 +34,9 @@ WAIT = {"default": bpy.app.background, "options": {"HIDDEN", "SKIP_SAVE"}}
 
 class _Training(PhysHDROperator):
     """What starting and resuming share: they ask, and in scripts wait until the training has ended."""
+
+    if TYPE_CHECKING:
+        wait: bool
 
     def begin(self, request: Request) -> set[str]:
         current = session()
@@ -319,7 +322,7 @@ class PHYSHDR_OT_result_import(PhysHDROperator):
             self.report({"ERROR"}, f"there is no {path}: open the run in the backend first")
             return {"CANCELLED"}
         try:
-            bpy.ops.physhdr.model_import(filepath=str(path), name=self.name or path.parent.name)
+            cast(Any, bpy.ops).physhdr.model_import(filepath=str(path), name=self.name or path.parent.name)
         except RuntimeError as error:  # how an operator's error comes to a script
             self.report({"ERROR"}, str(error).removeprefix("Error: ").strip())
             return {"CANCELLED"}

@@ -25,6 +25,7 @@ def load_package() -> None:
     spec = importlib.util.spec_from_file_location(
         "physhdr", ROOT / "__init__.py", submodule_search_locations=[str(ROOT)]
     )
+    assert spec is not None and spec.loader is not None
     package = importlib.util.module_from_spec(spec)
     sys.modules["physhdr"] = package
     spec.loader.exec_module(package)
@@ -39,7 +40,7 @@ def light_level(text: str) -> tuple[str, float]:
 
 
 def parse_arguments(arguments: list[str]) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="relight.py", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(prog="relight.py", description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("model", type=Path, help="the model file (.safetensors), or any 3DGS PLY")
     parser.add_argument("--camera", required=True, metavar="FILE:INDEX", help="transforms_*.json and a frame")
     parser.add_argument("--out", required=True, type=Path, help="folder for the pictures")

@@ -26,7 +26,7 @@ def spawn(command: list[str], output: int | IO[Any], environment: dict[str, str]
     Its stdout and stderr go to ``output``. Raises ``OSError``.
     """
     group: dict[str, Any] = {"start_new_session": True}
-    if WINDOWS:
+    if sys.platform == "win32":
         flags = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW
         group = {"creationflags": flags}
     return subprocess.Popen(
@@ -58,7 +58,7 @@ def open_log(path: Path, mode: str) -> IO[str]:
 def interrupt(pid: int) -> None:
     """CTRL-C for a program that ``spawn`` started, and for its children."""
     with suppress(OSError):
-        if WINDOWS:
+        if sys.platform == "win32":
             os.kill(pid, signal.CTRL_BREAK_EVENT)
         else:
             os.killpg(pid, signal.SIGINT)

@@ -16,6 +16,10 @@ from ...bridge.axes import OPENGL_TO_OPENCV, world_to_camera_opencv
 
 if TYPE_CHECKING:
     import bpy
+    import mathutils
+
+    #: 4×4, row by row.
+    Rows = Sequence[Sequence[float]] | np.ndarray | mathutils.Matrix
 
 ORTHOGRAPHIC_HINT = (
     "The view is orthographic; the backend draws perspective only. Press numpad 5, or look through a "
@@ -80,8 +84,8 @@ class ViewCamera:
 
 
 def from_matrices(
-    view_matrix: Sequence[Sequence[float]],
-    window_matrix: Sequence[Sequence[float]],
+    view_matrix: "Rows",
+    window_matrix: "Rows",
     width: int,
     height: int,
 ) -> ViewCamera:
@@ -116,7 +120,7 @@ def of_region(region: "bpy.types.Region", rv3d: "bpy.types.RegionView3D") -> Vie
     return from_matrices(rv3d.view_matrix, rv3d.window_matrix, region.width, region.height)
 
 
-def object_to_camera(camera: ViewCamera, matrix_world: Sequence[Sequence[float]]) -> np.ndarray:
+def object_to_camera(camera: ViewCamera, matrix_world: "Rows") -> np.ndarray:
     """``[4, 4]`` float64: from an object's space to the camera's, OpenCV axes."""
     return camera.world_to_camera @ np.array(matrix_world, np.float64)
 

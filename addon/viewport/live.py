@@ -10,11 +10,13 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal, cast
 
 import bpy
 
 from ...bridge.messages import PreviewCamera, PreviewFrame, PreviewRequest
 from ..attributes import FILE
+from ..blender import cloud_of
 from ..look import is_model
 from ..session.session import Session
 from ..settings import preview_levels
@@ -27,6 +29,10 @@ from .splat_data import identity
 SHARPNESS = 1.0
 #: Seconds between looks for imported copies of the model that is shown.
 LOOK_SECONDS = 0.5
+
+
+#: What ``_regions`` puts into a view's ``look``: exposure, a level for each light, tone mapping.
+_Look = tuple[float, tuple[float, ...], Literal["linear", "learned"]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,11 +86,10 @@ class LivePreview:
             return
         self._looked = now
         run = Path(session.state.job.run)
-        hidden = {
-            identity(target.data)
-            for target in bpy.data.objects
-            if is_on and is_model(target) and Path(target.data.get(FILE, "")).parent == run
-        }
+        hidden = set()
+        for target in bpy.data.objects if is_on else ():
+            if is_model(target) and Path(cloud_of(target).get(FILE, "")).parent == run:
+                hidden.add(identity(cloud_of(target)))
         if hidden != self._hidden:
             self._hidden = hidden
             splats.set_hidden(hidden)
@@ -98,8 +103,8 @@ class LivePreview:
         if answer is None or asked is None:
             return
         frame = answer if isinstance(answer, PreviewFrame) else None
-        sequence = (frame.header.request if frame else answer.request).sequence
-        if sequence != asked.sequence:
+        request = answer.header.request if isinstance(answer, PreviewFrame) else answer.request
+        if request.sequence != asked.sequence:
             return
         self._asked = None
         schedule = self._schedules.get(asked.key)
@@ -132,7 +137,7 @@ class LivePreview:
 
 def _message(sequence: int, wanted: Request) -> PreviewRequest:
     camera: ViewCamera = wanted.camera
-    exposure_ev, lighting_levels, tone = wanted.look
+    exposure_ev, lighting_levels, tone = cast(_Look, wanted.look)
     return PreviewRequest(
         sequence=sequence,
         camera=PreviewCamera(

@@ -130,7 +130,7 @@ class Compositor:
         picture_to_clip = window_matrix @ OPENGL_TO_OPENCV @ between(source, view)
         layer.colour.filter_mode(True)
         shader.bind()
-        shader.uniform_float("picture_to_clip", gpu_arrays.matrix(picture_to_clip))
+        gpu_arrays.set_matrix(shader, "picture_to_clip", picture_to_clip)
         shader.uniform_float("size_and_centre", (source.width, source.height, source.cx, source.cy))
         shader.uniform_float("focal_and_tone", (source.fx, source.fy, start, step))
         shader.uniform_float("plane_depth", layer.plane_depth)
@@ -262,7 +262,7 @@ def _after_scene() -> None:
     if _runtime.compositor is None:
         _runtime.compositor = Compositor()
     window_matrix = np.array(context.region_data.window_matrix, np.float64)
-    with scene_framebuffer.bind():
+    with gpu_arrays.bound(scene_framebuffer):
         for layer in layers:
             _runtime.compositor.draw(layer, view, window_matrix)
     for layer in layers:

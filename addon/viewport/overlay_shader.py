@@ -108,7 +108,7 @@ def create() -> gpu.types.GPUShader:
     info.push_constant("FLOAT", "plane_depth")
     info.push_constant("INT", "flags")
     for flag in Flag:
-        info.define(flag.name, str(flag.value))
+        info.define(str(flag.name), str(flag.value))
     info.sampler(0, "FLOAT_2D", "picture")
     info.sampler(1, "FLOAT_2D", "picture_depth")
     info.sampler(2, "FLOAT_2D", "tone_curve")

@@ -126,7 +126,7 @@ class SplatTextures:
         #: Layers: the share that no light causes, and each light's; or the log gain at each level.
         self.light = self._texture("RGBA16F", *layers)
 
-    def _texture(self, format: str, *layers: np.ndarray) -> gpu.types.GPUTexture:
+    def _texture(self, format: gpu_arrays.Texels, *layers: np.ndarray) -> gpu.types.GPUTexture:
         texels = np.zeros((len(layers), self.rows * WIDTH, 4), np.float32)
         for index, values in enumerate(layers):
             texels[index, : self.count, : values.shape[1]] = values

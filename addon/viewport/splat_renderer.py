@@ -47,20 +47,20 @@ class Item:
 class Target:
     """A picture in the making: colour and Σ weight · depth."""
 
-    def __init__(self, width: int, height: int, format: str = "") -> None:
-        """``format`` of the colours: ``RGBA32F`` or ``RGBA16F``; the best that can be blended if empty."""
+    def __init__(self, width: int, height: int, format: gpu_arrays.Texels | None = None) -> None:
+        """``format`` of the colours: ``RGBA32F`` or ``RGBA16F``; the best that can be blended if ``None``."""
         self.size = width, height
         # Apple's GPUs do not blend full floats.
         format = format or ("RGBA16F" if gpu.platform.backend_type_get() == "METAL" else "RGBA32F")
         self.colour = gpu.types.GPUTexture((width, height), format=format)
         self.depth = gpu.types.GPUTexture((width, height), format="R32F")
         self.framebuffer = gpu.types.GPUFrameBuffer(color_slots=(self.colour, self.depth))
-        with self.framebuffer.bind():
+        with gpu_arrays.bound(self.framebuffer):
             self.framebuffer.clear(color=(0.0, 0.0, 0.0, 0.0))
 
     def wait(self) -> None:
         """Until the GPU has drawn everything so far: by reading one pixel."""
-        with self.framebuffer.bind():
+        with gpu_arrays.bound(self.framebuffer):
             self.framebuffer.read_color(0, 0, 1, 1, 4, 0, "FLOAT")
 
     def read(self) -> tuple[np.ndarray, np.ndarray]:
@@ -149,7 +149,9 @@ class SplatRenderer:
         order = texel[back_to_front(depth, exact)]
         return Drawing(self, target, camera, order, typical)
 
-    def render(self, items: Sequence[Item], camera: ViewCamera, *, format: str = "") -> Target:
+    def render(
+        self, items: Sequence[Item], camera: ViewCamera, *, format: gpu_arrays.Texels | None = None
+    ) -> Target:
         """The whole picture at once."""
         target = Target(camera.width, camera.height, format)
         self.begin(items, camera, target).draw()
@@ -158,7 +160,7 @@ class SplatRenderer:
     def blend(self, target: Target, order: gpu.types.GPUTexture, first: int, count: int) -> None:
         """Blend Gaussians ``first`` … of ``order`` over the target."""
         shader = self._drawing
-        with target.framebuffer.bind():
+        with gpu_arrays.bound(target.framebuffer):
             shader.bind()
             shader.uniform_float("size", target.size)
             shader.uniform_sampler("order", order)
@@ -192,13 +194,15 @@ class SplatRenderer:
         flags = splats.degree if item.view_dependent else 0
         flags |= splat_shaders.ORTHOGRAPHIC if camera.is_orthographic else 0
         flags |= splat_shaders.HAS_LEVELS if splats.levels else 0
-        with self._framebuffer.bind():
-            self._framebuffer.viewport_set(0, first_row, WIDTH, splats.rows)
+        framebuffer = self._framebuffer
+        assert framebuffer is not None  # _reserve made it
+        with gpu_arrays.bound(framebuffer):
+            framebuffer.viewport_set(0, first_row, WIDTH, splats.rows)
             gpu.state.depth_test_set("NONE")
             gpu.state.depth_mask_set(False)
             gpu.state.blend_set("NONE")
             shader.bind()
-            shader.uniform_float("object_to_camera", gpu_arrays.matrix(to_camera))
+            gpu_arrays.set_matrix(shader, "object_to_camera", to_camera)
             shader.uniform_float("lens", (camera.fx, camera.fy, camera.cx, camera.cy))
             shader.uniform_float("size_and_blend", (camera.width, camera.height, blend, 0.0))
             shader.uniform_float("eye_and_gain", (*eye, 2.0**item.exposure))
@@ -209,7 +213,7 @@ class SplatRenderer:
             self._levels.append(levels_texture(item.levels, splats.lights))
             shader.uniform_sampler("levels", self._levels[-1])
             self._full_screen.draw(shader)
-            self._framebuffer.viewport_set(0, 0, WIDTH, self._rows)
+            framebuffer.viewport_set(0, 0, WIDTH, self._rows)
 
 
 def levels_texture(levels: Sequence[float], lights: int) -> gpu.types.GPUTexture:

@@ -8,12 +8,13 @@ sharp. Where the GPU is slow either happens in portions, between which Blender s
 
 import time
 from collections.abc import Iterable, Iterator
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import bpy
 import numpy as np
 
-from ..attributes import RADIUS
+from ..attributes import DISPLAY, RADIUS
+from ..blender import cloud_of
 from ..look import Look, look_of
 from ..nodes import find_modifier
 from ..point_cloud import read_tone_curve, write_attribute
@@ -49,9 +50,9 @@ def shown_objects(
 ) -> Iterator[Shown]:
     """The visible objects that are drawn as splats, in ``space`` (``None``: regardless of the view)."""
     for target in view_layer.objects:
-        if target.type != "POINTCLOUD" or target.physhdr_viewport != "SPLATS":
+        if target.type != "POINTCLOUD" or getattr(target, DISPLAY) != "SPLATS":
             continue
-        cloud = target.data
+        cloud = cloud_of(target)
         if identity(cloud) in _runtime.hidden or not is_splats(cloud):
             continue
         if target.visible_get(view_layer=view_layer, **({"viewport": space} if space else {})):
@@ -246,7 +247,7 @@ def _note_changes(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> Non
         return
     for update in depsgraph.updates:
         if isinstance(update.id, bpy.types.PointCloud) and update.is_updated_geometry:
-            _runtime.suspects.add(update.id.original.session_uid)
+            _runtime.suspects.add(cast(bpy.types.ID, update.id.original).session_uid)
     existing = {cloud.session_uid for cloud in bpy.data.pointclouds}
     for gone in [uid for uid in _runtime.textures if uid not in existing]:
         del _runtime.textures[gone]
@@ -261,10 +262,10 @@ def _apply_display(target: bpy.types.Object, context: bpy.types.Context | None) 
     modifier = find_modifier(target)
     if modifier is None:
         return
-    as_splats = target.physhdr_viewport == "SPLATS"
+    as_splats = getattr(target, DISPLAY) == "SPLATS"
     modifier.show_viewport = not as_splats
     target.display_type = "BOUNDS" if as_splats else "TEXTURED"
-    cloud = target.data
+    cloud = cloud_of(target)
     if as_splats and cloud.is_editable and RADIUS.name not in cloud.attributes:
         # Material Preview and Rendered draw the points themselves, whatever the display type. The modifier
         # puts out instances only, and they have a size of their own.
@@ -272,7 +273,7 @@ def _apply_display(target: bpy.types.Object, context: bpy.types.Context | None) 
 
 
 def register() -> None:
-    bpy.types.Object.physhdr_viewport = bpy.props.EnumProperty(
+    display = bpy.props.EnumProperty(
         name="Viewport display",
         description="How the Gaussians of a PhysHDR model are drawn in the 3D view. Renders are not affected",
         items=[
@@ -286,6 +287,7 @@ def register() -> None:
         default="NODES",
         update=_apply_display,
     )
+    setattr(bpy.types.Object, DISPLAY, display)
     handlers = bpy.app.handlers
     handlers.depsgraph_update_post.append(_note_changes)
     for event in (handlers.undo_post, handlers.redo_post, handlers.load_pre):
@@ -303,4 +305,4 @@ def unregister() -> None:
         bpy.app.timers.unregister(overlay.redraw_all)
     clear()
     _runtime.hidden.clear()
-    del bpy.types.Object.physhdr_viewport
+    delattr(bpy.types.Object, DISPLAY)

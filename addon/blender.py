@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Blender's things as what they are: what its types say may be missing, or do not know, is there."""
+
+from collections.abc import Callable
+from typing import Any, Protocol, cast
+
+import bpy
+
+
+class Drawn(Protocol):
+    """A panel, a menu, an operator's dialogue: what has a ``draw``."""
+
+    @property
+    def layout(self) -> bpy.types.UILayout | None: ...
+
+
+def layout_of(drawn: Drawn) -> bpy.types.UILayout:
+    """Where a class draws; there is one whenever Blender calls its ``draw``."""
+    layout = drawn.layout
+    assert layout is not None
+    return layout
+
+
+def cloud_of(target: bpy.types.Object) -> bpy.types.PointCloud:
+    """The point cloud of an object that is one (``type`` is ``POINTCLOUD``)."""
+    assert isinstance(target.data, bpy.types.PointCloud)
+    return target.data
+
+
+def settings_of_cycles(of: bpy.types.Scene | bpy.types.Material) -> Any:
+    """Cycles' settings of a scene or a material: Cycles registers them, as an extension does."""
+    return cast(Any, of).cycles
+
+
+#: Draws an entry: a menu's ``draw``, which Blender's types believe to take the context alone.
+DrawEntry = Callable[[bpy.types.Menu, bpy.types.Context], None]
+
+
+def add_entry(menu: Any, draw: DrawEntry) -> None:
+    """Let ``draw`` add an entry to one of Blender's menus, a class of ``bpy.types``."""
+    menu.append(draw)
+
+
+def remove_entry(menu: Any, draw: DrawEntry) -> None:
+    """Take away what ``add_entry`` added."""
+    menu.remove(draw)
