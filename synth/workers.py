@@ -25,7 +25,7 @@ PATIENCE = 10.0
 
 def threads_each(workers: int) -> int:
     """Threads for each of ``workers`` processes on this machine."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
     return max(1, cores // workers)
 
 

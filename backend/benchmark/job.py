@@ -4,20 +4,19 @@
 A job is data, so that another machine of a cluster can do it; files in a shared folder are all it needs.
 """
 
-import contextlib
 import json
 import os
 import re
 import shutil
-import signal
-import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from ...bridge.errors import PhysHDRError
+from ..jobs.pools import Outcome
+from ..jobs.process import StoppedError, run_to_end
 from ..train.config import CONFIG_FILE
 from .runs import (
     FAILED_FILE,
@@ -40,8 +39,6 @@ USAGE_FILE = "usage.json"
 TRIAL = "trial_"
 #: What starts the command ``physhdr`` with a number of threads and a file for its usage.
 PROGRAM = (sys.executable, "-m", "physhdr.backend.benchmark.child")
-#: Seconds between looks at whether to go on; and those that a process has to end by itself.
-LOOK_EVERY, GRACE = 0.2, 5.0
 LINES_KEPT = 15
 #: Libraries read these where ``set_threads`` does not reach.
 THREAD_VARIABLES = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
@@ -71,18 +68,6 @@ class Job:
     program: tuple[str, ...] = PROGRAM
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """``message``: of a failure, its last line."""
-
-    kind: Literal["done", "failed", "stopped"]
-    message: str = ""
-
-
-class _StoppedError(Exception):
-    """Somebody wants the job to end."""
-
-
 class _FailedError(Exception):
     """A process failed: at which stage, with which status, and why if it did not say so itself."""
 
@@ -102,7 +87,7 @@ def execute(job: Job, should_stop: Callable[[], bool] = lambda: False) -> Outcom
             return _done(job, should_stop)
         except _FailedError as error:
             return _failed(job, error)
-    except _StoppedError:
+    except StoppedError:
         outcome = Outcome("stopped")
     except (OSError, PhysHDRError) as error:
         gone = isinstance(error, FileNotFoundError) and not job.work.exists()
@@ -226,48 +211,19 @@ def _events(path: Path) -> tuple[dict[str, Any] | None, int]:
 
 
 def _physhdr(job: Job, words: list[Any], should_stop: Callable[[], bool]) -> None:
-    """Run one command to its end; raises ``_FailedError`` or ``_StoppedError``."""
+    """Run one command to its end; raises ``_FailedError`` or ``StoppedError``."""
     command = [*job.program, job.record.threads, job.work / USAGE_FILE, *words]
     count = str(job.record.threads)
-    environment = os.environ | {name: count for name in THREAD_VARIABLES} | {"PYTHONUNBUFFERED": "1"}
     with open(job.work / RUN_LOG, "ab") as log:
         log.write(f"$ physhdr {' '.join(str(word) for word in words)}\n".encode())
-        log.flush()
-        # A session of its own: CTRL-C in the terminal is ours alone, and all of its processes can be ended.
-        process = subprocess.Popen(
-            [str(word) for word in command],
-            stdin=subprocess.DEVNULL,
-            stdout=log,
-            stderr=subprocess.STDOUT,
-            env=environment,
-            start_new_session=True,
-        )
-    try:
-        while process.poll() is None:
-            if should_stop() or not job.work.exists():
-                raise _StoppedError
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(LOOK_EVERY)
-    finally:
-        if process.poll() is None:
-            _end(process)
-    if should_stop() or not job.work.exists():
-        raise _StoppedError
-    if process.returncode:
-        raise _FailedError(str(words[0]), process.returncode)
-
-
-def _end(process: subprocess.Popen[bytes]) -> None:
-    """End a process and what it started: politely, then by force."""
-    for how in (signal.SIGTERM, getattr(signal, "SIGKILL", signal.SIGTERM)):
-        with contextlib.suppress(ProcessLookupError):
-            if hasattr(os, "killpg"):
-                os.killpg(process.pid, how)
-            else:
-                process.terminate()
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            process.wait(GRACE)
-            return
+    status = run_to_end(
+        [str(word) for word in command],
+        job.work / RUN_LOG,
+        lambda: should_stop() or not job.work.exists(),
+        {name: count for name in THREAD_VARIABLES} | {"PYTHONUNBUFFERED": "1"},
+    )
+    if status:
+        raise _FailedError(str(words[0]), status)
 
 
 def _last_lines(path: Path) -> list[str]:

@@ -8,6 +8,8 @@ import subprocess
 from pathlib import Path
 from typing import Any
 
+import psutil
+
 PACKAGE = Path(__file__).resolve().parents[2]
 
 
@@ -17,7 +19,7 @@ def this_machine() -> dict[str, Any]:
         "host": platform.node(),
         "cpu": _processor(),
         "cores": os.cpu_count(),
-        "memory": _memory(),
+        "memory": psutil.virtual_memory().total,
         "system": f"{platform.system()} {platform.machine()}",
         "versions": _versions(),
     }
@@ -59,10 +61,3 @@ def _processor() -> str:
     except OSError:
         pass
     return platform.processor() or platform.machine()
-
-
-def _memory() -> int | None:
-    try:
-        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, ValueError, OSError):
-        return None

@@ -9,13 +9,14 @@ import shutil
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
 from ...bridge.lock import Claims
-from .job import EVENT_LOG, PROGRAM, TRIAL, Job, Outcome
+from ..jobs.pools import Outcome, Pool
+from .job import EVENT_LOG, PROGRAM, TRIAL, Job, execute
 from .plan import CPU_SECONDS
-from .pools import Pool
 from .runs import Record, Run, Store, runs_of
 from .search import Measurement
 
@@ -123,7 +124,7 @@ class Schedule:
                 job = self._job(run, alone=claims.keep_others_out)
                 self._work[run] = job.work
                 self.status[run] = Status("running")
-                pool.submit(run.claim, job)
+                pool.submit(run.claim, partial(execute, job))
                 free -= 1
             else:
                 claims.release(run.claim)

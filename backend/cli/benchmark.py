@@ -6,10 +6,8 @@ import hashlib
 import io
 import json
 import shlex
-import signal
 import sys
 import tempfile
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,11 +19,12 @@ from ...bridge.errors import BadValueError, FileMissingError, PhysHDRError
 from ..benchmark.job import PROGRAM
 from ..benchmark.live import progress_table
 from ..benchmark.plan import PLAN_FILE, Plan, make_plan, read_plan, write_plan
-from ..benchmark.pools import LocalPool, Pool, RayPool
 from ..benchmark.report import REPORT_FILE, write_report
 from ..benchmark.runs import Store, data_fingerprint
 from ..benchmark.schedule import Schedule
 from ..device import DeviceName
+from ..jobs.pools import LocalPool, Pool, RayPool
+from ..jobs.process import interrupted_by_sigterm
 from ..runs.files import writable_folder
 from ..runs.terminal import console
 from ..train.config import CONFIG_FILE, write_config
@@ -134,7 +133,7 @@ class Benchmark:
         )
         if not waiting:
             return
-        with _ends_on_sigterm():
+        with interrupted_by_sigterm():
             if not console.is_terminal:
                 schedule.work_off(pool)
                 return
@@ -181,20 +180,6 @@ def _is_in(path: Path, plan: Plan) -> bool:
         return make_plan(read_plan(path), path.parent) == plan
     except PhysHDRError:
         return False
-
-
-@contextlib.contextmanager
-def _ends_on_sigterm() -> Iterator[None]:
-    """A polite end (SIGTERM) is what CTRL-C is: jobs are ended, what is done is kept."""
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    previous = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, previous)
 
 
 def _weights(path: Path | None) -> str:

@@ -19,10 +19,10 @@ import pytest
 from physhdr.backend.benchmark import report
 from physhdr.backend.benchmark.live import progress_table
 from physhdr.backend.benchmark.plan import make_plan
-from physhdr.backend.benchmark.pools import LocalPool
 from physhdr.backend.benchmark.report import write_report
 from physhdr.backend.benchmark.runs import Store, data_fingerprint
 from physhdr.backend.benchmark.schedule import Schedule
+from physhdr.backend.jobs.pools import LocalPool
 from physhdr.bridge.lock import Claims
 
 FAKE = Path(__file__).with_name("fake_physhdr.py")

@@ -5,14 +5,28 @@ import contextlib
 import logging
 import os
 import threading
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol
 
 from ...bridge.errors import BadValueError
-from .job import Job, Outcome, execute
 
 #: Ray gives a cluster that it starts half a minute, which a busy machine may need to read it from the disk.
 STARTS = 3
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """``message``: of a failure, its last line."""
+
+    kind: Literal["done", "failed", "stopped"]
+    message: str = ""
+
+
+#: Does a job to its end, or until what it is given says that it should stop; its processes have ended then.
+#: Another machine must be able to take it: a ``functools.partial`` of a module's function and data.
+Work = Callable[[Callable[[], bool]], Outcome]
 
 
 class Pool(Protocol):
@@ -26,7 +40,7 @@ class Pool(Protocol):
         """How many more jobs could begin at once."""
         ...
 
-    def submit(self, name: str, job: Job) -> None: ...
+    def submit(self, name: str, work: Work) -> None: ...
 
     def finished(self) -> list[tuple[str, Outcome]]:
         """Those that ended since the last call; an error of ours is raised."""
@@ -44,7 +58,7 @@ class LocalPool:
         self._running: dict[str, Future[Outcome]] = {}
 
     def __enter__(self) -> "LocalPool":
-        self._threads = ThreadPoolExecutor(self._jobs, "benchmark")
+        self._threads = ThreadPoolExecutor(self._jobs, "jobs")
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -54,8 +68,8 @@ class LocalPool:
     def free(self) -> int:
         return self._jobs - len(self._running)
 
-    def submit(self, name: str, job: Job) -> None:
-        self._running[name] = self._threads.submit(execute, job, self._stop.is_set)
+    def submit(self, name: str, work: Work) -> None:
+        self._running[name] = self._threads.submit(work, self._stop.is_set)
 
     def finished(self) -> list[tuple[str, Outcome]]:
         names = [name for name, future in self._running.items() if future.done()]
@@ -65,8 +79,8 @@ class LocalPool:
 class RayPool:
     """A Ray cluster: ``address`` as ``ray.init`` takes it, or ``local`` to start one here.
 
-    Every machine needs PhysHDR in the same environment, and the data sets and the benchmark's folder at the
-    same path (a shared file system). A job takes ``threads`` CPUs. Raises ``BadValueError`` where Ray is not
+    Every machine needs PhysHDR in the same environment, and what jobs read and write at the same path (a
+    shared file system). A job takes ``threads`` CPUs. Raises ``BadValueError`` where Ray is not
     installed or the cluster does not answer.
     """
 
@@ -96,7 +110,7 @@ class RayPool:
                     f"the Ray cluster at {self._address} does not answer: {error}",
                     "Start one by `ray start --head`, or give --ray local.",
                 ) from error
-        self._execute = self._ray.remote(num_cpus=self._threads, max_retries=0)(execute)
+        self._work_off = self._ray.remote(num_cpus=self._threads, max_retries=0)(_work_off)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -112,8 +126,8 @@ class RayPool:
         slots = int(self._ray.cluster_resources().get("CPU", 0) // self._threads)
         return max(0, slots - len(self._running))
 
-    def submit(self, name: str, job: Job) -> None:
-        self._running[name] = self._execute.remote(job)
+    def submit(self, name: str, work: Work) -> None:
+        self._running[name] = self._work_off.remote(work)
 
     def finished(self) -> list[tuple[str, Outcome]]:
         if not self._running:
@@ -130,3 +144,8 @@ class RayPool:
             raise  # an error of ours
         except self._ray.exceptions.RayError as error:  # its machine was lost, its memory was too little
             return Outcome("failed", f"Ray: {type(error).__name__}: {error}".splitlines()[0])
+
+
+def _work_off(work: Work) -> Outcome:
+    """On a machine of the cluster: whoever wants it to end cancels Ray's task."""
+    return work(lambda: False)

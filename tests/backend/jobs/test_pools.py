@@ -3,7 +3,7 @@
 
 import pytest
 
-from physhdr.backend.benchmark.pools import RayPool
+from physhdr.backend.jobs.pools import RayPool
 
 ray = pytest.importorskip("ray")
 from ray import exceptions  # noqa: E402

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A process that is run to its end, or ended with all that it started."""
+
+import os
+import signal
+import subprocess
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import psutil
+
+#: Seconds between looks at whether to go on; and those that a process has to end by itself.
+LOOK_EVERY, GRACE = 0.2, 5.0
+
+
+class StoppedError(Exception):
+    """Somebody wants the work to end."""
+
+
+def run_to_end(
+    command: Sequence[str],
+    log: Path,
+    should_stop: Callable[[], bool],
+    environment: Mapping[str, str] | None = None,
+    folder: Path | None = None,
+) -> int:
+    """Run a command, what it says appended to ``log``; its exit status.
+
+    ``environment``: added to this process's. ``folder``: where it runs. Raises ``StoppedError`` when
+    ``should_stop`` says so; whatever is raised, the process and what it started have ended.
+    """
+    with open(log, "ab") as output:
+        # A session of its own: CTRL-C in the terminal is ours alone.
+        process = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            env={**os.environ, **(environment or {})},
+            cwd=folder,
+            start_new_session=True,
+            creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),  # the same for Windows
+        )
+    try:
+        while process.poll() is None:
+            if should_stop():
+                raise StoppedError
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(LOOK_EVERY)
+    finally:
+        if process.poll() is None:
+            _end(process)
+    if should_stop():
+        raise StoppedError
+    return process.returncode
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End a process and what it started: politely, then by force."""
+    family: list[psutil.Process] = []
+    for how in (psutil.Process.terminate, psutil.Process.kill):
+        with suppress(psutil.NoSuchProcess):
+            first = psutil.Process(process.pid)
+            family = [*{*family, first, *first.children(recursive=True)}]
+        for each in family:
+            with suppress(psutil.Error):
+                how(each)
+        _, family = psutil.wait_procs(family, GRACE)
+        if not family:
+            break
+    process.wait()
+
+
+@contextmanager
+def interrupted_by_sigterm() -> Iterator[None]:
+    """A polite end (SIGTERM) raises ``KeyboardInterrupt``, as CTRL-C does: jobs end, what is done is kept."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    previous = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, previous)
