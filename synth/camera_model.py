@@ -18,6 +18,7 @@ from dataclasses import asdict, dataclass, fields
 
 import numpy as np
 
+from ..bridge.contents import LUMINANCE
 from .errors import OptionError
 from .png import quantise
 from .response import MIDDLE_GREY, Response
@@ -34,7 +35,6 @@ FULL_WELL = 68_000
 READ_NOISE, AMPLIFIED_READ_NOISE = 2.0, 6.0
 #: Where numpy's Poisson sampler is safe; the noise is a part in 3e7 there.
 MOST_ELECTRONS = 1e15
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec.709
 
 #: Of the picture's height: half the side of the windows in which the base layer looks for edges.
 LOCAL_RADIUS = 0.08

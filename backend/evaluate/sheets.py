@@ -129,7 +129,7 @@ def comparison_sheet(
     renderer: Renderer,
     scene: Scene,
     poses: list[int] | None = None,
-    exposure_indices: tuple[int, ...] = (0, 2, 4),
+    exposure_indices: tuple[int, ...] = OBSERVED_EXPOSURES,
     gain: float = RESIDUAL_GAIN,
 ) -> np.ndarray:
     """Truth | ours | residual for some test views: LDR rows, HDR rows (μ-law), relit rows; uint8.
