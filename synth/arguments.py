@@ -7,7 +7,15 @@ from . import camera_model
 from .built_in import SCENES
 from .device import DEVICES
 from .options import ALL, CURRENT, Options, join
-from .parse import parse_evs, parse_mixtures, parse_names, parse_numbers, parse_pair, parse_resolution
+from .parse import (
+    parse_evs,
+    parse_mixtures,
+    parse_names,
+    parse_numbers,
+    parse_pair,
+    parse_part,
+    parse_resolution,
+)
 from .response import BUILT_IN
 from .rig import PATH, RIGS
 
@@ -155,7 +163,20 @@ def _add_work(made: argparse.ArgumentParser) -> None:
         default=_DEFAULT.workers,
         metavar="N",
         help="processes that render at the same time and share the cores; on small pictures as many as "
-        "there are cores is fastest. Other machines may join: start the same command on the same folder",
+        "there are cores is fastest. For several machines see physhdr synthesise",
+    )
+    add(
+        "--threads",
+        type=int,
+        default=_DEFAULT.threads,
+        metavar="N",
+        help="of each process; 0: all of the processor's, shared out",
+    )
+    add(
+        "--part",
+        metavar="K/N",
+        help="render only the K-th of N parts of the poses, and nothing of what needs them all; the same "
+        "command without --part then completes the data set",
     )
     add("--worker-of", type=int, help=argparse.SUPPRESS)
     add(
@@ -197,6 +218,8 @@ def options(given: argparse.Namespace) -> Options:
         denoise=given.denoise,
         device=given.device,
         workers=given.workers,
+        threads=given.threads,
+        part=None if given.part is None else parse_part(given.part),
         camera=camera_model.from_arguments(given),
         assets=given.assets,
         from_file=given.from_file,

@@ -40,7 +40,8 @@ def make(out: Path, options: Options, report: Report | None = None) -> dict[str,
     """Fill the folder ``out``; what is already there and whole is kept. Several processes may do it together.
 
     Returns:
-        What a program that started us wants to know (``--progress-json``).
+        What a program that started us wants to know (``--progress-json``); of a part of the poses
+        (``options.part``) only which one of which folder it is.
 
     Raises:
         SynthError: any of its kinds, with a message for the user. Nothing that exists is overwritten.
@@ -64,7 +65,7 @@ def make(out: Path, options: Options, report: Report | None = None) -> dict[str,
             options.device,
             users,
             options.noise_threshold,
-            threads=threads_each(options.workers) if options.workers > 1 else 0,
+            threads=options.threads or (threads_each(options.workers) if options.workers > 1 else 0),
         )
         with (
             Claims(out / CLAIMS, report.say) as claims,
@@ -73,6 +74,9 @@ def make(out: Path, options: Options, report: Report | None = None) -> dict[str,
             renderer(stage, options.denoise) as camera,
         ):
             _render(job, claims, camera, report)
+            if options.part:
+                report.say(f"data set {out}: part {options.part[0]} of {options.part[1]} is rendered")
+                return {"folder": str(out.absolute()), "part": list(options.part)}
             told = _finish(job, claims, camera, record, numbers, report)
     floor, stops = told["noise_floor"], told["dynamic_range"]["stops"]
     report.say(f"noise floor {floor['psnr']} dB at {told['exposures']} s, HDR {floor['hdr_psnr']} dB")
@@ -101,10 +105,10 @@ class _Job:
         return list(self.stage.lights)
 
     @property
-    def exposures(self) -> tuple[float, ...]:
-        """In seconds; the options of a scene that is staged have some."""
-        assert self.options.exposures is not None
-        return self.options.exposures
+    def ours(self) -> list[Shot]:
+        """Those that are to be rendered: all, or every n-th, so that each part has some of every kind."""
+        first, step = self.options.part or (1, 1)
+        return self.shots[first - 1 :: step]
 
     def passes(self, shot: Shot) -> Passes:
         return passes.read(self.out / shot.passes, self.lights, self.options.resolution)
@@ -130,11 +134,11 @@ def _job(out: Path, stage: Stage, options: Options, assets: Assets, report: Repo
     state = folder.open_folder(out, asked, maker)
     head = {"format": data_set.FORMAT, "version": data_set.VERSION, "generator": maker, "options": asked}
     job = _Job(out, options, stage, shots, Derivation(out, options, response), head, state, assets)
-    there = [shot for shot in shots if (out / shot.passes).exists()]
+    there = [shot for shot in job.ours if (out / shot.passes).exists()]
     for shot in there:
         job.passes(shot)  # whole, and of this scene
         job.derivation.check(shot)
-    report.say(f"data set {out}: {len(shots)} poses of '{options.scene}', {len(there)} already rendered")
+    report.say(f"data set {out}: {len(job.ours)} poses of '{options.scene}', {len(there)} already rendered")
     if not (out / data_set.INFO_FILE).exists():
         folder.write_json(out / data_set.PARTIAL_FILE, {**head, "noise_floor": state.get("noise_floor")})
     describe.write_poses(out, shots, options, job.lights, stage.cameras.angle_x)
@@ -159,7 +163,7 @@ def _exposed(options: Options, evs: tuple[float, ...]) -> Options:
 
 def _render(job: _Job, claims: Claims, camera: Renderer, report: Report) -> None:
     """Make every pose's files. What another process is at work on is waited for at the end."""
-    left = [shot for shot in job.shots if job.derivation.missing(shot)]
+    left = [shot for shot in job.ours if job.derivation.missing(shot)]
     if not left:
         return
     report.begin(len(left))
@@ -246,7 +250,7 @@ def _finish(
 
 def _write_points(job: _Job, report: Report) -> None:
     train = [shot for shot in job.shots if shot.split == data_set.TRAIN]
-    middle = len(job.exposures) // 2
+    middle = len(job.options.bracket) // 2
     seen = [png.read(job.out / shot.bracket(middle)) for shot in train]
     cloud = points.cast(job.stage, [shot.pose for shot in train], seen, job.options.seed)
     folder.write(job.out / data_set.POINTS_FILE, points.encode(cloud))
@@ -263,7 +267,7 @@ def _noise_floor(job: _Job, camera: Renderer) -> dict[str, Any]:
     seeds = [view_seed(job.options.seed, name) for name in (shot.name, f"{shot.name}/again")]
     again = camera.render(shot.pose, seeds[1], folder.scratch(job.out / "noise_floor.exr"))
     first, second = (each.radiance(shot.levels) for each in (job.passes(shot), again))
-    measured = noise.floor(first, second, job.derivation.response, job.exposures)
+    measured = noise.floor(first, second, job.derivation.response, job.options.bracket)
     return {"view": shot.index, "seeds": seeds, **measured}
 
 

@@ -8,7 +8,7 @@
     python synth/make_scene.py -- --from-file my.blend --out data/mine
 
 Interrupted and started again with the same options it renders only what is missing; started several times
-at once, on one machine or on several that share the folder, the processes share the work.
+at once on one machine, the processes share the work. Over several machines ``physhdr synthesise`` spreads it.
 """
 
 import importlib.util
@@ -27,6 +27,8 @@ def _load_package() -> None:
     assert spec and spec.loader
     sys.modules["physhdr"] = module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
+    # What the extension bundles, for a Blender in which it is not installed: pure Python, which runs zipped.
+    sys.path += [str(wheel) for wheel in sorted((root / "wheels").glob("*.whl"))]
 
 
 if not globals().get("__package__"):  # run as a script: make it a module of the package (PEP 366)

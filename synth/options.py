@@ -62,6 +62,10 @@ class Options:
     device: str = "CPU"
     #: Processes that render at the same time, this one included.
     workers: int = 1
+    #: Threads of each of them; 0: all of the processor's, shared out.
+    threads: int = 0
+    #: (k, n): only the k-th of n parts of the poses, and nothing that needs them all; all if ``None``.
+    part: tuple[int, int] | None = None
     #: Noise and other faults of the camera that takes the brackets.
     camera: CameraModel = field(default_factory=CameraModel)
     #: A folder of models for the furniture of built-in scenes.
@@ -108,6 +112,10 @@ class Options:
         within("--views", self.views, 2, 10_000)
         within("--seed", self.seed, 0, 2**31 - 1)
         within("--workers", self.workers, 1, 256)
+        within("--threads", self.threads, 0, 1024)
+        if self.part is not None:
+            within("--part: the number of parts", self.part[1], 1, 10_000)
+            within(f"--part: of {self.part[1]} parts", self.part[0], 1, self.part[1])
         within("--lit-views", self.lit_views, 0, 10_000)
         if self.relit_views is not None:
             within("--relit-views", self.relit_views, 0, self.views // 2)
@@ -176,7 +184,7 @@ class Options:
         """What a resumed run must have in common with the first; where the file lies is no part of it."""
         values = {key: list(v) if isinstance(v, tuple) else v for key, v in asdict(self).items()}
         values["camera"] = self.camera.describe()
-        del values["workers"]
+        del values["workers"], values["threads"], values["part"]
         if self.mixed_levels is not None:
             values["mixed_levels"] = [dict(levels) for levels in self.mixed_levels]
         values["assets"] = self.assets is not None

@@ -94,6 +94,18 @@ def parse_pair(name: str, text: str) -> tuple[float, float]:
     return values[0], values[1]
 
 
+def parse_part(text: str) -> tuple[int, int]:
+    """``"2/8"`` → (2, 8).
+
+    Raises:
+        OptionError
+    """
+    number, slash, of = text.partition("/")
+    if not (slash and number.strip().isdigit() and of.strip().isdigit()):
+        raise OptionError(f"--part '{text}': write 2/8 for the second of eight parts")
+    return int(number), int(of)
+
+
 def parse_resolution(text: str, follow: bool = False) -> tuple[int, int]:
     """``"200"`` → (200, 200), ``"320x240"`` → (320, 240); ``follow``: ``"200"`` → (200, ``FOLLOW``).
 

@@ -29,7 +29,8 @@ def make_all(out: Path, scenes: Sequence[str], options: Options, report: Report)
     for scene in scenes:  # all, before hours are spent on the first
         replace(options, scene=scene).check()
     rendered = sum(len(list((out / scene / PASSES_FOLDER).glob("*.exr"))) for scene in scenes)
-    report.begin_all(len(scenes) * (options.views + options.lit_views) - rendered)
+    parts = options.part[1] if options.part else 1
+    report.begin_all((len(scenes) * (options.views + options.lit_views) - rendered) // parts)
     results = {}
     for scene in scenes:
         report.enter(scene)

@@ -57,6 +57,11 @@ ROOT = Path(__file__).parents[2]
         ("--mixed-levels ambient", "write ambient=4,pendant=0.25"),
         ("--mixed-levels ambient=2,ambient=4", "named twice"),
         ("--mixed-levels ambient=-2", "--mixed-levels: ambient: -2 is not within"),
+        ("--part 2", "--part '2': write 2/8 for the second of eight parts"),
+        ("--part 3/2", "--part: of 2 parts: 3 is not within 1 … 2"),
+        ("--part 0/2", "--part: of 2 parts: 0 is not within 1 … 2"),
+        ("--part 1/0", "--part: the number of parts: 0 is not within"),
+        ("--threads=-1", "--threads: -1 is not within"),
         ("--iso 1", "--iso: 1 is not within"),
     ],
 )

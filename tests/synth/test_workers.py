@@ -6,12 +6,15 @@ import os
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 import physhdr.synth.workers as workers
+from physhdr.synth import dataset
 from physhdr.synth.errors import OptionError
+from physhdr.synth.renderer import Renderer
 
 ASKED = ["--scene", "interior", "--resolution", "24", "--samples", "2", "--views", "6", "--lit-views", "2"]
 
@@ -74,6 +77,31 @@ def _runs(pid: int) -> bool:
     except OSError:
         return False
     return state != "Z"
+
+
+def test_parts_share_the_poses_and_the_last_step_has_nothing_to_render(tmp_path, small, monkeypatch):
+    real, rendered = Renderer.render, []
+
+    def counted(self, pose, seed, scratch):
+        rendered.append(scratch.name)
+        return real(self, pose, seed, scratch)
+
+    monkeypatch.setattr(Renderer, "render", counted)
+    out, whole = tmp_path / "parts", tmp_path / "whole"
+    told = dataset.make(out, replace(small, part=(3, 3), threads=1))
+    assert told == {"folder": str(out), "part": [3, 3]}
+    assert 0 < len(rendered) == len(list((out / "passes").iterdir())) < 4 and not list(out.glob(".*"))
+    assert not (out / "dataset.json").exists() and not (out / "points3d.ply").exists()
+    for k in (1, 2, 2):
+        dataset.make(out, replace(small, part=(k, 3)))
+    poses = small.views + small.lit_views
+    assert len(rendered) == poses == len(list((out / "passes").iterdir()))
+    dataset.make(out, small)
+    assert len(rendered) == poses + 1  # and the noise
+    dataset.make(out, replace(small, part=(1, 3)))  # complete: nothing to do
+    dataset.make(whole, small)
+    assert digests(out) == digests(whole) and len(rendered) == 2 * (poses + 1)
+    assert (out / "dataset.json").read_bytes() == (whole / "dataset.json").read_bytes()
 
 
 def test_an_unsaved_scene_cannot_be_shared():
