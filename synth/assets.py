@@ -10,7 +10,7 @@ import re
 import shutil
 import tempfile
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path, PurePosixPath
@@ -19,10 +19,9 @@ import bpy
 from mathutils import Matrix, Vector
 
 from .archive import inner_path
+from .blender import Point, mesh_of
 from .errors import AssetError
 from .progress import quiet
-
-Point = Sequence[float]  # metres
 
 BUILT_IN = "built-in"
 MODELS = (".obj", ".glb", ".gltf")
@@ -188,7 +187,7 @@ def _imported(model: _Model) -> list[bpy.types.Object]:
             "remove it from the folder, or leave out --assets",
         ) from error
     items = [item for item in bpy.data.objects if item not in former[0]]
-    if not any(item.type == "MESH" and len(item.data.vertices) for item in items):
+    if not any(item.type == "MESH" and len(mesh_of(item).vertices) for item in items):
         raise AssetError(f"the model '{model.told}' has no faces", "remove it, or leave out --assets")
     # To Blender's axes, around the rotation that is stated in the model's.
     up = Matrix.Rotation(math.pi / 2, 4, "X")
@@ -258,8 +257,8 @@ def _fit(
     corners = [
         world[item] @ Vector(corner) for item in items if item.type == "MESH" for corner in item.bound_box
     ]
-    low = Vector(min(corner[axis] for corner in corners) for axis in range(3))
-    high = Vector(max(corner[axis] for corner in corners) for axis in range(3))
+    low = Vector([min(corner[axis] for corner in corners) for axis in range(3)])
+    high = Vector([max(corner[axis] for corner in corners) for axis in range(3)])
     extent = high - low
     factors = [size[axis] / extent[axis] if extent[axis] > 1e-9 else math.inf for axis in range(3)]
     if not fill:
@@ -267,10 +266,10 @@ def _fit(
     factors = [factor if math.isfinite(factor) else 1.0 for factor in factors]
     centre = Vector(((low.x + high.x) / 2, (low.y + high.y) / 2, low.z))
     placed = (
-        Matrix.Translation(Vector(foot))
+        Matrix.Translation([*foot])
         @ Matrix.Rotation(turn, 4, "Z")
         @ Matrix.Diagonal((*factors, 1.0))
-        @ Matrix.Translation(-centre)
+        @ Matrix.Translation([*-centre])
     )
     for item in items:
         if item.parent is None:

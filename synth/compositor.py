@@ -8,9 +8,11 @@ Denoised apart the lights still add up: against the denoised whole their sum has
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
 import bpy
 
+from .blender import cycles
 from .settings import WORKING_SPACE
 from .stage import Stage
 
@@ -33,8 +35,8 @@ def connected(stage: Stage, denoise: bool) -> Iterator[bpy.types.CompositorNodeO
             (layer, "use_pass_z", True),
             (layer, "use_pass_normal", True),
             (layer, "use_pass_object_index", True),
-            (layer.cycles, "denoising_store_passes", denoise),
-            (layer.cycles, "pass_debug_sample_count", True),
+            (cycles(layer), "denoising_store_passes", denoise),
+            (cycles(layer), "pass_debug_sample_count", True),
             (scene, "compositing_node_group", scene.compositing_node_group),
         ):
             undo.callback(setattr, owner, attribute, getattr(owner, attribute))
@@ -53,9 +55,9 @@ class _Wiring:
         self, tree: bpy.types.NodeTree, scene: bpy.types.Scene, layer: bpy.types.ViewLayer, denoise: bool
     ) -> None:
         self.tree, self.denoise = tree, denoise
-        self.render = tree.nodes.new("CompositorNodeRLayers")
+        self.render: Any = tree.nodes.new("CompositorNodeRLayers")
         self.render.scene, self.render.layer = scene, layer.name
-        self.file = tree.nodes.new("CompositorNodeOutputFile")
+        self.file: Any = tree.nodes.new("CompositorNodeOutputFile")
         picture = self.file.format
         picture.media_type, picture.file_format = "MULTI_LAYER_IMAGE", "OPEN_EXR_MULTILAYER"
         picture.color_depth, picture.exr_codec = "32", "NONE"  # read once, and at once
@@ -86,7 +88,7 @@ class _Wiring:
     def _denoised(self, light: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
         if not self.denoise:
             return light
-        node = self.tree.nodes.new("CompositorNodeDenoise")
+        node: Any = self.tree.nodes.new("CompositorNodeDenoise")
         node.inputs["HDR"].default_value = True
         # Measured: "Accurate" costs a third of a second a frame and gains 0.2 dB.
         node.inputs["Prefilter"].default_value = "Fast"
@@ -100,7 +102,7 @@ class _Wiring:
         return node.outputs[0]
 
     def _subtracted(self, whole: bpy.types.NodeSocket, part: bpy.types.NodeSocket) -> bpy.types.NodeSocket:
-        node = self.tree.nodes.new("ShaderNodeMix")
+        node: Any = self.tree.nodes.new("ShaderNodeMix")
         node.data_type, node.blend_type, node.clamp_result = "RGBA", "SUBTRACT", False
         colours = [socket for socket in node.inputs if socket.type == "RGBA"]
         node.inputs["Factor"].default_value = 1.0

@@ -25,7 +25,7 @@ class Derivation:
 
     def missing(self, shot: Shot) -> list[str]:
         """Names of the files of a pose that are not there; the passes first if they are among them."""
-        return [name for name in shot.files(len(self.options.exposures)) if not (self.out / name).exists()]
+        return [name for name in shot.files(len(self.options.bracket)) if not (self.out / name).exists()]
 
     def check(self, shot: Shot) -> None:
         """
@@ -55,7 +55,7 @@ class Derivation:
             folder.write(self.out / shot.hdr, exr.encode_rgb(radiance))
         camera = self.options.camera.view(self.options.seed, shot.stem)
         light = radiance.astype(np.float64)
-        for k, exposure in enumerate(self.options.exposures):
+        for k, exposure in enumerate(self.options.bracket):
             if shot.bracket(k) in missing:
                 picture = encode(camera.develop(light, exposure, self.response))
                 folder.write(self.out / shot.bracket(k), picture)

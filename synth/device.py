@@ -3,6 +3,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import bpy
 
@@ -26,7 +27,7 @@ def chosen(device: str) -> Iterator[None]:
     addon = bpy.context.preferences.addons.get("cycles")
     if addon is None:
         raise DeviceError("the Cycles add-on is switched off", "enable it in Preferences > Add-ons")
-    preferences = addon.preferences
+    preferences: Any = addon.preferences  # of Cycles, as is what a card is called
     with quiet():
         preferences.refresh_devices()
     kind = preferences.compute_device_type
@@ -41,7 +42,7 @@ def chosen(device: str) -> Iterator[None]:
             each.use = use
 
 
-def _take_first(preferences: bpy.types.AddonPreferences) -> None:
+def _take_first(preferences: Any) -> None:
     """Use all cards of the first kind that there is."""
     for kind in _KINDS:
         found = [each for each in preferences.devices if each.type == kind]

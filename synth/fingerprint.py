@@ -12,6 +12,7 @@ from typing import Any
 import bpy
 import numpy as np
 
+from .blender import evaluated, mesh_of
 from .user_light import lights, materials
 
 DIGITS = 4  # significant; drivers and constraints need not give the last bits twice
@@ -24,7 +25,7 @@ def fingerprint(
 
     ``poses``: camera to world [4, 4]; ``angle_x``: their horizontal field of view in radians.
     """
-    depsgraph = layer.depsgraph
+    depsgraph = evaluated(layer)
     world = layer.world_override or scene.world
     state = [
         [[round(value, DIGITS) + 0.0 for value in pose.ravel().tolist()] for pose in poses],
@@ -47,14 +48,14 @@ def _rounded(values: Any) -> list[float]:
 
 
 def _object(item: bpy.types.Object) -> list[Any]:
-    size = len(item.data.vertices) if item.type == "MESH" else 0
+    size = len(mesh_of(item).vertices) if item.type == "MESH" else 0
     # The translation may be a small rest of large numbers: metres with as many digits behind the point.
     matrix = [round(value, DIGITS) + 0.0 for row in item.matrix_world for value in row]
     slots = [slot.name for slot in item.material_slots]
     return [item.name_full, item.type, matrix, size, slots, item.lightgroup]
 
 
-def _light(light: bpy.types.Light) -> list[Any]:
+def _light(light: Any) -> list[Any]:
     return [light.name_full, light.type, _rounded([light.energy, *light.color])]
 
 
@@ -62,6 +63,7 @@ def _tree(tree: bpy.types.NodeTree | None) -> list[Any]:
     if tree is None:
         return []
     rows = []
+    node: Any  # each kind of node and of socket has attributes of its own
     for node in tree.nodes:
         inputs = []
         for socket in node.inputs:

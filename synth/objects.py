@@ -7,6 +7,7 @@ from contextlib import contextmanager
 
 import bpy
 
+from .blender import instanced
 from .progress import Report
 from .stage import Stage
 
@@ -57,5 +58,5 @@ def _objects(stage: Stage) -> list[bpy.types.Object]:
     if not stage.source:
         return list(stage.scene.collection.all_objects)
     shown = list(stage.scene.objects)
-    shown += [instance.object.original for instance in stage.view_layer.depsgraph.object_instances]
+    shown += instanced(stage.view_layer)
     return sorted(dict.fromkeys(shown), key=lambda item: item.name_full)

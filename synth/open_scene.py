@@ -15,6 +15,7 @@ import bpy
 from mathutils import Vector
 
 from . import plan, rig, user_camera, user_light
+from .blender import camera_of, cycles, evaluated
 from .errors import SceneError, SceneFileError
 from .fingerprint import fingerprint
 from .options import CURRENT, Options
@@ -46,7 +47,7 @@ def opened(options: Options, report: Report) -> Iterator[tuple[Stage, Options]]:
         _set(undo, [(marker, "camera", None) for marker in scene.timeline_markers if marker.camera])
         scene.camera = camera
         layer = _view_layer(scene, undo)
-        undo.callback(setattr, scene.cycles, "seed", scene.cycles.seed)  # set for each picture
+        undo.callback(setattr, cycles(scene), "seed", cycles(scene).seed)  # set for each picture
         former = scene.frame_current, scene.frame_subframe
         undo.callback(scene.frame_set, former[0], subframe=former[1])
         scene.frame_set(former[0], subframe=former[1])
@@ -75,8 +76,8 @@ def opened(options: Options, report: Report) -> Iterator[tuple[Stage, Options]]:
             options = _without_ambient(options, report)
             poses = poses if options.lit_views else replace(poses, lit=[])
         # Adaptive subdivision would else follow our camera, and give every view another surface.
-        dicing = scene.cycles.dicing_camera or camera
-        _set(undo, [(scene.cycles, "dicing_camera", dicing)])
+        dicing = cycles(scene).dicing_camera or camera
+        _set(undo, [(cycles(scene), "dicing_camera", dicing)])
         yield (
             Stage(
                 scene=scene,
@@ -157,7 +158,7 @@ def _view_layer(scene: bpy.types.Scene, undo: ExitStack) -> bpy.types.ViewLayer:
     active = next((window.view_layer for window in _windows() if window.scene == scene), None)
     layer = active if active in used else used[0]
     _set(undo, [(other, "use", False) for other in used if other != layer])
-    _set(undo, [(layer, "samples", 0), (layer.cycles, "use_denoising", True)])
+    _set(undo, [(layer, "samples", 0), (cycles(layer), "use_denoising", True)])
     return layer
 
 
@@ -181,12 +182,12 @@ def _cameras(
 ) -> tuple[CameraHints, dict[str, Any]]:
     """Where the rig stands, and what dataset.json tells of it."""
     rays = Rays(scene, layer)
-    centre = user_camera.pose(camera.evaluated_get(layer.depsgraph))
+    centre = user_camera.pose(camera.evaluated_get(evaluated(layer)))
     distance, found_by = options.rig_distance, "--rig-distance"
     if distance is None and options.camera_rig != rig.PATH:
         distance, found_by = user_camera.target_distance(camera, centre, rays, options.resolution)
     hints = user_camera.hints(camera, centre, distance or 1.0, options)
-    lens = camera.data
+    lens = camera_of(camera)
     if lens.shift_x or lens.shift_y:
         report.warn(
             f"the lens shift of '{camera.name}' is left out: a data set's principal point is in the middle"
@@ -210,6 +211,7 @@ def _cameras(
                 f"{scene.frame_current}"
             )
     else:
+        assert distance is not None
         source["rig_distance"] = round(distance, 6)
         report.say(f"the rig looks at a point {distance:.3g} m before '{camera.name}' ({found_by})")
         _tell_of_obstacles(hints, rays, options, report)
@@ -223,7 +225,7 @@ def _tell_of_obstacles(hints: CameraHints, rays: Rays, options: Options, report:
     hidden = 0
     everywhere = [pose[:3, 3] for pose in [*places.train, *places.test]]
     for place in everywhere:
-        way = Vector(place) - centre
+        way = Vector(place.tolist()) - centre
         if way.length > 1e-6 and rays.first(centre, way.normalized(), way.length):
             hidden += 1
     if hidden > CROWDED * len(everywhere):
@@ -255,6 +257,7 @@ def _tell_what_is_missing(scene: bpy.types.Scene, report: Report) -> None:
 
 
 def _unbaked(item: bpy.types.Object) -> bool:
+    modifier: Any  # each kind has settings of its own
     for modifier in item.modifiers:
         if modifier.type in _SIMULATIONS and modifier.show_render:
             holder = modifier.particle_system if modifier.type == "PARTICLE_SYSTEM" else modifier

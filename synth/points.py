@@ -39,12 +39,13 @@ def cast(stage: Stage, poses: list[np.ndarray], pictures: list[np.ndarray], seed
             [(2 * x / width - 1) * half, (1 - 2 * y / height) * half * height / width, -np.ones_like(x)], -1
         )
         directions = (camera / np.linalg.norm(camera, axis=-1, keepdims=True)) @ pose[:3, :3].T
-        origin = Vector(pose[:3, 3])
+        origin = Vector(pose[:3, 3].tolist())
         for direction, px, py in zip(directions.reshape(-1, 3), x.flat, y.flat, strict=True):
-            hit = rays.first(origin, Vector(direction))
+            way = Vector(direction)
+            hit = rays.first(origin, way)
             if hit:
                 place, normal = hit
-                normal = -normal if normal.dot(Vector(direction)) > 0 else normal
+                normal = -normal if normal.dot(way) > 0 else normal
                 colour = picture[min(int(py), height - 1), min(int(px), width - 1)]
                 found.append((*place, *normal, *colour.tolist()))
     return np.array(found, _PLY_TYPE)
@@ -54,6 +55,6 @@ def encode(points: np.ndarray) -> bytes:
     """The binary little-endian PLY of an array that ``cast`` made."""
     lines = ["ply", "format binary_little_endian 1.0", "comment surface points by ray casting, PhysHDR synth"]
     lines.append(f"element vertex {len(points)}")
-    for name in _PLY_TYPE.names:
+    for name in _PLY_TYPE.names or ():
         lines.append(f"property {'uchar' if _PLY_TYPE[name].kind == 'u' else 'float'} {name}")
     return ("\n".join([*lines, "end_header"]) + "\n").encode("ascii") + points.tobytes()

@@ -4,6 +4,8 @@
 import bpy
 from mathutils import Vector
 
+from .blender import evaluated
+
 SKIPS = 32  # objects that are not rendered, passed through on the way
 PAST = 1e-5  # of the way so far, and at least as many metres: how far behind a surface the ray goes on
 
@@ -13,7 +15,7 @@ class Rays:
 
     def __init__(self, scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> None:
         layer.update()
-        self.scene, self.depsgraph = scene, layer.depsgraph
+        self.scene, self.depsgraph = scene, evaluated(layer)
 
     def first(
         self, origin: Vector, direction: Vector, distance: float = 1e30

@@ -5,13 +5,16 @@ import re
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import reduce
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
 from mathutils import Matrix
 
 from . import compositor, exr, noise
+from .blender import cycles
 from .errors import DamagedFileError, NotFiniteError, NotFiniteRenderError, RenderError
 from .interrupts import held
 from .passes import Passes
@@ -52,7 +55,7 @@ class Renderer:
         scene = self.stage.scene
         scratch.parent.mkdir(parents=True, exist_ok=True)
         self.camera.matrix_world = Matrix(pose.tolist())
-        scene.cycles.seed = seed
+        cycles(scene).seed = seed
         scene.update_tag()  # else persistent data keeps the former seed
         compositor.aim(self.file, scratch)
         try:
@@ -86,7 +89,7 @@ class Renderer:
 
         # Differences of passes are a rounding below 0 where a light does not reach.
         lights = {name: np.maximum(colour(f"light_{k}"), 0.0) for k, name in enumerate(self.stage.lights)}
-        whole = sum(lights.values()) if self.denoise else None
+        whole = reduce(np.add, lights.values()) if self.denoise else None
         planes = {name: channels[f"{name}.V"] for name in compositor.PLANES}
         planes["samples"] = planes["samples"] * most  # Cycles tells the share of what any pixel got
         return Passes(
@@ -114,8 +117,8 @@ def _most_samples(scene: bpy.types.Scene) -> Iterator[list[int]]:
 
     Where all pixels are good early, Cycles ends before ``cycles.samples``: only its status line tells.
     """
-    most = [scene.cycles.samples]
-    if not scene.cycles.use_adaptive_sampling:
+    most = [cycles(scene).samples]
+    if not cycles(scene).use_adaptive_sampling:
         yield most
         return
     seen = [0]
@@ -125,9 +128,10 @@ def _most_samples(scene: bpy.types.Scene) -> Iterator[list[int]]:
         if found:
             seen[0] = max(seen[0], int(found[1]))
 
-    bpy.app.handlers.render_stats.append(note)
+    handlers: Any = bpy.app.handlers.render_stats  # which are called with the status line, too
+    handlers.append(note)
     try:
         yield most
     finally:
-        bpy.app.handlers.render_stats.remove(note)
+        handlers.remove(note)
         most[0] = seen[0] or most[0]

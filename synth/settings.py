@@ -7,6 +7,7 @@ from typing import Any
 
 import bpy
 
+from .blender import cycles
 from .errors import DeviceError
 from .progress import quiet
 
@@ -139,7 +140,7 @@ def check_denoiser(scene: bpy.types.Scene) -> None:
         DeviceError: this Blender has no denoiser.
     """
     with quiet():  # asking for it makes Cycles look for GPUs and say so
-        there = bool(scene.cycles.denoiser)
+        there = bool(cycles(scene).denoiser)
     if not there:
         raise DeviceError(
             "this Blender was built without the denoiser OpenImageDenoise",
@@ -166,7 +167,7 @@ def applied(
             for path, value in settings:
                 owner, attribute = _owner(scene, path)
                 setattr(owner, attribute, value)
-        record = {WORKING_SPACE_PATH: bpy.data.colorspace.working_space}
+        record: dict[str, Any] = {WORKING_SPACE_PATH: bpy.data.colorspace.working_space}
         for path, _ in settings:
             owner, attribute = _owner(scene, path)
             record[f"scene.{path}"] = getattr(owner, attribute)

@@ -7,6 +7,7 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
+from .blender import camera_of, evaluated
 from .errors import OptionError, SceneError
 from .options import FOLLOW, LARGEST_ELEVATION, Options
 from .rays import Rays
@@ -26,6 +27,8 @@ ENOUGH = 0.1
 STEEP = 0.9
 GOLDEN = 0.6180339887498949
 STILL = 1e-6
+#: Objects that show a surface, whose bounds count.
+SURFACES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD"}
 
 
 def checked(scene: bpy.types.Scene) -> bpy.types.Object:
@@ -39,10 +42,11 @@ def checked(scene: bpy.types.Scene) -> bpy.types.Object:
         raise SceneError(
             f"the scene '{scene.name}' has no camera", "add one and make it the active camera (Ctrl Numpad 0)"
         )
-    if camera.data.type != "PERSP":
+    lens = camera_of(camera)
+    if lens.type != "PERSP":
         kind = {"ORTHO": "orthographic", "PANO": "panoramic", "CUSTOM": "of a custom kind"}
         raise SceneError(
-            f"the camera '{camera.name}' is {kind.get(camera.data.type, camera.data.type)}",
+            f"the camera '{camera.name}' is {kind.get(lens.type, lens.type)}",
             "a data set needs a perspective camera: change its type under Lens",
         )
     return camera
@@ -89,7 +93,8 @@ def target_distance(
 
     The focus if the camera has one, else the median depth of what it sees, else the middle of the scene.
     """
-    focus = camera.data.dof
+    focus = camera_of(camera).dof
+    assert focus is not None
     position, forward = centre[:3, 3], -centre[:3, 2]
     if focus.use_dof and focus.focus_object is not None:
         place = focus.focus_object.evaluated_get(rays.depsgraph).matrix_world.translation
@@ -106,17 +111,17 @@ def target_distance(
     depth = float((middle - position) @ forward)
     if depth <= 0.0:
         depth = float(np.linalg.norm(middle - position))
-    return max(depth, 10.0 * camera.data.clip_start), "the middle of the scene"
+    return max(depth, 10.0 * camera_of(camera).clip_start), "the middle of the scene"
 
 
 def _depths(camera: bpy.types.Object, centre: np.ndarray, rays: Rays, size: tuple[int, int]) -> list[float]:
-    half = math.tan(angle_x(camera.data, size) / 2.0)
+    half = math.tan(angle_x(camera_of(camera), size) / 2.0)
     at = (np.arange(RASTER) + 0.5) * 2.0 / RASTER - 1.0
-    position, forward, found = Vector(centre[:3, 3]), -centre[:3, 2], []
+    position, forward, found = Vector(centre[:3, 3].tolist()), -centre[:3, 2], []
     for y in at:
         for x in at:
             ray = centre[:3, :3] @ [x * half, y * half * size[1] / size[0], -1.0]
-            hit = rays.first(position, Vector(ray / np.linalg.norm(ray)))
+            hit = rays.first(position, Vector((ray / np.linalg.norm(ray)).tolist()))
             if hit:
                 found.append(float((np.array(hit[0]) - centre[:3, 3]) @ forward))
     return found
@@ -127,7 +132,7 @@ def _bounds(depsgraph: bpy.types.Depsgraph) -> tuple[np.ndarray, np.ndarray]:
     corners = [
         np.array([instance.matrix_world @ Vector(corner) for corner in instance.object.bound_box])
         for instance in depsgraph.object_instances
-        if instance.object.type in {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD"}
+        if instance.object and instance.object.type in SURFACES
     ]
     if not corners:
         raise SceneError("the scene has nothing to look at", "add objects, or give --rig-distance")
@@ -137,7 +142,7 @@ def _bounds(depsgraph: bpy.types.Depsgraph) -> tuple[np.ndarray, np.ndarray]:
 
 def hints(camera: bpy.types.Object, centre: np.ndarray, distance: float, options: Options) -> CameraHints:
     """Rigs about the point ``distance`` in front of the user's camera, which is their middle."""
-    position, back = centre[:3, 3], centre[:3, 2]
+    lens, position, back = camera_of(camera), centre[:3, 3], centre[:3, 2]
     target = position - distance * back
     own = math.degrees(math.asin(float(np.clip(back[2], -1.0, 1.0))))
     if options.camera_rig == "orbit":
@@ -147,18 +152,23 @@ def hints(camera: bpy.types.Object, centre: np.ndarray, distance: float, options
         if options.rig_elevation is None and own > 0.0:
             low = max(low, min(own, 0.0))  # a camera that looks down stays above what it looks at
     low, high = (float(np.clip(angle, -LARGEST_ELEVATION, LARGEST_ELEVATION)) for angle in (low, high))
-    up = WORLD_UP if abs(back[2]) < STEEP else tuple(float(value) for value in centre[:3, 1])
+    up = WORLD_UP if abs(back[2]) < STEEP else _three(centre[:3, 1])
     return CameraHints(
-        centre=tuple(position.tolist()),
-        target=tuple(target.tolist()),
+        centre=_three(position),
+        target=_three(target),
         extent=options.rig_extent or (GRID_SHARE[0] * distance, GRID_SHARE[1] * distance),
-        angle_x=angle_x(camera.data, options.resolution),
+        angle_x=angle_x(lens, options.resolution),
         orbit_radius=distance,
         orbit_arc=math.radians(ARC if options.rig_arc is None else options.rig_arc),
         elevation=(math.radians(low), math.radians(high)),
         up=up,
-        clip=(camera.data.clip_start, camera.data.clip_end),
+        clip=(lens.clip_start, lens.clip_end),
     )
+
+
+def _three(values: np.ndarray) -> tuple[float, float, float]:
+    x, y, z = values.tolist()
+    return x, y, z
 
 
 def path(scene: bpy.types.Scene, camera: bpy.types.Object, options: Options) -> RigPoses:
@@ -190,4 +200,5 @@ def _at(scene: bpy.types.Scene, camera: bpy.types.Object, frame: float) -> np.nd
     whole = math.floor(frame)
     scene.frame_set(whole, subframe=frame - whole)
     layer = bpy.context.view_layer if bpy.context.scene == scene else scene.view_layers[0]
-    return pose(camera.evaluated_get(layer.depsgraph))
+    assert layer is not None
+    return pose(camera.evaluated_get(evaluated(layer)))

@@ -10,9 +10,11 @@ import re
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
+from typing import Any
 
 import bpy
 
+from .blender import cycles, instanced, light_of
 from .passes import RESERVED
 from .stage import AMBIENT
 
@@ -52,7 +54,7 @@ def grouped(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> Iterator[Grou
             undo.callback(setattr, holder, attribute, world)
             setattr(holder, attribute, copy)
         for sun in _suns(scene, layer):
-            if not sun.data.energy:
+            if not light_of(sun).energy:
                 continue
             former = sun.lightgroup
             try:
@@ -80,7 +82,7 @@ def _lit_groups(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, names: list[
 
 def _is_lamp(item: bpy.types.Object) -> bool:
     if item.type == "LIGHT":
-        return item.data.type != "SUN" and item.data.energy > 0.0 and not item.data.cycles.is_portal
+        return light_of(item).type != "SUN" and _gives_light(light_of(item))
     return any(
         slot.material and slot.material.node_tree and _shines(slot.material.node_tree)
         for slot in item.material_slots
@@ -97,24 +99,28 @@ def _layer_name(name: str, taken: dict[str, str]) -> str:
 
 
 def _suns(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
-    return [item for item in _rendered(scene, layer) if item.type == "LIGHT" and item.data.type == "SUN"]
+    return [item for item in _rendered(scene, layer) if item.type == "LIGHT" and light_of(item).type == "SUN"]
 
 
 def _rendered(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
     """All objects that are rendered, those in instances of collections included, each once."""
-    found = list(scene.objects)
-    found += [instance.object.original for instance in layer.depsgraph.object_instances]
+    found = [*scene.objects, *instanced(layer)]
     return [item for item in dict.fromkeys(found) if not item.hide_render]
 
 
-def lights(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.types.Light]:
+def lights(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[Any]:
     """The data of all lights that are rendered, those in instances of collections included, each once."""
-    return list(dict.fromkeys(item.data for item in _rendered(scene, layer) if item.type == "LIGHT"))
+    return list(dict.fromkeys(light_of(item) for item in _rendered(scene, layer) if item.type == "LIGHT"))
+
+
+def _gives_light(light: Any) -> bool:
+    """Whether a light is on; a portal only lets the sky's in."""
+    return light.energy > 0.0 and not cycles(light).is_portal
 
 
 def any_light(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bool:
     """Whether anything shines: a light, the world, or a material on an object that is rendered."""
-    if any(light.energy > 0.0 and not light.cycles.is_portal for light in lights(scene, layer)):
+    if any(_gives_light(light) for light in lights(scene, layer)):
         return True
     world = layer.world_override or scene.world
     if world is not None and world.node_tree is not None and _shines(world.node_tree):
@@ -127,19 +133,20 @@ def any_light(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bool:
 def materials(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.types.Material]:
     """The materials of all objects that are rendered, each once."""
     items = [item for item in scene.objects if not item.hide_render]
-    items += [instance.object.original for instance in layer.depsgraph.object_instances]
+    items += instanced(layer)
     found = [slot.material for item in dict.fromkeys(items) for slot in item.material_slots if slot.material]
     return list(dict.fromkeys(found))
 
 
-def _strength(node: bpy.types.Node) -> bpy.types.NodeSocket | None:
-    """The input that the light of an emitting node is linear in."""
+def _strength(node: bpy.types.Node) -> Any:
+    """The input that the light of an emitting node is linear in; ``None`` of one that emits none."""
     if not any(socket.type == "SHADER" for socket in node.outputs):
         return None
     return next((node.inputs[name] for name in STRENGTHS if name in node.inputs), None)
 
 
 def _shines(tree: bpy.types.NodeTree) -> bool:
+    node: Any  # each kind has inputs of its own
     for node in tree.nodes:
         if node.mute:
             continue

@@ -8,7 +8,7 @@ import bpy
 from . import materials as m
 from . import materials_fireside as hearth
 from .assembly import Assembly
-from .props import ball, box, cushion, lathe, rod, sheet
+from .props import ball, box, cushion, lathe, modified, rod, sheet
 from .tubes import tube
 
 SIZE = (0.90, 0.88, 1.06)
@@ -76,7 +76,7 @@ def _back(chair: Assembly, cover: bpy.types.Material) -> None:
         lambda u, v: (_back_at(u, v)[0], _back_at(u, v)[1] + 0.09, _back_at(u, v)[2]),
         cover,
     )
-    behind.modifiers.new("thick", "SOLIDIFY").thickness = 0.02
+    modified(behind, "thick", "SOLIDIFY", thickness=0.02)
     rim = [_back_at(0.0, k / 8) for k in range(9)]
     rim += [_back_at(k / 20, 1.0) for k in range(1, 20)]
     rim += [_back_at(1.0, 1.0 - k / 8) for k in range(9)]

@@ -2,14 +2,12 @@
 """Things made of many parts in axes of their own, and rings."""
 
 import math
-from collections.abc import Sequence
 
 import bpy
 from mathutils import Quaternion, Vector
 
-from .props import lathe
-
-Point = Sequence[float]  # metres
+from ..blender import Point
+from .props import Holder, lathe
 
 
 class Assembly:
@@ -19,9 +17,7 @@ class Assembly:
     radians about Z; ``lean``: about its own X after that.
     """
 
-    def __init__(
-        self, room: bpy.types.Collection, name: str, foot: Point, turn: float = 0.0, lean: float = 0.0
-    ) -> None:
+    def __init__(self, room: Holder, name: str, foot: Point, turn: float = 0.0, lean: float = 0.0) -> None:
         self.room = room
         self.hub = bpy.data.objects.new(name, None)
         self.hub.location, self.hub.rotation_euler = foot, (lean, 0.0, turn)
@@ -34,7 +30,7 @@ class Assembly:
 
 
 def ring(
-    collection: bpy.types.Collection,
+    collection: Holder,
     name: str,
     centre: Point,
     radius: float,
@@ -53,7 +49,7 @@ def ring(
 
 
 def disk(
-    collection: bpy.types.Collection,
+    collection: Holder,
     name: str,
     centre: Point,
     radius: float,
@@ -70,11 +66,3 @@ def disk(
 
 def _toward(axis: Point) -> Quaternion:
     return Vector((0.0, 0.0, 1.0)).rotation_difference(Vector(axis))
-
-
-def array(item: bpy.types.Object, count: int, offset: Point) -> bpy.types.Object:
-    """Repeat an object ``count`` times, each ``offset`` metres (its own axes) further, by a modifier."""
-    modifier = item.modifiers.new("array", "ARRAY")
-    modifier.count, modifier.use_relative_offset, modifier.use_constant_offset = count, False, True
-    modifier.constant_offset_displace = offset
-    return item

@@ -9,11 +9,12 @@ import bpy
 from mathutils import Matrix, Vector
 
 from ..assets import Assets
+from ..blender import Point
 from . import materials as m
 from . import materials_bathroom as mb
 from . import plush
 from .curved import leaf_tuft
-from .props import Point, ball, box, lathe, leaf_blade, rod, sheet
+from .props import ball, box, lathe, leaf_blade, modified, rod, sheet
 from .small_room import Room
 from .tubes import bent_tube
 
@@ -109,7 +110,7 @@ def _bathtub(room: Collection, enamel: Material, brass: Material) -> None:
             return TUB[0] + x * r, TUB[1] + y * r, z + slipper
 
         shell = sheet(room, name, surface, material, steps=(64, 3 * (len(profile) - 1)))
-        shell.modifiers.new("weld", "WELD").merge_threshold = 1e-4
+        modified(shell, "weld", "WELD", merge_threshold=1e-4)
     for sx in (-1, 1):
         for sy in (-1, 1):
             x, y = TUB[0] + sx * 0.48, TUB[1] + sy * 0.22

@@ -19,7 +19,7 @@ from . import bear_toys as toys
 from . import materials as m
 from . import materials_nursery as mn
 from .lighting import Lighting
-from .props import ball, box, rod
+from .props import ball, box, repeated, rod
 from .small_room import MORNING, WALL, Room, casement, garden, shell, side_casement
 
 WEST = (-0.62, 0.26, 0.95, 2.10)  # the window that the sun comes in by
@@ -75,13 +75,13 @@ def _walls(room: bpy.types.Collection) -> None:
         paint,
         bevel=0.006,
     )
-    _repeat(board, round(2 * ROOM.half / pitch), (pitch, 0.0, 0.0))
+    repeated(board, round(2 * ROOM.half / pitch), (pitch, 0.0, 0.0))
     for side in (-1, 1):
         x = side * (ROOM.half - 0.008)
         board = box(
             room, "panel side", (x, ROOM.front + 0.05, PANELS / 2), (0.016, 0.097, PANELS), paint, bevel=0.006
         )
-        _repeat(board, round(depth / pitch), (0.0, pitch, 0.0))
+        repeated(board, round(depth / pitch), (0.0, pitch, 0.0))
         for z, high, out in ((PANELS, 0.04, 0.04), (0.06, 0.12, 0.028)):
             at = (side * (ROOM.half - out / 2), middle, z)
             box(room, "moulding", at, (out, depth, high), paint, bevel=0.008)
@@ -90,12 +90,6 @@ def _walls(room: bpy.types.Collection) -> None:
     white = m.plain("window paint", (0.68, 0.67, 0.62), 0.35)
     casement(room, ROOM, white)
     side_casement(room, ROOM, white)
-
-
-def _repeat(item: bpy.types.Object, count: int, step: tuple[float, float, float]) -> None:
-    array = item.modifiers.new("array", "ARRAY")
-    array.use_relative_offset, array.use_constant_offset = False, True
-    array.count, array.constant_offset_displace = count, step
 
 
 def _light(room: bpy.types.Collection, lighting: Lighting) -> None:

@@ -8,12 +8,14 @@ import random
 import bpy
 from mathutils import Matrix, Vector
 
+from ..blender import Point
 from . import materials as m
 from . import materials_bathroom as mb
 from . import materials_nursery as mn
 from . import plush
 from .curved import leaf_tuft, torus
-from .props import Point, ball, box, cushion, lathe, rod, sheet
+from .props import ball, box, cushion, lathe, rod, sheet
+from .shading import dimmed
 from .small_room import Room
 from .tubes import bent_tube
 
@@ -71,7 +73,7 @@ def _bench(room: Collection, dice: random.Random) -> None:
             "yarn",
             (bays[0] + 0.09 + 0.075 * k, cy - 0.08 + 0.05 * (k % 2), 0.27),
             0.045,
-            m.fabric(f"yarn {k}", tuple(0.5 * c for c in PAINTS[k]), PAINTS[k], 30.0),
+            m.fabric(f"yarn {k}", dimmed(PAINTS[k], 0.5), PAINTS[k], 30.0),
             3,
         )
         yarn.rotation_euler = (k, 2 * k, 0)
@@ -115,10 +117,10 @@ def _bookcase(room: Collection, dice: random.Random) -> None:
     for x in (x0 + 0.013, x1 - 0.013):
         box(room, "case side", (x, cy, CASE_TOP / 2), (0.026, y1 - y0, CASE_TOP), white, bevel=0.005)
     box(room, "case back", (cx, y1 - 0.01, CASE_TOP / 2), (x1 - x0 - 0.02, 0.012, CASE_TOP - 0.03), inner)
-    covers = [
-        m.plain(f"case book {k}", tuple(dice.uniform(0.6, 1.1) * c for c in PAINTS[k % 6]), 0.5)
-        for k in range(9)
-    ]
+    covers = []
+    for k in range(9):
+        red, green, blue = (dice.uniform(0.6, 1.1) * channel for channel in PAINTS[k % 6])
+        covers.append(m.plain(f"case book {k}", (red, green, blue), 0.5))
     label = m.plain("case label", (0.60, 0.54, 0.36), 0.6)
     for shelf, z in enumerate(levels[:-1]):
         x, stop = x0 + 0.035, x1 - (0.06 if shelf == 1 else 0.26)
@@ -263,10 +265,7 @@ def _curtains(room: Collection, at: Room) -> None:
 
 def _hangings(room: Collection, at: Room) -> None:
     """Bunting, a round mirror with rays, two pictures."""
-    flags = [
-        m.fabric(f"flag {k}", tuple(0.75 * c for c in colour), colour, 20.0)
-        for k, colour in enumerate(PAINTS)
-    ]
+    flags = [m.fabric(f"flag {k}", dimmed(colour, 0.75), colour, 20.0) for k, colour in enumerate(PAINTS)]
     flags.append(mn.dotted("flag dots", (0.60, 0.56, 0.46), (0.55, 0.10, 0.06), 32.0))
     y, x0, x1 = at.back - 0.03, -0.10, 1.66
     cord = m.plain("cord", (0.5, 0.46, 0.36), 0.8)

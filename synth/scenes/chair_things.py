@@ -3,16 +3,18 @@
 
 import math
 import random
+from typing import Any
 
 import bpy
 from mathutils import Matrix, Vector
 
 from . import materials as m
 from . import materials_fireside as hearth
-from .assembly import Assembly, array, disk, ring
+from .assembly import Assembly, disk, ring
+from .forms import standing
 from .greenery import arching, leaf_colour, leaf_mesh
 from .lighting import Lighting
-from .props import ball, box, lathe, rod, sheet
+from .props import ball, box, lathe, modified, repeated, rod, sheet
 from .shading import Colour
 from .tubes import tube
 
@@ -139,9 +141,9 @@ def pouf(room: Collection, foot: Foot) -> None:
         (0.0, 0.318),
     ]
     item = lathe(room, "pouf", foot, profile, wool, 40)
-    item.modifiers.new("round", "SUBSURF").render_levels = 1
+    modified(item, "round", "SUBSURF", render_levels=1)
     paper = m.banded("open book", [(0.70, 0.66, 0.55), (0.42, 0.40, 0.35)] * 12, 0.9)
-    turn = Matrix.Translation(Vector(foot) + Vector((0.0, 0.0, 0.318))) @ Matrix.Rotation(0.5, 4, "Z")
+    turn = standing(Vector(foot) + Vector((0.0, 0.0, 0.318)), 0.5)
 
     def pages(u: float, v: float) -> Vector:
         x = (u - 0.5) * 0.30
@@ -218,7 +220,7 @@ def curtains(room: Collection, wall: float, window: tuple[float, float, float, f
         curl = ring(
             room, "curtain ring", (x, min(start, stop) + 0.03, top), 0.024, 0.004, brass, (0.0, 1.0, 0.0), 16
         )
-        array(curl, 7, (0.0, 0.0, abs(stop - start) / 7))
+        repeated(curl, 7, (0.0, 0.0, abs(stop - start) / 7))
 
 
 def panelling(
@@ -232,7 +234,7 @@ def panelling(
     """Painted boards along the foot of a wall from ``start`` to ``end``: skirting, raised fields, a rail."""
     length = (end - start).length
     along = (end - start) / length
-    place = Matrix.Translation(start)
+    place: Any = Matrix.Translation([*start])
     place.col[0].xyz, place.col[1].xyz, place.col[2].xyz = along, -inward, Vector((0, 0, 1))
     fields = max(1, round(length / 0.46))
     step = length / fields
@@ -251,4 +253,4 @@ def panelling(
         (0.06, 0.49, 0.035, 0.575),
         (step - 0.06, 0.49, 0.035, 0.575),
     ):
-        array(part("panel moulding", (x, -0.022, z), (wide, 0.026, tall), 0.01), fields, (step, 0.0, 0.0))
+        repeated(part("panel moulding", (x, -0.022, z), (wide, 0.026, tall), 0.01), fields, (step, 0.0, 0.0))

@@ -6,8 +6,9 @@ import random
 
 import bpy
 
+from ..blender import Point
 from . import materials as m
-from .props import Point, leaf_blade, sheet
+from .props import leaf_blade, sheet
 
 Collection = bpy.types.Collection
 Material = bpy.types.Material

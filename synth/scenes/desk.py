@@ -15,9 +15,8 @@ from ..stage import CameraHints, Stage
 from . import desk_things as things
 from . import materials as m
 from . import materials_desk as md
-from .assembly import array
 from .lighting import Lighting
-from .props import ball, box, rod, sheet
+from .props import ball, box, repeated, rod, sheet
 from .skies import clouded
 
 LEFT, RIGHT, FRONT, WALL, HEIGHT = -1.7, 1.7, -2.4, 0.46, 2.5
@@ -131,7 +130,7 @@ def _window(room: bpy.types.Collection) -> None:
     step, wide = 0.092, x1 - x0 - 0.02
     box(room, "blind rail", (cx, front, z1 - 0.02), (wide, 0.06, 0.045), cane, bevel=0.006)
     slat = box(room, "slat", (cx, front, z1 - 0.085), (wide, 0.080, 0.004), cane, (TILT, 0.0, 0.0))
-    drop = array(slat, 9, (0.0, -step * math.sin(TILT), -step * math.cos(TILT)))
+    drop = repeated(slat, 9, (0.0, -step * math.sin(TILT), -step * math.cos(TILT)))
     drop.name = "slats"
     tape = m.plain("tape", (0.50, 0.42, 0.30), 0.9)
     for x in (x0 + 0.16, x1 - 0.16):

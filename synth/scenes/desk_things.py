@@ -9,10 +9,10 @@ from mathutils import Vector
 
 from . import materials as m
 from . import materials_desk as md
-from .assembly import Assembly, array, disk, ring
+from .assembly import Assembly, disk, ring
 from .greenery import arching, leaf_colour, leaf_mesh, trailing
 from .lighting import Lighting
-from .props import ball, box, lathe, rod, sheet
+from .props import ball, box, lathe, repeated, rod, sheet
 from .tubes import tube
 
 Collection = bpy.types.Collection
@@ -75,7 +75,7 @@ def _keyboard(room: Collection, foot: Place) -> None:
             box(board, "key", (x, y, 0.026), size, grey, bevel=0.003)
         if row < 4:
             count = 12
-            array(
+            repeated(
                 box(board, "keys", (x + pitch, y, 0.026), size, white, bevel=0.003), count, (pitch, 0.0, 0.0)
             )
             last = x + pitch * (count + 1.28)
@@ -88,11 +88,11 @@ def _keyboard(room: Collection, foot: Place) -> None:
                 bevel=0.003,
             )
         else:
-            array(box(board, "keys", (x + pitch, y, 0.026), size, grey, bevel=0.003), 2, (pitch, 0.0, 0.0))
+            repeated(box(board, "keys", (x + pitch, y, 0.026), size, grey, bevel=0.003), 2, (pitch, 0.0, 0.0))
             box(
                 board, "space bar", (x + pitch * 6, y, 0.026), (pitch * 6.8, 0.025, 0.012), white, bevel=0.003
             )
-            array(
+            repeated(
                 box(board, "keys", (x + pitch * 10, y, 0.026), size, grey, bevel=0.003),
                 4,
                 (pitch * 1.1, 0.0, 0.0),

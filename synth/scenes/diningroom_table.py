@@ -9,6 +9,7 @@ import bpy
 from mathutils import Matrix, Vector
 
 from ..assets import Assets
+from ..blender import mesh_of
 from . import materials as m
 from . import materials_table as mt
 from .forms import copies, move, ring, standing
@@ -361,7 +362,7 @@ def candles(
         flames.append(tip + Vector((0.0, 0.0, 0.030)))
     # One light for all three, at the middle of the row: fewer to sample, so less noise.
     flame = lighting.bulb("candles", "candle", flames[1], FLAME * math.sqrt(3.0), radiance, colour)
-    for vertex in flame.data.vertices:  # a drop: round below, drawn out above
+    for vertex in mesh_of(flame).vertices:  # a drop: round below, drawn out above
         vertex.co /= math.sqrt(3.0)
         rise = vertex.co.z / FLAME
         vertex.co.x *= 0.78 - 0.3 * rise

@@ -16,7 +16,8 @@ from . import materials as m
 from . import materials_hearth as mh
 from . import materials_table as mt
 from .forms import move, ring
-from .props import ball, finish
+from .props import ball, finish, modified
+from .shading import Socket, geometry_nodes
 from .tubes import bent_tube
 
 Collection = bpy.types.Collection
@@ -166,30 +167,26 @@ def _skin(
         for vertex in bmesh.ops.create_icosphere(mesh, subdivisions=3, radius=1.0)["verts"]:
             way = vertex.co.copy()
             vertex.co = end + rb * way if way.dot(axis) > 0.0 else start + ra * way
-    bmesh.ops.scale(mesh, vec=(thin, 1.0, 1.0), verts=mesh.verts)
+    bmesh.ops.scale(mesh, vec=(thin, 1.0, 1.0), verts=list(mesh.verts))
     item = finish(room, name, mesh, coat, smooth=True)
-    one = item.modifiers.new("one skin", "REMESH")
-    one.mode, one.voxel_size, one.use_smooth_shade = "VOXEL", VOXEL if thin == 1.0 else 0.6 * VOXEL, True
-    soft = item.modifiers.new("soft", "SMOOTH")
-    soft.factor, soft.iterations = 0.5, 7
-    item.modifiers.new("fur", "NODES").node_group = _fur(name, coat, hair, density)
+    size = VOXEL if thin == 1.0 else 0.6 * VOXEL
+    modified(item, "one skin", "REMESH", mode="VOXEL", voxel_size=size, use_smooth_shade=True)
+    modified(item, "soft", "SMOOTH", factor=0.5, iterations=7)
+    modified(item, "fur", "NODES", node_group=_fur(name, coat, hair, density))
     return item
 
 
-def _fur(name: str, coat: bpy.types.Material, hair: float, density: float) -> bpy.types.GeometryNodeTree:
+def _fur(name: str, coat: bpy.types.Material, hair: float, density: float) -> bpy.types.NodeTree:
     """Geometry nodes: thin cones on the skin, combed back and down, ragged."""
-    tree = bpy.data.node_groups.new(f"fur {name}", "GeometryNodeTree")
-    tree.interface.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
-    tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
-    new, link = tree.nodes.new, tree.links.new
+    graph = geometry_nodes(f"fur {name}")
+    new, link = graph.add, graph.tree.links.new
     source, sink = new("NodeGroupInput"), new("NodeGroupOutput")
     points = new("GeometryNodeDistributePointsOnFaces")
     points.inputs["Density"].default_value = density
     link(source.outputs[0], points.inputs["Mesh"])
 
-    def vector(operation: str, a, b, scale: float | None = None) -> bpy.types.NodeSocket:
-        node = new("ShaderNodeVectorMath")
-        node.operation = operation
+    def vector(operation: str, a: Socket, b: Socket, scale: float | None = None) -> Socket:
+        node = new("ShaderNodeVectorMath", operation=operation)
         for socket, value in zip(node.inputs, (a, b), strict=False):
             if isinstance(value, bpy.types.NodeSocket):
                 link(value, socket)
@@ -232,4 +229,4 @@ def _fur(name: str, coat: bpy.types.Material, hair: float, density: float) -> bp
     link(dyed.outputs[0], both.inputs[0])
     link(source.outputs[0], both.inputs[0])
     link(both.outputs[0], sink.inputs[0])
-    return tree
+    return graph.tree

@@ -8,6 +8,7 @@ import random
 import bpy
 from mathutils import Vector
 
+from ..blender import mesh_of
 from . import materials as m
 from . import materials_hearth as mh
 from . import materials_table as mt
@@ -214,7 +215,7 @@ def _fire(
         flame = lathe(
             room, "flame", (x - 0.21 + 0.07 * k, y + dice.uniform(-0.06, 0.06), z + 0.07), shape, tongue, 14
         )
-        for vertex in flame.data.vertices:  # licking: bent to and fro, more toward the tip
+        for vertex in mesh_of(flame).vertices:  # licking: bent to and fro, more toward the tip
             rise = vertex.co.z / height
             vertex.co.x += 0.03 * rise * math.sin(4.0 * rise + 2.0 * k)
             vertex.co.y += 0.02 * rise * math.sin(5.0 * rise + 3.0 * k)

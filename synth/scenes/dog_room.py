@@ -8,6 +8,7 @@ import bpy
 from mathutils import Vector
 
 from ..assets import Assets
+from ..blender import Point, mesh_of
 from . import materials as m
 from . import materials_hearth as mh
 from . import materials_table as mt
@@ -70,7 +71,7 @@ def _basket(room: Collection, at: Place) -> None:
         coil = ring(
             room, "basket coil", (at[0], at[1], 0.022 + 0.028 * k), 0.36 + 0.008 * k, 0.018, weave, sides=48
         )
-        for vertex in coil.data.vertices:  # low in front
+        for vertex in mesh_of(coil).vertices:  # low in front
             front = max(0.0, -vertex.co.y / 0.4)
             vertex.co.z -= 0.55 * (0.028 * k) * front**3
     lathe(room, "basket floor", at, [(0.0, 0.012), (0.36, 0.012)], weave)
@@ -134,7 +135,8 @@ def _toys(room: Collection) -> None:
     bone = m.speckled("bone", (0.62, 0.55, 0.42), (0.46, 0.38, 0.26), 40.0, 0.5)
     a, b = Vector((-0.66, 0.10, 0.05)), Vector((-0.53, 0.20, 0.05))
     rod(room, "bone", a, b, 0.017, bone)
-    across = (b - a).cross(Vector((0, 0, 1))).normalized() * 0.02
+    upright: Point = (b - a).cross(Vector((0, 0, 1)))
+    across = upright.normalized() * 0.02
     for end in (a, b):
         for s in (-1, 1):
             ball(room, "bone end", end + s * across, 0.026, bone, 3)

@@ -9,9 +9,9 @@ from mathutils import Vector
 
 from . import materials as m
 from . import materials_fireside as hearth
-from .assembly import Assembly, array, disk, ring
+from .assembly import Assembly, disk, ring
 from .lighting import Lighting
-from .props import ball, box, lathe, rod, sheet
+from .props import ball, box, lathe, repeated, rod, sheet
 from .tubes import tube
 
 Collection = bpy.types.Collection
@@ -57,7 +57,7 @@ def _surround(room: Collection, middle: float, front: float) -> None:
         flute = rod(
             room, "flute", (x - 0.05, front - 0.072, 0.2), (x - 0.05, front - 0.072, 0.92), 0.014, stone
         )
-        array(flute, 3, (0.05, 0.0, 0.0))
+        repeated(flute, 3, (0.05, 0.0, 0.0))
     wide = right - left
     box(room, "lintel", (middle, front - 0.03, 0.87), (wide + 0.04, 0.06, 0.32), stone, bevel=0.008)
     box(room, "lintel panel", (middle, front - 0.065, 0.88), (wide - 0.16, 0.02, 0.16), stone, bevel=0.008)
@@ -90,7 +90,7 @@ def _fire(room: Collection, lighting: Lighting, at: tuple[float, float, float]) 
     bar = rod(
         room, "grate", (x - 0.2, y - 0.12, z + 0.07), (x - 0.2, y + 0.10, z + 0.07), 0.008, iron, sides=8
     )
-    array(bar, 9, (0.05, 0.0, 0.0))
+    repeated(bar, 9, (0.05, 0.0, 0.0))
     for dx in (-0.2, 0.2):
         rod(room, "andiron", (x + dx, y - 0.13, z), (x + dx, y - 0.13, z + 0.24), 0.011, iron, sides=8)
         ball(room, "andiron", (x + dx, y - 0.13, z + 0.26), 0.024, iron, 2)

@@ -8,7 +8,8 @@ import bmesh
 import bpy
 from mathutils import Matrix, Vector
 
-from .props import Point, box, finish
+from ..blender import Point
+from .props import box, finish
 
 Collection = bpy.types.Collection
 
@@ -30,7 +31,7 @@ def ring(
         a = 2.0 * math.pi * k / sides
         out = Vector((math.cos(a), math.sin(a), 0.0))
         bar = [2.0 * math.pi * j / 8 for j in range(8)]
-        round_it = [
+        round_it: list[Point] = [
             out * (radius + thickness * math.cos(b)) + Vector((0, 0, thickness * math.sin(b))) for b in bar
         ]
         rings.append([mesh.verts.new(point) for point in round_it])

@@ -5,14 +5,15 @@ import itertools
 import math
 import random
 from collections.abc import Sequence
+from typing import Any
 
 import bmesh
 import bpy
 import numpy as np
 from mathutils import Euler, Vector
 
-from .props import finish
-from .shading import Colour, Graph, begin
+from .props import finish, modified
+from .shading import Colour, begin, geometry_nodes
 from .tubes import tube
 
 Collection = bpy.types.Collection
@@ -71,34 +72,31 @@ def foliage(
     cloud = bpy.data.meshes.new(name)
     cloud.vertices.add(len(leaves))
     cloud.vertices.foreach_set("co", np.array([place for place, _, _ in leaves], np.float32).ravel())
-    turns = cloud.attributes.new("turn", "FLOAT_VECTOR", "POINT")
-    turns.data.foreach_set("vector", np.array([tuple(turn) for _, turn, _ in leaves], np.float32).ravel())
-    sizes = cloud.attributes.new("size", "FLOAT", "POINT")
+    turns: Any = cloud.attributes.new("turn", "FLOAT_VECTOR", "POINT")
+    turns.data.foreach_set("vector", np.array([[*turn] for _, turn, _ in leaves], np.float32).ravel())
+    sizes: Any = cloud.attributes.new("size", "FLOAT", "POINT")
     sizes.data.foreach_set("value", np.array([size for _, _, size in leaves], np.float32))
     item = bpy.data.objects.new(name, cloud)
     room.objects.link(item)
-    item.modifiers.new("leaves", "NODES").node_group = _instancer(name, leaf)
+    modified(item, "leaves", "NODES", node_group=_instancer(name, leaf))
     return item
 
 
 def _instancer(name: str, leaf: bpy.types.Object) -> bpy.types.NodeTree:
-    tree = bpy.data.node_groups.new(f"leaves of {name}", "GeometryNodeTree")
-    tree.interface.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
-    tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
-    graph = Graph(tree)
+    graph = geometry_nodes(f"leaves of {name}")
     source = graph.add("NodeGroupInput")
     blade = graph.add("GeometryNodeObjectInfo", {"Object": leaf})
     turn = graph.add("GeometryNodeInputNamedAttribute", {"Name": "turn"}, data_type="FLOAT_VECTOR")
     size = graph.add("GeometryNodeInputNamedAttribute", {"Name": "size"}, data_type="FLOAT")
     placed = graph.add("GeometryNodeInstanceOnPoints")
     sink = graph.add("NodeGroupOutput")
-    link = tree.links.new
+    link = graph.tree.links.new
     link(source.outputs[0], placed.inputs["Points"])
     link(blade.outputs["Geometry"], placed.inputs["Instance"])
     link(next(s for s in turn.outputs if s.enabled), placed.inputs["Rotation"])
     link(next(s for s in size.outputs if s.enabled), placed.inputs["Scale"])
     link(placed.outputs[0], sink.inputs[0])
-    return tree
+    return graph.tree
 
 
 def arching(

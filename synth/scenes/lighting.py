@@ -2,18 +2,17 @@
 """Makes the lights of a built scene, each in one of Cycles' light groups, with the knobs that turn it."""
 
 import math
-from collections.abc import Sequence
+from typing import Any
 
 import bpy
 from mathutils import Vector
 
+from ..blender import Point, light_of
 from ..stage import AMBIENT, LightKnob
 from .materials import emission
 from .props import ball
-from .shading import Colour, Graph, Socket
+from .shading import Colour, Graph, Socket, unsampled
 from .skies import Sky
-
-Point = Sequence[float]  # metres
 
 
 class Lighting:
@@ -32,6 +31,7 @@ class Lighting:
         ``strength``: its radiance where that colour is white."""
         world = bpy.data.worlds.new("sky")
         self.scene.world = world
+        assert world.node_tree is not None
         graph = Graph(world.node_tree)
         direction = graph.add("ShaderNodeTexCoord").outputs["Generated"]
         background = graph.add(
@@ -43,7 +43,7 @@ class Lighting:
 
     def portal(self, location: Point, toward: Point, size: tuple[float, float]) -> None:
         """An opening through which the sky comes in: Cycles samples it there. It gives no light itself."""
-        portal = bpy.data.lights.new("portal", "AREA")
+        portal: Any = bpy.data.lights.new("portal", "AREA")
         portal.shape, portal.size, portal.size_y = "RECTANGLE", *size
         portal.cycles.is_portal = True
         self._place("portal", portal, location, toward)
@@ -57,7 +57,7 @@ class Lighting:
         group: str = AMBIENT,
     ) -> bpy.types.Object:
         """Parallel light along ``toward``; ``angle``: the disk's diameter in degrees, so shadows are soft."""
-        sun = bpy.data.lights.new("sun", "SUN")
+        sun: Any = bpy.data.lights.new("sun", "SUN")
         sun.energy, sun.angle, sun.color = irradiance, math.radians(angle), colour
         return self._shine(group, self._place("sun", sun, (0.0, 0.0, 0.0), toward))
 
@@ -72,7 +72,7 @@ class Lighting:
         group: str = AMBIENT,
     ) -> bpy.types.Object:
         """A soft light from a rectangle that neither cameras nor mirrors see."""
-        light = bpy.data.lights.new(name, "AREA")
+        light: Any = bpy.data.lights.new(name, "AREA")
         light.shape, light.size, light.size_y = "RECTANGLE", *size
         light.energy, light.color = watts, colour
         item = self._place(name, light, location, toward)
@@ -88,12 +88,12 @@ class Lighting:
         less noise and time than a luminous mesh.
         """
         glow, strength = emission(f"bulb {name}", colour, radiance)
-        glow.cycles.emission_sampling = "NONE"
+        unsampled(glow)
         sphere = ball(self.scene.collection, f"bulb {name}", location, radius, glow, 3)
         for ray in ("diffuse", "glossy", "transmission", "shadow"):
             setattr(sphere, f"visible_{ray}", False)
         self.glow(group, sphere, strength)
-        light = bpy.data.lights.new(f"bulb {name}", "POINT")
+        light: Any = bpy.data.lights.new(f"bulb {name}", "POINT")
         light.shadow_soft_size, light.use_soft_falloff, light.color = radius, False, colour
         light.energy = 4.0 * math.pi**2 * radius**2 * radiance  # watts of a sphere of that radiance
         item = self._place(f"bulb light {name}", light, location, (0.0, 0.0, -1.0))
@@ -113,7 +113,7 @@ class Lighting:
         radius: float = 0.03,
     ) -> bpy.types.Object:
         """A lamp with a shade: light within a cone of ``cone`` degrees."""
-        light = bpy.data.lights.new(name, "SPOT")
+        light: Any = bpy.data.lights.new(name, "SPOT")
         light.energy, light.color, light.spot_size = watts, colour, math.radians(cone)
         light.spot_blend, light.shadow_soft_size = 0.4, radius
         item = self._place(name, light, location, toward)
@@ -133,7 +133,8 @@ class Lighting:
 
     def _shine(self, group: str, item: bpy.types.Object) -> bpy.types.Object:
         item.lightgroup = group
-        self._enter(group).append(LightKnob(item.data, "energy", item.data.energy))
+        light = light_of(item)
+        self._enter(group).append(LightKnob(light, "energy", light.energy))
         return item
 
     def _place(self, name: str, light: bpy.types.Light, location: Point, toward: Point) -> bpy.types.Object:

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import bpy
 
-from .shading import Colour, Socket, begin
+from .shading import Colour, Socket, begin, dimmed
 
 
 def plain(name: str, colour: Colour, roughness: float = 0.6, metallic: float = 0.0) -> bpy.types.Material:
@@ -87,7 +87,7 @@ def plaster(name: str, colour: Colour, contrast: float = 0.25) -> bpy.types.Mate
     """Painted plaster with the uneven tone of a brush and a trowel."""
     material, graph = begin(name)
     vector = graph.coordinates()
-    dark = tuple(channel * (1.0 - contrast) for channel in colour)
+    dark = dimmed(colour, 1.0 - contrast)
     cloud = graph.noise(vector, 2.6, 4.0, 0.8)
     graph.surface(graph.ramp(cloud, [(0.3, dark), (0.7, colour)]), 0.9, specular=0.1)
     return material

@@ -3,7 +3,7 @@
 
 import bpy
 
-from .shading import Colour, Graph, begin
+from .shading import Colour, Graph, begin, dimmed
 
 
 def _position(graph: Graph) -> bpy.types.Node:
@@ -39,7 +39,7 @@ def tiled_wall(
     rough = graph.math("ADD", graph.math("MULTIPLY", joint, 0.6), 0.16)
     tiles = graph.principled(glaze, rough, specular=0.5, Normal=normal)
     cloud = graph.noise(vector, 2.6, 4.0, 0.8)
-    dark = tuple(channel * 0.78 for channel in paint)
+    dark = dimmed(paint, 0.78)
     wash = graph.ramp(cloud, [(0.3, dark), (0.7, paint)])
     plaster = graph.add("ShaderNodeBsdfDiffuse", {"Color": wash}).outputs[0]
     above = graph.math("GREATER_THAN", z, height)
@@ -86,9 +86,7 @@ def marble(name: str, ground: Colour, vein: Colour) -> bpy.types.Material:
     material, graph = begin(name)
     vector = graph.coordinates(rotation=(0.3, 0.2, 0.6))
     bands = graph.wave(vector, 1.6, 11.0)
-    colour = graph.ramp(
-        bands, [(0.0, vein), (0.10, ground), (0.75, tuple(0.88 * c for c in ground)), (1.0, ground)]
-    )
+    colour = graph.ramp(bands, [(0.0, vein), (0.10, ground), (0.75, dimmed(ground, 0.88)), (1.0, ground)])
     graph.surface(colour, 0.15, specular=0.5)
     return material
 
@@ -133,7 +131,7 @@ def sheer(name: str, colour: Colour) -> bpy.types.Material:
     """Voile: more light comes through than is thrown back."""
     material, graph = begin(name)
     threads = graph.ramp(
-        graph.wave(graph.coordinates(), 9.0, 0.5), [(0.2, tuple(0.8 * c for c in colour)), (0.8, colour)]
+        graph.wave(graph.coordinates(), 9.0, 0.5), [(0.2, dimmed(colour, 0.8)), (0.8, colour)]
     )
     graph.finish(graph.thin_cloth(threads, 0.6))
     return material

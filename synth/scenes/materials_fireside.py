@@ -5,7 +5,7 @@ import math
 
 import bpy
 
-from .shading import Colour, Socket, begin
+from .shading import Colour, Socket, begin, unsampled
 
 
 def velvet(name: str, dark: Colour, light: Colour) -> bpy.types.Material:
@@ -100,7 +100,7 @@ def embers(name: str, radiance: float) -> tuple[bpy.types.Material, Socket]:
     coal = graph.add("ShaderNodeBsdfDiffuse", {"Color": bark})
     both = graph.add("ShaderNodeAddShader", {"Shader": light.outputs[0], "Shader_001": coal.outputs[0]})
     graph.finish(both.outputs[0])
-    material.cycles.emission_sampling = "NONE"  # a lamp inside the fire gives its light
+    unsampled(material)  # a lamp inside the fire gives its light
     return material, light.inputs["Strength"]
 
 
@@ -116,5 +116,5 @@ def flame(name: str, radiance: float) -> tuple[bpy.types.Material, Socket]:
     thin = graph.math("MAXIMUM", facing, graph.math("MULTIPLY", height, 0.85))
     clear = graph.add("ShaderNodeBsdfTransparent").outputs[0]
     graph.finish(graph.blend(thin, light.outputs[0], clear))
-    material.cycles.emission_sampling = "NONE"
+    unsampled(material)
     return material, light.inputs["Strength"]

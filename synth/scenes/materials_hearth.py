@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import bpy
 
-from .shading import Colour, Graph, Socket, begin
+from .shading import Colour, Graph, Socket, begin, unsampled
 
 
 def _random(graph: Graph, low: float, high: float) -> Socket:
@@ -93,7 +93,7 @@ def coals(name: str, radiance: float) -> tuple[bpy.types.Material, Socket]:
     graph.finish(
         graph.add("ShaderNodeAddShader", {"Shader": body, "Shader_001": light.outputs[0]}).outputs[0]
     )
-    material.cycles.emission_sampling = "NONE"
+    unsampled(material)
     return material, light.inputs["Strength"]
 
 
@@ -109,7 +109,7 @@ def flame(name: str, radiance: float) -> tuple[bpy.types.Material, Socket]:
     thin = graph.ramp(facing, [(0.1, (0.15,) * 3), (0.85, (1.0,) * 3)])
     clear = graph.add("ShaderNodeBsdfTransparent").outputs[0]
     graph.finish(graph.blend(thin, light.outputs[0], clear))
-    material.cycles.emission_sampling = "NONE"
+    unsampled(material)
     return material, light.inputs["Strength"]
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import bpy
 
 from .plush import shaded, soft
-from .shading import Colour, Graph, Socket, begin
+from .shading import Colour, Graph, Socket, begin, unsampled
 
 
 def _from_middle(graph: Graph) -> list[Socket]:
@@ -75,7 +75,7 @@ def moon(name: str, colour: Colour, radiance: float) -> tuple[bpy.types.Material
     craters = graph.ramp(graph.voronoi(vector, 26.0), [(0.12, (0.75,) * 3), (0.30, (1.15,) * 3)])
     tone = graph.mix(1.0, graph.mix(1.0, seas, craters, "MULTIPLY"), colour, "MULTIPLY")
     node = graph.add("ShaderNodeEmission", {"Color": tone, "Strength": radiance})
-    material.cycles.emission_sampling = "NONE"
+    unsampled(material)
     graph.finish(node.outputs[0])
     return material, node.inputs["Strength"]
 

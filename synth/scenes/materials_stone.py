@@ -3,7 +3,7 @@
 
 import bpy
 
-from .shading import Colour, begin
+from .shading import Colour, begin, dimmed
 
 
 def rock(
@@ -69,7 +69,7 @@ def inlay(name: str, pale: Colour, dark: Colour, red: Colour, tile: float = 0.6)
     lozenge = graph.mix(graph.math("GREATER_THAN", own, 0.45), dark, red)
     colour = graph.mix(graph.math("GREATER_THAN", to_corner, 0.56), pale, lozenge)
     colour = graph.mix(graph.math("GREATER_THAN", to_corner, 0.82), colour, pale)
-    colour = graph.mix(graph.math("LESS_THAN", to_edge, 0.035), colour, tuple(0.55 * c for c in dark))
+    colour = graph.mix(graph.math("LESS_THAN", to_edge, 0.035), colour, dimmed(dark, 0.55))
     veins = graph.noise(graph.coordinates(), 5.0, 4.0, 1.5)
     shade = graph.math("ADD", graph.math("MULTIPLY", own, 0.35), graph.math("MULTIPLY", veins, 0.9))
     colour = graph.mix(1.0, colour, graph.ramp(shade, [(0.3, (0.62,) * 3), (0.9, (1.12,) * 3)]), "MULTIPLY")

@@ -3,7 +3,7 @@
 
 import bpy
 
-from .shading import Colour, Socket, begin
+from .shading import Colour, Socket, begin, dimmed
 
 
 def linen(name: str, ground: Colour, figure: Colour, hem: Colour, hem_height: float) -> bpy.types.Material:
@@ -101,7 +101,7 @@ def metal(name: str, colour: Colour, roughness: float, worn: float = 0.0) -> bpy
     material, graph = begin(name)
     tint = colour
     if worn > 0.0:
-        dark = tuple(channel * (1.0 - worn) for channel in colour)
+        dark = dimmed(colour, 1.0 - worn)
         tint = graph.ramp(graph.noise(graph.coordinates(), 16.0, 3.0), [(0.35, dark), (0.6, colour)])
     graph.surface(tint, roughness, specular=0.5, metallic=1.0)
     return material

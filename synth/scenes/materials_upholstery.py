@@ -6,7 +6,7 @@ Patterns are of some centimetres in the object's own X and Y, as ``props.cushion
 
 import bpy
 
-from .shading import Colour, Socket, begin
+from .shading import Colour, Socket, begin, unsampled
 
 
 def leather(name: str, dark: Colour, light: Colour) -> bpy.types.Material:
@@ -128,5 +128,5 @@ def evening_film(name: str, radiance: float) -> tuple[bpy.types.Material, Socket
     picture = graph.mix(graph.math("LESS_THAN", z, 0.42), graph.mix(land, sky, (0.006, 0.008, 0.012)), sea)
     node = graph.add("ShaderNodeEmission", {"Color": picture, "Strength": radiance})
     graph.finish(node.outputs[0])
-    material.cycles.emission_sampling = "NONE"
+    unsampled(material)
     return material, node.inputs["Strength"]

@@ -9,10 +9,11 @@ from collections.abc import Sequence
 
 import bmesh
 import bpy
-from mathutils import Euler, Matrix, Vector
+from mathutils import Euler, Matrix
 
-from .props import Point, finish
-from .shading import Colour, Graph, Socket, begin
+from ..blender import Point, mesh_of
+from .props import finish, modified
+from .shading import Colour, Graph, Socket, begin, geometry_nodes
 
 #: An ellipsoid: centre, half axes (metres), rotation (radians).
 Blob = tuple[Point, Point, Point]
@@ -63,7 +64,7 @@ def blobs(
     """One mesh of ellipsoids that run into each other: the stuffed body under a pelt."""
     mesh = bmesh.new()
     for centre, axes, turn in parts:
-        where = Matrix.LocRotScale(Vector(centre), Euler(turn), Vector(axes))
+        where = Matrix.LocRotScale(centre, Euler(turn), axes)
         bmesh.ops.create_icosphere(mesh, subdivisions=4, radius=1.0, matrix=where)
     item = finish(room, name, mesh, material, smooth=True)
     item.matrix_world = place
@@ -87,10 +88,7 @@ def tufted(
     ``length``, ``width``: of a tuft, metres; ``density``: tufts a square metre; ``unruly``: how far each
     leaves the normal; ``fall``: how far all hang down (0 straight out, 1 at 45°).
     """
-    tree = bpy.data.node_groups.new(f"plush {item.name}", "GeometryNodeTree")
-    for way in ("INPUT", "OUTPUT"):
-        tree.interface.new_socket("Geometry", in_out=way, socket_type="NodeSocketGeometry")
-    graph = Graph(tree)
+    graph = geometry_nodes(f"plush {item.name}")
     skin = graph.add("NodeGroupInput").outputs[0]
     spread = graph.add(
         "GeometryNodeDistributePointsOnFaces", {"Mesh": skin, "Density": density, "Seed": seed}
@@ -140,13 +138,12 @@ def tufted(
     )
     real = graph.add("GeometryNodeRealizeInstances", {"Geometry": placed.outputs[0]})
     coat = graph.add(
-        "GeometryNodeSetMaterial", {"Geometry": real.outputs[0], "Material": item.data.materials[0]}
+        "GeometryNodeSetMaterial", {"Geometry": real.outputs[0], "Material": mesh_of(item).materials[0]}
     )
-    graph.add("NodeGroupOutput")
-    tree.links.new(coat.outputs[0], tree.nodes[-1].inputs[0])
+    graph.tree.links.new(coat.outputs[0], graph.add("NodeGroupOutput").inputs[0])
     coated = bpy.data.objects.new(f"{item.name} plush", item.data)
     coated.parent = item
     coated.visible_shadow = False
-    coated.modifiers.new("plush", "NODES").node_group = tree
+    modified(coated, "plush", "NODES", node_group=graph.tree)
     item.users_collection[0].objects.link(coated)
     return coated

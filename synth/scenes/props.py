@@ -7,16 +7,30 @@ Only bmesh and the data API are used, no operators: they work without a window o
 import itertools
 import math
 from collections.abc import Callable, Sequence
+from typing import Any, Protocol
 
 import bmesh
 import bpy
 from mathutils import Matrix, Vector
 
-Point = Sequence[float]  # metres
+from ..blender import Point
+
+
+class Links(Protocol):
+    """Where objects are put."""
+
+    def link(self, item: bpy.types.Object, /) -> None: ...
+
+
+class Holder(Protocol):
+    """A collection, or what stands in for one."""
+
+    @property
+    def objects(self) -> Links: ...
 
 
 def finish(
-    collection: bpy.types.Collection,
+    collection: Holder,
     name: str,
     mesh: bmesh.types.BMesh,
     material: bpy.types.Material,
@@ -24,7 +38,7 @@ def finish(
 ) -> bpy.types.Object:
     """Turn a bmesh into an object of ``collection`` and free the bmesh."""
     data = bpy.data.meshes.new(name)
-    bmesh.ops.recalc_face_normals(mesh, faces=mesh.faces)
+    bmesh.ops.recalc_face_normals(mesh, faces=list(mesh.faces))
     mesh.to_mesh(data)
     mesh.free()
     if smooth:
@@ -32,6 +46,21 @@ def finish(
     data.materials.append(material)
     item = bpy.data.objects.new(name, data)
     collection.objects.link(item)
+    return item
+
+
+def modified(item: bpy.types.Object, name: str, kind: str, **settings: Any) -> None:
+    """Give an object a modifier of Blender's type ``kind``."""
+    new: Any = item.modifiers.new
+    modifier = new(name, kind)
+    for key, value in settings.items():
+        setattr(modifier, key, value)
+
+
+def repeated(item: bpy.types.Object, count: int, step: Point, name: str = "array") -> bpy.types.Object:
+    """Show an object ``count`` times, each ``step`` metres (its own axes) further."""
+    offset = {"use_relative_offset": False, "use_constant_offset": True, "constant_offset_displace": step}
+    modified(item, name, "ARRAY", count=count, **offset)
     return item
 
 
@@ -53,7 +82,7 @@ def doubled(mesh: bmesh.types.BMesh, faces: Sequence[bmesh.types.BMFace]) -> lis
 
 
 def box(
-    collection: bpy.types.Collection,
+    collection: Holder,
     name: str,
     centre: Point,
     size: Point,
@@ -67,13 +96,12 @@ def box(
     item = finish(collection, name, mesh, material)
     item.location, item.rotation_euler = centre, rotation
     if bevel > 0.0:
-        modifier = item.modifiers.new("bevel", "BEVEL")
-        modifier.width, modifier.segments = bevel, 2
+        modified(item, "bevel", "BEVEL", width=bevel, segments=2)
     return item
 
 
 def rod(
-    collection: bpy.types.Collection,
+    collection: Holder,
     name: str,
     start: Point,
     end: Point,
@@ -101,7 +129,7 @@ def rod(
 
 
 def lathe(
-    collection: bpy.types.Collection,
+    collection: Holder,
     name: str,
     location: Point,
     profile: Sequence[tuple[float, float]],
@@ -127,7 +155,7 @@ def lathe(
 
 
 def ball(
-    collection: bpy.types.Collection,
+    collection: Holder,
     name: str,
     centre: Point,
     radius: float,
@@ -152,7 +180,7 @@ def ball(
 
 
 def cushion(
-    collection: bpy.types.Collection,
+    collection: Holder,
     name: str,
     centre: Point,
     size: Point,
@@ -171,15 +199,15 @@ def cushion(
         vertex.co.z = thickness if vertex in top else -thickness
         pinch = 1.0 - 0.06 * plump * ((2 * x) ** 2 + (2 * y) ** 2 - (4 * x * y) ** 2)
         vertex.co.x, vertex.co.y = x * pinch, y * pinch
-    bmesh.ops.scale(mesh, vec=size, verts=mesh.verts)
+    bmesh.ops.scale(mesh, vec=size, verts=list(mesh.verts))
     item = finish(collection, name, mesh, material, smooth=True)
     item.location, item.rotation_euler = centre, rotation
-    item.modifiers.new("round", "SUBSURF").render_levels = 1
+    modified(item, "round", "SUBSURF", render_levels=1)
     return item
 
 
 def sheet(
-    collection: bpy.types.Collection,
+    collection: Holder,
     name: str,
     surface: Callable[[float, float], Point],
     material: bpy.types.Material,
@@ -195,12 +223,12 @@ def sheet(
             mesh.faces.new((grid[i][j], grid[i + 1][j], grid[i + 1][j + 1], grid[i][j + 1]))
     item = finish(collection, name, mesh, material, smooth=True)
     if thickness > 0.0:
-        item.modifiers.new("thick", "SOLIDIFY").thickness = thickness
+        modified(item, "thick", "SOLIDIFY", thickness=thickness)
     return item
 
 
 def leaf_blade(
-    collection: bpy.types.Collection,
+    collection: Holder,
     name: str,
     root: Point,
     direction: float,

@@ -6,6 +6,8 @@ from typing import Any
 
 import bpy
 
+from ..blender import cycles
+
 Colour = tuple[float, float, float]  # scene-linear reflectance
 Socket = Any  # bpy.types.NodeSocket, or a plain value where an input takes one
 
@@ -17,9 +19,9 @@ class Graph:
         self.tree = tree
         tree.nodes.clear()
 
-    def add(self, kind: str, inputs: dict[str, Socket] | None = None, **attributes: Any) -> bpy.types.Node:
+    def add(self, kind: str, inputs: dict[str, Socket] | None = None, **attributes: Any) -> Any:
         """A node of type ``kind`` with attributes set; inputs (by identifier) are linked or set."""
-        node = self.tree.nodes.new(kind)
+        node: Any = self.tree.nodes.new(kind)
         for key, value in attributes.items():
             setattr(node, key, value)
         by_identifier = {socket.identifier: socket for socket in node.inputs}
@@ -59,7 +61,7 @@ class Graph:
         return self.add("ShaderNodeTexVoronoi", inputs).outputs[output]
 
     def ramp(
-        self, factor: Socket, stops: Sequence[tuple[float, Colour]], interpolation: str = "LINEAR"
+        self, factor: Socket, stops: Sequence[tuple[float, Sequence[float]]], interpolation: str = "LINEAR"
     ) -> Socket:
         """Colour looked up in a ramp of (position 0…1, colour)."""
         node = self.add("ShaderNodeValToRGB", {"Fac": factor})
@@ -89,11 +91,12 @@ class Graph:
         joint: float,
         smooth: float = 0.1,
         offset: float = 0.5,
-    ) -> bpy.types.Node:
+    ) -> Any:
         """Courses of bricks, tiles or boards in X and Y, each of a tone between two.
 
         ``size``: width and height with the joint; ``joint``: its width, both in metres; ``offset``: how far a
-        course is moved along the next, as a share of the width. Outputs ``Color`` and ``Factor`` (1: mortar).
+        course is moved along the next, as a share of the width. The node, whose outputs are ``Color`` and
+        ``Factor`` (1: mortar).
         """
         inputs = {
             "Vector": vector,
@@ -156,7 +159,29 @@ class Graph:
         self.finish(self.principled(colour, roughness, **more))
 
 
+def geometry_nodes(name: str) -> Graph:
+    """A new tree for a modifier: given a geometry it returns one. Both its ends are still to be added."""
+    tree = bpy.data.node_groups.new(name, "GeometryNodeTree")
+    assert tree.interface is not None
+    new_socket: Any = tree.interface.new_socket
+    for way in ("INPUT", "OUTPUT"):
+        new_socket("Geometry", in_out=way, socket_type="NodeSocketGeometry")
+    return Graph(tree)
+
+
+def dimmed(colour: Colour, factor: float) -> Colour:
+    """The same colour, ``factor`` times as bright."""
+    red, green, blue = colour
+    return red * factor, green * factor, blue * factor
+
+
+def unsampled(material: bpy.types.Material) -> None:
+    """Let Cycles send no light rays to what shines by this material: a lamp within it gives its light."""
+    cycles(material).emission_sampling = "NONE"
+
+
 def begin(name: str) -> tuple[bpy.types.Material, Graph]:
     """A new material and its graph, which is empty."""
     material = bpy.data.materials.new(name)
+    assert material.node_tree is not None
     return material, Graph(material.node_tree)

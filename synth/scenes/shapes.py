@@ -3,14 +3,16 @@
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 import bmesh
 import bpy
 from mathutils import Vector
 
-Point = Sequence[float]  # metres
+from ..blender import Point
+from .props import modified
+from .shading import geometry_nodes
 
 
 def hanging(start: Point, end: Point, sag: float, steps: int = 12) -> list[Vector]:
@@ -57,28 +59,26 @@ def scatter(
 
     ``tilt``: up to how far they lean, in radians; about the normal they turn at random.
     """
-    tree = bpy.data.node_groups.new(f"scatter {host.name}", "GeometryNodeTree")
-    tree.interface.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
-    tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
-    nodes, link = tree.nodes, tree.links.new
-    source, result = nodes.new("NodeGroupInput"), nodes.new("NodeGroupOutput")
-    points = nodes.new("GeometryNodeDistributePointsOnFaces")
+    graph = geometry_nodes(f"scatter {host.name}")
+    new, link = graph.add, graph.tree.links.new
+    source, result = new("NodeGroupInput"), new("NodeGroupOutput")
+    points = new("GeometryNodeDistributePointsOnFaces")
     points.inputs["Density"].default_value = density
     points.inputs["Seed"].default_value = seed
-    thing = nodes.new("GeometryNodeObjectInfo")
+    thing = new("GeometryNodeObjectInfo")
     thing.inputs["Object"].default_value = item
-    spin = nodes.new("FunctionNodeRandomValue")
+    spin = new("FunctionNodeRandomValue")
     spin.data_type = "FLOAT_VECTOR"
     spin.inputs["Min"].default_value = (-tilt, -tilt, 0.0)
     spin.inputs["Max"].default_value = (tilt, tilt, 2.0 * math.pi)
     spin.inputs["Seed"].default_value = seed + 1
-    leaning = nodes.new("FunctionNodeRotateRotation")
+    leaning = new("FunctionNodeRotateRotation")
     leaning.rotation_space = "LOCAL"
-    sizes = nodes.new("FunctionNodeRandomValue")
+    sizes = new("FunctionNodeRandomValue")
     lowest, highest = (socket for socket in sizes.inputs if socket.type == "VALUE")
     lowest.default_value, highest.default_value = scale
     sizes.inputs["Seed"].default_value = seed + 2
-    placed, both = nodes.new("GeometryNodeInstanceOnPoints"), nodes.new("GeometryNodeJoinGeometry")
+    placed, both = new("GeometryNodeInstanceOnPoints"), new("GeometryNodeJoinGeometry")
     link(source.outputs[0], points.inputs["Mesh"])
     link(points.outputs["Points"], placed.inputs["Points"])
     link(points.outputs["Rotation"], leaning.inputs["Rotation"])
@@ -89,7 +89,7 @@ def scatter(
     link(source.outputs[0], both.inputs[0])
     link(placed.outputs["Instances"], both.inputs[0])
     link(both.outputs[0], result.inputs[0])
-    host.modifiers.new("scatter", "NODES").node_group = tree
+    modified(host, "scatter", "NODES", node_group=graph.tree)
 
 
 def leaf(name: str, length: float, width: float, material: bpy.types.Material) -> bpy.types.Object:

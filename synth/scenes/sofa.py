@@ -21,7 +21,7 @@ from . import materials_stone as stone
 from . import materials_upholstery as soft
 from . import sofa_furniture as furniture
 from .lighting import Lighting
-from .props import ball, box, finish, rod, sheet
+from .props import ball, box, finish, repeated, rod, sheet
 from .shapes import hanging
 from .skies import clouded
 from .tubes import tube
@@ -130,9 +130,7 @@ def _walls(room: bpy.types.Collection) -> None:
     green = m.plaster("green paint", (0.085, 0.15, 0.13), 0.18)
     box(room, "wall back", (0, BACK + 0.06, HEIGHT / 2), (RIGHT - LEFT + 0.28, 0.12, HEIGHT), green)
     batten = box(room, "batten", (LEFT + 0.3, BACK - 0.011, 0.66), (0.07, 0.022, 1.06), green, bevel=0.006)
-    more = batten.modifiers.new("along the wall", "ARRAY")
-    more.count, more.use_relative_offset, more.use_constant_offset = 9, False, True
-    more.constant_offset_displace = (0.5, 0.0, 0.0)
+    repeated(batten, 9, (0.5, 0.0, 0.0), "along the wall")
     for z, tall, out in ((0.09, 0.18, 0.03), (1.2, 0.06, 0.036), (1.15, 0.03, 0.022)):
         box(room, "panel rail", (0, BACK - out / 2, z), (RIGHT - LEFT, out, tall), green, bevel=0.008)
     brick = stone.masonry(
@@ -204,9 +202,7 @@ def _outside(room: bpy.types.Collection, dice: random.Random) -> None:
     box(room, "balcony", (LEFT - 0.75, 0.6, -0.12), (1.2, 5.4, 0.12), slab)
     iron = m.plain("railing", (0.05, 0.06, 0.055), 0.5)
     bar = box(room, "railing bar", (LEFT - 1.25, -1.9, 0.40), (0.022, 0.022, 0.95), iron)
-    more = bar.modifiers.new("along the balcony", "ARRAY")
-    more.count, more.use_relative_offset, more.use_constant_offset = 42, False, True
-    more.constant_offset_displace = (0.0, 0.125, 0.0)
+    repeated(bar, 42, (0.0, 0.125, 0.0), "along the balcony")
     box(room, "handrail", (LEFT - 1.25, 0.7, 0.88), (0.06, 5.3, 0.035), iron, bevel=0.008)
     crown = m.fabric("crown", (0.025, 0.055, 0.015), (0.12, 0.19, 0.045), 3.0)
     for k in range(7):

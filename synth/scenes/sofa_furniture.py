@@ -12,7 +12,7 @@ from . import materials as m
 from . import materials_upholstery as soft
 from . import sofa_storage as storage
 from .lighting import Lighting
-from .props import ball, box, cushion, lathe, leaf_blade, rod, sheet
+from .props import ball, box, cushion, lathe, leaf_blade, repeated, rod, sheet
 from .shapes import turned
 from .tubes import tube
 
@@ -60,9 +60,7 @@ def _carpet(room: Collection) -> None:
     thread = box(
         room, "fringe", (x0 - 0.03, y0 + 0.02, 0.004), (0.07, 0.014, 0.008), m.plain("fringe", cream, 0.95)
     )
-    more = thread.modifiers.new("along the edge", "ARRAY")
-    more.count, more.use_relative_offset, more.use_constant_offset = 60, False, True
-    more.constant_offset_displace = (0.0, (y1 - y0 - 0.04) / 59, 0.0)
+    repeated(thread, 60, (0.0, (y1 - y0 - 0.04) / 59, 0.0), "along the edge")
 
 
 def _sofa(room: Collection) -> None:

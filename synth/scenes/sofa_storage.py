@@ -8,10 +8,11 @@ import bpy
 from mathutils import Vector
 
 from ..assets import Assets
+from ..blender import mesh_of
 from . import materials as m
 from . import materials_upholstery as soft
 from .lighting import Lighting
-from .props import ball, box, lathe, rod
+from .props import ball, box, lathe, repeated, rod
 from .shapes import leaf, scatter
 from .tubes import tube
 
@@ -37,9 +38,7 @@ def television(room: Collection, lighting: Lighting) -> None:
     slat = box(
         room, "slat", (-wide / 2 + 0.07, -deep / 2 + 0.012, (z0 + z1) / 2), (0.03, 0.018, z1 - z0 - 0.06), oak
     )
-    more = slat.modifiers.new("along the front", "ARRAY")
-    more.count, more.use_relative_offset, more.use_constant_offset = 13, False, True
-    more.constant_offset_displace = (0.052, 0.0, 0.0)
+    repeated(slat, 13, (0.052, 0.0, 0.0), "along the front")
     for x in (-wide / 2 + 0.1, wide / 2 - 0.1):
         for y in (-0.12, 0.12):
             rod(room, "board foot", (x, y, 0.0), (x, y, z0), 0.012, dark, 0.018)
@@ -236,7 +235,8 @@ def on_the_walls(room: Collection) -> None:
     silver = m.plain("mirror", (0.90, 0.90, 0.90), 0.015, 1.0)
     gold = m.plain("mirror frame", (0.72, 0.48, 0.18), 0.3, 1.0)
     at = Vector((1.16, 2.285, 1.62))
-    rod(room, "mirror", at, at - Vector((0, 0.012, 0)), 0.36, silver, sides=64).data.shade_flat()
+    glass = rod(room, "mirror", at, at - Vector((0, 0.012, 0)), 0.36, silver, sides=64)
+    mesh_of(glass).shade_flat()
     ring = [
         at + Vector((0.37 * math.cos(math.tau * k / 48), -0.012, 0.37 * math.sin(math.tau * k / 48)))
         for k in range(49)

@@ -11,9 +11,10 @@ import bmesh
 import bpy
 from mathutils import Matrix, Vector
 
+from ..blender import Point
 from . import materials as m
 from . import materials_stone as stone
-from .props import box, doubled, finish, lathe, rod
+from .props import box, doubled, finish, lathe, repeated, rod
 from .shapes import copy, turned
 
 Collection = bpy.types.Collection
@@ -126,7 +127,8 @@ def _acanthus(
         centre = out * (radius * (1.0 + away)) + Vector((0, 0, z + tall * high))
         fold = out * (0.12 * radius * (1.0 - t))
         half = 0.5 * width * wide
-        rows.append([mesh.verts.new(centre + side * (s * half) + fold * (1 - abs(s))) for s in (-1, 0, 1)])
+        points: list[Point] = [centre + side * (s * half) + fold * (1 - abs(s)) for s in (-1, 0, 1)]
+        rows.append([mesh.verts.new(point) for point in points])
     for lower, upper in itertools.pairwise(rows):
         for k in (0, 1):
             mesh.faces.new((lower[k], lower[k + 1], upper[k + 1], upper[k])).smooth = True
@@ -169,9 +171,7 @@ def _voussoirs(
 
 
 def _repeat(item: bpy.types.Object, count: int, step: float) -> None:
-    more = item.modifiers.new("along the side", "ARRAY")
-    more.count, more.use_relative_offset, more.use_constant_offset = count, False, True
-    more.constant_offset_displace = (step, 0.0, 0.0)
+    repeated(item, count, (step, 0.0, 0.0), "along the side")
 
 
 def _course(
@@ -256,8 +256,7 @@ def _upper_storey(
 def _repeat_world(item: bpy.types.Object, count: int, step: float) -> None:
     """Repeat along the side's X an item whose own X points elsewhere."""
     turn = item.rotation_quaternion.to_matrix().inverted()
-    _repeat(item, count, step)
-    item.modifiers[-1].constant_offset_displace = turn @ Vector((step, 0.0, 0.0))
+    repeated(item, count, turn @ Vector((step, 0.0, 0.0)), "along the side")
 
 
 def _behind(room: Collection) -> None:
@@ -297,9 +296,7 @@ def _behind(room: Collection) -> None:
         beam = box(
             room, "beam", (s * (HALF_X + AISLE / 2), -OUT_Y + 0.3, STOREY - 0.02), (AISLE, 0.13, 0.17), oak
         )
-        more = beam.modifiers.new("along the aisle", "ARRAY")
-        more.count, more.use_relative_offset, more.use_constant_offset = 28, False, True
-        more.constant_offset_displace = (0.0, 0.66, 0.0)
+        repeated(beam, 28, (0.0, 0.66, 0.0), "along the aisle")
     door = m.wood("door", (0.06, 0.03, 0.016), (0.17, 0.085, 0.04), "Z", 3.0)
     iron = m.plain("door iron", (0.03, 0.03, 0.03), 0.45, 1.0)
     arch = _voussoirs(1.6, 2.0, 0.62, 0.18, 0.2, 0, 11), _voussoirs(1.6, 2.0, 0.62, 0.18, 0.2, 1, 11)

@@ -9,11 +9,12 @@ import bmesh
 import bpy
 from mathutils import Vector
 
-from .props import Point, finish
+from ..blender import Point
+from .props import Holder, finish
 
 
 def tube(
-    collection: bpy.types.Collection,
+    collection: Holder,
     name: str,
     path: Sequence[Point],
     radius: float,
@@ -29,7 +30,7 @@ def tube(
 
 
 def bent_tube(
-    collection: bpy.types.Collection,
+    collection: Holder,
     name: str,
     points: Sequence[Point],
     radius: float | Sequence[float],
@@ -57,7 +58,7 @@ def smooth_path(points: Sequence[Point], steps: int = 6) -> list[Vector]:
 
 
 def _swept(
-    collection: bpy.types.Collection,
+    collection: Holder,
     name: str,
     path: list[Vector],
     radii: Sequence[float],
@@ -71,11 +72,10 @@ def _swept(
     for k, (at, radius) in enumerate(zip(path, radii, strict=True)):
         along = (path[min(k + 1, last)] - path[max(k - 1, 0)]).normalized()
         side = (side - along * side.dot(along)).normalized()  # carried along, so that nothing twists
-        across = along.cross(side)
+        across: Point = along.cross(side)
         angles = [2.0 * math.pi * j / sides for j in range(sides)]
-        rings.append(
-            [mesh.verts.new(at + radius * (math.cos(a) * side + math.sin(a) * across)) for a in angles]
-        )
+        rim: list[Point] = [at + radius * (math.cos(a) * side + math.sin(a) * across) for a in angles]
+        rings.append([mesh.verts.new(point) for point in rim])
     for lower, upper in itertools.pairwise(rings):
         for j in range(sides):
             mesh.faces.new((lower[j], lower[(j + 1) % sides], upper[(j + 1) % sides], upper[j]))
