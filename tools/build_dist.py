@@ -38,7 +38,7 @@ class BuildError(Exception):
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--out", type=Path, default=ROOT / "dist", help="the folder for both files")
     out = parser.parse_args().out
     try:

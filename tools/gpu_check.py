@@ -55,7 +55,7 @@ PRESET_NAMES = ("default", "paper")
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--json", type=Path, help="also write everything to this file")
     parser.add_argument("--profile", action="store_true", help="also say which kernels take the time")
     parser.add_argument("--rehearse", action="store_true", help="everything on the CPU, in small sizes")

@@ -59,7 +59,7 @@ def run(name: str, command: list[str]) -> bool:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--whole", action="store_true", help="every file for every system")
     wanted = checks(parser.parse_args().whole)
     with ThreadPoolExecutor(max_workers=2) as pool:

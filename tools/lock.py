@@ -94,7 +94,7 @@ class Pin:
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--keep", action="store_true", help="pins that still fit stay as they are")
     keep = parser.parse_args().keep
     former = {path.name: path.read_text(encoding="utf-8") for path in sorted(LOCKS.glob("*.txt"))}

@@ -30,7 +30,6 @@ LOCKS = ROOT / "locks"
 LAUNCHER = VENVS / "run-blender"
 BLENDER_PYTHON = (3, 13)
 BLENDER_MINIMUM = (5, 2)
-BACKEND_MINIMUM = (3, 11)
 #: Preferred first: the version whose CPU build of torch is tested.
 BACKEND_CANDIDATES = ("3.11", "3.12", "3.13", "3.14")
 PYTORCH = "https://download.pytorch.org/whl/cpu"
@@ -104,7 +103,7 @@ def set_up_blender_binary() -> int:
     """No Python 3.13: use the ``blender`` on PATH, with what our side of it needs in a folder of its own."""
     blender = shutil.which("blender")
     version = blender_version(blender) if blender else None
-    if version is None or version < BLENDER_MINIMUM:
+    if blender is None or version is None or version < BLENDER_MINIMUM:
         found = f"the blender on PATH is {version}" if version else "no blender is on PATH"
         return fail(
             f"no Python 3.13 was found for Blender's bpy wheel, and {found}",
