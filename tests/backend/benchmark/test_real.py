@@ -15,6 +15,7 @@ def command(*words):
     return main(["benchmark", *(str(word) for word in words)])
 
 
+@pytest.mark.long
 def test_a_tiny_benchmark_on_ray_from_plan_to_report(tiny_data, tmp_path, capsys):
     out, report = tmp_path / "out", tmp_path / "report.md"
     words = ["--methods", "short := baseline --sh-degree-every 5", "--scenes", f"tiny={tiny_data}"]

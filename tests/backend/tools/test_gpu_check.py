@@ -28,6 +28,7 @@ def gpu_check(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("packages", ["all", "bare"])
 def test_the_whole_check_can_be_rehearsed(packages, tmp_path):
     """Against the CPU's kernels; and where nothing but torch and NumPy is installed."""

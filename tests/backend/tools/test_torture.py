@@ -211,6 +211,7 @@ def bench_in(folder: Path):
     return Bench("test", folder, options, lambda: pytest.fail("not needed"), None, lambda text: None)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("how", ["carefully", "in place"])
 def test_the_attack_finds_files_that_are_written_in_place(tmp_path, how):
     """The same program killed at the same moments: with a rename at the end, and without."""

@@ -48,6 +48,7 @@ print(json.dumps([needed.total, int(peak.split()[1]) * 1024, trainer.method.size
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads the peak from /proc")
+@pytest.mark.long
 @pytest.mark.parametrize(("preset", "count"), [("default", 60_000), ("paper", 30_000)])
 def test_the_estimate_holds_for_a_training(preset, count, tiny_data):
     command = [sys.executable, "-c", TRAINING, preset, str(tiny_data), str(count)]

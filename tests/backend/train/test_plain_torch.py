@@ -67,6 +67,7 @@ def mean_psnr(trainer):
     return sum(found) / len(found)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [0, 1, 2])
 @pytest.mark.parametrize(("preset", "iterations"), [("default", 80), ("paper", 50)])
 def test_the_same_quality(preset, iterations, seed, tiny_data, one_thread):
