@@ -128,53 +128,69 @@ from physhdr.bridge.display import display_colour_sh
 from physhdr.bridge.gaussian_ply import write_standard_ply
 from physhdr.bridge.model_file import write_model
 
-torch.manual_seed(0)
-rng = np.random.default_rng(0)
-config = PhysHDRConfig(composer=sys.argv[2], modulator=sys.argv[3])
-gaussians = initial_gaussians(
-    rng.normal(size=(50, 3)), rng.normal(0, 2, (50, 3)), sh_degree=3, opacity=0.5, scale_factor=1.0,
-    ambient_share=0.3 if sys.argv[3] == "additive" else None, context_size=0, seed=0,
-)
-for tensor in gaussians.parameters.values():
-    tensor.data += 0.1 * torch.randn_like(tensor)
-method = PhysHDR(config, gaussians, Facts((1.0, 0.73)))
-for tensor in method.parameters():
-    tensor.data += 0.05 * torch.randn_like(tensor)
-model = to_model(method, np.zeros(3), (1.0,), {"scene": "test", "method": "m", "iteration": "1"})
-out = Path(sys.argv[1])
-write_model(out / "model.safetensors", model)
-write_standard_ply(
-    out / "baked.ply", model.position, model.rotation, model.scale, model.opacity,
-    display_colour_sh(model, 2.0**0.75, 0.5),
-)
-# The networks themselves at the constant part: what the sampled response must reproduce.
-with torch.no_grad():
-    log = torch.from_numpy(model.log_radiance_sh[:, 0] * 0.28209479 + model.log_gain(0.5))
-    log = log + 0.75 * np.log(2.0)
-    code = method.tone_mapper.curve_logits(log.T.float().contiguous()).sigmoid().T
-np.save(out / "code.npy", code.numpy())
+
+def export(out, composer, modulator):
+    torch.manual_seed(0)
+    rng = np.random.default_rng(0)
+    config = PhysHDRConfig(composer=composer, modulator=modulator)
+    gaussians = initial_gaussians(
+        rng.normal(size=(50, 3)), rng.normal(0, 2, (50, 3)), sh_degree=3, opacity=0.5, scale_factor=1.0,
+        ambient_share=0.3 if modulator == "additive" else None, context_size=0, seed=0,
+    )
+    for tensor in gaussians.parameters.values():
+        tensor.data += 0.1 * torch.randn_like(tensor)
+    method = PhysHDR(config, gaussians, Facts((1.0, 0.73)))
+    for tensor in method.parameters():
+        tensor.data += 0.05 * torch.randn_like(tensor)
+    model = to_model(method, np.zeros(3), (1.0,), {"scene": "test", "method": "m", "iteration": "1"})
+    write_model(out / "model.safetensors", model)
+    write_standard_ply(
+        out / "baked.ply", model.position, model.rotation, model.scale, model.opacity,
+        display_colour_sh(model, 2.0**0.75, 0.5),
+    )
+    # The networks themselves at the constant part: what the sampled response must reproduce.
+    with torch.no_grad():
+        log = torch.from_numpy(model.log_radiance_sh[:, 0] * 0.28209479 + model.log_gain(0.5))
+        log = log + 0.75 * np.log(2.0)
+        code = method.tone_mapper.curve_logits(log.T.float().contiguous()).sigmoid().T
+    np.save(out / "code.npy", code.numpy())
+
+
+for composer, modulator in (each.split("-") for each in sys.argv[2:]):
+    out = Path(sys.argv[1], composer)
+    out.mkdir()
+    export(out, composer, modulator)
 """
 
 
-@pytest.mark.parametrize("composer,modulator", [("product", "additive"), ("learned", "learned")])
-def test_the_same_numbers_as_the_trainers_exporter(registered, tmp_path, composer, modulator):
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory) -> Path:
+    """A folder for each composer with what the trainer exports: one process, torch is slow to load."""
     python = ROOT / ".venvs/backend/bin/python"
     if not python.exists():
         pytest.skip("no backend environment: run make setup")
-    subprocess.run([str(python), "-c", EXPORT, str(tmp_path), composer, modulator], check=True)
-    bpy.ops.physhdr.model_import(filepath=str(tmp_path / "model.safetensors"))
+    folder = tmp_path_factory.mktemp("exported")
+    combinations = ("product-additive", "learned-learned")
+    subprocess.run([str(python), "-c", EXPORT, str(folder), *combinations], check=True)
+    return folder
+
+
+@pytest.mark.parametrize("composer", ["product", "learned"])
+def test_the_same_numbers_as_the_trainers_exporter(registered, exported, tmp_path, composer):
+    theirs = exported / composer
+    bpy.ops.physhdr.model_import(filepath=str(theirs / "model.safetensors"))
     modifier = nodes.find_modifier(bpy.context.object)
     nodes.set_input(modifier, nodes.EXPOSURE, 0.75)
     nodes.set_input(modifier, nodes.LIGHTING_LEVEL, 0.5)
     bpy.ops.physhdr.model_bake(filepath=str(tmp_path / "ours.ply"), tone="LEARNED")
-    theirs, ours = read_ply(tmp_path / "baked.ply").columns, read_ply(tmp_path / "ours.ply").columns
-    assert list(theirs) == list(ours)
-    for name, column in theirs.items():
+    baked, ours = read_ply(theirs / "baked.ply").columns, read_ply(tmp_path / "ours.ply").columns
+    assert list(baked) == list(ours)
+    for name, column in baked.items():
         np.testing.assert_allclose(ours[name], column, atol=2e-6, err_msg=name)
     nodes.set_input(modifier, nodes.VIEW_DEPENDENT, False)
     bpy.ops.physhdr.model_bake(filepath=str(tmp_path / "flat.ply"), tone="LEARNED")
     shown = 0.5 + 0.28209479 * colour_sh(read_ply(tmp_path / "flat.ply").columns)[:, 0]
-    np.testing.assert_allclose(shown, np.load(tmp_path / "code.npy"), atol=1e-3)
+    np.testing.assert_allclose(shown, np.load(theirs / "code.npy"), atol=1e-3)
 
 
 def test_in_world_space_whatever_the_objects_transform(registered, make_toned, write, tmp_path, scene):

@@ -152,7 +152,7 @@ def test_progress_cancel_and_resume_as_a_window_does(room, extension, tmp_path):
     from physhdr.addon.session.state import DATASET
 
     out = tmp_path / "data"
-    slow = {**SMALL, "resolution_x": 256, "samples": 16, "views": 8}
+    slow = {**SMALL, "resolution_x": 128, "samples": 16, "views": 8}
     began = time.monotonic()
     assert bpy.ops.physhdr.dataset_render(out=str(out), wait=False, **slow) == {"FINISHED"}
     assert time.monotonic() - began < 2.0 and extension.state.task(DATASET)

@@ -4,6 +4,7 @@
 import dataclasses
 import json
 import math
+import runpy
 import shutil
 import subprocess
 import sys
@@ -264,9 +265,23 @@ def test_keyframes_play_in_a_render(make_model, write, tmp_path, engine, width, 
         )
 
 
-def relight(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, str(ROOT / "addon/scripts/relight.py"), "--", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+@pytest.fixture
+def relight(monkeypatch, capsys):
+    """Runs the script's ``main`` here, where Blender is already; what it says, and its status."""
+    script = runpy.run_path(str(ROOT / "addon/scripts/relight.py"))
+    monkeypatch.setitem(script["main"].__globals__, "load_package", lambda: None)
+
+    def relight(*arguments: object) -> subprocess.CompletedProcess[str]:
+        command = ["relight.py", "--", *map(str, arguments)]
+        monkeypatch.setattr(sys, "argv", command)
+        try:
+            status = script["main"]()
+        except SystemExit as error:  # argparse's; any other exception is what a user must not see
+            status = error.code
+        said = capsys.readouterr()
+        return subprocess.CompletedProcess(command, status, said.out, said.err)
+
+    return relight
 
 
 @pytest.fixture
@@ -276,7 +291,7 @@ def camera_file(look_at, tmp_path) -> Path:
     return tmp_path / "transforms.json"
 
 
-def test_script_relights_and_saves(scene, make_model, write, camera_file, tmp_path, look_at):
+def test_script_relights_and_saves(relight, make_model, write, camera_file, tmp_path, look_at):
     model = make_model(count=30)
     out = tmp_path / "out"
     done = relight(
@@ -299,7 +314,7 @@ def test_script_relights_and_saves(scene, make_model, write, camera_file, tmp_pa
     assert bpy.context.scene.camera is not None
 
 
-def test_script_sets_other_lights(make_model, write, camera_file, tmp_path, look_at):
+def test_script_sets_other_lights(relight, make_model, write, camera_file, tmp_path, look_at):
     model = make_model(count=30, lights=("ambient", "pendant", "bed/side"))
     common = (write(model), "--camera", f"{camera_file}:0", "--out", tmp_path / "out", "--resolution", SIZE)
     done = relight(*common, "--levels", 0.5, "--light", "pendant=3", "--light", "bed/side=0")
@@ -331,7 +346,9 @@ def test_script_sets_other_lights(make_model, write, camera_file, tmp_path, look
         ("out", "cannot"),
     ],
 )
-def test_script_ends_with_one_clear_message(make_model, write, camera_file, tmp_path, spoil, message):
+def test_script_ends_with_one_clear_message(
+    relight, make_model, write, camera_file, tmp_path, spoil, message
+):
     path, index, out = write(make_model()), 0, tmp_path / "out"
     if spoil == "model":
         path.write_bytes(path.read_bytes()[:-1])
