@@ -92,6 +92,10 @@ def test_the_version_is_pyprojects_everywhere():
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     newest = changelog.partition("\n## ")[2].partition("\n## ")[0]
     assert version in newest
+    pages = "".join(
+        path.read_text(encoding="utf-8") for path in (ROOT / "README.md", ROOT / "docs" / "guide.md")
+    )
+    assert set(re.findall(r"physhdr-(\d+\.\d+\.\d+)", pages)) <= {version}  # the zip to be installed
     assert manifest["license"] == [f"SPDX:{PROJECT['project']['license']}"]
 
 
