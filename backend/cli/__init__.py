@@ -103,6 +103,10 @@ def _command(argv: list[str]) -> Any:
 
     if argv[:1] == ["serve"]:  # parsed without the others, which import torch: it must answer at once
         return tyro.cli(Serve, prog="physhdr serve", args=argv[1:])
+    from .synthesise import Synthesise, parsed
+
+    if argv[:1] == ["synthesise"]:  # what comes after its two dashes is another program's
+        return parsed(argv[1:])
     from .benchmark import Benchmark
     from .check import Check
     from .evaluate import Evaluate
@@ -124,6 +128,7 @@ def _command(argv: list[str]) -> Any:
         | Annotated[Video, tyro.conf.subcommand("video")]
         | Annotated[Benchmark, tyro.conf.subcommand("benchmark")]
         | Annotated[Prepare, tyro.conf.subcommand("prepare")]
+        | Annotated[Synthesise, tyro.conf.subcommand("synthesise")]
         | Annotated[Inspect, tyro.conf.subcommand("inspect")]
         | Annotated[Warmup, tyro.conf.subcommand("warmup")]
         | Annotated[Serve, tyro.conf.subcommand("serve")]
