@@ -7,9 +7,10 @@ import math
 import numpy as np
 import pytest
 import torch
+from scipy.ndimage import gaussian_filter
 
 from physhdr.backend.methods.base import Facts
-from physhdr.backend.methods.losses import LossConfig, consistency_loss, reconstruction_loss
+from physhdr.backend.methods.losses import LossConfig, consistency_loss
 from physhdr.backend.methods.physhdr import PhysHDR
 from physhdr.backend.methods.physhdr_common import PhysHDRConfig, PhysHDRMethod
 from physhdr.backend.methods.registry import METHODS, new_method
@@ -113,21 +114,36 @@ def test_untrained_branches_of_the_paper_agree(camera):
     assert method.losses(rendering, torch.rand(3, 20, 24))["cons"] < 1e-5
 
 
-def test_losses_are_weighted_sums_of_their_definitions(camera):
-    method = make("paper")
-    rendering = render(method, camera, 2.0)
-    picture = torch.rand(3, 20, 24)
-    terms = method.losses(rendering, picture)
-    config = method.config.loss
-    # L_rec: γ = 0.2 times MSE; SSIM is checked where it is implemented.
-    image = rendering.supervised[0]
-    without_ssim = dataclasses.replace(config, dssim_weight=0.0)
-    mse = np.mean((image.detach().numpy() - picture.numpy()) ** 2)
-    assert math.isclose(reconstruction_loss(image, picture, without_ssim).item(), 0.2 * mse, rel_tol=1e-5)
-    each = [reconstruction_loss(i, picture, config) for i in rendering.supervised]
-    assert torch.allclose(terms["rec"], torch.stack(each).sum())
-    assert torch.allclose(terms["cons"], 0.5 * consistency_loss(rendering.exposed, rendering.relit, config))
-    assert torch.allclose(terms["unit"], 0.5 * method.tone_mapper.unit_exposure_error())
+def test_losses_are_the_equations_with_the_presets_weights(camera):
+    """Eq. 15, 16 and 19 in float64 by NumPy and SciPy, with the numbers that the paper gives."""
+    method, exposure = make("paper"), 2.0
+    picture = torch.rand(3, 20, 24, generator=torch.Generator().manual_seed(3))
+    with torch.no_grad():
+        rendering = render(method, camera, exposure)
+        terms = {name: float(term) for name, term in method.losses(rendering, picture).items()}
+    target = picture.double().numpy()
+
+    def window(image, sigma, mode):
+        across = {"sigma": sigma, "truncate": 5.0 / sigma, "axes": (1, 2), "mode": mode}
+        return gaussian_filter(image, **across)
+
+    def ssim(x, y):  # 11 × 11, σ = 1.5, zeros around the picture, as 3DGS has it
+        blurred = [window(each, 1.5, "constant") for each in (x, y, x * x, y * y, x * y)]
+        mx, my, xx, yy, xy = blurred
+        above = (2 * mx * my + 0.01**2) * (2 * (xy - mx * my) + 0.03**2)
+        return (above / ((mx**2 + my**2 + 0.01**2) * (xx - mx**2 + yy - my**2 + 0.03**2))).mean()
+
+    shown = [image.double().numpy() for image in rendering.supervised]
+    rec = sum(0.2 * np.mean((x - target) ** 2) + 1.0 - ssim(x, target) for x in shown)
+    assert terms["rec"] == pytest.approx(rec, rel=1e-4)
+    radiances = (rendering.exposed.double().numpy(), rendering.relit.double().numpy())
+    exposed, relit = (window(each, 3.0, "mirror") for each in radiances)
+    assert terms["cons"] == pytest.approx(0.5 * np.abs(exposed - relit).mean(), rel=1e-4)
+    m = {name: p.detach().double().numpy() for name, p in method.tone_mapper.named_parameters()}
+    hidden = np.log1p(np.exp(m["w1"] * math.log(ANCHOR[0]) + m["b1"]))  # softplus
+    at_anchor = 1.0 / (1.0 + np.exp(-((m["w2"] * hidden).sum(axis=1) + m["b2"])))
+    assert terms["unit"] == pytest.approx(0.5 * np.mean((at_anchor - ANCHOR[1]) ** 2), rel=1e-4)
+    assert terms.keys() == {"rec", "cons", "unit"} and min(terms.values()) > 1e-3
 
 
 def test_consistency_is_blurred_and_blind_to_fine_detail():

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Every method keeps to what its settings declare of it."""
+
+import dataclasses
+
+import pytest
+
+from physhdr.backend.methods.base import Facts, MethodConfig
+from physhdr.backend.methods.registry import METHODS, config_named, name_of, new_method
+from physhdr.backend.scene import read_scene
+from physhdr.backend.train.presets import PRESETS
+from physhdr.backend.train.trainer import Trainer
+from physhdr.bridge.errors import BadValueError
+
+#: Presets with small networks, one of each method, and both forms of PhysHDR-GS.
+SMALL = ("default", "baseline", "paper", "default-scaffold", "gausshdr", "hdr-gs", "hdr-nerf-small")
+
+
+def test_a_name_leads_to_the_settings_and_back():
+    for name, row in METHODS.items():
+        assert config_named(name) is row.config and issubclass(row.config, MethodConfig)
+        assert name_of(row.config()) == name
+    assert {name_of(config.method) for config in PRESETS.values()} == METHODS.keys()
+    with pytest.raises(BadValueError, match=r"no method 'nerf'[\s\S]*hdr-nerf"):
+        config_named("nerf")
+
+
+@pytest.mark.parametrize("preset", SMALL)
+def test_what_is_declared_is_so(preset, tiny_data):
+    config = PRESETS[preset]
+    traits = config.method.traits
+    method = new_method(config.method, config.anchors, Facts())
+    assert (method.splatting is not None) == traits.splats
+    if traits.splats:
+        assert method.splatting is method
+        wanted = config.method.attributes(("ambient",))
+        assert method.has_light_share == (wanted.lights > 0)
+    else:
+        assert method.size == 0
+    # Who follows the view's light learns from lit views at their own levels; who does not never sees one.
+    scene = read_scene(tiny_data)
+    supervision = "bracket" if traits.brackets_at_once else "one"
+    trainer = Trainer(scene, dataclasses.replace(config, iterations=9, supervision=supervision))
+    batches = [trainer.batch(i) for i in range(len(trainer.views))]
+    levels = {batch.levels for batch in batches}
+    assert levels == ({(1.0,), (0.25,), (4.0,)} if traits.light == "view" else {(1.0,)})
+    assert {len(batch.exposures) for batch in batches} == ({3} if supervision == "bracket" else {1})
+    assert trainer.step().keys()
+    if traits.light == "view":
+        assert method.can_relight
+
+
+def test_half_sizes_and_first_colours_are_declared_where_they_differ(tmp_path):
+    published = PRESETS["hdr-gs"].method
+    supervised = dataclasses.replace(published, hdr_supervision=True, hdr_truth=str(tmp_path))
+    assert published.traits.half_sizes and not supervised.traits.half_sizes
+    assert published.traits.initial_radiance == "points"
+    assert PRESETS["hdr-gs-short"].method.traits.initial_radiance == "merged"

@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A configuration that cannot be trained is refused when it is made: no data are opened for it."""
+
+import re
+
+import pytest
+
+from physhdr.backend.cli import main
+
+#: Options → what is said of them, with the remedy.
+REFUSED = {
+    "--preset paper --supervision bracket": r"bracket[\s\S]*--supervision one",
+    "--preset gausshdr-short --supervision bracket": r"bracket[\s\S]*--supervision one",
+    "--preset hdr-gs-short --method.hdr-supervision --method.hdr-truth T": r"half their size[\s\S]*-until 0",
+    "--preset default --method.composer learned": r"learned composer[\s\S]*--method.modulator learned",
+    "--preset default --method.branches image-exposure": r"no lighting level[\s\S]*--method.lighting-level",
+    "--preset default --method.sh-degree 4": "SH degree",
+    "--preset default --optimiser.tone-mapper -1": "learning rate",
+    "--preset default --densify.reset-opacity 1": "--densify.reset-opacity",
+    "--preset default-scaffold --anchors.rates.colour-final -1": "learning rate",
+    "--preset paper --method.loss.blur-size 4": "odd",
+    "--preset hdr-nerf-small --method.coarse-samples 2": r"coarse samples[\s\S]*3 or more",
+    "--preset hdr-nerf-small --method.learning-rate -1": "learning rate",
+}
+
+
+@pytest.mark.parametrize("options", REFUSED)
+def test_it_is_refused_before_the_data_are_opened(options, tmp_path, capsys, monkeypatch):
+    def opened(*_):
+        raise AssertionError("the data were opened")
+
+    monkeypatch.setattr("physhdr.backend.runs.begin.read_scene", opened)
+    out = tmp_path / "run"
+    assert main(["train", str(tmp_path), "--out", str(out), *options.split()]) == 1
+    said = capsys.readouterr().err
+    assert re.search(REFUSED[options], said), said
+    assert not out.exists()
