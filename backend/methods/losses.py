@@ -23,7 +23,7 @@ class LossConfig:
     dssim_weight: float = 0.3
     #: λ2, the weight of L_cons (needs both branches).
     consistency_weight: float = 0.0
-    #: Compare radiance, or ln(1 + radiance): the linear form drags the absolute scale (docs/method.md).
+    #: Compare radiance, or ln(1 + radiance): the linear form drags the absolute scale (docs/notebook.md).
     consistency_domain: Literal["linear", "log"] = "log"
     #: The blur 𝒢 of L_cons: width in pixels (odd) and σ.
     blur_size: int = 11

@@ -32,7 +32,7 @@ class Attributes:
 
 @dataclass(frozen=True, kw_only=True)
 class Start:
-    """How a backbone begins; docs/method.md says what was measured.
+    """How a backbone begins; docs/notebook.md says what was measured.
 
     ``opacity`` in (0, 1); ``scale_factor``: standard deviation over the distance to the neighbours;
     ``ambient_share``: of a single light (of several each starts with 1 / (lights + 1)).

@@ -21,7 +21,7 @@ class OptimiserConfig:
     """Learning rates; ``means`` are multiplied by the scene's extent (3DGS).
 
     Defaults: preset ``default``, which trains a tenth of 3DGS's iterations and therefore moves faster
-    (measured: docs/method.md). ``STOCK_3DGS`` are 3DGS's own.
+    (measured: docs/notebook.md). ``STOCK_3DGS`` are 3DGS's own.
     """
 
     means: float = 1.6e-4

@@ -25,7 +25,7 @@ from .densify import DensifyConfig
 from .optimisers import STOCK_3DGS, OptimiserConfig
 
 #: For a tenth of the iterations and less, on a CPU, where every anchor costs an evaluation of the networks:
-#: fewer anchors, and rates three times as large (docs/method.md has what was measured).
+#: fewer anchors, and rates three times as large (docs/notebook.md has what was measured).
 SHORT_TRAINING = AnchorsConfig(
     placement=32,
     rates=AnchorRates(
@@ -162,7 +162,7 @@ def on_anchors(config: TrainConfig, anchors: AnchorsConfig) -> TrainConfig:
 def default_scaffold(iterations: int = 2500) -> TrainConfig:
     """``default`` on anchors, whose iterations are dear: fewer Gaussians each, longer at half size.
 
-    At equal iterations as good as Scaffold-GS's ten Gaussians an anchor, and cheaper (docs/method.md).
+    At equal iterations as good as Scaffold-GS's ten Gaussians an anchor, and cheaper (docs/notebook.md).
     """
     config = TrainConfig(iterations=iterations, half_size_until=0.3)
     return on_anchors(config, dataclasses.replace(SHORT_TRAINING, offsets=5))
