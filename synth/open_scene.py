@@ -14,6 +14,7 @@ from typing import Any
 import bpy
 from mathutils import Vector
 
+from ..bridge.lights import AMBIENT
 from . import plan, rig, user_camera, user_light
 from .blender import camera_of, cycles, evaluated
 from .errors import SceneError, SceneFileError
@@ -21,7 +22,7 @@ from .fingerprint import fingerprint
 from .options import CURRENT, Options
 from .progress import Report, quiet
 from .rays import Rays
-from .stage import AMBIENT, CameraHints, Stage
+from .stage import CameraHints, Stage
 
 _OURS = ("objects", "cameras", "worlds", "lights", "node_groups")
 _SIMULATIONS = {"CLOTH", "SOFT_BODY", "FLUID", "DYNAMIC_PAINT", "PARTICLE_SYSTEM"}

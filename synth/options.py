@@ -6,12 +6,12 @@ from dataclasses import asdict, dataclass, field
 from itertools import pairwise
 from typing import Any
 
+from ..bridge.lights import AMBIENT
 from .built_in import SCENES
 from .camera_model import CameraModel
 from .device import DEVICES
 from .errors import OptionError, UnknownNameError
 from .rig import PATH, RIGS
-from .stage import AMBIENT
 
 #: Of a user's scene; a built-in one brings its own.
 USERS_EVS = (-3.0, -1.0, 1.0, 3.0, 5.0)

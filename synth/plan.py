@@ -10,10 +10,11 @@ import numpy as np
 
 from ..bridge import data_set
 from ..bridge.data_set import LIT, TEST, TRAIN
+from ..bridge.lights import AMBIENT
 from . import rig
 from .errors import UnknownNameError
 from .options import Options
-from .stage import AMBIENT, RigPoses
+from .stage import RigPoses
 
 #: Exponents on the outermost trained levels: the default mixtures lie between and beyond those trained.
 BETWEEN, BEYOND = 0.5, 1.5

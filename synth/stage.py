@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a scene hands to the renderer: its lights in groups, and where cameras may stand."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -9,8 +8,6 @@ import bpy
 import numpy as np
 
 WORLD_UP = (0.0, 0.0, 1.0)
-#: The group of sky, sun and fill: what the data set's plain ``lighting_level`` turns.
-AMBIENT = "ambient"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,12 +50,6 @@ class LightKnob:
     attribute: str
     base: float
 
-    def set(self, level: float) -> None:
-        """Set to ``level`` × base; untouched where it is so already, for Cycles then keeps its scene."""
-        value = self.base * level
-        if abs(getattr(self.owner, self.attribute) - value) > 1e-6 * abs(value):
-            setattr(self.owner, self.attribute, value)
-
 
 @dataclass(frozen=True, kw_only=True)
 class Stage:
@@ -70,8 +61,8 @@ class Stage:
 
     scene: bpy.types.Scene
     cameras: CameraHints
-    #: Light → the numbers that turn it, ``AMBIENT`` (sky, sun, fill) first; none in a user's scene, where
-    #: nothing is turned: there the passes alone tell the lights apart.
+    #: Light → the numbers that turn it, ``bridge.lights.AMBIENT`` (sky, sun, fill) first; none in a user's
+    #: scene, where nothing is turned: there the passes alone tell the lights apart.
     lights: dict[str, list[LightKnob]] = field(default_factory=dict)
     #: Light → its light group of Cycles, where that has another name; ``""`` is what remains of the picture
     #: without all others.
@@ -88,9 +79,3 @@ class Stage:
     @property
     def view_layer(self) -> bpy.types.ViewLayer:
         return self.layer or self.scene.view_layers[0]
-
-    def set_levels(self, levels: Mapping[str, float]) -> None:
-        """Multiply each named group by its level, and every other by 1."""
-        for group, knobs in self.lights.items():
-            for knob in knobs:
-                knob.set(levels.get(group, 1.0))

@@ -14,9 +14,9 @@ from typing import Any
 
 import bpy
 
+from ..bridge.lights import AMBIENT
 from .blender import cycles, instanced, light_of
 from .passes import RESERVED
-from .stage import AMBIENT
 
 STRENGTHS = ("Strength", "Emission Strength")
 OURS = "physhdr ambient"

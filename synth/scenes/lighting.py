@@ -7,8 +7,9 @@ from typing import Any
 import bpy
 from mathutils import Vector
 
+from ...bridge.lights import AMBIENT
 from ..blender import Point, light_of
-from ..stage import AMBIENT, LightKnob
+from ..stage import LightKnob
 from .materials import emission
 from .props import ball
 from .shading import Colour, Graph, Socket, unsampled

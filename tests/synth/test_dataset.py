@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The folder is what docs/formats.md says, resumes, and is never half written."""
 
-from __future__ import annotations
-
 import hashlib
 import importlib.util
 import json

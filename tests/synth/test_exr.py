@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Our EXR files: Blender reads what we write, we read what Blender writes, and half a file is none."""
 
-from __future__ import annotations
-
 import json
 import os
 import resource
