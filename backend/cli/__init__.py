@@ -9,6 +9,7 @@ from typing import Annotated, Any
 from ...bridge.errors import PhysHDRError
 from ...bridge.regular import require_text
 from ..memory import address_limit, gigabytes, is_out_of_memory, refuse_too_few_addresses
+from ..project import version
 
 __all__ = ["main"]
 
@@ -24,6 +25,9 @@ def main(argv: list[str] | None = None) -> int:
             from .check import main as check  # before any import that could fail: finding out is its task
 
             return check(argv[1:])
+        if argv == ["--version"]:
+            sys.stdout.write(f"physhdr {version()}\n")
+            return 0
         return _command(argv).run()
     except KeyboardInterrupt:
         sys.stderr.write("interrupted\n")

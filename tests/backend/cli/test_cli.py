@@ -3,6 +3,7 @@
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -269,3 +270,8 @@ def test_render_and_export_refuse_bad_values(tiny_data, tmp_path, capsys):
         message = fails(capsys, *render, tmp_path / "x.png", "--device", "cuda")
         assert "cannot compute on CUDA" in message
     assert not list(tmp_path.glob("x.*"))
+
+
+def test_the_version_is_said(capsys):
+    assert main(["--version"]) == 0
+    assert re.fullmatch(r"physhdr \d+\.\d+\.\d+\n", capsys.readouterr().out)

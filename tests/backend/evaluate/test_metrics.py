@@ -2,6 +2,7 @@
 """Metrics against other programs and closed forms."""
 
 import math
+import os
 from pathlib import Path
 
 import numpy as np
@@ -26,10 +27,11 @@ from physhdr.backend.evaluate.metrics import (
 from physhdr.backend.scene.pictures import read_png
 from physhdr.bridge.errors import BadValueError, DataMismatchError, FileDamagedError, FileMissingError
 
-LPIPS_FOLDER = Path(__file__).resolve().parents[4] / "shared" / "lpips"
+#: A folder with LPIPS' weights and the pictures that its authors publish distances of (docs/formats.md).
+LPIPS_FOLDER = Path(os.environ.get("PHYSHDR_LPIPS_FOLDER", "lpips"))
 LPIPS_WEIGHTS = LPIPS_FOLDER / "lpips_alex_v0.1_float32.npz"
 needs_weights = pytest.mark.skipif(
-    not LPIPS_WEIGHTS.is_file(), reason=f"the LPIPS weights are not at {LPIPS_WEIGHTS}"
+    not LPIPS_WEIGHTS.is_file(), reason="PHYSHDR_LPIPS_FOLDER names no folder with the LPIPS weights"
 )
 
 
