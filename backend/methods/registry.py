@@ -17,7 +17,7 @@ from .physhdr_common import PhysHDRConfig
 from .physhdr_paper import PaperPhysHDR
 
 
-class Row(NamedTuple):
+class Registered(NamedTuple):
     """A method: its settings, and what makes it of them.
 
     ``make`` is called with the settings, a backbone without primitives where the method draws splats, and
@@ -34,10 +34,10 @@ def _physhdr(config: PhysHDRConfig, backbone: Backbone, facts: Facts) -> Method:
 
 #: By the names that stand in files.
 METHODS = {
-    "physhdr": Row(PhysHDRConfig, _physhdr),
-    "gausshdr": Row(GaussHDRConfig, GaussHDR),
-    "hdr-gs": Row(HDRGSConfig, HDRGS),
-    "hdr-nerf": Row(HDRNeRFConfig, HDRNeRF),
+    "physhdr": Registered(PhysHDRConfig, _physhdr),
+    "gausshdr": Registered(GaussHDRConfig, GaussHDR),
+    "hdr-gs": Registered(HDRGSConfig, HDRGS),
+    "hdr-nerf": Registered(HDRNeRFConfig, HDRNeRF),
 }
 
 

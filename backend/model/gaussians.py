@@ -13,7 +13,7 @@ from ..scene.camera import Camera
 from ..scene.resident import camera_tensors
 from .backbone import Attributes, Backbone, Splats, Start
 
-#: Bounds of ln radiance: 6e-6 … 8e3. Keeps exp() and its gradient finite (method.md section 9).
+#: Bounds of ln radiance: 6e-6 … 8e3. Keeps exp() and its gradient finite.
 LOG_RADIANCE_RANGE = (-12.0, 9.0)
 
 #: SH of degree 0: a constant function of the direction.

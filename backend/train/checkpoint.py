@@ -35,7 +35,7 @@ CONFIGURATION, DIGEST = "configuration", "digest"
 
 
 @dataclass(frozen=True)
-class Progress:
+class Reached:
     """How far a checkpoint's training was: ``iteration``, and the seconds that it took."""
 
     iteration: int
@@ -153,7 +153,7 @@ def require_configuration(metadata: Mapping[str, str], fingerprint: str, path: P
     return True
 
 
-def progress_of(metadata: Mapping[str, str], iterations: int, path: Path) -> Progress:
+def progress_of(metadata: Mapping[str, str], iterations: int, path: Path) -> Reached:
     """How far the training was, of ``iterations`` in all; raises ``FileDamagedError``."""
     written = metadata.get("iteration", "")
     # int() takes underscores, blanks and other scripts' digits.
@@ -168,7 +168,7 @@ def progress_of(metadata: Mapping[str, str], iterations: int, path: Path) -> Pro
         if not 0.0 <= value < math.inf:
             raise damaged(path, f"its {name} are {metadata[name][:20]!r}")
         seconds.append(value)
-    return Progress(int(written), *seconds)
+    return Reached(int(written), *seconds)
 
 
 def check_tensors(
