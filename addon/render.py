@@ -30,7 +30,8 @@ def prepare_cycles(scene: bpy.types.Scene, samples: int = 1, filter_width: float
     of noise at 1 sample, and it is what the trainer's rasterisers draw. More samples help only with a
     ``filter_width`` (in pixels) near 1, for other objects' edges.
     """
-    _choose_engine(scene, "CYCLES")
+    render: Any = scene.render  # engines register themselves: Blender's types know none but EEVEE
+    render.engine = "CYCLES"
     scene.render.film_transparent = True
     scene.render.use_motion_blur = False
     cycles = settings_of_cycles(scene)
@@ -46,30 +47,6 @@ def prepare_cycles(scene: bpy.types.Scene, samples: int = 1, filter_width: float
     cycles.pixel_filter_type = "BOX"
     cycles.filter_width = filter_width
     cycles.use_light_tree = False
-
-
-def prepare_eevee(scene: bpy.types.Scene, samples: int = 64) -> None:
-    """Set EEVEE so that Gaussians come out as their radiance, as noisy as ``samples`` leave them.
-
-    EEVEE draws transparency by chance (dithered): a picture converges to Cycles' with 1/√samples. Headless
-    (``blender -b``, the bpy wheel) it needs ``gpu.init()`` first.
-    """
-    _choose_engine(scene, "BLENDER_EEVEE")
-    scene.render.film_transparent = True
-    scene.render.use_motion_blur = False
-    scene.render.filter_size = POINT_SAMPLING
-    eevee = scene.eevee
-    assert eevee is not None
-    eevee.taa_render_samples = samples
-    eevee.clamp_surface_direct = eevee.clamp_surface_indirect = 0.0
-    # Gaussians carry their light with them.
-    eevee.use_shadows = False
-    eevee.use_raytracing = False
-
-
-def _choose_engine(scene: bpy.types.Scene, name: str) -> None:
-    render: Any = scene.render  # engines register themselves: the types know none but EEVEE
-    render.engine = name
 
 
 def set_resolution(scene: bpy.types.Scene, width: int, height: int) -> None:

@@ -77,9 +77,16 @@ def look_at() -> Callable[..., np.ndarray]:
     return look_at
 
 
-@pytest.fixture
-def scene():
-    """Blender's scene, empty."""
+@pytest.fixture(scope="session")
+def factory_settings():
+    """Blender as it comes from the factory, preferences and all."""
     bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    return bpy.context.scene
+    return bpy
+
+
+@pytest.fixture
+def scene(factory_settings):
+    """Blender's scene, empty; the preferences stay, which cost most of the time of making a file anew."""
+    factory_settings.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    return factory_settings.context.scene

@@ -212,6 +212,18 @@ if engine == "eevee":
         gpu.init()
     except (RuntimeError, SystemError) as error:
         sys.exit(f"no EEVEE here: {error}")
+
+def prepare_eevee(scene, samples):
+    # Gaussians come out as their radiance, as noisy as the samples leave them: EEVEE dithers transparency.
+    scene.render.engine = "BLENDER_EEVEE"
+    scene.render.film_transparent = True
+    scene.render.use_motion_blur = False
+    scene.render.filter_size = render.POINT_SAMPLING
+    scene.eevee.taa_render_samples = samples
+    scene.eevee.clamp_surface_direct = scene.eevee.clamp_surface_indirect = 0.0
+    scene.eevee.use_shadows = scene.eevee.use_raytracing = False  # Gaussians carry their light with them
+
+
 bpy.ops.wm.read_factory_settings(use_empty=True)
 scene = bpy.context.scene
 target = model_import.import_model(model)
@@ -225,7 +237,7 @@ pose = np.eye(4)
 pose[2, 3] = 3.0
 render.add_camera(scene, pose, 0.5)
 render.set_resolution(scene, width, width)
-render.prepare_cycles(scene) if engine == "cycles" else render.prepare_eevee(scene, 16)
+render.prepare_cycles(scene) if engine == "cycles" else prepare_eevee(scene, 16)
 for frame in (1, 6, 11):
     scene.frame_set(frame)
     render.render_exr(scene, out / "picture.exr")
