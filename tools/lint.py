@@ -41,10 +41,10 @@ def checks(whole: bool) -> dict[str, list[str]]:
     programs = Path(sys.executable).parent
     ruff, pyright = str(programs / "ruff"), str(programs / "pyright")
     found = {"ruff check": [ruff, "check", "."], "ruff format": [ruff, "format", "--check", "."]}
-    found["pyright"] = [pyright, "--pythonplatform", "Linux"]
+    found["pyright"] = [pyright, "--level", "error", "--pythonplatform", "Linux"]
     files = [] if whole else files_that_differ(ROOT)
     for system in OTHER_SYSTEMS:
-        found[f"pyright, {system}"] = [pyright, "--pythonplatform", system, *files]
+        found[f"pyright, {system}"] = [pyright, "--level", "error", "--pythonplatform", system, *files]
     return found
 
 

@@ -11,6 +11,7 @@ import json
 
 import numpy as np
 
+from ...bridge.gaussian_ply import EXTRA_PREFIX
 from ...bridge.lights import AMBIENT
 from ...bridge.model_file import ADDITIVE_LIGHTS, Model
 from ...bridge.ply_model import (
@@ -34,7 +35,7 @@ def parameter_columns(gaussians: Gaussians, lights: tuple[str, ...] = (AMBIENT,)
     columns = {}
     for name, tensor in gaussians.parameters.items():
         flat = tensor.detach().reshape(len(gaussians), -1).numpy()
-        prefix = f"phys_{name}"
+        prefix = f"{EXTRA_PREFIX}{name}"
         if prefix == LIGHT_LOGITS and lights == (AMBIENT,):
             prefix = AMBIENT_LOGITS
         for index in range(flat.shape[1]):
