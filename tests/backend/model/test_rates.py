@@ -1,0 +1,22 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How learning rates go, from their closed forms."""
+
+import math
+
+import pytest
+
+from physhdr.backend.model.rates import Rate
+from physhdr.bridge.errors import BadValueError
+
+
+def test_each_course_is_its_closed_form():
+    falling = Rate(start=1e-2, final=1e-4, shape="exponential", of_extent=True)
+    assert falling.at(0.5, extent=3.0) == pytest.approx(3.0 * math.sqrt(1e-2 * 1e-4))
+    assert Rate(start=2.0, shape="cosine").at(1 / 3, 1.0) == pytest.approx(1.0 + math.cos(math.pi / 3))
+    assert Rate(start=0.3).times(2.0).at(0.9, 7.0) == pytest.approx(0.6)
+
+
+def test_a_rate_of_0_stays_and_one_below_is_refused():
+    assert Rate(start=0.0, final=1e-6, shape="exponential").at(0.5, 1.0) == 0.0
+    with pytest.raises(BadValueError, match="0 or more"):
+        Rate(start=1e-3, final=-1e-6, shape="exponential")
