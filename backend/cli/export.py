@@ -67,7 +67,7 @@ class Export:
         if not isinstance(run.splatting.backbone, Gaussians):
             console.print("no lossless.ply: its columns are Gaussians', and this run has anchors")
             return 0
-        comments.append("phys_ columns and phys_network lines hold the model itself, scene-linear: keep these comments")
+        comments.append("phys_ columns and phys_network lines hold the model, scene-linear; keep these")
         write_lossless_ply(
             out / LOSSLESS_FILE,
             standard_columns(**standard),
