@@ -9,12 +9,13 @@ import pytest
 from physhdr.backend.cli import main
 
 #: PSNR in dB of `default` on the demo's test views, HDR and relit by μ-law: mean and standard deviation over
-#: seeds 0 to 4. Made with commit 18398ff on two cores of a Xeon with AVX-512.
+#: eight trainings, seeds 0 to 4 on two threads and 0 to 2 on one, which round differently. Made with commit
+#: 18398ff on two cores of a Xeon with AVX-512.
 FIGURES = {
-    "LDR-OE": (36.337, 0.029),
-    "LDR-NE": (35.207, 0.026),
-    "HDR": (39.381, 0.031),
-    "relit": (38.853, 0.027),
+    "LDR-OE": (36.342, 0.047),
+    "LDR-NE": (35.212, 0.035),
+    "HDR": (39.389, 0.06),
+    "relit": (38.862, 0.068),
 }
 #: How many of these deviations below the mean one run may end.
 DEVIATIONS = 3
