@@ -3,7 +3,6 @@
 
 import ast
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -16,12 +15,16 @@ LIMITS = [name for name in vars(splatting) if name.isupper()]
 CURVE = (srgb.SLOPE, srgb.CODE_KNEE, srgb.LINEAR_KNEE, srgb.SCALE)
 
 
-def nodes_in_the_house() -> Iterator[tuple[str, ast.AST]]:
-    """Every piece of every module of the rooms, with the module's path."""
-    for room in ROOMS:
-        for path in sorted((ROOT / room).rglob("*.py")):
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                yield path.relative_to(ROOT).as_posix(), node
+@pytest.fixture(scope="module")
+def nodes() -> list[tuple[str, ast.AST]]:
+    """Every name and constant in every module of the rooms, with the module's path."""
+    return [
+        (path.relative_to(ROOT).as_posix(), node)
+        for room in ROOMS
+        for path in sorted((ROOT / room).rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Name | ast.Constant)
+    ]
 
 
 def numbers_of(node: ast.AST) -> list[float]:
@@ -33,15 +36,15 @@ def numbers_of(node: ast.AST) -> list[float]:
 
 
 @pytest.mark.parametrize("name", LIMITS)
-def test_a_splats_limit_is_given_its_value_in_one_place(name: str) -> None:
+def test_a_splats_limit_is_given_its_value_in_one_place(nodes, name: str) -> None:
     places = {
         path
-        for path, node in nodes_in_the_house()
+        for path, node in nodes
         if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store) and node.id == name
     }
     assert places == {"bridge/splatting.py"}
 
 
 @pytest.mark.parametrize("number", CURVE)
-def test_a_number_of_the_srgb_curve_stands_in_one_place(number: float) -> None:
-    assert {p for p, node in nodes_in_the_house() if number in numbers_of(node)} == {"bridge/srgb.py"}
+def test_a_number_of_the_srgb_curve_stands_in_one_place(nodes, number: float) -> None:
+    assert {p for p, node in nodes if number in numbers_of(node)} == {"bridge/srgb.py"}
