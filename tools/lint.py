@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """ruff, its formatting, and pyright over all rooms: as on Linux, then as on Windows and on macOS.
 
-    .venvs/backend/bin/python tools/lint.py            what `make lint` and `make test` run
+    .venvs/backend/bin/python tools/lint.py            what `make lint` and `make test-long` run
+    .venvs/backend/bin/python tools/lint.py --quick    as on Linux alone: what `make test` runs
     .venvs/backend/bin/python tools/lint.py --whole    every file for every system, not only where they differ
 
 Two programs run at a time. For Windows and macOS only those files are looked at that import something which
@@ -36,12 +37,14 @@ def files_that_differ(root: Path) -> list[str]:
     return [str(path.relative_to(root)) for path in files if DIFFERS.search(path.read_text(encoding="utf-8"))]
 
 
-def checks(whole: bool) -> dict[str, list[str]]:
+def checks(*, quick: bool = False, whole: bool = False) -> dict[str, list[str]]:
     """Name → command, the longest first among those that take long."""
     programs = Path(sys.executable).parent
     ruff, pyright = str(programs / "ruff"), str(programs / "pyright")
     found = {"ruff check": [ruff, "check", "."], "ruff format": [ruff, "format", "--check", "."]}
     found["pyright"] = [pyright, "--level", "error", "--pythonplatform", "Linux"]
+    if quick:
+        return found
     files = [] if whole else files_that_differ(ROOT)
     for system in OTHER_SYSTEMS:
         found[f"pyright, {system}"] = [pyright, "--level", "error", "--pythonplatform", system, *files]
@@ -60,8 +63,10 @@ def run(name: str, command: list[str]) -> bool:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--quick", action="store_true", help="as on Linux alone")
     parser.add_argument("--whole", action="store_true", help="every file for every system")
-    wanted = checks(parser.parse_args().whole)
+    given = parser.parse_args()
+    wanted = checks(quick=given.quick, whole=given.whole)
     with ThreadPoolExecutor(max_workers=2) as pool:
         passed = list(pool.map(run, wanted.keys(), wanted.values()))
     return 0 if all(passed) else 1

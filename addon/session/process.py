@@ -67,7 +67,7 @@ def interrupt(pid: int) -> None:
 def kill(pid: int) -> None:
     """End a program that ``spawn`` started, and its children, at once."""
     with suppress(OSError):
-        if WINDOWS:
+        if sys.platform == "win32":  # written out, for pyright to see
             subprocess.run(["taskkill", "/PID", str(pid), "/T", "/F"], capture_output=True, check=False)
         else:
             os.killpg(pid, signal.SIGKILL)

@@ -768,7 +768,7 @@ class TestCommandLine:
             "--progress-json",
             *ARGUMENTS,
             "--resolution",
-            "160",
+            "112",
             "--samples",
             "64",
         ]

@@ -35,16 +35,23 @@ def test_files_that_may_differ_on_another_system_are_found(lint, tmp_path):
 
 @pytest.mark.parametrize("whole", [True, False])
 def test_pyright_looks_as_on_each_system(lint, whole):
-    commands = {name: command for name, command in lint.checks(whole).items() if "pyright" in name}
+    commands = {name: command for name, command in lint.checks(whole=whole).items() if "pyright" in name}
     systems = {command[command.index("--pythonplatform") + 1]: command for command in commands.values()}
     assert systems.keys() == {"Linux", "Windows", "Darwin"}
     assert all((command[-1].endswith(".py")) != whole for name, command in systems.items() if name != "Linux")
     assert systems["Linux"][-1] == "Linux"  # every file that pyproject.toml includes
 
 
+def test_the_quick_ones_are_those_of_one_system(lint):
+    assert lint.checks(quick=True).items() < lint.checks().items()
+    assert not any(
+        "Windows" in command or "Darwin" in command for command in lint.checks(quick=True).values()
+    )
+
+
 @pytest.mark.parametrize("failing", ["first", "second", None])
 def test_one_failure_fails_it_and_all_are_told(lint, monkeypatch, capsys, failing):
-    def checks(whole: bool) -> dict[str, list[str]]:
+    def checks(**options: bool) -> dict[str, list[str]]:
         return {
             name: [sys.executable, "-c", f"print('it is {name}'); raise SystemExit({int(name == failing)})"]
             for name in ("first", "second")
