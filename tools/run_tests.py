@@ -3,7 +3,7 @@
 """Run every room's tests with the interpreter that it needs, and print how long each took.
 
     python tools/run_tests.py           what `make test` runs: all but the tests that are marked `long`
-    python tools/run_tests.py --long    those that are marked `long` (several trainings, statistics, Ray), all of lint
+    python tools/run_tests.py --long    those tests (several trainings, statistics, Ray), and all of lint
 
 Other arguments are passed on to pytest. Two lanes run side by side, in each one suite after the other. What a
 suite says is printed when it is done, but for the first lane's, which comes as it is said.
@@ -32,9 +32,11 @@ ENVIRONMENT = {"OMP_NUM_THREADS": "1", **os.environ}
 
 #: Name of a suite → its command. Each lane keeps about one core busy, and both take about as long.
 LANES: tuple[dict[str, tuple], ...] = (
-    {"backend": (*PYTEST, *BESIDE, "-m", "not long", "tests/bridge", "tests/backend")},
     {
         "lint": (BACKEND / "python", "tools/lint.py", "--quick"),
+        "backend": (*PYTEST, *BESIDE, "-m", "not long", "tests/bridge", "tests/backend"),
+    },
+    {
         "blender": (*IN_BLENDER, "-m", "not long", "tests/bridge", "tests/synth", "tests/addon"),
         "loop": (*PYTEST, "-m", "not long", "tests/loop", "tests/test_docs.py"),
     },
