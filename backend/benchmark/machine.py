@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """On what and with what a run was computed: CPU seconds mean something on one kind of machine only."""
 
-import importlib.metadata
 import os
 import platform
 import subprocess
@@ -9,6 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import psutil
+
+from ..project import version, version_of
 
 PACKAGE = Path(__file__).resolve().parents[2]
 
@@ -28,29 +29,28 @@ def this_machine() -> dict[str, Any]:
 def _versions() -> dict[str, str]:
     found = {"python": platform.python_version()}
     for name in ("torch", "numba", "numpy"):
-        try:
-            found[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            continue
+        if installed := version_of(name):
+            found[name] = installed
     return found | {"physhdr": _revision()}
 
 
 def _revision() -> str:
-    """The commit, with + where files differ from it; the package's version where there is no repository."""
+    """The commit, with + where files differ from it; the package's version where it is no checkout.
+
+    A repository that the package merely lies in, such as that of an environment's owner, says nothing of it.
+    """
 
     def git(*words: str) -> str:
         command = ["git", "-C", str(PACKAGE), *words]
         return subprocess.run(command, capture_output=True, text=True, check=True, timeout=20).stdout.strip()
 
     try:
+        if Path(git("rev-parse", "--show-toplevel")) != PACKAGE:
+            return version()
         changed = git("status", "--porcelain", "--untracked-files=no", "--", "backend", "bridge")
         return git("rev-parse", "--short=10", "HEAD") + ("+" if changed else "")
     except (OSError, subprocess.SubprocessError):
-        pass
-    try:
-        return importlib.metadata.version("physhdr")
-    except importlib.metadata.PackageNotFoundError:
-        return "unknown"
+        return version()
 
 
 def _processor() -> str:
