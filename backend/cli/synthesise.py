@@ -16,7 +16,7 @@ import tyro
 
 from ...bridge.errors import BadValueError
 from ..jobs.pools import LocalPool, Outcome, Pool, RayPool
-from ..jobs.process import StoppedError, interrupted_by_sigterm, run_to_end
+from ..jobs.process import StoppedError, interrupted_by_sigterm, run_in_front, run_to_end
 from ..runs.terminal import console
 
 SCRIPT = Path(__file__).resolve().parents[2] / "synth" / "make_scene.py"
@@ -49,7 +49,7 @@ class Synthesise:
     options: tyro.conf.Suppress[tuple[str, ...]] = ()
 
     def run(self) -> int:
-        out = _out(self.options)
+        out = _out(self.options).absolute()  # a part on another machine begins in another folder
         for name, value in (("--threads-per-job", self.threads_per_job), ("--parts", self.parts)):
             if value is not None and value < 1:
                 raise BadValueError(f"{name} must be at least 1, got {value}")
@@ -59,7 +59,7 @@ class Synthesise:
             with interrupted_by_sigterm():
                 self._render_parts(pool, command, out / LOGS)
                 # Points, the noise floor, dataset.json; and whatever a part could not render.
-                return subprocess.run(command).returncode
+                return run_in_front(command)
         finally:
             shutil.rmtree(out / LOGS, ignore_errors=True)
             with suppress(OSError):
@@ -70,7 +70,8 @@ class Synthesise:
         with pool:
             count = self.parts or max(1, pool.free())
             waiting, done = list(range(1, count + 1)), 0
-            console.print(f"{count} parts, {min(count, pool.free())} at the same time")
+            parts = "one part" if count == 1 else f"{count} parts, {min(count, pool.free())} at the same time"
+            console.print(parts)
             while done < count:
                 while waiting and pool.free() > 0:
                     number = waiting.pop(0)
@@ -96,7 +97,9 @@ def render(command: tuple[str, ...], folder: Path, log: Path, should_stop: Calla
     if status == 0:
         return Outcome("done")
     lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
-    return Outcome("failed", lines[-1] if lines else f"it ended with status {status}")
+    errors = [line for line in lines if line.startswith("error:")]  # Blender may have more to say after it
+    told = errors or lines
+    return Outcome("failed", told[-1] if told else f"it ended with status {status}")
 
 
 def parsed(argv: list[str]) -> Synthesise:

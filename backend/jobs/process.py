@@ -56,6 +56,19 @@ def run_to_end(
     return process.returncode
 
 
+def run_in_front(command: Sequence[str]) -> int:
+    """Run a command that speaks for itself on this terminal; its exit status.
+
+    Whatever is raised meanwhile, the process and what it started have ended.
+    """
+    process = subprocess.Popen(command)
+    try:
+        return process.wait()
+    finally:
+        if process.poll() is None:
+            _end(process)
+
+
 def _end(process: subprocess.Popen[bytes]) -> None:
     """End a process and what it started: politely, then by force."""
     family: list[psutil.Process] = []

@@ -1,25 +1,31 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Parts that several programs render, and the last step that completes the data set, with a false Blender."""
 
+import pickle
 import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
+import psutil
 import pytest
 
 from physhdr.backend.cli import main
 from physhdr.backend.cli.synthesise import SCRIPT
+from physhdr.backend.jobs.pools import LocalPool, Outcome
 
-#: Notes how it is called. ``--out fails``: its second part fails; ``--out waits``: parts never end.
+#: Notes how it is called. ``--out fails``: its second part fails; ``waits``, ``lasts``: parts, or what comes
+#: after them, never end.
 FALSE_BLENDER = """#!/bin/sh
 if [ "$1" = --version ]; then echo "{version}"; exit; fi
 echo "$@" >> "{calls}"
-case "$*" in
-    *fails*"--part 2/"*) echo "first line"; echo "error: no card"; exit 3 ;;
+case "$*" in *--part*) last="" ;; *) last="_last" ;; esac
+case "$*$last" in
+    *fails*"--part 2/"*) echo "first line"; echo "error: no card"; echo "Blender quit"; exit 3 ;;
     *refused*) echo "error: refused" >&2; exit 1 ;;
-    *waits*) sleep 1000 ;;
+    *waits* | *lasts_last) sleep 1000 ;;
 esac
 """
 
@@ -91,25 +97,53 @@ def test_what_cannot_be_is_one_clear_message(blender, tmp_path, capsys, words, s
     assert not (tmp_path / "data").exists() and not (tmp_path / "calls.txt").exists()
 
 
-def test_a_polite_end_ends_the_parts(blender, tmp_path):
+@pytest.mark.parametrize(("out", "called", "asleep"), [("waits", 2, 2), ("lasts", 3, 1)])
+def test_a_polite_end_ends_the_parts_and_the_last_step(blender, tmp_path, out, called, asleep):
     command = [Path(sys.executable).with_name("physhdr"), "synthesise", "--blender", blender(), "--jobs", "2"]
-    process = subprocess.Popen([*map(str, command), "--", "--out", "waits"], cwd=tmp_path)
+    process = subprocess.Popen([*map(str, command), "--", "--out", out], cwd=tmp_path)
     deadline = time.monotonic() + 60
-    while not ((tmp_path / "calls.txt").exists() and len(calls(tmp_path)) == 2):
+    while len(sleeping := _sleeping(psutil.Process(process.pid).children(recursive=True))) < asleep:
         assert time.monotonic() < deadline and process.poll() is None
         time.sleep(0.1)
-    assert len(_running(tmp_path)) == 2
     process.send_signal(signal.SIGTERM)
     assert process.wait(30) == 130
-    assert not _running(tmp_path) and not (tmp_path / "waits").exists() and len(calls(tmp_path)) == 2
+    assert not _sleeping(sleeping) and not (tmp_path / out).exists() and len(calls(tmp_path)) == called
 
 
-def _running(folder: Path) -> list[str]:
-    """Command lines of false Blenders of this test that are alive."""
-    lines = []
-    for process in Path("/proc").glob("[0-9]*/cmdline"):
-        try:
-            lines.append(process.read_bytes().replace(b"\0", b" ").decode(errors="replace"))
-        except OSError:
-            continue
-    return [line for line in lines if str(folder / "blender") in line and "--part" in line]
+def _sleeping(family: list[psutil.Process]) -> list[psutil.Process]:
+    """What false Blenders have started and is alive."""
+    found = []
+    for each in family:
+        with suppress(psutil.NoSuchProcess):
+            if each.name() == "sleep" and each.status() != psutil.STATUS_ZOMBIE:
+                found.append(each)
+    return found
+
+
+class Elsewhere(LocalPool):
+    """Does each job in a process that begins in another folder, as a machine of a cluster does."""
+
+    def __init__(self, address: str, threads: int) -> None:
+        super().__init__(2)
+        self.folder = Path(address)
+
+    def submit(self, name, work):
+        there = "import pickle, sys; print(pickle.load(sys.stdin.buffer)(lambda: False).kind)"
+
+        def done(_):
+            command = [sys.executable, "-c", there]
+            ended = subprocess.run(command, input=pickle.dumps(work), capture_output=True, cwd=self.folder)
+            return Outcome(ended.stdout.decode().strip(), ended.stderr.decode())
+
+        super().submit(name, done)
+
+
+def test_a_relative_folder_is_the_same_on_every_machine(blender, tmp_path, monkeypatch, capsys):
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.setattr("physhdr.backend.cli.synthesise.RayPool", Elsewhere)
+    words = ["--blender", str(blender()), "--ray", str(elsewhere), "--", "--out", "data"]
+    assert main(["synthesise", *words]) == 0
+    told = capsys.readouterr().out
+    assert "part 1 of 2: done" in told and "part 2 of 2: done" in told, told
+    assert not list(elsewhere.iterdir()) and not (tmp_path / "data").exists()
