@@ -8,11 +8,15 @@ from typing import NamedTuple
 
 
 class Preset(NamedTuple):
-    """A row: ``name`` in files and on command lines, ``label`` on a panel, and what it is in one sentence."""
+    """A row: ``name`` in files and on command lines, ``label`` on a panel, and what it is in one sentence.
+
+    ``splats``: it makes Gaussians, which Blender can show.
+    """
 
     name: str
     label: str
     description: str
+    splats: bool = True
 
 
 #: Blender's panel offers these. New ones come last: a .blend keeps the place in this list.
@@ -33,11 +37,18 @@ FOR_COMPARISONS = (
     Preset("gausshdr", "GaussHDR, Published", "GaussHDR on 3DGS for 30,000 iterations"),
     Preset("gausshdr-scaffold", "GaussHDR, Released", "GaussHDR as its released code has it, on anchors"),
     Preset("hdr-gs", "HDR-GS, Published", "HDR-GS for 30,000 iterations, without true HDR pictures"),
-    Preset("hdr-nerf", "HDR-NeRF, Published", "HDR-NeRF for 200,000 iterations, which call for a card"),
+    Preset(
+        "hdr-nerf",
+        "HDR-NeRF, Published",
+        "HDR-NeRF for 200,000 iterations, which call for a card",
+        splats=False,
+    ),
     Preset("paper-short", "Paper, Short", "The paper's method on the default's schedule"),
     Preset("paper-scaffold-short", "Paper on Anchors, Short", "The same on Scaffold-GS's anchors"),
     Preset("gausshdr-scaffold-short", "GaussHDR on Anchors", "The same on the default's schedule"),
-    Preset("hdr-nerf-small", "HDR-NeRF, Small", "HDR-NeRF with smaller networks and fewer samples"),
+    Preset(
+        "hdr-nerf-small", "HDR-NeRF, Small", "HDR-NeRF with smaller networks and fewer samples", splats=False
+    ),
 )
 
 PRESETS = {preset.name: preset for preset in (*IN_PANEL, *FOR_COMPARISONS)}

@@ -17,6 +17,7 @@ from typing import Any
 from ...bridge.errors import PhysHDRError
 from ..jobs.pools import Outcome
 from ..jobs.process import StoppedError, run_to_end
+from ..runs.log import LOG_FILE
 from ..train.config import CONFIG_FILE
 from .runs import (
     FAILED_FILE,
@@ -33,7 +34,6 @@ from .runs import (
 )
 from .search import Measurement, nearest, next_trial, note_on
 
-EVENT_LOG = "log.jsonl"
 USAGE_FILE = "usage.json"
 #: Folders of trainings of which one will be chosen.
 TRIAL = "trial_"
@@ -172,7 +172,7 @@ def _trained(job: Job, should_stop: Callable[[], bool]) -> tuple[Record, Search 
 def _train(job: Job, folder: Path, iterations: int, should_stop: Callable[[], bool]) -> Record:
     words = ["train", job.data, "--out", folder, "--overwrite", *job.train, "--iterations", iterations]
     _physhdr(job, words, should_stop)
-    finished, gaussians = _events(folder / EVENT_LOG)
+    finished, gaussians = _events(folder / LOG_FILE)
     if finished is None or finished["stopped"]:
         raise _FailedError("train", 0, "training ended before its last iteration")
     _require_config(job, folder, iterations)

@@ -20,15 +20,13 @@ from ...bridge import data_set
 from ...bridge.atomic import atomic_path
 from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
 from ..evaluate.comparison import load_evaluation
-from ..train.config import CONFIG_FILE
+from ..train.config import CONFIG_FILE, method_of
 from .plan import CPU_SECONDS, Budget, Method, Plan, SceneFolder
 
 RUN_FILE, FAILED_FILE, SEARCH_FILE = "run.json", "failed.json", "search.json"
 RUN_LOG = "benchmark.log"
 #: Fields of the configuration that the plan sets for each run.
 PER_RUN = ("iterations", "seed", "exposure_mode")
-#: Methods without Gaussians: what their training calls so are the parameters of networks.
-WITHOUT_GAUSSIANS = ("hdr-nerf",)
 #: Renders from which a data set was made: neither training nor evaluation reads them.
 UNREAD = data_set.PASSES_FOLDER
 
@@ -104,8 +102,11 @@ class Failure:
 
 
 def has_gaussians(config: dict[str, Any]) -> bool:
-    """Whether the method of a configuration (as in ``config.json``) is made of Gaussians."""
-    return config.get("method", {}).get("name") not in WITHOUT_GAUSSIANS
+    """Whether the method of a configuration (as in ``config.json``) is made of Gaussians.
+
+    Early records of one that is not hold the number of its networks' parameters.
+    """
+    return method_of(config.get("method", {})).traits.splats
 
 
 State = Literal["done", "evaluate", "failed", "todo"]

@@ -15,7 +15,8 @@ from typing import Literal
 
 from ...bridge.lock import Claims
 from ..jobs.pools import Outcome, Pool
-from .job import EVENT_LOG, PROGRAM, TRIAL, Job, execute
+from ..runs.log import LOG_FILE
+from .job import PROGRAM, TRIAL, Job, execute
 from .plan import CPU_SECONDS
 from .runs import Record, Run, Store, runs_of
 from .search import Measurement
@@ -248,7 +249,7 @@ def _logs(work: Path) -> list[Path]:
         folders = [work, *(path for path in work.iterdir() if path.name.startswith(TRIAL))]
     except OSError:  # it can go between any look and the next: Path.glob does not bear that either
         return []
-    return [log for folder in folders if (log := folder / EVENT_LOG).exists()]
+    return [log for folder in folders if (log := folder / LOG_FILE).exists()]
 
 
 def _changed(path: Path) -> float:

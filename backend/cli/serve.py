@@ -21,10 +21,8 @@ from ..serve.server import Server
 
 log = logging.getLogger(__name__)
 
-#: Presets of HDR-NeRF, which has no splats: nothing that Blender could show.
-WITHOUT_SPLATS = ("hdr-nerf", "hdr-nerf-small")
-#: What clients may ask for, told to them before torch is loaded.
-PRESET_NAMES = tuple(name for name in PRESETS if name not in WITHOUT_SPLATS)
+#: What clients may ask for, which Blender can show; told to them before torch is loaded.
+PRESET_NAMES = tuple(preset.name for preset in PRESETS.values() if preset.splats)
 
 
 @dataclass(frozen=True)

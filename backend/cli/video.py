@@ -15,7 +15,7 @@ from rich.progress import Progress
 from ...bridge.errors import BadValueError
 from ..device import DeviceName
 from ..evaluate.camera_path import orbit_path, spline_path
-from ..evaluate.protocol import Renderer, ldr_bracket
+from ..evaluate.protocol import Renderer
 from ..evaluate.sheets import as_picture
 from ..evaluate.video import frames_writer, require_suffix, video_writer
 from ..rasterize import Implementation
@@ -163,7 +163,7 @@ class Video:
 
     def _light(self, method: Renderer) -> int:
         """The place of the light that is swept."""
-        if not getattr(method, "can_relight", True):
+        if not method.can_relight:
             raise BadValueError(
                 "this method cannot relight: a lighting level would only scale the picture, as exposure does",
                 "Use --sweep exposure, or train a preset with light (default).",
@@ -182,7 +182,7 @@ def pictures(method: Renderer, frames: list[Frame]) -> Iterator[np.ndarray]:
     for _, alike in groupby(frames, key=lambda frame: (id(frame.camera), frame.levels)):
         for some in batched(alike, AT_ONCE):
             first = some[0]
-            for ldr in ldr_bracket(method, first.camera, [frame.exposure for frame in some], first.levels):
+            for ldr in method.ldr_bracket(first.camera, [frame.exposure for frame in some], first.levels):
                 yield as_picture(ldr)
 
 

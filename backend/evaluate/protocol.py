@@ -10,7 +10,7 @@ The PSNR of a picture is at most ``metrics.PSNR_CAP``, 100 dB; a message says wh
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -33,12 +33,20 @@ from .results import NOVEL_EXPOSURES, OBSERVED_EXPOSURES, Evaluation, HdrRow, Ld
 class Renderer(Protocol):
     """What is evaluated: a trained model, whichever the method. ``lights``: those it has levels for.
 
-    Three things more are used of a method that has them: ``ldr_bracket(camera, exposures, lighting_level)``,
-    a list of what ``ldr`` gives at each exposure, where that is cheaper together; ``response_curve()``, see
-    ``response.py``; ``can_relight``, whether a lighting level does more than scale (``cli/video.py``).
+    A subclass must have ``lights``, ``hdr`` and ``ldr``; what else there is may stay as it is here.
     """
 
     lights: tuple[str, ...]
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """What every report must say of it."""
+        return ()
+
+    @property
+    def can_relight(self) -> bool:
+        """Whether a lighting level does more than scale."""
+        return True
 
     def hdr(self, camera: Camera, lighting_level: Levels = 1.0) -> torch.Tensor:
         """``[3, H, W]`` scene-linear radiance at ``lighting_level``: the first light's, or one a light."""
@@ -47,6 +55,16 @@ class Renderer(Protocol):
     def ldr(self, camera: Camera, exposure: float, lighting_level: Levels = 1.0) -> torch.Tensor:
         """``[3, H, W]`` in 0…1: the picture that the camera would take at ``exposure`` seconds."""
         ...
+
+    def ldr_bracket(
+        self, camera: Camera, exposures: Sequence[float], lighting_level: Levels = 1.0
+    ) -> Iterable[torch.Tensor]:
+        """What ``ldr`` gives at each exposure: all at once where that costs less, else one by one."""
+        return (self.ldr(camera, exposure, lighting_level) for exposure in exposures)
+
+    def response_curve(self) -> tuple[torch.Tensor, torch.Tensor] | None:
+        """ln(exposure × radiance) ``[M]`` and LDR ``[M, 3]``; None where one global curve is not known."""
+        return None
 
 
 @torch.no_grad()
@@ -78,7 +96,7 @@ def evaluate(
     started = time.monotonic()
     relit = truth.relit_truth(scene.root)
     unknown = [item for item in relit if not item.can_be_shown(renderer.lights)]
-    messages = [*getattr(renderer, "remarks", ()), *_what_is_left_out(scene, lpips, relit, unknown)]
+    messages = [*renderer.remarks, *_what_is_left_out(scene, lpips, relit, unknown)]
     messages += _what_training_was(training_exposures, iteration, iterations)
     relit = [item for item in relit if item not in unknown]
     camera = scene.test[0].camera
@@ -203,21 +221,9 @@ def _compare(picture: torch.Tensor, reference: torch.Tensor, lpips: Lpips | None
     return Metrics(psnr(picture, reference), ssim(picture, reference), *distances)
 
 
-def ldr_bracket(
-    renderer: Renderer, camera: Camera, exposures: Sequence[float], lighting_level: Levels = 1.0
-) -> Iterator[torch.Tensor]:
-    """What ``renderer.ldr`` gives at each exposure: all at once where the method can, else one by one."""
-    together = getattr(renderer, "ldr_bracket", None)
-    if together is not None:
-        yield from together(camera, list(exposures), lighting_level)
-        return
-    for exposure in exposures:
-        yield renderer.ldr(camera, exposure, lighting_level)
-
-
 def _ldr_rows(renderer: Renderer, view: View, lpips: Lpips | None) -> list[LdrRow]:
     rows = []
-    pictures = ldr_bracket(renderer, view.camera, view.exposures, view.lighting_level)
+    pictures = renderer.ldr_bracket(view.camera, view.exposures, view.lighting_level)
     for k, (exposure, picture) in enumerate(zip(view.exposures, pictures, strict=True)):
         picture = quantise(_require_finite(picture, f"{view.name} at {exposure:g} s"))
         # A copy: the cached picture is read-only, which torch cannot represent.

@@ -46,7 +46,7 @@ def learned_response(method: Any) -> Curve | None:
 
     None where the method has none. Raises ``BadValueError`` for other shapes, NaN, or exposures that fall.
     """
-    given = getattr(method, "response_curve", lambda: None)()
+    given = method.response_curve()
     if given is None:
         return None
     log_exposure, code = (np.asarray(_plain(part), np.float64) for part in given)

@@ -107,7 +107,8 @@ class TrainConfig:
     def _check_traits(self) -> None:
         """Raises ``BadValueError`` for a schedule that the method cannot follow."""
         name, traits = name_of(self.method), self.method.traits
-        if self.supervision == "bracket" and not traits.brackets_at_once:
+        several = self.exposure_mode == "exp3" and len(self.training_exposures) > 1
+        if self.supervision == "bracket" and several and not traits.brackets_at_once:
             raise BadValueError(
                 f"{name}, with these settings, draws a view anew for each exposure: a bracket cannot be "
                 "compared at once",
@@ -208,7 +209,7 @@ def _from_json(hint: Any, value: Any, where: str) -> Any:
     """``value`` as the annotation ``hint`` wants it; raises ``ValueError`` and what dataclasses refuse."""
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
     if hint is MethodConfig:
-        return _method(value, where)
+        return method_of(value, where)
     if origin is Literal:
         if value in arguments:
             return value
@@ -231,8 +232,11 @@ def _from_json(hint: Any, value: Any, where: str) -> Any:
     raise ValueError(f"{where} is {json.dumps(value)[:60]}, which it cannot be")
 
 
-def _method(value: Any, where: str) -> MethodConfig:
-    """The settings of the method that their ``name`` says; before there were others, it was PhysHDR."""
+def method_of(value: Any, where: str = "method") -> MethodConfig:
+    """The settings of a method as ``config.json`` holds them; before they had a ``name``, it was PhysHDR.
+
+    Raises ``ValueError``, and ``BadValueError`` for a method that there is not or that cannot be so.
+    """
     if not isinstance(value, dict):
         raise ValueError(f"{where} is {json.dumps(value)[:60]}, which it cannot be")
     kind = config_named(_from_json(str, value.get("name", "physhdr"), f"{where}.name"))

@@ -14,7 +14,7 @@ import pytest
 import torch
 from rich.console import Console
 
-from physhdr.backend.evaluate.protocol import evaluate, lpips_from
+from physhdr.backend.evaluate.protocol import Renderer, evaluate, lpips_from
 from physhdr.backend.evaluate.report import to_dict, to_markdown, to_terminal, write_report
 from physhdr.backend.evaluate.results import Evaluation, HdrRow, LdrRow, Metrics
 from physhdr.backend.evaluate.sheets import comparison_sheet, labelled_grid
@@ -32,7 +32,7 @@ from physhdr.bridge.lights import Levels, as_levels
 LPIPS_WEIGHTS = Path(os.environ.get("PHYSHDR_LPIPS_FOLDER", "lpips")) / "lpips_alex_v0.1_float32.npz"
 
 
-class Oracle:
+class Oracle(Renderer):
     """Renders the small data set's own radiance, ``scale`` times too bright; ``relights`` or scales.
 
     ``lights``: those that it has levels for, of ambient and lamp. ``rendered``: how many HDR pictures so far.

@@ -8,11 +8,12 @@ import pytest
 import torch
 
 from physhdr.backend.cli.video import Frame, Video, pictures, round_trip, there_and_back
+from physhdr.backend.evaluate.protocol import Renderer
 from physhdr.backend.scene import Camera, read_scene
 from physhdr.bridge.errors import BadValueError
 
 
-class Grey:
+class Grey(Renderer):
     """Shows its exposure as grey: a quarter of it, and how often it was asked for brackets."""
 
     lights = ("ambient", "lamp")

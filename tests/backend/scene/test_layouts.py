@@ -18,7 +18,7 @@ import torch
 from PIL import Image
 
 from physhdr.backend.evaluate import truth
-from physhdr.backend.evaluate.protocol import evaluate
+from physhdr.backend.evaluate.protocol import Renderer, evaluate
 from physhdr.backend.scene import Scene, View, read_scene
 from physhdr.backend.scene.capture.exposures import exposures_from_exif
 from physhdr.backend.scene.capture.photos import find_photos
@@ -254,7 +254,7 @@ def test_exposures_that_were_not_taken_keep_the_others_places(
     assert_points_are_on_their_spots(layouts, scene)
 
 
-class Grey:
+class Grey(Renderer):
     """A model that shows the same grey everywhere, radiance 12."""
 
     lights = ("ambient",)

@@ -12,7 +12,6 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.uri import parse_uri
 
 from physhdr.backend.cli.serve import PRESET_NAMES
-from physhdr.backend.methods.hdr_nerf import HDRNeRFConfig
 from physhdr.backend.train.presets import PRESETS
 from physhdr.bridge.messages import (
     PROTOCOL_VERSION,
@@ -230,8 +229,8 @@ def test_the_welcome_says_what_is_there(backend, enter):
     welcome = enter(backend, "Blender").welcome
     assert welcome.protocol == PROTOCOL_VERSION and welcome.torch == torch.__version__
     assert welcome.log == str(backend.log) and welcome.pid == backend.process.pid
-    # HDR-NeRF has nothing that Blender could show.
-    shown = [name for name, config in PRESETS.items() if not isinstance(config.method, HDRNeRFConfig)]
+    # A method without splats has nothing that Blender could show.
+    shown = [name for name, config in PRESETS.items() if config.method.traits.splats]
     assert welcome.presets == PRESET_NAMES and sorted(PRESET_NAMES) == sorted(shown)
     peer = enter(backend)
     peer.wait_for("idle")

@@ -35,3 +35,10 @@ def test_it_is_refused_before_the_data_are_opened(options, tmp_path, capsys, mon
     said = capsys.readouterr().err
     assert re.search(REFUSED[options], said), said
     assert not out.exists()
+
+
+@pytest.mark.parametrize("seen", ["--exposure-mode exp1", "--training-exposures 2"])
+def test_a_bracket_of_one_exposure_is_one_drawing(seen, tiny_data, tmp_path):
+    """Earlier versions trained it: runs of theirs say so in their configuration."""
+    options = f"--preset gausshdr-short --supervision bracket {seen} --iterations 2"
+    assert main(["train", str(tiny_data), "--out", str(tmp_path / "run"), *options.split()]) == 0
