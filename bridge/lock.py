@@ -3,7 +3,7 @@
 
 The locks are the operating system's, so they go with the process however it ends, and a process that stands
 still keeps its own. The library is filelock: the extension brings it along. Some disks know no locks, and a
-Blender without the extension has no library: nothing is locked then, and who asks is told so.
+Blender may lack the library: nothing is locked then, and who asks is told so.
 """
 
 import os

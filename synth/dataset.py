@@ -55,6 +55,7 @@ def make(out: Path, options: Options, report: Report | None = None) -> dict[str,
             settings.check_denoiser(stage.scene)
         job = _job(out, stage, options, assets, report)
         if job.is_complete():
+            (out / data_set.PARTIAL_FILE).unlink(missing_ok=True)  # of one killed between the two last steps
             told = folder.read_json(out / data_set.INFO_FILE)
             report.say(f"data set {out}: complete already, nothing to do")
             return _summary(out, told, report, began)
@@ -242,7 +243,8 @@ def _finish(
             content["assets"] = job.assets.used
         folder.write_json(job.out / data_set.INFO_FILE, content)
         (job.out / data_set.PARTIAL_FILE).unlink(missing_ok=True)
-        folder.remove_leftovers(job.out)
+        if claims.keep_others_out:  # else another may still write what we have
+            folder.remove_leftovers(job.out)
         return content
     finally:
         claims.release(FINISH)

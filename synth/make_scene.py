@@ -27,7 +27,8 @@ def _load_package() -> None:
     assert spec and spec.loader
     sys.modules["physhdr"] = module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    # What the extension bundles, for a Blender in which it is not installed: pure Python, which runs zipped.
+    # For a Blender in which the extension is not installed: what it bundles (filelock), pure Python, which
+    # runs zipped. `make extension` fetches it by its hash; without it nothing is locked, and that is told.
     sys.path += [str(wheel) for wheel in sorted((root / "wheels").glob("*.whl"))]
 
 

@@ -15,6 +15,7 @@ import bpy
 import numpy as np
 import pytest
 
+from physhdr.bridge import data_set
 from physhdr.synth import dataset, folder, passes, plan, renderer
 from physhdr.synth.camera_model import CameraModel
 from physhdr.synth.errors import ConflictError, DamagedFileError, NotFiniteRenderError, OutputFolderError
@@ -325,6 +326,34 @@ def test_a_complete_data_set_is_left_as_it_is(tmp_path, small, capsys):
     dataset.make(tmp_path / "d", small)
     assert _stamps(tmp_path / "d") == before
     assert "complete already" in capsys.readouterr().out
+
+
+def test_one_killed_between_the_two_last_steps_is_complete(tmp_path, small):
+    """dataset.json was there, and what stood for it until then was not gone yet."""
+    dataset.make(tmp_path / "d", small)
+    before = _stamps(tmp_path / "d")
+    (tmp_path / "d/dataset.partial.json").write_text("{}")
+    assert data_set.is_unfinished(tmp_path / "d")
+    dataset.make(tmp_path / "d", small)
+    assert _stamps(tmp_path / "d") == before
+
+
+@pytest.mark.parametrize("locks", [True, False])
+def test_what_another_may_still_write_is_left_where_nothing_keeps_it_out(
+    tmp_path, small, monkeypatch, capsys, locks
+):
+    if not locks:
+        fcntl = pytest.importorskip("fcntl")
+
+        def refuse(*_):
+            raise OSError(38, "Function not implemented")  # ENOSYS
+
+        monkeypatch.setattr(fcntl, "flock", refuse)
+    theirs = folder.scratch(tmp_path / "noise_floor.exr")
+    theirs.write_bytes(b"half an EXR")
+    dataset.make(tmp_path, small)
+    assert (tmp_path / "dataset.json").exists() and theirs.exists() == (not locks)
+    assert capsys.readouterr().out.count("cannot be locked (Function not implemented)") == (not locks)
 
 
 def test_another_version_does_not_mix_into_a_data_set(tmp_path, small, monkeypatch):

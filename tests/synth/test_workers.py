@@ -3,12 +3,15 @@
 
 import hashlib
 import os
+import shutil
 import subprocess
 import sys
 import time
+import zipfile
 from dataclasses import replace
 from pathlib import Path
 
+import filelock
 import pytest
 
 import physhdr.synth.workers as workers
@@ -41,6 +44,49 @@ def test_workers_make_the_same_files(tmp_path):
     assert one.keys() == two.keys()
     assert len(different) < len(one) / 4, different
     assert not list((tmp_path / "two").glob(".*"))
+
+
+#: A Blender that has no filelock of its own.
+LACKS = """
+import importlib.machinery, runpy, sys
+from pathlib import Path
+
+class Lacking(importlib.machinery.PathFinder):
+    @classmethod
+    def find_spec(cls, name, path=None, target=None):
+        bundled = [entry for entry in sys.path if entry.endswith(".whl")]
+        return super().find_spec(name, bundled if name == "filelock" else path, target)
+
+sys.meta_path[:] = [Lacking if each is importlib.machinery.PathFinder else each for each in sys.meta_path]
+runpy.run_path(sys.argv[1])
+from physhdr.bridge.lock import Claims
+with Claims(Path(sys.argv[2]), print) as claims:
+    print(claims.take("train_000"), sys.modules["physhdr"].__path__[0])
+"""
+
+
+@pytest.mark.parametrize("bundled", [True, False])
+def test_in_a_folder_of_any_name_the_script_takes_what_the_extension_bundles(tmp_path, bundled):
+    root = tmp_path / "My Copy-1.2 (two)"
+    for room in ("synth", "bridge"):
+        shutil.copytree(workers.SCRIPT.parents[1] / room, root / room)
+    shutil.copy(workers.SCRIPT.parents[1] / "__init__.py", root)
+    if bundled:
+        library = Path(filelock.__file__).parent
+        (root / "wheels").mkdir()
+        with zipfile.ZipFile(root / "wheels" / "filelock-0-py3-none-any.whl", "w") as wheel:
+            for path in library.rglob("*.py"):
+                wheel.write(path, path.relative_to(library.parent))
+    arguments = [root / "synth" / "make_scene.py", tmp_path / "data" / ".claims"]
+    done = subprocess.run([sys.executable, "-c", LACKS, *arguments], capture_output=True, text=True)
+    told = [f"True {root}"]
+    if not bundled:
+        where = tmp_path / "data"
+        told = [
+            f"{where} cannot be locked (this Python has no filelock): do not work there twice at once",
+            *told,
+        ]
+    assert done.stdout.splitlines() == told, done.stderr
 
 
 def test_a_worker_ends_when_its_parent_is_gone():
