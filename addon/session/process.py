@@ -11,7 +11,6 @@ from typing import IO, Any
 
 #: What a child would inherit of Blender's Python, and what would break another one.
 FOREIGN_VARIABLES = ("PYTHONPATH", "PYTHONHOME", "PYTHONSTARTUP", "PYTHONUSERBASE", "VIRTUAL_ENV")
-WINDOWS = sys.platform == "win32"
 
 
 def clean_environment(**extra: str) -> dict[str, str]:
@@ -26,7 +25,7 @@ def spawn(command: list[str], output: int | IO[Any], environment: dict[str, str]
     Its stdout and stderr go to ``output``. Raises ``OSError``.
     """
     group: dict[str, Any] = {"start_new_session": True}
-    if sys.platform == "win32":
+    if sys.platform == "win32":  # written out here and below, for pyright to see
         flags = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW
         group = {"creationflags": flags}
     return subprocess.Popen(
@@ -67,7 +66,7 @@ def interrupt(pid: int) -> None:
 def kill(pid: int) -> None:
     """End a program that ``spawn`` started, and its children, at once."""
     with suppress(OSError):
-        if sys.platform == "win32":  # written out, for pyright to see
+        if sys.platform == "win32":
             subprocess.run(["taskkill", "/PID", str(pid), "/T", "/F"], capture_output=True, check=False)
         else:
             os.killpg(pid, signal.SIGKILL)
@@ -75,7 +74,7 @@ def kill(pid: int) -> None:
 
 def is_alive(pid: int) -> bool:
     """Whether there is such a process (of anybody's; it may be another program by now)."""
-    if WINDOWS:
+    if sys.platform == "win32":
         listed = subprocess.run(["tasklist", "/FI", f"PID eq {pid}"], capture_output=True, check=False)
         return str(pid).encode() in listed.stdout
     try:

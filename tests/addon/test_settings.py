@@ -47,6 +47,7 @@ def test_without_the_extension_nobody_follows(scene):
 def test_the_panel_lists_the_presets_in_their_order(registered):
     """A .blend keeps the number of the one that was chosen."""
     items = registered.bl_rna.properties["preset"].enum_items
-    assert [(item.identifier, item.name, item.description) for item in items] == [*map(tuple, IN_PANEL)]
+    shown = [(item.identifier, item.name, item.description) for item in items]
+    assert shown == [(preset.name, preset.label, preset.description) for preset in IN_PANEL]
     registered.preset = "paper"
     assert registered.bl_rna.properties["preset"].enum_items["paper"].value == 2
