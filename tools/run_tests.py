@@ -27,10 +27,11 @@ IN_BLENDER = (BLENDER, "tests/run_in_blender.py", "--")
 #: The backend's suite in two processes: a third of its tests wait for processes that they started.
 BESIDE = ("-n", "2", "--dist", "loadfile")
 
-#: torch's threads would wait for each other where several suites share the cores: a fifth of the time.
-ENVIRONMENT = {"OMP_NUM_THREADS": "1", **os.environ}
+#: What a suite finds in its environment, where nothing else is set there. Two processes keep the
+#: cores busy: threads of torch would wait for one another, a fifth of the time.
+ENVIRONMENTS = {"backend": {"OMP_NUM_THREADS": "1"}}
 
-#: Name of a suite → its command. Each lane keeps about one core busy, and both take about as long.
+#: Name of a suite → its command. Both lanes take about as long.
 LANES: tuple[dict[str, tuple], ...] = (
     {
         "lint": (BACKEND / "python", "tools/lint.py", "--quick"),
@@ -65,14 +66,15 @@ class Lane(threading.Thread):
     def run(self) -> None:
         for name, command in self.suites.items():
             begun = time.perf_counter()
+            environment = ENVIRONMENTS.get(name, {}) | os.environ
             words = [str(part) for part in command] + self.arguments * (name != "lint")
             if self.loud:
                 say(f"\n== {name} ==")
-                status = subprocess.call(words, cwd=ROOT, env=ENVIRONMENT)
+                status = subprocess.call(words, cwd=ROOT, env=environment)
             else:
                 with tempfile.TemporaryFile() as output:
                     status = subprocess.call(
-                        words, cwd=ROOT, env=ENVIRONMENT, stdout=output, stderr=subprocess.STDOUT
+                        words, cwd=ROOT, env=environment, stdout=output, stderr=subprocess.STDOUT
                     )
                     show(name, output)
             self.passed &= status == 0
