@@ -19,10 +19,10 @@ setup: ## Set up both environments (.venvs/), or say what to install
 demo: setup ## Scene → data → training → relit picture: runs/demo/result.png
 	@$(BACKEND) tools/demo.py
 
-test: setup ## All tests, both sides of the house
+test: setup ## Lint as on Linux, and the tests of both sides of the house, but for what takes long
 	@$(PYTHON) tools/run_tests.py
 
-test-long: setup ## What takes long: the demo's figures, the installed wheel, a short form of fuzz and torture
+test-long: setup ## What takes long: several trainings, all of lint, the installed wheel, short forms of fuzz and torture
 	@$(PYTHON) tools/run_tests.py --long
 	@$(BACKEND) tools/try_wheel.py
 	@$(BACKEND) tools/fuzz.py --short
@@ -37,7 +37,7 @@ torture: setup ## Kills, full disks, two of everything at once, long use (hours)
 benchmark: setup ## Speed of the kernels against their alternatives, in one run; WITH="--quick" and other options
 	@$(BACKEND) benchmarks/run.py $(WITH)
 
-report: setup ## Every method on three scenes, at equal iterations and CPU seconds: docs/benchmarks.md (hours)
+report: setup ## Methods at equal iterations and CPU seconds, the paper's steps: docs/benchmarks.md, ablation.md (hours)
 	@$(BACKEND) tools/benchmark_data.py
 	@.venvs/backend/bin/physhdr benchmark --plan benchmarks/methods.toml --jobs 2 \
 		--out runs/methods --report docs/benchmarks.md
