@@ -6,6 +6,7 @@
 About 15 minutes of two cores each. 200×200, 35 poses, no lit views: every method trains on the same pictures.
 """
 
+import argparse
 import subprocess
 import sys
 import time
@@ -25,6 +26,7 @@ DATA = {
 
 
 def main() -> int:
+    argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0]).parse_args()
     for name, options in DATA.items():
         folder = FOLDER / name
         begun = time.perf_counter()

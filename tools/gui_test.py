@@ -12,6 +12,7 @@ system's own apt is set up to take Debian from, or PHYSHDR_DEBIAN_MIRROR. Mounts
 their own and are gone with it.
 """
 
+import argparse
 import os
 import platform
 import re
@@ -180,7 +181,11 @@ def keep() -> None:
 
 
 def main() -> int:
-    names = [name for name in sys.argv[1:] if name != "--keep"]
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("names", nargs="*", help="tests of tests/gui; all by default")
+    parser.add_argument("--keep", action="store_true", help="put the guide's pictures into docs/images/guide")
+    given = parser.parse_args()
+    names = given.names
     try:
         make_blender()
         options = materials()
@@ -194,7 +199,7 @@ def main() -> int:
         print(f"error: there is no GUI test {names}\n  Choose from: {', '.join(p.stem for p in scripts)}")
         return 1
     passed = all([run_test(path, options) for path in chosen])
-    if passed and "--keep" in sys.argv:
+    if passed and given.keep:
         keep()
     return 0 if passed else 1
 
