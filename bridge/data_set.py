@@ -119,6 +119,11 @@ def passes_file(split: str, index: int) -> str:
     return f"{PASSES_FOLDER}/{split}_{index:03d}.exr"
 
 
+def passes_files(root: Path) -> list[Path]:
+    """The renders that are there, in the order of their names; not what a writer has not finished (hidden)."""
+    return sorted(path for path in (root / PASSES_FOLDER).glob("*.exr") if not path.name.startswith("."))
+
+
 def mixture_folder(levels: Mapping[str, float]) -> str:
     """``relit/level_0.25`` for the ambient light alone, else ``relit/ambient_4+pendant_0.25``.
 

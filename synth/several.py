@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ..bridge.data_set import PASSES_FOLDER
+from ..bridge.data_set import passes_files
 from .dataset import make
 from .errors import OptionError
 from .options import Options
@@ -28,7 +28,7 @@ def make_all(out: Path, scenes: Sequence[str], options: Options, report: Report)
         return make(out, replace(options, scene=scenes[0]), report)
     for scene in scenes:  # all, before hours are spent on the first
         replace(options, scene=scene).check()
-    rendered = sum(len(list((out / scene / PASSES_FOLDER).glob("*.exr"))) for scene in scenes)
+    rendered = sum(len(passes_files(out / scene)) for scene in scenes)
     parts = options.part[1] if options.part else 1
     report.begin_all((len(scenes) * (options.views + options.lit_views) - rendered) // parts)
     results = {}

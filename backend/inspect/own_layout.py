@@ -171,7 +171,7 @@ class _Walk:
             for key in ("samples", "noise_psnr"):
                 if is_number(frame.get(key)):
                     self.found.renders.setdefault(key, []).append(frame[key])
-        for path in sorted((self.root / data_set.PASSES_FOLDER).glob("*.exr")):
+        for path in data_set.passes_files(self.root):
             if self._picture(path, lambda path: next(iter(read_layers(path).values()))) is None:
                 continue
             self.found.passes += 1

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from physhdr.bridge import data_set
+from physhdr.bridge.atomic import atomic_path
 from physhdr.bridge.errors import BadValueError, FileDamagedError
 
 ROOT = Path(__file__).parents[2]
@@ -92,3 +93,13 @@ def test_only_our_own_versions_up_to_this_one_are_read(tmp_path: Path) -> None:
     path.write_text("{")
     with pytest.raises(FileDamagedError, match="Mend it"):
         data_set.read_info(tmp_path, "Mend it.")
+
+
+def test_renders_that_are_being_written_are_not_counted(tmp_path: Path) -> None:
+    whole = tmp_path / data_set.passes_file(data_set.TRAIN, 3)
+    whole.parent.mkdir()
+    whole.touch()
+    with atomic_path(tmp_path / data_set.passes_file(data_set.TRAIN, 4)):
+        assert len(list(whole.parent.iterdir())) == 2
+        assert data_set.passes_files(tmp_path) == [whole]
+    assert len(data_set.passes_files(tmp_path)) == 2
