@@ -120,7 +120,7 @@ def passes_file(split: str, index: int) -> str:
 
 
 def passes_files(root: Path) -> list[Path]:
-    """The renders that are there, in the order of their names; not what a writer has not finished (hidden)."""
+    """The renders that are there, by name; not the hidden files of a writer that has not finished."""
     return sorted(path for path in (root / PASSES_FOLDER).glob("*.exr") if not path.name.startswith("."))
 
 
