@@ -10,12 +10,13 @@ import torch
 
 from physhdr.backend.cli import evaluate as command
 from physhdr.backend.cli import main
+from physhdr.backend.evaluate.protocol import Renderer
 from physhdr.backend.runs.run import Run
 from physhdr.backend.scene import read_scene
 from physhdr.backend.train.config import TrainConfig
 
 
-class Grey:
+class Grey(Renderer):
     """A collapsed method: grey everywhere, and so is its response."""
 
     lights = ("ambient",)
