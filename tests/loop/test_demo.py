@@ -10,7 +10,7 @@ from physhdr.backend.cli import main
 
 #: PSNR in dB of `default` on the demo's test views, HDR and relit by μ-law: mean and standard deviation over
 #: eight trainings, seeds 0 to 4 on two threads and 0 to 2 on one, which round differently. Made with commit
-#: 18398ff on two cores of a Xeon with AVX-512.
+#: 18398ff on two cores of an AMD EPYC with AVX-512.
 FIGURES = {
     "LDR-OE": (36.342, 0.047),
     "LDR-NE": (35.212, 0.035),
