@@ -2,6 +2,7 @@
 """Camera responses against closed forms, published points and Blender's own output."""
 
 import json
+from pathlib import Path
 
 import bpy
 import numpy as np
@@ -10,6 +11,15 @@ import pytest
 from physhdr.synth import noise, response
 from physhdr.synth.errors import ResponseFileError, UnknownNameError
 from physhdr.synth.png import quantise
+
+#: An in-camera JPEG's response; its header says who measured it, and how.
+MEASURED = Path(__file__).parents[2] / "benchmarks/curves/olympus-e-m10-ii.txt"
+#: (raw, linear JPEG value): the knots that were published.
+KNOTS = np.array([
+    (0.005707, 0.004764), (0.018944, 0.024456), (0.054501, 0.129992), (0.075665, 0.211873),
+    (0.119641, 0.365771), (0.173148, 0.532024), (0.247979, 0.668989), (0.357597, 0.780138),
+    (0.459003, 0.839829), (0.626844, 0.904426), (0.769425, 0.948541), (0.820429, 0.964715), (1.0, 1.0),
+])  # fmt: skip
 
 
 def test_reinhard_gamma_meets_the_published_point():
@@ -82,6 +92,37 @@ def test_a_curve_from_a_file(tmp_path):
     }
     (tmp_path / "curve.json").write_text(json.dumps([[0.5, 0.4], [1.0, 0.6], [4.0, 0.96]]))
     assert response.by_name(str(tmp_path / "curve.json")).describe() == curve.describe()
+
+
+def test_the_measured_curve_is_the_one_that_was_published():
+    """Through every knot, within a tenth of a code of 255; middle grey gets ISO 12232's code 118.
+
+    Between them it is near straight lines in linear light: within 4 codes.
+    """
+
+    def srgb(linear):
+        return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+
+    curve = response.by_name(str(MEASURED))
+    raw, linear = KNOTS.T
+    white = curve.curve[-1][0]
+    assert np.abs(curve(raw * white) - srgb(linear)).max() * 255 < 0.1
+    fine = np.linspace(0.0, 1.0, 2001)
+    straight = np.interp(fine, [0.0, *raw], [0.0, *linear])
+    assert np.abs(curve(fine * white) - srgb(straight)).max() * 255 < 4
+    assert round(float(curve(np.array(0.18))) * 255) == 118
+    assert curve(np.array([0.0, white, 50.0])) == pytest.approx([0.0, 1.0, 1.0])
+
+
+@pytest.mark.parametrize("name", sorted(response.BUILT_IN))
+def test_the_measured_curve_is_none_of_the_built_in_ones(name):
+    """Whatever the exposure: even the best shift along the stops leaves 20 codes of 255 somewhere."""
+    stops = np.linspace(-8, 4, 481)
+    measured, other = response.by_name(str(MEASURED)), response.by_name(name)
+    codes = measured(np.exp2(stops))
+    middle = (codes > 0.05) & (codes < 0.95)
+    worst = [np.abs(codes - other(np.exp2(stops + shift)))[middle].max() for shift in np.linspace(-3, 3, 121)]
+    assert min(worst) * 255 > 20
 
 
 @pytest.mark.parametrize(
