@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""``physhdr evaluate``: the paper's protocol on the test split, printed and saved."""
+"""``physhdr evaluate``: the paper's protocol on the test or validation views, printed and saved."""
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import tyro
 from rich.progress import Progress
@@ -15,6 +16,7 @@ from ..evaluate.optional import PackageMissingError
 from ..evaluate.protocol import evaluate, lpips_from
 from ..evaluate.report import METHODS_FILES, RESPONSE_FILE, SHEET_FILE, to_terminal, write_report
 from ..evaluate.response import learned_response, write_response_figure
+from ..evaluate.results import VIEWS_OF
 from ..evaluate.sheets import comparison_sheet, method_sheet
 from ..rasterize import Implementation
 from ..runs.files import writable_folder
@@ -29,6 +31,8 @@ class Evaluate:
 
     #: Folder of the run.
     folder: tyro.conf.Positional[Path]
+    #: The views: test, or val: the validation views, on which choices are made.
+    split: Literal["test", "val"] = "test"
     #: Folder for the results; default: the run's own.
     out: Path | None = None
     #: LPIPS weights (an .npz of AlexNet and the linear heads, see docs/formats.md); without: skipped.
@@ -53,6 +57,7 @@ class Evaluate:
             evaluation = evaluate(
                 run.method,
                 run.scene,
+                split=self.split,
                 lpips=lpips,
                 exposure_mode=run.config.exposure_mode,
                 training_exposures=run.config.training_exposures,
@@ -63,29 +68,29 @@ class Evaluate:
         paths = write_report(evaluation, out)  # before anything else that can fail: the numbers took long
         console.print(to_terminal(evaluation))
         sheet = out / SHEET_FILE
-        write_png(sheet, comparison_sheet(run.method, run.scene))
-        paths = [*paths, sheet, *_draw_response(run, out / RESPONSE_FILE)]
+        write_png(sheet, comparison_sheet(run.method, run.scene, split=self.split))
+        paths = [*paths, sheet, *_draw_response(run, out / RESPONSE_FILE, self.split)]
         if self.against:
             others = [open_run(folder, self.data, self.rasteriser, self.device) for folder in self.against]
-            paths += _compare([(run, out), *((other, other.folder) for other in others)], out)
+            paths += _compare([(run, out), *((other, other.folder) for other in others)], out, self.split)
         console.print("wrote " + ", ".join(str(path) for path in paths), soft_wrap=True)
         return 0
 
 
-def _draw_response(run: Run, path: Path) -> list[Path]:
+def _draw_response(run: Run, path: Path, split: str) -> list[Path]:
     """The figure, where the method has a response curve and there is a package to draw it."""
     learned = learned_response(run.method)
     if learned is None:
         return []
     try:
-        write_response_figure(path, learned, run.scene)
+        write_response_figure(path, learned, run.scene, split)
     except PackageMissingError as error:
         console.print(f"{path.name} left out: {error}", style="yellow")
         return []
     return [path]
 
 
-def _compare(runs: list[tuple[Run, Path]], out: Path) -> list[Path]:
+def _compare(runs: list[tuple[Run, Path]], out: Path, split: str) -> list[Path]:
     """Print and write the table of ``runs``, each with the folder of its evaluation, and their sheet."""
     names = _names([run for run, _ in runs])
     scene = runs[0][0].scene
@@ -99,7 +104,7 @@ def _compare(runs: list[tuple[Run, Path]], out: Path) -> list[Path]:
         entries.append(
             ComparedRun(name, scene.name, run.config.exposure_mode, run.config.seed, load_evaluation(folder))
         )
-    title = f"{scene.name}, test views"
+    title = f"{scene.name}, {VIEWS_OF[split]}"
     table = comparison_table(entries, title=title)
     paths = [out / name for name in METHODS_FILES]
     for path, text in zip(paths, (table.markdown(), table.csv()), strict=False):
@@ -107,7 +112,7 @@ def _compare(runs: list[tuple[Run, Path]], out: Path) -> list[Path]:
             temporary.write_text(text, encoding="utf-8")
     console.print(comparison_table(entries, metrics=SHORT_METRICS, title=title).rich())
     renderers = {name: run.method for name, (run, _) in zip(names, runs, strict=True)}
-    write_png(paths[-1], method_sheet(renderers, scene))
+    write_png(paths[-1], method_sheet(renderers, scene, split=split))
     return paths
 
 

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The paper's evaluation, and ours of relighting: what is rendered, compared and averaged.
 
-LDR: every test view at every exposure, through 8 bit, in PSNR, SSIM and LPIPS; averaged for each exposure,
+The views are those of one split: the test views, or the validation views.
+LDR: every view at every exposure, through 8 bit, in PSNR, SSIM and LPIPS; averaged for each exposure,
 then LDR-OE over exposure indices 0, 2, 4 (those that training saw) and LDR-NE over 1, 3 (those it did not).
 HDR: ``metrics.hdr_pair``, once as it is and once after dividing by the median scale ratio.
 Relit: the μ-law PSNR under other light, beside what scaling a picture would give (``results.RelitRow``).
@@ -18,6 +19,7 @@ from typing import Protocol
 import numpy as np
 import torch
 
+from ...bridge.data_set import HELD_OUT, TEST, VALIDATION
 from ...bridge.errors import BadValueError, DataMismatchError
 from ...bridge.lights import Levels
 from ..scene.camera import Camera
@@ -27,7 +29,16 @@ from .lpips import SMALLEST_SIDE, Lpips
 from .metrics import PSNR_CAP, display, hdr_pair, hdr_shown, psnr, quantise, resize_to, scale_ratio, ssim
 from .published import data_set_of
 from .response import check_response, learned_response, true_response
-from .results import NOVEL_EXPOSURES, OBSERVED_EXPOSURES, Evaluation, HdrRow, LdrRow, Metrics, RelitRow
+from .results import (
+    NOVEL_EXPOSURES,
+    OBSERVED_EXPOSURES,
+    VIEWS_OF,
+    Evaluation,
+    HdrRow,
+    LdrRow,
+    Metrics,
+    RelitRow,
+)
 
 
 class Renderer(Protocol):
@@ -72,6 +83,7 @@ def evaluate(
     renderer: Renderer,
     scene: Scene,
     *,
+    split: str = TEST,
     lpips: Lpips | None = None,
     exposure_mode: str = "unknown",
     training_exposures: Sequence[int] = OBSERVED_EXPOSURES,
@@ -79,52 +91,50 @@ def evaluate(
     iterations: int | None = None,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> Evaluation:
-    """Render and compare the whole test split.
+    """Render and compare every view of ``split``: the test views, or the validation views (``val``).
 
+    Nothing of the other split is opened; relit truth is of test views and is left out for others.
     ``exposure_mode``: how training chose exposures (exp1, exp3), stated beside the numbers.
     ``training_exposures``: the exposure indices it chose from; a message says where LDR-OE and LDR-NE are not
     what they are called. ``iteration`` of the ``iterations`` that were planned is evaluated; None: not known.
     ``progress`` is called with (done, total, what is next). Parts for which the data set has no truth are
-    left out, with a message. Raises ``DataMismatchError`` without test views, ``BadValueError`` if the model
-    renders NaN or ``dataset.json`` states a response that is none, and what ``read_png`` and ``read_exr``
-    raise.
+    left out, with a message. Raises ``DataMismatchError`` without views in the split, ``BadValueError`` for a
+    split that is trained from, if the model renders NaN or ``dataset.json`` states a response that is none,
+    and what ``read_png`` and ``read_exr`` raise.
     """
-    if not scene.test:
-        raise DataMismatchError(
-            f"{scene.root} has no test views", "Add transforms_test.json and exposure_test.json."
-        )
+    views = _views_of(scene, split)
     started = time.monotonic()
-    relit = truth.relit_truth(scene.root)
+    relit = truth.relit_truth(scene.root) if split == TEST else []
     unknown = [item for item in relit if not item.can_be_shown(renderer.lights)]
-    messages = [*renderer.remarks, *_what_is_left_out(scene, lpips, relit, unknown)]
+    messages = [*renderer.remarks, *_what_is_left_out(scene, split, lpips, relit, unknown)]
     messages += _what_training_was(training_exposures, iteration, iterations)
     relit = [item for item in relit if item not in unknown]
-    camera = scene.test[0].camera
+    camera = views[0].camera
     if min(camera.width, camera.height) < SMALLEST_SIDE:
         lpips = None
-    step = _Steps(2 * len(scene.test) + len(relit), progress)
+    step = _Steps(2 * len(views) + len(relit), progress)
 
     # Before rendering, which takes long: a response that dataset.json states may be none.
     learned = learned_response(renderer)
-    response = None if learned is None else check_response(learned, true_response(scene, learned))
+    response = None if learned is None else check_response(learned, true_response(scene, learned, split))
     ldr = []
-    for view in scene.test:
+    for view in views:
         step(f"LDR {view.name}")
         ldr += _ldr_rows(renderer, view, lpips)
     hdr: list[HdrRow] = []
     relit_rows: list[RelitRow] = []
-    if truth.has_hdr_truth(scene.root, "test"):
-        standard = _standard_views(renderer, scene, step)
+    if truth.has_hdr_truth(scene.root, split):
+        standard = _standard_views(renderer, scene, split, step)
         hdr = _hdr_rows(standard, lpips)
         for item in relit:
             step(f"relit {item.condition} {item.path.stem}")
-            scene.find("test", item.index)  # says which poses there are
+            scene.find(TEST, item.index)  # says which poses there are
             relit_rows.append(_relit_row(renderer, standard[item.index], item))
     step.end()
     messages += _what_is_capped(ldr, hdr, relit_rows)
     return Evaluation(
         scene=scene.name,
-        split="test",
+        split=split,
         exposure_mode=exposure_mode,
         resolution=(camera.width, camera.height),
         ldr=ldr,
@@ -132,11 +142,26 @@ def evaluate(
         relit=relit_rows,
         messages=messages,
         seconds=time.monotonic() - started,
-        data_set=data_set_of(scene),
+        data_set=data_set_of(scene) if split == TEST else "",
         response=response,
         iteration=iteration,
         iterations=iterations,
     )
+
+
+def _views_of(scene: Scene, split: str) -> list[View]:
+    """The views of a split that can be evaluated; raises as ``evaluate``."""
+    if split not in HELD_OUT:
+        raise BadValueError(
+            f"the split '{split}' cannot be evaluated: it is trained from, or there is none of that name",
+            f"Choose from {', '.join(HELD_OUT)}.",
+        )
+    if not scene.splits[split]:
+        remedy = "Add transforms_test.json and exposure_test.json."
+        if split == VALIDATION:
+            remedy = "make_scene.py --validation-views N renders some; or evaluate the test views."
+        raise DataMismatchError(f"{scene.root} has no {VIEWS_OF[split]}", remedy)
+    return scene.splits[split]
 
 
 class _Steps:
@@ -156,16 +181,24 @@ class _Steps:
 
 
 def _what_is_left_out(
-    scene: Scene, lpips: Lpips | None, relit: list[truth.RelitTruth], unknown: list[truth.RelitTruth]
+    scene: Scene,
+    split: str,
+    lpips: Lpips | None,
+    relit: list[truth.RelitTruth],
+    unknown: list[truth.RelitTruth],
 ) -> list[str]:
     messages = []
-    camera = scene.test[0].camera
+    camera = scene.splits[split][0].camera
     if lpips is None:
         messages.append("LPIPS left out: no weights were given.")
     elif min(camera.width, camera.height) < SMALLEST_SIDE:
         messages.append(f"LPIPS left out: pictures are smaller than {SMALLEST_SIDE}×{SMALLEST_SIDE}.")
-    if not truth.has_hdr_truth(scene.root, "test"):
-        messages.append(f"HDR and relit left out: {scene.root} has no true radiance of its test views.")
+    if not truth.has_hdr_truth(scene.root, split):
+        messages.append(
+            f"HDR and relit left out: {scene.root} has no true radiance of its {VIEWS_OF[split]}."
+        )
+    elif split != TEST:
+        messages.append(f"Relit left out: relit truth is of test views alone, not of {VIEWS_OF[split]}.")
     elif not relit:
         messages.append(f"Relit left out: {scene.root / 'relit'} holds no level_*/hdr_*.exr.")
     elif unknown:
@@ -236,20 +269,20 @@ def _ldr_rows(renderer: Renderer, view: View, lpips: Lpips | None) -> list[LdrRo
 
 @dataclass(frozen=True)
 class _StandardView:
-    """A test view under the standard light: what the model shows, and the truth ``[3, H, W]``."""
+    """A view under the standard light: what the model shows, and the truth ``[3, H, W]``."""
 
     view: View
     prediction: torch.Tensor
     truth: torch.Tensor
 
 
-def _standard_views(renderer: Renderer, scene: Scene, step: _Steps) -> dict[int, _StandardView]:
+def _standard_views(renderer: Renderer, scene: Scene, split: str, step: _Steps) -> dict[int, _StandardView]:
     """By pose: rendered and read once, for the HDR rows and for every relit one."""
     views = {}
-    for view in scene.test:
+    for view in scene.splits[split]:
         step(f"HDR {view.name}")
         prediction = _require_finite(renderer.hdr(view.camera), f"{view.name}, HDR")
-        views[view.index] = _StandardView(view, prediction, truth.hdr_truth(scene.root, "test", view.index))
+        views[view.index] = _StandardView(view, prediction, truth.hdr_truth(scene.root, split, view.index))
     return views
 
 

@@ -15,7 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ...bridge.atomic import atomic_path
-from .results import NOVEL_EXPOSURES, OBSERVED_EXPOSURES, Evaluation, Metrics, RelitMeans
+from .results import NOVEL_EXPOSURES, OBSERVED_EXPOSURES, VIEWS_OF, Evaluation, Metrics, RelitMeans
 
 #: What an empty cell of a table shows: not computed.
 NONE = "–"
@@ -143,7 +143,11 @@ def to_markdown(evaluation: Evaluation) -> str:
 def to_terminal(evaluation: Evaluation) -> Group:
     """The tables and conditions for ``rich.console.Console.print``."""
     parts: list[Table | Text] = [
-        _rich_table(f"{evaluation.scene}, test views", ("", *METRIC_COLUMNS), _metric_cells(evaluation)),
+        _rich_table(
+            f"{evaluation.scene}, {VIEWS_OF[evaluation.split]}",
+            ("", *METRIC_COLUMNS),
+            _metric_cells(evaluation),
+        ),
         _rich_table("LDR by exposure", ("", "part", *METRIC_COLUMNS), _exposure_cells(evaluation)),
     ]
     if evaluation.relit:

@@ -15,13 +15,14 @@ from typing import Any
 import numpy as np
 
 from ...bridge.atomic import atomic_path
+from ...bridge.data_set import TEST
 from ...bridge.errors import BadValueError
 from ...bridge.srgb import to_srgb
 from ..scene.scene import Scene
 from . import truth
 from .metrics import resize_to
 from .optional import needed
-from .results import ResponseCheck
+from .results import VIEWS_OF, ResponseCheck
 
 #: Pixels are gathered in bins of this many stops between these ends; a bin counts with this many values.
 BIN_STOPS, BIN_ENDS, BIN_VALUES = 0.25, (-16.0, 16.0), 50
@@ -101,18 +102,20 @@ def _columns(points: Any) -> tuple[np.ndarray, np.ndarray]:
     return columns[0], columns[1]
 
 
-def measured_response(scene: Scene) -> Curve | None:
-    """The response that the test pictures show: the median code of the pixels in each bin of exposure.
+def measured_response(scene: Scene, split: str = TEST) -> Curve | None:
+    """The response that the pictures of ``split`` show: the median code of pixels in each bin of exposure.
 
-    From 8-bit codes against exposure × true radiance, each channel by itself. None without true radiance.
+    From 8-bit codes against exposure × true radiance, each channel by itself. None without true radiance of
+    that split, of which alone anything is opened.
     Raises what ``read_png`` and ``read_exr`` raise.
     """
-    if not scene.test or not truth.has_hdr_truth(scene.root, "test"):
+    views = scene.splits[split]
+    if not views or not truth.has_hdr_truth(scene.root, split):
         return None
     bins = round((BIN_ENDS[1] - BIN_ENDS[0]) / BIN_STOPS) + 1
     counts = np.zeros((3, bins * 256), np.int64)
-    for view in scene.test:
-        radiance = truth.hdr_truth(scene.root, "test", view.index)
+    for view in views:
+        radiance = truth.hdr_truth(scene.root, split, view.index)
         radiance = resize_to(radiance, view.camera.height, view.camera.width).numpy().reshape(3, -1)
         stops = np.log2(np.maximum(radiance, 1e-12))
         for k, exposure in enumerate(view.exposures):
@@ -135,11 +138,11 @@ def _medians(counts: np.ndarray) -> np.ndarray:
     return np.where(total[:, 0] >= BIN_VALUES, 0.5 * (lower + upper) / 255.0, np.nan)
 
 
-def true_response(scene: Scene, learned: Curve) -> Curve | None:
-    """The stated response at the learned curve's exposures, else the measured one, else None."""
+def true_response(scene: Scene, learned: Curve, split: str = TEST) -> Curve | None:
+    """The stated response at the learned curve's exposures, else the one that ``split`` shows, else None."""
     stated = None if scene.info.get("camera_model") else stated_response(scene.info)
     if stated is None:
-        return measured_response(scene)
+        return measured_response(scene, split)
     return Curve(learned.exposure, np.repeat(stated(learned.exposure)[:, None], 3, axis=1))
 
 
@@ -173,23 +176,24 @@ def check_response(learned: Curve, true: Curve | None) -> ResponseCheck:
     return ResponseCheck(largest_fall, max(rms), max(largest), scale)
 
 
-def write_response_figure(path: Path, learned: Curve, scene: Scene) -> ResponseCheck:
+def write_response_figure(path: Path, learned: Curve, scene: Scene, split: str = TEST) -> ResponseCheck:
     """Draw the learned response of each channel, the true one and the anchor into ``path`` (.png).
 
+    ``split``: whose pictures and truth show the true one.
     Returns the check. Raises ``PackageMissingError`` without matplotlib, ``OutputError``, and what reading
     the data set raises.
     """
     figures = needed("matplotlib.figure", "matplotlib", "figures", "the figure of the response")
-    true = true_response(scene, learned)
+    true = true_response(scene, learned, split)
     check = check_response(learned, true)
-    measured = measured_response(scene)
+    measured = measured_response(scene, split)
     figure = figures.Figure(figsize=(7.2, 4.4 if true is None else 5.8), dpi=150, layout="constrained")
     heights = (1,) if true is None else (3, 1)
     panels = figure.subplots(len(heights), sharex=True, squeeze=False, height_ratios=heights)
     upper = panels[0, 0]
     if measured is not None:
         upper.plot(measured.exposure, measured.code, ".", color="0.72", ms=3.5, zorder=1)
-        upper.plot([], [], ".", color="0.72", label="the data: median code of the test pixels")
+        upper.plot([], [], ".", color="0.72", label=f"the data: median code in the {VIEWS_OF[split]}")
     if true is not None and true.exposure is learned.exposure:
         upper.plot(true.exposure, true.code[:, 0], "--", color="black", lw=1.2, label="true", zorder=4)
     for c, (name, colour) in enumerate(CHANNELS.items()):

@@ -5,12 +5,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ...bridge.data_set import TEST, VALIDATION
 from ...bridge.lights import in_words
 from .metrics import MU
 
 #: Exposure indices of the paper's two columns: those that training sees, and those between.
 OBSERVED_EXPOSURES = (0, 2, 4)
 NOVEL_EXPOSURES = (1, 3)
+#: The views of a split that is evaluated, in words.
+VIEWS_OF = {TEST: "test views", VALIDATION: "validation views"}
 
 
 @dataclass(frozen=True)
@@ -25,7 +28,7 @@ class Metrics:
 
 @dataclass(frozen=True)
 class LdrRow:
-    """One test view at one exposure (seconds)."""
+    """One view at one exposure (seconds)."""
 
     view: str
     index: int
@@ -36,7 +39,7 @@ class LdrRow:
 
 @dataclass(frozen=True)
 class HdrRow:
-    """One test view: M, its own median scale ratio, the metrics as they are and with the scale aligned."""
+    """One view: M, its own median scale ratio, the metrics as they are and with the scale aligned."""
 
     view: str
     index: int
@@ -169,6 +172,7 @@ class ResponseCheck:
 class Evaluation:
     """Every number, row by row; means are computed from them. ``messages``: what was left out, and why.
 
+    ``split``: which views they are of, test or val.
     ``data_set``: the published benchmark that the scene is of (``published.data_set_of``), else "".
     ``response``: of a method with a global response curve. ``iteration``: what was evaluated, of the
     ``iterations`` that were planned; None: not known.

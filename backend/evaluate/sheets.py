@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from PIL import Image, ImageDraw, ImageFont
 
+from ...bridge.data_set import TEST
 from ...bridge.errors import BadValueError
 from ...bridge.lights import Levels
 from ..scene.scene import Scene, View
@@ -15,7 +16,7 @@ from . import truth
 from .metrics import MU, display, hdr_pair, psnr, quantise, resize_to, ssim
 from .protocol import Renderer
 from .residuals import RESIDUAL_GAIN, legend, residual
-from .results import NOVEL_EXPOSURES, OBSERVED_EXPOSURES
+from .results import NOVEL_EXPOSURES, OBSERVED_EXPOSURES, VIEWS_OF
 
 #: What is shown as white in HDR pictures. The metrics keep the protocol's own normaliser, the maximum.
 WHITE_QUANTILE = 0.999
@@ -131,29 +132,30 @@ def comparison_sheet(
     poses: list[int] | None = None,
     exposure_indices: tuple[int, ...] = OBSERVED_EXPOSURES,
     gain: float = RESIDUAL_GAIN,
+    split: str = TEST,
 ) -> np.ndarray:
-    """Truth | ours | residual for some test views: LDR rows, HDR rows (μ-law), relit rows; uint8.
+    """Truth | ours | residual for some views of ``split``: LDR rows, HDR rows (μ-law), relit rows; uint8.
 
-    ``poses``: test pose numbers; None takes one that has relit truth, or the middle one. Exposures that a
-    view lacks and parts without truth have no rows. Raises ``BadValueError`` for an unknown pose, and what
-    readers raise.
+    ``poses``: pose numbers; None takes one that has relit truth, or the middle one. Exposures that a view
+    lacks and parts without truth have no rows; relit truth is of test views. Raises ``BadValueError`` for an
+    unknown pose, and what readers raise.
     """
-    relit = truth.relit_truth(scene.root)
+    relit = _relit(scene, split)
     rows: list[list[Cell]] = []
-    for pose in _poses(scene, poses, relit):
-        view = scene.find("test", pose)
+    for pose in _poses(scene, split, poses, relit):
+        view = scene.find(split, pose)
         for k in _positions(view, exposure_indices):
             label = f"{view.name}, {view.exposures[k]:.4g} s"
             rows.append(_row(label, _ldr(renderer, view, k), gain))
-        if truth.has_hdr_truth(scene.root, "test"):
-            reference = truth.hdr_truth(scene.root, "test", pose)
+        if truth.has_hdr_truth(scene.root, split):
+            reference = truth.hdr_truth(scene.root, split, pose)
             rows.append(_row(f"{view.name} HDR", _hdr(renderer, view, 1.0, reference), gain))
         for item in relit:
             if item.index == pose and item.can_be_shown(renderer.lights):
                 shown = _hdr(renderer, view, item.levels_of(renderer.lights), item.radiance())
                 rows.append(_row(f"{view.name} {item.condition}", shown, gain))
     return labelled_grid(
-        [*rows, [legend(SMALLEST_CELL, gain)]], f"{scene.name}: truth, ours, residual", _note()
+        [*rows, [legend(SMALLEST_CELL, gain)]], f"{_title(scene, split)}: truth, ours, residual", _note()
     )
 
 
@@ -164,32 +166,43 @@ def method_sheet(
     poses: list[int] | None = None,
     exposure_indices: tuple[int, ...] = (2, 3),
     gain: float = RESIDUAL_GAIN,
+    split: str = TEST,
 ) -> np.ndarray:
     """Several methods beside the truth: each condition is a row of pictures over a row of residuals; uint8.
 
     ``renderers``: by the name that stands in the captions. The conditions are the exposures (by default one
-    that training saw and one between) and HDR where there is truth; ``poses`` as in ``comparison_sheet``.
+    that training saw and one between) and HDR where there is truth; ``poses`` and ``split`` as in
+    ``comparison_sheet``.
     Raises ``BadValueError`` without a method or for an unknown pose, and what readers raise.
     """
     if not renderers:
         raise BadValueError("a sheet of methods needs at least one method")
     rows: list[list[Cell]] = []
-    for pose in _poses(scene, poses, truth.relit_truth(scene.root)):
-        view = scene.find("test", pose)
+    for pose in _poses(scene, split, poses, _relit(scene, split)):
+        view = scene.find(split, pose)
         for k in _positions(view, exposure_indices):
             shown = {name: _ldr(renderer, view, k) for name, renderer in renderers.items()}
             rows += _method_rows(f"{view.name}, {_part(view, k)}, {view.exposures[k]:.4g} s", shown, gain)
-        if truth.has_hdr_truth(scene.root, "test"):
-            reference = truth.hdr_truth(scene.root, "test", pose)
+        if truth.has_hdr_truth(scene.root, split):
+            reference = truth.hdr_truth(scene.root, split, pose)
             shown = {name: _hdr(renderer, view, 1.0, reference) for name, renderer in renderers.items()}
             rows += _method_rows(f"{view.name}, HDR", shown, gain)
-    return labelled_grid(rows, f"{scene.name}: truth and {len(renderers)} methods", _note())
+    return labelled_grid(rows, f"{_title(scene, split)}: truth and {len(renderers)} methods", _note())
 
 
-def _poses(scene: Scene, poses: list[int] | None, relit: list[truth.RelitTruth]) -> list[int]:
+def _title(scene: Scene, split: str) -> str:
+    return scene.name if split == TEST else f"{scene.name}, {VIEWS_OF[split]}"
+
+
+def _relit(scene: Scene, split: str) -> list[truth.RelitTruth]:
+    return truth.relit_truth(scene.root) if split == TEST else []
+
+
+def _poses(scene: Scene, split: str, poses: list[int] | None, relit: list[truth.RelitTruth]) -> list[int]:
     if poses is not None:
         return poses
-    return [relit[0].index if relit else scene.test[len(scene.test) // 2].index]
+    views = scene.splits[split]
+    return [relit[0].index if relit else views[len(views) // 2].index]
 
 
 def _positions(view: View, exposure_indices: Sequence[int]) -> list[int]:

@@ -46,7 +46,7 @@ def _place(root: Path, split: str) -> _Place | None:
 
 
 def hdr_truth_path(root: Path, split: str, index: int) -> Path:
-    """Where the true radiance of pose ``index`` of ``split`` (train, test, lit) lies, or would lie.
+    """Where the true radiance of pose ``index`` of ``split`` (train, test, lit, val) lies, or would lie.
 
     ``test_hdr/hdr_003.exr``, ``images_hdr/test_hdr_003.exr`` (GaussHDR) or ``exr/3.exr`` (HDR-GS).
     """

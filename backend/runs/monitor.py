@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A fixed test view, measured while training. What it sees is shown and logged, never learned from."""
+"""A fixed held-out view, measured while training. What it sees is shown and logged, never learned from."""
 
 import numpy as np
 import torch
 
+from ...bridge.data_set import TEST, VALIDATION
 from ...bridge.errors import PhysHDRError
 from ..evaluate.metrics import psnr, scale_ratio
 from ..evaluate.truth import hdr_truth
@@ -13,16 +14,19 @@ from ..train.trainer import Monitor
 
 
 def view_monitor(scene: Scene) -> Monitor | None:
-    """PSNR of the middle test view at its middle exposure and, where the truth is there, the HDR scale.
+    """PSNR of a middle view at its middle exposure and, where the truth is there, the HDR scale.
 
-    ``None`` where the data set has no test views.
+    It is a validation view where there are any, so that watching a training tells nothing of the test views,
+    else a test view. ``None`` where the data set has neither.
     """
-    if not scene.test:
+    split = VALIDATION if scene.validation else TEST
+    views = scene.splits[split]
+    if not views:
         return None
-    view = scene.test[len(scene.test) // 2]
+    view = views[len(views) // 2]
     k = len(view.exposures) // 2
     try:
-        truth = hdr_truth(scene.root, "test", view.index)
+        truth = hdr_truth(scene.root, split, view.index)
     except PhysHDRError:
         truth = None  # shown only if it is there; evaluation says what is wrong with it
 

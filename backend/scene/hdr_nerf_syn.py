@@ -50,12 +50,8 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
     root = Path(root)
     info = read_info(root)
     lights = _read_lights(root) if data_set.has_split(root, data_set.LIT) else (AMBIENT,)
-    splits = {
-        split: _read_split(root, split, lights)
-        if split == data_set.TRAIN or data_set.has_split(root, split)
-        else []
-        for split in data_set.SPLITS
-    }
+    there = {data_set.TRAIN, *splits_there(root)}
+    splits = {split: _read_split(root, split, lights) if split in there else [] for split in data_set.SPLITS}
     size = _check_one_size([pose for poses in splits.values() for pose in poses])
     if downscale is None:
         downscale = ORIGINAL_REDUCTION if not info and size == ORIGINAL_SIZE else 1.0
@@ -64,16 +60,17 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
     views = {split: [pose.view(reduction, cache) for pose in poses] for split, poses in splits.items()}
     points_path = root / data_set.POINTS_FILE
     messages = (
-        "split as transforms_train.json and transforms_test.json say",
+        f"split as transforms_*.json say: {', '.join(split for split in data_set.SPLITS if views[split])}",
         reduction.in_words(*size),
-        "exposures from exposure_train.json" + (" and exposure_test.json" if views["test"] else ""),
+        "exposures from exposure_*.json",
     )
     return Scene(
         root=root,
         name=data_set.scene_name(root, info),
-        train=views["train"],
-        test=views["test"],
-        lit=views["lit"],
+        train=views[data_set.TRAIN],
+        test=views[data_set.TEST],
+        lit=views[data_set.LIT],
+        validation=views[data_set.VALIDATION],
         points=read_points(points_path) if points_path.exists() else None,
         response_anchor=read_anchor(root, info, otherwise=ORIGINAL_ANCHOR),
         info=info,
@@ -84,6 +81,18 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
 
 
 # ---- splits ------------------------------------------------------------------------------------------
+
+
+def splits_there(root: Path) -> list[str]:
+    """The splits that a folder of this layout has, or has half of.
+
+    A ``transforms_val.json`` alone, in data that are not ours, is NeRF's: no exposures, and nothing of ours.
+    """
+    there = [split for split in data_set.SPLITS if data_set.has_split(root, split)]
+    named = (data_set.exposure_file(data_set.VALIDATION), data_set.INFO_FILE)
+    if data_set.VALIDATION in there and not any((root / name).exists() for name in named):
+        there.remove(data_set.VALIDATION)
+    return there
 
 
 @dataclass(frozen=True)
@@ -202,7 +211,7 @@ def _levels(
         if changed:
             raise BadValueError(
                 f"{path}: {which} has the lighting levels {in_words(changed):.200}",
-                "Training and test views are under the standard light, at 1: move it to the split 'lit'.",
+                "All views but those of the split 'lit' are under the standard light, at 1: move it there.",
             )
         return (1.0,) * len(lights)
     if levels.get(AMBIENT) == 1.0 and AMBIENT not in lights:

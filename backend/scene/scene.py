@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from ...bridge import data_set
 from ...bridge.errors import BadValueError, DataMismatchError
 from ...bridge.lights import AMBIENT
 from .camera import Camera
@@ -124,10 +125,21 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """The first points: ``positions`` ``[P, 3]`` float32, metres; ``colours`` ``[P, 3]`` float32, 0…1."""
+    """The first points: ``positions`` ``[P, 3]`` float32, metres; ``colours`` ``[P, 3]`` float32, 0…1.
+
+    ``origin``: what kind they are, in words, as their file says; empty where it does not. ``file``: the name
+    of a file that stands for the data set's own points; empty for those.
+    """
 
     positions: np.ndarray
     colours: np.ndarray
+    origin: str = ""
+    file: str = ""
+
+    def __str__(self) -> str:
+        """``12,345 points of the data set (exact ray hits)``."""
+        kind = f" ({self.origin})" if self.origin else ""
+        return f"{len(self.positions):,} points of {self.file or 'the data set'}{kind}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,6 +151,8 @@ class Scene:
     camera's response, (exposure × radiance, code value in 0…1), or None where the data name none.
     ``info``: ``dataset.json`` as read, or ``{}``. ``layout``: the name of the layout on disk. ``messages``:
     what the reader decided, in sentences (split, size, where exposures are from), for people to read.
+    ``validation``: views that choices are made on, at poses of their own, never trained from; only our own
+    layout has any.
     """
 
     root: Path
@@ -152,16 +166,22 @@ class Scene:
     lights: tuple[str, ...] = (AMBIENT,)
     layout: str = ""
     messages: tuple[str, ...] = ()
+    validation: list[View] = field(default_factory=list)
 
     @property
     def splits(self) -> dict[str, list[View]]:
-        """The views by the name of their split: train, test, lit."""
-        return {"train": self.train, "test": self.test, "lit": self.lit}
+        """The views by the name of their split: train, test, lit, val."""
+        return {
+            data_set.TRAIN: self.train,
+            data_set.TEST: self.test,
+            data_set.LIT: self.lit,
+            data_set.VALIDATION: self.validation,
+        }
 
     def find(self, split: str, index: int) -> View:
         """The view of pose ``index`` in ``split``; raises ``BadValueError`` naming those there are."""
         if split not in self.splits:
-            raise BadValueError(f"there is no split '{split}'", "Choose from train, test, lit.")
+            raise BadValueError(f"there is no split '{split}'", f"Choose from {', '.join(self.splits)}.")
         views = self.splits[split]
         for view in views:
             if view.index == index:

@@ -30,6 +30,12 @@ def tiny_data(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="session")
+def validation_data(tmp_path_factory) -> Path:
+    """``tiny_data`` with three validation views; tests must not write into it."""
+    return tiny_scene.write_tiny_scene(tmp_path_factory.mktemp("validation") / "data", validation=3)
+
+
+@pytest.fixture(scope="session")
 def two_lights_data(tmp_path_factory) -> Path:
     """A tiny data set whose lit views have levels of two lights; tests must not write into it."""
     lights = ("ambient", "pendant")

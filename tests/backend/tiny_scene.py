@@ -50,9 +50,11 @@ def write_tiny_scene(
     views: int = 6,
     seed: int = 0,
     lights: tuple[str, ...] = ("ambient",),
+    validation: int = 0,
 ) -> Path:
     """Write the data set; half of ``views`` are for training, and two more lit views.
 
+    ``validation``: so many views at poses of their own; all else is the same with them and without.
     With two ``lights`` there are lit and relit views at pairs of their levels, named as data sets name them
     (docs/formats.md): each Gaussian and channel has a share of each light, and a fixed one.
     """
@@ -95,6 +97,9 @@ def write_tiny_scene(
     angles = np.linspace(-1.0, 1.0, views)
     poses = [look_at_origin(1.5 * a, 0.5 * math.sin(3.0 * a)) for a in angles]
     frames = {"train": [], "test": [], "lit": []}
+    if validation:
+        between = [look_at_origin(1.2 * a, -0.4) for a in np.linspace(-1.0, 1.0, validation)]
+        frames["val"] = [write_view("val", i, p, *(1.0 for _ in lights)) for i, p in enumerate(between)]
     for i, pose in enumerate(poses):
         split = ("train", "test")[i % 2]
         frames[split].append(write_view(split, i // 2, pose, *(1.0 for _ in lights)))
