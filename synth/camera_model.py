@@ -3,18 +3,20 @@
 
 What the light passes through, in this order; x is exposure × radiance, each channel by itself:
 
+    shutter    x ← x · 2^(σ z)           the picture's exposure is not quite the one that is stated
     lens       x ← x · v(r)              vignetting
     sensor     x ← noisy(x)              photons and electronics
     balance    x ← x · g                 the view's white balance
     local      x ← x · 2^G(pixel)        local tone mapping
     response   code = f(x), then 8 bit   synth/response.py
 
-With all of them off a picture is exactly ``quantise(response(radiance * exposure))``. Numpy only.
+With all of them off a picture is exactly ``quantise(response(radiance * exposure))``. What is drawn at random
+is left out of pictures that are held out (``CameraModel.systematic``). Numpy only.
 """
 
 import argparse
 import hashlib
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 
 import numpy as np
 
@@ -47,10 +49,16 @@ LOCAL_BLACK = 2.0**-10
 
 LIMITS = {
     "iso": (50.0, 409_600.0),
+    "exposure_jitter": (0.0, 2.0),
     "white_balance_jitter": (0.0, 2.0),
     "vignetting": (0.0, 8.0),
     "local_response": (0.0, 1.0),
 }
+
+#: The faults that are drawn at random.
+DRAWN = ("iso", "exposure_jitter", "white_balance_jitter")
+#: What dataset.json says of test and validation pictures where there are such faults.
+CLEAN_TRUTH = "nothing drawn: no noise, stated exposures exact, neutral white balance"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,6 +67,8 @@ class CameraModel:
 
     #: Photon and read noise of a sensor at this speed; ``None`` is a sensor without noise.
     iso: float | None = None
+    #: Standard deviation in stops of a picture's exposure around the one that is stated.
+    exposure_jitter: float = 0.0
     #: Standard deviation in stops of the red and the blue gain, drawn once a view; green keeps.
     white_balance_jitter: float = 0.0
     #: Stops that the picture's corners lose.
@@ -70,6 +80,14 @@ class CameraModel:
     def off(self) -> bool:
         """Whether this is the ideal camera."""
         return self == CameraModel()
+
+    @property
+    def systematic(self) -> "CameraModel":
+        """The camera without what is drawn at random: it takes the pictures that methods are measured by.
+
+        No method can predict what is drawn, so it would only hide how near a method comes.
+        """
+        return replace(self, **{name: getattr(CameraModel, name) for name in DRAWN})
 
     def check(self) -> None:
         """Raise ``OptionError`` for the first option that is out of range."""
@@ -95,6 +113,8 @@ class CameraModel:
                 "contrast_stops": LOCAL_CONTRAST,
                 "limit_stops": LOCAL_LIMIT,
             }
+        if self.systematic != self:
+            entry["held_out"] = CLEAN_TRUTH
         return entry
 
     def view(self, seed: int, name: str) -> "ViewCamera":
@@ -109,7 +129,7 @@ class CameraModel:
         rng: np.random.Generator,
         balance: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Picture [H, W, 3] uint8 of radiance [H, W, 3] (scene-linear) exposed for ``exposure`` seconds.
+        """Picture [H, W, 3] uint8 of radiance [H, W, 3] (scene-linear) truly exposed for ``exposure`` s.
 
         ``rng``: for the noise, not used without ``iso``. ``balance``: the view's gains [3], else neutral.
         """
@@ -139,10 +159,16 @@ class ViewCamera:
         red, blue = self._rng("white balance").normal(0.0, self.model.white_balance_jitter, 2)
         return np.exp2([red, 0.0, blue])
 
+    def true_exposure(self, stated: float) -> float:
+        """Seconds that a picture is exposed for in truth: those stated · 2^(σ z), z standard normal."""
+        stops = self._rng(f"exposure of {stated:.9g} s").normal(0.0, self.model.exposure_jitter)
+        return stated * float(np.exp2(stops))
+
     def develop(self, radiance: np.ndarray, exposure: float, response: Response) -> np.ndarray:
-        """Picture [H, W, 3] uint8 of radiance [H, W, 3]; every exposure has noise of its own."""
+        """Picture [H, W, 3] uint8 of radiance [H, W, 3]; every exposure has noise and error of its own."""
         balance = self.balance if self.model.white_balance_jitter else None
-        return self.model.develop(radiance, exposure, response, self._rng(f"{exposure:.9g} s"), balance)
+        noise = self._rng(f"{exposure:.9g} s")
+        return self.model.develop(radiance, self.true_exposure(exposure), response, noise, balance)
 
     def _rng(self, purpose: str) -> np.random.Generator:
         digest = hashlib.sha256(f"{self.seed}/{self.name}/{purpose}".encode()).digest()
@@ -157,6 +183,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument_group("a real camera (all off by default; docs/camera.md)").add_argument
     add(
         "--iso", type=float, metavar="S", help="photon and read noise of a sensor at this speed, such as 3200"
+    )
+    add(
+        "--exposure-jitter",
+        type=float,
+        default=CameraModel.exposure_jitter,
+        metavar="STOPS",
+        help="standard deviation of each picture's exposure around the one that is stated, such as 0.05",
     )
     add(
         "--white-balance-jitter",

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..bridge.data_set import HELD_OUT
 from . import exr, folder
 from .errors import DamagedFileError
 from .options import Options
@@ -53,7 +54,8 @@ class Derivation:
         radiance = passes.radiance(shot.levels)
         if shot.hdr in missing:
             folder.write(self.out / shot.hdr, exr.encode_rgb(radiance))
-        camera = self.options.camera.view(self.options.seed, shot.stem)
+        model = self.options.camera.systematic if shot.split in HELD_OUT else self.options.camera
+        camera = model.view(self.options.seed, shot.stem)
         light = radiance.astype(np.float64)
         for k, exposure in enumerate(self.options.bracket):
             if shot.bracket(k) in missing:

@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 
+from physhdr.bridge.srgb import to_linear
 from physhdr.synth import camera_model, response
 from physhdr.synth.camera_model import CameraModel
 from physhdr.synth.errors import OptionError
@@ -42,7 +43,14 @@ def test_the_ideal_camera_is_the_response_and_nothing_else(picture):
 
 
 @pytest.mark.parametrize(
-    "on", [{"iso": 3200.0}, {"white_balance_jitter": 0.3}, {"vignetting": 2.0}, {"local_response": 0.6}]
+    "on",
+    [
+        {"iso": 3200.0},
+        {"exposure_jitter": 0.3},
+        {"white_balance_jitter": 0.3},
+        {"vignetting": 2.0},
+        {"local_response": 0.6},
+    ],
 )
 def test_each_fault_changes_the_picture_and_is_told(picture, on):
     model = CameraModel(**on)
@@ -50,7 +58,51 @@ def test_each_fault_changes_the_picture_and_is_told(picture, on):
     assert (model.view(0, "train/r_3").develop(picture, 2.0, REINHARD) != ideal).mean() > 0.3
     told = json.loads(json.dumps(model.describe()))
     assert {key: told[key] for key in on} == on
-    assert not (set(told) - {"sensor", "local"}) - set(on)
+    assert not (set(told) - {"sensor", "local", "held_out"}) - set(on)
+    assert ("held_out" in told) == bool(set(on) & {"iso", "exposure_jitter", "white_balance_jitter"})
+
+
+# ---- shutter -----------------------------------------------------------------------------------------
+
+
+def test_exposures_scatter_as_asked_around_those_stated():
+    """Exposures measured from pictures of a grey card, against numbers drawn by another generator."""
+    sigma, count, card = 0.1, 1500, np.full((2, 2, 3), 0.4)
+    model = CameraModel(exposure_jitter=sigma)
+    pictures = [model.view(5, f"train/r_{k}").develop(card, 0.5, SRGB)[0, 0, 0] for k in range(count)]
+    stops = np.sort(np.log2(to_linear(np.array(pictures) / 255) / 0.2))
+    drawn = np.sort(np.random.RandomState(11).standard_normal(count) * sigma)
+    assert stops.mean() == pytest.approx(0.0, abs=4 * sigma / np.sqrt(count))
+    assert stops.std() == pytest.approx(drawn.std(), rel=0.1)
+    # Kolmogorov and Smirnov: two samples of one distribution are farther apart once in 1,000 times.
+    both = np.concatenate([stops, drawn])
+    apart = np.abs(np.searchsorted(stops, both, "right") - np.searchsorted(drawn, both, "right")) / count
+    assert apart.max() < 1.95 * np.sqrt(2 / count)
+
+
+def test_every_picture_has_an_exposure_error_of_its_own():
+    model = CameraModel(exposure_jitter=0.2)
+    stated = np.exp2(np.arange(-3.0, 5.0))
+    errors = np.array(
+        [[model.view(5, f"train/r_{k}").true_exposure(t) / t for t in stated] for k in range(500)]
+    )
+    assert len(np.unique(errors)) == errors.size
+    correlation = np.corrcoef(np.log2(errors).T)
+    assert np.abs(correlation[~np.eye(8, dtype=bool)]).max() < 4 / np.sqrt(500)
+    view = model.view(5, "train/r_7")
+    assert [view.true_exposure(t) / t for t in stated[::-1]] == list(errors[7, ::-1])
+
+
+def test_an_exposure_error_is_light_before_all_else_and_changes_no_other_draw(picture):
+    """A picture is the one of its true exposure; a tiny error leaves noise and balance as they were."""
+    view = CameraModel(exposure_jitter=0.5, vignetting=1.0, local_response=0.3).view(1, "train/r_3")
+    assert abs(np.log2(view.true_exposure(2.0) / 2.0)) > 0.05
+    steady = CameraModel(vignetting=1.0, local_response=0.3).view(1, "train/r_3")
+    expected = steady.develop(picture, view.true_exposure(2.0), REINHARD)
+    assert np.array_equal(view.develop(picture, 2.0, REINHARD), expected)
+    drawn = CameraModel(iso=6400.0, white_balance_jitter=0.2).view(1, "train/r_3")
+    also = CameraModel(iso=6400.0, white_balance_jitter=0.2, exposure_jitter=1e-12).view(1, "train/r_3")
+    assert np.array_equal(drawn.develop(picture, 2.0, REINHARD), also.develop(picture, 2.0, REINHARD))
 
 
 # ---- sensor ------------------------------------------------------------------------------------------
@@ -232,7 +284,7 @@ def test_windows_are_means_of_what_lies_in_the_picture():
 
 
 def test_seed_name_and_exposure_decide_the_noise_not_the_order(picture):
-    model = CameraModel(iso=6400.0, white_balance_jitter=0.1)
+    model = CameraModel(iso=6400.0, exposure_jitter=0.1, white_balance_jitter=0.1)
     view = model.view(1, "train/r_3")
     first = view.develop(picture, 2.0, REINHARD)
     view.develop(picture, 8.0, REINHARD)
@@ -253,6 +305,8 @@ def test_the_command_line():
     words = [
         "--iso",
         "1600",
+        "--exposure-jitter",
+        "0.05",
         "--white-balance-jitter",
         "0.1",
         "--vignetting",
@@ -261,7 +315,9 @@ def test_the_command_line():
         "0.6",
     ]
     asked = camera_model.from_arguments(parser.parse_args(words))
-    assert asked == CameraModel(iso=1600, white_balance_jitter=0.1, vignetting=1.5, local_response=0.6)
+    assert asked == CameraModel(
+        iso=1600, exposure_jitter=0.05, white_balance_jitter=0.1, vignetting=1.5, local_response=0.6
+    )
     asked.check()
 
 
@@ -270,6 +326,8 @@ def test_the_command_line():
     [
         ("iso", 10.0),
         ("iso", float("nan")),
+        ("exposure_jitter", 2.1),
+        ("exposure_jitter", float("nan")),
         ("white_balance_jitter", -0.1),
         ("vignetting", 9.0),
         ("vignetting", float("inf")),
