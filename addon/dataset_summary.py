@@ -75,6 +75,8 @@ class DatasetSummary:
         parts = [f"{views.get(data_set.TRAIN, 0)} training views", f"{views.get(data_set.TEST, 0)} test"]
         if data_set.LIT in views:
             parts.append(f"{views[data_set.LIT]} under other light")
+        if data_set.VALIDATION in views:
+            parts.append(f"{views[data_set.VALIDATION]} validation")
         size = f", {self.size[0]} × {self.size[1]}" if self.size else ""
         told = [f"{self.name}: {', '.join(parts)}{size}"]
         if self.exposures:

@@ -67,6 +67,18 @@ def test_a_plain_folder(folder):
     ]
 
 
+def test_validation_views_are_named(folder):
+    (folder / "val").mkdir()
+    frame = {"file_path": "./val/r_0", "transform_matrix": []}
+    (folder / "transforms_val.json").write_text(json.dumps({"camera_angle_x": 0.9, "frames": [frame]}))
+    (folder / "exposure_val.json").write_text(json.dumps({"./val/r_0_0.png": 2.0}))
+    assert "Pictures are missing (1): val/r_0_0.png" in summarise(folder).warnings[0]
+    (folder / "val/r_0_0.png").write_bytes(png(6, 4))
+    found = summarise(folder)
+    assert found.lines[0] == f"{folder.name}: 3 training views, 2 test, 1 validation, 6 × 4"
+    assert found.views["val"] == 1 and found.exposures == SECONDS and not found.warnings
+
+
 def test_a_folder_of_ours(folder):
     info = {"format": "physhdr-dataset", "version": 1, "scene": "attic", "dynamic_range": {"stops": 15.25}}
     (folder / "dataset.json").write_text(json.dumps(info))
