@@ -9,29 +9,33 @@ from typing import Any
 
 from ...bridge.atomic import atomic_path
 from ..inspect import inspect
-from .plan import SceneFolder
+from ..inspect.findings import Inspection, floor_in_words, samples_in_words
 from .runs import Record
 
 FACTS_FOLDER = "facts"
 
 
-def scene_facts(out: Path, scene: SceneFolder, data: str) -> dict[str, Any]:
-    """What ``physhdr inspect`` finds in a data set; looked at once for each ``data`` fingerprint."""
-    path = out / FACTS_FOLDER / f"{scene.name}.json"
+def scene_facts(out: Path, name: str, folder: Path, data: str) -> dict[str, Any]:
+    """What ``physhdr inspect`` finds in the data set in ``folder``, which the plan calls ``name``.
+
+    Looked at once for each ``data`` fingerprint.
+    """
+    path = out / FACTS_FOLDER / f"{name}.json"
+    wanted = {field.name for field in dataclasses.fields(Inspection)}
     try:
         kept = json.loads(path.read_text(encoding="utf-8"))
-        if kept["data"] == data:
+        if kept["data"] == data and kept["facts"].keys() >= wanted:  # else an earlier version looked
             return kept["facts"]
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
         pass  # not looked at yet, or not readable: look again
-    facts = dataclasses.asdict(inspect(scene.data))
+    facts = dataclasses.asdict(inspect(folder))
     with atomic_path(path) as temporary:
         temporary.write_text(json.dumps({"data": data, "facts": facts}, indent=1) + "\n", encoding="utf-8")
     return facts
 
 
-def scene_line(scene: SceneFolder, facts: dict[str, Any]) -> str:
-    """``demo (interior): 200×200, 18 train, 17 test; …``."""
+def scene_line(name: str, facts: dict[str, Any]) -> str:
+    """``demo (interior): 200×200, 18 train, 17 test; …``, of the data set that the plan calls ``name``."""
     parts = []
     if facts.get("resolution"):
         parts.append("×".join(str(side) for side in facts["resolution"]))
@@ -45,19 +49,14 @@ def scene_line(scene: SceneFolder, facts: dict[str, Any]) -> str:
     stops = (facts.get("dynamic_range") or {}).get("stops")
     if stops is not None:
         parts.append(f"{stops:g} stops")
-    samples = facts.get("renders", {}).get("samples")
-    if samples:
-        least, most = min(samples), max(samples)
-        parts.append(f"{least:g}{'' if least == most else f' … {most:g}'} samples a pixel")
-    floor = facts.get("noise_floor") or {}
-    if floor.get("psnr"):
-        hdr = floor.get("hdr_psnr")
-        parts.append(
-            f"two renders agree to {_numbers(floor['psnr'])} dB"
-            + (f", HDR {hdr:g} dB" if isinstance(hdr, int | float) else "")
-        )
-    name = facts.get("scene", "")
-    return f"{scene.name}{f' ({name})' if name not in ('', scene.name) else ''}: {', '.join(parts)}"
+    if samples := facts.get("samples"):
+        parts.append(f"{samples_in_words(samples)} samples a pixel")
+    if floor := facts.get("noise_floor"):
+        parts.append(f"two renders of a test view agree to {floor_in_words(floor)}")
+    if floor := facts.get("reference_floor"):
+        parts.append(f"the kept one and one without denoising to {floor_in_words(floor)}")
+    scene = facts.get("scene", "")
+    return f"{name}{f' ({scene})' if scene not in ('', name) else ''}: {', '.join(parts)}"
 
 
 def machine_lines(records: Iterable[Record]) -> list[str]:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a benchmark runs: ``plan.toml``, or the same from flags; kept in the benchmark's folder.
 
+kind = "report"                                           # or "tune": choices are made on validation views
 methods = ["default", "baseline", "dim := default --densify.threshold 4e-4"]
 scenes = ["../data/demo", "night=../data/bathroom"]      # beside the file, or absolute
 settings = ["exp3", "exp1"]
@@ -10,6 +11,7 @@ set = ["downscale=2"]                                     # for every method
 margins_of = ["default"]                                  # whose lead over the others is reported
 controls = ["dim"]                                        # that the verdict on that lead does not count
 note = "What the figures do not show."                    # stands at the top of the report
+open_sealed = true                                        # a report may have sealed scenes (roles.py)
 [[group]]
 name = "one backbone"                                     # the verdict over these alone, too
 methods = ["baseline", "default"]
@@ -29,12 +31,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ...bridge import data_set
 from ...bridge.atomic import atomic_path
 from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
 from ...bridge.regular import read_text
 
 PLAN_FILE = "plan.toml"
 SETTINGS = ("exp1", "exp3")
+#: What a plan is for: choices, measured on validation views, or a report, on test views.
+TUNE, REPORT = "tune", "report"
+KINDS = (TUNE, REPORT)
 ITERATIONS, CPU_SECONDS = "iterations", "cpu-seconds"
 #: Names become folders.
 NAME = re.compile(r"[A-Za-z0-9†+_][A-Za-z0-9†+_.-]*")
@@ -149,7 +155,8 @@ class Plan:
     """Everything that decides what is run and told. Names are unique in each list, and no list is empty.
 
     ``assignments``: of ``--set``, for every method; ``options``: the words for ``physhdr train`` they become.
-    ``note``: a paragraph in Markdown for the top of the report.
+    ``note``: a paragraph in Markdown for the top of the report. ``kind``: ``tune``, which sees no test view,
+    or ``report``. ``open_sealed``: whether a report may have sealed scenes.
     """
 
     methods: tuple[Method, ...]
@@ -166,8 +173,12 @@ class Plan:
     groups: tuple[Group, ...] = ()
     ladders: tuple[Ladder, ...] = ()
     note: str = ""
+    kind: str = REPORT
+    open_sealed: bool = False
 
     def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise BadValueError(f"there is no kind of plan '{self.kind}'", f"Choose from {', '.join(KINDS)}.")
         names = [method.name for method in self.methods]
         _require_unique("method", names, "Name a variant: NAME := PRESET --option value.")
         _require_unique("scene", [scene.name for scene in self.scenes], "Name one: NAME=FOLDER.")
@@ -188,6 +199,11 @@ class Plan:
         for ladder in self.ladders:
             if len(ladder.steps) < 2:
                 raise BadValueError(f"the ladder '{ladder.name}' has fewer than two steps")
+
+    @property
+    def split(self) -> str:
+        """The views that runs are evaluated on."""
+        return data_set.VALIDATION if self.kind == TUNE else data_set.TEST
 
     @property
     def options(self) -> tuple[str, ...]:
@@ -219,6 +235,7 @@ def option_words(assignment: str) -> tuple[str, ...]:
 
 #: What each key of plan.toml becomes: the field of ``Plan`` and how its value is read.
 _KEYS: dict[str, tuple[str, Callable[[Any, Path], Any]]] = {
+    "kind": ("kind", lambda value, _: str(value)),
     "methods": ("methods", lambda value, _: tuple(Method.parsed(text) for text in _texts(value))),
     "scenes": ("scenes", lambda value, at: tuple(SceneFolder.parsed(text, at) for text in _texts(value))),
     "settings": ("settings", lambda value, _: tuple(_texts(value))),
@@ -231,6 +248,7 @@ _KEYS: dict[str, tuple[str, Callable[[Any, Path], Any]]] = {
     "margins_of": ("margins_of", lambda value, _: tuple(_texts(value))),
     "controls": ("controls", lambda value, _: tuple(_texts(value))),
     "note": ("note", lambda value, _: str(value)),
+    "open_sealed": ("open_sealed", lambda value, _: _yes_or_no(value)),
     "group": ("groups", lambda value, _: tuple(Group(str(x["name"]), tuple(x["methods"])) for x in value)),
     "ladder": ("ladders", lambda value, _: tuple(Ladder(str(x["name"]), tuple(x["steps"])) for x in value)),
 }
@@ -278,6 +296,7 @@ def read_plan(path: Path) -> dict[str, Any]:
 def write_plan(plan: Plan, path: Path) -> None:
     """``plan.toml`` of which ``read_plan`` and ``make_plan`` make the same plan; raises ``OutputError``."""
     rows: dict[str, Any] = {
+        "kind": plan.kind,
         "methods": [str(method) for method in plan.methods],
         "scenes": [str(scene) for scene in plan.scenes],
         "settings": list(plan.settings),
@@ -295,7 +314,9 @@ def write_plan(plan: Plan, path: Path) -> None:
         rows["controls"] = list(plan.controls)
     if plan.note:
         rows["note"] = plan.note
-    # A string, a number or a list of them is the same in JSON and in TOML.
+    if plan.open_sealed:
+        rows["open_sealed"] = True
+    # A string, a number, true or a list of them is the same in JSON and in TOML.
     lines = [f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in rows.items()]
     tables = [("group", each.name, "methods", each.methods) for each in plan.groups]
     tables += [("ladder", each.name, "steps", each.steps) for each in plan.ladders]
@@ -315,6 +336,12 @@ def _texts(value: Any) -> list[str]:
 def _whole(value: Any) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or value < 0:
         raise TypeError("a whole number is wanted")
+    return value
+
+
+def _yes_or_no(value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise TypeError("true or false is wanted")
     return value
 
 

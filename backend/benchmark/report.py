@@ -12,7 +12,8 @@ from ...bridge.atomic import atomic_path
 from ..evaluate.comparison import DEFAULT_METRICS, NONE, ComparedRun, column, comparison_table
 from .facts import machine_lines, scene_facts, scene_line
 from .margins import PAPER_MARGINS, Margin, margin
-from .plan import CPU_SECONDS, Budget, Ladder
+from .plan import CPU_SECONDS, TUNE, Budget, Ladder
+from .roles import role_lines
 from .runs import Record, Run, has_gaussians
 from .schedule import Schedule
 from .search import TOLERANCE
@@ -88,13 +89,13 @@ def to_csv(finished: Sequence[Finished]) -> str:
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     columns = [column(key) for key in CSV_METRICS]
-    names = ["budget", "setting", "scene", "method", "preset", "options", "seed", *CSV_METRICS]
+    names = ["budget", "setting", "scene", "method", "preset", "options", "seed", "split", *CSV_METRICS]
     names += ["cpu_seconds", "seconds", "iterations", "gaussians", "peak_memory", "threads", "host", "code"]
     writer.writerow(names)
     for each in finished:
         run, record = each.run, each.record
         line: list[object] = [run.budget, run.setting, run.scene.name, run.method.name, run.method.preset]
-        line += [" ".join(run.method.options), run.seed]
+        line += [" ".join(run.method.options), run.seed, each.entry.evaluation["conditions"]["split"]]
         line += ["" if (value := one.value(each.entry)) is None else value for one in columns]
         line += [record.cpu_seconds, record.seconds, record.iterations]
         line += ["" if each.gaussians is None else each.gaussians]
@@ -107,7 +108,8 @@ def to_csv(finished: Sequence[Finished]) -> str:
 def to_markdown(schedule: Schedule, finished: Sequence[Finished], command: str, csv_name: str) -> str:
     """The whole report, without the machine's paths. ``command``: what makes it again."""
     plan = schedule.store.plan
-    parts = ["# Benchmark", _opening(schedule, finished, command, csv_name)]
+    title = "# Benchmark for tuning: validation views" if plan.kind == TUNE else "# Benchmark"
+    parts = [title, _opening(schedule, finished, command, csv_name)]
     parts += ["## Conditions", _listed(_conditions(schedule, finished))]
     groups = [(budget, setting) for budget in plan.budgets for setting in plan.settings]
     sections: list[tuple[str, Callable[[Schedule, list[ComparedRun]], str]]] = [
@@ -145,6 +147,7 @@ def without_places(text: str, schedule: Schedule) -> str:
     the user's folder ``~``: in evaluations' messages, logs of runs that failed, options that name a file.
     """
     names = {scene.data: scene.name for scene in schedule.store.plan.scenes}
+    names |= {schedule.store.data_folder(scene): scene.name for scene in schedule.store.plan.scenes}
     names |= {schedule.store.out.resolve(): "OUT", schedule.store.out.absolute(): "OUT", PACKAGE: "physhdr"}
     names |= {Path.home(): "~"}
     for place in sorted(names, key=lambda each: len(str(each)), reverse=True):  # the innermost first
@@ -179,7 +182,12 @@ def _opening(schedule: Schedule, finished: Sequence[Finished], command: str, csv
 
 def _conditions(schedule: Schedule, finished: Sequence[Finished]) -> list[str]:
     plan = schedule.store.plan
-    lines = machine_lines(each.record for each in finished)
+    lines = [
+        "kind tune: every figure is of validation views; nothing of the test views was opened"
+        if plan.kind == TUNE
+        else "kind report: every figure is of test views"
+    ]
+    lines += machine_lines(each.record for each in finished)
     for budget in plan.budgets:
         if budget.kind != CPU_SECONDS:
             lines.append(f"budget {_in_words(budget)}: `--iterations {budget.amount:.15g}` for every method")
@@ -200,9 +208,10 @@ def _conditions(schedule: Schedule, finished: Sequence[Finished]) -> list[str]:
         lines.append(f"for every method: `{' '.join(plan.assignments)}`")
     lines += [f"method {method.name}: `{method}`" for method in plan.methods if str(method) != method.name]
     for scene in plan.scenes:
-        facts = scene_facts(schedule.store.out, scene, schedule.store.data[scene.name])
-        lines.append(f"scene {scene_line(scene, facts)}")
-    return lines + _messages(finished)
+        folder = schedule.store.data_folder(scene)
+        facts = scene_facts(schedule.store.out, scene.name, folder, schedule.store.data[scene.name])
+        lines.append(f"scene {scene_line(scene.name, facts)}")
+    return [*lines, *role_lines(plan), *_messages(finished)]
 
 
 def _messages(finished: Sequence[Finished]) -> list[str]:

@@ -4,6 +4,7 @@
 ``OUT/<budget>/<setting>/<scene>/<method>/seed_<n>/`` is the folder of ``physhdr train`` and ``evaluate``,
 with ``benchmark.log`` (what they printed) and ``run.json`` (``Record``), or ``failed.json``. It appears by a
 rename when all of it is there. ``search.json`` beside the seeds: the iterations of a budget in CPU seconds.
+Runs of a plan that tunes are in ``OUT/tune/`` instead: none is ever taken for one of a report.
 """
 
 import dataclasses
@@ -21,7 +22,8 @@ from ...bridge.atomic import atomic_path
 from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
 from ..evaluate.comparison import load_evaluation
 from ..train.config import CONFIG_FILE, method_of
-from .plan import CPU_SECONDS, Budget, Method, Plan, SceneFolder
+from .plan import CPU_SECONDS, REPORT, TUNE, Budget, Method, Plan, SceneFolder
+from .without_test import NAMES, link_without_test
 
 RUN_FILE, FAILED_FILE, SEARCH_FILE = "run.json", "failed.json", "search.json"
 RUN_LOG = "benchmark.log"
@@ -29,6 +31,8 @@ RUN_LOG = "benchmark.log"
 PER_RUN = ("iterations", "seed", "exposure_mode")
 #: Renders from which a data set was made: neither training nor evaluation reads them.
 UNREAD = data_set.PASSES_FOLDER
+#: In a plan's folder for tuning: each data set without its test views.
+WITHOUT_TEST = "without-test"
 
 
 @dataclass(frozen=True)
@@ -40,11 +44,13 @@ class Run:
     scene: SceneFolder
     method: Method
     seed: int
+    kind: str = REPORT
 
     @property
     def group(self) -> Path:
         """The folder of all its seeds."""
-        return Path(self.budget.folder, self.setting, self.scene.name, self.method.name)
+        place = Path(TUNE) if self.kind == TUNE else Path()
+        return place / self.budget.folder / self.setting / self.scene.name / self.method.name
 
     @property
     def folder(self) -> Path:
@@ -116,7 +122,7 @@ def runs_of(plan: Plan) -> list[Run]:
     """All runs, in the order in which they are begun: what is needed first, and every method soon."""
     budgets = sorted(plan.budgets, key=lambda budget: budget.kind == CPU_SECONDS)
     return [
-        Run(budget, setting, scene, method, seed)
+        Run(budget, setting, scene, method, seed, plan.kind)
         for budget in budgets
         for seed in plan.seeds
         for setting in plan.settings
@@ -153,6 +159,14 @@ class Store:
     def evaluation_fingerprint(self) -> str:
         return fingerprint(["evaluation", self.weights])
 
+    def data_folder(self, scene: SceneFolder) -> Path:
+        """What runs and reports are told of a data set: of a plan that tunes a folder without test views,
+        made here. Raises ``OutputError`` where it cannot be.
+        """
+        if self.plan.kind != TUNE:
+            return scene.data
+        return link_without_test(scene.data, self.out / TUNE / WITHOUT_TEST / scene.name)
+
     # -- what is there -----------------------------------------------------------------------------------
 
     def record(self, run: Run) -> Record | None:
@@ -166,11 +180,13 @@ class Store:
         return failure if failure and (failure.training, failure.evaluation) == wanted else None
 
     def evaluation(self, run: Run) -> dict[str, Any] | None:
-        """What ``physhdr evaluate`` wrote of it; None where that is not there or damaged."""
+        """What ``physhdr evaluate`` wrote of it; None where that is not there, damaged or of other views."""
         try:
-            return load_evaluation(self.out / run.folder)
+            evaluation = load_evaluation(self.out / run.folder)
         except (FileMissingError, FileDamagedError):
             return None
+        # Whoever evaluates a run by hand may have chosen the other views.
+        return evaluation if evaluation["conditions"].get("split") == self.plan.split else None
 
     def search(self, run: Run) -> Search | None:
         """The search for the budget of ``run``, if it was done for the same method, data and threads."""
@@ -260,13 +276,20 @@ def fingerprint(content: Any) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def data_fingerprint(root: Path) -> str:
-    """Of every file that a training or an evaluation could read; raises ``BadValueError`` for no files."""
-    files = sorted(path for path in root.rglob("*") if path.is_file())
+def data_fingerprint(root: Path, kind: str = REPORT) -> str:
+    """Of every file that a training or an evaluation of a plan of this ``kind`` could read.
+
+    Raises ``BadValueError`` for no files.
+    """
+    if kind == TUNE:
+        tops = [root / name for name in NAMES]
+        files = sorted(path for top in tops for path in (top.rglob("*") if top.is_dir() else [top]))
+    else:
+        files = sorted(root.rglob("*"))
     digests = []
     for path in files:
         parts = path.relative_to(root).parts
-        if parts[0] == UNREAD or any(part.startswith(".") for part in parts):
+        if parts[0] == UNREAD or any(part.startswith(".") for part in parts) or not path.is_file():
             continue
         digests.append(["/".join(parts), hashlib.sha256(path.read_bytes()).hexdigest()])
     if not digests:

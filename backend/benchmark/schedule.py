@@ -17,7 +17,7 @@ from ...bridge.lock import Claims
 from ..jobs.pools import Outcome, Pool
 from ..runs.log import LOG_FILE
 from .job import PROGRAM, TRIAL, Job, execute
-from .plan import CPU_SECONDS
+from .plan import CPU_SECONDS, TUNE
 from .runs import Record, Run, Store, runs_of
 from .search import Measurement
 
@@ -208,7 +208,7 @@ class Schedule:
         return Job(
             final=final,
             work=final.with_name(f".{final.name}-{secrets.token_hex(4)}"),
-            data=run.scene.data,
+            data=store.data_folder(run.scene),
             train=(
                 *plan.words_of(run.method),
                 *("--seed", str(run.seed), "--exposure-mode", run.setting),
@@ -216,6 +216,7 @@ class Schedule:
             ),
             evaluate=(
                 *("--device", plan.device),
+                *(("--split", plan.split) if plan.kind == TUNE else ()),
                 *(("--lpips-weights", str(plan.lpips_weights)) if plan.lpips_weights else ()),
             ),
             config=store.config(run, iterations or 0),

@@ -10,7 +10,7 @@ import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import tyro
 from rich.live import Live
@@ -20,6 +20,7 @@ from ..benchmark.job import PROGRAM
 from ..benchmark.live import progress_table
 from ..benchmark.plan import PLAN_FILE, Plan, make_plan, read_plan, write_plan
 from ..benchmark.report import REPORT_FILE, write_report
+from ..benchmark.roles import require_allowed
 from ..benchmark.runs import Store, data_fingerprint
 from ..benchmark.schedule import Schedule
 from ..device import DeviceName
@@ -42,6 +43,8 @@ class Benchmark:
     out: Path
     #: A plan (TOML); flags below replace what it says.
     plan: Path | None = None
+    #: What it is for: report (test views; the default), or tune (validation views alone, to make choices on).
+    kind: Literal["tune", "report"] | None = None
     #: Presets, with commas or spaces between; or 'NAME := PRESET --option value', one an argument.
     methods: tuple[str, ...] = ()
     #: Folders of data sets; NAME=FOLDER to name one.
@@ -77,9 +80,10 @@ class Benchmark:
 
     def run(self) -> int:
         plan = self._plan()
+        require_allowed(plan)
         configs = {method.name: configuration(plan, method.name) for method in plan.methods}
         console.print(f"reading {len(plan.scenes)} data sets to know them again")
-        data = {scene.name: data_fingerprint(scene.data) for scene in plan.scenes}
+        data = {scene.name: data_fingerprint(scene.data, plan.kind) for scene in plan.scenes}
         out = writable_folder(self.out)
         if not self.report_only and not _is_in(out / PLAN_FILE, plan):
             write_plan(plan, out / PLAN_FILE)
@@ -112,6 +116,7 @@ class Benchmark:
         source = self.plan or (stored if stored.is_file() and not fresh else None)
         content = read_plan(source) if source else {}
         flags: dict[str, Any] = {
+            "kind": self.kind,
             "methods": _split(self.methods),
             "scenes": [word for text in self.scenes for word in _scenes(text)],
             "settings": _split(self.settings),

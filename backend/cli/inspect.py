@@ -16,7 +16,14 @@ from ...bridge.data_set import SPLITS
 from ...bridge.errors import BadValueError, DataMismatchError
 from ...bridge.limits import is_number
 from ..inspect import inspect
-from ..inspect.findings import DynamicRange, Exposure, Inspection
+from ..inspect.findings import (
+    DynamicRange,
+    Exposure,
+    Inspection,
+    floor_in_words,
+    samples_in_words,
+    span,
+)
 from ..runs.terminal import console
 from ..scene.hdr_nerf_syn import OURS
 
@@ -119,10 +126,15 @@ def _facts(found: Inspection) -> list[tuple[str, str]]:
     if found.dynamic_range:
         facts.append(("dynamic range", _range_in_words(found.dynamic_range)))
     if found.splits and found.layout == OURS:
-        facts.append(("noise floor", _noise(found)))
-    if found.renders:
-        samples, noise = (_span(found.renders.get(key, [])) for key in ("samples", "noise_psnr"))
-        facts.append(("renders", f"{samples} samples a pixel, noise {noise} dB before denoising"))
+        floor = found.noise_floor
+        facts.append(("noise floor", floor_in_words(floor) if floor else "not measured"))
+    if found.reference_floor:
+        facts.append(("reference floor", f"{floor_in_words(found.reference_floor)}, not denoised"))
+    if found.samples:
+        samples = samples_in_words(found.samples)
+        facts.append(
+            ("renders", f"{samples} samples a pixel, noise {span(found.noise_psnr)} dB before denoising")
+        )
     return facts
 
 
@@ -145,14 +157,6 @@ def _range_in_words(measured: DynamicRange) -> str:
     if measured.stops is None:
         return f"black at the 1st percentile, maximum {measured.maximum:.3g}"
     return f"{measured.stops} stops: 1st percentile to maximum of the training views ({ends})"
-
-
-def _noise(found: Inspection) -> str:
-    floor = found.noise_floor
-    if not floor:
-        return "not measured"
-    hdr = floor.get("hdr_psnr")
-    return f"{_numbers(floor['psnr'])} dB at the exposures" + (f", HDR {hdr:g} dB" if is_number(hdr) else "")
 
 
 def _exposure_table(exposures: list[Exposure]) -> Table:
@@ -218,10 +222,3 @@ def _size(found: Inspection) -> str:
 
 def _numbers(values: list[float]) -> str:
     return ", ".join(f"{value:g}" for value in values) or NONE
-
-
-def _span(values: list[float]) -> str:
-    if not values:
-        return NONE
-    ends = dict.fromkeys(f"{value:.4g}" for value in (min(values), max(values)))
-    return " … ".join(ends)

@@ -2,11 +2,13 @@
 """What an inspection of a data set says, and the judgements that are the same for every layout."""
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from ...bridge.contents import lost_at_the_ends
 from ...bridge.data_set import TEST, TRAIN
+from ...bridge.limits import is_number
 from ..evaluate.results import NOVEL_EXPOSURES, OBSERVED_EXPOSURES
 
 
@@ -66,16 +68,46 @@ class Inspection:
     lights: list[str] = field(default_factory=list)
     relit: list[dict[str, Any]] = field(default_factory=list)
     passes: int = 0
-    renders: dict[str, list[float]] = field(default_factory=dict)
-    """``samples`` and ``noise_psnr`` (dB, before denoising) of each pose's render."""
+    samples: dict[str, list[float]] = field(default_factory=dict)
+    """Of each split: samples a pixel of each pose's render."""
+    noise_psnr: list[float] = field(default_factory=list)
+    """Of each pose's render: dB, before denoising."""
     points: int | None = None
     response: str = ""
     camera: dict[str, Any] = field(default_factory=dict)
     dynamic_range: DynamicRange | None = None
     noise_floor: dict[str, Any] | None = None
+    """Two renders of one test view: ``psnr`` (dB at each exposure) and ``hdr_psnr``, as they are stated."""
+    reference_floor: dict[str, Any] | None = None
+    """The test view that is kept against one rendered without denoising at ``samples``: the same."""
     messages: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     errors: list[str] = field(default_factory=list)
+
+
+def samples_in_words(samples: Mapping[str, Sequence[float]]) -> str:
+    """``256``, ``8 … 10``; where the splits differ, ``train 256, test 4096``."""
+    spans = {split: span(values) for split, values in samples.items()}
+    if len(set(spans.values())) == 1:
+        return next(iter(spans.values()))
+    return ", ".join(f"{split} {words}" for split, words in spans.items())
+
+
+def span(values: Sequence[float]) -> str:
+    """``8``, or ``8 … 10`` from the least to the most; ``–`` for no values."""
+    if not values:
+        return "–"
+    return " … ".join(dict.fromkeys(f"{value:.4g}" for value in (min(values), max(values))))
+
+
+def floor_in_words(floor: Mapping[str, Any]) -> str:
+    """``50, 51 dB at the exposures, HDR 47 dB``, and of how many samples where the floor says."""
+    hdr, samples = floor.get("hdr_psnr"), floor.get("samples")
+    return (
+        f"{', '.join(f'{value:g}' for value in floor['psnr'])} dB at the exposures"
+        + (f", HDR {hdr:g} dB" if is_number(hdr) else "")
+        + (f" ({samples:g} samples)" if is_number(samples) else "")
+    )
 
 
 def tell_exposures(found: Inspection, brackets: dict[str, list[dict[int, float]]]) -> None:

@@ -14,7 +14,7 @@ from ...bridge.errors import PhysHDRError
 from ...bridge.lights import AMBIENT
 from ...bridge.limits import is_number
 from ...bridge.regular import read_json_object
-from ..scene.hdr_nerf_syn import NAME, OURS
+from ..scene.hdr_nerf_syn import NAME, OURS, splits_there
 from ..scene.pictures import read_exr, read_png
 from .findings import Inspection, Split, tell_exposures, warn_of_exposures
 from .layers import read_layers
@@ -39,9 +39,7 @@ class _Walk:
         if (root / data_set.INFO_FILE).exists():
             self.info = self._json(root / data_set.INFO_FILE)
         self.found.layout = OURS if self.info else NAME
-        self.splits = {
-            split: self._split(split) for split in data_set.SPLITS if data_set.has_split(root, split)
-        }
+        self.splits = {split: self._split(split) for split in splits_there(root)}
         self.pixels = TrainingPixels()
         self._head()
         self._splits()
@@ -82,9 +80,9 @@ class _Walk:
             found.made_by += f", Blender {maker['blender']}"
         found.response = str(_object(info.get("response")).get("name", ""))
         found.camera = _object(info.get("camera_model"))
-        floor = _object(info.get("noise_floor"))
-        if isinstance(floor.get("psnr"), list) and all(map(is_number, floor["psnr"])):
-            found.noise_floor = floor
+        found.noise_floor, found.reference_floor = map(
+            _floor, (info.get("noise_floor"), info.get("reference_floor"))
+        )
         lights = info.get("lights")
         found.lights = [str(name) for name in lights] if isinstance(lights, list) else [AMBIENT]
 
@@ -166,11 +164,17 @@ class _Walk:
     def _passes(self) -> None:
         """Every pose's passes: readable, and the bytes that dataset.json has the hash of."""
         told = {}
-        for frame in map(_object, _object(self.info.get("frames")).values()):
+        for name, frame in _object(self.info.get("frames")).items():
+            frame = _object(frame)
             told[self.root / str(frame.get("file"))] = frame.get("sha256")
-            for key in ("samples", "noise_psnr"):
-                if is_number(frame.get(key)):
-                    self.found.renders.setdefault(key, []).append(frame[key])
+            if is_number(samples := frame.get("samples")):
+                self.found.samples.setdefault(name.partition("/")[0], []).append(samples)
+            if is_number(noise := frame.get("noise_psnr")):
+                self.found.noise_psnr.append(noise)
+        if is_number(stated := self.info.get("test_samples")):
+            for name in data_set.HELD_OUT:  # truth that was rendered elsewhere: no frame tells its samples
+                if name in self.splits:
+                    self.found.samples.setdefault(name, [stated])
         for path in data_set.passes_files(self.root):
             if self._picture(path, lambda path: next(iter(read_layers(path).values()))) is None:
                 continue
@@ -199,6 +203,13 @@ class _Walk:
 
 def _object(value: Any) -> dict[str, Any]:
     return value if isinstance(value, dict) else {}
+
+
+def _floor(value: Any) -> dict[str, Any] | None:
+    """A floor of noise as ``dataset.json`` has it; None where it has none that can be told."""
+    floor = _object(value)
+    psnr = floor.get("psnr")
+    return floor if isinstance(psnr, list) and psnr and all(map(is_number, psnr)) else None
 
 
 def _size(value: Any) -> tuple[int, int] | None:

@@ -127,7 +127,7 @@ set = ["downscale=2"]
 
 
 def test_what_the_disk_refuses_is_one_clear_message(tiny_data, tmp_path, monkeypatch, capsys):
-    def full(_):
+    def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device", "/somewhere/file")
 
     monkeypatch.setattr("physhdr.backend.cli.benchmark.data_fingerprint", full)

@@ -46,7 +46,7 @@ class Bench:
         configs: dict[str, Any] = {m.name: {"strength": "".join(m.options[1:2])} for m in plan.methods}
         if "hdr-nerf" in configs:
             configs["hdr-nerf"]["method"] = {"name": "hdr-nerf"}
-        data = {scene.name: data_fingerprint(scene.data) for scene in plan.scenes}
+        data = {scene.name: data_fingerprint(scene.data, plan.kind) for scene in plan.scenes}
         store = Store(self.root / "out", plan, configs, data, weights)
         self.told.clear()
         program = (sys.executable, "-I", "-S", str(FAKE))
@@ -129,6 +129,34 @@ def test_other_weights_of_lpips_repeat_the_evaluation_alone(bench):
     folder = bench.root / "out" / "iterations-50" / "exp3" / "day" / "quick" / "seed_0"
     assert json.loads((folder / "evaluation.json").read_text())["weights"] == str(FAKE)
     assert json.loads((folder / "run.json").read_text())["cpu_seconds"] == 0.5 and not bench.left_over()
+
+
+def test_a_run_of_one_kind_of_plan_is_never_taken_for_one_of_the_other(bench):
+    def split(*place):
+        path = bench.root.joinpath("out", *place, "iterations-50", "exp3", "day", "quick", "seed_0")
+        return json.loads((path / "evaluation.json").read_text())["conditions"]["split"]
+
+    (bench.root / "day" / "transforms_train.json").write_text("{}")
+    bench.run()
+    bench.content["kind"] = "tune"
+    assert kinds(bench.schedule()) == ["waiting"]
+    schedule = bench.run()
+    assert kinds(schedule) == ["done"] and not bench.left_over()
+    assert (split(), split("tune")) == ("test", "val")
+    report, table = write_report(schedule, bench.root / "report.md", "physhdr benchmark")
+    assert (
+        "validation views" in report.read_text().splitlines()[0] and str(bench.root) not in report.read_text()
+    )
+    assert [row["split"] for row in csv.DictReader(table.open())] == ["val"]
+    bench.calls()
+    del bench.content["kind"]
+    assert kinds(bench.run()) == ["done"] and bench.calls() == []  # neither has replaced the other
+    # Somebody evaluates the run by hand, on the other views: it is evaluated again, not trained again.
+    path = bench.root / "out" / schedule.runs[0].folder.relative_to("tune") / "evaluation.json"
+    content = json.loads(path.read_text())
+    path.write_text(json.dumps(content | {"conditions": {"split": "val"}}))
+    assert kinds(bench.schedule()) == ["waiting"]
+    assert kinds(bench.run()) == ["done"] and bench.calls() == [] and split() == "test"
 
 
 def test_a_failure_stops_nothing_is_told_and_tried_again_when_asked(bench):

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """``physhdr inspect``: what it says of a whole data set, and of each kind of damage."""
 
+import dataclasses
 import hashlib
 import importlib.util
 import json
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from physhdr.backend.benchmark.facts import scene_line
 from physhdr.backend.cli import main
 from physhdr.backend.inspect import inspect
 from physhdr.backend.runs.terminal import console
@@ -51,6 +53,46 @@ def test_everything_of_a_whole_data_set_is_told(tiny_data, capsys):
         ["32", "+5"],
     ]
     assert ["(OE)" in row for row in rows] == [True, False, True, False, True]
+
+
+def test_validation_views_and_both_floors_are_told(validation_data, tmp_path, capsys):
+    data = shutil.copytree(validation_data, tmp_path / "data")
+    floors = {
+        "noise_floor": {"view": 1, "seeds": [5, 6], "psnr": [46.5, 47.25], "hdr_psnr": 45.5},
+        "reference_floor": {"view": 1, "seed": 7, "samples": 65536, "psnr": [48.5, 49.0], "hdr_psnr": 47.5},
+    }
+    frames = {
+        f"{split}/{k}": {"file": f"passes/{split}_{k:03d}.exr", "samples": samples, "noise_psnr": 30.0}
+        for split, samples in (("train", 256), ("test", 4096), ("val", 4096))
+        for k in range(3)
+    }
+    counts = {"train": 3, "test": 3, "lit": 2, "val": 3}
+    edit(data / "dataset.json", lambda info: info.update(floors, frames=frames, splits=counts))
+    assert main(["inspect", str(data)]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "val 3 poses, true HDR of 3" in printed and "lit, val" in printed
+    assert "noise floor 46.5, 47.25 dB at the exposures, HDR 45.5 dB" in printed
+    assert "reference floor 48.5, 49 dB at the exposures, HDR 47.5 dB (65536 samples), not" in printed
+    assert "train 256, test 4096, val 4096 samples a pixel" in printed
+    line = scene_line("night", dataclasses.asdict(inspect(data)))
+    assert line.startswith("night (tiny): 32×32, 3 train, 3 test, 2 lit, 3 val, ")
+    assert (
+        "train 256, test 4096, val 4096 samples a pixel, two renders of a test view agree to 46.5, 47" in line
+    )
+    assert (
+        "the kept one and one without denoising to 48.5, 49 dB at the exposures, HDR 47.5 dB (65536" in line
+    )
+    for name in [name for name in frames if not name.startswith("train")]:
+        frames[name] = {"file": f"{name.partition('/')[0]}_hdr/hdr_000.exr", "kept": True}
+    edit(data / "dataset.json", lambda info: info.update(frames=frames, test_samples=8192))
+    assert inspect(data).samples == {"train": [256] * 3, "test": [8192], "val": [8192]}
+    (data / "val" / "r_1_2.png").unlink()
+    (data / "val_hdr" / "hdr_002.exr").unlink()
+    assert len(inspect(data).errors) == 2
+    for name in ("transforms_test.json", "exposure_test.json"):
+        (data / name).unlink()
+    (error,) = [error for error in inspect(data).errors if "speaks of" in error]
+    assert "3 test poses" in error
 
 
 def test_json_is_for_programs_and_agrees_with_the_truth(tiny_data, capsys):
@@ -208,7 +250,7 @@ def test_several_folders_are_a_line_each(data, tiny_data, capsys):
     assert main(["inspect", str(tiny_data), str(data)]) == 0
     printed = capsys.readouterr().out
     rows = [line.split() for line in printed.splitlines() if "32×32" in line]
-    assert [row[:3] for row in rows] == [["tiny", "32×32", "3/3/2"]] * 2
+    assert [row[:3] for row in rows] == [["tiny", "32×32", "3/3/2/0"]] * 2
     assert rows[0][3] == "-3…+5" and rows[0][-1] == "good"
 
 
@@ -237,6 +279,7 @@ JUNK = [
 
 
 KEYS = ["generator", "resolution", "response", "camera_model", "noise_floor", "splits", "lights", "relit"]
+KEYS += ["reference_floor", "test_samples"]
 KEYS += ["lighting_levels", "frames", "dynamic_range", "scene", "exposures", "version"]
 
 

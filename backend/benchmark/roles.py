@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What each built-in scene may be used for, and that a plan keeps to it (benchmarks/README.md)."""
+
+from pathlib import Path
+
+from ...bridge import data_set
+from ...bridge.errors import BadValueError
+from ..scene import hdr_nerf_syn
+from .plan import TUNE, Plan, SceneFolder
+
+#: Choices are made on it · run when a choice is made, never used for one · opened once, at the end.
+TUNING, HELD_OUT, SEALED = "tuning", "held-out", "sealed"
+ROLES = {
+    "interior": TUNING,
+    "bathroom": TUNING,
+    "sponza": TUNING,
+    "bear": HELD_OUT,
+    "diningroom": HELD_OUT,
+    "dog": HELD_OUT,
+    "sofa": HELD_OUT,
+    "chair": SEALED,
+    "desk": SEALED,
+}
+#: Who renders them, as ``dataset.json`` says; a user's own scene has a ``source`` there as well.
+MAKER = "physhdr synth"
+
+WHAT_REPORTED = {
+    TUNING: "choices were made on their validation views, and before they had any on their test views: the "
+    "figures are no proof of a choice",
+    HELD_OUT: "no choice was made on them",
+    SEALED: "opened by this plan (`open_sealed`)",
+}
+
+
+def role_of(data: Path) -> str:
+    """The role of the built-in scene that a data set is of; "" for any other.
+
+    Known by its ``dataset.json``, whatever the folder is called. Raises what reading that raises.
+    """
+    info = data_set.read_info(data, "Make the data set again.")
+    maker = info.get("generator")
+    if not isinstance(maker, dict) or maker.get("name") != MAKER or info.get("source"):
+        return ""
+    return ROLES.get(str(info.get("scene")), "")
+
+
+def require_allowed(plan: Plan) -> None:
+    """Raises ``BadValueError`` where a scene may not be used by a plan of this kind."""
+    for scene in plan.scenes:
+        role = role_of(scene.data)
+        if plan.kind == TUNE:
+            _require_tuning(scene, role)
+        elif role == SEALED and not plan.open_sealed:
+            raise BadValueError(
+                f"the scene '{scene.name}' is sealed: it is opened once, when all choices are made",
+                "Leave it out; or, if this is that time, write open_sealed = true into the plan.",
+            )
+
+
+def _require_tuning(scene: SceneFolder, role: str) -> None:
+    if role in (HELD_OUT, SEALED):
+        may = ", ".join(name for name, of in ROLES.items() if of == TUNING)
+        raise BadValueError(
+            f"the scene '{scene.name}' is {role}: no choice is made on it, whichever its views",
+            f'Tune on {may}, or on scenes of your own; a plan with kind = "report" measures it.',
+        )
+    own = hdr_nerf_syn.is_mine(scene.data)
+    if not own or data_set.VALIDATION not in hdr_nerf_syn.splits_there(scene.data):
+        raise BadValueError(
+            f"the scene '{scene.name}' has no validation views, and a plan that tunes sees no others: "
+            f"{scene.data} has no {data_set.transforms_file(data_set.VALIDATION)}",
+            "Render some into it (make_scene.py --validation-views N), or make it a plan of the kind "
+            '"report", which measures on test views.',
+        )
+
+
+def role_lines(plan: Plan) -> list[str]:
+    """What the report's conditions say of the scenes' roles; [] where none has one."""
+    names: dict[str, list[str]] = {}
+    for scene in plan.scenes:
+        if role := role_of(scene.data):
+            names.setdefault(role, []).append(scene.name)
+    said = {TUNING: "this is what they are for"} if plan.kind == TUNE else WHAT_REPORTED
+    return [f"{role} scenes ({', '.join(of)}): {said[role]}" for role, of in names.items()]

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which scenes a plan may use, and what its report says of them."""
+
+import ast
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from physhdr.backend.benchmark.plan import make_plan, read_plan, write_plan
+from physhdr.backend.benchmark.roles import (
+    HELD_OUT,
+    MAKER,
+    ROLES,
+    SEALED,
+    TUNING,
+    require_allowed,
+    role_lines,
+    role_of,
+)
+from physhdr.backend.cli import main
+from physhdr.bridge.errors import BadValueError, PhysHDRError
+
+ROOT = Path(__file__).parents[3]
+
+
+def folder(place: Path, scene: str, validation: bool = True, **changes) -> Path:
+    """A data set as far as its role goes: ``dataset.json`` and the names of its splits' files."""
+    place.mkdir()
+    info = {"format": "physhdr-dataset", "version": 1, "scene": scene, "generator": {"name": MAKER}}
+    (place / "dataset.json").write_text(json.dumps(info | changes))
+    for split in ("train", "test", *(("val",) if validation else ())):
+        (place / f"transforms_{split}.json").write_text("{}")
+        (place / f"exposure_{split}.json").write_text("{}")
+    return place
+
+
+def plan_of(place: Path, *scenes: Path, **content):
+    given = {"methods": ["default"], "scenes": [str(scene) for scene in scenes], "budgets": ["iterations=5"]}
+    return make_plan(given | content, place)
+
+
+def test_every_built_in_scene_has_one_role() -> None:
+    """As synth's own files name scenes and maker: neither room may import the other."""
+    table = re.search(r"^SCENES\b.*?^}", (ROOT / "synth/built_in.py").read_text(), re.M | re.S)
+    assert table and set(re.findall(r'^ {4}"(\w+)":', table.group(), re.M)) == set(ROLES)
+    maker = re.search(r"^GENERATOR = ({.*})$", (ROOT / "synth/dataset.py").read_text(), re.M)
+    assert maker and ast.literal_eval(maker.group(1))["name"] == MAKER
+    by_role = {role: sorted(name for name in ROLES if ROLES[name] == role) for role in ROLES.values()}
+    assert by_role == {
+        TUNING: ["bathroom", "interior", "sponza"],
+        HELD_OUT: ["bear", "diningroom", "dog", "sofa"],
+        SEALED: ["chair", "desk"],
+    }
+
+
+def test_a_role_is_known_by_what_rendered_the_data_not_by_the_folder(tmp_path: Path) -> None:
+    assert role_of(folder(tmp_path / "kitchen", "desk")) == SEALED
+    assert role_of(folder(tmp_path / "desk", "kitchen")) == ""
+    assert role_of(folder(tmp_path / "mine", "desk", source={"file": "desk.blend"})) == ""
+    assert role_of(folder(tmp_path / "other", "desk", generator={"name": "another"})) == ""
+    assert role_of(folder(tmp_path / "none", "desk", generator=None)) == ""
+    (tmp_path / "dog").mkdir()  # published data are called so, and have no dataset.json
+    assert role_of(tmp_path / "dog") == ""
+
+
+@pytest.mark.parametrize(
+    ("kind", "scene", "refused"),
+    [
+        *(("tune", name, False) for name in ("interior", "bathroom", "sponza")),
+        *(("tune", name, True) for name in ("bear", "diningroom", "dog", "sofa", "chair", "desk")),
+        *(("report", name, False) for name in ("sponza", "sofa", "dog")),
+        *(("report", name, True) for name in ("chair", "desk")),
+    ],
+)
+def test_what_a_plan_of_each_kind_may_open(tmp_path: Path, kind: str, scene: str, refused: bool) -> None:
+    plan = plan_of(tmp_path, folder(tmp_path / "a", "kitchen"), folder(tmp_path / "b", scene), kind=kind)
+    if not refused:
+        require_allowed(plan)
+        return
+    with pytest.raises(BadValueError, match=rf"'b' is {ROLES[scene]}") as caught:
+        require_allowed(plan)
+    assert caught.value.hint
+
+
+def test_a_plan_without_a_kind_reports_and_keeps_sealed_scenes_closed(tmp_path: Path) -> None:
+    sealed = folder(tmp_path / "desk", "desk")
+    assert plan_of(tmp_path, sealed).kind == "report"
+    with pytest.raises(BadValueError, match="open_sealed = true"):
+        require_allowed(plan_of(tmp_path, sealed))
+    opened = plan_of(tmp_path, sealed, open_sealed=True)
+    require_allowed(opened)
+    assert "sealed scenes (desk): opened by this plan" in role_lines(opened)[0]
+    with pytest.raises(BadValueError, match="is sealed"):  # no plan tunes on it, whatever it says
+        require_allowed(plan_of(tmp_path, sealed, kind="tune", open_sealed=True))
+
+
+def test_a_plan_that_tunes_needs_validation_views(tmp_path: Path) -> None:
+    for without in (folder(tmp_path / "a", "sponza", validation=False), tmp_path):
+        with pytest.raises(BadValueError, match="no validation views") as caught:
+            require_allowed(plan_of(tmp_path, without, kind="tune"))
+        assert "--validation-views N" in caught.value.hint and '"report"' in caught.value.hint
+
+
+def test_the_report_tells_the_roles(tmp_path: Path) -> None:
+    scenes = [folder(tmp_path / name, name) for name in ("sponza", "bathroom", "dog", "kitchen")]
+    lines = role_lines(plan_of(tmp_path, *scenes))
+    assert len(lines) == 2 and lines[0].startswith("tuning scenes (sponza, bathroom): choices were made on")
+    assert "test views" in lines[0] and lines[1] == "held-out scenes (dog): no choice was made on them"
+    assert role_lines(plan_of(tmp_path, scenes[3])) == []
+
+
+def test_kind_and_opening_survive_being_written(tmp_path: Path) -> None:
+    plan = plan_of(tmp_path, folder(tmp_path / "a", "desk"), kind="report", open_sealed=True)
+    write_plan(plan, tmp_path / "plan.toml")
+    assert make_plan(read_plan(tmp_path / "plan.toml"), tmp_path) == plan
+    for wrong, said in (
+        ({"kind": "look"}, "no kind of plan 'look'"),
+        ({"open_sealed": "yes"}, "open_sealed.*cannot be read"),
+    ):
+        with pytest.raises(PhysHDRError, match=said):
+            plan_of(tmp_path, tmp_path / "a", **wrong)
+
+
+def test_the_command_refuses_before_it_opens_anything(tmp_path: Path, capsys) -> None:
+    out = tmp_path / "out"
+    words = ["benchmark", "--methods", "default", "--budget", "iterations=5", "--out", str(out)]
+    for scene, more, said in (
+        ("desk", [], "is sealed"),
+        ("desk", ["--report-only"], "is sealed"),
+        ("dog", ["--kind", "tune"], "is held-out"),
+    ):
+        data = folder(tmp_path / f"{scene}{len(more)}", scene)
+        assert main([*words, "--scenes", str(data), *more]) == 1
+        assert said in capsys.readouterr().err and not out.exists()
