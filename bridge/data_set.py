@@ -29,9 +29,12 @@ INFO_FILE = "dataset.json"
 PARTIAL_FILE = "dataset.partial.json"
 POINTS_FILE = "points3d.ply"
 
-#: Trained from; evaluated with; trained from, under other light than that of the other two.
-TRAIN, TEST, LIT = "train", "test", "lit"
-SPLITS = (TRAIN, TEST, LIT)
+#: Trained from; evaluated with, once a choice is made; trained from, under other light than the rest; choices
+#: are made with these, at poses of their own.
+TRAIN, TEST, LIT, VALIDATION = "train", "test", "lit", "val"
+SPLITS = (TRAIN, TEST, LIT, VALIDATION)
+#: Never trained from.
+HELD_OUT = (TEST, VALIDATION)
 
 #: The true radiance under other light, and the renders from which all else was derived: evaluation only.
 RELIT_FOLDER = "relit"
