@@ -1,19 +1,26 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """First points from a PLY, as structure from motion or our own renders give them."""
 
+import dataclasses
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 
-from ...bridge.errors import BadValueError, FileDamagedError
+from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
 from ...bridge.gaussian_ply import open_ply
 from ...bridge.limits import COORDINATE
 from ...bridge.regular import damaged_where_it_fails
-from .scene import Points
+from .scene import Points, Scene
+
+EXACT = "exact ray hits"
+STRUCTURE_FROM_MOTION = "structure from motion"
+#: What a comment of a PLY begins with → the kind of its points. The first is what ``synth/points.py`` writes.
+ORIGINS = {"surface points by ray casting": EXACT, STRUCTURE_FROM_MOTION: STRUCTURE_FROM_MOTION}
 
 
 def read_points(path: Path) -> Points:
-    """The points of a PLY with ``x y z`` and ``red green blue`` (uchar, or float in 0…1).
+    """The points of a PLY with ``x y z`` and ``red green blue`` (uchar, or float in 0…1), and their kind.
 
     Raises ``FileMissingError``, ``FileDamagedError`` (not a PLY, truncated, columns missing, no points, NaN),
     ``BadValueError`` (a point too far away).
@@ -22,7 +29,8 @@ def read_points(path: Path) -> Points:
         "Make the data set again, write the points as docs/formats.md says, or delete the file: training "
         "then starts from random points."
     )
-    columns = {element.name: element.data for element in open_ply(path, "point cloud", remedy).elements}
+    ply = open_ply(path, "point cloud", remedy)
+    columns = {element.name: element.data for element in ply.elements}
     wanted = ("x", "y", "z", "red", "green", "blue")
     lacking = (
         [name for name in wanted if name not in (columns["vertex"].dtype.names or ())]
@@ -41,7 +49,30 @@ def read_points(path: Path) -> Points:
     if not (np.isfinite(positions).all() and np.isfinite(colours).all()):
         raise FileDamagedError(f"{path} holds NaN or infinity", remedy)
     check_points(path, positions)
-    return Points(positions.astype(np.float32), np.clip(colours, 0.0, 1.0))
+    return Points(positions.astype(np.float32), np.clip(colours, 0.0, 1.0), _origin(ply.comments))
+
+
+def _origin(comments: Iterable[str]) -> str:
+    """The kind of points that a PLY's comments tell of; empty where they tell nothing that is known."""
+    told = (kind for comment in comments for mark, kind in ORIGINS.items() if comment.startswith(mark))
+    return next(told, "")
+
+
+def with_points_file(scene: Scene, name: str | None) -> Scene:
+    """``scene`` with the points of a PLY in place of its own; None: as it is.
+
+    ``name``: of a file in the data set's folder, or an absolute path. Raises ``FileMissingError`` with the
+    remedy, and what ``read_points`` raises.
+    """
+    if name is None:
+        return scene
+    path = scene.root / name  # an absolute path stays what it is
+    if not path.is_file():
+        remedy = f"Make points by structure from motion: physhdr triangulate {scene.root}"
+        if (here := Path(name)).is_file():
+            remedy = f"Names are of files in the data set's folder; of others give all: {here.absolute()}"
+        raise FileMissingError(f"there is no {path}, which --points-file names", remedy)
+    return dataclasses.replace(scene, points=dataclasses.replace(read_points(path), file=name))
 
 
 def check_points(path: Path, positions: np.ndarray) -> None:

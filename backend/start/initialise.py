@@ -99,8 +99,8 @@ def _points(
     if source == "file" and given is None:
         raise BadValueError(
             f"{scene.root} has no points3d.ply",
-            "Train with --initial-points auto, which finds points by stereo, or give the data set the points "
-            "of structure from motion.",
+            "Train with --initial-points auto, which finds points by stereo, or with those of structure from "
+            f"motion: physhdr triangulate {scene.root}, then --points-file points3d_sfm.ply.",
         )
     if given is not None and source != "both":
         return given
@@ -109,7 +109,7 @@ def _points(
     seen = _thinned(seen_points(views, exposures, tone_mapper))
     if len(seen) >= FEWEST_STEREO_POINTS:
         if given is None:
-            return FirstPoints(seen, f"{len(seen)} points by stereo from the training views")
+            return FirstPoints(seen, f"{len(seen):,} points by stereo from the training views")
         return _joined(given, seen)
     if given is not None:
         return given
@@ -127,11 +127,11 @@ def _given_points(scene: Scene) -> FirstPoints | None:
     if scene.points is None:
         return None
     positions, colours = (a.astype(np.float64) for a in (scene.points.positions, scene.points.colours))
-    return FirstPoints(positions, f"{len(positions)} points of the data set", colours)
+    return FirstPoints(positions, str(scene.points), colours)
 
 
 def _random(scene: Scene, count: int, seed: int, why: str) -> FirstPoints:
-    return FirstPoints(random_points(scene.train, count, seed), f"{count} random points ({why})")
+    return FirstPoints(random_points(scene.train, count, seed), f"{count:,} random points ({why})")
 
 
 def seen_points(views: list[View], exposures: list[tuple[int, ...]], tone_mapper: ToneMapper) -> np.ndarray:
@@ -164,7 +164,8 @@ def _joined(given: FirstPoints, seen: np.ndarray) -> FirstPoints:
 
     spacing = KDTree(seen).query(seen, k=4)[0][:, 1:].mean(axis=1)  # its nearest is itself
     new = seen[KDTree(given.positions).query(seen)[0] > spacing]
-    return FirstPoints(np.concatenate([given.positions, new]), f"{given.message}, {len(new)} more by stereo")
+    message = f"{given.message}, {len(new):,} more by stereo"
+    return FirstPoints(np.concatenate([given.positions, new]), message)
 
 
 def _pixels(points: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:

@@ -69,6 +69,8 @@ class TrainConfig:
     #: cameras' frusta; both: the data set's and, where it has none, stereo's; auto: the data set's if it has
     #: any, else stereo's.
     initial_points: Source = "both"
+    #: A PLY whose points stand for the data set's own: a file in its folder, or a whole path.
+    points_file: str | None = None
     random_points: int = 20_000
     #: 3DGS: 0.1. Points of surfaces are opaque; less leaves time for what lies before them to hide them.
     initial_opacity: float = 0.3

@@ -16,6 +16,7 @@ import torch
 from ..kernels.ahead import CONTEXT
 from ..memory import NotEnoughMemoryError, Room, cores, gigabytes, room
 from ..model.anchors import VOXELS_PER_SPACING, AnchorsConfig
+from ..scene.points import with_points_file
 from ..scene.resident import PICTURE_BYTES
 from ..scene.scene import CACHE_BYTES, Scene, View
 from ..start.initialise import MOST_STEREO_POINTS
@@ -155,7 +156,7 @@ def sizes_of(scene: Scene, config: TrainConfig) -> Sizes:
     branches = max(1, (channels - (CONTEXT if local else 0)) // 3)
     compared = sizes.exposures if config.supervision == "bracket" else 1
     developed = DEVELOPED_PIXEL_BYTES + (LOCAL_PIXEL_BYTES if local else 0)
-    points, seeks = _first_points(scene, config, views)
+    points, seeks = _first_points(with_points_file(scene, config.points_file), config, views)
     first, most = _counts(points, config)
     wanted = config.method.attributes(training_lights(scene, config))
     if config.anchors is None:

@@ -15,6 +15,7 @@ from ..methods.registry import new_method
 from ..model.anchors import Anchors
 from ..model.backbone import Start
 from ..rasterize import Implementation
+from ..scene.points import with_points_file
 from ..scene.resident import Pictures
 from ..scene.scene import Scene, View
 from ..start.initialise import initial_points, merged_log_radiance, scene_extent, seen_points
@@ -80,7 +81,8 @@ class Trainer:
         resumed: Path | None = None,
         configuration: str = "",
     ) -> None:
-        self.scene, self.config, self.device = scene, config, torch.device(device)
+        self.scene = with_points_file(scene, config.points_file)
+        self.config, self.device = config, torch.device(device)
         self.configuration = configuration or fingerprint(config)
         self.pictures = Pictures(self.device)
         self.iteration = 0

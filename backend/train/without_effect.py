@@ -42,6 +42,8 @@ def _unread(trainer: Trainer) -> set[str]:
     if method is None:
         return set(OF_SPLATS)
     unread: set[str] = {*OF_3DGS} if isinstance(method.backbone, Anchors) else set()
+    if trainer.config.initial_points in ("stereo", "random"):
+        unread.add("points_file")
     rates = {each.name for each in dataclasses.fields(OptimiserConfig) if each.type is float}
     own = method.rates().keys()
     learning = {name for name in trainer.optimiser.rates if name not in own}

@@ -288,7 +288,7 @@ def test_stereo_adds_points_where_the_data_set_has_none(tiny_data, tmp_path):
 
     (_, given), (_, seen) = start(half, "file"), start(half, "stereo")
     trainer, both = start(half, "both")
-    assert given < both <= given | seen and f"{len(both - given)} more by stereo" in trainer.start_message
+    assert given < both <= given | seen and f"{len(both - given):,} more by stereo" in trainer.start_message
     spare = np.array(sorted(seen - both))  # these have a given point near them, the added ones have none
     nearest = KDTree(positions[left]).query
     assert nearest(spare)[0].max() < np.median(nearest(np.array(sorted(both - given)))[0])

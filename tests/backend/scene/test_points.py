@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What kind of points a PLY holds: its comments say."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from physhdr.backend.scene.points import EXACT, STRUCTURE_FROM_MOTION, read_points
+
+ROOT = Path(__file__).resolve().parents[3]
+#: What our generator writes; read from its source, for it runs in Blender's Python alone.
+OF_SYNTH = re.search(r'"comment (.*?)"', (ROOT / "synth" / "points.py").read_text(encoding="utf-8"))
+
+
+@pytest.mark.parametrize(
+    ("comments", "origin"),
+    [
+        ([OF_SYNTH and OF_SYNTH[1]], EXACT),
+        (["made on a Tuesday", "structure from motion: by another program"], STRUCTURE_FROM_MOTION),
+        (["made on a Tuesday"], ""),
+        (["not structure from motion"], ""),
+        ([], ""),
+    ],
+)
+def test_the_kind_of_points_is_what_the_comments_say(comments, origin, tmp_path):
+    path = tmp_path / "points.ply"
+    lines = ["ply", "format ascii 1.0", *(f"comment {comment}" for comment in comments), "element vertex 1"]
+    lines += [f"property float {axis}" for axis in "xyz"]
+    lines += [f"property uchar {name}" for name in ("red", "green", "blue")]
+    path.write_text("\n".join([*lines, "end_header", "1 2 3 255 0 51"]) + "\n")
+    points = read_points(path)
+    assert points.origin == origin
+    assert str(points) == "1 points of the data set" + (f" ({origin})" if origin else "")

@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""``--points-file``: a PLY that stands for the data set's own points, wherever those are used."""
+
+import dataclasses
+import shutil
+
+import numpy as np
+import pytest
+import torch
+
+from physhdr.backend.cli import main
+from physhdr.backend.scene import read_scene
+from physhdr.backend.scene.points import read_points
+from physhdr.backend.train.checkpoint import load_checkpoint
+from physhdr.backend.train.config import CONFIG_FILE, read_config
+from physhdr.backend.train.memory import sizes_of
+from physhdr.backend.train.presets import PRESETS
+from physhdr.backend.train.trainer import CHECKPOINT_FILE, Trainer
+from physhdr.backend.train.without_effect import changed_without_effect
+from physhdr.bridge.errors import FileDamagedError, FileMissingError
+
+COUNT = 40
+COMMENT = "structure from motion: by somebody"
+
+
+@pytest.fixture
+def data(tiny_data, tmp_path):
+    """A data set with a second file of points, the first's moved by four metres, fewer, and red."""
+    root = tmp_path / "data"
+    shutil.copytree(tiny_data, root)
+    write_ply(root / "other.ply", read_points(root / "points3d.ply").positions[:COUNT] + [4.0, 0.0, 0.0])
+    return root
+
+
+def write_ply(path, positions):
+    lines = ["ply", "format ascii 1.0", f"comment {COMMENT}", f"element vertex {len(positions)}"]
+    lines += [f"property float {axis}" for axis in "xyz"]
+    lines += [f"property uchar {name}" for name in ("red", "green", "blue")]
+    rows = [f"{x!r} {y!r} {z!r} 255 0 0" for x, y, z in positions.tolist()]
+    path.write_text("\n".join([*lines, "end_header", *rows]) + "\n")
+
+
+def short(preset="default", **changes):
+    return dataclasses.replace(PRESETS[preset], iterations=4, points_file="other.ply", **changes)
+
+
+def begun(data, config):
+    """The trainer, and the places of its Gaussians as a set."""
+    trainer = Trainer(read_scene(data), config)
+    return trainer, {tuple(place) for place in trainer.method.splatting.backbone.parameters["means"].tolist()}
+
+
+def places(path):
+    return {tuple(place) for place in read_points(path).positions.tolist()}
+
+
+@pytest.mark.parametrize("preset", ["default", "baseline", "gausshdr-short", "hdr-gs-short"])
+def test_every_method_of_gaussians_starts_from_the_file(preset, data):
+    trainer, means = begun(data, short(preset, initial_points="file"))
+    assert means == places(data / "other.ply") and len(means) == COUNT
+    assert trainer.start_message == f"{COUNT} points of other.ply (structure from motion)"
+    _, means = begun(data, short(preset, initial_points="auto"))
+    assert means == places(data / "other.ply")
+    trainer, means = begun(data, short(preset, initial_points="both"))
+    assert means > places(data / "other.ply")
+    assert trainer.start_message.startswith(f"{COUNT} points of other.ply (structure from motion), ")
+
+
+def test_a_method_that_starts_with_the_points_colours_has_those_of_the_file(data):
+    """HDR-GS begins with ln radiance = the points' colours, which are red (1, 0, 0) there."""
+    trainer, _ = begun(data, short("hdr-gs", initial_points="file"))
+    colour = trainer.method.gaussians.reflectance_dc[:, 0] * 0.28209479177387814
+    assert torch.allclose(colour, torch.tensor([1.0, 0.0, 0.0]).expand(COUNT, 3), atol=1e-5)
+
+
+def test_anchors_are_placed_at_the_file(data):
+    trainer = Trainer(read_scene(data), short("default-scaffold", initial_points="file"))
+    anchors = trainer.method.splatting.backbone.positions.detach()
+    to_file, to_own = (
+        torch.cdist(anchors, torch.tensor(read_points(data / name).positions)).min(1).values.mean()
+        for name in ("other.ply", "points3d.ply")
+    )
+    assert to_file < 0.5 * to_own
+
+
+def test_rays_are_measured_by_the_file(data):
+    """HDR-NeRF asks the trainer where the scene is."""
+    trainer = Trainer(read_scene(data), short("hdr-nerf-small"))
+    np.testing.assert_array_equal(trainer.first_points(), read_points(data / "other.ply").positions)
+
+
+def test_the_memory_that_is_told_is_of_the_file(data):
+    scene = read_scene(data)
+    assert sizes_of(scene, short(initial_points="file")).first == COUNT
+    own = dataclasses.replace(short(initial_points="file"), points_file=None)
+    assert sizes_of(scene, own).first == len(scene.points.positions) != COUNT
+
+
+def test_a_resumed_run_keeps_the_file(data, tmp_path):
+    """By its name in the data set's folder, which may have moved."""
+    run = tmp_path / "run"
+    words = ["--iterations", "6", "--threads", "1", "--points-file", "other.ply", "--initial-points", "file"]
+    assert main(["train", str(data), "--out", str(run), *words]) == 0
+    written = read_config(run / CONFIG_FILE)
+    assert written.config.points_file == "other.ply"
+    before = load_checkpoint(run / CHECKPOINT_FILE)[0]
+    data.rename(tmp_path / "moved")
+    assert main(["train", str(tmp_path / "moved"), "--resume", str(run)]) == 0
+    after = load_checkpoint(run / CHECKPOINT_FILE)[0]
+    assert all(torch.equal(tensor, after[name]) for name, tensor in before.items())
+
+
+def test_a_file_elsewhere_is_named_by_its_whole_path(data, tmp_path, monkeypatch):
+    path = tmp_path / "elsewhere.ply"
+    shutil.move(data / "other.ply", path)
+    config = short(initial_points="file")
+    _, means = begun(data, dataclasses.replace(config, points_file=str(path)))
+    assert means == places(path)
+    with pytest.raises(FileMissingError, match=r"no .*other\.ply(.|\n)*physhdr triangulate "):
+        begun(data, config)
+    monkeypatch.chdir(tmp_path)  # what lies where the user stands is not meant, and is named
+    with pytest.raises(FileMissingError, match=rf"no .*elsewhere\.ply(.|\n)*give all: {path}"):
+        begun(data, dataclasses.replace(config, points_file="elsewhere.ply"))
+
+
+def test_a_damaged_file_is_refused(data):
+    path = data / "other.ply"
+    path.write_bytes(path.read_bytes()[:200])
+    with pytest.raises(FileDamagedError, match=r"other\.ply"):
+        begun(data, short())
+
+
+@pytest.mark.parametrize(
+    ("source", "is_read"), [("file", True), ("both", True), ("stereo", False), ("random", False)]
+)
+def test_where_points_are_from_elsewhere_the_file_has_no_effect(source, is_read, data):
+    trainer, means = begun(data, short(initial_points=source))
+    preset = dataclasses.replace(trainer.config, points_file=None)
+    assert changed_without_effect(trainer, preset) == ([] if is_read else ["--points-file"])
+    assert (means == begun(data, preset)[1]) is not is_read
