@@ -119,6 +119,7 @@ def _command(argv: list[str]) -> Any:
     from .prepare import Prepare
     from .render import Render
     from .train import Train, preset_named
+    from .triangulate import Triangulate
     from .video import Video
     from .warmup import Warmup
 
@@ -132,6 +133,7 @@ def _command(argv: list[str]) -> Any:
         | Annotated[Video, tyro.conf.subcommand("video")]
         | Annotated[Benchmark, tyro.conf.subcommand("benchmark")]
         | Annotated[Prepare, tyro.conf.subcommand("prepare")]
+        | Annotated[Triangulate, tyro.conf.subcommand("triangulate")]
         | Annotated[Synthesise, tyro.conf.subcommand("synthesise")]
         | Annotated[Inspect, tyro.conf.subcommand("inspect")]
         | Annotated[Warmup, tyro.conf.subcommand("warmup")]

@@ -44,13 +44,13 @@ class StructureError(PhysHDRError):
     """The photos' cameras cannot be recovered."""
 
 
-def require_pycolmap() -> ModuleType:
-    """pycolmap, or ``FileMissingError`` that says how to install it."""
+def require_pycolmap(wanted: str = "'physhdr prepare' finds the cameras") -> ModuleType:
+    """pycolmap, or ``FileMissingError`` that says what is ``wanted`` of it and how to install it."""
     try:
         import pycolmap
     except ImportError as error:
         raise FileMissingError(
-            f"'physhdr prepare' finds the cameras with pycolmap, which is not installed ({error})",
+            f"{wanted} with pycolmap, which is not installed ({error})",
             f"Install it: {sys.executable} -m pip install pycolmap",
         ) from error
     return pycolmap
@@ -127,7 +127,7 @@ def recover(
         "small": max(first.width, first.height) < SMALL_SIDE,
         "threads": threads,
     }
-    _run_colmap(job, folder, say)
+    run_colmap(job, folder, say)
     pieces = json.loads((folder / "pieces.json").read_text())
     if not pieces or len(pieces[0]) < FEWEST_POSES:
         most = len(pieces[0]) if pieces else 0
@@ -167,7 +167,18 @@ def _first_guess(camera_model: str, photo: Photo, scale: float) -> str:
     return camera.params_to_string()
 
 
-def _run_colmap(job: dict[str, Any], folder: Path, say: Callable[[str], None]) -> None:
+def run_colmap(
+    job: dict[str, Any],
+    folder: Path,
+    say: Callable[[str], None],
+    remedy: str = CAPTURE_REMEDY,
+    full: str = "give an --out on another disk",
+) -> None:
+    """``colmap_process.py`` with ``job`` in ``folder``, its work place; ``say`` is told each step.
+
+    Raises ``StructureError`` with ``remedy`` where COLMAP fails, its last words in the message, or
+    ``OutputError`` where the disk is full: what helps beside freeing space is ``full``.
+    """
     (folder / "job.json").write_text(json.dumps(job))
     log = folder / "colmap.log"
     command = [sys.executable, str(Path(__file__).with_name("colmap_process.py")), str(folder / "job.json")]
@@ -187,9 +198,9 @@ def _run_colmap(job: dict[str, Any], folder: Path, say: Callable[[str], None]) -
         if shutil.disk_usage(folder).free < FULL_BYTES or "disk is full" in last:
             raise OutputError(
                 f"COLMAP cannot write to {folder}: its disk is full",
-                "Free some space, or give an --out on another disk.",
+                f"Free some space, or {full}.",
             )
-        raise StructureError(f"COLMAP failed (status {process.returncode}): {last}", CAPTURE_REMEDY)
+        raise StructureError(f"COLMAP failed (status {process.returncode}): {last}", remedy)
 
 
 # ---- a reconstruction that exists --------------------------------------------------------------------

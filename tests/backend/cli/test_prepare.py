@@ -148,7 +148,7 @@ def test_it_says_where_everything_came_from(prepared, photos):
 
 def test_a_reconstruction_that_exists_is_used(prepared, capture, room, tmp_path, capsys, monkeypatch):
     """Its pictures are the photos here; half the size, and COLMAP is not run."""
-    monkeypatch.setattr(structure, "_run_colmap", None)
+    monkeypatch.setattr(structure, "run_colmap", None)
     exposures = prepared / "exposure.json"
     words = ["--poses", prepared, "--exposures", exposures, "--downscale", 2, "--test-every", 0]
     assert prepare(prepared / "images", "--out", tmp_path / "half", *words) == 0

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""``physhdr triangulate``: points by structure from motion in a data set's training pictures."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import tyro
+
+from ...bridge.errors import OutputError
+from ..runs.terminal import console
+from ..scene import read_scene
+from ..scene.capture.structure import require_pycolmap
+from ..scene.capture.triangulate import Triangulated, is_ours, triangulate, write_points
+from ..train.config import TrainConfig
+from ..train.views import training_exposures
+
+#: The file that the points go into, in the data set's folder.
+SFM_FILE = "points3d_sfm.ply"
+
+
+@dataclass(frozen=True)
+class Triangulate:
+    """Find a data set's points by structure from motion (COLMAP), its cameras being known.
+
+    Features of the training pictures are matched and triangulated: points as a capture has them, sparse, with
+    outliers and gaps. Test views are never read. Train from them with --points-file points3d_sfm.ply.
+    """
+
+    #: Folder of the data set, in any layout that is read.
+    data: tyro.conf.Positional[Path]
+    #: The PLY to write; default: points3d_sfm.ply in the data set's folder.
+    out: Path | None = None
+    #: Indices of the exposures that may be seen; each is matched for itself.
+    training_exposures: tuple[int, ...] = TrainConfig.training_exposures
+    #: Replace points that this command made before.
+    overwrite: bool = False
+    #: Threads for COLMAP; default: all cores.
+    threads: int = -1
+
+    def run(self) -> int:
+        out = self.data / SFM_FILE if self.out is None else self.out
+        self._check(out)
+        require_pycolmap("'physhdr triangulate' finds points")
+        seen = TrainConfig(training_exposures=self.training_exposures)
+        scene = read_scene(self.data, downscale=1.0)
+        exposures = [training_exposures(view, seen) for view in scene.train]
+        with TemporaryDirectory(prefix="physhdr-triangulate-") as work, console.status("") as status:
+
+            def say(step: str) -> None:
+                status.update(f"COLMAP: {step}")
+                if not console.is_terminal:
+                    console.print(f"COLMAP: {step}")
+
+            points = triangulate(scene.train, exposures, Path(work), self.threads, say)
+        write_points(out, points)
+        self._report(out, points)
+        return 0
+
+    def _check(self, out: Path) -> None:
+        """Raises ``OutputError`` where ``out`` must not be written, before anything that takes long."""
+        if out.exists() and not self.overwrite:
+            raise OutputError(f"{out} is there already", "Give another --out, or --overwrite to replace it.")
+        if out.exists() and not is_ours(out):
+            raise OutputError(
+                f"{out} was not made by 'physhdr triangulate': it is not replaced", "Give another --out."
+            )
+
+    def _report(self, out: Path, points: Triangulated) -> None:
+        console.print(
+            f"wrote {out}: {len(points.positions):,} points by COLMAP {points.words}, each seen in "
+            f"{points.views.mean():.1f} on average; reprojection error {points.errors.mean():.2f} pixels",
+            soft_wrap=True,
+        )
+        inside = out.resolve().is_relative_to(self.data.resolve())
+        name = out.resolve().relative_to(self.data.resolve()) if inside else out.resolve()
+        console.print(f"next: physhdr train {self.data} --out RUN --points-file {name}", soft_wrap=True)
