@@ -40,6 +40,9 @@ def scene_line(name: str, facts: dict[str, Any]) -> str:
     if facts.get("resolution"):
         parts.append("×".join(str(side) for side in facts["resolution"]))
     parts += [f"{split['poses']} {name}" for name, split in facts.get("splits", {}).items()]
+    if points := facts.get("points"):
+        kind = facts.get("points_origin") or "kind unknown"
+        parts.append(f"{points:,} points of its own ({kind})")
     if exposures := facts.get("exposures"):
         parts.append(f"exposures EV {_numbers(exposure['ev'] for exposure in exposures)}")
     parts.append(f"response {facts.get('response') or 'unknown'}")

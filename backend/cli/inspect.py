@@ -117,7 +117,8 @@ def _facts(found: Inspection) -> list[tuple[str, str]]:
     if found.passes:
         facts.append(("passes", f"of {found.passes} poses: any mixture of the lights can be made from them"))
     if found.points is not None:
-        facts.append(("points", f"{found.points}"))
+        kind = found.points_origin or "their file does not say of what kind"
+        facts.append(("points", f"{found.points:,}: {kind}"))
     if found.response or found.camera:
         faults = ", ".join(f"{key} {value:g}" for key, value in found.camera.items() if is_number(value))
         facts.append(("camera", (found.response or "unknown response") + (f"; {faults}" if faults else "")))

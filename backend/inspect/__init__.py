@@ -44,5 +44,6 @@ def _ask_the_reader(
     camera = scene.train[0].camera
     found.layout, found.messages = scene.layout, list(scene.messages)
     found.resolution = camera.width, camera.height
-    found.points = len(scene.points.positions) if scene.points else None
+    if scene.points is not None:
+        found.points, found.points_origin = len(scene.points.positions), scene.points.origin
     return scene

@@ -73,6 +73,8 @@ class Inspection:
     noise_psnr: list[float] = field(default_factory=list)
     """Of each pose's render: dB, before denoising."""
     points: int | None = None
+    points_origin: str = ""
+    """What kind of points they are, as their file says; empty where it does not."""
     response: str = ""
     camera: dict[str, Any] = field(default_factory=dict)
     dynamic_range: DynamicRange | None = None

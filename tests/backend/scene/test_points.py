@@ -1,22 +1,27 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What kind of points a PLY holds: its comments say."""
 
+import dataclasses
 import re
+import shutil
 from pathlib import Path
 
 import pytest
 
+from physhdr.backend.benchmark.facts import scene_line
+from physhdr.backend.cli import main
+from physhdr.backend.inspect import inspect
 from physhdr.backend.scene.points import EXACT, STRUCTURE_FROM_MOTION, read_points
 
 ROOT = Path(__file__).resolve().parents[3]
 #: What our generator writes; read from its source, for it runs in Blender's Python alone.
-OF_SYNTH = re.search(r'"comment (.*?)"', (ROOT / "synth" / "points.py").read_text(encoding="utf-8"))
+OF_SYNTH = re.findall(r'"comment (.*?)"', (ROOT / "synth" / "points.py").read_text(encoding="utf-8"))
 
 
 @pytest.mark.parametrize(
     ("comments", "origin"),
     [
-        ([OF_SYNTH and OF_SYNTH[1]], EXACT),
+        (OF_SYNTH, EXACT),
         (["made on a Tuesday", "structure from motion: by another program"], STRUCTURE_FROM_MOTION),
         (["made on a Tuesday"], ""),
         (["not structure from motion"], ""),
@@ -32,3 +37,16 @@ def test_the_kind_of_points_is_what_the_comments_say(comments, origin, tmp_path)
     points = read_points(path)
     assert points.origin == origin
     assert str(points) == "1 points of the data set" + (f" ({origin})" if origin else "")
+
+
+def test_inspect_and_a_benchmarks_conditions_say_it(tiny_data, tmp_path, capsys):
+    data = tmp_path / "data"
+    shutil.copytree(tiny_data, data)
+    assert main(["inspect", str(data)]) == 0
+    assert "points 60: their file does not say of what kind" in " ".join(capsys.readouterr().out.split())
+    assert "60 points of its own (kind unknown)" in scene_line("night", dataclasses.asdict(inspect(data)))
+    path = data / "points3d.ply"
+    path.write_bytes(path.read_bytes().replace(b"\nelement", f"\ncomment {OF_SYNTH[0]}\nelement".encode(), 1))
+    assert main(["inspect", str(data)]) == 0
+    assert f"points 60: {EXACT}" in " ".join(capsys.readouterr().out.split())
+    assert f"60 points of its own ({EXACT})" in scene_line("night", dataclasses.asdict(inspect(data)))
