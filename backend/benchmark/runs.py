@@ -23,7 +23,7 @@ from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
 from ..evaluate.comparison import load_evaluation
 from ..train.config import CONFIG_FILE, method_of
 from .plan import CPU_SECONDS, REPORT, TUNE, Budget, Method, Plan, SceneFolder
-from .without_test import NAMES, link_without_test
+from .without_test import link_without_test, names_without_test
 
 RUN_FILE, FAILED_FILE, SEARCH_FILE = "run.json", "failed.json", "search.json"
 RUN_LOG = "benchmark.log"
@@ -282,7 +282,7 @@ def data_fingerprint(root: Path, kind: str = REPORT) -> str:
     Raises ``BadValueError`` for no files.
     """
     if kind == TUNE:
-        tops = [root / name for name in NAMES]
+        tops = [root / name for name in names_without_test(root)]
         files = sorted(path for top in tops for path in (top.rglob("*") if top.is_dir() else [top]))
     else:
         files = sorted(root.rglob("*"))

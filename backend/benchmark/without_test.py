@@ -12,10 +12,9 @@ from pathlib import Path
 from ...bridge import data_set
 from ...bridge.errors import OutputError
 
-#: All that such a folder has of a data set: its description, its points, and each split but the test's.
-NAMES = (
+#: What such a folder has of a data set beside files of points: its description, each split but the test's.
+_NAMES = (
     data_set.INFO_FILE,
-    data_set.POINTS_FILE,
     *(
         name(split)
         for split in data_set.SPLITS
@@ -25,6 +24,12 @@ NAMES = (
 )
 
 
+def names_without_test(data: Path) -> list[str]:
+    """The files and folders in a data set that a plan that tunes may open, in order; nothing is opened."""
+    points = [path.name for path in data.glob("*.ply") if not path.name.startswith(".")]
+    return sorted([*(name for name in _NAMES if (data / name).exists()), *points])
+
+
 def link_without_test(data: Path, folder: Path) -> Path:
     """Make ``folder`` the data set ``data`` without test views, by links; returns it.
 
@@ -32,11 +37,13 @@ def link_without_test(data: Path, folder: Path) -> Path:
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for name in NAMES:
+        names = names_without_test(data)
+        for path in folder.iterdir():
+            if path.name not in names and not path.name.startswith("."):
+                path.unlink(missing_ok=True)
+        for name in names:
             target, link = data.resolve() / name, folder / name
-            if not target.exists():
-                link.unlink(missing_ok=True)
-            elif not link.is_symlink() or Path(os.readlink(link)) != target:
+            if not link.is_symlink() or Path(os.readlink(link)) != target:
                 _replace(link, target)
     except OSError as error:
         raise OutputError(

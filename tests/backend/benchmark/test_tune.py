@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 import torch
 
-from physhdr.backend.benchmark.without_test import NAMES, link_without_test
+from physhdr.backend.benchmark.runs import data_fingerprint
+from physhdr.backend.benchmark.without_test import link_without_test
 from physhdr.backend.scene import read_scene
 from physhdr.backend.train.checkpoint import load_checkpoint
 from physhdr.bridge.errors import OutputError
@@ -104,9 +105,13 @@ def test_a_report_does_open_them(validation_data: Path, tmp_path: Path) -> None:
 
 def test_the_folder_of_links_follows_the_data(validation_data: Path, tmp_path: Path) -> None:
     data = shutil.copytree(validation_data, tmp_path / "data")
+    (data / "notes.txt").write_text("of the test views")
+    known = data_fingerprint(data, "tune")
+    (data / "points3d_sfm.ply").write_bytes((data / "points3d.ply").read_bytes())  # for --points-file
+    assert data_fingerprint(data, "tune") != known
     folder = link_without_test(data, tmp_path / "out" / "data")
     names = {path.name for path in folder.iterdir()}
-    assert names == {path.name for path in data.iterdir()} - OF_THE_TEST and names <= set(NAMES)
+    assert names == {path.name for path in data.iterdir()} - OF_THE_TEST - {"notes.txt"}
     scene = read_scene(folder)
     assert (len(scene.train), len(scene.test), len(scene.lit), len(scene.validation)) == (3, 0, 2, 3)
     shutil.rmtree(data / "lit_hdr")
