@@ -24,7 +24,7 @@ class Triangulate:
     """Find a data set's points by structure from motion (COLMAP), its cameras being known.
 
     Features of the training pictures are matched and triangulated: points as a capture has them, sparse, with
-    outliers and gaps. Test views are never read. Train from them with --points-file points3d_sfm.ply.
+    outliers and gaps. No pixel of a test view is read. Train from them with --points-file points3d_sfm.ply.
     """
 
     #: Folder of the data set, in any layout that is read.
