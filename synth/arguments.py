@@ -6,7 +6,7 @@ import argparse
 from . import camera_model
 from .built_in import SCENES
 from .device import DEVICES
-from .options import ALL, CURRENT, Options, join
+from .options import ALL, CURRENT, REFERENCE_FACTOR, Options, join
 from .parse import (
     parse_evs,
     parse_mixtures,
@@ -69,6 +69,26 @@ def _add_pictures(made: argparse.ArgumentParser) -> None:
     )
     add("--samples", type=int, default=_DEFAULT.samples, help="Cycles samples a pixel, at most")
     add(
+        "--test-samples",
+        type=int,
+        metavar="N",
+        help="of test and validation views, whose radiance is the truth that methods are measured against; "
+        "the ambient light and the lamps are then rendered by themselves, and the truth is checked "
+        "(default: as --samples)",
+    )
+    add(
+        "--reference-samples",
+        type=int,
+        metavar="N",
+        help="of one test view without denoising, against which the truth is checked "
+        f"(default: {REFERENCE_FACTOR} × --test-samples; 0: it is not)",
+    )
+    add(
+        "--test-truth",
+        metavar="FOLDER",
+        help="test and validation views that were rendered before and are kept, such as benchmarks/data/dog",
+    )
+    add(
         "--noise-threshold",
         type=float,
         default=_DEFAULT.noise_threshold,
@@ -76,6 +96,12 @@ def _add_pictures(made: argparse.ArgumentParser) -> None:
         help="stop sampling a pixel where its noise is below N, such as 0.01; 0: take all samples",
     )
     add("--views", type=int, default=_DEFAULT.views, help="training and test poses together")
+    add(
+        "--validation-views",
+        type=int,
+        default=_DEFAULT.validation_views,
+        help="further poses to make choices with, neither trained nor tested",
+    )
     add(
         "--camera-rig",
         default=_DEFAULT.camera_rig,
@@ -203,8 +229,12 @@ def options(given: argparse.Namespace) -> Options:
     return Options(
         resolution=parse_resolution(given.resolution, follow=given.from_file is not None),
         samples=given.samples,
+        test_samples=given.test_samples,
+        reference_samples=given.reference_samples,
+        test_truth=given.test_truth,
         noise_threshold=given.noise_threshold,
         views=given.views,
+        validation_views=given.validation_views,
         exposures=exposures,
         crf=given.crf,
         seed=given.seed,

@@ -1,18 +1,34 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Makes a data set (docs/formats.md): renders the poses that are missing and derives everything else."""
 
+import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import bpy
+import numpy as np
 
 from ..bridge import data_set
 from ..bridge.lock import Claims
-from . import describe, device, folder, noise, objects, open_scene, passes, plan, png, points, rig, settings
+from . import (
+    describe,
+    device,
+    floors,
+    folder,
+    kept,
+    objects,
+    open_scene,
+    passes,
+    plan,
+    png,
+    points,
+    rig,
+    settings,
+)
 from .assets import Assets
 from .built_in import SCENES, built
 from .derive import Derivation
@@ -24,6 +40,7 @@ from .progress import Report
 from .renderer import Renderer, renderer, view_seed
 from .response import by_name
 from .stage import Stage
+from .truth import TruthRenderer
 from .workers import threads_each
 
 GENERATOR = {"name": "physhdr synth", "version": "0.2.0"}
@@ -32,6 +49,8 @@ FEW_POINTS = 100
 WAIT = 1.0
 #: The folder of what is claimed: one owner a picture, of those who fill the folder at the same time.
 CLAIMS = ".claims"
+#: Entries of dataset.json that are measured by rendering once more.
+FLOORS = ("noise_floor", "reference_floor")
 #: The claim on what is made once all poses are there.
 FINISH = "finish"
 
@@ -100,6 +119,7 @@ class _Job:
     #: What an earlier run left in dataset.json or dataset.partial.json.
     state: dict[str, Any]
     assets: Assets
+    kept: kept.Kept | None
 
     @property
     def lights(self) -> list[str]:
@@ -107,12 +127,34 @@ class _Job:
 
     @property
     def ours(self) -> list[Shot]:
-        """Those that are to be rendered: all, or every n-th, so that each part has some of every kind."""
+        """Those that are to be made: all, or every n-th, so that each part has some of every kind."""
         first, step = self.options.part or (1, 1)
         return self.shots[first - 1 :: step]
 
+    @property
+    def chunks(self) -> list[floors.Chunk]:
+        """Of the reference, those that are to be made; none where its floor is known."""
+        if self.floors.get("reference_floor"):
+            return []
+        first, step = self.options.part or (1, 1)
+        return floors.chunks(self.out, self.options, floors.view(self.shots))[first - 1 :: step]
+
+    @property
+    def floors(self) -> dict[str, Any]:
+        """Those that are known already."""
+        known = self.kept.floors if self.kept else {}
+        return known | {key: self.state[key] for key in FLOORS if self.state.get(key)}
+
     def passes(self, shot: Shot) -> Passes:
+        if shot.kept:
+            assert self.kept is not None
+            return self.kept.passes(shot)
         return passes.read(self.out / shot.passes, self.lights, self.options.resolution)
+
+    def missing(self, piece: "Shot | floors.Chunk") -> bool:
+        if isinstance(piece, floors.Chunk):
+            return not piece.path.exists()
+        return bool(self.derivation.missing(piece))
 
     def is_complete(self) -> bool:
         names = [data_set.POINTS_FILE, data_set.INFO_FILE, *describe.json_files(self.shots)]
@@ -123,7 +165,8 @@ class _Job:
 
 def _job(out: Path, stage: Stage, options: Options, assets: Assets, report: Report) -> _Job:
     """Enter the folder and look at what is there already."""
-    poses = stage.poses or rig.poses(options.camera_rig, stage.cameras, options.views, options.lit_views)
+    counts = options.views, options.lit_views, options.validation_views
+    poses = stage.poses or rig.poses(options.camera_rig, stage.cameras, *counts)
     shots = plan.shots(poses, options, list(stage.lights))
     response = by_name(options.crf)
     asked = {**options.as_json(), "response": response.describe(), "lights": list(stage.lights)}
@@ -131,17 +174,20 @@ def _job(out: Path, stage: Stage, options: Options, assets: Assets, report: Repo
         asked |= {"scene": stage.scene.name, folder.FINGERPRINT: stage.fingerprint}
     if options.assets:
         asked["assets"] = assets.used
+    held = kept.opened(Path(options.test_truth), asked) if options.test_truth else None
+    if held:
+        shots = held.shots(shots)
     maker = {**GENERATOR, "blender": bpy.app.version_string}
     state = folder.open_folder(out, asked, maker)
     head = {"format": data_set.FORMAT, "version": data_set.VERSION, "generator": maker, "options": asked}
-    job = _Job(out, options, stage, shots, Derivation(out, options, response), head, state, assets)
-    there = [shot for shot in job.ours if (out / shot.passes).exists()]
+    job = _Job(out, options, stage, shots, Derivation(out, options, response), head, state, assets, held)
+    there = [shot for shot in job.ours if shot.kept or (out / shot.passes).exists()]
     for shot in there:
         job.passes(shot)  # whole, and of this scene
         job.derivation.check(shot)
     report.say(f"data set {out}: {len(job.ours)} poses of '{options.scene}', {len(there)} already rendered")
     if not (out / data_set.INFO_FILE).exists():
-        folder.write_json(out / data_set.PARTIAL_FILE, {**head, "noise_floor": state.get("noise_floor")})
+        folder.write_json(out / data_set.PARTIAL_FILE, {**head, "noise_floor": None, **job.floors})
     describe.write_poses(out, shots, options, job.lights, stage.cameras.angle_x)
     return job
 
@@ -164,31 +210,34 @@ def _exposed(options: Options, evs: tuple[float, ...]) -> Options:
 
 def _render(job: _Job, claims: Claims, camera: Renderer, report: Report) -> None:
     """Make every pose's files. What another process is at work on is waited for at the end."""
-    left = [shot for shot in job.ours if job.derivation.missing(shot)]
+    left = [piece for piece in (*job.ours, *job.chunks) if job.missing(piece)]
     if not left:
         return
     report.begin(len(left))
     while left:
-        shot = next((shot for shot in left if claims.take(shot.name)), None)
-        if shot is None:
+        piece = next((piece for piece in left if claims.take(piece.name)), None)
+        if piece is None:
             time.sleep(WAIT)
         else:
             try:
-                report.start(shot.name)
-                _make(job, shot, camera)
+                report.start(piece.name)
+                _make(job, piece, camera)
             finally:
-                claims.release(shot.name)
-        still = [shot for shot in left if job.derivation.missing(shot)]
-        for shot in left:
-            if shot not in still:  # ours, and what other processes have done meanwhile
-                report.advance(shot.name)
+                claims.release(piece.name)
+        still = [piece for piece in left if job.missing(piece)]
+        for piece in left:
+            if piece not in still:  # ours, and what other processes have done meanwhile
+                report.advance(piece.name)
         left = still
 
 
-def _make(job: _Job, shot: Shot, camera: Renderer) -> None:
-    """Render a pose unless it has been, and write what is missing of its files."""
+def _make(job: _Job, shot: Shot | floors.Chunk, camera: Renderer) -> None:
+    """Render a pose unless it has been and write what is missing of its files; or a part of the reference."""
+    if isinstance(shot, floors.Chunk):
+        shot.make(camera)
+        return
     path = job.out / shot.passes
-    if path.exists():
+    if shot.kept or path.exists():
         rendered = job.passes(shot)
     else:
         rendered = _rendered(job, shot, camera, folder.scratch(path))
@@ -198,10 +247,17 @@ def _make(job: _Job, shot: Shot, camera: Renderer) -> None:
 
 def _rendered(job: _Job, shot: Shot, camera: Renderer, scratch: Path) -> Passes:
     """Once more, with other noise, where a value is no number: one path in millions may meet such a spot."""
+    render = _careful(job, camera) if shot.split in data_set.HELD_OUT else camera.render
     try:
-        return camera.render(shot.pose, view_seed(job.options.seed, shot.name), scratch)
+        return render(shot.pose, view_seed(job.options.seed, shot.name), scratch)
     except NotFiniteRenderError:
-        return camera.render(shot.pose, view_seed(job.options.seed, f"{shot.name}/finite"), scratch)
+        return render(shot.pose, view_seed(job.options.seed, f"{shot.name}/finite"), scratch)
+
+
+def _careful(job: _Job, camera: Renderer) -> Callable[[np.ndarray, int, Path], Passes]:
+    """How truth is rendered."""
+    samples = job.options.test_samples
+    return camera.render if samples is None else TruthRenderer(camera, samples).render
 
 
 def _finish(
@@ -222,7 +278,7 @@ def _finish(
         if not (job.out / data_set.POINTS_FILE).exists():
             _write_points(job, report)
         report.finishing("measuring the noise")
-        floor = job.state.get("noise_floor") or _noise_floor(job, camera)
+        measured = _floors(job, camera)
         report.finishing("describing")
         radiance = describe.training_radiance(job.out, job.shots)
         describe.judge_exposures(radiance, job.derivation.response, job.options, report)
@@ -236,7 +292,9 @@ def _finish(
             job.lights,
             radiance,
         )
-        content |= {"noise_floor": floor, "objects": numbers}
+        content |= {**measured, "objects": numbers}
+        if job.kept:
+            content["test_samples"] = job.kept.told["samples"]
         if job.stage.source:
             content["source"] = {**job.stage.source, "warnings": report.warnings}
         else:
@@ -245,6 +303,7 @@ def _finish(
         (job.out / data_set.PARTIAL_FILE).unlink(missing_ok=True)
         if claims.keep_others_out:  # else another may still write what we have
             folder.remove_leftovers(job.out)
+            shutil.rmtree(job.out / floors.CHUNKS, ignore_errors=True)
         return content
     finally:
         claims.release(FINISH)
@@ -262,15 +321,22 @@ def _write_points(job: _Job, report: Report) -> None:
         )
 
 
-def _noise_floor(job: _Job, camera: Renderer) -> dict[str, Any]:
-    """Render the middle test view again with another seed and compare."""
-    tests = [shot for shot in job.shots if shot.split == data_set.TEST]
-    shot = tests[len(tests) // 2]
-    seeds = [view_seed(job.options.seed, name) for name in (shot.name, f"{shot.name}/again")]
-    again = camera.render(shot.pose, seeds[1], folder.scratch(job.out / "noise_floor.exr"))
-    first, second = (each.radiance(shot.levels) for each in (job.passes(shot), again))
-    measured = noise.floor(first, second, job.derivation.response, job.options.bracket)
-    return {"view": shot.index, "seeds": seeds, **measured}
+def _floors(job: _Job, camera: Renderer) -> dict[str, Any]:
+    """The middle test view again with another seed, and against the reference if there is one."""
+    shot, measured, response = floors.view(job.shots), job.floors, job.derivation.response
+    if "noise_floor" not in measured:
+        seed = view_seed(job.options.seed, f"{shot.name}/again")
+        again = _careful(job, camera)(shot.pose, seed, folder.scratch(job.out / "noise_floor.exr"))
+        measured["noise_floor"] = floors.noise_floor(shot, job.passes(shot), again, response, job.options)
+    parts = floors.chunks(job.out, job.options, shot)
+    if parts and "reference_floor" not in measured:
+        truth = job.passes(shot).radiance(shot.levels)
+        measured["reference_floor"] = {
+            "view": shot.index,
+            "samples": sum(part.samples for part in parts),
+            **floors.reference_floor(truth, floors.halves(parts), response, job.options.bracket),
+        }
+    return measured
 
 
 def _summary(out: Path, content: dict[str, Any], report: Report, began: float) -> dict[str, Any]:

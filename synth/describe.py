@@ -90,6 +90,8 @@ def content(
     of the training views.
     """
     counts = {split: sum(shot.split == split for shot in shots) for split in data_set.SPLITS}
+    if not counts[data_set.VALIDATION]:  # the other three are told always
+        del counts[data_set.VALIDATION]
     low, high, stops = dynamic_range(radiance.astype(np.float64) @ LUMINANCE)
     relit = next((shot.relit for shot in shots if shot.relit), ())
     return {
@@ -100,6 +102,7 @@ def content(
         "seed": options.seed,
         "resolution": list(options.resolution),
         "samples": options.samples,
+        **({} if options.test_samples is None else {"test_samples": options.test_samples}),
         "noise_threshold": options.noise_threshold,
         "denoised": DENOISER if options.denoise else False,
         "working_space": settings.WORKING_SPACE,
@@ -125,6 +128,8 @@ def content(
 
 
 def _frame(out: Path, shot: Shot, options: Options, lights: Sequence[str]) -> dict[str, Any]:
-    path = out / shot.passes
-    facts = passes.read(path, lights, options.resolution).facts
-    return {"file": shot.passes, "sha256": hashlib.sha256(path.read_bytes()).hexdigest(), **facts}
+    name = shot.hdr if shot.kept else shot.passes
+    entry = {"file": name, "sha256": hashlib.sha256((out / name).read_bytes()).hexdigest()}
+    if shot.kept:
+        return {**entry, "kept": True}
+    return {**entry, **passes.read(out / name, lights, options.resolution).facts}

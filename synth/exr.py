@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Reads and writes OpenEXR files of 32-bit float channels: one part, scan lines, ZIP (or read: none).
+"""Reads and writes OpenEXR files of float or half channels: one part, scan lines, ZIP (or read: none).
 
 Its own reader, because Blender's returns zeros for the missing half of a truncated file and applies colour
 management; here a file is either whole and exact, or ``DamagedFileError``. Its own writer, because Blender
@@ -20,11 +20,16 @@ from .errors import DamagedFileError, NotFiniteError
 MAGIC = 20000630
 LINES_PER_BLOCK = {0: 1, 2: 1, 3: 16}  # none, ZIPS, ZIP
 ZIP = 3
-FLOAT = 2
+#: Kind of channel → how its numbers lie in the file.
+HALF, FLOAT = 1, 2
+TYPES = {HALF: np.dtype("<f2"), FLOAT: np.dtype("<f4")}
+#: What is farther from 0 is infinite as a half float.
+LARGEST_HALF = 65504.0
 LARGEST_SIDE = 16384
 LONG_NAMES = 0x400
 SHORT_NAME = 31
 LEVEL = 4  # OpenEXR's own default; measured: 9 takes five times as long for a file 2 % smaller
+LEAST_SIZE = 9
 
 
 def read(path: Path) -> np.ndarray:
@@ -62,18 +67,30 @@ def read_channels(path: Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     return channels, texts
 
 
-def encode_rgb(image: np.ndarray) -> bytes:
+def encode_rgb(
+    image: np.ndarray, texts: Mapping[str, str] | None = None, kind: int = FLOAT, level: int = LEVEL
+) -> bytes:
     """EXR file of a picture [height, width, 3], scene-linear Rec.709."""
-    return encode({name: image[..., k] for k, name in enumerate("RGB")})
+    return encode({name: image[..., k] for k, name in enumerate("RGB")}, texts, kind, level)
 
 
-def encode(channels: Mapping[str, np.ndarray], texts: Mapping[str, str] | None = None) -> bytes:
-    """EXR file of channels [height, width] by name, and of further texts for its header."""
+def encode(
+    channels: Mapping[str, np.ndarray],
+    texts: Mapping[str, str] | None = None,
+    kind: int = FLOAT,
+    level: int = LEVEL,
+) -> bytes:
+    """EXR file of channels [height, width] by name, and of further texts for its header.
+
+    ``kind``: ``HALF`` rounds to 11 bits; nothing may be beyond ``LARGEST_HALF``. ``level``: zlib's.
+    """
     names = sorted(channels)
     height, width = channels[names[0]].shape
-    planes = np.stack([np.asarray(channels[name], "<f4") for name in names], 1)  # [height, channels, width]
+    planes = np.stack(
+        [np.asarray(channels[name], TYPES[kind]) for name in names], 1
+    )  # [height, channels, width]
     window = struct.pack("<4i", 0, 0, width - 1, height - 1)
-    entries = [name.encode() + struct.pack("<xiIii", FLOAT, 0, 1, 1) for name in names]
+    entries = [name.encode() + struct.pack("<xiIii", kind, 0, 1, 1) for name in names]
     attributes = {
         "channels": ("chlist", b"".join(entries) + b"\0"),
         "chromaticities": (
@@ -98,7 +115,7 @@ def encode(channels: Mapping[str, np.ndarray], texts: Mapping[str, str] | None =
     blocks = []
     for line in range(0, height, step):
         raw = planes[line : line + step].tobytes()
-        packed = _zip(raw)
+        packed = _zip(raw, level)
         packed = packed if len(packed) < len(raw) else raw
         blocks.append(struct.pack("<ii", line, len(packed)) + packed)
     sizes = [len(block) for block in blocks[:-1]]
@@ -119,11 +136,11 @@ def _decode(data: bytes) -> tuple[dict[str, np.ndarray], dict[str, str]]:
     width, height = x1 - x0 + 1, y1 - y0 + 1
     if not (0 < width <= LARGEST_SIDE and 0 < height <= LARGEST_SIDE):
         raise ValueError(f"size {width} × {height}")
-    names = _channels(header["channels"][1])
+    names, stored = _channels(header["channels"][1])
     step = LINES_PER_BLOCK[compression]
     blocks = -(-height // step)
     # What is claimed must be there before memory is taken for it: deflate shrinks to a thousandth at most.
-    if height * width * len(names) * 4 > 1100 * len(data):
+    if height * width * len(names) * stored.itemsize > 1100 * len(data):
         raise ValueError("too short for its size")
     planes = np.empty((height, len(names), width), np.float32)
     missing = set(range(0, height, step))  # lines at which a block begins
@@ -136,8 +153,9 @@ def _decode(data: bytes) -> tuple[dict[str, np.ndarray], dict[str, str]]:
             raise ValueError("ends early, or has lines twice")
         missing.remove(line - y0)
         rows = planes[line - y0 : line - y0 + step]
-        raw = packed if size == rows.nbytes else _unzip(packed, rows.nbytes)
-        rows[:] = np.frombuffer(raw, "<f4").reshape(rows.shape)
+        length = rows.size * stored.itemsize
+        raw = packed if size == length else _unzip(packed, length)
+        rows[:] = np.frombuffer(raw, stored).reshape(rows.shape)
     if missing:
         raise ValueError("ends early")
     texts = {
@@ -161,26 +179,30 @@ def _header(data: bytes, at: int) -> tuple[dict[str, tuple[str, bytes]], int]:
     return attributes, at + 1
 
 
-def _channels(data: bytes) -> list[str]:
-    names, at = [], 0
+def _channels(data: bytes) -> tuple[list[str], np.dtype]:
+    """Names, and how the numbers of all of them lie in the file."""
+    names, kinds, at = [], set(), 0
     while data[at]:
         end = data.index(b"\0", at)
         kind, _, x_sampling, y_sampling = struct.unpack_from("<iIii", data, end + 1)
-        if (kind, x_sampling, y_sampling) != (FLOAT, 1, 1):
-            raise ValueError("a channel is not 32-bit float")
+        if kind not in TYPES or (x_sampling, y_sampling) != (1, 1):
+            raise ValueError("a channel is neither float nor half")
         names.append(data[at:end].decode("utf-8"))
+        kinds.add(kind)
         at = end + 17
-    return names
+    if len(kinds) != 1:
+        raise ValueError("its channels are of several kinds")
+    return names, TYPES[kinds.pop()]
 
 
-def _zip(raw: bytes) -> bytes:
+def _zip(raw: bytes, level: int) -> bytes:
     """OpenEXR's ZIP: even bytes, then odd ones, each as the difference to the one before, deflated."""
     flat = np.frombuffer(raw, np.uint8)
     halves = np.concatenate([flat[0::2], flat[1::2]])
     delta = halves.copy()
     delta[1:] -= halves[:-1]
     delta[1:] += 128
-    return zlib.compress(delta.tobytes(), LEVEL)
+    return zlib.compress(delta.tobytes(), level)
 
 
 def _unzip(packed: bytes, size: int) -> bytes:

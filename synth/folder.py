@@ -129,9 +129,12 @@ def open_folder(folder: Path, options: dict[str, Any], maker: dict[str, str]) ->
             "go on with that one, or choose another folder (--out; nothing was changed)",
         )
     earlier = state["options"]
-    differing = [key for key in options if earlier.get(key) != options[key]]
+    differing = [key for key in {**options, **earlier} if earlier.get(key) != options.get(key)]
     if differing:
-        told = [f"{key} is {_shown(earlier.get(key))} there, {options[key]} asked" for key in differing]
+        told = [
+            f"{_shown(key)} is {_shown(earlier.get(key))} there, {options.get(key)} asked"
+            for key in differing
+        ]
         if differing == [FINGERPRINT]:
             told = ["the scene, its lights or its camera have changed since"]
         raise ConflictError(

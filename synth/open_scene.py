@@ -65,8 +65,9 @@ def opened(options: Options, report: Report) -> Iterator[tuple[Stage, Options]]:
         if options.camera_rig == rig.PATH:
             poses = user_camera.path(scene, camera, options)
         else:
-            poses = rig.poses(options.camera_rig, hints, options.views, options.lit_views)
-        mark = fingerprint(scene, layer, [*poses.train, *poses.test, *poses.lit], hints.angle_x)
+            counts = options.views, options.lit_views, options.validation_views
+            poses = rig.poses(options.camera_rig, hints, *counts)
+        mark = fingerprint(scene, layer, poses.all, hints.angle_x)
         # What is ours goes last on the way out's list, that is first: before the user's is put back.
         undo.enter_context(_ours_removed())
         lights = undo.enter_context(user_light.grouped(scene, layer))

@@ -23,8 +23,12 @@ LARGEST_LEVEL = 1024.0
 LEAST_LEVEL = 1e-6
 #: Degrees: nearer to the zenith the direction of 'up' is lost.
 LARGEST_ELEVATION = 85.0
+#: Of the undenoised reference: how many times the samples of what it checks.
+REFERENCE_FACTOR = 16
 #: The height of a resolution that follows the aspect of the user's scene.
 FOLLOW = 0
+#: Options that are left out of what is remembered where they are not used.
+_LATER = ("test_samples", "reference_samples", "test_truth", "validation_views")
 #: The value of ``--scene`` that means every built-in one.
 ALL = "all"
 #: The value of ``from_file`` that means the file that is open.
@@ -39,9 +43,19 @@ class Options:
     resolution: tuple[int, int] = (200, 200)
     #: At most so many a pixel.
     samples: int = 32
+    #: Of the test and the validation views, whose radiance methods are measured against; as ``samples`` if
+    #: ``None``.
+    test_samples: int | None = None
+    #: Of one test view without denoising, against which the truth is checked; ``REFERENCE_FACTOR`` ×
+    #: ``test_samples`` if ``None``, 0: not checked.
+    reference_samples: int | None = None
+    #: A folder of true radiance that was rendered before (``kept.py``): such views are not rendered again.
+    test_truth: str | None = None
     #: Where Cycles stops sampling a pixel earlier; 0 never.
     noise_threshold: float = 0.0
     views: int = 35
+    #: Further poses, neither trained nor tested: choices are made with these.
+    validation_views: int = 0
     #: Seconds, shortest first; the scene's own if ``None``.
     exposures: tuple[float, ...] | None = None
     crf: str = "reinhard-gamma"
@@ -117,6 +131,8 @@ class Options:
             within("--part: the number of parts", self.part[1], 1, 10_000)
             within(f"--part: of {self.part[1]} parts", self.part[0], 1, self.part[1])
         within("--lit-views", self.lit_views, 0, 10_000)
+        within("--validation-views", self.validation_views, 0, 10_000)
+        self._check_truth()
         if self.relit_views is not None:
             within("--relit-views", self.relit_views, 0, self.views // 2)
         self.camera.check()
@@ -125,6 +141,33 @@ class Options:
         self._check_levels()
         if self.assets and self.from_file:
             raise OptionError("--assets is for the built-in scenes, and --from-file asks for your own")
+
+    def _check_truth(self) -> None:
+        if self.test_samples is not None:
+            within("--test-samples", self.test_samples, 1, 2**20)
+        if self.reference_samples is not None:
+            within("--reference-samples", self.reference_samples, 0, 2**24)
+            if self.test_samples is None:
+                raise OptionError("--reference-samples is a check of --test-samples: give that, too")
+        if self.test_truth is not None and self.test_samples is not None:
+            raise OptionError(
+                "--test-samples: the test views of --test-truth are not rendered; give one of them"
+            )
+        if self.test_truth is not None and self.from_file:
+            raise OptionError("--test-truth is for the built-in scenes, and --from-file asks for your own")
+        if self.test_truth is not None and self.relit_views != 0:
+            raise OptionError(
+                "--test-truth: truth that was kept is under the standard light alone",
+                "give --relit-views 0, or render the test views here, without --test-truth",
+            )
+
+    @property
+    def reference(self) -> int:
+        """Samples of the reference; 0: there is none."""
+        if self.test_samples is None:
+            return 0
+        chosen = self.reference_samples
+        return REFERENCE_FACTOR * self.test_samples if chosen is None else chosen
 
     def _check_exposures(self) -> None:
         if self.exposures is None:
@@ -188,6 +231,11 @@ class Options:
         if self.mixed_levels is not None:
             values["mixed_levels"] = [dict(levels) for levels in self.mixed_levels]
         values["assets"] = self.assets is not None
+        if self.test_truth:
+            values["test_truth"] = True
+        for name in _LATER:  # else the folders of before would not be gone on with
+            if values[name] == getattr(Options, name):
+                del values[name]
         if not self.from_file:
             del values["from_file"], values["scene_name"]
         else:

@@ -41,6 +41,8 @@ class Passes:
     samples: np.ndarray
     #: ``seed``, ``samples`` (mean a pixel), ``noise_psnr`` (dB, noise.estimate).
     facts: dict[str, Any]
+    #: [height, width, 3] radiance of all lights before denoising: of a new render; it is not written.
+    raw: np.ndarray | None = None
 
     def radiance(self, levels: Mapping[str, float]) -> np.ndarray:
         """Radiance [height, width, 3] float32 with each light at its level; those not named are at 1."""

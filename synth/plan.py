@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..bridge import data_set
-from ..bridge.data_set import LIT, TEST, TRAIN
+from ..bridge.data_set import LIT, TEST, TRAIN, VALIDATION
 from ..bridge.lights import AMBIENT
 from . import rig
 from .errors import UnknownNameError
@@ -49,6 +49,8 @@ class Shot:
     #: Of the lights that are not at 1 in the pictures of this pose.
     levels: Mapping[str, float]
     relit: tuple[Relighting, ...] = ()
+    #: Its radiance was rendered before and is taken from elsewhere: there is no render of it here.
+    kept: bool = False
 
     @property
     def name(self) -> str:
@@ -76,8 +78,9 @@ class Shot:
 
     def files(self, exposures: int) -> list[str]:
         """Everything that belongs to this pose."""
-        names = [self.passes, self.hdr, *(self.bracket(k) for k in range(exposures))]
-        return [*names, *(self.relit_hdr(light) for light in self.relit)]
+        names = [self.hdr, *(self.bracket(k) for k in range(exposures))]
+        names += [self.relit_hdr(light) for light in self.relit]
+        return names if self.kept else [self.passes, *names]
 
 
 def shots(poses: RigPoses, options: Options, lights: Sequence[str]) -> list[Shot]:
@@ -95,6 +98,7 @@ def shots(poses: RigPoses, options: Options, lights: Sequence[str]) -> list[Shot
         *(Shot(TRAIN, k, pose, {}) for k, pose in enumerate(poses.train)),
         *(Shot(TEST, k, pose, {}, relit if k in chosen else ()) for k, pose in enumerate(poses.test)),
         *(Shot(LIT, k, pose, varied[k]) for k, pose in enumerate(poses.lit)),
+        *(Shot(VALIDATION, k, pose, {}) for k, pose in enumerate(poses.validation)),
     ]
 
 

@@ -33,8 +33,8 @@ def view_seed(seed: int, name: str) -> int:
 class Renderer:
     """Made by ``renderer``."""
 
-    def __init__(self, stage: Stage, denoise: bool, file: bpy.types.CompositorNodeOutputFile) -> None:
-        self.stage, self.denoise, self.file = stage, denoise, file
+    def __init__(self, stage: Stage, denoise: bool, outlet: compositor.Outlet) -> None:
+        self.stage, self.denoise, self.outlet = stage, denoise, outlet
         data = bpy.data.cameras.new("physhdr camera")
         data.sensor_fit = "HORIZONTAL"
         data.angle = stage.cameras.angle_x
@@ -57,7 +57,7 @@ class Renderer:
         self.camera.matrix_world = Matrix(pose.tolist())
         cycles(scene).seed = seed
         scene.update_tag()  # else persistent data keeps the former seed
-        compositor.aim(self.file, scratch)
+        self.outlet.aim(scratch)
         try:
             with quiet(), held(), _most_samples(scene) as most:
                 done = bpy.ops.render.render(
@@ -90,6 +90,7 @@ class Renderer:
         # Differences of passes are a rounding below 0 where a light does not reach.
         lights = {name: np.maximum(colour(f"light_{k}"), 0.0) for k, name in enumerate(self.stage.lights)}
         whole = reduce(np.add, lights.values()) if self.denoise else None
+        raw = colour(compositor.RAW)
         planes = {name: channels[f"{name}.V"] for name in compositor.PLANES}
         planes["samples"] = planes["samples"] * most  # Cycles tells the share of what any pixel got
         return Passes(
@@ -98,8 +99,9 @@ class Renderer:
             facts={
                 "seed": seed,
                 "samples": round(float(planes["samples"].mean()), 3),
-                "noise_psnr": noise.estimate(colour(compositor.RAW), whole),
+                "noise_psnr": noise.estimate(raw, whole),
             },
+            raw=raw,
             **planes,
         )
 
@@ -107,8 +109,8 @@ class Renderer:
 @contextmanager
 def renderer(stage: Stage, denoise: bool) -> Iterator[Renderer]:
     """A camera in a built stage, and the passes switched on. ``settings.applied`` must be around it."""
-    with compositor.connected(stage, denoise) as file:
-        yield Renderer(stage, denoise, file)
+    with compositor.connected(stage, denoise) as outlet:
+        yield Renderer(stage, denoise, outlet)
 
 
 @contextmanager

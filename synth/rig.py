@@ -70,12 +70,12 @@ RIGS: dict[str, Callable[[CameraHints, float, float], np.ndarray]] = {
 }
 
 
-def poses(name: str, hints: CameraHints, views: int, lit_views: int) -> RigPoses:
-    """The cameras of a rig: a grid split like a chess board into training and test, and ``lit`` between them.
+def poses(name: str, hints: CameraHints, views: int, lit_views: int, validation_views: int = 0) -> RigPoses:
+    """The cameras of a rig: a grid split like a chess board into training and test, the rest between them.
 
     35 views are a 5 × 7 grid (18 training, 17 test). Other counts fill the grid nearest to that shape row by
     row. An orbit is one row. The lit views follow a low-discrepancy sequence over the same area, so that any
-    run of them is spread out.
+    run of them is spread out; the validation views follow the same one shifted by half of it.
 
     Raises:
         UnknownNameError, OptionError
@@ -95,14 +95,15 @@ def poses(name: str, hints: CameraHints, views: int, lit_views: int) -> RigPoses
         u = column / steps if columns > 1 else 0.5
         v = row / (rows - 1) if rows > 1 else 0.5
         (train if (row + column) % 2 == 0 else test).append(place(hints, u, v))
-    lit = [place(hints, *_spread(index)) for index in range(lit_views)]
-    return RigPoses(train, test, lit)
+    lit = [place(hints, *_spread(index, 0.5)) for index in range(lit_views)]
+    validation = [place(hints, *_spread(index, 0.0)) for index in range(validation_views)]
+    return RigPoses(train, test, lit, validation)
 
 
-def _spread(index: int) -> tuple[float, float]:
-    """Point ``index`` of the R2 low-discrepancy sequence (Roberts 2018) in the unit square."""
+def _spread(index: int, start: float) -> tuple[float, float]:
+    """Point ``index`` of the R2 low-discrepancy sequence (Roberts 2018) in the unit square from ``start``."""
     plastic = 1.32471795724474602596
-    return (0.5 + (index + 1) / plastic) % 1.0, (0.5 + (index + 1) / plastic**2) % 1.0
+    return (start + (index + 1) / plastic) % 1.0, (start + (index + 1) / plastic**2) % 1.0
 
 
 def spread_indices(total: int, wanted: int) -> list[int]:

@@ -30,7 +30,8 @@ def make_all(out: Path, scenes: Sequence[str], options: Options, report: Report)
         replace(options, scene=scene).check()
     rendered = sum(len(passes_files(out / scene)) for scene in scenes)
     parts = options.part[1] if options.part else 1
-    report.begin_all((len(scenes) * (options.views + options.lit_views) - rendered) // parts)
+    poses = options.views + options.lit_views + options.validation_views
+    report.begin_all((len(scenes) * poses - rendered) // parts)
     results = {}
     for scene in scenes:
         report.enter(scene)

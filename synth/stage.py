@@ -40,6 +40,11 @@ class RigPoses:
     train: list[np.ndarray]
     test: list[np.ndarray]
     lit: list[np.ndarray]
+    validation: list[np.ndarray] = field(default_factory=list)
+
+    @property
+    def all(self) -> list[np.ndarray]:
+        return [*self.train, *self.test, *self.lit, *self.validation]
 
 
 @dataclass(frozen=True)

@@ -174,8 +174,8 @@ def _three(values: np.ndarray) -> tuple[float, float, float]:
 def path(scene: bpy.types.Scene, camera: bpy.types.Object, options: Options) -> RigPoses:
     """The camera's own animation, whatever moves it: views evenly over the scene's frames.
 
-    Every second one is a test view; the lit views lie between, spread over the whole way. The scene is put
-    back to the frame where it was.
+    Every second one is a test view; lit and validation views lie between, spread over the whole way. The
+    scene is put back to the frame where it was.
 
     Raises:
         OptionError: the camera stands still.
@@ -184,8 +184,11 @@ def path(scene: bpy.types.Scene, camera: bpy.types.Object, options: Options) -> 
     former = scene.frame_current, scene.frame_subframe
     shares = [k / (options.views - 1) for k in range(options.views)]
     lit = [(0.5 + (k + 1) * GOLDEN) % 1.0 for k in range(options.lit_views)]
+    validation = [(k + 1) * GOLDEN % 1.0 for k in range(options.validation_views)]
     try:
-        places = [_at(scene, camera, first + share * (last - first)) for share in [*shares, *lit]]
+        places = [
+            _at(scene, camera, first + share * (last - first)) for share in [*shares, *lit, *validation]
+        ]
     finally:
         scene.frame_set(former[0], subframe=former[1])
     views = places[: options.views]
@@ -193,7 +196,8 @@ def path(scene: bpy.types.Scene, camera: bpy.types.Object, options: Options) -> 
         raise OptionError(
             f"--camera-rig {PATH}: the camera '{camera.name}' stands still over the frames {first} … {last}",
         )
-    return RigPoses(views[0::2], views[1::2], places[options.views :])
+    between = places[options.views :]
+    return RigPoses(views[0::2], views[1::2], between[: options.lit_views], between[options.lit_views :])
 
 
 def _at(scene: bpy.types.Scene, camera: bpy.types.Object, frame: float) -> np.ndarray:

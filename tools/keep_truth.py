@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Render the test truth that is kept in benchmarks/data, a little better with every round.
+
+    .venvs/run-blender tools/keep_truth.py -- bear dog --rounds 4 --work FOLDER
+    .venvs/run-blender tools/keep_truth.py -- bear --rounds 4 --reference --work FOLDER
+
+A round is one pass (synth/truth.py: ``PASS`` samples, denoised) of every test and validation view of a scene,
+and of the middle test view once more with other noise (``again``); the truth is the mean of all rounds so
+far. So it may be stopped at any time, by CTRL-C or a kill, and goes on where it stopped, even on another
+machine that has only what is kept. Several may work at the same time. ``--reference`` then renders the middle
+test view with 16 times the samples and without denoising. Both floors go into truth.json.
+
+The same as ``make_scene.py --scene SCENE --test-samples 256·N --validation-views V``, but for half floats.
+"""
+
+import argparse
+import json
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import bpy
+import numpy as np
+
+from physhdr.bridge.data_set import TEST, VALIDATION
+from physhdr.bridge.lock import Claims
+from physhdr.synth import dataset, exr, floors, folder, kept, noise, rig, settings
+from physhdr.synth.built_in import SCENES, built
+from physhdr.synth.options import REFERENCE_FACTOR, Options, seconds
+from physhdr.synth.passes import FACTS
+from physhdr.synth.renderer import Renderer, renderer, view_seed
+from physhdr.synth.response import by_name
+from physhdr.synth.stage import CameraHints
+from physhdr.synth.truth import PASS, TruthRenderer, pass_seed
+
+ROOT = Path(__file__).resolve().parent.parent
+DATA = ROOT / "benchmarks" / "data"
+SIZE, VIEWS, RIG, SEED = (200, 200), 35, "grid", 0
+#: Of the scenes that choices are made on.
+VALIDATION_VIEWS = {"interior": 4, "bathroom": 4, "sponza": 4}
+
+
+@dataclass(frozen=True)
+class View:
+    """A pose and the mean of its passes so far: float32 in the work folder, half floats where it is kept."""
+
+    name: str
+    pose: np.ndarray
+    work: Path
+    target: Path | None = None
+    denoised: bool = True
+
+    def state(self) -> tuple[np.ndarray | None, dict[str, Any]]:
+        """The mean so far and its facts; the kept one's where that has more passes."""
+        there = [kept.read(path) for path in (self.work, self.target) if path is not None and path.exists()]
+        best = max(there, key=lambda each: each[1]["passes"], default=None)
+        return best or (None, {"passes": 0, "cpu_seconds": 0.0})
+
+    @property
+    def mean(self) -> np.ndarray:
+        mean, _ = self.state()
+        assert mean is not None
+        return mean
+
+    @property
+    def passes(self) -> int:
+        return self.state()[1]["passes"]
+
+    def improve(self, camera: Renderer) -> dict[str, Any]:
+        """One pass more; the facts after it."""
+        mean, facts = self.state()
+        count, began = facts["passes"], time.process_time()
+        seed = pass_seed(view_seed(SEED, self.name), count)
+        rendered = TruthRenderer(camera, PASS).once(PASS, self.pose, seed, folder.scratch(self.work))
+        new = rendered.radiance({}) if self.denoised else rendered.raw
+        assert new is not None
+        total = new.astype(np.float64)
+        if mean is not None:
+            total = (count * mean.astype(np.float64) + total) / (count + 1)
+        mean = total.astype(np.float32)
+        facts = {
+            "passes": count + 1,
+            "samples": PASS * (count + 1),
+            "seed": SEED,
+            "cpu_seconds": round(facts["cpu_seconds"] + time.process_time() - began, 1),
+            "camera_to_world": self.pose.tolist(),
+        }
+        text = {FACTS: json.dumps(facts, sort_keys=True)}
+        folder.write(self.work, exr.encode_rgb(mean, text))
+        if self.target is not None:
+            kept.write(self.target, mean, facts)
+        return facts
+
+
+class Scene:
+    """The views of a scene: those that are kept, and those that tell how good these are."""
+
+    def __init__(self, name: str, cameras: CameraHints, work: Path) -> None:
+        self.name, self.work, self.target = name, work / name, DATA / name
+        for place in (self.work, self.target):
+            place.mkdir(parents=True, exist_ok=True)
+        poses = rig.poses(RIG, cameras, VIEWS, 0, VALIDATION_VIEWS.get(name, 0))
+        self.middle = len(poses.test) // 2
+        self.kept = [
+            View(f"{split}_{k:03d}", pose, self.work / file, self.target / file)
+            for split, of_split in ((TEST, poses.test), (VALIDATION, poses.validation))
+            for k, pose in enumerate(of_split)
+            for file in [kept.file_name(split, k)]
+        ]
+        self.again = self._beside("again", denoised=True, pose=poses.test[self.middle])
+        self.halves = [
+            self._beside(f"reference_{k}", denoised=False, pose=poses.test[self.middle]) for k in (0, 1)
+        ]
+
+    def _beside(self, name: str, denoised: bool, pose: np.ndarray) -> View:
+        return View(f"{TEST}_{self.middle:03d}/{name}", pose, self.work / f"{name}.exr", None, denoised)
+
+    def describe(self) -> dict[str, Any] | None:
+        """The content of truth.json; None as long as not all views are there."""
+        views = [*self.kept, self.again]
+        passes = min(view.passes for view in views)
+        if passes == 0:
+            return None
+        exposures, response = seconds(SCENES[self.name].evs), by_name(Options.crf)
+        truth = self.kept[self.middle].mean
+        told: dict[str, Any] = {
+            "format": kept.FORMAT,
+            "version": kept.VERSION,
+            "generator": {**dataset.GENERATOR, "blender": bpy.app.version_string},
+            "options": {
+                "scene": self.name,
+                "resolution": list(SIZE),
+                "views": VIEWS,
+                "camera_rig": RIG,
+                "assets": False,
+            },
+            "validation_views": VALIDATION_VIEWS.get(self.name, 0),
+            "seed": SEED,
+            "samples": PASS * passes,
+            "exposures": list(exposures),
+            "cpu_seconds": round(sum(view.state()[1]["cpu_seconds"] for view in self.kept)),
+            "noise_floor": {
+                "view": self.middle,
+                "samples": PASS * self.again.passes,
+                **noise.floor(truth, self.again.mean, response, exposures),
+            },
+        }
+        if all(half.passes for half in self.halves):
+            told["reference_floor"] = {
+                "view": self.middle,
+                "samples": PASS * sum(half.passes for half in self.halves),
+                "cpu_seconds": round(sum(half.state()[1]["cpu_seconds"] for half in self.halves)),
+                **floors.reference_floor(
+                    truth, (self.halves[0].mean, self.halves[1].mean), response, exposures
+                ),
+            }
+        return told
+
+
+def work_on(name: str, rounds: int, reference: bool, work: Path) -> None:
+    """Render until all views have ``rounds`` passes, and the reference its own."""
+    with (
+        built(name) as stage,
+        settings.applied(stage.scene, settings.ground_truth(SIZE, PASS, threads=1)),
+        renderer(stage, denoise=True) as camera,
+    ):
+        scene = Scene(name, stage.cameras, work)
+        with Claims(scene.work / ".claims", print) as claims:
+            for wanted in range(1, rounds + 1):
+                for view in (*scene.kept, scene.again):
+                    _improve(scene, view, wanted, camera, claims)
+            for wanted in range(1, REFERENCE_FACTOR * rounds // 2 + 1 if reference else 0):
+                for half in scene.halves:
+                    _improve(scene, half, wanted, camera, claims)
+            if told := scene.describe():
+                folder.write_json(scene.target / kept.TRUTH_FILE, told)
+                print(
+                    f"{name}: {json.dumps(told.get('noise_floor'))} {json.dumps(told.get('reference_floor'))}"
+                )
+
+
+def _improve(scene: Scene, view: View, wanted: int, camera: Renderer, claims: Claims) -> None:
+    """Up to ``wanted`` passes, unless another process is at work on it."""
+    claim = view.name.replace("/", "_")
+    while view.passes < wanted and claims.take(claim):
+        try:
+            if view.passes < wanted:
+                facts = view.improve(camera)
+                print(
+                    f"{scene.name} {view.name}: {facts['passes']}, {facts['cpu_seconds']} CPU s", flush=True
+                )
+        finally:
+            claims.release(claim)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("scenes", nargs="+", choices=list(SCENES))
+    parser.add_argument("--rounds", type=int, default=1)
+    parser.add_argument("--reference", action="store_true")
+    parser.add_argument("--work", type=Path, required=True)
+    given = parser.parse_args(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:])
+    for scene in given.scenes:
+        work_on(scene, given.rounds, given.reference, given.work)
+
+
+if __name__ == "__main__":
+    main()
