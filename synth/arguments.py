@@ -89,6 +89,12 @@ def _add_pictures(made: argparse.ArgumentParser) -> None:
         help="test and validation views that were rendered before and are kept, such as benchmarks/data/dog",
     )
     add(
+        "--renders-of",
+        metavar="FOLDER",
+        help="a data set of the same scene and size whose renders are taken instead of new ones: for other "
+        "exposures, another response or another camera",
+    )
+    add(
         "--noise-threshold",
         type=float,
         default=_DEFAULT.noise_threshold,
@@ -232,6 +238,7 @@ def options(given: argparse.Namespace) -> Options:
         test_samples=given.test_samples,
         reference_samples=given.reference_samples,
         test_truth=given.test_truth,
+        renders_of=given.renders_of,
         noise_threshold=given.noise_threshold,
         views=given.views,
         validation_views=given.validation_views,

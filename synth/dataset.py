@@ -26,6 +26,7 @@ from . import (
     plan,
     png,
     points,
+    reuse,
     rig,
     settings,
 )
@@ -120,6 +121,7 @@ class _Job:
     state: dict[str, Any]
     assets: Assets
     kept: kept.Kept | None
+    renders: reuse.Renders | None
 
     @property
     def lights(self) -> list[str]:
@@ -180,7 +182,9 @@ def _job(out: Path, stage: Stage, options: Options, assets: Assets, report: Repo
     maker = {**GENERATOR, "blender": bpy.app.version_string}
     state = folder.open_folder(out, asked, maker)
     head = {"format": data_set.FORMAT, "version": data_set.VERSION, "generator": maker, "options": asked}
-    job = _Job(out, options, stage, shots, Derivation(out, options, response), head, state, assets, held)
+    renders = reuse.opened(Path(options.renders_of), asked, maker) if options.renders_of else None
+    derivation = Derivation(out, options, response)
+    job = _Job(out, options, stage, shots, derivation, head, state, assets, held, renders)
     there = [shot for shot in job.ours if shot.kept or (out / shot.passes).exists()]
     for shot in there:
         job.passes(shot)  # whole, and of this scene
@@ -237,6 +241,8 @@ def _make(job: _Job, shot: Shot | floors.Chunk, camera: Renderer) -> None:
         shot.make(camera)
         return
     path = job.out / shot.passes
+    if not shot.kept and not path.exists() and job.renders and job.renders.has(shot):
+        job.renders.copy(shot, job.out)
     if shot.kept or path.exists():
         rendered = job.passes(shot)
     else:

@@ -108,8 +108,8 @@ def encode(
     attributes |= {name: ("string", text.encode()) for name, text in (texts or {}).items()}
     long = any(len(name.encode()) > SHORT_NAME for name in [*names, *attributes])
     head = struct.pack("<II", MAGIC, 2 | (LONG_NAMES if long else 0))
-    for name, (kind, value) in sorted(attributes.items()):
-        head += name.encode() + b"\0" + kind.encode() + b"\0" + struct.pack("<i", len(value)) + value
+    for name, (sort, value) in sorted(attributes.items()):
+        head += name.encode() + b"\0" + sort.encode() + b"\0" + struct.pack("<i", len(value)) + value
     head += b"\0"
     step = LINES_PER_BLOCK[ZIP]
     blocks = []

@@ -88,6 +88,16 @@ def read_json(path: Path) -> dict[str, Any]:
     return content
 
 
+def read_told(folder: Path) -> dict[str, Any]:
+    """``dataset.json`` of a data set, or what stands for it while it is being made.
+
+    Raises:
+        DamagedFileError: neither is there, or it cannot be read.
+    """
+    whole = folder / INFO_FILE
+    return read_json(whole if whole.exists() else folder / PARTIAL_FILE)
+
+
 def open_folder(folder: Path, options: dict[str, Any], maker: dict[str, str]) -> dict[str, Any]:
     """Make or enter the folder; the state of an earlier run with the same options, or {} for a new one.
 

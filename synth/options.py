@@ -51,6 +51,8 @@ class Options:
     reference_samples: int | None = None
     #: A folder of true radiance that was rendered before (``kept.py``): such views are not rendered again.
     test_truth: str | None = None
+    #: A data set of the same scene whose renders are taken: only what the camera makes of them differs.
+    renders_of: str | None = None
     #: Where Cycles stops sampling a pixel earlier; 0 never.
     noise_threshold: float = 0.0
     views: int = 35
@@ -227,7 +229,7 @@ class Options:
         """What a resumed run must have in common with the first; where the file lies is no part of it."""
         values = {key: list(v) if isinstance(v, tuple) else v for key, v in asdict(self).items()}
         values["camera"] = self.camera.describe()
-        del values["workers"], values["threads"], values["part"]
+        del values["workers"], values["threads"], values["part"], values["renders_of"]
         if self.mixed_levels is not None:
             values["mixed_levels"] = [dict(levels) for levels in self.mixed_levels]
         values["assets"] = self.assets is not None

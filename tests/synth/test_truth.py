@@ -212,3 +212,31 @@ def test_half_floats_are_read_by_blender(tmp_path, readers):
     half = values.astype(np.float16).astype(np.float32)
     np.testing.assert_array_equal(readers.exr(tmp_path / "a.exr"), half)
     np.testing.assert_array_equal(exr.read(tmp_path / "a.exr"), half)
+
+
+def test_another_camera_needs_no_new_renders(tmp_path, clean, monkeypatch):
+    """The pictures are those of a data set that was rendered anew, and a render was asked for only once."""
+    dataset.make(tmp_path / "a", clean)
+    other = replace(clean, crf="filmic", exposures=(0.5, 1.0))
+    dataset.make(tmp_path / "anew", other)
+    rendered = []
+    real = dataset.Renderer.render
+
+    def counted(self, *arguments):
+        rendered.append(arguments)
+        return real(self, *arguments)
+
+    monkeypatch.setattr(dataset.Renderer, "render", counted)
+    dataset.make(tmp_path / "b", replace(other, renders_of=str(tmp_path / "a"), reference_samples=0))
+    assert len(rendered) == 2  # one truth, of two pictures, for the noise floor
+    for split, k in (("train", 2), ("test", 0), ("val", 1)):
+        a, b = (read_png(tmp_path / x / f"{split}/r_{k}_1.png") for x in ("anew", "b"))
+        np.testing.assert_array_equal(a, b)
+
+
+def test_renders_of_something_else_are_refused(tmp_path, clean):
+    dataset.make(tmp_path / "a", clean)
+    with pytest.raises(ConflictError, match=r"other options \(samples\)"):
+        dataset.make(tmp_path / "b", replace(clean, samples=5, renders_of=str(tmp_path / "a")))
+    with pytest.raises(DamagedFileError, match="nowhere"):
+        dataset.make(tmp_path / "c", replace(clean, renders_of=str(tmp_path / "nowhere")))
