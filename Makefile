@@ -38,7 +38,7 @@ benchmark: setup ## Speed of the kernels against their alternatives, in one run;
 	@$(BACKEND) benchmarks/run.py $(WITH)
 
 report: setup ## Methods at equal iterations and CPU seconds, the paper's steps: docs/benchmarks.md, ablation.md (hours)
-	@$(BACKEND) tools/benchmark_data.py
+	@$(BACKEND) tools/benchmark_data.py bathroom interior sponza bathroom-local
 	@.venvs/backend/bin/physhdr benchmark --plan benchmarks/methods.toml --jobs 2 \
 		--out runs/methods --report docs/benchmarks.md
 	@.venvs/backend/bin/physhdr benchmark --plan benchmarks/ladder.toml --jobs 2 \

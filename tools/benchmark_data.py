@@ -1,12 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Render the data sets of the comparison of methods, as far as they are not there: data/benchmark/SCENE.
+"""Render the data sets that methods are compared on, as far as they are not there: data/benchmark/NAME.
 
-    .venvs/backend/bin/python tools/benchmark_data.py
+    .venvs/backend/bin/python tools/benchmark_data.py                     the seven open scenes
+    .venvs/backend/bin/python tools/benchmark_data.py dog dog-iso1600     these alone
 
-About 15 minutes of two cores each. 200×200, 35 poses, no lit views: every method trains on the same pictures.
+200×200, 35 poses, no lit views: every method trains on the same pictures. Training views are rendered (2 to 5
+minutes of two cores a scene); the truth of test and validation views is taken from benchmarks/data. A name
+SCENE-CAMERA is the scene as another camera takes it, from the same renders (CAMERAS). Beside the exact points
+of the renders each folder has those of structure from motion (``physhdr triangulate``).
 """
 
 import argparse
+import json
 import subprocess
 import sys
 import time
@@ -14,28 +19,88 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "data" / "benchmark"
+KEPT = ROOT / "benchmarks" / "data"
 COMMON = ("--resolution", "200", "--lit-views", "0", "--relit-views", "0", "--workers", "2")
-#: Name → what make_scene.py is told beside that.
-DATA = {
-    "interior": ("--scene", "interior", "--samples", "64"),
-    "bathroom": ("--scene", "bathroom", "--samples", "32"),
-    "sponza": ("--scene", "sponza", "--samples", "64"),
-    # The same renders through a camera that lifts shadows and holds lights back, as phones do.
-    "bathroom-local": ("--scene", "bathroom", "--samples", "32", "--local-response", "0.7"),
+#: Scene → samples of its training views.
+SAMPLES = {
+    "interior": 64,
+    "bathroom": 32,
+    "sponza": 64,
+    "bear": 64,
+    "diningroom": 64,
+    "dog": 64,
+    "sofa": 64,
+    "chair": 64,
+    "desk": 64,
+}
+#: Rendered only when they are named (benchmarks/README.md).
+SEALED = ("chair", "desk")
+#: What is made without a name: the open scenes, and what benchmarks/ladder.toml asks for beside them.
+USUAL = (*(name for name in SAMPLES if name not in SEALED), "bathroom-local")
+#: What real cameras do (docs/camera.md): what make_scene.py is told of it.
+CAMERAS = {
+    "srgb": ("--crf", "srgb"),
+    "filmic": ("--crf", "filmic"),
+    "measured": ("--crf", str(ROOT / "benchmarks" / "curves" / "olympus-e-m10-ii.txt")),
+    "local": ("--local-response", "0.7"),
+    "iso100": ("--iso", "100"),
+    "iso1600": ("--iso", "1600"),
+    "iso6400": ("--iso", "6400"),
+    "iso25600": ("--iso", "25600"),
+    "white-balance": ("--white-balance-jitter", "0.1"),
+    "vignetting": ("--vignetting", "1.5"),
+    "exposure": ("--exposure-jitter", "0.1"),
 }
 
 
 def main() -> int:
-    argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0]).parse_args()
-    for name, options in DATA.items():
-        folder = FOLDER / name
-        begun = time.perf_counter()
-        script = ROOT / "synth" / "make_scene.py"
-        command = [ROOT / ".venvs" / "run-blender", script, "--", "--out", folder, *options, *COMMON]
+    known = [*SAMPLES, *(f"SCENE-{camera}" for camera in CAMERAS)]
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("names", nargs="*", default=USUAL, metavar="NAME", help=f"of: {', '.join(known)}")
+    for name in parser.parse_args().names:
+        scene, _, camera = name.partition("-")
+        if scene not in SAMPLES or (camera and camera not in CAMERAS):
+            parser.error(f"there is no data set '{name}'; there are {', '.join(known)}")
+        parts = (scene, name) if camera else (name,)  # a camera's set needs the scene's renders
+        if status := next((status for each in parts if (status := _make(each))), 0):
+            return status
+    return 0
+
+
+def _make(name: str) -> int:
+    """Exit status of the first command that fails."""
+    scene, _, camera = name.partition("-")
+    folder, begun = FOLDER / name, time.perf_counter()
+    words = [
+        "--out",
+        str(folder),
+        "--scene",
+        scene,
+        "--samples",
+        str(SAMPLES[scene]),
+        *COMMON,
+        *_truth(scene),
+    ]
+    if camera:
+        words += [*CAMERAS[camera], "--renders-of", str(FOLDER / scene)]
+    commands = [[ROOT / ".venvs" / "run-blender", ROOT / "synth" / "make_scene.py", "--", *words]]
+    if not (folder / "points3d_sfm.ply").exists():
+        commands.append([Path(sys.executable).parent / "physhdr", "triangulate", folder])
+    for command in commands:
         if status := subprocess.run(command, check=False).returncode:
             return status
-        print(f"[data] {folder} ready after {time.perf_counter() - begun:.0f} s", flush=True)
+    print(f"[data] {folder} ready after {time.perf_counter() - begun:.0f} s", flush=True)
     return 0
+
+
+def _truth(scene: str) -> list[str]:
+    """Where the truth of test and validation views comes from."""
+    told = KEPT / scene / "truth.json"
+    if not told.exists():
+        print(f"[data] {scene}: no truth of it is kept, so its test views have the noise of training views")
+        return []
+    validation = json.loads(told.read_text(encoding="utf-8"))["validation_views"]
+    return ["--test-truth", str(told.parent), "--validation-views", str(validation)]
 
 
 if __name__ == "__main__":

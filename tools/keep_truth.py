@@ -37,7 +37,7 @@ from physhdr.synth.truth import PASS, TruthRenderer, pass_seed
 
 ROOT = Path(__file__).resolve().parent.parent
 DATA = ROOT / "benchmarks" / "data"
-SIZE, VIEWS, RIG, SEED = (200, 200), 35, "grid", 0
+SIZE, VIEWS, RIG, SEED, DENOISE = (200, 200), 35, "grid", 0, True
 #: Of the scenes that choices are made on.
 VALIDATION_VIEWS = {"interior": 4, "bathroom": 4, "sponza": 4}
 
@@ -143,13 +143,14 @@ class Scene:
             "cpu_seconds": round(sum(view.state()[1]["cpu_seconds"] for view in self.kept)),
             "noise_floor": {
                 "view": self.middle,
-                "samples": PASS * self.again.passes,
+                "response": Options.crf,
                 **noise.floor(truth, self.again.mean, response, exposures),
             },
         }
         if all(half.passes for half in self.halves):
             told["reference_floor"] = {
                 "view": self.middle,
+                "response": Options.crf,
                 "samples": PASS * sum(half.passes for half in self.halves),
                 "cpu_seconds": round(sum(half.state()[1]["cpu_seconds"] for half in self.halves)),
                 **floors.reference_floor(
@@ -164,7 +165,7 @@ def work_on(name: str, rounds: int, reference: bool, work: Path) -> None:
     with (
         built(name) as stage,
         settings.applied(stage.scene, settings.ground_truth(SIZE, PASS, threads=1)),
-        renderer(stage, denoise=True) as camera,
+        renderer(stage, DENOISE) as camera,
     ):
         scene = Scene(name, stage.cameras, work)
         with Claims(scene.work / ".claims", print) as claims:

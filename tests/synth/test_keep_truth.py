@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The tool that keeps truth makes what make_scene.py makes, in as many goes as one likes."""
+
+import importlib.util
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from physhdr.synth import dataset, exr, kept, truth
+
+ROOT = Path(__file__).parents[2]
+PASS = 8
+
+
+@pytest.fixture
+def tool(monkeypatch, tmp_path):
+    """tools/keep_truth.py, for tiny pictures of the ball."""
+    spec = importlib.util.spec_from_file_location("keep_truth", ROOT / "tools" / "keep_truth.py")
+    module = importlib.util.module_from_spec(spec)
+    monkeypatch.setattr(truth, "PASS", PASS)
+    spec.loader.exec_module(module)
+    monkeypatch.setattr(module, "PASS", PASS)
+    monkeypatch.setattr(module, "DATA", tmp_path / "kept")
+    monkeypatch.setattr(module, "SIZE", (32, 24))
+    monkeypatch.setattr(module, "VIEWS", 5)
+    monkeypatch.setattr(module, "VALIDATION_VIEWS", {"ball": 1})
+    monkeypatch.setattr(module, "DENOISE", False)
+    return module
+
+
+def test_truth_in_two_goes_is_that_of_one_data_set(tool, tmp_path, small):
+    tool.work_on("ball", 1, False, tmp_path / "work")
+    told = json.loads((tmp_path / "kept/ball" / kept.TRUTH_FILE).read_text())
+    assert told["samples"] == PASS and "reference_floor" not in told
+    shutil.rmtree(tmp_path / "work")  # another machine: only what is kept is there
+    tool.work_on("ball", 2, True, tmp_path / "work")
+    told = json.loads((tmp_path / "kept/ball" / kept.TRUTH_FILE).read_text())
+    assert told["samples"] == 2 * PASS and told["reference_floor"]["samples"] == 32 * PASS
+    names = {path.name for path in (tmp_path / "kept/ball").iterdir()}
+    assert names == {"truth.json", "test_000.exr", "test_001.exr", "val_000.exr"}
+
+    at_once = replace(small, validation_views=1, lit_views=0, relit_views=0, test_samples=2 * PASS)
+    dataset.make(tmp_path / "data", replace(at_once, reference_samples=0))
+    for split, k in (("test", 0), ("test", 1), ("val", 0)):
+        rendered = exr.read(tmp_path / f"data/{split}_hdr/hdr_{k:03d}.exr")
+        radiance, facts = kept.read(tmp_path / "kept/ball" / kept.file_name(split, k))
+        # Rounded once after the first go, and once after the second.
+        np.testing.assert_allclose(radiance, rendered, rtol=2.0**-8, atol=1e-5)
+        assert facts["passes"] == 2 and facts["samples"] == 2 * PASS
+    floor = json.loads((tmp_path / "data/dataset.json").read_text())["noise_floor"]
+    assert told["noise_floor"]["view"] == floor["view"] == 1
+
+    taking = replace(at_once, test_samples=None, test_truth=str(tmp_path / "kept/ball"))
+    dataset.make(tmp_path / "taken", taking)
+    taken = json.loads((tmp_path / "taken/dataset.json").read_text())
+    assert taken["noise_floor"] == told["noise_floor"] and taken["test_samples"] == 2 * PASS
+
+
+def test_nothing_is_rendered_twice(tool, tmp_path, capsys):
+    tool.work_on("ball", 1, False, tmp_path / "work")
+    capsys.readouterr()
+    before = {path: path.read_bytes() for path in (tmp_path / "kept").rglob("*.exr")}
+    tool.work_on("ball", 1, False, tmp_path / "work")
+    assert "CPU s" not in capsys.readouterr().out
+    assert before == {path: path.read_bytes() for path in (tmp_path / "kept").rglob("*.exr")}
+
+
+def test_the_two_floors_are_those_of_pictures_made_by_hand(tool, tmp_path):
+    """A second truth and a reference that are the first times a factor: the floors are that factor's."""
+    tool.work_on("ball", 1, True, tmp_path / "work")
+    work = tmp_path / "work/ball"
+    first, facts = kept.read(work / "test_001.exr")
+    text = {"physhdr": json.dumps(facts)}
+    (work / "again.exr").write_bytes(exr.encode_rgb(first * 1.1, text))
+    many = {"physhdr": json.dumps({**facts, "passes": 8})}
+    for k in (0, 1):
+        (work / f"reference_{k}.exr").write_bytes(exr.encode_rgb(first * (0.8 + 0.1 * k), many))
+    tool.work_on("ball", 1, True, tmp_path / "work")
+    told = json.loads((tmp_path / "kept/ball" / kept.TRUTH_FILE).read_text())
+    at = told["exposures"].index(2.0)
+    doubled = [np.rint(255 * (2 * x / (1 + 2 * x)) ** (1 / 2.2)) for x in (first, first * 1.1, first * 0.85)]
+    for floor, other in (("noise_floor", doubled[1]), ("reference_floor", doubled[2])):
+        expected = -10 * np.log10(np.mean((doubled[0] - other) ** 2) / 255**2)
+        assert told[floor]["psnr"][at] == pytest.approx(expected, abs=0.05)
