@@ -102,7 +102,7 @@ class EventLog:
         for name, value in event.losses.items():
             self._board.add_scalar(f"loss/{name}", value, step)
         for name, value in event.monitor.items():
-            self._board.add_scalar(f"test view/{name}", value, step)
+            self._board.add_scalar(f"held-out view/{name}", value, step)
         if event.gaussians:
             self._board.add_scalar("gaussians", event.gaussians, step)
         self._board.add_scalar("iterations per second", event.iterations_per_second, step)

@@ -18,7 +18,7 @@ class Started:
 class Progress:
     """The state after ``iteration``. ``losses``: weighted terms, mean since the last event.
 
-    ``monitor``: measurements on a fixed test view (dB, ratios), when one was due.
+    ``monitor``: measurements on a fixed held-out view (dB, ratios), when one was due.
     """
 
     iteration: int

@@ -54,7 +54,7 @@ CHECKPOINT_SHARE = 0.02
 #: Streams of random numbers, so that no two purposes draw the same ones.
 STREAM_VIEWS, STREAM_EXPOSURES, STREAM_GROWTH, STREAM_BATCH = range(4)
 
-#: Measures a fixed test view; given the method, returns named numbers.
+#: Measures a fixed held-out view; given the method, returns named numbers.
 Monitor = Callable[[Method], dict[str, float]]
 
 

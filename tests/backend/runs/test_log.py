@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The log of a training on a disk that takes no more: told once, with the file and what to do."""
+"""The log of a training; and on a disk that takes no more: told once, with the file and what to do."""
 
+import dataclasses
 import os
 import threading
 from pathlib import Path
 
 import pytest
 
-from physhdr.backend.runs.log import LOG_FILE, EventLog
+from physhdr.backend.runs.log import LOG_FILE, TENSORBOARD_FOLDER, EventLog
 from physhdr.backend.train.events import Progress, Saved
 from physhdr.bridge.errors import OutputError
 
@@ -16,6 +17,16 @@ resource = pytest.importorskip("resource", reason="limits of a process are POSIX
 FULL_DISK = Path("/dev/full")
 SAVED = Saved(20, "checkpoint")
 PROGRESS = Progress(20, 100, 1000, {"rec": 0.5}, 10.0, 8.0, {})
+
+
+def test_tensorboard_has_what_was_measured_on_a_view_that_is_not_trained(tmp_path):
+    event_accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
+    with EventLog(tmp_path) as log:
+        log.show(dataclasses.replace(PROGRESS, monitor={"PSNR": 31.5}))
+    board = event_accumulator.EventAccumulator(str(tmp_path / TENSORBOARD_FOLDER)).Reload()
+    told = {name: board.Scalars(name)[0] for name in board.Tags()["scalars"]}
+    assert (told["held-out view/PSNR"].step, told["held-out view/PSNR"].value) == (20, 31.5)
+    assert set(told) == {"held-out view/PSNR", "loss/rec", "gaussians", "iterations per second"}
 
 
 @pytest.mark.skipif(not FULL_DISK.exists(), reason="needs /dev/full")
