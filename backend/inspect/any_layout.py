@@ -40,7 +40,8 @@ def look_at_scene(scene: Scene, found: Inspection) -> None:
     pixels.tell(found)
     if found.points is None:
         found.warnings.append(
-            "there are no first points: training starts from random ones, and is worse for it"
+            "there are no first points: training starts from those that stereo finds in the pictures "
+            "(physhdr triangulate finds some by structure from motion)"
         )
     warn_of_exposures(found)
 

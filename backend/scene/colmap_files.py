@@ -19,7 +19,7 @@ from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError
 from ...bridge.limits import FOCAL_LENGTH, LARGEST_SIDE, PRINCIPAL_POINT, check_position
 from ...bridge.regular import read_bytes, read_text, regular_file
 from .camera import Camera
-from .points import check_points
+from .points import STRUCTURE_FROM_MOTION, check_points
 from .scene import Points
 
 #: COLMAP's camera models: name, number of parameters, by the number that the binary form has.
@@ -195,7 +195,8 @@ def _points_of(path: Path, positions: np.ndarray, colours: np.ndarray) -> Points
     if not np.isfinite(positions).all():
         raise FileDamagedError(f"{path} holds NaN or infinity", RUN_AGAIN)
     check_points(path, positions)
-    return Points(positions.astype(np.float32), (colours / 255.0).astype(np.float32))
+    shades = (colours / 255.0).astype(np.float32)
+    return Points(positions.astype(np.float32), shades, STRUCTURE_FROM_MOTION)
 
 
 # ---- binary --------------------------------------------------------------------------------------------

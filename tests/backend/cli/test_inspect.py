@@ -367,4 +367,5 @@ def test_faults_of_other_layouts_are_all_named(layouts, tmp_path, capsys):
 
 def test_no_points_is_a_warning(layouts, tmp_path):
     found = inspect(layouts.write_nerfstudio(tmp_path / "scene"))
-    assert found.points is None and any("random" in warning for warning in found.warnings)
+    (warning,) = [warning for warning in found.warnings if "no first points" in warning]
+    assert found.points is None and "stereo" in warning and "physhdr triangulate" in warning

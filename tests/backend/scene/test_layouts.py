@@ -306,6 +306,12 @@ def test_pinhole_cameras_of_colmap(layouts: ModuleType, tmp_path: Path, form, mo
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == (layouts.FX, fy, layouts.CX, layouts.CY)
 
 
+@pytest.mark.parametrize("form", ["bin", "txt"])
+def test_points_of_colmap_say_of_what_kind_they_are(layouts: ModuleType, tmp_path: Path, form) -> None:
+    points = read_scene(layouts.write_colmap(tmp_path / "data", form=form, poses=2)).points
+    assert str(points) == f"{len(layouts.POINTS)} points of the data set (structure from motion)"
+
+
 def test_exposures_are_read_from_exif(layouts: ModuleType, tmp_path: Path) -> None:
     """Time × ISO / 100 × (F / f)², F the median: double ISO is double time, one stop down is half."""
     root = layouts.write_colmap(tmp_path / "data", poses=2)
