@@ -128,7 +128,7 @@ def summarise(folder: Path | str) -> DatasetSummary:
     views: dict[str, int] = {}
     levels: set[float] = set()
     lit_lights = _names(info, "lit_lights", data_set.INFO_FILE, warnings)
-    for name in data_set.SPLITS:
+    for name in data_set.splits_there(folder):
         path = folder / data_set.transforms_file(name)
         if not path.exists():
             continue

@@ -25,6 +25,8 @@ from .limits import is_number
 from .regular import read_json_object
 
 FORMAT, VERSION = "physhdr-dataset", 1
+#: The ``name`` of the ``generator`` in ``dataset.json``: who rendered the data.
+MAKER = "physhdr synth"
 INFO_FILE = "dataset.json"
 PARTIAL_FILE = "dataset.partial.json"
 POINTS_FILE = "points3d.ply"
@@ -64,6 +66,18 @@ def exposure_file(split: str) -> str:
 def has_split(root: Path, split: str) -> bool:
     """Whether any of a split's two files is there: half a split is an error, none is no split."""
     return any((root / name).exists() for name in (transforms_file(split), exposure_file(split)))
+
+
+def splits_there(root: Path) -> list[str]:
+    """The splits that a folder of this layout has, or has half of.
+
+    A ``transforms_val.json`` alone, in data that are not ours, is NeRF's: no exposures, and nothing of ours.
+    """
+    there = [split for split in SPLITS if has_split(root, split)]
+    named = (exposure_file(VALIDATION), INFO_FILE)
+    if VALIDATION in there and not any((root / name).exists() for name in named):
+        there.remove(VALIDATION)
+    return there
 
 
 def pose_stem(split: str, index: int) -> str:

@@ -21,8 +21,6 @@ ROLES = {
     "chair": SEALED,
     "desk": SEALED,
 }
-#: Who renders them, as ``dataset.json`` says; a user's own scene has a ``source`` there as well.
-MAKER = "physhdr synth"
 
 WHAT_REPORTED = {
     TUNING: "choices were made on their validation views, and before they had any on their test views: the "
@@ -35,11 +33,12 @@ WHAT_REPORTED = {
 def role_of(data: Path) -> str:
     """The role of the built-in scene that a data set is of; "" for any other.
 
-    Known by its ``dataset.json``, whatever the folder is called. Raises what reading that raises.
+    Known by its ``dataset.json``, whatever the folder is called; one of a user's own scene has a ``source``
+    there. Raises what reading that raises.
     """
     info = data_set.read_info(data, "Make the data set again.")
     maker = info.get("generator")
-    if not isinstance(maker, dict) or maker.get("name") != MAKER or info.get("source"):
+    if not isinstance(maker, dict) or maker.get("name") != data_set.MAKER or info.get("source"):
         return ""
     return ROLES.get(str(info.get("scene")), "")
 
@@ -65,7 +64,7 @@ def _require_tuning(scene: SceneFolder, role: str) -> None:
             f'Tune on {may}, or on scenes of your own; a plan with kind = "report" measures it.',
         )
     own = hdr_nerf_syn.is_mine(scene.data)
-    if not own or data_set.VALIDATION not in hdr_nerf_syn.splits_there(scene.data):
+    if not own or data_set.VALIDATION not in data_set.splits_there(scene.data):
         raise BadValueError(
             f"the scene '{scene.name}' has no validation views, and a plan that tunes sees no others: "
             f"{scene.data} has no {data_set.transforms_file(data_set.VALIDATION)}",

@@ -79,6 +79,16 @@ def test_validation_views_are_named(folder):
     assert found.views["val"] == 1 and found.exposures == SECONDS and not found.warnings
 
 
+def test_a_validation_split_of_nerf_is_passed_over_as_the_trainers_reader_does(folder):
+    frame = {"file_path": "./val/r_0", "transform_matrix": []}
+    (folder / "transforms_val.json").write_text(json.dumps({"camera_angle_x": 0.9, "frames": [frame]}))
+    found = summarise(folder)
+    assert found.views == {"train": 3, "test": 2} and not found.warnings
+    (folder / "dataset.json").write_text("{}")  # of ours: then its exposures are missing
+    found = summarise(folder)
+    assert found.views["val"] == 1 and "exposure_val.json is missing" in found.warnings[0]
+
+
 def test_a_folder_of_ours(folder):
     info = {"format": "physhdr-dataset", "version": 1, "scene": "attic", "dynamic_range": {"stops": 15.25}}
     (folder / "dataset.json").write_text(json.dumps(info))

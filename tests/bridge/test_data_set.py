@@ -59,6 +59,17 @@ def test_a_picture_tells_its_pose_and_place(name: str, parts: tuple[str, int] | 
     assert data_set.stem_and_place(name) == parts
 
 
+def test_a_validation_split_without_exposures_is_one_only_in_data_of_ours(tmp_path: Path) -> None:
+    for name in ("transforms_train.json", "exposure_lit.json", "transforms_val.json"):
+        (tmp_path / name).touch()
+    assert data_set.splits_there(tmp_path) == ["train", "lit"]  # NeRF's own data have such a file
+    (tmp_path / "dataset.json").touch()
+    assert data_set.splits_there(tmp_path) == ["train", "lit", "val"]
+    (tmp_path / "dataset.json").unlink()
+    (tmp_path / "exposure_val.json").touch()
+    assert data_set.splits_there(tmp_path) == ["train", "lit", "val"]
+
+
 def test_what_is_no_number_of_a_pose_is_none() -> None:
     assert [data_set.truth_number(name) for name in ("hdr_003.exr", "hdr_1234.exr")] == [3, 1234]
     for name in ("hdr_.exr", "hdr_x.exr", "hdr_003.png", "hdr_" + "9" * 5000 + ".exr"):
