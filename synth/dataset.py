@@ -44,7 +44,7 @@ from .stage import Stage
 from .truth import TruthRenderer
 from .workers import threads_each
 
-GENERATOR = {"name": "physhdr synth", "version": "0.2.0"}
+GENERATOR = {"name": data_set.MAKER, "version": "0.2.0"}
 FEW_POINTS = 100
 #: Seconds between looks at what other processes are at work on.
 WAIT = 1.0
@@ -101,6 +101,9 @@ def make(out: Path, options: Options, report: Report | None = None) -> dict[str,
             told = _finish(job, claims, camera, record, numbers, report)
     floor, stops = told["noise_floor"], told["dynamic_range"]["stops"]
     report.say(f"noise floor {floor['psnr']} dB at {told['exposures']} s, HDR {floor['hdr_psnr']} dB")
+    if reference := told.get("reference_floor"):
+        dbs = f"{reference['psnr']} dB, HDR {reference['hdr_psnr']} dB"
+        report.say(f"against {reference['samples']} samples without denoising {dbs}")
     report.say(f"dynamic range of the training views: {stops} stops")
     report.say(f"data set {out}: complete in {time.monotonic() - began:.0f} s")
     return _summary(out, told, report, began)
@@ -154,8 +157,8 @@ class _Job:
         return passes.read(self.out / shot.passes, self.lights, self.options.resolution)
 
     def missing(self, piece: "Shot | floors.Chunk") -> bool:
-        if isinstance(piece, floors.Chunk):
-            return not piece.path.exists()
+        if isinstance(piece, floors.Chunk):  # which are gone again once the data set is described
+            return not piece.path.exists() and not (self.out / data_set.INFO_FILE).exists()
         return bool(self.derivation.missing(piece))
 
     def is_complete(self) -> bool:
@@ -179,6 +182,7 @@ def _job(out: Path, stage: Stage, options: Options, assets: Assets, report: Repo
     held = kept.opened(Path(options.test_truth), asked) if options.test_truth else None
     if held:
         shots = held.shots(shots)
+        asked["test_truth"] = held.told["samples"]  # cleaner truth makes another data set
     maker = {**GENERATOR, "blender": bpy.app.version_string}
     state = folder.open_folder(out, asked, maker)
     head = {"format": data_set.FORMAT, "version": data_set.VERSION, "generator": maker, "options": asked}

@@ -28,7 +28,7 @@ REFERENCE_FACTOR = 16
 #: The height of a resolution that follows the aspect of the user's scene.
 FOLLOW = 0
 #: Options that are left out of what is remembered where they are not used.
-_LATER = ("test_samples", "reference_samples", "test_truth", "validation_views")
+_LATER = ("test_samples", "reference_samples", "validation_views")
 #: The value of ``--scene`` that means every built-in one.
 ALL = "all"
 #: The value of ``from_file`` that means the file that is open.
@@ -229,12 +229,11 @@ class Options:
         """What a resumed run must have in common with the first; where the file lies is no part of it."""
         values = {key: list(v) if isinstance(v, tuple) else v for key, v in asdict(self).items()}
         values["camera"] = self.camera.describe()
-        del values["workers"], values["threads"], values["part"], values["renders_of"]
+        for name in ("workers", "threads", "part", "renders_of", "test_truth"):
+            del values[name]
         if self.mixed_levels is not None:
             values["mixed_levels"] = [dict(levels) for levels in self.mixed_levels]
         values["assets"] = self.assets is not None
-        if self.test_truth:
-            values["test_truth"] = True
         for name in _LATER:  # else the folders of before would not be gone on with
             if values[name] == getattr(Options, name):
                 del values[name]

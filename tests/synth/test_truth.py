@@ -152,6 +152,11 @@ def test_kept_truth_of_something_else_is_refused(tmp_path, clean, kept_truth):
     taking = replace(clean, test_samples=None, reference_samples=None, test_truth=str(kept_truth))
     with pytest.raises(ConflictError, match=r"resolution is .32, 24. there, .24, 24. asked"):
         dataset.make(tmp_path / "b", replace(taking, resolution=(24, 24)))
+    dataset.make(tmp_path / "f", taking)
+    told = json.loads((kept_truth / kept.TRUTH_FILE).read_text())
+    (kept_truth / kept.TRUTH_FILE).write_text(json.dumps(told | {"samples": 32}))  # cleaner since
+    with pytest.raises(ConflictError, match="test_truth is 16 there, 32 asked"):
+        dataset.make(tmp_path / "f", taking)
     with pytest.raises(DamagedFileError, match=r"no '.*val_002.exr'"):
         dataset.make(tmp_path / "b", replace(taking, validation_views=3))
     path = kept_truth / "val_000.exr"
