@@ -254,7 +254,7 @@ class JobStatus:
     ``state``: ``preparing`` reads data and compiles kernels (``message`` says what; with an empty ``run``
     the backend itself is starting); ``stopped`` can be resumed; ``open`` is a run opened without training.
     ``device``: ``cpu``, or ``cuda (name of the card)``: of the job, and before there is one, where ``auto``
-    computes. ``losses``: weighted terms; ``monitor``: measured on a fixed test view, ``PSNR`` in dB.
+    computes. ``losses``: weighted terms; ``monitor``: measured on a fixed held-out view, ``PSNR``.
     ``saved_iteration``: of the newest checkpoint, 0 if there is none. ``can_relight`` and ``has_model``: what
     previews may ask for. ``lights``: names of the lights that the model has levels for, empty where there is
     no model. ``controller``: the name of the client that steers.

@@ -14,7 +14,7 @@ from ...bridge.errors import PhysHDRError
 from ...bridge.lights import AMBIENT
 from ...bridge.limits import is_number
 from ...bridge.regular import read_json_object
-from ..scene.hdr_nerf_syn import NAME, OURS, splits_there
+from ..scene.hdr_nerf_syn import NAME, OURS
 from ..scene.pictures import read_exr, read_png
 from .findings import Inspection, Split, tell_exposures, warn_of_exposures
 from .layers import read_layers
@@ -39,7 +39,7 @@ class _Walk:
         if (root / data_set.INFO_FILE).exists():
             self.info = self._json(root / data_set.INFO_FILE)
         self.found.layout = OURS if self.info else NAME
-        self.splits = {split: self._split(split) for split in splits_there(root)}
+        self.splits = {split: self._split(split) for split in data_set.splits_there(root)}
         self.pixels = TrainingPixels()
         self._head()
         self._splits()

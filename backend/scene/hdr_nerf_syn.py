@@ -50,7 +50,7 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
     root = Path(root)
     info = read_info(root)
     lights = _read_lights(root) if data_set.has_split(root, data_set.LIT) else (AMBIENT,)
-    there = {data_set.TRAIN, *splits_there(root)}
+    there = {data_set.TRAIN, *data_set.splits_there(root)}
     splits = {split: _read_split(root, split, lights) if split in there else [] for split in data_set.SPLITS}
     size = _check_one_size([pose for poses in splits.values() for pose in poses])
     if downscale is None:
@@ -81,18 +81,6 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
 
 
 # ---- splits ------------------------------------------------------------------------------------------
-
-
-def splits_there(root: Path) -> list[str]:
-    """The splits that a folder of this layout has, or has half of.
-
-    A ``transforms_val.json`` alone, in data that are not ours, is NeRF's: no exposures, and nothing of ours.
-    """
-    there = [split for split in data_set.SPLITS if data_set.has_split(root, split)]
-    named = (data_set.exposure_file(data_set.VALIDATION), data_set.INFO_FILE)
-    if data_set.VALIDATION in there and not any((root / name).exists() for name in named):
-        there.remove(data_set.VALIDATION)
-    return there
 
 
 @dataclass(frozen=True)

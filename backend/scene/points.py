@@ -27,7 +27,7 @@ def read_points(path: Path) -> Points:
     """
     remedy = (
         "Make the data set again, write the points as docs/formats.md says, or delete the file: training "
-        "then starts from random points."
+        "then starts from points that stereo finds."
     )
     ply = open_ply(path, "point cloud", remedy)
     columns = {element.name: element.data for element in ply.elements}
