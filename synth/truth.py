@@ -8,8 +8,9 @@ Two things make it cheap, both measured on the built-in scenes (docs/scenes.md).
   while many lamps burn Cycles seldom asks for the sun; alone, the ambient light has 1 to 7 dB less noise for
   the same samples, and the lamps are good enough with a part of them.
 - *In passes of* ``PASS`` *samples*, each denoised by itself, of which the truth is the mean. One denoised
-  picture gains 1.5 dB with every doubling of its samples, for the denoiser trusts them more and smooths less;
-  a mean of denoised ones gains 3 dB, until their common bias is all that is left.
+  picture gains 1.5 dB with every doubling of its samples, for the denoiser trusts them more and smooths less.
+  A mean of denoised ones gains 3 dB, until their common bias is all that is left: passes must be large enough
+  that it is small.
 """
 
 from collections.abc import Iterator
@@ -27,8 +28,9 @@ from .passes import Passes
 from .renderer import Renderer, view_seed
 from .stage import Stage
 
-#: Samples of what is denoised at once: with fewer the denoiser's bias shows, with more it helps less.
-PASS = 256
+#: Samples of what is denoised at once. Measured in ``interior`` at the longest exposure: the bias of 256 is
+#: 43.8 dB, that of 1,024 is 47.2.
+PASS = 1024
 #: Of the samples of the ambient light, those of the lamps.
 LAMPS_SHARE = 0.375
 

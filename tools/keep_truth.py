@@ -1,16 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Render the test truth that is kept in benchmarks/data, a little better with every round.
+"""Render the test truth that is kept in benchmarks/data, a little better with every pass.
 
-    .venvs/run-blender tools/keep_truth.py -- bear dog --rounds 4 --work FOLDER
-    .venvs/run-blender tools/keep_truth.py -- bear --rounds 4 --reference --work FOLDER
+    .venvs/run-blender tools/keep_truth.py -- bear dog --passes 256 --work FOLDER
+    .venvs/run-blender tools/keep_truth.py -- bear --passes 256,1024,1024 --reference --work FOLDER
 
-A round is one pass (synth/truth.py: ``PASS`` samples, denoised) of every test and validation view of a scene,
-and of the middle test view once more with other noise (``again``); the truth is the mean of all rounds so
-far. So it may be stopped at any time, by CTRL-C or a kill, and goes on where it stopped, even on another
-machine that has only what is kept. Several may work at the same time. ``--reference`` then renders the middle
-test view with 16 times the samples and without denoising. Both floors go into truth.json.
+A pass (synth/truth.py) has so many samples and is denoised by itself; the truth is the mean of all, weighted
+by their samples. Every test and validation view of a scene gets the first pass before any gets the second,
+and so does the middle test view once more with other noise (``again``). So it may be stopped at any time, by
+CTRL-C or a kill, and goes on where it stopped, even on another machine that has only what is kept. Several
+may work at the same time. ``--reference`` then renders the middle test view with 16 times the samples and
+without denoising. Both floors go into truth.json.
 
-The same as ``make_scene.py --scene SCENE --test-samples 256·N --validation-views V``, but for half floats.
+With ``--passes 1024,1024`` it is what ``make_scene.py --test-samples 2048`` makes, but for half floats.
 """
 
 import argparse
@@ -28,6 +29,7 @@ from physhdr.bridge.data_set import TEST, VALIDATION
 from physhdr.bridge.lock import Claims
 from physhdr.synth import dataset, exr, floors, folder, kept, noise, rig, settings
 from physhdr.synth.built_in import SCENES, built
+from physhdr.synth.errors import ConflictError
 from physhdr.synth.options import REFERENCE_FACTOR, Options, seconds
 from physhdr.synth.passes import FACTS
 from physhdr.synth.renderer import Renderer, renderer, view_seed
@@ -55,8 +57,8 @@ class View:
     def state(self) -> tuple[np.ndarray | None, dict[str, Any]]:
         """The mean so far and its facts; the kept one's where that has more passes."""
         there = [kept.read(path) for path in (self.work, self.target) if path is not None and path.exists()]
-        best = max(there, key=lambda each: each[1]["passes"], default=None)
-        return best or (None, {"passes": 0, "cpu_seconds": 0.0})
+        best = max(there, key=lambda each: sum(each[1]["passes"]), default=None)
+        return best or (None, {"passes": [], "cpu_seconds": 0.0})
 
     @property
     def mean(self) -> np.ndarray:
@@ -65,24 +67,25 @@ class View:
         return mean
 
     @property
-    def passes(self) -> int:
+    def passes(self) -> list[int]:
+        """Samples of each so far."""
         return self.state()[1]["passes"]
 
-    def improve(self, camera: Renderer) -> dict[str, Any]:
+    def improve(self, camera: Renderer, samples: int) -> dict[str, Any]:
         """One pass more; the facts after it."""
         mean, facts = self.state()
-        count, began = facts["passes"], time.process_time()
-        seed = pass_seed(view_seed(SEED, self.name), count)
-        rendered = TruthRenderer(camera, PASS).once(PASS, self.pose, seed, folder.scratch(self.work))
+        passes, began = facts["passes"], time.process_time()
+        seed = pass_seed(view_seed(SEED, self.name), len(passes))
+        rendered = TruthRenderer(camera, samples).once(samples, self.pose, seed, folder.scratch(self.work))
         new = rendered.radiance({}) if self.denoised else rendered.raw
         assert new is not None
-        total = new.astype(np.float64)
+        total = samples * new.astype(np.float64)
         if mean is not None:
-            total = (count * mean.astype(np.float64) + total) / (count + 1)
-        mean = total.astype(np.float32)
+            total += sum(passes) * mean.astype(np.float64)
+        mean = (total / (sum(passes) + samples)).astype(np.float32)
         facts = {
-            "passes": count + 1,
-            "samples": PASS * (count + 1),
+            "passes": [*passes, samples],
+            "samples": sum(passes) + samples,
             "seed": SEED,
             "cpu_seconds": round(facts["cpu_seconds"] + time.process_time() - began, 1),
             "camera_to_world": self.pose.tolist(),
@@ -120,8 +123,8 @@ class Scene:
     def describe(self) -> dict[str, Any] | None:
         """The content of truth.json; None as long as not all views are there."""
         views = [*self.kept, self.again]
-        passes = min(view.passes for view in views)
-        if passes == 0:
+        passes = min((view.passes for view in views), key=sum)
+        if not passes:
             return None
         exposures, response = seconds(SCENES[self.name].evs), by_name(Options.crf)
         truth = self.kept[self.middle].mean
@@ -138,7 +141,8 @@ class Scene:
             },
             "validation_views": VALIDATION_VIEWS.get(self.name, 0),
             "seed": SEED,
-            "samples": PASS * passes,
+            "passes": passes,
+            "samples": sum(passes),
             "exposures": list(exposures),
             "cpu_seconds": round(sum(view.state()[1]["cpu_seconds"] for view in self.kept)),
             "noise_floor": {
@@ -151,7 +155,7 @@ class Scene:
             told["reference_floor"] = {
                 "view": self.middle,
                 "response": Options.crf,
-                "samples": PASS * sum(half.passes for half in self.halves),
+                "samples": sum(sum(half.passes) for half in self.halves),
                 "cpu_seconds": round(sum(half.state()[1]["cpu_seconds"] for half in self.halves)),
                 **floors.reference_floor(
                     truth, (self.halves[0].mean, self.halves[1].mean), response, exposures
@@ -160,8 +164,8 @@ class Scene:
         return told
 
 
-def work_on(name: str, rounds: int, reference: bool, work: Path) -> None:
-    """Render until all views have ``rounds`` passes, and the reference its own."""
+def work_on(name: str, passes: list[int], reference: bool, work: Path) -> None:
+    """Render until all views have these passes, and the reference its own."""
     with (
         built(name) as stage,
         settings.applied(stage.scene, settings.ground_truth(SIZE, PASS, threads=1)),
@@ -169,42 +173,59 @@ def work_on(name: str, rounds: int, reference: bool, work: Path) -> None:
     ):
         scene = Scene(name, stage.cameras, work)
         with Claims(scene.work / ".claims", print) as claims:
-            for wanted in range(1, rounds + 1):
+            for count in range(1, len(passes) + 1):
                 for view in (*scene.kept, scene.again):
-                    _improve(scene, view, wanted, camera, claims)
-            for wanted in range(1, REFERENCE_FACTOR * rounds // 2 + 1 if reference else 0):
+                    _improve(scene, view, passes[:count], camera, claims)
+            of_a_half = REFERENCE_FACTOR * sum(passes) // 2 if reference else 0
+            chunks = [PASS] * (of_a_half // PASS) + [of_a_half % PASS] * bool(of_a_half % PASS)
+            for count in range(1, len(chunks) + 1):
                 for half in scene.halves:
-                    _improve(scene, half, wanted, camera, claims)
+                    _improve(scene, half, chunks[:count], camera, claims)
             if told := scene.describe():
                 folder.write_json(scene.target / kept.TRUTH_FILE, told)
-                print(
-                    f"{name}: {json.dumps(told.get('noise_floor'))} {json.dumps(told.get('reference_floor'))}"
-                )
+                print(f"{name}: {json.dumps(told['noise_floor'])} {json.dumps(told.get('reference_floor'))}")
 
 
-def _improve(scene: Scene, view: View, wanted: int, camera: Renderer, claims: Claims) -> None:
-    """Up to ``wanted`` passes, unless another process is at work on it."""
+def _improve(scene: Scene, view: View, wanted: list[int], camera: Renderer, claims: Claims) -> None:
+    """The last of the ``wanted`` passes, unless it is there or another process is at work on the view.
+
+    Raises ``ConflictError`` where passes of other sizes are there.
+    """
     claim = view.name.replace("/", "_")
-    while view.passes < wanted and claims.take(claim):
-        try:
-            if view.passes < wanted:
-                facts = view.improve(camera)
-                print(
-                    f"{scene.name} {view.name}: {facts['passes']}, {facts['cpu_seconds']} CPU s", flush=True
-                )
-        finally:
-            claims.release(claim)
+    if len(view.passes) >= len(wanted) or not claims.take(claim):
+        return
+    try:
+        there = view.passes
+        if there == wanted:
+            return
+        if there != wanted[:-1]:
+            raise ConflictError(
+                f"{scene.name} {view.name} has the passes {there}, and {wanted} are asked for",
+                "ask for those that are there and for further ones",
+            )
+        facts = view.improve(camera, wanted[-1])
+        print(f"{scene.name} {view.name}: {facts['passes']}, {facts['cpu_seconds']} CPU s", flush=True)
+    finally:
+        claims.release(claim)
+
+
+def sizes(text: str) -> list[int]:
+    """Of ``256,1024,1024``; raises ``ValueError`` for what is no list of numbers above 0."""
+    found = [int(word) for word in text.split(",")]
+    if min(found) < 1:
+        raise ValueError(text)
+    return found
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("scenes", nargs="+", choices=list(SCENES))
-    parser.add_argument("--rounds", type=int, default=1)
+    parser.add_argument("--passes", type=sizes, default=[PASS], metavar="N,N,…", help="samples of each")
     parser.add_argument("--reference", action="store_true")
     parser.add_argument("--work", type=Path, required=True)
     given = parser.parse_args(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:])
     for scene in given.scenes:
-        work_on(scene, given.rounds, given.reference, given.work)
+        work_on(scene, given.passes, given.reference, given.work)
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from physhdr.synth import dataset, exr, kept, truth
+from physhdr.synth.errors import ConflictError
 
 ROOT = Path(__file__).parents[2]
 PASS = 8
@@ -33,11 +34,11 @@ def tool(monkeypatch, tmp_path):
 
 
 def test_truth_in_two_goes_is_that_of_one_data_set(tool, tmp_path, small):
-    tool.work_on("ball", 1, False, tmp_path / "work")
+    tool.work_on("ball", [PASS], False, tmp_path / "work")
     told = json.loads((tmp_path / "kept/ball" / kept.TRUTH_FILE).read_text())
     assert told["samples"] == PASS and "reference_floor" not in told
     shutil.rmtree(tmp_path / "work")  # another machine: only what is kept is there
-    tool.work_on("ball", 2, True, tmp_path / "work")
+    tool.work_on("ball", [PASS, PASS], True, tmp_path / "work")
     told = json.loads((tmp_path / "kept/ball" / kept.TRUTH_FILE).read_text())
     assert told["samples"] == 2 * PASS and told["reference_floor"]["samples"] == 32 * PASS
     names = {path.name for path in (tmp_path / "kept/ball").iterdir()}
@@ -50,7 +51,7 @@ def test_truth_in_two_goes_is_that_of_one_data_set(tool, tmp_path, small):
         radiance, facts = kept.read(tmp_path / "kept/ball" / kept.file_name(split, k))
         # Rounded once after the first go, and once after the second.
         np.testing.assert_allclose(radiance, rendered, rtol=2.0**-8, atol=1e-5)
-        assert facts["passes"] == 2 and facts["samples"] == 2 * PASS
+        assert facts["passes"] == [PASS, PASS] and facts["samples"] == 2 * PASS
     floor = json.loads((tmp_path / "data/dataset.json").read_text())["noise_floor"]
     assert told["noise_floor"]["view"] == floor["view"] == 1
 
@@ -61,28 +62,48 @@ def test_truth_in_two_goes_is_that_of_one_data_set(tool, tmp_path, small):
 
 
 def test_nothing_is_rendered_twice(tool, tmp_path, capsys):
-    tool.work_on("ball", 1, False, tmp_path / "work")
+    tool.work_on("ball", [PASS], False, tmp_path / "work")
     capsys.readouterr()
     before = {path: path.read_bytes() for path in (tmp_path / "kept").rglob("*.exr")}
-    tool.work_on("ball", 1, False, tmp_path / "work")
+    tool.work_on("ball", [PASS], False, tmp_path / "work")
     assert "CPU s" not in capsys.readouterr().out
     assert before == {path: path.read_bytes() for path in (tmp_path / "kept").rglob("*.exr")}
 
 
 def test_the_two_floors_are_those_of_pictures_made_by_hand(tool, tmp_path):
     """A second truth and a reference that are the first times a factor: the floors are that factor's."""
-    tool.work_on("ball", 1, True, tmp_path / "work")
+    tool.work_on("ball", [PASS], True, tmp_path / "work")
     work = tmp_path / "work/ball"
     first, facts = kept.read(work / "test_001.exr")
     text = {"physhdr": json.dumps(facts)}
     (work / "again.exr").write_bytes(exr.encode_rgb(first * 1.1, text))
-    many = {"physhdr": json.dumps({**facts, "passes": 8})}
+    many = {"physhdr": json.dumps({**facts, "passes": [PASS] * 8})}
     for k in (0, 1):
         (work / f"reference_{k}.exr").write_bytes(exr.encode_rgb(first * (0.8 + 0.1 * k), many))
-    tool.work_on("ball", 1, True, tmp_path / "work")
+    tool.work_on("ball", [PASS], True, tmp_path / "work")
     told = json.loads((tmp_path / "kept/ball" / kept.TRUTH_FILE).read_text())
     at = told["exposures"].index(2.0)
     doubled = [np.rint(255 * (2 * x / (1 + 2 * x)) ** (1 / 2.2)) for x in (first, first * 1.1, first * 0.85)]
     for floor, other in (("noise_floor", doubled[1]), ("reference_floor", doubled[2])):
         expected = -10 * np.log10(np.mean((doubled[0] - other) ** 2) / 255**2)
         assert told[floor]["psnr"][at] == pytest.approx(expected, abs=0.05)
+
+
+def test_passes_weigh_as_much_as_they_have_samples(tool, tmp_path):
+    """The mean of three passes, against these passes rendered one by one."""
+    tool.work_on("ball", [8, 24, 16], False, tmp_path / "work")
+    mean, facts = kept.read(tmp_path / "work/ball/test_000.exr")
+    pictures = []
+    with (
+        tool.built("ball") as stage,
+        tool.settings.applied(stage.scene, tool.settings.ground_truth((32, 24), 8, threads=1)),
+        tool.renderer(stage, False) as camera,
+    ):
+        for k, samples in enumerate(facts["passes"]):
+            seed = truth.pass_seed(tool.view_seed(0, "test_000"), k)
+            pose = np.array(facts["camera_to_world"])
+            done = truth.TruthRenderer(camera, samples).once(samples, pose, seed, tmp_path / "scratch.exr")
+            pictures.append(samples * done.radiance({}).astype(np.float64))
+    np.testing.assert_allclose(mean, sum(pictures) / 48, rtol=1e-5, atol=1e-6)
+    with pytest.raises(ConflictError, match=r"has the passes \[8, 24, 16\]"):
+        tool.work_on("ball", [8, 24, 8, 8], False, tmp_path / "work")

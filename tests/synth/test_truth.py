@@ -186,7 +186,8 @@ def test_kept_radiance_has_nine_significant_bits():
 
 
 def test_the_passes_of_a_truth_are_even():
-    assert passes_of(16) == [16] and passes_of(1024) == [256] * 4 and passes_of(700) == [233, 233, 234]
+    assert passes_of(16) == [16] and passes_of(2048) == [1024] * 2 and passes_of(2500) == [1250] * 2
+    assert passes_of(3001) == [1000, 1000, 1001]
 
 
 def test_a_folder_with_clean_truth_is_no_other(tmp_path, clean):
