@@ -2,9 +2,11 @@
 """What each built-in scene may be used for, and that a plan keeps to it (benchmarks/README.md)."""
 
 from pathlib import Path
+from typing import Any
 
 from ...bridge import data_set
 from ...bridge.errors import BadValueError
+from ...bridge.regular import read_json_object
 from ..scene import hdr_nerf_syn
 from .plan import TUNE, Plan, SceneFolder
 
@@ -33,14 +35,26 @@ WHAT_REPORTED = {
 def role_of(data: Path) -> str:
     """The role of the built-in scene that a data set is of; "" for any other.
 
-    Known by its ``dataset.json``, whatever the folder is called; one of a user's own scene has a ``source``
-    there. Raises what reading that raises.
+    Known by its ``dataset.json``, or what stands for it until the data set is whole, whatever the folder is
+    called; one of a user's own scene has a ``source`` there. Raises what reading that raises.
     """
-    info = data_set.read_info(data, "Make the data set again.")
+    info = _told(data)
     maker = info.get("generator")
     if not isinstance(maker, dict) or maker.get("name") != data_set.MAKER or info.get("source"):
         return ""
     return ROLES.get(str(info.get("scene")), "")
+
+
+def _told(data: Path) -> dict[str, Any]:
+    """``dataset.json``; of a data set that is being made its ``scene`` and ``source``, as they will be."""
+    remedy = "Make the data set again."
+    info = data_set.read_info(data, remedy)
+    if info or not data_set.is_unfinished(data):
+        return info
+    told = read_json_object(data / data_set.PARTIAL_FILE, remedy)
+    options = told.get("options")
+    options = options if isinstance(options, dict) else {}
+    return told | {"scene": options.get("scene"), "source": options.get("from_file")}
 
 
 def require_allowed(plan: Plan) -> None:

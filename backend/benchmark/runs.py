@@ -29,6 +29,8 @@ RUN_FILE, FAILED_FILE, SEARCH_FILE = "run.json", "failed.json", "search.json"
 RUN_LOG = "benchmark.log"
 #: Fields of the configuration that the plan sets for each run.
 PER_RUN = ("iterations", "seed", "exposure_mode")
+#: The setting that names a file beside the data set's own.
+POINTS_SETTING = "points_file"
 #: Renders from which a data set was made: neither training nor evaluation reads them.
 UNREAD = data_set.PASSES_FOLDER
 #: In a plan's folder for tuning: each data set without its test views.
@@ -143,6 +145,7 @@ class Store:
     configs: dict[str, dict[str, Any]]
     data: dict[str, str]
     weights: str = ""
+    _points: dict[Path, str] = field(default_factory=dict, init=False)
 
     def config(self, run: Run, iterations: int) -> dict[str, Any]:
         """The configuration that this run must have been trained with."""
@@ -150,10 +153,21 @@ class Store:
         return self.configs[run.method.name] | own
 
     def training_fingerprint(self, run: Run) -> str:
-        """Of the configuration, but for what differs between a method's runs, and of the data."""
+        """Of the configuration, but for what differs between a method's runs, of the data, and of a file of
+        points, which may lie elsewhere; without one it is what it was before there was that setting.
+        """
         config = self.configs[run.method.name]
         shared = {key: value for key, value in config.items() if key not in PER_RUN}
-        return fingerprint([shared, self.data[run.scene.name]])
+        content = [shared, self.data[run.scene.name]]
+        if (name := shared.pop(POINTS_SETTING, None)) is not None:
+            content.append({POINTS_SETTING: name, "sha256": self._digest(run.scene.data / name)})
+        return fingerprint(content)
+
+    def _digest(self, path: Path) -> str:
+        """Of a file as it was when this was first asked; "" where there is none: its training will say so."""
+        if path not in self._points:
+            self._points[path] = hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
+        return self._points[path]
 
     @property
     def evaluation_fingerprint(self) -> str:
@@ -231,7 +245,7 @@ class Store:
         wanted = self.config(run, iterations or record.iterations)
         found = differences(config, wanted)
         if not found and record.training != self.training_fingerprint(run):
-            found = ["the data set"]
+            found = ["the data set" if wanted.get(POINTS_SETTING) is None else "the data set or its points"]
         return found or ["the search for its iterations"]
 
 

@@ -49,7 +49,7 @@ def link_without_test(data: Path, folder: Path) -> Path:
         raise OutputError(
             f"cannot link the data set {data} into {folder}: {error.strerror or error}",
             "A plan that tunes gives its runs a folder of links without test views: put --out where links "
-            "can be made.",
+            "can be made (Windows makes them in Developer Mode).",
         ) from error
     return folder
 

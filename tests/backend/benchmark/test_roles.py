@@ -62,6 +62,18 @@ def test_a_role_is_known_by_what_rendered_the_data_not_by_the_folder(tmp_path: P
     assert role_of(tmp_path / "dog") == ""
 
 
+def test_a_data_set_that_is_not_whole_yet_has_its_role(tmp_path: Path) -> None:
+    """Every picture may be there while its noise is still measured, and readers take it."""
+    for name, more, role in (("a", {}, SEALED), ("b", {"from_file": True}, "")):
+        data = folder(tmp_path / name, "ignored")
+        (data / "dataset.json").unlink()
+        told = {"generator": {"name": MAKER}, "options": {"scene": "desk", **more}}
+        (data / "dataset.partial.json").write_text(json.dumps(told))
+        assert role_of(data) == role
+    with pytest.raises(BadValueError, match="is sealed"):
+        require_allowed(plan_of(tmp_path, tmp_path / "a"))
+
+
 @pytest.mark.parametrize(
     ("kind", "scene", "refused"),
     [

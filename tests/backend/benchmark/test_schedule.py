@@ -20,7 +20,7 @@ from physhdr.backend.benchmark import report
 from physhdr.backend.benchmark.live import progress_table
 from physhdr.backend.benchmark.plan import make_plan
 from physhdr.backend.benchmark.report import write_report
-from physhdr.backend.benchmark.runs import Store, data_fingerprint
+from physhdr.backend.benchmark.runs import Store, data_fingerprint, runs_of
 from physhdr.backend.benchmark.schedule import Schedule
 from physhdr.backend.jobs.pools import LocalPool
 from physhdr.bridge.lock import Claims
@@ -129,6 +129,25 @@ def test_other_weights_of_lpips_repeat_the_evaluation_alone(bench):
     folder = bench.root / "out" / "iterations-50" / "exp3" / "day" / "quick" / "seed_0"
     assert json.loads((folder / "evaluation.json").read_text())["weights"] == str(FAKE)
     assert json.loads((folder / "run.json").read_text())["cpu_seconds"] == 0.5 and not bench.left_over()
+
+
+def test_a_file_of_points_elsewhere_is_part_of_what_a_run_is(bench):
+    """And a run from before there was that setting is the one that leaves it alone."""
+    points = bench.root / "elsewhere.ply"
+    points.write_bytes(b"some")
+    store = bench.schedule().store
+    run = runs_of(store.plan)[0]
+
+    def known(**setting):
+        configs = {"quick": store.configs["quick"] | setting}
+        return Store(store.out, store.plan, configs, store.data).training_fingerprint(run)
+
+    before, first = known(), known(points_file=str(points))
+    assert known(points_file=None) == before != first == known(points_file=str(points))
+    points.write_bytes(b"others")
+    changed = known(points_file=str(points))
+    points.unlink()
+    assert len({before, first, changed, known(points_file=str(points))}) == 4
 
 
 def test_a_run_of_one_kind_of_plan_is_never_taken_for_one_of_the_other(bench):
