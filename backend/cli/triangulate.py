@@ -8,6 +8,7 @@ from tempfile import TemporaryDirectory
 import tyro
 
 from ...bridge.errors import OutputError
+from ..runs.files import writable_folder
 from ..runs.terminal import console
 from ..scene import read_scene
 from ..scene.capture.structure import require_pycolmap
@@ -58,13 +59,15 @@ class Triangulate:
         return 0
 
     def _check(self, out: Path) -> None:
-        """Raises ``OutputError`` where ``out`` must not be written, before anything that takes long."""
+        """Raises ``OutputError`` early where ``out`` must not or cannot be written."""
         if out.exists() and not self.overwrite:
             raise OutputError(f"{out} is there already", "Give another --out, or --overwrite to replace it.")
         if out.exists() and not is_ours(out):
             raise OutputError(
                 f"{out} was not made by 'physhdr triangulate': it is not replaced", "Give another --out."
             )
+        if self.data.is_dir():  # else its reader says what is wrong
+            writable_folder(out.parent)
 
     def _report(self, out: Path, points: Triangulated) -> None:
         console.print(

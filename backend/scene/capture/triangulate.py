@@ -149,11 +149,14 @@ def _colours(
 
 
 def write_points(path: Path, points: Triangulated) -> None:
-    """A PLY of ``x y z``, ``red green blue``, ``error`` (pixels) and ``views``; raises ``OutputError``."""
-    columns = [(name, "<f4") for name in ("x", "y", "z")] + [
-        (name, "u1") for name in ("red", "green", "blue")
-    ]
-    table = np.empty(len(points.positions), np.dtype([*columns, ("error", "<f4"), ("views", "<u2")]))
+    """A PLY of ``x y z``, ``nx ny nz``, ``red green blue``, ``error`` (pixels) and ``views``.
+
+    Normals are 0, as 3DGS writes them of COLMAP's points: its loader fails where there are none.
+    Raises ``OutputError``.
+    """
+    columns = [(name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz")]
+    columns += [(name, "u1") for name in ("red", "green", "blue")]
+    table = np.zeros(len(points.positions), np.dtype([*columns, ("error", "<f4"), ("views", "<u2")]))
     table["x"], table["y"], table["z"] = points.positions.T
     table["red"], table["green"], table["blue"] = points.colours.T
     table["error"], table["views"] = points.errors, points.views

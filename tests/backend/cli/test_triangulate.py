@@ -128,6 +128,7 @@ def test_the_file_says_what_it_is(with_points):
     vertex = ply["vertex"].data
     assert vertex["views"].min() >= 2 and vertex["views"].max() <= VIEWS
     assert 0.0 < vertex["error"].mean() < 1.0
+    assert not any(vertex[axis].any() for axis in ("nx", "ny", "nz"))  # without them 3DGS's loader fails
 
 
 def test_nothing_but_the_pictures_of_training_is_read(with_points, tmp_path):
@@ -183,6 +184,14 @@ def test_points_that_are_there_are_replaced_if_they_are_ours_and_one_says_so(wit
     ours.write_bytes((with_points / SFM).read_bytes()[:-50] + bytes(50))
     assert triangulate(with_points, "--out", ours, "--overwrite") == 0
     assert ours.read_bytes() == (with_points / SFM).read_bytes()
+
+
+def test_a_place_that_cannot_be_written_is_told_before_anything_is_matched(made, tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        "physhdr.backend.cli.triangulate.read_scene", lambda *_, **__: pytest.fail("too late")
+    )
+    (tmp_path / "file").write_text("in the way")
+    assert "cannot write to" in refused(made, "--out", tmp_path / "file" / "points.ply")
 
 
 def test_without_pycolmap_it_says_how_to_install_it(made, monkeypatch):
