@@ -158,6 +158,8 @@ def _views_of(scene: Scene, split: str) -> list[View]:
         )
     if not scene.splits[split]:
         remedy = "Add transforms_test.json and exposure_test.json."
+        if scene.validation:
+            remedy = "Evaluate the validation views: --split val. Plans that tune are shown no test views."
         if split == VALIDATION:
             remedy = "make_scene.py --validation-views N renders some; or evaluate the test views."
         raise DataMismatchError(f"{scene.root} has no {VIEWS_OF[split]}", remedy)

@@ -181,6 +181,13 @@ def test_splits_that_cannot_be_evaluated(small: ModuleType, data_set: Path) -> N
             evaluate(Oracle(small), scene, split=split)
 
 
+def test_without_test_views_it_names_the_others(small: ModuleType, with_validation: Path) -> None:
+    remove_test(with_validation)  # as a plan that tunes is shown its data
+    with pytest.raises(DataMismatchError, match="no test views") as caught:
+        evaluate(Oracle(small), read_scene(with_validation))
+    assert "--split val" in caught.value.hint
+
+
 def test_the_command_says_which_views(validation_data: Path, tmp_path: Path, capsys) -> None:
     run = tmp_path / "run"
     words = ["train", str(validation_data), "--out", str(run), "--preset", "baseline"]
