@@ -43,7 +43,8 @@ def link_without_test(data: Path, folder: Path) -> Path:
                 path.unlink(missing_ok=True)
         for name in names:
             target, link = data.resolve() / name, folder / name
-            if not link.is_symlink() or Path(os.readlink(link)) != target:
+            # As both are resolved: what Windows says of a link's target is another spelling of it.
+            if not link.is_symlink() or link.resolve() != target.resolve():
                 _replace(link, target)
     except OSError as error:
         raise OutputError(
