@@ -75,7 +75,7 @@ def poses(name: str, hints: CameraHints, views: int, lit_views: int, validation_
 
     35 views are a 5 × 7 grid (18 training, 17 test). Other counts fill the grid nearest to that shape row by
     row. An orbit is one row. The lit views follow a low-discrepancy sequence over the same area, so that any
-    run of them is spread out; the validation views follow the same one shifted by half of it.
+    run of them is spread out; the validation views follow one shifted by half of it, well within the gaps.
 
     Raises:
         UnknownNameError, OptionError
@@ -96,7 +96,10 @@ def poses(name: str, hints: CameraHints, views: int, lit_views: int, validation_
         v = row / (rows - 1) if rows > 1 else 0.5
         (train if (row + column) % 2 == 0 else test).append(place(hints, u, v))
     lit = [place(hints, *_spread(index, 0.5)) for index in range(lit_views)]
-    validation = [place(hints, *_spread(index, 0.0)) for index in range(validation_views)]
+    validation = []
+    for index in range(validation_views):
+        u, v = _spread(index, 0.0)
+        validation.append(place(hints, between(u, steps), between(v, rows - 1)))
     return RigPoses(train, test, lit, validation)
 
 
@@ -104,6 +107,17 @@ def _spread(index: int, start: float) -> tuple[float, float]:
     """Point ``index`` of the R2 low-discrepancy sequence (Roberts 2018) in the unit square from ``start``."""
     plastic = 1.32471795724474602596
     return (start + (index + 1) / plastic) % 1.0, (start + (index + 1) / plastic**2) % 1.0
+
+
+def between(share: float, gaps: int) -> float:
+    """``share`` in 0…1 of a way of so many equal gaps, moved into the middle half of the gap that it is in.
+
+    So nobody stands where a gap ends, that is at a view that is trained from or tested.
+    """
+    if not gaps:
+        return share
+    gap = min(int(share * gaps), gaps - 1)
+    return (gap + 0.25 + 0.5 * (share * gaps - gap)) / gaps
 
 
 def spread_indices(total: int, wanted: int) -> list[int]:

@@ -11,7 +11,7 @@ from .blender import camera_of, evaluated
 from .errors import OptionError, SceneError
 from .options import FOLLOW, LARGEST_ELEVATION, Options
 from .rays import Rays
-from .rig import PATH
+from .rig import PATH, between
 from .stage import WORLD_UP, CameraHints, RigPoses
 
 #: Width and height of the grid over the distance: a step aside, not a walk around.
@@ -184,7 +184,7 @@ def path(scene: bpy.types.Scene, camera: bpy.types.Object, options: Options) -> 
     former = scene.frame_current, scene.frame_subframe
     shares = [k / (options.views - 1) for k in range(options.views)]
     lit = [(0.5 + (k + 1) * GOLDEN) % 1.0 for k in range(options.lit_views)]
-    validation = [(k + 1) * GOLDEN % 1.0 for k in range(options.validation_views)]
+    validation = [between((k + 1) * GOLDEN % 1.0, options.views - 1) for k in range(options.validation_views)]
     try:
         places = [
             _at(scene, camera, first + share * (last - first)) for share in [*shares, *lit, *validation]
@@ -196,8 +196,8 @@ def path(scene: bpy.types.Scene, camera: bpy.types.Object, options: Options) -> 
         raise OptionError(
             f"--camera-rig {PATH}: the camera '{camera.name}' stands still over the frames {first} … {last}",
         )
-    between = places[options.views :]
-    return RigPoses(views[0::2], views[1::2], between[: options.lit_views], between[options.lit_views :])
+    rest = places[options.views :]
+    return RigPoses(views[0::2], views[1::2], rest[: options.lit_views], rest[options.lit_views :])
 
 
 def _at(scene: bpy.types.Scene, camera: bpy.types.Object, frame: float) -> np.ndarray:

@@ -215,6 +215,22 @@ def test_the_path_is_the_cameras_own_however_it_moves(scene, tmp_path):
     assert readers.read_json(tmp_path / "dataset.json")["source"]["frames"] == [10, 60]
 
 
+def test_validation_views_keep_off_the_others_of_a_path(scene):
+    """A camera that moves by 34 m, a metre a view: they lie a quarter of a metre or more from each view."""
+    mine = scene.camera
+    scene.frame_start, scene.frame_end = 1, 100
+    for frame, x in ((1, 0.0), (100, 34.0)):
+        mine.location.x = x
+        mine.keyframe_insert("location", index=0, frame=frame)
+    for curve in mine.animation_data.action.layers[0].strips[0].channelbags[0].fcurves:
+        for point in curve.keyframe_points:
+            point.interpolation = "LINEAR"
+    poses = user_camera.path(scene, mine, replace(SMALL, views=35, validation_views=12, camera_rig="path"))
+    at = [np.array([pose[0, 3] for pose in each]) for each in (poses.train + poses.test, poses.validation)]
+    assert sorted(at[0] - at[0].min()) == pytest.approx(range(35), abs=1e-3)
+    assert len(at[1]) == 12 and np.abs(at[1][:, None] - at[0][None]).min() > 0.249
+
+
 def test_a_path_that_stands_still_is_refused(scene, tmp_path):
     with pytest.raises(OptionError, match="'mine' stands still over the frames 1 … 250"):
         dataset.make(tmp_path / "d", replace(SMALL, camera_rig="path"))

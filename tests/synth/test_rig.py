@@ -2,6 +2,7 @@
 """Where the cameras stand and look."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -56,6 +57,21 @@ def test_the_grid_is_five_by_seven_and_a_chess_board():
     assert apart.min() > 0.1
     for half in (lit[:6], lit[6:]):  # both levels see the whole range
         assert np.ptp((half - centre) @ right) > 0.9 and np.ptp(half[:, 2]) > 0.4
+
+
+@pytest.mark.parametrize(("name", "arc"), [("grid", 1.0), ("orbit", 1.0), ("orbit", 2 * math.pi)])
+def test_validation_views_keep_off_the_others(name, arc):
+    """By a quarter of a step at least: a choice that is made on them is no choice on a test view."""
+    hints = replace(HINTS, orbit_arc=arc)
+    poses = rig.poses(name, hints, 35, 0, 40)
+    others, own = (
+        np.array([pose[:3, 3] for pose in each]) for each in (poses.train + poses.test, poses.validation)
+    )
+    step = {"grid": 0.8 / 4, "orbit": 2 * 3.0 * math.cos(0.2) * math.sin(arc / 34 / 2)}[name]
+    nearest = np.linalg.norm(own[:, None] - others[None], axis=-1).min(1)
+    assert nearest.min() > 0.23 * step
+    assert len(np.unique(own.round(6), axis=0)) == 40
+    assert np.ptp(own, 0)[0] > 0.8 * np.ptp(others, 0)[0]
 
 
 def test_arcs_keep_their_radius_and_range():
