@@ -100,7 +100,8 @@ def make(out: Path, options: Options, report: Report | None = None) -> dict[str,
                 return {"folder": str(out.absolute()), "part": list(options.part)}
             told = _finish(job, claims, camera, record, numbers, report)
     floor, stops = told["noise_floor"], told["dynamic_range"]["stops"]
-    report.say(f"noise floor {floor['psnr']} dB at {told['exposures']} s, HDR {floor['hdr_psnr']} dB")
+    exposures = floor.get("exposures", told["exposures"])
+    report.say(f"noise floor {floor['psnr']} dB at {exposures} s, HDR {floor['hdr_psnr']} dB")
     if reference := told.get("reference_floor"):
         dbs = f"{reference['psnr']} dB, HDR {reference['hdr_psnr']} dB"
         report.say(f"against {reference['samples']} samples without denoising {dbs}")
@@ -250,18 +251,21 @@ def _make(job: _Job, shot: Shot | floors.Chunk, camera: Renderer) -> None:
     if shot.kept or path.exists():
         rendered = job.passes(shot)
     else:
-        rendered = _rendered(job, shot, camera, folder.scratch(path))
+        rendered = _rendered(job, shot, shot.name, camera, folder.scratch(path))
         passes.write(path, rendered)
     job.derivation.write(shot, rendered)
 
 
-def _rendered(job: _Job, shot: Shot, camera: Renderer, scratch: Path) -> Passes:
-    """Once more, with other noise, where a value is no number: one path in millions may meet such a spot."""
+def _rendered(job: _Job, shot: Shot, name: str, camera: Renderer, scratch: Path) -> Passes:
+    """Once more, with other noise, where a value is no number: one path in millions may meet such a spot.
+
+    ``name``: by which the seed is drawn.
+    """
     render = _careful(job, camera) if shot.split in data_set.HELD_OUT else camera.render
     try:
-        return render(shot.pose, view_seed(job.options.seed, shot.name), scratch)
+        return render(shot.pose, view_seed(job.options.seed, name), scratch)
     except NotFiniteRenderError:
-        return render(shot.pose, view_seed(job.options.seed, f"{shot.name}/finite"), scratch)
+        return render(shot.pose, view_seed(job.options.seed, f"{name}/finite"), scratch)
 
 
 def _careful(job: _Job, camera: Renderer) -> Callable[[np.ndarray, int, Path], Passes]:
@@ -335,8 +339,8 @@ def _floors(job: _Job, camera: Renderer) -> dict[str, Any]:
     """The middle test view again with another seed, and against the reference if there is one."""
     shot, measured, response = floors.view(job.shots), job.floors, job.derivation.response
     if "noise_floor" not in measured:
-        seed = view_seed(job.options.seed, f"{shot.name}/again")
-        again = _careful(job, camera)(shot.pose, seed, folder.scratch(job.out / "noise_floor.exr"))
+        scratch = folder.scratch(job.out / "noise_floor.exr")
+        again = _rendered(job, shot, f"{shot.name}/again", camera, scratch)
         measured["noise_floor"] = floors.noise_floor(shot, job.passes(shot), again, response, job.options)
     parts = floors.chunks(job.out, job.options, shot)
     if parts and "reference_floor" not in measured:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from ..bridge.data_set import TEST
 from . import exr, folder, noise
 from .options import Options
 from .passes import Passes
@@ -53,7 +54,7 @@ class Chunk:
 
 def view(shots: list[Shot]) -> Shot:
     """The middle test view, on which floors are measured."""
-    tests = [shot for shot in shots if shot.split == "test"]
+    tests = [shot for shot in shots if shot.split == TEST]
     return tests[len(tests) // 2]
 
 

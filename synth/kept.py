@@ -64,13 +64,15 @@ def read(path: Path) -> tuple[np.ndarray, dict[str, Any]]:
     Raises:
         DamagedFileError: not whole, or not of this program.
     """
-    channels, texts = exr.read_channels(path)
     try:
+        channels, texts = exr.read_channels(path)
         facts = json.loads(texts[FACTS])
         pose = np.array(facts["camera_to_world"], np.float64)
         if pose.shape != (4, 4):
             raise ValueError("no camera")
         return np.stack([channels[name] for name in "RGB"], -1), facts
+    except DamagedFileError as error:  # whose remedy is to render it anew
+        raise DamagedFileError(f"'{path}' cannot be read, or is damaged: fetch it again") from error
     except (KeyError, TypeError, ValueError) as error:
         raise DamagedFileError(f"'{path}' is damaged ({error!r}): fetch it again") from error
 
@@ -84,8 +86,12 @@ class Kept:
 
     @property
     def floors(self) -> dict[str, Any]:
-        """``noise_floor``, and ``reference_floor`` where it was measured."""
-        return {name: self.told[name] for name in ("noise_floor", "reference_floor") if self.told.get(name)}
+        """``noise_floor``, and ``reference_floor`` where it was measured, with the exposures of both.
+
+        Neither these nor the response that they name need be those of the data set.
+        """
+        there = [name for name in ("noise_floor", "reference_floor") if self.told.get(name)]
+        return {name: {**self.told[name], "exposures": self.told["exposures"]} for name in there}
 
     def shots(self, shots: list[Shot]) -> list[Shot]:
         """The same, with those marked that are taken from here: all that are never trained from.
@@ -136,7 +142,8 @@ def opened(root: Path, options: dict[str, Any]) -> Kept:
         ConflictError: it is of another scene, size or rig.
     """
     told = folder.read_json(root / TRUTH_FILE)
-    same, whole = told.get("options"), "noise_floor" in told and "samples" in told
+    same = told.get("options")
+    whole = all(name in told for name in ("noise_floor", "samples", "exposures"))
     ours = told.get("format") == FORMAT and told.get("version") == VERSION
     if not (ours and whole and isinstance(same, dict)):
         raise DamagedFileError(f"'{root / TRUTH_FILE}' is not of this program: choose another --test-truth")

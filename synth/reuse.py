@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from . import folder
+from . import exr, folder
 from .errors import ConflictError, DamagedFileError
 from .plan import Shot
 
@@ -27,7 +27,13 @@ class Renders:
         return (self.root / shot.passes).exists()
 
     def copy(self, shot: Shot, out: Path) -> None:
-        """Put the pose's render where ``out`` has it. Raises ``DamagedFileError``, ``OutputFolderError``."""
+        """Put the pose's render where ``out`` has it.
+
+        Raises:
+            DamagedFileError: it is not whole.
+            OutputFolderError: the disk is full.
+        """
+        exr.read_channels(self.root / shot.passes)  # else the copy would be blamed
         folder.write(out / shot.passes, folder.read(self.root / shot.passes))
 
 

@@ -24,6 +24,7 @@ import numpy as np
 from ..bridge.lights import AMBIENT
 from . import compositor, noise
 from .blender import cycles
+from .errors import NotFiniteRenderError
 from .passes import Passes
 from .renderer import Renderer, view_seed
 from .stage import Stage
@@ -43,7 +44,10 @@ def passes_of(samples: int) -> list[int]:
 
 @dataclass(frozen=True)
 class TruthRenderer:
-    """Renders with ``samples`` a pixel under the ambient light, and a share of them under the lamps."""
+    """Renders with ``samples`` a pixel under the ambient light, and a share of them under the lamps.
+
+    Lights that nothing turns, as in a user's scene, all shine at once, with ``samples``.
+    """
 
     camera: Renderer
     samples: int
@@ -103,13 +107,18 @@ class TruthRenderer:
     def _part(
         self, names: tuple[str, ...], samples: int, pose: np.ndarray, seed: int, scratch: Path
     ) -> Passes:
+        """All samples in every pixel; once more, with other noise, where a value is no number."""
         settings = cycles(self.camera.stage.scene)
-        former, settings.samples = settings.samples, samples
+        former = settings.samples, settings.use_adaptive_sampling
+        settings.samples, settings.use_adaptive_sampling = samples, False
         try:
             with _only(self.camera.stage, names):
-                return self.camera.render(pose, seed, scratch)
+                try:
+                    return self.camera.render(pose, seed, scratch)
+                except NotFiniteRenderError:
+                    return self.camera.render(pose, view_seed(seed, "finite"), scratch)
         finally:
-            settings.samples = former
+            settings.samples, settings.use_adaptive_sampling = former
 
     @contextmanager
     def _careful(self) -> Iterator[None]:

@@ -11,11 +11,18 @@ import numpy as np
 import pytest
 
 from physhdr.bridge import data_set
-from physhdr.synth import dataset, exr, floors, kept, noise, rig, settings
+from physhdr.synth import dataset, exr, floors, kept, noise, rig, settings, several
 from physhdr.synth.built_in import built
-from physhdr.synth.errors import ConflictError, DamagedFileError, OptionError, OutputFolderError
+from physhdr.synth.errors import (
+    ConflictError,
+    DamagedFileError,
+    NotFiniteRenderError,
+    OptionError,
+    OutputFolderError,
+)
 from physhdr.synth.options import Options
-from physhdr.synth.renderer import renderer
+from physhdr.synth.progress import Report
+from physhdr.synth.renderer import Renderer, renderer
 from physhdr.synth.response import by_name
 from physhdr.synth.truth import TruthRenderer, passes_of
 
@@ -59,6 +66,38 @@ def test_two_pictures_of_half_of_the_lights_are_the_picture_of_all(tmp_path):
     assert noise.floor(*whole, by_name("srgb"), (1.0,))["psnr"][0] > 35.0
     np.testing.assert_allclose(in_turn.raw, whole[1], atol=1e-4)  # nothing was denoised
     assert in_turn.facts["samples"] == 4096 * 1.375
+
+
+def test_truth_takes_all_its_samples_whatever_the_threshold(tmp_path):
+    with (
+        built("ball") as stage,
+        settings.applied(stage.scene, settings.ground_truth((16, 12), 256, noise_threshold=0.9)) as record,
+        renderer(stage, denoise=False) as camera,
+    ):
+        pose = rig.poses("grid", stage.cameras, 2, 0).test[0]
+        truth = TruthRenderer(camera, 256).render(pose, 1, tmp_path / "a.exr")
+        picture = camera.render(pose, 1, tmp_path / "a.exr")
+    assert record["scene.cycles.use_adaptive_sampling"] and picture.samples.max() < 256
+    assert (truth.samples == 256 * 1.375).all()
+
+
+def test_truth_meets_a_value_that_is_no_number(tmp_path, clean, monkeypatch):
+    """Each picture fails at first, also of the second truth and of the reference; other noise does not."""
+    real, seeds = Renderer.render, []
+
+    def render(self, pose, seed, scratch):
+        seeds.append(seed)
+        if len(seeds) % 2:
+            raise NotFiniteRenderError("NaN")
+        return real(self, pose, seed, scratch)
+
+    monkeypatch.setattr(Renderer, "render", render)
+    dataset.make(tmp_path, clean)
+    told = json.loads((tmp_path / data_set.INFO_FILE).read_text())
+    assert told["reference_floor"]["samples"] == 64
+    # Three to train on; of two test and two validation views, the second truth and four chunks two pictures.
+    assert len(seeds) == 2 * (3 + 2 * (2 + 2 + 1 + 4))
+    assert all(a != b for a, b in zip(seeds[0::2], seeds[1::2], strict=True))
 
 
 def test_test_and_validation_views_have_samples_of_their_own(tmp_path, clean):
@@ -120,6 +159,7 @@ def kept_truth(tmp_path, clean):
             )
     options = {name: told["options"][name] for name in kept.SAME}
     content = {"format": kept.FORMAT, "version": kept.VERSION, "options": options, "samples": 16}
+    content["exposures"] = told["exposures"]
     floors_of = {name: told[name] for name in ("noise_floor", "reference_floor")}
     (root / kept.TRUTH_FILE).write_text(json.dumps(content | floors_of))
     return root
@@ -130,8 +170,10 @@ def test_kept_truth_is_taken_instead_of_rendering(tmp_path, clean, kept_truth):
     taking = replace(clean, test_samples=None, reference_samples=None, test_truth=str(kept_truth))
     dataset.make(tmp_path / "b", taking)
     first, second = (json.loads((tmp_path / x / data_set.INFO_FILE).read_text()) for x in "ab")
-    for name in ("noise_floor", "reference_floor", "test_samples", "splits"):
+    for name in ("test_samples", "splits"):
         assert first[name] == second[name]
+    for name in ("noise_floor", "reference_floor"):
+        assert {**first[name], "exposures": first["exposures"]} == second[name]
     assert second["frames"]["test/1"]["kept"] is True
     assert not list((tmp_path / "b/passes").glob("test_*")) and not list(
         (tmp_path / "b/passes").glob("val_*")
@@ -165,7 +207,7 @@ def test_kept_truth_of_something_else_is_refused(tmp_path, clean, kept_truth):
     with pytest.raises(ConflictError, match="another place than the rig's val view 0"):
         dataset.make(tmp_path / "c", taking)
     path.write_bytes(good[:-9])
-    with pytest.raises(DamagedFileError, match="val_000"):
+    with pytest.raises(DamagedFileError, match=r"val_000.*fetch it again"):
         dataset.make(tmp_path / "d", taking)
     with pytest.raises(DamagedFileError, match="nowhere"):
         dataset.make(tmp_path / "e", replace(taking, test_truth=str(tmp_path / "nowhere")))
@@ -240,9 +282,20 @@ def test_another_camera_needs_no_new_renders(tmp_path, clean, monkeypatch):
         np.testing.assert_array_equal(a, b)
 
 
+@pytest.mark.parametrize("given", [{"test_truth": "x", "relit_views": 0}, {"renders_of": "x"}])
+def test_what_is_of_one_scene_is_not_taken_for_several(tmp_path, given):
+    with pytest.raises(OptionError, match="is of one scene, and --scene names several"):
+        several.make_all(tmp_path, ["dog", "bear"], Options(**given), Report())
+    assert not list(tmp_path.iterdir())
+
+
 def test_renders_of_something_else_are_refused(tmp_path, clean):
     dataset.make(tmp_path / "a", clean)
     with pytest.raises(ConflictError, match=r"other options \(samples\)"):
         dataset.make(tmp_path / "b", replace(clean, samples=5, renders_of=str(tmp_path / "a")))
+    path = tmp_path / "a/passes/train_000.exr"
+    path.write_bytes(path.read_bytes()[:-9])
+    with pytest.raises(DamagedFileError, match=r"/a/passes/train_000.exr' is damaged"):
+        dataset.make(tmp_path / "d", replace(clean, crf="srgb", renders_of=str(tmp_path / "a")))
     with pytest.raises(DamagedFileError, match="nowhere"):
         dataset.make(tmp_path / "c", replace(clean, renders_of=str(tmp_path / "nowhere")))
