@@ -22,13 +22,22 @@ from .rig import PATH, RIGS
 _DEFAULT = Options()
 
 
+class _Formatter(argparse.ArgumentDefaultsHelpFormatter):
+    """Tells defaults, but for those that the help tells in words, and where there is none."""
+
+    def _get_help_string(self, action: argparse.Action) -> str | None:
+        if action.default in (None, "") or "(default" in (action.help or ""):
+            return action.help
+        return super()._get_help_string(action)
+
+
 def parser() -> argparse.ArgumentParser:
     """The parser of the whole command line; ``options`` reads what it returns."""
     made = argparse.ArgumentParser(
         prog="make_scene.py",
         description="Render a synthetic HDR, relightable data set (layout: docs/formats.md).",
         epilog="Started again with the same options, it renders only what is missing.",
-        formatter_class=argparse.ArgumentDefaultsHelpFormatter,
+        formatter_class=_Formatter,
     )
     _add_scene(made)
     _add_pictures(made)
@@ -72,34 +81,36 @@ def _add_pictures(made: argparse.ArgumentParser) -> None:
         "--test-samples",
         type=int,
         metavar="N",
-        help="of test and validation views, whose radiance is the truth that methods are measured against; "
-        "the ambient light and the lamps are then rendered by themselves, and the truth is checked "
-        "(default: as --samples)",
+        help="samples of test and validation views, whose radiance is the truth that methods are measured "
+        "against; a built-in scene's ambient light and its lamps are then rendered by themselves, and the "
+        "truth is checked (default: as --samples)",
     )
     add(
         "--reference-samples",
         type=int,
         metavar="N",
-        help="of one test view without denoising, against which the truth is checked "
+        help="samples of one test view without denoising, against which the truth is checked "
         f"(default: {REFERENCE_FACTOR} × --test-samples; 0: it is not)",
     )
     add(
         "--test-truth",
         metavar="FOLDER",
-        help="test and validation views that were rendered before and are kept, such as benchmarks/data/dog",
+        help="take test and validation views that were rendered before and are kept, such as those in "
+        "benchmarks/data/dog; needs --relit-views 0",
     )
     add(
         "--renders-of",
         metavar="FOLDER",
         help="a data set of the same scene and size whose renders are taken instead of new ones: for other "
-        "exposures, another response or another camera",
+        "exposures, another response or another camera; the two floors of --test-samples are measured anew",
     )
     add(
         "--noise-threshold",
         type=float,
         default=_DEFAULT.noise_threshold,
         metavar="N",
-        help="stop sampling a pixel where its noise is below N, such as 0.01; 0: take all samples",
+        help="stop sampling a pixel where its noise is below N, such as 0.01; 0: take all samples, as "
+        "--test-samples always does",
     )
     add("--views", type=int, default=_DEFAULT.views, help="training and test poses together")
     add(
