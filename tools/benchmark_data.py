@@ -54,13 +54,16 @@ CAMERAS = {
 
 
 def main() -> int:
-    known = [*SAMPLES, *(f"SCENE-{camera}" for camera in CAMERAS)]
+    known = {*SAMPLES, *(f"{scene}-{camera}" for scene in SAMPLES for camera in CAMERAS)}
+    told = ", ".join([*SAMPLES, *(f"SCENE-{camera}" for camera in CAMERAS)])
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("names", nargs="*", default=USUAL, metavar="NAME", help=f"of: {', '.join(known)}")
-    for name in parser.parse_args().names:
+    parser.add_argument("names", nargs="*", default=USUAL, metavar="NAME", help=f"of: {told}")
+    names = parser.parse_args().names
+    for name in names:  # all, before the first is rendered
+        if name not in known:
+            parser.error(f"there is no data set '{name}'; there are {told}")
+    for name in names:
         scene, _, camera = name.partition("-")
-        if scene not in SAMPLES or (camera and camera not in CAMERAS):
-            parser.error(f"there is no data set '{name}'; there are {', '.join(known)}")
         parts = (scene, name) if camera else (name,)  # a camera's set needs the scene's renders
         if status := next((status for each in parts if (status := _make(each))), 0):
             return status
