@@ -18,7 +18,7 @@ from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError,
 from ...bridge.lights import AMBIENT, check_lights, in_words, named_levels
 from ...bridge.limits import FOCAL_LENGTH, check_level
 from .camera import Camera
-from .checks import MAKE_AGAIN, exposure, number, read_json, require, rigid_pose
+from .checks import MAKE_AGAIN, exposure, number, path_inside, read_json, require, rigid_pose
 from .info import ORIGINAL_ANCHOR, read_anchor, read_info
 from .pictures import picture_size
 from .points import read_points
@@ -122,7 +122,8 @@ def _read_split(root: Path, split: str, lights: tuple[str, ...]) -> list[Pose]:
                 f"Add '{frame.stem:.80}_0.png' and so on to {exposure_path.name}, or remove the pose. "
                 + MAKE_AGAIN,
             )
-        paths = tuple(root / data_set.picture_file(frame.stem, k) for k in range(len(bracket)))
+        names = [data_set.picture_file(frame.stem, k) for k in range(len(bracket))]
+        paths = tuple(path_inside(root, name, transforms_path) for name in names)
         width, height = _check_bracket(paths, exposure_path)
         camera = _camera(transforms_path, frame, width, height, angle)
         pictures = {k: PictureFile(path, bracket[k]) for k, path in enumerate(paths)}

@@ -61,6 +61,18 @@ def test_half_a_validation_split_is_an_error_in_our_data_alone(small, with_valid
     assert read_scene(with_validation).validation == []
 
 
+def test_no_view_is_of_pictures_elsewhere(with_validation: Path) -> None:
+    """Not of those of the test either: a plan that tunes is shown links, and ``val/..`` leads out of them."""
+    for name in ("transforms_val.json", "exposure_val.json"):
+        path = with_validation / name
+        path.write_text(path.read_text().replace("val/r_5", "val/../test/r_1"))
+    with pytest.raises(
+        BadValueError, match=r"transforms_val\.json: the file 'val/\.\./test/r_1_0\.png'"
+    ) as caught:
+        read_scene(with_validation)
+    assert "without '..'" in caught.value.hint
+
+
 @pytest.mark.parametrize("write", ["write_syn", "write_real", "write_gausshdr", "write_nerfstudio"])
 def test_other_layouts_have_none(layouts: ModuleType, tmp_path: Path, write: str) -> None:
     root = getattr(layouts, write)(tmp_path / "data")
