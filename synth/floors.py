@@ -58,14 +58,19 @@ def view(shots: list[Shot]) -> Shot:
     return tests[len(tests) // 2]
 
 
+def count(options: Options) -> int:
+    """Chunks of the reference; 0 where it is not asked for."""
+    if not options.reference:
+        return 0
+    assert options.test_samples is not None
+    return max(2, round(options.reference / options.test_samples))
+
+
 def chunks(out: Path, options: Options, shot: Shot) -> list[Chunk]:
     """Of ``options.reference`` samples, as many in each as the truth has; none where it is not asked for."""
-    if not options.reference:
-        return []
-    assert options.test_samples is not None
-    count = max(2, round(options.reference / options.test_samples))
-    each = -(-options.reference // count)
-    return [Chunk(out, options, shot, index, each) for index in range(count)]
+    many = count(options)
+    each = -(-options.reference // max(1, many))
+    return [Chunk(out, options, shot, index, each) for index in range(many)]
 
 
 def noise_floor(

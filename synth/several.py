@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ..bridge.data_set import passes_files
+from . import floors
 from .dataset import make
 from .errors import OptionError
 from .options import Options
@@ -33,8 +34,8 @@ def make_all(out: Path, scenes: Sequence[str], options: Options, report: Report)
         replace(options, scene=scene).check()
     rendered = sum(len(passes_files(out / scene)) for scene in scenes)
     parts = options.part[1] if options.part else 1
-    poses = options.views + options.lit_views + options.validation_views
-    report.begin_all((len(scenes) * poses - rendered) // parts)
+    pieces = options.views + options.lit_views + options.validation_views + floors.count(options)
+    report.begin_all((len(scenes) * pieces - rendered) // parts)
     results = {}
     for scene in scenes:
         report.enter(scene)

@@ -12,7 +12,7 @@ import pytest
 
 from physhdr.bridge import data_set
 from physhdr.synth import dataset, exr, floors, kept, noise, rig, settings, several
-from physhdr.synth.built_in import built
+from physhdr.synth.built_in import SCENES, built
 from physhdr.synth.errors import (
     ConflictError,
     DamagedFileError,
@@ -280,6 +280,15 @@ def test_another_camera_needs_no_new_renders(tmp_path, clean, monkeypatch):
     for split, k in (("train", 2), ("test", 0), ("val", 1)):
         a, b = (read_png(tmp_path / x / f"{split}/r_{k}_1.png") for x in ("anew", "b"))
         np.testing.assert_array_equal(a, b)
+
+
+def test_the_progress_of_several_scenes_counts_the_reference(tmp_path, clean, monkeypatch, capsys):
+    monkeypatch.setitem(SCENES, "ball 2", SCENES["ball"])
+    several.make_all(tmp_path, ["ball", "ball 2"], clean, Report())
+    told = [line for line in capsys.readouterr().out.splitlines() if line.startswith("render [")]
+    # Seven poses and four chunks of each; the last one of all is the first that is the whole.
+    assert [line for line in told if "] 22/22 " in line] == [told[-1]]
+    assert told[-1].endswith("ball 2 reference_003")
 
 
 @pytest.mark.parametrize("given", [{"test_truth": "x", "relit_views": 0}, {"renders_of": "x"}])
