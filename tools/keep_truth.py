@@ -184,10 +184,12 @@ def work_on(name: str, passes: list[int], reference: bool, work: Path) -> None:
             if told := scene.describe():
                 folder.write_json(scene.target / kept.TRUTH_FILE, told)
                 print(f"{name}: {json.dumps(told['noise_floor'])} {json.dumps(told.get('reference_floor'))}")
+            else:
+                print(f"{name}: another process is at work on the rest; run this again when it has ended")
 
 
 def _improve(scene: Scene, view: View, wanted: list[int], camera: Renderer, claims: Claims) -> None:
-    """The last of the ``wanted`` passes, unless it is there or another process is at work on the view.
+    """Those of the ``wanted`` passes that are missing, unless another process is at work on the view.
 
     Raises ``ConflictError`` where passes of other sizes are there.
     """
@@ -195,16 +197,14 @@ def _improve(scene: Scene, view: View, wanted: list[int], camera: Renderer, clai
     if len(view.passes) >= len(wanted) or not claims.take(claim):
         return
     try:
-        there = view.passes
-        if there == wanted:
-            return
-        if there != wanted[:-1]:
-            raise ConflictError(
-                f"{scene.name} {view.name} has the passes {there}, and {wanted} are asked for",
-                "ask for those that are there and for further ones",
-            )
-        facts = view.improve(camera, wanted[-1])
-        print(f"{scene.name} {view.name}: {facts['passes']}, {facts['cpu_seconds']} CPU s", flush=True)
+        while len(there := view.passes) < len(wanted):
+            if there != wanted[: len(there)]:
+                raise ConflictError(
+                    f"{scene.name} {view.name} has the passes {there}, and {wanted} are asked for",
+                    "ask for those that are there and for further ones",
+                )
+            facts = view.improve(camera, wanted[len(there)])
+            print(f"{scene.name} {view.name}: {facts['passes']}, {facts['cpu_seconds']} CPU s", flush=True)
     finally:
         claims.release(claim)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A sheet of kept truth, a scene a row: the middle test view, and what noise is left in it.
+"""A sheet and a table of kept truth, a scene a row: the middle test view, and what noise is left in it.
 
     .venvs/backend/bin/python tools/truth_sheet.py bear dog --work FOLDER --former FOLDER
 
@@ -12,6 +12,7 @@ import argparse
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from contact_sheet import assemble, caption, save, shrunk
@@ -25,6 +26,10 @@ from physhdr.synth.response import reinhard_gamma
 DATA = Path(__file__).resolve().parent.parent / "benchmarks" / "data"
 AMPLIFIED = 16
 EXPOSURES = (0, 2, 4)
+HEADER = (
+    "| scene | passes, samples | CPU h | views | former truth, two renders | truth, two renders | to 16 × |",
+    "|---|---|---:|---:|---|---|---|",
+)
 GAP, HEAD, PAPER, INK = 4, 22, (255, 255, 255), (24, 24, 28)
 
 
@@ -42,8 +47,27 @@ def main() -> int:
     except PhysHDRError as error:
         sys.stderr.write(f"error: {error}\n")
         return 1
+    print("\n".join([*HEADER, *(line(scene, given.former) for scene in given.scenes)]))
     print(f"wrote {given.out}: {len(rows)} scenes, quality {quality}, {size / 1000:.0f} kB")
     return 0
+
+
+def line(scene: str, former: Path) -> str:
+    """The scene's row of the table in docs/scenes.md."""
+    told = json.loads((DATA / scene / "truth.json").read_text(encoding="utf-8"))
+    before = json.loads((former / scene / "dataset.json").read_text(encoding="utf-8"))
+    views = len(list((DATA / scene).glob("*.exr")))
+    floors = [before["noise_floor"], told["noise_floor"], told.get("reference_floor")]
+    cells = [scene, ", ".join(map(str, told["passes"])), f"{told['cpu_seconds'] / 3600:.2f}", str(views)]
+    cells += [in_words(floor) for floor in floors]
+    return "| " + " | ".join(cells) + " |"
+
+
+def in_words(floor: dict[str, Any] | None) -> str:
+    """dB at the exposures, then of the radiance."""
+    if floor is None:
+        return "–"
+    return " / ".join(f"{value:.1f}" for value in floor["psnr"]) + f", {floor['hdr_psnr']:.1f}"
 
 
 def row(scene: str, work: Path, former: Path, cell: int) -> Image.Image:

@@ -103,10 +103,14 @@ def span(values: Sequence[float]) -> str:
 
 
 def floor_in_words(floor: Mapping[str, Any]) -> str:
-    """``50, 51 dB at the exposures, HDR 47 dB``, and of how many samples where the floor says."""
-    hdr, samples = floor.get("hdr_psnr"), floor.get("samples")
+    """``50, 51 dB at the exposures, HDR 47 dB``, and of how many samples where the floor says.
+
+    A floor of kept truth was measured by a response that it names, which need not be that of the data.
+    """
+    hdr, samples, response = floor.get("hdr_psnr"), floor.get("samples"), floor.get("response")
+    by = f" by {response:.40}" if isinstance(response, str) else ""
     return (
-        f"{', '.join(f'{value:g}' for value in floor['psnr'])} dB at the exposures"
+        f"{', '.join(f'{value:g}' for value in floor['psnr'])} dB at the exposures{by}"
         + (f", HDR {hdr:g} dB" if is_number(hdr) else "")
         + (f" ({samples:g} samples)" if is_number(samples) else "")
     )

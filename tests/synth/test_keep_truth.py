@@ -108,3 +108,13 @@ def test_passes_weigh_as_much_as_they_have_samples(tool, tmp_path):
     np.testing.assert_allclose(mean, sum(pictures) / 48, rtol=1e-5, atol=1e-6)
     with pytest.raises(ConflictError, match=r"has the passes \[8, 24, 16\]"):
         tool.work_on("ball", [8, 24, 8, 8], False, tmp_path / "work")
+
+
+def test_benchmark_data_ask_for_the_validation_views_that_are_kept():
+    wanted = []
+    for name in ("keep_truth", "benchmark_data"):
+        spec = importlib.util.spec_from_file_location(name, ROOT / "tools" / f"{name}.py")
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        wanted.append(module.VALIDATION_VIEWS)
+    assert wanted[0] == wanted[1]
