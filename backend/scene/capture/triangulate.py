@@ -5,7 +5,6 @@ They are what a capture's points are: sparse, with outliers (false matches, refl
 nothing has texture. Nothing is cleaned beyond what COLMAP's own filter does.
 """
 
-import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -112,17 +111,16 @@ def triangulate(
 
 
 def _pairs(views: Sequence[View], shown: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Which pictures are matched: those of one step of the bracket, of views that are near each other."""
-    centres = np.array([view.camera.position for view in views])
-    distances = np.linalg.norm(centres[:, None] - centres, axis=-1)
-    np.fill_diagonal(distances, np.inf)
-    nearest = np.argsort(distances, axis=1, kind="stable")[:, : min(NEIGHBOURS, len(views) - 1)]
-    near = {frozenset((a, int(b))) for a, row in enumerate(nearest) for b in row}
-    return [
-        (a, b)
-        for a, b in itertools.combinations(range(len(shown)), 2)
-        if shown[a][1] == shown[b][1] and frozenset((shown[a][0], shown[b][0])) in near
-    ]
+    """Which pictures are matched: each with those of its own step of the bracket whose views are nearest."""
+    centres = np.array([views[view].camera.position for view, _ in shown])
+    steps = np.array([step for _, step in shown])
+    pairs = set()
+    for one in range(len(shown)):
+        others = np.flatnonzero(steps == steps[one])
+        others = others[others != one]
+        near = np.argsort(np.linalg.norm(centres[others] - centres[one], axis=1), kind="stable")[:NEIGHBOURS]
+        pairs |= {(min(one, other), max(one, other)) for other in others[near].tolist()}
+    return sorted(pairs)
 
 
 def _colours(

@@ -7,6 +7,7 @@ import math
 import shutil
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -224,3 +225,19 @@ def test_one_view(made, tmp_path):
 def test_exposures_that_the_data_have_not(made):
     pytest.importorskip("pycolmap", reason="points are triangulated by pycolmap")
     assert "training wants [7]" in refused(made, "--out", made / "never.ply", "--training-exposures", 7)
+
+
+def test_each_picture_is_matched_with_the_nearest_of_its_own_step(monkeypatch):
+    """Thirty views along a line that take turns with two exposures: none is starved by the other's."""
+    from physhdr.backend.scene.capture import triangulate as module
+
+    monkeypatch.setattr(module, "NEIGHBOURS", 3)
+    views = [SimpleNamespace(camera=SimpleNamespace(position=np.array([k, 0.0, 0.0]))) for k in range(30)]
+    shown = [(k, k % 2) for k in range(30)]
+    pairs = module._pairs(views, shown)
+    assert all(a < b and a % 2 == b % 2 for a, b in pairs) and len(set(pairs)) == len(pairs)
+    matched = {k: [a + b - k for a, b in pairs if k in (a, b)] for k in range(30)}
+    assert all(len(others) >= 3 for others in matched.values())
+    assert {10, 14} <= set(matched[12]) and max(
+        abs(k - other) for k in range(30) for other in matched[k]
+    ) <= 6
