@@ -18,7 +18,6 @@ from ..scene.capture.choice import Choice, photos_to_match, thinned
 from ..scene.capture.data_set import Written, new_folder, write_data_set
 from ..scene.capture.exposures import Exposures, exposures_from_exif, exposures_from_file, some_names
 from ..scene.capture.gravity import rotation_to_z, up_direction
-from ..scene.capture.lens import make_lenses
 from ..scene.capture.photos import Photo, find_photos
 from ..scene.capture.structure import (
     CAPTURE_REMEDY,
@@ -29,6 +28,7 @@ from ..scene.capture.structure import (
     recover,
     require_pycolmap,
 )
+from ..scene.lens import make_lenses
 
 #: Exposures at one step that differ more between poses are worth a word, in EV.
 DRIFT_EV = 0.1

@@ -22,10 +22,10 @@ from filelock import FileLock
 from PIL import Image
 
 from ....bridge.errors import BadValueError, OutputError
+from ..lens import Lens
 from .brackets import Bracket
 from .choice import NUMBERS
 from .exposures import some_names
-from .lens import Lens
 from .structure import RegisteredPose, Structure
 
 #: Locked while the temporary folder that it lies in is used.

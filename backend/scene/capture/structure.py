@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Where the cameras were: structure from motion by COLMAP (pycolmap), or a reconstruction that exists.
 
-pycolmap is optional (the extra ``prepare``) and is imported only here, in ``lens.py``, and in the process
-that ``colmap_process.py`` is.
+pycolmap is optional (the extra ``prepare``) and is imported only in ``scene/lens.py``, here, and in the
+process that ``colmap_process.py`` is.
 """
 
 import json
@@ -13,13 +13,13 @@ from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 from PIL import Image
 
 from ....bridge.errors import DataMismatchError, FileDamagedError, FileMissingError, OutputError, PhysHDRError
+from ..lens import require_pycolmap
 from .brackets import Bracket
 from .exposures import some_names
 from .photos import Photo
@@ -42,18 +42,6 @@ FULL_BYTES = 1 << 20
 
 class StructureError(PhysHDRError):
     """The photos' cameras cannot be recovered."""
-
-
-def require_pycolmap(wanted: str = "'physhdr prepare' finds the cameras") -> ModuleType:
-    """pycolmap, or ``FileMissingError`` that says what is ``wanted`` of it and how to install it."""
-    try:
-        import pycolmap
-    except ImportError as error:
-        raise FileMissingError(
-            f"{wanted} with pycolmap, which is not installed ({error})",
-            f"Install it: {sys.executable} -m pip install pycolmap",
-        ) from error
-    return pycolmap
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from physhdr.backend.scene.capture.data_set import quaternion
 from physhdr.backend.scene.capture.gravity import rotation_to_z, up_direction
-from physhdr.backend.scene.capture.lens import make_lens, make_lenses
-from physhdr.backend.scene.capture.structure import StructureError
+from physhdr.backend.scene.lens import make_lens, make_lenses
+from physhdr.bridge.errors import BadValueError
 
 
 def camera_of(room):
@@ -74,7 +74,7 @@ def test_several_cameras_give_pictures_of_one_size():
 
 def test_a_lens_beyond_belief_is_refused():
     camera = pycolmap.Camera(model="SIMPLE_RADIAL", width=60, height=40, params=[50, 30, 20, 40.0])
-    with pytest.raises(StructureError, match="not credible"):
+    with pytest.raises(BadValueError, match="not credible"):
         make_lens(camera, 1.0)
 
 

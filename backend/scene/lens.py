@@ -2,21 +2,42 @@
 """Pictures without distortion: what a pinhole camera at the same place would have taken, or smaller."""
 
 import math
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 import torch
 import torch.nn.functional as F  # noqa: N812
 
-from .structure import CAPTURE_REMEDY, StructureError
+from ...bridge.errors import BadValueError, FileMissingError
 
 #: Points along each edge of a picture, by which the largest upright rectangle inside is found.
 EDGE_POINTS = 257
 #: A lens that loses more of its picture than this is not believed.
 SMALLEST_SHARE = 0.25
+
+
+#: What to do with pictures of a lens that is no lens.
+NOT_CREDIBLE = (
+    "Few photos, or photos of a plane, tell little of a lens: --camera SIMPLE_RADIAL asks less of them. "
+    "Numbers from elsewhere may be of another camera."
+)
+
+
+def require_pycolmap(wanted: str = "'physhdr prepare' finds the cameras") -> ModuleType:
+    """pycolmap, or ``FileMissingError`` that says what is ``wanted`` of it and how to install it."""
+    try:
+        import pycolmap
+    except ImportError as error:
+        raise FileMissingError(
+            f"{wanted} with pycolmap, which is not installed ({error})",
+            f"Install it: {sys.executable} -m pip install pycolmap",
+        ) from error
+    return pycolmap
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,16 +88,16 @@ def _cropped(lens: Lens, width: int, height: int) -> Lens:
 def make_lens(camera: Any, scale: float) -> Lens:
     """The pinhole camera for pycolmap's ``camera``: its focal length times ``scale`` ≤ 1, no blank pixels.
 
-    Raises ``StructureError`` where the distortion is beyond belief.
+    Raises ``BadValueError`` where the distortion is beyond belief.
     """
     left, top, right, bottom = _inside(camera)
     fx, fy = camera.focal_length_x, camera.focal_length_y
     full = (right - left) * fx, (bottom - top) * fy
     share = full[0] * full[1] / (camera.width * camera.height)
     if not (full[0] > 1.0 and full[1] > 1.0 and SMALLEST_SHARE < share < 1.0 / SMALLEST_SHARE):
-        raise StructureError(
+        raise BadValueError(
             f"the lens that was found is not credible: {camera.model_name} {camera.params_to_string()}",
-            CAPTURE_REMEDY,
+            NOT_CREDIBLE,
         )
     width, height = (max(1, math.floor(side * scale + 1e-6)) for side in full)
     # Whole pixels: what is left of the rectangle goes at both edges alike.
