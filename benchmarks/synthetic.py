@@ -11,6 +11,7 @@ import torch
 from physhdr.backend.model.morton import morton_order
 from physhdr.backend.scene.camera import Camera
 from physhdr.backend.scene.scene import PictureCache, Points, Scene, View
+from physhdr.backend.scene.source import Decoded, PictureSource, plain
 from physhdr.backend.train.config import TrainConfig
 from physhdr.backend.train.optimisers import OptimiserConfig
 from physhdr.backend.train.presets import PRESETS
@@ -65,15 +66,15 @@ class MadeUpPictures(PictureCache):
         self.size = size
         self._made: dict[Path, np.ndarray] = {}
 
-    def get(self, path: Path) -> np.ndarray:
-        """``[H, W, 3]`` uint8."""
+    def get(self, source: PictureSource) -> Decoded:
+        path = source.path
         if path not in self._made:
             generator = torch.Generator().manual_seed(len(self._made))
             coarse = torch.rand(1, 3, 12, 12, generator=generator)
             smooth = torch.nn.functional.interpolate(coarse, (self.size, self.size), mode="bicubic")[0]
             noisy = smooth + 0.05 * torch.randn(3, self.size, self.size, generator=generator)
             self._made[path] = (255.0 * noisy.clamp(0, 1)).byte().permute(1, 2, 0).contiguous().numpy()
-        return self._made[path]
+        return Decoded(self._made[path])
 
 
 def scene(points: np.ndarray, views: int, size: int = SIZE) -> Scene:
@@ -84,7 +85,7 @@ def scene(points: np.ndarray, views: int, size: int = SIZE) -> Scene:
             name=f"train/r_{i}",
             camera=camera(np.array([0.1 * math.cos(i), 0.1 * math.sin(i), 0.0]), size),
             exposures=EXPOSURES,
-            image_paths=tuple(Path(f"r_{i}_{k}.png") for k in range(len(EXPOSURES))),
+            sources=plain(Path(f"r_{i}_{k}.png") for k in range(len(EXPOSURES))),
             index=i,
             cache=pictures,
         )

@@ -12,6 +12,7 @@ from ..device import choose_device
 from ..kernels.ahead import compile_ahead
 from ..scene import Camera, Points, Scene, View
 from ..scene.scene import PictureCache
+from ..scene.source import Decoded, PictureSource, plain
 from ..train.presets import PRESETS, needed_by_presets
 from ..train.trainer import Trainer
 from .findings import CheckFailedError
@@ -26,10 +27,11 @@ TOLERANCE = 1e-3
 class MadeUpPictures(PictureCache):
     """A smooth picture for each path, brighter the longer the exposure."""
 
-    def get(self, path: Path) -> np.ndarray:
+    def get(self, source: PictureSource) -> Decoded:
         y, x = np.mgrid[0:SIZE, 0:SIZE] / SIZE
-        radiance = np.stack([0.2 + x, 0.2 + y, 1.2 - x], axis=-1) * EXPOSURES[int(path.name)]
-        return np.round(255.0 * (radiance / (1.0 + radiance)) ** (1.0 / 2.2)).astype(np.uint8)
+        radiance = np.stack([0.2 + x, 0.2 + y, 1.2 - x], axis=-1) * EXPOSURES[int(source.path.name)]
+        codes = np.round(255.0 * (radiance / (1.0 + radiance)) ** (1.0 / 2.2))
+        return Decoded(codes.astype(np.uint8))
 
 
 def device(report: Callable[[str], None]) -> tuple[str, str]:
@@ -55,7 +57,7 @@ def made_up_scene() -> Scene:
                 name=f"train/r_{index}",
                 camera=Camera.from_field_of_view(pose, SIZE, SIZE, 2.0 * math.atan(0.5)),
                 exposures=EXPOSURES,
-                image_paths=tuple(Path(str(k)) for k in range(len(EXPOSURES))),
+                sources=plain(Path(str(k)) for k in range(len(EXPOSURES))),
                 index=index,
                 cache=pictures,
             )

@@ -261,8 +261,7 @@ def _ldr_rows(renderer: Renderer, view: View, lpips: Lpips | None) -> list[LdrRo
     pictures = renderer.ldr_bracket(view.camera, view.exposures, view.lighting_level)
     for k, (exposure, picture) in enumerate(zip(view.exposures, pictures, strict=True)):
         picture = quantise(_require_finite(picture, f"{view.name} at {exposure:g} s"))
-        # A copy: the cached picture is read-only, which torch cannot represent.
-        reference = torch.from_numpy(view.image(k).copy()).permute(2, 0, 1).double() / 255.0
+        reference = torch.from_numpy(view.values(k)).permute(2, 0, 1)
         rows.append(
             LdrRow(view.name, view.index, view.bracket[k], exposure, _compare(picture, reference, lpips))
         )

@@ -216,7 +216,7 @@ def _part(view: View, k: int) -> str:
 
 
 def _ldr(renderer: Renderer, view: View, k: int) -> Shown:
-    reference = torch.from_numpy(view.image(k).copy()).permute(2, 0, 1).double() / 255.0
+    reference = torch.from_numpy(view.values(k)).permute(2, 0, 1)
     picture = quantise(renderer.ldr(view.camera, view.exposures[k], view.lighting_level).detach().cpu())
     return Shown(picture, reference, psnr(picture, reference), ssim(picture, reference))
 

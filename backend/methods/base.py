@@ -23,10 +23,14 @@ from ..kernels.ahead import Needs
 from ..model.backbone import Attributes, Backbone, Splats
 from ..model.gaussians import Gaussians
 from ..model.rates import Rate
-from ..model.tone_mapper import ToneMapper
+from ..model.tone_mapper import Response, ToneMapper
 from ..rasterize import Implementation, Rasterization, rasterize
 from ..scene.camera import Camera
+from ..scene.encoding import CAMERA, Encoding
 from ..scene.scene import View
+
+#: What is known of the responses that the training pictures have, together.
+Responses = Literal["learned", "mixed", "known"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +48,8 @@ class Traits:
     half_sizes: bool = True
     #: ln radiance at the start: merged from the brackets, or the data set's points' colours as they are.
     initial_radiance: Literal["merged", "points"] = "merged"
+    #: It obeys a recording's ``effect``, what one picture's camera did to the exposed radiance of each pixel.
+    effects: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,12 +81,47 @@ class Facts:
     """What a method must know of the data and the machine.
 
     ``anchor``: a known point of the response, (exposure × radiance, code value), or None. ``implementation``:
-    of the rasteriser. ``lights``: names of those whose levels vary.
+    of the rasteriser. ``lights``: names of those whose levels vary. ``responses``: of the training pictures'
+    encodings. Learned: all are a camera's; known: none is; mixed: some are.
     """
 
     anchor: tuple[float, float] | None = None
     implementation: Implementation = "auto"
     lights: tuple[str, ...] = (AMBIENT,)
+    responses: Responses = "learned"
+
+    def refuse_known(self, method: str) -> None:
+        """Raises ``BadValueError`` where ``method`` would take pictures for a camera's that are none."""
+        if self.responses != "learned":
+            which = "the" if self.responses == "known" else "some"
+            raise BadValueError(
+                f"{method} learns every response, but {which} training pictures have a known one (radiance, "
+                "or developed raw files)",
+                "Train by the preset default or baseline, which know what to make of them.",
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Exposed:
+    """How one picture was taken: ``exposure`` in seconds, its ``encoding``, and what its camera did besides.
+
+    ``effect``: a factor on the exposed radiance, ``[3, 1, 1]`` or ``[3, H, W]``; None: 1.
+    """
+
+    exposure: float
+    encoding: Encoding = CAMERA
+    effect: torch.Tensor | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recording(Exposed):
+    """A picture that training sees: its values ``[3, H, W]``, in [0, 1] unless it is radiance.
+
+    ``mask``: which pixels are compared, ``[H, W]`` bool; None: all.
+    """
+
+    picture: torch.Tensor
+    mask: torch.Tensor | None = None
 
 
 class Pool(Protocol):
@@ -103,13 +144,12 @@ class Pool(Protocol):
 class Batch:
     """What one iteration sees: a view at one exposure, or at all of its bracket's that training may see.
 
-    ``exposures``: seconds; ``pictures``: one ``[3, H, W]`` in [0, 1] for each; ``levels``: one a light.
-    ``pool`` and ``seed``: for methods that sample pixels of all pictures themselves.
+    ``recordings``: one for each exposure; ``levels``: one a light. ``pool`` and ``seed``: for methods that
+    sample pixels of all pictures themselves.
     """
 
     camera: Camera
-    exposures: tuple[float, ...]
-    pictures: tuple[torch.Tensor, ...]
+    recordings: tuple[Recording, ...]
     levels: tuple[float, ...]
     iteration: int
     pool: Pool
@@ -166,7 +206,7 @@ class Method(nn.Module, ABC):
 
     @property
     @abstractmethod
-    def first_response(self) -> ToneMapper:
+    def first_response(self) -> Response:
         """The response by which pictures say how bright the first points are, and where stereo finds them."""
 
     def prepare(self, seed: int) -> None:
@@ -248,7 +288,7 @@ class SplattingMethod(Method):
     """
 
     backbone: Backbone
-    tone_mapper: ToneMapper
+    tone_mapper: Response
 
     def __init__(self, config: MethodConfig, backbone: Backbone, facts: Facts) -> None:
         super().__init__()
@@ -270,7 +310,13 @@ class SplattingMethod(Method):
         return self
 
     @property
-    def first_response(self) -> ToneMapper:
+    def first_response(self) -> Response:
+        return self.tone_mapper
+
+    @property
+    def curves(self) -> ToneMapper:
+        """The response of a method that always learns it (``Facts.refuse_known``)."""
+        assert isinstance(self.tone_mapper, ToneMapper)
         return self.tone_mapper
 
     @property
@@ -396,6 +442,12 @@ class SplattingMethod(Method):
     @torch.no_grad()
     def response_curve(self) -> tuple[torch.Tensor, torch.Tensor] | None:
         return self.tone_mapper.sampled()
+
+
+def exposed_by(radiance: torch.Tensor, taken: Exposed) -> torch.Tensor:
+    """What a picture's response sees of radiance ``[3, H, W]``."""
+    exposed = radiance * taken.exposure
+    return exposed if taken.effect is None else exposed * taken.effect
 
 
 def is_standard(levels: Sequence[float]) -> bool:

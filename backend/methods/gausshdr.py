@@ -29,6 +29,7 @@ from ..model.tone_mapper import LOG_EPSILON, ToneMapper, ToneMapperConfig
 from ..rasterize import Rasterization
 from ..scene.camera import Camera
 from .base import Batch, Drawn, Facts, MethodConfig, Outcome, SplattingMethod, Traits
+from .losses import compared
 
 #: Of the tone mapper with its uncertainty.
 TONE_MAPPER_RATE = Rate(start=5e-4, final=5e-5, shape="exponential")
@@ -156,6 +157,7 @@ class GaussHDR(SplattingMethod):
     def __init__(self, config: GaussHDRConfig, backbone: Backbone, facts: Facts) -> None:
         super().__init__(config, backbone, facts)
         self.config = config
+        facts.refuse_known("GaussHDR")
         self.tone_mapper = ToneMapper(config.tone_mapper, facts.anchor)
         self.uncertainty = Uncertainty(config.tone_mapper, config.least_uncertainty)
         self.uses_local = True
@@ -188,7 +190,7 @@ class GaussHDR(SplattingMethod):
         ``log_exposure`` ``[3, 1, M]`` of splats or ``[3, H, W]`` of pixels, ``context`` ``[K, M]`` or
         ``[K, H, W]``. The local one is clip(global + Δ − ½, 0, 1).
         """
-        glo, loc = self.tone_mapper.tone_map_log(log_exposure, context)
+        glo, loc = self.curves.tone_map_log(log_exposure, context)
         assert loc is not None
         return glo, loc if self.uses_local else glo, self.uncertainty(log_exposure, context)
 
@@ -240,29 +242,36 @@ class GaussHDR(SplattingMethod):
     # -- training ----------------------------------------------------------------------------------------
 
     def training_outcome(self, batch: Batch) -> Outcome:
-        (exposure,), (picture,) = batch.exposures, batch.pictures
-        drawn = self.draw(batch.camera, exposure, watch=True)
-        return Outcome(self.losses(drawn, picture) | self.backbone_terms(drawn.splats), drawn)
+        (recording,) = batch.recordings
+        drawn = self.draw(batch.camera, recording.exposure, watch=True)
+        terms = self.losses(drawn, recording.picture, recording.mask)
+        return Outcome(terms | self.backbone_terms(drawn.splats), drawn)
 
-    def losses(self, drawn: DrawnPicture, picture: torch.Tensor) -> dict[str, torch.Tensor]:
+    def losses(
+        self, drawn: DrawnPicture, picture: torch.Tensor, mask: torch.Tensor | None = None
+    ) -> dict[str, torch.Tensor]:
         """The weighted terms of the loss for a picture ``[3, H, W]`` in [0, 1]; their sum is minimised.
+
+        ``mask``: which of its pixels are compared, ``[H, W]`` bool; None: all.
 
         ``rec``: mean of w ℓ₃ + (1 − w) ℓ₂. ``uncertainty``: Σ over both ways of mean D / 2u² + ½ ln u, a
         likelihood of D = 1 − SSIM, through which D learns nothing. ``global``: ℓ of the 2-D global picture.
         """
-        config, anchor = self.config, self.tone_mapper.anchor
+        config, anchor = self.config, self.curves.anchor
         assert drawn.in_3d is not None and drawn.in_2d is not None
         assert drawn.global_2d is not None and drawn.weight is not None
+        picture = compared(picture, mask)
         target = SsimTarget(picture) if can_fuse(picture) else picture
         part, pixel_part = config.dssim_weight, 1.0 - config.dssim_weight
         rec, likelihoods = [], []
         for half, weight in ((drawn.in_3d, drawn.weight), (drawn.in_2d, 1.0 - drawn.weight)):
-            dissimilarity = 1.0 - ssim_map(half.ldr, target)
-            error = pixel_part * (half.ldr - picture).abs() + part * dissimilarity
+            image, u = compared(half.ldr, mask), half.uncertainty
+            dissimilarity = 1.0 - ssim_map(image, target)
+            error = pixel_part * (image - picture).abs() + part * dissimilarity
             rec.append((weight * error).mean())
-            u = half.uncertainty
-            likelihoods.append((dissimilarity.detach() / (2.0 * u * u) + 0.5 * u.log()).mean())
-        similarity, pixel = ssim_and_error(drawn.global_2d, target, "l1")
+            likelihood = dissimilarity.detach() / (2.0 * u * u) + 0.5 * u.log()
+            likelihoods.append(compared(likelihood, mask).mean())
+        similarity, pixel = ssim_and_error(compared(drawn.global_2d, mask), target, "l1")
         gamma = config.global_weight if anchor is None else config.global_weight_anchored
         terms = {
             "rec": rec[0] + rec[1],
@@ -270,7 +279,7 @@ class GaussHDR(SplattingMethod):
             "global": gamma * (pixel_part * pixel + part * (1.0 - similarity)),
         }
         if anchor is not None and config.unit_weight:
-            terms["unit"] = config.unit_weight * self.tone_mapper.unit_exposure_error()
+            terms["unit"] = config.unit_weight * self.curves.unit_exposure_error()
         return terms
 
     # -- use ---------------------------------------------------------------------------------------------

@@ -32,6 +32,7 @@ from ..rasterize import Rasterization
 from ..scene.camera import Camera
 from ..scene.pictures import read_exr
 from .base import Batch, Drawn, Facts, MethodConfig, Outcome, SplattingMethod, Traits, mean_terms
+from .losses import compared
 
 #: Their code makes a schedule for it that is never stepped.
 TONE_MAPPER_RATE = Rate(start=5e-4)
@@ -93,6 +94,7 @@ class HDRGS(SplattingMethod):
     def __init__(self, config: HDRGSConfig, backbone: Backbone, facts: Facts) -> None:
         super().__init__(config, backbone, facts)
         self.config = config
+        facts.refuse_known("HDR-GS")
         self.tone_mapper = ToneMapper(config.tone_mapper, facts.anchor)
 
     @property
@@ -108,7 +110,7 @@ class HDRGS(SplattingMethod):
     def first_response(self) -> ToneMapper:
         """f where it is warm-started; else ``default``'s at its start: a random one knows no pictures."""
         if self.config.tone_mapper.warm_start_steps:
-            return self.tone_mapper
+            return self.curves
         with torch.random.fork_rng(devices=[]):  # what is drawn here is nobody's
             return ToneMapper(ToneMapperConfig(anchored=False), None)
 
@@ -132,7 +134,7 @@ class HDRGS(SplattingMethod):
     def colours(self, splats: Splats, exposure: float) -> torch.Tensor:
         """LDR colours ``[M, 3]`` in (0, 1) at ``exposure`` seconds."""
         log_exposure = (self.log_radiance(splats) + math.log(exposure)).T.contiguous()
-        return self.tone_mapper.response(log_exposure).T
+        return self.curves.response(log_exposure).T
 
     # -- training ----------------------------------------------------------------------------------------
 
@@ -143,11 +145,11 @@ class HDRGS(SplattingMethod):
         """
         splats = self.backbone.splats(batch.camera, self.active_sh_degree)
         offsets, each, drawn = self.watched(splats), [], None
-        for exposure, picture in zip(batch.exposures, batch.pictures, strict=True):
-            drawn = self.rasterize(
-                splats, self.colours(splats, exposure), batch.camera, screen_offsets=offsets
-            )
-            each.append({"rec": self.difference(drawn.image, picture)})
+        for recording in batch.recordings:
+            colours = self.colours(splats, recording.exposure)
+            drawn = self.rasterize(splats, colours, batch.camera, screen_offsets=offsets)
+            image, picture = (compared(p, recording.mask) for p in (drawn.image, recording.picture))
+            each.append({"rec": self.difference(image, picture)})
         assert drawn is not None
         terms = mean_terms(each) | self.backbone_terms(splats)
         if self.config.hdr_supervision:

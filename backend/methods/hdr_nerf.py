@@ -24,8 +24,9 @@ from ..model.field import Field, FieldConfig, importance_samples, ray_weights, s
 from ..model.gaussians import LOG_RADIANCE_RANGE
 from ..model.rates import Rate
 from ..model.rays import Rays, RaySpace, pixel_directions
-from ..model.tone_mapper import ToneMapper, ToneMapperConfig
+from ..model.tone_mapper import Response, ToneMapper, ToneMapperConfig
 from ..scene.camera import Camera
+from ..scene.scene import View
 from .base import Batch, Facts, Method, MethodConfig, Outcome, Pool, Traits
 
 #: Where the data name no point of the response, f(ln 1) is this (HDR-NeRF on photographs).
@@ -115,16 +116,24 @@ class Marched:
 class Film:
     """Every pixel that training may see, where the method is.
 
-    ``codes`` ``[P, 3]`` uint8, picture after picture, each row by row; ``starts`` ``[K + 1]``: which pixel a
-    picture begins with; ``log_exposures`` ``[K]``; ``poses`` ``[K, 3, 4]`` float64; ``intrinsics`` ``[K, 5]``
-    float64: width, fx, fy, cx, cy.
+    ``codes`` ``[P, 3]`` uint8, or uint16 where a picture has 16 bits: picture after picture, each row by
+    row; ``largest``: the code of white; ``compared`` ``[Q]``: the pixels that no mask hides (None: all);
+    ``starts`` ``[K + 1]``: which pixel a picture begins with; ``log_exposures`` ``[K]``; ``poses``
+    ``[K, 3, 4]`` float64; ``intrinsics`` ``[K, 5]`` float64: width, fx, fy, cx, cy.
     """
 
     codes: torch.Tensor
+    largest: float
+    compared: torch.Tensor | None
     starts: torch.Tensor
     log_exposures: torch.Tensor
     poses: torch.Tensor
     intrinsics: torch.Tensor
+
+    @property
+    def size(self) -> int:
+        """How many pixels may be drawn."""
+        return len(self.codes if self.compared is None else self.compared)
 
 
 class HDRNeRF(Method):
@@ -135,6 +144,7 @@ class HDRNeRF(Method):
     def __init__(self, config: HDRNeRFConfig, facts: Facts) -> None:
         super().__init__()
         self.config = config
+        facts.refuse_known("HDR-NeRF")
         self.coarse, self.fine = Field(config.field), Field(config.field)
         unit = facts.anchor or (1.0, UNIT_VALUE)
         self.coarse_curves = ToneMapper(config.tone_mapper, unit)
@@ -176,7 +186,7 @@ class HDRNeRF(Method):
         return {"coarse": self.config.rate(), "fine": self.config.rate()}
 
     @property
-    def first_response(self) -> ToneMapper:
+    def first_response(self) -> Response:
         return self.fine_curves
 
     def prepare(self, seed: int) -> None:
@@ -252,7 +262,9 @@ class HDRNeRF(Method):
         state = int(np.random.SeedSequence(seed).generate_state(1, np.uint64)[0] >> 1)
         generator = torch.Generator(device).manual_seed(state)
         count = self.config.rays_per_iteration
-        pixel = torch.randint(film.codes.shape[0], (count,), generator=generator, device=device)
+        pixel = torch.randint(film.size, (count,), generator=generator, device=device)
+        if film.compared is not None:
+            pixel = film.compared[pixel]
         picture = torch.searchsorted(film.starts, pixel, right=True) - 1
         within = (pixel - film.starts[picture]).double()
         width, fx, fy, cx, cy = film.intrinsics[picture].unbind(1)
@@ -261,7 +273,8 @@ class HDRNeRF(Method):
             [(column + 0.5 - cx) / fx, -(row + 0.5 - cy) / fy, -torch.ones_like(fx)], dim=1
         )
         rays = self.space.rays(film.poses[picture], directions, dtype)
-        return rays, film.codes[pixel].to(dtype) / 255.0, film.log_exposures[picture].to(dtype), generator
+        targets = film.codes[pixel].to(dtype) / film.largest
+        return rays, targets, film.log_exposures[picture].to(dtype), generator
 
     def _chances(self, rays: int, generator: torch.Generator) -> list[torch.Tensor]:
         """Jitter of the coarse samples, u of the fine ones, and the noise on both densities, if any."""
@@ -403,13 +416,19 @@ class _SumInParts(torch.autograd.Function):
 
 
 def film_of(pool: Pool, space: RaySpace, device: torch.device) -> Film:
-    """All pixels of ``pool``, as 8 bits, on ``device``."""
+    """All pixels of ``pool`` on ``device``, as integers."""
     each = [(view, k) for view, indices in zip(pool.views, pool.exposures, strict=True) for k in indices]
     cameras = [view.camera for view, _ in each]
-    codes = [torch.from_numpy(view.image(k).reshape(-1, 3).copy()) for view, k in each]
+    pictures = [view.image(k).reshape(-1, 3) for view, k in each]
+    deep = any(picture.dtype == np.uint16 for picture in pictures)
+    if deep:  # 65535 = 257 · 255: no 8-bit value changes
+        pictures = [p if p.dtype == np.uint16 else p.astype(np.uint16) * np.uint16(257) for p in pictures]
+    codes = [torch.from_numpy(picture.copy()) for picture in pictures]
     starts = np.cumsum([0, *(len(picture) for picture in codes)])
     return Film(
         codes=torch.cat(codes).to(device),
+        largest=65535.0 if deep else 255.0,
+        compared=_compared(each, device),
         starts=torch.as_tensor(starts, device=device),
         log_exposures=torch.tensor([math.log(view.exposures[k]) for view, k in each], device=device),
         poses=space.poses(cameras),
@@ -417,6 +436,16 @@ def film_of(pool: Pool, space: RaySpace, device: torch.device) -> Film:
             [(c.width, c.fx, c.fy, c.cx, c.cy) for c in cameras], dtype=torch.float64, device=device
         ),
     )
+
+
+def _compared(each: Sequence[tuple[View, int]], device: torch.device) -> torch.Tensor | None:
+    """Numbers of the pixels that no mask hides, counted over all pictures; None where there is no mask."""
+    masks = [view.mask(k) for view, k in each]
+    if all(mask is None for mask in masks):
+        return None
+    sizes = [(view.camera.height, view.camera.width) for view, _ in each]
+    seen = [np.ones(size, bool) if mask is None else mask for mask, size in zip(masks, sizes, strict=True)]
+    return torch.from_numpy(np.flatnonzero(np.concatenate([mask.reshape(-1) for mask in seen]))).to(device)
 
 
 class _Kept(OrderedDict[tuple[Camera, float | None], torch.Tensor]):

@@ -44,10 +44,21 @@ def reconstruction_loss(
 ) -> torch.Tensor:
     """One summand of L_rec (eq. 15): γ · pixel term + weight · (1 − SSIM).
 
-    ``ssim_target``: what SSIM needs of ``target``, where several predictions are compared with it.
+    ``ssim_target``: what SSIM needs of ``target``, where several predictions are compared with it. Of masked
+    pictures both are given as ``compared`` makes them.
     """
     similarity, pixel = ssim_and_error(prediction, ssim_target or target, config.pixel)
     return config.pixel_weight * pixel + config.dssim_weight * (1.0 - similarity)
+
+
+def compared(image: torch.Tensor, mask: torch.Tensor | None) -> torch.Tensor:
+    """What a loss sees of an image ``[C, H, W]``, of which ``mask`` ``[H, W]`` is True where it is compared.
+
+    Elsewhere prediction and target are both 0, as SSIM has it beyond a picture's edge: such a pixel has no
+    error of its own, and its gradient is exactly 0. Every mean is still over all pixels, so that a compared
+    pixel weighs the same in every view, and growth, which reads gradients, needs to know nothing of masks.
+    """
+    return image if mask is None else torch.where(mask, image, 0.0)
 
 
 def consistency_loss(exposed: torch.Tensor, relit: torch.Tensor, config: LossConfig) -> torch.Tensor:

@@ -16,7 +16,7 @@ import torch
 from ..model.backbone import Splats
 from ..rasterize import Rasterization
 from ..scene.camera import Camera
-from .base import Drawn, is_standard
+from .base import Drawn, Exposed, exposed_by, is_standard
 from .physhdr_common import Developed, PhysHDRMethod, illumination_deviation
 
 
@@ -59,15 +59,26 @@ class PhysHDR(PhysHDRMethod[DrawnRadiance]):
             splats, drawn, offsets, deviation, radiance=radiance, context=context[0] if context else None
         )
 
-    def develop_bracket(self, drawn: DrawnRadiance, exposures: Sequence[float]) -> list[Developed]:
-        """Tone-mapped in one go: of one drawing only the development differs."""
-        exposed = torch.stack([drawn.radiance * exposure for exposure in exposures], dim=1)
-        globals_, locals_ = self.tone_mapper.tone_map(exposed, drawn.context)
-        shown = globals_ if locals_ is None else locals_
-        return [
-            Developed(radiance, None, ldr, [ldr], glo)
-            for radiance, ldr, glo in zip(exposed.unbind(1), shown.unbind(1), globals_.unbind(1), strict=True)
-        ]
+    def develop_bracket(self, drawn: DrawnRadiance, taken: Sequence[Exposed]) -> list[Developed]:
+        """Through the method's response in one go: of one drawing only the development differs.
+
+        What has a known encoding is developed by that.
+        """
+        exposed = [exposed_by(drawn.radiance, each) for each in taken]
+        learned = [k for k, each in enumerate(taken) if not each.encoding.is_known]
+        found: dict[int, Developed] = {}
+        if learned:
+            together = torch.stack([exposed[k] for k in learned], dim=1)
+            globals_, locals_ = self.tone_mapper.tone_map(together, drawn.context)
+            shown = globals_ if locals_ is None else locals_
+            parts = (part.unbind(1) for part in (together, shown, globals_))
+            for k, radiance, ldr, glo in zip(learned, *parts, strict=True):
+                found[k] = Developed(radiance, None, ldr, [ldr], glo)
+        for k, each in enumerate(taken):
+            if each.encoding.is_known:
+                ldr = each.encoding.developed(exposed[k])
+                found[k] = Developed(exposed[k], None, ldr, [ldr], ldr)
+        return [found[k] for k in range(len(taken))]
 
     # -- use -------------------------------------------------------------------------------------------
 
@@ -81,7 +92,8 @@ class PhysHDR(PhysHDRMethod[DrawnRadiance]):
     ) -> list[torch.Tensor]:
         if not (self.can_relight or is_standard(levels)):
             return super().bracket_at(camera, exposures, levels)
-        return [developed.ldr for developed in self.develop_bracket(self.draw(camera, levels), exposures)]
+        taken = [Exposed(exposure=exposure) for exposure in exposures]
+        return [developed.ldr for developed in self.develop_bracket(self.draw(camera, levels), taken)]
 
     def preview_ldr_at(
         self, drawn: Rasterization, camera: Camera, exposure: float, levels: tuple[float, ...]

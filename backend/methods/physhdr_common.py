@@ -20,10 +20,20 @@ from ..kernels.plain import can_fuse
 from ..kernels.ssim import SsimTarget
 from ..model.backbone import Attributes, Backbone, Splats
 from ..model.radiance import AdditiveModulator, LearnedComposer, LearnedModulator, ProductComposer
-from ..model.tone_mapper import ToneMapper, ToneMapperConfig
+from ..model.tone_mapper import KnownResponse, ToneMapper, ToneMapperConfig
 from ..scene.camera import Camera
-from .base import Batch, Drawn, Facts, MethodConfig, Outcome, SplattingMethod, Traits, mean_terms
-from .losses import LossConfig, consistency_loss, reconstruction_loss
+from .base import (
+    Batch,
+    Drawn,
+    Exposed,
+    Facts,
+    MethodConfig,
+    Outcome,
+    SplattingMethod,
+    Traits,
+    mean_terms,
+)
+from .losses import LossConfig, compared, consistency_loss, reconstruction_loss
 
 #: What a form draws.
 D = TypeVar("D", bound=Drawn)
@@ -83,7 +93,7 @@ class PhysHDRConfig(MethodConfig):
     @property
     def traits(self) -> Traits:
         draws_anew = self.lighting_level == "exposure" and self.can_relight
-        return Traits(light=self.lighting_level, brackets_at_once=not draws_anew)
+        return Traits(light=self.lighting_level, brackets_at_once=not draws_anew, effects=True)
 
     @property
     def can_relight(self) -> bool:
@@ -157,7 +167,10 @@ class PhysHDRMethod(SplattingMethod, Generic[D]):
         hidden = config.composer_hidden
         self.composer = ProductComposer() if config.composer == "product" else LearnedComposer(hidden)
         self.modulator = AdditiveModulator() if config.modulator == "additive" else LearnedModulator(hidden)
-        self.tone_mapper = ToneMapper(config.tone_mapper, facts.anchor)
+        if config.branches == "both" or config.tone_mapper.local:
+            facts.refuse_known("PhysHDR with both branches or local curves")
+        known = facts.responses == "known"
+        self.tone_mapper = KnownResponse() if known else ToneMapper(config.tone_mapper, facts.anchor)
 
     @property
     def can_relight(self) -> bool:
@@ -197,37 +210,43 @@ class PhysHDRMethod(SplattingMethod, Generic[D]):
         """
 
     @abstractmethod
-    def develop_bracket(self, drawn: D, exposures: Sequence[float]) -> list[Developed]:
-        """What a camera with each of ``exposures`` (seconds) records of a drawn view."""
+    def develop_bracket(self, drawn: D, taken: Sequence[Exposed]) -> list[Developed]:
+        """What each of some pictures records of a drawn view."""
 
     def develop(self, drawn: D, exposure: float) -> Developed:
-        """``develop_bracket`` of one exposure."""
-        return self.develop_bracket(drawn, [exposure])[0]
+        """What a camera with ``exposure`` (seconds) and the method's response records."""
+        return self.develop_bracket(drawn, [Exposed(exposure=exposure)])[0]
 
     def training_outcome(self, batch: Batch) -> Outcome:
-        drawn = self.draw(batch.camera, batch.levels, batch.exposures[0], watch=True)
-        developed = self.develop_bracket(drawn, batch.exposures)
-        each = [self.losses(one, picture) for one, picture in zip(developed, batch.pictures, strict=True)]
+        drawn = self.draw(batch.camera, batch.levels, batch.recordings[0].exposure, watch=True)
+        developed = self.develop_bracket(drawn, batch.recordings)
+        each = [
+            self.losses(one, recording.picture, recording.mask)
+            for one, recording in zip(developed, batch.recordings, strict=True)
+        ]
         return Outcome(mean_terms(each) | self.backbone_terms(drawn.splats), drawn)
 
-    def losses(self, developed: Developed, picture: torch.Tensor) -> dict[str, torch.Tensor]:
-        """The weighted terms of L_total (eq. 19) for a picture ``[3, H, W]`` in [0, 1]; sum them."""
-        loss = self.config.loss
-        ssim_target = SsimTarget(picture) if can_fuse(picture) else None
-        terms = {
-            "rec": torch.stack(
-                [reconstruction_loss(image, picture, loss, ssim_target) for image in developed.supervised]
-            ).sum()
-        }
+    def losses(
+        self, developed: Developed, picture: torch.Tensor, mask: torch.Tensor | None = None
+    ) -> dict[str, torch.Tensor]:
+        """The weighted terms of L_total (eq. 19) for a picture's values ``[3, H, W]``; sum them.
+
+        ``mask``: which of its pixels are compared, ``[H, W]`` bool; None: all.
+        """
+        loss, target = self.config.loss, compared(picture, mask)
+        ssim_target = SsimTarget(target) if can_fuse(target) else None
+
+        def difference(image: torch.Tensor) -> torch.Tensor:
+            return reconstruction_loss(compared(image, mask), target, loss, ssim_target)
+
+        terms = {"rec": torch.stack([difference(image) for image in developed.supervised]).sum()}
         if self.config.global_supervision:
-            terms["global"] = self.config.global_supervision * reconstruction_loss(
-                developed.global_ldr, picture, loss, ssim_target
-            )
+            terms["global"] = self.config.global_supervision * difference(developed.global_ldr)
         if loss.consistency_weight and developed.relit is not None:
             terms["cons"] = loss.consistency_weight * consistency_loss(
                 developed.exposed, developed.relit, loss
             )
-        if loss.unit_weight and self.tone_mapper.anchor is not None:
+        if loss.unit_weight and isinstance(self.tone_mapper, ToneMapper) and self.tone_mapper.anchor:
             terms["unit"] = loss.unit_weight * self.tone_mapper.unit_exposure_error()
         return terms
 

@@ -14,7 +14,7 @@ import torch
 
 from ..rasterize import Rasterization
 from ..scene.camera import Camera
-from .base import Drawn, is_standard
+from .base import Drawn, Exposed, exposed_by, is_standard
 from .physhdr_common import Developed, PhysHDRMethod, illumination_deviation
 
 
@@ -43,7 +43,7 @@ class PaperPhysHDR(PhysHDRMethod[DrawnBranches]):
         super().follow_schedule(iteration, iterations, sh_degree_every)
         if self.config.tone_mapper.mix:
             learning = iteration >= self.config.mix_frozen_until * iterations
-            self.tone_mapper.fusion.requires_grad_(learning)
+            self.curves.fusion.requires_grad_(learning)
 
     # -- training --------------------------------------------------------------------------------------
 
@@ -74,16 +74,18 @@ class PaperPhysHDR(PhysHDRMethod[DrawnBranches]):
             levels=levels,
         )
 
-    def develop_bracket(self, drawn: DrawnBranches, exposures: Sequence[float]) -> list[Developed]:
-        return [self._developed(drawn, exposure) for exposure in exposures]
+    def develop_bracket(self, drawn: DrawnBranches, taken: Sequence[Exposed]) -> list[Developed]:
+        return [self._developed(drawn, each) for each in taken]
 
-    def _developed(self, drawn: DrawnBranches, exposure: float) -> Developed:
-        exposed, relit = drawn.image_exposure * exposure, drawn.illumination
+    def _developed(self, drawn: DrawnBranches, taken: Exposed) -> Developed:
+        exposed, relit = exposed_by(drawn.image_exposure, taken), drawn.illumination
         if not self.level_is_exposure:
             # l says how the scene was lit, not how it was exposed: both branches need the exposure, and a
             # view under other light can only be explained by the GI branch.
-            relit = relit * exposure
+            relit = exposed_by(relit, taken)
             exposed = exposed if is_standard(drawn.levels) else relit
+        elif taken.effect is not None:
+            relit = relit * taken.effect
         return self._fused(exposed, relit, drawn.context)
 
     def _fused(self, exposed: torch.Tensor, relit: torch.Tensor, context: torch.Tensor | None) -> Developed:
@@ -94,10 +96,8 @@ class PaperPhysHDR(PhysHDRMethod[DrawnBranches]):
         firsts, others = globals_, (globals_ if locals_ is None else locals_).flip(1)
         if self.config.illumination_fusion == "literal":
             firsts = globals_[:, :1].expand_as(globals_)
-        if self.config.tone_mapper.mix:
-            fused = self.tone_mapper.mix(firsts, others)  # eq. 12, 13
-        else:
-            fused = 0.5 * (firsts + others)
+        mix = self.config.tone_mapper.mix
+        fused = self.curves.mix(firsts, others) if mix else 0.5 * (firsts + others)  # eq. 12, 13
         ldr_ig, ldr_gi = fused.unbind(1)
         ldr = ldr_ig + ldr_gi
         if self.config.aggregate == "mean":
@@ -125,7 +125,8 @@ class PaperPhysHDR(PhysHDRMethod[DrawnBranches]):
         if self.level_is_exposure:
             return super().bracket_at(camera, exposures, levels)
         drawn = self.draw(camera, levels, exposures[0])
-        return [developed.ldr for developed in self.develop_bracket(drawn, exposures)]
+        taken = [Exposed(exposure=exposure) for exposure in exposures]
+        return [developed.ldr for developed in self.develop_bracket(drawn, taken)]
 
     def preview_ldr_at(
         self, drawn: Rasterization, camera: Camera, exposure: float, levels: tuple[float, ...]

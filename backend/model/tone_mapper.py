@@ -2,8 +2,10 @@
 """The tone mapper f = (f_tm, f_mix): exposed radiance in, LDR out (paper section 4.2, figure 3)."""
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import nn
 
@@ -11,6 +13,7 @@ from ..kernels.curve_table import interpolate
 from ..kernels.local_curves import local_curves
 from ..kernels.mlp import Activation, curve_knots, curve_mlp, curve_slopes
 from ..kernels.pointwise import blend, corrected, log_of_exposure
+from ..scene.encoding import SRGB
 from .radiance import SmallNetwork
 
 #: Added to exposed radiance before its logarithm, as in GaussHDR.
@@ -50,7 +53,61 @@ class ToneMapperConfig:
     warm_start_steps: int = 0
 
 
-class ToneMapper(nn.Module):
+class Response(nn.Module, ABC):
+    """What stands where a method has its global response: one that is learned, or one that is known.
+
+    ``anchor``: a known point of it, (exposure × radiance, code value), or None where there is none to learn.
+    """
+
+    anchor: tuple[float, float] | None
+
+    @abstractmethod
+    def tone_map(
+        self, exposed: torch.Tensor, context: torch.Tensor | None
+    ) -> tuple[torch.Tensor, torch.Tensor | None]:
+        """Exposed radiance ``[3, …]`` → global LDR and, if there are local curves, local LDR."""
+
+    @abstractmethod
+    def inverse(self, ldr: torch.Tensor) -> torch.Tensor:
+        """ln(exposure × radiance) at which the global response gives ``ldr`` ``[3, P]``."""
+
+    @abstractmethod
+    def sampled(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """The global response as a table: ln(exposure × radiance) ``[S]`` and LDR ``[S, 3]``."""
+
+    def warm_start(self, seed: int) -> None:
+        """What is done once before a training."""
+
+
+class KnownResponse(Response):
+    """The response where no training picture has one to be learned: what is shown is the sRGB curve.
+
+    It clips at exposure × radiance = 1 and has no parameters. Pictures are not compared through it but
+    through their own encodings.
+    """
+
+    anchor = None
+
+    def __init__(self) -> None:
+        super().__init__()
+        # It goes where the method goes, so that its table is made there. Not saved: there is nothing to save.
+        self.register_buffer("place", torch.zeros(0), persistent=False)
+
+    def tone_map(
+        self, exposed: torch.Tensor, context: torch.Tensor | None
+    ) -> tuple[torch.Tensor, torch.Tensor | None]:
+        return SRGB.developed(exposed), None
+
+    def inverse(self, ldr: torch.Tensor) -> torch.Tensor:
+        linear = SRGB.decode(ldr.double().cpu().numpy())
+        return torch.from_numpy(np.log(np.maximum(linear, LOG_EPSILON))).to(ldr)
+
+    def sampled(self) -> tuple[torch.Tensor, torch.Tensor]:
+        x = torch.linspace(*SAMPLED_RANGE, SAMPLES, device=self.get_buffer("place").device)
+        return x, SRGB.developed(x.exp())[:, None].expand(-1, 3).contiguous()
+
+
+class ToneMapper(Response):
     """Global and local response curves per colour channel, and the fusion network.
 
     ``anchor``: (exposure × radiance, code value), or ``None`` where the data name none.

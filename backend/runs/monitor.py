@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A fixed held-out view, measured while training. What it sees is shown and logged, never learned from."""
 
-import numpy as np
 import torch
 
 from ...bridge.data_set import TEST, VALIDATION
@@ -31,7 +30,7 @@ def view_monitor(scene: Scene) -> Monitor | None:
         truth = None  # shown only if it is there; evaluation says what is wrong with it
 
     def measure(method: Method) -> dict[str, float]:
-        picture = torch.from_numpy(view.image(k).transpose(2, 0, 1).astype(np.float32) / 255.0)
+        picture = torch.from_numpy(view.values(k)).permute(2, 0, 1)
         measured = {
             "PSNR": psnr(method.ldr(view.camera, view.exposures[k], view.lighting_level).cpu(), picture)
         }

@@ -13,6 +13,7 @@ from .camera import Camera
 from .pictures import picture_size
 from .resize import Reduction
 from .scene import PictureCache, View
+from .source import PictureSource
 
 #: Where nothing says which views are for testing: every eighth from the first, as 3DGS has it.
 TEST_EVERY = 8
@@ -22,10 +23,15 @@ TRUTH_FOLDERS = (*map(data_set.truth_folder, (data_set.TRAIN, data_set.TEST)), "
 
 @dataclass(frozen=True)
 class PictureFile:
-    """A file and its exposure, seconds."""
+    """A file and its exposure, seconds. ``source``: what is done to it; None: nothing."""
 
     path: Path
     seconds: float
+    source: PictureSource | None = None
+
+    @property
+    def as_source(self) -> PictureSource:
+        return self.source or PictureSource(self.path)
 
 
 @dataclass(frozen=True)
@@ -44,7 +50,7 @@ class Pose:
             self.name,
             reduction.camera(self.camera),
             tuple(picture.seconds for picture in self.pictures.values()),
-            tuple(picture.path for picture in self.pictures.values()),
+            tuple(picture.as_source for picture in self.pictures.values()),
             self.index,
             self.lighting_levels,
             cache,

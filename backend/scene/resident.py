@@ -9,6 +9,7 @@ at their first use and kept.
 import weakref
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 
 from .camera import Camera
@@ -58,7 +59,7 @@ def camera_tensors(camera: Camera, like: torch.Tensor) -> CameraTensors:
 
 
 class Pictures:
-    """Training pictures as float images on ``device``, kept there as 8 bits a channel.
+    """Training pictures as float images on ``device``, kept there as 8 or 16 bits a channel.
 
     On the CPU nothing is kept: the scene's own cache already holds the decoded pictures.
     """
@@ -68,9 +69,10 @@ class Pictures:
         self.budget = budget
         self.bytes_held = 0
         self._kept: dict[tuple[View, int], torch.Tensor] = {}
+        self._masks: dict[tuple[View, int], torch.Tensor] = {}
 
     def get(self, view: View, exposure: int) -> torch.Tensor:
-        """The picture ``[3, H, W]`` in [0, 1]; raises what ``View.image`` raises."""
+        """The picture's values ``[3, H, W]``, in [0, 1] unless it is radiance; raises as ``View.image``."""
         codes = self._kept.get((view, exposure))
         if codes is None:
             codes = torch.tensor(view.image(exposure), device=self.device).permute(2, 0, 1)
@@ -79,4 +81,19 @@ class Pictures:
                 if self.bytes_held + codes.nbytes <= self.budget:
                     self._kept[view, exposure] = codes
                     self.bytes_held += codes.nbytes
-        return codes.float() / 255.0
+        unit = view.sources[exposure].encoding.unit(np.dtype(str(codes.dtype).removeprefix("torch.")))
+        return codes.float() / unit
+
+    def mask(self, view: View, exposure: int) -> torch.Tensor | None:
+        """Which pixels are compared, ``[H, W]`` bool; None: all. Raises what ``View.image`` raises."""
+        kept = self._masks.get((view, exposure))
+        if kept is not None:
+            return kept
+        mask = view.mask(exposure)
+        if mask is None:
+            return None
+        result = torch.tensor(mask, device=self.device)
+        if self.device.type != "cpu" and self.bytes_held + result.nbytes <= self.budget:
+            self._masks[view, exposure] = result
+            self.bytes_held += result.nbytes
+        return result

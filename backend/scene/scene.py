@@ -7,8 +7,9 @@ cannot read it. Evaluation asks ``backend/evaluate/truth.py``.
 
 import threading
 from collections import OrderedDict
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +18,21 @@ import numpy as np
 from ...bridge import data_set
 from ...bridge.errors import BadValueError, DataMismatchError
 from ...bridge.lights import AMBIENT
+from ...bridge.regular import read_json_object
 from .camera import Camera
+from .encoding import Encoding
 from .resize import Reduction
+from .source import Decoded, PictureSource
 
 #: Decoded pictures are kept up to this many bytes: all of HDR-NeRF-Syn at 400×400 (84 MB) with room to spare.
 CACHE_BYTES = 1 << 30
 
+#: What ``physhdr prepare`` writes beside the data set it makes, and its "format".
+CAPTURE_FILE, CAPTURE_FORMAT = "prepare.json", "physhdr-capture"
+
 
 class PictureCache:
-    """Decoded 8-bit pictures, the least recently used forgotten first, at most ``budget`` bytes.
+    """Decoded pictures and their masks, the least recently used forgotten first, at most ``budget`` bytes.
 
     ``reduction``: how much smaller pictures become when they are decoded; only the small ones are kept.
     """
@@ -34,18 +41,20 @@ class PictureCache:
         self.budget = budget
         self.reduction = reduction or Reduction()
         self.bytes_held = 0
-        self._pictures: OrderedDict[Path, np.ndarray] = OrderedDict()
+        self._pictures: OrderedDict[Hashable, Decoded] = OrderedDict()
         self._lock = threading.Lock()  # the preview server renders from another thread than the trainer
 
-    def get(self, path: Path) -> np.ndarray:
-        """``[H, W, 3]`` uint8, read-only; raises what ``read_picture`` raises."""
+    def get(self, source: PictureSource) -> Decoded:
+        """The picture and its mask, read-only; raises what ``PictureSource.read`` raises."""
         with self._lock:
-            if path in self._pictures:
-                self._pictures.move_to_end(path)
-                return self._pictures[path]
-            picture = self.reduction.read(path)
-            picture.setflags(write=False)
-            self._pictures[path] = picture
+            if source.key in self._pictures:
+                self._pictures.move_to_end(source.key)
+                return self._pictures[source.key]
+            picture = source.read(self.reduction)
+            picture.codes.setflags(write=False)
+            if picture.mask is not None:
+                picture.mask.setflags(write=False)
+            self._pictures[source.key] = picture
             self.bytes_held += picture.nbytes
             while self.bytes_held > self.budget and len(self._pictures) > 1:
                 self.bytes_held -= self._pictures.popitem(last=False)[1].nbytes
@@ -57,7 +66,7 @@ class View:
     """One pose with its bracket of pictures.
 
     ``name``: as the data set names it (``train/r_3``). ``index``: the pose's number (3), which also names
-    its true radiance (``hdr_003.exr``). ``exposures``: seconds, one for each of ``image_paths``.
+    its true radiance (``hdr_003.exr``). ``exposures``: seconds, one for each of ``sources``.
     ``lighting_levels``: each of the scene's lights relative to the standard views, all 1 for those.
     ``bracket``: the place of each exposure in the data set's bracket, rising (0, 2, 4 where 1 and 3 were not
     taken); by default 0, 1, 2 … The paper's LDR-OE and LDR-NE are sets of these numbers. Everything else here
@@ -67,7 +76,7 @@ class View:
     name: str
     camera: Camera
     exposures: tuple[float, ...]
-    image_paths: tuple[Path, ...]
+    sources: tuple[PictureSource, ...]
     index: int
     lighting_levels: tuple[float, ...] = (1.0,)
     cache: PictureCache = field(default_factory=PictureCache, repr=False)
@@ -76,9 +85,9 @@ class View:
     def __post_init__(self) -> None:
         if not self.bracket:
             object.__setattr__(self, "bracket", tuple(range(len(self.exposures))))
-        if len(self.exposures) != len(self.image_paths) or not self.exposures:
+        if len(self.exposures) != len(self.sources) or not self.exposures:
             raise DataMismatchError(
-                f"view '{self.name}' has {len(self.exposures)} exposures, {len(self.image_paths)} pictures",
+                f"view '{self.name}' has {len(self.exposures)} exposures, {len(self.sources)} pictures",
                 "Give each picture of a view one exposure.",
             )
         if len(self.bracket) != len(self.exposures) or list(self.bracket) != sorted(set(self.bracket)):
@@ -101,26 +110,48 @@ class View:
         """Whether every light is as in the standard views."""
         return all(level == 1.0 for level in self.lighting_levels)
 
+    @property
+    def image_paths(self) -> tuple[Path, ...]:
+        """The pictures' files."""
+        return tuple(source.path for source in self.sources)
+
+    @property
+    def encodings(self) -> tuple[Encoding, ...]:
+        """How the codes of each picture came of exposure × radiance."""
+        return tuple(source.encoding for source in self.sources)
+
     def image(self, k: int) -> np.ndarray:
-        """The picture at exposure ``k``: ``[H, W, 3]`` uint8, read-only, decoded once and then kept.
+        """The codes at exposure ``k``: ``[H, W, 3]`` uint8 or uint16, read-only, decoded once and then kept.
 
         Raises ``FileMissingError`` or ``FileDamagedError`` if it cannot be decoded, ``DataMismatchError``
         if it is not of the camera's size, ``BadValueError`` if the view has no exposure ``k``.
         """
-        if not 0 <= k < len(self.image_paths):
+        return self._decoded(k).codes
+
+    def mask(self, k: int) -> np.ndarray | None:
+        """Which pixels of ``image(k)`` are compared, ``[H, W]`` bool, read-only; None: all. Raises as it."""
+        return self._decoded(k).mask
+
+    def values(self, k: int) -> np.ndarray:
+        """``image(k)`` as float64 values ``[H, W, 3]``: codes over the one that stands for 1."""
+        codes = self.image(k)
+        return codes / self.sources[k].encoding.unit(codes.dtype)
+
+    def _decoded(self, k: int) -> Decoded:
+        if not 0 <= k < len(self.sources):
             raise BadValueError(
                 f"view '{self.name}' has no exposure {k}",
-                f"Choose an exposure index from 0 to {len(self.image_paths) - 1}.",
+                f"Choose an exposure index from 0 to {len(self.sources) - 1}.",
             )
-        path = self.image_paths[k]
-        picture = self.cache.get(path)
-        if picture.shape[:2] != (self.camera.height, self.camera.width):
+        found = self.cache.get(self.sources[k])
+        height, width = found.codes.shape[:2]
+        if (height, width) != (self.camera.height, self.camera.width):
             raise DataMismatchError(
-                f"{path} is {picture.shape[1]}×{picture.shape[0]}, the camera of view '{self.name}' is "
+                f"{self.sources[k].path} is {width}×{height}, the camera of view '{self.name}' is "
                 f"{self.camera.width}×{self.camera.height}",
                 "The picture changed after the data set was opened: render it again, or open the set again.",
             )
-        return picture
+        return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,6 +208,22 @@ class Scene:
             data_set.LIT: self.lit,
             data_set.VALIDATION: self.validation,
         }
+
+    @cached_property
+    def photographs(self) -> bool:
+        """Whether the pictures were taken by real cameras, which have faults that renders have not.
+
+        So are those that ``physhdr prepare`` made a data set of. Others are, unless they say that we rendered
+        them, or name a known point of the camera's response, which only renders can.
+        """
+        prepared = self.root / CAPTURE_FILE
+        if prepared.is_file():
+            written = read_json_object(prepared, "Prepare the data set again.")
+            if written.get("format") == CAPTURE_FORMAT:
+                return True
+        generator = self.info.get("generator")
+        rendered = isinstance(generator, dict) and generator.get("name") == data_set.MAKER
+        return not rendered and self.response_anchor is None
 
     def find(self, split: str, index: int) -> View:
         """The view of pose ``index`` in ``split``; raises ``BadValueError`` naming those there are."""

@@ -11,7 +11,7 @@ import torch
 from ...bridge.errors import BadValueError
 from ..model.gaussians import LOG_RADIANCE_RANGE
 from ..model.morton import morton_order
-from ..model.tone_mapper import ToneMapper
+from ..model.tone_mapper import Response
 from ..scene.camera import Camera
 from ..scene.scene import Scene, View
 from .brackets import Votes, log_radiance_picture
@@ -67,7 +67,7 @@ def initial_points(
     scene: Scene,
     views: list[View],
     exposures: list[tuple[int, ...]],
-    tone_mapper: ToneMapper,
+    response: Response,
     *,
     source: Source,
     random_count: int,
@@ -80,7 +80,7 @@ def initial_points(
     at ``exposures``, their indices that training may see. Sorted by place (``morton``), as densification
     keeps them. Raises ``BadValueError`` where ``source`` has none.
     """
-    points = _points(scene, views, exposures, tone_mapper, source, random_count, seed)
+    points = _points(scene, views, exposures, response, source, random_count, seed)
     order = morton_order(torch.as_tensor(points.positions)).numpy()
     colours = None if points.colours is None else points.colours[order]
     return FirstPoints(points.positions[order], points.message, colours)
@@ -90,7 +90,7 @@ def _points(
     scene: Scene,
     views: list[View],
     exposures: list[tuple[int, ...]],
-    tone_mapper: ToneMapper,
+    response: Response,
     source: Source,
     random_count: int,
     seed: int,
@@ -106,7 +106,7 @@ def _points(
         return given
     if source == "random":
         return _random(scene, random_count, seed, "as asked for")
-    seen = _thinned(seen_points(views, exposures, tone_mapper))
+    seen = _thinned(seen_points(views, exposures, response))
     if len(seen) >= FEWEST_STEREO_POINTS:
         if given is None:
             return FirstPoints(seen, f"{len(seen):,} points by stereo from the training views")
@@ -134,9 +134,9 @@ def _random(scene: Scene, count: int, seed: int, why: str) -> FirstPoints:
     return FirstPoints(random_points(scene.train, count, seed), f"{count:,} random points ({why})")
 
 
-def seen_points(views: list[View], exposures: list[tuple[int, ...]], tone_mapper: ToneMapper) -> np.ndarray:
+def seen_points(views: list[View], exposures: list[tuple[int, ...]], response: Response) -> np.ndarray:
     """Points ``[P, 3]`` (metres) that stereo finds in ``views``, each merged from its ``exposures``."""
-    votes = Votes(tone_mapper)
+    votes = Votes(response)
     return stereo_points(
         [
             stereo_view(view.camera, *log_radiance_picture(view, indices, votes))
@@ -188,7 +188,7 @@ def _pixels(points: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]
 
 
 def merged_log_radiance(
-    points: np.ndarray, views: list[View], exposures: list[tuple[int, ...]], tone_mapper: ToneMapper
+    points: np.ndarray, views: list[View], exposures: list[tuple[int, ...]], response: Response
 ) -> np.ndarray:
     """ln radiance ``[P, 3]`` of points, merged from the pictures that training may see.
 
@@ -196,12 +196,15 @@ def merged_log_radiance(
     """
     total = np.zeros((len(points), 3))
     weight_sum = np.full((len(points), 3), 1e-6)
-    votes = Votes(tone_mapper)
+    votes = Votes(response)
     for view, indices in zip(views, exposures, strict=True):
         seen, pixel = _pixels(points, view.camera)
         row, column = pixel[seen].T
         for k in indices:
-            vote, weight = votes.cast(view.image(k)[row, column], view.exposures[k])
+            mask = view.mask(k)
+            compared = None if mask is None else mask[row, column]
+            codes = view.image(k)[row, column]
+            vote, weight = votes.cast(codes, view.exposures[k], view.encodings[k], compared)
             total[seen] += vote
             weight_sum[seen] += weight
     merged = total / weight_sum

@@ -20,6 +20,7 @@ from safetensors.torch import save_file
 from ...bridge.atomic import atomic_path
 from ...bridge.errors import DataMismatchError, FileDamagedError, FileMissingError, OutputError
 from ...bridge.lights import AMBIENT, check_lights
+from ..methods.base import Responses
 
 FORMAT = "physhdr-checkpoint"
 VERSION = 1
@@ -32,6 +33,8 @@ SHARES, AMBIENT_SHARES = ".light_share_logits", ".ambient_share_logits"
 READS = 20
 #: In the metadata: ``config.fingerprint`` of the run, and the SHA-256 of all tensors.
 CONFIGURATION, DIGEST = "configuration", "digest"
+#: Which responses its training pictures had (``methods.base.Responses``); without it all were learned.
+RESPONSES = "responses"
 
 
 @dataclass(frozen=True)
@@ -223,6 +226,15 @@ def lights_of(metadata: dict[str, str], path: Path) -> tuple[str, ...]:
     except (ValueError, RecursionError) as error:
         raise damaged(path, f"its lights are not JSON: {error}") from error
     return check_lights(named, str(path))
+
+
+def responses_in(metadata: Mapping[str, str], path: Path) -> Responses:
+    """Whether a checkpoint's model learned a response, from its metadata; raises ``FileDamagedError``."""
+    match metadata.get(RESPONSES, "learned"):
+        case "learned" | "mixed" | "known" as responses:
+            return responses
+        case other:
+            raise damaged(path, f"its responses are {other!r:.80}")
 
 
 def _is_share(name: str, tensor: torch.Tensor, axes: int) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from ...bridge.errors import BadValueError, DataMismatchError, PhysHDRError
-from ..methods.base import Batch, Facts, Method, SplattingMethod
+from ..methods.base import Batch, Facts, Method, Recording, SplattingMethod
 from ..methods.registry import new_method
 from ..model.anchors import Anchors
 from ..model.backbone import Start
@@ -22,6 +22,7 @@ from ..start.initialise import initial_points, merged_log_radiance, scene_extent
 from .anchor_growth import AnchorGrowth
 from .checkpoint import (
     CONFIGURATION,
+    RESPONSES,
     check_tensors,
     damaged,
     lights_of,
@@ -29,6 +30,7 @@ from .checkpoint import (
     progress_of,
     refuse_others,
     require_configuration,
+    responses_in,
     save_checkpoint,
 )
 from .config import TrainConfig, fingerprint
@@ -37,7 +39,7 @@ from .events import Event, Finished, Progress, Saved, Started
 from .growth import Growth, NoGrowth
 from .half_size import halved
 from .optimisers import ADAM, Optimiser
-from .views import training_exposures, training_lights, training_views
+from .views import responses_of, training_exposures, training_lights, training_views
 
 CHECKPOINT_FILE = "checkpoint.safetensors"
 #: Prefix of the backbone's parameters in a checkpoint, of either backbone.
@@ -96,7 +98,8 @@ class Trainer:
         self.exposures = [self._allowed_exposures(view, index) for index, view in enumerate(self.views)]
 
         torch.manual_seed(config.seed)  # initial values of the networks
-        facts = Facts(scene.response_anchor, implementation, self.lights)
+        self.responses = responses_of(self.views, self.exposures)
+        facts = Facts(scene.response_anchor, implementation, self.lights, self.responses)
         self.method = new_method(config.method, config.anchors, facts)
         state = self._restore(resumed) if resumed else {}
         if not resumed:
@@ -192,17 +195,25 @@ class Trainer:
             return self.scene.points.positions.astype(np.float64)
         return seen_points(self.views, self.exposures, self.method.first_response)
 
+    def recording(self, view: View, k: int) -> Recording:
+        """The picture at position ``k`` of the view's bracket, and how it was taken."""
+        return Recording(
+            exposure=view.exposures[k],
+            encoding=view.encodings[k],
+            picture=self.pictures.get(view, k),
+            mask=self.pictures.mask(view, k),
+        )
+
     def batch(self, iteration: int) -> Batch:
         """What an iteration (from 0) sees."""
         config = self.config
         view, indices = self.draw(iteration)
-        camera, pictures = view.camera, [self.pictures.get(view, k) for k in indices]
+        camera, recordings = view.camera, [self.recording(view, k) for k in indices]
         if iteration < config.half_size_until * config.iterations:
-            camera, pictures = halved(camera, pictures)
+            camera, recordings = halved(camera, recordings)
         return Batch(
             camera=camera,
-            exposures=tuple(view.exposures[k] for k in indices),
-            pictures=tuple(pictures),
+            recordings=tuple(recordings),
             levels=tuple(1.0 for _ in self.lights) if view.is_standard else view.lighting_levels,
             iteration=iteration,
             pool=self,
@@ -332,6 +343,8 @@ class Trainer:
             "cpu_seconds": f"{self.cpu_seconds:.3f}",
             CONFIGURATION: self.configuration,
         }
+        if self.responses != "learned":
+            metadata[RESPONSES] = self.responses
         save_checkpoint(path, tensors, metadata, self.lights)
         return Saved(self.iteration, str(path))
 
@@ -348,6 +361,12 @@ class Trainer:
             raise DataMismatchError(
                 f"the run in {folder} has levels of {', '.join(lights)}, the data in {self.scene.root} of "
                 f"{', '.join(self.lights)}",
+                "Give the data set that it was begun with.",
+            )
+        if responses_in(metadata, path) != self.responses:
+            raise DataMismatchError(
+                f"the run in {folder} was begun with other pictures than those in {self.scene.root}: the "
+                "response is learned of a camera's, and known of radiance and of developed raw files",
                 "Give the data set that it was begun with.",
             )
         restore_method(self.method, tensors, path)
@@ -416,7 +435,8 @@ def load_method(
     require_configuration(metadata, configuration or fingerprint(config), path)
     iteration = progress_of(metadata, config.iterations, path).iteration
     lights = lights_of(metadata, path)
-    method = new_method(config.method, config.anchors, Facts(anchor, implementation, lights))
+    facts = Facts(anchor, implementation, lights, responses_in(metadata, path))
+    method = new_method(config.method, config.anchors, facts)
     restore_method(method, tensors, path)
     method.to_device(torch.device(device))
     method.follow_schedule(max(iteration - 1, 0), config.iterations, config.sh_degree_every)

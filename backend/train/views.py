@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What of a scene a training sees: which views, at which of their exposures, with levels of which lights."""
 
+from collections.abc import Sequence
+
 from ...bridge.errors import DataMismatchError
 from ...bridge.lights import AMBIENT
+from ..methods.base import Responses
 from ..scene.scene import Scene, View
 from .config import TrainConfig
 
@@ -15,6 +18,13 @@ def training_views(scene: Scene, config: TrainConfig) -> list[View]:
 def training_lights(scene: Scene, config: TrainConfig) -> tuple[str, ...]:
     """Names of the lights that the method has levels for."""
     return scene.lights if config.method.traits.light == "view" else (AMBIENT,)
+
+
+def responses_of(views: Sequence[View], exposures: Sequence[tuple[int, ...]]) -> Responses:
+    """What is known of the responses of ``views`` at those positions of their brackets that are trained."""
+    each = zip(views, exposures, strict=True)
+    known = {view.encodings[k].is_known for view, allowed in each for k in allowed}
+    return "mixed" if len(known) > 1 else "known" if True in known else "learned"
 
 
 def training_exposures(view: View, config: TrainConfig) -> tuple[int, ...]:

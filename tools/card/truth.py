@@ -12,6 +12,7 @@ from physhdr.backend.model.gaussians import SH_C0, Gaussians
 from physhdr.backend.rasterize.reference import rasterize
 from physhdr.backend.scene.camera import Camera
 from physhdr.backend.scene.scene import PictureCache, Points, Scene, View
+from physhdr.backend.scene.source import Decoded, PictureSource, plain
 from physhdr.backend.train.config import TrainConfig
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import Trainer
@@ -32,8 +33,8 @@ class InMemory(PictureCache):
         super().__init__()
         self.pictures: dict[Path, np.ndarray] = {}
 
-    def get(self, path: Path) -> np.ndarray:
-        return self.pictures[path]
+    def get(self, source: PictureSource) -> Decoded:
+        return Decoded(self.pictures[source.path])
 
 
 def pose(x: float, z: float) -> np.ndarray:
@@ -75,7 +76,7 @@ def scene(size: int, gaussians: int, views: int = 12, seed: int = 0) -> Scene:
         for name, exposure in zip(names, EXPOSURES, strict=True):
             x = radiance * exposure
             cache.pictures[name] = np.round(255.0 * (x / (1.0 + x)) ** (1.0 / 2.2)).astype(np.uint8)
-        splits[split].append(View(f"{split}/r_{i}", camera, EXPOSURES, names, i, cache=cache))
+        splits[split].append(View(f"{split}/r_{i}", camera, EXPOSURES, plain(names), i, cache=cache))
     moved = (points + rng.normal(scale=0.3 * spread, size=points.shape)).astype(np.float32)
     first = Points(moved, np.full_like(moved, 0.5))
     return Scene(Path("in memory"), "truth", splits["train"], splits["test"], [], first, ANCHOR)

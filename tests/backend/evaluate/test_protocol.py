@@ -290,7 +290,7 @@ def test_missing_exposures_keep_their_place_in_the_bracket(data_set: Path, small
     some = replace(
         first,
         exposures=(first.exposures[0], first.exposures[3]),
-        image_paths=(first.image_paths[0], first.image_paths[3]),
+        sources=(first.sources[0], first.sources[3]),
         bracket=(0, 3),
     )
     result = evaluate(Oracle(small), replace(scene, test=[some, second]))

@@ -100,7 +100,7 @@ def test_a_sheet_leaves_out_exposures_that_a_view_lacks(
 
     scene = read_scene(data_set)
     view = scene.find("test", 1)
-    some = replace(view, exposures=view.exposures[::2], image_paths=view.image_paths[::2], bracket=(0, 2, 4))
+    some = replace(view, exposures=view.exposures[::2], sources=view.sources[::2], bracket=(0, 2, 4))
     rows = []
     monkeypatch.setattr("physhdr.backend.evaluate.sheets.labelled_grid", lambda given, *_: rows.extend(given))
     method_sheet({"a": Shifted(small, 0.0)}, replace(scene, test=[some]), poses=[1], exposure_indices=(2, 3))

@@ -11,7 +11,7 @@ import torch
 from physhdr.backend.evaluate.protocol import evaluate
 from physhdr.backend.evaluate.report import to_markdown
 from physhdr.backend.kernels import ssim_map_reference
-from physhdr.backend.methods.base import Batch, Facts
+from physhdr.backend.methods.base import Batch, Facts, Recording
 from physhdr.backend.methods.hdr_gs import HDRGS, HDRGSConfig, compressed, compressed_truth
 from physhdr.backend.model.gaussians import initial_gaussians
 from physhdr.backend.model.tone_mapper import ToneMapperConfig
@@ -72,7 +72,11 @@ class SeenView:
 
 def batch_of(camera, exposures=(EXPOSURE,), index=0):
     pictures = tuple(torch.rand(3, 20, 24, generator=torch.Generator().manual_seed(1)) for _ in exposures)
-    return Batch(camera, exposures, pictures, (1.0,), 0, pool=Pool([SeenView(camera, index)]))
+    recordings = tuple(
+        Recording(exposure=exposure, picture=picture)
+        for exposure, picture in zip(exposures, pictures, strict=True)
+    )
+    return Batch(camera, recordings, (1.0,), 0, pool=Pool([SeenView(camera, index)]))
 
 
 def by_hand(method, camera):
@@ -99,7 +103,7 @@ def test_the_forward_pass_is_as_described(camera):
     assert (method.hdr(camera) - hdr).abs().max() < 1e-4 * hdr.max()
     outcome = method.training_outcome(batch_of(camera))
     assert torch.allclose(outcome.drawn.rasterization.image.double(), ldr, atol=1e-4)
-    picture = batch_of(camera).pictures[0].double()
+    picture = batch_of(camera).recordings[0].picture.double()
     expected = 0.8 * (ldr - picture).abs().mean() + 0.2 * (1.0 - ssim_map_reference(ldr, picture).mean())
     assert outcome.terms["rec"].item() == pytest.approx(expected.item(), rel=1e-4)
     assert set(outcome.terms) == {"rec"}  # no unit exposure: their code has it switched off

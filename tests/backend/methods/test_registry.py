@@ -44,7 +44,7 @@ def test_what_is_declared_is_so(preset, tiny_data):
     batches = [trainer.batch(i) for i in range(len(trainer.views))]
     levels = {batch.levels for batch in batches}
     assert levels == ({(1.0,), (0.25,), (4.0,)} if traits.light == "view" else {(1.0,)})
-    assert {len(batch.exposures) for batch in batches} == ({3} if supervision == "bracket" else {1})
+    assert {len(batch.recordings) for batch in batches} == ({3} if supervision == "bracket" else {1})
     assert trainer.step().keys()
     if traits.light == "view":
         assert method.can_relight

@@ -12,6 +12,7 @@ from PIL import Image
 
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.scene import PictureCache
+from physhdr.backend.scene.source import plain
 from physhdr.bridge.errors import (
     BadValueError,
     DataMismatchError,
@@ -87,14 +88,14 @@ def test_exposures_that_no_pose_uses_are_ignored(data_set: Path) -> None:
 
 
 def test_the_picture_cache_forgets_the_oldest(data_set: Path) -> None:
-    paths = sorted((data_set / "train").glob("*.png"))
+    paths = plain(sorted((data_set / "train").glob("*.png")))
     size = 48 * 36 * 3
     cache = PictureCache(budget=3 * size)
     for path in paths:
         cache.get(path)
         assert cache.bytes_held <= 3 * size
     assert cache.get(paths[-1]) is cache.get(paths[-1])
-    assert not cache.get(paths[0]).flags.writeable
+    assert not cache.get(paths[0]).codes.flags.writeable
 
 
 def test_an_unknown_pose_or_exposure_names_those_there_are(data_set: Path) -> None:

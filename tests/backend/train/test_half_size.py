@@ -6,6 +6,7 @@ import dataclasses
 import numpy as np
 import torch
 
+from physhdr.backend.methods.base import Recording
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.camera import Camera
 from physhdr.backend.train.half_size import half_sized, halved
@@ -16,7 +17,8 @@ from physhdr.backend.train.trainer import Trainer
 def test_halving_averages_blocks_and_keeps_the_rays():
     camera = Camera(np.eye(4), 200, 136, 150.0, 140.0, 97.0, 70.0)
     picture = torch.rand(3, 136, 200, generator=torch.Generator().manual_seed(0))
-    half, (small,) = halved(camera, [picture])
+    half, (small,) = halved(camera, [Recording(exposure=1.0, picture=picture)])
+    small = small.picture
     assert small.shape == (3, half.height, half.width) == (3, 68, 100)
     blocks = picture.numpy().reshape(3, 68, 2, 100, 2).mean(axis=(2, 4))
     assert np.allclose(small.numpy(), blocks, atol=1e-6)
@@ -28,11 +30,14 @@ def test_halving_averages_blocks_and_keeps_the_rays():
 
 def test_odd_sizes_are_covered_and_small_ones_left_alone():
     camera = Camera.from_field_of_view(np.eye(4), 201, 151, 0.9)
-    half, (small,) = halved(camera, [torch.full((3, 151, 201), 0.25)])
+    half, (small,) = halved(camera, [Recording(exposure=1.0, picture=torch.full((3, 151, 201), 0.25))])
+    small = small.picture
     assert small.shape[1:] == (half.height, half.width) == (75, 100)
     assert torch.allclose(small, torch.tensor(0.25))
-    tiny, picture = Camera.from_field_of_view(np.eye(4), 100, 300, 0.9), torch.zeros(3, 300, 100)
-    assert halved(tiny, [picture]) == (tiny, [picture])
+    tiny = Camera.from_field_of_view(np.eye(4), 100, 300, 0.9)
+    recording = Recording(exposure=1.0, picture=torch.zeros(3, 300, 100))
+    same, (left_alone,) = halved(tiny, [recording])
+    assert same is tiny and left_alone is recording
 
 
 def test_only_the_start_of_training_is_half_sized(tiny_data, monkeypatch):

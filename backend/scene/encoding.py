@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How a picture's codes came of exposure × radiance: by a camera's unknown response, or by a known curve.
+
+A picture is integers ``[H, W, 3]`` of 8 or 16 bits; its *values* are codes over the code that stands for 1
+(``Encoding.unit``), and a loss compares values. A camera's response is learned. The others are known: what
+such a picture says of exposure × radiance needs no learning, and the same curve, which is differentiable
+(``developed``), makes of rendered radiance what it is compared with.
+"""
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from ...bridge import srgb
+from ...bridge.errors import BadValueError
+
+#: The largest codes of 8 and of 16 bits.
+LARGEST = {np.dtype(np.uint8): 255, np.dtype(np.uint16): 65535}
+#: μ of ``LogEncoding``: that of the HDR protocol's μ-law. The curve is nearly a logarithm above scale / μ.
+MU = 5000.0
+#: The largest value that codes of ``LogEncoding`` hold: there x / scale is (1 + μ)² / μ, which is 12 stops.
+REACH = 2.0
+
+
+@dataclass(frozen=True)
+class Encoding(ABC):
+    """One of ``CAMERA``, ``SRGB`` and ``LogEncoding(scale)``; equal ones compare equal."""
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """``camera``, ``srgb`` or ``log``: what files and reports call it."""
+
+    @property
+    def is_known(self) -> bool:
+        """Whether codes tell exposure × radiance without a learned response."""
+        return True
+
+    @property
+    def clips(self) -> bool:
+        """Whether a largest code says no more than "at least so much"."""
+        return True
+
+    def unit(self, dtype: np.dtype) -> float:
+        """The code that stands for the value 1, where codes are uint8 or uint16."""
+        return float(LARGEST[np.dtype(dtype)])
+
+    @abstractmethod
+    def encode(self, exposed: np.ndarray) -> np.ndarray:
+        """Values of exposure × radiance, float64 of any shape; what is below 0 becomes 0."""
+
+    @abstractmethod
+    def decode(self, values: np.ndarray) -> np.ndarray:
+        """Exposure × radiance of values, float64 of any shape."""
+
+    @abstractmethod
+    def developed(self, exposed: torch.Tensor) -> torch.Tensor:
+        """``encode`` of a tensor of any shape, differentiable; where it clips the gradient is 0."""
+
+    @abstractmethod
+    def __str__(self) -> str:
+        """A few words for a report."""
+
+    def codes(self, exposed: np.ndarray) -> np.ndarray:
+        """Exposure × radiance → uint16 codes of the same shape."""
+        unit = self.unit(np.dtype(np.uint16))
+        return np.rint(self.encode(exposed) * unit).clip(0, 65535).astype(np.uint16)
+
+    def exposed(self, codes: np.ndarray) -> np.ndarray:
+        """Exposure × radiance, float64, of uint8 or uint16 codes."""
+        return self.decode(codes / self.unit(codes.dtype))
+
+    def described(self) -> dict[str, Any]:
+        """As files have it; ``encoding_of`` is the way back."""
+        return {"name": self.name}
+
+
+@dataclass(frozen=True)
+class CameraEncoding(Encoding):
+    """A response that nobody has told: it is learned."""
+
+    @property
+    def name(self) -> str:
+        return "camera"
+
+    @property
+    def is_known(self) -> bool:
+        return False
+
+    def encode(self, exposed: np.ndarray) -> np.ndarray:
+        raise self._unknown()
+
+    def decode(self, values: np.ndarray) -> np.ndarray:
+        raise self._unknown()
+
+    def developed(self, exposed: torch.Tensor) -> torch.Tensor:
+        raise self._unknown()
+
+    def __str__(self) -> str:
+        return "a camera's own response"
+
+    @staticmethod
+    def _unknown() -> BadValueError:
+        return BadValueError("a camera's response is not known: it has to be learned")
+
+
+@dataclass(frozen=True)
+class SrgbEncoding(Encoding):
+    """Scene-linear pictures that clip at 1 (raw developments), encoded by the sRGB curve."""
+
+    @property
+    def name(self) -> str:
+        return "srgb"
+
+    def encode(self, exposed: np.ndarray) -> np.ndarray:
+        return srgb.to_srgb(np.asarray(exposed, np.float64).clip(0.0, 1.0))
+
+    def decode(self, values: np.ndarray) -> np.ndarray:
+        return srgb.to_linear(np.asarray(values, np.float64))
+
+    def developed(self, exposed: torch.Tensor) -> torch.Tensor:
+        linear = exposed.clamp(0.0, 1.0)
+        power = srgb.SCALE * linear.clamp_min(srgb.LINEAR_KNEE) ** (1.0 / srgb.POWER) - srgb.OFFSET
+        return torch.where(linear <= srgb.LINEAR_KNEE, linear * srgb.SLOPE, power)
+
+    def __str__(self) -> str:
+        return "the sRGB curve of scene-linear values, clipped at 1"
+
+
+@dataclass(frozen=True)
+class LogEncoding(Encoding):
+    """Radiance (OpenEXR, .hdr): ln(1 + μ x / scale) / ln(1 + μ). Up to 5000 times ``scale`` nothing clips.
+
+    ``scale``: the exposure × radiance whose value is 1, one for all pictures of a data set.
+    """
+
+    scale: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.scale) and self.scale > 0.0):
+            raise BadValueError(f"the scale of a logarithmic encoding must be above 0, got {self.scale:g}")
+
+    @property
+    def name(self) -> str:
+        return "log"
+
+    @property
+    def clips(self) -> bool:
+        return False
+
+    def unit(self, dtype: np.dtype) -> float:
+        return super().unit(dtype) / REACH
+
+    def encode(self, exposed: np.ndarray) -> np.ndarray:
+        relative = np.maximum(np.asarray(exposed, np.float64), 0.0) / self.scale
+        return np.log1p(MU * relative) / math.log1p(MU)
+
+    def decode(self, values: np.ndarray) -> np.ndarray:
+        return np.expm1(np.asarray(values, np.float64) * math.log1p(MU)) * (self.scale / MU)
+
+    def developed(self, exposed: torch.Tensor) -> torch.Tensor:
+        return (exposed.clamp_min(0.0) * (MU / self.scale)).log1p() / math.log1p(MU)
+
+    def __str__(self) -> str:
+        return f"radiance, compared as ln(1 + {MU:g} x / {self.scale:.4g}) / ln({1.0 + MU:g})"
+
+    def described(self) -> dict[str, Any]:
+        return {"name": self.name, "scale": self.scale}
+
+
+CAMERA = CameraEncoding()
+SRGB = SrgbEncoding()
+
+
+def encoding_of(described: Any) -> Encoding:
+    """The encoding that ``Encoding.described`` told of; raises ``BadValueError`` for anything else."""
+    match described:
+        case {"name": "camera"}:
+            return CAMERA
+        case {"name": "srgb"}:
+            return SRGB
+        case {"name": "log", "scale": int() | float() as scale} if not isinstance(scale, bool):
+            return LogEncoding(float(scale))
+    raise BadValueError(
+        f"{described!r:.80} is no encoding of pictures",
+        'Write {"name": "camera"}, {"name": "srgb"}, or {"name": "log", "scale": 1.0}.',
+    )
