@@ -13,14 +13,17 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from . import compositor, exr, noise
+from . import compositor, exr, lens_shader, noise
 from .blender import cycles
 from .errors import DamagedFileError, NotFiniteError, NotFiniteRenderError, RenderError
 from .interrupts import held
+from .lens import Lens
 from .passes import Passes
 from .progress import quiet
 from .stage import Stage
 
+#: Where no surface is seen Cycles gives this depth.
+SKY = 1e10
 #: In Cycles' status line.
 SAMPLE = re.compile(r"Sample (\d+)/\d+")
 
@@ -33,12 +36,18 @@ def view_seed(seed: int, name: str) -> int:
 class Renderer:
     """Made by ``renderer``."""
 
-    def __init__(self, stage: Stage, denoise: bool, outlet: compositor.Outlet) -> None:
+    def __init__(
+        self, stage: Stage, denoise: bool, outlet: compositor.Outlet, lens: Lens | None = None
+    ) -> None:
         self.stage, self.denoise, self.outlet = stage, denoise, outlet
         data = bpy.data.cameras.new("physhdr camera")
         data.sensor_fit = "HORIZONTAL"
         data.angle = stage.cameras.angle_x
         data.clip_start, data.clip_end = stage.cameras.clip
+        # Of any camera but a pinhole Cycles tells the distance, and not how far along the axis things are.
+        self._along_axis = lens.cosines().astype(np.float32) if lens else None
+        if lens:
+            lens_shader.mount(lens, data)
         self.camera = bpy.data.objects.new("physhdr camera", data)
         stage.scene.collection.objects.link(self.camera)
         stage.scene.camera = self.camera
@@ -93,6 +102,9 @@ class Renderer:
         raw = colour(compositor.RAW)
         planes = {name: channels[f"{name}.V"] for name in compositor.PLANES}
         planes["samples"] = planes["samples"] * most  # Cycles tells the share of what any pixel got
+        if self._along_axis is not None:
+            seen = planes["depth"] < SKY
+            planes["depth"] = np.where(seen, planes["depth"] * self._along_axis, planes["depth"])
         return Passes(
             lights,
             normal=colour("normal", "XYZ"),
@@ -107,10 +119,13 @@ class Renderer:
 
 
 @contextmanager
-def renderer(stage: Stage, denoise: bool) -> Iterator[Renderer]:
-    """A camera in a built stage, and the passes switched on. ``settings.applied`` must be around it."""
+def renderer(stage: Stage, denoise: bool, lens: Lens | None = None) -> Iterator[Renderer]:
+    """A camera in a built stage, and the passes switched on. ``settings.applied`` must be around it.
+
+    ``lens``: at the size of the render; a pinhole with the stage's field of view if ``None``.
+    """
     with compositor.connected(stage, denoise) as outlet:
-        yield Renderer(stage, denoise, outlet)
+        yield Renderer(stage, denoise, outlet, lens)
 
 
 @contextmanager
