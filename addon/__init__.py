@@ -14,6 +14,7 @@ _MODULES = (
     "bake",
     "operators.backend",
     "operators.dataset",
+    "operators.photos",
     "operators.training",
     "viewport",
     "plot",

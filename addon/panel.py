@@ -14,7 +14,8 @@ from .look import draw_look, is_model, slider_name
 from .operators.base import choices
 from .runtime import session
 from .session.advice import headline, next_step, problem_of, why_not
-from .session.state import CHECK, DATASET, INSTALL, Problem, State
+from .session.pythons import is_ours
+from .session.state import CHECK, DATASET, INSTALL, LOOK, PHOTOS, Photos, Problem, State
 from .settings import PHYSHDR_Settings
 from .viewport import overlay
 from .viewport.camera import ORTHOGRAPHIC_HINT
@@ -54,7 +55,7 @@ class PHYSHDR_PT_train(_Panel, bpy.types.Panel):
         problem = problem_of(state)
         icon = ICONS.get(state.job.state, "RADIOBUT_ON" if state.backend.ready else "RADIOBUT_OFF")
         layout.label(text=headline(state), icon="ERROR" if problem else icon)
-        for name in (INSTALL, CHECK, DATASET):
+        for name in (INSTALL, CHECK, DATASET, LOOK, PHOTOS):
             draw_task(layout, state, name)
         draw_progress(context, layout, state)
         if problem:
@@ -87,6 +88,8 @@ class PHYSHDR_PT_backend(_Subpanel, bpy.types.Panel):
             if state.backend.python:
                 button(context, row, state, "check", "physhdr.backend_check", "Check", "CHECKMARK")
             reasons(context, layout, state, "install")
+            if state.backend.incomplete:
+                draw_extend(context, layout, state)
         if state.link.status == "off":
             if state.link.pid:
                 write(context, layout, f"Process {state.link.pid} does not answer", "UNLINKED")
@@ -110,6 +113,12 @@ class PHYSHDR_PT_backend(_Subpanel, bpy.types.Panel):
         row.label(text=shortened(state.backend.python, context), icon="FILE_SCRIPT")
         row.operator("physhdr.backend_check", text="Check")
         row.menu("PHYSHDR_MT_backend", text="", icon="DOWNARROW_HLT")
+        if state.backend.missing:
+            told = f"Photos cannot be prepared without {', '.join(state.backend.missing)}"
+            write(context, layout, told, "INFO")
+            draw_extend(context, layout, state)
+        elif state.backend.missing is None:
+            write(context, layout, "Checked by an older version: check it before you prepare photos", "INFO")
 
 
 class PHYSHDR_PT_dataset(_Subpanel, bpy.types.Panel):
@@ -127,8 +136,43 @@ class PHYSHDR_PT_dataset(_Subpanel, bpy.types.Panel):
                 write(context, column, warning, "ERROR")
             if dataset.problem:
                 write(context, column, f"{dataset.problem.message}. {dataset.problem.hint}", "ERROR")
+            if state.prepared.folder == dataset.folder:
+                for warning in state.prepared.warnings:
+                    write(context, column, warning, "ERROR")
+        photos = choices(context).photos
+        if photos:
+            self._draw_photos(context, layout.box(), state, photos)
+        column = layout.column(align=True)
+        text = "Prepare Other Photos…" if photos else "Prepare Photos…"
+        button(context, column, state, "look", "physhdr.photos_look", text, "CAMERA_DATA")
         text = "Render from This Scene…"
-        button(context, layout, state, "render", "physhdr.dataset_render", text, "RENDER_STILL")
+        button(context, column, state, "render", "physhdr.dataset_render", text, "RENDER_STILL")
+
+    def _draw_photos(
+        self, context: bpy.types.Context, layout: bpy.types.UILayout, state: State, folder: str
+    ) -> None:
+        """What was understood of the photos, what can be chosen, and the button for the long work."""
+        row = layout.row(align=True)
+        row.label(text=shortened(folder, context), icon="FILE_FOLDER")
+        row.operator("physhdr.photos_forget", text="", icon="X")
+        found = state.photos if state.photos.folder == folder else Photos()
+        column = layout.column(align=True)
+        for line in found.lines:
+            write(context, column, line)
+        for warning in found.warnings:
+            write(context, column, warning, "ERROR")
+        if found.problem:
+            write(context, column, f"{found.problem.message}. {found.problem.hint}", "ERROR")
+        column = layout.column()
+        column.use_property_split = True
+        column.use_property_decorate = False
+        for name in ("photos_out", "photos_width", "photos_handheld", "photos_borrow_poses"):
+            column.prop(context.scene.physhdr, name)
+        if found.seconds >= 0.0:
+            write(context, layout, f"Preparing takes about {duration(found.seconds)}", "SORTTIME")
+        button(context, layout, state, "photos", "physhdr.photos_prepare", "Prepare", "PLAY")
+        if not state.task(PHOTOS):
+            reasons(context, layout, state, "photos")
 
 
 class PHYSHDR_PT_training(_Subpanel, bpy.types.Panel):
@@ -237,6 +281,15 @@ def draw_progress(context: bpy.types.Context, layout: bpy.types.UILayout, state:
         column.label(text=f"Loss {sum(job.losses.values()):.4f}, {speed:.1f} iterations/s")
     elif job.message and state.active:
         write(context, column, job.message)
+
+
+def draw_extend(context: bpy.types.Context, layout: bpy.types.UILayout, state: State) -> None:
+    """The button that installs what is missing into the environment of ours that is there."""
+    if is_ours(session().home, state.backend.python):
+        button(context, layout, state, "extend", "physhdr.backend_extend", "Add What Is Missing", "IMPORT")
+    elif state.backend.missing:
+        packages = " ".join(f"'{each}'" for each in state.backend.missing)
+        write(context, layout, f"Add it to your Python: -m pip install {packages}", "INFO")
 
 
 def draw_problem(context: bpy.types.Context, layout: bpy.types.UILayout, problem: Problem) -> None:

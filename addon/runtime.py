@@ -6,6 +6,8 @@ import traceback
 import bpy
 
 from . import changes, paths, plot, settings
+from .session.advice import why_not
+from .session.photos import look_options
 from .session.session import Session
 from .viewport.live import LivePreview
 
@@ -58,6 +60,7 @@ def _attend() -> float:
     """Take in what has happened, show it; returns the seconds until the next look."""
     current = session()
     _follow_scene(current)
+    _follow_photos(current)
     before = current.state.history
     if current.pump():
         redraw()
@@ -75,6 +78,16 @@ def _follow_scene(current: Session) -> None:
     folder = bpy.path.abspath(chosen) if chosen else ""
     if folder and folder != current.state.dataset.folder:
         current.choose_dataset(folder)
+
+
+def _follow_photos(current: Session) -> None:
+    """Look at the photos of the scene that is shown, anew where other options understand them otherwise."""
+    settings = bpy.context.scene.physhdr
+    if not settings.photos or why_not(current.state, "look"):
+        return
+    folder, options = bpy.path.abspath(settings.photos), look_options(settings.photos_handheld)
+    if (folder, options) != (current.state.photos.folder, current.state.photos.options):
+        current.look_at_photos(folder, options)
 
 
 def _follow_lights(current: Session) -> None:

@@ -3,7 +3,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import bpy
 
@@ -13,6 +13,10 @@ from . import changes
 from .blender import layout_of
 from .paths import PACKAGE, user_folder
 
+if TYPE_CHECKING:
+    from bpy.stub_internal.rna_enums import PropertyFlagItems
+
+RELATIVE: "set[PropertyFlagItems]" = {"PATH_SUPPORTS_BLEND_RELATIVE"}
 #: The property of a scene that holds its ``PHYSHDR_Settings``.
 SETTINGS = "physhdr"
 #: As Blender lists them: name, label, description.
@@ -123,6 +127,34 @@ class PHYSHDR_Settings(bpy.types.PropertyGroup):
     )
     out: bpy.props.StringProperty(
         name="Run", subtype="DIR_PATH", description="Folder for the trained model, its checkpoint and logs"
+    )
+    photos: bpy.props.StringProperty(
+        name="Photos",
+        subtype="DIR_PATH",
+        options=RELATIVE,
+        description="Folder of your photos; nothing in it is changed",
+    )
+    photos_out: bpy.props.StringProperty(
+        name="Data Set",
+        subtype="DIR_PATH",
+        options=RELATIVE,
+        description="Folder for the data set that is made of the photos",
+    )
+    photos_handheld: bpy.props.BoolProperty(
+        name="Hand-Held",
+        description="The photos of a bracket were not taken from exactly one place: each is placed by itself",
+    )
+    photos_borrow_poses: bpy.props.BoolProperty(
+        name="Borrow Places",
+        description="A photo that is too dark or too bright to be placed takes its bracket's place",
+    )
+    photos_width: bpy.props.IntProperty(
+        name="Width at Most",
+        default=1600,
+        min=0,
+        max=20_000,
+        subtype="PIXEL",
+        description="Pictures of the data set are no wider than this; 0: as wide as the photos",
     )
     preset: bpy.props.EnumProperty(name="Method", items=PRESETS)
     iterations: bpy.props.IntProperty(

@@ -11,8 +11,8 @@ from .. import settings
 from ..blender import layout_of
 from ..paths import ROOT
 from ..runtime import session
-from ..session.pythons import find_pythons, working_python
-from ..session.state import CHECK, DATASET, INSTALL, Dismissed, PythonChosen
+from ..session.pythons import base_of, find_pythons, is_ours, working_python
+from ..session.state import CHECK, DATASET, INSTALL, LOOK, PHOTOS, Dismissed, PythonChosen
 from .base import PhysHDROperator, report_task
 
 INSTALL_SCRIPT = ROOT / "addon" / "scripts" / "install_backend.py"
@@ -67,15 +67,39 @@ class PHYSHDR_OT_backend_install(PhysHDROperator):
             )
             self.report({"ERROR"}, f"{what}: install one from python.org and choose it here")
             return {"CANCELLED"}
+        how = ["--torch", self.torch, *(["--fresh"] if self.fresh else [])]
+        return install(self, python, how, self.wait, "The backend is installed")
+
+
+class PHYSHDR_OT_backend_extend(PhysHDROperator):
+    """Install what the backend's environment lacks of this version's packages; torch and all that is there
+    already is kept, and not downloaded again"""
+
+    bl_idname = "physhdr.backend_extend"
+    bl_label = "Add What Is Missing"
+    action = "extend"
+
+    wait: bpy.props.BoolProperty(default=bpy.app.background, options={"HIDDEN", "SKIP_SAVE"})
+
+    def run(self, context: bpy.types.Context) -> set[str]:
         current = session()
-        command = [str(python), str(INSTALL_SCRIPT), "--target", str(current.home)]
-        command += ["--launcher", str(current.launcher), "--torch", self.torch]
-        command += ["--fresh"] if self.fresh else []
-        current.start_task(INSTALL, command, current.home / "install.log", current.environment())
-        if not self.wait:
-            return {"FINISHED"}
-        current.wait(lambda state: state.task(INSTALL) is None, INSTALL_SECONDS)
-        return report_task(self, "The backend is installed")
+        python = base_of(current.state.backend.python)
+        if python is None or not is_ours(current.home, current.state.backend.python):
+            self.report({"ERROR"}, f"{current.state.backend.python} was not installed here: add to it by pip")
+            return {"CANCELLED"}
+        return install(self, python, ["--extend"], self.wait, "The backend is complete")
+
+
+def install(operator: PhysHDROperator, python: Path, how: list[str], wait: bool, success: str) -> set[str]:
+    """Start the installer by ``python``; with ``wait``, report how it ended."""
+    current = session()
+    command = [str(python), str(INSTALL_SCRIPT), "--target", str(current.home)]
+    command += ["--launcher", str(current.launcher), *how]
+    current.start_task(INSTALL, command, current.home / "install.log", current.environment())
+    if not wait:
+        return {"FINISHED"}
+    current.wait(lambda state: state.task(INSTALL) is None, INSTALL_SECONDS)
+    return report_task(operator, success)
 
 
 class PHYSHDR_OT_backend_use(PhysHDROperator):
@@ -141,6 +165,8 @@ class PHYSHDR_OT_task_cancel(bpy.types.Operator):
             (INSTALL, "Installation", "The installation of the backend"),
             (CHECK, "Check", "The check of the backend"),
             (DATASET, "Data Set", "The rendering of a data set"),
+            (LOOK, "Look", "The look at a folder of photos"),
+            (PHOTOS, "Photos", "The preparation of photos"),
         ],
     )
 
@@ -211,6 +237,7 @@ class PHYSHDR_OT_problem_dismiss(bpy.types.Operator):
 
 _CLASSES = (
     PHYSHDR_OT_backend_install,
+    PHYSHDR_OT_backend_extend,
     PHYSHDR_OT_backend_use,
     PHYSHDR_OT_backend_check,
     PHYSHDR_OT_task_cancel,

@@ -16,14 +16,21 @@ CHECKPOINT_FILE = "checkpoint.safetensors"
 def choices(context: bpy.types.Context) -> Choices:
     """What is chosen in the scene's settings, as far as it decides what can be done."""
     settings = context.scene.physhdr
-    out = bpy.path.abspath(settings.out) if settings.out else ""
+    out = folder_of(settings.out)
     return Choices(
-        data=bpy.path.abspath(settings.data) if settings.data else "",
+        data=folder_of(settings.data),
         out=out,
         out_has_run=has_run(out),
         online=bpy.app.online_access,
         preview=settings.preview,
+        photos=folder_of(settings.photos),
+        photos_out=folder_of(settings.photos_out),
     )
+
+
+def folder_of(chosen: str) -> str:
+    """A setting's folder as a whole path; empty where none is chosen."""
+    return bpy.path.abspath(chosen) if chosen else ""
 
 
 def has_run(folder: str) -> bool:
@@ -44,7 +51,14 @@ class PhysHDROperator(bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        given = Choices(data="given", out="given", out_has_run=True, online=bpy.app.online_access)
+        given = Choices(
+            data="given",
+            out="given",
+            out_has_run=True,
+            online=bpy.app.online_access,
+            photos="given",
+            photos_out="given",
+        )
         reason = why_not(session().state, cls.action, given)
         if reason:
             cls.poll_message_set(reason)

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import bpy
 
@@ -23,10 +23,8 @@ from ..dataset_summary import summarise
 from ..paths import ROOT
 from ..runtime import session
 from ..session.state import DATASET
+from ..settings import RELATIVE
 from .base import PhysHDROperator
-
-if TYPE_CHECKING:
-    from bpy.stub_internal.rna_enums import PropertyFlagItems
 
 SCRIPT = ROOT / "synth" / "make_scene.py"
 #: Seconds that scripts wait for a data set.
@@ -39,7 +37,6 @@ AUTOMATIC = {
     "rig_height": "Grid Height",
     "resolution_y": "Height",
 }
-RELATIVE: "set[PropertyFlagItems]" = {"PATH_SUPPORTS_BLEND_RELATIVE"}
 
 RIGS = [
     ("GRID", "Grid", "A flat grid around your camera, facing the scene"),

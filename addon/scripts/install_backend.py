@@ -4,7 +4,9 @@
     python install_backend.py --target FOLDER --launcher EXTENSION/backend/launch.py --torch cpu
 
 The environment is made under a name that says what is in it, and is complete or not used at all; others are
-removed when it is. Says how far it is as one JSON object a line (addon/session/task.py).
+removed when it is. Where another version's is there, of the same Python and the same build of torch, the new
+one begins as its copy, by hard links: only what it lacks is downloaded, and the old one serves until then.
+Says how far it is as one JSON object a line (addon/session/task.py).
 
 What is installed is what the extension's locks name, file by file (EXTENSION/locks, tools/lock.py): pip
 refuses whatever has another SHA-256, and builds nothing. From where, is the user's own setting of pip, but
@@ -30,6 +32,8 @@ STAMP = "physhdr-complete.json"
 PREFIX = "environment-"
 #: Bytes that an environment needs, unpacking included: measured 1.2 GB with torch for the CPU.
 SPACE = {"cpu": 3 << 30, "cuda": 12 << 30, "pip": 3 << 30}
+#: Bytes for what is added to a copy.
+SPACE_ADDED = 1 << 30
 #: The index that torch alone is taken from; none for the user's own. The locked hashes are of these builds.
 TORCH_INDEX = {
     "cpu": "https://download.pytorch.org/whl/cpu",
@@ -113,9 +117,11 @@ def main() -> int:
     parser.add_argument("--launcher", type=Path, required=True)
     parser.add_argument("--torch", choices=tuple(TORCH_INDEX), default="cpu")
     parser.add_argument("--fresh", action="store_true", help="make it anew even if it is complete")
+    parser.add_argument("--extend", action="store_true", help="add what the environment that is there lacks")
     options = parser.parse_args()
     try:
-        python = install(options.target, options.launcher, options.torch, options.fresh)
+        torch = torch_there(options.target) if options.extend else options.torch
+        python = install(options.target, options.launcher, torch, options.fresh)
         return check(python, options.launcher)
     except InstallError as error:
         say(error={"code": "install_failed", "message": error.message, "hint": error.hint})
@@ -144,15 +150,20 @@ def install(target: Path, launcher: Path, torch: str, fresh: bool) -> Path:
         say(progress=COMPLETE, message="the environment is there already")
         return python
     target.mkdir(parents=True, exist_ok=True)
-    free = shutil.disk_usage(target).free
-    if free < SPACE[torch]:
+    former = None if fresh else extensible(target, torch)
+    free, needed = shutil.disk_usage(target).free, SPACE_ADDED if former else SPACE[torch]
+    if free < needed:
         raise InstallError(
-            f"{target} has {free / 1e9:.1f} GB free; the backend needs {SPACE[torch] / 1e9:.0f} GB",
+            f"{target} has {free / 1e9:.1f} GB free; the backend needs {needed / 1e9:.0f} GB",
             "Free some space, or set another folder in the extension's preferences.",
         )
     try:
-        say(progress=0.01, message=f"making an environment with {sys.executable}")
-        venv.EnvBuilder(with_pip=True, clear=True, symlinks=os.name != "nt").create(folder)
+        if former:
+            say(progress=0.01, message="taking over the environment that is there")
+            take_over(former, folder)
+        else:
+            say(progress=0.01, message=f"making an environment with {sys.executable}")
+            venv.EnvBuilder(with_pip=True, clear=True, symlinks=os.name != "nt").create(folder)
         pip_install(python, [locks / name for name in LOCKS[torch]], 0.03, PACKAGES_DONE)
         torch_install(python, locks / TORCH_LOCK, TORCH_INDEX[torch])
         complete(python, locks / CUDA_LOCK)
@@ -164,6 +175,63 @@ def install(target: Path, launcher: Path, torch: str, fresh: bool) -> Path:
         if other != folder:
             shutil.rmtree(other, ignore_errors=True)
     return python
+
+
+def stamp_of(folder: Path) -> list[str]:
+    """What a complete environment says of itself: its locks, build of torch, Python and that one's place."""
+    try:
+        stamp = json.loads((folder / STAMP).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return []
+    return stamp if isinstance(stamp, list) and len(stamp) == 4 else []
+
+
+def extensible(target: Path, torch: str) -> Path | None:
+    """A complete environment of this Python with that build of torch, of whatever locks: the newest."""
+    like = [torch, sys.version, sys.base_prefix]
+    found = [folder for folder in target.glob(PREFIX + "*") if stamp_of(folder)[1:] == like]
+    return max(found, key=lambda folder: (folder / STAMP).stat().st_mtime, default=None)
+
+
+def torch_there(target: Path) -> str:
+    """The build of torch of the complete environment that this Python made; raises ``InstallError``."""
+    for torch in TORCH_INDEX:
+        if extensible(target, torch):
+            return torch
+    raise InstallError(
+        f"there is no complete environment of Python {sys.version.split()[0]} in {target}",
+        "Install the backend again.",
+    )
+
+
+def take_over(former: Path, folder: Path) -> None:
+    """Make ``folder`` a copy of an environment: its files by hard links, for none is ever changed in place.
+
+    pip replaces files, and so does what is written anew here: the stamp, which comes when all is there, and
+    the scripts that name the former's place.
+    """
+    shutil.rmtree(folder, ignore_errors=True)
+    shutil.copytree(
+        former, folder, symlinks=True, ignore=shutil.ignore_patterns(STAMP), copy_function=link_or_copy
+    )
+    was, now = os.fsencode(former), os.fsencode(folder)
+    for script in (folder / ("Scripts" if os.name == "nt" else "bin")).iterdir():
+        if script.is_symlink() or not script.is_file() or script.suffix == ".exe":
+            continue
+        content = script.read_bytes()
+        if was in content:
+            mode = script.stat().st_mode
+            script.unlink()
+            script.write_bytes(content.replace(was, now))
+            script.chmod(mode)
+
+
+def link_or_copy(source: str, target: str) -> None:
+    """A hard link; a copy on a disk that knows none."""
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copy2(source, target)
 
 
 def read_lock(path: Path) -> str:

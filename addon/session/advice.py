@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the panel says of the state: how things are, what to do next, why a button is greyed. Pure."""
 
+import os
 from dataclasses import dataclass
 
-from .state import CHECK, DATASET, INSTALL, Problem, State
+from .state import CHECK, DATASET, INSTALL, LOOK, PHOTOS, Problem, State
 
 #: What the state of a job is called, for people.
 JOB_WORDS = {
@@ -28,6 +29,8 @@ class Choices:
     out_has_run: bool = False
     online: bool = True
     preview: bool = False
+    photos: str = ""
+    photos_out: str = ""
 
 
 def headline(state: State) -> str:
@@ -35,8 +38,13 @@ def headline(state: State) -> str:
     for name, words in ((INSTALL, "Installing the backend"), (CHECK, "Checking the backend")):
         if state.task(name):
             return words
-    if state.task(DATASET) and not state.active:
-        return "Rendering the data set"
+    for name, words in (
+        (DATASET, "Rendering the data set"),
+        (LOOK, "Looking at the photos"),
+        (PHOTOS, "Preparing the photos"),
+    ):
+        if state.task(name) and not state.active:
+            return words
     if not state.backend.ready:
         return "The backend failed its check" if state.backend.problem else "No backend yet"
     if state.link.problem:
@@ -54,14 +62,18 @@ def next_step(state: State, choices: Choices) -> str:
     if state.task(INSTALL) or state.task(CHECK):
         return ""
     if not state.backend.ready:
+        if state.backend.incomplete:
+            return "Add what is missing, or use another Python"
         if state.backend.problem:
             return "See its log, then install it again or use another Python"
         return "Install the backend, or use a Python that has torch"
-    if state.task(DATASET):
+    if state.task(DATASET) or state.task(LOOK) or state.task(PHOTOS):
         return ""
     job = state.job
     if state.link.problem and job.failure:
         return "Resume the training" if job.saved_iteration else "Start the training again"
+    if not state.active and choices.photos and state.photos.folder:
+        return "Choose another folder of photos" if state.photos.problem else "Prepare the photos"
     match job.state:
         case "preparing" | "stopping":
             return ""
@@ -71,11 +83,16 @@ def next_step(state: State, choices: Choices) -> str:
             return "Continue, or stop"
         case "failed":
             return job.failure.hint if job.failure and job.failure.hint else "See the log"
-        case "finished" | "stopped" | "open":
+        case "finished" | "stopped" | "open" if _is_of(job.data, choices.data):
             return "Import the result into the scene"
     if not state.dataset.folder or state.dataset.problem:
-        return "Choose a data set, or render one from this scene"
+        return "Prepare photos, render a data set from this scene, or choose one"
     return "Resume the training" if choices.out_has_run else "Start the training"
+
+
+def _is_of(data: str, chosen: str) -> bool:
+    """Whether a job's data set is the one that is chosen, as far as both are known."""
+    return not data or not chosen or os.path.normpath(data) == os.path.normpath(chosen)
 
 
 def problem_of(state: State) -> Problem | None:
@@ -101,6 +118,10 @@ def why_not(state: State, action: str, choices: Choices | None = None) -> str:
             if not choices.online:
                 return "Blender may not go online: Preferences, System, Network, Allow Online Access"
             return "Stop the training first" if state.active else ""
+        case "extend":
+            if not state.backend.python:
+                return "Install the backend first"
+            return why_not(state, "install", choices)
         case "check" | "use_python":
             if busy:
                 return f"Wait for the {busy} to end, or cancel it"
@@ -135,6 +156,10 @@ def why_not(state: State, action: str, choices: Choices | None = None) -> str:
             return "This Blender is in control already" if state.job.in_control else ""
         case "render":
             return "A data set is being rendered" if state.task(DATASET) else ""
+        case "look":
+            return _why_not_photos(state, busy)
+        case "photos":
+            return _why_not_photos(state, busy) or _why_not_prepare(state, choices)
     raise ValueError(f"there is no action {action!r}")
 
 
@@ -145,6 +170,28 @@ def _why_not_steer(state: State) -> str:
         who = state.job.controller or "another Blender"
         return f"{who} is in control: take control first"
     return ""
+
+
+def _why_not_photos(state: State, busy: str) -> str:
+    if busy:
+        return f"Wait for the {busy} to end"
+    if not state.backend.ready:
+        return "Install the backend, or use an existing Python, first: it prepares photos"
+    if state.task(LOOK):
+        return "The photos are being looked at"
+    return "Photos are being prepared" if state.task(PHOTOS) else ""
+
+
+def _why_not_prepare(state: State, choices: Choices) -> str:
+    if state.backend.missing is None:
+        return "Check the backend first: this version needs packages that were not looked for"
+    if state.backend.missing:
+        return f"The backend lacks {', '.join(state.backend.missing)}: add what is missing"
+    if not choices.photos:
+        return "Choose the folder of your photos"
+    if state.photos.folder == choices.photos and state.photos.problem:
+        return state.photos.problem.message
+    return "" if choices.photos_out else "Choose a folder for the data set"
 
 
 def _why_not_train(state: State, action: str, choices: Choices, busy: str) -> str:

@@ -2,6 +2,7 @@
 """Pythons on this machine that a backend could be made of. No bpy."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -12,6 +13,8 @@ from pathlib import Path
 #: The trainer needs 3.11; preferred are versions for which torch and Numba have had wheels for long.
 PREFERRED = ("3.12", "3.11", "3.13", "3.14")
 MINIMUM = (3, 11)
+#: How the folder of an environment of ours begins (addon/scripts/install_backend.py).
+ENVIRONMENT = "environment-"
 _PROBE = "import sys, venv, ensurepip; print('%d.%d' % sys.version_info[:2], sys.executable)"
 
 
@@ -40,6 +43,24 @@ def working_python(candidate: str) -> Path | None:
         return None
     numbers = tuple(int(part) for part in version.split("."))
     return Path(executable) if numbers >= MINIMUM else None
+
+
+def is_ours(home: Path, python: str) -> bool:
+    """Whether ``python`` is of an environment that *Install…* made in the backend's folder."""
+    path = Path(python)
+    return python != "" and any(
+        parent.parent == home and parent.name.startswith(ENVIRONMENT) for parent in path.parents
+    )
+
+
+def base_of(python: str) -> Path | None:
+    """The interpreter of which an environment was made, by its own words; None where it is none."""
+    try:
+        text = (Path(python).parent.parent / "pyvenv.cfg").read_text(encoding="utf-8")
+    except (OSError, ValueError):
+        return None
+    entries = dict(re.findall(r"^(\w+)\s*=\s*(.*?)\s*$", text, re.MULTILINE))
+    return working_python(entries["executable"]) if "executable" in entries else None
 
 
 def _candidates(version: str) -> Iterator[str]:

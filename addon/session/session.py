@@ -19,8 +19,10 @@ from ...bridge.errors import FileDamagedError, FileMissingError, OutputError, Ph
 from ...bridge.messages import PreviewFrame, PreviewRequest, Request, WhenClosed
 from ..dataset_summary import summarise
 from .client import Client, PreviewRefused
+from .photos import look_command
 from .process import clean_environment, is_alive, kill, open_log, spawn
 from .state import (
+    LOOK,
     Asked,
     Connect,
     Connected,
@@ -32,6 +34,7 @@ from .state import (
     KeepReport,
     KillBackend,
     LinkLost,
+    PhotosChosen,
     Problem,
     ProcessEnded,
     PythonChosen,
@@ -127,6 +130,15 @@ class Session:
         else:
             dataset = Dataset(folder, tuple(summary.lines), tuple(summary.warnings))
         self.dispatch(DatasetChosen(dataset))
+
+    def look_at_photos(self, folder: str, options: tuple[str, ...]) -> None:
+        """Let the backend look at a folder of photos; what it understands comes into the state."""
+        command = self.backend_command(*look_command(folder, options))
+        self.dispatch(PhotosChosen(folder, options))
+        try:
+            self.start_task(LOOK, command, self.home / "look.log", self.environment())
+        except OutputError as error:
+            self.dispatch(TaskEnded(LOOK, ok=False, message=error.message, hint=error.hint))
 
     def request_preview(self, request: PreviewRequest) -> bool:
         """Ask for a picture; False where there is nobody to ask."""

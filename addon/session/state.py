@@ -19,7 +19,9 @@ from ...bridge.messages import (
 )
 from .task import TaskEnded, TaskProgress
 
-INSTALL, CHECK, DATASET = "install", "check", "dataset"
+INSTALL, CHECK, DATASET, LOOK, PHOTOS = "install", "check", "dataset", "look", "photos"
+#: Of the check's error where a package that training needs is not installed (backend/cli/findings.py).
+MISSING_MODULE = "missing_module"
 
 
 @dataclass(frozen=True)
@@ -33,7 +35,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Running:
-    """A child process at work: installing, checking, rendering a data set."""
+    """A child process at work: installing, checking, making a data set, looking at photos."""
 
     name: str
     log: str
@@ -45,15 +47,28 @@ class Running:
 
 @dataclass(frozen=True)
 class Backend:
-    """The trainer's Python, and what the last check of it found. ``report``: {} until it passed one."""
+    """The trainer's Python, and what the last check of it found. ``report``: {} until it passed one.
+
+    ``incomplete``: it failed for a package that is not installed.
+    """
 
     python: str = ""
     report: dict[str, Any] = field(default_factory=dict)
     problem: Problem | None = None
+    incomplete: bool = False
 
     @property
     def ready(self) -> bool:
         return bool(self.python and self.report)
+
+    @property
+    def missing(self) -> tuple[str, ...] | None:
+        """What photos need and the check did not find, as pip takes it; None where nobody has looked.
+
+        An older version's check did not look for it.
+        """
+        told = self.report.get("missing")
+        return tuple(map(str, told)) if isinstance(told, list) else None
 
 
 LinkStatus = Literal["off", "starting", "connecting", "connected"]
@@ -86,6 +101,31 @@ class Dataset:
 
 
 @dataclass(frozen=True)
+class Photos:
+    """A folder of photos that was looked at, before the long work: what was understood of it.
+
+    ``options``: what it was looked at with, as ``look_options`` gives them. ``seconds``: how long preparing
+    will take, negative where unknown. Empty and without a problem: it is being looked at.
+    """
+
+    folder: str = ""
+    options: tuple[str, ...] = ()
+    lines: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    seconds: float = -1.0
+    problem: Problem | None = None
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What came of the photos that were prepared last: the data set's folder, and what is worth a word."""
+
+    folder: str = ""
+    lines: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class State:
     """The whole of it.
 
@@ -101,6 +141,8 @@ class State:
     job: JobStatus = field(default_factory=JobStatus)
     history: History = field(default_factory=History)
     dataset: Dataset = Dataset()
+    photos: Photos = Photos()
+    prepared: Prepared = Prepared()
     waiting: tuple[Request, ...] = ()
     beginning: TrainStart | TrainResume | RunOpen | None = None
     stopping: bool = False
@@ -217,6 +259,14 @@ class DatasetChosen:
 
 
 @dataclass(frozen=True)
+class PhotosChosen:
+    """Another folder of photos, or other options: it is looked at anew. No folder: none is wanted."""
+
+    folder: str
+    options: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
 class Dismissed:
     """The user has read the problem."""
 
@@ -238,6 +288,7 @@ Event = (
     | Received
     | Refused
     | DatasetChosen
+    | PhotosChosen
     | Dismissed
 )
 
@@ -277,7 +328,7 @@ class KeepReport:
 
 @dataclass(frozen=True)
 class SummariseDataset:
-    """Look at a data set that has just been rendered."""
+    """Look at a data set that has just been made."""
 
     folder: str
 

@@ -36,7 +36,7 @@ class TaskProgress:
 
 @dataclass(frozen=True)
 class TaskEnded:
-    """It ended. ``ok``: its exit status was 0. ``cancelled``: because somebody asked."""
+    """It ended. ``ok``: with status 0. ``cancelled``: because somebody asked. ``code``: the error's."""
 
     task: str
     ok: bool
@@ -44,6 +44,7 @@ class TaskEnded:
     message: str = ""
     hint: str = ""
     result: dict[str, Any] = field(default_factory=dict)
+    code: str = ""
 
 
 TaskEvent = TaskProgress | TaskEnded
@@ -123,7 +124,8 @@ class ChildTask:
             ended = f"ended by signal {-status}" if status < 0 else f"ended with status {status}"
             message = f"{self.name} {ended}" + (f": {last[-1]}" if last else "")
         hint = str(error.get("hint", "")) or (f"The log is {self.log}" if status else "")
-        self._events.put(TaskEnded(self.name, status == 0, self._cancelled, message, hint, result))
+        code = str(error.get("code", ""))
+        self._events.put(TaskEnded(self.name, status == 0, self._cancelled, message, hint, result, code))
 
 
 def _json_line(line: str) -> Any:

@@ -21,10 +21,14 @@ from ...bridge.messages import (
     TrainStop,
     Welcome,
 )
+from .photos import prepared, understood
 from .state import (
     CHECK,
     DATASET,
     INSTALL,
+    LOOK,
+    MISSING_MODULE,
+    PHOTOS,
     QUIET_REQUESTS,
     Asked,
     Backend,
@@ -39,6 +43,9 @@ from .state import (
     KillBackend,
     Link,
     LinkLost,
+    Photos,
+    PhotosChosen,
+    Prepared,
     Problem,
     ProcessEnded,
     PythonChosen,
@@ -67,7 +74,8 @@ def transition(state: State, event: Event) -> Result:
             return replace(state, backend=Backend(python, report)), ()
         case TaskStarted(name, log):
             tasks = (*_others(state, name), Running(name, log))
-            return replace(state, tasks=tasks, problem=None), ()
+            made = Prepared() if name == PHOTOS else state.prepared
+            return replace(state, tasks=tasks, prepared=made, problem=None), ()
         case TaskProgress(name, fraction, message, left):
             return _with_task(state, name, fraction=fraction, message=message, seconds_left=left), ()
         case TaskCancelled(name):
@@ -107,6 +115,8 @@ def transition(state: State, event: Event) -> Result:
             return replace(state, problem=problem), ()
         case DatasetChosen(dataset):
             return replace(state, dataset=dataset), ()
+        case PhotosChosen(folder, options):
+            return replace(state, photos=Photos(folder, options)), ()
         case Dismissed():
             state = replace(state, problem=None, read=state.job.failure)
             link, backend = replace(state.link, problem=None), replace(state.backend, problem=None)
@@ -130,18 +140,29 @@ def _task_ended(state: State, event: TaskEnded) -> Result:
     log = task.log if task else ""
     state = replace(state, tasks=_others(state, event.task))
     if event.cancelled:
-        return state, ()
+        # Nobody knows what is in a folder at which the look was broken off.
+        return (replace(state, photos=Photos()) if event.task == LOOK else state), ()
     problem = None if event.ok else Problem(event.message, event.hint, log)
     match event.task:
         case name if name in (INSTALL, CHECK):
             python = str(event.result.get("environment") or state.backend.python)
             if problem:
-                return replace(state, backend=replace(state.backend, report={}, problem=problem)), ()
+                incomplete = event.task == CHECK and event.code == MISSING_MODULE
+                backend = replace(state.backend, report={}, problem=problem, incomplete=incomplete)
+                return replace(state, backend=backend), ()
             state = replace(state, backend=Backend(python, event.result))
             return state, (KeepReport(python, event.result),)
         case name if name == DATASET:
             folder = str(event.result.get("folder", ""))
             return replace(state, problem=problem), (SummariseDataset(folder),) if folder else ()
+        case name if name == LOOK:
+            if problem:  # it stands beside the folder's name, not above everything
+                return replace(state, photos=replace(state.photos, problem=problem)), ()
+            return replace(state, photos=understood(state.photos, event.result)), ()
+        case name if name == PHOTOS and not problem:
+            made = prepared(event.result)
+            effects = (SummariseDataset(made.folder),) if made.folder else ()
+            return replace(state, photos=Photos(), prepared=made), effects
     return replace(state, problem=problem), ()
 
 

@@ -19,6 +19,8 @@ from .findings import CheckFailedError, Findings, MissingModuleError
 
 #: What a requirement is imported as, where its name differs.
 MODULES = {"pillow": "PIL"}
+#: The extra that physhdr prepare needs: what is missing of it is told, and no reason not to train.
+PHOTOS = "prepare"
 #: Where in the whole the parts end, for the bar.
 IMPORTED, KERNELS_READY = 0.3, 0.9
 
@@ -65,12 +67,19 @@ def check(tell: Callable[[float, str], None]) -> Findings:
     findings = Findings(version=version())
     with findings.timed("imports"):
         wanted = requirements()
+        for_photos = [each for each in requirements(PHOTOS) if each not in wanted]
         for done, requirement in enumerate(wanted):
             name = _name_of(requirement)
             tell(IMPORTED * done / len(wanted), f"importing {name}")
             findings.versions[name] = _imported(name, requirement)
             if not _fits(findings.versions[name], requirement):
                 findings.warnings.append(f"{name} {findings.versions[name]} was not tested: {requirement}")
+        for requirement in for_photos:
+            try:
+                findings.versions[_name_of(requirement)] = _imported(_name_of(requirement), requirement)
+            except MissingModuleError as error:
+                findings.missing.append(requirement)
+                findings.warnings.append(f"photos cannot be prepared: {error.message}")
     _listen()
     from . import trial_step  # torch and all the rest of ours
 

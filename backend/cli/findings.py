@@ -24,7 +24,10 @@ class CheckFailedError(PhysHDRError):
 
 @dataclass
 class Findings:
-    """What the check found; grows while it runs. ``seconds``: by part."""
+    """What the check found; grows while it runs. ``seconds``: by part.
+
+    ``missing``: requirements of ``physhdr prepare`` that cannot be imported; training does without them.
+    """
 
     python: str = platform.python_version()
     executable: str = sys.executable
@@ -34,6 +37,7 @@ class Findings:
     why: str = ""
     loss: float = 0.0
     gaussians: int = 0
+    missing: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
 

@@ -100,7 +100,7 @@ def place(tmp_path, empty):
             ]
             (self.extension / "locks" / name).write_text("# a lock\n" + "".join(lines))
 
-        def install(self, torch: str = "cpu", **environment: str) -> tuple[int, list[dict], str]:
+        def install(self, torch: str = "cpu", *more: str, **environment: str) -> tuple[int, list[dict], str]:
             """The status, the lines for the panel, and all that was written."""
             patched = (
                 "import runpy, sys\n"
@@ -123,7 +123,10 @@ def place(tmp_path, empty):
             launcher = str(self.extension / "backend" / "launch.py")
             command = [sys.executable, "-c", patched, "--target", str(self.target), "--launcher", launcher]
             done = subprocess.run(
-                [*command, "--torch", torch], capture_output=True, text=True, env={**clean, **environment}
+                [*command, "--torch", torch, *more],
+                capture_output=True,
+                text=True,
+                env={**clean, **environment},
             )
             said = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
             return done.returncode, said, done.stdout + done.stderr
@@ -146,6 +149,10 @@ def place(tmp_path, empty):
     yield made
     for index in made.indexes.values():
         index.server.shutdown()
+
+
+def head(path: Path) -> bytes:
+    return path.read_bytes()[:4096]
 
 
 def environments(place) -> list[Path]:
@@ -171,6 +178,67 @@ def test_torch_comes_from_pytorchs_index_alone_and_all_else_by_the_users_setting
         file.write("# renewed\n")
     assert place.install()[0] == 0
     assert len(environments(place)) == 1 and environments(place) != [made]
+
+
+def test_what_a_new_version_needs_is_added_and_torch_is_not_downloaded_again(place):
+    """As an environment of before photos were prepared in Blender: pycolmap is new, the rest is there."""
+    assert place.install()[0] == 0
+    [former] = environments(place)
+    kept = former / next(path.relative_to(former) for path in former.rglob("torch.py"))
+    inode = kept.stat().st_ino
+    new = wheel(place.root / "mine", "pycolmap", "1.0", requires=("first",))
+    place.lock("backend.txt", **{k: v for k, v in place.hashes.items() if k != "torch"}, pycolmap=new)
+    for index in place.indexes.values():
+        index.asked.clear()
+    # With everything but the new package gone from everywhere.
+    for name in ("mine/first", "mine/second", "mine/torch", "pytorch/torch"):
+        (place.root / f"{name}-1.0-py3-none-any.whl").unlink()
+    status, said, log = place.install("cpu", "--extend")
+    assert status == 0, log
+    [extended] = environments(place)
+    assert extended != former and said[-1]["result"]["versions"]["pycolmap"] == "1.0"
+    assert said[-1]["result"]["torch"] == "pytorch"
+    asked = set().union(*(index.asked for index in place.indexes.values()))
+    assert asked == {"pycolmap"}
+    assert (extended / kept.relative_to(former)).stat().st_ino == inode  # not even copied
+    # It is whole by itself: scripts name its own place.
+    scripts = extended / ("Scripts" if os.name == "nt" else "bin")
+    assert not [path for path in scripts.glob("*") if path.is_file() and os.fsencode(former) in head(path)]
+    assert subprocess.run([scripts / "pip", "--version"], capture_output=True).returncode == 0
+    # Without --extend, too; and there is nothing left to do.
+    assert place.install()[0] == 0 and environments(place) == [extended]
+
+
+def test_an_extension_that_fails_leaves_the_former_environment_as_it_was(place):
+    assert place.install()[0] == 0
+    [former] = environments(place)
+    before = {path: (path.stat().st_mtime_ns, path.stat().st_size) for path in former.rglob("*.py")}
+    wheel(place.root / "mine", "pycolmap", "1.0")
+    place.lock("backend.txt", first=place.hashes["first"], pycolmap="0" * 64)
+    status, said, _ = place.install("cpu", "--extend", PIP_EXTRA_INDEX_URL="")
+    assert status == 1 and "pycolmap" in said[-1]["error"]["message"]
+    assert environments(place) == [former] and (former / "physhdr-complete.json").exists()
+    assert before == {path: (path.stat().st_mtime_ns, path.stat().st_size) for path in former.rglob("*.py")}
+
+
+def test_an_environment_of_another_build_or_python_is_not_taken_over(place):
+    assert place.install()[0] == 0
+    [former] = environments(place)
+    stamp = former / "physhdr-complete.json"
+    content = json.loads(stamp.read_text())
+    for index, other in ((1, "cuda"), (2, "3.11.0 (another)"), (3, "/elsewhere")):
+        stamp.write_text(json.dumps([*content[:index], other, *content[index + 1 :]]))
+        with open(place.extension / "locks" / "backend.txt", "a") as file:
+            file.write("# renewed\n")
+        place.indexes["pytorch"].asked.clear()
+        status, _, log = place.install()
+        assert status == 0, log
+        assert place.indexes["pytorch"].asked == {"torch"}
+        [former] = environments(place)
+        stamp = former / "physhdr-complete.json"
+    stamp.unlink()
+    status, said, _ = place.install("cpu", "--extend")
+    assert status == 1 and "no complete environment" in said[-1]["error"]["message"]
 
 
 @pytest.mark.parametrize("name", ["second", "torch"])

@@ -3,6 +3,8 @@
 
 from dataclasses import replace
 
+import pytest
+
 from physhdr.addon.session.advice import Choices, headline, next_step, problem_of, why_not
 from physhdr.addon.session.state import (
     Asked,
@@ -15,6 +17,10 @@ from physhdr.addon.session.state import (
     KeepReport,
     KillBackend,
     LinkLost,
+    Photos,
+    PhotosChosen,
+    Prepared,
+    Problem,
     ProcessEnded,
     PythonChosen,
     Received,
@@ -112,6 +118,93 @@ def test_a_rendered_data_set_is_looked_at():
     state, _ = after(READY, TaskStarted("dataset", "log"))
     _, effects = after(state, TaskEnded("dataset", True, result={"folder": "/data"}))
     assert effects == [SummariseDataset("/data")]
+
+
+def test_photos_are_looked_at_and_what_they_became_is_summarised():
+    state, _ = transition(READY, PhotosChosen("/photos", ("--handheld",)))
+    state, _ = transition(state, TaskStarted("look", "/log"))
+    assert headline(state) == "Looking at the photos" and next_step(state, CHOICES) == ""
+    found = {"lines": ["11 photos"], "warnings": ["automatic exposure"], "estimate_seconds": 90}
+    found["skipped"] = [{"name": f"{k}.jpg", "why": "damaged"} for k in range(5)]
+    state, _ = transition(state, TaskEnded("look", True, result=found))
+    photos = state.photos
+    assert (photos.folder, photos.options, photos.lines) == ("/photos", ("--handheld",), ("11 photos",))
+    assert photos.seconds == 90.0 and photos.warnings[:2] == (
+        "automatic exposure",
+        "Left out: 0.jpg, damaged",
+    )
+    assert photos.warnings[-1] == "Left out: 2 more files" and photos.seconds == 90.0
+    chosen = replace(CHOICES, photos="/photos", photos_out="/out")
+    assert next_step(state, chosen) == "Prepare the photos"
+    state, _ = transition(state, TaskStarted("photos", "/log"))
+    assert headline(state) == "Preparing the photos"
+    assert why_not(state, "look") == why_not(state, "photos", chosen) == "Photos are being prepared"
+    result = {"folder": "/out", "lines": ["written"], "warnings": ["left out: 3.jpg"]}
+    done, effects = transition(state, TaskEnded("photos", True, result=result))
+    assert effects == (SummariseDataset("/out"),) and done.photos == Photos()
+    assert done.prepared == Prepared("/out", ("written",), ("left out: 3.jpg",))
+    # Broken off or failed, it leaves what was understood; the next try begins without the former's result.
+    broken, effects = transition(state, TaskEnded("photos", False, cancelled=True))
+    assert broken.photos == photos and not effects and not problem_of(broken)
+    failed, _ = transition(state, TaskEnded("photos", False, message="too few", hint="take more"))
+    assert failed.photos == photos and problem_of(failed) == Problem("too few", "take more", "/log")
+    again, _ = transition(done, TaskStarted("photos", "/log"))
+    assert again.prepared == Prepared()
+
+
+def test_a_failed_look_is_a_problem_of_the_photos_alone():
+    checked = replace(READY, backend=Backend("/env/bin/python", {"missing": []}))
+    state, _ = transition(checked, PhotosChosen("/photos"))
+    state, _ = transition(state, TaskStarted("look", "/log"))
+    failed, _ = transition(state, TaskEnded("look", False, message="no photos there", hint="choose"))
+    problem = Problem("no photos there", "choose", "/log")
+    assert problem_of(failed) is None and failed.photos.problem == problem
+    chosen = replace(CHOICES, photos="/photos")
+    assert next_step(failed, chosen) == "Choose another folder of photos"
+    assert why_not(failed, "photos", chosen) == "no photos there"
+    broken, _ = transition(state, TaskEnded("look", False, cancelled=True))
+    assert broken.photos == Photos()
+
+
+@pytest.mark.parametrize("value", [None, "x", 3, True, [1], {"a": 1}, [{"name": 1}], float("nan")])
+def test_whatever_another_version_says_of_photos_can_be_shown(value):
+    names = ("photos", "places", "lines", "warnings", "skipped", "estimate_seconds", "folder")
+    state, _ = transition(READY, PhotosChosen("/photos"))
+    result = dict.fromkeys(names, value)
+    state, _ = transition(state, TaskEnded("look", True, result=result))
+    assert state.photos.lines and all(isinstance(text, str) for text in state.photos.warnings)
+    assert state.photos.seconds == (3.0 if value == 3 and value is not True else -1.0)
+    state, _ = transition(state, TaskEnded("photos", True, result=result))
+    assert isinstance(state.prepared.folder, str)
+
+
+def test_a_new_data_set_is_trained_before_the_former_result_is_imported():
+    former = replace(
+        READY, job=JobStatus(state="finished", data="/old", run="/run"), dataset=Dataset("/data")
+    )
+    assert next_step(former, CHOICES) == "Start the training"
+    same = replace(former, job=replace(former.job, data="/data/"))
+    assert next_step(same, CHOICES) == "Import the result into the scene"
+
+
+def test_what_a_check_did_not_find_is_told_and_can_be_added():
+    told = {"versions": {"torch": "2.13.0"}, "missing": ["pycolmap>=4.0,<5"]}
+    state, _ = transition(READY, TaskStarted("check", "/log"))
+    lacking, _ = transition(state, TaskEnded("check", True, result=told))
+    chosen = replace(CHOICES, photos="/photos", photos_out="/out")
+    assert lacking.backend.ready and lacking.backend.missing == ("pycolmap>=4.0,<5",)
+    assert why_not(lacking, "photos", chosen).startswith("The backend lacks pycolmap>=4.0,<5")
+    assert why_not(lacking, "start", CHOICES) == ""  # training does without it
+    complete, _ = transition(state, TaskEnded("check", True, result={**told, "missing": []}))
+    assert why_not(complete, "photos", chosen) == ""
+    assert READY.backend.missing is None  # an older version's check did not look
+    assert why_not(READY, "photos", chosen).startswith("Check the backend first")
+    error = TaskEnded("check", False, message="no module x", hint="install it", code="missing_module")
+    failed, _ = transition(state, error)
+    assert failed.backend.incomplete and not failed.backend.ready
+    assert next_step(failed, CHOICES) == "Add what is missing, or use another Python"
+    assert why_not(failed, "extend", replace(CHOICES, online=False)).startswith("Blender may not go online")
+    assert why_not(State(), "extend") == "Install the backend first"
 
 
 def test_a_training_starts_the_backend_waits_for_it_and_is_then_sent():

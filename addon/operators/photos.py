@@ -1,0 +1,234 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Operators for photos: look at a folder of them, make a data set of it.
+
+Both are the backend's work (``physhdr prepare``), in a process of its own. What is chosen stands in the
+scene's settings, so that an error loses nothing that was typed.
+"""
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import bpy
+
+from ...bridge.errors import BadValueError, FileMissingError, OutputError
+from ..runtime import session
+from ..session.photos import look_options, prepare_command
+from ..session.state import LOOK, PHOTOS, PhotosChosen
+from ..settings import SETTINGS, PHYSHDR_Settings
+from .base import PhysHDROperator, folder_of, has_run, report_task
+
+if TYPE_CHECKING:
+    from bpy.stub_internal.rna_enums import PropertyFlagItems
+
+#: Seconds that scripts wait for a look, and for a data set.
+LOOK_SECONDS, PREPARE_SECONDS = 24 * 3600.0, 30 * 24 * 3600.0
+#: Seconds between looks whether the data set is there.
+DONE_SECONDS = 0.5
+#: What ``physhdr prepare`` leaves in a data set that it made (docs/formats.md).
+PREPARED_FILE = "prepare.json"
+GIVEN: "set[PropertyFlagItems]" = {"SKIP_SAVE"}
+FOLDER: "set[PropertyFlagItems]" = {"SKIP_SAVE", "PATH_SUPPORTS_BLEND_RELATIVE"}
+
+
+class PHYSHDR_OT_photos_look(PhysHDROperator):
+    """Choose the folder of your photos. It is looked at first: places, exposures, and what is odd are shown
+    before the long work begins"""
+
+    bl_idname = "physhdr.photos_look"
+    bl_label = "Prepare Photos"
+    action = "look"
+
+    directory: bpy.props.StringProperty(name="Photos", subtype="DIR_PATH", options=FOLDER)
+    filter_folder: bpy.props.BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
+    filter_image: bpy.props.BoolProperty(default=True, options={"HIDDEN", "SKIP_SAVE"})
+    wait: bpy.props.BoolProperty(default=bpy.app.background, options={"HIDDEN", "SKIP_SAVE"})
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if not self.properties.is_property_set("directory"):
+            self.directory = folder_of(context.scene.physhdr.photos)
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def run(self, context: bpy.types.Context) -> set[str]:
+        settings, current = context.scene.physhdr, session()
+        current.pump()
+        photos = _folder(self.directory, "the photos")
+        if not photos.is_dir():
+            raise FileMissingError(f"there is no folder {photos}", "Choose the folder that holds the photos.")
+        if not settings.photos_out or Path(folder_of(settings.photos)) != photos:
+            settings.photos_out = proposed_folder(photos)
+        settings.photos = str(photos)
+        current.look_at_photos(str(photos), look_options(settings.photos_handheld))
+        if not self.wait:
+            return {"FINISHED"}
+        current.wait(lambda state: state.task(LOOK) is None, LOOK_SECONDS)
+        found = current.state.photos
+        if found.problem or not found.lines:
+            told = (found.problem.message, found.problem.hint) if found.problem else ("it was cancelled",)
+            self.report({"ERROR"}, ": ".join(filter(None, told)))
+            return {"CANCELLED"}
+        for line in found.lines:
+            self.report({"INFO"}, line)
+        for warning in found.warnings:
+            self.report({"WARNING"}, warning)
+        return {"FINISHED"}
+
+
+class PHYSHDR_OT_photos_prepare(PhysHDROperator):
+    """Make a data set of the photos: find where each was taken, take the lens's distortion out, write the
+    pictures with their exposures. Nothing in the photos' folder is changed"""
+
+    bl_idname = "physhdr.photos_prepare"
+    bl_label = "Prepare"
+    action = "photos"
+
+    photos: bpy.props.StringProperty(name="Photos", subtype="DIR_PATH", options=FOLDER)
+    out: bpy.props.StringProperty(name="Data Set", subtype="DIR_PATH", options=FOLDER)
+    handheld: bpy.props.BoolProperty(name="Hand-Held", options=GIVEN)
+    borrow_poses: bpy.props.BoolProperty(name="Borrow Places", options=GIVEN)
+    max_width: bpy.props.IntProperty(
+        name="Width at Most", default=1600, min=0, subtype="PIXEL", options=GIVEN
+    )
+    overwrite: bpy.props.BoolProperty(
+        name="Replace", description="Replace the data set that was made of photos before", options=GIVEN
+    )
+    wait: bpy.props.BoolProperty(default=bpy.app.background, options={"HIDDEN", "SKIP_SAVE"})
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        out = folder_of(self._chosen(context, "out", "photos_out"))
+        if os.path.isfile(os.path.join(out, PREPARED_FILE)) and not self.overwrite:
+            self.overwrite = True
+            return context.window_manager.invoke_confirm(
+                self,
+                event,
+                title="Replace the data set in this folder?",
+                message=f"{out} holds a data set that was made of photos.",
+                confirm_text="Replace",
+                icon="WARNING",
+            )
+        return self.execute(context)
+
+    def run(self, context: bpy.types.Context) -> set[str]:
+        current = session()
+        current.pump()
+        photos = _folder(self._chosen(context, "photos", "photos"), "the photos")
+        if not photos.is_dir():
+            raise FileMissingError(f"there is no folder {photos}", "Choose the folder that holds the photos.")
+        out = _folder(self._chosen(context, "out", "photos_out") or proposed_folder(photos), "the data set")
+        if out == photos:
+            raise OutputError(f"{out} holds the photos", "Choose another folder for the data set.")
+        arguments = prepare_command(
+            str(photos),
+            str(out),
+            handheld=self._chosen(context, "handheld", "photos_handheld"),
+            borrow_poses=self._chosen(context, "borrow_poses", "photos_borrow_poses"),
+            max_width=self._chosen(context, "max_width", "photos_width"),
+            overwrite=self.overwrite,
+        )
+        command = current.backend_command(*arguments)
+        current.start_task(PHOTOS, command, current.home / "photos.log", current.environment())
+        if not self.wait:
+            _choose_when_done(context.scene.name)
+            return {"FINISHED"}
+        try:
+            current.wait(lambda state: state.task(PHOTOS) is None, PREPARE_SECONDS)
+        except KeyboardInterrupt:
+            current.cancel_task(PHOTOS)
+            raise
+        made = current.state.prepared
+        if current.state.problem is None and not made.folder:
+            self.report({"ERROR"}, "the preparation was cancelled")
+            return {"CANCELLED"}
+        for warning in made.warnings:
+            self.report({"WARNING"}, warning)
+        if current.state.problem is None:
+            choose(context.scene.physhdr, made.folder)
+        return report_task(self, made.lines[0] if made.lines else f"the data set is {made.folder}")
+
+    def _chosen(self, context: bpy.types.Context, argument: str, setting: str):
+        """An argument of the operator, or the scene's setting where it was not given."""
+        if self.properties.is_property_set(argument):
+            return getattr(self, argument)
+        return getattr(context.scene.physhdr, setting)
+
+
+class PHYSHDR_OT_photos_forget(bpy.types.Operator):
+    """Leave these photos; nothing on disk is changed"""
+
+    bl_idname = "physhdr.photos_forget"
+    bl_label = "Leave These Photos"
+    bl_options = {"REGISTER", "INTERNAL"}  # noqa: RUF012 (Blender's name for it)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        session().cancel_task(LOOK)
+        forget(context.scene.physhdr)
+        session().dispatch(PhotosChosen(""))
+        return {"FINISHED"}
+
+
+def forget(settings: PHYSHDR_Settings) -> None:
+    """No folder of photos is chosen any more."""
+    settings.photos = settings.photos_out = ""
+
+
+def choose(settings: PHYSHDR_Settings, folder: str) -> None:
+    """Choose a data set that was made, and a folder for its run where none is chosen or one is taken."""
+    forget(settings)
+    settings.data = folder
+    if not settings.out or has_run(folder_of(settings.out)):
+        settings.out = str(_unused(Path(f"{folder.rstrip(os.sep)}_run")))
+
+
+def proposed_folder(photos: Path) -> str:
+    """Where the data set may go, so that nothing must be typed.
+
+    Beside the .blend; before that is saved, beside the photos, or where one may not write there (a card that
+    is locked) in the user's own folder. Never one that holds something.
+    """
+    name = f"{photos.name or 'photos'}_dataset"
+    if bpy.data.filepath:
+        return f"//{_unused(Path(bpy.path.abspath('//')) / name).name}"
+    beside = photos.parent
+    return str(_unused((beside if os.access(beside, os.W_OK) else Path.home()) / name))
+
+
+def _unused(folder: Path) -> Path:
+    """The folder, or where that holds something the same with a number."""
+    candidate, number = folder, 2
+    while candidate.exists() and not (candidate.is_dir() and not any(candidate.iterdir())):
+        candidate = folder.with_name(f"{folder.name}_{number}")
+        number += 1
+    return candidate
+
+
+def _choose_when_done(name: str) -> None:
+    """Choose the data set for training once it is there, unless another file has been opened by then."""
+    file = bpy.data.filepath
+
+    def look_again() -> float | None:
+        if not hasattr(bpy.types.Scene, "physhdr") or bpy.data.filepath != file:
+            return None
+        state = session().state
+        if state.task(PHOTOS):
+            return DONE_SECONDS
+        scene = bpy.data.scenes.get(name)
+        if scene and state.prepared.folder:
+            choose(getattr(scene, SETTINGS), state.prepared.folder)
+        return None
+
+    bpy.app.timers.register(look_again, first_interval=DONE_SECONDS)
+
+
+def _folder(given: str, what: str) -> Path:
+    if not given.strip():
+        raise BadValueError(f"no folder is chosen for {what}", "Choose one, or give it as an argument.")
+    if given.startswith("//") and not bpy.data.filepath:
+        raise BadValueError(
+            f"{given} is relative to a file that is not saved yet", "Save it, or choose a whole path."
+        )
+    return Path(bpy.path.abspath(given)).absolute()
+
+
+_CLASSES = (PHYSHDR_OT_photos_look, PHYSHDR_OT_photos_prepare, PHYSHDR_OT_photos_forget)
+register, unregister = bpy.utils.register_classes_factory(_CLASSES)

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What ``physhdr prepare --json`` says of photos and of the data set made of them, for the panel. Pure.
+
+Its results are another program's, of another version perhaps: what is missing or of another kind is passed
+over, and never fails.
+"""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+from .state import Photos, Prepared
+
+#: So many files that are passed over are named each with its reason; of the rest the number is told.
+NAMED = 3
+
+
+def look_command(photos: str, options: tuple[str, ...]) -> list[str]:
+    """The arguments of the backend's command that looks at a folder of photos and writes nothing."""
+    return ["prepare", photos, *options, "--look", "--json"]
+
+
+def look_options(handheld: bool) -> tuple[str, ...]:
+    """Those options of preparing that change what is understood of the photos."""
+    return ("--handheld",) if handheld else ()
+
+
+def prepare_command(
+    photos: str, out: str, *, handheld: bool, borrow_poses: bool, max_width: int, overwrite: bool
+) -> list[str]:
+    """The arguments of the backend's command that makes a data set ``out`` of a folder of photos."""
+    options = [*look_options(handheld), "--max-width", str(max_width)]
+    options += ["--borrow-poses"] if borrow_poses else []
+    options += ["--overwrite"] if overwrite else []
+    return ["prepare", photos, "--out", out, *options, "--json"]
+
+
+def understood(photos: Photos, result: dict[str, Any]) -> Photos:
+    """``photos`` with what the look at them found."""
+    seconds: Any = result.get("estimate_seconds")
+    return replace(
+        photos,
+        lines=_texts(result.get("lines")) or (_counted(result),),
+        warnings=(*_texts(result.get("warnings")), *_skipped(result.get("skipped"))),
+        seconds=float(seconds) if _is_number(seconds) else -1.0,
+        problem=None,
+    )
+
+
+def prepared(result: dict[str, Any]) -> Prepared:
+    """What came of the long work."""
+    folder = result.get("folder")
+    return Prepared(
+        folder if isinstance(folder, str) else "",
+        _texts(result.get("lines")),
+        _texts(result.get("warnings")),
+    )
+
+
+def _counted(result: dict[str, Any]) -> str:
+    """The numbers in a sentence, where the program has none of its own."""
+    photos, places = result.get("photos"), result.get("places")
+    told = [f"{photos} photos"] if _is_number(photos) else ["Photos"]
+    told += [f"{places} places"] if _is_number(places) else []
+    return ", ".join(told)
+
+
+def _skipped(listed: Any) -> tuple[str, ...]:
+    """A sentence for each of the first files that are passed over, and one for the rest."""
+    files = [entry for entry in listed if isinstance(entry, dict)] if isinstance(listed, list) else []
+    told = [f"Left out: {entry.get('name', '?')}, {entry.get('why', '')}" for entry in files[:NAMED]]
+    if len(files) > NAMED:
+        told.append(f"Left out: {len(files) - NAMED} more files")
+    return tuple(told)
+
+
+def _texts(listed: Any) -> tuple[str, ...]:
+    return tuple(text for text in listed if isinstance(text, str)) if isinstance(listed, list) else ()
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

@@ -1,0 +1,231 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""``physhdr.photos_look`` and ``photos_prepare`` through a real child process that stands in for the backend.
+
+It keeps to what ``physhdr prepare --json`` promises.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
+
+from physhdr.addon.operators import photos as operators  # noqa: E402
+from physhdr.addon.operators.base import choices  # noqa: E402
+from physhdr.addon.session.advice import headline, next_step, problem_of, why_not  # noqa: E402
+from physhdr.addon.session.state import LOOK, PHOTOS, PythonChosen  # noqa: E402
+
+REPORT = {"versions": {"torch": "2.13.0", "pycolmap": "4.2.1"}, "missing": []}
+#: Instead of backend/launch.py. What it does is written on a photo's name; what it was called with is kept.
+LAUNCHER = """
+import json, pathlib, sys, time
+words = sys.argv[1:]
+photos, out = pathlib.Path(words[1]), words[words.index("--out") + 1] if "--out" in words else ""
+names = sorted(path.name for path in photos.iterdir())
+calls = pathlib.Path(__file__).with_name("calls.json")
+calls.write_text(json.dumps([*(json.loads(calls.read_text()) if calls.exists() else []), words]))
+def say(**content):
+    print(json.dumps(content), flush=True)
+if not names:
+    say(error={"code": "file_missing", "message": f"{photos} holds no photos", "hint": "Choose another."})
+    sys.exit(1)
+if "--look" in words:
+    lines = [f"{len(names)} photos of 640x480", "hand-held" if "--handheld" in words else "from a tripod"]
+    skipped = [{"name": name, "why": "cannot be read"} for name in names if "bad" in name]
+    say(result={"photos": len(names), "places": 2, "lines": lines, "warnings": ["automatic exposure"],
+                "skipped": skipped, "estimate_seconds": 75.0})
+    sys.exit(0)
+say(progress=0.25, message="placing 1 of 2 photos", seconds_left=40.0)
+if "slow.jpg" in names:
+    time.sleep(60)
+if "alone.jpg" in names:
+    say(error={"code": "structure", "message": "only 1 of 2 places could be placed", "hint": "Take more."})
+    sys.exit(1)
+folder = pathlib.Path(out)
+folder.mkdir(exist_ok="--overwrite" in words)
+(folder / "prepare.json").write_text("{}")
+say(progress=1.0, message="written")
+say(result={"folder": out, "train": 1, "test": 1, "placed": 2, "places": 2,
+            "lines": [f"wrote {out}: 1 place for training"], "warnings": ["left out: bad.jpg"]})
+"""
+
+
+@pytest.fixture
+def extension(tmp_path, monkeypatch):
+    """The extension with a backend that passed its check, and stands-in for the trainer; its session."""
+    import physhdr
+    from physhdr.addon import paths, runtime, settings
+
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    (tmp_path / "launch.py").write_text(LAUNCHER)
+    monkeypatch.setattr(settings, "home_folder", lambda: tmp_path / "home")
+    monkeypatch.setattr(paths, "LAUNCHER", tmp_path / "launch.py")
+    physhdr.register()
+    try:
+        runtime.session().dispatch(PythonChosen(sys.executable, REPORT))
+        yield runtime.session()
+    finally:
+        physhdr.unregister()
+
+
+@pytest.fixture
+def photos(tmp_path):
+    """A folder of two photos, as far as the stand-in for the backend looks."""
+    folder = tmp_path / "church"
+    folder.mkdir()
+    for name in ("a.jpg", "b.jpg"):
+        (folder / name).touch()
+    return folder
+
+
+def calls(tmp_path: Path) -> list[list[str]]:
+    """The arguments of every call of the backend."""
+    return json.loads((tmp_path / "calls.json").read_text())
+
+
+def test_photos_are_looked_at_before_the_long_work(extension, photos, tmp_path):
+    (photos / "bad.jpg").touch()
+    assert bpy.ops.physhdr.photos_look(directory=str(photos)) == {"FINISHED"}
+    assert calls(tmp_path) == [["prepare", str(photos), "--look", "--json"]]
+    found, settings = extension.state.photos, bpy.context.scene.physhdr
+    assert found.folder == settings.photos == str(photos) and found.seconds == 75.0
+    assert found.lines == ("3 photos of 640x480", "from a tripod")
+    assert found.warnings == ("automatic exposure", "Left out: bad.jpg, cannot be read")
+    # Nothing has to be typed: the data set goes beside the photos, and nothing is there yet.
+    assert settings.photos_out == str(tmp_path / "church_dataset")
+    assert not Path(settings.photos_out).exists()
+    assert next_step(extension.state, choices(bpy.context)) == "Prepare the photos"
+    assert why_not(extension.state, "photos", choices(bpy.context)) == ""
+
+
+def test_the_data_set_is_chosen_and_start_is_next(extension, photos, tmp_path):
+    bpy.ops.physhdr.photos_look(directory=str(photos))
+    settings = bpy.context.scene.physhdr
+    settings.photos_handheld, settings.photos_width = True, 1200
+    assert bpy.ops.physhdr.photos_prepare() == {"FINISHED"}
+    out = str(tmp_path / "church_dataset")
+    options = ["--handheld", "--max-width", "1200", "--json"]
+    assert calls(tmp_path)[-1] == ["prepare", str(photos), "--out", out, *options]
+    assert settings.data == out and settings.out == f"{out}_run"
+    assert (settings.photos, extension.state.photos.folder) == ("", "")
+    assert extension.state.prepared.warnings == ("left out: bad.jpg",)
+    assert extension.state.dataset.folder == out
+    assert why_not(extension.state, "photos") == "Choose the folder of your photos"
+
+
+def test_scripts_give_what_they_want_and_former_calls_do_not_count(extension, photos, tmp_path):
+    out = tmp_path / "here"
+    made = bpy.ops.physhdr.photos_prepare(
+        photos=str(photos), out=str(out), handheld=True, borrow_poses=True, max_width=0
+    )
+    assert made == {"FINISHED"} and (out / "prepare.json").exists()
+    words = calls(tmp_path)[-1]
+    assert words[4:] == ["--handheld", "--max-width", "0", "--borrow-poses", "--json"]
+    assert bpy.ops.physhdr.photos_prepare(photos=str(photos), out=str(tmp_path / "there")) == {"FINISHED"}
+    assert calls(tmp_path)[-1][4:] == ["--max-width", "1600", "--json"]
+    # A folder that is taken is not proposed again.
+    assert operators.proposed_folder(photos) == str(tmp_path / "church_dataset")
+    (tmp_path / "church_dataset").mkdir()
+    assert operators.proposed_folder(photos) == str(tmp_path / "church_dataset")
+    (tmp_path / "church_dataset" / "kept").touch()
+    assert operators.proposed_folder(photos) == str(tmp_path / "church_dataset_2")
+
+
+def test_a_saved_file_has_the_data_set_beside_it(extension, photos, tmp_path):
+    (tmp_path / "work").mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "work" / "mine.blend"))
+    bpy.ops.physhdr.photos_look(directory=str(photos))
+    assert bpy.context.scene.physhdr.photos_out == "//church_dataset"
+    assert bpy.ops.physhdr.photos_prepare() == {"FINISHED"}
+    assert bpy.context.scene.physhdr.data == str(tmp_path / "work" / "church_dataset")
+
+
+def test_an_error_is_told_with_its_remedy_and_what_was_typed_stays(extension, photos, tmp_path):
+    (photos / "alone.jpg").touch()
+    bpy.ops.physhdr.photos_look(directory=str(photos))
+    settings = bpy.context.scene.physhdr
+    settings.photos_out = str(tmp_path / "typed")
+    with pytest.raises(RuntimeError, match="only 1 of 2 places could be placed Take more"):
+        bpy.ops.physhdr.photos_prepare()
+    assert settings.photos == str(photos) and settings.photos_out == str(tmp_path / "typed")
+    assert extension.state.photos.lines and settings.data == ""
+    problem = problem_of(extension.state)
+    assert problem is not None and problem.hint == "Take more." and Path(problem.log).exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"photos": ""}, "no folder is chosen for the photos"),
+        ({"photos": "/no/such"}, "there is no folder /no/such"),
+        ({"out": "//data"}, "not saved yet"),
+        ({"out": "PHOTOS"}, "holds the photos"),
+    ],
+)
+def test_mistakes_are_reported_before_anything_starts(extension, photos, tmp_path, change, told):
+    given = {"photos": str(photos), "out": str(tmp_path / "data"), **change}
+    given["out"] = given["out"].replace("PHOTOS", str(photos))
+    with pytest.raises(RuntimeError, match=told):
+        bpy.ops.physhdr.photos_prepare(**given)
+    assert not (tmp_path / "calls.json").exists()
+
+
+def test_a_folder_without_photos_stands_beside_its_name(extension, tmp_path):
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(RuntimeError, match=r"holds no photos: Choose another"):
+        bpy.ops.physhdr.photos_look(directory=str(tmp_path / "empty"))
+    assert extension.state.problem is None  # the panel shows it in the box of the photos
+    assert "holds no photos" in extension.state.photos.problem.message
+    assert next_step(extension.state, choices(bpy.context)) == "Choose another folder of photos"
+    assert "holds no photos" in why_not(extension.state, "photos", choices(bpy.context))
+    bpy.ops.physhdr.photos_forget()
+    assert bpy.context.scene.physhdr.photos == "" and not extension.state.photos.folder
+
+
+def test_progress_and_cancel_as_in_a_window(extension, photos, tmp_path):
+    """Not waiting, the operator returns at once; the panel shows how far it is and how long it will take."""
+    (photos / "slow.jpg").touch()
+    began = time.monotonic()
+    assert bpy.ops.physhdr.photos_prepare(photos=str(photos), wait=False) == {"FINISHED"}
+    assert time.monotonic() - began < 2.0 and not bpy.ops.physhdr.photos_prepare.poll()
+    assert extension.wait(lambda state: state.task(PHOTOS).seconds_left == 40.0, 20.0)
+    task = extension.state.task(PHOTOS)
+    assert (task.fraction, task.message) == (0.25, "placing 1 of 2 photos")
+    assert headline(extension.state) == "Preparing the photos"
+    bpy.ops.physhdr.task_cancel(name=PHOTOS)
+    assert extension.wait(lambda state: state.task(PHOTOS) is None, 15.0)
+    assert problem_of(extension.state) is None and not (tmp_path / "church_dataset").exists()
+    (photos / "slow.jpg").unlink()
+    assert bpy.ops.physhdr.photos_prepare(photos=str(photos)) == {"FINISHED"}
+
+
+def test_another_option_is_looked_at_anew_by_the_timer(extension, photos, tmp_path):
+    from physhdr.addon import runtime
+
+    bpy.ops.physhdr.photos_look(directory=str(photos))
+    runtime._follow_photos(extension)
+    assert len(calls(tmp_path)) == 1  # nothing has changed
+    bpy.context.scene.physhdr.photos_handheld = True
+    runtime._follow_photos(extension)
+    assert extension.wait(lambda state: state.task(LOOK) is None, 20.0)
+    assert extension.state.photos.lines[-1] == "hand-held"
+    assert calls(tmp_path)[-1] == ["prepare", str(photos), "--handheld", "--look", "--json"]
+
+
+def test_without_a_backend_that_can_the_buttons_say_why(extension, photos):
+    extension.dispatch(PythonChosen(sys.executable, {**REPORT, "missing": ["pycolmap>=4.0,<5"]}))
+    assert bpy.ops.physhdr.photos_look.poll()  # looking needs no structure from motion
+    with pytest.raises(RuntimeError, match=r"lacks pycolmap>=4.0,<5: add what is missing"):
+        bpy.ops.physhdr.photos_prepare(photos=str(photos))
+    extension.dispatch(PythonChosen(sys.executable, {"versions": {}, "torch": "2.13.0"}))
+    with pytest.raises(RuntimeError, match="Check the backend first"):
+        bpy.ops.physhdr.photos_prepare(photos=str(photos))
+    extension.dispatch(PythonChosen(""))
+    for operator in (bpy.ops.physhdr.photos_look, bpy.ops.physhdr.photos_prepare):
+        with pytest.raises(RuntimeError, match="Install the backend"):
+            operator()
