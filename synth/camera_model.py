@@ -133,16 +133,25 @@ class CameraModel:
 
         ``rng``: for the noise, not used without ``iso``. ``balance``: the view's gains [3], else neutral.
         """
+        return quantise(self.code(self.sensed(radiance, exposure, rng), response, balance))
+
+    def sensed(self, radiance: np.ndarray, exposure: float, rng: np.random.Generator) -> np.ndarray:
+        """What the sensor tells [H, W, 3] of radiance that was truly exposed for ``exposure`` s.
+
+        It is full at ``SATURATION``; nothing is clipped there yet.
+        """
         x = radiance * exposure
         if self.vignetting:
             x = x * vignette(*x.shape[:2], self.vignetting)[..., None]
-        if self.iso is not None:
-            x = noisy(x, self.iso, rng)
+        return x if self.iso is None else noisy(x, self.iso, rng)
+
+    def code(self, x: np.ndarray, response: Response, balance: np.ndarray | None = None) -> np.ndarray:
+        """Code values [H, W, 3] in 0…1 that the camera makes of what its sensor told."""
         if balance is not None:
             x = x * balance
         if self.local_response:
             x = x * np.exp2(local_stops(x, self.local_response))[..., None]
-        return quantise(response(x))
+        return response(x)
 
 
 @dataclass(frozen=True)
@@ -166,9 +175,24 @@ class ViewCamera:
 
     def develop(self, radiance: np.ndarray, exposure: float, response: Response) -> np.ndarray:
         """Picture [H, W, 3] uint8 of radiance [H, W, 3]; every exposure has noise and error of its own."""
-        balance = self.balance if self.model.white_balance_jitter else None
-        noise = self._rng(f"{exposure:.9g} s")
-        return self.model.develop(radiance, self.true_exposure(exposure), response, noise, balance)
+        return self.model.develop(
+            radiance, self.true_exposure(exposure), response, self._noise(exposure), self._balance
+        )
+
+    def code(self, radiance: np.ndarray, exposure: float, response: Response) -> np.ndarray:
+        """The same before it is 8 bit: code values in 0…1."""
+        return self.model.code(self.sensed(radiance, exposure), response, self._balance)
+
+    def sensed(self, radiance: np.ndarray, exposure: float) -> np.ndarray:
+        """What the sensor tells [H, W, 3], with the picture's own noise and error of exposure."""
+        return self.model.sensed(radiance, self.true_exposure(exposure), self._noise(exposure))
+
+    @property
+    def _balance(self) -> np.ndarray | None:
+        return self.balance if self.model.white_balance_jitter else None
+
+    def _noise(self, exposure: float) -> np.random.Generator:
+        return self._rng(f"{exposure:.9g} s")
 
     def _rng(self, purpose: str) -> np.random.Generator:
         digest = hashlib.sha256(f"{self.seed}/{self.name}/{purpose}".encode()).digest()

@@ -23,6 +23,8 @@ PLANES = ("depth", "index", "samples")
 #: Names of layers that no light may have.
 RESERVED = {*PLANES, "normal"}
 AXES = "XYZ"
+#: Where no surface is seen Cycles gives this depth.
+SKY = 1e10
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,12 +10,15 @@ import numpy as np
 from . import folder
 from .errors import DamagedFileError
 
+#: Of 8 bits, and of 16.
+LARGEST_CODE, LARGEST_CODE_16 = 255, 65535
 SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
-def quantise(code: np.ndarray) -> np.ndarray:
-    """Code values 0…1 → 0…255, to the nearest."""
-    return np.floor(np.clip(code, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+def quantise(code: np.ndarray, largest: int = LARGEST_CODE) -> np.ndarray:
+    """Code values 0…1 → 0…255, to the nearest; ``LARGEST_CODE_16``: 0…65535."""
+    kind = np.uint8 if largest == LARGEST_CODE else np.uint16
+    return np.floor(np.clip(code, 0.0, 1.0) * float(largest) + 0.5).astype(kind)
 
 
 def encode(image: np.ndarray) -> bytes:

@@ -18,12 +18,10 @@ from .blender import cycles
 from .errors import DamagedFileError, NotFiniteError, NotFiniteRenderError, RenderError
 from .interrupts import held
 from .lens import Lens
-from .passes import Passes
+from .passes import SKY, Passes
 from .progress import quiet
 from .stage import Stage
 
-#: Where no surface is seen Cycles gives this depth.
-SKY = 1e10
 #: In Cycles' status line.
 SAMPLE = re.compile(r"Sample (\d+)/\d+")
 

@@ -11,7 +11,8 @@ from physhdr.synth import settings
 from physhdr.synth.errors import OptionError
 from physhdr.synth.lens import Lens
 from physhdr.synth.parse_lens import parse_lens
-from physhdr.synth.renderer import SKY, renderer
+from physhdr.synth.passes import SKY
+from physhdr.synth.renderer import renderer
 from physhdr.synth.stage import CameraHints, Stage
 
 bpy = pytest.importorskip("bpy", reason="needs Blender: run with .venvs/run-blender")
