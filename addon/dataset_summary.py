@@ -18,6 +18,7 @@ from ..bridge.errors import FileDamagedError, FileMissingError, PhysHDRError
 from ..bridge.lights import AMBIENT
 from ..bridge.limits import LEVEL, is_number
 from ..bridge.regular import read_json_object, regular_file
+from .captures import LOOKED_FOR, Capture, read_capture
 
 #: Of a number of points.
 MOST_DIGITS = 12
@@ -28,10 +29,17 @@ FEWEST_EXPOSURES = 2
 MOST_STOPS = 1000
 #: So many missing files are named; of the rest the number is told.
 NAMED = 3
+#: Exposures of a bracket; of more, as automatic exposure gives them, the ends are told.
+MOST_NAMED = 8
 
 MAKE_AGAIN = "Render the data set again into the same folder: only what is missing is made."
 TRAINING = data_set.transforms_file(data_set.TRAIN)
-CHOOSE = f"Choose the folder that holds {TRAINING}, or render a data set from this scene."
+CHOOSE = "Choose a data set's folder, prepare photos, or render a data set from this scene."
+#: In ``views``: poses of which the trainer chooses some for testing.
+ALL = "all"
+#: Of those that a capture may have, headers are read of so many pictures: enough to see whether sizes differ.
+HEADERS = 400
+JPEG_SIGNATURE = b"\xff\xd8\xff"
 
 
 @dataclass(frozen=True)
@@ -44,7 +52,8 @@ class DatasetSummary:
     follows from the exposures. ``levels``, ``relit_levels``: ambient levels of extra training views and
     of the relit truth. ``lights``: those that the scene has, each with a level of its own; ``lit_lights``:
     those whose levels differ in the extra training views; ``mixtures``: how many settings of the relit truth
-    change another light than the ambient one. ``warnings``: what is wrong, in the order of its weight.
+    change another light than the ambient one. ``layout``: of a capture, none of ours. ``warnings``: what is
+    wrong, in the order of its weight.
     """
 
     name: str
@@ -59,6 +68,7 @@ class DatasetSummary:
     lights: tuple[str, ...] = ()
     lit_lights: tuple[str, ...] = ()
     mixtures: int = 0
+    layout: str = ""
     warnings: tuple[str, ...] = ()
 
     @property
@@ -72,18 +82,16 @@ class DatasetSummary:
         ambient light, lights, points.
         """
         views = self.views
+        if ALL in views:
+            size = f", {self.size[0]} × {self.size[1]}" if self.size else ""
+            return [f"{self.name}: {views[ALL]} views{size}, {self.layout}", *self._of_exposures()]
         parts = [f"{views.get(data_set.TRAIN, 0)} training views", f"{views.get(data_set.TEST, 0)} test"]
         if data_set.LIT in views:
             parts.append(f"{views[data_set.LIT]} under other light")
         if data_set.VALIDATION in views:
             parts.append(f"{views[data_set.VALIDATION]} validation")
         size = f", {self.size[0]} × {self.size[1]}" if self.size else ""
-        told = [f"{self.name}: {', '.join(parts)}{size}"]
-        if self.exposures:
-            many = "exposures" if len(self.exposures) > 1 else "exposure"
-            told.append(f"{len(self.exposures)} {many}: EV {', '.join(f'{ev:+.3g}' for ev in self.evs)}")
-        if self.stops is not None:
-            told.append(f"Dynamic range: {self.stops:.1f} stops ({self.stops_from})")
+        told = [f"{self.name}: {', '.join(parts)}{size}", *self._of_exposures()]
         light = []
         if self.levels:
             light.append(f"trained at {_levels(self.levels)}")
@@ -98,6 +106,18 @@ class DatasetSummary:
             if self.mixtures:
                 parts.append(f"truth for {self.mixtures} mixture{'s' if self.mixtures > 1 else ''}")
             told.append(f"Lights: {'; '.join(parts)}")
+        return told
+
+    def _of_exposures(self) -> list[str]:
+        """A line each of exposures, dynamic range, points; nothing of what is not known."""
+        told = []
+        if len(self.exposures) > MOST_NAMED:
+            told.append(f"{len(self.exposures)} exposures: EV {self.evs[0]:+.3g} to {self.evs[-1]:+.3g}")
+        elif self.exposures:
+            many = "exposures" if len(self.exposures) > 1 else "exposure"
+            told.append(f"{len(self.exposures)} {many}: EV {', '.join(f'{ev:+.3g}' for ev in self.evs)}")
+        if self.stops is not None:
+            told.append(f"Dynamic range: {self.stops:.1f} stops ({self.stops_from})")
         if self.points is not None:
             told.append(f"{self.points} first points")
         return told
@@ -119,7 +139,10 @@ def summarise(folder: Path | str) -> DatasetSummary:
     if not (folder / TRAINING).exists():
         if unfinished:
             raise FileMissingError(f"The data set in {folder} has only just been begun", MAKE_AGAIN)
-        raise FileMissingError(f"{folder} is no data set: it has no {TRAINING}", CHOOSE)
+        capture = read_capture(folder)
+        if capture is not None:
+            return _of_capture(folder, capture)
+        raise FileMissingError(f"{folder} is no data set: it has no {TRAINING}, no {LOOKED_FOR}", CHOOSE)
     info = data_set.read_info(folder, MAKE_AGAIN)
     warnings: list[str] = []
     if unfinished:
@@ -161,6 +184,38 @@ def summarise(folder: Path | str) -> DatasetSummary:
         lights=_names(info, "lights", data_set.INFO_FILE, warnings) or lit_lights,
         lit_lights=lit_lights,
         mixtures=len(mixtures) - len(relit),
+        warnings=tuple(warnings),
+    )
+
+
+def _of_capture(folder: Path, capture: Capture) -> DatasetSummary:
+    """What a capture holds: photographs, or renders of other programs."""
+    info = data_set.read_info(folder, MAKE_AGAIN)
+    warnings: list[str] = []
+    if capture.missing:
+        kept = "; they are left out" if capture.layout == "transforms.json" else ""
+        warnings.append(
+            f"Pictures are missing ({len(capture.missing)}): {_some(list(capture.missing))}{kept}."
+        )
+    if not capture.poses:
+        raise FileMissingError(f"{folder} names no picture that is there", CHOOSE)
+    sizes = {size for file in list(capture.pictures)[:HEADERS] if (size := _picture_size(file))}
+    exposures = tuple(sorted({seconds for seconds in capture.pictures.values() if seconds is not None}))
+    if None not in capture.pictures.values() and len(exposures) < FEWEST_EXPOSURES:
+        warnings.append("All pictures have one exposure: high dynamic range cannot be learned.")
+    stops, stops_from = _stops(info, exposures)
+    splits = capture.splits
+    if splits is not None and not splits[data_set.TEST]:
+        warnings.append("There is no test split: the quality cannot be measured.")
+    return DatasetSummary(
+        name=data_set.scene_name(folder, info),
+        views=splits or {ALL: len(capture.poses)},
+        size=next(iter(sizes)) if len(sizes) == 1 else None,
+        exposures=exposures,
+        stops=stops,
+        stops_from=stops_from,
+        points=capture.points,
+        layout="photographs" if capture.prepared else capture.layout,
         warnings=tuple(warnings),
     )
 
@@ -258,6 +313,24 @@ def _check_pictures(
         warnings.append(f"The pictures are not of one size: {told}. Training needs one.")
         return None
     return next(iter(sizes), None)
+
+
+def _picture_size(path: Path) -> tuple[int, int] | None:
+    """Width and height by the header of a PNG or JPEG; None for others, of which only the trainer knows."""
+    try:
+        with open(regular_file(path), "rb") as file:
+            head = file.read(1 << 16)
+    except (OSError, PhysHDRError):
+        return None
+    if head[:8] == PNG_SIGNATURE and len(head) >= 24:
+        return struct.unpack(">II", head[16:24])
+    at = 2 if head[:3] == JPEG_SIGNATURE else len(head)
+    while at + 9 <= len(head) and head[at] == 0xFF:  # segment by segment, up to a start of frame
+        if 0xC0 <= head[at + 1] <= 0xCF and head[at + 1] not in (0xC4, 0xC8, 0xCC):
+            height, width = struct.unpack(">HH", head[at + 5 : at + 9])
+            return width, height
+        at += 2 + struct.unpack(">H", head[at + 2 : at + 4])[0]
+    return None
 
 
 def _check_exposures(train: SplitContents, warnings: list[str]) -> tuple[float, ...]:
