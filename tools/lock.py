@@ -9,7 +9,7 @@ A lock names one version of each package, and the SHA-256 of every file of it (a
 newer), so that ``pip install --require-hashes`` takes what was locked or nothing. uv resolves, in a scratch
 environment, itself locked by its hash.
 
-    backend.txt     the trainer, without torch
+    backend.txt     the trainer and the extra prepare, without torch
     develop.txt     the extras test and develop, on top of it
     torch.txt       torch itself; torch-cuda.txt: the libraries that its CUDA build for Linux asks for
     gsplat.txt      the extra cuda
@@ -58,7 +58,7 @@ OF_CUDA = re.compile(r"nvidia-|cuda-|triton$")
 OLDEST, BLENDER = "3.11", "3.13"
 
 HEADERS = {
-    "backend.txt": "The trainer's packages (the extra backend) without torch.",
+    "backend.txt": "The trainer's packages (the extras backend and prepare) without torch.",
     "develop.txt": "The extras test and develop; goes with backend.txt.",
     "torch-cuda.txt": "What torch's CUDA build for Linux asks for, as PyPI has it.",
     "gsplat.txt": "The extra cuda; goes with backend.txt and torch-cuda.txt.",
@@ -117,12 +117,12 @@ def lock(scratch: Path, former: dict[str, str], keep: bool) -> dict[str, str]:
     resolver = Resolver(scratch, "\n".join(former.values()) if keep else "", former.get("uv.txt", ""))
     (scratch / "build.in").write_text("\n".join(project()["build-system"]["requires"]), encoding="utf-8")
     # Everything together first, so that what one part caps holds for all; then the parts, at those versions.
-    everything = resolver.pins(OLDEST, ["backend", "cuda", "test", "develop"])
+    everything = resolver.pins(OLDEST, ["backend", "prepare", "cuda", "test", "develop"])
     limits = scratch / "everything.txt"
     limits.write_text("\n".join(pin.requirement for pin in everything), encoding="utf-8")
-    backend = resolver.pins(OLDEST, ["backend"], limits)
-    develop = resolver.pins(OLDEST, ["backend", "test", "develop"], limits)
-    gsplat = resolver.pins(OLDEST, ["backend", "cuda"], limits)
+    backend = resolver.pins(OLDEST, ["backend", "prepare"], limits)
+    develop = resolver.pins(OLDEST, ["backend", "prepare", "test", "develop"], limits)
+    gsplat = resolver.pins(OLDEST, ["backend", "prepare", "cuda"], limits)
     blender = resolver.pins(BLENDER, ["blender"])
     (scratch / "bpy.in").write_text("\n".join(p.requirement for p in blender if p.name == "bpy"))
     limits.write_text("\n".join(pin.requirement for pin in blender), encoding="utf-8")
