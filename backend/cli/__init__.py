@@ -118,13 +118,13 @@ def _command(argv: list[str]) -> Any:
     from .inspect import Inspect
     from .prepare import Prepare
     from .render import Render
-    from .train import Train, preset_named
+    from .train import Train, options_in, preset_named
     from .triangulate import Triangulate
     from .video import Video
     from .warmup import Warmup
 
     # The preset decides the defaults of the other options, so it is read first.
-    train = Train(config=preset_named(argv))
+    train = Train(config=preset_named(argv), typed=options_in(argv))
     commands = (
         Annotated[Train, tyro.conf.subcommand("train", default=train)]
         | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """``physhdr train``: run the trainer, show its events, keep its logs."""
 
+import dataclasses
 import signal
+from collections.abc import Callable
 from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass
 from functools import partial
@@ -20,7 +22,9 @@ from ..runs.log import EventLog
 from ..runs.monitor import view_monitor
 from ..runs.run import Run
 from ..runs.terminal import console
+from ..train import events
 from ..train.config import TrainConfig
+from ..train.duration import Duration
 from ..train.presets import PRESETS
 from ..train.trainer import CHECKPOINT_SECONDS, Trainer
 from .warmup import compile_kernels
@@ -37,6 +41,12 @@ def preset_named(argv: list[str]) -> TrainConfig:
     if name not in PRESETS:
         raise BadValueError(f"there is no preset '{name}'", f"Choose from: {', '.join(PRESETS)}.")
     return PRESETS[name]
+
+
+def options_in(argv: list[str]) -> tuple[str, ...]:
+    """The settings that the options in ``argv`` name: ``--densify.budget 9`` is ``densify.budget``."""
+    words = (word[2:].partition("=")[0] for word in argv if word.startswith("--"))
+    return tuple(word.replace("-", "_") for word in words)
 
 
 @dataclass(frozen=True)
@@ -63,6 +73,8 @@ class Train:
     threads: int = 0
     #: Seconds between checkpoints; more where writing one would take a fiftieth of the time.
     checkpoint_seconds: float = CHECKPOINT_SECONDS
+    #: What stands on the command line: sizes of the training that do not are found from the data.
+    typed: tyro.conf.Suppress[tuple[str, ...]] = ()
 
     def run(self) -> int:
         if self.threads:
@@ -70,27 +82,29 @@ class Train:
             torch.set_num_threads(self.threads)
         if not self.checkpoint_seconds >= 0.0:
             raise BadValueError(f"--checkpoint-seconds must be 0 or more, got {self.checkpoint_seconds}")
-        with self._begun() as (trainer, run):
+        expected: list[Duration] = []
+        with self._begun(expected.append) as (trainer, run):
             stop = _StopOnRequest()
             with stop, EventLog(run.folder) as log:
-                events = trainer.run(
+                told = trainer.run(
                     run.folder,
                     should_stop=lambda: stop.requested,
                     monitor=view_monitor(run.scene),
                     checkpoint_seconds=self.checkpoint_seconds,
                 )
                 # Closed while it can still be told what fails: it saves on its way out.
-                with closing(events):
-                    for event in events:
-                        log.show(event)
+                with closing(told):
+                    for event in told:
+                        log.show(_with_time_left(event, expected))
         if trainer.iteration < run.config.iterations:
             console.print(f"stopped; go on with: physhdr train --resume {run.folder}")
             return 130
         return 0
 
-    def _begun(self) -> AbstractContextManager[tuple[Trainer, Run]]:
+    def _begun(self, expect: Callable[[Duration], None]) -> AbstractContextManager[tuple[Trainer, Run]]:
         workshop = Workshop(
             report=partial(console.print, soft_wrap=True),
+            expect=expect,
             compile_kernels=compile_kernels,
             device=self.device,
             rasteriser=self.rasteriser,
@@ -103,8 +117,22 @@ class Train:
                 "Call: physhdr train DATA --out RUN, or: physhdr train --resume RUN",
             )
         return start_run(
-            self.data, self.out, self.config, self.preset, overwrite=self.overwrite, workshop=workshop
+            self.data,
+            self.out,
+            self.config,
+            self.preset,
+            typed=self.typed,
+            overwrite=self.overwrite,
+            workshop=workshop,
         )
+
+
+def _with_time_left(event: events.Event, expected: list[Duration]) -> events.Event:
+    """The event, its time left by what iterations cost later on, where that is known."""
+    if not (expected and isinstance(event, events.Progress)):
+        return event
+    left = expected[0].left(event.iteration, event.iterations_per_second)
+    return dataclasses.replace(event, seconds_left=left)
 
 
 class _StopOnRequest:

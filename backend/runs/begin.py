@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How a training begins: the trainer and its folder, for the command line and for the server alike."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,9 +11,12 @@ from ..device import DeviceName, choose_device
 from ..kernels.ahead import Needs
 from ..rasterize import Implementation
 from ..scene import Scene, read_scene
+from ..scene.prefetch import reading_ahead
 from ..train.config import CONFIG_FILE, TrainConfig, read_config, write_config
+from ..train.duration import Duration, time_training
 from ..train.memory import check_memory
 from ..train.presets import PRESETS
+from ..train.sizing import extent_of, found_sizes, sizes_in_words
 from ..train.trainer import Trainer
 from ..train.without_effect import changed_without_effect
 from .files import holds_a_run, refuse_a_run, remove_results, remove_unfinished, writable_folder
@@ -26,10 +29,12 @@ from .run import Run
 class Workshop:
     """Where and with what a training is done, and who is told of it.
 
-    ``report``: what happens, in words. ``compile_kernels``: makes sure that the CPU's kernels are there.
+    ``report``: what happens, in words. ``expect``: how long it will take, where that was found out.
+    ``compile_kernels``: makes sure that the CPU's kernels are there.
     """
 
     report: Callable[[str], None]
+    expect: Callable[[Duration], None]
     compile_kernels: Callable[[Needs], object]
     device: DeviceName = "auto"
     rasteriser: Implementation = "auto"
@@ -44,15 +49,29 @@ class Workshop:
         if device.type == "cpu" and self.rasteriser in ("auto", "cpu"):
             # Before the trainer is made, which calls some of them.
             self.compile_kernels(config.method.kernels_needed())
-        return Trainer(scene, config, self.rasteriser, device, resumed, configuration)
+        trainer = Trainer(scene, config, self.rasteriser, device, resumed, configuration)
+        duration = time_training(trainer)
+        if duration is not None:
+            self.report(f"training will take {duration}")
+            self.expect(duration)
+        return trainer
 
 
 @contextmanager
 def start_run(
-    data: Path, out: Path, config: TrainConfig, preset: str, *, overwrite: bool, workshop: Workshop
+    data: Path,
+    out: Path,
+    config: TrainConfig,
+    preset: str,
+    *,
+    typed: Collection[str],
+    overwrite: bool,
+    workshop: Workshop,
 ) -> Iterator[tuple[Trainer, Run]]:
     """A new run in ``out``, at iteration 0; nobody else trains there while this is active.
 
+    What of ``config`` follows from the data, and is not among the ``typed`` settings, is found here
+    (``train/sizing.py``); the run's own configuration has it.
     A run that was there stays as it is until the new one can begin, and is gone from then on. Raises what
     reading, training and writing raise.
     """
@@ -65,6 +84,10 @@ def start_run(
         if not overwrite:  # another training may have ended just now
             refuse_a_run(folder)
         scene = read_scene(data, config.downscale)
+        extent = extent_of(scene, config)
+        before, config = config, found_sizes(extent, config, typed)
+        if words := sizes_in_words(extent, before, config):
+            workshop.report(words)
         trainer = workshop.trainer(scene, config)
         if preset in PRESETS and (options := changed_without_effect(trainer, PRESETS[preset])):
             workshop.report(f"this method, on its backbone, does not read {', '.join(options)}")
@@ -73,7 +96,8 @@ def start_run(
             remove_results(folder)
             EventLog.clear(folder)
         write_config(folder / CONFIG_FILE, config, data, preset)
-        yield trainer, Run(folder, preset, config, scene, trainer.method, 0)
+        with reading_ahead(trainer, config.iterations):
+            yield trainer, Run(folder, preset, config, scene, trainer.method, 0)
 
 
 @contextmanager
@@ -88,7 +112,9 @@ def resume_run(folder: Path, data: Path | None, workshop: Workshop) -> Iterator[
         written = read_config(folder / CONFIG_FILE)
         scene = read_scene(data or written.data, written.config.downscale)
         trainer = workshop.trainer(scene, written.config, folder, written.fingerprint)
-        yield trainer, Run(folder, written.preset, written.config, scene, trainer.method, trainer.iteration)
+        run = Run(folder, written.preset, written.config, scene, trainer.method, trainer.iteration)
+        with reading_ahead(trainer, run.config.iterations):
+            yield trainer, run
 
 
 @contextmanager

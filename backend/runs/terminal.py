@@ -4,7 +4,7 @@
 import time
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
 from ..train import events
 
@@ -26,14 +26,14 @@ class TrainingBar:
             BarColumn(),
             TaskProgressColumn(),
             TextColumn("{task.fields[status]}"),
-            TimeRemainingColumn(),
+            TextColumn("{task.fields[left]}"),
             console=console,
             disable=not console.is_terminal,
         )
 
     def start(self) -> None:
         self._bar.start()
-        self._task = self._bar.add_task("train", total=None, status="")
+        self._task = self._bar.add_task("train", total=None, status="", left="")
 
     def stop(self) -> None:
         self._bar.stop()
@@ -60,11 +60,10 @@ class TrainingBar:
         measured = "  ".join(f"{name} {value:.2f}" for name, value in self._monitor.items())
         gaussians = f"  {event.gaussians} G" if event.gaussians else ""
         status = f"{losses}  {measured}{gaussians}  {event.iterations_per_second:.0f} it/s"
-        self._bar.update(self._task, completed=step, status=status)
+        left = f"{event.seconds_left:.0f} s left"
+        self._bar.update(self._task, completed=step, status=status, left=left)
         now = time.monotonic()
         last = event.iteration == event.iterations
         if not console.is_terminal and (last or now - self._last_line > SECONDS_BETWEEN_LINES):
             self._last_line = now
-            console.print(
-                f"{step:6d}/{event.iterations}  {status}  {event.seconds_left:.0f} s left", soft_wrap=True
-            )
+            console.print(f"{step:6d}/{event.iterations}  {status}  {left}", soft_wrap=True)

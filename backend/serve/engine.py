@@ -34,6 +34,7 @@ from ..memory import is_out_of_memory
 from ..runs.begin import Workshop
 from ..runs.log import LOG_FILE
 from ..runs.run import Run, open_run
+from ..train.duration import Duration
 from . import preview
 from .curves import Curves
 from .failures import BusyError, NoJobError, NoModelError, failure_of
@@ -75,6 +76,7 @@ class Engine:
         self._job: Job | None = None  # to be begun when its request has been answered
         self._run: Run | None = None  # what previews show
         self._training: Training | None = None
+        self._expected: Duration | None = None  # of the training that is begun
         self._stopping = False
         self._ending = ""
         self._next_preview = 0.0
@@ -216,15 +218,21 @@ class Engine:
 
     def _train(self, job: Job) -> None:
         self._machine.use_threads(job.threads)
+        self._expected = None
         workshop = Workshop(
             report=self._progress_of_preparing,
+            expect=self._expect,
             compile_kernels=self._compile,
             device=self._machine.device_for(job.device),
         )
         with job.begin(workshop) as (trainer, run):
             self._progress_of_preparing("starting")
-            self._training, self._run = Training(trainer, run, self, self._status, self._curves), run
+            self._training = Training(trainer, run, self, self._status, self._curves, self._expected)
+            self._run = run
             self._run = self._training.run_to_the_end()
+
+    def _expect(self, duration: Duration) -> None:
+        self._expected = duration
 
     def _compile(self, needs: Needs) -> None:
         compile_kernels(needs, self._progress_of_preparing)

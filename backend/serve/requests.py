@@ -55,7 +55,15 @@ def new_training(request: TrainStart) -> Job:
         refuse_a_run(out)
 
     def start(workshop: Workshop) -> Begun:
-        return start_run(data, out, config, request.preset, overwrite=request.overwrite, workshop=workshop)
+        return start_run(
+            data,
+            out,
+            config,
+            request.preset,
+            typed=tuple(changes),
+            overwrite=request.overwrite,
+            workshop=workshop,
+        )
 
     return Job(
         folder=out,

@@ -10,6 +10,7 @@ from ..runs.log import LOG_FILE, EventLog
 from ..runs.monitor import view_monitor
 from ..runs.run import Run
 from ..train import events
+from ..train.duration import Duration
 from ..train.trainer import Trainer
 from .curves import Curves, Speed
 from .status import Status, device_words, finite
@@ -36,10 +37,21 @@ class Desk(Protocol):
 
 
 class Training:
-    """``run_to_the_end`` trains; the other methods are called from within it, by way of ``desk``."""
+    """``run_to_the_end`` trains; the other methods are called from within it, by way of ``desk``.
 
-    def __init__(self, trainer: Trainer, run: Run, desk: Desk, status: Status, curves: Curves) -> None:
-        self._trainer, self._run = trainer, run
+    ``expected``: how long it will take, where that is known.
+    """
+
+    def __init__(
+        self,
+        trainer: Trainer,
+        run: Run,
+        desk: Desk,
+        status: Status,
+        curves: Curves,
+        expected: Duration | None = None,
+    ) -> None:
+        self._trainer, self._run, self._expected = trainer, run, expected
         self._desk, self._status, self._curves = desk, status, curves
         self._speed = Speed()
         self._paused = False
@@ -65,9 +77,13 @@ class Training:
         """Train until the last iteration, or until the desk wants a stop; returns the run as it is then."""
         trainer, run = self._trainer, self._run
         self._curves.read(run.folder / LOG_FILE, run.iteration)
+        message = trainer.start_message
+        if self._expected is not None:
+            message = f"{message}; {self._expected} in all"
         self._status.change(
             state="training",
-            message=trainer.start_message,
+            message=message,
+            seconds_left=0.0 if self._expected is None else self._expected.seconds,
             data=str(run.scene.root),
             preset=run.preset,
             device=device_words(trainer.device),
@@ -117,14 +133,22 @@ class Training:
         return held
 
     def _pace(self, now: float) -> dict[str, Any]:
-        iteration, total = self.iteration, self._status.now.iterations
+        iteration = self.iteration
         rate = self._speed.note(now, iteration)
         return {
             "iteration": iteration,
             "gaussians": self._trainer.method.size,
             "iterations_per_second": rate,
-            "seconds_left": (total - iteration) / rate if rate else 0.0,
+            "seconds_left": self._left(iteration, rate),
         }
+
+    def _left(self, iteration: int, rate: float) -> float:
+        """Seconds; until there is a rate, as was told before."""
+        if not rate:
+            return self._status.now.seconds_left
+        if self._expected is not None:
+            return self._expected.left(iteration, rate)
+        return (self._run.config.iterations - iteration) / rate
 
     def _note(self, event: events.Event) -> None:
         if isinstance(event, events.Progress):

@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How long a training will take, from a few iterations that are timed before it starts.
+
+They are done on a copy of everything that an iteration changes, at half and at full size, with as many
+Gaussians as there are at first and as many as there will be in the end, and thrown away. An iteration costs
+c + g · (Gaussians) at either size; growth is taken to be even. docs/sizes.md says how far this is right.
+"""
+
+import copy
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import accumulate
+
+import torch
+
+from ..model.gaussians import Gaussians
+from .config import TrainConfig
+from .densify import SPLIT_SHRINK
+from .growth import NoGrowth
+from .memory import sizes_of
+from .trainer import Trainer
+
+#: Of each size and number of Gaussians so many iterations are timed, after one that is not.
+TIMED = 3
+#: The timing may take this share of the training; where iterations are too few for that, nothing is timed.
+SHARE = 0.02
+#: Checkpoints (2 % at most), the monitor's view, logs.
+BESIDE = 1.03
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Seconds of an iteration: ``constant`` and ``each`` Gaussian."""
+
+    constant: float
+    each: float = 0.0
+
+    def at(self, count: float) -> float:
+        return self.constant + self.each * count
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What decides how the cost of an iteration changes over a training.
+
+    ``first`` and ``most``: Gaussians (or anchors) at the start and at the end; growth goes on from iteration
+    ``grows_from`` to ``grows_until``. Iterations before ``half_until`` are at half size.
+    """
+
+    iterations: int
+    first: int
+    most: int
+    grows_from: int
+    grows_until: int
+    half_until: int
+
+    def count_at(self, iteration: int) -> float:
+        """Gaussians at an iteration, growing evenly."""
+        span = max(self.grows_until - self.grows_from, 1)
+        share = min(max((iteration - self.grows_from) / span, 0.0), 1.0)
+        return self.first + share * (self.most - self.first)
+
+
+class Duration:
+    """How long a training takes as a whole and from any iteration on. ``begun``: the iteration it starts at.
+
+    ``decoding``: seconds until all pictures have been decoded once.
+    """
+
+    def __init__(self, plan: Plan, half: Cost, full: Cost, begun: int = 0, decoding: float = 0.0) -> None:
+        sizes = [half] * plan.half_until + [full] * (plan.iterations - plan.half_until)
+        each = [BESIDE * cost.at(plan.count_at(i)) for i, cost in enumerate(sizes)]
+        self._left = [*accumulate(reversed(each), initial=0.0)][::-1]  # of all iterations from i on
+        self._each = each
+        self.seconds = self._left[min(begun, plan.iterations)] + decoding
+
+    def left(self, iteration: int, rate: float) -> float:
+        """Seconds from ``iteration`` to the end, where iterations go by at ``rate`` a second just now."""
+        if iteration >= len(self._each) or not rate > 0.0:
+            return 0.0
+        before = max(iteration - 1, 0)  # the rate is of what has been done
+        return self._left[iteration] / (rate * self._each[before])
+
+    def __str__(self) -> str:
+        """``about 37 minutes``."""
+        return about(self.seconds)
+
+
+def about(seconds: float) -> str:
+    """``about 40 seconds``, ``about 12 minutes``, ``about 2 h 10 min``: no more digits than can be known."""
+    if seconds < 90.0:
+        return f"about {max(5, 5 * round(seconds / 5))} seconds"
+    minutes = round(seconds / 60.0)
+    if minutes < 90:
+        return f"about {minutes} minutes"
+    minutes = 10 * round(seconds / 600.0)
+    return f"about {minutes // 60} h {minutes % 60:02d} min"
+
+
+def time_training(trainer: Trainer, clock: Callable[[], float] = time.perf_counter) -> Duration | None:
+    """How long ``trainer`` will take from where it is; nothing of it changes, not even a random number.
+
+    None where timing would take more than ``SHARE`` of it, because it is short.
+    """
+    config, begun = trainer.config, trainer.iteration
+    plan = plan_of(trainer)
+    sides = [False] if begun >= plan.half_until else [True, False]
+    counts = [trainer_count(trainer)]
+    if plan.most > counts[0]:
+        counts.append(plan.most)
+    # All are told as if they cost the mean of what is to come, which they do.
+    if len(sides) * len(counts) * (TIMED + 1) > SHARE * (config.iterations - begun):
+        return None
+    with torch.random.fork_rng(devices=[trainer.device] if trainer.device.type == "cuda" else []):
+        decoding, half, full = _timed(_copy(trainer), plan, sides, counts, clock)
+    return Duration(plan, half, full, begun, decoding)
+
+
+def plan_of(trainer: Trainer) -> Plan:
+    """As the configuration has it; growth without a bound is guessed, as for memory."""
+    config, now = trainer.config, trainer_count(trainer)
+    sizes = sizes_of(trainer.scene, config)
+    # Estimates of the first points are their most, and a search has found fewer by now.
+    most = max(now, _primitives(sizes.most, config))
+    if sizes.most == sizes.first:
+        most = now  # no growth
+    if config.anchors is None:
+        start, stop = config.densify.start, config.densify.stop
+    else:
+        growth = config.anchors.growth
+        start, stop = round(growth.start * config.iterations), growth.stop
+    return Plan(
+        iterations=config.iterations,
+        first=now,
+        most=most,
+        grows_from=max(start, trainer.iteration),
+        grows_until=round(stop * config.iterations),
+        half_until=math.ceil(config.half_size_until * config.iterations),
+    )
+
+
+def trainer_count(trainer: Trainer) -> int:
+    """Gaussians or anchors there are; 0 of a method that has none."""
+    method = trainer.method.splatting
+    return 0 if method is None else len(method.backbone)
+
+
+def _primitives(gaussians: int, config: TrainConfig) -> int:
+    return gaussians if config.anchors is None else gaussians // config.anchors.offsets
+
+
+# -- timing --------------------------------------------------------------------------------------------------
+
+
+def _copy(trainer: Trainer) -> Trainer:
+    """A trainer of its own that shares what never changes: pictures, cameras, the configuration."""
+    kept = [trainer.scene, trainer.config, trainer.pictures, trainer.device, *trainer.views]
+    memo = {id(each): each for each in kept}
+    result = copy.deepcopy(trainer, memo)
+    result.growth = NoGrowth()  # numbers of Gaussians are set here
+    return result
+
+
+def _timed(
+    trial: Trainer, plan: Plan, sides: list[bool], counts: list[int], clock: Callable[[], float]
+) -> tuple[float, Cost, Cost]:
+    """Seconds of decoding all pictures, and what an iteration costs at half and at full size."""
+    decoding, decoded = 0.0, set()
+    seconds: dict[tuple[bool, int], float] = {}
+    for count in counts:
+        if count != trainer_count(trial):
+            _grow(trial, count)
+        for half in sides:
+            total = 0.0
+            for turn in range(TIMED + 1):
+                trial.iteration = _iteration(plan, half, turn, late=count == counts[-1])
+                begun = clock()
+                trial.batch(trial.iteration)  # so that no step waits for a picture to be decoded
+                view = trial.draw(trial.iteration)[0].name
+                if view not in decoded:
+                    decoded.add(view)
+                    decoding += clock() - begun
+                begun = clock()
+                trial.step()
+                if trial.device.type == "cuda":
+                    torch.cuda.synchronize(trial.device)
+                total += (clock() - begun) if turn else 0.0
+            seconds[half, count] = total / TIMED
+    costs = {half: _line([(count, seconds[half, count]) for count in counts]) for half in sides}
+    each = decoding / max(len(decoded), 1)
+    return each * len(trial.views), costs.get(True, costs[False]), costs[False]
+
+
+def _line(points: list[tuple[int, float]]) -> Cost:
+    """The straight line through one or two measurements (Gaussians, seconds), nowhere falling."""
+    (first, low), (last, high) = points[0], points[-1]
+    if last == first or high <= low:
+        return Cost(max(low, high))
+    each = (high - low) / (last - first)
+    return Cost(low - each * first, each)
+
+
+def _iteration(plan: Plan, half: bool, turn: int, *, late: bool) -> int:
+    """An iteration of this size, near the end of those where the spherical harmonics are whole."""
+    first, last = (0, plan.half_until) if half else (plan.half_until, plan.iterations)
+    if late:
+        return max(last - (TIMED + 1) + turn, first)
+    return min(first + turn, last - 1)
+
+
+@torch.no_grad()
+def _grow(trial: Trainer, count: int) -> None:
+    """Make it ``count`` primitives by splitting each into as many, as growth would."""
+    method = trial.method.splatting
+    assert method is not None
+    backbone = method.backbone
+    now = len(backbone)
+    source = torch.div(torch.arange(count, device=method.device) * now, count, rounding_mode="floor")
+    trial.optimiser.resample(backbone, source, torch.ones(count, dtype=torch.bool, device=method.device))
+    if isinstance(backbone, Gaussians):
+        generator = torch.Generator().manual_seed(0)
+        noise = torch.randn(count, 3, generator=generator).to(backbone.means)
+        backbone.means.add_(noise * backbone.scales)
+        backbone.log_scales.sub_(math.log(SPLIT_SHRINK) * math.log2(count / now))

@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How large a training is: what follows from the data set's pixels, views and points (docs/sizes.md).
+
+A preset's numbers are those of 200×200 pixels and few views, at which they were chosen. Larger pictures show
+more, which more Gaussians have to hold; these want more iterations, of which more can be at half the size;
+and every view wants its turns. What is found is written into the run's configuration as plain numbers, so
+that the run does not depend on this rule. What somebody has set by hand stays.
+"""
+
+import dataclasses
+import math
+import statistics
+from collections.abc import Collection
+from typing import Any
+
+from ..scene.scene import Scene, View
+from .config import TrainConfig
+from .views import training_views
+
+#: Pixels of a view for which the presets' numbers are; fewer change nothing.
+REFERENCE_PIXELS = 200 * 200
+#: The budget of Gaussians grows with the pixels of a view to this power, iterations to that.
+BUDGET_POWER, ITERATIONS_POWER = 0.4, 0.2
+#: Turns that each view gets at least.
+TURNS = 40
+#: Of its points a data set keeps all, and growth can add half as many.
+ROOM_ABOVE_POINTS = 1.5
+#: So much larger a share of the training is at half size for every doubling of the sides, up to the most.
+HALF_SIZE_STEP, HALF_SIZE_MOST = 0.1, 0.4
+
+
+@dataclasses.dataclass(frozen=True)
+class Extent:
+    """What sizes follow from: ``pixels`` of the view in the middle, training ``views``, given ``points``.
+
+    ``brackets``: places in the bracket of which any training view has a picture. ``photographs``: of a real
+    camera, whose brackets are as they were taken.
+    """
+
+    pixels: int
+    views: int
+    points: int
+    brackets: tuple[int, ...]
+    photographs: bool
+
+    @property
+    def detail(self) -> float:
+        """How many times the reference's pixels a view has, 1 at least."""
+        return max(1.0, self.pixels / REFERENCE_PIXELS)
+
+
+def extent_of(scene: Scene, config: TrainConfig) -> Extent:
+    """The extent of what ``config`` sees of ``scene``, without reading a picture."""
+    views: list[View] = training_views(scene, config)
+    pixels = statistics.median_low(view.camera.width * view.camera.height for view in views) if views else 0
+    return Extent(
+        pixels=pixels,
+        views=len(views),
+        points=0 if scene.points is None else len(scene.points.positions),
+        brackets=tuple(sorted({k for view in views for k in view.bracket})),
+        photographs=scene.photographs,
+    )
+
+
+def found_sizes(extent: Extent, config: TrainConfig, typed: Collection[str] = ()) -> TrainConfig:
+    """``config``, a preset with what was ``typed``, at the size that the data call for.
+
+    ``typed``: settings that somebody has set, as ``densify.budget`` is written; these stay. Published
+    presets, whose number of Gaussians has no bound, and methods without Gaussians keep their schedule.
+    """
+    changes: dict[str, Any] = {}
+    if extent.photographs and extent.brackets:
+        changes["training_exposures"] = extent.brackets
+    if budget := budget_of(config):
+        name = "densify.budget" if config.anchors is None else "anchors.growth.budget"
+        changes[name] = _budget(extent, config, budget)
+        iterations = _iterations(extent, config)
+        changes["iterations"] = iterations
+        if config.half_size_until > 0.0:
+            changes["half_size_until"] = _half_size_until(extent, config)
+        if "iterations" not in typed:
+            longer = iterations / config.iterations
+            changes["sh_degree_every"] = round(config.sh_degree_every * longer)
+        if extent.detail > 1.0:
+            changes["random_points"] = round(config.random_points * changes[name] / budget)
+    for name, value in changes.items():
+        if name not in typed:
+            config = _with(config, name, value)
+    return config
+
+
+def budget_of(config: TrainConfig) -> int:
+    """The most primitives that growth makes, 0 where nothing bounds it or there are none."""
+    if not config.method.traits.splats:
+        return 0
+    return config.densify.budget if config.anchors is None else config.anchors.growth.budget
+
+
+def sizes_in_words(extent: Extent, before: TrainConfig, found: TrainConfig) -> str:
+    """What was found, as a line for people; empty where nothing differs from the preset."""
+    parts = []
+    if found.iterations != before.iterations:
+        parts.append(f"{found.iterations:,} iterations")
+    if budget_of(found) != budget_of(before):
+        what = "Gaussians" if found.anchors is None else "anchors"
+        parts.append(f"up to {budget_of(found):,} {what}")
+    if found.half_size_until != before.half_size_until:
+        parts.append(f"the first {found.half_size_until:.0%} at half size")
+    if found.training_exposures != before.training_exposures:
+        parts.append(f"all {len(found.training_exposures)} exposures")
+    if not parts:
+        return ""
+    return f"for {extent.views} views of {extent.pixels / 1e6:.2g} megapixels: {', '.join(parts)}"
+
+
+# -- the rule ------------------------------------------------------------------------------------------------
+
+
+def _budget(extent: Extent, config: TrainConfig, budget: int) -> int:
+    # An anchor comes of several points (``AnchorsConfig.placement``): theirs are no reason for more.
+    points = extent.points if config.anchors is None else 0
+    found = max(budget * extent.detail**BUDGET_POWER, ROOM_ABOVE_POINTS * points)
+    return budget if found <= budget else _whole(found, 1000)
+
+
+def _iterations(extent: Extent, config: TrainConfig) -> int:
+    # A preset that is twice as long gives a view twice as many turns.
+    turns = TURNS * extent.views * config.iterations / TrainConfig.iterations
+    found = max(config.iterations * extent.detail**ITERATIONS_POWER, turns)
+    return config.iterations if found <= config.iterations else _whole(found, 100)
+
+
+def _half_size_until(extent: Extent, config: TrainConfig) -> float:
+    doublings = 0.5 * math.log2(extent.detail)
+    most = max(HALF_SIZE_MOST, config.half_size_until)
+    return round(min(config.half_size_until + HALF_SIZE_STEP * doublings, most), 2)
+
+
+def _whole(value: float, step: int) -> int:
+    return step * round(value / step)
+
+
+def _with(config: Any, name: str, value: Any) -> Any:
+    """``config`` with the setting ``name``, which may be one of a part of it."""
+    first, _, rest = name.partition(".")
+    if rest:
+        value = _with(getattr(config, first), rest, value)
+    return dataclasses.replace(config, **{first: value})
