@@ -17,13 +17,13 @@ __all__ = ["READERS", "Camera", "Points", "Reader", "Scene", "View", "read_scene
 class Reader:
     """A layout: its name, the file that gives it away, whether a folder is of it, how it is read.
 
-    ``read_scene(root, downscale)``: as the function of this module, of a folder that is of this layout.
+    ``read_scene(root, downscale, color_space)``: as the function of this module, of a folder of this layout.
     """
 
     name: str
     looks_for: str
     is_mine: Callable[[Path], bool]
-    read_scene: Callable[[Path, float | None], Scene]
+    read_scene: Callable[[Path, float | None, str | None], Scene]
 
 
 #: Every layout that is understood, in the order in which they are tried. A new one is one file and one line.
@@ -33,11 +33,12 @@ READERS = tuple(
 )
 
 
-def read_scene(root: Path | str, downscale: float | None = None) -> Scene:
+def read_scene(root: Path | str, downscale: float | None = None, color_space: str | None = None) -> Scene:
     """Read a data set, whichever of the known layouts it has.
 
     ``downscale``: how many times smaller on each side pictures become when they are decoded; None is the
-    layout's published convention (docs/formats.md), and 1 for our own data sets.
+    layout's published convention (docs/formats.md), and 1 for our own data sets. ``color_space``: of pictures
+    that hold radiance (OpenEXR, .hdr); None is what each file says.
 
     Raises ``FileMissingError`` if the folder is not there or has none of the layouts, and what the layout's
     reader raises.
@@ -50,7 +51,7 @@ def read_scene(root: Path | str, downscale: float | None = None) -> Scene:
         raise FileMissingError(f"{root} is a file, not the folder of a data set", remedy)
     for reader in READERS:
         if reader.is_mine(root):
-            return reader.read_scene(root, downscale)
+            return reader.read_scene(root, downscale, color_space)
     looked_for = "; ".join(f"{reader.looks_for} ({reader.name})" for reader in READERS)
     state = "is empty" if not any(root.iterdir()) else "is not a data set"
     raise FileMissingError(f"{root} {state}: looked for {looked_for}", remedy)

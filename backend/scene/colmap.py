@@ -5,7 +5,7 @@ Pictures named ``<pose>_<k>`` are the brackets of poses, of which the model may 
 pictures are a view each. Exposures come from ``exposure.json`` or the pictures' EXIF (docs/formats.md).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,23 +19,28 @@ from .colmap_files import SparseImage, SparseModel, find_model, read_model
 from .exposures import EXPOSURE_FILE, SAY_EXPOSURES, exposures_from_exif, read_exposure_file
 from .info import read_anchor, read_info
 from .poses import (
+    SUFFIXES,
     PictureFile,
     Pose,
+    Views,
+    at_size_of_pictures,
     bracket_name,
     check_numbers,
-    fitted,
+    mask_beside,
+    masks_in_words,
     missing_in_words,
     numbered,
-    one_size,
+    size_of_bracket,
+    sizes_of,
+    skipped_in_words,
     split_somehow,
+    widest,
 )
 from .resize import Reduction, capped
-from .scene import PictureCache, Points, Scene
+from .scene import Points, Scene
 
 NAME = "COLMAP"
 LOOKS_FOR = "images/ and sparse/0"
-#: What a picture's name ends with.
-SUFFIXES = (".png", ".jpg", ".jpeg")
 #: Cameras of one bracket that are farther apart than this share of the cameras' spread are worth a message.
 STEADY = 0.002
 #: Pictures whose cameras are farther apart than this share are no bracket: a hand does not move so far.
@@ -47,29 +52,32 @@ def is_mine(root: Path) -> bool:
     return find_model(root) is not None and (root / "images").is_dir()
 
 
-def read_scene(root: Path, downscale: float | None = None) -> Scene:
+def read_scene(root: Path, downscale: float | None = None, color_space: str | None = None) -> Scene:
     """Read a COLMAP folder.
 
-    ``downscale``: None is 3DGS's convention, at most 1600 pixels wide. Raises ``FileMissingError``,
-    ``FileDamagedError``, ``DataMismatchError`` or ``BadValueError``, each naming the file and the remedy.
+    ``downscale``: None is 3DGS's convention, the widest picture at most 1600 pixels wide and all others by
+    the same factor. Pictures of the model that are missing are left out and counted. Raises
+    ``FileMissingError``, ``FileDamagedError``, ``DataMismatchError`` or ``BadValueError``, each naming the
+    file and the remedy.
     """
     found = read_poses(root, root / "images")
     train, test, rule = split_somehow(found.poses)
     check_numbers(train, "training", root / "images")
     check_numbers(test, "test", root / "images")
-    return scene_of(found, (train, test, rule), layout=NAME, anchor=None, downscale=downscale)
+    return scene_of(
+        found, (train, test, rule), layout=NAME, anchor=None, downscale=downscale, color_space=color_space
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class FoundPoses:
-    """Poses with full-size cameras, sorted by name; ``size`` of the pictures; ``messages`` about them.
+    """Poses with full-size cameras, sorted by name; ``messages`` about them.
 
     A pose's index is its place in that order, or what ``numbered`` says.
     """
 
     root: Path
     poses: list[Pose]
-    size: tuple[int, int]
     points: Points | None
     messages: tuple[str, ...]
 
@@ -81,23 +89,24 @@ def scene_of(
     layout: str,
     anchor: tuple[float, float] | None,
     downscale: float | None,
+    color_space: str | None,
 ) -> Scene:
     """A scene of poses; ``split``: training and test poses and the rule. ``anchor``: where none is stated."""
     train, test, rule = split
-    reduction = Reduction(capped(found.size[0]) if downscale is None else downscale, "bicubic")
-    cache = PictureCache(reduction=reduction)
+    factor = capped(widest(found.poses)) if downscale is None else downscale
+    views = Views(found.root, found.poses, Reduction(factor, "bicubic"), color_space)
     info = read_info(found.root)
     return Scene(
         root=found.root,
         name=scene_name(found.root, info),
-        train=[pose.view(reduction, cache) for pose in train],
-        test=[pose.view(reduction, cache) for pose in test],
+        train=views.of(train),
+        test=views.of(test),
         lit=[],
         points=found.points,
         response_anchor=read_anchor(found.root, info, otherwise=anchor),
         info=info,
         layout=layout,
-        messages=(rule, reduction.in_words(*found.size), *found.messages),
+        messages=(rule, *views.messages, *found.messages),
     )
 
 
@@ -118,8 +127,16 @@ def read_poses(root: Path, pictures: Path) -> FoundPoses:
             "model is a view of its own"
         )
         groups = [one for group in groups for one in (_single(group.registered) if group in far else [group])]
+    paths = {name: path_inside(pictures, name, folder) for group in groups for name in group.names.values()}
+    sizes, faults = sizes_of(paths.values())
+    usable = {name: path for name, path in paths.items() if path in sizes}
+    everything, groups = groups, _with_pictures(groups, usable)
+    share = len(groups) / len(everything)
+    messages += skipped_in_words("pictures of the model", len(paths), faults, pictures, share)
+    for group in groups:
+        size_of_bracket([usable[name] for name in group.names.values()], sizes)
     bracketed = any(len(group.names) > 1 for group in groups)
-    seconds, told = _exposures(groups, pictures, stated, folder, must=bracketed)
+    seconds, told = _exposures(groups, pictures, usable, stated, must=bracketed)
     messages.append(told)
     groups = [_without_unknown(group, seconds, folder) for group in groups]
     alike = _alike(groups, seconds) if bracketed else None
@@ -128,20 +145,19 @@ def read_poses(root: Path, pictures: Path) -> FoundPoses:
             f"names like brackets, but '{alike[0]}' and '{alike[1]}' have one exposure: each picture in the "
             "model is a view of its own"
         )
-        groups = [_without_unknown(group, seconds, folder) for group in _single(model.images)]
-    size = one_size(
-        [path_inside(pictures, name, folder) for group in groups for name in group.names.values()]
-    )
+        groups = _with_pictures(_single(model.images), usable)
+        groups = [_without_unknown(group, seconds, folder) for group in groups]
     poses = []
     apart = 0.0
     for order, group in enumerate(groups):
         camera, distance = _camera(model, group)
         apart = max(apart, distance)
-        paths = {k: path_inside(pictures, name, folder) for k, name in group.names.items()}
-        bracket = {k: PictureFile(path, seconds[group.names[k]]) for k, path in paths.items()}
-        poses.append(
-            Pose(group.name, order, fitted(camera, size, folder, next(iter(paths.values()))), bracket)
-        )
+        bracket = {
+            k: PictureFile(usable[name], seconds[name], mask_beside(root, name))
+            for k, name in group.names.items()
+        }
+        pose = Pose(group.name, order, camera, bracket, lens=model.lens(_best(group)))
+        poses.append(at_size_of_pictures(pose, sizes, folder))
     if all(len(pose.pictures) == 1 for pose in poses):
         messages.append("one exposure a view: 'physhdr prepare' groups photographs into brackets")
     if apart > STEADY * spread:
@@ -150,9 +166,8 @@ def read_poses(root: Path, pictures: Path) -> FoundPoses:
             "spread): each view takes that of the picture with the most points"
         )
     missing = missing_in_words(poses)
-    return FoundPoses(
-        root, numbered(root, poses), size, model.points, (*messages, *([missing] if missing else []))
-    )
+    messages += masks_in_words(poses)
+    return FoundPoses(root, numbered(root, poses), model.points, (*messages, *([missing] if missing else [])))
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,6 +182,15 @@ class _Group:
 def _single(images: list[SparseImage]) -> list[_Group]:
     """Each picture of the model as a pose of its own."""
     return [_Group(image.name.rsplit(".", 1)[0], {0: image.name}, [image]) for image in images]
+
+
+def _with_pictures(groups: list[_Group], usable: Mapping[str, Path]) -> list[_Group]:
+    """The groups without the names that no picture belongs to, and without those that are left with none."""
+    left = (
+        _Group(group.name, {k: n for k, n in group.names.items() if n in usable}, group.registered)
+        for group in groups
+    )
+    return [group for group in left if group.names]
 
 
 def _brackets_by_name(images: list[SparseImage], pictures: Path) -> list[_Group] | None:
@@ -197,15 +221,18 @@ def _brackets_by_name(images: list[SparseImage], pictures: Path) -> list[_Group]
 
 
 def _exposures(
-    groups: list[_Group], pictures: Path, stated: dict[str, float] | None, folder: Path, *, must: bool
+    groups: list[_Group],
+    pictures: Path,
+    paths: Mapping[str, Path],
+    stated: dict[str, float] | None,
+    *,
+    must: bool,
 ) -> tuple[dict[str, float], str]:
     """Seconds by picture name, and where they are from. ``must``: without any, there is no assuming 1 s."""
     names = [name for group in groups for name in group.names.values()]
     if stated is not None:
         return {name: stated[name] for name in names if name in stated}, f"exposures from {EXPOSURE_FILE}"
-    paths = [path_inside(pictures, name, folder) for name in names]
-    one_size(paths)  # a picture that is missing has no EXIF either: the first thing to be told
-    from_exif = exposures_from_exif(paths)
+    from_exif = exposures_from_exif([paths[name] for name in names])
     if from_exif is not None:
         return dict(zip(names, from_exif[0], strict=True)), from_exif[1]
     if must:
@@ -241,7 +268,12 @@ def _alike(groups: list[_Group], seconds: dict[str, float]) -> tuple[str, str] |
 
 def _camera(model: SparseModel, group: _Group) -> tuple[Camera, float]:
     """The camera of the group's picture with the most points; how far the others are from it, units."""
-    best = max(group.registered, key=lambda image: image.observed)
+    best = _best(group)
     camera = model.camera(best)
     others = (model.camera(image).position for image in group.registered if image is not best)
     return camera, max((float(np.linalg.norm(other - camera.position)) for other in others), default=0.0)
+
+
+def _best(group: _Group) -> SparseImage:
+    """The group's picture with the most points."""
+    return max(group.registered, key=lambda image: image.observed)

@@ -15,10 +15,11 @@ import numpy as np
 
 from ...bridge.affine import matrices_of
 from ...bridge.axes import camera_to_world_opengl
-from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError
+from ...bridge.errors import DataMismatchError, FileDamagedError
 from ...bridge.limits import FOCAL_LENGTH, LARGEST_SIDE, PRINCIPAL_POINT, check_position
 from ...bridge.regular import read_bytes, read_text, regular_file
 from .camera import Camera
+from .lens import ALL_AROUND, RealCamera, panorama
 from .points import STRUCTURE_FROM_MOTION, check_points
 from .scene import Points
 
@@ -43,38 +44,14 @@ MODELS = {
     16: ("EUCM", 6),
     17: ("EQUIRECTANGULAR", 2),
 }
-#: How many of a model's parameters are focal lengths: one or two, then the principal point's two, and then
-#: distortions, which are a pinhole's where they are 0. Other models bend straight lines whatever they hold.
-PINHOLE_LIKE = {
-    "SIMPLE_PINHOLE": 1,
-    "PINHOLE": 2,
-    "SIMPLE_RADIAL": 1,
-    "RADIAL": 1,
-    "OPENCV": 2,
-    "FULL_OPENCV": 2,
-    "SIMPLE_DIVISION": 1,
-    "DIVISION": 2,
-}
-#: A distortion below this moves no pixel of a 10000-pixel picture by more than about a hundredth.
-NO_DISTORTION = 1e-6
-
-UNDISTORT = (
-    "Undistort the pictures: 'physhdr prepare' does, or 'colmap image_undistorter'. "
-    "Then read the folder that it wrote."
+#: Models with one focal length for both axes; the others have two, and the principal point comes after them.
+ONE_FOCAL_LENGTH = (
+    *("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"),
+    *("SIMPLE_DIVISION", "SIMPLE_FISHEYE"),
 )
 #: Bytes of a file; images.bin of ten thousand pictures with ten thousand keypoints each has 2.4e9.
 LARGEST_FILE = 1 << 34
 RUN_AGAIN = "Copy the model again, or run COLMAP again."
-
-
-@dataclass(frozen=True)
-class SparseCamera:
-    """A camera as COLMAP has it: ``params`` in the order of its model, pixels."""
-
-    model: str
-    width: int
-    height: int
-    params: tuple[float, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,24 +69,32 @@ class SparseModel:
     """What structure from motion found. ``points``: None where there are none."""
 
     folder: Path
-    cameras: dict[int, SparseCamera]
+    cameras: dict[int, RealCamera]
     images: list[SparseImage]
     points: Points | None
 
     def camera(self, image: SparseImage) -> Camera:
-        """The pinhole camera of a picture, at the size that COLMAP saw.
+        """The camera of a picture at the size that COLMAP saw, as far as it is a pinhole.
 
-        Raises ``DataMismatchError`` if the model has no such camera, ``BadValueError`` if it is distorted.
+        Raises ``DataMismatchError`` if the model has no such camera, ``BadValueError`` for absurd numbers.
         """
+        real = self._real(image)
+        fx, fy, cx, cy = _intrinsics(self.folder, image.camera, real)
+        pose = camera_to_world_opengl(image.world_to_camera)
+        return Camera(pose, real.width, real.height, fx, fy, cx, cy)
+
+    def lens(self, image: SparseImage) -> RealCamera | None:
+        """What bends straight lines in a picture; None where nothing does. Raises as ``camera``."""
+        real = self._real(image)
+        return None if real.is_pinhole else real
+
+    def _real(self, image: SparseImage) -> RealCamera:
         if image.camera not in self.cameras:
             raise DataMismatchError(
                 f"{self.folder}: picture '{image.name}' has camera {image.camera}, which is not there",
                 RUN_AGAIN,
             )
-        sparse = self.cameras[image.camera]
-        fx, fy, cx, cy = _pinhole(self.folder, image.camera, sparse)
-        pose = camera_to_world_opengl(image.world_to_camera)
-        return Camera(pose, sparse.width, sparse.height, fx, fy, cx, cy)
+        return self.cameras[image.camera]
 
 
 def find_model(root: Path) -> Path | None:
@@ -145,16 +130,11 @@ def read_model(folder: Path) -> SparseModel:
     return SparseModel(folder, cameras, images, points)
 
 
-def _pinhole(folder: Path, number: int, camera: SparseCamera) -> tuple[float, float, float, float]:
-    """``fx, fy, cx, cy`` in pixels; raises ``BadValueError`` for a camera that is no pinhole."""
-    what = f"{folder}: camera {number} is of the model {camera.model}"
-    focal_lengths = PINHOLE_LIKE.get(camera.model)
-    if focal_lengths is None:
-        raise BadValueError(f"{what}, which is no pinhole camera", UNDISTORT)
-    distortion = camera.params[focal_lengths + 2 :]
-    if any(abs(value) > NO_DISTORTION for value in distortion):
-        numbers = ", ".join(f"{value:g}" for value in distortion)
-        raise BadValueError(f"{what} with the distortion {numbers}: pictures of it are bent", UNDISTORT)
+def _intrinsics(folder: Path, number: int, camera: RealCamera) -> tuple[float, float, float, float]:
+    """``fx, fy, cx, cy`` in pixels; raises ``BadValueError`` where they are absurd, or there are none."""
+    if camera.model == ALL_AROUND:
+        raise panorama(f"{folder}: camera {number}")
+    focal_lengths = 1 if camera.model in ONE_FOCAL_LENGTH else 2
     fx, fy = camera.params[0], camera.params[focal_lengths - 1]
     cx, cy = camera.params[focal_lengths : focal_lengths + 2]
     for focal in (fx, fy):
@@ -167,12 +147,12 @@ def _pinhole(folder: Path, number: int, camera: SparseCamera) -> tuple[float, fl
 # ---- what both forms share: values that mean something -------------------------------------------------
 
 
-def _camera_of(path: Path, where: str, model: str, width: int, height: int, params) -> SparseCamera:
+def _camera_of(path: Path, where: str, model: str, width: int, height: int, params) -> RealCamera:
     if not (0 < width <= LARGEST_SIDE and 0 < height <= LARGEST_SIDE) or not all(map(math.isfinite, params)):
         raise FileDamagedError(
             f"{path}: {where} is {width}×{height} with parameters {list(params)}", RUN_AGAIN
         )
-    return SparseCamera(model, width, height, tuple(params))
+    return RealCamera(model, width, height, tuple(params))
 
 
 def _image_of(path: Path, where: str, pose, camera: int, name: str, observed: int) -> SparseImage:
@@ -261,7 +241,7 @@ _POINT = struct.Struct("<Q3d3BdQ")
 _TRACK_ELEMENT = 8
 
 
-def _cameras_bin(path: Path) -> dict[int, SparseCamera]:
+def _cameras_bin(path: Path) -> dict[int, RealCamera]:
     file, cameras = _Bytes(path), {}
     for _ in range(file.count(_CAMERA.size)):
         number, model, width, height = file.take(_CAMERA)
@@ -317,7 +297,7 @@ def _bad_line(path: Path, line_number: int, line: str) -> FileDamagedError:
     return FileDamagedError(f"{path}: line {line_number} means nothing: {line[:80]!r}", RUN_AGAIN)
 
 
-def _cameras_txt(path: Path) -> dict[int, SparseCamera]:
+def _cameras_txt(path: Path) -> dict[int, RealCamera]:
     lengths = dict(MODELS.values())
     cameras = {}
     for k, line in _lines(path):

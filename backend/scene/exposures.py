@@ -31,13 +31,19 @@ def read_exposure_file(path: Path) -> dict[str, float]:
     }
 
 
+#: Pictures of radiance, which no exposure is behind.
+RADIANCE = (".exr", ".hdr")
+
+
 def exposures_from_exif(paths: Sequence[Path]) -> tuple[list[float], str] | None:
     """Seconds for each picture, and in words where they are from; None where no picture says its time.
 
     Seconds at ISO 100 and at the pictures' median aperture (``exif.comparable``). ISO or aperture, where *no*
-    picture tells it, counts as constant. Raises ``DataMismatchError`` where some pictures say something that
-    others do not, ``BadValueError`` where an exposure comes out absurd.
+    picture tells it, counts as constant. Radiance (OpenEXR, .hdr) counts as exposed for 1 s. Raises
+    ``DataMismatchError`` where some pictures say something that others do not, ``BadValueError`` where an
+    exposure comes out absurd.
     """
+    everything, paths = paths, [path for path in paths if path.suffix.lower() not in RADIANCE]
     tags = [read_exif(path) for path in paths]
     if all(tag.time is None for tag in tags):
         return None
@@ -59,4 +65,7 @@ def exposures_from_exif(paths: Sequence[Path]) -> tuple[list[float], str] | None
         told += "; no picture tells its ISO: taken as constant"
     if exposures.f_number is None:
         told += "; no picture tells its aperture: taken as constant"
-    return exposures.seconds, told
+    if len(paths) < len(everything):
+        told += "; radiance (OpenEXR, .hdr) counts as 1 s"
+    seconds = dict(zip(paths, exposures.seconds, strict=True))
+    return [seconds.get(path, 1.0) for path in everything], told

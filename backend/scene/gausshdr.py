@@ -18,18 +18,22 @@ from .info import ORIGINAL_ANCHOR, read_anchor, read_info
 from .poses import (
     PictureFile,
     Pose,
+    Views,
+    all_sizes,
+    at_size_of_pictures,
     bracket_name,
     check_numbers,
-    fitted,
+    mask_beside,
+    masks_in_words,
     missing_in_words,
     numbered,
-    one_size,
     pose_number,
     split_by_name,
     split_named,
+    widest,
 )
 from .resize import Reduction, capped
-from .scene import PictureCache, Scene
+from .scene import Scene
 
 NAME = "GaussHDR"
 LOOKS_FOR = f"images/, sparse/0 and {EXPOSURE_FILE} with names of train and test"
@@ -63,7 +67,7 @@ def published_factor(width: int, height: int) -> float:
     return capped(width)
 
 
-def read_scene(root: Path, downscale: float | None = None) -> Scene:
+def read_scene(root: Path, downscale: float | None = None, color_space: str | None = None) -> Scene:
     """Read a data set folder. Nothing of the true radiance is opened.
 
     ``downscale``: None takes the published factor, found by the pictures' size (``published_factor``), or
@@ -75,14 +79,15 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
     assert folder is not None, "is_mine has found it"
     model = read_model(folder)
     brackets, unused = _brackets(root, model.images)
-    size = one_size([picture.path for bracket in brackets.values() for picture in bracket.values()])
+    sizes = all_sizes([picture.path for bracket in brackets.values() for picture in bracket.values()])
     poses = []
     for order, image in enumerate(model.images):
         name = _base(image)
         bracket = brackets[name]
-        camera = fitted(model.camera(image), size, folder, bracket[0].path)
         number = pose_number(name)
-        poses.append(Pose(name, order if number is None else number, camera, bracket))
+        index = order if number is None else number
+        pose = Pose(name, index, model.camera(image), bracket, lens=model.lens(image))
+        poses.append(at_size_of_pictures(pose, sizes, folder))
     poses = numbered(root, poses)
     split = split_by_name(poses)
     if split is None:
@@ -96,17 +101,18 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
 
     info = read_info(root)
     if downscale is None:
-        own = bool(info) or (root / PREPARED).is_file()
-        downscale = capped(size[0]) if own else published_factor(*size)
-    reduction = Reduction(downscale, "bicubic")
-    cache = PictureCache(reduction=reduction)
-    train, test = ([pose.view(reduction, cache) for pose in poses_of_split] for poses_of_split in split)
+        own = bool(info) or (root / PREPARED).is_file() or len(set(sizes.values())) > 1
+        width, height = next(iter(sizes.values()))
+        downscale = capped(widest(poses)) if own else published_factor(width, height)
+    views = Views(root, poses, Reduction(downscale, "bicubic"), color_space)
+    train, test = (views.of(poses_of_split) for poses_of_split in split)
     is_synthetic = (root / TRUTH_FOLDER).is_dir()
     messages = [
         "split by names: they say 'train' or 'test'",
-        reduction.in_words(*size),
+        *views.messages,
         f"exposures from {EXPOSURE_FILE}",
         missing_in_words(poses),
+        *masks_in_words(poses),
         f"{unused} entries of {EXPOSURE_FILE} are of no pose in the model" if unused else None,
     ]
     return Scene(
@@ -150,7 +156,9 @@ def _brackets(root: Path, images: list[SparseImage]) -> tuple[dict[str, dict[int
                 f"{path}: '{name}' and '{place[parts[1]].path.name}' are the same exposure of one pose",
                 "Remove one of them.",
             )
-        place[parts[1]] = PictureFile(path_inside(root / "images", name, path), seconds)
+        place[parts[1]] = PictureFile(
+            path_inside(root / "images", name, path), seconds, mask_beside(root, name)
+        )
     brackets: dict[str, dict[int, PictureFile]] = {}
     for image in images:
         name = _base(image)

@@ -21,9 +21,9 @@ from .camera import Camera
 from .checks import is_rotation
 from .colmap_files import find_model, read_model
 from .info import read_anchor, read_info
-from .poses import PictureFile, Pose, bracket_name, check_numbers, fitted, missing_in_words, one_size
+from .poses import PictureFile, Pose, Views, bracket_name, check_numbers, fitted, missing_in_words, one_size
 from .resize import Reduction
-from .scene import PictureCache, Points, Scene
+from .scene import Points, Scene
 
 NAME = "HDR-NeRF-Real"
 LOOKS_FOR = "poses_bounds_exps.npy"
@@ -40,7 +40,7 @@ def is_mine(root: Path) -> bool:
     return (root / LOOKS_FOR).exists()
 
 
-def read_scene(root: Path, downscale: float | None = None) -> Scene:
+def read_scene(root: Path, downscale: float | None = None, color_space: str | None = None) -> Scene:
     """Read a data set folder.
 
     Even poses are for training, odd ones for testing. ``downscale``: None is 4. Pictures that somebody has
@@ -69,11 +69,12 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
         poses, points, model_messages = _with_model(model_folder, poses, size)
 
     info = read_info(root)
-    cache = PictureCache(reduction=reduction)
-    views = [pose.view(reduction, cache) for pose in poses]
+    made = Views(root, poses, reduction, color_space)
+    views = made.of(poses)
     messages = [
         "split as HDR-NeRF: even poses are for training, odd ones for testing",
-        f"pictures from {folder.name}/; " + reduction.in_words(*size),
+        f"pictures from {folder.name}/; {made.messages[0]}",
+        *made.messages[1:],
         f"exposures from {LOOKS_FOR}",
         missing_in_words(poses),
         *bracket_messages,
@@ -186,7 +187,7 @@ def _with_model(
     for image in model.images:
         digits = re.match(r"(\d+)_\d\.", Path(image.name).name)
         if digits is not None:
-            cameras.setdefault(int(digits.group(1)), model.camera(image))
+            cameras.setdefault(int(digits.group(1)), (model.camera(image), model.lens(image)))
     found = [pose for pose in poses if pose.index in cameras]
     if not any(pose.index % 2 == 0 for pose in found):
         raise DataMismatchError(
@@ -195,9 +196,10 @@ def _with_model(
         )
     placed = []
     for pose in found:
-        picture = next(iter(pose.pictures.values())).path
-        camera = fitted(cameras[pose.index], size, folder, picture)
-        placed.append(Pose(pose.name, pose.index, camera, pose.pictures))
+        camera, lens = cameras[pose.index]
+        lens = None if lens is None else lens.resized(*size)
+        camera = fitted(camera, size, folder, next(iter(pose.pictures.values())).path)
+        placed.append(Pose(pose.name, pose.index, camera, pose.pictures, lens=lens))
     told = f"cameras and points from {folder.relative_to(folder.parents[1]).as_posix()}, as HDR-GS has them"
     lost = ", ".join(pose.name for pose in poses if pose.index not in cameras)
     return (

@@ -22,9 +22,9 @@ from .checks import MAKE_AGAIN, exposure, number, path_inside, read_json, requir
 from .info import ORIGINAL_ANCHOR, read_anchor, read_info
 from .pictures import picture_size
 from .points import read_points
-from .poses import PictureFile, Pose, wrong_size
+from .poses import PictureFile, Pose, Views, wrong_size
 from .resize import Reduction
-from .scene import PictureCache, Scene
+from .scene import Scene
 
 NAME = "HDR-NeRF-Syn"
 #: What a folder must hold to be taken for this layout.
@@ -40,7 +40,7 @@ def is_mine(root: Path) -> bool:
     return (root / LOOKS_FOR).exists()
 
 
-def read_scene(root: Path, downscale: float | None = None) -> Scene:
+def read_scene(root: Path, downscale: float | None = None, color_space: str | None = None) -> Scene:
     """Read a data set folder. Nothing of the true radiance is opened.
 
     ``downscale``: None reduces the original 800×800 to 400×400 as HDR-NeRF does, and leaves ours as they are.
@@ -55,13 +55,14 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
     size = _check_one_size([pose for poses in splits.values() for pose in poses])
     if downscale is None:
         downscale = ORIGINAL_REDUCTION if not info and size == ORIGINAL_SIZE else 1.0
-    reduction = Reduction(downscale)
-    cache = PictureCache(reduction=reduction)
-    views = {split: [pose.view(reduction, cache) for pose in poses] for split, poses in splits.items()}
+    made = Views(
+        root, [pose for poses in splits.values() for pose in poses], Reduction(downscale), color_space
+    )
+    views = {split: made.of(poses) for split, poses in splits.items()}
     points_path = root / data_set.POINTS_FILE
     messages = (
         f"split as transforms_*.json say: {', '.join(split for split in data_set.SPLITS if views[split])}",
-        reduction.in_words(*size),
+        *made.messages,
         "exposures from exposure_*.json",
     )
     return Scene(

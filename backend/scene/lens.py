@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures without distortion: what a pinhole camera at the same place would have taken, or smaller."""
+"""Pictures without distortion: what a pinhole camera at the same place would have taken, or smaller.
+
+What a lens does to a ray is pycolmap's to say; the resampling is ours (docs/notebook.md has both measured).
+"""
 
 import math
 import sys
-from collections.abc import Mapping
+from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property
 from types import ModuleType
 from typing import Any
 
@@ -14,18 +17,47 @@ import torch
 import torch.nn.functional as F  # noqa: N812
 
 from ...bridge.errors import BadValueError, FileMissingError
+from .resize import Reduction
 
-#: Points along each edge of a picture, by which the largest upright rectangle inside is found.
+#: A pinhole's picture reaches so far from its axis at most, to each side: 55°, whose tangent this is. At 90°
+#: a picture would be infinite; at 55° a fisheye's pixels are stretched three times outwards.
+WIDEST_TANGENT = math.tan(math.radians(55.0))
+#: Directions in which a lens is followed from the middle of its picture outwards, and steps in each.
+DIRECTIONS, STEPS = 360, 128
+#: Where a lens maps a step outwards on less than this share of what it is in the middle, it folds back.
+LEAST_GROWTH = 0.05
+#: Pixels beyond the photo's edge that count as on it: rounding.
+ON_EDGE = 1e-6
+#: Points along each side of a picture at which it is checked to be full.
 EDGE_POINTS = 257
-#: A lens that loses more of its picture than this is not believed.
+#: A lens that loses more of its picture than this, or shows so much more, is not believed.
 SMALLEST_SHARE = 0.25
-
+#: Pictures of photos of one size whose sides differ by no more than this share get the smallest's size.
+ALIKE = 0.02
+#: Samples that are taken at once: bounds the memory, whatever a photo's size.
+STRIP = 1 << 20
 
 #: What to do with pictures of a lens that is no lens.
 NOT_CREDIBLE = (
     "Few photos, or photos of a plane, tell little of a lens: --camera SIMPLE_RADIAL asks less of them. "
     "Numbers from elsewhere may be of another camera."
 )
+#: How many of a model's parameters are focal lengths: one or two, then the principal point's two, and then
+#: distortions, which are a pinhole's where they are 0. Other models bend straight lines whatever they hold.
+PINHOLE_LIKE = {
+    "SIMPLE_PINHOLE": 1,
+    "PINHOLE": 2,
+    "SIMPLE_RADIAL": 1,
+    "RADIAL": 1,
+    "OPENCV": 2,
+    "FULL_OPENCV": 2,
+    "SIMPLE_DIVISION": 1,
+    "DIVISION": 2,
+}
+#: A distortion below this moves no pixel of a 10000-pixel picture by more than about a hundredth.
+NO_DISTORTION = 1e-6
+#: Its pictures hold all directions there are.
+ALL_AROUND = "EQUIRECTANGULAR"
 
 
 def require_pycolmap(wanted: str = "'physhdr prepare' finds the cameras") -> ModuleType:
@@ -40,11 +72,48 @@ def require_pycolmap(wanted: str = "'physhdr prepare' finds the cameras") -> Mod
     return pycolmap
 
 
+@dataclass(frozen=True)
+class RealCamera:
+    """A camera as COLMAP describes it: its model, the size of its photos and ``params``, pixels."""
+
+    model: str
+    width: int
+    height: int
+    params: tuple[float, ...]
+
+    @property
+    def is_pinhole(self) -> bool:
+        """Whether straight lines are straight in its photos."""
+        focal_lengths = PINHOLE_LIKE.get(self.model)
+        if focal_lengths is None:
+            return False
+        return all(abs(value) <= NO_DISTORTION for value in self.params[focal_lengths + 2 :])
+
+    def resized(self, width: int, height: int) -> "RealCamera":
+        """The same camera with photos of another size and the same shape. Needs pycolmap."""
+        if (width, height) == (self.width, self.height):
+            return self
+        camera = self.pycolmaps()
+        camera.rescale(width, height)
+        return RealCamera(self.model, width, height, tuple(camera.params.tolist()))
+
+    def pycolmaps(self) -> Any:
+        """pycolmap's camera; raises ``FileMissingError`` where pycolmap is not installed."""
+        pycolmap = require_pycolmap(f"pictures of a lens ({self.model}) are freed of its distortion")
+        return pycolmap.Camera(
+            model=self.model, width=self.width, height=self.height, params=list(self.params)
+        )
+
+    def in_words(self) -> str:
+        return f"{self.model} {', '.join(f'{value:.6g}' for value in self.params)}"
+
+
 @dataclass(frozen=True, eq=False)
 class Lens:
     """The pinhole camera that takes the place of a real one (``source``, pycolmap's), in pixels.
 
-    Each of its pixels is the mean of ``over``² samples of the photo.
+    Each of its pixels is the mean of ``over``² samples of the photo. ``cut``: the share of the photo that its
+    picture does not show.
     """
 
     source: Any
@@ -55,15 +124,52 @@ class Lens:
     cx: float
     cy: float
     over: int
+    cut: float = 0.0
 
-    def picture(self, photo: np.ndarray) -> np.ndarray:
-        """``[H, W, 3]`` uint8 as this camera would have taken it: the mean code over each pixel's area."""
-        codes = torch.from_numpy(photo.astype(np.float32)).permute(2, 0, 1)[None]
-        taken = F.grid_sample(
-            codes, _places(self)[None], mode="bicubic", padding_mode="border", align_corners=False
-        )
-        mean = F.avg_pool2d(taken.clamp(0.0, 255.0), self.over)
-        return mean[0].permute(1, 2, 0).round().to(torch.uint8).numpy()
+    @cached_property
+    def key(self) -> Hashable:
+        """Equal where two lenses do the same to a photo."""
+        real = (self.source.model_name, self.source.width, self.source.height, *self.source.params.tolist())
+        return (*real, self.width, self.height, self.fx, self.fy, self.cx, self.cy, self.over)
+
+    def picture(self, codes: np.ndarray) -> np.ndarray:
+        """``[h, w, 3]`` codes as this camera would have taken them: the mean code over each pixel's area.
+
+        ``codes``: the photo's, ``[H, W, 3]`` uint8 or uint16, which stays.
+        """
+        height, width, channels = codes.shape
+        largest = float(np.iinfo(codes.dtype).max)
+        out = np.empty((self.height, self.width, channels), codes.dtype)
+        for rows, places in self._strips():
+            # Of the photo no more is made float than this strip looks at: two rows more on both sides.
+            first = max(math.floor(float(places[..., 1].min()) - 0.5) - 2, 0)
+            last = min(math.floor(float(places[..., 1].max()) - 0.5) + 4, height)
+            photo = torch.from_numpy(codes[first:last].astype(np.float32)).permute(2, 0, 1)[None]
+            grid = (2.0 * (places - (0.0, first)) / (width, last - first) - 1.0).astype(np.float32)
+            taken = F.grid_sample(
+                photo,
+                torch.from_numpy(grid)[None],
+                mode="bicubic",
+                padding_mode="border",
+                align_corners=False,
+            )
+            mean = F.avg_pool2d(taken.clamp_(0.0, largest), self.over)
+            out[rows] = mean[0].permute(1, 2, 0).round().numpy()
+        return out
+
+    def mask(self, mask: np.ndarray) -> np.ndarray:
+        """``[h, w]`` bool of ``[H, W]`` bool: True where all that a pixel is made of was True."""
+        height, width = mask.shape
+        padded = np.pad(mask, (1, 2), mode="edge")
+        wide = padded[:-3] & padded[1:-2] & padded[2:-1] & padded[3:]
+        whole = wide[:, :-3] & wide[:, 1:-2] & wide[:, 2:-1] & wide[:, 3:]  # of the 4×4 of a bicubic sample
+        out = np.empty((self.height, self.width), bool)
+        for rows, places in self._strips():
+            columns = np.floor(places[..., 0] - 0.5).astype(np.int64).clip(0, width - 1)
+            lines = np.floor(places[..., 1] - 0.5).astype(np.int64).clip(0, height - 1)
+            samples = whole[lines, columns].reshape(-1, self.over, self.width, self.over)
+            out[rows] = samples.all(axis=(1, 3))
+        return out
 
     def straightened(self, keypoints: np.ndarray) -> np.ndarray:
         """Where places ``[M, 2]`` in the photo (pixels) are in this camera's picture."""
@@ -71,13 +177,68 @@ class Lens:
             return keypoints
         return self.source.cam_from_img(keypoints) * (self.fx, self.fy) + (self.cx, self.cy)
 
+    def _strips(self) -> Iterator[tuple[slice, np.ndarray]]:
+        """Rows of the picture, and ``[over·rows, over·width, 2]``: where in the photo their samples are."""
+        columns = ((np.arange(self.over * self.width) + 0.5) / self.over - self.cx) / self.fx
+        lines = ((np.arange(self.over * self.height) + 0.5) / self.over - self.cy) / self.fy
+        step = max(1, STRIP // (len(columns) * self.over))
+        for start in range(0, self.height, step):
+            rows = slice(start, min(start + step, self.height))
+            y = lines[rows.start * self.over : rows.stop * self.over]
+            rays = np.ones((len(y), len(columns), 3))
+            rays[..., 0], rays[..., 1] = columns, y[:, None]
+            places = np.asarray(self.source.img_from_cam(rays.reshape(-1, 3)))
+            yield rows, places.reshape(len(y), len(columns), 2)
 
-def make_lenses(cameras: Mapping[int, Any], scale: float) -> dict[int, Lens]:
+
+@dataclass(frozen=True)
+class Reduced:
+    """What stands in for a lens where others of a data set have one: nothing but the reduction."""
+
+    reduction: Reduction
+
+    @property
+    def key(self) -> Hashable:
+        return self.reduction.factor, self.reduction.filter
+
+    def picture(self, codes: np.ndarray) -> np.ndarray:
+        return self.reduction.picture(codes)
+
+    def mask(self, mask: np.ndarray) -> np.ndarray:
+        return self.reduction.mask(mask)
+
+
+def make_lenses(cameras: Mapping[Any, Any], scale: float) -> dict[Any, Lens]:
     """A pinhole camera for each of pycolmap's, all with pictures of one size; raises as ``make_lens``."""
-    lenses = {number: make_lens(camera, scale) for number, camera in cameras.items()}
+    return _of_one_size({key: make_lens(camera, scale) for key, camera in cameras.items()})
+
+
+def lenses_by_size(cameras: Mapping[Any, Any], scale: float) -> dict[Any, Lens]:
+    """As ``make_lenses``, but of one size only where photos are and pictures differ by ``ALIKE`` at most.
+
+    So much do cameras differ that were found for each photo by itself.
+    """
+    lenses = {key: make_lens(camera, scale) for key, camera in cameras.items()}
+    left = set(cameras)
+    while left:
+        first = min(left, key=lambda key: (lenses[key].width, lenses[key].height))
+        one, photo = lenses[first], (cameras[first].width, cameras[first].height)
+        alike = {
+            key
+            for key in left
+            if (cameras[key].width, cameras[key].height) == photo
+            and lenses[key].width <= one.width * (1.0 + ALIKE)
+            and abs(lenses[key].height - one.height) <= one.height * ALIKE
+        }
+        lenses |= _of_one_size({key: lenses[key] for key in alike})
+        left -= alike
+    return lenses
+
+
+def _of_one_size(lenses: dict[Any, Lens]) -> dict[Any, Lens]:
     width = min(lens.width for lens in lenses.values())
     height = min(lens.height for lens in lenses.values())
-    return {number: _cropped(lens, width, height) for number, lens in lenses.items()}
+    return {key: _cropped(lens, width, height) for key, lens in lenses.items()}
 
 
 def _cropped(lens: Lens, width: int, height: int) -> Lens:
@@ -88,50 +249,123 @@ def _cropped(lens: Lens, width: int, height: int) -> Lens:
 def make_lens(camera: Any, scale: float) -> Lens:
     """The pinhole camera for pycolmap's ``camera``: its focal length times ``scale`` ≤ 1, no blank pixels.
 
-    Raises ``BadValueError`` where the distortion is beyond belief.
+    It shows the largest upright rectangle about the optical axis that the photo fills, and no more than
+    ``WIDEST_TANGENT`` to each side. Raises ``BadValueError`` where the distortion is beyond belief.
     """
-    left, top, right, bottom = _inside(camera)
+    if camera.model_name == ALL_AROUND:
+        raise panorama("the camera")
+    found = _inside(camera) if camera.width > 0 and camera.height > 0 else None
+    if found is None:
+        raise _not_credible(camera)
+    left, top, right, bottom = found
     fx, fy = camera.focal_length_x, camera.focal_length_y
     full = (right - left) * fx, (bottom - top) * fy
     share = full[0] * full[1] / (camera.width * camera.height)
     if not (full[0] > 1.0 and full[1] > 1.0 and SMALLEST_SHARE < share < 1.0 / SMALLEST_SHARE):
-        raise BadValueError(
-            f"the lens that was found is not credible: {camera.model_name} {camera.params_to_string()}",
-            NOT_CREDIBLE,
-        )
+        raise _not_credible(camera)
     width, height = (max(1, math.floor(side * scale + 1e-6)) for side in full)
     # Whole pixels: what is left of the rectangle goes at both edges alike.
     fx, fy = fx * scale, fy * scale
     cx = 0.5 * (width - (left + right) * fx)
     cy = 0.5 * (height - (top + bottom) * fy)
     over = math.ceil(1.0 / scale - 1e-6)
-    return Lens(camera, width, height, fx, fy, cx, cy, over)
+    x, y = np.asarray(camera.img_from_cam(_sides(left, top, right, bottom))).T
+    shown = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))  # the area within: the shoelace formula
+    cut = max(0.0, 1.0 - shown / (camera.width * camera.height))
+    return Lens(camera, width, height, fx, fy, cx, cy, over, cut)
 
 
-@lru_cache(maxsize=1)  # of many cameras each is used for its own pictures, one after the other
-def _places(lens: Lens) -> torch.Tensor:
-    """``[over·height, over·width, 2]`` float32: where in the photo each sample is, −1…1 from edge to edge."""
-    columns = ((np.arange(lens.over * lens.width) + 0.5) / lens.over - lens.cx) / lens.fx
-    rows = ((np.arange(lens.over * lens.height) + 0.5) / lens.over - lens.cy) / lens.fy
-    places = np.empty((len(rows), len(columns), 2), np.float32)
-    for k, row in enumerate(rows):
-        rays = np.stack([columns, np.full_like(columns, row), np.ones_like(columns)], axis=1)
-        places[k] = 2.0 * lens.source.img_from_cam(rays) / (lens.source.width, lens.source.height) - 1.0
-    return torch.from_numpy(places)
-
-
-def _inside(camera: Any) -> tuple[float, float, float, float]:
-    """An upright rectangle on the plane z = 1 that the whole photo covers: left, top, right, bottom."""
-    along = np.linspace(0.0, 1.0, EDGE_POINTS)
-    zero, one = np.zeros_like(along), np.ones_like(along)
-
-    def on_plane(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        rays = camera.cam_from_img(np.stack([x * camera.width, y * camera.height], axis=1))
-        return np.asarray(rays)
-
-    return (
-        float(on_plane(zero, along)[:, 0].max()),
-        float(on_plane(along, zero)[:, 1].max()),
-        float(on_plane(one, along)[:, 0].min()),
-        float(on_plane(along, one)[:, 1].min()),
+def panorama(whose: str) -> BadValueError:
+    """The error for ``whose`` pictures that show everything around, which no pinhole camera does."""
+    return BadValueError(
+        f"{whose} takes 360° panoramas ({ALL_AROUND}), which no pinhole camera does",
+        "Cut them into views of 90° first, six to a cube, and find the cameras of those.",
     )
+
+
+def _not_credible(camera: Any) -> BadValueError:
+    return BadValueError(
+        f"the lens is not credible: {camera.model_name} {camera.params_to_string()} of photos of "
+        f"{camera.width}×{camera.height}",
+        NOT_CREDIBLE,
+    )
+
+
+def _sides(left: float, top: float, right: float, bottom: float) -> np.ndarray:
+    """``[4 · EDGE_POINTS, 3]``: points on the plane z = 1 along a rectangle's sides, once around."""
+    along = np.linspace(0.0, 1.0, EDGE_POINTS)
+    x, y = left + (right - left) * along, top + (bottom - top) * along
+    around = [(x, np.full_like(x, top)), (np.full_like(y, right), y)]
+    around += [(x[::-1], np.full_like(x, bottom)), (np.full_like(y, left), y[::-1])]
+    x, y = (np.concatenate(each) for each in zip(*around, strict=True))
+    return np.stack([x, y, np.ones_like(x)], axis=1)
+
+
+def _inside(camera: Any) -> tuple[float, float, float, float] | None:
+    """An upright rectangle on the plane z = 1 that the photo fills: left, top, right, bottom; None: none.
+
+    The lens is followed from its axis outwards in every direction, up to where it leaves the photo, folds
+    back or comes to ``WIDEST_TANGENT``: only forwards, for what a lens maps nothing on has no way back.
+    """
+    size = np.array([camera.width, camera.height], np.float64)
+    focal = np.array([camera.focal_length_x, camera.focal_length_y])
+    if not (np.isfinite(camera.params).all() and (focal > 0.0).all()):
+        return None
+    angles = 2.0 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+    outward = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    farthest = min(math.sqrt(2.0) * WIDEST_TANGENT, 3.0 * float((size / focal).max()))
+    step = farthest / STEPS
+    tiny = 1e-3 * step
+
+    def good(points: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Whether points ``[..., 2]`` of the plane, met in these directions, are in the picture."""
+        rays = np.ones((2, *points.shape[:-1], 3))
+        rays[0, ..., :2], rays[1, ..., :2] = points, points + tiny * directions
+        here, next_to = np.asarray(camera.img_from_cam(rays.reshape(-1, 3))).reshape(*rays.shape[:-1], 2)
+        grows = ((next_to - here) * directions * focal).sum(axis=-1)
+        grows /= tiny * ((directions * focal) ** 2).sum(axis=-1)
+        with np.errstate(invalid="ignore"):
+            on_photo = ((here >= -ON_EDGE) & (here <= size + ON_EDGE)).all(axis=-1)
+            return on_photo & (grows > LEAST_GROWTH) & (np.abs(points) <= WIDEST_TANGENT).all(axis=-1)
+
+    reach = step * np.arange(STEPS + 1)
+    path = outward[:, None] * reach[:, None]
+    there = good(path, np.broadcast_to(outward[:, None], path.shape))
+    if not there[:, 0].all():
+        return None
+    there[:, -1] = False
+    low = reach[there.argmin(axis=1) - 1]
+    high = low + step
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        is_good = good(middle[:, None] * outward, outward)
+        low, high = np.where(is_good, middle, low), np.where(is_good, high, middle)
+    edge, beyond = low[:, None] * outward, high[:, None] * outward
+    rays = np.concatenate([beyond, np.ones((DIRECTIONS, 1))], axis=1)
+    x, y = np.asarray(camera.img_from_cam(rays)).T
+
+    def least(is_over: np.ndarray, coordinate: np.ndarray) -> float:
+        """How far one may go to a side: to the nearest place where the photo ends at that side."""
+        return float(np.abs(coordinate[is_over]).min(initial=WIDEST_TANGENT))
+
+    sides = np.array(
+        [
+            -least(x < -ON_EDGE, edge[:, 0]),
+            -least(y < -ON_EDGE, edge[:, 1]),
+            least(x > size[0] + ON_EDGE, edge[:, 0]),
+            least(y > size[1] + ON_EDGE, edge[:, 1]),
+        ]
+    )
+
+    def fills(share: float) -> bool:
+        points = _sides(*(share * sides))[:, :2]
+        return bool(good(points, points / np.linalg.norm(points, axis=1, keepdims=True)).all())
+
+    # Corners lie between the directions that were followed, and where a lens folds back there is no side at
+    # all: what is left to do is to make the rectangle smaller as it is.
+    share, too_much = (1.0, 1.0) if fills(1.0 - 1e-12) else (0.0, 1.0)
+    while too_much - share > 1e-7:
+        middle = 0.5 * (share + too_much)
+        share, too_much = (middle, too_much) if fills(middle) else (share, middle)
+    left, top, right, bottom = (share * sides).tolist()
+    return left, top, right, bottom

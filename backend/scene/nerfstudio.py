@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The reader of nerfstudio's ``transforms.json``: pinhole cameras, one exposure a view.
+"""The reader of ``transforms.json``, nerfstudio's and instant-ngp's: one exposure a view.
 
-Poses are camera to world with OpenGL axes, kept as they are; intrinsics stand once or in each frame.
-Source: nerfstudio's documentation, "Data conventions".
+Poses are camera to world with OpenGL axes, kept as they are; intrinsics stand once or in each frame, with a
+lens's distortion as OpenCV numbers it. Sources: nerfstudio's documentation, "Data conventions"; instant-ngp's
+"Tips for training NeRF models".
 """
 
 import math
@@ -14,27 +15,46 @@ from typing import Any
 from ...bridge.data_set import plain_name, scene_name
 from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError
 from ...bridge.limits import FOCAL_LENGTH, LARGEST_SIDE, PRINCIPAL_POINT
+from ...bridge.regular import regular_file
 from .camera import Camera
 from .checks import MAKE_AGAIN, exposure, number, path_inside, read_json, require, rigid_pose
 from .exposures import exposures_from_exif
 from .info import read_anchor, read_info
-from .pictures import picture_size
+from .lens import ALL_AROUND, NO_DISTORTION, RealCamera, panorama
 from .points import read_points
-from .poses import PictureFile, Pose, check_numbers, numbered, one_size, split_somehow
+from .poses import (
+    SUFFIXES,
+    PictureFile,
+    Pose,
+    Views,
+    at_size_of_pictures,
+    check_numbers,
+    masks_in_words,
+    numbered,
+    sizes_of,
+    skipped_in_words,
+    split_somehow,
+)
 from .resize import WIDEST, Reduction
-from .scene import PictureCache, Points, Scene
+from .scene import Points, Scene
 
 NAME = "nerfstudio"
 LOOKS_FOR = "transforms.json"
 #: What a ``file_path`` may lack.
-SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".JPG", ".PNG")
-#: Camera models that are pinholes where their distortion is 0.
-PINHOLE_LIKE = ("PINHOLE", "SIMPLE_PINHOLE", "OPENCV")
-DISTORTION = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
-#: As for COLMAP's models: moves no pixel of a large picture by more than about a hundredth.
-NO_DISTORTION = 1e-6
+LACKING = ("", *SUFFIXES, *(suffix.upper() for suffix in SUFFIXES))
+#: Camera models of straight lines, or lines bent by OpenCV's k and p; each may have any of these.
+PERSPECTIVE = ("PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV", "PERSPECTIVE")
+#: Models by the angle from the axis, with k1 to k4.
+FISHEYE = ("OPENCV_FISHEYE", "FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
+#: The numbers of each of COLMAP's models after focal lengths and principal point, as this format names them.
+OPENCV = ("k1", "k2", "p1", "p2")
+FULL_OPENCV = (*OPENCV, "k3", "k4", "k5", "k6")
+OPENCV_FISHEYE = ("k1", "k2", "k3", "k4")
 
-UNDISTORT = "Undistort the pictures first, for example by 'physhdr prepare' from the original photographs."
+OTHER_MODELS = (
+    f"Of this format {', '.join((*PERSPECTIVE, *FISHEYE))} are read; a folder of COLMAP's (images/ and "
+    "sparse/0) may have any of its models."
+)
 
 
 def is_mine(root: Path) -> bool:
@@ -42,46 +62,55 @@ def is_mine(root: Path) -> bool:
     return (root / LOOKS_FOR).exists()
 
 
-def read_scene(root: Path, downscale: float | None = None) -> Scene:
+def read_scene(root: Path, downscale: float | None = None, color_space: str | None = None) -> Scene:
     """Read a data set folder.
 
-    ``downscale``: None halves pictures until no side is longer than 1600, as nerfstudio does. Raises
-    ``FileMissingError``, ``FileDamagedError``, ``DataMismatchError`` or ``BadValueError``, each naming the
-    file, the entry and the remedy.
+    ``downscale``: None halves pictures until no side of the largest is longer than 1600, as nerfstudio does.
+    Frames without a picture are left out and counted. Raises ``FileMissingError``, ``FileDamagedError``,
+    ``DataMismatchError`` or ``BadValueError``, each naming the file, the entry and the remedy.
     """
     path = root / LOOKS_FOR
     content = read_json(path)
-    frames = _frames(root, path, content)
-    size = one_size([file for file, _ in frames])
-    seconds, told = _exposures(path, frames)
+    listed = _frames(root, path, content)
+    sizes, faults = sizes_of(file for file, _ in listed)
+    skipped = skipped_in_words("frames", len(listed), faults, root, len(sizes) / len(listed))
+    # Each keeps its place among all that are listed: a picture that turns up changes nobody's number.
+    frames = {order: frame for order, frame in enumerate(listed) if frame[0] in sizes}
+    seconds, told = _exposures(path, list(frames.values()))
     poses = []
-    for order, (file, frame) in enumerate(frames):
+    for (order, (file, frame)), time in zip(frames.items(), seconds, strict=True):
         name = file.relative_to(root).as_posix().rsplit(".", 1)[0]
-        camera = _camera(path, f"frame '{name:.80}'", content | frame, file)
-        poses.append(Pose(name, order, camera, {0: PictureFile(file, seconds[order])}))
+        where = f"frame '{name:.80}'"
+        given = content | frame
+        camera = _camera(path, where, given, sizes[file])
+        mask = _mask(root, path, where, frame)
+        pictures = {0: PictureFile(file, time, mask)}
+        pose = Pose(name, order, camera, pictures, lens=_lens(path, where, given, camera))
+        poses.append(at_size_of_pictures(pose, sizes, path))
     train, test, rule = _split(root, path, content, numbered(root, poses))
     check_numbers(train, "training", path)
     check_numbers(test, "test", path)
-    reduction = Reduction(_published_factor(*size) if downscale is None else downscale)
-    cache = PictureCache(reduction=reduction)
+    longest = max(max(pose.camera.width, pose.camera.height) for pose in poses)
+    reduction = Reduction(_published_factor(longest) if downscale is None else downscale)
+    views = Views(root, poses, reduction, color_space)
     info = read_info(root)
     return Scene(
         root=root,
         name=scene_name(root, info),
-        train=[pose.view(reduction, cache) for pose in train],
-        test=[pose.view(reduction, cache) for pose in test],
+        train=views.of(train),
+        test=views.of(test),
         lit=[],
         points=_points(root, path, content),
         response_anchor=read_anchor(root, info, otherwise=None),
         info=info,
         layout=NAME,
-        messages=(rule, reduction.in_words(*size), told),
+        messages=(rule, *skipped, *views.messages, told, *masks_in_words(poses)),
     )
 
 
-def _published_factor(width: int, height: int) -> float:
+def _published_factor(longest: int) -> float:
     factor = 1.0
-    while max(width, height) / factor > WIDEST:
+    while longest / factor > WIDEST:
         factor *= 2.0
     return factor
 
@@ -114,38 +143,35 @@ def _frames(root: Path, path: Path, content: dict[str, Any]) -> list[tuple[Path,
 def _picture(root: Path, path: Path, name: str) -> Path:
     """A frame's picture, whose suffix may have been left out."""
     file = path_inside(root, name, path)
-    candidates = (file.with_name(file.name + suffix) for suffix in SUFFIXES)
+    candidates = (file.with_name(file.name + suffix) for suffix in LACKING)
     # Path.is_file raises where a name is too long; the reader of pictures then says so.
     return next((candidate for candidate in candidates if os.path.isfile(candidate)), file)
 
 
-def _camera(path: Path, where: str, given: dict[str, Any], file: Path) -> Camera:
-    """The camera of a frame at the size of its picture; ``given``: the frame's entries over the file's."""
-    model = given.get("camera_model", "OPENCV")
-    if model not in PINHOLE_LIKE or given.get("is_fisheye"):
-        raise BadValueError(
-            f"{path}: {where} has the camera model {model!r:.80}, which is no pinhole", UNDISTORT
-        )
-    for key in DISTORTION:
-        if abs(number(path, given.get(key, 0.0), f"{where}: '{key}'")) > NO_DISTORTION:
-            raise BadValueError(
-                f"{path}: {where} has the distortion {key} = {given[key]:g}: pictures of it are bent",
-                UNDISTORT,
-            )
+def _mask(root: Path, path: Path, where: str, frame: dict[str, Any]) -> Path | None:
+    """A frame's mask; raises ``FileMissingError`` where it names one that is not there."""
+    name = frame.get("mask_path")
+    if name is None:
+        return None
+    if not isinstance(name, str):
+        raise BadValueError(f"{path}: {where}: 'mask_path' is {name!r:.80}, not a text", "Mend or remove it.")
+    remedy = f"Put it there, or remove 'mask_path' of {where}: then all of its picture is compared."
+    return regular_file(path_inside(root, name, path), remedy)
+
+
+def _camera(path: Path, where: str, given: dict[str, Any], stored: tuple[int, int]) -> Camera:
+    """The camera of a frame at the size that is stated; ``given``: the frame's entries over the file's.
+
+    ``stored``: the picture's size, where none is stated.
+    """
     pose = rigid_pose(path, require(path, given, "transform_matrix", f": {where}"), where)
-    actual = picture_size(file)
-    size = [number(path, given.get(key, actual[k]), f"{where}: '{key}'") for k, key in enumerate("wh")]
+    size = [number(path, given.get(key, stored[k]), f"{where}: '{key}'") for k, key in enumerate("wh")]
     width, height = (round(min(max(value, 0.0), 2.0 * LARGEST_SIDE)) for value in size)
     sides = range(1, LARGEST_SIDE + 1)
-    if (
-        width not in sides
-        or height not in sides
-        or abs(height * actual[0] - actual[1] * width) > max(width, actual[0])
-    ):
+    if width not in sides or height not in sides:
         raise DataMismatchError(
-            f"{path}: {where} is said to be {width}×{height}, {file} is {actual[0]}×{actual[1]}: another "
-            "shape",
-            "Use the pictures that the cameras were found with, neither cropped nor turned.",
+            f"{path}: {where} is said to be {size[0]:g}×{size[1]:g} pixels",
+            "Mend 'w' and 'h', or remove them.",
         )
     fx = _focal(path, where, given, "x", width)
     fy = _focal(path, where, given, "y", height) or fx
@@ -160,8 +186,41 @@ def _camera(path: Path, where: str, given: dict[str, Any], file: Path) -> Camera
         )
         for key, side in (("cx", width), ("cy", height))
     )
-    camera = Camera(pose, width, height, fx, fy, cx, cy)
-    return camera if (width, height) == actual else camera.resized(*actual)
+    return Camera(pose, width, height, fx, fy, cx, cy)
+
+
+def _lens(path: Path, where: str, given: dict[str, Any], camera: Camera) -> RealCamera | None:
+    """What bends straight lines in a frame's picture; None where nothing does.
+
+    Raises ``BadValueError`` for a model that this format has no numbers for, and for a lone k4: OpenCV
+    divides by what it is a part of, nerfstudio multiplies.
+    """
+    model = given.get("camera_model", "OPENCV")
+    if model == ALL_AROUND:
+        raise panorama(f"{path}: {where}")
+    fisheye = bool(given.get("is_fisheye")) or model in FISHEYE
+    if not fisheye and model not in PERSPECTIVE:
+        raise BadValueError(f"{path}: {where} has the camera model {model!r:.80}", OTHER_MODELS)
+    values = {
+        key: number(path, given.get(key, 0.0), f"{where}: '{key}'") for key in (*FULL_OPENCV, *OPENCV_FISHEYE)
+    }
+    bends = {key for key, value in values.items() if abs(value) > NO_DISTORTION}
+    if fisheye:
+        kind, names = "OPENCV_FISHEYE", OPENCV_FISHEYE
+    elif bends <= set(OPENCV):
+        kind, names = "OPENCV", OPENCV
+    else:
+        kind, names = "FULL_OPENCV", FULL_OPENCV
+        if "k4" in bends and model != "FULL_OPENCV" and not {"k5", "k6"} & set(given):
+            raise BadValueError(
+                f"{path}: {where} has the distortion k4 = {values['k4']:g} without k5 and k6: programs "
+                "differ in what it means",
+                "Write k5 and k6 (0) beside it where it is OpenCV's; else undistort the pictures first.",
+            )
+    focal_lengths_and_middle = (camera.fx, camera.fy, camera.cx, camera.cy)
+    params = (*focal_lengths_and_middle, *(values[name] for name in names))
+    real = RealCamera(kind, camera.width, camera.height, params)
+    return None if real.is_pinhole else real
 
 
 def _focal(path: Path, where: str, given: dict[str, Any], axis: str, side: int) -> float | None:

@@ -1,86 +1,244 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Poses and their brackets as a reader finds them, before pictures are reduced and views are made of them."""
+"""Poses and their brackets as a reader finds them, and the views that are made of them.
+
+Readers put cameras and files together; what is alike in all layouts is here: which pictures can be read at
+all, how sizes, turns and lenses are brought together, which views are for testing.
+"""
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+from PIL import Image
+
 from ...bridge import data_set
-from ...bridge.errors import DataMismatchError, PhysHDRError
+from ...bridge.errors import DataMismatchError, FileMissingError, PhysHDRError
+from ...bridge.regular import damaged_where_it_fails
 from .camera import Camera
-from .pictures import picture_size
+from .exif import tags_of
+from .lens import Lens, RealCamera, Reduced, lenses_by_size
+from .pictures import READABLE, picture_size
 from .resize import Reduction
 from .scene import PictureCache, View
 from .source import PictureSource
+from .test_choice import EVERY, FEWEST, test_places
+from .undistorted import store_for
 
-#: Where nothing says which views are for testing: every eighth from the first, as 3DGS has it.
-TEST_EVERY = 8
 #: Where any layout keeps true radiance (``evaluate/truth.py``), by the poses' numbers. Never opened here.
 TRUTH_FOLDERS = (*map(data_set.truth_folder, (data_set.TRAIN, data_set.TEST)), "images_hdr", "exr")
+#: What the names of pictures end with, in lower case.
+SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".hdr")
+#: Beside a COLMAP model's pictures: ``masks/NAME.jpg.png`` of ``images/NAME.jpg``; black is not compared.
+MASKS = "masks"
+#: EXIF's tag of how a picture is to be turned, and its values that swap width and height.
+ORIENTATION, LYING = 0x0112, (5, 6, 7, 8)
+#: A share of each photo beyond this that no picture shows is worth a word.
+MUCH = 0.05
 
 
 @dataclass(frozen=True)
 class PictureFile:
-    """A file and its exposure, seconds. ``source``: what is done to it; None: nothing."""
+    """A file and its exposure, seconds. ``mask``: black where it is not compared. ``orientation``: EXIF's."""
 
     path: Path
     seconds: float
-    source: PictureSource | None = None
-
-    @property
-    def as_source(self) -> PictureSource:
-        return self.source or PictureSource(self.path)
+    mask: Path | None = None
+    orientation: int = 1
 
 
 @dataclass(frozen=True)
 class Pose:
-    """A camera at full size and its pictures, by their place in the bracket, rising."""
+    """A camera at full size and its pictures, by their place in the bracket, rising.
+
+    ``lens``: of a camera that bends straight lines, at the size of its pictures; ``camera`` then has its pose
+    and its size. None: a pinhole.
+    """
 
     name: str
     index: int
     camera: Camera
     pictures: dict[int, PictureFile]
     lighting_levels: tuple[float, ...] = (1.0,)
+    lens: RealCamera | None = None
 
-    def view(self, reduction: Reduction, cache: PictureCache) -> View:
-        """The view, its camera at the reduced size."""
-        return View(
-            self.name,
-            reduction.camera(self.camera),
-            tuple(picture.seconds for picture in self.pictures.values()),
-            tuple(picture.as_source for picture in self.pictures.values()),
-            self.index,
-            self.lighting_levels,
-            cache,
-            tuple(self.pictures),
+
+class Views:
+    """Makes views of poses: the same reduction for all, and no distortion.
+
+    ``messages``: what was decided, for ``Scene.messages``, the size first. Raises ``FileMissingError`` where
+    a lens needs pycolmap and it is not installed, ``BadValueError`` for a lens that is none.
+    """
+
+    def __init__(
+        self, root: Path, poses: Sequence[Pose], reduction: Reduction, color_space: str | None = None
+    ) -> None:
+        self.reduction = reduction
+        bent = [pose for pose in poses if pose.lens is not None]
+        real = {pose.lens: pose.lens.pycolmaps() for pose in bent if pose.lens is not None}
+        self._lenses: dict[RealCamera, Lens] = lenses_by_size(real, 1.0 / reduction.factor)
+        self.messages: tuple[str, ...] = (_size_in_words(poses, reduction), *self._lenses_in_words())
+        self._store = None
+        if bent:
+            # With the distortion pictures lose their size, at once; others of the data set are reduced alone.
+            self._cache = PictureCache(reduction=replace(reduction, done=True))
+            lenses = [(pose, self._lenses[pose.lens]) for pose in bent if pose.lens is not None]
+            files = [
+                (file.path, lens.width, lens.height)
+                for pose, lens in lenses
+                for file in pose.pictures.values()
+            ]
+            self._store, told = store_for(root, files)
+            self.messages += (told,)
+        else:
+            self._cache = PictureCache(reduction=reduction)
+
+    def of(self, poses: Iterable[Pose]) -> list[View]:
+        """The views of some of the poses."""
+        return [self._view(pose) for pose in poses]
+
+    def _view(self, pose: Pose) -> View:
+        lens = None if pose.lens is None else self._lenses[pose.lens]
+        if lens is None:
+            camera = self.reduction.camera(pose.camera)
+            taken_out = Reduced(self.reduction) if self._lenses and self.reduction.factor > 1.0 else None
+        else:
+            sides, focal_lengths = (lens.width, lens.height), (lens.fx, lens.fy)
+            camera = Camera(pose.camera.camera_to_world, *sides, *focal_lengths, lens.cx, lens.cy)
+            taken_out = lens
+        sources = (
+            PictureSource(
+                file.path,
+                lens=taken_out,
+                mask_path=file.mask,
+                orientation=file.orientation,
+                store=None if lens is None else self._store,
+            )
+            for file in pose.pictures.values()
         )
+        return View(
+            pose.name,
+            camera,
+            tuple(picture.seconds for picture in pose.pictures.values()),
+            tuple(sources),
+            pose.index,
+            pose.lighting_levels,
+            self._cache,
+            tuple(pose.pictures),
+        )
+
+    def _lenses_in_words(self) -> tuple[str, ...]:
+        """What is taken out of the pictures, and how much they lose by it."""
+        if not self._lenses:
+            return ()
+        first, lens = next(iter(self._lenses.items()))
+        several = f"{len(self._lenses)} lenses, the first" if len(self._lenses) > 1 else "the lens"
+        told = (
+            f"the distortion of {several} {first.in_words()}, is taken out: {lens.width}×{lens.height} remain"
+        )
+        cut = max(lens.cut for lens in self._lenses.values())
+        if cut <= MUCH:
+            return (told,)
+        return (f"{told}; up to {cut:.0%} of a photo is beyond what a pinhole camera shows (110° at most)",)
+
+
+def _size_in_words(poses: Sequence[Pose], reduction: Reduction) -> str:
+    """What happens to the pictures' sizes."""
+    counts = Counter((pose.camera.width, pose.camera.height) for pose in poses)
+    if len(counts) == 1:
+        return reduction.in_words(*next(iter(counts)))
+    sizes = ", ".join(f"{count} of {width}×{height}" for (width, height), count in counts.most_common(4))
+    what = f"pictures have {len(counts)} sizes ({sizes}{', …' if len(counts) > 4 else ''})"
+    return f"{what}; {reduction.in_words(*max(counts, key=lambda size: size[0] * size[1]))}"
+
+
+def widest(poses: Iterable[Pose]) -> int:
+    """The width of the widest picture: what decides the reduction of all."""
+    return max(pose.camera.width for pose in poses)
+
+
+# ---- pictures, their sizes and turns -------------------------------------------------------------------
+
+
+def sizes_of(
+    paths: Iterable[Path],
+) -> tuple[dict[Path, tuple[int, int]], dict[Path, PhysHDRError]]:
+    """``(width, height)`` of each picture by its header, and what is wrong with those that have no such."""
+    sizes: dict[Path, tuple[int, int]] = {}
+    faults: dict[Path, PhysHDRError] = {}
+    for path in paths:
+        try:
+            sizes[path] = picture_size(path)
+        except PhysHDRError as error:
+            faults[path] = error
+    return sizes, faults
+
+
+def skipped_in_words(
+    what: str, count: int, faults: Mapping[Path, PhysHDRError], root: Path, share_left: float
+) -> tuple[str, ...]:
+    """What is said of those of ``count`` ``what`` ("frames") whose picture cannot be used; () without any.
+
+    Raises the first fault where less than half of all poses is left.
+    """
+    if not faults:
+        return ()
+    missing = [path for path, fault in faults.items() if isinstance(fault, FileMissingError)]
+    damaged = [fault for fault in faults.values() if not isinstance(fault, FileMissingError)]
+    if share_left < 0.5:
+        first = next(iter(faults.values()))
+        told = f"{len(faults)} of {count} {what} have no picture that can be used. The first: {first.message}"
+        raise type(first)(told, first.hint)
+    said = []
+    if missing:
+        name = missing[0].relative_to(root).as_posix()
+        said.append(f"{len(missing)} of {count} {what} have no picture: skipped (first: {name})")
+    if damaged:
+        told = f"{len(damaged)} of {count} {what} have a picture that cannot be read"
+        said.append(f"{told}: skipped (first: {damaged[0].message})")
+    return tuple(said)
+
+
+def all_sizes(paths: Sequence[Path]) -> dict[Path, tuple[int, int]]:
+    """``(width, height)`` of each picture, of which none may be missing.
+
+    Raises what ``picture_size`` raises: the first fault, and how many there are.
+    """
+    sizes, faults = sizes_of(paths)
+    _raise_first(list(faults.values()), len(paths))
+    return sizes
 
 
 def one_size(paths: Sequence[Path]) -> tuple[int, int]:
     """``(width, height)`` that all these pictures have, after a look at each header.
 
-    Raises what ``picture_size`` raises, ``DataMismatchError`` where sizes differ: the first fault, and how
-    many there are.
+    Raises as ``all_sizes``, and ``DataMismatchError`` where sizes differ.
     """
-    faults: list[PhysHDRError] = []
-    first: tuple[Path, tuple[int, int]] | None = None
-    for path in paths:
-        try:
-            size = picture_size(path)
-            if first is not None and size != first[1]:
-                raise wrong_size(path, size, *first)
-            first = first or (path, size)
-        except PhysHDRError as error:
-            faults.append(error)
+    sizes = all_sizes(paths)
+    first = paths[0]
+    odd = [path for path in paths if sizes[path] != sizes[first]]
+    _raise_first([wrong_size(path, sizes[path], first, sizes[first]) for path in odd], len(paths))
+    return sizes[first]
+
+
+def _raise_first(faults: Sequence[PhysHDRError], count: int) -> None:
+    """The first fault of ``count`` pictures' faults, and how many there are; nothing where there are none."""
+    if len(faults) > 1:
+        message = f"{len(faults)} of {count} pictures cannot be used. The first: {faults[0].message}"
+        raise type(faults[0])(message, faults[0].hint)
     if faults:
-        if len(faults) > 1:
-            message = f"{len(faults)} of {len(paths)} pictures cannot be used. The first: {faults[0].message}"
-            raise type(faults[0])(message, faults[0].hint)
         raise faults[0]
-    assert first is not None, "a reader asks for the size of one picture at least"
-    return first[1]
+
+
+def size_of_bracket(paths: Sequence[Path], sizes: Mapping[Path, tuple[int, int]]) -> tuple[int, int]:
+    """The size of one pose's pictures; raises ``DataMismatchError`` where they differ."""
+    first = paths[0]
+    for path in paths:
+        if sizes[path] != sizes[first]:
+            raise wrong_size(path, sizes[path], first, sizes[first])
+    return sizes[first]
 
 
 def wrong_size(path: Path, size: tuple[int, int], first: Path, right: tuple[int, int]) -> DataMismatchError:
@@ -91,6 +249,51 @@ def wrong_size(path: Path, size: tuple[int, int], first: Path, right: tuple[int,
     )
 
 
+def is_shaped(size: tuple[int, int], like: tuple[int, int]) -> bool:
+    """Whether two sizes are of one shape, to a pixel's rounding."""
+    return abs(like[1] * size[0] - size[1] * like[0]) <= max(like[0], size[0])
+
+
+def turn(path: Path, stored: tuple[int, int], stated: tuple[int, int]) -> int:
+    """EXIF's orientation that a picture is to be turned by: 1, as it is stored, unless only turned it fits.
+
+    Structure from motion looks at pictures as they are stored (COLMAP 4.2 does), and so do the loaders of
+    nerfstudio and instant-ngp. But who found the cameras on turned copies has widths for heights.
+    """
+    if is_shaped(stored, stated) or not is_shaped((stored[1], stored[0]), stated):
+        return 1
+    orientation = exif_orientation(path)
+    return orientation if orientation in LYING else 1
+
+
+def exif_orientation(path: Path) -> int:
+    """How a picture is to be turned by what its camera wrote, 1 to 8; 1 where nothing is written."""
+    try:
+        with damaged_where_it_fails(str(path)), Image.open(path, formats=READABLE) as picture:
+            value = tags_of(picture).get(ORIENTATION, 1)
+    except PhysHDRError:
+        return 1  # a kind without EXIF
+    return value if isinstance(value, int) and 1 <= value <= 8 else 1
+
+
+def at_size_of_pictures(pose: Pose, sizes: Mapping[Path, tuple[int, int]], told_by: Path) -> Pose:
+    """The pose with its camera, lens and pictures brought together: one size, all turned alike.
+
+    ``sizes``: of its pictures as they are stored. Raises ``DataMismatchError`` where they are not of one
+    size, or of another shape than the camera.
+    """
+    paths = [file.path for file in pose.pictures.values()]
+    first, stored = paths[0], size_of_bracket(paths, sizes)
+    camera = pose.camera
+    orientation = turn(first, stored, (camera.width, camera.height))
+    size = (stored[1], stored[0]) if orientation in LYING else stored
+    if orientation != 1:
+        pictures = {k: replace(file, orientation=orientation) for k, file in pose.pictures.items()}
+        pose = replace(pose, pictures=pictures)
+    lens = None if pose.lens is None else pose.lens.resized(*size)
+    return replace(pose, camera=fitted(camera, size, told_by, first), lens=lens)
+
+
 def fitted(camera: Camera, size: tuple[int, int], told_by: Path, picture: Path) -> Camera:
     """A camera that was measured at another size, at the size of the pictures.
 
@@ -99,13 +302,29 @@ def fitted(camera: Camera, size: tuple[int, int], told_by: Path, picture: Path) 
     width, height = size
     if (camera.width, camera.height) == size:
         return camera
-    if abs(camera.height * width - height * camera.width) > max(camera.width, width):
+    if not is_shaped(size, (camera.width, camera.height)):
         raise DataMismatchError(
             f"{told_by} was made from pictures of {camera.width}×{camera.height}, {picture} is "
             f"{width}×{height}: another shape",
             "Use the pictures that the cameras were found with, neither cropped nor turned.",
         )
     return camera.resized(width, height)
+
+
+def mask_beside(root: Path, name: str) -> Path | None:
+    """The mask of the picture ``images/name``, where ``masks/`` has one: ``name.png``, or by its stem."""
+    path = root / MASKS / name
+    candidates = (path.with_name(f"{path.name}.png"), path.with_suffix(".png"))
+    return next((candidate for candidate in candidates if candidate.is_file()), None)
+
+
+def masks_in_words(poses: Iterable[Pose]) -> tuple[str, ...]:
+    """How many pictures have masks, where any has."""
+    files = [file for pose in poses for file in pose.pictures.values()]
+    masked = sum(file.mask is not None for file in files)
+    if not masked:
+        return ()
+    return (f"{masked} of {len(files)} pictures have masks: what these black out is not compared",)
 
 
 # ---- splits and names --------------------------------------------------------------------------------
@@ -131,15 +350,26 @@ def split_by_name(poses: Sequence[Pose]) -> tuple[list[Pose], list[Pose]] | None
 
 
 def split_somehow(poses: Sequence[Pose]) -> tuple[list[Pose], list[Pose], str]:
-    """Training and test poses and the rule in words: by name, else every eighth pose is for testing."""
+    """Training and test poses and the rule in words: by name, else every eighth that lies between others."""
     named = split_by_name(poses)
     if named is not None and named[1]:
         return *named, "split by names: they say 'train' or 'test'"
-    if len(poses) == 1:
-        return list(poses), [], "no test views: there is one pose only"
-    test = list(poses[::TEST_EVERY])
-    train = [pose for k, pose in enumerate(poses) if k % TEST_EVERY]
-    return train, test, f"split by order of names: poses 0, {TEST_EVERY}, {2 * TEST_EVERY} … are for testing"
+    if len(poses) < FEWEST:
+        return (
+            list(poses),
+            [],
+            f"no test views: there {'is one pose' if len(poses) == 1 else 'are two poses'} only",
+        )
+    places = np.stack([pose.camera.position for pose in poses])
+    directions = np.stack([-pose.camera.camera_to_world[:3, 2] for pose in poses])
+    chosen = set(test_places(places, directions))
+    test = [pose for k, pose in enumerate(poses) if k in chosen]
+    train = [pose for k, pose in enumerate(poses) if k not in chosen]
+    rule = (
+        f"split by place: of each {EVERY} poses in the order of names one that others surround is for "
+        f"testing ({len(test)} of {len(poses)})"
+    )
+    return train, test, rule
 
 
 def bracket_name(name: str) -> tuple[str, int, str] | None:

@@ -28,10 +28,12 @@ class Reduction:
     """Pictures ``factor`` times smaller on each side.
 
     ``area``: the mean of each block of pixels, where the size is a multiple of the factor (else bicubic).
+    ``done``: pictures come from their sources as small as this already.
     """
 
     factor: float = 1.0
     filter: Filter = "area"
+    done: bool = False
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.factor) and self.factor >= 1.0):
@@ -49,16 +51,49 @@ class Reduction:
         return self.picture(read_picture(path))
 
     def picture(self, picture: np.ndarray) -> np.ndarray:
-        """``[H, W, 3]`` uint8 → ``[h, w, 3]`` uint8."""
-        if self.factor == 1.0:
+        """``[H, W, 3]`` uint8 or uint16 → ``[h, w, 3]`` of the same type."""
+        if self.factor == 1.0 or self.done:
             return picture
         height, width = picture.shape[:2]
+        if picture.dtype != np.uint8:  # Pillow has no colour of 16 bits
+            largest = float(np.iinfo(picture.dtype).max)
+            return np.floor(self.linear(picture).clip(0.0, largest) + 0.5).astype(picture.dtype)
         image = Image.fromarray(picture)
         if self._averages(width, height):
             # Not resize(…, BOX): that rounds to 8 bits twice, a quarter of a code too bright on average.
             return np.array(image.reduce(round(self.factor)))
         # Pillow widens the filter with the factor, so that nothing aliases.
         return np.array(image.resize(self.size(width, height), Image.Resampling.BICUBIC))
+
+    def linear(self, values: np.ndarray) -> np.ndarray:
+        """``[H, W, 3]`` of any numbers → ``[h, w, 3]`` float64, not rounded."""
+        height, width = values.shape[:2]
+        if self.factor == 1.0 or self.done:
+            return values.astype(np.float64)
+        small = self.size(width, height)
+        if self._averages(width, height):
+            block = round(self.factor)
+            blocks = values.reshape(small[1], block, small[0], block, 3)
+            return blocks.mean(axis=(1, 3), dtype=np.float64)
+        planes = (Image.fromarray(values[..., k].astype(np.float32)) for k in range(3))
+        resized = (np.array(plane.resize(small, Image.Resampling.BICUBIC)) for plane in planes)
+        return np.stack(list(resized), axis=-1).astype(np.float64)
+
+    def mask(self, mask: np.ndarray) -> np.ndarray:
+        """``[H, W]`` bool → ``[h, w]`` bool: True where all that a pixel is made of was True."""
+        if self.factor == 1.0 or self.done:
+            return mask
+        height, width = mask.shape
+        averages = self._averages(width, height)
+        columns, rows = (
+            _windows(side, small, averages)
+            for side, small in zip((width, height), self.size(width, height), strict=True)
+        )
+        # What is masked in each rectangle that begins in the corner.
+        masked = np.pad(np.cumsum(np.cumsum(~mask, axis=0), axis=1), ((1, 0), (1, 0)))
+        (left, right), (top, bottom) = columns, (rows[0][:, None], rows[1][:, None])
+        within = masked[bottom, right] - masked[top, right] - masked[bottom, left] + masked[top, left]
+        return within == 0
 
     def _averages(self, width: int, height: int) -> bool:
         """Whether each pixel is the plain mean of a block: where blocks fill the picture."""
@@ -75,6 +110,15 @@ class Reduction:
         small = self.size(width, height)
         how = "area average" if self._averages(width, height) else "bicubic"
         return f"pictures are reduced by {self.factor:g}, {width}×{height} to {small[0]}×{small[1]} ({how})"
+
+
+def _windows(side: int, small: int, averages: bool) -> tuple[np.ndarray, np.ndarray]:
+    """The first pixel of those that each reduced one is made of along a side, and the first after them."""
+    scale = side / small
+    middle = (np.arange(small) + 0.5) * scale
+    support = 0.5 * scale if averages else 2.0 * scale  # Pillow's bicubic filter, widened
+    first, after = (np.floor(middle + sign * support + 0.5).astype(np.int64) for sign in (-1, 1))
+    return first.clip(0, side), after.clip(0, side)
 
 
 def capped(width: int) -> float:

@@ -105,7 +105,14 @@ def quaternion(rotation: np.ndarray) -> list[float]:
 
 
 #: Model's name → number in the binary form.
-MODELS = {"SIMPLE_PINHOLE": 0, "PINHOLE": 1, "SIMPLE_RADIAL": 2, "OPENCV": 4, "OPENCV_FISHEYE": 5}
+MODELS = {
+    "SIMPLE_PINHOLE": 0,
+    "PINHOLE": 1,
+    "SIMPLE_RADIAL": 2,
+    "OPENCV": 4,
+    "OPENCV_FISHEYE": 5,
+    "EQUIRECTANGULAR": 17,
+}
 
 
 def write_sparse(

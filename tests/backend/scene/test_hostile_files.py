@@ -44,6 +44,8 @@ FILES = [
     *((writer, arguments, file) for writer, (arguments, files) in LAYOUTS.items() for file in files),
     *(("write_colmap", {"poses": 3, "form": "txt"}, file) for file in TEXT),
 ]
+#: Of these the pictures that cannot be read are left out, as long as most can.
+SKIPPING = ("write_colmap", "write_nerfstudio")
 OURS = ("dataset.json", "transforms_train.json", "transforms_lit.json", "exposure_lit.json", "points3d.ply")
 
 
@@ -61,6 +63,10 @@ def test_a_pipe_in_place_of_a_file(layouts: ModuleType, tmp_path: Path, writer, 
     root = getattr(layouts, writer)(tmp_path / "data", **arguments)
     read_scene(root)
     replaced_by_a_pipe(root / file)
+    if writer in SKIPPING and file.startswith("images/"):
+        scene = read_scene(root)
+        assert any(f"skipped (first: {root / file} is a pipe" in message for message in scene.messages)
+        return
     with pytest.raises(FileDamagedError, match=rf"{Path(file).name} is a pipe, not a file\n  \w"):
         read_scene(root)
     assert any("is a pipe" in error for error in inspect(root).errors)
@@ -287,8 +293,9 @@ def test_absurd_translations_of_colmap(layouts: ModuleType, tmp_path: Path) -> N
 def test_a_picture_whose_name_is_too_long_for_any_file(layouts: ModuleType, tmp_path: Path) -> None:
     root = layouts.write_nerfstudio(tmp_path / "data", poses=3)
     edited(root / "transforms.json", lambda c: c["frames"][1].update(file_path="images/" + "x" * 5000))
-    with pytest.raises(FileDamagedError, match=r"images/xxx.* cannot be read: File name too long"):
-        read_scene(root)
+    (told,) = (message for message in read_scene(root).messages if "skipped" in message)
+    assert told.startswith("1 of 3 frames have a picture that cannot be read")
+    assert "cannot be read: File name too long" in told
 
 
 @pytest.mark.parametrize(

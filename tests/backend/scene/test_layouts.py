@@ -64,8 +64,8 @@ def test_points_project_onto_their_pictures(
         ("write_gausshdr", "GaussHDR", [0, 2, 4], [1, 3], (1.0, 0.73)),
         # Names as text: 0, 1, 10, 11, 2, 3 … of which every second one is for testing.
         ("write_hdr_gs", "HDR-GS", [0, 10, 2, 4, 6, 8], [1, 11, 3, 5, 7, 9], (1.0, 0.73)),
-        ("write_colmap", "COLMAP", [1, 2, 3, 4, 5, 6, 7, 9], [0, 8], None),
-        ("write_nerfstudio", "nerfstudio", [1, 2, 3, 4, 5, 6, 7], [0, 8], None),
+        ("write_colmap", "COLMAP", [0, 1, 2, 3, 5, 6, 7, 8, 9], [4], None),
+        ("write_nerfstudio", "nerfstudio", [0, 1, 2, 3, 5, 6, 7, 8], [4], None),
     ],
 )
 def test_each_layout_has_its_split_and_anchor(
@@ -114,9 +114,9 @@ def test_nerfstudio_beside_true_radiance_counts_by_names(layouts: ModuleType, tm
     content = json.loads((root / "transforms.json").read_text())
     content["frames"] = [frame for frame in content["frames"] if "00003" not in frame["file_path"]]
     (root / "transforms.json").write_text(json.dumps(content))
-    assert [view.index for view in read_scene(root).train] == [1, 2, 3, 4, 5, 6, 7]
+    assert [view.index for view in read_scene(root).train] == [0, 1, 2, 3, 5, 6, 7]
     (root / "test_hdr").mkdir()
-    assert [view.index for view in read_scene(root).train] == [1, 2, 4, 5, 6, 7, 8]
+    assert [view.index for view in read_scene(root).train] == [0, 1, 2, 4, 6, 7, 8]
 
 
 def test_readers_know_where_evaluation_looks_for_truth() -> None:
@@ -358,8 +358,8 @@ def test_a_stated_exposure_comes_before_exif(layouts: ModuleType, tmp_path: Path
     del stated["images/shot_01_1.jpg"]
     (root / "exposure.json").write_text(json.dumps(stated))
     scene = read_scene(root)
-    assert scene.layout == "COLMAP" and scene.train[1].exposures == (3.0, 9.0, 27.0)
-    assert scene.train[0].bracket == (0, 2), "a picture without an entry is left out"
+    assert scene.layout == "COLMAP" and scene.train[0].exposures == (3.0, 9.0, 27.0)
+    assert scene.find("test", 1).bracket == (0, 2), "a picture without an entry is left out"
 
 
 def test_the_camera_of_a_bracket_is_that_with_the_most_points(layouts: ModuleType, tmp_path: Path) -> None:
@@ -384,7 +384,7 @@ def test_pictures_that_are_no_brackets_are_views(layouts: ModuleType, tmp_path: 
             layouts.save(root / "images" / file, layouts.draw(i, 0), exif=layouts.camera_exif(0.02))
         layouts.write_sparse(root / "sparse", images)  # as image_undistorter leaves it, without the 0
         scene = read_scene(root)
-        assert len(scene.train) == 7 and len(scene.test) == 2
+        assert len(scene.train) == 8 and [view.index for view in scene.test] == [4]
         assert all(view.exposures == pytest.approx((0.02,)) for view in [*scene.train, *scene.test])
         assert any(message in told for told in scene.messages)
         assert_points_are_on_their_spots(layouts, scene)
@@ -419,7 +419,7 @@ def test_pictures_of_one_exposure_are_no_bracket(layouts: ModuleType, tmp_path: 
     for path in sorted((root / "images").glob("*.jpg")):
         layouts.save(path, layouts.draw(int(path.stem[5:7]), 0), exif=layouts.camera_exif(0.02))
     scene = read_scene(root)
-    assert [view.name for view in scene.train] == ["shot_01_1", "shot_02_1", "shot_03_1"]
+    assert [view.name for view in scene.train] == ["shot_00_1", "shot_01_1", "shot_03_1"]
     assert any("have one exposure" in message for message in scene.messages)
 
 
@@ -429,7 +429,7 @@ def test_plain_pictures_without_exif_are_ldr(layouts: ModuleType, tmp_path: Path
         layouts.save(tmp_path / "images" / file, layouts.draw(i, 0))
     layouts.write_sparse(tmp_path / "sparse" / "0", images, "txt")
     scene = read_scene(tmp_path)
-    assert scene.train[0].exposures == (1.0,) and scene.train[0].name == "cam/view 001"
+    assert scene.train[1].exposures == (1.0,) and scene.train[1].name == "cam/view 002"
     assert any("no exposures are known" in message for message in scene.messages)
     assert_points_are_on_their_spots(layouts, scene)
 
@@ -437,8 +437,8 @@ def test_plain_pictures_without_exif_are_ldr(layouts: ModuleType, tmp_path: Path
 def test_names_decide_the_split_only_as_words(layouts: ModuleType, tmp_path: Path) -> None:
     for names, test in (
         (["train/a.png", "test/b.png", "train/c.png"], ["test/b"]),
-        (["latest_a.png", "latest_b.png", "trainer_c.png"], ["latest_a"]),  # no words: every eighth
-        (["a_train.png", "b_train.png", "c_train.png"], ["a_train"]),  # pictures of a railway
+        (["latest_a.png", "latest_b.png", "trainer_c.png"], ["latest_b"]),  # no words: one between the others
+        (["a_train.png", "b_train.png", "c_train.png"], ["b_train"]),  # pictures of a railway
     ):
         root = tmp_path / test[0].replace("/", "")
         for i, name in enumerate(names):
