@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How long a training is said to take: by a clock that is made up, and that saying it changes nothing.
+
+Against real trainings it is measured (docs/sizes.md), not tested: a test's machine has other things to do.
+"""
+
+import dataclasses
+import math
+
+import pytest
+import torch
+
+from physhdr.backend.scene import read_scene
+from physhdr.backend.train import duration
+from physhdr.backend.train.duration import Cost, Duration, Plan, about, time_training
+from physhdr.backend.train.presets import PRESETS
+from physhdr.backend.train.trainer import Trainer
+
+PLAN = Plan(iterations=1000, first=100, most=500, grows_from=100, grows_until=600, half_until=300)
+#: Made-up seconds of an iteration: of itself, of a pixel, of a Gaussian; and of a picture's decoding.
+OF_ITSELF, OF_PIXEL, OF_GAUSSIAN, OF_DECODING = 0.01, 3e-6, 2e-4, 0.5
+
+
+class MadeUpClock:
+    """Stands still but for iterations of a trainer and pictures that it decodes."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now, self.seen, self.steps = 0.0, set(), 0
+        step, batch = Trainer.step, Trainer.batch
+
+        def seeing(trainer, iteration):
+            made = batch(trainer, iteration)
+            for k in trainer.draw(iteration)[1]:
+                if (where := (trainer.draw(iteration)[0].name, k)) not in self.seen:
+                    self.seen.add(where)
+                    self.now += OF_DECODING
+            return made
+
+        def stepping(trainer):
+            camera = trainer.batch(trainer.iteration).camera
+            self.now += iteration_seconds(camera.width * camera.height, trainer.method.size)
+            self.steps += 1
+            return step(trainer)
+
+        monkeypatch.setattr(Trainer, "batch", seeing)
+        monkeypatch.setattr(Trainer, "step", stepping)
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def iteration_seconds(pixels: int, gaussians: int) -> float:
+    return OF_ITSELF + OF_PIXEL * pixels + OF_GAUSSIAN * gaussians
+
+
+def short(preset: str, **changes):
+    config = PRESETS[preset]
+    density = dataclasses.replace(config.densify, budget=600)
+    changes = {"initial_points": "random", "random_points": 200, "densify": density} | changes
+    return dataclasses.replace(config, iterations=1000, **changes)
+
+
+def test_the_sum_over_a_training_whose_cost_is_known(monkeypatch, tiny_data):
+    scene, clock = read_scene(tiny_data), MadeUpClock(monkeypatch)
+    trainer = Trainer(scene, short("default", half_size_until=0.0))
+    told = time_training(trainer, clock)
+    pixels = scene.train[0].camera.width * scene.train[0].camera.height
+    # 200 Gaussians become 600 from iteration 100 to 600.
+    counts = [min(max(200 + 400 * (i - 100) / 500, 200), 600) for i in range(1000)]
+    expected = duration.BESIDE * sum(iteration_seconds(pixels, count) for count in counts)
+    pictures = sum(len(places) for places in trainer.exposures)
+    assert told.seconds == pytest.approx(expected + OF_DECODING * pictures, rel=1e-6)
+    assert clock.steps == 2 * (duration.TIMED + 1)  # as many as there are at first, and in the end
+
+
+def test_time_left_follows_what_later_iterations_cost():
+    told = Duration(PLAN, Cost(0.1), Cost(0.2, 1e-3))
+    half, full = 0.1, [0.2 + 1e-3 * min(100 + 400 * (i - 100) / 500, 500) for i in range(300, 1000)]
+    assert told.seconds == pytest.approx(duration.BESIDE * (300 * half + sum(full)))
+    # 200 iterations have been done, a busy machine needed twice the time for each.
+    assert told.left(200, rate=1 / (2 * half)) == pytest.approx(2 * (100 * half + sum(full)))
+    assert told.left(1000, rate=5.0) == 0.0 and told.left(5, rate=0.0) == 0.0
+
+
+def test_a_training_that_goes_on_takes_what_is_left():
+    whole, rest = Duration(PLAN, Cost(0.1), Cost(0.2)), Duration(PLAN, Cost(0.1), Cost(0.2), begun=300)
+    assert rest.seconds == pytest.approx(duration.BESIDE * 700 * 0.2)
+    assert whole.seconds - rest.seconds == pytest.approx(duration.BESIDE * 300 * 0.1)
+
+
+def test_a_short_training_is_not_timed(tiny_data):
+    """Eight iterations would be more than a fiftieth of it."""
+    trainer = Trainer(read_scene(tiny_data), dataclasses.replace(short("default"), iterations=399))
+    assert time_training(trainer, lambda: pytest.fail("timed")) is None
+
+
+def state(trainer: Trainer) -> list[torch.Tensor]:
+    """All numbers of a training, and torch's random state."""
+    groups = trainer.method.parameter_groups().values()
+    numbers = [tensor.detach().clone() for group in groups for tensor in group]
+    return [*numbers, *trainer.optimiser.state_tensors().values(), torch.get_rng_state()]
+
+
+@pytest.mark.parametrize("preset", ["default", "default-scaffold", "gausshdr-short", "hdr-nerf-small"])
+def test_a_training_that_was_timed_ends_as_one_that_was_not(preset, tiny_data, monkeypatch):
+    monkeypatch.setattr(duration, "SHARE", math.inf)
+    scene, ends = read_scene(tiny_data), []
+    half = 0.5 if PRESETS[preset].half_size_until else 0.0
+    density = dataclasses.replace(PRESETS[preset].densify, start=4, every=4, stop=0.9, threshold=1e-6)
+    config = dataclasses.replace(short(preset, densify=density, half_size_until=half), iterations=12)
+    for timed in (False, True):
+        trainer = Trainer(scene, config)
+        if timed:
+            before = state(trainer)
+            assert time_training(trainer) is not None
+            assert all(map(torch.equal, before, state(trainer))) and trainer.iteration == 0
+        for step in range(config.iterations):
+            if timed and step == 6:
+                assert time_training(trainer) is not None  # as where it is resumed
+            trainer.step()
+        ends.append(state(trainer))
+    assert len(ends[0]) == len(ends[1]) and all(map(torch.equal, *ends))
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [
+        (2.0, "about 5 seconds"),
+        (62.0, "about 60 seconds"),
+        (100.0, "about 2 minutes"),
+        (3400.0, "about 57 minutes"),
+        (7900.0, "about 2 h 10 min"),
+        (30_000.0, "about 8 h 20 min"),
+    ],
+)
+def test_a_time_has_no_more_digits_than_are_known(seconds, words):
+    assert about(seconds) == words
