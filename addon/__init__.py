@@ -16,6 +16,7 @@ _MODULES = (
     "operators.dataset",
     "operators.photos",
     "operators.training",
+    "operators.capture",
     "viewport",
     "plot",
     "runtime",

@@ -70,6 +70,8 @@ FURTHER_PART = Numbered("physhdr:light_", "FLOAT_COLOR")
 IDENTITY = "physhdr_uuid"
 #: Custom property: the file that the model was imported from.
 FILE = "physhdr_file"
+#: Custom property: the data set's folder of the model's run, else the model's file (``placement``).
+CAPTURE = "physhdr_capture"
 #: Custom property: what the colours of another program's PLY were taken for.
 COLOR_SPACE = "physhdr_color_space"
 #: Custom property: the names of the lights, as JSON (Blender has no lists of texts).

@@ -13,8 +13,9 @@ from ..bridge.display import ColorSpace
 from ..bridge.errors import PhysHDRError
 from ..bridge.model_file import read_model
 from ..bridge.ply_model import PlyModel, read_ply_model
-from .attributes import COLOR_SPACE, DISPLAY, FILE
+from .attributes import CAPTURE, COLOR_SPACE, DISPLAY, FILE
 from .blender import add_entry, cloud_of, layout_of, remove_entry
+from .placement import capture_of_file, place
 from .point_cloud import build_point_cloud
 from .radiance_tree import add_modifier
 
@@ -59,6 +60,7 @@ def import_file(
     name = name or path.stem
     cloud = build_point_cloud(source.model, name, source.colour_sh)
     cloud[FILE] = str(path)
+    cloud[CAPTURE] = capture_of_file(path)
     if source.colour_sh is not None:
         cloud[COLOR_SPACE] = color_space
     target = bpy.data.objects.new(name, cloud)
@@ -175,6 +177,7 @@ class PHYSHDR_OT_model_import(bpy.types.Operator, ImportHelper):
         # A collection linked from another file takes no objects.
         collection = context.collection if context.collection.is_editable else None
         done = import_file(path, name, collection, self.color_space, self.orientation)
+        place(context.scene, done.target)
         if hasattr(done.target, DISPLAY):  # absent where the 3D view's drawing is not registered
             setattr(done.target, DISPLAY, self.viewport)
         return done

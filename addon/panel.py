@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import bpy
 
 from ..bridge.lights import AMBIENT
-from . import plot
+from . import placement, plot
 from .blender import layout_of
 from .look import draw_look, is_model, slider_name
 from .operators.base import choices
@@ -243,6 +243,33 @@ class PHYSHDR_PT_illumination(_Subpanel, bpy.types.Panel):
             write(context, layout, "This method learns no illumination: the level only scales", "INFO")
 
 
+class PHYSHDR_PT_capture(_Subpanel, bpy.types.Panel):
+    bl_label = "Scale and Ground"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return is_model(context.object)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, target = layout_of(self), context.object
+        assert is_model(target)
+        column = layout.column(align=True)
+        column.operator(
+            "physhdr.capture_scale", text="Two Points and Their Distance…", icon="DRIVER_DISTANCE"
+        )
+        column.operator("physhdr.capture_floor", text="Three Points of the Floor…", icon="ORIENTATION_NORMAL")
+        column.operator("physhdr.capture_height", text="By the Cameras' Height…", icon="VIEW_CAMERA")
+        known = context.scene.physhdr.captures.get(placement.capture_of(target))
+        if known is None:
+            write(context, layout, "As its photos tell: where metres and the floor are, they do not", "INFO")
+            return
+        told = ["metres" if known.has_scale else "scale as imported"]
+        told.append("floor at z = 0" if known.has_floor else "ground as imported")
+        row = layout.row(align=True)
+        row.label(text=", ".join(told).capitalize(), icon="CHECKMARK")
+        row.operator("physhdr.capture_reset", text="", icon="LOOP_BACK")
+
+
 def draw_levels(layout: bpy.types.UILayout, settings: PHYSHDR_Settings, lights: Sequence[str]) -> None:
     """The live preview's slider for each light of the backend's model."""
     layout.prop(settings, "lighting_level", text=slider_name(lights, 0))
@@ -390,5 +417,6 @@ _CLASSES: tuple[type, ...] = (
     PHYSHDR_PT_dataset,
     PHYSHDR_PT_training,
     PHYSHDR_PT_illumination,
+    PHYSHDR_PT_capture,
 )
 register, unregister = bpy.utils.register_classes_factory(_CLASSES)

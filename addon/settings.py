@@ -119,6 +119,19 @@ class PHYSHDR_LightLevel(bpy.types.PropertyGroup):
     )
 
 
+class PHYSHDR_Capture(bpy.types.PropertyGroup):
+    """Where a capture stands in the scene, by its data set's folder (``placement``). Matrices row by row."""
+
+    matrix: bpy.props.FloatVectorProperty(
+        name="Matrix", size=16, description="From the capture's world to the scene's"
+    )
+    original: bpy.props.FloatVectorProperty(
+        name="As Imported", size=16, description="Where its model stood before anything was set"
+    )
+    has_floor: bpy.props.BoolProperty(name="Floor", description="The floor was set: it is at z = 0")
+    has_scale: bpy.props.BoolProperty(name="Scale", description="The scale was set: it is in metres")
+
+
 class PHYSHDR_Settings(bpy.types.PropertyGroup):
     """Settings of the scene; panels show them, operators take them as their defaults."""
 
@@ -155,6 +168,9 @@ class PHYSHDR_Settings(bpy.types.PropertyGroup):
         max=20_000,
         subtype="PIXEL",
         description="Pictures of the data set are no wider than this; 0: as wide as the photos",
+    )
+    captures: bpy.props.CollectionProperty(
+        type=PHYSHDR_Capture, description="Where captures stand whose scale or ground was set"
     )
     preset: bpy.props.EnumProperty(name="Method", items=PRESETS)
     iterations: bpy.props.IntProperty(
@@ -201,7 +217,7 @@ def preview_levels(chosen: PHYSHDR_Settings, lights: Sequence[str]) -> tuple[flo
     return chosen.lighting_level, *(light.level if light else 1.0 for light in others)
 
 
-_CLASSES = (PHYSHDR_Preferences, PHYSHDR_LightLevel, PHYSHDR_Settings)
+_CLASSES = (PHYSHDR_Preferences, PHYSHDR_LightLevel, PHYSHDR_Capture, PHYSHDR_Settings)
 
 
 def register() -> None:

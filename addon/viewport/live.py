@@ -7,14 +7,16 @@ asks for the next one. One is asked for at a time, for all views together: the b
 
 import itertools
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, cast
 
 import bpy
+import numpy as np
 
-from ...bridge.messages import PreviewCamera, PreviewFrame, PreviewRequest
+from ...bridge.messages import JobStatus, PreviewCamera, PreviewFrame, PreviewRequest
+from .. import placement, similarity
 from ..attributes import FILE
 from ..blender import cloud_of
 from ..look import is_model
@@ -37,12 +39,16 @@ _Look = tuple[float, tuple[float, ...], Literal["linear", "learned"]]
 
 @dataclass(frozen=True, eq=False)
 class _Asked:
-    """The request that is under way: for which region, and how the schedule knows it."""
+    """The request that is under way: for which region, and how the schedule knows it.
+
+    ``to_world``: ``[4, 4]``, where the capture stood: the request's camera is in the capture's own world.
+    """
 
     key: int
     request: Request
     sequence: int
     at: float
+    to_world: np.ndarray
 
 
 class LivePreview:
@@ -61,7 +67,7 @@ class LivePreview:
         now = time.perf_counter()
         self._take(session, now)
         job = session.state.job
-        regions = dict(_regions(job.lights)) if job.has_model else {}
+        regions = {region.key: region for region in _regions(job)} if job.has_model else {}
         for key in self._schedules.keys() - regions.keys():
             del self._schedules[key]
             overlay.set_picture(key, None)
@@ -113,15 +119,13 @@ class LivePreview:
         if frame is None:
             schedule.lost()
         elif schedule.received(now, asked.request.number, 1e-3 * frame.header.milliseconds):
-            overlay.set_picture(
-                asked.key, overlay.RenderedView(frame.rgba, frame.depth, asked.request.camera)
-            )
+            overlay.set_picture(asked.key, in_world(frame, asked.request.camera, asked.to_world))
 
-    def _ask(self, session: Session, regions: "dict[int, View]", now: float) -> None:
+    def _ask(self, session: Session, regions: "dict[int, _Region]", now: float) -> None:
         # The view after the one that was served last comes first.
         order = sorted(regions, key=lambda key: (key <= self._last_key, key))
         for key in order:
-            view = regions[key]
+            view, to_world = regions[key].view, regions[key].to_world
             if session.state.job.state == "training":
                 view = View(view.camera, view.look, session.state.job.iteration)
             wanted = self._schedules[key].wants(now, view)
@@ -129,7 +133,7 @@ class LivePreview:
                 continue
             sequence = next(self._sequences)
             if session.request_preview(_message(sequence, wanted)):
-                self._asked, self._last_key = _Asked(key, wanted, sequence, now), key
+                self._asked, self._last_key = _Asked(key, wanted, sequence, now, to_world), key
             else:
                 self._schedules[key].lost()
             return
@@ -155,16 +159,36 @@ def _message(sequence: int, wanted: Request) -> PreviewRequest:
     )
 
 
-def _regions(lights: Sequence[str]) -> Iterator[tuple[int, View]]:
-    """The regions that want pictures of a model with these lights, each with its view."""
+def in_world(frame: PreviewFrame, camera: ViewCamera, to_world: np.ndarray) -> overlay.RenderedView:
+    """The backend's picture for a ``camera`` in the capture's world, as it belongs into the scene's."""
+    pose = similarity.out_of_capture(to_world, camera.camera_to_world)
+    depth = frame.depth * np.float32(similarity.scale_of(to_world))
+    return overlay.RenderedView(frame.rgba, depth, replace(camera, camera_to_world=pose))
+
+
+@dataclass(frozen=True, eq=False)
+class _Region:
+    """A region that wants pictures: its view in the capture's own world, and where that stands."""
+
+    key: int
+    view: View
+    to_world: np.ndarray
+
+
+def _regions(job: JobStatus) -> Iterator[_Region]:
+    """The regions that want pictures of the job's model."""
     for window in bpy.context.window_manager.windows:
         settings = window.scene.physhdr
         if not settings.preview:
             continue
-        look = (settings.exposure_ev, preview_levels(settings, lights), settings.tone)
+        look = (settings.exposure_ev, preview_levels(settings, job.lights), settings.tone)
+        to_world = placement.matrix_of(window.scene, placement.key_of(job.data))
         for area in window.screen.areas:
             if area.type != "VIEW_3D":
                 continue
             for region in area.regions:
                 if region.type == "WINDOW" and region.data is not None and region.width > 1:
-                    yield overlay.region_key(region), View(of_region(region, region.data), look)
+                    camera = of_region(region, region.data)
+                    pose = similarity.into_capture(to_world, camera.camera_to_world)
+                    view = View(replace(camera, camera_to_world=pose), look)
+                    yield _Region(overlay.region_key(region), view, to_world)

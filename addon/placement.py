@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where captures stand: what the scene remembers of each, and the models of it.
+
+A capture is known by its data set's folder, which a run's configuration names; a model file of which nobody
+knows the run is a capture of its own. What is remembered is where models of it are put when they are
+imported, and where the live preview shows it.
+"""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import bpy
+import numpy as np
+
+from ..bridge.errors import PhysHDRError
+from ..bridge.regular import read_json_object
+from . import similarity
+from .attributes import CAPTURE, FILE
+from .blender import cloud_of
+from .look import is_model
+from .render import to_matrix
+from .settings import SETTINGS
+
+if TYPE_CHECKING:
+    from .settings import PHYSHDR_Capture, PHYSHDR_Settings
+
+#: Of a run's folder: what it was trained on (``backend/runs``).
+CONFIG_FILE = "config.json"
+
+
+def capture_of(target: bpy.types.Object) -> str:
+    """The capture that a model is of: its data set's folder, else the model's file."""
+    cloud = cloud_of(target)
+    # Those that older versions imported have the file alone.
+    return str(cloud.get(CAPTURE, "")) or capture_of_file(Path(str(cloud.get(FILE, ""))))
+
+
+def capture_of_file(path: Path) -> str:
+    """The capture of a model file: the data set of the run in whose folder it lies, else the file."""
+    try:
+        data = read_json_object(path.parent / CONFIG_FILE).get("data")
+    except PhysHDRError:
+        data = None
+    return key_of(data if isinstance(data, str) and data else str(path))
+
+
+def data_of(target: bpy.types.Object) -> Path | None:
+    """The folder of a model's data set; None where it is not known, or not there any more."""
+    folder = Path(capture_of(target))
+    return folder if folder.is_dir() else None
+
+
+def key_of(data: str) -> str:
+    """A data set's folder as the scene remembers it."""
+    return os.path.realpath(data) if data else ""
+
+
+def settings_of(scene: bpy.types.Scene) -> "PHYSHDR_Settings":
+    return getattr(scene, SETTINGS)
+
+
+def matrix_of(scene: bpy.types.Scene, capture: str) -> np.ndarray:
+    """``[4, 4]`` float64: where the scene remembers a capture to stand; the identity where it does not."""
+    found = settings_of(scene).captures.get(capture)
+    return np.array(found.matrix, np.float64).reshape(4, 4) if found else np.eye(4)
+
+
+def models_of(scene: bpy.types.Scene, capture: str) -> Iterator[bpy.types.Object]:
+    """The scene's models of a capture; not those that are linked from another file."""
+    for target in scene.objects:
+        if is_model(target) and target.library is None and capture_of(target) == capture:
+            yield target
+
+
+def place(scene: bpy.types.Scene, target: bpy.types.Object) -> None:
+    """Put a model that was just imported where its capture stands, if the scene remembers that."""
+    if settings_of(scene).captures.get(capture := capture_of(target)):
+        target.matrix_world = to_matrix(matrix_of(scene, capture))
+
+
+def move(scene: bpy.types.Scene, target: bpy.types.Object, change: np.ndarray) -> "PHYSHDR_Capture":
+    """Let ``change`` ``[4, 4]`` happen to all models of the target's capture, and remember where it is then.
+
+    What hangs on them (a parent's children: cameras, say) goes along. Raises ``DataMismatchError`` where the
+    target's own matrix is no similarity, before anything is moved.
+    """
+    bpy.context.view_layer.update()  # what a script has just set is in no matrix yet
+    capture, now = capture_of(target), np.array(target.matrix_world, np.float64)
+    similarity.scale_of(now)
+    kept = remembered(scene, capture, now)
+    wanted = {each.name: change @ np.array(each.matrix_world) for each in models_of(scene, capture)}
+    for name, matrix in wanted.items():
+        scene.objects[name].matrix_world = to_matrix(matrix)
+    kept.matrix = (change @ now).reshape(-1)
+    return kept
+
+
+def remembered(scene: bpy.types.Scene, capture: str, now: np.ndarray) -> "PHYSHDR_Capture":
+    """The scene's entry of a capture, begun where there is none, with where it stood before all settings."""
+    captures = settings_of(scene).captures
+    found = captures.get(capture)
+    if found is None:
+        found = captures.add()
+        found.name = capture
+        found.original = now.reshape(-1)
+    return found
+
+
+def forget(scene: bpy.types.Scene, target: bpy.types.Object) -> None:
+    """Put the models of the target's capture back to where they were imported, and remember nothing."""
+    capture, captures = capture_of(target), settings_of(scene).captures
+    index = captures.find(capture)
+    if index < 0:
+        return
+    original = to_matrix(np.array(captures[index].original).reshape(4, 4))
+    for each in list(models_of(scene, capture)):
+        each.matrix_world = original
+    captures.remove(index)

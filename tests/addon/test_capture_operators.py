@@ -1,0 +1,371 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Scale and ground of a capture, set in Blender: where its points are afterwards, and that pictures agree.
+
+A room is known in metres; the model is of the same room as structure from motion would have left it, under a
+similarity of which nobody knows. What is set must bring every Gaussian back to its metres.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
+
+import physhdr  # noqa: E402
+from physhdr.addon import model_import, nodes, placement, render, similarity  # noqa: E402
+from physhdr.addon.operators import capture as operators  # noqa: E402
+from physhdr.addon.point_cloud import read_attribute  # noqa: E402
+from physhdr.addon.viewport import live  # noqa: E402
+from physhdr.addon.viewport.camera import ViewCamera  # noqa: E402
+from physhdr.bridge.affine import transform_gaussians  # noqa: E402
+from physhdr.bridge.model_file import write_model  # noqa: E402
+
+#: The corners of the room's floor, and where its cameras stood: metres, in the true room.
+FLOOR = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [3.0, 4.0, 0.0]])
+CAMERAS = np.array([[0.5, 0.5, 1.4], [1.0, 2.0, 1.6], [2.0, 1.0, 1.7], [2.5, 3.0, 1.6], [1.5, 2.0, 1.6]])
+#: float32 at a few metres, through a model file, a matrix and a decomposition.
+CLOSE = 5e-6
+
+
+def turned(angle: float) -> np.ndarray:
+    """About a slanted axis, by Rodrigues' formula."""
+    axis = np.array([0.8, -0.6, 0.1]) / math.sqrt(1.01)
+    x, y, z = axis
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross
+
+
+#: From the room to the capture's world: 0.37 as large, tilted by 23°, elsewhere.
+LOST = np.eye(4)
+LOST[:3, :3], LOST[:3, 3] = 0.37 * turned(0.4), [1.5, -0.7, 2.2]
+
+
+@pytest.fixture
+def registered(scene):
+    physhdr.register()
+    yield scene
+    physhdr.unregister()
+
+
+@pytest.fixture
+def run(tmp_path, make_model):
+    """A run's folder with the model of the room, and its data set's cameras, both in the lost world."""
+    model = make_model(count=60, seed=4)
+    room = dataclasses.replace(model, position=(model.position + [1.5, 2.0, 1.0]).astype(np.float32))
+    shape = transform_gaussians(LOST, room.position, room.rotation, room.scale)
+    lost = dataclasses.replace(room, position=shape[0], rotation=shape[1], scale=shape[2])
+    (tmp_path / "run").mkdir()
+    (tmp_path / "data").mkdir()
+    write_model(tmp_path / "run/model.safetensors", lost)
+    config = {"config": {}, "preset": "default", "data": str(tmp_path / "data")}
+    (tmp_path / "run/config.json").write_text(json.dumps(config))
+    frames = [{"transform_matrix": pose(place).tolist()} for place in similarity.apply(LOST, CAMERAS)]
+    (tmp_path / "data/transforms_train.json").write_text(json.dumps({"frames": frames}))
+    return tmp_path / "run", room
+
+
+def pose(place: np.ndarray) -> np.ndarray:
+    matrix = np.eye(4)
+    matrix[:3, 3] = place
+    return matrix
+
+
+def load(folder, name="room"):
+    """Import as the panel does, and make it the active object."""
+    bpy.ops.physhdr.model_import(filepath=str(folder / "model.safetensors"), name=name)
+    return bpy.data.objects[name]
+
+
+def where(target) -> np.ndarray:
+    """``[N, 3]``: the Gaussians' places in the world."""
+    bpy.context.view_layer.update()
+    return similarity.apply(
+        np.array(target.matrix_world), read_attribute(target.data, "position").astype(float)
+    )
+
+
+def now(target, points) -> list[tuple[float, ...]]:
+    """Points of the room, where they are in the scene now: what a user would pick."""
+    bpy.context.view_layer.update()
+    return [tuple(p) for p in similarity.apply(np.array(target.matrix_world) @ LOST, np.asarray(points))]
+
+
+def set_floor(target) -> None:
+    first, second, third = now(target, FLOOR)
+    assert bpy.ops.physhdr.capture_floor(first=first, second=second, third=third) == {"FINISHED"}
+
+
+def set_scale(target, distance=5.0) -> None:
+    first, second = now(target, FLOOR[[0, 2]])  # 3-4-5
+    done = bpy.ops.physhdr.capture_scale(first=first, second=second, distance=distance)
+    assert done == {"FINISHED"}
+
+
+def is_room(target, room) -> None:
+    """Every Gaussian has its true height and all distances are true: up to a turn about z and a shift."""
+    found = where(target)
+    np.testing.assert_allclose(found[:, 2], room.position[:, 2], atol=CLOSE)
+    for origin in (0, 7):
+        lengths = np.linalg.norm(found - found[origin], axis=1)
+        np.testing.assert_allclose(
+            lengths, np.linalg.norm(room.position - room.position[origin], axis=1), atol=CLOSE
+        )
+    # Not mirrored: the same handedness of three of them.
+    a, b, c = found[1:4] - found[0]
+    ours = np.linalg.det([a, b, c])
+    theirs = np.linalg.det((room.position[1:4] - room.position[0]).astype(float))
+    assert math.isclose(ours, theirs, rel_tol=1e-3)
+
+
+def test_floor_and_two_points_bring_the_room_back(registered, run):
+    folder, room = run
+    target = load(folder)
+    assert np.abs(where(target)[:, 2] - room.position[:, 2]).max() > 0.5
+    set_floor(target)
+    np.testing.assert_allclose(np.array(now(target, FLOOR))[:, 2], 0.0, atol=CLOSE)
+    set_scale(target)
+    is_room(target, room)
+    assert similarity.scale_of(np.array(target.matrix_world)) == pytest.approx(1.0 / 0.37, rel=1e-6)
+
+
+def test_the_other_order_gives_the_same(registered, run):
+    folder, room = run
+    target = load(folder)
+    set_scale(target)
+    set_floor(target)
+    is_room(target, room)
+
+
+def test_setting_again_corrects_and_never_adds_up(registered, run):
+    folder, room = run
+    target = load(folder)
+    set_floor(target)
+    set_scale(target, 17.0)  # a slip of the hand
+    for _ in range(50):
+        set_scale(target)
+        set_floor(target)
+    is_room(target, room)
+    before = np.array(target.matrix_world)
+    set_scale(target)
+    set_floor(target)
+    np.testing.assert_allclose(np.array(target.matrix_world), before, atol=CLOSE)
+
+
+def test_the_height_of_the_cameras_sets_the_scale_on_a_known_floor(registered, run):
+    folder, room = run
+    target = load(folder)
+    set_floor(target)
+    assert bpy.ops.physhdr.capture_height(height=1.6) == {"FINISHED"}  # the median of CAMERAS, by hand
+    is_room(target, room)
+    # A selected camera counts instead of them.
+    target.matrix_world = render.to_matrix(np.diag([3.0, 3.0, 3.0, 1.0])) @ target.matrix_world
+    [place] = now(target, CAMERAS[:1])
+    camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    registered.collection.objects.link(camera)
+    camera.location = place
+    bpy.context.view_layer.update()
+    camera.select_set(True)
+    assert bpy.ops.physhdr.capture_height(height=1.4) == {"FINISHED"}
+    is_room(target, room)
+
+
+def test_the_height_of_the_cameras_sets_the_ground_at_a_known_scale(registered, run):
+    folder, room = run
+    target = load(folder)
+    # Level and in metres, as from a phone's tracking, but with its own idea of where 0 is.
+    target.matrix_world = render.to_matrix(similarity.raised(-2.2) @ np.linalg.inv(LOST))
+    with pytest.raises(RuntimeError, match=r"cameras are at -0\.6 m, not above the ground"):
+        bpy.ops.physhdr.capture_height(height=1.6)
+    assert bpy.ops.physhdr.capture_height(height=1.6, sets="GROUND") == {"FINISHED"}
+    is_room(target, room)
+
+
+def test_without_cameras_it_says_what_to_select(registered, run):
+    target = load(run[0])
+    (run[0].parent / "data/transforms_train.json").unlink()
+    with pytest.raises(RuntimeError, match="has no cameras"):
+        bpy.ops.physhdr.capture_height(height=1.6)
+    (run[0].parent / "data").rmdir()
+    with pytest.raises(RuntimeError, match="Select a camera that stands"):
+        bpy.ops.physhdr.capture_height(height=1.6)
+    set_floor(target)  # then the model itself says which side is up
+
+
+def test_empties_are_points(registered, run):
+    folder, room = run
+    target = load(folder)
+
+    def empties(points):
+        for place in now(target, points):
+            empty = bpy.data.objects.new("point", None)
+            registered.collection.objects.link(empty)
+            empty.location = place
+            empty.select_set(True)
+        bpy.context.view_layer.update()
+
+    empties(FLOOR)
+    with pytest.raises(RuntimeError, match="2 points are needed, and 3 empties are selected"):
+        bpy.ops.physhdr.capture_scale(distance=5.0)
+    assert bpy.ops.physhdr.capture_floor() == {"FINISHED"}
+    for empty in [each for each in registered.objects if each.type == "EMPTY"]:
+        bpy.data.objects.remove(empty)
+    empties(FLOOR[[0, 2]])
+    assert bpy.ops.physhdr.capture_scale(distance=5.0) == {"FINISHED"}
+    is_room(target, room)
+
+
+def test_the_scene_remembers_it_for_the_next_import_and_the_file_too(registered, run, tmp_path):
+    folder, room = run
+    target = load(folder)
+    set_floor(target)
+    set_scale(target)
+    again = load(folder, "again")
+    np.testing.assert_allclose(where(again), where(target), atol=CLOSE)
+    # Another run on the same data comes out there, too; one on other data does not.
+    for name, data in (("other_run", "data"), ("elsewhere", "other_data")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "model.safetensors").write_bytes((folder / "model.safetensors").read_bytes())
+        (tmp_path / name / "config.json").write_text(json.dumps({"data": str(tmp_path / data)}))
+    is_room(load(tmp_path / "other_run", "other"), room)
+    np.testing.assert_array_equal(np.array(load(tmp_path / "elsewhere", "else").matrix_world), np.eye(4))
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "saved.blend"))
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "saved.blend"))
+    is_room(load(folder, "later"), room)
+    # All models of the capture go together, and what hangs on one with it.
+    child = bpy.data.objects.new("child", None)
+    bpy.context.scene.collection.objects.link(child)
+    child.parent = bpy.data.objects["again"]
+    child.location = similarity.apply(LOST, CAMERAS[:1])[0]
+    set_scale(bpy.data.objects["later"], 10.0)
+    bpy.context.view_layer.update()
+    np.testing.assert_allclose(
+        where(bpy.data.objects["again"]), where(bpy.data.objects["room"]), atol=2 * CLOSE
+    )
+    assert child.matrix_world.translation.z == pytest.approx(2.0 * CAMERAS[0, 2], abs=2 * CLOSE)
+    # Taken back, it stands where it was imported first, and is remembered no more.
+    assert bpy.ops.physhdr.capture_reset() == {"FINISHED"}
+    np.testing.assert_allclose(np.array(bpy.data.objects["room"].matrix_world), np.eye(4), atol=1e-7)
+    np.testing.assert_array_equal(np.array(load(folder, "anew").matrix_world), np.eye(4))
+
+
+def test_it_is_undone_and_done_again(registered, run):
+    folder, _ = run
+    bpy.ops.ed.undo_push(message="begin")
+    target = load(folder)
+    bpy.ops.ed.undo_push(message="imported")
+    first, second, third = now(target, FLOOR)
+    bpy.ops.physhdr.capture_floor("EXEC_DEFAULT", True, first=first, second=second, third=third)
+    bpy.ops.ed.undo_push(message="floor")
+    assert len(bpy.context.scene.physhdr.captures) == 1
+    for _ in range(2):
+        bpy.ops.ed.undo()
+        if not len(bpy.context.scene.physhdr.captures):
+            break
+    target = bpy.data.objects["room"]
+    assert len(bpy.context.scene.physhdr.captures) == 0
+    np.testing.assert_array_equal(np.array(target.matrix_world), np.eye(4))
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"first": (1, 2, 3), "second": (1, 2, 3)}, "one point"),
+        ({"first": (1, 2, 3)}, "2 points are needed"),
+    ],
+)
+def test_mistakes_change_nothing(registered, run, given, told):
+    target = load(run[0])
+    with pytest.raises(RuntimeError, match=told):
+        bpy.ops.physhdr.capture_scale(distance=1.0, **given)
+    target.scale = (1.0, 2.0, 1.0)
+    with pytest.raises(RuntimeError, match="scaled differently along its axes"):
+        bpy.ops.physhdr.capture_scale(first=(0, 0, 0), second=(1, 0, 0), distance=2.0)
+    assert len(registered.physhdr.captures) == 0 and tuple(target.scale) == (1.0, 2.0, 1.0)
+    bpy.context.view_layer.objects.active = None
+    with pytest.raises(RuntimeError, match="Select an imported model first"):
+        bpy.ops.physhdr.capture_floor()
+
+
+def test_the_live_preview_is_drawn_where_the_model_is(registered, run):
+    """A point of the capture, seen by the view's camera in the world and by the camera that is asked for."""
+    from types import SimpleNamespace
+
+    target = load(run[0])
+    set_floor(target)
+    set_scale(target)
+    to_world = placement.matrix_of(registered, placement.key_of(str(run[0].parent / "data")))
+    np.testing.assert_allclose(to_world, np.array(target.matrix_world), atol=CLOSE)
+    view = np.eye(4)
+    view[:3, :3], view[:3, 3] = turned(1.1), [2.0, -3.0, 1.0]
+    in_world = ViewCamera(view, 64, 48, 80.0, 81.0, 31.0, 25.0)
+    asked = dataclasses.replace(in_world, camera_to_world=similarity.into_capture(to_world, view))
+    points = read_attribute(target.data, "position").astype(float)
+    pixels, depths = asked.project(points)
+    expected, distances = in_world.project(where(target))
+    np.testing.assert_allclose(pixels, expected, rtol=1e-4, atol=1e-3)
+    frame = SimpleNamespace(
+        rgba=np.zeros((48, 64, 4), np.float16), depth=np.full((48, 64), depths[0], np.float32)
+    )
+    shown = live.in_world(frame, asked, to_world)
+    np.testing.assert_allclose(shown.camera.camera_to_world, view, atol=1e-6)
+    np.testing.assert_allclose(shown.depth, distances[0], rtol=1e-5)
+
+
+@pytest.mark.parametrize("splats", [False, True])
+def test_cycles_draws_the_same_picture_of_it(registered, run, tmp_path, splats):
+    """Of the lost model from a lost camera, and of the room from the true one: sizes follow the scale."""
+    size, angle, pictures = 64, 0.9, []
+    true = np.eye(4)
+    true[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]  # level, looks along +Y
+    true[:3, 3] = [1.5, -1.0, 1.0]
+    target = load(run[0])
+    for is_set in (False, True):
+        if is_set:
+            # The very similarity that was lost: floor, scale and heading.
+            placement.move(registered, target, np.linalg.inv(LOST))
+        view = true if is_set else similarity.out_of_capture(LOST, true)
+        render.add_camera(registered, view, angle)
+        render.set_resolution(registered, size, size)
+        render.prepare_cycles(registered)
+        modifier = nodes.find_modifier(target)
+        nodes.set_input(modifier, nodes.CAMERA_SPLATS, splats)
+        nodes.set_input(modifier, nodes.IMAGE_WIDTH, size)
+        render.render_exr(registered, tmp_path / "picture.exr")
+        pictures.append(render.read_exr(tmp_path / "picture.exr").astype(float))
+    lost, found = pictures
+    assert lost[..., 3].mean() > 0.05
+    error = np.abs(found - lost)
+    assert error.mean() < 1e-4 * lost.max() and error.max() < 2e-2 * lost.max()
+
+
+def test_a_point_is_picked_on_the_model_wherever_it_stands(registered, run):
+    """The ray of a pixel on a lone, opaque Gaussian meets it at its centre, in the world."""
+    from physhdr.addon.viewport.splat_data import read_arrays
+
+    target = load(run[0])
+    placement.move(registered, target, np.linalg.inv(LOST))
+    arrays = read_arrays(target.data)
+    alone = dataclasses.replace(
+        arrays,
+        **{name: getattr(arrays, name)[:1] for name in ("position", "rotation", "scale")},
+        opacity=np.array([0.95], np.float32),
+    )
+    centre = where(target)[0]
+    eye = np.array([5.0, -4.0, 3.0])
+    direction = (centre - eye) / np.linalg.norm(centre - eye)
+    bpy.context.view_layer.update()
+    found = operators.surface_point(np.array(target.matrix_world, float), alone, eye, direction)
+    np.testing.assert_allclose(found, centre, atol=1e-5)
+    assert operators.surface_point(np.array(target.matrix_world, float), alone, eye, -direction) is None
+
+
+def test_older_imports_are_of_their_runs_data(registered, run):
+    target = model_import.import_model(run[0] / "model.safetensors")
+    del target.data["physhdr_capture"]
+    assert placement.capture_of(target) == placement.key_of(str(run[0].parent / "data"))
