@@ -166,8 +166,16 @@ class PHYSHDR_PT_dataset(_Subpanel, bpy.types.Panel):
         column = layout.column()
         column.use_property_split = True
         column.use_property_decorate = False
-        for name in ("photos_out", "photos_width", "photos_handheld", "photos_borrow_poses"):
-            column.prop(context.scene.physhdr, name)
+        settings = context.scene.physhdr
+        for name in ("photos_out", "photos_width", "photos_handheld"):
+            column.prop(settings, name)
+        head, more = layout.panel("physhdr_photos_more", default_closed=True)
+        head.label(text="If It Is Misunderstood")
+        if more is not None:
+            more.use_property_split = True
+            more.use_property_decorate = False
+            for name in ("bracket", "same_exposure", "exposures", "lens", "borrow_poses", "partial"):
+                more.prop(settings, f"photos_{name}")
         if found.seconds >= 0.0:
             write(context, layout, f"Preparing takes about {duration(found.seconds)}", "SORTTIME")
         button(context, layout, state, "photos", "physhdr.photos_prepare", "Prepare", "PLAY")

@@ -7,8 +7,8 @@ import bpy
 
 from . import changes, paths, plot, settings
 from .session.advice import why_not
-from .session.photos import look_options
 from .session.session import Session
+from .settings import photo_options
 from .viewport.live import LivePreview
 
 #: Seconds between looks at what has happened: while pictures come, while something is under way, else.
@@ -85,7 +85,7 @@ def _follow_photos(current: Session) -> None:
     settings = bpy.context.scene.physhdr
     if not settings.photos or why_not(current.state, "look"):
         return
-    folder, options = bpy.path.abspath(settings.photos), look_options(settings.photos_handheld)
+    folder, options = bpy.path.abspath(settings.photos), photo_options(settings).to_look
     if (folder, options) != (current.state.photos.folder, current.state.photos.options):
         current.look_at_photos(folder, options)
 

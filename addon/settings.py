@@ -2,6 +2,7 @@
 """What the user chooses: preferences of the extension, and settings of the scene (saved in the .blend)."""
 
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,7 @@ from ..bridge.presets import IN_PANEL
 from . import changes
 from .blender import layout_of
 from .paths import PACKAGE, user_folder
+from .session.photos import PhotoOptions
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import PropertyFlagItems
@@ -29,6 +31,12 @@ DEVICES = [
     ("auto", "Automatic", "An NVIDIA card if there is one that works, else the processor"),
     ("cpu", "Processor", "The processor"),
     ("cuda", "NVIDIA card", "CUDA; needs a card and gsplat"),
+]
+LENSES = [
+    ("OPENCV", "Ordinary", "Barrel, pincushion and a little more: most lenses"),
+    ("SIMPLE_RADIAL", "Simple", "One term of distortion: where places are few"),
+    ("OPENCV_FISHEYE", "Fisheye", "A fisheye lens, or the widest of an action camera or drone"),
+    ("PINHOLE", "None", "No distortion: rendered pictures, or photos whose lens was corrected"),
 ]
 TONES = [
     ("linear", "Scene-Linear", "Radiance as it is; Blender's view transform shows it"),
@@ -169,6 +177,22 @@ class PHYSHDR_Settings(bpy.types.PropertyGroup):
         subtype="PIXEL",
         description="Pictures of the data set are no wider than this; 0: as wide as the photos",
     )
+    photos_bracket: bpy.props.IntProperty(
+        name="Photos a Place", min=0, max=64, description="How many photos each place has; 0: found out"
+    )
+    photos_same_exposure: bpy.props.BoolProperty(
+        name="Same Exposure", description="All photos have one exposure, whatever they say of it"
+    )
+    photos_exposures: bpy.props.StringProperty(
+        name="Exposures",
+        subtype="FILE_PATH",
+        options=RELATIVE,
+        description="JSON or CSV of the photos' names and seconds, where the photos do not tell",
+    )
+    photos_lens: bpy.props.EnumProperty(name="Lens", items=LENSES)
+    photos_partial: bpy.props.BoolProperty(
+        name="Use What Was Found", description="Go on where less than half of the places could be found"
+    )
     captures: bpy.props.CollectionProperty(
         type=PHYSHDR_Capture, description="Where captures stand whose scale or ground was set"
     )
@@ -199,6 +223,16 @@ class PHYSHDR_Settings(bpy.types.PropertyGroup):
         type=PHYSHDR_LightLevel, description="Levels of the lights after the first that models have had"
     )
     tone: bpy.props.EnumProperty(name="Tone Mapping", items=TONES)
+
+
+def photo_options(chosen: PHYSHDR_Settings, **given: Any) -> PhotoOptions:
+    """What is said of the photos in a scene's settings, but for what is ``given``."""
+    names = [each.name for each in fields(PhotoOptions)]
+    of_settings = {"max_width": "photos_width"}
+    found = {name: getattr(chosen, of_settings.get(name, f"photos_{name}")) for name in names}
+    options = {**found, **given}
+    options["exposures"] = bpy.path.abspath(options["exposures"]) if options["exposures"] else ""
+    return PhotoOptions(**options)
 
 
 def follow_lights(chosen: PHYSHDR_Settings, lights: Sequence[str]) -> None:

@@ -6,6 +6,7 @@ scene's settings, so that an error loses nothing that was typed.
 """
 
 import os
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,9 +14,9 @@ import bpy
 
 from ...bridge.errors import BadValueError, FileMissingError, OutputError
 from ..runtime import session
-from ..session.photos import look_options, prepare_command
+from ..session.photos import PhotoOptions, prepare_command
 from ..session.state import LOOK, PHOTOS, PhotosChosen
-from ..settings import SETTINGS, PHYSHDR_Settings
+from ..settings import LENSES, SETTINGS, PHYSHDR_Settings, photo_options
 from .base import PhysHDROperator, folder_of, has_run, report_task
 
 if TYPE_CHECKING:
@@ -27,6 +28,8 @@ LOOK_SECONDS, PREPARE_SECONDS = 24 * 3600.0, 30 * 24 * 3600.0
 DONE_SECONDS = 0.5
 #: What ``physhdr prepare`` leaves in a data set that it made (docs/formats.md).
 PREPARED_FILE = "prepare.json"
+#: Arguments that count where they are given, else the scene's settings.
+OPTIONS = [each.name for each in fields(PhotoOptions)]
 GIVEN: "set[PropertyFlagItems]" = {"SKIP_SAVE"}
 FOLDER: "set[PropertyFlagItems]" = {"SKIP_SAVE", "PATH_SUPPORTS_BLEND_RELATIVE"}
 
@@ -59,7 +62,7 @@ class PHYSHDR_OT_photos_look(PhysHDROperator):
         if not settings.photos_out or Path(folder_of(settings.photos)) != photos:
             settings.photos_out = proposed_folder(photos)
         settings.photos = str(photos)
-        current.look_at_photos(str(photos), look_options(settings.photos_handheld))
+        current.look_at_photos(str(photos), photo_options(settings).to_look)
         if not self.wait:
             return {"FINISHED"}
         current.wait(lambda state: state.task(LOOK) is None, LOOK_SECONDS)
@@ -86,10 +89,13 @@ class PHYSHDR_OT_photos_prepare(PhysHDROperator):
     photos: bpy.props.StringProperty(name="Photos", subtype="DIR_PATH", options=FOLDER)
     out: bpy.props.StringProperty(name="Data Set", subtype="DIR_PATH", options=FOLDER)
     handheld: bpy.props.BoolProperty(name="Hand-Held", options=GIVEN)
+    bracket: bpy.props.IntProperty(name="Photos a Place", min=0, options=GIVEN)
+    same_exposure: bpy.props.BoolProperty(name="Same Exposure", options=GIVEN)
+    exposures: bpy.props.StringProperty(name="Exposures", subtype="FILE_PATH", options=FOLDER)
     borrow_poses: bpy.props.BoolProperty(name="Borrow Places", options=GIVEN)
-    max_width: bpy.props.IntProperty(
-        name="Width at Most", default=1600, min=0, subtype="PIXEL", options=GIVEN
-    )
+    max_width: bpy.props.IntProperty(name="Width at Most", min=0, subtype="PIXEL", options=GIVEN)
+    lens: bpy.props.EnumProperty(name="Lens", items=LENSES, options={"SKIP_SAVE"})
+    partial: bpy.props.BoolProperty(name="Use What Was Found", options=GIVEN)
     overwrite: bpy.props.BoolProperty(
         name="Replace", description="Replace the data set that was made of photos before", options=GIVEN
     )
@@ -118,14 +124,9 @@ class PHYSHDR_OT_photos_prepare(PhysHDROperator):
         out = _folder(self._chosen(context, "out", "photos_out") or proposed_folder(photos), "the data set")
         if out == photos:
             raise OutputError(f"{out} holds the photos", "Choose another folder for the data set.")
-        arguments = prepare_command(
-            str(photos),
-            str(out),
-            handheld=self._chosen(context, "handheld", "photos_handheld"),
-            borrow_poses=self._chosen(context, "borrow_poses", "photos_borrow_poses"),
-            max_width=self._chosen(context, "max_width", "photos_width"),
-            overwrite=self.overwrite,
-        )
+        given = {name: getattr(self, name) for name in OPTIONS if self.properties.is_property_set(name)}
+        options = photo_options(context.scene.physhdr, **given)
+        arguments = prepare_command(str(photos), str(out), options.to_prepare, self.overwrite)
         command = current.backend_command(*arguments)
         current.start_task(PHOTOS, command, current.home / "photos.log", current.environment())
         if not self.wait:

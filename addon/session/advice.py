@@ -69,6 +69,8 @@ def next_step(state: State, choices: Choices) -> str:
         return "Install the backend, or use a Python that has torch"
     if state.task(DATASET) or state.task(LOOK) or state.task(PHOTOS):
         return ""
+    if state.backend.missing is None and not state.active:
+        return "Check the backend: what this version needs was not looked for yet"
     job = state.job
     if state.link.problem and job.failure:
         return "Resume the training" if job.saved_iteration else "Start the training again"

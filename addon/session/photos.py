@@ -6,7 +6,7 @@ over, and never fails.
 """
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from .state import Photos, Prepared
@@ -15,24 +15,49 @@ from .state import Photos, Prepared
 NAMED = 3
 
 
+@dataclass(frozen=True)
+class PhotoOptions:
+    """What a user may say of photos; the defaults let ``physhdr prepare`` find it out.
+
+    ``bracket``: photos at each place; ``lens``: COLMAP's name of its model; ``exposures``: a file of them;
+    ``partial``: go on where less than half of the places were found.
+    """
+
+    handheld: bool = False
+    bracket: int = 0
+    same_exposure: bool = False
+    exposures: str = ""
+    borrow_poses: bool = False
+    max_width: int = 1600
+    lens: str = "OPENCV"
+    partial: bool = False
+
+    @property
+    def to_look(self) -> tuple[str, ...]:
+        """Those that change what is understood of the photos."""
+        told = ["--handheld"] if self.handheld else []
+        told += ["--bracket", str(self.bracket)] if self.bracket else []
+        told += ["--same-exposure"] if self.same_exposure else []
+        told += ["--exposures", self.exposures] if self.exposures else []
+        return tuple(told)
+
+    @property
+    def to_prepare(self) -> tuple[str, ...]:
+        """All of them."""
+        told = [*self.to_look, "--max-width", str(self.max_width), "--camera", self.lens]
+        told += ["--borrow-poses"] if self.borrow_poses else []
+        told += ["--partial"] if self.partial else []
+        return tuple(told)
+
+
 def look_command(photos: str, options: tuple[str, ...]) -> list[str]:
     """The arguments of the backend's command that looks at a folder of photos and writes nothing."""
     return ["prepare", photos, *options, "--look", "--json"]
 
 
-def look_options(handheld: bool) -> tuple[str, ...]:
-    """Those options of preparing that change what is understood of the photos."""
-    return ("--handheld",) if handheld else ()
-
-
-def prepare_command(
-    photos: str, out: str, *, handheld: bool, borrow_poses: bool, max_width: int, overwrite: bool
-) -> list[str]:
+def prepare_command(photos: str, out: str, options: tuple[str, ...], overwrite: bool) -> list[str]:
     """The arguments of the backend's command that makes a data set ``out`` of a folder of photos."""
-    options = [*look_options(handheld), "--max-width", str(max_width)]
-    options += ["--borrow-poses"] if borrow_poses else []
-    options += ["--overwrite"] if overwrite else []
-    return ["prepare", photos, "--out", out, *options, "--json"]
+    return ["prepare", photos, "--out", out, *options, *(["--overwrite"] if overwrite else []), "--json"]
 
 
 def understood(photos: Photos, result: dict[str, Any]) -> Photos:

@@ -104,7 +104,7 @@ class Dataset:
 class Photos:
     """A folder of photos that was looked at, before the long work: what was understood of it.
 
-    ``options``: what it was looked at with, as ``look_options`` gives them. ``seconds``: how long preparing
+    ``options``: what it was looked at with, as ``PhotoOptions`` has them. ``seconds``: how long preparing
     will take, negative where unknown. Empty and without a problem: it is being looked at.
     """
 

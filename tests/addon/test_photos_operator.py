@@ -109,7 +109,7 @@ def test_the_data_set_is_chosen_and_start_is_next(extension, photos, tmp_path):
     settings.photos_handheld, settings.photos_width = True, 1200
     assert bpy.ops.physhdr.photos_prepare() == {"FINISHED"}
     out = str(tmp_path / "church_dataset")
-    options = ["--handheld", "--max-width", "1200", "--json"]
+    options = ["--handheld", "--max-width", "1200", "--camera", "OPENCV", "--json"]
     assert calls(tmp_path)[-1] == ["prepare", str(photos), "--out", out, *options]
     assert settings.data == out and settings.out == f"{out}_run"
     assert (settings.photos, extension.state.photos.folder) == ("", "")
@@ -120,14 +120,16 @@ def test_the_data_set_is_chosen_and_start_is_next(extension, photos, tmp_path):
 
 def test_scripts_give_what_they_want_and_former_calls_do_not_count(extension, photos, tmp_path):
     out = tmp_path / "here"
-    made = bpy.ops.physhdr.photos_prepare(
-        photos=str(photos), out=str(out), handheld=True, borrow_poses=True, max_width=0
-    )
+    given = {"handheld": True, "borrow_poses": True, "max_width": 0, "bracket": 3, "partial": True}
+    given |= {"same_exposure": True, "lens": "OPENCV_FISHEYE", "exposures": str(tmp_path / "seconds.csv")}
+    made = bpy.ops.physhdr.photos_prepare(photos=str(photos), out=str(out), **given)
     assert made == {"FINISHED"} and (out / "prepare.json").exists()
     words = calls(tmp_path)[-1]
-    assert words[4:] == ["--handheld", "--max-width", "0", "--borrow-poses", "--json"]
+    looked = ["--handheld", "--bracket", "3", "--same-exposure", "--exposures", str(tmp_path / "seconds.csv")]
+    made = ["--max-width", "0", "--camera", "OPENCV_FISHEYE", "--borrow-poses", "--partial", "--json"]
+    assert words[4:] == [*looked, *made]
     assert bpy.ops.physhdr.photos_prepare(photos=str(photos), out=str(tmp_path / "there")) == {"FINISHED"}
-    assert calls(tmp_path)[-1][4:] == ["--max-width", "1600", "--json"]
+    assert calls(tmp_path)[-1][4:] == ["--max-width", "1600", "--camera", "OPENCV", "--json"]
     # A folder that is taken is not proposed again.
     assert operators.proposed_folder(photos) == str(tmp_path / "church_dataset")
     (tmp_path / "church_dataset").mkdir()
