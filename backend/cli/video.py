@@ -15,7 +15,7 @@ from rich.progress import Progress
 from ...bridge.errors import BadValueError
 from ..device import DeviceName
 from ..evaluate.camera_path import orbit_path, spline_path
-from ..evaluate.protocol import Renderer
+from ..evaluate.renderer import Renderer
 from ..evaluate.sheets import as_picture
 from ..evaluate.video import frames_writer, require_suffix, video_writer
 from ..rasterize import Implementation

@@ -2,8 +2,9 @@
 """The paper's evaluation, and ours of relighting: what is rendered, compared and averaged.
 
 The views are those of one split: the test views, or the validation views.
-LDR: every view at every exposure, through 8 bit, in PSNR, SSIM and LPIPS; averaged for each exposure,
-then LDR-OE over exposure indices 0, 2, 4 (those that training saw) and LDR-NE over 1, 3 (those it did not).
+LDR: every view at every exposure, through 8 bit, in PSNR, SSIM and LPIPS (``pictures.py``, which tells of
+radiance and masks, too); averaged for each exposure, then LDR-OE over exposure indices 0, 2, 4 (those that
+training saw) and LDR-NE over 1, 3 (those it did not).
 HDR: ``metrics.hdr_pair``, once as it is and once after dividing by the median scale ratio.
 Relit: the μ-law PSNR under other light, beside what scaling a picture would give (``results.RelitRow``).
 The PSNR of a picture is at most ``metrics.PSNR_CAP``, 100 dB; a message says where that was so.
@@ -11,23 +12,22 @@ The PSNR of a picture is at most ``metrics.PSNR_CAP``, 100 dB; a message says wh
 
 import math
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 import torch
 
 from ...bridge.data_set import HELD_OUT, TEST, VALIDATION
 from ...bridge.errors import BadValueError, DataMismatchError
-from ...bridge.lights import Levels
-from ..scene.camera import Camera
 from ..scene.scene import Scene, View
 from . import truth
 from .lpips import SMALLEST_SIDE, Lpips
 from .metrics import PSNR_CAP, display, hdr_pair, hdr_shown, psnr, quantise, resize_to, scale_ratio, ssim
+from .pictures import finite, in_words, pairs
 from .published import data_set_of
+from .renderer import Renderer
 from .response import check_response, learned_response, true_response
 from .results import (
     NOVEL_EXPOSURES,
@@ -39,43 +39,6 @@ from .results import (
     Metrics,
     RelitRow,
 )
-
-
-class Renderer(Protocol):
-    """What is evaluated: a trained model, whichever the method. ``lights``: those it has levels for.
-
-    A subclass must have ``lights``, ``hdr`` and ``ldr``; what else there is may stay as it is here.
-    """
-
-    lights: tuple[str, ...]
-
-    @property
-    def remarks(self) -> tuple[str, ...]:
-        """What every report must say of it."""
-        return ()
-
-    @property
-    def can_relight(self) -> bool:
-        """Whether a lighting level does more than scale."""
-        return True
-
-    def hdr(self, camera: Camera, lighting_level: Levels = 1.0) -> torch.Tensor:
-        """``[3, H, W]`` scene-linear radiance at ``lighting_level``: the first light's, or one a light."""
-        ...
-
-    def ldr(self, camera: Camera, exposure: float, lighting_level: Levels = 1.0) -> torch.Tensor:
-        """``[3, H, W]`` in 0…1: the picture that the camera would take at ``exposure`` seconds."""
-        ...
-
-    def ldr_bracket(
-        self, camera: Camera, exposures: Sequence[float], lighting_level: Levels = 1.0
-    ) -> Iterable[torch.Tensor]:
-        """What ``ldr`` gives at each exposure: all at once where that costs less, else one by one."""
-        return (self.ldr(camera, exposure, lighting_level) for exposure in exposures)
-
-    def response_curve(self) -> tuple[torch.Tensor, torch.Tensor] | None:
-        """ln(exposure × radiance) ``[M]`` and LDR ``[M, 3]``; None where one global curve is not known."""
-        return None
 
 
 @torch.no_grad()
@@ -107,6 +70,7 @@ def evaluate(
     relit = truth.relit_truth(scene.root) if split == TEST else []
     unknown = [item for item in relit if not item.can_be_shown(renderer.lights)]
     messages = [*renderer.remarks, *_what_is_left_out(scene, split, lpips, relit, unknown)]
+    messages += in_words(views)
     messages += _what_training_was(training_exposures, iteration, iterations)
     relit = [item for item in relit if item not in unknown]
     camera = views[0].camera
@@ -241,16 +205,6 @@ def _what_is_capped(ldr: list[LdrRow], hdr: list[HdrRow], relit: list[RelitRow])
     ]
 
 
-def _require_finite(picture: torch.Tensor, what: str) -> torch.Tensor:
-    """The picture on the CPU; raises ``BadValueError`` on NaN or infinity, which would pass as black."""
-    picture = picture.detach().cpu()
-    if not bool(torch.isfinite(picture).all()):
-        raise BadValueError(
-            f"the model renders NaN or infinity: {what}", "Train again, or use a checkpoint before."
-        )
-    return picture
-
-
 def _compare(picture: torch.Tensor, reference: torch.Tensor, lpips: Lpips | None) -> Metrics:
     distances = lpips.both(picture, reference) if lpips else (None, None)
     return Metrics(psnr(picture, reference), ssim(picture, reference), *distances)
@@ -258,13 +212,10 @@ def _compare(picture: torch.Tensor, reference: torch.Tensor, lpips: Lpips | None
 
 def _ldr_rows(renderer: Renderer, view: View, lpips: Lpips | None) -> list[LdrRow]:
     rows = []
-    pictures = renderer.ldr_bracket(view.camera, view.exposures, view.lighting_level)
-    for k, (exposure, picture) in enumerate(zip(view.exposures, pictures, strict=True)):
-        picture = quantise(_require_finite(picture, f"{view.name} at {exposure:g} s"))
-        reference = torch.from_numpy(view.values(k)).permute(2, 0, 1)
-        rows.append(
-            LdrRow(view.name, view.index, view.bracket[k], exposure, _compare(picture, reference, lpips))
-        )
+    for k, pair in enumerate(pairs(renderer, view)):
+        if pair.mask is None or pair.mask.any():
+            metrics = pair.metrics(lpips)
+            rows.append(LdrRow(view.name, view.index, view.bracket[k], view.exposures[k], metrics))
     return rows
 
 
@@ -282,7 +233,7 @@ def _standard_views(renderer: Renderer, scene: Scene, split: str, step: _Steps) 
     views = {}
     for view in scene.splits[split]:
         step(f"HDR {view.name}")
-        prediction = _require_finite(renderer.hdr(view.camera), f"{view.name}, HDR")
+        prediction = finite(renderer.hdr(view.camera), f"{view.name}, HDR")
         views[view.index] = _StandardView(view, prediction, truth.hdr_truth(scene.root, split, view.index))
     return views
 
@@ -306,7 +257,7 @@ def _hdr_rows(standard: dict[int, _StandardView], lpips: Lpips | None) -> list[H
 def _relit_row(renderer: Renderer, standard: _StandardView, item: truth.RelitTruth) -> RelitRow:
     view, relit = standard.view, item.radiance()
     ours = renderer.hdr(view.camera, item.levels_of(renderer.lights))
-    ours = _require_finite(ours, f"{view.name} at {item.condition}")
+    ours = finite(ours, f"{view.name} at {item.condition}")
     height, width = ours.shape[1:]
     truth_standard = resize_to(standard.truth, height, width)
     best_factor = scale_ratio(resize_to(relit, height, width), truth_standard)

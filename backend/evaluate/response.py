@@ -18,6 +18,7 @@ from ...bridge.atomic import atomic_path
 from ...bridge.data_set import TEST
 from ...bridge.errors import BadValueError
 from ...bridge.srgb import to_srgb
+from ..scene.encoding import eight_bits
 from ..scene.scene import Scene
 from . import truth
 from .metrics import resize_to
@@ -45,9 +46,10 @@ class Curve:
 def learned_response(method: Any) -> Curve | None:
     """The curve that ``method.response_curve()`` gives, (ln(exposure × radiance) ``[M]``, LDR ``[M, 3]``).
 
-    None where the method has none. Raises ``BadValueError`` for other shapes, NaN, or exposures that fall.
+    None where the method has none, or did not learn it.
+    Raises ``BadValueError`` for other shapes, NaN, or exposures that fall.
     """
-    given = method.response_curve()
+    given = method.response_curve() if getattr(method, "learns_response", True) else None
     if given is None:
         return None
     log_exposure, code = (np.asarray(_plain(part), np.float64) for part in given)
@@ -105,8 +107,8 @@ def _columns(points: Any) -> tuple[np.ndarray, np.ndarray]:
 def measured_response(scene: Scene, split: str = TEST) -> Curve | None:
     """The response that the pictures of ``split`` show: the median code of pixels in each bin of exposure.
 
-    From 8-bit codes against exposure × true radiance, each channel by itself. None without true radiance of
-    that split, of which alone anything is opened.
+    From 8-bit codes (the upper 8 of 16) of a camera's pictures against exposure × true radiance, each channel
+    by itself. None without true radiance of that split, of which alone anything is opened.
     Raises what ``read_png`` and ``read_exr`` raise.
     """
     views = scene.splits[split]
@@ -119,10 +121,14 @@ def measured_response(scene: Scene, split: str = TEST) -> Curve | None:
         radiance = resize_to(radiance, view.camera.height, view.camera.width).numpy().reshape(3, -1)
         stops = np.log2(np.maximum(radiance, 1e-12))
         for k, exposure in enumerate(view.exposures):
+            if view.encodings[k].is_known:
+                continue
             at = np.rint((stops + (np.log2(exposure) - BIN_ENDS[0])) / BIN_STOPS).astype(np.int32)
-            codes = view.image(k).reshape(-1, 3)
+            codes, mask = eight_bits(view.image(k)).reshape(-1, 3), view.mask(k)
             for c in range(3):
                 inside = (at[c] >= 0) & (at[c] < bins)
+                if mask is not None:
+                    inside &= mask.reshape(-1)
                 counts[c] += np.bincount(256 * at[c][inside] + codes[inside, c], minlength=bins * 256)
     code = np.stack([_medians(each.reshape(bins, 256)) for each in counts], axis=1)
     known = np.isfinite(code).any(axis=1)

@@ -14,7 +14,8 @@ from ...bridge.lights import Levels
 from ..scene.scene import Scene, View
 from . import truth
 from .metrics import MU, display, hdr_pair, psnr, quantise, resize_to, ssim
-from .protocol import Renderer
+from .pictures import pairs
+from .renderer import Renderer
 from .residuals import RESIDUAL_GAIN, legend, residual
 from .results import NOVEL_EXPOSURES, OBSERVED_EXPOSURES, VIEWS_OF
 
@@ -216,9 +217,10 @@ def _part(view: View, k: int) -> str:
 
 
 def _ldr(renderer: Renderer, view: View, k: int) -> Shown:
-    reference = torch.from_numpy(view.values(k)).permute(2, 0, 1)
-    picture = quantise(renderer.ldr(view.camera, view.exposures[k], view.lighting_level).detach().cpu())
-    return Shown(picture, reference, psnr(picture, reference), ssim(picture, reference))
+    (pair,) = pairs(renderer, view, [k])
+    picture, reference = pair.shown()
+    metrics = pair.metrics()
+    return Shown(picture, reference, metrics.psnr, metrics.ssim)
 
 
 def _hdr(renderer: Renderer, view: View, level: Levels, reference: torch.Tensor) -> Shown:

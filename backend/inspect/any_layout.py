@@ -34,8 +34,14 @@ def look_at_scene(scene: Scene, found: Inspection) -> None:
         for view in views:
             for i, seconds in enumerate(view.exposures):
                 picture = _picture(view, i, found)
-                if picture is not None and name == TRAIN:
-                    pixels.add_picture(picture, view.bracket[i], seconds)
+                if picture is None or name != TRAIN:
+                    continue
+                mask, encoding = view.mask(i), view.encodings[i]
+                if encoding.is_known and not encoding.clips:
+                    exposed = encoding.exposed(picture if mask is None else picture[mask])
+                    pixels.add_radiance(exposed, seconds)
+                else:
+                    pixels.add_picture(picture, view.bracket[i], seconds, mask)
     _look_at_truth(scene, found, pixels)
     pixels.tell(found)
     if found.points is None:

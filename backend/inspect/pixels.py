@@ -6,6 +6,7 @@ import math
 import numpy as np
 
 from ...bridge.contents import LUMINANCE, dynamic_range
+from ..scene.encoding import eight_bits
 from .findings import DynamicRange, Inspection
 
 #: The response that is assumed where radiance is estimated from pictures: (x / (1 + x))^(1 / 2.2), which is
@@ -21,16 +22,29 @@ class TrainingPixels:
         self._codes: dict[float, np.ndarray] = {}
         self._luminance: list[np.ndarray] = []
 
-    def add_picture(self, picture: np.ndarray, place: int, seconds: float) -> None:
-        """``picture`` ``[H, W, 3]`` uint8, its place in the bracket and exposure.
+    def add_picture(
+        self, picture: np.ndarray, place: int, seconds: float, mask: np.ndarray | None = None
+    ) -> None:
+        """``picture`` ``[H, W, 3]`` uint8 or uint16, a camera's, its place in the bracket and exposure.
 
-        White is a pixel with a channel at 255, black one with all at 0; codes are means over the channels.
+        ``mask``: where it is looked at, ``[H, W]`` bool; None: everywhere. Of 16 bits the nearest 8
+        count. White is a pixel with a channel at 255, black one with all at 0; codes are means over channels.
         """
+        picture = eight_bits(picture)
+        if mask is not None:
+            picture = picture[mask]
+            if not len(picture):
+                return
         brightest = picture.max(-1)
         self._clipped.setdefault(place, []).append(((brightest == 255).mean(), (brightest == 0).mean()))
         codes = np.round(picture.mean(-1)).astype(np.int64)
         counted = np.bincount(codes.ravel(), minlength=256)
         self._codes[seconds] = self._codes.get(seconds, np.zeros(256, np.int64)) + counted
+
+    def add_radiance(self, exposed: np.ndarray, seconds: float) -> None:
+        """A picture ``[…, 3]`` that holds exposure × radiance, where it is looked at."""
+        if exposed.size:
+            self._luminance.append((exposed.astype(np.float64) @ LUMINANCE).ravel() / seconds)
 
     def add_truth(self, radiance: np.ndarray) -> None:
         """``radiance`` ``[H, W, 3]``, scene-linear."""

@@ -234,6 +234,11 @@ class Method(nn.Module, ABC):
         return None
 
     @property
+    def learns_response(self) -> bool:
+        """Whether ``response_curve`` is learned; else it is the sRGB curve, by which pictures are shown."""
+        return True
+
+    @property
     def remarks(self) -> tuple[str, ...]:
         """What every report on this model must say, such as that it has seen what others may not."""
         return ()
@@ -277,7 +282,7 @@ class Method(nn.Module, ABC):
         return [self.ldr_at(camera, exposure, levels) for exposure in exposures]
 
     def response_curve(self) -> tuple[torch.Tensor, torch.Tensor] | None:
-        """The learned global response: ln(exposure × radiance) ``[S]`` and LDR ``[S, 3]``; or None."""
+        """The global response, ln(exposure × radiance) ``[S]`` and LDR ``[S, 3]``; or None."""
         return None
 
 
@@ -308,6 +313,10 @@ class SplattingMethod(Method):
     @property
     def splatting(self) -> "SplattingMethod":
         return self
+
+    @property
+    def learns_response(self) -> bool:
+        return isinstance(self.tone_mapper, ToneMapper)
 
     @property
     def first_response(self) -> Response:

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A fixed held-out view, measured while training. What it sees is shown and logged, never learned from."""
 
-import torch
-
 from ...bridge.data_set import TEST, VALIDATION
 from ...bridge.errors import PhysHDRError
-from ..evaluate.metrics import psnr, scale_ratio
+from ..evaluate.metrics import scale_ratio
+from ..evaluate.pictures import pairs
 from ..evaluate.truth import hdr_truth
 from ..methods.base import Method
 from ..scene import Scene
@@ -30,10 +29,8 @@ def view_monitor(scene: Scene) -> Monitor | None:
         truth = None  # shown only if it is there; evaluation says what is wrong with it
 
     def measure(method: Method) -> dict[str, float]:
-        picture = torch.from_numpy(view.values(k)).permute(2, 0, 1)
-        measured = {
-            "PSNR": psnr(method.ldr(view.camera, view.exposures[k], view.lighting_level).cpu(), picture)
-        }
+        (pair,) = pairs(method, view, [k], rounded=False)
+        measured = {"PSNR": pair.psnr()}
         if truth is not None:
             measured["HDR scale"] = scale_ratio(method.hdr(view.camera, view.lighting_level).cpu(), truth)
         return measured

@@ -172,6 +172,13 @@ class LogEncoding(Encoding):
         return {"name": self.name, "scale": self.scale}
 
 
+def eight_bits(codes: np.ndarray) -> np.ndarray:
+    """uint8 codes of uint8 or uint16 ones: the nearest."""
+    if codes.dtype == np.uint8:
+        return codes
+    return ((codes.astype(np.uint32) + 128) // 257).astype(np.uint8)
+
+
 CAMERA = CameraEncoding()
 SRGB = SrgbEncoding()
 

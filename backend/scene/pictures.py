@@ -1,13 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Pictures on disk: 8-bit PNG or JPEG, 32-bit float OpenEXR; read with suspicion and written atomically."""
+"""Pictures on disk, read with suspicion and written atomically.
+
+Integers: PNG and TIFF of 8 or 16 bits, JPEG. Radiance: OpenEXR, Radiance's .hdr, TIFF of floats. Pillow
+reads PNG and JPEG of 8 bits, OpenEXR's own library its format, OpenImageIO all the rest: Pillow knows no
+colour of 16 bits.
+"""
 
 import io
 import threading
 import warnings
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import OpenEXR
@@ -17,6 +23,7 @@ from ...bridge.atomic import atomic_path
 from ...bridge.errors import BadValueError, FileDamagedError, OutputError
 from ...bridge.limits import MAX_PIXELS, RADIANCE_MAX
 from ...bridge.regular import damaged_where_it_fails, regular_file
+from .color_space import Chromaticities
 
 #: A file of N bytes can hold at most this many pixels per byte. RLE, the weakest of EXR's codecs, reaches 64
 #: on constant data and ZIP about 1000; a real render stays below 1. A 376-byte file that claims 16000×16000
@@ -31,8 +38,27 @@ MAX_DEFLATE_RATIO = 1032
 #: The fewest bits that a PNG's pixel of each mode has before deflate; its rows' filters only add to them, and
 #: interlacing does, too. A pixel of "L" has 2 to 8, one of "P" 1 to 8.
 PNG_BITS = {"1": 1, "L": 2, "LA": 16, "P": 1, "RGB": 24, "RGBA": 32}
-#: Pillow's names of the formats that a data set's pictures may have.
+#: Pillow's names of the formats that it reads for us.
 READABLE = ("PNG", "JPEG")
+#: TIFF's codecs make at most so many bytes of one (LZW, of 12 bits; deflate and PackBits make less).
+MAX_TIFF_RATIO = 4096
+#: .hdr packs a run of 127 values into two bytes.
+MAX_HDR_RATIO = 64
+#: How files of each kind begin.
+Kind = Literal["PNG", "JPEG", "TIFF", "EXR", "HDR"]
+MAGIC: dict[bytes, Kind] = {
+    b"\x89PNG\r\n\x1a\n": "PNG",
+    b"\xff\xd8\xff": "JPEG",
+    b"II*\0": "TIFF",
+    b"MM\0*": "TIFF",
+    b"II+\0": "TIFF",
+    b"MM\0+": "TIFF",
+    b"\x76\x2f\x31\x01": "EXR",
+    b"#?RADIANCE": "HDR",
+    b"#?RGBE": "HDR",
+}
+#: The byte of a PNG that tells how many bits a channel has (PNG specification, 11.2.2).
+PNG_DEPTH_AT = 24
 
 #: Pixels of an EXR's tile, which may be larger than its picture: the library goes through all of it.
 LARGEST_TILE = 1 << 24
@@ -46,9 +72,183 @@ _RESTORE = "Restore the file, or make the data set again: only what is missing i
 _DELETE = "Delete it and make the data set again (only what is missing is rendered), or copy it again."
 
 
+def kind_of(path: Path) -> Kind:
+    """What a picture is, by its first bytes; raises ``FileMissingError``, ``FileDamagedError`` for others."""
+    path = Path(path)
+    regular_file(path, _RESTORE)
+    with damaged_where_it_fails(f"{path} cannot be read", _DELETE), open(path, "rb") as file:
+        start = file.read(16)
+    for magic, kind in MAGIC.items():
+        if start.startswith(magic):
+            return kind
+    raise FileDamagedError(f"{path} is not a readable PNG or JPEG, nor TIFF, OpenEXR or .hdr", _DELETE)
+
+
+def _is_deep_png(path: Path) -> bool:
+    with damaged_where_it_fails(f"{path} cannot be read", _DELETE), open(path, "rb") as file:
+        return file.read(PNG_DEPTH_AT + 1)[PNG_DEPTH_AT:] == b"\x10"
+
+
+def holds_radiance(path: Path) -> bool:
+    """Whether a picture holds radiance (OpenEXR, .hdr, TIFF of floats), not codes; raises as ``kind_of``."""
+    kind = kind_of(path)
+    return kind in ("EXR", "HDR") or (kind == "TIFF" and _look(path, kind).is_float)
+
+
 def picture_size(path: Path) -> tuple[int, int]:
-    """``(width, height)`` in pixels of a PNG or JPEG from its header alone; raises as ``read_picture``."""
-    return _open_picture(Path(path), READABLE, lambda picture: picture.size)
+    """``(width, height)`` in pixels of any picture from its header alone; raises as reading it does."""
+    path = Path(path)
+    kind = kind_of(path)
+    if kind == "EXR":
+        return _exr_size(path)
+    if kind in ("TIFF", "HDR") or (kind == "PNG" and _is_deep_png(path)):
+        header = _look(path, kind)
+        return header.width, header.height
+    return _open_picture(path, READABLE, lambda picture: picture.size)
+
+
+def read_codes(path: Path, with_alpha: bool = False) -> tuple[np.ndarray, np.ndarray | None]:
+    """``[H, W, 3]`` uint8 or uint16 of a PNG, JPEG or TIFF, as stored; and alpha, ``[H, W]`` in 0…1.
+
+    Alpha is None unless it is asked for and there; nothing is composited, nothing is turned. Raises
+    ``FileMissingError``, ``FileDamagedError`` (another kind, truncated, floats, absurdly large).
+    """
+    path = Path(path)
+    kind = kind_of(path)
+    if kind in ("EXR", "HDR"):
+        raise FileDamagedError(
+            f"{path} holds radiance, where codes of 8 or 16 bits are wanted", "Save it as PNG or TIFF."
+        )
+    if kind == "TIFF" or (kind == "PNG" and _is_deep_png(path)):
+        header = _look(path, kind)
+        if header.is_float:
+            raise FileDamagedError(
+                f"{path} is a TIFF of floats, where codes of 8 or 16 bits are wanted", "Save it with 16 bits."
+            )
+        pixels = _read_pixels(path, header)
+        codes, alpha = _colours(pixels, header)
+        return codes, None if alpha is None or not with_alpha else alpha / float(np.iinfo(codes.dtype).max)
+    if with_alpha:
+        return _open_picture(path, READABLE, _as_rgb_and_alpha)
+    return read_picture(path), None
+
+
+@dataclass(frozen=True, eq=False)
+class Radiance:
+    """``pixels`` ``[H, W, 3]`` float32, linear, as the file has them; ``alpha`` ``[H, W]`` or None.
+
+    ``chromaticities``: of its primaries, where the file says; None: it does not.
+    """
+
+    pixels: np.ndarray
+    alpha: np.ndarray | None
+    chromaticities: Chromaticities | None
+
+
+def read_radiance(path: Path) -> Radiance:
+    """What an OpenEXR, .hdr or TIFF of floats holds.
+
+    Raises ``FileMissingError``; ``FileDamagedError`` for other files, or truncated ones; ``BadValueError``
+    for NaN, infinite or absurd values, as ``read_exr``.
+    """
+    path = Path(path)
+    kind = kind_of(path)
+    if kind == "EXR":
+        planes = read_exr_channels(path, _RESTORE, ("R", "G", "B"), optional=("A",))
+        pixels = np.stack([planes[name] for name in "RGB"], axis=-1)
+        return Radiance(_sound(path, pixels), planes.get("A"), _exr_chromaticities(path))
+    if kind not in ("HDR", "TIFF"):
+        raise FileDamagedError(
+            f"{path} holds no radiance: it is a {kind}", "Give OpenEXR, .hdr or float TIFF."
+        )
+    header = _look(path, kind)
+    if not header.is_float:
+        raise FileDamagedError(f"{path} holds no radiance: it is a TIFF of integers", "Save it as floats.")
+    pixels, alpha = _colours(_read_pixels(path, header), header)
+    return Radiance(_sound(path, pixels.astype(np.float32)), alpha, None)
+
+
+@dataclass(frozen=True)
+class _Header:
+    """What OpenImageIO says of a file before its pixels; ``format``: a NumPy type's name."""
+
+    width: int
+    height: int
+    channels: int
+    alpha: int
+    format: str
+
+    @property
+    def is_float(self) -> bool:
+        return self.format == "float32"
+
+
+#: OpenImageIO's types and those that we read them as: all without loss.
+_READ_AS = {"uint8": "uint8", "uint16": "uint16", "half": "float32", "float": "float32", "double": "float32"}
+_RATIOS = {"PNG": MAX_DEFLATE_RATIO, "TIFF": MAX_TIFF_RATIO, "HDR": MAX_HDR_RATIO}
+
+
+def _opened(path: Path) -> Any:
+    """OpenImageIO's reader of a file; alpha is not multiplied in."""
+    import OpenImageIO  # here: most data sets do without, and it takes 0.4 s to load
+
+    wanted = OpenImageIO.ImageSpec()
+    wanted["oiio:UnassociatedAlpha"] = 1
+    with damaged_where_it_fails(f"{path} is not a readable picture", _DELETE):
+        reader = OpenImageIO.ImageInput.open(str(path), wanted)
+        if reader is None:
+            raise ValueError(OpenImageIO.geterror() or "no reader knows it")
+    return reader
+
+
+def _look(path: Path, kind: Kind) -> _Header:
+    """The header of a PNG, TIFF or .hdr; raises ``FileDamagedError`` where it cannot be believed."""
+    reader = _opened(path)
+    try:
+        spec = reader.spec()
+        header = _Header(
+            spec.width, spec.height, spec.nchannels, spec.alpha_channel, _READ_AS.get(str(spec.format), "")
+        )
+    finally:
+        reader.close()
+    with damaged_where_it_fails(f"{path} is not a readable {kind}", _DELETE):
+        size = path.stat().st_size
+        if not (header.width > 0 and header.height > 0 and header.width * header.height <= MAX_PIXELS):
+            raise ValueError(f"it claims {header.width}×{header.height} pixels")
+        if header.format == "" or not 1 <= header.channels <= 8:
+            raise ValueError(
+                f"its pixels are {header.channels} × {spec.format}: 8 or 16 bits or floats are read"
+            )
+        bits = {"uint8": 1, "uint16": 16, "float32": 16}[header.format]  # of 8 bits there may be fewer
+        if header.width * header.height * header.channels * bits > 8 * _RATIOS[kind] * size:
+            raise ValueError(f"it claims {header.width}×{header.height} pixels in {size} bytes")
+    return header
+
+
+def _read_pixels(path: Path, header: _Header) -> np.ndarray:
+    """``[H, W, C]`` of the header's type."""
+    reader = _opened(path)
+    try:
+        with damaged_where_it_fails(f"{path} is truncated or damaged", _DELETE):
+            wanted = "float" if header.is_float else header.format
+            pixels = reader.read_image(0, 0, 0, header.channels, wanted)
+            if pixels is None:
+                raise ValueError(reader.geterror() or "its pixels cannot be read")
+            pixels = np.asarray(pixels)
+            if pixels.shape != (header.height, header.width, header.channels):
+                raise ValueError(f"its pixels are {pixels.shape}")
+    finally:
+        reader.close()
+    return pixels
+
+
+def _colours(pixels: np.ndarray, header: _Header) -> tuple[np.ndarray, np.ndarray | None]:
+    """``[H, W, 3]`` of colour or grey pixels ``[H, W, C]``, and the alpha ``[H, W]`` if there is one."""
+    alpha = pixels[..., header.alpha] if 0 <= header.alpha < header.channels else None
+    colours = pixels[..., [k for k in range(header.channels) if k != header.alpha][:3]]
+    if colours.shape[2] < 3:
+        colours = np.repeat(colours[..., :1], 3, axis=2)
+    return np.ascontiguousarray(colours), alpha
 
 
 def read_picture(path: Path) -> np.ndarray:
@@ -68,6 +268,13 @@ def read_png(path: Path) -> np.ndarray:
 
 def _as_rgb(picture: Image.Image) -> np.ndarray:
     return np.array(picture.convert("RGB"))
+
+
+def _as_rgb_and_alpha(picture: Image.Image) -> tuple[np.ndarray, np.ndarray | None]:
+    if not picture.has_transparency_data:
+        return _as_rgb(picture), None
+    both = np.array(picture.convert("RGBA"))
+    return np.ascontiguousarray(both[..., :3]), both[..., 3] / 255.0
 
 
 def _open_picture(path: Path, formats: tuple[str, ...], look: Callable[[Image.Image], T]) -> T:
@@ -110,7 +317,11 @@ def read_exr(path: Path) -> np.ndarray:
     """
     path = Path(path)
     planes = read_exr_channels(path, _RESTORE, ("R", "G", "B"))
-    radiance = np.stack([planes[name] for name in "RGB"], axis=-1)
+    return _sound(path, np.stack([planes[name] for name in "RGB"], axis=-1))
+
+
+def _sound(path: Path, radiance: np.ndarray) -> np.ndarray:
+    """``radiance`` as it is; raises ``BadValueError`` for NaN, infinite or absurd values."""
     if not np.isfinite(radiance).all():
         row, column = np.argwhere(~np.isfinite(radiance))[0][:2]
         raise BadValueError(
@@ -126,24 +337,21 @@ def read_exr(path: Path) -> np.ndarray:
     return radiance
 
 
-def read_exr_channels(path: Path, remedy: str, wanted: Sequence[str] = ()) -> dict[str, np.ndarray]:
+def read_exr_channels(
+    path: Path, remedy: str, wanted: Sequence[str] = (), optional: Sequence[str] = ()
+) -> dict[str, np.ndarray]:
     """Channels of an OpenEXR file by name, each ``[H, W]`` float32, as they are.
 
-    ``wanted``: of its first part; without them all channels of its only part. ``remedy``: the hint where the
-    file is not there. Raises ``FileMissingError``; ``FileDamagedError`` if it is no OpenEXR, truncated, deep,
-    claims more than the file can hold, or lacks a channel.
+    ``wanted``: of its first part, and those of the ``optional`` that it has; without them all channels of its
+    only part. ``remedy``: the hint where the file is not there. Raises ``FileMissingError``;
+    ``FileDamagedError`` if it is no OpenEXR, truncated, deep, claims more than the file can hold, or lacks a
+    channel.
     """
     regular_file(path, remedy)
-    parts = _exr_parts(path, header_only=True)
-    if len(parts) != 1 and not (parts and wanted):  # none is what a damaged file may come back as
-        raise _damaged_exr(path, f"it holds {len(parts)} pictures")
-    claims = [_exr_claim(path, part.header) for part in parts]
-    size = path.stat().st_size
-    for width, height, names in claims:
-        most = min(MAX_PIXELS, size * MAX_PIXELS_PER_BYTE, size * MAX_VALUES_PER_BYTE // max(len(names), 1))
-        if width < 1 or height < 1 or width * height > most:
-            claim = f"it claims {width}×{height} pixels of {len(names)} channels in {size} bytes"
-            raise _damaged_exr(path, claim)
+    headers = _exr_parts(path, header_only=True)
+    if len(headers) != 1 and not (headers and wanted):  # none is what a damaged file may come back as
+        raise _damaged_exr(path, f"it holds {len(headers)} pictures")
+    claims = _exr_claims(path, headers)
     width, height, names = claims[0]
     if not names or not set(wanted) <= set(names):
         raise _damaged_exr(path, f"it has no channels {', '.join(wanted)} but {sorted(names)}")
@@ -151,7 +359,7 @@ def read_exr_channels(path: Path, remedy: str, wanted: Sequence[str] = ()) -> di
     if len(parts) != len(claims) or set(parts[0].channels) != set(names):
         raise _damaged_exr(path, "it is truncated: channels are missing")
     planes = {}
-    for name in wanted or names:
+    for name in (*wanted, *(name for name in optional if name in names)) if wanted else names:
         with damaged_where_it_fails(f"{path} is not a readable OpenEXR picture: channel {name}", _DELETE):
             planes[name] = np.asarray(parts[0].channels[name].pixels).astype(np.float32)
         if planes[name].shape != (height, width):
@@ -172,6 +380,36 @@ def _exr_parts(path: Path, header_only: bool) -> list[Any]:
         redirect_stdout(io.StringIO()),
     ):
         return list(OpenEXR.File(str(path), separate_channels=True, header_only=header_only).parts)
+
+
+def _exr_claims(path: Path, headers: Sequence[Any]) -> list[tuple[int, int, list[str]]]:
+    """``_exr_claim`` of each part; raises ``FileDamagedError`` where the file is too small for it."""
+    claims = [_exr_claim(path, part.header) for part in headers]
+    size = path.stat().st_size
+    for width, height, names in claims:
+        most = min(MAX_PIXELS, size * MAX_PIXELS_PER_BYTE, size * MAX_VALUES_PER_BYTE // max(len(names), 1))
+        if width < 1 or height < 1 or width * height > most:
+            claim = f"it claims {width}×{height} pixels of {len(names)} channels in {size} bytes"
+            raise _damaged_exr(path, claim)
+    return claims
+
+
+def _exr_size(path: Path) -> tuple[int, int]:
+    headers = _exr_parts(path, header_only=True)
+    if not headers:
+        raise _damaged_exr(path, "it holds no picture")
+    width, height, _ = _exr_claims(path, headers)[0]
+    return width, height
+
+
+def _exr_chromaticities(path: Path) -> Chromaticities | None:
+    """What the header's attribute says of the primaries; None where there is none."""
+    told = _exr_parts(path, header_only=True)[0].header.get("chromaticities")
+    if told is None:
+        return None
+    with damaged_where_it_fails(f"{path} is not a readable OpenEXR picture: its chromaticities", _DELETE):
+        x = [float(value) for value in np.asarray(told, np.float64).reshape(8)]
+        return Chromaticities((x[0], x[1]), (x[2], x[3]), (x[4], x[5]), (x[6], x[7]))
 
 
 def _exr_claim(path: Path, header: dict[str, Any]) -> tuple[int, int, list[str]]:

@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from PIL import Image
 
 from ...bridge.errors import DataMismatchError
-from .encoding import CAMERA, Encoding
-from .pictures import read_picture
+from .color_space import SPACES, Chromaticities, known, space_named
+from .encoding import CAMERA, LARGEST, Encoding
+from .pictures import Radiance, holds_radiance, read_codes, read_radiance
 from .resize import Reduction
 
 
@@ -61,9 +63,11 @@ class PictureStore(Protocol):
 class PictureSource:
     """A picture's file and what is done to it. Frozen; ``key`` says whether two give the same picture.
 
-    ``encoding``: how its codes came of exposure × radiance. ``lens``: what takes the distortion out.
-    ``mask_path``: a picture of the same size, whose black (below half) is not compared. ``orientation``:
-    EXIF's, 1 to 8, which is obeyed (1: as it is stored). ``store``: where undistorted pictures are kept.
+    ``encoding``: how its codes came of exposure × radiance; ``SRGB`` where integers are linear. ``lens``:
+    what takes the distortion out. ``mask_path``: a picture of the same size, whose black (below half) is not
+    compared. ``orientation``: EXIF's, 1 to 8, which is obeyed (1: as it is stored). ``store``: where
+    undistorted pictures are kept. ``alpha``: whether what its own alpha hides (below half) is not compared;
+    else alpha is not looked at. ``color_space``: of radiance, by name; empty: as the file says.
     """
 
     path: Path
@@ -72,21 +76,35 @@ class PictureSource:
     mask_path: Path | None = None
     orientation: int = 1
     store: PictureStore | None = None
+    alpha: bool = False
+    color_space: str = ""
 
     @cached_property
     def key(self) -> Hashable:
         lens = None if self.lens is None else self.lens.key
-        return self.path, self.encoding, lens, self.mask_path, self.orientation
+        key = (self.path, self.encoding, lens, self.mask_path, self.orientation)
+        return (*key, self.alpha, self.color_space)
 
     def read(self, reduction: Reduction | None = None) -> Decoded:
         """The picture, reduced; raises ``FileMissingError``, ``FileDamagedError``, ``DataMismatchError``.
 
-        In this order: decoded, turned upright, freed of distortion, reduced.
+        ``BadValueError``, too, for radiance that is none. In this order: decoded (radiance becomes codes),
+        turned upright, freed of distortion, reduced; linear integers become codes at the end.
         """
-        whole = self._whole()
-        if reduction is None or reduction.factor == 1.0:
-            return whole
-        return Decoded(reduction.picture(whole.codes), whole.mask)
+        made = self._whole()
+        if reduction is not None and not (reduction.factor == 1.0 or reduction.done):
+            mask = None if made.mask is None else reduction.mask(made.mask)
+            made = Decoded(self._reduced(made.codes, reduction), mask)
+        if self.encoding.is_known and self.encoding.clips and not holds_radiance(self.path):
+            linear = made.codes / float(LARGEST[made.codes.dtype])
+            made = Decoded(self.encoding.codes(linear), made.mask)
+        return made
+
+    def _reduced(self, codes: np.ndarray, reduction: Reduction) -> np.ndarray:
+        """Of radiance the mean is taken, not that of its logarithm: so would a smaller camera."""
+        if self.encoding.clips or not self.encoding.is_known:
+            return reduction.picture(codes)
+        return self.encoding.codes(smaller(self.encoding.exposed(codes), reduction))
 
     def _whole(self) -> Decoded:
         """At full size."""
@@ -103,17 +121,83 @@ class PictureSource:
         return straight
 
     def _upright(self) -> Decoded:
-        codes = turned(read_picture(self.path), self.orientation)
-        if self.mask_path is None:
-            return Decoded(codes)
-        mask = turned(read_picture(self.mask_path), self.orientation).max(axis=2) >= 128
+        codes, alpha = self._decoded()
+        codes = turned(codes, self.orientation)
+        hidden = None if alpha is None else turned(alpha, self.orientation) < 0.5
+        if self.mask_path is not None:
+            mask = self._mask_beside(codes)
+            hidden = ~mask if hidden is None else hidden | ~mask
+        return Decoded(codes, None if hidden is None or not hidden.any() else ~hidden)
+
+    def _decoded(self) -> tuple[np.ndarray, np.ndarray | None]:
+        """Codes ``[H, W, 3]``, those of radiance by the encoding, and alpha ``[H, W]`` if it counts."""
+        if not holds_radiance(self.path):
+            if not self.encoding.clips:
+                raise DataMismatchError(
+                    f"{self.path} held radiance when the data set was opened, and does not now",
+                    "Open the data set again.",
+                )
+            return read_codes(self.path, self.alpha)
+        if not self.encoding.is_known:
+            raise DataMismatchError(
+                f"{self.path} holds radiance, where a camera's picture was expected",
+                "Open the data set again.",
+            )
+        read = read_radiance(self.path)
+        space, _ = _space(read, self.color_space)
+        codes = self.encoding.codes(linear_rec709(read.pixels, space))
+        return codes, read.alpha if self.alpha else None
+
+    def _mask_beside(self, codes: np.ndarray) -> np.ndarray:
+        """``[H, W]`` bool of ``mask_path``; raises ``DataMismatchError`` where it is of another size."""
+        assert self.mask_path is not None
+        shades = turned(read_codes(self.mask_path)[0], self.orientation).max(axis=2)
+        mask = shades >= (LARGEST[shades.dtype] + 1) // 2
         if mask.shape != codes.shape[:2]:
             raise DataMismatchError(
                 f"the mask {self.mask_path} is {mask.shape[1]}×{mask.shape[0]}, its picture "
                 f"{self.path} is {codes.shape[1]}×{codes.shape[0]}",
                 "Make the mask at the picture's size, or remove it.",
             )
-        return Decoded(codes, None if mask.all() else mask)
+        return mask
+
+
+def smaller(linear: np.ndarray, reduction: Reduction) -> np.ndarray:
+    """``[H, W, 3]`` linear values at the reduced size, by the reduction's filter, none below 0."""
+    height, width = linear.shape[:2]
+    small = reduction.size(width, height)
+    averages = reduction.filter == "area" and not (width % small[0] or height % small[1])
+    by = Image.Resampling.BOX if averages else Image.Resampling.BICUBIC
+    planes = (Image.fromarray(linear[..., k].astype(np.float32)).resize(small, by) for k in range(3))
+    return np.stack([np.asarray(plane, np.float64) for plane in planes], axis=-1).clip(0.0)
+
+
+def radiance_rec709(path: Path, color_space: str = "") -> tuple[np.ndarray, str]:
+    """``[H, W, 3]`` float64 Linear Rec.709 of a file of radiance, and what colour space it was in, in words.
+
+    ``color_space``: its name; empty: as the file says. Values below 0 are colours outside of Rec.709.
+    """
+    read = read_radiance(path)
+    space, words = _space(read, color_space)
+    return linear_rec709(read.pixels, space), words
+
+
+def _space(read: Radiance, color_space: str) -> tuple[Chromaticities, str]:
+    """The primaries of a picture, and in words where they are from."""
+    if color_space:
+        return space_named(color_space), f"{color_space}, as --color-space says"
+    if read.chromaticities is None:
+        return SPACES["rec709"], "rec709, for the files say nothing"
+    space, name = known(read.chromaticities)
+    return space, f"{name or 'of primaries of their own'}, as the files' chromaticities say"
+
+
+def linear_rec709(pixels: np.ndarray, space: Chromaticities) -> np.ndarray:
+    """``[H, W, 3]`` linear values of a space → Linear Rec.709, float64."""
+    matrix = space.to_rec709()
+    if np.array_equal(matrix, np.eye(3)):
+        return pixels.astype(np.float64)
+    return pixels.astype(np.float64) @ matrix.T
 
 
 def plain(paths: Iterable[Path]) -> tuple[PictureSource, ...]:

@@ -10,7 +10,7 @@ import torch
 
 from physhdr.backend.cli import evaluate as command
 from physhdr.backend.cli import main
-from physhdr.backend.evaluate.protocol import Renderer
+from physhdr.backend.evaluate.renderer import Renderer
 from physhdr.backend.runs.run import Run
 from physhdr.backend.scene import read_scene
 from physhdr.backend.train.config import TrainConfig

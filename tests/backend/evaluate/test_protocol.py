@@ -14,7 +14,8 @@ import pytest
 import torch
 from rich.console import Console
 
-from physhdr.backend.evaluate.protocol import Renderer, evaluate, lpips_from
+from physhdr.backend.evaluate.protocol import evaluate, lpips_from
+from physhdr.backend.evaluate.renderer import Renderer
 from physhdr.backend.evaluate.report import to_dict, to_markdown, to_terminal, write_report
 from physhdr.backend.evaluate.results import Evaluation, HdrRow, LdrRow, Metrics
 from physhdr.backend.evaluate.sheets import comparison_sheet, labelled_grid

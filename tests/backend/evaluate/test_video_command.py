@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from physhdr.backend.cli.video import Frame, Video, pictures, round_trip, there_and_back
-from physhdr.backend.evaluate.protocol import Renderer
+from physhdr.backend.evaluate.renderer import Renderer
 from physhdr.backend.scene import Camera, read_scene
 from physhdr.bridge.errors import BadValueError
 

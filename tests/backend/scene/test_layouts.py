@@ -18,7 +18,8 @@ import torch
 from PIL import Image
 
 from physhdr.backend.evaluate import truth
-from physhdr.backend.evaluate.protocol import Renderer, evaluate
+from physhdr.backend.evaluate.protocol import evaluate
+from physhdr.backend.evaluate.renderer import Renderer
 from physhdr.backend.scene import Scene, View, read_scene
 from physhdr.backend.scene.capture.exposures import exposures_from_exif
 from physhdr.backend.scene.capture.photos import find_photos

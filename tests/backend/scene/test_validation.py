@@ -13,7 +13,8 @@ import torch
 from PIL import Image
 
 from physhdr.backend.cli import main
-from physhdr.backend.evaluate.protocol import Renderer, evaluate
+from physhdr.backend.evaluate.protocol import evaluate
+from physhdr.backend.evaluate.renderer import Renderer
 from physhdr.backend.evaluate.response import check_response, learned_response, true_response
 from physhdr.backend.evaluate.sheets import comparison_sheet
 from physhdr.backend.runs.monitor import view_monitor

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Pictures of a view beside what a model makes of them, each in the domain of its own encoding.
+
+A camera's pictures are compared with what the model's response gives, through as many bits as the file has.
+Those of a known encoding are compared through it: the model gives radiance, and nothing learned is between.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from ...bridge.errors import BadValueError
+from ..scene.scene import View
+from .lpips import Lpips
+from .metrics import psnr, quantise, ssim_map
+from .renderer import Renderer
+from .results import Metrics
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """A prediction and its reference, values ``[3, H, W]`` float64; of radiance they may exceed 1.
+
+    ``mask``: which pixels are compared, ``[H, W]`` bool; None: all.
+    """
+
+    picture: torch.Tensor
+    reference: torch.Tensor
+    mask: torch.Tensor | None
+
+    def shown(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Both in 0…1, black where nothing is compared: for eyes, SSIM and LPIPS."""
+        both = self.picture.clamp(0.0, 1.0), self.reference.clamp(0.0, 1.0)
+        if self.mask is None:
+            return both
+        black = torch.zeros((), dtype=torch.float64)
+        return torch.where(self.mask, both[0], black), torch.where(self.mask, both[1], black)
+
+    def psnr(self) -> float:
+        """In dB for a range of 1, over the compared pixels."""
+        if self.mask is None:
+            return psnr(self.picture, self.reference)
+        return psnr(self.picture[:, self.mask], self.reference[:, self.mask])
+
+    def metrics(self, lpips: Lpips | None = None) -> Metrics:
+        """PSNR over compared pixels; SSIM at these, as if the others were black in both; LPIPS, too."""
+        distances = lpips.both(*self.shown()) if lpips else (None, None)
+        if self.mask is None:
+            similarity = ssim_map(self.picture, self.reference).mean().item()
+            return Metrics(self.psnr(), similarity, *distances)
+        picture, reference = (torch.where(self.mask, p, 0.0) for p in (self.picture, self.reference))
+        similarity = ssim_map(picture, reference)[:, self.mask].mean().item()
+        return Metrics(self.psnr(), similarity, *distances)
+
+
+def pairs(
+    renderer: Renderer, view: View, positions: Sequence[int] | None = None, rounded: bool = True
+) -> Iterator[Pair]:
+    """The view at each of ``positions`` of its bracket (None: all), in their order.
+
+    ``rounded``: what the response gives passes through as many bits as the file has.
+
+    Raises ``BadValueError`` where the model renders NaN, and what reading the pictures raises.
+    """
+    places = range(len(view.exposures)) if positions is None else positions
+    cameras = [k for k in places if not view.encodings[k].is_known]
+    level = view.lighting_level
+    exposures = [view.exposures[k] for k in cameras]
+    if len(exposures) == 1:
+        developed = iter([renderer.ldr(view.camera, exposures[0], level)])
+    else:
+        developed = iter(renderer.ldr_bracket(view.camera, exposures, level) if exposures else ())
+    radiance: torch.Tensor | None = None
+    for k in places:
+        encoding, where = view.encodings[k], f"{view.name} at {view.exposures[k]:g} s"
+        if encoding.is_known:
+            if radiance is None:
+                radiance = finite(renderer.hdr(view.camera, level), where).double()
+            picture = encoding.developed(radiance * view.exposures[k])
+        else:
+            picture = finite(next(developed), where)
+            if rounded:
+                eight_bits = view.image(k).dtype == np.uint8
+                picture = quantise(picture) if eight_bits else picture.double().clamp(0.0, 1.0)
+        mask = view.mask(k)
+        compared = None if mask is None else torch.from_numpy(mask.copy())
+        yield Pair(picture, torch.from_numpy(view.values(k)).permute(2, 0, 1), compared)
+
+
+def finite(picture: torch.Tensor, what: str) -> torch.Tensor:
+    """The picture on the CPU; raises ``BadValueError`` on NaN or infinity, which would pass as black."""
+    picture = picture.detach().cpu()
+    if not bool(torch.isfinite(picture).all()):
+        raise BadValueError(
+            f"the model renders NaN or infinity: {what}", "Train again, or use a checkpoint before."
+        )
+    return picture
+
+
+def in_words(views: Sequence[View]) -> list[str]:
+    """What has to be said of numbers of these views' pictures, where not all are a camera's, and whole."""
+    told = []
+    every = [(view, k) for view in views for k in range(len(view.exposures))]
+    for encoding in dict.fromkeys(view.encodings[k] for view, k in every):
+        count = sum(view.encodings[k] == encoding for view, k in every)
+        if encoding.is_known:
+            told.append(f"{count} of {len(every)} pictures are compared in their own domain: {encoding}.")
+    hidden = [1.0 - float(mask.mean()) for view, k in every if (mask := view.mask(k)) is not None]
+    if hidden:
+        share = sum(hidden) / len(every)
+        where = f"{len(hidden)} of {len(every)} pictures"
+        told.append(f"{share:.1%} of the pixels are masked, in {where}, and not compared.")
+    return told
