@@ -20,6 +20,7 @@ from ..methods.registry import config_named, name_of
 from ..model.anchors import AnchorsConfig
 from ..start.initialise import Source
 from .densify import DensifyConfig
+from .nuisances import NuisanceConfig
 from .optimisers import OptimiserConfig
 
 CONFIG_FILE = "config.json"
@@ -65,6 +66,9 @@ class TrainConfig:
     training_exposures: tuple[int, ...] = (0, 2, 4)
     #: Pictures are reduced by this factor as they are read; None: as the layout's publication has it.
     downscale: float | None = None
+    #: Of pictures that hold radiance (OpenEXR, .hdr), by name; None: as each file says, Linear Rec.709 where
+    #: none does.
+    color_space: str | None = None
     #: Start from the data set's points, from stereo between the training views, or from random ones in the
     #: cameras' frusta; both: the data set's and, where it has none, stereo's; auto: the data set's if it has
     #: any, else stereo's.
@@ -87,6 +91,7 @@ class TrainConfig:
     anchors: AnchorsConfig | None = None
     optimiser: OptimiserConfig = field(default_factory=OptimiserConfig)
     densify: DensifyConfig = field(default_factory=DensifyConfig)
+    nuisances: NuisanceConfig = field(default_factory=NuisanceConfig)
 
     def __post_init__(self) -> None:
         if not 1 <= self.iterations <= ITERATIONS_MAX:

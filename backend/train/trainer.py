@@ -3,7 +3,7 @@
 
 import math
 import time
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,7 @@ import torch
 
 from ...bridge.errors import BadValueError, DataMismatchError, PhysHDRError
 from ..methods.base import Batch, Facts, Method, Recording, SplattingMethod
-from ..methods.registry import new_method
+from ..methods.registry import name_of, new_method
 from ..model.anchors import Anchors
 from ..model.backbone import Start
 from ..rasterize import Implementation
@@ -38,6 +38,7 @@ from .densify import GaussianGrowth
 from .events import Event, Finished, Progress, Saved, Started
 from .growth import Growth, NoGrowth
 from .half_size import halved
+from .nuisances import Nuisances
 from .optimisers import ADAM, Optimiser
 from .views import responses_of, training_exposures, training_lights, training_views
 
@@ -48,6 +49,8 @@ PRIMITIVES = "gaussians."
 NETWORKS = "networks."
 #: Prefix of what growth counts.
 STATISTICS = "statistics."
+#: Prefix of what is learned of each photo.
+NUISANCES = "nuisances."
 
 #: A checkpoint is written this often (seconds), but so that writing takes a fiftieth of the time at most.
 CHECKPOINT_SECONDS = 30.0
@@ -102,6 +105,8 @@ class Trainer:
         facts = Facts(scene.response_anchor, implementation, self.lights, self.responses)
         self.method = new_method(config.method, config.anchors, facts)
         state = self._restore(resumed) if resumed else {}
+        #: What is learned of each photo; None where nothing is.
+        self.nuisances = self._new_nuisances(state, resumed)
         if not resumed:
             self._begin()
         self.method.to_device(self.device)
@@ -131,6 +136,20 @@ class Trainer:
         if isinstance(method.backbone, Anchors):
             return AnchorGrowth(method, self.optimiser, config.iterations, seed)
         return GaussianGrowth(method, self.optimiser, config.densify, config.iterations, seed)
+
+    def _new_nuisances(self, state: Mapping[str, torch.Tensor], resumed: Path | None) -> Nuisances | None:
+        """As the configuration says; a run that was begun without (by an older PhysHDR) goes on without."""
+        config, traits = self.config.nuisances, self.config.method.traits
+        if config.mode == "on" and not traits.effects:
+            raise BadValueError(
+                f"{name_of(self.config.method)} knows of no gain, white balance or vignetting of a photo",
+                "Leave out --nuisances.mode on.",
+            )
+        wanted = config.mode == "on" or (config.mode == "auto" and self.scene.photographs and traits.effects)
+        begun_with = resumed is None or any(name.startswith(NUISANCES) for name in state)
+        if not (wanted and begun_with):
+            return None
+        return Nuisances(self.views, self.exposures, config, self.device)
 
     def _allowed_exposures(self, view: View, index: int) -> tuple[int, ...]:
         """Positions in the view's bracket: all that training may see, or the one drawn for this view."""
@@ -168,6 +187,8 @@ class Trainer:
         radiance = points.colours if config.method.traits.initial_radiance == "points" else None
         if radiance is None:
             radiance = merged_log_radiance(points.positions, views, exposures, response)
+        if self.nuisances is not None:
+            radiance = radiance - self.nuisances.begin(points.positions, response)
         method.backbone.place(points.positions, radiance, start)
 
     # -- one iteration -----------------------------------------------------------------------------------
@@ -211,6 +232,8 @@ class Trainer:
         camera, recordings = view.camera, [self.recording(view, k) for k in indices]
         if iteration < config.half_size_until * config.iterations:
             camera, recordings = halved(camera, recordings)
+        if self.nuisances is not None:
+            recordings = self.nuisances.applied(view, indices, camera, recordings)
         return Batch(
             camera=camera,
             recordings=tuple(recordings),
@@ -226,17 +249,22 @@ class Trainer:
         batch = self.batch(iteration)
         self._follow_schedule(iteration)
         outcome = self.method.training_outcome(batch)
-        total = torch.stack(list(outcome.terms.values())).sum()
+        terms = outcome.terms
+        if self.nuisances is not None:
+            terms = terms | {"nuisances": self.nuisances.prior()}
+        total = torch.stack(list(terms.values())).sum()
         total.backward()
 
         if outcome.drawn is not None:
             self.growth.observe(outcome.drawn, batch.camera, iteration)
         self._sound = False
         self.optimiser.step(iteration)
+        if self.nuisances is not None:
+            self.nuisances.step(iteration / self.config.iterations)
         self.iteration = iteration + 1
         self.growth.control(self.iteration)
         self._sound = True
-        return {name: term.detach() for name, term in outcome.terms.items()}
+        return {name: term.detach() for name, term in terms.items()}
 
     def _follow_schedule(self, iteration: int) -> None:
         self.method.follow_schedule(iteration, self.config.iterations, self.config.sh_degree_every)
@@ -333,6 +361,8 @@ class Trainer:
             tensors |= {f"{PRIMITIVES}{k}": v for k, v in primitives.items()}
         tensors |= {f"{STATISTICS}{k}": v for k, v in self.growth.tensors().items()}
         tensors |= self.optimiser.state_tensors()
+        if self.nuisances is not None:
+            tensors |= {f"{NUISANCES}{k}": v for k, v in self.nuisances.tensors().items()}
         for name, tensor in tensors.items():
             if tensor.is_floating_point() and not tensor.isfinite().all():
                 raise self._diverged(f"{name} has values that are not numbers")
@@ -386,6 +416,12 @@ class Trainer:
         for name, tensor in (moments | statistics).items():
             if not name.endswith(".exp_avg") and (tensor < 0).any():
                 raise damaged(path, f"{name} has values below 0")
+        learned = {} if self.nuisances is None else self.nuisances.tensors()
+        wanted = {f"{NUISANCES}{name}": like for name, like in learned.items()}
+        check_tensors(tensors, wanted, path)
+        refuse_others({k: v for k, v in tensors.items() if k.startswith(NUISANCES)}, wanted, path)
+        if self.nuisances is not None:
+            self.nuisances.restore({name: tensors[f"{NUISANCES}{name}"] for name in learned})
         self.optimiser.load_state_tensors({k: v.to(self.device) for k, v in moments.items()})
         self.growth.restore(
             {name.removeprefix(STATISTICS): v.to(self.device) for name, v in statistics.items()}

@@ -7,6 +7,7 @@ from typing import Any
 
 from ..model.anchors import Anchors
 from .config import TrainConfig
+from .nuisances import NuisanceConfig
 from .optimisers import OptimiserConfig
 from .trainer import Trainer
 
@@ -39,9 +40,12 @@ def changed_without_effect(trainer: Trainer, preset: TrainConfig) -> list[str]:
 
 def _unread(trainer: Trainer) -> set[str]:
     method = trainer.method.splatting
+    photos = {f"nuisances.{each.name}" for each in dataclasses.fields(NuisanceConfig) if each.name != "mode"}
     if method is None:
-        return set(OF_SPLATS)
+        return {*OF_SPLATS, *photos}
     unread: set[str] = {*OF_3DGS} if isinstance(method.backbone, Anchors) else set()
+    if trainer.nuisances is None:
+        unread |= photos
     if trainer.config.initial_points in ("stereo", "random"):
         unread.add("points_file")
     rates = {each.name for each in dataclasses.fields(OptimiserConfig) if each.type is float}

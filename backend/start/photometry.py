@@ -1,0 +1,282 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What of the photos' brightness is the camera's: gains, white balances and vignetting, from points alone.
+
+A point that many photos see has one radiance (nearly, where surfaces are matt), so that what they disagree
+about is the cameras'. With z a code value, t the stated exposure, R a point's ln radiance,
+
+    ln f⁻¹(z) − gain of the photo − balance of the place − ln v(ρ) − R = ln t
+
+which is linear in everything unknown, the inverse response among it (a polynomial of logit z; Debevec and
+Malik's equation, "Recovering high dynamic range radiance maps from photographs", 1997, with the lens and the
+shutter in it). All points' R are eliminated exactly; the rest is a few hundred numbers, solved with weights
+that forget what disagrees for other reasons: points that something hides, and highlights.
+
+Gradient descent beside the scene does not find a lens: where cameras look inward, a scene that is darker at
+its borders explains nearly the same, and it is what gradients find first (docs/notebook.md).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from ..model.camera_effects import COEFFICIENTS, falloff_terms
+from ..model.morton import morton_order
+from ..model.tone_mapper import Response
+from ..scene.scene import View
+
+#: At most this many points, and points times photos.
+POINTS, OBSERVATIONS = 3000, 300_000
+#: Codes between these tell how much light there was.
+TELLING = (0.03, 0.97)
+#: Degree of ln f⁻¹ as a polynomial of logit z, and the ridge that keeps it one.
+DEGREE, RIDGE = 6, 1e-6
+#: The response is found where stated exposures differ by so much (standard deviation, stops); else it is
+#: taken as it is when training starts.
+LEAST_STOPS = 0.5
+#: Rounds of reweighting; residuals beyond so many standard deviations lose half their weight.
+ROUNDS, TOLERANCE = 10, 2.0
+#: What residuals are expected to be (natural logarithm): how deviations that are expected weigh against them.
+EXPECTED = 0.1
+#: So heavy that the gauge holds.
+GAUGE = 1e6
+#: Where photos disagree about points by more than this share of what points differ by, the points are none:
+#: random ones, say. (Median deviations.)
+LARGEST_SHARE = 0.3
+#: With fewer equations than this for each unknown there is nothing to be found.
+LEAST_EQUATIONS = 20
+
+LN2 = math.log(2.0)
+
+
+@dataclass(frozen=True)
+class Photometry:
+    """Natural logarithms: ``gain`` ``[P]`` of the photos, ``balance`` ``[V, 2]`` of the places' red and blue.
+
+    ``vignetting`` ``[L, 3]`` of the lenses (``model.camera_effects``), all ≥ 0.
+    """
+
+    gain: np.ndarray
+    balance: np.ndarray
+    vignetting: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Equations:
+    """One a channel of a point in a photo, all ``[N]`` but ``rho``: which ones, and what was seen there."""
+
+    point: np.ndarray
+    photo: np.ndarray
+    place: np.ndarray
+    channel: np.ndarray
+    lens: np.ndarray
+    rho: np.ndarray
+    code: np.ndarray
+    #: ln(exposure × radiance), where the encoding is known, else NaN.
+    known: np.ndarray
+    log_time: np.ndarray
+
+
+def photometry(
+    points: np.ndarray,
+    views: Sequence[View],
+    exposures: Sequence[tuple[int, ...]],
+    lens: Sequence[int],
+    reach: Sequence[float],
+    response: Response,
+    deviations: tuple[float, float],
+) -> Photometry | None:
+    """What the points ``[P, 3]`` (metres) tell; None where they are too few, or the photos see nothing alike.
+
+    ``exposures[i]``: positions in the bracket of ``views[i]``, whose photos are counted in this order;
+    ``lens[i]``: its lens, and ``reach`` where ρ is 1 for each. ``deviations``: expected of gain and balance,
+    stops. In the gauge: gains have no mean and no slope over ln t, balances no mean.
+    """
+    photos = sum(len(indices) for indices in exposures)
+    count = max(min(POINTS, OBSERVATIONS // photos), 1)
+    if len(points) > count:
+        along = morton_order(torch.as_tensor(points)).numpy()
+        points = points[along[np.linspace(0, len(along) - 1, count).astype(int)]]
+    seen = _equations(points, views, exposures, lens, reach)
+    unknowns = 3 * DEGREE + photos + 2 * len(views) + COEFFICIENTS * len(reach)
+    if len(seen.code) < LEAST_EQUATIONS * unknowns:
+        return None
+    return _solved(seen, photos, len(views), len(reach), response, deviations)
+
+
+def point_effects(
+    points: np.ndarray,
+    views: Sequence[View],
+    exposures: Sequence[tuple[int, ...]],
+    lens: Sequence[int],
+    reach: Sequence[float],
+    found: Photometry,
+) -> np.ndarray:
+    """Of each point ``[P, 3]`` the mean of ln effect over the photos whose frame it is in, ``[P, 3]``."""
+    total, times = np.zeros((len(points), 3)), np.zeros(len(points))
+    photo = 0
+    for place, (view, indices) in enumerate(zip(views, exposures, strict=True)):
+        which, _, rho = _projected(points, view, reach[lens[place]])
+        red, blue = found.balance[place]
+        effect = np.array([red, 0.0, blue]) + found.gain[photo : photo + len(indices)].mean()
+        falling = falloff_terms(rho) @ found.vignetting[lens[place]]
+        total[which] += len(indices) * (effect - falling[:, None])
+        times[which] += len(indices)
+        photo += len(indices)
+    return total / np.maximum(times, 1.0)[:, None]
+
+
+def _projected(points: np.ndarray, view: View, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Which points ``[P, 3]`` are in the frame ``[M]``, where ``[M, 2]`` (x, y in pixels' centres), their ρ.
+
+    What lies beyond the outermost centres of pixels is not in it: it could not be interpolated.
+    """
+    camera = view.camera
+    inside = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+    before = inside[:, 2] > 1e-6
+    tangent = inside[:, :2] / np.where(before, inside[:, 2], 1.0)[:, None]
+    at = tangent * [camera.fx, camera.fy] + [camera.cx - 0.5, camera.cy - 0.5]
+    which = np.flatnonzero(
+        before & (at >= 0).all(axis=1) & (at < [camera.width - 1, camera.height - 1]).all(1)
+    )
+    return which, at[which], np.square(tangent[which]).sum(axis=1) / reach
+
+
+def _equations(
+    points: np.ndarray,
+    views: Sequence[View],
+    exposures: Sequence[tuple[int, ...]],
+    lens: Sequence[int],
+    reach: Sequence[float],
+) -> _Equations:
+    columns: list[tuple[np.ndarray, ...]] = []
+    photo = 0
+    for place, (view, indices) in enumerate(zip(views, exposures, strict=True)):
+        which, at, rho = _projected(points, view, reach[lens[place]])
+        x, y = at.T
+        left, top = np.floor(x).astype(int), np.floor(y).astype(int)
+        right_share, bottom_share = (x - left)[:, None], (y - top)[:, None]
+        for k in indices:
+            picture, encoding, mask = view.image(k), view.encodings[k], view.mask(k)
+            corners = [picture[top + j, left + i] for j in (0, 1) for i in (0, 1)]
+            unit = encoding.unit(picture.dtype)
+            upper, lower = (a + (b * 1.0 - a) * right_share for a, b in (corners[:2], corners[2:]))
+            code = (upper + (lower - upper) * bottom_share) / unit
+            tells = code > TELLING[0]
+            if encoding.clips:
+                tells &= code < TELLING[1]
+            if mask is not None:
+                tells &= mask[top, left][:, None]
+            row, channel = np.nonzero(tells)
+            values = code[row, channel]
+            known = np.full(len(values), math.nan)
+            if encoding.is_known:
+                known = np.log(encoding.decode(values))
+            same = np.ones(len(values), dtype=int)
+            columns.append(
+                (
+                    *(which[row], same * photo, same * place, channel, same * lens[place]),
+                    *(rho[row], values, known, same * math.log(view.exposures[k])),
+                )
+            )
+            photo += 1
+    return _Equations(*(np.concatenate(column) for column in zip(*columns, strict=True)))
+
+
+def _solved(
+    seen: _Equations,
+    photos: int,
+    places: int,
+    lens_count: int,
+    response: Response,
+    deviations: tuple[float, float],
+) -> Photometry | None:
+    from scipy import sparse  # here, because only this needs it
+    from scipy.optimize import nnls
+
+    count = len(seen.code)
+    target = seen.log_time.copy()
+    is_known = ~np.isnan(seen.known)
+    target[is_known] -= seen.known[is_known]
+    logit = np.where(is_known, 0.0, np.log(seen.code / np.maximum(1.0 - seen.code, 1e-9)))
+    times = _first_of(seen.photo, seen.log_time, photos)
+    finds_response = bool((~is_known).any()) and np.std(times) > LEAST_STOPS * LN2
+    if not finds_response:
+        codes = torch.from_numpy(np.broadcast_to(seen.code, (3, count)).copy())
+        inverse = response.inverse(codes).numpy()[seen.channel, np.arange(count)]
+        target[~is_known] -= inverse[~is_known]
+
+    # Columns: the response, gains, balances; those of the lenses last.
+    polynomial = 3 * DEGREE if finds_response else 0
+    others = polynomial + photos + 2 * places
+    parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+    rows = np.arange(count)
+    if finds_response:
+        asked = rows[~is_known]
+        for power in range(1, DEGREE + 1):
+            value = 3.0 * (logit[asked] / 3.0) ** power
+            parts.append((asked, seen.channel[asked] * DEGREE + power - 1, value))
+    parts.append((rows, polynomial + seen.photo, -np.ones(count)))
+    coloured = rows[seen.channel != 1]
+    side = (seen.channel[coloured] == 2).astype(int)
+    parts.append((coloured, polynomial + photos + 2 * seen.place[coloured] + side, -np.ones(len(coloured))))
+    for term, value in enumerate(falloff_terms(seen.rho).T):
+        parts.append((rows, others + COEFFICIENTS * seen.lens + term, value))
+    row, column, value = (np.concatenate(each) for each in zip(*parts, strict=True))
+    size = others + COEFFICIENTS * lens_count
+    design: Any = sparse.csr_matrix((value, (row, column)), shape=(count, size))
+    group = np.unique(seen.point * 3 + seen.channel, return_inverse=True)[1]
+    groups: Any = sparse.csr_matrix((np.ones(count), (rows, group)), shape=(count, int(group.max()) + 1))
+
+    pull = np.full(size, RIDGE)
+    pull[polynomial : polynomial + photos] = (EXPECTED / (LN2 * deviations[0])) ** 2
+    pull[polynomial + photos : others] = (EXPECTED / (LN2 * deviations[1])) ** 2
+    gauge = np.zeros((4, size))
+    gauge[0, polynomial : polynomial + photos] = 1.0
+    gauge[1, polynomial : polynomial + photos] = times - times.mean()
+    for side in (0, 1):
+        gauge[2 + side, polynomial + photos + side : others : 2] = 1.0
+
+    hat = np.where(is_known, 1.0, 2.0 * np.minimum(seen.code, 1.0 - seen.code).clip(0.0))
+    weight = hat
+    solution, spread, contrast = np.zeros(size), 0.0, 0.0
+    for _ in range(ROUNDS):
+        weighted = design.multiply(weight[:, None]).tocsr()
+        total = np.asarray(groups.T @ weight).ravel()
+        between = (groups.T @ weighted).tocsr()  # [G, size]
+        mean = np.asarray(groups.T @ (weight * target)).ravel() / total
+        shares = sparse.diags(1.0 / total) @ between
+        normal = np.asarray((design.T @ weighted - between.T @ shares).todense())
+        right = np.asarray(weighted.T @ target - between.T @ mean).ravel()
+        normal += np.diag(pull) + GAUGE * gauge.T @ gauge
+        solution = _with_falling_lens(normal, right, others, nnls)
+        radiance = target - design @ solution
+        contrast = 1.4826 * float(np.median(np.abs(radiance - np.median(radiance))))
+        residual = radiance - (np.asarray(groups.T @ (weight * radiance)).ravel() / total)[group]
+        spread = max(1.4826 * float(np.median(np.abs(residual))), 1e-6)
+        weight = hat / (1.0 + (residual / (TOLERANCE * spread)) ** 2)
+    if spread > LARGEST_SHARE * contrast:
+        return None
+    gain, balance, lens = np.split(solution[polynomial:], [photos, photos + 2 * places])
+    return Photometry(gain, balance.reshape(-1, 2), lens.reshape(-1, COEFFICIENTS))
+
+
+def _first_of(index: np.ndarray, value: np.ndarray, count: int) -> np.ndarray:
+    """``[count]``: the value that goes with each index, their mean where an index does not occur."""
+    found = np.full(count, value.mean())
+    found[index] = value
+    return found
+
+
+def _with_falling_lens(normal: np.ndarray, right: np.ndarray, others: int, nnls: Any) -> np.ndarray:
+    """The solution of the normal equations whose last unknowns, from ``others`` on, are ≥ 0."""
+    first, last = slice(0, others), slice(others, None)
+    inverse = np.linalg.solve(normal[first, first], np.column_stack([normal[first, last], right[first]]))
+    reduced = normal[last, last] - normal[last, first] @ inverse[:, :-1]
+    reduced_right = right[last] - normal[last, first] @ inverse[:, -1]
+    factor = np.linalg.cholesky(0.5 * (reduced + reduced.T))
+    lens, _ = nnls(factor.T, np.linalg.solve(factor, reduced_right))
+    return np.concatenate([inverse[:, -1] - inverse[:, :-1] @ lens, lens])

@@ -1,0 +1,259 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What differs from photo to photo and is no part of the scene: gain, white balance, vignetting.
+
+A photo is exposed for nearly the time that it states, by a camera that decides on its white balance at each
+place, through a lens whose corners are darker. Learned beside the scene and left out when it is drawn: the
+light that a photo's response sees is radiance × stated exposure × ``effect``,
+
+    ln effect = gain of the photo + balance of the place (red and blue) + ln v(ρ),   ρ = tan²θ / its largest
+
+θ: the angle to the camera's axis. What is stated is right on the whole: that is the gauge. After every step
+gains have a mean of zero over the training photos and do not follow the stated exposure (else a steeper
+response with flatter radiance would look the same), and balances have a mean of zero over the places. So the
+scale and the colour of the radiance stay where the data put them. v is 1 on the axis and never rises.
+
+Each photo's rows are stepped when it is seen, by Adam with a count of its own, so that what is learned does
+not depend on how many other photos there are.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import torch
+
+from ...bridge.errors import BadValueError
+from ..methods.base import Recording
+from ..model.camera_effects import COEFFICIENTS, falloff, lenses, squared_tangent, widest
+from ..model.tone_mapper import Response
+from ..scene.camera import Camera
+from ..scene.scene import View
+from ..start.photometry import photometry, point_effects
+
+#: Adam's, for values that are seen a few dozen times in a training.
+BETAS = (0.8, 0.95)
+ADAM_EPSILON = 1e-12
+#: Codes between these (of 0…1) tell how much light there was; others tell only that it was little or much.
+TELLING = (0.02, 0.98)
+#: Below this variance of ln exposure (0.1 stops, squared) photos count as of one exposure.
+LEAST_VARIANCE = (0.1 * math.log(2.0)) ** 2
+#: Stops to natural logarithms.
+LN2 = math.log(2.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NuisanceConfig:
+    """What is learned of the camera beside its response. Measured: docs/notebook.md.
+
+    Rates are of natural logarithms, for each time that a photo is seen; they fall to zero by a cosine.
+    """
+
+    #: auto: of photographs (``Scene.photographs``), not of renders.
+    mode: Literal["auto", "on", "off"] = "auto"
+    gain: float = 0.005
+    white_balance: float = 0.001
+    #: Of the coefficients of v, which every iteration sees.
+    vignetting: float = 0.001
+    #: Expected standard deviations (stops), and the weight of (value / deviation)² in the loss.
+    gain_stops: float = 0.2
+    white_balance_stops: float = 0.1
+    prior: float = 1e-4
+    #: Share of the training before anything of this moves.
+    start: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("gain", "white_balance", "vignetting", "prior", "start"):
+            if not getattr(self, name) >= 0.0:
+                raise BadValueError(f"--nuisances.{name.replace('_', '-')} must be 0 or more")
+        for name in ("gain_stops", "white_balance_stops"):
+            if not getattr(self, name) > 0.0:
+                raise BadValueError(f"--nuisances.{name.replace('_', '-')} must be above 0")
+
+
+def telling_share(recording: Recording) -> torch.Tensor:
+    """The share of a picture's values, where it is compared, that tell how much light there was."""
+    low, high = TELLING
+    tells = recording.picture > low
+    if recording.encoding.clips:
+        tells &= recording.picture < high
+    share = tells.float().mean(dim=0)
+    if recording.mask is None:
+        return share.mean()
+    return (share * recording.mask).sum() / recording.mask.sum().clamp_min(1)
+
+
+class Nuisances:
+    """What is learned of each photo of a training. ``exposures[i]``: positions in ``views[i]``'s bracket.
+
+    ``log_gain`` ``[P]`` of each photo, ``log_balance`` ``[V, 2]`` of red and blue at each place,
+    ``vignetting`` ``[L, 3]`` of each lens (``falloff``); all natural logarithms, all 0 at the start.
+    """
+
+    def __init__(
+        self,
+        views: Sequence[View],
+        exposures: Sequence[tuple[int, ...]],
+        config: NuisanceConfig,
+        device: torch.device,
+    ) -> None:
+        self.config = config
+        photos = [(view, k) for view, indices in zip(views, exposures, strict=True) for k in indices]
+        self._photo = {photo: row for row, photo in enumerate(photos)}
+        #: Those under the standard light: only there is a point as bright in one as in another.
+        self._standard = [(v, e) for v, e in zip(views, exposures, strict=True) if v.is_standard]
+        self._place = {view: row for row, view in enumerate(views)}
+        self._lens = dict(zip(views, lenses([view.camera for view in views]), strict=True))
+        count = 1 + max(self._lens.values())
+        #: tan²θ where ρ = 1, for each lens.
+        self.reach = [max(widest(v.camera) for v in views if self._lens[v] == i) for i in range(count)]
+        self.log_exposure = torch.tensor(
+            [math.log(view.exposures[k]) for view, k in photos], dtype=torch.float64, device=device
+        )
+        shapes = {
+            "log_gain": (len(photos),),
+            "log_balance": (len(views), 2),
+            "vignetting": (count, COEFFICIENTS),
+        }
+        self.values = {
+            name: torch.zeros(shape, device=device, requires_grad=True) for name, shape in shapes.items()
+        }
+        #: Of each value: Adam's two moments; of each row: how often it was stepped.
+        self.moments = {
+            name: (torch.zeros_like(value), torch.zeros_like(value)) for name, value in self.values.items()
+        }
+        self.steps = {name: torch.zeros(len(value), device=device) for name, value in self.values.items()}
+        #: How much each photo tells of its gain, ``[P]``: the share of its values within ``TELLING``; 0 until
+        #: it is seen.
+        self.telling = torch.zeros(len(photos), device=device)
+        self._seen: dict[str, torch.Tensor] = {}
+        self._rows: dict[tuple[int, ...], torch.Tensor] = {}
+        #: What is known of the lens and does not move (a calibration).
+        self.lens_is_known = False
+
+    @property
+    def device(self) -> torch.device:
+        return self.telling.device
+
+    def begin(self, points: np.ndarray, response: Response) -> np.ndarray:
+        """Start from what points ``[P, 3]`` (metres) tell; returns their mean ln effect ``[P, 3]``.
+
+        ``response``: as it is when training starts.
+        """
+        views, exposures = [view for view, _ in self._standard], [indices for _, indices in self._standard]
+        lens = [self._lens[view] for view in views]
+        deviations = self.config.gain_stops, self.config.white_balance_stops
+        found = photometry(points, views, exposures, lens, self.reach, response, deviations)
+        if found is None:
+            return np.zeros((len(points), 3))
+        photos = [self._photo[view, k] for view, indices in self._standard for k in indices]
+        places = [self._place[view] for view in views]
+        with torch.no_grad():
+            self.values["log_gain"][photos] = torch.from_numpy(found.gain).to(self.telling)
+            self.values["log_balance"][places] = torch.from_numpy(found.balance).to(self.telling)
+            self.values["vignetting"].copy_(torch.from_numpy(found.vignetting))
+        return point_effects(points, views, exposures, lens, self.reach, found)
+
+    # -- in an iteration -------------------------------------------------------------------------------
+
+    def applied(
+        self, view: View, indices: Sequence[int], camera: Camera, recordings: Sequence[Recording]
+    ) -> list[Recording]:
+        """The recordings of the view's photos ``indices``, each with its effect ``[3, H, W]``.
+
+        ``camera``: the view's at the recordings' size. From now on until ``step`` these photos are those that
+        were seen.
+        """
+        rows = [self._photo[view, k] for k in indices]
+        place, lens = self._place[view], self._lens[view]
+        seen = {"log_gain": rows, "log_balance": [place], "vignetting": [lens]}
+        self._seen = {name: self._on_device(tuple(each)) for name, each in seen.items()}
+        with torch.no_grad():
+            for row, recording in zip(rows, recordings, strict=True):
+                self.telling[row] = telling_share(recording)
+        red, blue = self.values["log_balance"][place].unbind()
+        balance = torch.stack([red, torch.zeros_like(red), blue])
+        gains = self.values["log_gain"][self._seen["log_gain"]]
+        v = falloff(squared_tangent(camera, gains) / self.reach[lens], self.values["vignetting"][lens]).exp()
+        return [
+            replace(recording, effect=(balance + gain).exp()[:, None, None] * v)
+            for recording, gain in zip(recordings, gains.unbind(), strict=True)
+        ]
+
+    def _on_device(self, rows: tuple[int, ...]) -> torch.Tensor:
+        """Row numbers as an index, copied once: a copy makes the host wait for the card."""
+        if rows not in self._rows:
+            self._rows[rows] = torch.tensor(rows, device=self.device)
+        return self._rows[rows]
+
+    def prior(self) -> torch.Tensor:
+        """The loss term of the photos that were seen last: a small pull towards what is stated."""
+        gains = self.values["log_gain"][self._seen["log_gain"]] / (LN2 * self.config.gain_stops)
+        balance = self.values["log_balance"][self._seen["log_balance"]] / (
+            LN2 * self.config.white_balance_stops
+        )
+        return self.config.prior * (gains.square().mean() + balance.square().mean())
+
+    @torch.no_grad()
+    def step(self, progress: float) -> None:
+        """Move what was seen by the gradients that are there, then back into the gauge.
+
+        ``progress``: share of the training that is done.
+        """
+        begun = progress >= self.config.start
+        for name, value in self.values.items():
+            rate = getattr(self.config, name.removeprefix("log_").replace("balance", "white_balance"))
+            rate *= 0.5 * (1.0 + math.cos(math.pi * progress))
+            if name == "vignetting" and self.lens_is_known:
+                rate = 0.0
+            if begun and rate and value.grad is not None:
+                self._adam(name, self._seen[name], rate)
+            value.grad = None
+        self._seen = {}
+        self.project()
+
+    def _adam(self, name: str, rows: torch.Tensor, rate: float) -> None:
+        value, (first, second), count = self.values[name], self.moments[name], self.steps[name]
+        assert value.grad is not None
+        gradient = value.grad[rows]
+        count[rows] += 1.0
+        each = count[rows].reshape(-1, *(1 for _ in value.shape[1:]))
+        for moment, beta, new in zip((first, second), BETAS, (gradient, gradient.square()), strict=True):
+            moment[rows] = torch.lerp(new, moment[rows], beta)
+        mean = first[rows] / (1.0 - BETAS[0] ** each)
+        spread = (second[rows] / (1.0 - BETAS[1] ** each)).sqrt()
+        value[rows] -= rate * mean / (spread + ADAM_EPSILON)
+
+    @torch.no_grad()
+    def project(self) -> None:
+        """Into the gauge (see the module's text), weighing each photo by what it tells."""
+        weight = self.telling.double()
+        weight = weight / weight.sum().clamp_min(1e-9)
+        gain = self.values["log_gain"].double()
+        gain -= weight @ gain
+        centred = self.log_exposure - weight @ self.log_exposure
+        variance = weight @ centred.square()
+        slope = (weight * gain) @ centred / variance.clamp_min(LEAST_VARIANCE)
+        gain -= torch.where(variance > LEAST_VARIANCE, slope, 0.0) * centred
+        self.values["log_gain"].copy_(gain)
+        seen = self.steps["log_balance"][:, None]
+        balance = self.values["log_balance"]
+        balance -= (balance * (seen > 0)).sum(0) / (seen > 0).sum().clamp_min(1)
+        self.values["vignetting"].clamp_(min=0.0)
+
+    # -- checkpoints -----------------------------------------------------------------------------------
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """Everything that going on needs, by name."""
+        named = {**self.values, "telling": self.telling}
+        for name in self.values:
+            keys = (f"{name}.{key}" for key in ("exp_avg", "exp_avg_sq", "step"))
+            named |= dict(zip(keys, (*self.moments[name], self.steps[name]), strict=True))
+        return {name: tensor.detach() for name, tensor in named.items()}
+
+    @torch.no_grad()
+    def restore(self, tensors: Mapping[str, torch.Tensor]) -> None:
+        """Take back what ``tensors`` gave."""
+        for name, mine in self.tensors().items():
+            mine.copy_(tensors[name])

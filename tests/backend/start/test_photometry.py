@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Gains, balances and a lens from points, on a painted plane whose pictures are known in closed form."""
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from physhdr.backend.model.camera_effects import falloff_terms, lenses, widest
+from physhdr.backend.model.tone_mapper import KnownResponse, ToneMapper, ToneMapperConfig
+from physhdr.backend.scene.camera import Camera
+from physhdr.backend.scene.encoding import CAMERA, SRGB
+from physhdr.backend.start.photometry import photometry, point_effects
+
+WIDTH, HEIGHT, FOCAL = 96, 64, 70.0
+DEVIATIONS = 0.2, 0.1
+STOP = math.log(2.0)
+#: cos⁴'s law with a corner one stop darker, as the generator has it: (1 + (√2 − 1) ρ)⁻².
+CORNER = math.sqrt(2.0) - 1.0
+
+
+def paint(x, y):
+    """Radiance [..., 3] of the plane z = 0."""
+    waves = [np.sin(3.3 * x + 0.9 * y + 2 * c) + np.sin(4.1 * y - 1.6 * x + c) for c in range(3)]
+    return 0.3 * np.exp(0.5 * np.stack(waves, axis=-1))
+
+
+def cameras(count, rng):
+    """Above the plane, at several heights, each looking elsewhere; the principal point is off the centre."""
+    for _ in range(count):
+        a, b = rng.uniform(-0.25, 0.25, 2)
+        turn_x = np.array([[1, 0, 0], [0, math.cos(a), -math.sin(a)], [0, math.sin(a), math.cos(a)]])
+        turn_y = np.array([[math.cos(b), 0, math.sin(b)], [0, 1, 0], [-math.sin(b), 0, math.cos(b)]])
+        pose = np.eye(4)
+        pose[:3, :3] = turn_x @ turn_y
+        pose[:3, 3] = [*rng.uniform(-0.7, 0.7, 2), rng.uniform(3.0, 4.5)]
+        yield Camera(pose, WIDTH, HEIGHT, FOCAL, FOCAL, WIDTH / 2 + 3.0, HEIGHT / 2 - 2.0)
+
+
+def seen_plane(camera):
+    """The plane's x and y at every pixel's centre, and tan²θ there, each [H, W]."""
+    u = (np.arange(WIDTH) + 0.5 - camera.cx) / camera.fx
+    v = (np.arange(HEIGHT) + 0.5 - camera.cy) / camera.fy
+    u, v = np.meshgrid(u, v)
+    direction = np.stack([u, -v, -np.ones_like(u)], axis=-1) @ camera.camera_to_world[:3, :3].T
+    reach = -camera.position[2] / direction[..., 2]
+    return (
+        camera.position[0] + reach * direction[..., 0],
+        camera.position[1] + reach * direction[..., 1],
+        u**2 + v**2,
+    )
+
+
+def capture(exposures: Any, response, encoding, rng, views=14):
+    """Views of the plane by a faulty camera, with the truth: ln gains [P], ln balances [V, 2]."""
+    gains, balances, made = [], [], []
+    for camera in cameras(views, rng):
+        x, y, tangent = seen_plane(camera)
+        v = (1.0 + CORNER * tangent / widest(camera)) ** -2
+        red, blue = rng.normal(0.0, 0.1 * STOP, 2)
+        balances.append([red, blue])
+        times: Any = exposures(rng) if callable(exposures) else exposures
+        pictures = []
+        for time in times:
+            gain = rng.normal(0.0, 0.2 * STOP)
+            gains.append(gain)
+            light = paint(x, y) * time * math.exp(gain) * v[..., None] * np.exp([red, 0.0, blue])
+            pictures.append(response(light))
+        made.append(
+            SimpleNamespace(
+                camera=camera,
+                exposures=times,
+                encodings=(encoding,) * len(times),
+                image=pictures.__getitem__,
+                mask=lambda k: None,
+            )
+        )
+    return made, np.array(gains), np.array(balances)
+
+
+def eight_bit(light):
+    return np.round(255.0 * (light / (1.0 + light)) ** (1.0 / 2.2)).astype(np.uint8)
+
+
+def solve(views, learned_or_known, points=None):
+    rng = np.random.default_rng(5)
+    if points is None:
+        points = np.column_stack([rng.uniform(-2.0, 2.0, (700, 2)), np.zeros(700)])
+    exposures = [tuple(range(len(view.exposures))) for view in views]
+    lens = lenses([view.camera for view in views])
+    assert set(lens) == {0}
+    reach = [max(widest(view.camera) for view in views)]
+    arguments = (points, views, exposures, lens, reach)
+    found = photometry(*arguments, learned_or_known, DEVIATIONS)
+    return found, arguments
+
+
+@pytest.mark.parametrize("kind", ["brackets of 8 bit", "automatic exposure of 8 bit", "one exposure, linear"])
+def test_the_faults_of_a_camera_are_found(kind):
+    rng = np.random.default_rng(3)
+    exposures, response, encoding, start = {
+        "brackets of 8 bit": ((0.25, 1.0, 4.0), eight_bit, CAMERA, ToneMapper(ToneMapperConfig(), None)),
+        "automatic exposure of 8 bit": (
+            lambda rng: (float(2.0 ** rng.uniform(-2.0, 2.0)),),
+            eight_bit,
+            CAMERA,
+            ToneMapper(ToneMapperConfig(), None),
+        ),
+        "one exposure, linear": ((1.0,), SRGB.codes, SRGB, KnownResponse()),
+    }[kind]
+    views, gains, balances = capture(exposures, response, encoding, rng, views=20)
+    found, _ = solve(views, start)
+    # In the gauge: what is the same in all photos, or follows the stated exposure, is the scene's.
+    times = np.log([t for view in views for t in view.exposures])
+    basis = np.column_stack([np.ones_like(times), times])
+    error = found.gain - gains
+    error -= basis @ np.linalg.lstsq(basis, error, rcond=None)[0]
+    assert np.std(error) < 0.03 * STOP < np.std(gains) / 5
+    assert np.abs(basis.T @ found.gain).max() < 1e-3
+    error = found.balance - balances
+    assert np.std(error - error.mean(axis=0)) < 0.02 * STOP
+    assert np.abs(found.balance.mean(axis=0)).max() < 1e-3
+    rho = np.linspace(0.0, 1.0, 11)
+    assert -falloff_terms(rho) @ found.vignetting[0] == pytest.approx(
+        -2.0 * np.log1p(CORNER * rho), abs=0.08 * STOP
+    )
+
+
+def test_a_faultless_camera_stays_faultless():
+    rng = np.random.default_rng(4)
+    views, _, _ = capture((0.25, 1.0, 4.0), eight_bit, CAMERA, rng)
+    for view in views:  # the same pictures without any fault
+        x, y, _ = seen_plane(view.camera)
+        view.image = [eight_bit(paint(x, y) * time) for time in view.exposures].__getitem__
+    found, _ = solve(views, ToneMapper(ToneMapperConfig(), None))
+    assert np.abs(found.gain).max() < 0.02 * STOP
+    assert np.abs(found.balance).max() < 0.01 * STOP
+    assert falloff_terms(np.ones(())) @ found.vignetting[0] < 0.03 * STOP
+
+
+def test_a_points_effect_is_the_mean_over_the_photos_that_have_it_in_frame():
+    views, _, _ = capture((1.0, 4.0), eight_bit, CAMERA, np.random.default_rng(6), views=10)
+    found, (points, _, exposures, lens, reach) = solve(views, ToneMapper(ToneMapperConfig(), None))
+    effects = point_effects(points[:50], views, exposures, lens, reach, found)
+    for point, effect in zip(points[:50], effects, strict=True):
+        each = []
+        for place, view in enumerate(views):
+            camera = view.camera
+            x, y, depth = (camera.world_to_camera @ [*point, 1.0])[:3]
+            column, row = camera.fx * x / depth + camera.cx, camera.fy * y / depth + camera.cy
+            if 0.5 <= column < WIDTH - 0.5 and 0.5 <= row < HEIGHT - 0.5:
+                falling = falloff_terms((x**2 + y**2) / depth**2 / reach[0]) @ found.vignetting[0]
+                red, blue = found.balance[place]
+                each += [found.gain[2 * place + k] + np.array([red, 0, blue]) - falling for k in (0, 1)]
+        assert effect == pytest.approx(np.mean(each, axis=0) if each else np.zeros(3), abs=1e-9)
+
+
+def test_random_points_tell_nothing():
+    views, _, _ = capture((0.25, 1.0, 4.0), eight_bit, CAMERA, np.random.default_rng(7))
+    rng = np.random.default_rng(8)
+    nowhere = np.column_stack([rng.uniform(-1.0, 1.0, (700, 2)), rng.uniform(0.3, 2.8, 700)])
+    found, _ = solve(views, ToneMapper(ToneMapperConfig(), None), nowhere)
+    assert found is None
+    few, _ = solve(views, ToneMapper(ToneMapperConfig(), None), nowhere[:5])
+    assert few is None

@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is learned of each photo: where it applies, its gauge, and that it stays out of renders' trainings."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from physhdr.backend.methods.base import Recording
+from physhdr.backend.scene import read_scene
+from physhdr.backend.scene.camera import Camera
+from physhdr.backend.train.checkpoint import load_checkpoint
+from physhdr.backend.train.half_size import half_sized
+from physhdr.backend.train.nuisances import NuisanceConfig, Nuisances, telling_share
+from physhdr.backend.train.presets import PRESETS
+from physhdr.backend.train.trainer import CHECKPOINT_FILE, NUISANCES, Trainer
+from physhdr.bridge.errors import BadValueError, FileDamagedError
+
+ON = NuisanceConfig(mode="on")
+
+
+def short(preset="default", mode="on", iterations=24):
+    config = PRESETS[preset]
+    density = dataclasses.replace(config.densify, start=5, every=10, stop=0.8, threshold=1e-5)
+    return dataclasses.replace(
+        config, iterations=iterations, densify=density, nuisances=NuisanceConfig(mode=mode)
+    )
+
+
+def fresh(scene, exposures=(0, 2, 4)):
+    return Nuisances(scene.train, [exposures] * len(scene.train), ON, torch.device("cpu"))
+
+
+def grey(camera, value=0.5):
+    return Recording(exposure=1.0, picture=torch.full((3, camera.height, camera.width), value))
+
+
+def test_an_effect_is_gain_balance_and_the_lens_at_each_pixel(tiny_data):
+    scene = read_scene(tiny_data)
+    nuisances, view = fresh(scene), scene.train[1]
+    photo, place = 3 + 2, 1  # of three photos a view
+    with torch.no_grad():
+        nuisances.values["log_gain"][photo] = 0.3
+        nuisances.values["log_balance"][place] = torch.tensor([0.1, -0.2])
+        nuisances.values["vignetting"][0] = torch.tensor([0.2, 0.3, 0.1])
+    camera = view.camera
+    (recording,) = nuisances.applied(view, (4,), camera, [grey(camera)])
+    corner = math.hypot(camera.width, camera.height) / 2
+    for row, column in ((0, 0), (camera.height // 2, camera.width // 2), (3, camera.width - 1)):
+        x, y = column + 0.5 - camera.width / 2, row + 0.5 - camera.height / 2
+        rho = (x * x + y * y) / corner**2
+        lens = math.exp(-(0.2 * math.log1p(rho) + 0.3 * rho + 0.1 * rho**3))
+        wanted = [lens * math.exp(0.3 + balance) for balance in (0.1, 0.0, -0.2)]
+        assert recording.effect[:, row, column].tolist() == pytest.approx(wanted, rel=1e-5)
+
+
+def test_a_smaller_view_and_a_crop_have_the_effect_of_the_same_rays(tiny_data):
+    scene = read_scene(tiny_data)
+    nuisances, view = fresh(scene), scene.train[0]
+    with torch.no_grad():
+        nuisances.values["vignetting"][0] = torch.tensor([0.4, 0.2, 0.3])
+    whole = view.camera.resized(128)
+    (full,) = nuisances.applied(view, (0,), whole, [grey(whole)])
+    half = half_sized(whole)
+    (small,) = nuisances.applied(view, (0,), half, [grey(half)])
+    mean = torch.nn.functional.avg_pool2d(full.effect[None], 2)[0]
+    assert (small.effect - mean).abs().max() < 2e-4
+    crop = Camera(whole.camera_to_world, 60, 50, whole.fx, whole.fy, whole.cx - 30, whole.cy - 7)
+    (cut,) = nuisances.applied(view, (0,), crop, [grey(crop)])
+    assert torch.allclose(cut.effect, full.effect[:, 7:57, 30:90], rtol=1e-6)
+
+
+def test_what_is_stated_is_right_on_the_whole(tiny_data):
+    """After every step: no mean and no slope of the gains, no mean of the balances, a lens that falls."""
+    scene = read_scene(tiny_data)
+    nuisances = fresh(scene)
+    generator = torch.Generator().manual_seed(0)
+    for iteration, view in enumerate([*scene.train, *scene.train]):
+        recordings = [grey(view.camera, value) for value in (0.2, 0.5, 0.999)]
+        effects = [r.effect for r in nuisances.applied(view, (0, 2, 4), view.camera, recordings)]
+        weight = torch.rand(3, generator=generator) * 9 - 2
+        colours = torch.stack([effect.mean(dim=(1, 2)) for effect in effects]) @ torch.tensor(
+            [2.0, 1.0, -1.0]
+        )
+        (weight @ colours).backward()
+        nuisances.step(iteration / 100)
+    gain = nuisances.values["log_gain"].detach().double()
+    time = torch.tensor([math.log(view.exposures[k]) for view in scene.train for k in (0, 2, 4)]).double()
+    tells = torch.tensor([1.0, 1.0, 0.0] * len(scene.train)).double()  # the third photos are all but white
+    assert gain.abs().max() > 1e-3
+    assert abs(tells @ gain) < 1e-6 and abs((tells * gain) @ (time - tells @ time / tells.sum())) < 1e-6
+    assert nuisances.values["log_balance"].mean(dim=0).abs().max() < 1e-7
+    assert nuisances.values["vignetting"].min() >= 0.0
+
+
+def test_only_values_that_are_compared_and_neither_black_nor_white_tell_of_the_light():
+    picture = torch.tensor([0.0, 0.5, 0.5, 1.0]).expand(3, 1, 4)
+    assert telling_share(Recording(exposure=1.0, picture=picture)) == 0.5
+    mask = torch.tensor([[False, True, True, True]])
+    assert telling_share(Recording(exposure=1.0, picture=picture, mask=mask)) == pytest.approx(2 / 3)
+
+
+def test_a_resumed_training_is_bit_identical(tiny_data, tmp_path):
+    scene, config = read_scene(tiny_data), short()
+    saved = []
+    for name, stops in (("whole", ()), ("parts", (7,))):
+        folder = tmp_path / name
+        folder.mkdir()
+        trainer = Trainer(scene, config)
+        for stop in (*stops, config.iterations):
+            for _ in trainer.run(folder, should_stop=lambda t=trainer, s=stop: t.iteration >= s):
+                pass
+            trainer = Trainer(scene, config, resumed=folder)
+        saved.append(load_checkpoint(folder / CHECKPOINT_FILE)[0])
+    whole, parts = saved
+    assert whole.keys() == parts.keys() and any(name.startswith(NUISANCES) for name in whole)
+    assert all(torch.equal(whole[name], parts[name]) for name in whole)
+
+
+def test_renders_are_trained_without_and_photographs_with(tiny_data):
+    scene = read_scene(tiny_data)
+    auto = short(mode="auto")
+    assert not scene.photographs and Trainer(scene, auto).nuisances is None
+    photographs = dataclasses.replace(scene, info={}, response_anchor=None)
+    assert photographs.photographs and Trainer(photographs, auto).nuisances is not None
+    assert Trainer(photographs, short(mode="off")).nuisances is None
+
+
+def test_a_training_that_was_begun_without_goes_on_without(tiny_data, tmp_path):
+    """As those of earlier versions were, whose configuration says nothing of it."""
+    photographs = dataclasses.replace(read_scene(tiny_data), info={}, response_anchor=None)
+    begun = Trainer(photographs, short(mode="off"))
+    begun.step()
+    begun.save(tmp_path)
+    auto = short(mode="auto")
+    resumed = Trainer(photographs, auto, resumed=tmp_path, configuration=begun.configuration)
+    assert resumed.nuisances is None
+    resumed.step()
+
+
+def test_a_checkpoint_that_lacks_a_part_is_refused(tiny_data, tmp_path):
+    scene, config = read_scene(tiny_data), short()
+    trainer = Trainer(scene, config)
+    trainer.step()
+    trainer.nuisances.values.pop("log_balance")
+    trainer.save(tmp_path)
+    with pytest.raises(FileDamagedError, match=r"it has no nuisances\.log_balance"):
+        Trainer(scene, config, resumed=tmp_path)
+
+
+def test_methods_that_know_no_effects_refuse_it(tiny_data):
+    with pytest.raises(BadValueError, match="gausshdr knows of no gain"):
+        Trainer(read_scene(tiny_data), short("gausshdr"))
+    with pytest.raises(BadValueError, match=r"--nuisances\.gain-stops must be above 0"):
+        NuisanceConfig(gain_stops=0.0)
+    with pytest.raises(BadValueError, match=r"--nuisances\.prior must be 0 or more"):
+        NuisanceConfig(prior=-1.0)
+
+
+def test_what_was_learned_is_left_out_when_drawing(tiny_data):
+    scene = read_scene(tiny_data)
+    trainer = Trainer(scene, short())
+    trainer.step()
+    before = trainer.method.ldr(scene.test[0].camera, 1.0)
+    with torch.no_grad():
+        for value in trainer.nuisances.values.values():
+            value += 0.5
+    assert torch.equal(trainer.method.ldr(scene.test[0].camera, 1.0), before)
+    assert np.isfinite(before.numpy()).all()
