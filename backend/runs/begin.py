@@ -83,7 +83,7 @@ def start_run(
     with _folder(out) as folder, hold(folder, workshop.report):
         if not overwrite:  # another training may have ended just now
             refuse_a_run(folder)
-        scene = read_scene(data, config.downscale)
+        scene = read_scene(data, config.downscale, config.color_space)
         extent = extent_of(scene, config)
         before, config = config, found_sizes(extent, config, typed)
         if words := sizes_in_words(extent, before, config):
@@ -110,7 +110,7 @@ def resume_run(folder: Path, data: Path | None, workshop: Workshop) -> Iterator[
     with hold(writable_folder(folder), workshop.report):
         remove_unfinished(folder)
         written = read_config(folder / CONFIG_FILE)
-        scene = read_scene(data or written.data, written.config.downscale)
+        scene = read_scene(data or written.data, written.config.downscale, written.config.color_space)
         trainer = workshop.trainer(scene, written.config, folder, written.fingerprint)
         run = Run(folder, written.preset, written.config, scene, trainer.method, trainer.iteration)
         with reading_ahead(trainer, run.config.iterations):

@@ -72,7 +72,7 @@ def open_run(
     """Open a trained run; ``data`` stands in for the folder it was trained on, where that has moved."""
     written = read_config(folder / CONFIG_FILE)
     config = written.config
-    scene = read_scene(data or written.data, config.downscale)
+    scene = read_scene(data or written.data, config.downscale, config.color_space)
     method, iteration = load_method(
         folder,
         config,

@@ -82,7 +82,7 @@ def found_sizes(extent: Extent, config: TrainConfig, typed: Collection[str] = ()
             longer = iterations / config.iterations
             changes["sh_degree_every"] = round(config.sh_degree_every * longer)
         if extent.detail > 1.0:
-            changes["random_points"] = round(config.random_points * changes[name] / budget)
+            changes["random_points"] = _whole(config.random_points * changes[name] / budget, 1000)
     for name, value in changes.items():
         if name not in typed:
             config = _with(config, name, value)
