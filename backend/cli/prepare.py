@@ -1,64 +1,89 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""``physhdr prepare``: from a folder of bracketed photos to a data set that can be trained on."""
+"""``physhdr prepare``: from a folder of photos to a data set that can be trained on."""
 
 import dataclasses
+import json
 import math
+import signal
+import statistics
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import tyro
-from rich.progress import Progress
+from rich.progress import BarColumn, Progress, TextColumn
 
-from ...bridge.errors import BadValueError, DataMismatchError, OutputError
+from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError, OutputError, PhysHDRError
 from ..runs.terminal import console
-from ..scene.capture.brackets import Brackets, Grouping, find_brackets, time_in_words
-from ..scene.capture.choice import Choice, photos_to_match, thinned
+from ..scene.capture import raw
+from ..scene.capture.brackets import Grouping
+from ..scene.capture.choice import Choice, Quality, photos_to_match, quality
 from ..scene.capture.data_set import Written, new_folder, write_data_set
-from ..scene.capture.exposures import Exposures, exposures_from_exif, exposures_from_file, some_names
+from ..scene.capture.exposures import some_names
 from ..scene.capture.gravity import rotation_to_z, up_direction
-from ..scene.capture.photos import Photo, find_photos
+from ..scene.capture.noise import Noise, estimated
+from ..scene.capture.photos import Photo, Skipped
+from ..scene.capture.progress import Report, Stages
 from ..scene.capture.structure import (
     CAPTURE_REMEDY,
     FEWEST_POSES,
+    RegisteredPose,
     Structure,
     StructureError,
     existing,
     recover,
     require_pycolmap,
 )
-from ..scene.lens import make_lenses
+from ..scene.capture.understanding import Understanding, understand
+from ..scene.lens import lenses_by_size
 
-#: Exposures at one step that differ more between poses are worth a word, in EV.
-DRIFT_EV = 0.1
-#: A wider spread than this between neighbouring steps leaves codes that no two exposures share, in EV.
-WIDEST_STEP_EV = 4.0
+#: Of each ISO so many raw files tell the noise, where they do not say it.
+NOISE_PHOTOS = 6
+#: What an interrupted process ends with.
+INTERRUPTED = 130
 
 
 @dataclass(frozen=True)
 class Prepare:
-    """Make a data set from bracketed photos: exposures, cameras (COLMAP), pictures without distortion."""
+    """Make a data set from photos: exposures, cameras (COLMAP), pictures without distortion."""
 
-    #: Folder of the photos: JPEG, PNG or TIFF of 8 bits, several exposures from each place.
+    #: Folder of the photos: JPEG, PNG, TIFF or raw files, with brackets or without.
     photos: tyro.conf.Positional[Path]
+    #: Folder of the data set to make; --out says the same.
+    data: tyro.conf.Positional[Path | None] = None
     #: Folder of the data set to make.
-    out: Path
+    out: Path | None = None
+    #: Only say what the photos are, at once, and make nothing.
+    look: bool = False
+    #: Say everything as JSON, an object a line: progress, and at the end the result or the error.
+    json: bool = False
     #: Exposures where EXIF has none: JSON or CSV, file name → seconds.
     exposures: Path | None = None
+    #: All photos are of one exposure, whatever EXIF says.
+    same_exposure: bool = False
     #: How photos are grouped into poses: names <pose>_<k>; order of time, with a pattern of exposures that
     #: repeats; none, each photo is a pose.
     group: Grouping = "auto"
     #: Photos in each pose, where that is not plain.
     bracket: int | None = None
+    #: The brackets were taken without a tripod: each photo has a pose of its own.
+    handheld: bool = False
+    #: Hand-held photos that cannot be placed, black or white ones, take their bracket's next one's pose.
+    borrow_poses: bool = False
     #: Which exposure the cameras are found with: the best exposed, the same for all poses or each pose's own,
     #: or a step of the bracket, 0 the darkest.
     match: Annotated[Choice, tyro.conf.arg(metavar="same|each|INT")] = "same"
     #: Model of the lens.
-    camera: Literal["OPENCV", "RADIAL", "SIMPLE_RADIAL", "PINHOLE", "SIMPLE_PINHOLE"] = "OPENCV"
+    camera: Literal[
+        "OPENCV", "RADIAL", "SIMPLE_RADIAL", "PINHOLE", "SIMPLE_PINHOLE", "OPENCV_FISHEYE", "RADIAL_FISHEYE"
+    ] = "OPENCV"
     #: A folder with COLMAP's sparse/0 of these photos, used instead of finding the cameras.
     poses: Path | None = None
-    #: Every n-th pose is kept for the test; 0: none.
+    #: Of so many places about one is kept for the test, between others; 0: none.
     test_every: int = 8
     #: Make the pictures smaller by this factor.
     downscale: float = 1.0
@@ -72,57 +97,51 @@ class Prepare:
     threads: int = -1
 
     def run(self) -> int:
-        self._check()
-        photos = find_photos(self.photos)
-        exposures = (
-            exposures_from_file(self.exposures, photos) if self.exposures else exposures_from_exif(photos)
-        )
-        all_steps = find_brackets(photos, exposures.seconds, self.group, self.bracket)
-        brackets, steps = thinned(all_steps)
-        _show_photos(photos, all_steps, exposures)
-        if len(steps) < all_steps.length:
-            console.print(f"of the {all_steps.length} exposures steps {', '.join(map(str, steps))} are used")
-        if len(brackets.poses) < FEWEST_POSES:
-            raise DataMismatchError(
-                f"{self.photos} holds {len(brackets.poses)} poses; {FEWEST_POSES} are the least",
-                CAPTURE_REMEDY,
-            )
-        require_pycolmap()
-        with new_folder(self.out, self.overwrite) as folder:
-            structure, words = self._structure(brackets, folder)
-            _require_enough(structure, brackets, self.partial)
-            up = up_direction([pose.rotation for pose in structure.registered.values()])
-            structure = structure.turned(rotation_to_z(up))
-            lenses = make_lenses(structure.cameras, self._scale(photos[0].width))
-            origin = {
-                "format": "physhdr-capture",
-                "version": 1,
-                "exposures": exposures.meaning,
-                "brackets": brackets.how,
-                "cameras": words,
-                "lens": [f"{c.model_name} {c.params_to_string()}" for c in structure.cameras.values()],
-                "up": "turned so that +Z is up; scale and place are structure from motion's own",
-                "options": {key: _plain(value) for key, value in dataclasses.asdict(self).items()},
-                "left_out": [
-                    pose.name for k, pose in enumerate(brackets.poses) if k not in structure.registered
-                ],
-            }
-            with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
-                task = bar.add_task("writing pictures", total=None)
-                written = write_data_set(
-                    folder,
-                    brackets.poses,
-                    structure,
-                    lenses,
-                    self.test_every,
-                    origin,
-                    lambda done, total: bar.update(task, completed=done, total=total),
-                )
-            size = next((lens.width, lens.height) for lens in lenses.values())
-        self._report(structure, brackets, written, size)
-        return 0
+        with ended_politely():
+            if not self.json:
+                self._work(Terminal())
+                return 0
+            lines = Lines()
+            try:
+                lines.write({"result": self._work(lines)})
+            except KeyboardInterrupt:
+                lines.write({"error": {"code": "cancelled", "message": "interrupted", "hint": ""}})
+                return INTERRUPTED
+            except PhysHDRError as error:
+                told = {"code": error.code, "message": error.message, "hint": error.hint}
+                lines.write({"error": told})
+                return 1
+            return 0
 
-    def _check(self) -> None:
+    def _work(self, voice: "Voice") -> dict[str, Any]:
+        folder = self._check()
+        understood = understand(
+            self.photos,
+            self.exposures,
+            self.same_exposure,
+            self.group,
+            self.bracket,
+            self.handheld,
+            lambda done, of: voice.progress(Report(0.0, f"reading headers: {done} of {of}")),
+        )
+        for line in understood.lines:
+            voice.say(line)
+        for line in understood.warnings:
+            voice.warn(line)
+        if self.look:
+            return understood.described()
+        assert folder is not None
+        if self.handheld and not understood.is_handheld:
+            voice.warn("there are no brackets that could be hand-held: --handheld changes nothing")
+        if self.poses is None:
+            require_pycolmap()
+        with new_folder(folder, self.overwrite) as made, voice:
+            result = self._make(understood, made, voice)
+        voice.say(f"next: physhdr inspect {folder}, then physhdr train {folder} --out RUN")
+        return {"folder": str(folder), **result}
+
+    def _check(self) -> Path | None:
+        """The folder to make; raises ``BadValueError`` and ``OutputError`` for what cannot be."""
         if not (math.isfinite(self.downscale) and self.downscale >= 1.0) or self.max_width < 0:
             raise BadValueError(
                 f"cannot make pictures smaller by {self.downscale} and no wider than {self.max_width}",
@@ -133,84 +152,200 @@ class Prepare:
                 f"every {self.test_every}-th pose cannot be kept for the test",
                 "Give 2 or more, or 0 for none.",
             )
-        photos, out = self.photos.resolve(), self.out.resolve()
+        folder = self.out or self.data
+        if self.look:
+            return folder
+        if folder is None or (self.data or folder) != folder:
+            raise BadValueError(
+                "it is not said which folder the data set shall be"
+                if folder is None
+                else f"the data set shall be {self.data} and {self.out}",
+                "Give one folder: physhdr prepare PHOTOS DATA, or --out DATA.",
+            )
+        photos, out = self.photos.resolve(), folder.resolve()
         if out == photos or out in photos.parents:
-            raise OutputError(f"{self.out} holds the photos", "Give another folder for the data set.")
+            raise OutputError(f"{folder} holds the photos", "Give another folder for the data set.")
+        return folder
+
+    def _make(self, understood: Understanding, folder: Path, voice: "Voice") -> dict[str, Any]:
+        """Fill ``folder``, which has room for others beside it; what there is to tell, for programs."""
+        expected = understood.seconds(self.max_width)
+        if self.poses is not None:
+            expected = {"looking": expected["looking"], "writing": expected["writing"]}
+        stages = Stages(expected, voice.progress)
+        understood, qualities = _looked_at(understood, stages, voice)
+        brackets = understood.brackets
+        structure, words = self._structure(understood, qualities, folder, stages, voice)
+        borrowed: dict[int, int] = {}
+        if self.borrow_poses and understood.is_handheld:
+            structure, borrowed = _borrowed(structure, understood)
+        _require_enough(structure, understood, self.partial)
+        up = up_direction([pose.rotation for pose in structure.registered.values()])
+        structure = structure.turned(rotation_to_z(up))
+        widest = max(photo.width for photo in brackets.photos)
+        lenses = lenses_by_size(structure.cameras, self._scale(widest))
+        left_out = [pose.name for k, pose in enumerate(brackets.poses) if k not in structure.registered]
+        origin = {
+            "format": "physhdr-capture",
+            "version": 1,
+            "kind": understood.kind,
+            **_encoding(understood),
+            "exposures": understood.exposures.meaning,
+            "brackets": brackets.how,
+            "cameras": words,
+            "lens": [f"{c.model_name} {c.params_to_string()}" for c in structure.cameras.values()],
+            "up": "turned so that +Z is up; scale and place are structure from motion's own",
+            "options": {
+                key: _plain(value) for key, value in dataclasses.asdict(self).items() if key != "json"
+            },
+            "left_out": left_out,
+            "borrowed": {brackets.poses[k].name: brackets.poses[of].name for k, of in borrowed.items()},
+            "skipped": {each.name: each.why for each in understood.skipped},
+        }
+        stages.begin("writing", "writing pictures")
+        written = write_data_set(
+            folder,
+            brackets,
+            structure,
+            lenses,
+            self.test_every,
+            origin,
+            lambda done, of: stages.at(done / of, f"writing pictures: {done} of {of}"),
+            borrowed,
+        )
+        sizes = sorted({(lens.width, lens.height) for lens in lenses.values()}, reverse=True)
+        self._report(understood, structure, written, sizes, voice)
+        if borrowed:
+            names = [brackets.poses[k].name for k in borrowed]
+            voice.warn(
+                f"{len(borrowed)} photos took the pose of their bracket's next one: {some_names(names)}"
+            )
+        if left_out:
+            voice.warn(f"left out, for they could not be placed: {some_names(left_out)}")
+            if understood.is_handheld and not self.borrow_poses:
+                voice.say("--borrow-poses gives black and white photos the pose of their bracket's next one")
+        return {
+            "train": written.train,
+            "test": written.test,
+            "placed": len(structure.registered) - len(borrowed),
+            "places": understood.places,
+            "points": written.points,
+            "reprojection_error": round(written.reprojection_error, 3),
+            "lines": voice.lines,
+            "warnings": voice.warnings,
+        }
 
     def _scale(self, width: int) -> float:
         limit = self.max_width / width if self.max_width else 1.0
         return min(1.0 / self.downscale, limit, 1.0)
 
-    def _structure(self, brackets: Brackets, folder: Path) -> tuple[Structure, str]:
+    def _structure(
+        self,
+        understood: Understanding,
+        qualities: dict[str, Quality],
+        folder: Path,
+        stages: Stages,
+        voice: "Voice",
+    ) -> tuple[Structure, str]:
         """The cameras, and in words where they are from."""
+        poses = understood.brackets.poses
         if self.poses is not None:
-            return existing(self.poses, brackets.poses), f"the reconstruction in {self.poses}"
-        to_match, which = photos_to_match(brackets.poses, self.match)
-        console.print(f"the cameras are found with {which}", soft_wrap=True)
-        with console.status("starting COLMAP") as status:
-            work = folder.parent / "colmap"
-            work.mkdir()
+            return existing(self.poses, poses), f"the reconstruction in {self.poses}"
+        to_match, which = photos_to_match(poses, self.match, qualities)
+        voice.say(f"the cameras are found with {which}")
+        work = folder.parent / "colmap"
+        work.mkdir()
+        stage_of = {"reading photos": "copying", "features": "features", "matching": "matching"}
+        begun = ""
 
-            def say(step: str) -> None:
-                status.update(f"COLMAP: {step}")
-                if not console.is_terminal:
-                    console.print(f"COLMAP: {step}")
+        def at(step: str, share: float) -> None:
+            nonlocal begun
+            stage = stage_of.get(step, "mapping")
+            if stage != begun:
+                begun = stage
+                stages.begin(stage, f"COLMAP: {step}")
+            stages.at(min(share, 0.999), f"COLMAP: {step}")
 
-            return recover(to_match, work, self.camera, self.threads, say), f"COLMAP, {which}"
+        structure = recover(
+            to_match, work, self.camera, self.threads, at, understood.pairs(), understood.is_handheld
+        )
+        return structure, f"COLMAP, {which}"
 
     def _report(
-        self, structure: Structure, brackets: Brackets, written: Written, size: tuple[int, int]
+        self,
+        understood: Understanding,
+        structure: Structure,
+        written: Written,
+        sizes: list[tuple[int, int]],
+        voice: "Voice",
     ) -> None:
-        evs = ", ".join(f"{ev:+.1f}" for ev in brackets.evs)
-        console.print(
-            f"wrote {self.out}: {written.train} poses for training, {written.test} for the test; "
-            f"{written.pictures} pictures of {size[0]}×{size[1]}",
-            soft_wrap=True,
+        brackets = understood.brackets
+        of = " and ".join(f"{width}×{height}" for width, height in sizes)
+        evs = ", ".join(f"{math.log2(seconds):+.1f}" for seconds in understood.steps())
+        voice.say(
+            f"wrote {self.out or self.data}: {written.train} poses for training, {written.test} for the "
+            f"test; {written.pictures} pictures of {of}"
         )
-        console.print(
+        voice.say(
             f"{len(structure.registered)} of {len(brackets.poses)} poses placed, {written.points} points, "
-            f"reprojection error {written.reprojection_error:.2f} pixels; exposures EV {evs}",
-            soft_wrap=True,
+            f"reprojection error {written.reprojection_error:.2f} pixels; exposures EV {evs}"
         )
         for camera in structure.cameras.values():
-            console.print(f"lens: {camera.model_name} {camera.params_to_string()}", soft_wrap=True)
-        console.print("the world is turned so that +Z is up; its scale is arbitrary, not metres")
-        left_out = [pose.name for k, pose in enumerate(brackets.poses) if k not in structure.registered]
-        if left_out:
-            _warn(f"left out, for they could not be placed: {some_names(left_out)}")
-        console.print(
-            f"next: physhdr inspect {self.out}, then physhdr train {self.out} --out RUN", soft_wrap=True
-        )
+            voice.say(f"lens: {camera.model_name} {camera.params_to_string()}")
+        voice.say("the world is turned so that +Z is up; its scale is arbitrary, not metres")
 
 
-def _plain(value: object) -> object:
-    return str(value) if isinstance(value, Path) else value
+# ---- the work ----------------------------------------------------------------------------------------
 
 
-def _warn(text: str) -> None:
-    console.print(f"[yellow]warning: {text}[/yellow]", soft_wrap=True)
+def _looked_at(
+    understood: Understanding, stages: Stages, voice: "Voice"
+) -> tuple[Understanding, dict[str, Quality]]:
+    """How well each photo is exposed, by name; photos that cannot be decoded are left out, with a warning."""
+    qualities: dict[str, Quality] = {}
+    damaged: list[Skipped] = []
+    photos = understood.brackets.photos
+    stages.begin("looking", "looking at the photos")
+    for done, photo in enumerate(photos):
+        stages.at(done / len(photos), f"looking at the photos: {done} of {len(photos)}")
+        try:
+            qualities[photo.name] = quality(photo)
+        except FileDamagedError as error:
+            damaged.append(Skipped(photo.name, error.message.removeprefix(f"{photo.path} ")))
+    if damaged:
+        understood = understood.without(damaged)
+        for each in damaged:
+            voice.warn(f"left out: {each.name} {each.why}")
+        if len(understood.brackets.poses) < FEWEST_POSES:
+            raise DataMismatchError(
+                f"{len(understood.brackets.poses)} poses are left without damaged photos; {FEWEST_POSES} are "
+                "the least",
+                CAPTURE_REMEDY,
+            )
+    return understood, qualities
 
 
-def _show_photos(photos: list[Photo], brackets: Brackets, exposures: Exposures) -> None:
-    """What was found, before the minutes that follow, with what is worth a warning."""
-    times = ", ".join(time_in_words(2.0**ev) for ev in brackets.evs)
-    console.print(
-        f"{len(photos)} photos of {photos[0].width}×{photos[0].height}: {len(brackets.poses)} poses with "
-        f"{brackets.length} each ({brackets.how}): {times} ({exposures.meaning})",
-        soft_wrap=True,
-    )
-    if brackets.length == 1:
-        _warn("there is one exposure only: what it clips, black or white, cannot be learned (no HDR)")
-    elif (widest := float(np.diff(brackets.evs).max())) > WIDEST_STEP_EV:
-        _warn(f"neighbouring exposures are {widest:.1f} EV apart; {WIDEST_STEP_EV:g} or less are better")
-    if brackets.drift > DRIFT_EV:
-        _warn(
-            f"exposures of one step differ by up to {brackets.drift:.1f} EV between poses; each is used as "
-            "it is, but manual exposure is better"
-        )
+def _borrowed(structure: Structure, understood: Understanding) -> tuple[Structure, dict[int, int]]:
+    """With the poses of hand-held photos that could not be placed: that of the next step of their bracket.
+
+    Returns which took whose.
+    """
+    place_of = understood.brackets.place_of
+    registered, borrowed = dict(structure.registered), {}
+    for number, place in enumerate(place_of):
+        mates = [k for k in structure.registered if place_of[k] == place]
+        if number in structure.registered or not mates:
+            continue
+        nearest = min(mates, key=lambda k, number=number: abs(k - number))
+        pose = structure.registered[nearest]
+        nothing = np.zeros((0, 2)), np.zeros(0, np.int64)
+        registered[number] = RegisteredPose(pose.camera, pose.rotation, pose.translation, *nothing)
+        borrowed[number] = nearest
+    return dataclasses.replace(structure, registered=dict(sorted(registered.items()))), borrowed
 
 
-def _require_enough(structure: Structure, brackets: Brackets, partial: bool) -> None:
+def _require_enough(structure: Structure, understood: Understanding, partial: bool) -> None:
+    brackets = understood.brackets
     placed, all_poses = len(structure.registered), len(brackets.poses)
     if placed < FEWEST_POSES or (2 * placed < all_poses and not partial):
         left_out = [pose.name for k, pose in enumerate(brackets.poses) if k not in structure.registered]
@@ -218,3 +353,142 @@ def _require_enough(structure: Structure, brackets: Brackets, partial: bool) -> 
             f"only {placed} of {all_poses} poses could be placed; not {some_names(left_out)}",
             CAPTURE_REMEDY + " --partial goes on with those that were placed.",
         )
+
+
+def _encoding(understood: Understanding) -> dict[str, Any]:
+    """What the codes of the pictures mean, for readers of the data set (docs/formats.md)."""
+    if not understood.is_raw:
+        return {"encoding": "camera"}
+    photos = understood.brackets.photos
+    noise: dict[str, Any] = {}
+    for iso in sorted({photo.iso for photo in photos}, key=lambda iso: iso or 0.0):
+        found, words = _noise([photo for photo in photos if photo.iso == iso])
+        if found is not None:
+            noise[f"{iso:g}" if iso else "unknown"] = {**dataclasses.asdict(found), "from": words}
+    return {
+        "encoding": "linear",
+        "clip": 1.0,
+        "primaries": "Linear Rec.709",
+        "white_balance": list(photos[0].white_balance or ()),
+        "noise": {
+            "meaning": "by ISO: variance = slope × signal + offset of one photosite, signal 0…1 from black "
+            "to white level, before white balance",
+            **noise,
+        },
+    }
+
+
+def _noise(photos: list[Photo]) -> tuple[Noise | None, str]:
+    """Of raw files of one ISO, and in words where it is from."""
+    told = [photo.noise for photo in photos if photo.noise is not None]
+    if told:
+        slope, offset = (
+            statistics.median(getattr(each, name) for each in told) for name in ("slope", "offset")
+        )
+        return Noise(slope, offset), "the files' NoiseProfile"
+    some = photos[:: max(1, len(photos) // NOISE_PHOTOS)][:NOISE_PHOTOS]
+    found = estimated(plane for photo in some for plane in raw.photosites(photo.path))
+    return found, f"flat places of {len(some)} raw files"
+
+
+def _plain(value: object) -> object:
+    return str(value) if isinstance(value, Path) else value
+
+
+# ---- who is told -------------------------------------------------------------------------------------
+
+
+class Voice:
+    """Who is told what goes on: people or a program. Active (``with``) while the long work is done."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self.warnings: list[str] = []
+
+    def say(self, line: str) -> None:
+        self.lines.append(line)
+
+    def warn(self, line: str) -> None:
+        self.warnings.append(line)
+
+    def progress(self, report: Report) -> None:
+        """How far the work is."""
+
+    def __enter__(self) -> "Voice":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+
+class Lines(Voice):
+    """JSON on stdout, an object a line, as ``addon/session/task.py`` reads it."""
+
+    def write(self, content: dict[str, Any]) -> None:
+        sys.stdout.write(json.dumps(content) + "\n")
+        sys.stdout.flush()
+
+    def progress(self, report: Report) -> None:
+        left = {} if report.seconds_left is None else {"seconds_left": report.seconds_left}
+        self.write({"progress": report.fraction, "message": report.message, **left})
+
+
+class Terminal(Voice):
+    """A bar with the time that is left, or, without a terminal, a line for each step."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TextColumn("{task.fields[left]}"),
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+        )
+        self._task = self._bar.add_task("", total=1.0, left="")
+        self._last = ""
+
+    def say(self, line: str) -> None:
+        super().say(line)
+        console.print(line, soft_wrap=True)
+
+    def warn(self, line: str) -> None:
+        super().warn(line)
+        console.print(f"[yellow]warning: {line}[/yellow]", soft_wrap=True)
+
+    def progress(self, report: Report) -> None:
+        left = "" if report.seconds_left is None else f"{report.seconds_left:.0f} s left"
+        self._bar.update(self._task, completed=report.fraction, description=report.message, left=left)
+        step = report.message.split(": ")
+        if not console.is_terminal and step[0] == "COLMAP" and report.message != self._last:
+            self._last = report.message
+            console.print(report.message)
+
+    def __enter__(self) -> Voice:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+
+@contextmanager
+def ended_politely() -> Iterator[None]:
+    """SIGTERM, and CTRL-BREAK on Windows, raise ``KeyboardInterrupt`` as CTRL-C does: nothing stays half."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    names = ("SIGINT", "SIGTERM", "SIGBREAK")
+    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
+    try:
+        former = {number: signal.signal(number, interrupt) for number in numbers}
+    except ValueError:  # not the main thread, which alone gets signals
+        yield
+        return
+    try:
+        yield
+    finally:
+        for number, handler in former.items():
+            signal.signal(number, signal.SIG_DFL if handler is None else handler)

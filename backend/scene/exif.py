@@ -20,17 +20,30 @@ LARGEST_ISO = 65534
 #: No APEX value of a time or an aperture is beyond.
 LARGEST_APEX = 40.0
 
+#: TIFF's tag of the places of the pictures inside.
+SUB_DIRECTORIES = 330
+#: What Pillow raises where a file's tags are damaged.
+UNREADABLE = (
+    *(OSError, SyntaxError, ValueError, KeyError, TypeError, IndexError, OverflowError, struct.error),
+)
+
 #: Tags by number.
 Tags = Mapping[int, Any]
 
 
 @dataclass(frozen=True)
 class Exif:
-    """What a camera wrote of a picture's exposure; None where it did not. ``time``: seconds."""
+    """What a camera wrote of a picture's exposure; None where it did not. ``time``: seconds.
+
+    ``bias``: by how many stops the photographer had it exposed more. ``brightness``: APEX's Bv, log2 of what
+    the camera metered.
+    """
 
     time: float | None = None
     iso: float | None = None
     f_number: float | None = None
+    bias: float | None = None
+    brightness: float | None = None
 
 
 @dataclass(frozen=True)
@@ -72,10 +85,37 @@ def read_exif(path: Path) -> Exif:
 def tags_of(picture: Image.Image) -> Tags:
     """The EXIF tags of an open picture; {} where they are damaged: whoever needs one names its lack."""
     try:
-        exif = picture.getexif()
-        return {**exif, **exif.get_ifd(ExifTags.IFD.Exif)}
-    except (OSError, SyntaxError, ValueError, KeyError, TypeError, IndexError, OverflowError, struct.error):
+        return _all_of(picture.getexif())
+    except UNREADABLE:
         return {}
+
+
+def tags_of_tiff(path: Path) -> Tags:
+    """The tags of a file that is built like a TIFF, as most cameras' raw files are; {} of any other.
+
+    Those of the pictures inside (a DNG has its raw one there, beside a preview) fill up what the first
+    directory lacks.
+    """
+    exif = Image.Exif()
+    tags: dict[int, Any] = {}
+    try:
+        with open(path, "rb") as file:
+            exif.load_from_fp(file)
+            tags = {**_all_of(exif)}
+            for offset in _numbers(tags.get(SUB_DIRECTORIES)):
+                exif.load_from_fp(file, offset)
+                tags = {**exif, **tags}
+    except UNREADABLE:
+        pass  # what was read until then
+    return tags
+
+
+def _numbers(value: Any) -> tuple[int, ...]:
+    return tuple(value) if isinstance(value, tuple | list) else () if value is None else (value,)
+
+
+def _all_of(exif: Image.Exif) -> Tags:
+    return {**exif, **exif.get_ifd(ExifTags.IFD.Exif)}
 
 
 def exposure_of(tags: Tags) -> Exif:
@@ -84,6 +124,8 @@ def exposure_of(tags: Tags) -> Exif:
         positive(tags, ExifTags.Base.ExposureTime) or _apex(tags, ExifTags.Base.ShutterSpeedValue, -1.0),
         _iso(tags),
         positive(tags, ExifTags.Base.FNumber) or _apex(tags, ExifTags.Base.ApertureValue, 0.5),
+        _stops(tags, ExifTags.Base.ExposureBiasValue),
+        _stops(tags, ExifTags.Base.BrightnessValue),
     )
 
 
@@ -108,6 +150,12 @@ def _apex(tags: Tags, tag: int, power: float) -> float | None:
     """Time = 2^−Tv, F = 2^(Av/2) (EXIF 2.3, annex C)."""
     value = _number(tags, tag)
     return None if value is None or abs(value) > LARGEST_APEX else 2.0 ** (power * value)
+
+
+def _stops(tags: Tags, tag: int) -> float | None:
+    """A difference or a brightness in stops; EXIF's "unknown" is −1 as an unsigned number: far beyond."""
+    value = _number(tags, tag)
+    return None if value is None or abs(value) > LARGEST_APEX else value
 
 
 def _iso(tags: Tags) -> float | None:

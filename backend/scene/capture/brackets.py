@@ -22,10 +22,15 @@ LONGEST_BRACKET = 9
 #: A pause inside a bracket that is so much longer than that between brackets, and by so many seconds, shows
 #: that brackets begin elsewhere.
 PAUSE_RATIO, PAUSE_SECONDS = 2.0, 2.0
+#: From photo to photo automatic exposure changes by less (median, EV), bracketing by more; or else exposures
+#: again after less regular numbers of photos, less than this share of them alike, and fewer steps between
+#: neighbours come again at any distance.
+AUTOMATIC_EV, REGULAR, REPEATED = 0.5, 0.6, 0.45
 NAMED = re.compile(r"(.+)_(\d{1,2})")
 SAY = (
-    "Move stray photos and incomplete brackets away, say how many photos a pose has (--bracket N), or name "
-    "them <pose>_<k>, as in desk_0.jpg desk_1.jpg (--group names)."
+    "Move stray photos and incomplete brackets away, say how many photos a pose has (--bracket N), name "
+    "them <pose>_<k>, as in desk_0.jpg desk_1.jpg (--group names), or say that there are no brackets "
+    "(--group none)."
 )
 
 
@@ -40,10 +45,39 @@ class Bracket:
 
 @dataclass(frozen=True)
 class Brackets:
-    """All poses in the order in which they were taken, each with as many photos; ``how`` they were found."""
+    """All poses in the order in which they were taken, each with as many photos; ``how`` they were found.
+
+    ``places``: the number of the place that each pose is of, where a hand-held bracket has several poses;
+    empty: each is a place of its own.
+    """
 
     poses: tuple[Bracket, ...]
     how: str
+    places: tuple[int, ...] = ()
+
+    @property
+    def photos(self) -> list[Photo]:
+        return [photo for pose in self.poses for photo in pose.photos]
+
+    @property
+    def place_of(self) -> tuple[int, ...]:
+        """The number of each pose's place."""
+        return self.places or tuple(range(len(self.poses)))
+
+    @property
+    def stops(self) -> float:
+        """From the shortest to the longest exposure of all, in EV."""
+        seconds = [each for pose in self.poses for each in pose.seconds]
+        return math.log2(max(seconds) / min(seconds))
+
+    def apart(self) -> "Brackets":
+        """The same photos, hand-held: each a pose by itself."""
+        poses, places = [], []
+        for place, pose in enumerate(self.poses):
+            for photo, seconds in zip(pose.photos, pose.seconds, strict=True):
+                poses.append(Bracket(photo.path.stem, (photo,), (seconds,)))
+                places.append(place)
+        return Brackets(tuple(poses), f"hand-held; {self.how}", tuple(places))
 
     @property
     def length(self) -> int:
@@ -71,10 +105,12 @@ def find_brackets(
 ) -> Brackets:
     """Group ``photos`` into poses.
 
-    ``seconds``: exposure by file name. ``by``: ``names`` ``<pose>_<k>``; ``order`` of time, then name, with a
-    pattern of exposures that repeats; ``none``, each photo is a pose; ``auto``, the first that is plain.
-    ``length``: photos in each pose, where the user says so. Raises ``DataMismatchError``, which shows
-    what was found, where it is not plain; ``BadValueError`` for a length that cannot be.
+    ``seconds``: exposure by file name; photos without are damaged files, which keep their place in the order,
+    and whose brackets are left out. ``by``: ``names`` ``<pose>_<k>``; ``order`` of time, then name, with a
+    pattern of exposures that repeats; ``none``, each photo is a pose; ``auto``, the first that is plain, or
+    none where the exposure only drifts from photo to photo, as automatic exposure does. ``length``: photos in
+    each pose, where the user says so. Raises ``DataMismatchError``, which shows what was found, where it is
+    not plain; ``BadValueError`` for a length that cannot be.
     """
     if length is not None and (length < 1 or len(photos) % length):
         raise BadValueError(
@@ -82,14 +118,19 @@ def find_brackets(
             "Move what does not belong away, or mend it.",
         )
     if by == "none":
-        return Brackets(tuple(_bracket([photo], seconds) for photo in _in_order(photos)), "one photo a pose")
+        return _without(_in_order(photos, seconds), seconds, "one photo a pose, as asked")
     if by == "names" or (by == "auto" and length is None):
         groups = _by_name(photos)
         if by == "names":
             _require_equal(groups)
         if by == "names" or _is_plain(groups):
             return _checked(list(groups.values()), seconds, "by name, <pose>_<k>")
-    return _by_order(_in_order(photos), seconds, length)
+    return _by_order(_in_order(photos, seconds), seconds, length, by == "auto")
+
+
+def _without(photos: Sequence[Photo], seconds: Mapping[str, float], how: str) -> Brackets:
+    """Each photo is a pose."""
+    return Brackets(tuple(_bracket([photo], seconds) for photo in photos if photo.name in seconds), how)
 
 
 def _bracket(photos: Sequence[Photo], seconds: Mapping[str, float], name: str = "") -> Bracket:
@@ -100,8 +141,12 @@ def _bracket(photos: Sequence[Photo], seconds: Mapping[str, float], name: str = 
 
 
 def _checked(groups: list[list[Photo]], seconds: Mapping[str, float], how: str) -> Brackets:
-    poses = tuple(_bracket(group, seconds) for group in groups)
+    whole = [group for group in groups if all(photo.name in seconds for photo in group)]
+    poses = tuple(_bracket(group, seconds) for group in whole)
     for pose in poses:
+        if len({(photo.width, photo.height) for photo in pose.photos}) > 1:
+            sizes = ", ".join(f"{photo.name} is {photo.width}×{photo.height}" for photo in pose.photos)
+            raise DataMismatchError(f"the photos of one pose ({how}) have several sizes: {sizes}", SAY)
         for k in range(len(pose.photos) - 1):
             if math.log2(pose.seconds[k + 1] / pose.seconds[k]) < SAME_EV:
                 first, second = pose.photos[k], pose.photos[k + 1]
@@ -149,17 +194,31 @@ def _require_equal(groups: Mapping[str, list[Photo]]) -> None:
 # ---- by order ----------------------------------------------------------------------------------------
 
 
-def _in_order(photos: Sequence[Photo]) -> list[Photo]:
+def _in_order(photos: Sequence[Photo], seconds: Mapping[str, float]) -> list[Photo]:
+    """By time, where every photo that is whole tells it; a damaged one comes after its neighbour by name."""
     by_name = sorted(photos, key=lambda photo: natural_order(photo.name))
-    if all(photo.taken is not None for photo in photos):
-        by_name.sort(key=lambda photo: photo.taken)  # type: ignore[arg-type, return-value]  # stable
-    return by_name
+    whole = [photo for photo in by_name if photo.name in seconds]
+    if not all(photo.taken is not None for photo in whole):
+        return by_name
+    ordered = sorted(whole, key=lambda photo: photo.taken)  # type: ignore[arg-type, return-value]  # stable
+    for k, photo in enumerate(by_name):
+        if photo.name not in seconds:
+            ordered.insert(ordered.index(by_name[k - 1]) + 1 if k else 0, photo)
+    return ordered
 
 
-def _by_order(photos: list[Photo], seconds: Mapping[str, float], length: int | None) -> Brackets:
-    evs = [math.log2(seconds[photo.name]) for photo in photos]
+def _by_order(
+    photos: list[Photo], seconds: Mapping[str, float], length: int | None, automatic: bool
+) -> Brackets:
+    """``automatic``: whether there may be no brackets."""
+    evs = [math.log2(seconds.get(photo.name, math.nan)) for photo in photos]
     if length is None:
-        lengths = _lengths(evs)
+        drifts = automatic and _drifts(photos, evs)
+        lengths = _lengths(evs, relative=not drifts)
+        if not lengths and drifts:
+            return _without(
+                photos, seconds, "one photo a place: the exposure was automatic, without brackets"
+            )
         if not lengths:
             raise DataMismatchError(_confusion(photos, seconds, evs), SAY)
         if len(lengths) > 1:
@@ -168,16 +227,50 @@ def _by_order(photos: list[Photo], seconds: Mapping[str, float], length: int | N
             )
         length = lengths[0]
     if length == 1:
-        return Brackets(tuple(_bracket([photo], seconds) for photo in photos), "all of one exposure")
+        return _without(photos, seconds, "one photo a place, all of one exposure")
     groups = [photos[k : k + length] for k in range(0, len(photos), length)]
     _check_pauses(groups)
     return _checked(groups, seconds, f"by order: each {length} photos repeat the same exposures")
 
 
-def _lengths(evs: list[float]) -> list[int]:
+def _drifts(photos: Sequence[Photo], evs: list[float]) -> bool:
+    """Whether exposures change as automatic exposure changes them: little, or without any order.
+
+    Not where a camera says that it was bracketing.
+    """
+    if any(photo.auto_bracket for photo in photos):
+        return False
+    evs = [ev for ev in evs if not math.isnan(ev)]
+    changes = [second - first for first, second in itertools.pairwise(evs)]
+    if not changes or statistics.median(map(abs, changes)) < AUTOMATIC_EV:
+        return True
+    lengths = [len(run) for run in _runs(evs)]
+    if lengths.count(statistics.mode(lengths)) >= max(3, REGULAR * len(lengths)):
+        return False
+    # Steps that come again n photos later: of brackets all but one in n do, though their exposures drift.
+    for n in range(2, min(LONGEST_BRACKET, len(changes) // 2) + 1):
+        pairs = [(one, other) for one, other in zip(changes, changes[n:], strict=False)]
+        again = sum(abs(one - other) < SAME_EV and abs(one) > AUTOMATIC_EV for one, other in pairs)
+        if again >= REPEATED * len(pairs):
+            return False
+    return True
+
+
+def _runs(evs: list[float]) -> list[list[int]]:
+    """A new run begins where an exposure comes again."""
+    runs: list[list[int]] = [[]]
+    for k, ev in enumerate(evs):
+        if any(abs(ev - evs[other]) < SAME_EV for other in runs[-1]):
+            runs.append([])
+        runs[-1].append(k)
+    return runs
+
+
+def _lengths(evs: list[float], relative: bool = True) -> list[int]:
     """Every length under which all brackets are alike: absolutely, or else each relative to its first photo.
 
-    A camera whose exposure is automatic between brackets changes them all by the same factor.
+    A camera whose exposure is automatic between brackets changes them all by the same factor; ``relative``:
+    whether that may be.
     """
     if _repeats(evs, 1, relative=False):
         return [1]
@@ -185,31 +278,31 @@ def _lengths(evs: list[float]) -> list[int]:
     for n in candidates:
         if _repeats(evs, n, relative=False):
             return [n]  # its multiples repeat as well, but hold each exposure several times
-    return [n for n in candidates if _repeats(evs, n, relative=True)]
+    return [n for n in candidates if relative and _repeats(evs, n, relative=True)]
 
 
 def _repeats(evs: list[float], length: int, relative: bool) -> bool:
+    """Whether all groups of ``length`` are alike; of NaN, a damaged photo, nothing is known."""
     groups = [evs[k : k + length] for k in range(0, len(evs), length)]
     if relative:
         groups = [[ev - group[0] for ev in group] for group in groups]
-    first = groups[0]
+    first = next((group for group in groups if not any(map(math.isnan, group))), None)
+    if first is None:
+        return False
     differ = all(abs(a - b) > SAME_EV for k, a in enumerate(first) for b in first[:k])
-    return differ and all(
-        abs(ev - of_first) < SAME_EV for group in groups for ev, of_first in zip(group, first, strict=True)
+    return differ and not any(
+        abs(ev - of_first) >= SAME_EV for group in groups for ev, of_first in zip(group, first, strict=True)
     )
 
 
 def _confusion(photos: Sequence[Photo], seconds: Mapping[str, float], evs: list[float]) -> str:
-    """What the order looks like: a new run begins where an exposure comes again."""
-    runs: list[list[int]] = [[]]
-    for k, ev in enumerate(evs):
-        if any(abs(ev - evs[other]) < SAME_EV for other in runs[-1]):
-            runs.append([])
-        runs[-1].append(k)
+    """What the order looks like."""
+    runs = _runs(evs)
     common = statistics.mode(len(run) for run in runs)
     shown = ", ".join(str(len(run)) for run in runs[:12]) + (" …" if len(runs) > 12 else "")
     odd = next((run for run in runs if len(run) != common), runs[0])
-    inside = ", ".join(f"{photos[k].name} {time_in_words(seconds[photos[k].name])}" for k in odd[:6])
+    times = {photo.name: time_in_words(seconds[photo.name]) for photo in photos if photo.name in seconds}
+    inside = ", ".join(f"{photos[k].name} {times.get(photos[k].name, 'damaged')}" for k in odd[:6])
     return (
         f"it is not plain which of the {len(photos)} photos belong to one pose: in their order exposures "
         f"come again after {shown} photos; the first that is unlike the others: {inside}"

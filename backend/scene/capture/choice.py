@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Which of a bracket's photos structure from motion sees, and by which numbers the data set knows them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -31,7 +32,7 @@ def thinned(brackets: Brackets) -> tuple[Brackets, tuple[int, ...]]:
         Bracket(pose.name, tuple(pose.photos[k] for k in steps), tuple(pose.seconds[k] for k in steps))
         for pose in brackets.poses
     )
-    return Brackets(poses, brackets.how), steps
+    return Brackets(poses, brackets.how, brackets.places), steps
 
 
 def clipped_share(pixels: np.ndarray) -> float:
@@ -39,11 +40,28 @@ def clipped_share(pixels: np.ndarray) -> float:
     return float(((pixels.max(axis=2) <= BLACK) | (pixels.max(axis=2) >= WHITE)).mean())
 
 
-def photos_to_match(poses: Sequence[Bracket], choice: Choice) -> tuple[dict[int, Photo], str]:
+@dataclass(frozen=True)
+class Quality:
+    """Of one photo: the share of clipped pixels, and the median code."""
+
+    clipped: float
+    median: float
+
+
+def quality(photo: Photo) -> Quality:
+    """By a small copy; raises ``FileDamagedError`` where the photo cannot be decoded."""
+    pixels = photo.thumbnail()
+    return Quality(clipped_share(pixels), float(np.median(pixels)))
+
+
+def photos_to_match(
+    poses: Sequence[Bracket], choice: Choice, qualities: Mapping[str, Quality]
+) -> tuple[dict[int, Photo], str]:
     """One photo for each pose's number, and in words which.
 
     ``choice``: ``same``, the step that is best exposed over all poses, with the fewest clipped pixels;
-    ``each``, that of each pose; or a step, 0 the darkest. Raises ``BadValueError`` where it is not there.
+    ``each``, that of each pose; or a step, 0 the darkest. ``qualities``: by file name. Raises
+    ``BadValueError`` where the step is not there.
     """
     length = len(poses[0].photos)
     if isinstance(choice, int):
@@ -52,7 +70,8 @@ def photos_to_match(poses: Sequence[Bracket], choice: Choice) -> tuple[dict[int,
         return {number: pose.photos[choice] for number, pose in enumerate(poses)}, f"step {choice}, as asked"
     if length == 1:
         return {number: pose.photos[0] for number, pose in enumerate(poses)}, "the only exposure"
-    measured = np.array([[_quality(photo.thumbnail()) for photo in pose.photos] for pose in poses])
+    found = [[qualities[photo.name] for photo in pose.photos] for pose in poses]
+    measured = np.array([[(each.clipped, each.median) for each in pose] for pose in found])
     if choice == "each":
         best = [best_step(pose) for pose in measured]
         clipped = np.mean([pose[k, 0] for pose, k in zip(measured, best, strict=True)])
@@ -62,10 +81,6 @@ def photos_to_match(poses: Sequence[Bracket], choice: Choice) -> tuple[dict[int,
         best = [step] * len(poses)
         words = f"step {step} of 0…{length - 1}, the best exposed ({measured[:, step, 0].mean():.1%} clipped)"
     return {number: pose.photos[best[number]] for number, pose in enumerate(poses)}, words
-
-
-def _quality(pixels: np.ndarray) -> tuple[float, float]:
-    return clipped_share(pixels), float(np.median(pixels))
 
 
 def best_step(measured: np.ndarray) -> int:

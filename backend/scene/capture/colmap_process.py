@@ -2,24 +2,27 @@
 """A process of its own that runs COLMAP: ``python colmap_process.py JOB.json``. Needs NumPy and pycolmap.
 
 COLMAP's library ends the whole process where one of its checks fails; here that ends only this one.
-Says on stdout which step it is at, a line each. Of a ``JOB.json`` that ``structure.py`` writes it leaves the
+Says on stdout which step it is at, a line each, and, after a tab, which share of it is done. It ends when its
+stdin does: whoever started it is gone then. Of a ``JOB.json`` that ``structure.py`` writes it leaves the
 largest reconstruction in ``folder/model`` and, in ``folder/pieces.json``, the names in every piece; of one
 that ``triangulate.py`` writes, which has ``pairs`` to match, the points in ``folder/points.npz``.
 """
 
+import itertools
 import json
+import os
 import shutil
+import signal
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
 import pycolmap
 
 SEED = 0
-#: Up to so many pictures each is matched with each other.
-MOST_FOR_EXHAUSTIVE = 100
-#: A longer capture matches each picture with so many that follow, and with some further ones.
-SEQUENTIAL_OVERLAP = 12
+#: Pictures and pairs between two lines that say how far it is.
+PICTURES_AT_ONCE, PAIRS_AT_ONCE = 8, 64
 #: What the second attempt accepts, for small baselines and few features: degrees, matches, matches.
 LAX_ANGLE, LAX_FIRST_PAIR, LAX_POSE = 4.0, 40, 15
 
@@ -38,38 +41,74 @@ def recover(job: dict) -> None:
     folder = Path(job["folder"])
     database, pictures = folder / "database.db", folder / "pictures"
 
-    say("features")
-    reader = pycolmap.ImageReaderOptions(camera_model=job["camera_model"], camera_params=job["camera_params"])
-    pycolmap.extract_features(
-        *(database, pictures, job["names"], pycolmap.CameraMode.SINGLE, reader, extraction_options(job)),
-        pycolmap.Device.cpu,
-    )
-
-    exhaustive = len(job["names"]) <= MOST_FOR_EXHAUSTIVE
-    say("matching each with each" if exhaustive else "matching neighbours in time")
-    matching, verification = matching_options(job)
-    if exhaustive:
-        pycolmap.match_exhaustive(
-            database, matching, verification_options=verification, device=pycolmap.Device.cpu
-        )
-    else:
-        pairing = pycolmap.SequentialPairingOptions(overlap=SEQUENTIAL_OVERLAP)
-        pycolmap.match_sequential(database, matching, pairing, verification, pycolmap.Device.cpu)
+    names = [name for group in job["groups"] for name in group["names"]]
+    extract(job, database, pictures, len(names))
+    match(job, database, folder)
 
     pieces = []
     for lax in (False, True):
-        say("mapping, with lax thresholds" if lax else "mapping")
+        say(_mapping(lax))
         out = folder / f"attempt_{int(lax)}"
         out.mkdir()
-        found = pycolmap.incremental_mapping(database, pictures, out, mapper_options(job, lax))
+        placed = itertools.count(3)  # two begin it
+        found = pycolmap.incremental_mapping(
+            database,
+            pictures,
+            out,
+            mapper_options(job, lax),
+            next_image_callback=lambda placed=placed, lax=lax: say(_mapping(lax), next(placed) / len(names)),
+        )
         pieces += [(out / str(number), piece) for number, piece in found.items()]
-        if any(piece.num_reg_images() == len(job["names"]) for _, piece in pieces):
+        if any(piece.num_reg_images() == len(names) for _, piece in pieces):
             break
     pieces.sort(key=lambda entry: (-entry[1].num_reg_images(), -entry[1].num_points3D()))
-    names = [sorted(piece.image(k).name for k in piece.reg_image_ids()) for _, piece in pieces]
-    (folder / "pieces.json").write_text(json.dumps(names))
+    placed_names = [sorted(piece.image(k).name for k in piece.reg_image_ids()) for _, piece in pieces]
+    (folder / "pieces.json").write_text(json.dumps(placed_names))
     if pieces:
         shutil.copytree(pieces[0][0], folder / "model")
+
+
+def _mapping(lax: bool) -> str:
+    return "mapping, with lax thresholds" if lax else "mapping"
+
+
+def extract(job: dict, database: Path, pictures: Path, total: int) -> None:
+    """Features; the pictures of each group share a camera."""
+    say("features")
+    done = 0
+    for group in job["groups"]:
+        reader = pycolmap.ImageReaderOptions(
+            camera_model=job["camera_model"], camera_params=group["camera_params"]
+        )
+        if job["masks"]:
+            reader.mask_path = job["masks"]
+        names = group["names"]
+        for first in range(0, len(names), PICTURES_AT_ONCE):
+            some = names[first : first + PICTURES_AT_ONCE]
+            pycolmap.extract_features(
+                *(database, pictures, some, pycolmap.CameraMode.SINGLE, reader, extraction_options(job)),
+                pycolmap.Device.cpu,
+            )
+            if first == 0:
+                with pycolmap.Database.open(database) as opened:
+                    images = {image.name: image for image in opened.read_all_images()}
+                reader.existing_camera_id = images[some[0]].camera_id
+            done += len(some)
+            say("features", done / total)
+
+
+def match(job: dict, database: Path, folder: Path) -> None:
+    """The pairs of ``job["match"]``."""
+    say("matching")
+    matching, verification = matching_options(job)
+    pairs, total = folder / "pairs.txt", len(job["match"])
+    at_once = max(PAIRS_AT_ONCE, total // 20)
+    for first in range(0, total, at_once):
+        some = job["match"][first : first + at_once]
+        pairs.write_text("".join(f"{one} {other}\n" for one, other in some))
+        pairing = pycolmap.ImportedPairingOptions(match_list_path=str(pairs))
+        pycolmap.match_image_pairs(database, matching, pairing, verification, pycolmap.Device.cpu)
+        say("matching", min(1.0, (first + at_once) / total))
 
 
 def triangulate(job: dict) -> None:
@@ -168,10 +207,19 @@ def mapper_options(job: dict, lax: bool) -> pycolmap.IncrementalPipelineOptions:
     return options
 
 
-def say(step: str) -> None:
-    sys.stdout.write(step + "\n")
+def say(step: str, share: float | None = None) -> None:
+    sys.stdout.write(step + ("\n" if share is None else f"\t{share:.4f}\n"))
     sys.stdout.flush()
 
 
+def end_with_stdin() -> None:
+    """End this process when its stdin ends: of somebody who was killed nobody else tells."""
+    while os.read(0, 1):  # sys.stdin's own lock, held here, would abort a process that ends in order
+        pass
+    os._exit(1)
+
+
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # CTRL-C in a terminal is the other process's to act on
+    threading.Thread(target=end_with_stdin, daemon=True).start()
     main(json.loads(Path(sys.argv[1]).read_text()))

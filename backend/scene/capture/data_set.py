@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Writes a capture as a data set in the packaging of GaussHDR (docs/formats.md).
 
-``images/<split>_<pose:03d>_<k>.png``, ``exposure.json`` (file name → seconds), ``sparse/0`` of COLMAP with
+``images/<split>_<pose:03d>_<k>.png`` (``masks/`` of the same names: black where a picture is not to be
+compared), ``exposure.json`` (file name → seconds), ``sparse/0`` of COLMAP with
 one image for each pose, named as its picture k = 0, and ``prepare.json``: where it all came from.
 """
 
@@ -9,23 +10,26 @@ import json
 import os
 import re
 import struct
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from shutil import rmtree
 from tempfile import mkdtemp
 from typing import Any, BinaryIO
+from zlib import compress, crc32
 
 import numpy as np
 from filelock import FileLock
 from PIL import Image
 
-from ....bridge.errors import BadValueError, OutputError
+from ....bridge.errors import OutputError
 from ..lens import Lens
-from .brackets import Bracket
+from ..test_choice import test_places
+from .brackets import Brackets
 from .choice import NUMBERS
 from .exposures import some_names
+from .photos import MASKS, Photo
 from .structure import RegisteredPose, Structure
 
 #: Locked while the temporary folder that it lies in is used.
@@ -35,8 +39,10 @@ ORIGIN_FILE = "prepare.json"
 #: All that this command writes into a data set.
 WRITTEN = re.compile(
     r"prepare\.json|exposure\.json|images(/(train|test)_\d+_\d\.png)?"
-    r"|sparse(/0(/(cameras|images|points3D)\.bin)?)?"
+    r"|masks(/(train|test)_\d+_\d\.png)?|sparse(/0(/(cameras|images|points3D)\.bin)?)?"
 )
+#: PNG's first bytes, its number for RGB, and for rows that are written as differences to those above.
+SIGNATURE, RGB, UP = b"\x89PNG\r\n\x1a\n", 2, 2
 #: COLMAP's number for a pinhole camera with fx, fy, cx, cy.
 PINHOLE = 1
 
@@ -147,53 +153,93 @@ class Written:
     reprojection_error: float
 
 
-def splits(numbers: Sequence[int], test_every: int) -> dict[int, str]:
-    """Every ``test_every``-th of the poses, the first among them, is for the test; 0: none is."""
-    if test_every < 0 or test_every == 1:
-        raise BadValueError(
-            f"every {test_every}-th pose cannot be for the test", "Give 2 or more, or 0 for none."
-        )
-    return {
-        number: "test" if test_every and order % test_every == 0 else "train"
-        for order, number in enumerate(numbers)
-    }
+def test_poses(
+    brackets: Brackets, structure: Structure, every: int, borrowed: Collection[int] = ()
+) -> set[int]:
+    """The numbers of the registered poses for the test: all of each place that ``test_places`` chooses.
+
+    ``every``: about how many places there are to one for the test; 0: none. ``borrowed``: poses that nobody
+    found by themselves: their places are not for the test.
+    """
+    if not every:
+        return set()
+    places: dict[int, list[int]] = {}
+    for number in structure.registered:
+        places.setdefault(brackets.place_of[number], []).append(number)
+    poses = [[structure.registered[number] for number in numbers] for numbers in places.values()]
+    positions = np.array([np.mean([pose.position for pose in group], axis=0) for group in poses])
+    directions = np.array([group[0].rotation[2] for group in poses])
+    chosen = [list(places.values())[k] for k in test_places(positions, directions, every)]
+    return {number for numbers in chosen if not {*numbers} & {*borrowed} for number in numbers}
 
 
 def write_data_set(
     folder: Path,
-    poses: Sequence[Bracket],
+    brackets: Brackets,
     structure: Structure,
     lenses: Mapping[int, Lens],
     test_every: int,
     origin: dict[str, Any],
     done: Callable[[int, int], None] = lambda pictures, of: None,
+    borrowed: Collection[int] = (),
 ) -> Written:
     """Write the registered poses into ``folder``; ``done`` is told after every picture.
 
-    ``lenses``: one for each of the structure's cameras. ``origin`` goes into ``prepare.json``, with the
-    source of every picture.
+    ``lenses``: one for each of the structure's cameras. ``test_every``, ``borrowed``: as ``test_poses``.
+    ``origin`` goes into ``prepare.json``, with the source of every picture.
     """
-    split_of = splits(list(structure.registered), test_every)
-    k_of = NUMBERS[len(poses[0].photos)]
+    test = test_poses(brackets, structure, test_every, borrowed)
+    k_of = NUMBERS[brackets.length]
     (folder / "images").mkdir()
     exposures: dict[str, float] = {}
     sources: dict[str, str] = {}
     names: dict[int, str] = {}
     total = len(structure.registered) * len(k_of)
-    for number, pose in structure.registered.items():
-        for k, photo, seconds in zip(k_of, poses[number].photos, poses[number].seconds, strict=True):
-            name = f"{split_of[number]}_{number:03d}_{k}.png"
-            picture = lenses[pose.camera].picture(np.asarray(photo.decode()))
-            Image.fromarray(picture).save(folder / "images" / name)
+    written = 0
+    # By camera: a lens keeps what it needs for one picture after the other.
+    for number, pose in sorted(structure.registered.items(), key=lambda item: (item[1].camera, item[0])):
+        bracket = brackets.poses[number]
+        stem = f"{'test' if number in test else 'train'}_{number:03d}"
+        for k, photo, seconds in zip(k_of, bracket.photos, bracket.seconds, strict=True):
+            name = f"{stem}_{k}.png"
+            _write_picture(folder, name, photo, lenses[pose.camera], shorter=photo is not bracket.photos[0])
             exposures[name], sources[name] = seconds, photo.name
-            done(len(exposures), total)
-        names[number] = f"{split_of[number]}_{number:03d}_0.png"
-    _write_json(folder / "exposure.json", exposures)
-    _write_json(folder / ORIGIN_FILE, {**origin, "sources": sources})
+            written += 1
+            done(written, total)
+        names[number] = f"{stem}_0.png"
+    _write_json(folder / "exposure.json", dict(sorted(exposures.items())))
+    _write_json(folder / ORIGIN_FILE, {**origin, "sources": dict(sorted(sources.items()))})
     points = _write_sparse(folder / "sparse" / "0", structure, lenses, names)
-    test = sum(split == "test" for split in split_of.values())
     error = reprojection_error(structure, lenses)
-    return Written(len(split_of) - test, test, len(exposures), points, error)
+    return Written(len(structure.registered) - len(test), len(test), written, points, error)
+
+
+def _write_picture(folder: Path, name: str, photo: Photo, lens: Lens, shorter: bool) -> None:
+    codes, keep = photo.codes(shorter)
+    picture = lens.picture(codes)
+    if picture.dtype == np.uint16:
+        (folder / "images" / name).write_bytes(png_of(picture))
+    else:
+        Image.fromarray(picture).save(folder / "images" / name)
+    if keep is not None and not (straight := lens.mask(keep)).all():
+        (folder / MASKS).mkdir(exist_ok=True)
+        Image.fromarray(straight).save(folder / MASKS / name)
+
+
+def png_of(picture: np.ndarray) -> bytes:
+    """A PNG of ``[H, W, 3]`` uint16, which Pillow cannot write (PNG specification, third edition)."""
+    height, width, _ = picture.shape
+    rows = picture.astype(">u2").view(np.uint8).reshape(height, width * 6)
+    above = np.concatenate([np.zeros_like(rows[:1]), rows[:-1]])
+    filtered = np.full((height, width * 6 + 1), UP, np.uint8)
+    filtered[:, 1:] = rows - above
+
+    def chunk(kind: bytes, content: bytes) -> bytes:
+        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", crc32(kind + content))
+
+    header = struct.pack(">IIBBBBB", width, height, 16, RGB, 0, 0, 0)
+    packed = compress(filtered.tobytes(), 4)
+    return SIGNATURE + chunk(b"IHDR", header) + chunk(b"IDAT", packed) + chunk(b"IEND", b"")
 
 
 def _write_json(path: Path, value: object) -> None:

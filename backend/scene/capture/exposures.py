@@ -10,12 +10,15 @@ from pathlib import Path
 from ....bridge.errors import BadValueError, DataMismatchError, FileMissingError
 from ....bridge.limits import EXPOSURE
 from ....bridge.regular import damaged_where_it_fails, read_json_object, read_text
-from ..exif import Exif, comparable
+from ..exif import comparable
 from .photos import Photo
 
 #: Names that a message lists before it says how many more there are.
 FEW = 4
-GIVE_A_FILE = "Give the exposures in a file: --exposures FILE, JSON or CSV, file name → seconds."
+GIVE_A_FILE = (
+    "Give the exposures in a file: --exposures FILE, JSON or CSV, file name → seconds; or, where all are of "
+    "one exposure, --same-exposure."
+)
 
 
 @dataclass(frozen=True)
@@ -35,27 +38,63 @@ def some_names(names: Sequence[str]) -> str:
 def exposures_from_exif(photos: Sequence[Photo]) -> Exposures:
     """Seconds at ISO 100 and at the photos' median aperture (``exif.comparable``).
 
-    What no photo tells (ISO, aperture: a manual lens) is the same for all of them and cancels. Raises
-    ``DataMismatchError`` where a time is missing, or where only some photos tell the rest, ``BadValueError``
-    where an exposure comes out absurd.
+    What no photo tells (ISO, aperture: a manual lens) is the same for all of them and cancels. Where no photo
+    tells its time, what the camera metered (APEX's brightness) tells the exposure, or the bias that the
+    photographer set, if it differs: seconds of no known unit then.
+
+    Raises ``DataMismatchError`` where a time is missing, or where only some photos tell the rest,
+    ``BadValueError`` where an exposure comes out absurd.
     """
+    if not any(photo.shutter for photo in photos):
+        relative = _by_brightness(photos) or _by_bias(photos)
+        if relative is not None:
+            return relative
     _require(photos, "exposure time", [photo.shutter for photo in photos])
     iso = [photo.iso for photo in photos]
     f_numbers = [photo.f_number for photo in photos]
     for what, values in (("ISO", iso), ("aperture", f_numbers)):
         if any(value is not None for value in values):
             _require(photos, what, values)
-    exposures = comparable([Exif(photo.shutter, photo.iso, photo.f_number) for photo in photos])
+    exposures = comparable([photo.exif for photo in photos])
     at = "one ISO that EXIF does not tell" if iso[0] is None else "ISO 100"
     if exposures.f_number is None:
         aperture = "one aperture that EXIF does not tell"
     else:
         aperture = f"f/{exposures.f_number:g}"
-    seconds = {
+    return Exposures(_checked(photos, exposures.seconds), f"EXIF; seconds at {at} and {aperture}")
+
+
+def _by_brightness(photos: Sequence[Photo]) -> Exposures | None:
+    """From APEX's Av + Tv = Bv + Sv (EXIF 2.3, annex C), of an exposure that is ``bias`` stops more.
+
+    Time × ISO / 100 / F² is then 2^(bias − Bv − 5), whatever the three are.
+    """
+    if any(photo.brightness is None for photo in photos):
+        return None
+    stops = [(photo.bias or 0.0) - (photo.brightness or 0.0) - 5.0 for photo in photos]
+    seconds = _checked(photos, [2.0**ev for ev in stops])
+    return Exposures(seconds, "EXIF's brightness values alone; seconds at ISO 100 and f/1")
+
+
+def _by_bias(photos: Sequence[Photo]) -> Exposures | None:
+    """Relative to the one that is neither brightened nor darkened."""
+    biases = [photo.bias for photo in photos]
+    if any(bias is None for bias in biases) or len(set(biases)) < 2:
+        return None
+    seconds = _checked(photos, [2.0 ** (bias or 0.0) for bias in biases])
+    return Exposures(seconds, "EXIF's exposure bias alone; relative, 1 where it is 0")
+
+
+def _checked(photos: Sequence[Photo], seconds: Sequence[float]) -> dict[str, float]:
+    return {
         photo.name: EXPOSURE.check(value, f"{photo.path}: the exposure by its EXIF data")
-        for photo, value in zip(photos, exposures.seconds, strict=True)
+        for photo, value in zip(photos, seconds, strict=True)
     }
-    return Exposures(seconds, f"EXIF; seconds at {at} and {aperture}")
+
+
+def same_exposures(photos: Sequence[Photo]) -> Exposures:
+    """All photos of one exposure, as the user says."""
+    return Exposures({photo.name: 1.0 for photo in photos}, "as asked: all the same, called 1 s")
 
 
 def _require(photos: Sequence[Photo], what: str, values: Sequence[float | None]) -> None:

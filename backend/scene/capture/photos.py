@@ -3,7 +3,9 @@
 
 import math
 import re
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -12,11 +14,15 @@ from PIL import ExifTags, Image, ImageOps
 
 from ....bridge.errors import DataMismatchError, FileDamagedError, FileMissingError
 from ....bridge.regular import damaged_where_it_fails
-from ..exif import Tags, exposure_of, positive, tags_of
+from ....bridge.srgb import to_srgb
+from ..exif import Exif, Tags, exposure_of, positive, tags_of
+from . import raw
+from .noise import Noise
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
-#: What cameras write that is no 8-bit picture; named in the message where nothing else is found.
-RAW_SUFFIXES = (".cr2", ".cr3", ".nef", ".arw", ".dng", ".orf", ".raf", ".rw2", ".pef", ".heic", ".heif")
+#: What phones write that Pillow does not open.
+HEIF_SUFFIXES = (".heic", ".heif", ".hif", ".avif")
+VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mts", ".m2ts", ".insv", ".360", ".lrv")
 COPY_AGAIN = "Copy it again, or move it away."
 #: Pillow's modes of 8 bits a channel that become RGB without loss; alpha is ignored, never composited.
 EIGHT_BIT_MODES = ("L", "LA", "P", "RGB", "RGBA", "RGBX")
@@ -24,6 +30,21 @@ EIGHT_BIT_MODES = ("L", "LA", "P", "RGB", "RGBA", "RGBX")
 TURNED = (5, 6, 7, 8)
 #: The width of 35 mm film in millimetres, to which FocalLengthIn35mmFilm refers.
 FILM_WIDTH = 36.0
+#: EXIF's ExposureMode of automatic bracketing.
+AUTO_BRACKET = 2
+#: Beside or in the folder of photos: NAME.png is black where NAME.jpg is not to be looked at.
+MASKS = "masks"
+
+FRAMES_OF_A_VIDEO = (
+    "Take single frames of it, two a second: ffmpeg -i {video} -vf fps=2 -qscale:v 2 FOLDER/%04d.jpg, then "
+    "physhdr prepare FOLDER --same-exposure."
+)
+HEIF = "Save them as JPEG, keeping EXIF (phones: Settings, Camera, Formats, Most Compatible; on macOS: sips)."
+FLAT_VIEWS = (
+    "Cut 360° pictures into flat views first, four of 90° each: ffmpeg -i {photo} -vf "
+    "v360=e:flat:h_fov=90:v_fov=90:yaw=0 NAME_0.jpg, with yaw 90, 180 and 270 for the others, and prepare "
+    "those with --exposures FILE (or --same-exposure)."
+)
 
 
 @dataclass(frozen=True)
@@ -31,7 +52,11 @@ class Photo:
     """A photo and what its EXIF says; None where it says nothing.
 
     ``width, height``: pixels, turned upright. ``taken``: when. ``shutter``: seconds. ``iso``: as is.
-    ``f_number``: focal length / aperture. ``focal_35mm``: millimetres on 35 mm film.
+    ``f_number``: focal length / aperture. ``focal_35mm``: millimetres on 35 mm film; ``focal``: the lens's.
+    ``bias``, ``brightness``: as ``exif.Exif``. ``camera``: maker and model. ``auto_bracket``: that it was
+    taken by automatic bracketing. ``panorama``: that it shows all around. ``mask``: a picture that is black
+    where it is not to be looked at. ``white_balance``: of a raw file, the factors of red, green and blue that
+    it is developed with; None: a picture. ``noise``: what a raw file tells of it.
     """
 
     path: Path
@@ -42,10 +67,32 @@ class Photo:
     iso: float | None = None
     f_number: float | None = None
     focal_35mm: float | None = None
+    focal: float | None = None
+    bias: float | None = None
+    brightness: float | None = None
+    camera: str | None = None
+    auto_bracket: bool = False
+    panorama: bool = False
+    mask: Path | None = None
+    white_balance: tuple[float, float, float] | None = None
+    noise: Noise | None = None
 
     @property
     def name(self) -> str:
         return self.path.name
+
+    @property
+    def is_raw(self) -> bool:
+        return self.white_balance is not None
+
+    @property
+    def exif(self) -> Exif:
+        return Exif(self.shutter, self.iso, self.f_number, self.bias, self.brightness)
+
+    @property
+    def lens(self) -> tuple[int, int, float | None]:
+        """Photos of one value were taken through the same lens the same way up: size, focal length."""
+        return self.width, self.height, None if self.focal is None else round(self.focal, 1)
 
     @property
     def focal_pixels(self) -> float | None:
@@ -55,16 +102,93 @@ class Photo:
         )
 
     def decode(self) -> Image.Image:
-        """The picture as RGB, 8 bits, upright; raises ``FileDamagedError``."""
+        """The picture as people look at it: RGB, 8 bits, upright; raises ``FileDamagedError``."""
+        if self.is_raw:
+            return Image.fromarray(_shown(self.developed().picture))
         unreadable = damaged_where_it_fails(f"{self.path} is not a readable photo", COPY_AGAIN)
         with unreadable, Image.open(self.path, formats=["JPEG", "PNG", "TIFF"]) as picture:
             return ImageOps.exif_transpose(picture).convert("RGB")
 
+    def developed(self, half: bool = False) -> raw.Developed:
+        """Of a raw file; raises ``FileDamagedError``. ``half``: half the size, in a quarter of the time."""
+        assert self.white_balance is not None
+        developed = raw.develop(self.path, self.white_balance, half)
+        height, width = developed.picture.shape[:2]
+        if not half and (width, height) != (self.width, self.height):
+            raise FileDamagedError(
+                f"{self.path} is {width}×{height}, not {self.width}×{self.height} as its header says",
+                COPY_AGAIN,
+            )
+        return developed
+
+    def codes(self, shorter: bool = False) -> tuple[np.ndarray, np.ndarray | None]:
+        """``[H, W, 3]`` as a data set has it, and ``[H, W]`` bool, True where it is to be compared (or None).
+
+        uint8 as the camera wrote it, or uint16, linear, of a raw file. ``shorter``: whether there is a
+        shorter exposure of the same place, so that nothing is lost where a raw file's colour is wrong.
+        """
+        keep = self.keep()
+        if not self.is_raw:
+            return np.asarray(self.decode()), keep
+        developed = self.developed()
+        if shorter and developed.partly.any():
+            keep = ~developed.partly if keep is None else keep & ~developed.partly
+        return np.rint(developed.picture * np.float32(raw.FULL)).astype(np.uint16), keep
+
+    def keep(self) -> np.ndarray | None:
+        """``[H, W]`` bool, True where the photo is to be looked at; None without a mask.
+
+        Raises ``FileDamagedError`` and ``DataMismatchError`` (a mask of another size).
+        """
+        if self.mask is None:
+            return None
+        unreadable = damaged_where_it_fails(f"{self.mask} is not a readable mask", COPY_AGAIN)
+        with unreadable, Image.open(self.mask, formats=["JPEG", "PNG", "TIFF"]) as picture:
+            mask = np.asarray(ImageOps.exif_transpose(picture).convert("L")) >= 128
+        if mask.shape != (self.height, self.width):
+            raise DataMismatchError(
+                f"the mask {self.mask} is {mask.shape[1]}×{mask.shape[0]}, its photo {self.name} is "
+                f"{self.width}×{self.height}",
+                "Make it at the photo's size and the same way up, or remove it.",
+            )
+        return mask
+
+    def copy(self, side: int) -> Image.Image:
+        """``decode`` for structure from motion: of a raw file at least ``side`` wide or high, if it is."""
+        if self.is_raw and max(self.width, self.height) >= 2 * side:
+            return Image.fromarray(_shown(self.developed(half=True).picture))
+        return self.decode()
+
     def thumbnail(self, side: int = 256) -> np.ndarray:
         """``[h, w, 3]`` uint8 at most ``side`` wide and high, by picking pixels, so that clipping stays."""
-        pixels = np.asarray(self.decode())
+        pixels = np.asarray(self.copy(side))
         step = max(1, math.ceil(max(pixels.shape[:2]) / side))
         return pixels[::step, ::step]
+
+
+def _shown(linear: np.ndarray) -> np.ndarray:
+    return np.rint(to_srgb(linear) * 255.0).astype(np.uint8)
+
+
+@dataclass(frozen=True)
+class Skipped:
+    """A file in the folder that is not used, and why."""
+
+    name: str
+    why: str
+
+
+@dataclass(frozen=True)
+class Found:
+    """The photos of a folder in the order of names; what is ``skipped``; ``notes`` for people to read.
+
+    ``damaged``: those of the skipped that should have been photos, of which nothing but the name is known.
+    """
+
+    photos: list[Photo]
+    skipped: list[Skipped]
+    notes: list[str]
+    damaged: list[Photo]
 
 
 def natural_order(name: str) -> list[tuple[int, int, str]]:
@@ -73,55 +197,149 @@ def natural_order(name: str) -> list[tuple[int, int, str]]:
     return [(0, int(part), "") if part.isdigit() else (1, 0, part) for part in parts]
 
 
-def find_photos(folder: Path) -> list[Photo]:
-    """Every photo in ``folder`` (not below it), in the order of names, with its EXIF.
+def find_photos(folder: Path, done: Callable[[int, int], None] = lambda photos, of: None) -> Found:
+    """Every photo in ``folder`` (not below it), in the order of names, with its EXIF. Headers only.
 
-    Raises ``FileMissingError`` (no folder, no photos), ``FileDamagedError`` (a file that is no picture or
-    has more than 8 bits), ``DataMismatchError`` (sizes differ).
+    Of a raw file and a picture of the same stem the raw file is taken; damaged files, videos, 360° pictures
+    and other cameras' photos are skipped. ``done`` is told after every file.
+
+    Raises ``FileMissingError`` (no folder, no photos in it, no rawpy for raw files), ``FileDamagedError``
+    (no file can be read), ``DataMismatchError`` (all are 360° pictures).
     """
     if not folder.is_dir():
         raise FileMissingError(
             f"the folder of photos {folder} does not exist", "Give the folder they are in."
         )
     files = [path for path in folder.iterdir() if path.is_file() and not path.name.startswith(".")]
-    paths = [path for path in files if path.suffix.lower() in SUFFIXES]
+    files.sort(key=lambda path: natural_order(path.name))
+    paths = [path for path in files if path.suffix.lower() in (*SUFFIXES, *raw.SUFFIXES)]
     if not paths:
         raise FileMissingError(f"{folder} holds no photos{_what_else(folder, files)}", _remedy(files))
-    photos = [_read_header(path) for path in sorted(paths, key=lambda path: natural_order(path.name))]
-    _require_one_size(photos)
-    return photos
+    notes: list[str] = []
+    raws = {path.stem for path in paths if path.suffix.lower() in raw.SUFFIXES}
+    pairs = [path for path in paths if path.stem in raws and path.suffix.lower() in SUFFIXES]
+    if pairs:
+        notes.append(f"{len(pairs)} photos are there as raw file and as picture: the raw files are used")
+    if raws:
+        raw.require_rawpy()
+    photos: list[Photo] = []
+    skipped: list[Skipped] = []
+    errors: list[FileDamagedError] = []
+    damaged: list[Photo] = []
+    paths = [path for path in paths if path not in pairs]
+    for number, path in enumerate(paths):
+        try:
+            photos.append(_read_header(path))
+        except FileDamagedError as error:
+            errors.append(error)
+            damaged.append(Photo(path, 0, 0))
+            skipped.append(Skipped(path.name, error.message.removeprefix(f"{path} ")))
+        done(number + 1, len(paths))
+    if not photos:
+        raise errors[0]
+    skipped += _not_pictures(files, raws)
+    photos = _flat(photos, skipped)
+    photos = _of_one_kind(photos, skipped)
+    photos = _of_one_camera(photos, skipped)
+    photos = [replace(photo, mask=_mask_of(photo.path)) for photo in photos]
+    if raws and photos[0].is_raw:
+        photos, note = _one_white_balance(photos)
+        notes.append(note)
+    return Found(photos, skipped, notes, damaged)
 
 
 def _what_else(folder: Path, files: list[Path]) -> str:
-    if any(path.suffix.lower() in RAW_SUFFIXES for path in files):
-        return f", but {sum(path.suffix.lower() in RAW_SUFFIXES for path in files)} raw or HEIC files"
+    for what, suffixes in (("HEIC files", HEIF_SUFFIXES), ("videos", VIDEO_SUFFIXES)):
+        count = sum(path.suffix.lower() in suffixes for path in files)
+        if count:
+            return f", but {count} {what}"
     below = [sub.name for sub in sorted(folder.iterdir()) if sub.is_dir()]
     return f" itself, only folders ({', '.join(below[:3])}{' …' if len(below) > 3 else ''})" if below else ""
 
 
 def _remedy(files: list[Path]) -> str:
-    if any(path.suffix.lower() in RAW_SUFFIXES for path in files):
-        return (
-            "Develop them all with the same settings, without automatic corrections, to JPEG or 8-bit TIFF."
-        )
-    return "Put all photos, JPEG, PNG or 8-bit TIFF, into one folder and give that."
+    if any(path.suffix.lower() in HEIF_SUFFIXES for path in files):
+        return HEIF
+    for path in files:
+        if path.suffix.lower() in VIDEO_SUFFIXES:
+            return FRAMES_OF_A_VIDEO.format(video=path.name)
+    return "Put all photos, JPEG, PNG, TIFF or a camera's raw files, into one folder and give that."
 
 
-def _require_one_size(photos: list[Photo]) -> None:
-    sizes: dict[tuple[int, int], list[Photo]] = {}
-    for photo in photos:
-        sizes.setdefault((photo.width, photo.height), []).append(photo)
-    if len(sizes) > 1:
-        common = max(sizes, key=lambda size: len(sizes[size]))
-        odd = next(photo for photo in photos if (photo.width, photo.height) != common)
-        found = ", ".join(f"{len(group)} of {w}×{h}" for (w, h), group in sizes.items())
+def _not_pictures(files: Sequence[Path], raws: set[str]) -> list[Skipped]:
+    skipped = []
+    for path in files:
+        suffix = path.suffix.lower()
+        if suffix in VIDEO_SUFFIXES:
+            why = f"is a video. {FRAMES_OF_A_VIDEO.format(video=path.name)}"
+            skipped.append(Skipped(path.name, why))
+        elif suffix in HEIF_SUFFIXES and path.stem not in raws:
+            skipped.append(Skipped(path.name, f"is in HEIF. {HEIF}"))
+    return skipped
+
+
+def _flat(photos: list[Photo], skipped: list[Skipped]) -> list[Photo]:
+    """Without pictures that show all around; raises ``DataMismatchError`` where all do."""
+    around = [photo for photo in photos if photo.panorama]
+    if len(around) == len(photos):
         raise DataMismatchError(
-            f"the photos have {len(sizes)} sizes: {found}; {odd.name} is {odd.width}×{odd.height}",
-            "One camera with one lens, not zoomed or turned, takes them all: move those that differ away.",
+            f"the {len(photos)} photos are 360° pictures ({photos[0].name} is {photos[0].width}×"
+            f"{photos[0].height}), which no lens takes",
+            FLAT_VIEWS.format(photo=photos[0].name),
         )
+    skipped += [Skipped(photo.name, "is a 360° picture") for photo in around]
+    return [photo for photo in photos if not photo.panorama]
+
+
+def _of_one_kind(photos: list[Photo], skipped: list[Skipped]) -> list[Photo]:
+    """Raw files or pictures, whichever are more: their codes mean different things."""
+    kinds = Counter(photo.is_raw for photo in photos)
+    kept = kinds[True] >= kinds[False]
+    what = "raw files" if kept else "pictures"
+    skipped += [
+        Skipped(photo.name, f"is a {'picture' if kept else 'raw file'}, most others are {what}")
+        for photo in photos
+        if photo.is_raw != kept
+    ]
+    return [photo for photo in photos if photo.is_raw == kept]
+
+
+def _of_one_camera(photos: list[Photo], skipped: list[Skipped]) -> list[Photo]:
+    """Those of the camera that took most: another one has another response, of which nothing is known."""
+    cameras = Counter(photo.camera for photo in photos if photo.camera is not None)
+    if len(cameras) < 2:
+        return photos
+    main = cameras.most_common(1)[0][0]
+    skipped += [
+        Skipped(photo.name, f"was taken by {photo.camera}, most others by {main}: prepare them by themselves")
+        for photo in photos
+        if photo.camera not in (None, main)
+    ]
+    return [photo for photo in photos if photo.camera in (None, main)]
+
+
+def _one_white_balance(photos: list[Photo]) -> tuple[list[Photo], str]:
+    """All are developed with that of the photo whose own is the middle one."""
+    own = [photo.white_balance for photo in photos if photo.white_balance is not None]
+    chosen = raw.common_white_balance(own)
+    factors = ", ".join(f"{factor:.3f}" for factor in own[chosen])
+    others = "" if len(set(own)) == 1 else f", the middle one of {len(set(own))}"
+    words = f"white balance (red, green, blue) {factors}: the camera's in {photos[chosen].name}{others}"
+    return [replace(photo, white_balance=own[chosen]) for photo in photos], words
+
+
+def _mask_of(path: Path) -> Path | None:
+    """``masks/NAME.png`` or ``masks/NAME.jpg.png`` in the photos' folder or beside it."""
+    for folder in (path.parent / MASKS, path.parent.parent / MASKS):
+        for name in (f"{path.stem}.png", f"{path.name}.png"):
+            if (folder / name).is_file():
+                return folder / name
+    return None
 
 
 def _read_header(path: Path) -> Photo:
+    if path.suffix.lower() in raw.SUFFIXES:
+        return _read_raw_header(path)
     unreadable = damaged_where_it_fails(f"{path} is not a readable photo", COPY_AGAIN)
     with unreadable, Image.open(path, formats=["JPEG", "PNG", "TIFF"]) as picture:
         if picture.mode not in EIGHT_BIT_MODES:
@@ -131,18 +349,41 @@ def _read_header(path: Path) -> Photo:
             )
         width, height = picture.size
         tags = tags_of(picture)
+        xmp = picture.info.get("xmp", b"")
     if tags.get(ExifTags.Base.Orientation) in TURNED:
         width, height = height, width
-    exposure = exposure_of(tags)
-    return Photo(
-        path,
-        width,
-        height,
+    around = isinstance(xmp, bytes) and b"GPano" in xmp and b"equirectangular" in xmp
+    photo = _with_tags(Photo(path, width, height), tags, exposure_of(tags))
+    # Two to one exactly, from nothing that has a focal length.
+    around = around or (width == 2 * height and photo.focal_35mm is None and photo.focal is None)
+    return replace(photo, panorama=around and width > LEAST_AROUND)
+
+
+#: A picture that is less wide does not show all around: it is a test's, or an icon.
+LEAST_AROUND = 1000
+
+
+def _read_raw_header(path: Path) -> Photo:
+    header = raw.read_header(path)
+    photo = Photo(path, header.width, header.height, white_balance=header.white_balance, noise=header.noise)
+    photo = _with_tags(photo, header.tags, header.exif)
+    return replace(photo, taken=photo.taken or header.taken)
+
+
+def _with_tags(photo: Photo, tags: Tags, exposure: Exif) -> Photo:
+    named = (str(tags.get(tag, "")).strip(" \0") for tag in (ExifTags.Base.Make, ExifTags.Base.Model))
+    return replace(
+        photo,
         taken=_moment(tags),
         shutter=exposure.time,
         iso=exposure.iso,
         f_number=exposure.f_number,
+        bias=exposure.bias,
+        brightness=exposure.brightness,
         focal_35mm=positive(tags, ExifTags.Base.FocalLengthIn35mmFilm),
+        focal=positive(tags, ExifTags.Base.FocalLength),
+        camera=" ".join(name for name in named if name) or None,
+        auto_bracket=tags.get(ExifTags.Base.ExposureMode) == AUTO_BRACKET,
     )
 
 

@@ -5,6 +5,7 @@ pycolmap is optional (the extra ``prepare``) and is imported only in ``scene/len
 process that ``colmap_process.py`` is.
 """
 
+import itertools
 import json
 import shutil
 import subprocess
@@ -28,6 +29,10 @@ from .photos import Photo
 MATCH_SIDE = 2000
 #: Below this, features are looked for more patiently.
 SMALL_SIDE = 800
+#: Up to so many pictures each is matched with each other.
+MOST_FOR_EXHAUSTIVE = 100
+#: A longer capture matches each picture with so many that follow, and with some further ones.
+SEQUENTIAL_OVERLAP = 12
 #: Fewer cameras are no capture: nothing could be trained on them.
 FEWEST_POSES = 3
 CAPTURE_REMEDY = (
@@ -95,62 +100,128 @@ def recover(
     folder: Path,
     camera_model: str,
     threads: int = -1,
-    say: Callable[[str], None] = lambda step: None,
+    at: Callable[[str, float], None] = lambda step, share: None,
+    pairs: Sequence[tuple[int, int]] | None = None,
+    equalised: bool = False,
 ) -> Structure:
-    """Structure from motion on one photo for each pose number, all by one camera.
+    """Structure from motion on one photo for each pose number.
 
-    ``folder``: an empty one for what COLMAP writes. ``say`` is told each step. Raises ``StructureError``
-    where fewer than ``FEWEST_POSES`` can be placed, or COLMAP fails; its log stays in the message.
-    ``OutputError`` where the disk is full.
+    Photos of one size and focal length share a camera. ``folder``: an empty one for what COLMAP writes.
+    ``at`` is told each step and which share of it is done. ``pairs``: which are matched, by number; None:
+    all, or neighbours in time where they are many. ``equalised``: whether all photos are brought to one
+    brightness first. Raises ``StructureError`` where fewer than ``FEWEST_POSES`` can be placed, or COLMAP
+    fails; its log stays in the message. ``OutputError`` where the disk is full.
     """
     require_pycolmap()
-    names = {number: f"{number:05d}.png" for number in photos}
-    scale = _write_pictures(photos, names, folder / "pictures", say)
-    first = next(iter(photos.values()))
+    lenses = {lens: number for number, lens in enumerate(dict.fromkeys(p.lens for p in photos.values()))}
+    names = {number: f"{lenses[photo.lens]}/{number:05d}.png" for number, photo in photos.items()}
+    masked = _write_pictures(photos, names, folder, at, equalised)
+    groups = []
+    for lens in lenses:
+        numbers = [number for number, photo in photos.items() if photo.lens == lens]
+        guess = _first_guess(camera_model, [photos[number] for number in numbers])
+        groups.append({"names": [names[number] for number in numbers], "camera_params": guess})
+    if pairs is None:
+        pairs = pairs_in_time(list(photos))
     job = {
         "folder": str(folder),
-        "names": list(names.values()),
+        "groups": groups,
+        "match": [(names[one], names[other]) for one, other in pairs],
         "camera_model": camera_model,
-        "camera_params": _first_guess(camera_model, first, scale),
-        "small": max(first.width, first.height) < SMALL_SIDE,
+        "masks": str(folder / "masks") if masked else "",
+        "small": max(max(photo.width, photo.height) for photo in photos.values()) < SMALL_SIDE,
         "threads": threads,
     }
-    run_colmap(job, folder, say)
+    run_colmap(job, folder, at=at)
     pieces = json.loads((folder / "pieces.json").read_text())
     if not pieces or len(pieces[0]) < FEWEST_POSES:
         most = len(pieces[0]) if pieces else 0
         raise StructureError(
             f"the photos do not fit together: of {len(photos)} poses {most} could be placed", CAPTURE_REMEDY
         )
-    structure = _read(folder / "model", {name: number for number, name in names.items()})
-    return _at_size(structure, first.width, first.height)
+    structure = _read(folder / "model", {Path(name).name: number for number, name in names.items()})
+    return _at_size(structure, {number: (photo.width, photo.height) for number, photo in photos.items()})
+
+
+def pairs_in_time(numbers: Sequence[int]) -> list[tuple[int, int]]:
+    """Which of the pictures, in the order in which they were taken, are matched: each with each, or, of more
+    than ``MOST_FOR_EXHAUSTIVE``, with those that follow next and, at doubling distances, further ones.
+    """
+    if len(numbers) <= MOST_FOR_EXHAUSTIVE:
+        return list(itertools.combinations(numbers, 2))
+    return _neighbours(numbers)
+
+
+def _neighbours(numbers: Sequence[int]) -> list[tuple[int, int]]:
+    steps = {*range(1, SEQUENTIAL_OVERLAP + 1), *(1 << k for k in range(SEQUENTIAL_OVERLAP))}
+    return [(numbers[k], numbers[k + step]) for step in sorted(steps) for k in range(len(numbers) - step)]
+
+
+def pairs_of_places(places: Sequence[int], steps: Sequence[int]) -> list[tuple[int, int]]:
+    """The same of hand-held brackets, by the place and the step of the bracket of each picture.
+
+    Of many: the same steps of places as above, and neighbouring steps of one place and the next.
+    """
+    if len(places) <= MOST_FOR_EXHAUSTIVE:
+        return pairs_in_time(range(len(places)))
+    number = {key: k for k, key in enumerate(zip(places, steps, strict=True))}
+    pairs: set[tuple[int, int]] = set()
+    for step in set(steps):
+        pairs |= set(_neighbours([k for (_, each), k in number.items() if each == step]))
+        for (place, each), k in number.items():
+            if each == step:
+                near = [(place, step + 1), (place + 1, step + 1), (place - 1, step + 1)]
+                pairs |= {(k, number[key]) for key in near if key in number}
+    return sorted({(min(pair), max(pair)) for pair in pairs})
 
 
 def _write_pictures(
-    photos: Mapping[int, Photo], names: Mapping[int, str], folder: Path, say: Callable[[str], None]
-) -> float:
-    """The pictures to match, upright and not too large; returns their scale."""
-    say("reading photos")
-    folder.mkdir(parents=True)
-    first = next(iter(photos.values()))
-    scale = min(1.0, MATCH_SIDE / max(first.width, first.height))
-    size = round(first.width * scale), round(first.height * scale)
-    for number, photo in photos.items():
-        picture = photo.decode()
-        if scale < 1.0:
+    photos: Mapping[int, Photo],
+    names: Mapping[int, str],
+    folder: Path,
+    at: Callable[[str, float], None],
+    equalised: bool,
+) -> bool:
+    """The pictures to match, upright and not too large, and their masks; whether there are any masks."""
+    masked = False
+    for done, (number, photo) in enumerate(photos.items()):
+        at("reading photos", done / len(photos))
+        size = match_size(photo)
+        picture = photo.copy(max(size))
+        if picture.size != size:
             picture = picture.resize(size, Image.Resampling.HAMMING)
-        picture.save(folder / names[number], compress_level=1)
-    return scale
+        path = folder / "pictures" / names[number]
+        path.parent.mkdir(parents=True, exist_ok=True)
+        (equal(picture) if equalised else picture).save(path, compress_level=1)
+        mask = photo.keep()
+        if mask is not None:
+            masked = True
+            path = folder / "masks" / f"{names[number]}.png"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            Image.fromarray(mask).resize(size, Image.Resampling.NEAREST).save(path)
+    return masked
 
 
-def _first_guess(camera_model: str, photo: Photo, scale: float) -> str:
+def match_size(photo: Photo) -> tuple[int, int]:
+    """Width and height at which a photo is matched."""
+    scale = min(1.0, MATCH_SIDE / max(photo.width, photo.height))
+    return round(photo.width * scale), round(photo.height * scale)
+
+
+def equal(picture: Image.Image) -> Image.Image:
+    """A picture whose codes are as evenly used as can be, whatever its exposure was."""
+    return picture
+
+
+def _first_guess(camera_model: str, photos: Sequence[Photo]) -> str:
     """The camera's parameters as COLMAP reads them, where EXIF tells the focal length; else empty."""
-    focal = photo.focal_pixels
-    if focal is None:
+    photo = next((photo for photo in photos if photo.focal_pixels is not None), None)
+    if photo is None or photo.focal_pixels is None:
         return ""
     pycolmap = require_pycolmap()
+    width, height = match_size(photo)
     camera = pycolmap.Camera.create_from_model_name(
-        0, camera_model, focal * scale, round(photo.width * scale), round(photo.height * scale)
+        0, camera_model, photo.focal_pixels * width / photo.width, width, height
     )
     return camera.params_to_string()
 
@@ -158,26 +229,34 @@ def _first_guess(camera_model: str, photo: Photo, scale: float) -> str:
 def run_colmap(
     job: dict[str, Any],
     folder: Path,
-    say: Callable[[str], None],
+    say: Callable[[str], None] = lambda step: None,
     remedy: str = CAPTURE_REMEDY,
     full: str = "give an --out on another disk",
+    at: Callable[[str, float], None] = lambda step, share: None,
 ) -> None:
-    """``colmap_process.py`` with ``job`` in ``folder``, its work place; ``say`` is told each step.
+    """``colmap_process.py`` with ``job`` in ``folder``, its work place.
 
-    Raises ``StructureError`` with ``remedy`` where COLMAP fails, its last words in the message, or
-    ``OutputError`` where the disk is full: what helps beside freeing space is ``full``.
+    ``say`` is told each step, ``at`` also which share of it is done. Whatever ends this, ends that: the
+    process lives while the pipe to it is open. Raises ``StructureError`` with ``remedy`` where COLMAP fails,
+    its last words in the message, or ``OutputError`` where the disk is full: what helps beside freeing space
+    is ``full``.
     """
     (folder / "job.json").write_text(json.dumps(job))
     log = folder / "colmap.log"
     command = [sys.executable, str(Path(__file__).with_name("colmap_process.py")), str(folder / "job.json")]
     with (
         open(log, "w", encoding="utf-8") as errors,
-        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True) as process,
+        subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, text=True
+        ) as process,
     ):
         assert process.stdout is not None
         try:
             for line in process.stdout:
-                say(line.strip())
+                step, _, share = line.strip().partition("\t")
+                if not share:
+                    say(step)
+                at(step, float(share or 0.0))
         except BaseException:
             process.kill()
             raise
@@ -223,8 +302,8 @@ def existing(folder: Path, poses: Sequence[Bracket]) -> Structure:
             f"{some_names([photo.name for photo in poses[0].photos])}",
             "Its pictures must have the photos' file names.",
         )
-    photo = poses[0].photos[0]
-    return _at_size(structure, photo.width, photo.height)
+    sizes = {number: (pose.photos[0].width, pose.photos[0].height) for number, pose in enumerate(poses)}
+    return _at_size(structure, sizes)
 
 
 # ---- reading ------------------------------------------------------------------------------------------
@@ -268,20 +347,24 @@ def _read(model: Path, numbers: Mapping[str, int]) -> Structure:
     )
 
 
-def _at_size(structure: Structure, width: int, height: int) -> Structure:
-    """The same for photos of ``width × height``; COLMAP may have seen smaller copies of them."""
-    registered, factor = dict(structure.registered), 1.0
+def _at_size(structure: Structure, sizes: Mapping[int, tuple[int, int]]) -> Structure:
+    """The same for photos of these widths and heights; COLMAP may have seen smaller copies of them."""
+    registered, factors = dict(structure.registered), [1.0]
     for number, camera in structure.cameras.items():
+        of_camera = [place for place, pose in registered.items() if pose.camera == number]
+        width, height = sizes[of_camera[0]]
         factor = width / camera.width
-        if abs(height - camera.height * factor) > max(1.0, factor):
+        odd = next((sizes[place] for place in of_camera if sizes[place] != (width, height)), None)
+        if odd is not None or abs(height - camera.height * factor) > max(1.0, factor):
+            width, height = odd or (width, height)
             raise DataMismatchError(
                 f"the reconstruction is of pictures of {camera.width}×{camera.height}, the photos are "
                 f"{width}×{height}",
                 "It must be of these photos, not cropped and not turned.",
             )
         scale = np.array([factor, height / camera.height])
-        for place, pose in registered.items():
-            if pose.camera == number:
-                registered[place] = replace(pose, keypoints=pose.keypoints * scale)
+        for place in of_camera:
+            registered[place] = replace(registered[place], keypoints=registered[place].keypoints * scale)
         camera.rescale(width, height)
-    return replace(structure, registered=registered, errors=structure.errors * factor)
+        factors.append(factor)
+    return replace(structure, registered=registered, errors=structure.errors * factors[-1])

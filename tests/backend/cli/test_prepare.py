@@ -95,7 +95,7 @@ def assert_poses(scene, capture, room):
 def test_cameras_lens_and_points_are_the_true_ones(prepared, capture, room):
     """All exposures, read back by our reader of GaussHDR's packaging, which knows nothing of this command."""
     scene = read_scene(prepared)
-    assert [view.index for view in scene.test] == [0, 4, 8] and len(scene.train) == POSES - 3
+    assert [view.index for view in scene.test] == [2, 6] and len(scene.train) == POSES - 2  # no ends
     assert all(view.exposures == pytest.approx(room.EXPOSURES) for view in scene.train)
     scale, rotation, shift = assert_poses(scene, capture, room)
     camera = scene.train[0].camera
@@ -137,11 +137,12 @@ def test_colmap_reads_what_we_wrote(prepared):
 
 def test_it_says_where_everything_came_from(prepared, photos):
     origin = json.loads((prepared / "prepare.json").read_text())
-    assert origin["sources"]["test_000_0.png"] == "DSC_9998.jpg"  # −, then 0, then +
-    assert origin["sources"]["test_000_2.png"] == "DSC_9997.jpg"
+    assert origin["sources"]["train_000_0.png"] == "DSC_9998.jpg"  # −, then 0, then +
+    assert origin["sources"]["train_000_2.png"] == "DSC_9997.jpg"
     assert origin["sources"]["train_001_4.png"] == "DSC_0002.jpg"
     assert set(origin["sources"]) == {path.name for path in (prepared / "images").iterdir()}
     assert origin["left_out"] == [] and "ISO 100" in origin["exposures"]
+    assert (origin["kind"], origin["encoding"]) == ("brackets", "camera")
     assert sorted(path.name for path in prepared.parent.iterdir()) == ["room"]
     assert len(list(photos.iterdir())) == 3 * POSES
 

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Brackets found by name, and by order, pattern and pauses; what is not plain is refused."""
 
+from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 from physhdr.backend.scene.capture.brackets import find_brackets
 from physhdr.backend.scene.capture.choice import best_step, clipped_share, thinned
 from physhdr.backend.scene.capture.photos import Photo
+from physhdr.backend.scene.capture.structure import pairs_in_time, pairs_of_places
 from physhdr.bridge.errors import PhysHDRError
 
 
@@ -89,6 +91,67 @@ def test_pauses_show_brackets_that_are_shifted():
 
 def test_a_long_exposure_is_no_pause():
     assert find_brackets(*shots([0, 3, 5] * 3, pauses=[2, 9, 38] * 3)).length == 3
+
+
+def test_automatic_exposure_without_brackets_is_a_photo_a_place():
+    """Eleven photos of 1/500 to 1/1250 s, as they came, and twelve that look into the light and out of it."""
+    times = [800, 640, 640, 500, 640, 800, 1000, 1250, 1000, 1000, 800]
+    found = find_brackets(*shots([-np.log2(time) for time in times]))
+    assert found.length == 1 and len(found.poses) == 11 and "automatic" in found.how
+    assert found.stops == pytest.approx(np.log2(2.5))
+    drifting = [0, 1.0, 1.7, 0.3, -1.3, -1.0, 0.3, 2.0, 1.7, 2.3, 0.7, -0.3]
+    assert find_brackets(*shots(drifting)).length == 1
+
+
+def test_a_camera_that_says_it_was_bracketing_is_believed():
+    photos, seconds = shots([0, 0.3, 0.7] * 2 + [0, 0.3])
+    photos = [replace(photo, auto_bracket=True) for photo in photos]
+    assert "not plain which of the 8" in refused(photos, seconds)
+
+
+@pytest.mark.parametrize("drift", [0.0, 0.5])
+@pytest.mark.parametrize("pattern", [[0, -2, 2], [-2, 0, 2], [0, -1, 1], [0, -2, -1, 1, 2], [0, 2]])
+def test_a_missing_photo_never_passes_for_automatic_exposure(pattern, drift):
+    random = np.random.default_rng(3)
+    for _ in range(20):
+        evs = [round(3 * base) / 3 + ev for base in random.normal(0, drift, 12) for ev in pattern]
+        assert find_brackets(*shots(evs)).length == len(pattern)
+        del evs[random.integers(1, len(evs) - 1)]
+        refused(*shots(evs))
+
+
+def test_a_damaged_photo_keeps_its_place_and_costs_its_bracket():
+    """By order, with and without the camera's clock, and by name."""
+    for pauses in (None, [1, 1, 20] * 4):
+        photos, seconds = shots([0, -2, 2] * 4, pauses=pauses)
+        photos[4] = Photo(photos[4].path, 0, 0)
+        del seconds[photos[4].name]
+        found = find_brackets(photos, seconds)
+        assert found.length == 3 and [pose[1] for pose in poses(found)] == [
+            "IMG_0000",
+            "IMG_0006",
+            "IMG_0009",
+        ]
+    photos, seconds = shots([0, 2] * 3, [f"{pose}_{k}.png" for pose in "abc" for k in range(2)])
+    del seconds["b_1.png"]
+    assert poses(find_brackets(photos, seconds)) == [["a_0", "a_1"], ["c_0", "c_1"]]
+
+
+def test_hand_held_brackets_are_photos_by_themselves_that_know_their_place():
+    found = find_brackets(*shots([0, -2, 2] * 3)).apart()
+    assert found.length == 1 and found.place_of == (0, 0, 0, 1, 1, 1, 2, 2, 2)
+    assert poses(found)[:3] == [["IMG_0001"], ["IMG_0000"], ["IMG_0002"]] and found.stops == 4.0
+
+
+def test_which_photos_are_matched():
+    """Few: all; many: the same exposure with what follows it, and the next exposure from place to place."""
+    assert len(pairs_in_time(range(20))) == 190
+    long = pairs_in_time(range(300))
+    assert (5, 6) in long and (5, 17) in long and (5, 5 + 128) in long and (5, 5 + 100) not in long
+    places, steps = [k // 3 for k in range(300)], [k % 3 for k in range(300)]
+    held = pairs_of_places(places, steps)
+    assert (0, 3) in held and (0, 1) in held and (0, 4) in held and (0, 2) not in held
+    assert len(held) == len(set(held)) and all(one < other for one, other in held) and len(held) < 300 * 20
 
 
 def test_what_is_not_plain_the_user_says():

@@ -6,7 +6,7 @@ from datetime import datetime
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import ExifTags, Image
 
 from physhdr.backend.scene.capture.exposures import exposures_from_exif, exposures_from_file
 from physhdr.backend.scene.capture.photos import find_photos, natural_order
@@ -35,7 +35,7 @@ def test_exif_of_every_kind_of_file(room, tmp_path, suffix):
         FocalLengthIn35mmFilm=28,
         SubsecTimeOriginal="25",
     )
-    photo = find_photos(tmp_path)[0]
+    photo = find_photos(tmp_path).photos[0]
     assert (photo.width, photo.height, photo.iso) == (30, 20, 200)
     assert photo.shutter == pytest.approx(1 / 60, rel=1e-3) and photo.f_number == pytest.approx(5.6)
     assert photo.taken == datetime(2026, 5, 1, 12, 0, 0, 250_000)
@@ -47,7 +47,7 @@ def test_exposure_is_time_times_iso_over_aperture_squared(room, tmp_path):
     for name, seconds, iso, f_number in [("a", 0.1, 100, 8.0), ("b", 0.2, 100, 8.0), ("c", 0.1, 200, 8.0)]:
         room.write_photo(tmp_path / f"{name}.jpg", GREY, seconds, NOON, iso, f_number)
     room.write_photo(tmp_path / "d.jpg", GREY, 0.1, NOON, 100, 4.0)
-    found = exposures_from_exif(find_photos(tmp_path))
+    found = exposures_from_exif(find_photos(tmp_path).photos)
     assert found.seconds == pytest.approx({"a.jpg": 0.1, "b.jpg": 0.2, "c.jpg": 0.2, "d.jpg": 0.4})
     assert "ISO 100" in found.meaning and "f/8" in found.meaning
 
@@ -55,7 +55,7 @@ def test_exposure_is_time_times_iso_over_aperture_squared(room, tmp_path):
 def test_apex_values_stand_in_and_a_manual_lens_cancels(room, tmp_path):
     for name, speed in (("a", 3), ("b", 1)):
         room.write_photo(tmp_path / f"{name}.jpg", GREY, iso=400, ShutterSpeedValue=float(speed))
-    found = exposures_from_exif(find_photos(tmp_path))
+    found = exposures_from_exif(find_photos(tmp_path).photos)
     assert found.seconds == pytest.approx({"a.jpg": 4 * 2.0**-3, "b.jpg": 4 * 2.0**-1})
     assert "one aperture that EXIF does not tell" in found.meaning
 
@@ -64,7 +64,7 @@ def test_a_photo_lies_upright_as_its_tag_says(room, tmp_path):
     pixels = GREY.copy()
     pixels[0, :, 0] = 255  # the top edge as stored
     room.write_photo(tmp_path / "a.png", pixels, 1.0, Orientation=6)  # turn by 90° clockwise to show it
-    photo = find_photos(tmp_path)[0]
+    photo = find_photos(tmp_path).photos[0]
     upright = np.asarray(photo.decode())
     assert (photo.width, photo.height) == (20, 30) == upright.shape[1::-1]
     assert (upright[:, -1, 0] == 255).all() and (upright[:, 0, 0] == 90).all()
@@ -77,7 +77,7 @@ def test_names_in_natural_order():
 def test_exposures_from_files(room, tmp_path):
     for name in ("a", "b"):
         room.write_photo(tmp_path / f"{name}.jpg", GREY)
-    photos = find_photos(tmp_path)
+    photos = find_photos(tmp_path).photos
     (tmp_path / "e.json").write_text(json.dumps({"a.jpg": 0.5, "b": 2, "elsewhere.jpg": 9}))
     (tmp_path / "e.csv").write_text("name,seconds\na.jpg,1/2\nb.jpg, 2\n")
     for file in ("e.json", "e.csv"):
@@ -100,17 +100,17 @@ def test_bad_files_of_exposures(room, tmp_path, name, text, words):
     for photo in ("a", "b"):
         room.write_photo(tmp_path / f"{photo}.jpg", GREY)
     (tmp_path / name).write_text(text)
-    assert words in refused(exposures_from_file, tmp_path / name, find_photos(tmp_path))
+    assert words in refused(exposures_from_file, tmp_path / name, find_photos(tmp_path).photos)
 
 
 def test_missing_exif_is_named_with_the_remedy(room, tmp_path):
     room.write_photo(tmp_path / "a.jpg", GREY, 1.0, iso=100)
     room.write_photo(tmp_path / "b.jpg", GREY)
-    message = refused(exposures_from_exif, find_photos(tmp_path))
+    message = refused(exposures_from_exif, find_photos(tmp_path).photos)
     assert "1 of 2 photos do not tell its exposure time" in message
     assert "b.jpg" in message and "--exposures" in message
     room.write_photo(tmp_path / "b.jpg", GREY, 1.0)
-    assert "ISO" in refused(exposures_from_exif, find_photos(tmp_path))
+    assert "ISO" in refused(exposures_from_exif, find_photos(tmp_path).photos)
 
 
 def test_folders_without_photos(room, tmp_path):
@@ -118,24 +118,135 @@ def test_folders_without_photos(room, tmp_path):
     assert "holds no photos" in refused(find_photos, tmp_path)
     (tmp_path / "ev0").mkdir()
     assert "only folders (ev0)" in refused(find_photos, tmp_path)
-    (tmp_path / "a.NEF").write_bytes(b"raw")
-    assert "Develop them" in refused(find_photos, tmp_path)
-
-
-def test_photos_that_cannot_be_used(room, tmp_path):
-    room.write_photo(tmp_path / "a.jpg", GREY)
-    room.write_photo(tmp_path / "b.jpg", GREY)
-    room.write_photo(tmp_path / "c.jpg", GREY[:10])
+    (tmp_path / "a.mp4").write_bytes(b"video")
     message = refused(find_photos, tmp_path)
-    assert "2 of 30×20, 1 of 30×10" in message and "c.jpg is 30×10" in message
+    assert "but 1 videos" in message and "ffmpeg -i a.mp4" in message
+    (tmp_path / "a.HEIC").write_bytes(b"heif")
+    message = refused(find_photos, tmp_path)
+    assert "but 1 HEIC files" in message and "Save them as JPEG" in message
+
+
+def test_what_is_no_photo_is_skipped_and_named(room, tmp_path):
+    """One damaged file, one of more bits, a video, a note: the others are used."""
+    for name in ("a", "b"):
+        room.write_photo(tmp_path / f"{name}.jpg", GREY)
     (tmp_path / "c.jpg").write_bytes(b"no picture")
-    assert "c.jpg is not a readable photo" in refused(find_photos, tmp_path)
-    (tmp_path / "c.jpg").unlink()
     Image.fromarray(np.zeros((20, 30), np.uint16)).save(tmp_path / "d.png")
-    assert "8-bit" in refused(find_photos, tmp_path)
-    (tmp_path / "d.png").unlink()
-    (tmp_path / "b.jpg").unlink()
+    (tmp_path / "e.MOV").write_bytes(b"video")
+    (tmp_path / "notes.txt").write_text("mine")
+    found = find_photos(tmp_path)
+    assert [photo.name for photo in found.photos] == ["a.jpg", "b.jpg"]
+    why = {each.name: each.why for each in found.skipped}
+    assert list(why) == ["c.jpg", "d.png", "e.MOV"]
+    assert (
+        "not a readable photo" in why["c.jpg"]
+        and "8-bit" in why["d.png"]
+        and "ffmpeg -i e.MOV" in why["e.MOV"]
+    )
+    for name in ("a", "b"):
+        (tmp_path / f"{name}.jpg").unlink()
+    assert "c.jpg is not a readable photo" in refused(find_photos, tmp_path)
+
+
+def test_a_photo_that_ends_too_early_is_found_when_it_is_decoded(room, tmp_path):
     room.write_photo(tmp_path / "a.jpg", np.random.default_rng(0).integers(0, 256, (90, 90, 3), np.uint8))
     whole = (tmp_path / "a.jpg").read_bytes()
     (tmp_path / "a.jpg").write_bytes(whole[: len(whole) // 2])
-    assert "a.jpg is not a readable photo" in refused(find_photos(tmp_path)[0].decode)
+    assert "a.jpg is not a readable photo" in refused(find_photos(tmp_path).photos[0].decode)
+
+
+def test_another_cameras_photos_are_left_out_and_both_ways_up_are_not(room, tmp_path):
+    for name in ("a", "b", "c"):
+        room.write_photo(tmp_path / f"{name}.jpg", GREY, Orientation=6 if name == "c" else 1)
+    pixels = Image.fromarray(GREY)
+    exif = Image.Exif()
+    exif[271], exif[272] = "Other", "Camera"
+    pixels.save(tmp_path / "d.jpg", exif=exif)
+    found = find_photos(tmp_path)
+    assert [(photo.name, photo.width, photo.height) for photo in found.photos] == [
+        ("a.jpg", 30, 20),
+        ("b.jpg", 30, 20),
+        ("c.jpg", 20, 30),
+    ]
+    assert [each.name for each in found.skipped] == ["d.jpg"]
+    assert "taken by Other Camera, most others by Room" in found.skipped[0].why
+
+
+def test_pictures_of_everything_around_have_a_remedy(tmp_path):
+    """Two to one from nothing that has a lens, or the file says so; a phone's two to one has a lens."""
+    wide = Image.new("RGB", (1200, 600))
+    wide.save(tmp_path / "pano.jpg")
+    message = refused(find_photos, tmp_path)
+    assert "360°" in message and "v360=e:flat" in message and "pano.jpg" in message
+    exif = Image.Exif()
+    exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLengthIn35mmFilm] = 26
+    wide.save(tmp_path / "phone.jpg", exif=exif.tobytes())
+    found = find_photos(tmp_path)
+    assert [photo.name for photo in found.photos] == ["phone.jpg"]
+    assert [(each.name, each.why) for each in found.skipped] == [("pano.jpg", "is a 360° picture")]
+    xmp = b'<x:xmpmeta xmlns:GPano="g"><a GPano:ProjectionType="equirectangular"/></x:xmpmeta>'
+    Image.new("RGB", (1300, 600)).save(tmp_path / "said.jpg", xmp=xmp)
+    assert [each.name for each in find_photos(tmp_path).skipped] == ["pano.jpg", "said.jpg"]
+
+
+def test_masks_beside_or_in_the_folder(room, tmp_path):
+    folder = tmp_path / "photos"
+    for masks in (folder / "masks", tmp_path / "masks"):
+        masks.mkdir(parents=True)
+    for name in ("a", "b", "c"):
+        room.write_photo(folder / f"{name}.jpg", GREY)
+    mask = np.full((20, 30), 255, np.uint8)
+    mask[:, :10] = 0
+    Image.fromarray(mask).save(folder / "masks" / "a.png")
+    Image.fromarray(mask[:10]).save(tmp_path / "masks" / "b.jpg.png")
+    a, b, c = find_photos(folder).photos
+    np.testing.assert_array_equal(a.keep(), mask > 0)
+    assert c.keep() is None
+    assert "b.jpg.png is 30×10, its photo b.jpg is 30×20" in refused(b.keep)
+
+
+# ---- exposures of phones and drones --------------------------------------------------------------------
+
+
+def exposures_of(folder):
+    return exposures_from_exif(find_photos(folder).photos)
+
+
+def test_apex_time_and_aperture_are_those_of_the_other_tags(room, tmp_path):
+    """Tv 5 is 1/32 s, Av 3 is f/2.83: half the area of f/2."""
+    room.write_photo(tmp_path / "a.jpg", GREY, iso=100, ShutterSpeedValue=5.0, ApertureValue=3.0)
+    room.write_photo(tmp_path / "b.jpg", GREY, 1 / 32, iso=100, f_number=2.0)
+    photos = {photo.name: photo for photo in find_photos(tmp_path).photos}
+    assert photos["a.jpg"].shutter == 1 / 32 and photos["a.jpg"].f_number == pytest.approx(2.0**1.5)
+    seconds = exposures_of(tmp_path).seconds
+    assert seconds["b.jpg"] / seconds["a.jpg"] == pytest.approx(2.0, rel=1e-4)
+
+
+def test_the_exposure_bias_alone_is_relative(room, tmp_path):
+    """Tags as drones that bracket leave them after an editor: no time, no ISO, only −2, 0, +2."""
+    for name, bias in (("a", -2.0), ("b", 0.0), ("c", 2.0)):
+        room.write_photo(tmp_path / f"{name}.jpg", GREY, ExposureBiasValue=bias)
+    found = exposures_of(tmp_path)
+    assert found.seconds == {"a.jpg": 0.25, "b.jpg": 1.0, "c.jpg": 4.0} and "relative" in found.meaning
+    for name in ("a", "c"):  # all at 0 say nothing
+        room.write_photo(tmp_path / f"{name}.jpg", GREY, ExposureBiasValue=0.0)
+    assert "no photo tells its exposure time" in refused(exposures_of, tmp_path)
+
+
+def test_the_brightness_value_stands_in_for_the_time(room, tmp_path):
+    """As a photo with all tags has it: Av + Tv = Bv + Sv, Sv 5 at ISO 100, and one stop more asked for."""
+    aperture, time, sensitivity = 4.0, 6.0, 7.0  # f/4, 1/64 s, ISO 400
+    brightness = aperture + time - sensitivity
+    room.write_photo(tmp_path / "a.jpg", GREY, BrightnessValue=brightness)
+    room.write_photo(tmp_path / "b.jpg", GREY, BrightnessValue=brightness, ExposureBiasValue=1.0)
+    found = exposures_of(tmp_path)
+    assert found.seconds == pytest.approx({"a.jpg": 2.0**-time * 4 / 16, "b.jpg": 2.0**-time * 8 / 16})
+    assert "brightness" in found.meaning
+
+
+def test_an_iso_that_nobody_tells_cancels(room, tmp_path):
+    for name, seconds in (("a", 0.1), ("b", 0.4)):
+        room.write_photo(tmp_path / f"{name}.jpg", GREY, seconds, f_number=4.0)
+    found = exposures_of(tmp_path)
+    assert found.seconds == pytest.approx({"a.jpg": 0.1, "b.jpg": 0.4})
+    assert "one ISO that EXIF does not tell" in found.meaning
