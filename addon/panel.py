@@ -137,6 +137,7 @@ class PHYSHDR_PT_dataset(_Subpanel, bpy.types.Panel):
             if dataset.problem:
                 write(context, column, f"{dataset.problem.message}. {dataset.problem.hint}", "ERROR")
             if state.prepared.folder == dataset.folder:
+                write(context, column, state.prepared.found)
                 for warning in state.prepared.warnings:
                     write(context, column, warning, "ERROR")
         photos = choices(context).photos

@@ -200,7 +200,7 @@ class PHYSHDR_OT_capture_height(_OnCapture):
         target = context.object
         assert is_model(target)
         known = placement.settings_of(context.scene).captures.get(placement.capture_of(target))
-        if known is not None and not known.has_floor and not self.properties.is_property_set("sets"):
+        if not (known and known.has_floor) and not self.properties.is_property_set("sets"):
             self.sets = "GROUND"
         return context.window_manager.invoke_props_dialog(self, confirm_text="Set Height")
 

@@ -145,7 +145,7 @@ class PHYSHDR_OT_photos_prepare(PhysHDROperator):
             self.report({"WARNING"}, warning)
         if current.state.problem is None:
             choose(context.scene.physhdr, made.folder)
-        return report_task(self, made.lines[0] if made.lines else f"the data set is {made.folder}")
+        return report_task(self, ": ".join(filter(None, (made.folder, made.found))))
 
     def _chosen(self, context: bpy.types.Context, argument: str, setting: str):
         """An argument of the operator, or the scene's setting where it was not given."""

@@ -6,11 +6,23 @@ over, and never fails.
 """
 
 import math
+import re
 from dataclasses import dataclass, replace
 from typing import Any
 
 from .state import Photos, Prepared
 
+#: What options of the command are called in the panel: its errors and warnings name them as remedies.
+LABELS = {
+    "--handheld": "Hand-Held",
+    "--bracket": "Photos a Place",
+    "--same-exposure": "Same Exposure",
+    "--exposures": "Exposures",
+    "--borrow-poses": "Borrow Places",
+    "--max-width": "Width at Most",
+    "--camera": "Lens",
+    "--partial": "Use What Was Found",
+}
 #: So many files that are passed over are named each with its reason; of the rest the number is told.
 NAMED = 3
 
@@ -60,6 +72,11 @@ def prepare_command(photos: str, out: str, options: tuple[str, ...], overwrite: 
     return ["prepare", photos, "--out", out, *options, *(["--overwrite"] if overwrite else []), "--json"]
 
 
+def in_panel_words(text: str) -> str:
+    """A sentence of the command with its options as the panel calls them."""
+    return re.sub(r"--[a-z][a-z-]*", lambda found: LABELS.get(found[0], found[0]), text)
+
+
 def understood(photos: Photos, result: dict[str, Any]) -> Photos:
     """``photos`` with what the look at them found."""
     seconds: Any = result.get("estimate_seconds")
@@ -73,12 +90,16 @@ def understood(photos: Photos, result: dict[str, Any]) -> Photos:
 
 
 def prepared(result: dict[str, Any]) -> Prepared:
-    """What came of the long work."""
+    """What came of the long work: the folder, and how well the places were found."""
     folder = result.get("folder")
+    placed, places, error = (result.get(name) for name in ("placed", "places", "reprojection_error"))
+    told = []
+    if _is_number(placed) and _is_number(places):
+        told.append(f"{placed} of {places} places found")
+    if _is_number(error):
+        told.append(f"reprojection error {error:.2f} pixels")
     return Prepared(
-        folder if isinstance(folder, str) else "",
-        _texts(result.get("lines")),
-        _texts(result.get("warnings")),
+        folder if isinstance(folder, str) else "", ", ".join(told), _texts(result.get("warnings"))
     )
 
 
@@ -100,7 +121,8 @@ def _skipped(listed: Any) -> tuple[str, ...]:
 
 
 def _texts(listed: Any) -> tuple[str, ...]:
-    return tuple(text for text in listed if isinstance(text, str)) if isinstance(listed, list) else ()
+    texts = [text for text in listed if isinstance(text, str)] if isinstance(listed, list) else []
+    return tuple(map(in_panel_words, texts))
 
 
 def _is_number(value: Any) -> bool:

@@ -118,10 +118,11 @@ class Photos:
 
 @dataclass(frozen=True)
 class Prepared:
-    """What came of the photos that were prepared last: the data set's folder, and what is worth a word."""
+    """What came of the photos that were prepared last: the data set's folder, how well the places were found,
+    and what is worth a word."""
 
     folder: str = ""
-    lines: tuple[str, ...] = ()
+    found: str = ""
     warnings: tuple[str, ...] = ()
 
 

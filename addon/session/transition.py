@@ -21,7 +21,7 @@ from ...bridge.messages import (
     TrainStop,
     Welcome,
 )
-from .photos import prepared, understood
+from .photos import in_panel_words, prepared, understood
 from .state import (
     CHECK,
     DATASET,
@@ -142,7 +142,10 @@ def _task_ended(state: State, event: TaskEnded) -> Result:
     if event.cancelled:
         # Nobody knows what is in a folder at which the look was broken off.
         return (replace(state, photos=Photos()) if event.task == LOOK else state), ()
-    problem = None if event.ok else Problem(event.message, event.hint, log)
+    message, hint = event.message, event.hint
+    if event.task in (LOOK, PHOTOS):
+        message, hint = in_panel_words(message), in_panel_words(hint)
+    problem = None if event.ok else Problem(message, hint, log)
     match event.task:
         case name if name in (INSTALL, CHECK):
             python = str(event.result.get("environment") or state.backend.python)

@@ -139,15 +139,19 @@ def test_photos_are_looked_at_and_what_they_became_is_summarised():
     state, _ = transition(state, TaskStarted("photos", "/log"))
     assert headline(state) == "Preparing the photos"
     assert why_not(state, "look") == why_not(state, "photos", chosen) == "Photos are being prepared"
-    result = {"folder": "/out", "lines": ["written"], "warnings": ["left out: 3.jpg"]}
+    result = {"folder": "/out", "placed": 9, "places": 11, "reprojection_error": 0.157}
+    result["warnings"] = ["2 left out: --partial uses what was found"]
     done, effects = transition(state, TaskEnded("photos", True, result=result))
     assert effects == (SummariseDataset("/out"),) and done.photos == Photos()
-    assert done.prepared == Prepared("/out", ("written",), ("left out: 3.jpg",))
+    found = "9 of 11 places found, reprojection error 0.16 pixels"
+    assert done.prepared == Prepared("/out", found, ("2 left out: Use What Was Found uses what was found",))
     # Broken off or failed, it leaves what was understood; the next try begins without the former's result.
     broken, effects = transition(state, TaskEnded("photos", False, cancelled=True))
     assert broken.photos == photos and not effects and not problem_of(broken)
-    failed, _ = transition(state, TaskEnded("photos", False, message="too few", hint="take more"))
-    assert failed.photos == photos and problem_of(failed) == Problem("too few", "take more", "/log")
+    hint = "Say --bracket 3, or 'physhdr prepare --poses'."  # what the panel has not stays as it is
+    failed, _ = transition(state, TaskEnded("photos", False, message="too few", hint=hint))
+    told = "Say Photos a Place 3, or 'physhdr prepare --poses'."
+    assert failed.photos == photos and problem_of(failed) == Problem("too few", told, "/log")
     again, _ = transition(done, TaskStarted("photos", "/log"))
     assert again.prepared == Prepared()
 
