@@ -59,12 +59,15 @@ class Photo:
         return f"IMG_{self.number:04d}"
 
 
-def metered(radiance: np.ndarray) -> float:
-    """Seconds at which the centre-weighted log mean of the luminance becomes middle grey."""
+def metered(radiance: np.ndarray, share: float = METERED_SHARE) -> float:
+    """Seconds at which the centre-weighted log mean of the luminance becomes middle grey.
+
+    ``share``: of the picture's height, how wide the meter looks about the middle; a spot meter has 0.08.
+    """
     height, width = radiance.shape[:2]
     y = (np.arange(height) + 0.5 - height / 2)[:, None]
     x = (np.arange(width) + 0.5 - width / 2)[None, :]
-    weight = np.exp(-(x**2 + y**2) / (2.0 * (METERED_SHARE * height) ** 2))
+    weight = np.exp(-(x**2 + y**2) / (2.0 * (share * height) ** 2))
     stops = np.log2(np.maximum(radiance.astype(np.float64) @ LUMINANCE, DARKEST))
     return float(MIDDLE_GREY / np.exp2((weight * stops).sum() / weight.sum()))
 

@@ -32,6 +32,8 @@ from physhdr.synth.response import Response, by_name
 #: Format → the suffix of its files.
 SUFFIXES = {"jpeg": ".jpg", "tiff16": ".tif", "dng": ".dng", "cfa": ".dng"}
 TRUTH_FILE = "photos.json"
+#: Of the picture's height: a meter that looks at less sees a pixel.
+LEAST_SPOT = 0.01
 
 
 def main() -> int:
@@ -54,6 +56,13 @@ def _parser() -> argparse.ArgumentParser:
     exposures = made.add_mutually_exclusive_group()
     exposures.add_argument("--bracket", default="-2,0,2", metavar="EV,EV,…", help="stops about the middle")
     exposures.add_argument("--auto-exposure", action="store_true", help="one photo a place, as it is metered")
+    add(
+        "--metering",
+        type=float,
+        default=photos.METERED_SHARE,
+        metavar="SHARE",
+        help="of the picture's height, how wide the meter looks about the middle; a spot meter: 0.08",
+    )
     add("--format", choices=list(SUFFIXES), default="jpeg", help="dng: demosaiced; cfa: as sensors are")
     add("--quality", type=int, default=95, help="of JPEG")
     add("--crf", default="filmic", help="the response, of all but raw files: a name, or the file of a curve")
@@ -67,12 +76,14 @@ def _parser() -> argparse.ArgumentParser:
 def _take(given: argparse.Namespace) -> None:
     model = camera_model.from_arguments(given)
     model.check()
+    if not (given.metering >= LEAST_SPOT and given.every >= 1):
+        raise OptionError(f"--metering is {LEAST_SPOT} at least, and --every 1")
     capture, response = opened(given.capture), by_name(given.crf)
     evs = None if given.auto_exposure else _evs(given.bracket)
     _enter(given, model, response)
     places = _places(given, capture)
     # Each place is read twice: once for its meter, once for its photos, so that memory holds one.
-    meters = [photos.metered(capture.passes(place).radiance({})) for place in places]
+    meters = [photos.metered(capture.passes(place).radiance({}), given.metering) for place in places]
     planned = photos.plan(places, meters, evs, model, given.seed)
     suffix = SUFFIXES[given.format]
     views = []
@@ -115,7 +126,7 @@ def _enter(given: argparse.Namespace, model: CameraModel, response: Response) ->
         "bracket": None if given.auto_exposure else given.bracket,
         "camera": asdict(model),
         "response": response.describe(),
-        **{name: getattr(given, name) for name in ("format", "quality", "seed", "every")},
+        **{name: getattr(given, name) for name in ("metering", "format", "quality", "seed", "every")},
     }
     path = given.out / "truth" / TRUTH_FILE
     asked = json.loads(json.dumps(asked))

@@ -137,6 +137,7 @@ def test_an_even_picture_is_metered_to_middle_grey():
     corners = grey.copy()
     corners[:6, :8] = corners[-6:, -8:] = 0.08
     assert 0.0 < math.log2(photos.metered(grey) / photos.metered(corners)) < 0.5
+    assert photos.metered(corners, 0.08) * 0.02 == pytest.approx(0.18, rel=1e-3)  # a spot meter sees none
 
 
 def test_exposures_are_thirds_of_stops():
