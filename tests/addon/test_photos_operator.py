@@ -231,3 +231,43 @@ def test_without_a_backend_that_can_the_buttons_say_why(extension, photos):
     for operator in (bpy.ops.physhdr.photos_look, bpy.ops.physhdr.photos_prepare):
         with pytest.raises(RuntimeError, match="Install the backend"):
             operator()
+
+
+INSTALLER = """
+import json, pathlib, sys
+pathlib.Path(__file__).with_name("installed.json").write_text(json.dumps(sys.argv[1:]))
+environment = {environment!r}
+print(json.dumps({{"result": {{"versions": {{}}, "missing": [], "environment": environment}}}}), flush=True)
+"""
+
+
+def test_what_is_missing_is_added_by_the_python_that_made_the_environment(
+    extension, photos, tmp_path, monkeypatch
+):
+    import os
+    import venv
+
+    from physhdr.addon.operators import backend
+
+    folder = tmp_path / "home" / "environment-0123"
+    venv.EnvBuilder(with_pip=False, symlinks=os.name != "nt").create(folder)
+    (tmp_path / "install.py").write_text(INSTALLER.format(environment=str(folder / "bin" / "python")))
+    monkeypatch.setattr(backend, "INSTALL_SCRIPT", tmp_path / "install.py")
+    bpy.context.preferences.system.use_online_access = True
+    lacking = {"versions": {}, "missing": ["pycolmap>=4.0,<5"]}
+    extension.dispatch(PythonChosen(sys.executable, lacking))
+    with pytest.raises(RuntimeError, match="was not installed here: add to it by pip"):
+        bpy.ops.physhdr.backend_extend()
+    extension.dispatch(PythonChosen(str(folder / "bin" / "python"), lacking))
+    assert bpy.ops.physhdr.backend_extend() == {"FINISHED"}
+    words = json.loads((tmp_path / "installed.json").read_text())
+    assert words == [
+        "--target",
+        str(tmp_path / "home"),
+        "--launcher",
+        str(tmp_path / "launch.py"),
+        "--extend",
+    ]
+    assert extension.state.backend.missing == ()
+    chosen = choices(bpy.context)
+    assert why_not(extension.state, "photos", chosen) == "Choose the folder of your photos"
