@@ -16,6 +16,7 @@ import torch
 from ..kernels.ahead import CONTEXT
 from ..memory import NotEnoughMemoryError, Room, cores, gigabytes, room
 from ..model.anchors import VOXELS_PER_SPACING, AnchorsConfig
+from ..scene.encoding import CAMERA
 from ..scene.points import with_points_file
 from ..scene.resident import PICTURE_BYTES
 from ..scene.scene import CACHE_BYTES, Scene, View
@@ -138,7 +139,7 @@ def sizes_of(scene: Scene, config: TrainConfig) -> Sizes:
     sizes = Sizes(
         pixels=max((view.camera.width * view.camera.height for view in views), default=0),
         picture_bytes=sum(
-            3 * view.camera.width * view.camera.height * count
+            view.camera.width * view.camera.height * count * _pixel_bytes(view)
             for view, count in zip(views, seen, strict=True)
         ),
         exposures=max(seen, default=1),
@@ -197,6 +198,13 @@ def estimate(sizes: Sizes) -> Estimate:
 def _exposures_seen(view: View, config: TrainConfig) -> int:
     """How many of a view's pictures training sees."""
     return 1 if config.exposure_mode == "exp1" else sum(k in view.bracket for k in config.training_exposures)
+
+
+def _pixel_bytes(view: View) -> int:
+    """Of a decoded picture with its mask, the most among the view's: what is developed here has 16 bits."""
+    return max(
+        (3 if source.encoding == CAMERA else 6) + (source.mask_path is not None) for source in view.sources
+    )
 
 
 def _first_points(scene: Scene, config: TrainConfig, views: list[View]) -> tuple[int, bool]:

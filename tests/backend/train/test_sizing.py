@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Sizes follow from the data by the rule that docs/sizes.md states; what is typed wins; renders stay."""
+
+import dataclasses
+import re
+from pathlib import Path
+
+import pytest
+
+from physhdr.backend.cli.train import options_in
+from physhdr.backend.scene import read_scene
+from physhdr.backend.train.presets import PRESETS
+from physhdr.backend.train.sizing import Extent, extent_of, found_sizes, sizes_in_words
+
+DOCS = Path(__file__).parents[3] / "docs" / "sizes.md"
+RENDERS = Extent(pixels=200 * 200, views=30, points=17_599, brackets=(0, 1, 2, 3, 4), photographs=False)
+LARGE = dataclasses.replace(RENDERS, pixels=1600 * 1067, views=50, points=0)
+
+
+def documented() -> list[tuple[str, ...]]:
+    """The rows of the table of docs/sizes.md: width, height, views, points, and what ``default`` gets."""
+    row = re.compile(r"\| (\d+)×(\d+) \| ([\d,]+) \| ([\d,]+) \| ([\d,]+) \| ([\d,]+) \| (\d+) % \|")
+    return [tuple(cell.replace(",", "") for cell in row.groups()) for row in row.finditer(DOCS.read_text())]
+
+
+def test_the_table_of_the_documentation_spans_what_is_promised():
+    widths, views = {int(row[0]) for row in documented()}, {int(row[2]) for row in documented()}
+    assert {min(widths), max(widths)} == {200, 1600} and {min(views), max(views)} == {18, 200}
+
+
+@pytest.mark.parametrize("row", documented(), ids="-".join)
+def test_the_rule_is_the_table_of_the_documentation(row):
+    width, height, views, points, budget, iterations, half = map(int, row)
+    extent = dataclasses.replace(RENDERS, pixels=width * height, views=views, points=points)
+    found = found_sizes(extent, PRESETS["default"])
+    assert (found.densify.budget, found.iterations) == (budget, iterations)
+    assert round(100 * found.half_size_until) == half
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize(("pixels", "views"), [(200 * 200, 18), (200 * 200, 62), (32 * 24, 3)])
+def test_of_our_renders_at_200_pixels_every_preset_stays_what_it_is(preset, pixels, views):
+    extent = dataclasses.replace(RENDERS, pixels=pixels, views=views)
+    assert found_sizes(extent, PRESETS[preset]) == PRESETS[preset]
+    assert sizes_in_words(extent, PRESETS[preset], PRESETS[preset]) == ""
+
+
+def test_what_is_typed_stays_also_where_it_is_the_preset_s_own():
+    preset = PRESETS["default"]
+    typed = options_in(["train", "DATA", "--iterations", "2500", "--densify.budget=60000", "--out", "RUN"])
+    found = found_sizes(LARGE, preset, typed)
+    assert (found.iterations, found.densify.budget) == (2500, 60_000)
+    assert found.sh_degree_every == preset.sh_degree_every  # of as many iterations
+    assert found.half_size_until > preset.half_size_until  # nobody has said anything of it
+
+
+def test_options_are_found_as_they_may_be_written():
+    words = [
+        "--half-size-until",
+        "0",
+        "--sh_degree_every=9",
+        "--anchors.growth.budget",
+        "5",
+        "-x",
+        "--out=--a",
+    ]
+    assert options_in(words) == ("half_size_until", "sh_degree_every", "anchors.growth.budget", "out")
+
+
+@pytest.mark.parametrize("preset", ["paper", "gausshdr", "gausshdr-scaffold", "hdr-gs", "hdr-nerf"])
+def test_published_schedules_stay_as_published(preset):
+    assert found_sizes(LARGE, PRESETS[preset]) == PRESETS[preset]
+
+
+def test_of_photographs_training_sees_every_exposure():
+    photographs = dataclasses.replace(RENDERS, brackets=(0, 1, 2), photographs=True)
+    assert found_sizes(photographs, PRESETS["paper"]).training_exposures == (0, 1, 2)
+    typed = found_sizes(photographs, PRESETS["default"], ("training_exposures",))
+    assert typed.training_exposures == (0, 2, 4)
+    assert "all 3 exposures" in sizes_in_words(
+        photographs, PRESETS["default"], found_sizes(photographs, typed)
+    )
+
+
+def test_anchors_have_the_budget_of_their_own_growth():
+    preset = PRESETS["default-scaffold"]
+    found = found_sizes(LARGE, preset)
+    assert found.densify == preset.densify
+    assert found.anchors.growth.budget > preset.anchors.growth.budget
+
+
+def test_points_of_the_data_set_have_room():
+    found = found_sizes(dataclasses.replace(RENDERS, points=100_000), PRESETS["default"])
+    assert found.densify.budget == 150_000 and found.iterations == PRESETS["default"].iterations
+
+
+def test_larger_data_never_get_less():
+    """Twice the pixels, views or points, in any order."""
+    sizes = [
+        dataclasses.replace(RENDERS, pixels=20_000 * 2**i, views=18 * 2**j, points=20_000 * 2**k)
+        for i in range(8)
+        for j in range(5)
+        for k in range(4)
+    ]
+    found = {extent: found_sizes(extent, PRESETS["default"]) for extent in sizes}
+    for less in sizes:
+        for more in sizes:
+            if less.pixels <= more.pixels and less.views <= more.views and less.points <= more.points:
+                assert found[less].densify.budget <= found[more].densify.budget
+                assert found[less].iterations <= found[more].iterations
+                assert found[less].half_size_until <= found[more].half_size_until
+
+
+def test_an_extent_is_what_training_sees(tiny_data):
+    scene = read_scene(tiny_data)
+    every, reduced = (extent_of(each, PRESETS["default"]) for each in (scene, read_scene(tiny_data, 2.0)))
+    camera = scene.train[0].camera
+    assert every.pixels == camera.width * camera.height and reduced.pixels == every.pixels // 4
+    assert every.views == len(scene.train) + len(scene.lit)
+    assert extent_of(scene, PRESETS["baseline"]).views == len(scene.train)  # it cannot use the lit ones
+    assert every.brackets == scene.train[0].bracket and not every.photographs
