@@ -60,9 +60,10 @@ class Hello:
 class TrainStart:
     """Train on the data set in folder ``data``, writing to the run's folder ``out``; absolute paths.
 
-    ``iterations``: ``None`` for the preset's own. ``overwrite``: replace a run that is in ``out``.
-    ``threads``: 0 for as many as the backend was started with. Answered by ``Done`` when it is taken on;
-    what goes wrong afterwards (damaged data, say) is a ``JobStatus`` with the state ``failed``.
+    ``iterations``: ``None`` for as many as the preset has for data of this size. ``overwrite``: replace a
+    run that is in ``out``. ``threads``: 0 for as many as the backend was started with. Answered by
+    ``Done`` when it is taken on; what goes wrong afterwards (damaged data, say) is a ``JobStatus`` with
+    the state ``failed``.
     """
 
     data: str
@@ -252,12 +253,15 @@ class JobStatus:
     """All there is to know of the present job, in one event: a newer one replaces an older one.
 
     ``state``: ``preparing`` reads data and compiles kernels (``message`` says what; with an empty ``run``
-    the backend itself is starting); ``stopped`` can be resumed; ``open`` is a run opened without training.
-    ``device``: ``cpu``, or ``cuda (name of the card)``: of the job, and before there is one, where ``auto``
-    computes. ``losses``: weighted terms; ``monitor``: measured on a fixed held-out view, ``PSNR``.
-    ``saved_iteration``: of the newest checkpoint, 0 if there is none. ``can_relight`` and ``has_model``: what
-    previews may ask for. ``lights``: names of the lights that the model has levels for, empty where there is
-    no model. ``controller``: the name of the client that steers.
+    the backend itself is starting); ``stopped`` can be resumed; ``open`` is a run opened without
+    training. ``device``: ``cpu``, or ``cuda (name of the card)``: of the job, and before there is one,
+    where ``auto`` computes. ``iterations``: found from the data where nobody has set it, and known for
+    sure while it trains. ``seconds_left``: by what later iterations cost, where that was timed before the
+    training (then from its beginning on), else by how fast iterations go just now. ``losses``: weighted
+    terms; ``monitor``: measured on a fixed held-out view, ``PSNR``. ``saved_iteration``: of the newest
+    checkpoint, 0 if there is none. ``can_relight`` and ``has_model``: what previews may ask for.
+    ``lights``: names of the lights that the model has levels for, empty where there is no model.
+    ``controller``: the name of the client that steers.
     """
 
     state: JobState = "idle"
