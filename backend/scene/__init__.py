@@ -18,13 +18,13 @@ __all__ = ["READERS", "Camera", "Points", "Reader", "Scene", "View", "read_scene
 class Reader:
     """A layout: its name, the file that gives it away, whether a folder is of it, how it is read.
 
-    ``read_scene(root, downscale, color_space)``: as the function of this module, of a folder of this layout.
+    ``read_scene(root, downscale)``: as the function of this module, of a folder that is of this layout.
     """
 
     name: str
     looks_for: str
     is_mine: Callable[[Path], bool]
-    read_scene: Callable[[Path, float | None, str | None], Scene]
+    read_scene: Callable[[Path, float | None], Scene]
 
 
 #: Every layout that is understood, in the order in which they are tried. A new one is one file and one line.
@@ -52,7 +52,7 @@ def read_scene(root: Path | str, downscale: float | None = None, color_space: st
         raise FileMissingError(f"{root} is a file, not the folder of a data set", remedy)
     for reader in READERS:
         if reader.is_mine(root):
-            return with_meaning(reader.read_scene(root, downscale, color_space), color_space)
+            return with_meaning(reader.read_scene(root, downscale), color_space)
     looked_for = "; ".join(f"{reader.looks_for} ({reader.name})" for reader in READERS)
     state = "is empty" if not any(root.iterdir()) else "is not a data set"
     raise FileMissingError(f"{root} {state}: looked for {looked_for}", remedy)

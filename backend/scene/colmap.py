@@ -52,7 +52,7 @@ def is_mine(root: Path) -> bool:
     return find_model(root) is not None and (root / "images").is_dir()
 
 
-def read_scene(root: Path, downscale: float | None = None, color_space: str | None = None) -> Scene:
+def read_scene(root: Path, downscale: float | None = None) -> Scene:
     """Read a COLMAP folder.
 
     ``downscale``: None is 3DGS's convention, the widest picture at most 1600 pixels wide and all others by
@@ -64,9 +64,7 @@ def read_scene(root: Path, downscale: float | None = None, color_space: str | No
     train, test, rule = split_somehow(found.poses)
     check_numbers(train, "training", root / "images")
     check_numbers(test, "test", root / "images")
-    return scene_of(
-        found, (train, test, rule), layout=NAME, anchor=None, downscale=downscale, color_space=color_space
-    )
+    return scene_of(found, (train, test, rule), layout=NAME, anchor=None, downscale=downscale)
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,12 +87,11 @@ def scene_of(
     layout: str,
     anchor: tuple[float, float] | None,
     downscale: float | None,
-    color_space: str | None,
 ) -> Scene:
     """A scene of poses; ``split``: training and test poses and the rule. ``anchor``: where none is stated."""
     train, test, rule = split
     factor = capped(widest(found.poses)) if downscale is None else downscale
-    views = Views(found.root, found.poses, Reduction(factor, "bicubic"), color_space)
+    views = Views(found.root, found.poses, Reduction(factor, "bicubic"))
     info = read_info(found.root)
     return Scene(
         root=found.root,

@@ -67,7 +67,7 @@ def published_factor(width: int, height: int) -> float:
     return capped(width)
 
 
-def read_scene(root: Path, downscale: float | None = None, color_space: str | None = None) -> Scene:
+def read_scene(root: Path, downscale: float | None = None) -> Scene:
     """Read a data set folder. Nothing of the true radiance is opened.
 
     ``downscale``: None takes the published factor, found by the pictures' size (``published_factor``), or
@@ -104,7 +104,7 @@ def read_scene(root: Path, downscale: float | None = None, color_space: str | No
         own = bool(info) or (root / PREPARED).is_file() or len(set(sizes.values())) > 1
         width, height = next(iter(sizes.values()))
         downscale = capped(widest(poses)) if own else published_factor(width, height)
-    views = Views(root, poses, Reduction(downscale, "bicubic"), color_space)
+    views = Views(root, poses, Reduction(downscale, "bicubic"))
     train, test = (views.of(poses_of_split) for poses_of_split in split)
     is_synthetic = (root / TRUTH_FOLDER).is_dir()
     messages = [

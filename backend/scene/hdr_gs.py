@@ -25,7 +25,7 @@ def is_mine(root: Path) -> bool:
     return find_model(root) is not None and (root / TRUTH_FOLDER).is_dir() and (root / "images").is_dir()
 
 
-def read_scene(root: Path, downscale: float | None = None, color_space: str | None = None) -> Scene:
+def read_scene(root: Path, downscale: float | None = None) -> Scene:
     """Read a data set folder. Nothing of the true radiance is opened.
 
     Split as HDR-GS's: names in the order of text (0, 10, 11, … 1, 20, …), the first of each two poses is for
@@ -42,5 +42,4 @@ def read_scene(root: Path, downscale: float | None = None, color_space: str | No
         layout=NAME,
         anchor=ORIGINAL_ANCHOR,
         downscale=downscale,
-        color_space=color_space,
     )

@@ -40,7 +40,7 @@ def is_mine(root: Path) -> bool:
     return (root / LOOKS_FOR).exists()
 
 
-def read_scene(root: Path, downscale: float | None = None, color_space: str | None = None) -> Scene:
+def read_scene(root: Path, downscale: float | None = None) -> Scene:
     """Read a data set folder.
 
     Even poses are for training, odd ones for testing. ``downscale``: None is 4. Pictures that somebody has
@@ -69,7 +69,7 @@ def read_scene(root: Path, downscale: float | None = None, color_space: str | No
         poses, points, model_messages = _with_model(model_folder, poses, size)
 
     info = read_info(root)
-    made = Views(root, poses, reduction, color_space)
+    made = Views(root, poses, reduction)
     views = made.of(poses)
     messages = [
         "split as HDR-NeRF: even poses are for training, odd ones for testing",

@@ -40,7 +40,7 @@ def is_mine(root: Path) -> bool:
     return (root / LOOKS_FOR).exists()
 
 
-def read_scene(root: Path, downscale: float | None = None, color_space: str | None = None) -> Scene:
+def read_scene(root: Path, downscale: float | None = None) -> Scene:
     """Read a data set folder. Nothing of the true radiance is opened.
 
     ``downscale``: None reduces the original 800×800 to 400×400 as HDR-NeRF does, and leaves ours as they are.
@@ -55,9 +55,7 @@ def read_scene(root: Path, downscale: float | None = None, color_space: str | No
     size = _check_one_size([pose for poses in splits.values() for pose in poses])
     if downscale is None:
         downscale = ORIGINAL_REDUCTION if not info and size == ORIGINAL_SIZE else 1.0
-    made = Views(
-        root, [pose for poses in splits.values() for pose in poses], Reduction(downscale), color_space
-    )
+    made = Views(root, [pose for poses in splits.values() for pose in poses], Reduction(downscale))
     views = {split: made.of(poses) for split, poses in splits.items()}
     points_path = root / data_set.POINTS_FILE
     messages = (

@@ -62,7 +62,7 @@ def is_mine(root: Path) -> bool:
     return (root / LOOKS_FOR).exists()
 
 
-def read_scene(root: Path, downscale: float | None = None, color_space: str | None = None) -> Scene:
+def read_scene(root: Path, downscale: float | None = None) -> Scene:
     """Read a data set folder.
 
     ``downscale``: None halves pictures until no side of the largest is longer than 1600, as nerfstudio does.
@@ -92,7 +92,7 @@ def read_scene(root: Path, downscale: float | None = None, color_space: str | No
     check_numbers(test, "test", path)
     longest = max(max(pose.camera.width, pose.camera.height) for pose in poses)
     reduction = Reduction(_published_factor(longest) if downscale is None else downscale)
-    views = Views(root, poses, reduction, color_space)
+    views = Views(root, poses, reduction)
     info = read_info(root)
     return Scene(
         root=root,

@@ -72,9 +72,7 @@ class Views:
     a lens needs pycolmap and it is not installed, ``BadValueError`` for a lens that is none.
     """
 
-    def __init__(
-        self, root: Path, poses: Sequence[Pose], reduction: Reduction, color_space: str | None = None
-    ) -> None:
+    def __init__(self, root: Path, poses: Sequence[Pose], reduction: Reduction) -> None:
         self.reduction = reduction
         bent = [pose for pose in poses if pose.lens is not None]
         real = {pose.lens: pose.lens.pycolmaps() for pose in bent if pose.lens is not None}

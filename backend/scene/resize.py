@@ -97,7 +97,8 @@ class Reduction:
 
     def _averages(self, width: int, height: int) -> bool:
         """Whether each pixel is the plain mean of a block: where blocks fill the picture."""
-        return self.filter == "area" and width % self.factor == 0 and height % self.factor == 0
+        blocks = float(self.factor).is_integer() and width % self.factor == 0 and height % self.factor == 0
+        return self.filter == "area" and blocks
 
     def camera(self, camera: Camera) -> Camera:
         """The camera of the reduced picture: the same view."""

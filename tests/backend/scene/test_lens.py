@@ -288,7 +288,8 @@ def test_a_picture_is_as_exact_as_its_resampling_lets_it() -> None:
 
     def picture(x: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Codes by where on the plane a pixel looks, in pixels of the pinhole camera."""
-        return 127.5 + sum(9.0 * np.sin(2 * np.pi * (a * x + b * y) + 9 * a) for a, b in waves)
+        each = [9.0 * np.sin(2 * np.pi * (a * x + b * y) + 9 * a) for a, b in waves]
+        return 127.5 + np.sum(each, axis=0)
 
     v, u = np.mgrid[0:height, 0:width] + 0.5
     rays = np.asarray(camera.cam_from_img(np.stack([u.ravel(), v.ravel()], axis=1)))
@@ -298,9 +299,8 @@ def test_a_picture_is_as_exact_as_its_resampling_lets_it() -> None:
     inner = (slice(6, -6), slice(6, -6))
     ours = (lens.picture(codes)[..., 0] - picture(x, y))[inner]
     map_x, map_y = np.empty_like(x, np.float32), np.empty_like(x, np.float32)
-    places = camera.img_from_cam(
-        np.stack([(x.ravel() - lens.cx) / lens.fx, (y.ravel() - lens.cy) / lens.fy, np.ones(x.size)], axis=1)
-    )
+    on_plane = [(x.ravel() - lens.cx) / lens.fx, (y.ravel() - lens.cy) / lens.fy, np.ones(x.size)]
+    places = np.asarray(camera.img_from_cam(np.stack(on_plane, axis=1)))
     map_x[:], map_y[:] = (places - 0.5).T.reshape(2, *x.shape)
     bilinear = cv2.remap(codes, map_x, map_y, cv2.INTER_LINEAR)[..., 0]
     theirs = (bilinear - picture(x, y))[inner]
