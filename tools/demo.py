@@ -135,7 +135,7 @@ def write_result(run: Run, data: Path, pose: int, relit: Path, path: Path) -> st
 
     exposures = []
     for k in (0, 2, 4):
-        truth = torch.from_numpy(view.image(k).copy()).permute(2, 0, 1) / 255.0
+        truth = torch.from_numpy(view.values(k)).permute(2, 0, 1).float()
         picture = method.ldr(view.camera, view.exposures[k])
         label = f"{view.exposures[k]:g} s"
         exposures += [(f"truth, {label}", truth), (f"ours, {psnr(picture, truth):.1f} dB", picture)]

@@ -149,7 +149,7 @@ def quality(method: Method, scene: Scene, exposures: tuple[int, ...]) -> dict[st
     for view in scene.test:
         for k in exposures:
             picture = quantise(method.ldr(view.camera, view.exposures[k], view.lighting_levels).cpu())
-            reference = torch.from_numpy(view.image(k).copy()).permute(2, 0, 1).double() / 255.0
+            reference = torch.from_numpy(view.values(k)).permute(2, 0, 1)
             found[k].append(psnr(picture, reference))
         if has_truth:
             radiance = method.hdr(view.camera, view.lighting_levels).cpu()

@@ -137,6 +137,15 @@ class View:
         codes = self.image(k)
         return codes / self.sources[k].encoding.unit(codes.dtype)
 
+    def shown(self, k: int) -> np.ndarray:
+        """``image(k)`` with 8 bits, ``[H, W, 3]`` uint8, for eyes and for finding features."""
+        codes = self.image(k)
+        return (
+            codes
+            if codes.dtype == np.uint8
+            else np.rint(self.values(k).clip(0.0, 1.0) * 255.0).astype(np.uint8)
+        )
+
     def _decoded(self, k: int) -> Decoded:
         if not 0 <= k < len(self.sources):
             raise BadValueError(

@@ -76,7 +76,7 @@ def triangulate(
         camera = view.camera
         for k in allowed:
             name = f"{number:05d}_{k}.png"
-            Image.fromarray(view.image(k)).save(folder / "pictures" / name, compress_level=1)
+            Image.fromarray(view.shown(k)).save(folder / "pictures" / name, compress_level=1)
             intrinsics = [camera.fx, camera.fy, camera.cx, camera.cy]
             pose = camera.world_to_camera[:3].tolist()
             pictures.append({"name": name, "camera": intrinsics, "world_to_camera": pose})
@@ -135,7 +135,7 @@ def _colours(
     for number in np.unique(seen_in):
         here = seen_in == number
         allowed = exposures[number]
-        picture = views[number].image(allowed[len(allowed) // 2])
+        picture = views[number].shown(allowed[len(allowed) // 2])
         column, row = np.floor(places[here]).astype(int).T
         height, width = picture.shape[:2]
         codes = picture[row.clip(0, height - 1), column.clip(0, width - 1)]
