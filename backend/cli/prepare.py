@@ -7,6 +7,7 @@ import math
 import signal
 import statistics
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -133,8 +134,8 @@ class Prepare:
         assert folder is not None
         if self.handheld and not understood.is_handheld:
             voice.warn("there are no brackets that could be hand-held: --handheld changes nothing")
-        if self.poses is None:
-            require_pycolmap()
+        require_pycolmap()
+        _catch_signals()  # again: glog, which comes with it, took SIGTERM for a crash
         with new_folder(folder, self.overwrite) as made, voice:
             result = self._make(understood, made, voice)
         voice.say(f"next: physhdr inspect {folder}, then physhdr train {folder} --out RUN")
@@ -476,19 +477,22 @@ class Terminal(Voice):
 @contextmanager
 def ended_politely() -> Iterator[None]:
     """SIGTERM, and CTRL-BREAK on Windows, raise ``KeyboardInterrupt`` as CTRL-C does: nothing stays half."""
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    names = ("SIGINT", "SIGTERM", "SIGBREAK")
-    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
-    try:
-        former = {number: signal.signal(number, interrupt) for number in numbers}
-    except ValueError:  # not the main thread, which alone gets signals
-        yield
-        return
+    former = _catch_signals()
     try:
         yield
     finally:
         for number, handler in former.items():
             signal.signal(number, signal.SIG_DFL if handler is None else handler)
+
+
+def _catch_signals() -> dict[int, Any]:
+    """Take signals from whoever had them, and say who. Not outside the main thread: it gets none."""
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        return {}
+    names = ("SIGINT", "SIGTERM", "SIGBREAK")
+    numbers = [getattr(signal, name) for name in names if hasattr(signal, name)]
+    return {number: signal.signal(number, interrupt) for number in numbers}

@@ -183,7 +183,7 @@ def _write_pictures(
     equalised: bool,
 ) -> bool:
     """The pictures to match, upright and not too large, and their masks; whether there are any masks."""
-    masked = False
+    masked = any(photo.mask is not None for photo in photos.values())
     for done, (number, photo) in enumerate(photos.items()):
         at("reading photos", done / len(photos))
         size = match_size(photo)
@@ -193,12 +193,12 @@ def _write_pictures(
         path = folder / "pictures" / names[number]
         path.parent.mkdir(parents=True, exist_ok=True)
         (equal(picture) if equalised else picture).save(path, compress_level=1)
-        mask = photo.keep()
-        if mask is not None:
-            masked = True
+        if masked:  # COLMAP wants one for every picture then
+            keep = photo.keep()
+            mask = Image.new("1", size, 1) if keep is None else Image.fromarray(keep)
             path = folder / "masks" / f"{names[number]}.png"
             path.parent.mkdir(parents=True, exist_ok=True)
-            Image.fromarray(mask).resize(size, Image.Resampling.NEAREST).save(path)
+            mask.resize(size, Image.Resampling.NEAREST).convert("L").save(path)
     return masked
 
 

@@ -1,14 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """``physhdr prepare`` as a user calls it: photos of a room whose cameras are known, and what can go wrong."""
 
+import errno
 import importlib.util
 import json
+import os
 import shutil
+import signal
+import subprocess
 import sys
 from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pycolmap
 import pytest
 import tyro
@@ -16,7 +21,9 @@ from PIL import Image
 
 from physhdr.backend.cli.prepare import Prepare
 from physhdr.backend.scene import read_scene
-from physhdr.backend.scene.capture import structure
+from physhdr.backend.scene.capture import data_set, structure
+from physhdr.backend.scene.capture.data_set import new_folder
+from physhdr.backend.scene.encoding import SRGB
 from physhdr.bridge.errors import PhysHDRError
 
 POSES = 9
@@ -24,13 +31,22 @@ POSES = 9
 MILLIMETRES, DEGREES = 5.0, 0.2
 
 
-@pytest.fixture(scope="module")
-def room():
-    path = Path(__file__).parents[1] / "scene" / "capture" / "room.py"
-    spec = importlib.util.spec_from_file_location("room", path)
-    module = sys.modules["room"] = importlib.util.module_from_spec(spec)
+def of_captures(name):
+    path = Path(__file__).parents[1] / "scene" / "capture" / f"{name}.py"
+    spec = importlib.util.spec_from_file_location(name, path)
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="module")
+def room():
+    return of_captures("room")
+
+
+@pytest.fixture(scope="module")
+def dng():
+    return of_captures("dng")
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +91,7 @@ def umeyama(found, true):
     return scale, rotation, true.mean(0) - scale * rotation @ found.mean(0)
 
 
-def assert_poses(scene, capture, room):
+def assert_poses(scene, capture, room, millimetres=MILLIMETRES):
     """The scene's cameras are the true ones but for a similarity, whose rotation keeps +Z up."""
     views = sorted([*scene.train, *scene.test], key=lambda view: view.index)
     true = [capture.poses[view.index] for view in views]
@@ -83,7 +99,7 @@ def assert_poses(scene, capture, room):
     found = np.array([view.camera.camera_to_world for view in views])
     scale, rotation, shift = umeyama(found[:, :3, 3], places)
     apart = np.linalg.norm(scale * found[:, :3, 3] @ rotation.T + shift - places, axis=1)
-    assert apart.max() * 1000.0 < MILLIMETRES
+    assert apart.max() * 1000.0 < millimetres
     for pose, view in zip(true, views, strict=True):
         turned = rotation @ view.camera.camera_to_world[:3, :3] @ np.diag([1.0, -1.0, -1.0])
         cosine = (np.trace(turned @ pose[:, :3]) - 1.0) / 2.0
@@ -283,3 +299,216 @@ def test_colmap_that_crashes_is_one_message(room, tmp_path, monkeypatch):
     message = refused(tiny(room, tmp_path / "photos"), "--out", tmp_path / "out")
     assert "COLMAP failed" in message and "Check failed: x" in message
     assert not (tmp_path / "out").exists()
+
+
+# ---- raw files, no brackets, hand-held -----------------------------------------------------------------
+
+
+def true_model(folder, room, capture, names):
+    """COLMAP's model of the room's own cameras, its lens's distortion among them, without points."""
+    model = pycolmap.Reconstruction()
+    params = [room.FOCAL, room.FOCAL, room.CX, room.CY, *room.DISTORTION]
+    camera = pycolmap.Camera(camera_id=1, model="OPENCV", width=room.WIDTH, height=room.HEIGHT, params=params)
+    model.add_camera_with_trivial_rig(camera)
+    for number, (name, pose) in enumerate(zip(names, capture.poses, strict=False)):
+        image = pycolmap.Image(name=name, camera_id=1, image_id=number + 1)
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose))
+    (folder / "sparse" / "0").mkdir(parents=True)
+    model.write(str(folder / "sparse" / "0"))
+    return folder
+
+
+def test_raw_brackets_become_linear_pictures_that_clip_at_one(room, dng, capture, tmp_path, capsys):
+    """Mosaics of the room by a sensor with a black level and a red that sees half: against the room anew."""
+    black, white, red, gain = 256, 4095, 0.5, 0.25
+    photos, moment = tmp_path / "photos", datetime(2026, 5, 1)
+    photos.mkdir()
+    for number, seen in enumerate(capture.radiance[:3]):
+        for k, seconds in enumerate(room.EXPOSURES):
+            full = black + (white - black) * np.minimum(gain * seconds * seen * (red, 1.0, 1.0), 1.0)
+            taken = f"{moment + timedelta(seconds=60 * number + 3 * k):%Y:%m:%d %H:%M:%S}"
+            codes = dng.mosaic(np.rint(full).astype(np.uint16))
+            path = photos / f"R{number}{k}.dng"
+            dng.write_dng(path, codes, black, white, (red, 1.0, 1.0), seconds, 200, taken=taken)
+    poses = true_model(tmp_path / "true", room, capture, [f"R{number}0.dng" for number in range(3)])
+    out = tmp_path / "out"
+    assert prepare(photos, out, "--poses", poses, "--downscale", 2, "--test-every", 0, "--json") == 0
+    said = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert said[-1]["result"]["placed"] == 3
+    origin = json.loads((out / "prepare.json").read_text())
+    assert (origin["kind"], origin["encoding"], origin["clip"]) == ("raw brackets", "linear", 1.0)
+    assert origin["white_balance"] == pytest.approx([2.0, 1.0, 1.0])
+
+    scene = read_scene(out)
+    view = scene.train[1]
+    assert all(encoding == SRGB for encoding in view.encodings)
+    assert view.exposures == pytest.approx([2.0 * seconds for seconds in room.EXPOSURES])  # ISO 200
+    camera = view.camera
+    rays = room.rays_of_pinhole(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+    seen = room.picture(capture.poses[view.index], rays, camera.width, camera.height)
+    for k, seconds in enumerate(room.EXPOSURES):
+        found = SRGB.exposed(view.image(k))
+        true = np.minimum(gain * seconds * seen, 1.0)
+        keep = view.mask(k)
+        keep = np.ones(true.shape[:2], bool) if keep is None else keep
+        assert keep.mean() > 0.9
+        difference = (found - true)[keep]
+        # The room is papered with coloured noise, of which a mosaic sees a third.
+        assert np.abs(difference.mean(axis=0)).max() < 4e-3 and np.sqrt((difference**2).mean()) < 0.06
+        clipped = (true == 1.0).all(axis=2) & keep
+        assert np.median(found[clipped], initial=1.0) == 1.0 if clipped.any() else True
+
+
+def test_automatic_exposure_both_ways_up_and_masks(room, tmp_path, capsys):
+    """No brackets, a third of the photos turned by a quarter: each way up has its own lens and size."""
+    capture, folder, rays = room.Capture(), tmp_path / "photos", room.rays_of_lens()
+    (folder / "masks").mkdir(parents=True)
+    quarter = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    for k, pose in enumerate(room.arc(POSES)):
+        turned = k % 3 == 2
+        seen = room.picture(quarter @ pose if turned else pose, rays, room.WIDTH, room.HEIGHT)
+        capture.poses.append(pose)
+        seconds = 0.3 * 2.0 ** (0.4 * np.sin(1.3 * k))
+        path = folder / f"P{k}.jpg"
+        room.write_photo(path, room.codes(seen, seconds), seconds, iso=100, Orientation=6 if turned else 1)
+    mask = np.full((room.HEIGHT, room.WIDTH), 255, np.uint8)
+    mask[:100, :150] = 0
+    Image.fromarray(mask).save(folder / "masks" / "P1.png")
+    out = tmp_path / "out"
+    assert prepare(folder, out, "--test-every", 4, "--camera", "RADIAL") == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"{POSES} of {POSES} poses placed" in said and "without brackets" in said
+    assert "stops from photo to photo" in said and "no HDR" not in said
+    scene = read_scene(out)
+    sizes = {view.camera.width > view.camera.height for view in scene.train}
+    assert sizes == {True, False} and len(scene.train[0].exposures) == 1
+    assert_poses(scene, capture, room, 15.0)  # three photos tell little of their lens
+    masked = next(view for view in [*scene.train, *scene.test] if view.index == 1)
+    hidden = ~masked.mask(0)
+    assert hidden[:80, :120].all() and not hidden[130:].any() and not hidden[:, 180:].any()
+
+
+# ---- what programs are told ----------------------------------------------------------------------------
+
+
+def look(capsys, *words):
+    assert prepare(*words, "--look", "--json") == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert all(set(line) <= {"progress", "message", "seconds_left"} for line in lines[:-1])
+    return lines[-1]["result"]
+
+
+def test_a_look_says_what_photos_are_and_makes_nothing(room, tmp_path, capsys):
+    photos = tiny(room, tmp_path / "photos", 9, (0, -2, 2))
+    (photos / "clip.mp4").write_bytes(b"video")
+    found = look(capsys, photos)
+    assert (found["kind"], found["photos"], found["places"], found["per_place"]) == ("brackets", 9, 3, 3)
+    assert found["exposures"] == pytest.approx([0.25, 1.0, 4.0]) and found["stops"] == 4.0
+    assert found["size"] == [16, 12] and found["how"].startswith("by order")
+    assert [each["name"] for each in found["skipped"]] == ["clip.mp4"]
+    assert any("clip.mp4 is a video" in warning for warning in found["warnings"])
+    assert found["lines"] and found["estimate_seconds"] >= 0
+    assert look(capsys, photos, "--handheld")["kind"] == "handheld"
+    single = look(capsys, photos, "--same-exposure")
+    assert single["kind"] == "single" and single["stops"] == 0.0
+    assert any("no HDR" in warning for warning in single["warnings"])
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["photos"]
+
+
+def test_a_look_at_automatic_exposure(room, tmp_path, capsys):
+    """1/500 to 1/1250 s: 1.3 stops over the views, and no word of a lack of HDR."""
+    folder = tmp_path / "photos"
+    folder.mkdir()
+    for k, time in enumerate((800, 640, 640, 500, 640, 800, 1000, 1250, 1000, 1000, 800)):
+        room.write_photo(folder / f"{k}.jpg", np.full((12, 16, 3), 90, np.uint8), 1 / time, iso=100)
+    found = look(capsys, folder)
+    assert (found["kind"], found["places"], found["per_place"]) == ("single", 11, 1)
+    assert found["stops"] == pytest.approx(np.log2(2.5), abs=0.01) and not found["warnings"]
+    assert any("span 1.3 stops" in line for line in found["lines"])
+
+
+def test_errors_are_json_too(room, tmp_path, capsys):
+    assert prepare(tmp_path / "nowhere", tmp_path / "out", "--json") == 1
+    error = json.loads(capsys.readouterr().out.splitlines()[-1])["error"]
+    assert error["code"] == "file_missing" and "nowhere" in error["message"] and error["hint"]
+    photos = tiny(room, tmp_path / "photos")
+    assert "not said which folder" in refused(photos)
+    assert "shall be" in refused(photos, tmp_path / "a", "--out", tmp_path / "b")
+
+
+START = "import sys; from physhdr.backend.cli import main; sys.exit(main())"
+
+
+def started(photos, out):
+    """``physhdr prepare`` in a group of its own, as the panel starts it, with COLMAP at work; COLMAP's."""
+    words = ["prepare", str(photos), str(out), "--json", "--threads", "1"]
+    process = subprocess.Popen(
+        [sys.executable, "-c", START, *words], stdout=subprocess.PIPE, text=True, start_new_session=True
+    )
+    for line in process.stdout:
+        if "COLMAP: features" in line:
+            break
+    (child,) = psutil.Process(process.pid).children()
+    return process, child
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_cancelled_it_leaves_nothing(photos, tmp_path, number):
+    process, child = started(photos, tmp_path / "out")
+    if number == signal.SIGINT:
+        os.killpg(process.pid, number)
+    else:
+        process.send_signal(number)
+    rest = process.stdout.read().splitlines()
+    assert process.wait() == 130 and json.loads(rest[-1])["error"]["code"] == "cancelled"
+    psutil.wait_procs([child], timeout=10)
+    assert not child.is_running() and not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_killed_it_leaves_no_data_set_and_no_process_and_the_next_one_tidies(photos, tmp_path):
+    process, child = started(photos, tmp_path / "out")
+    process.kill()
+    process.wait()
+    psutil.wait_procs([child], timeout=30)
+    assert not child.is_running()
+    (left,) = tmp_path.iterdir()
+    assert left.name.startswith(".out-")
+    with new_folder(tmp_path / "out", False) as folder:
+        (folder / "prepare.json").write_text("{}")
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_a_disk_that_fills_up(prepared, tmp_path, monkeypatch):
+    """While the pictures are written: nothing is left, and one message."""
+    write, written = data_set._write_picture, []
+
+    def full(*arguments, **options):
+        written.append(arguments)
+        if len(written) > 3:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        write(*arguments, **options)
+
+    monkeypatch.setattr(data_set, "_write_picture", full)
+    words = ["--poses", prepared, "--exposures", prepared / "exposure.json"]
+    message = refused(prepared / "images", tmp_path / "out", *words)
+    assert "cannot write" in message and "No space left" in message and "free space" in message
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_damaged_photo_costs_its_bracket_and_nothing_else(room, prepared, tmp_path, capsys):
+    """One that cannot be opened, one that ends too early: of two places of nine."""
+    images = tmp_path / "images"
+    shutil.copytree(prepared / "images", images)
+    names = sorted(path.name for path in images.iterdir())
+    (images / names[4]).write_bytes(b"no picture")
+    whole = (images / names[9]).read_bytes()
+    (images / names[9]).write_bytes(whole[: len(whole) // 2])
+    words = ["--poses", prepared, "--exposures", prepared / "exposure.json"]
+    assert prepare(images, tmp_path / "out", *words) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"{POSES - 2} of {POSES - 2} poses placed" in said
+    assert f"left out: {names[4]} is not a readable photo" in said and f"left out: {names[9]}" in said
+    skipped = json.loads((tmp_path / "out" / "prepare.json").read_text())["skipped"]
+    assert set(skipped) == {*names[3:6], *names[9:12]}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Fixtures: the room that is photographed."""
+"""Fixtures: the room that is photographed, and DNGs."""
 
 import importlib.util
 import sys
@@ -9,11 +9,20 @@ from types import ModuleType
 import pytest
 
 
-@pytest.fixture(scope="session")
-def room() -> ModuleType:
-    """The module ``room`` beside this file (test folders are not packages)."""
-    spec = importlib.util.spec_from_file_location("room", Path(__file__).with_name("room.py"))
+def beside(name: str) -> ModuleType:
+    """A module beside this file (test folders are not packages)."""
+    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
     assert spec is not None and spec.loader is not None
-    module = sys.modules["room"] = importlib.util.module_from_spec(spec)
+    module = sys.modules[name] = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="session")
+def room() -> ModuleType:
+    return beside("room")
+
+
+@pytest.fixture(scope="session")
+def dng() -> ModuleType:
+    return beside("dng")
