@@ -112,6 +112,7 @@ def _command(argv: list[str]) -> Any:
     if argv[:1] == ["synthesise"]:  # what comes after its two dashes is another program's
         return parsed(argv[1:])
     from .benchmark import Benchmark
+    from .calibrate import Calibrate
     from .check import Check
     from .evaluate import Evaluate
     from .export import Export
@@ -129,6 +130,7 @@ def _command(argv: list[str]) -> Any:
         Annotated[Train, tyro.conf.subcommand("train", default=train)]
         | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
         | Annotated[Export, tyro.conf.subcommand("export")]
+        | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
         | Annotated[Render, tyro.conf.subcommand("render")]
         | Annotated[Video, tyro.conf.subcommand("video")]
         | Annotated[Benchmark, tyro.conf.subcommand("benchmark")]

@@ -26,10 +26,13 @@ import torch
 from ..model.camera_effects import COEFFICIENTS, falloff_terms
 from ..model.morton import morton_order
 from ..model.tone_mapper import Response
+from ..scene.camera import Camera
 from ..scene.scene import View
 
 #: At most this many points, and points times photos.
 POINTS, OBSERVATIONS = 3000, 300_000
+#: Points in a cell of the picture, by which others are hidden that are so much farther.
+POINTS_A_CELL, HIDDEN_FROM = 4.0, 1.1
 #: Codes between these tell how much light there was.
 TELLING = (0.03, 0.97)
 #: Degree of ln f⁻¹ as a polynomial of logit z, and the ridge that keeps it one.
@@ -37,8 +40,10 @@ DEGREE, RIDGE = 6, 1e-6
 #: The response is found where stated exposures differ by so much (standard deviation, stops); else it is
 #: taken as it is when training starts.
 LEAST_STOPS = 0.5
-#: Rounds of reweighting; residuals beyond so many standard deviations lose half their weight.
-ROUNDS, TOLERANCE = 10, 2.0
+#: Rounds of reweighting; a residual of so many standard deviations loses half its weight.
+ROUNDS, TOLERANCE = 12, 1.0
+#: Residuals are never taken to spread less (natural logarithm): nothing is put aside for so little.
+LEAST_SPREAD = 0.02
 #: What residuals are expected to be (natural logarithm): how deviations that are expected weigh against them.
 EXPECTED = 0.1
 #: So heavy that the gauge holds.
@@ -88,23 +93,29 @@ def photometry(
     reach: Sequence[float],
     response: Response,
     deviations: tuple[float, float],
+    *,
+    finds_response: bool = True,
+    vignetting: np.ndarray | None = None,
 ) -> Photometry | None:
     """What the points ``[P, 3]`` (metres) tell; None where they are too few, or the photos see nothing alike.
 
     ``exposures[i]``: positions in the bracket of ``views[i]``, whose photos are counted in this order;
     ``lens[i]``: its lens, and ``reach`` where ρ is 1 for each. ``deviations``: expected of gain and balance,
-    stops. In the gauge: gains have no mean and no slope over ln t, balances no mean.
+    stops. ``finds_response``: else it is ``response``. ``vignetting`` ``[L, 3]``: where it is known.
+    In the gauge: gains have no mean and no slope over ln t, balances no mean.
     """
     photos = sum(len(indices) for indices in exposures)
     count = max(min(POINTS, OBSERVATIONS // photos), 1)
+    chosen = np.ones(len(points), dtype=bool)
     if len(points) > count:
         along = morton_order(torch.as_tensor(points)).numpy()
-        points = points[along[np.linspace(0, len(along) - 1, count).astype(int)]]
-    seen = _equations(points, views, exposures, lens, reach)
+        chosen[:] = False
+        chosen[along[np.linspace(0, len(along) - 1, count).astype(int)]] = True
+    seen = _equations(points, chosen, views, exposures, lens, reach)
     unknowns = 3 * DEGREE + photos + 2 * len(views) + COEFFICIENTS * len(reach)
     if len(seen.code) < LEAST_EQUATIONS * unknowns:
         return None
-    return _solved(seen, photos, len(views), len(reach), response, deviations)
+    return _solved(seen, photos, len(views), len(reach), response, deviations, finds_response, vignetting)
 
 
 def point_effects(
@@ -145,8 +156,23 @@ def _projected(points: np.ndarray, view: View, reach: float) -> tuple[np.ndarray
     return which, at[which], np.square(tangent[which]).sum(axis=1) / reach
 
 
+def _unhidden(at: np.ndarray, depth: np.ndarray, camera: Camera) -> np.ndarray:
+    """Which of the points at ``at`` ``[M, 2]`` (pixels) have none much nearer beside them, ``[M]`` bool.
+
+    A surface is only known by its points: the picture is divided into cells that have a few each.
+    """
+    cell = math.sqrt(camera.width * camera.height * POINTS_A_CELL / max(len(at), 1))
+    column, row = (at // cell).astype(int).T
+    width, height = int(camera.width // cell) + 3, int(camera.height // cell) + 3
+    nearest = np.full((height, width), np.inf)  # with a border
+    np.minimum.at(nearest, (row + 1, column + 1), depth)
+    around = [nearest[1 + j : height - 1 + j, 1 + i : width - 1 + i] for j in (-1, 0, 1) for i in (-1, 0, 1)]
+    return depth < HIDDEN_FROM * np.min(around, axis=0)[row, column]
+
+
 def _equations(
     points: np.ndarray,
+    chosen: np.ndarray,
     views: Sequence[View],
     exposures: Sequence[tuple[int, ...]],
     lens: Sequence[int],
@@ -156,6 +182,9 @@ def _equations(
     photo = 0
     for place, (view, indices) in enumerate(zip(views, exposures, strict=True)):
         which, at, rho = _projected(points, view, reach[lens[place]])
+        depth = points[which] @ view.camera.world_to_camera[2, :3] + view.camera.world_to_camera[2, 3]
+        used = chosen[which] & _unhidden(at, depth, view.camera)
+        which, at, rho = which[used], at[used], rho[used]
         x, y = at.T
         left, top = np.floor(x).astype(int), np.floor(y).astype(int)
         right_share, bottom_share = (x - left)[:, None], (y - top)[:, None]
@@ -193,6 +222,8 @@ def _solved(
     lens_count: int,
     response: Response,
     deviations: tuple[float, float],
+    finds_response: bool,
+    vignetting: np.ndarray | None,
 ) -> Photometry | None:
     from scipy import sparse  # here, because only this needs it
     from scipy.optimize import nnls
@@ -201,9 +232,12 @@ def _solved(
     target = seen.log_time.copy()
     is_known = ~np.isnan(seen.known)
     target[is_known] -= seen.known[is_known]
+    terms = falloff_terms(seen.rho)
+    if vignetting is not None:
+        target -= (terms * vignetting[seen.lens]).sum(axis=1)
     logit = np.where(is_known, 0.0, np.log(seen.code / np.maximum(1.0 - seen.code, 1e-9)))
     times = _first_of(seen.photo, seen.log_time, photos)
-    finds_response = bool((~is_known).any()) and np.std(times) > LEAST_STOPS * LN2
+    finds_response &= bool((~is_known).any() and np.std(times) > LEAST_STOPS * LN2)
     if not finds_response:
         codes = torch.from_numpy(np.broadcast_to(seen.code, (3, count)).copy())
         inverse = response.inverse(codes).numpy()[seen.channel, np.arange(count)]
@@ -223,7 +257,7 @@ def _solved(
     coloured = rows[seen.channel != 1]
     side = (seen.channel[coloured] == 2).astype(int)
     parts.append((coloured, polynomial + photos + 2 * seen.place[coloured] + side, -np.ones(len(coloured))))
-    for term, value in enumerate(falloff_terms(seen.rho).T):
+    for term, value in enumerate(terms.T):
         parts.append((rows, others + COEFFICIENTS * seen.lens + term, value))
     row, column, value = (np.concatenate(each) for each in zip(*parts, strict=True))
     size = others + COEFFICIENTS * lens_count
@@ -234,6 +268,8 @@ def _solved(
     pull = np.full(size, RIDGE)
     pull[polynomial : polynomial + photos] = (EXPECTED / (LN2 * deviations[0])) ** 2
     pull[polynomial + photos : others] = (EXPECTED / (LN2 * deviations[1])) ** 2
+    if vignetting is not None:
+        pull[others:] = GAUGE * count  # there is nothing left to be found
     gauge = np.zeros((4, size))
     gauge[0, polynomial : polynomial + photos] = 1.0
     gauge[1, polynomial : polynomial + photos] = times - times.mean()
@@ -256,12 +292,13 @@ def _solved(
         radiance = target - design @ solution
         contrast = 1.4826 * float(np.median(np.abs(radiance - np.median(radiance))))
         residual = radiance - (np.asarray(groups.T @ (weight * radiance)).ravel() / total)[group]
-        spread = max(1.4826 * float(np.median(np.abs(residual))), 1e-6)
+        spread = max(1.4826 * float(np.median(np.abs(residual))), LEAST_SPREAD)
         weight = hat / (1.0 + (residual / (TOLERANCE * spread)) ** 2)
     if spread > LARGEST_SHARE * contrast:
         return None
     gain, balance, lens = np.split(solution[polynomial:], [photos, photos + 2 * places])
-    return Photometry(gain, balance.reshape(-1, 2), lens.reshape(-1, COEFFICIENTS))
+    found = lens.reshape(-1, COEFFICIENTS) if vignetting is None else vignetting
+    return Photometry(gain, balance.reshape(-1, 2), found)
 
 
 def _first_of(index: np.ndarray, value: np.ndarray, count: int) -> np.ndarray:

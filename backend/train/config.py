@@ -75,6 +75,8 @@ class TrainConfig:
     initial_points: Source = "both"
     #: A PLY whose points stand for the data set's own: a file in its folder, or a whole path.
     points_file: str | None = None
+    #: What is known of the camera, from physhdr calibrate: response and vignetting are used as they are.
+    calibration: str | None = None
     random_points: int = 20_000
     #: 3DGS: 0.1. Points of surfaces are opaque; less leaves time for what lies before them to hide them.
     initial_opacity: float = 0.3

@@ -24,7 +24,7 @@ from typing import Literal
 import numpy as np
 import torch
 
-from ...bridge.errors import BadValueError
+from ...bridge.errors import BadValueError, DataMismatchError
 from ..methods.base import Recording
 from ..model.camera_effects import COEFFICIENTS, falloff, lenses, squared_tangent, widest
 from ..model.tone_mapper import Response
@@ -60,8 +60,8 @@ class NuisanceConfig:
     gain_stops: float = 0.2
     white_balance_stops: float = 0.1
     prior: float = 1e-4
-    #: Share of the training before anything of this moves.
-    start: float = 0.0
+    #: Share of the training before anything moves from where the points put it: an unfinished scene misleads.
+    start: float = 0.3
 
     def __post_init__(self) -> None:
         for name in ("gain", "white_balance", "vignetting", "prior", "start"):
@@ -97,6 +97,7 @@ class Nuisances:
         exposures: Sequence[tuple[int, ...]],
         config: NuisanceConfig,
         device: torch.device,
+        response_is_known: bool = False,
     ) -> None:
         self.config = config
         photos = [(view, k) for view, indices in zip(views, exposures, strict=True) for k in indices]
@@ -106,8 +107,9 @@ class Nuisances:
         self._place = {view: row for row, view in enumerate(views)}
         self._lens = dict(zip(views, lenses([view.camera for view in views]), strict=True))
         count = 1 + max(self._lens.values())
-        #: tan²θ where ρ = 1, for each lens.
-        self.reach = [max(widest(v.camera) for v in views if self._lens[v] == i) for i in range(count)]
+        #: tan²θ where ρ = 1, for each lens, ``[L]``.
+        reach = [max(widest(v.camera) for v in views if self._lens[v] == i) for i in range(count)]
+        self.reach = torch.tensor(reach, dtype=torch.float64, device=device)
         self.log_exposure = torch.tensor(
             [math.log(view.exposures[k]) for view, k in photos], dtype=torch.float64, device=device
         )
@@ -129,12 +131,25 @@ class Nuisances:
         self.telling = torch.zeros(len(photos), device=device)
         self._seen: dict[str, torch.Tensor] = {}
         self._rows: dict[tuple[int, ...], torch.Tensor] = {}
-        #: What is known of the lens and does not move (a calibration).
-        self.lens_is_known = False
+        #: What a calibration tells does not move.
+        self._response_is_known = response_is_known
+        self.lens_is_known = torch.zeros((), dtype=torch.bool, device=device)
 
     @property
     def device(self) -> torch.device:
         return self.telling.device
+
+    def know_lens(self, vignetting: Sequence[float], reach: float) -> None:
+        """The lens is as a calibration tells; raises ``DataMismatchError`` where there are several."""
+        if len(self.reach) != 1:
+            raise DataMismatchError(
+                f"the calibration is of one lens, these photographs have {len(self.reach)} or focal lengths",
+                "Train on the photographs of one of them, or without --calibration.",
+            )
+        with torch.no_grad():
+            self.values["vignetting"].copy_(torch.tensor([list(vignetting)]))
+            self.reach.fill_(reach)
+            self.lens_is_known.fill_(True)
 
     def begin(self, points: np.ndarray, response: Response) -> np.ndarray:
         """Start from what points ``[P, 3]`` (metres) tell; returns their mean ln effect ``[P, 3]``.
@@ -144,7 +159,20 @@ class Nuisances:
         views, exposures = [view for view, _ in self._standard], [indices for _, indices in self._standard]
         lens = [self._lens[view] for view in views]
         deviations = self.config.gain_stops, self.config.white_balance_stops
-        found = photometry(points, views, exposures, lens, self.reach, response, deviations)
+        reach = self.reach.tolist()
+        found = photometry(
+            points,
+            views,
+            exposures,
+            lens,
+            reach,
+            response,
+            deviations,
+            finds_response=not self._response_is_known,
+            vignetting=self.values["vignetting"].detach().cpu().double().numpy()
+            if self.lens_is_known
+            else None,
+        )
         if found is None:
             return np.zeros((len(points), 3))
         photos = [self._photo[view, k] for view, indices in self._standard for k in indices]
@@ -153,7 +181,7 @@ class Nuisances:
             self.values["log_gain"][photos] = torch.from_numpy(found.gain).to(self.telling)
             self.values["log_balance"][places] = torch.from_numpy(found.balance).to(self.telling)
             self.values["vignetting"].copy_(torch.from_numpy(found.vignetting))
-        return point_effects(points, views, exposures, lens, self.reach, found)
+        return point_effects(points, views, exposures, lens, reach, found)
 
     # -- in an iteration -------------------------------------------------------------------------------
 
@@ -175,7 +203,8 @@ class Nuisances:
         red, blue = self.values["log_balance"][place].unbind()
         balance = torch.stack([red, torch.zeros_like(red), blue])
         gains = self.values["log_gain"][self._seen["log_gain"]]
-        v = falloff(squared_tangent(camera, gains) / self.reach[lens], self.values["vignetting"][lens]).exp()
+        rho = squared_tangent(camera, gains) / self.reach[lens].to(gains.dtype)
+        v = falloff(rho, self.values["vignetting"][lens]).exp()
         return [
             replace(recording, effect=(balance + gain).exp()[:, None, None] * v)
             for recording, gain in zip(recordings, gains.unbind(), strict=True)
@@ -205,9 +234,9 @@ class Nuisances:
         for name, value in self.values.items():
             rate = getattr(self.config, name.removeprefix("log_").replace("balance", "white_balance"))
             rate *= 0.5 * (1.0 + math.cos(math.pi * progress))
-            if name == "vignetting" and self.lens_is_known:
-                rate = 0.0
             if begun and rate and value.grad is not None:
+                if name == "vignetting":
+                    value.grad.masked_fill_(self.lens_is_known, 0.0)
                 self._adam(name, self._seen[name], rate)
             value.grad = None
         self._seen = {}
@@ -246,7 +275,8 @@ class Nuisances:
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """Everything that going on needs, by name."""
-        named = {**self.values, "telling": self.telling}
+        known = self.lens_is_known
+        named = {**self.values, "telling": self.telling, "reach": self.reach, "lens_is_known": known}
         for name in self.values:
             keys = (f"{name}.{key}" for key in ("exp_avg", "exp_avg_sq", "step"))
             named |= dict(zip(keys, (*self.moments[name], self.steps[name]), strict=True))

@@ -20,6 +20,7 @@ from ..scene.resident import Pictures
 from ..scene.scene import Scene, View
 from ..start.initialise import initial_points, merged_log_radiance, scene_extent, seen_points
 from .anchor_growth import AnchorGrowth
+from .calibration import freeze_response, read_calibration, use_response
 from .checkpoint import (
     CONFIGURATION,
     RESPONSES,
@@ -110,6 +111,8 @@ class Trainer:
         if not resumed:
             self._begin()
         self.method.to_device(self.device)
+        if config.calibration is not None and self.method.splatting is not None:
+            freeze_response(self.method.splatting)
         self.optimiser = Optimiser(
             self.method, config.optimiser, scene_extent(scene.train), config.iterations
         )
@@ -121,6 +124,8 @@ class Trainer:
     def _begin(self) -> None:
         """The state at iteration 0."""
         self.method.prepare(self.config.seed)
+        if self.config.calibration is not None:
+            self._calibrate(self.config.calibration)
         self.start_message = "random networks"
         begun, begun_cpu = time.perf_counter(), time.process_time()
         if self.method.splatting is not None:
@@ -145,11 +150,29 @@ class Trainer:
                 f"{name_of(self.config.method)} knows of no gain, white balance or vignetting of a photo",
                 "Leave out --nuisances.mode on.",
             )
-        wanted = config.mode == "on" or (config.mode == "auto" and self.scene.photographs and traits.effects)
+        asked = self.scene.photographs or self.config.calibration is not None
+        wanted = config.mode == "on" or (config.mode == "auto" and asked and traits.effects)
         begun_with = resumed is None or any(name.startswith(NUISANCES) for name in state)
         if not (wanted and begun_with):
             return None
-        return Nuisances(self.views, self.exposures, config, self.device)
+        return Nuisances(
+            self.views,
+            self.exposures,
+            config,
+            self.device,
+            response_is_known=self.config.calibration is not None,
+        )
+
+    def _calibrate(self, path: str) -> None:
+        """Response and vignetting as the file at ``path`` has them."""
+        if self.method.splatting is None:
+            raise BadValueError(
+                f"{name_of(self.config.method)} cannot be given a response", "Leave out --calibration."
+            )
+        calibration = read_calibration(Path(path))
+        use_response(self.method.splatting, calibration, path)
+        if self.nuisances is not None and calibration.vignetting is not None and calibration.reach:
+            self.nuisances.know_lens(calibration.vignetting, calibration.reach)
 
     def _allowed_exposures(self, view: View, index: int) -> tuple[int, ...]:
         """Positions in the view's bracket: all that training may see, or the one drawn for this view."""
@@ -452,6 +475,12 @@ def restore_method(method: Method, tensors: dict[str, torch.Tensor], path: Path)
             k.removeprefix(PRIMITIVES): v.clone().requires_grad_() for k, v in primitives.items()
         }
     method.load_state_dict({k.removeprefix(NETWORKS): v for k, v in networks.items()})
+
+
+def learned_lenses(folder: Path) -> tuple[torch.Tensor | None, torch.Tensor | None]:
+    """Vignetting ``[L, 3]`` and reach ``[L]`` (``model.camera_effects``) of the run in ``folder``, if any."""
+    tensors, _ = load_checkpoint(folder / CHECKPOINT_FILE)
+    return tensors.get(f"{NUISANCES}vignetting"), tensors.get(f"{NUISANCES}reach")
 
 
 def load_method(

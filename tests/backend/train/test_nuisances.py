@@ -85,7 +85,7 @@ def test_what_is_stated_is_right_on_the_whole(tiny_data):
             [2.0, 1.0, -1.0]
         )
         (weight @ colours).backward()
-        nuisances.step(iteration / 100)
+        nuisances.step(0.5 + iteration / 100)
     gain = nuisances.values["log_gain"].detach().double()
     time = torch.tensor([math.log(view.exposures[k]) for view in scene.train for k in (0, 2, 4)]).double()
     tells = torch.tensor([1.0, 1.0, 0.0] * len(scene.train)).double()  # the third photos are all but white

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A camera's response and lens out of one training, frozen in the next."""
+
+import dataclasses
+import json
+
+import pytest
+import torch
+
+from physhdr.backend.cli import main
+from physhdr.backend.model.tone_mapper import ToneMapper
+from physhdr.backend.scene import read_scene
+from physhdr.backend.train.calibration import read_calibration
+from physhdr.backend.train.config import write_config
+from physhdr.backend.train.nuisances import NuisanceConfig
+from physhdr.backend.train.presets import PRESETS
+from physhdr.backend.train.trainer import Trainer
+from physhdr.bridge.errors import DataMismatchError, FileDamagedError, FileMissingError
+
+SHORT = dataclasses.replace(PRESETS["default"], iterations=12, nuisances=NuisanceConfig(mode="on"))
+
+
+@pytest.fixture(scope="module")
+def calibrated(tiny_data, tmp_path_factory):
+    """A trained run's trainer, and the file that ``physhdr calibrate`` wrote of it."""
+    folder = tmp_path_factory.mktemp("calibrated")
+    trainer = Trainer(read_scene(tiny_data), SHORT)
+    with torch.no_grad():
+        trainer.nuisances.values["vignetting"].copy_(torch.tensor([[0.1, 0.2, 0.3]]))
+        trainer.method.tone_mapper.w2 += 0.01  # as if it had learned
+    write_config(folder / "config.json", SHORT, tiny_data, "default")
+    trainer.save(folder)
+    path = folder / "camera.json"
+    assert main(["calibrate", str(folder), "--out", str(path)]) == 0
+    return trainer, path
+
+
+def curve(mapper: ToneMapper) -> torch.Tensor:
+    return mapper.sampled()[1]
+
+
+def test_response_and_lens_come_back_whatever_point_of_the_response_was_known(calibrated, tiny_data):
+    first, path = calibrated
+    anchored = first.method.tone_mapper
+    assert anchored.anchor is not None
+    config = dataclasses.replace(SHORT, calibration=str(path))
+    scene = dataclasses.replace(read_scene(tiny_data), info={}, response_anchor=None)
+    second = Trainer(scene, config)
+    assert second.method.tone_mapper.anchor is None
+    assert torch.allclose(curve(second.method.tone_mapper), curve(anchored), atol=1e-5)
+    assert second.nuisances.values["vignetting"][0].tolist() == pytest.approx([0.1, 0.2, 0.3])
+    rows = json.loads(path.read_text())["curve"]
+    x, values = anchored.sampled()
+    nearest = (x - rows[20][0]).abs().argmin()
+    assert rows[20][1:] == pytest.approx(values[nearest].tolist(), abs=1e-4)
+
+
+def test_they_stay_as_they_are_also_when_the_training_is_resumed_without_the_file(
+    calibrated, tiny_data, tmp_path
+):
+    scene = read_scene(tiny_data)
+    copied = tmp_path / "camera.json"
+    copied.write_bytes(calibrated[1].read_bytes())
+    config = dataclasses.replace(SHORT, calibration=str(copied))
+    trainer = Trainer(scene, config)
+    before = curve(trainer.method.tone_mapper).clone()
+    for _ in range(3):
+        trainer.step()
+    trainer.save(tmp_path)
+    copied.unlink()
+    resumed = Trainer(scene, config, resumed=tmp_path)
+    for _ in range(3):
+        resumed.step()
+    assert torch.equal(curve(resumed.method.tone_mapper), before)
+    assert resumed.nuisances.values["vignetting"][0].tolist() == pytest.approx([0.1, 0.2, 0.3])
+    assert resumed.nuisances.values["log_gain"].abs().max() > 0.0  # what is the photos' own goes on
+
+
+def test_what_is_no_calibration_of_this_camera_is_refused(calibrated, tiny_data, tmp_path):
+    scene, written = read_scene(tiny_data), json.loads(calibrated[1].read_text())
+    with pytest.raises(FileMissingError):
+        Trainer(scene, dataclasses.replace(SHORT, calibration=str(tmp_path / "none.json")))
+    path = tmp_path / "camera.json"
+    for change, why in (
+        ({"format": "other"}, "not of the format"),
+        ({"vignetting": [1.0, -2.0, 0.0]}, "vignetting is not 3 numbers"),
+        ({"reach": 0.0}, "reach is not above 0"),
+        ({"response": 3}, "no calibration"),
+    ):
+        path.write_text(json.dumps(written | change))
+        with pytest.raises(FileDamagedError, match=why):
+            read_calibration(path)
+    del written["response"]["slope"]
+    path.write_text(json.dumps(written))
+    with pytest.raises(DataMismatchError, match="another kind of response curve"):
+        Trainer(scene, dataclasses.replace(SHORT, calibration=str(path)))
+    path.write_text(json.dumps(written | {"response": None}))
+    with pytest.raises(DataMismatchError, match="whose response is known"):
+        Trainer(scene, dataclasses.replace(SHORT, calibration=str(path)))
