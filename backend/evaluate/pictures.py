@@ -89,6 +89,12 @@ def pairs(
         yield Pair(picture, torch.from_numpy(view.values(k)).permute(2, 0, 1), compared)
 
 
+def all_of_eight_bits(views: Sequence[View]) -> bool:
+    """Whether every picture is a camera's, of 8 bits."""
+    every = ((view, k) for view in views for k in range(len(view.exposures)))
+    return all(view.image(k).dtype == np.uint8 and not view.encodings[k].is_known for view, k in every)
+
+
 def finite(picture: torch.Tensor, what: str) -> torch.Tensor:
     """The picture on the CPU; raises ``BadValueError`` on NaN or infinity, which would pass as black."""
     picture = picture.detach().cpu()

@@ -25,7 +25,7 @@ from ..scene.scene import Scene, View
 from . import truth
 from .lpips import SMALLEST_SIDE, Lpips
 from .metrics import PSNR_CAP, display, hdr_pair, hdr_shown, psnr, quantise, resize_to, scale_ratio, ssim
-from .pictures import finite, in_words, pairs
+from .pictures import all_of_eight_bits, finite, in_words, pairs
 from .published import data_set_of
 from .renderer import Renderer
 from .response import check_response, learned_response, true_response
@@ -110,6 +110,7 @@ def evaluate(
         response=response,
         iteration=iteration,
         iterations=iterations,
+        eight_bit=all_of_eight_bits(views),
     )
 
 

@@ -52,7 +52,7 @@ def to_dict(evaluation: Evaluation) -> dict[str, Any]:
             "hdr_normaliser_range": _normaliser_range(evaluation),
             "ldr_oe_exposure_indices": list(OBSERVED_EXPOSURES),
             "ldr_ne_exposure_indices": list(NOVEL_EXPOSURES),
-            "eight_bit": True,
+            "eight_bit": evaluation.eight_bit,
         },
         "scale_ratio": evaluation.scale_ratio,
         "response": evaluation.response and dataclasses.asdict(evaluation.response),
@@ -158,13 +158,19 @@ def to_terminal(evaluation: Evaluation) -> Group:
     return Group(*parts)
 
 
+def _bits(evaluation: Evaluation) -> str:
+    if evaluation.eight_bit:
+        return "every picture through 8 bit"
+    return "HDR pictures through 8 bit, others as their files have them"
+
+
 def conditions(evaluation: Evaluation) -> list[str]:
     """What must stand beside the numbers: split, exposure mode, normaliser, μ, scale ratio."""
     width, height = evaluation.resolution
     views = len({row.view for row in evaluation.ldr})
     lines = [
         f"split {evaluation.split}: {views} views at {width}×{height}; exposure mode "
-        f"{evaluation.exposure_mode}; every picture through 8 bit",
+        f"{evaluation.exposure_mode}; {_bits(evaluation)}",
         f"LDR-OE: exposure indices {_listed(OBSERVED_EXPOSURES)}; LDR-NE: {_listed(NOVEL_EXPOSURES)}; SSIM "
         "11×11, σ 1.5, zero-padded; LPIPS: AlexNet v0.1, inputs in −1…1; LPIPS 01: "
         "inputs in 0…1, as in the paper",

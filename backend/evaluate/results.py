@@ -175,7 +175,7 @@ class Evaluation:
     ``split``: which views they are of, test or val.
     ``data_set``: the published benchmark that the scene is of (``published.data_set_of``), else "".
     ``response``: of a method with a global response curve. ``iteration``: what was evaluated, of the
-    ``iterations`` that were planned; None: not known.
+    ``iterations`` that were planned; None: not known. ``eight_bit``: whether all pictures went through 8 bit.
     """
 
     scene: str
@@ -192,6 +192,7 @@ class Evaluation:
     response: ResponseCheck | None = None
     iteration: int | None = None
     iterations: int | None = None
+    eight_bit: bool = True
 
     def ldr_mean(self, exposure_indices: tuple[int, ...]) -> Metrics | None:
         """Mean over the views for each exposure, then over ``exposure_indices``; None if there are none."""

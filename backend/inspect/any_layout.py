@@ -49,7 +49,8 @@ def look_at_scene(scene: Scene, found: Inspection) -> None:
             "there are no first points: training starts from those that stereo finds in the pictures "
             "(physhdr triangulate finds some by structure from motion)"
         )
-    warn_of_exposures(found)
+    if not all(encoding.is_known for view in scene.train for encoding in view.encodings):
+        warn_of_exposures(found)  # what is known of radiance needs no bracket
 
 
 def _picture(view: View, i: int, found: Inspection) -> np.ndarray | None:

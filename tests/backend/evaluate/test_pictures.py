@@ -109,5 +109,6 @@ def test_a_report_says_in_which_domain_its_numbers_are(tmp_path):
     assert len(evaluation.ldr) == 2, "a picture that is masked altogether has no number"
     told = " ".join(evaluation.messages)
     assert "2 of 3 pictures are compared in their own domain: radiance" in told and "masked" in told
+    assert not evaluation.eight_bit
     assert in_words([view_of(tmp_path, (CAMERA, camera_codes(1.0, 8), None))]) == []
     assert comparison_sheet(Model(), scene, [0], (0, 1)).dtype == np.uint8
