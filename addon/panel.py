@@ -136,7 +136,7 @@ class PHYSHDR_PT_dataset(_Subpanel, bpy.types.Panel):
                 write(context, column, warning, "ERROR")
             if dataset.problem:
                 write(context, column, f"{dataset.problem.message}. {dataset.problem.hint}", "ERROR")
-            if state.prepared.folder == dataset.folder:
+            if dataset.folder and state.prepared.folder == dataset.folder:
                 write(context, column, state.prepared.found)
                 for warning in state.prepared.warnings:
                     write(context, column, warning, "ERROR")
@@ -263,14 +263,12 @@ class PHYSHDR_PT_capture(_Subpanel, bpy.types.Panel):
         layout, target = layout_of(self), context.object
         assert is_model(target)
         column = layout.column(align=True)
-        column.operator(
-            "physhdr.capture_scale", text="Two Points and Their Distance…", icon="DRIVER_DISTANCE"
-        )
-        column.operator("physhdr.capture_floor", text="Three Points of the Floor…", icon="ORIENTATION_NORMAL")
+        column.operator("physhdr.capture_scale", text="Scale by Two Points…", icon="DRIVER_DISTANCE")
+        column.operator("physhdr.capture_floor", text="Floor by Three Points…", icon="ORIENTATION_NORMAL")
         column.operator("physhdr.capture_height", text="By the Cameras' Height…", icon="VIEW_CAMERA")
         known = context.scene.physhdr.captures.get(placement.capture_of(target))
         if known is None:
-            write(context, layout, "As its photos tell: where metres and the floor are, they do not", "INFO")
+            write(context, layout, "Photos tell neither how large things are nor where the floor is", "INFO")
             return
         told = ["metres" if known.has_scale else "scale as imported"]
         told.append("floor at z = 0" if known.has_floor else "ground as imported")

@@ -82,7 +82,7 @@ def understood(photos: Photos, result: dict[str, Any]) -> Photos:
     seconds: Any = result.get("estimate_seconds")
     return replace(
         photos,
-        lines=_texts(result.get("lines")) or (_counted(result),),
+        lines=_described(result) or _texts(result.get("lines")) or ("Photos were found",),
         warnings=(*_texts(result.get("warnings")), *_skipped(result.get("skipped"))),
         seconds=float(seconds) if _is_number(seconds) else -1.0,
         problem=None,
@@ -103,12 +103,29 @@ def prepared(result: dict[str, Any]) -> Prepared:
     )
 
 
-def _counted(result: dict[str, Any]) -> str:
-    """The numbers in a sentence, where the program has none of its own."""
-    photos, places = result.get("photos"), result.get("places")
-    told = [f"{photos} photos"] if _is_number(photos) else ["Photos"]
-    told += [f"{places} places"] if _is_number(places) else []
-    return ", ".join(told)
+def _described(result: dict[str, Any]) -> tuple[str, ...]:
+    """The numbers in lines as short as a panel is narrow; () where the program has told none."""
+    found: Any = result
+    photos, places, each = (found.get(name) for name in ("photos", "places", "per_place"))
+    size, seconds, stops = (found.get(name) for name in ("size", "exposures", "stops"))
+    told = []
+    if _is_number(photos):
+        is_size = isinstance(size, list) and len(size) == 2
+        told.append(f"{photos} photos" + (f", {size[0]} × {size[1]}" if is_size else ""))
+    if _is_number(places):
+        told.append(f"{places} places" + (f", {each} photos each" if _is_number(each) and each > 1 else ""))
+    if isinstance(seconds, list) and seconds and all(_is_number(one) and one > 0 for one in seconds):
+        times = [_time(min(seconds)), _time(max(seconds))] if len(seconds) > 1 else [_time(seconds[0])]
+        over = f", {stops:.1f} stops" if _is_number(stops) and len(seconds) > 1 else ""
+        told.append(f"{len(seconds)} exposure{'s' * (len(seconds) > 1)}: {' to '.join(times)}{over}")
+    if told and isinstance(how := result.get("how"), str) and how:
+        told.append(f"Found {how}")
+    return tuple(told)
+
+
+def _time(seconds: float) -> str:
+    """An exposure as cameras write it."""
+    return f"1/{1.0 / seconds:.0f} s" if seconds < 0.3 else f"{seconds:.3g} s"
 
 
 def _skipped(listed: Any) -> tuple[str, ...]:

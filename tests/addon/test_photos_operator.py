@@ -37,7 +37,7 @@ if not names:
 if "--look" in words:
     lines = [f"{len(names)} photos of 640x480", "hand-held" if "--handheld" in words else "from a tripod"]
     skipped = [{"name": name, "why": "cannot be read"} for name in names if "bad" in name]
-    say(result={"photos": len(names), "places": 2, "lines": lines, "warnings": ["automatic exposure"],
+    say(result={"lines": lines, "warnings": ["automatic exposure"],
                 "skipped": skipped, "estimate_seconds": 75.0})
     sys.exit(0)
 say(progress=0.25, message="placing 1 of 2 photos", seconds_left=40.0)

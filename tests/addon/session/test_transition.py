@@ -156,6 +156,22 @@ def test_photos_are_looked_at_and_what_they_became_is_summarised():
     assert again.prepared == Prepared()
 
 
+def test_what_photos_are_is_told_in_short_lines():
+    told = {"photos": 27, "places": 9, "per_place": 3, "exposures": [0.125, 0.5, 2.0], "stops": 4.0}
+    told |= {"size": [400, 300], "how": "by order: each 3 photos repeat", "lines": ["27 photos of 400×300 …"]}
+    state, _ = transition(READY, PhotosChosen("/photos"))
+    found, _ = transition(state, TaskEnded("look", True, result=told))
+    assert found.photos.lines == (
+        "27 photos, 400 × 300",
+        "9 places, 3 photos each",
+        "3 exposures: 1/8 s to 2 s, 4.0 stops",
+        "Found by order: each 3 photos repeat",
+    )
+    single = {"photos": 11, "places": 11, "per_place": 1, "exposures": [0.0008], "stops": 0.0}
+    found, _ = transition(state, TaskEnded("look", True, result=single))
+    assert found.photos.lines == ("11 photos", "11 places", "1 exposure: 1/1250 s")
+
+
 def test_a_failed_look_is_a_problem_of_the_photos_alone():
     state, _ = transition(READY, PhotosChosen("/photos"))
     state, _ = transition(state, TaskStarted("look", "/log"))
@@ -171,7 +187,8 @@ def test_a_failed_look_is_a_problem_of_the_photos_alone():
 
 @pytest.mark.parametrize("value", [None, "x", 3, True, [1], {"a": 1}, [{"name": 1}], float("nan")])
 def test_whatever_another_version_says_of_photos_can_be_shown(value):
-    names = ("photos", "places", "lines", "warnings", "skipped", "estimate_seconds", "folder")
+    names = ("photos", "places", "per_place", "exposures", "stops", "size", "how", "lines", "warnings")
+    names += ("skipped", "estimate_seconds", "folder", "placed", "reprojection_error")
     state, _ = transition(READY, PhotosChosen("/photos"))
     result = dict.fromkeys(names, value)
     state, _ = transition(state, TaskEnded("look", True, result=result))
