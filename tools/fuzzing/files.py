@@ -112,6 +112,32 @@ def write_odd_exrs(folder: Path) -> None:
     OpenEXR.File(header, {"RGB": rgb}).write(str(_folder(folder, "levels") / "picture.exr"))
 
 
+def write_deep(folder: Path) -> None:
+    """PNG and TIFF of 16 bits, TIFF of floats and .hdr, by OpenImageIO: what Pillow does not read for us."""
+    import OpenImageIO
+
+    rng = np.random.default_rng(0)
+    deep = rng.integers(0, 65536, (HEIGHT, WIDTH, 4), dtype=np.uint16)
+    light = rng.uniform(0.01, 9.0, (HEIGHT, WIDTH, 3)).astype(np.float32)
+    kinds = (
+        ("png", deep, ""),
+        ("tif", deep, "none"),
+        ("tif", deep, "lzw"),
+        ("tif", light, "zip"),
+        ("hdr", light, ""),
+    )
+    for suffix, pixels, compression in kinds:
+        place = _folder(folder, f"{suffix}-{pixels.dtype}-{compression}") / f"picture.{suffix}"
+        spec = OpenImageIO.ImageSpec(
+            WIDTH, HEIGHT, pixels.shape[2], pixels.dtype.name.replace("float32", "float")
+        )
+        if compression:
+            spec.attribute("compression", compression)
+        writer = OpenImageIO.ImageOutput.create(str(place))
+        _require(writer.open(str(place), spec) and writer.write_image(pixels), "a picture that is written")
+        writer.close()
+
+
 def write_layers(folder: Path) -> None:
     """As ``synth`` writes passes."""
     from physhdr.synth import exr
@@ -132,6 +158,19 @@ def read_picture(folder: Path, file: str, _: bytes) -> None:
     size = picture_size(folder / file)
     picture = read_picture(folder / file)
     _require(picture.dtype == np.uint8 and picture.shape == (size[1], size[0], 3), "a picture's size")
+
+
+def read_source(folder: Path, file: str, _: bytes) -> None:
+    from physhdr.backend.scene.encoding import CAMERA, LogEncoding
+    from physhdr.backend.scene.pictures import holds_radiance, picture_size
+    from physhdr.backend.scene.source import PictureSource
+
+    size = picture_size(folder / file)
+    encoding = LogEncoding(4.0) if holds_radiance(folder / file) else CAMERA
+    read = PictureSource(folder / file, encoding=encoding, alpha=True).read()
+    _require(read.codes.dtype in (np.uint8, np.uint16), "codes of 8 or 16 bits")
+    _require(read.codes.shape == (size[1], size[0], 3), "a picture's size")
+    _require(read.mask is None or read.mask.shape == read.codes.shape[:2], "a mask's size")
 
 
 def read_exr(folder: Path, file: str, _: bytes) -> None:
@@ -474,7 +513,9 @@ def _synth_error() -> tuple[type[Exception], ...]:
 TARGETS = (
     Target("picture: PNG", write_pngs, read_picture, 2000),
     Target("picture: JPEG", write_jpegs, read_picture, 1000),
+    Target("picture: 16 bits, TIFF, .hdr", write_deep, read_source, 2000),
     Target("picture: EXR", write_exrs, read_exr, 2500),
+    Target("picture: EXR, trained from", write_exrs, read_source, 1500),
     Target("picture: EXR, parts and deep", write_odd_exrs, read_odd_exr, 1000, whole_refused=True),
     Target("picture: EXR layers", write_layers, read_layers, 1000),
     Target("picture: EXR, synth", write_layers, read_synth_exr, 1500, refusals=_synth_error()),
