@@ -22,6 +22,7 @@ from ..runs.log import EventLog
 from ..runs.monitor import view_monitor
 from ..runs.run import Run
 from ..runs.terminal import console
+from ..runs.tidy import Tidying
 from ..train import events
 from ..train.config import TrainConfig
 from ..train.duration import Duration
@@ -91,6 +92,7 @@ class Train:
                     should_stop=lambda: stop.requested,
                     monitor=view_monitor(run.scene),
                     checkpoint_seconds=self.checkpoint_seconds,
+                    between=Tidying(trainer),
                 )
                 # Closed while it can still be told what fails: it saves on its way out.
                 with closing(told):

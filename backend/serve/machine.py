@@ -1,10 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the engine computes with: threads, the device, memory that is given back, compiled kernels."""
 
-import ctypes
 import gc
 import logging
-import sys
 from collections.abc import Callable
 
 import torch
@@ -13,6 +11,7 @@ from ...bridge.errors import BadValueError
 from ..device import DeviceName, choose_device
 from ..kernels.ahead import Needs, compile_ahead
 from ..rasterize.cpu import set_threads, thread_count
+from ..simd import give_back_freed_memory
 from .status import device_words
 
 log = logging.getLogger(__name__)
@@ -60,7 +59,4 @@ def free_memory() -> None:
     gc.collect()
     if torch.cuda.is_available():
         torch.cuda.empty_cache()
-    if sys.platform.startswith("linux"):
-        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)  # glibc's
-        if trim:
-            trim(0)
+    give_back_freed_memory()

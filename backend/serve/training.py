@@ -9,6 +9,7 @@ from typing import Any, Protocol
 from ..runs.log import LOG_FILE, EventLog
 from ..runs.monitor import view_monitor
 from ..runs.run import Run
+from ..runs.tidy import Tidying
 from ..train import events
 from ..train.duration import Duration
 from ..train.trainer import Trainer
@@ -53,7 +54,7 @@ class Training:
     ) -> None:
         self._trainer, self._run, self._expected = trainer, run, expected
         self._desk, self._status, self._curves = desk, status, curves
-        self._speed = Speed()
+        self._speed, self._tidying = Speed(), Tidying(trainer)
         self._paused = False
         self._next_status = 0.0
 
@@ -119,6 +120,7 @@ class Training:
 
     def _between_iterations(self) -> float:
         """Look what is asked; returns the seconds of a pause."""
+        self._tidying()
         self._desk.look()
         held = 0.0
         if self._paused and not self._desk.stopping:

@@ -12,7 +12,7 @@ logarithms · ``tuples`` · ``bits`` · ``compiling`` · ``threads`` · ``heap``
 from . import operators as operators  # registers + − < … with Numba
 from .bits import lowest_bit, span_bits, take_ticket
 from .compiling import kernel
-from .heap import keep_freed_memory
+from .heap import give_back_freed_memory, keep_freed_memory
 from .maths import (
     absolute,
     any_lane,
@@ -65,6 +65,7 @@ __all__ = [
     "floor",
     "fma",
     "fma_each",
+    "give_back_freed_memory",
     "keep_freed_memory",
     "kernel",
     "lane_numbers",

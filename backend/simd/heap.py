@@ -5,6 +5,10 @@ An iteration allocates and frees the same few dozen arrays of some MB. glibc ret
 kernel at once and gets them back as pages that must be zeroed and mapped again, one fault for every 4 KiB.
 Told to, it keeps them. One setting covers torch's tensors and numpy's arrays alike, which workspaces of our
 own would not; what it gains is in docs/performance.md.
+
+What is kept lies in pieces between what is in use. Where arrays become larger or more, the pieces no longer
+fit and new ones are made beside them: a training of large pictures then holds half as much again as it needs
+(docs/sizes.md). Given back now and then, they are pages again that any array may have.
 """
 
 import ctypes
@@ -22,3 +26,11 @@ def keep_freed_memory() -> bool:
         return False
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     return bool(mallopt and mallopt(_M_MMAP_MAX, 0) and mallopt(_M_TRIM_THRESHOLD, _NEVER))
+
+
+def give_back_freed_memory() -> None:
+    """Return to the system what is freed, wherever in the heap; elsewhere than in glibc nothing was kept."""
+    if sys.platform.startswith("linux"):
+        trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+        if trim:
+            trim(0)

@@ -16,6 +16,7 @@ from itertools import accumulate
 import torch
 
 from ..model.gaussians import Gaussians
+from ..simd import give_back_freed_memory
 from .config import TrainConfig
 from .growth import NoGrowth
 from .memory import sizes_of
@@ -117,6 +118,7 @@ def time_training(trainer: Trainer, clock: Callable[[], float] = time.perf_count
         return None
     with torch.random.fork_rng(devices=[trainer.device] if trainer.device.type == "cuda" else []):
         decoding, half, full = _timed(_copy(trainer), plan, sides, counts, clock)
+    give_back_freed_memory()  # the copy's, which was as large as the training will be
     return Duration(plan, half, full, begun, decoding)
 
 

@@ -20,7 +20,7 @@ from .views import training_views
 #: Pixels of a view for which the presets' numbers are; fewer change nothing.
 REFERENCE_PIXELS = 200 * 200
 #: The budget of Gaussians grows with the pixels of a view to this power, iterations to that.
-BUDGET_POWER, ITERATIONS_POWER = 0.4, 0.2
+BUDGET_POWER, ITERATIONS_POWER = 0.4, 0.3
 #: Turns that each view gets at least.
 TURNS = 40
 #: Of its points a data set keeps all, and growth can add half as many.

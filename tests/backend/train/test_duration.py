@@ -13,6 +13,7 @@ import torch
 from physhdr.backend.scene import read_scene
 from physhdr.backend.train import duration
 from physhdr.backend.train.duration import Cost, Duration, Plan, about, time_training
+from physhdr.backend.train.nuisances import NuisanceConfig
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import Trainer
 
@@ -98,16 +99,31 @@ def state(trainer: Trainer) -> list[torch.Tensor]:
     """All numbers of a training, and torch's random state."""
     groups = trainer.method.parameter_groups().values()
     numbers = [tensor.detach().clone() for group in groups for tensor in group]
-    return [*numbers, *trainer.optimiser.state_tensors().values(), torch.get_rng_state()]
+    photos = {} if trainer.nuisances is None else trainer.nuisances.tensors()
+    optimiser = trainer.optimiser.state_tensors()
+    return [*numbers, *(t.clone() for t in (*optimiser.values(), *photos.values())), torch.get_rng_state()]
 
 
-@pytest.mark.parametrize("preset", ["default", "default-scaffold", "gausshdr-short", "hdr-nerf-small"])
-def test_a_training_that_was_timed_ends_as_one_that_was_not(preset, tiny_data, monkeypatch):
+@pytest.mark.parametrize(
+    ("preset", "nuisances"),
+    [
+        ("default", "off"),
+        ("default", "on"),
+        ("default-scaffold", "off"),
+        ("gausshdr-short", "off"),
+        ("hdr-nerf-small", "off"),
+    ],
+)
+def test_a_training_that_was_timed_ends_as_one_that_was_not(preset, nuisances, tiny_data, monkeypatch):
     monkeypatch.setattr(duration, "SHARE", math.inf)
     scene, ends = read_scene(tiny_data), []
     half = 0.5 if PRESETS[preset].half_size_until else 0.0
     density = dataclasses.replace(PRESETS[preset].densify, start=4, every=4, stop=0.9, threshold=1e-6)
-    config = dataclasses.replace(short(preset, densify=density, half_size_until=half), iterations=12)
+    config = dataclasses.replace(
+        short(preset, densify=density, half_size_until=half),
+        iterations=12,
+        nuisances=NuisanceConfig(mode=nuisances),
+    )
     for timed in (False, True):
         trainer = Trainer(scene, config)
         if timed:
