@@ -267,9 +267,7 @@ class Prepare:
                 stages.begin(stage, f"COLMAP: {step}")
             stages.at(min(share, 0.999), f"COLMAP: {step}")
 
-        structure = recover(
-            to_match, work, self.camera, self.threads, at, understood.pairs(), understood.is_handheld
-        )
+        structure = recover(to_match, work, self.camera, self.threads, at, understood.pairs())
         return structure, f"COLMAP, {which}"
 
     def _report(

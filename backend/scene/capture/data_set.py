@@ -161,16 +161,17 @@ def test_poses(
     ``every``: about how many places there are to one for the test; 0: none. ``borrowed``: poses that nobody
     found by themselves: their places are not for the test.
     """
-    if not every:
-        return set()
     places: dict[int, list[int]] = {}
     for number in structure.registered:
         places.setdefault(brackets.place_of[number], []).append(number)
+    places = {place: numbers for place, numbers in places.items() if not {*numbers} & {*borrowed}}
+    if not every or not places:
+        return set()
     poses = [[structure.registered[number] for number in numbers] for numbers in places.values()]
     positions = np.array([np.mean([pose.position for pose in group], axis=0) for group in poses])
     directions = np.array([group[0].rotation[2] for group in poses])
-    chosen = [list(places.values())[k] for k in test_places(positions, directions, every)]
-    return {number for numbers in chosen if not {*numbers} & {*borrowed} for number in numbers}
+    groups = list(places.values())
+    return {number for k in test_places(positions, directions, every) for number in groups[k]}
 
 
 def write_data_set(

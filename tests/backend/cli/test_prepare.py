@@ -388,6 +388,41 @@ def test_automatic_exposure_both_ways_up_and_masks(room, tmp_path, capsys):
     assert hidden[:80, :120].all() and not hidden[130:].any() and not hidden[:, 180:].any()
 
 
+def test_hand_held_brackets_and_black_photos_that_borrow(room, tmp_path, capsys):
+    """Six places, two exposures of each from a hand that moves by centimetres; two dark ones are black."""
+    capture, folder, random = room.Capture(), tmp_path / "photos", np.random.default_rng(1)
+    rays, moment = room.rays_of_lens(), datetime(2026, 5, 1)
+    folder.mkdir()
+    for place, level in enumerate(room.arc(6)):
+        for k, seconds in enumerate((0.15, 1.0)):
+            centre = -level[:, :3].T @ level[:, 3] + random.normal(0.0, 0.03, 3)
+            pose = room.look_from(tuple(centre), tuple(random.normal((0.0, 0.0, 0.6), 0.05)))
+            capture.poses.append(pose)
+            pixels = room.codes(room.picture(pose, rays, room.WIDTH, room.HEIGHT), seconds)
+            if place in (1, 4) and k == 0:
+                pixels[:] = 0
+            taken = moment + timedelta(seconds=30 * place + 2 * k)
+            room.write_photo(folder / f"H{place}{k}.png", pixels, seconds, taken, 100, 8.0)
+    out = tmp_path / "out"
+    words = ["--handheld", "--borrow-poses", "--test-every", 3, "--camera", "RADIAL"]
+    assert prepare(folder, out, *words) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "2 photos took the pose of their bracket's next one: H10, H40" in said
+    origin = json.loads((out / "prepare.json").read_text())
+    assert origin["kind"] == "handheld" and origin["borrowed"] == {"H10": "H11", "H40": "H41"}
+    scene = read_scene(out)
+    views = {view.index: view for view in [*scene.train, *scene.test]}
+    assert len(views) == 12 and all(len(view.exposures) == 1 for view in views.values())
+    # Both photos of a place are for the test, or neither is, and no place of a borrowed pose.
+    tested = {view.index for view in scene.test}
+    assert tested and tested == {index ^ 1 for index in tested} and not tested & {2, 3, 8, 9}
+    for borrower, owner in ((2, 3), (8, 9)):
+        mine, other = views[borrower].camera, views[owner].camera
+        np.testing.assert_allclose(mine.camera_to_world, other.camera_to_world, atol=1e-6)
+        capture.poses[borrower] = capture.poses[owner]
+    assert_poses(scene, capture, room, 15.0)
+
+
 # ---- what programs are told ----------------------------------------------------------------------------
 
 
