@@ -9,6 +9,7 @@ from ...bridge.errors import DataMismatchError
 from ...bridge.limits import EXPOSURE
 from .checks import exposure, read_json
 from .exif import comparable, read_exif
+from .pictures import holds_radiance
 
 #: Beside ``images/``: {picture's file name: exposure in seconds} (GaussHDR's file).
 EXPOSURE_FILE = "exposure.json"
@@ -31,19 +32,15 @@ def read_exposure_file(path: Path) -> dict[str, float]:
     }
 
 
-#: Pictures of radiance, which no exposure is behind.
-RADIANCE = (".exr", ".hdr")
-
-
 def exposures_from_exif(paths: Sequence[Path]) -> tuple[list[float], str] | None:
     """Seconds for each picture, and in words where they are from; None where no picture says its time.
 
     Seconds at ISO 100 and at the pictures' median aperture (``exif.comparable``). ISO or aperture, where *no*
-    picture tells it, counts as constant. Radiance (OpenEXR, .hdr) counts as exposed for 1 s. Raises
+    picture tells it, counts as constant. A picture that holds radiance counts as exposed for 1 s. Raises
     ``DataMismatchError`` where some pictures say something that others do not, ``BadValueError`` where an
     exposure comes out absurd.
     """
-    everything, paths = paths, [path for path in paths if path.suffix.lower() not in RADIANCE]
+    everything, paths = paths, [path for path in paths if not holds_radiance(path)]
     tags = [read_exif(path) for path in paths]
     if all(tag.time is None for tag in tags):
         return None
@@ -66,6 +63,6 @@ def exposures_from_exif(paths: Sequence[Path]) -> tuple[list[float], str] | None
     if exposures.f_number is None:
         told += "; no picture tells its aperture: taken as constant"
     if len(paths) < len(everything):
-        told += "; radiance (OpenEXR, .hdr) counts as 1 s"
+        told += "; pictures that hold radiance count as 1 s"
     seconds = dict(zip(paths, exposures.seconds, strict=True))
     return [seconds.get(path, 1.0) for path in everything], told
