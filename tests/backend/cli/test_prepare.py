@@ -104,7 +104,7 @@ def assert_poses(scene, capture, room, millimetres=MILLIMETRES):
         turned = rotation @ view.camera.camera_to_world[:3, :3] @ np.diag([1.0, -1.0, -1.0])
         cosine = (np.trace(turned @ pose[:, :3]) - 1.0) / 2.0
         assert np.degrees(np.arccos(min(cosine, 1.0))) < DEGREES
-    assert np.degrees(np.arccos(rotation[2, 2])) < 0.5
+    assert np.degrees(np.arccos(rotation[2, 2])) < 0.1 * millimetres
     return scale, rotation, shift
 
 
