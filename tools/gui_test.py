@@ -44,7 +44,6 @@ PAGE_SECONDS = 20
 KEPT = {
     "no_backend": "panel/1_no_backend",
     "photos": "photos/1_understood",
-    "ground": "photos/5_scale_and_ground",
     "ready": "panel/3_ready",
     "training": "panel/4_training",
     "failed": "panel/6_failed",
