@@ -30,6 +30,8 @@ EIGHT_BIT_MODES = ("L", "LA", "P", "RGB", "RGBA", "RGBX")
 TURNED = (5, 6, 7, 8)
 #: The width of 35 mm film in millimetres, to which FocalLengthIn35mmFilm refers.
 FILM_WIDTH = 36.0
+#: A picture that is less wide does not show all around: it is a test's, or an icon.
+LEAST_AROUND = 1000
 #: EXIF's ExposureMode of automatic bracketing.
 AUTO_BRACKET = 2
 #: Beside or in the folder of photos: NAME.png is black where NAME.jpg is not to be looked at.
@@ -357,10 +359,6 @@ def _read_header(path: Path) -> Photo:
     # Two to one exactly, from nothing that has a focal length.
     around = around or (width == 2 * height and photo.focal_35mm is None and photo.focal is None)
     return replace(photo, panorama=around and width > LEAST_AROUND)
-
-
-#: A picture that is less wide does not show all around: it is a test's, or an icon.
-LEAST_AROUND = 1000
 
 
 def _read_raw_header(path: Path) -> Photo:
