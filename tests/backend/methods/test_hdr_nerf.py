@@ -11,7 +11,7 @@ import torch
 from physhdr.backend.evaluate.metrics import psnr
 from physhdr.backend.methods import hdr_nerf
 from physhdr.backend.methods.base import Batch, Facts
-from physhdr.backend.methods.hdr_nerf import HDRNeRF, HDRNeRFConfig, sum_in_parts
+from physhdr.backend.methods.hdr_nerf import HDRNeRF, HDRNeRFConfig, film_of, sum_in_parts
 from physhdr.backend.model.field import (
     Field,
     FieldConfig,
@@ -23,6 +23,7 @@ from physhdr.backend.model.field import (
 from physhdr.backend.model.rays import RaySpace, mean_frame, pixel_directions
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.camera import Camera
+from physhdr.backend.scene.source import Decoded
 from physhdr.backend.train.checkpoint import load_checkpoint
 from physhdr.backend.train.config import TrainConfig, read_config, write_config
 from physhdr.backend.train.trainer import CHECKPOINT_FILE, Trainer, TrainingDivergedError, load_method
@@ -555,3 +556,22 @@ def test_every_picture_that_training_may_see_is_on_the_film(tiny_data):
             k = [math.log(t) for t in view.exposures].index(pytest.approx(float(log_exposures[i]), abs=1e-4))
             matches.append(view.image(k)[round(row), round(column)] / 255.0)
         assert any(np.allclose(match, targets[i].numpy(), atol=1e-6) for match in matches)
+
+
+def test_masked_pixels_are_never_drawn_and_16_bits_are_kept(tiny_data):
+    """One picture of 16 bits and one with a mask: all of the film is then of 16 bits, 257 times the 8."""
+    trainer = Trainer(read_scene(tiny_data), TrainConfig(method=TINY, iterations=4))
+    view, k = trainer.views[1], trainer.exposures[1][0]
+    read, mask = view.cache.get(view.sources[k]), np.zeros((32, 32), bool)
+    mask[10:20] = True
+    deep = read.codes.astype(np.uint16) * np.uint16(257) + np.uint16(11)
+    view.cache._pictures[view.sources[k].key] = Decoded(deep, mask)
+    film = film_of(trainer, trainer.method.space, torch.device("cpu"))
+    assert film.codes.dtype == torch.uint16 and film.largest == 65535.0
+    first = 3 * 32 * 32  # of the second view
+    there = film.compared[(film.compared >= first) & (film.compared < first + 32 * 32)] - first
+    assert torch.equal(there, torch.arange(10 * 32, 20 * 32)) and film.size == 8 * 32 * 32 + 10 * 32
+    assert np.array_equal(film.codes[first : first + 1024].int().numpy(), deep.reshape(-1, 3))
+    eight = trainer.views[0].image(trainer.exposures[0][0]).reshape(-1, 3)
+    assert np.array_equal(film.codes[:1024].int().numpy() / 65535.0, eight / 255.0)
+    trainer.step()
