@@ -254,7 +254,8 @@ def make_lens(camera: Any, scale: float) -> Lens:
     """
     if camera.model_name == ALL_AROUND:
         raise panorama("the camera")
-    found = _inside(camera) if camera.width > 0 and camera.height > 0 else None
+    with np.errstate(all="ignore"):  # numbers of no lens at all are among what is tried
+        found = _inside(camera) if camera.width > 0 and camera.height > 0 else None
     if found is None:
         raise _not_credible(camera)
     left, top, right, bottom = found
@@ -285,8 +286,8 @@ def panorama(whose: str) -> BadValueError:
 
 def _not_credible(camera: Any) -> BadValueError:
     return BadValueError(
-        f"the lens is not credible: {camera.model_name} {camera.params_to_string()} of photos of "
-        f"{camera.width}×{camera.height}",
+        f"the lens that was found is not credible: {camera.model_name} {camera.params_to_string()} of photos "
+        f"of {camera.width}×{camera.height}",
         NOT_CREDIBLE,
     )
 
@@ -324,9 +325,8 @@ def _inside(camera: Any) -> tuple[float, float, float, float] | None:
         here, next_to = np.asarray(camera.img_from_cam(rays.reshape(-1, 3))).reshape(*rays.shape[:-1], 2)
         grows = ((next_to - here) * directions * focal).sum(axis=-1)
         grows /= tiny * ((directions * focal) ** 2).sum(axis=-1)
-        with np.errstate(invalid="ignore"):
-            on_photo = ((here >= -ON_EDGE) & (here <= size + ON_EDGE)).all(axis=-1)
-            return on_photo & (grows > LEAST_GROWTH) & (np.abs(points) <= WIDEST_TANGENT).all(axis=-1)
+        on_photo = ((here >= -ON_EDGE) & (here <= size + ON_EDGE)).all(axis=-1)
+        return on_photo & (grows > LEAST_GROWTH) & (np.abs(points) <= WIDEST_TANGENT).all(axis=-1)
 
     reach = step * np.arange(STEPS + 1)
     path = outward[:, None] * reach[:, None]

@@ -15,7 +15,7 @@ import numpy as np
 from PIL import Image
 
 from ...bridge import data_set
-from ...bridge.errors import DataMismatchError, FileMissingError, PhysHDRError
+from ...bridge.errors import BadValueError, DataMismatchError, FileMissingError, PhysHDRError
 from ...bridge.regular import damaged_where_it_fails
 from .camera import Camera
 from .exif import tags_of
@@ -76,7 +76,10 @@ class Views:
         self.reduction = reduction
         bent = [pose for pose in poses if pose.lens is not None]
         real = {pose.lens: pose.lens.pycolmaps() for pose in bent if pose.lens is not None}
-        self._lenses: dict[RealCamera, Lens] = lenses_by_size(real, 1.0 / reduction.factor)
+        try:
+            self._lenses: dict[RealCamera, Lens] = lenses_by_size(real, 1.0 / reduction.factor)
+        except BadValueError as error:
+            raise BadValueError(f"{root}: {error.message}", error.hint) from error
         self.messages: tuple[str, ...] = (_size_in_words(poses, reduction), *self._lenses_in_words())
         self._store = None
         if bent:
