@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How a run begins: with the sizes that its data call for, which are told and kept, and what is typed."""
+
+import dataclasses
+import math
+
+import pytest
+
+from physhdr.backend.runs.begin import Workshop, resume_run, start_run
+from physhdr.backend.train import duration, sizing
+from physhdr.backend.train.config import CONFIG_FILE, TrainConfig, read_config
+from physhdr.bridge.errors import BadValueError
+
+PRESET = TrainConfig(initial_points="random", random_points=150)
+
+
+@pytest.fixture
+def told():
+    return []
+
+
+@pytest.fixture
+def workshop(told):
+    return Workshop(report=told.append, expect=told.append, compile_kernels=lambda needs: None, device="cpu")
+
+
+@pytest.fixture(autouse=True)
+def large_pictures(monkeypatch):
+    """As if the presets were made for pictures a hundredth as large as these."""
+    monkeypatch.setattr(sizing, "REFERENCE_PIXELS", 10)
+
+
+def begin(data, out, workshop, config=PRESET, typed=()):
+    return start_run(data, out, config, "default", typed=typed, overwrite=False, workshop=workshop)
+
+
+def test_what_is_found_is_told_and_written_and_is_what_a_resume_has(tiny_data, tmp_path, workshop, told):
+    with begin(tiny_data, tmp_path / "run", workshop) as (trainer, run):
+        trainer.save(run.folder)
+    written = read_config(tmp_path / "run" / CONFIG_FILE).config
+    assert written == run.config == trainer.config
+    assert written.iterations > PRESET.iterations and written.densify.budget > PRESET.densify.budget
+    assert any(f"{written.iterations:,} iterations" in str(line) for line in told)
+    told.clear()
+    with resume_run(tmp_path / "run", None, workshop) as (resumed, _):
+        assert resumed.config == written
+    assert not any("megapixels" in str(line) for line in told)  # nothing is found anew
+
+
+def test_what_is_typed_is_what_is_trained(tiny_data, tmp_path, workshop):
+    typed = ("iterations", "densify.budget", "half_size_until", "random_points")
+    with begin(tiny_data, tmp_path / "run", workshop, typed=typed) as (trainer, _):
+        assert trainer.config == PRESET
+
+
+def test_how_long_it_will_take_is_told(tiny_data, tmp_path, workshop, told, monkeypatch):
+    monkeypatch.setattr(duration, "SHARE", math.inf)
+    config = dataclasses.replace(PRESET, iterations=30, random_points=100)
+    typed = ("iterations", "random_points")
+    with begin(tiny_data, tmp_path / "run", workshop, config, typed):
+        pass
+    (expected,) = (line for line in told if isinstance(line, duration.Duration))
+    assert f"training will take {expected}" in told and expected.seconds > 0.0
+
+
+def test_a_colour_space_that_there_is_not_is_refused(tiny_data, tmp_path, workshop):
+    config = dataclasses.replace(PRESET, color_space="srgb-ish")
+    with pytest.raises(BadValueError), begin(tiny_data, tmp_path / "run", workshop, config):
+        pass
+    assert not (tmp_path / "run").exists()
