@@ -336,7 +336,7 @@ def test_high_iso_and_apex_times_are_read_as_prepare_reads_them(layouts: ModuleT
         layouts.save(path, layouts.draw(int(path.stem[5:7]), k), exif=tags)
     expected = (20.48, 2048 / 32, 2048 / 8)
     assert read_scene(root).train[0].exposures == pytest.approx(expected, rel=1e-3)
-    prepared = exposures_from_exif(find_photos(root / "images")).seconds
+    prepared = exposures_from_exif(find_photos(root / "images").photos).seconds
     assert [prepared[f"shot_00_{k}.jpg"] for k in range(3)] == pytest.approx(expected, rel=1e-3)
 
 
