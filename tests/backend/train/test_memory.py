@@ -13,6 +13,7 @@ import tyro
 
 from physhdr.backend.memory import NotEnoughMemoryError, Room
 from physhdr.backend.scene import read_scene
+from physhdr.backend.scene.encoding import SRGB
 from physhdr.backend.train import memory
 from physhdr.backend.train.config import TrainConfig
 from physhdr.backend.train.memory import check_memory, estimate, sizes_of
@@ -149,3 +150,18 @@ def test_on_a_card_its_own_memory_counts_beside_the_machine_s(monkeypatch, scene
     with pytest.raises(NotEnoughMemoryError, match=r"0\.3 GB are free on the card") as refused:
         check_memory(scene, PRESETS["default"], torch.device("cuda"), lambda _: None)
     assert "--device cpu" in refused.value.hint
+
+
+def test_developed_pictures_have_16_bits_and_a_mask_has_8_of_a_pixel(scene):
+    def with_sources(**changes):
+        views = [
+            dataclasses.replace(
+                view, sources=tuple(dataclasses.replace(source, **changes) for source in view.sources)
+            )
+            for view in scene.train
+        ]
+        return sizes_of(dataclasses.replace(scene, train=views, lit=[]), TrainConfig()).picture_bytes
+
+    of_8_bits = with_sources()
+    assert with_sources(encoding=SRGB) == 2 * of_8_bits
+    assert with_sources(mask_path=scene.root / "mask.png") == of_8_bits * 4 // 3
