@@ -203,7 +203,8 @@ def _exposures_seen(view: View, config: TrainConfig) -> int:
 def _pixel_bytes(view: View) -> int:
     """Of a decoded picture with its mask, the most among the view's: what is developed here has 16 bits."""
     return max(
-        (3 if source.encoding == CAMERA else 6) + (source.mask_path is not None) for source in view.sources
+        (3 if source.encoding == CAMERA else 6) + (source.mask_path is not None or source.alpha)
+        for source in view.sources
     )
 
 
