@@ -108,8 +108,8 @@ def recover(
     Photos of one size and focal length share a camera. ``folder``: an empty one for what COLMAP writes.
     ``at`` is told each step and which share of it is done. ``pairs``: which are matched, by number; None:
     all, or neighbours in time where they are many. Photos of several exposures are matched as they are:
-    SIFT's descriptors know no brightness, and gamma, equalised histograms, CLAHE and local contrast placed no
-    more of hand-held brackets of 7, 11 and 14 EV (27, 22 and 18 of 27; CLAHE 27, 23 and 18). Raises
+    SIFT's descriptors know no brightness, and CLAHE placed 27, 23 and 18 of 27 photos of hand-held brackets
+    of 7, 11 and 14 EV, where these are 27, 22 and 18. Raises
     ``StructureError`` where fewer than ``FEWEST_POSES`` can be placed, or COLMAP fails; its log stays in the
     message. ``OutputError`` where the disk is full.
     """
