@@ -194,8 +194,7 @@ def skipped_in_words(
         raise type(first)(told, first.hint)
     said = []
     if missing:
-        # A name out of JSON may hold what no text can be written with.
-        name = missing[0].relative_to(root).as_posix().encode("utf-8", "backslashreplace").decode()
+        name = missing[0].relative_to(root).as_posix()
         said.append(f"{len(missing)} of {count} {what} have no picture: skipped (first: {name:.200})")
     if damaged:
         told = f"{len(damaged)} of {count} {what} have a picture that cannot be read"

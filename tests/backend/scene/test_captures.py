@@ -138,15 +138,6 @@ def test_fewer_than_half_of_the_pictures_are_too_few(tmp_path: Path) -> None:
         read_scene(root)
 
 
-def test_names_that_no_file_can_have_are_told_all_the_same(tmp_path: Path) -> None:
-    root = write_fox(tmp_path, 4, ())
-    content = json.loads((root / "transforms.json").read_text())
-    content["frames"][0]["file_path"] = "images/\ud800.jpg"
-    (root / "transforms.json").write_text(json.dumps(content))
-    (told,) = (message for message in read_scene(root).messages if "skipped" in message)
-    assert told.encode("utf-8") and r"images/\ud800.jpg" in told
-
-
 def test_a_picture_whose_header_is_damaged_is_named_and_skipped(tmp_path: Path) -> None:
     root = write_fox(tmp_path, 8, ())
     (root / "images" / "0003.jpg").write_bytes(b"\xff\xd8\xff nothing more")
