@@ -75,6 +75,11 @@ class TrainConfig:
     initial_points: Source = "both"
     #: A PLY whose points stand for the data set's own: a file in its folder, or a whole path.
     points_file: str | None = None
+    #: Points far away, for the sky and what is behind windows, where first points leave pictures uncovered;
+    #: auto: of photographs.
+    far_shell: Literal["auto", "on", "off"] = "auto"
+    #: Gaussians before a camera, nearer than anything it photographed, are removed; auto: of photographs.
+    clear_cameras: Literal["auto", "on", "off"] = "auto"
     #: What is known of the camera, from physhdr calibrate: response and vignetting are used as they are.
     calibration: str | None = None
     random_points: int = 20_000

@@ -7,6 +7,7 @@ and then so that what nobody needs can vanish (all 3DGS's).
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,8 +20,11 @@ from ..model.morton import morton_order
 from ..rasterize.reference import rotation_matrices
 from ..scene.camera import Camera
 from ..scene.resident import camera_tensors
+from .clearance import floating
 from .optimisers import Optimiser
 
+#: What a checkpoint calls the distances before which nothing is.
+CLEARANCE = "clearance"
 #: A split makes two, each this much smaller (3DGS).
 SPLIT_SHRINK = 1.6
 
@@ -111,10 +115,11 @@ def densify(
     iteration: int,
     config: DensifyConfig,
     generator: torch.Generator,
+    unwanted: torch.Tensor | None = None,
 ) -> DensifyState:
     """Clone, split and prune in one resampling, which also sorts by place (``morton``).
 
-    Returns fresh statistics.
+    ``unwanted`` ``[N]`` bool: Gaussians that go whatever they are. Returns fresh statistics.
     """
     gaussians, extent = method.gaussians, optimiser.extent
     count = len(gaussians)
@@ -123,6 +128,8 @@ def densify(
     largest = scales.max(dim=1).values
 
     pruned = opacities < config.prune_opacity
+    if unwanted is not None:
+        pruned |= unwanted
     grows = (gradient > config.threshold) & ~pruned
     if config.budget:
         room = max(config.budget - int((~pruned).sum()), 0)
@@ -164,7 +171,10 @@ def reset_opacity(method: SplattingMethod, optimiser: Optimiser, config: Densify
 
 
 class GaussianGrowth:
-    """The strategy bound to one training (``growth.Growth``). ``seed``: of the places of split Gaussians."""
+    """The strategy bound to one training (``growth.Growth``). ``seed``: of the places of split Gaussians.
+
+    ``clearance`` ``[V]``, of ``cameras``: what is nearer is removed (``clearance.py``); None: nothing is.
+    """
 
     def __init__(
         self,
@@ -173,7 +183,10 @@ class GaussianGrowth:
         config: DensifyConfig,
         iterations: int,
         seed: tuple[int, ...],
+        cameras: Sequence[Camera] = (),
+        clearance: torch.Tensor | None = None,
     ) -> None:
+        self.cameras, self.clearance = cameras, clearance
         self.method, self.optimiser, self.config = method, optimiser, config
         self.iterations, self.seed = iterations, seed
         self.statistics = DensifyState.empty(method.gaussians)
@@ -191,14 +204,18 @@ class GaussianGrowth:
         if is_due(iteration, self.iterations, self.config):
             seed = np.random.SeedSequence([*self.seed, iteration]).generate_state(1)[0]
             generator = torch.Generator().manual_seed(int(seed))
+            unwanted = None
+            if self.clearance is not None:
+                unwanted = floating(self.method.gaussians.means, self.cameras, self.clearance)
             self.statistics = densify(
-                self.method, self.optimiser, self.statistics, iteration, self.config, generator
+                self.method, self.optimiser, self.statistics, iteration, self.config, generator, unwanted
             )
         if reset_is_due(iteration, self.iterations, self.config):
             reset_opacity(self.method, self.optimiser, self.config)
 
     def tensors(self) -> dict[str, torch.Tensor]:
-        return dict(vars(self.statistics))
+        cleared = {} if self.clearance is None else {CLEARANCE: self.clearance}
+        return dict(vars(self.statistics)) | cleared
 
     def restore(self, tensors: dict[str, torch.Tensor]) -> None:
         names = vars(self.statistics)  # checkpoints of earlier versions hold more

@@ -5,6 +5,7 @@ import math
 import time
 from collections.abc import Callable, Generator, Mapping
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import torch
@@ -18,6 +19,7 @@ from ..rasterize import Implementation
 from ..scene.points import with_points_file
 from ..scene.resident import Pictures
 from ..scene.scene import Scene, View
+from ..start.far_shell import far_points
 from ..start.initialise import initial_points, merged_log_radiance, scene_extent, seen_points
 from .anchor_growth import AnchorGrowth
 from .calibration import freeze_response, read_calibration, use_response
@@ -34,8 +36,9 @@ from .checkpoint import (
     responses_in,
     save_checkpoint,
 )
+from .clearance import clearances
 from .config import TrainConfig, fingerprint
-from .densify import GaussianGrowth
+from .densify import CLEARANCE, GaussianGrowth
 from .events import Event, Finished, Progress, Saved, Started
 from .growth import Growth, NoGrowth
 from .half_size import halved
@@ -108,8 +111,12 @@ class Trainer:
         state = self._restore(resumed) if resumed else {}
         #: What is learned of each photo; None where nothing is.
         self.nuisances = self._new_nuisances(state, resumed)
+        #: Before these depths nothing was photographed; None where Gaussians may be anywhere.
+        self._clearance = state.get(f"{STATISTICS}{CLEARANCE}")
         if not resumed:
             self._begin()
+        elif self._clearance is not None and self._clearance.shape != (len(self.views),):
+            raise damaged(resumed / CHECKPOINT_FILE, "its clearances are not one a view")
         self.method.to_device(self.device)
         if config.calibration is not None and self.method.splatting is not None:
             freeze_response(self.method.splatting)
@@ -140,7 +147,11 @@ class Trainer:
             return NoGrowth()
         if isinstance(method.backbone, Anchors):
             return AnchorGrowth(method, self.optimiser, config.iterations, seed)
-        return GaussianGrowth(method, self.optimiser, config.densify, config.iterations, seed)
+        cameras = [view.camera for view in self.views]
+        iterations = config.iterations
+        return GaussianGrowth(
+            method, self.optimiser, config.densify, iterations, seed, cameras, self._clearance
+        )
 
     def _new_nuisances(self, state: Mapping[str, torch.Tensor], resumed: Path | None) -> Nuisances | None:
         """As the configuration says; a run that was begun without (by an older PhysHDR) goes on without."""
@@ -207,12 +218,25 @@ class Trainer:
             ambient_share=config.initial_ambient_share,
             seed=config.seed,
         )
+        positions = points.positions
+        if self._wants(config.clear_cameras) and not isinstance(method.backbone, Anchors):
+            self._clearance = clearances(positions, [view.camera for view in self.views])
+        if self._wants(config.far_shell) and config.method.traits.initial_radiance == "merged":
+            far = far_points(positions, views)
+            positions = np.concatenate([positions, far])
+            self.start_message += f", {len(far):,} far away where these leave pictures uncovered"
         radiance = points.colours if config.method.traits.initial_radiance == "points" else None
         if radiance is None:
-            radiance = merged_log_radiance(points.positions, views, exposures, response)
+            radiance = merged_log_radiance(positions, views, exposures, response)
         if self.nuisances is not None:
-            radiance = radiance - self.nuisances.begin(points.positions, response)
-        method.backbone.place(points.positions, radiance, start)
+            radiance = radiance - self.nuisances.begin(positions, response)
+        method.backbone.place(positions, radiance, start)
+
+    def _wants(self, setting: Literal["auto", "on", "off"]) -> bool:
+        """Whether what photographs need is done; published methods stay as they were published."""
+        return setting == "on" or (
+            setting == "auto" and self.scene.photographs and self.config.method.traits.effects
+        )
 
     # -- one iteration -----------------------------------------------------------------------------------
 
