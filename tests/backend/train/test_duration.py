@@ -50,7 +50,7 @@ class MadeUpClock:
         return self.now
 
 
-def iteration_seconds(pixels: int, gaussians: int) -> float:
+def iteration_seconds(pixels: int, gaussians: float) -> float:
     return OF_ITSELF + OF_PIXEL * pixels + OF_GAUSSIAN * gaussians
 
 
