@@ -282,3 +282,15 @@ def test_training_on_radiance_finds_it(tiny_data, tmp_path, encoding):
     cameras = [dataclasses.replace(v, sources=(s,)) for v, s in zip(scene.train, pictures, strict=True)]
     with pytest.raises(DataMismatchError, match="other pictures"):
         Trainer(dataclasses.replace(scene, train=cameras), config_of(120), resumed=tmp_path)
+
+
+@pytest.mark.parametrize("preset", ["baseline", "fast", "default-scaffold"])
+def test_other_presets_train_on_radiance_too(tiny_data, preset):
+    """On both backbones; what a preset says of anchors and warm starts has nothing to act on."""
+    config = dataclasses.replace(PRESETS[preset], iterations=9, training_exposures=(0,))
+    trainer = Trainer(radiance_scene(tiny_data), config)
+    before = {name: tensor.clone() for name, tensor in trainer.method.backbone.parameters.items()}
+    terms = [trainer.step() for _ in range(3)]
+    assert "unit" not in terms[0] and all(np.isfinite(float(value)) for value in terms[-1].values())
+    after = trainer.method.backbone.parameters
+    assert any(not torch.equal(after[name], tensor) for name, tensor in before.items())
