@@ -71,7 +71,7 @@ def read_capture(folder: Path) -> Capture | None:
     """The capture in a folder; None where it has none of the layouts. Raises the errors of ``bridge``."""
     model = _model_folder(folder)
     if (folder / REAL_FILE).exists():
-        return _of_real(folder)
+        return _of_real(folder, model)
     if model is not None and (folder / PICTURES).is_dir():
         return _of_colmap(folder, model)
     return _of_nerfstudio(folder) if (folder / NERFSTUDIO_FILE).exists() else None
@@ -118,8 +118,7 @@ def _model_folder(root: Path) -> Path | None:
 
 
 def _of_colmap(root: Path, model: Path) -> Capture:
-    binary = (model / "images.bin").exists()
-    listed = dict(_images_binary(model / "images.bin") if binary else _images_text(model / "images.txt"))
+    listed = _images(model)
     stated: dict[str, float | None] = {}
     if (root / EXPOSURE_FILE).exists():
         for name, seconds in read_json_object(root / EXPOSURE_FILE, COPY_AGAIN).items():
@@ -137,8 +136,13 @@ def _of_colmap(root: Path, model: Path) -> Capture:
     )
 
 
-def _images_binary(path: Path) -> Iterator[tuple[str, np.ndarray]]:
+def _images(model: Path) -> dict[str, np.ndarray]:
     """Name and place of each picture that was placed."""
+    binary = (model / "images.bin").exists()
+    return dict(_images_binary(model / "images.bin") if binary else _images_text(model / "images.txt"))
+
+
+def _images_binary(path: Path) -> Iterator[tuple[str, np.ndarray]]:
     content = read_bytes(path, COPY_AGAIN, LARGEST_MODEL)
     with damaged_where_it_fails(f"{path} is damaged", COPY_AGAIN):
         (count,) = _COUNT.unpack_from(content, 0)
@@ -217,7 +221,8 @@ def _place(path: Path, frame: dict[str, Any]) -> np.ndarray:
 # ---- HDR-NeRF-Real -----------------------------------------------------------------------------------------
 
 
-def _of_real(root: Path) -> Capture:
+def _of_real(root: Path, model: Path | None) -> Capture:
+    """LLFF's poses, or those of COLMAP's ``model`` beside them: the trainer takes that where it is there."""
     path = regular_file(root / REAL_FILE, COPY_AGAIN)
     with damaged_where_it_fails(f"{path} is not a readable array", COPY_AGAIN):
         rows = np.array(np.load(path, mmap_mode="r", allow_pickle=False), np.float64)
@@ -231,4 +236,7 @@ def _of_real(root: Path) -> Capture:
         for file, row in zip(files, rows, strict=False)
     }
     seconds = {file: _known(float(row[17])) for file, row in zip(files, rows, strict=False)}
-    return Capture("HDR-NeRF-Real", poses, seconds)
+    if model is None:
+        return Capture("HDR-NeRF-Real", poses, seconds)
+    poses = {re.sub(r"_\d+$", "", Path(name).stem): at for name, at in sorted(_images(model).items())[::-1]}
+    return Capture("HDR-NeRF-Real", poses, seconds, points=_point_count(model))

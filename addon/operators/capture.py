@@ -292,6 +292,11 @@ class PHYSHDR_OT_points_pick(bpy.types.Operator):
         if not is_splats(cloud_of(target)):
             self.report({"ERROR"}, f"{target.name} has lost what it is drawn by: import it again")
             return {"CANCELLED"}
+        try:
+            similarity.scale_of(np.array(target.matrix_world, np.float64))
+        except PhysHDRError as error:  # nothing could be done with the points
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
         self._points: list[np.ndarray] = []
         self._target, self._arrays = target.name, read_arrays(cloud_of(target))
         add = bpy.types.SpaceView3D.draw_handler_add
@@ -319,6 +324,10 @@ class PHYSHDR_OT_points_pick(bpy.types.Operator):
             self._ask(context)
         return {"RUNNING_MODAL"}
 
+    def cancel(self, context: bpy.types.Context) -> None:
+        """Blender ends it: another file is opened, or the window closed."""
+        self._end(context)
+
     def _pick(self, context: bpy.types.Context, at: tuple[float, float]) -> None:
         target = bpy.data.objects.get(self._target)
         region, view = context.region, context.region_data
@@ -340,7 +349,8 @@ class PHYSHDR_OT_points_pick(bpy.types.Operator):
 
     def _end(self, context: bpy.types.Context) -> None:
         bpy.types.SpaceView3D.draw_handler_remove(self._handler, "WINDOW")
-        context.workspace.status_text_set(None)
+        if context.workspace:
+            context.workspace.status_text_set(None)
         if context.area:
             context.area.tag_redraw()
 

@@ -244,11 +244,13 @@ def _auto(operator: PHYSHDR_OT_dataset_render, name: str) -> dict[str, Any]:
 
 
 def _choose_when_done(name: str, out: Path) -> None:
-    """Choose the data set for training once it is complete, unless another file has been opened by then."""
-    file = bpy.data.filepath
+    """Choose the data set for training once it is complete, unless another file has been opened by then.
+
+    Blender removes the timer when a file is opened. Saving this one, by whatever name, changes nothing.
+    """
 
     def look() -> float | None:
-        if not hasattr(bpy.types.Scene, "physhdr") or bpy.data.filepath != file:
+        if not hasattr(bpy.types.Scene, "physhdr"):
             return None
         if session().state.task(DATASET):
             return LOOK_SECONDS

@@ -164,13 +164,13 @@ class PHYSHDR_OT_photos_forget(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         session().cancel_task(LOOK)
         forget(context.scene.physhdr)
-        session().dispatch(PhotosChosen(""))
         return {"FINISHED"}
 
 
 def forget(settings: PHYSHDR_Settings) -> None:
     """No folder of photos is chosen any more."""
     settings.photos = settings.photos_out = ""
+    session().dispatch(PhotosChosen(""))
 
 
 def choose(settings: PHYSHDR_Settings, folder: str) -> None:
@@ -204,11 +204,13 @@ def _unused(folder: Path) -> Path:
 
 
 def _choose_when_done(name: str) -> None:
-    """Choose the data set for training once it is there, unless another file has been opened by then."""
-    file = bpy.data.filepath
+    """Choose the data set for training once it is there, unless another file has been opened by then.
+
+    Blender removes the timer when a file is opened. Saving this one, by whatever name, changes nothing.
+    """
 
     def look_again() -> float | None:
-        if not hasattr(bpy.types.Scene, "physhdr") or bpy.data.filepath != file:
+        if not hasattr(bpy.types.Scene, "physhdr"):
             return None
         state = session().state
         if state.task(PHOTOS):

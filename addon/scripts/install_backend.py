@@ -211,9 +211,15 @@ def take_over(former: Path, folder: Path) -> None:
     the scripts that name the former's place.
     """
     shutil.rmtree(folder, ignore_errors=True)
-    shutil.copytree(
-        former, folder, symlinks=True, ignore=shutil.ignore_patterns(STAMP), copy_function=link_or_copy
-    )
+    leave_out = shutil.ignore_patterns(STAMP)
+    try:
+        shutil.copytree(former, folder, symlinks=True, ignore=leave_out, copy_function=link_or_copy)
+    except shutil.Error as error:  # of all files that fail, a list
+        *_, (source, _, reason) = error.args[0]
+        raise InstallError(
+            f"{source} cannot be copied: {reason}",
+            "Free some space if the disk is full; else install the backend again, with Anew.",
+        ) from error
     was, now = os.fsencode(former), os.fsencode(folder)
     for script in (folder / ("Scripts" if os.name == "nt" else "bin")).iterdir():
         if script.is_symlink() or not script.is_file() or script.suffix == ".exe":

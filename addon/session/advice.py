@@ -119,6 +119,8 @@ def why_not(state: State, action: str, choices: Choices | None = None) -> str:
                 return f"Wait for the {busy} to end, or cancel it"
             if not choices.online:
                 return "Blender may not go online: Preferences, System, Network, Allow Online Access"
+            if state.task(LOOK) or state.task(PHOTOS):  # by the environment that would be removed
+                return "Photos are being worked on: wait for that to end, or cancel it"
             return "Stop the training first" if state.active else ""
         case "extend":
             if not state.backend.python:

@@ -65,6 +65,8 @@ from .state import (
 from .task import TaskEnded, TaskProgress
 
 Result = tuple[State, tuple[Effect, ...]]
+#: Of photos at which the look was broken off.
+LOOK_CANCELLED = "The look at the photos was cancelled: what they are is not known"
 
 
 def transition(state: State, event: Event) -> Result:
@@ -140,8 +142,10 @@ def _task_ended(state: State, event: TaskEnded) -> Result:
     log = task.log if task else ""
     state = replace(state, tasks=_others(state, event.task))
     if event.cancelled:
-        # Nobody knows what is in a folder at which the look was broken off.
-        return (replace(state, photos=Photos()) if event.task == LOOK else state), ()
+        if event.task == LOOK and state.photos.folder:
+            # The folder stays, or the timer would look at it again at once.
+            state = replace(state, photos=replace(state.photos, warnings=(LOOK_CANCELLED,)))
+        return state, ()
     message, hint = event.message, event.hint
     if event.task in (LOOK, PHOTOS):
         message, hint = in_panel_words(message), in_panel_words(hint)
@@ -165,7 +169,8 @@ def _task_ended(state: State, event: TaskEnded) -> Result:
         case name if name == PHOTOS and not problem:
             made = prepared(event.result)
             effects = (SummariseDataset(made.folder),) if made.folder else ()
-            return replace(state, photos=Photos(), prepared=made), effects
+            # What is known of the photos stays until the scene has others, or they would be looked at again.
+            return replace(state, prepared=made), effects
     return replace(state, problem=problem), ()
 
 

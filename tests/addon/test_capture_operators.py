@@ -369,3 +369,17 @@ def test_older_imports_are_of_their_runs_data(registered, run):
     target = model_import.import_model(run[0] / "model.safetensors")
     del target.data["physhdr_capture"]
     assert placement.capture_of(target) == placement.key_of(str(run[0].parent / "data"))
+
+
+def test_picking_that_blender_ends_leaves_nothing_drawn(registered, run, monkeypatch):
+    """As where another file is opened meanwhile: Blender calls ``cancel``."""
+    from types import SimpleNamespace
+
+    removed = []
+    space = SimpleNamespace(draw_handler_remove=lambda *each: removed.append(each))
+    types = SimpleNamespace(SpaceView3D=space)
+    monkeypatch.setattr(operators, "bpy", SimpleNamespace(types=types))
+    picking = SimpleNamespace(_handler="handler")
+    picking._end = lambda context: operators.PHYSHDR_OT_points_pick._end(picking, context)
+    operators.PHYSHDR_OT_points_pick.cancel(picking, SimpleNamespace(workspace=None, area=None))
+    assert removed == [("handler", "WINDOW")]

@@ -177,6 +177,14 @@ def test_poses_of_llff(tmp_path):
     assert found.lines[0] == f"{tmp_path.name}: 4 views, 6 × 4, HDR-NeRF-Real"
     assert found.exposures == (0.25, 0.5, 1.0, 2.0)
     np.testing.assert_array_equal(camera_places(tmp_path), PLACES)
+    # With COLMAP's model beside them, the trainer's world is that of the model, and has its pictures alone.
+    rows[:, 3:15:5] *= 3.0
+    np.save(tmp_path / "poses_bounds_exps.npy", rows)
+    sparse(tmp_path, ["000_0.png", "001_0.png", "002_0.png"], binary=True)
+    np.testing.assert_allclose(
+        sorted(camera_places(tmp_path).tolist()), sorted(PLACES[:3].tolist()), atol=1e-9
+    )
+    assert summarise(tmp_path).points is not None
     np.save(tmp_path / "poses_bounds_exps.npy", rows[:, :4])
     with pytest.raises(FileDamagedError, match="no table"):
         summarise(tmp_path)

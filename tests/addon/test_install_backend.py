@@ -4,10 +4,12 @@
 The real pip; no network.
 """
 
+import errno
 import hashlib
 import http.server
 import json
 import os
+import runpy
 import subprocess
 import sys
 import threading
@@ -219,6 +221,19 @@ def test_an_extension_that_fails_leaves_the_former_environment_as_it_was(place):
     assert status == 1 and "pycolmap" in said[-1]["error"]["message"]
     assert environments(place) == [former] and (former / "physhdr-complete.json").exists()
     assert before == {path: (path.stat().st_mtime_ns, path.stat().st_size) for path in former.rglob("*.py")}
+
+
+def test_a_disk_that_is_full_while_files_are_taken_over_is_named(tmp_path, monkeypatch):
+    (tmp_path / "former" / "lib").mkdir(parents=True)
+    (tmp_path / "former" / "lib" / "first.py").touch()
+    script = runpy.run_path(str(SCRIPT))
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setitem(script["take_over"].__globals__, "link_or_copy", full)
+    with pytest.raises(script["InstallError"], match=r"first\.py cannot be copied: .*No space left"):
+        script["take_over"](tmp_path / "former", tmp_path / "new")
 
 
 def test_an_environment_of_another_build_or_python_is_not_taken_over(place):

@@ -35,6 +35,8 @@ if not names:
     say(error={"code": "file_missing", "message": f"{photos} holds no photos", "hint": "Choose another."})
     sys.exit(1)
 if "--look" in words:
+    if "slowly.jpg" in names:
+        time.sleep(60)
     lines = [f"{len(names)} photos of 640x480", "hand-held" if "--handheld" in words else "from a tripod"]
     skipped = [{"name": name, "why": "cannot be read"} for name in names if "bad" in name]
     say(result={"lines": lines, "warnings": ["automatic exposure"],
@@ -217,6 +219,29 @@ def test_another_option_is_looked_at_anew_by_the_timer(extension, photos, tmp_pa
     assert extension.wait(lambda state: state.task(LOOK) is None, 20.0)
     assert extension.state.photos.lines[-1] == "hand-held"
     assert calls(tmp_path)[-1] == ["prepare", str(photos), "--handheld", "--look", "--json"]
+
+
+def test_a_look_that_is_cancelled_stays_so(extension, photos, tmp_path):
+    from physhdr.addon import runtime
+
+    (photos / "slowly.jpg").touch()
+    bpy.ops.physhdr.photos_look(directory=str(photos), wait=False)
+    bpy.ops.physhdr.task_cancel(name=LOOK)
+    assert extension.wait(lambda state: state.task(LOOK) is None, 15.0)
+    runtime._follow_photos(extension)
+    assert extension.state.task(LOOK) is None
+    assert "was cancelled" in extension.state.photos.warnings[0]
+
+
+def test_a_file_that_is_saved_meanwhile_still_gets_its_data_set(extension, photos, tmp_path, monkeypatch):
+    timers = []
+    monkeypatch.setattr(operators.bpy.app.timers, "register", lambda call, **_: timers.append(call))
+    bpy.context.scene.physhdr.photos = str(photos)
+    bpy.ops.physhdr.photos_prepare(wait=False)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "mine.blend"))
+    assert extension.wait(lambda state: state.task(PHOTOS) is None, 20.0)
+    assert [call() for call in timers] == [None]
+    assert bpy.context.scene.physhdr.data == str(tmp_path / "church_dataset")
 
 
 def test_without_a_backend_that_can_the_buttons_say_why(extension, photos):

@@ -142,7 +142,7 @@ def test_photos_are_looked_at_and_what_they_became_is_summarised():
     result = {"folder": "/out", "placed": 9, "places": 11, "reprojection_error": 0.157}
     result["warnings"] = ["2 left out: --partial uses what was found"]
     done, effects = transition(state, TaskEnded("photos", True, result=result))
-    assert effects == (SummariseDataset("/out"),) and done.photos == Photos()
+    assert effects == (SummariseDataset("/out"),) and done.photos == photos
     found = "9 of 11 places found, reprojection error 0.16 pixels"
     assert done.prepared == Prepared("/out", found, ("2 left out: Use What Was Found uses what was found",))
     # Broken off or failed, it leaves what was understood; the next try begins without the former's result.
@@ -181,8 +181,26 @@ def test_a_failed_look_is_a_problem_of_the_photos_alone():
     chosen = replace(CHOICES, photos="/photos")
     assert next_step(failed, chosen) == "Choose another folder of photos"
     assert why_not(failed, "photos", chosen) == "no photos there"
+
+
+def test_a_cancelled_look_is_not_begun_again():
+    state, _ = transition(READY, PhotosChosen("/photos", ("--handheld",)))
+    state, _ = transition(state, TaskStarted("look", "/log"))
     broken, _ = transition(state, TaskEnded("look", False, cancelled=True))
-    assert broken.photos == Photos()
+    # As the timer asks: it looks where folder or options are others.
+    assert (broken.photos.folder, broken.photos.options) == ("/photos", ("--handheld",))
+    assert "was cancelled" in broken.photos.warnings[0] and problem_of(broken) is None
+    assert why_not(broken, "photos", replace(CHOICES, photos="/photos", photos_out="/out")) == ""
+    # Photos that were left while they were looked at are gone.
+    left, _ = after(state, PhotosChosen(""), TaskEnded("look", False, cancelled=True))
+    assert left.photos == Photos()
+
+
+def test_the_environment_at_work_on_photos_is_not_replaced():
+    for name in ("look", "photos"):
+        state, _ = transition(READY, TaskStarted(name, "/log"))
+        assert "wait for that" in why_not(state, "install") and "wait for that" in why_not(state, "extend")
+    assert why_not(READY, "install") == why_not(READY, "extend") == ""
 
 
 @pytest.mark.parametrize("value", [None, "x", 3, True, [1], {"a": 1}, [{"name": 1}], float("nan")])
