@@ -32,13 +32,13 @@ def read_exposure_file(path: Path) -> dict[str, float]:
     }
 
 
-def exposures_from_exif(paths: Sequence[Path]) -> tuple[list[float], str] | None:
+def exposures_from_exif(paths: Sequence[Path], remedy: str = SAY_EXPOSURES) -> tuple[list[float], str] | None:
     """Seconds for each picture, and in words where they are from; None where no picture says its time.
 
     Seconds at ISO 100 and at the pictures' median aperture (``exif.comparable``). ISO or aperture, where *no*
     picture tells it, counts as constant. A picture that holds radiance counts as exposed for 1 s. Raises
-    ``DataMismatchError`` where some pictures say something that others do not, ``BadValueError`` where an
-    exposure comes out absurd.
+    ``DataMismatchError`` with ``remedy`` where some pictures say something that others do not,
+    ``BadValueError`` where an exposure comes out absurd.
     """
     everything, paths = paths, [path for path in paths if not holds_radiance(path)]
     tags = [read_exif(path) for path in paths]
@@ -50,7 +50,7 @@ def exposures_from_exif(paths: Sequence[Path]) -> tuple[list[float], str] | None
             raise DataMismatchError(
                 f"{paths[known.index(False)]} has no {name} in its EXIF data, {paths[known.index(True)]} has "
                 f"({sum(known)} of {len(paths)} pictures have)",
-                SAY_EXPOSURES,
+                remedy,
             )
     exposures = comparable(tags)
     for path, seconds in zip(paths, exposures.seconds, strict=True):

@@ -100,7 +100,8 @@ def _picture_names(folder: Path) -> dict[tuple[int, int], str]:
         raise FileMissingError(f"{folder} is missing", COPY_AGAIN)
     names: dict[tuple[int, int], str] = {}
     for path in sorted(folder.iterdir()):
-        if path.suffix.lower() not in (".jpg", ".jpeg", ".png"):
+        # macOS leaves ._003_1.jpg beside 003_1.jpg on other systems' disks.
+        if path.suffix.lower() not in (".jpg", ".jpeg", ".png") or path.name.startswith("."):
             continue
         parts = bracket_name(path.name)
         if parts is None or not parts[0].isdigit():

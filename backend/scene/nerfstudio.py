@@ -51,6 +51,11 @@ OPENCV = ("k1", "k2", "p1", "p2")
 FULL_OPENCV = (*OPENCV, "k3", "k4", "k5", "k6")
 OPENCV_FISHEYE = ("k1", "k2", "k3", "k4")
 
+#: What to do where only some pictures tell their exposure.
+SAY_EXPOSURES = (
+    f"Give each frame in {LOOKS_FOR} an 'exposure_time' in seconds; or use pictures that still have the "
+    "camera's EXIF data, or none of it."
+)
 OTHER_MODELS = (
     f"Of this format {', '.join((*PERSPECTIVE, *FISHEYE))} are read; a folder of COLMAP's (images/ and "
     "sparse/0) may have any of its models."
@@ -140,9 +145,27 @@ def _frames(root: Path, path: Path, content: dict[str, Any]) -> list[tuple[Path,
     return sorted(frames.items())
 
 
+def _inside(root: Path, path: Path, name: str) -> Path:
+    """A file that the data set names. Programs write absolute paths and ``..``, too: where these end in it.
+
+    Raises ``BadValueError`` where they end elsewhere: only what lies in the data set's folder is opened.
+    """
+    base = os.path.abspath(root)
+    whole = os.path.normpath(os.path.join(base, plain_name(name)))
+    if os.path.normcase(whole).startswith(os.path.normcase(os.path.join(base, ""))):
+        name = os.path.relpath(whole, base)
+    try:
+        return path_inside(root, name, path)
+    except BadValueError as error:
+        raise BadValueError(
+            error.message,
+            f"Move {path.name} to a folder that holds that file, too, and name it from there, without '..'.",
+        ) from error
+
+
 def _picture(root: Path, path: Path, name: str) -> Path:
     """A frame's picture, whose suffix may have been left out."""
-    file = path_inside(root, name, path)
+    file = _inside(root, path, name)
     candidates = (file.with_name(file.name + suffix) for suffix in LACKING)
     # Path.is_file raises where a name is too long; the reader of pictures then says so.
     return next((candidate for candidate in candidates if os.path.isfile(candidate)), file)
@@ -156,7 +179,7 @@ def _mask(root: Path, path: Path, where: str, frame: dict[str, Any]) -> Path | N
     if not isinstance(name, str):
         raise BadValueError(f"{path}: {where}: 'mask_path' is {name!r:.80}, not a text", "Mend or remove it.")
     remedy = f"Put it there, or remove 'mask_path' of {where}: then all of its picture is compared."
-    return regular_file(path_inside(root, name, path), remedy)
+    return regular_file(_inside(root, path, name), remedy)
 
 
 def _camera(path: Path, where: str, given: dict[str, Any], stored: tuple[int, int]) -> Camera:
@@ -164,7 +187,8 @@ def _camera(path: Path, where: str, given: dict[str, Any], stored: tuple[int, in
 
     ``stored``: the picture's size, where none is stated.
     """
-    pose = rigid_pose(path, require(path, given, "transform_matrix", f": {where}"), where)
+    matrix = require(path, given, "transform_matrix", f": {where}")
+    pose = rigid_pose(path, matrix, where.removeprefix("frame "))
     size = [number(path, given.get(key, stored[k]), f"{where}: '{key}'") for k, key in enumerate("wh")]
     width, height = (round(min(max(value, 0.0), 2.0 * LARGEST_SIDE)) for value in size)
     sides = range(1, LARGEST_SIDE + 1)
@@ -252,7 +276,7 @@ def _exposures(path: Path, frames: Sequence[tuple[Path, dict[str, Any]]]) -> tup
             )
         seconds = [exposure(path, frame["exposure_time"], file.name) for file, frame in frames]
         return seconds, f"exposures from 'exposure_time' in {LOOKS_FOR}"
-    from_exif = exposures_from_exif([file for file, _ in frames])
+    from_exif = exposures_from_exif([file for file, _ in frames], SAY_EXPOSURES)
     if from_exif is not None:
         return from_exif
     return [1.0] * len(frames), "no exposures are known: taken as one exposure of 1 s for all pictures"
@@ -293,4 +317,7 @@ def _points(root: Path, path: Path, content: dict[str, Any]) -> Points | None:
         return None
     if not isinstance(name, str):
         raise BadValueError(f"{path}: 'ply_file_path' is {name!r:.80}, not a text", "Mend it, or remove it.")
-    return read_points(path_inside(root, name, path))
+    remedy = (
+        f"Copy it there, or remove 'ply_file_path' from {path.name}: first points are then made by stereo."
+    )
+    return read_points(regular_file(_inside(root, path, name), remedy))

@@ -104,8 +104,10 @@ def _remove_leftovers(out: Path) -> None:
     for folder in out.parent.iterdir():
         lock = folder / IN_USE_FILE
         if ours.fullmatch(folder.name) and lock.is_file() and not (folder / "replaced").exists():
-            with suppress(OSError), FileLock(lock, timeout=0, fallback_to_soft=False):
-                rmtree(folder, ignore_errors=True)
+            with suppress(OSError):
+                with FileLock(lock, timeout=0, fallback_to_soft=False):
+                    rmtree(folder, ignore_errors=True)
+                rmtree(folder, ignore_errors=True)  # Windows removes no file that is open: the lock itself
 
 
 def _replace(out: Path, made: Path, replaced: Path) -> None:

@@ -4,13 +4,14 @@
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
-from PIL import ExifTags, Image, ImageOps
+from PIL import ExifTags, Image, ImageOps, TiffImagePlugin
 
 from ....bridge.errors import DataMismatchError, FileDamagedError, FileMissingError
 from ....bridge.regular import damaged_where_it_fails
@@ -343,13 +344,13 @@ def _read_header(path: Path) -> Photo:
     if path.suffix.lower() in raw.SUFFIXES:
         return _read_raw_header(path)
     unreadable = damaged_where_it_fails(f"{path} is not a readable photo", COPY_AGAIN)
-    with unreadable, Image.open(path, formats=["JPEG", "PNG", "TIFF"]) as picture:
+    with unreadable, _not_too_large(path), Image.open(path, formats=["JPEG", "PNG", "TIFF"]) as picture:
         if picture.mode not in EIGHT_BIT_MODES:
             raise FileDamagedError(
                 f"{path} is not an 8-bit RGB picture (Pillow's mode {picture.mode})",
                 "Save it again as JPEG, PNG or TIFF with 8 bits a channel, RGB.",
             )
-        width, height = picture.size
+        width, height = _stored_size(picture)
         tags = tags_of(picture)
         xmp = picture.info.get("xmp", b"")
     if tags.get(ExifTags.Base.Orientation) in TURNED:
@@ -361,11 +362,30 @@ def _read_header(path: Path) -> Photo:
     return replace(photo, panorama=around and width > LEAST_AROUND)
 
 
+@contextmanager
+def _not_too_large(path: Path) -> Iterator[None]:
+    """Say what is wrong where Pillow suspects an attack: some phones take 200 million pixels."""
+    try:
+        yield
+    except Image.DecompressionBombError as error:
+        raise FileDamagedError(
+            f"{path} has more pixels than are read ({error})",
+            "Take photos of 100 million pixels at most, or make them smaller, keeping EXIF.",
+        ) from error
+
+
+def _stored_size(picture: Image.Image) -> tuple[int, int]:
+    """Width and height as stored; Pillow has those of a TIFF turned upright already (since version 11)."""
+    if isinstance(picture, TiffImagePlugin.TiffImageFile):
+        return picture.tag_v2[ExifTags.Base.ImageWidth], picture.tag_v2[ExifTags.Base.ImageLength]
+    return picture.size
+
+
 def _read_raw_header(path: Path) -> Photo:
     header = raw.read_header(path)
     photo = Photo(path, header.width, header.height, white_balance=header.white_balance, noise=header.noise)
     photo = _with_tags(photo, header.tags, header.exif)
-    return replace(photo, taken=photo.taken or header.taken)
+    return replace(photo, taken=photo.taken or header.taken, focal=photo.focal or header.focal)
 
 
 def _with_tags(photo: Photo, tags: Tags, exposure: Exif) -> Photo:

@@ -5,6 +5,7 @@ A sensor counts light, so its response is known: black level off, divided by the
 balance. rawpy is optional (the extra ``prepare``) and is imported only here.
 """
 
+import math
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -47,7 +48,7 @@ def require_rawpy() -> ModuleType:
 
 @dataclass(frozen=True)
 class RawHeader:
-    """What a raw file tells without its pixels. ``width, height``: upright.
+    """What a raw file tells without its pixels. ``width, height``: upright. ``focal``: length, millimetres.
 
     ``white_balance``: factors of red, green and blue, the smallest 1. ``noise``: where the file
     tells it.
@@ -58,6 +59,7 @@ class RawHeader:
     exif: Exif
     tags: Tags
     taken: datetime | None
+    focal: float | None
     white_balance: tuple[float, float, float]
     noise: Noise | None
 
@@ -107,7 +109,9 @@ def read_header(path: Path) -> RawHeader:
             told.brightness,
         )
         taken = other.timestamp if other.timestamp.year > 1990 else None
-        return RawHeader(width, height, exif, tags, taken, _white_balance(raw), _noise_profile(tags))
+        focal = float(other.focal_length)
+        focal = focal if math.isfinite(focal) and focal > 0.0 else None
+        return RawHeader(width, height, exif, tags, taken, focal, _white_balance(raw), _noise_profile(tags))
 
 
 def _white_balance(raw: Any) -> tuple[float, float, float]:

@@ -247,6 +247,9 @@ NERFSTUDIO: list[Case] = [
      ("2 of 3 frames have no picture", "frame_00000.png is missing")),
     ("no mask", frame(1, mask_path="masks/1.png"), FileMissingError,
      ("masks/1.png is missing", "remove 'mask_path' of frame 'images/frame_00001'")),
+    ("EXIF of some", lambda L, r: [L.save(r / "images/1.jpg", L.draw(1, 0), exif=L.camera_exif(0.1)),
+        frame(1, file_path="images/1.jpg")(L, r)], DataMismatchError,
+     ("(1 of 3 pictures have)", "transforms.json an 'exposure_time'")),
     ("mask", frame(1, mask_path=3), BadValueError, ("'mask_path' is 3",)),
     ("mask outside", frame(1, mask_path="../1.png"), BadValueError, ("../1.png", "without '..'")),
     ("size", wrong_size("images/frame_00001.png"), DataMismatchError, ("frame_00001.png is 8×9",)),
@@ -277,7 +280,7 @@ NERFSTUDIO: list[Case] = [
         train_filenames=["images/frame_00001.png"], val_filenames=["images/frame_00001.png"])),
      DataMismatchError, ("'images/frame_00001' is in 'train_filenames' and in 'val_filenames'",)),
     ("no points", edit("transforms.json", lambda c: c.update(ply_file_path="gone.ply")), FileMissingError,
-     ("gone.ply is missing", "delete the file")),
+     ("gone.ply is missing", "remove 'ply_file_path' from transforms.json")),
 ]  # fmt: skip
 
 

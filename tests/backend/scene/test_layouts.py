@@ -467,6 +467,22 @@ def test_nerfstudio_with_intrinsics_in_each_frame(layouts: ModuleType, tmp_path:
     assert_points_are_on_their_spots(layouts, scene)
 
 
+def test_nerfstudio_with_names_that_go_out_of_the_folder_and_back(
+    layouts: ModuleType, tmp_path: Path
+) -> None:
+    """Programs write names as seen from where they were called, absolute ones, and those of Windows."""
+    root = layouts.write_nerfstudio(tmp_path / "data")
+    content = json.loads((root / "transforms.json").read_text())
+    written = ("./../data/{}", "{root}/{}", "images/../{}", "./{}", "{}")
+    for k, frame in enumerate(content["frames"]):
+        name = written[k % 5].format(frame["file_path"], root=root)
+        frame["file_path"] = name.replace("/", "\\") if k == 4 else name
+    (root / "transforms.json").write_text(json.dumps(content))
+    scene = read_scene(root)
+    assert len(scene.train) + len(scene.test) == 9 and not any("skipped" in m for m in scene.messages)
+    assert_points_are_on_their_spots(layouts, scene)
+
+
 def test_nerfstudio_with_fields_of_view_lists_and_points(layouts: ModuleType, tmp_path: Path) -> None:
     (tmp_path / "sparse_pc.ply").write_text(
         "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"

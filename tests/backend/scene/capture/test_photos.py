@@ -60,10 +60,11 @@ def test_apex_values_stand_in_and_a_manual_lens_cancels(room, tmp_path):
     assert "one aperture that EXIF does not tell" in found.meaning
 
 
-def test_a_photo_lies_upright_as_its_tag_says(room, tmp_path):
+@pytest.mark.parametrize("suffix", ["png", "tif"])
+def test_a_photo_lies_upright_as_its_tag_says(room, tmp_path, suffix):
     pixels = GREY.copy()
     pixels[0, :, 0] = 255  # the top edge as stored
-    room.write_photo(tmp_path / "a.png", pixels, 1.0, Orientation=6)  # turn by 90° clockwise to show it
+    room.write_photo(tmp_path / f"a.{suffix}", pixels, 1.0, Orientation=6)  # turn by 90° clockwise to show it
     photo = find_photos(tmp_path).photos[0]
     upright = np.asarray(photo.decode())
     assert (photo.width, photo.height) == (20, 30) == upright.shape[1::-1]
@@ -133,6 +134,7 @@ def test_what_is_no_photo_is_skipped_and_named(room, tmp_path):
     (tmp_path / "c.jpg").write_bytes(b"no picture")
     Image.fromarray(np.zeros((20, 30), np.uint16)).save(tmp_path / "d.png")
     (tmp_path / "e.MOV").write_bytes(b"video")
+    (tmp_path / "._a.jpg").write_bytes(b"what macOS leaves on other systems' disks")
     (tmp_path / "notes.txt").write_text("mine")
     found = find_photos(tmp_path)
     assert [photo.name for photo in found.photos] == ["a.jpg", "b.jpg"]
@@ -146,6 +148,13 @@ def test_what_is_no_photo_is_skipped_and_named(room, tmp_path):
     for name in ("a", "b"):
         (tmp_path / f"{name}.jpg").unlink()
     assert "c.jpg is not a readable photo" in refused(find_photos, tmp_path)
+
+
+def test_a_photo_of_more_pixels_than_are_read_has_a_remedy(room, tmp_path, monkeypatch):
+    room.write_photo(tmp_path / "a.jpg", GREY)
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 200)  # Pillow refuses twice as many
+    message = refused(find_photos, tmp_path)
+    assert "a.jpg has more pixels than are read" in message and "make them smaller" in message
 
 
 def test_a_photo_that_ends_too_early_is_found_when_it_is_decoded(room, tmp_path):
