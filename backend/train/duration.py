@@ -7,6 +7,7 @@ c + g · (Gaussians) at either size; growth is taken to be even. docs/sizes.md s
 """
 
 import copy
+import gc
 import math
 import time
 from collections.abc import Callable
@@ -118,7 +119,10 @@ def time_training(trainer: Trainer, clock: Callable[[], float] = time.perf_count
         return None
     with torch.random.fork_rng(devices=[trainer.device] if trainer.device.type == "cuda" else []):
         decoding, half, full = _timed(_copy(trainer), plan, sides, counts, clock)
-    give_back_freed_memory()  # the copy's, which was as large as the training will be
+    # The copy, which was as large as the training will be. Where a method knows its trainer (HDR-NeRF's film
+    # holds all pixels) the two hold each other, and would stay until Python happens to look for such.
+    gc.collect()
+    give_back_freed_memory()
     return Duration(plan, half, full, begun, decoding)
 
 

@@ -5,7 +5,9 @@ Against real trainings it is measured (docs/sizes.md), not tested: a test's mach
 """
 
 import dataclasses
+import gc
 import math
+import weakref
 
 import pytest
 import torch
@@ -136,6 +138,26 @@ def test_a_training_that_was_timed_ends_as_one_that_was_not(preset, nuisances, t
             trainer.step()
         ends.append(state(trainer))
     assert len(ends[0]) == len(ends[1]) and all(map(torch.equal, *ends))
+
+
+@pytest.mark.parametrize("preset", ["default", "hdr-nerf-small"])
+def test_the_copy_is_gone_when_the_training_begins(preset, tiny_data, monkeypatch):
+    monkeypatch.setattr(duration, "SHARE", math.inf)
+    copies, copy = [], duration._copy
+
+    def copied(trainer):
+        made = copy(trainer)
+        copies.append(weakref.ref(made))
+        return made
+
+    monkeypatch.setattr(duration, "_copy", copied)
+    trainer = Trainer(read_scene(tiny_data), dataclasses.replace(short(preset), iterations=12))
+    gc.disable()  # not by chance
+    try:
+        assert time_training(trainer) is not None
+        assert [each() for each in copies] == [None]
+    finally:
+        gc.enable()
 
 
 @pytest.mark.parametrize(
