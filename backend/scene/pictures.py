@@ -6,14 +6,14 @@ reads PNG and JPEG of 8 bits, OpenEXR's own library its format, OpenImageIO all 
 colour of 16 bits.
 """
 
-import io
+import sys
 import threading
 import warnings
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, TextIO, TypeVar, cast
 
 import numpy as np
 import OpenEXR
@@ -67,6 +67,26 @@ T = TypeVar("T")
 
 #: ``redirect_stdout`` puts another ``sys.stdout`` in place for all threads, and back what it has found.
 _stdout_lock = threading.Lock()
+
+
+class _OfOtherThreads:
+    """A stream without what the thread that made this writes to it; what others write, arrives.
+
+    Pictures are read beside a training (``prefetch``), which tells how far it is meanwhile.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream, self._silent = stream, threading.get_ident()
+
+    def write(self, text: str) -> int:
+        return len(text) if threading.get_ident() == self._silent else self._stream.write(text)
+
+    def flush(self) -> None:
+        self._stream.flush()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
 
 _RESTORE = "Restore the file, or make the data set again: only what is missing is rendered."
 _DELETE = "Delete it and make the data set again (only what is missing is rendered), or copy it again."
@@ -377,7 +397,7 @@ def _exr_parts(path: Path, header_only: bool) -> list[Any]:
     with (
         damaged_where_it_fails(f"{path} is not a readable OpenEXR picture", _DELETE),
         _stdout_lock,
-        redirect_stdout(io.StringIO()),
+        redirect_stdout(cast(TextIO, _OfOtherThreads(sys.stdout))),
     ):
         return list(OpenEXR.File(str(path), separate_channels=True, header_only=header_only).parts)
 

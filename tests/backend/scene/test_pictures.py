@@ -3,6 +3,7 @@
 
 import os
 import struct
+import threading
 import zlib
 from pathlib import Path
 from types import ModuleType
@@ -62,6 +63,24 @@ def test_a_damaged_exr_says_nothing_on_stdout(tmp_path: Path, radiance: np.ndarr
         with pytest.raises(FileDamagedError):
             read(tmp_path / "a.exr")
     assert capfd.readouterr().out == ""
+
+
+def test_what_others_tell_while_an_exr_is_read_arrives(tmp_path: Path, radiance, monkeypatch, capsys) -> None:
+    """A training tells how far it is while the thread beside it reads pictures ahead."""
+    path = tmp_path / "a.exr"
+    write_exr(path, radiance)
+    opened = OpenEXR.File
+
+    def telling(*given, **named):
+        print("a warning of the binding")
+        other = threading.Thread(target=print, args=("iteration 20",))
+        other.start()
+        other.join()
+        return opened(*given, **named)
+
+    monkeypatch.setattr(OpenEXR, "File", telling)
+    read_exr(path)
+    assert set(capsys.readouterr().out.splitlines()) == {"iteration 20"}
 
 
 def test_exr_that_claims_to_be_huge(tmp_path: Path, radiance: np.ndarray) -> None:
