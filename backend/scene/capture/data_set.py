@@ -36,10 +36,11 @@ from .structure import RegisteredPose, Structure
 IN_USE_FILE = "in-use.lock"
 #: The file by which a folder is known as this command's own.
 ORIGIN_FILE = "prepare.json"
-#: All that this command writes into a data set.
+#: All that this command, or a desktop unasked, writes into a data set.
 WRITTEN = re.compile(
     r"prepare\.json|exposure\.json|images(/(train|test)_\d+_\d\.png)?"
     r"|masks(/(train|test)_\d+_\d\.png)?|sparse(/0(/(cameras|images|points3D)\.bin)?)?"
+    r"|(.+/)?(\.DS_Store|Thumbs\.db|desktop\.ini)"  # by whoever has looked at the folder
 )
 #: PNG's first bytes, its number for RGB, and for rows that are written as differences to those above.
 SIGNATURE, RGB, UP = b"\x89PNG\r\n\x1a\n", 2, 2
@@ -78,6 +79,7 @@ def new_folder(out: Path, overwrite: bool) -> Iterator[Path]:
     except OSError as error:
         raise _cannot_write(out, error) from error
     in_use = FileLock(temporary / IN_USE_FILE, mode=0o600, fallback_to_soft=False)
+    failed = True
     try:
         with suppress(OSError):  # a disk that knows no locks: what a kill leaves there stays
             in_use.acquire(timeout=0)
@@ -88,11 +90,14 @@ def new_folder(out: Path, overwrite: bool) -> Iterator[Path]:
             _replace(out, made, temporary / "replaced")
         else:
             made.rename(out)
+        failed = False
     except OSError as error:
         raise _cannot_write(out, error) from error
     finally:
         in_use.release()
-        rmtree(temporary, ignore_errors=True)
+        # Where not even that could be put back, the former data set stays there.
+        if not (failed and (temporary / "replaced").exists()):
+            rmtree(temporary, ignore_errors=True)
 
 
 def _remove_leftovers(out: Path) -> None:
@@ -111,20 +116,22 @@ def _remove_leftovers(out: Path) -> None:
 
 
 def _replace(out: Path, made: Path, replaced: Path) -> None:
-    """What is in ``made`` goes into ``out``, what was there into ``replaced``, or back where that fails.
+    """What is in ``made`` goes into ``out``, what was there into ``replaced``; all back where that fails.
 
     ``out`` itself stays: a shell may stand in it.
     """
     replaced.mkdir()
+    moves = [(entry, replaced / entry.name) for entry in out.iterdir()]
+    moves += [(entry, out / entry.name) for entry in made.iterdir()]
     try:
-        for entry in list(out.iterdir()):
-            entry.rename(replaced / entry.name)
-    except OSError:
-        for entry in list(replaced.iterdir()):
-            entry.rename(out / entry.name)
+        for source, target in moves:
+            source.rename(target)
+    except BaseException:
+        for source, target in reversed(moves):
+            if target.exists() and not source.exists():
+                target.rename(source)
+        replaced.rmdir()
         raise
-    for entry in list(made.iterdir()):
-        entry.rename(out / entry.name)
 
 
 def _not_ours(out: Path) -> list[str]:

@@ -352,10 +352,12 @@ def _at_size(structure: Structure, sizes: Mapping[int, tuple[int, int]]) -> Stru
         odd = next((sizes[place] for place in of_camera if sizes[place] != (width, height)), None)
         if odd is not None or abs(height - camera.height * factor) > max(1.0, factor):
             width, height = odd or (width, height)
+            turned = (height > width) != (camera.height > camera.width)
             raise DataMismatchError(
                 f"the reconstruction is of pictures of {camera.width}×{camera.height}, the photos are "
                 f"{width}×{height}",
-                "It must be of these photos, not cropped and not turned.",
+                "It must be of these photos, not cropped and not turned."
+                + (" COLMAP does not obey EXIF's orientation: leave --poses out." if turned else ""),
             )
         scale = np.array([factor, height / camera.height])
         for place in of_camera:

@@ -65,6 +65,37 @@ def test_a_failure_leaves_what_was_there(tmp_path: Path) -> None:
     assert (out / "prepare.json").read_text() == "new" and list(tmp_path.iterdir()) == [out]
 
 
+@pytest.mark.parametrize("at", range(6))
+@pytest.mark.parametrize("failure", [OSError("full"), KeyboardInterrupt()], ids=["error", "interrupt"])
+def test_a_replacement_that_fails_at_any_step_is_undone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at: int, failure: BaseException
+) -> None:
+    """Three entries go out and three come in: six renames, and the one that fails leaves what was there."""
+    out = tmp_path / "data"
+    make(out)
+    rename, calls = Path.rename, []
+
+    def fails_once(path: Path, target: Path) -> Path:
+        calls.append(path)
+        if len(calls) == at + 1:
+            raise failure
+        return rename(path, target)
+
+    monkeypatch.setattr(Path, "rename", fails_once)
+    with pytest.raises((OutputError, KeyboardInterrupt)):
+        make(out, "newer", overwrite=True)
+    assert sorted(path.read_text() for path in out.rglob("*") if path.is_file()) == ["new"] * 3
+    assert [path.name for path in tmp_path.iterdir()] == ["data"]
+
+
+def test_what_a_desktop_leaves_is_no_ones_work(tmp_path: Path) -> None:
+    make(tmp_path / "data")
+    for name in (".DS_Store", "images/.DS_Store", "images/Thumbs.db"):
+        (tmp_path / "data" / name).write_bytes(b"")
+    make(tmp_path / "data", "newer", overwrite=True)
+    assert (tmp_path / "data" / "prepare.json").read_text() == "newer"
+
+
 KILLED = """
     import os, signal, sys
     from pathlib import Path
