@@ -16,7 +16,7 @@ import torch
 from ..model.backbone import Splats
 from ..rasterize import Rasterization
 from ..scene.camera import Camera
-from .base import Drawn, Exposed, exposed_by, is_standard
+from .base import Drawn, Exposed, Recording, exposed_by, is_standard
 from .physhdr_common import Developed, PhysHDRMethod, illumination_deviation
 
 
@@ -76,7 +76,10 @@ class PhysHDR(PhysHDRMethod[DrawnRadiance]):
                 found[k] = Developed(radiance, None, ldr, [ldr], glo)
         for k, each in enumerate(taken):
             if each.encoding.is_known:
-                ldr = each.encoding.developed(exposed[k])
+                if isinstance(each, Recording):
+                    ldr = each.encoding.towards(exposed[k], each.picture)
+                else:
+                    ldr = each.encoding.developed(exposed[k])
                 found[k] = Developed(exposed[k], None, ldr, [ldr], ldr)
         return [found[k] for k in range(len(taken))]
 

@@ -61,6 +61,14 @@ class Encoding(ABC):
     def developed(self, exposed: torch.Tensor) -> torch.Tensor:
         """``encode`` of a tensor of any shape, differentiable; where it clips the gradient is 0."""
 
+    def towards(self, exposed: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
+        """``developed`` for a loss that compares it with a picture's ``values``, of the same shape.
+
+        Where the picture itself does not clip, the curve goes on above white: what is drawn too bright must
+        know its way back, and a clipped prediction would have no gradient.
+        """
+        return self.developed(exposed)
+
     @abstractmethod
     def __str__(self) -> str:
         """A few words for a report."""
@@ -123,7 +131,14 @@ class SrgbEncoding(Encoding):
         return srgb.to_linear(np.asarray(values, np.float64))
 
     def developed(self, exposed: torch.Tensor) -> torch.Tensor:
-        linear = exposed.clamp(0.0, 1.0)
+        return self._curve(exposed.clamp(0.0, 1.0))
+
+    def towards(self, exposed: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
+        open_ended = self._curve(exposed.clamp_min(0.0))
+        return torch.where(values < 1.0, open_ended, open_ended.clamp_max(1.0))
+
+    @staticmethod
+    def _curve(linear: torch.Tensor) -> torch.Tensor:
         power = srgb.SCALE * linear.clamp_min(srgb.LINEAR_KNEE) ** (1.0 / srgb.POWER) - srgb.OFFSET
         return torch.where(linear <= srgb.LINEAR_KNEE, linear * srgb.SLOPE, power)
 

@@ -21,7 +21,7 @@ from .camera import Camera
 from .exif import tags_of
 from .lens import Lens, RealCamera, Reduced, lenses_by_size
 from .pictures import READABLE, picture_size
-from .resize import Reduction
+from .resize import Reduction, is_shaped
 from .scene import PictureCache, View
 from .source import PictureSource
 from .test_choice import EVERY, FEWEST, test_places
@@ -191,7 +191,9 @@ def skipped_in_words(
     if share_left < 0.5:
         first = next(iter(faults.values()))
         told = f"{len(faults)} of {count} {what} have no picture that can be used. The first: {first.message}"
-        raise type(first)(told, first.hint)
+        there = isinstance(first, FileMissingError)
+        hint = "Put the pictures where they are looked for, under these names." if there else first.hint
+        raise type(first)(told, hint)
     said = []
     if missing:
         name = missing[0].relative_to(root).as_posix()
@@ -248,11 +250,6 @@ def wrong_size(path: Path, size: tuple[int, int], first: Path, right: tuple[int,
         f"{path} is {size[0]}×{size[1]} pixels, {first} is {right[0]}×{right[1]}",
         "All pictures must have one size: resize it, or delete it and make the data set again.",
     )
-
-
-def is_shaped(size: tuple[int, int], like: tuple[int, int]) -> bool:
-    """Whether two sizes are of one shape, to a pixel's rounding."""
-    return abs(like[1] * size[0] - size[1] * like[0]) <= max(like[0], size[0])
 
 
 def turn(path: Path, stored: tuple[int, int], stated: tuple[int, int]) -> int:

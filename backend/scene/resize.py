@@ -122,6 +122,11 @@ def _windows(side: int, small: int, averages: bool) -> tuple[np.ndarray, np.ndar
     return first.clip(0, side), after.clip(0, side)
 
 
+def is_shaped(size: tuple[int, int], like: tuple[int, int]) -> bool:
+    """Whether two sizes are of one shape, to a pixel's rounding."""
+    return abs(like[1] * size[0] - size[1] * like[0]) <= max(like[0], size[0])
+
+
 def capped(width: int) -> float:
     """3DGS's factor for pictures of this width: 1, or what makes them ``WIDEST`` wide."""
     return max(1.0, width / WIDEST)

@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from PIL import Image
 
 from ...bridge.errors import DataMismatchError
 from .color_space import SPACES, Chromaticities, known, space_named
 from .encoding import CAMERA, LARGEST, Encoding
 from .pictures import Radiance, holds_radiance, read_codes, read_radiance
-from .resize import Reduction
+from .resize import Reduction, is_shaped
 
 
 class Undistortion(Protocol):
@@ -104,7 +103,7 @@ class PictureSource:
         """Of radiance the mean is taken, not that of its logarithm: so would a smaller camera."""
         if self.encoding.clips or not self.encoding.is_known:
             return reduction.picture(codes)
-        return self.encoding.codes(smaller(self.encoding.exposed(codes), reduction))
+        return self.encoding.codes(reduction.linear(self.encoding.exposed(codes)).clip(0.0))
 
     def _whole(self) -> Decoded:
         """At full size."""
@@ -153,6 +152,9 @@ class PictureSource:
         assert self.mask_path is not None
         shades = turned(read_codes(self.mask_path)[0], self.orientation).max(axis=2)
         mask = shades >= (LARGEST[shades.dtype] + 1) // 2
+        size = codes.shape[1], codes.shape[0]
+        if is_shaped(size, (mask.shape[1], mask.shape[0])):
+            return _nearest(mask, *size)
         if mask.shape != codes.shape[:2]:
             raise DataMismatchError(
                 f"the mask {self.mask_path} is {mask.shape[1]}×{mask.shape[0]}, its picture "
@@ -162,14 +164,11 @@ class PictureSource:
         return mask
 
 
-def smaller(linear: np.ndarray, reduction: Reduction) -> np.ndarray:
-    """``[H, W, 3]`` linear values at the reduced size, by the reduction's filter, none below 0."""
-    height, width = linear.shape[:2]
-    small = reduction.size(width, height)
-    averages = reduction.filter == "area" and not (width % small[0] or height % small[1])
-    by = Image.Resampling.BOX if averages else Image.Resampling.BICUBIC
-    planes = (Image.fromarray(linear[..., k].astype(np.float32)).resize(small, by) for k in range(3))
-    return np.stack([np.asarray(plane, np.float64) for plane in planes], axis=-1).clip(0.0)
+def _nearest(mask: np.ndarray, width: int, height: int) -> np.ndarray:
+    """A mask of another size: what lies in the middle of each pixel."""
+    rows = (np.arange(height) + 0.5) * mask.shape[0] / height
+    columns = (np.arange(width) + 0.5) * mask.shape[1] / width
+    return mask[rows.astype(int)][:, columns.astype(int)]
 
 
 def radiance_rec709(path: Path, color_space: str = "") -> tuple[np.ndarray, str]:

@@ -22,6 +22,20 @@ def test_torch_encodes_as_numpy_and_its_gradient_is_right(encoding):
     assert torch.autograd.gradcheck(encoding.developed, (inside,))
 
 
+def test_what_is_drawn_too_bright_knows_its_way_back():
+    """Above white a clipped picture is content, one that is not clipped pulls; below both see one curve."""
+    exposed = torch.tensor([0.3, 2.0, 2.0], dtype=torch.float64, requires_grad=True)
+    values = torch.tensor([1.0, 0.9, 1.0], dtype=torch.float64)
+    towards = SRGB.towards(exposed, values)
+    towards.sum().backward()
+    above = 1.055 * 2.0 ** (1 / 2.4) - 0.055
+    assert towards.detach().numpy() == pytest.approx([1.055 * 0.3 ** (1 / 2.4) - 0.055, above, 1.0])
+    assert exposed.grad.numpy() == pytest.approx(
+        [1.055 / 2.4 * 0.3 ** (1 / 2.4 - 1), 1.055 / 2.4 * 2.0 ** (1 / 2.4 - 1), 0.0]
+    )
+    assert torch.equal(LOG.towards(exposed, values), LOG.developed(exposed))
+
+
 def test_the_curves_are_their_formulas():
     """sRGB by IEC 61966-2-1, clipped; the logarithm is 1 at its scale and goes on above."""
     assert SRGB.encode(np.array([0.002, 0.5, 1.0, 7.0])) == pytest.approx(

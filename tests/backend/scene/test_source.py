@@ -146,6 +146,15 @@ def test_a_mask_beside_and_alpha_both_hide_and_are_reduced(tmp_path):
         source.read()
 
 
+def test_a_mask_at_half_the_size_hides_as_much(tmp_path):
+    Image.fromarray(FLAT).save(tmp_path / "a.png")
+    half = np.full((6, 8), 255, np.uint8)
+    half[1:3, 4:] = 0
+    Image.fromarray(half).save(tmp_path / "m.png")
+    read = PictureSource(tmp_path / "a.png", mask_path=tmp_path / "m.png").read()
+    assert np.array_equal(read.mask, np.kron(half, np.ones((2, 2))) > 0)
+
+
 @pytest.mark.parametrize("orientation", range(1, 9))
 def test_pictures_are_turned_as_pillow_turns_them(orientation):
     picture, tags, file = Image.fromarray(FLAT), Image.Exif(), io.BytesIO()
