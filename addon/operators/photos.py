@@ -191,7 +191,8 @@ def proposed_folder(photos: Path) -> str:
     if bpy.data.filepath:
         return f"//{_unused(Path(bpy.path.abspath('//')) / name).name}"
     beside = photos.parent
-    return str(_unused((beside if os.access(beside, os.W_OK) else Path.home()) / name))
+    is_beside = beside != photos and os.access(beside, os.W_OK)  # a whole card (D:\) has nothing beside it
+    return str(_unused((beside if is_beside else Path.home()) / name))
 
 
 def _unused(folder: Path) -> Path:

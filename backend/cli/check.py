@@ -72,14 +72,16 @@ def check(tell: Callable[[float, str], None]) -> Findings:
             name = _name_of(requirement)
             tell(IMPORTED * done / len(wanted), f"importing {name}")
             findings.versions[name] = _imported(name, requirement)
-            if not _fits(findings.versions[name], requirement):
-                findings.warnings.append(f"{name} {findings.versions[name]} was not tested: {requirement}")
         for requirement in for_photos:
             try:
                 findings.versions[_name_of(requirement)] = _imported(_name_of(requirement), requirement)
             except MissingModuleError as error:
                 findings.missing.append(requirement)
                 findings.warnings.append(f"photos cannot be prepared: {error.message}")
+        for requirement in [*wanted, *for_photos]:
+            found = findings.versions.get(name := _name_of(requirement))
+            if found is not None and not _fits(found, requirement):
+                findings.warnings.append(f"{name} {found} was not tested: {requirement}")
     _listen()
     from . import trial_step  # torch and all the rest of ours
 

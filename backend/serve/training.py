@@ -80,7 +80,7 @@ class Training:
         self._curves.read(run.folder / LOG_FILE, run.iteration)
         message = trainer.start_message
         if self._expected is not None:
-            message = f"{message}; {self._expected} in all"
+            message = f"{message}; {self._expected} {'to go' if trainer.iteration else 'in all'}"
         self._status.change(
             state="training",
             message=message,

@@ -138,6 +138,8 @@ def test_scripts_give_what_they_want_and_former_calls_do_not_count(extension, ph
     assert operators.proposed_folder(photos) == str(tmp_path / "church_dataset")
     (tmp_path / "church_dataset" / "kept").touch()
     assert operators.proposed_folder(photos) == str(tmp_path / "church_dataset_2")
+    # A whole card has nothing beside it.
+    assert Path(operators.proposed_folder(Path(tmp_path.anchor))).parent == Path.home()
 
 
 def test_a_saved_file_has_the_data_set_beside_it(extension, photos, tmp_path):

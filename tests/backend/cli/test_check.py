@@ -32,6 +32,14 @@ def test_a_package_that_photos_need_is_missing_and_training_works(quick, monkeyp
     assert found.device and "pycolmap" not in found.versions
 
 
+def test_a_package_for_photos_of_another_version_is_told(quick, monkeypatch):
+    real = checks.version_of
+    monkeypatch.setattr(checks, "version_of", lambda name: "0.1" if name == "pycolmap" else real(name))
+    found = checks.check(lambda fraction, message: None)
+    assert found.missing == []
+    assert [text for text in found.warnings if text.startswith("pycolmap 0.1 was not tested")]
+
+
 def test_a_package_that_training_needs_is_an_error(quick, monkeypatch):
     monkeypatch.setitem(sys.modules, "plyfile", None)
     with pytest.raises(MissingModuleError, match="plyfile") as error:
