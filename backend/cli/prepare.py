@@ -40,7 +40,7 @@ from ..scene.capture.structure import (
     require_pycolmap,
 )
 from ..scene.capture.understanding import Understanding, understand
-from ..scene.lens import lenses_by_size
+from ..scene.lens import Lens, lenses_by_size
 
 #: Of each ISO so many raw files tell the noise, where they do not say it.
 NOISE_PHOTOS = 6
@@ -183,8 +183,7 @@ class Prepare:
         _require_enough(structure, understood, self.partial)
         up = up_direction([pose.rotation for pose in structure.registered.values()])
         structure = structure.turned(rotation_to_z(up))
-        widest = max(photo.width for photo in brackets.photos)
-        lenses = lenses_by_size(structure.cameras, self._scale(widest))
+        lenses = self._lenses(structure)
         left_out = [pose.name for k, pose in enumerate(brackets.poses) if k not in structure.registered]
         origin = {
             "format": "physhdr-capture",
@@ -236,9 +235,17 @@ class Prepare:
             "warnings": voice.warnings,
         }
 
-    def _scale(self, width: int) -> float:
-        limit = self.max_width / width if self.max_width else 1.0
-        return min(1.0 / self.downscale, limit, 1.0)
+    def _lenses(self, structure: Structure) -> dict[int, Lens]:
+        """A pinhole camera for each of the structure's, whose pictures are as small as is asked for."""
+        widest = max(camera.width for camera in structure.cameras.values())
+        limit = self.max_width / widest if self.max_width else 1.0
+        scale = min(1.0 / self.downscale, limit, 1.0)
+        lenses = lenses_by_size(structure.cameras, scale)
+        # Without a barrel's distortion pictures are wider than the photos were.
+        widest = max(lens.width for lens in lenses.values())
+        if 0 < self.max_width < widest:
+            return lenses_by_size(structure.cameras, scale * self.max_width / widest)
+        return lenses
 
     def _structure(
         self,

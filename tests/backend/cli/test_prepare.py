@@ -375,13 +375,16 @@ def test_automatic_exposure_both_ways_up_and_masks(room, tmp_path, capsys):
     mask[:100, :150] = 0
     Image.fromarray(mask).save(folder / "masks" / "P1.png")
     out = tmp_path / "out"
-    assert prepare(folder, out, "--test-every", 4, "--camera", "RADIAL") == 0
+    words = ["--test-every", 4, "--camera", "RADIAL", "--max-width", room.WIDTH]
+    assert prepare(folder, out, *words) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert f"{POSES} of {POSES} poses placed" in said and "without brackets" in said
     assert "stops from photo to photo" in said and "no HDR" not in said
     scene = read_scene(out)
     sizes = {view.camera.width > view.camera.height for view in scene.train}
     assert sizes == {True, False} and len(scene.train[0].exposures) == 1
+    # A barrel's pictures would be 413 wide: the photos' width is not the pictures'.
+    assert max(view.camera.width for view in (*scene.train, *scene.test)) == room.WIDTH
     assert_poses(scene, capture, room, 15.0)  # three photos tell little of their lens
     masked = next(view for view in [*scene.train, *scene.test] if view.index == 1)
     hidden = ~masked.mask(0)
