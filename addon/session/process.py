@@ -14,9 +14,14 @@ FOREIGN_VARIABLES = ("PYTHONPATH", "PYTHONHOME", "PYTHONSTARTUP", "PYTHONUSERBAS
 
 
 def clean_environment(**extra: str) -> dict[str, str]:
-    """This process's environment without what belongs to its own Python."""
+    """This process's environment without what belongs to its own Python.
+
+    What a child tells is UTF-8, as ``spawn`` reads it, and whatever a path's name is, telling it never fails:
+    on Windows a Python would write the system's code page into a pipe, which lacks most letters.
+    """
     kept = {key: value for key, value in os.environ.items() if key not in FOREIGN_VARIABLES}
-    return {**kept, "PYTHONNOUSERSITE": "1", "PYTHONUNBUFFERED": "1", **extra}
+    ours = {"PYTHONNOUSERSITE": "1", "PYTHONUNBUFFERED": "1", "PYTHONIOENCODING": "utf-8:backslashreplace"}
+    return {**kept, **ours, **extra}
 
 
 def spawn(command: list[str], output: int | IO[Any], environment: dict[str, str]) -> "subprocess.Popen[str]":

@@ -83,6 +83,17 @@ def is_running(pid):
         return file.read().rpartition(")")[2].split()[0] != "Z"
 
 
+def test_paths_of_any_letters_arrive_whatever_the_systems_encoding_is(tmp_path, monkeypatch):
+    """As Windows has it: a code page of 256 letters for what goes into a pipe."""
+    monkeypatch.setenv("PYTHONIOENCODING", "cp1252")
+    monkeypatch.setenv("PYTHONUTF8", "0")
+    grandchild = "print('fotos/日本 \\ufffd')"  # as pip's lines come through the installer
+    script = f"import subprocess, sys; sys.exit(subprocess.call([sys.executable, '-c', {grandchild!r}]))"
+    (ended,) = run(tmp_path, script)
+    assert ended.ok, ended.message
+    assert "fotos/日本 \ufffd" in (tmp_path / "work.log").read_text(encoding="utf-8")
+
+
 def test_the_child_has_a_clean_environment(tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", "/somewhere")
     monkeypatch.setenv("KEPT", "yes")
