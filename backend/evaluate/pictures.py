@@ -56,11 +56,16 @@ class Pair:
 
 
 def pairs(
-    renderer: Renderer, view: View, positions: Sequence[int] | None = None, rounded: bool = True
+    renderer: Renderer,
+    view: View,
+    positions: Sequence[int] | None = None,
+    rounded: bool = True,
+    effect: torch.Tensor | None = None,
 ) -> Iterator[Pair]:
     """The view at each of ``positions`` of its bracket (None: all), in their order.
 
-    ``rounded``: what the response gives passes through as many bits as the file has.
+    ``rounded``: what the response gives passes through as many bits as the file has. ``effect``: a factor on
+    the light before, ``[1 or 3, H, W]``, such as the lens's vignetting; None: 1.
 
     Raises ``BadValueError`` where the model renders NaN, and what reading the pictures raises.
     """
@@ -68,7 +73,10 @@ def pairs(
     cameras = [k for k in places if not view.encodings[k].is_known]
     level = view.lighting_level
     exposures = [view.exposures[k] for k in cameras]
-    if len(exposures) == 1:
+    if effect is not None and exposures:
+        effects = [effect] * len(exposures)
+        developed = iter(renderer.photographed(view.camera, exposures, effects, level))
+    elif len(exposures) == 1:
         developed = iter([renderer.ldr(view.camera, exposures[0], level)])
     else:
         developed = iter(renderer.ldr_bracket(view.camera, exposures, level) if exposures else ())
@@ -78,7 +86,8 @@ def pairs(
         if encoding.is_known:
             if radiance is None:
                 radiance = finite(renderer.hdr(view.camera, level), where).double()
-            picture = encoding.developed(radiance * view.exposures[k])
+            exposed = radiance * view.exposures[k]
+            picture = encoding.developed(exposed if effect is None else exposed * effect)
         else:
             picture = finite(next(developed), where)
             if rounded:

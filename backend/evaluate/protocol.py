@@ -25,6 +25,7 @@ from ..scene.scene import Scene, View
 from . import truth
 from .lpips import SMALLEST_SIDE, Lpips
 from .metrics import PSNR_CAP, display, hdr_pair, hdr_shown, psnr, quantise, resize_to, scale_ratio, ssim
+from .photos import Falloff, fitted_photos
 from .pictures import all_of_eight_bits, finite, in_words, pairs
 from .published import data_set_of
 from .renderer import Renderer
@@ -53,6 +54,7 @@ def evaluate(
     iteration: int | None = None,
     iterations: int | None = None,
     progress: Callable[[int, int, str], None] | None = None,
+    falloff: Falloff | None = None,
 ) -> Evaluation:
     """Render and compare every view of ``split``: the test views, or the validation views (``val``).
 
@@ -60,10 +62,11 @@ def evaluate(
     ``exposure_mode``: how training chose exposures (exp1, exp3), stated beside the numbers.
     ``training_exposures``: the exposure indices it chose from; a message says where LDR-OE and LDR-NE are not
     what they are called. ``iteration`` of the ``iterations`` that were planned is evaluated; None: not known.
-    ``progress`` is called with (done, total, what is next). Parts for which the data set has no truth are
-    left out, with a message. Raises ``DataMismatchError`` without views in the split, ``BadValueError`` for a
-    split that is trained from, if the model renders NaN or ``dataset.json`` states a response that is none,
-    and what ``read_png`` and ``read_exr`` raise.
+    ``progress`` is called with (done, total, what is next). ``falloff``: the vignetting that training found
+    of the lens, which pictures then have; gain and white balance of each are fitted beside (``photos.py``).
+    Parts for which the data set has no truth are left out, with a message. Raises ``DataMismatchError``
+    without views in the split, ``BadValueError`` for a split that is trained from, if the model renders NaN
+    or ``dataset.json`` states a response that is none, and what ``read_png`` and ``read_exr`` raise.
     """
     views = _views_of(scene, split)
     started = time.monotonic()
@@ -71,12 +74,13 @@ def evaluate(
     unknown = [item for item in relit if not item.can_be_shown(renderer.lights)]
     messages = [*renderer.remarks, *_what_is_left_out(scene, split, lpips, relit, unknown)]
     messages += in_words(views)
-    messages += _what_training_was(training_exposures, iteration, iterations)
+    there = {k for view in views for k in view.bracket}
+    messages += _what_training_was(training_exposures, there, iteration, iterations)
     relit = [item for item in relit if item not in unknown]
     camera = views[0].camera
     if min(camera.width, camera.height) < SMALLEST_SIDE:
         lpips = None
-    step = _Steps(2 * len(views) + len(relit), progress)
+    step = _Steps((2 if falloff is None else 3) * len(views) + len(relit), progress)
 
     # Before rendering, which takes long: a response that dataset.json states may be none.
     learned = learned_response(renderer)
@@ -84,7 +88,11 @@ def evaluate(
     ldr = []
     for view in views:
         step(f"LDR {view.name}")
-        ldr += _ldr_rows(renderer, view, lpips)
+        ldr += _ldr_rows(renderer, view, lpips, falloff)
+    if falloff is not None:
+        messages.append("Pictures are compared with the vignetting that training found of their lens.")
+        fitted = fitted_photos(renderer, views, falloff, step)
+        messages += [] if fitted is None else [str(fitted)]
     hdr: list[HdrRow] = []
     relit_rows: list[RelitRow] = []
     if truth.has_hdr_truth(scene.root, split):
@@ -174,13 +182,18 @@ def _what_is_left_out(
     return messages
 
 
-def _what_training_was(exposures: Sequence[int], iteration: int | None, iterations: int | None) -> list[str]:
-    """What has to be said where it was not the protocol's, or not all of what was planned."""
+def _what_training_was(
+    exposures: Sequence[int], there: set[int], iteration: int | None, iterations: int | None
+) -> list[str]:
+    """What has to be said where it was not the protocol's, or not all of what was planned.
+
+    ``there``: the places in the bracket that the evaluated views have.
+    """
     messages = []
     given = f"(--training-exposures {' '.join(map(str, exposures))})"
-    if seen := [str(k) for k in NOVEL_EXPOSURES if k in exposures]:
+    if seen := [str(k) for k in NOVEL_EXPOSURES if k in exposures and k in there]:
         messages.append(f"LDR-NE is not of novel exposures: training saw index {' and '.join(seen)} {given}.")
-    if unseen := [str(k) for k in OBSERVED_EXPOSURES if k not in exposures]:
+    if unseen := [str(k) for k in OBSERVED_EXPOSURES if k in there and k not in exposures]:
         messages.append(
             f"LDR-OE is not of observed exposures: training did not see index {' and '.join(unseen)} {given}."
         )
@@ -211,9 +224,10 @@ def _compare(picture: torch.Tensor, reference: torch.Tensor, lpips: Lpips | None
     return Metrics(psnr(picture, reference), ssim(picture, reference), *distances)
 
 
-def _ldr_rows(renderer: Renderer, view: View, lpips: Lpips | None) -> list[LdrRow]:
+def _ldr_rows(renderer: Renderer, view: View, lpips: Lpips | None, falloff: Falloff | None) -> list[LdrRow]:
     rows = []
-    for k, pair in enumerate(pairs(renderer, view)):
+    effect = None if falloff is None else falloff(view.camera)
+    for k, pair in enumerate(pairs(renderer, view, effect=effect)):
         if pair.mask is None or pair.mask.any():
             metrics = pair.metrics(lpips)
             rows.append(LdrRow(view.name, view.index, view.bracket[k], view.exposures[k], metrics))

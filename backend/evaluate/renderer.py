@@ -42,6 +42,19 @@ class Renderer(Protocol):
         """What ``ldr`` gives at each exposure: all at once where that costs less, else one by one."""
         return (self.ldr(camera, exposure, lighting_level) for exposure in exposures)
 
+    def photographed(
+        self,
+        camera: Camera,
+        exposures: Sequence[float],
+        effects: Sequence[torch.Tensor],
+        lighting_level: Levels = 1.0,
+    ) -> Iterable[torch.Tensor]:
+        """``ldr_bracket`` where the light is multiplied by an effect each, ``[1 or 3, H, W]``, at first.
+
+        Asked of methods alone that learn such effects of a camera.
+        """
+        raise NotImplementedError
+
     def response_curve(self) -> tuple[torch.Tensor, torch.Tensor] | None:
         """ln(exposure × radiance) ``[M]`` and LDR ``[M, 3]``; None where one global curve is not known."""
         return None

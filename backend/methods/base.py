@@ -267,6 +267,24 @@ class Method(nn.Module, ABC):
         """``ldr`` at several exposures, which costs less than each alone where the method knows how."""
         return self.bracket_at(camera, exposures, as_levels(lighting_level, self.lights))
 
+    @torch.no_grad()
+    def photographed(
+        self,
+        camera: Camera,
+        exposures: Sequence[float],
+        effects: Sequence[torch.Tensor],
+        lighting_level: Levels = 1.0,
+    ) -> list[torch.Tensor]:
+        """``ldr_bracket``, where an effect ``[1 or 3, H, W]`` is on each exposed radiance before."""
+        taken = [Exposed(exposure=t, effect=e) for t, e in zip(exposures, effects, strict=True)]
+        return self.photographed_at(camera, taken, as_levels(lighting_level, self.lights))
+
+    def photographed_at(
+        self, camera: Camera, taken: Sequence[Exposed], levels: tuple[float, ...]
+    ) -> list[torch.Tensor]:
+        """``photographed`` at one level a light; of methods with ``Traits.effects``."""
+        raise BadValueError("this method knows of no gain, white balance or vignetting of a photo")
+
     @abstractmethod
     def hdr_at(self, camera: Camera, levels: tuple[float, ...]) -> torch.Tensor:
         """``hdr`` at one level a light."""

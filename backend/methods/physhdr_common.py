@@ -9,7 +9,7 @@ of them (``paper``).
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Generic, Literal, TypeVar
 
 import torch
@@ -216,6 +216,23 @@ class PhysHDRMethod(SplattingMethod, Generic[D]):
     def develop(self, drawn: D, exposure: float) -> Developed:
         """What a camera with ``exposure`` (seconds) and the method's response records."""
         return self.develop_bracket(drawn, [Exposed(exposure=exposure)])[0]
+
+    def photographed_at(
+        self, camera: Camera, taken: Sequence[Exposed], levels: tuple[float, ...]
+    ) -> list[torch.Tensor]:
+        if not self.can_relight:  # where a level only scales
+            taken = [replace(each, exposure=each.exposure * levels[0]) for each in taken]
+        at_once = self.config.traits.brackets_at_once
+        pictures = []
+        for part in [taken] if at_once else [[each] for each in taken]:
+            drawn = self.draw(camera, levels, part[0].exposure)
+            effects = [each.effect for each in part]
+            part = [
+                replace(each, effect=None if effect is None else effect.to(self.device))
+                for each, effect in zip(part, effects, strict=True)
+            ]
+            pictures += [developed.ldr for developed in self.develop_bracket(drawn, part)]
+        return pictures
 
     def training_outcome(self, batch: Batch) -> Outcome:
         drawn = self.draw(batch.camera, batch.levels, batch.recordings[0].exposure, watch=True)

@@ -161,7 +161,9 @@ class Trainer:
                 f"{name_of(self.config.method)} knows of no gain, white balance or vignetting of a photo",
                 "Leave out --nuisances.mode on.",
             )
-        asked = self.scene.photographs or self.config.calibration is not None
+        # Merged radiance and renders in EXR have no exposure or white balance of their own any more.
+        taken = any(encoding.clips for view in self.views for encoding in view.encodings)
+        asked = (self.scene.photographs and taken) or self.config.calibration is not None
         wanted = config.mode == "on" or (config.mode == "auto" and asked and traits.effects)
         begun_with = resumed is None or any(name.startswith(NUISANCES) for name in state)
         if not (wanted and begun_with):

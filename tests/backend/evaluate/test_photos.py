@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Photos that are not exposed as they say: what is fitted on one half is right on the other."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from physhdr.backend.evaluate.photos import fitted_photos
+from physhdr.backend.evaluate.protocol import evaluate
+from physhdr.backend.evaluate.renderer import Renderer
+from physhdr.backend.model.camera_effects import squared_tangent, widest
+from physhdr.backend.scene import read_scene
+from physhdr.backend.scene.camera import Camera
+from physhdr.backend.scene.scene import PictureCache, Scene, View
+from physhdr.backend.scene.source import Decoded, PictureSource
+from physhdr.backend.train.learned_lens import LearnedLenses, lenses_of_run
+from physhdr.backend.train.nuisances import NuisanceConfig
+from physhdr.backend.train.presets import PRESETS
+from physhdr.backend.train.trainer import Trainer, load_method
+
+SIZE = (48, 32)
+CAMERA = Camera.from_field_of_view(np.eye(4), *SIZE, 1.1)
+LIGHT = np.exp(np.random.default_rng(0).uniform(-3.0, 0.5, (3, SIZE[1], SIZE[0])))
+GAINS = np.array([1.2, 0.9, 1.05])
+
+
+class Model(Renderer):
+    """The right radiance, and a response x / (1 + x)."""
+
+    lights = ("ambient",)
+
+    def hdr(self, camera, lighting_level=1.0):
+        return torch.from_numpy(LIGHT).float()
+
+    def ldr(self, camera, exposure, lighting_level=1.0):
+        return self.photographed(camera, [exposure], [torch.ones(1, 1, 1)])[0]
+
+    def photographed(self, camera, exposures, effects, lighting_level=1.0):
+        exposed = [self.hdr(camera) * t * e for t, e in zip(exposures, effects, strict=True)]
+        return [each / (1.0 + each) for each in exposed]
+
+
+def falloff(camera):
+    return 1.0 - 0.3 * (squared_tangent(camera, torch.zeros(1)) / widest(camera))[None]
+
+
+def photo(tmp_path, mask=None) -> View:
+    """Taken through the lens, with a gain for each channel that it does not tell."""
+    exposed = LIGHT * 0.7 * falloff(CAMERA).numpy() * GAINS[:, None, None]
+    codes = np.rint(65535 * exposed / (1.0 + exposed)).astype(np.uint16).transpose(1, 2, 0)
+    cache = PictureCache()
+    cache.get = lambda source: Decoded(codes, mask)
+    return View("test/v_0", CAMERA, (0.7,), (PictureSource(tmp_path / "a"),), 0, cache=cache)
+
+
+def test_gains_are_found_on_one_half_and_hold_on_the_other(tmp_path):
+    found = fitted_photos(Model(), [photo(tmp_path)], falloff)
+    right = LIGHT[..., SIZE[0] // 2 :] * 0.7 * falloff(CAMERA).numpy()[..., SIZE[0] // 2 :]
+    stated = right / (1.0 + right)
+    true = right * GAINS[:, None, None] / (1.0 + right * GAINS[:, None, None])
+    assert found.stated == pytest.approx(-10 * math.log10(((stated - true) ** 2).mean()), abs=0.02)
+    assert found.fitted > 80.0, "what is left is rounding to 16 bits"
+    assert found.stops == pytest.approx(math.sqrt((np.log2(GAINS) ** 2).mean()), abs=1e-4)
+
+
+def test_a_right_half_that_is_masked_is_no_photo(tmp_path):
+    mask = np.zeros(SIZE[::-1], bool)
+    mask[:, : SIZE[0] // 2] = True
+    assert fitted_photos(Model(), [photo(tmp_path, mask)], falloff) is None
+
+
+def test_an_evaluation_says_both(tmp_path):
+    scene = Scene(tmp_path, "photos", [], [photo(tmp_path)], [])
+    plain = evaluate(Model(), scene)
+    through = evaluate(Model(), scene, falloff=falloff)
+    assert through.ldr[0].metrics.psnr > plain.ldr[0].metrics.psnr, "its corners are dark, too"
+    assert any("vignetting" in message for message in through.messages)
+    assert any("left half" in message for message in through.messages)
+    assert not any("left half" in message for message in plain.messages)
+
+
+@pytest.mark.parametrize("preset", ["default", "baseline", "paper"])
+def test_a_trained_lens_is_on_the_pictures_that_are_compared(tiny_data, tmp_path, preset):
+    scene = read_scene(tiny_data)
+    config = replace(PRESETS[preset], iterations=4, nuisances=NuisanceConfig(mode="on"))
+    trainer = Trainer(scene, config)
+    for _ in trainer.run(tmp_path):
+        pass
+    with torch.no_grad():
+        trainer.nuisances.values["vignetting"].copy_(torch.tensor([[0.0, 0.8, 0.0]]))
+    trainer.save(tmp_path)
+    lenses = lenses_of_run(tmp_path, [view.camera for view in scene.train])
+    method, _ = load_method(tmp_path, config, scene.response_anchor)
+    view = scene.test[0]
+    corner = math.exp(-0.8)  # about: half a pixel from it
+    share = lenses.falloff(view.camera)
+    assert share[0, 0, 0].item() == pytest.approx(corner, rel=0.1) and share.max() <= 1.0
+    plain, through = (
+        method.photographed(view.camera, [1.0], [effect])[0] for effect in (torch.ones(1, 1, 1), share)
+    )
+    assert torch.allclose(plain, method.ldr(view.camera, 1.0), atol=1e-6)
+    assert (through[:, 0] < plain[:, 0]).all(), "the first row is darker"
+    assert isinstance(lenses, LearnedLenses)
