@@ -47,6 +47,27 @@ class FittedPhotos:
         )
 
 
+def no_falloff(camera: Camera) -> torch.Tensor:
+    """Of a lens that is as bright everywhere."""
+    return torch.ones(1, 1, 1)
+
+
+def falloff_there(renderer: Renderer, views: Sequence[View], falloff: Falloff) -> bool:
+    """Whether the pictures of ``views`` have the vignetting: whether their left halves are nearer with it.
+
+    Photos of the same camera have; pictures that were developed with a lens profile, or rendered, have not.
+    """
+
+    def error(view: View, k: int, effect: torch.Tensor) -> float:
+        half = _left(_pair(renderer, view, k, effect))
+        error = (half.picture - half.reference).square().mean(dim=0)
+        return float((error if half.mask is None else error[half.mask]).sum())
+
+    every = [(view, k) for view in views for k in range(len(view.exposures))]
+    gained = [error(v, k, no_falloff(v.camera)) - error(v, k, falloff(v.camera)) for v, k in every]
+    return sum(gained) > 0.0
+
+
 def fitted_photos(
     renderer: Renderer,
     views: Sequence[View],

@@ -25,7 +25,7 @@ from ..scene.scene import Scene, View
 from . import truth
 from .lpips import SMALLEST_SIDE, Lpips
 from .metrics import PSNR_CAP, display, hdr_pair, hdr_shown, psnr, quantise, resize_to, scale_ratio, ssim
-from .photos import Falloff, fitted_photos
+from .photos import Falloff, falloff_there, fitted_photos, no_falloff
 from .pictures import all_of_eight_bits, finite, in_words, pairs
 from .published import data_set_of
 from .renderer import Renderer
@@ -63,7 +63,8 @@ def evaluate(
     ``training_exposures``: the exposure indices it chose from; a message says where LDR-OE and LDR-NE are not
     what they are called. ``iteration`` of the ``iterations`` that were planned is evaluated; None: not known.
     ``progress`` is called with (done, total, what is next). ``falloff``: the vignetting that training found
-    of the lens, which pictures then have; gain and white balance of each are fitted beside (``photos.py``).
+    of the lens, used where these pictures have it; their gain and white balance are fitted beside
+    (``photos.py``).
     Parts for which the data set has no truth are left out, with a message. Raises ``DataMismatchError``
     without views in the split, ``BadValueError`` for a split that is trained from, if the model renders NaN
     or ``dataset.json`` states a response that is none, and what ``read_png`` and ``read_exr`` raise.
@@ -86,11 +87,15 @@ def evaluate(
     learned = learned_response(renderer)
     response = None if learned is None else check_response(learned, true_response(scene, learned, split))
     ldr = []
+    if falloff is not None and not falloff_there(renderer, views, falloff):
+        messages.append("Training found vignetting, which these pictures do not have: compared without.")
+        falloff = no_falloff
+    elif falloff is not None:
+        messages.append("Pictures are compared with the vignetting that training found of their lens.")
     for view in views:
         step(f"LDR {view.name}")
         ldr += _ldr_rows(renderer, view, lpips, falloff)
     if falloff is not None:
-        messages.append("Pictures are compared with the vignetting that training found of their lens.")
         fitted = fitted_photos(renderer, views, falloff, step)
         messages += [] if fitted is None else [str(fitted)]
     hdr: list[HdrRow] = []

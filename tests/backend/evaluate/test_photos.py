@@ -47,9 +47,10 @@ def falloff(camera):
     return 1.0 - 0.3 * (squared_tangent(camera, torch.zeros(1)) / widest(camera))[None]
 
 
-def photo(tmp_path, mask=None) -> View:
+def photo(tmp_path, mask=None, arriving=None) -> View:
     """Taken through the lens, with a gain for each channel that it does not tell."""
-    exposed = LIGHT * 0.7 * falloff(CAMERA).numpy() * GAINS[:, None, None]
+    arriving = falloff(CAMERA) if arriving is None else arriving
+    exposed = LIGHT * 0.7 * arriving.numpy() * GAINS[:, None, None]
     codes = np.rint(65535 * exposed / (1.0 + exposed)).astype(np.uint16).transpose(1, 2, 0)
     cache = PictureCache()
     cache.get = lambda source: Decoded(codes, mask)
@@ -80,6 +81,13 @@ def test_an_evaluation_says_both(tmp_path):
     assert any("vignetting" in message for message in through.messages)
     assert any("left half" in message for message in through.messages)
     assert not any("left half" in message for message in plain.messages)
+
+
+def test_pictures_without_the_vignetting_are_compared_without(tmp_path):
+    scene = Scene(tmp_path, "corrected", [], [photo(tmp_path, arriving=torch.ones(1, 1, 1))], [])
+    plain, through = evaluate(Model(), scene), evaluate(Model(), scene, falloff=falloff)
+    assert through.ldr[0].metrics.psnr == plain.ldr[0].metrics.psnr
+    assert any("compared without" in message for message in through.messages)
 
 
 @pytest.mark.parametrize("preset", ["default", "baseline", "paper"])
