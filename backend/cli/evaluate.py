@@ -23,7 +23,6 @@ from ..runs.files import writable_folder
 from ..runs.run import Run, open_run
 from ..runs.terminal import console
 from ..scene.pictures import write_png
-from ..train.learned_lens import lenses_of_run
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,6 @@ class Evaluate:
 
     def run(self) -> int:
         run = open_run(self.folder, self.data, self.rasteriser, self.device)
-        lenses = lenses_of_run(self.folder, [view.camera for view in run.scene.train])
         out = writable_folder(self.out or self.folder)
         lpips = lpips_from(self.lpips_weights)
         with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
@@ -66,7 +64,7 @@ class Evaluate:
                 iteration=run.iteration,
                 iterations=run.config.iterations,
                 progress=show,
-                falloff=None if lenses is None else lenses.falloff,
+                falloff=None if run.lenses is None else run.lenses.falloff,
             )
         paths = write_report(evaluation, out)  # before anything else that can fail: the numbers took long
         console.print(to_terminal(evaluation))

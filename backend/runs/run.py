@@ -16,13 +16,17 @@ from ..methods.registry import name_of
 from ..rasterize import Implementation
 from ..scene import Scene, read_scene
 from ..train.config import CONFIG_FILE, TrainConfig, read_config
+from ..train.learned_lens import LearnedLenses, lenses_of_run
 from ..train.trainer import load_method
 from .terminal import console
 
 
 @dataclass(frozen=True)
 class Run:
-    """What ``physhdr train --out`` left behind, or has under its hands."""
+    """What ``physhdr train --out`` left behind, or has under its hands.
+
+    ``lenses``: what it has learned of the photographs' lenses; None where there was nothing to learn.
+    """
 
     folder: Path
     preset: str
@@ -30,6 +34,7 @@ class Run:
     scene: Scene
     method: Method
     iteration: int
+    lenses: LearnedLenses | None = None
 
     @property
     def provenance(self) -> dict[str, str]:
@@ -81,4 +86,5 @@ def open_run(
         choose_device(device, report)[0],
         written.fingerprint,
     )
-    return Run(folder, written.preset, config, scene, method, iteration)
+    lenses = lenses_of_run(folder, [view.camera for view in scene.train])
+    return Run(folder, written.preset, config, scene, method, iteration, lenses)

@@ -313,8 +313,8 @@ def layouts():
         ("write_real", "HDR-NeRF-Real", "3 2", [0, 1, 2], ["exp1", "exp3"], False),
         ("write_gausshdr", "GaussHDR", "3 2", [0, 1, 2, 3, 4], ["exp1", "exp3"], True),
         ("write_hdr_gs", "HDR-GS", "6 6", [0, 1, 2], ["exp1", "exp3"], True),
-        ("write_colmap", "COLMAP", "8 2", [0, 1, 2], ["exp1", "exp3"], False),
-        ("write_nerfstudio", "nerfstudio", "7 2", [0], ["exp1"], False),
+        ("write_colmap", "COLMAP", "9 1", [0, 1, 2], ["exp1", "exp3"], False),
+        ("write_nerfstudio", "nerfstudio", "8 1", [0], ["exp1"], False),
     ],
 )
 def test_every_layout_is_told(layouts, tmp_path, capsys, writer, layout, splits, places, modes, truth):
