@@ -24,7 +24,6 @@ from ..bridge.regular import damaged_where_it_fails, read_bytes, read_json_objec
 
 #: What gives each layout away, and what ``physhdr prepare`` leaves beside the second.
 REAL_FILE, NERFSTUDIO_FILE, PICTURES = "poses_bounds_exps.npy", "transforms.json", "images"
-EXPOSURE_FILE, PREPARED_FILE = "exposure.json", "prepare.json"
 LOOKED_FOR = f"{NERFSTUDIO_FILE}, no {REAL_FILE}, no {PICTURES}/ with COLMAP's sparse/0"
 REAL_PICTURES = "input_images"
 COPY_AGAIN = "Copy the data set again, or make it again."
@@ -120,8 +119,8 @@ def _model_folder(root: Path) -> Path | None:
 def _of_colmap(root: Path, model: Path) -> Capture:
     listed = _images(model)
     stated: dict[str, float | None] = {}
-    if (root / EXPOSURE_FILE).exists():
-        for name, seconds in read_json_object(root / EXPOSURE_FILE, COPY_AGAIN).items():
+    if (root / data_set.EXPOSURE_FILE).exists():
+        for name, seconds in read_json_object(root / data_set.EXPOSURE_FILE, COPY_AGAIN).items():
             stated[data_set.plain_name(name).removeprefix(f"{PICTURES}/")] = _known(seconds)
     poses = {re.sub(r"_\d+$", "", Path(name).stem) if stated else name: at for name, at in listed.items()}
     # Pictures of a bracket of which the model has one are told by the exposure file alone.
@@ -132,7 +131,7 @@ def _of_colmap(root: Path, model: Path) -> Capture:
         {root / PICTURES / name: stated.get(name) for name in names},
         tuple(name for name in names if not os.path.isfile(root / PICTURES / name)),
         _point_count(model),
-        (root / PREPARED_FILE).is_file(),
+        (root / data_set.CAPTURE_FILE).is_file(),
     )
 
 

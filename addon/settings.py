@@ -47,7 +47,7 @@ WHEN_CLOSED = [
     ("stop", "Save and Stop", "Training saves a checkpoint and stops; resume goes on from it"),
 ]
 TORCH_BUILDS = [
-    ("cpu", "Processor", "The small build of torch, without CUDA: about 1.2 GB"),
+    ("cpu", "Processor", "The small build of torch, without CUDA: about 1.8 GB"),
     ("cuda", "NVIDIA Card", "The build of torch with CUDA: about 7 GB"),
     ("pip", "As pip Is Set Up", "From wherever pip looks on this machine"),
 ]

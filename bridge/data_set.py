@@ -31,6 +31,11 @@ INFO_FILE = "dataset.json"
 PARTIAL_FILE = "dataset.partial.json"
 POINTS_FILE = "points3d.ply"
 
+#: What ``physhdr prepare`` writes into the data sets that it makes of photos, and its "format".
+CAPTURE_FILE, CAPTURE_FORMAT = "prepare.json", "physhdr-capture"
+#: Beside ``images/`` of captures: {picture's file name: exposure in seconds} (GaussHDR's file).
+EXPOSURE_FILE = "exposure.json"
+
 #: Trained from; evaluated with, once a choice is made; trained from, under other light than the rest; choices
 #: are made with these, at poses of their own.
 TRAIN, TEST, LIT, VALIDATION = "train", "test", "lit", "val"

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import pycolmap
 
+from physhdr.bridge.data_set import CAPTURE_FILE
 from physhdr.bridge.errors import PhysHDRError
 from physhdr.synth import exr, folder
 from physhdr.synth.capture import Capture, opened
@@ -46,7 +47,7 @@ def main() -> int:
 
 def attach(data: Path, capture: Capture, photos: Path) -> list[str]:
     """Write the truth; what was written, a line each. Raises ``DamagedFileError``, ``OutputFolderError``."""
-    told = folder.read_json(data / "prepare.json")
+    told = folder.read_json(data / CAPTURE_FILE)
     place_of = {
         photo["file"]: photo["place"]
         for photo in folder.read_json(photos / "truth" / "photos.json")["photos"]

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import bpy
 
+from ...bridge.data_set import CAPTURE_FILE
 from ...bridge.errors import BadValueError, FileMissingError, OutputError
 from ..runtime import session
 from ..session.photos import PhotoOptions, prepare_command
@@ -27,7 +28,6 @@ LOOK_SECONDS, PREPARE_SECONDS = 24 * 3600.0, 30 * 24 * 3600.0
 #: Seconds between looks whether the data set is there.
 DONE_SECONDS = 0.5
 #: What ``physhdr prepare`` leaves in a data set that it made (docs/formats.md).
-PREPARED_FILE = "prepare.json"
 #: Arguments that count where they are given, else the scene's settings.
 OPTIONS = [each.name for each in fields(PhotoOptions)]
 GIVEN: "set[PropertyFlagItems]" = {"SKIP_SAVE"}
@@ -103,7 +103,7 @@ class PHYSHDR_OT_photos_prepare(PhysHDROperator):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         out = folder_of(self._chosen(context, "out", "photos_out"))
-        if os.path.isfile(os.path.join(out, PREPARED_FILE)) and not self.overwrite:
+        if os.path.isfile(os.path.join(out, CAPTURE_FILE)) and not self.overwrite:
             self.overwrite = True
             return context.window_manager.invoke_confirm(
                 self,

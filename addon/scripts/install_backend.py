@@ -30,7 +30,7 @@ from pathlib import Path
 MINIMUM = (3, 11)
 STAMP = "physhdr-complete.json"
 PREFIX = "environment-"
-#: Bytes that an environment needs, unpacking included: measured 1.2 GB with torch for the CPU.
+#: Bytes that an environment needs, unpacking included: measured 1.8 GB with torch for the CPU.
 SPACE = {"cpu": 3 << 30, "cuda": 12 << 30, "pip": 3 << 30}
 #: Bytes for what is added to a copy.
 SPACE_ADDED = 1 << 30

@@ -18,6 +18,7 @@ import numpy as np
 import tyro
 from rich.progress import BarColumn, Progress, TextColumn
 
+from ...bridge.data_set import CAPTURE_FORMAT
 from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError, OutputError, PhysHDRError
 from ..runs.terminal import console
 from ..scene.capture import raw
@@ -186,7 +187,7 @@ class Prepare:
         lenses = self._lenses(structure)
         left_out = [pose.name for k, pose in enumerate(brackets.poses) if k not in structure.registered]
         origin = {
-            "format": "physhdr-capture",
+            "format": CAPTURE_FORMAT,
             "version": 1,
             "kind": understood.kind,
             **_encoding(understood),

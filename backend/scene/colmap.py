@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ...bridge.data_set import scene_name
+from ...bridge.data_set import EXPOSURE_FILE, scene_name
 from ...bridge.errors import DataMismatchError
 from .camera import Camera
 from .checks import path_inside
 from .colmap_files import SparseImage, SparseModel, find_model, read_model
-from .exposures import EXPOSURE_FILE, SAY_EXPOSURES, exposures_from_exif, read_exposure_file
+from .exposures import SAY_EXPOSURES, exposures_from_exif, read_exposure_file
 from .info import read_anchor, read_info
 from .poses import (
     SUFFIXES,

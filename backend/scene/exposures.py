@@ -4,15 +4,12 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from ...bridge.data_set import plain_name
+from ...bridge.data_set import EXPOSURE_FILE, plain_name
 from ...bridge.errors import DataMismatchError
 from ...bridge.limits import EXPOSURE
 from .checks import exposure, read_json
 from .exif import comparable, read_exif
 from .pictures import holds_radiance
-
-#: Beside ``images/``: {picture's file name: exposure in seconds} (GaussHDR's file).
-EXPOSURE_FILE = "exposure.json"
 
 #: What to do where an exposure is unknown.
 SAY_EXPOSURES = (

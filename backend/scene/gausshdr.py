@@ -8,12 +8,12 @@ seconds by file name. Names say ``train`` or ``test``. Exposures that were not t
 
 from pathlib import Path
 
-from ...bridge.data_set import scene_name
+from ...bridge.data_set import CAPTURE_FILE, EXPOSURE_FILE, scene_name
 from ...bridge.errors import DataMismatchError, PhysHDRError
 from ...bridge.regular import read_json_object
 from .checks import path_inside
 from .colmap_files import SparseImage, find_model, read_model
-from .exposures import EXPOSURE_FILE, read_exposure_file
+from .exposures import read_exposure_file
 from .info import ORIGINAL_ANCHOR, read_anchor, read_info
 from .poses import (
     PictureFile,
@@ -41,8 +41,6 @@ LOOKS_FOR = f"images/, sparse/0 and {EXPOSURE_FILE} with names of train and test
 #: The resolutions of GaussHDR's paper, by the factor that gives them: HDR-NeRF-Syn, HDR-NeRF-Real and
 #: HDR-Plenoxels-Real. Pictures that no factor brings there are another's.
 PUBLISHED = {2: (400, 400), 4: (804, 534), 6: (992, 746)}
-#: What ``physhdr prepare`` leaves in a user's own captures, to which no published size applies.
-PREPARED = "prepare.json"
 #: The true radiance of synthetic scenes. That it is there says that the camera is HDR-NeRF-Syn's; it is never
 #: opened here.
 TRUTH_FOLDER = "images_hdr"
@@ -101,7 +99,7 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
 
     info = read_info(root)
     if downscale is None:
-        own = bool(info) or (root / PREPARED).is_file() or len(set(sizes.values())) > 1
+        own = bool(info) or (root / CAPTURE_FILE).is_file() or len(set(sizes.values())) > 1
         width, height = next(iter(sizes.values()))
         downscale = capped(widest(poses)) if own else published_factor(width, height)
     views = Views(root, poses, Reduction(downscale, "bicubic"))

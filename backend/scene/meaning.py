@@ -14,12 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
+from ...bridge.data_set import CAPTURE_FILE, CAPTURE_FORMAT
 from ...bridge.errors import BadValueError, PhysHDRError
 from ...bridge.regular import read_json_object
 from .color_space import space_named
 from .encoding import CAMERA, SRGB, Encoding, LogEncoding
 from .pictures import holds_radiance
-from .scene import CAPTURE_FILE, CAPTURE_FORMAT, Scene, View
+from .scene import Scene, View
 from .source import PictureSource, radiance_rec709
 
 #: Only files of these suffixes may hold radiance: pictures of codes need not be opened for it.

@@ -27,9 +27,6 @@ from .source import Decoded, PictureSource
 #: Decoded pictures are kept up to this many bytes: all of HDR-NeRF-Syn at 400×400 (84 MB) with room to spare.
 CACHE_BYTES = 1 << 30
 
-#: What ``physhdr prepare`` writes beside the data set it makes, and its "format".
-CAPTURE_FILE, CAPTURE_FORMAT = "prepare.json", "physhdr-capture"
-
 
 class PictureCache:
     """Decoded pictures and their masks, the least recently used forgotten first, at most ``budget`` bytes.
@@ -225,10 +222,10 @@ class Scene:
         So are those that ``physhdr prepare`` made a data set of. Others are, unless they say that we rendered
         them, or name a known point of the camera's response, which only renders can.
         """
-        prepared = self.root / CAPTURE_FILE
+        prepared = self.root / data_set.CAPTURE_FILE
         if prepared.is_file():
             written = read_json_object(prepared, "Prepare the data set again.")
-            if written.get("format") == CAPTURE_FORMAT:
+            if written.get("format") == data_set.CAPTURE_FORMAT:
                 return True
         generator = self.info.get("generator")
         rendered = isinstance(generator, dict) and generator.get("name") == data_set.MAKER

@@ -27,6 +27,8 @@ room = sys.modules["room"] = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(room)
 room.write_brackets(Path(sys.argv[2]), room.photograph(9))
 """
+#: In the folder of photos: this test made it and may remove it. Hidden, so that it is no photo.
+MARK = ".made-by-this-test"
 #: Until the room can be seen.
 ITERATIONS = 400
 #: Places in the 3D view, of its width and height, where the floor is seen from the middle camera.
@@ -37,9 +39,13 @@ def test(window: Window) -> Iterator[float]:
     options = window.options
     # Short and of no machine in particular: the pictures are in the guide.
     photos = Path("/tmp/holiday")
-    for folder in (photos, *(photos.with_name(f"holiday_dataset{end}") for end in ("", "_run"))):
+    folders = (photos, *(photos.with_name(f"holiday_dataset{end}") for end in ("", "_run")))
+    for folder in folders:
+        assert (photos / MARK).is_file() or not folder.exists(), f"{folder} is somebody's: move it away"
+    for folder in folders:
         shutil.rmtree(folder, ignore_errors=True)
     subprocess.run([options.python, "-c", TAKE_PHOTOS, ROOM, photos], check=True)
+    (photos / MARK).touch()
     yield from window.open()
     session = window.module("addon.runtime").session()
     advice, choices = window.module("addon.session.advice"), window.module("addon.operators.base").choices

@@ -23,6 +23,7 @@ import numpy as np
 from filelock import FileLock
 from PIL import Image
 
+from ....bridge.data_set import CAPTURE_FILE, EXPOSURE_FILE
 from ....bridge.errors import OutputError
 from ..lens import Lens
 from ..test_choice import test_places
@@ -34,8 +35,6 @@ from .structure import RegisteredPose, Structure
 
 #: Locked while the temporary folder that it lies in is used.
 IN_USE_FILE = "in-use.lock"
-#: The file by which a folder is known as this command's own.
-ORIGIN_FILE = "prepare.json"
 #: All that this command, or a desktop unasked, writes into a data set.
 WRITTEN = re.compile(
     r"prepare\.json|exposure\.json|images(/(train|test)_\d+_\d\.png)?"
@@ -63,7 +62,7 @@ def new_folder(out: Path, overwrite: bool) -> Iterator[Path]:
     if out.is_dir() and any(out.iterdir()):
         if not overwrite:
             raise OutputError(f"{out} is not empty", "Give another folder, or --overwrite to replace it.")
-        if not (out / ORIGIN_FILE).is_file():
+        if not (out / CAPTURE_FILE).is_file():
             raise OutputError(
                 f"{out} was not made by 'physhdr prepare': it is not replaced", "Give another folder."
             )
@@ -217,8 +216,8 @@ def write_data_set(
             written += 1
             done(written, total)
         names[number] = f"{stem}_0.png"
-    _write_json(folder / "exposure.json", dict(sorted(exposures.items())))
-    _write_json(folder / ORIGIN_FILE, {**origin, "sources": dict(sorted(sources.items()))})
+    _write_json(folder / EXPOSURE_FILE, dict(sorted(exposures.items())))
+    _write_json(folder / CAPTURE_FILE, {**origin, "sources": dict(sorted(sources.items()))})
     points = _write_sparse(folder / "sparse" / "0", structure, lenses, names)
     error = reprojection_error(structure, lenses)
     return Written(len(structure.registered) - len(test), len(test), written, points, error)
