@@ -20,7 +20,12 @@ _MODULES = (
     "viewport",
     "plot",
     "runtime",
-    "panel",
+    "panels.train",
+    "panels.backend",
+    "panels.dataset",
+    "panels.training",
+    "panels.illumination",
+    "panels.capture",
 )
 
 

@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The trainer's Python and its process."""
+
+import bpy
+
+from ..blender import layout_of
+from ..runtime import session
+from ..session.pythons import is_ours
+from ..session.state import State
+from .parts import Subpanel, button, reasons, shortened, write
+
+
+class PHYSHDR_MT_backend(bpy.types.Menu):
+    bl_label = "Another Backend"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout_of(self).operator("physhdr.backend_install", text="Install Again…", icon="IMPORT")
+        layout_of(self).operator("physhdr.backend_use", text="Use Existing Python…", icon="FILEBROWSER")
+
+
+class PHYSHDR_PT_backend(Subpanel, bpy.types.Panel):
+    bl_label = "Backend"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        state, layout = session().state, layout_of(self)
+        if state.backend.ready:
+            self._draw_ready(context, layout, state)
+        else:
+            write(context, layout, "Training needs torch, in a Python of its own beside Blender")
+            row = layout.row(align=True)
+            button(context, row, state, "install", "physhdr.backend_install", "Install…", "IMPORT")
+            button(context, row, state, "use_python", "physhdr.backend_use", "Use Python…", "FILEBROWSER")
+            if state.backend.python:
+                button(context, row, state, "check", "physhdr.backend_check", "Check", "CHECKMARK")
+            reasons(context, layout, state, "install")
+            if state.backend.incomplete:
+                draw_extend(context, layout, state)
+        if state.link.status == "off":
+            if state.link.pid:
+                write(context, layout, f"Process {state.link.pid} does not answer", "UNLINKED")
+                layout.operator("physhdr.backend_shutdown", text="End It", icon="QUIT")
+            return
+        welcome = state.link.welcome
+        row = layout.row(align=True)
+        row.label(text=f"Running, process {state.link.pid}" if welcome else "Starting", icon="LINKED")
+        row.operator("physhdr.log_open", text="", icon="TEXT").filepath = state.link.log
+        row.operator("physhdr.backend_shutdown", text="", icon="QUIT")
+        if welcome and welcome.version != session().version:
+            told = f"It is of version {welcome.version}: shut it down to use {session().version}"
+            write(context, layout, told, "ERROR")
+        if welcome and not state.job.in_control:
+            write(context, layout, f"{state.job.controller or 'Another Blender'} is in control", "LOCKED")
+            layout.operator("physhdr.control_take", icon="UNLOCKED")
+
+    def _draw_ready(self, context: bpy.types.Context, layout: bpy.types.UILayout, state: State) -> None:
+        write(context, layout, report_line(state.backend.report), "CHECKMARK")
+        row = layout.row(align=True)
+        row.label(text=shortened(state.backend.python, context), icon="FILE_SCRIPT")
+        row.operator("physhdr.backend_check", text="Check")
+        row.menu("PHYSHDR_MT_backend", text="", icon="DOWNARROW_HLT")
+        if state.backend.missing:
+            told = f"Photos cannot be prepared without {', '.join(state.backend.missing)}"
+            write(context, layout, told, "INFO")
+            draw_extend(context, layout, state)
+        elif state.backend.missing is None:
+            write(context, layout, "Checked by an older version: check it before you prepare photos", "INFO")
+
+
+def draw_extend(context: bpy.types.Context, layout: bpy.types.UILayout, state: State) -> None:
+    """The button that installs what is missing into the environment of ours that is there."""
+    if is_ours(session().home, state.backend.python):
+        button(context, layout, state, "extend", "physhdr.backend_extend", "Add What Is Missing", "IMPORT")
+    elif state.backend.missing:
+        packages = " ".join(f"'{each}'" for each in state.backend.missing)
+        write(context, layout, f"Add it to your Python: -m pip install {packages}", "INFO")
+
+
+def report_line(report: dict) -> str:
+    """What the check found, for people."""
+    versions = report.get("versions", {})
+    told = [f"{name} {versions[name]}" for name in ("torch", "numba") if versions.get(name)]
+    return ", ".join([*told, str(report.get("device", ""))])
+
+
+register, unregister = bpy.utils.register_classes_factory((PHYSHDR_MT_backend, PHYSHDR_PT_backend))

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The data set: chosen, made of photos, or rendered."""
+
+import bpy
+
+from ..blender import layout_of
+from ..operators.base import choices
+from ..runtime import session
+from ..session.state import PHOTOS, Photos, State
+from .parts import Subpanel, button, duration, reasons, shortened, write
+
+
+class PHYSHDR_PT_dataset(Subpanel, bpy.types.Panel):
+    bl_label = "Data Set"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        state, layout = session().state, layout_of(self)
+        layout.prop(context.scene.physhdr, "data", text="")
+        dataset = state.dataset
+        if dataset.folder == choices(context).data and not state.active:
+            column = layout.column(align=True)
+            for line in dataset.lines:
+                write(context, column, line)
+            for warning in dataset.warnings:
+                write(context, column, warning, "ERROR")
+            if dataset.problem:
+                write(context, column, f"{dataset.problem.message}. {dataset.problem.hint}", "ERROR")
+            if dataset.folder and state.prepared.folder == dataset.folder:
+                write(context, column, state.prepared.found)
+                for warning in state.prepared.warnings:
+                    write(context, column, warning, "ERROR")
+        photos = choices(context).photos
+        if photos:
+            self._draw_photos(context, layout.box(), state, photos)
+        column = layout.column(align=True)
+        text = "Prepare Other Photos…" if photos else "Prepare Photos…"
+        button(context, column, state, "look", "physhdr.photos_look", text, "CAMERA_DATA")
+        text = "Render from This Scene…"
+        button(context, column, state, "render", "physhdr.dataset_render", text, "RENDER_STILL")
+
+    def _draw_photos(
+        self, context: bpy.types.Context, layout: bpy.types.UILayout, state: State, folder: str
+    ) -> None:
+        """What was understood of the photos, what can be chosen, and the button for the long work."""
+        row = layout.row(align=True)
+        row.label(text=shortened(folder, context), icon="FILE_FOLDER")
+        row.operator("physhdr.photos_forget", text="", icon="X")
+        found = state.photos if state.photos.folder == folder else Photos()
+        column = layout.column(align=True)
+        for line in found.lines:
+            write(context, column, line)
+        for warning in found.warnings:
+            write(context, column, warning, "ERROR")
+        if found.problem:
+            write(context, column, f"{found.problem.message}. {found.problem.hint}", "ERROR")
+        column = layout.column()
+        column.use_property_split = True
+        column.use_property_decorate = False
+        settings = context.scene.physhdr
+        for name in ("photos_out", "photos_width", "photos_handheld"):
+            column.prop(settings, name)
+        head, more = layout.panel("physhdr_photos_more", default_closed=True)
+        head.label(text="If It Is Misunderstood")
+        if more is not None:
+            more.use_property_split = True
+            more.use_property_decorate = False
+            for name in ("bracket", "same_exposure", "exposures", "lens", "borrow_poses", "partial"):
+                more.prop(settings, f"photos_{name}")
+        if found.seconds >= 0.0:
+            write(context, layout, f"Preparing takes about {duration(found.seconds)}", "SORTTIME")
+        button(context, layout, state, "photos", "physhdr.photos_prepare", "Prepare", "PLAY")
+        if not state.task(PHOTOS):
+            reasons(context, layout, state, "photos")
+
+
+register, unregister = bpy.utils.register_classes_factory((PHYSHDR_PT_dataset,))
