@@ -58,6 +58,8 @@ LIGHT_SHARE = Numbered("physhdr:light_share_", "FLOAT_VECTOR")
 OLD_SHARE = Attribute("physhdr:ambient_share", "FLOAT_VECTOR")
 #: ln of the gain at each of a baked-levels model's ``LEVELS``.
 LEVEL_LOG_GAIN = Numbered("physhdr:level_log_gain_", "FLOAT_VECTOR")
+#: Metres to the nearest camera of the data set, in the model's space; there once it was measured.
+CAMERA_DISTANCE = Attribute("physhdr:camera_distance", "FLOAT")
 
 #: What the modifier computes: radiance toward the active camera, the opacity in alpha …
 RADIANCE = Attribute("physhdr:radiance", "FLOAT_COLOR")

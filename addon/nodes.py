@@ -15,6 +15,23 @@ VIEW_DEPENDENT = "View dependent"
 CAMERA_SPLATS = "Camera splats"
 IMAGE_WIDTH = "Image width"
 
+#: What is hidden (``cleaning``): panels of the modifier, and their inputs.
+CLEANING_PANEL, CULLING_PANEL = "Cleaning", "Culling in Renders"
+CROP, CROP_BOX, KEEP_OUTSIDE = "Crop", "Crop Box", "Keep Outside"
+LARGEST_SIZE, SMALLEST_OPACITY = "Largest Size", "Smallest Opacity"
+LARGEST_ELONGATION = "Largest Elongation"
+LARGEST_DISTANCE, DISTANCE_FROM = "Largest Distance", "Distance From"
+CLEAR_OF_PHOTOS = "Clear of Photos"
+CLEAR_OF_CAMERA, FARTHEST = "Clear of Camera", "Farthest"
+ONLY_IN_VIEW, VIEW_MARGIN = "Only in View", "View Margin"
+SH_DEGREE = "SH Degree"
+
+CLEANING = (
+    *(CROP, CROP_BOX, KEEP_OUTSIDE, LARGEST_SIZE, SMALLEST_OPACITY, LARGEST_ELONGATION),
+    *(LARGEST_DISTANCE, DISTANCE_FROM, CLEAR_OF_PHOTOS),
+)
+CULLING = (CLEAR_OF_CAMERA, FARTHEST, ONLY_IN_VIEW, VIEW_MARGIN, SH_DEGREE)
+
 #: Custom property that marks our node trees: what they were built for, and the version of the recipe.
 MARK = "physhdr_tree"
 
@@ -40,13 +57,13 @@ def inputs_of(modifier: bpy.types.Modifier) -> Any:
     return cast(Any, modifier.properties).inputs
 
 
-def _declared(modifier: bpy.types.Modifier, name: str) -> bpy.types.NodeTreeInterfaceSocket | None:
-    """The input of that label which the modifier's tree declares, if it does."""
+def identifiers(modifier: bpy.types.Modifier) -> dict[str, str]:
+    """What the modifier calls each of its inputs, by label."""
     assert isinstance(modifier, bpy.types.NodesModifier)
     tree = modifier.node_group
     items = tree.interface.items_tree if tree and tree.interface else ()
     sockets = (item for item in items if isinstance(item, bpy.types.NodeTreeInterfaceSocket))
-    return next((item for item in sockets if item.in_out == "INPUT" and item.name == name), None)
+    return {item.name: item.identifier for item in sockets if item.in_out == "INPUT"}
 
 
 def set_input(modifier: bpy.types.Modifier, name: str, value: Any) -> None:
@@ -63,12 +80,12 @@ def input_data_path(modifier: bpy.types.Modifier, name: str) -> str:
 
 def input_identifier(modifier: bpy.types.Modifier, name: str) -> str:
     """What the modifier calls the input of that label; ``KeyError`` where it has none."""
-    socket = _declared(modifier, name)
-    if socket is None:
+    found = identifiers(modifier)
+    if name not in found:
         raise KeyError(f"the modifier {modifier.name!r} has no input {name!r}")
-    return socket.identifier
+    return found[name]
 
 
 def has_input(modifier: bpy.types.Modifier, name: str) -> bool:
     """Whether the modifier's tree has that input: older trees, or those without a response, lack some."""
-    return _declared(modifier, name) is not None
+    return name in identifiers(modifier)
