@@ -50,7 +50,7 @@ gpu-check: ## Is the CUDA path right, and how fast? Says so and ends where there
 gui-test: setup ## The extension in a real Blender window; says so and ends where there can be none
 	@$(BACKEND) tools/gui_test.py
 
-extension: setup ## Validate and build the Blender extension: dist/physhdr-*.zip
+extension: setup ## Validate and build the Blender extension and its repository: dist/physhdr-*.zip, index.json
 	@$(BACKEND) tools/build_extension.py
 
 dist: setup ## Build what pip installs: dist/physhdr-*.tar.gz and .whl

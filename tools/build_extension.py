@@ -1,11 +1,14 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Validate and build the Blender extension with Blender's own tool: dist/physhdr-VERSION.zip.
+"""Validate and build the Blender extension with Blender's own tool: dist/physhdr-VERSION.zip, and beside
+it dist/index.json, which makes that folder a repository of extensions on any static server
+(docs/distribution.md).
 
-The wheels that it bundles are those of tools/wheels.txt, by their SHA-256: in wheels/, whether they were
+The wheels that the zip bundles are those of tools/wheels.txt, by their SHA-256: in wheels/, whether they were
 there or have been fetched, and again in the zip. What differs is named, and no zip is left.
 """
 
+import argparse
 import hashlib
 import re
 import shutil
@@ -19,6 +22,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 PYTHON = ROOT / ".venvs" / "backend" / "bin" / "python"
 SITE_PACKAGES = ROOT / ".venvs" / "blender" / "lib"
+#: What Blender asks for of a repository of extensions: what it holds, with sizes and hashes.
+INDEX_FILE = "index.json"
 
 
 def extension_tool() -> list[str] | None:
@@ -92,8 +97,16 @@ def fetch_wheels(root: Path) -> None:
         raise BuildError("the wheels could not be fetched", "See pip's lines above; check the network.")
 
 
-def build(root: Path) -> int:
-    """Build the zip; returns the status of Blender's tool, raises ``BuildError``."""
+def write_index(tool: list[str], folder: Path) -> int:
+    """Write ``INDEX_FILE`` of the zips in ``folder``; the status of Blender's tool.
+
+    The zips are named relative to the index (``./physhdr-0.1.0.zip``): the folder may lie anywhere.
+    """
+    return subprocess.call([*tool, "server-generate", "--repo-dir", str(folder)])
+
+
+def build(root: Path, dist: Path) -> int:
+    """Build zip and index into ``dist``; returns the status of Blender's tool, raises ``BuildError``."""
     pinned = pinned_wheels(root)
     if check_wheels(root, pinned):
         fetch_wheels(root)
@@ -102,22 +115,33 @@ def build(root: Path) -> int:
     tool = extension_tool()
     if tool is None:
         raise BuildError("Blender's extension tool was not found", "Run make setup first.")
-    dist = root / "dist"
-    dist.mkdir(exist_ok=True)
+    dist.mkdir(parents=True, exist_ok=True)
     # Beside its place, and moved there when it has been looked at.
     with tempfile.TemporaryDirectory(dir=dist) as made:
         for command in (["validate", "."], ["build", "--source-dir", ".", "--output-dir", made]):
             if status := subprocess.call([*tool, *command], cwd=root):
                 return status
-        for path in Path(made).glob("*.zip"):
+        zips = list(Path(made).glob("*.zip"))
+        for path in zips:
             check_zip(path, pinned)
+        # Of this version alone: an older zip may stay beside it for those who want it.
+        if status := write_index(tool, Path(made)):
+            return status
+        # The index last: what it names is there.
+        for path in (*zips, Path(made) / INDEX_FILE):
             path.replace(dist / path.name)
     return 0
 
 
 def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--out", type=Path, default=ROOT / "dist", metavar="DIR", help="where to write both; default: dist/"
+    )
     try:
-        return build(ROOT)
+        return build(ROOT, parser.parse_args().out.absolute())
     except BuildError as error:
         print(f"error: {error.message}\n  {error.remedy}", file=sys.stderr)
         return 1
