@@ -9,6 +9,7 @@ from .device import DEVICES
 from .options import ALL, CURRENT, REFERENCE_FACTOR, Options, join
 from .parse import (
     parse_evs,
+    parse_light,
     parse_mixtures,
     parse_names,
     parse_numbers,
@@ -65,6 +66,15 @@ def _add_scene(made: argparse.ArgumentParser) -> None:
         help="your own scene instead: a .blend, or the one that is open",
     )
     add("--scene-name", default="", metavar="NAME", help="the scene in that file, if not its active one")
+    add(
+        "--light",
+        action="append",
+        default=[],
+        metavar="NAME=group:GROUP|NAME=collection:COLLECTION",
+        help="a light of that scene that has a level of its own: all that shines in a light group or in a "
+        "collection. Given as often as there are lights; beside them there are ambient (the world, and the "
+        "suns in none of them) and lamps, the rest (default: each light group)",
+    )
 
 
 def _add_pictures(made: argparse.ArgumentParser) -> None:
@@ -272,6 +282,7 @@ def options(given: argparse.Namespace) -> Options:
         assets=given.assets,
         from_file=given.from_file,
         scene_name=given.scene_name,
+        light_choices=tuple(parse_light(text) for text in given.light),
         rig_distance=given.rig_distance,
         rig_extent=parse_pair("--rig-extent", given.rig_extent) if given.rig_extent else None,
         rig_arc=given.rig_arc,

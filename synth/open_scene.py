@@ -15,7 +15,7 @@ import bpy
 from mathutils import Vector
 
 from ..bridge.lights import AMBIENT
-from . import plan, rig, user_camera, user_light
+from . import left_out, plan, rig, user_camera, user_light
 from .blender import camera_of, cycles, evaluated
 from .errors import SceneError, SceneFileError
 from .fingerprint import fingerprint
@@ -36,7 +36,8 @@ def opened(options: Options, report: Report) -> Iterator[tuple[Stage, Options]]:
 
     Raises:
         SceneFileError: no such file, not a .blend file, no such scene.
-        SceneError: no usable camera, no light.
+        SceneError: no usable camera, no light, or none where one was chosen.
+        UnknownNameError: no such light group or collection.
     """
     _open_file(options.from_file)
     scene = _scene(options.scene_name)
@@ -52,6 +53,7 @@ def opened(options: Options, report: Report) -> Iterator[tuple[Stage, Options]]:
         former = scene.frame_current, scene.frame_subframe
         undo.callback(scene.frame_set, former[0], subframe=former[1])
         scene.frame_set(former[0], subframe=former[1])
+        models = undo.enter_context(left_out.hidden(scene, layer, report))
         layer.update()
         if not user_light.any_light(scene, layer):
             raise SceneError(
@@ -62,6 +64,8 @@ def opened(options: Options, report: Report) -> Iterator[tuple[Stage, Options]]:
         options.check()
         _tell_what_is_missing(scene, report)
         hints, source = _cameras(scene, layer, camera, options, report)
+        if models:
+            source["left_out"] = models
         if options.camera_rig == rig.PATH:
             poses = user_camera.path(scene, camera, options)
         else:
@@ -70,7 +74,7 @@ def opened(options: Options, report: Report) -> Iterator[tuple[Stage, Options]]:
         mark = fingerprint(scene, layer, poses.all, hints.angle_x)
         # What is ours goes last on the way out's list, that is first: before the user's is put back.
         undo.enter_context(_ours_removed())
-        lights = undo.enter_context(user_light.grouped(scene, layer))
+        lights = undo.enter_context(user_light.grouped(scene, layer, options.light_choices))
         for note in lights.notes:
             report.warn(note)
         plan.check_lights(options, list(lights.groups))

@@ -11,6 +11,7 @@ from .built_in import SCENES
 from .camera_model import CameraModel
 from .device import DEVICES
 from .errors import OptionError, UnknownNameError
+from .light_names import LightChoice
 from .rig import PATH, RIGS
 
 #: Of a user's scene; a built-in one brings its own.
@@ -90,6 +91,8 @@ class Options:
     from_file: str | None = None
     #: The scene in that file; its active one if empty.
     scene_name: str = ""
+    #: The lights of that scene that are told apart, beside the ambient one; its light groups if empty.
+    light_choices: tuple[LightChoice, ...] = ()
     #: Metres from the user's camera to what the rig looks at; found by itself if ``None``.
     rig_distance: float | None = None
     #: Width and height of the grid in metres; a share of the distance if ``None``.
@@ -141,6 +144,12 @@ class Options:
         self._check_rig()
         self._check_exposures()
         self._check_levels()
+        if self.light_choices and not self.from_file:
+            raise OptionError("--light is for --from-file: the built-in scenes bring their own lights")
+        for choice in self.light_choices:
+            choice.check()
+        if len({choice.name for choice in self.light_choices}) != len(self.light_choices):
+            raise OptionError(f"--light {', '.join(map(str, self.light_choices))}: each name once")
         if self.assets and self.from_file:
             raise OptionError("--assets is for the built-in scenes, and --from-file asks for your own")
 
@@ -233,6 +242,9 @@ class Options:
             del values[name]
         if self.mixed_levels is not None:
             values["mixed_levels"] = [dict(levels) for levels in self.mixed_levels]
+        values["light_choices"] = [str(choice) for choice in self.light_choices]
+        if not self.light_choices:
+            del values["light_choices"]
         values["assets"] = self.assets is not None
         for name in _LATER:  # else the folders of before would not be gone on with
             if values[name] == getattr(Options, name):

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 from .built_in import SCENES
 from .errors import OptionError
+from .light_names import LightChoice
 from .options import ALL, FOLLOW, LARGEST_EV, join, seconds, within
 
 
@@ -66,6 +67,19 @@ def parse_mixtures(text: str) -> tuple[tuple[tuple[str, float], ...], ...]:
 def parse_names(text: str) -> tuple[str, ...]:
     """``"ambient,pendant"`` → ("ambient", "pendant")."""
     return tuple(part.strip() for part in text.split(",") if part.strip())
+
+
+def parse_light(text: str) -> LightChoice:
+    """``"key=group:Key Light"`` → that light; what follows the colon is a name of Blender's, of any kind.
+
+    Raises:
+        OptionError
+    """
+    name, _, rest = text.partition("=")
+    kind, _, what = rest.partition(":")
+    choice = LightChoice(name.strip(), kind.strip(), what)
+    choice.check()
+    return choice
 
 
 def parse_scenes(text: str) -> tuple[str, ...]:
