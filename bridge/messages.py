@@ -92,7 +92,7 @@ class TrainResume:
 
 @dataclass(frozen=True, kw_only=True)
 class TrainPause:
-    """Halt after the present iteration; previews go on."""
+    """Halt after the present iteration, or the first one of a training that is prepared; previews go on."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,7 +112,8 @@ class TrainStop:
 class RunOpen:
     """Open a trained run for previews and export, with no training; ``Done`` when it is open.
 
-    Where it cannot be opened, what was open before stays. ``data``: the data set, where it has moved.
+    Where it cannot be opened, what was open before stays. ``data``: the data set, where it has moved; without
+    it a run whose data set is not there opens by what it keeps of that, unless it is an earlier version's.
     """
 
     run: str

@@ -43,7 +43,7 @@ class Export:
                 f"cannot bake at EV {self.exposure_ev} and lighting level {self.lighting_level}",
                 f"Give an EV of −{EV_MAX:g} to {EV_MAX:g} and a lighting level of 0 or more.",
             )
-        run = open_run(self.folder, self.data)
+        run = open_run(self.folder, self.data, pictures=False)
         levels = levels_asked(self.lighting_level, self.lighting_levels, run.method.lights)
         out = writable_folder(self.out or self.folder)
         method = run.on_gaussians()

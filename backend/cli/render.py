@@ -64,7 +64,7 @@ class Render:
             raise BadValueError(f"--lighting-level must be 0 or more, got {self.lighting_level}")
         if self.exposure is not None and not self.exposure > 0.0:
             raise BadValueError(f"--exposure must be above 0 seconds, got {self.exposure}")
-        run = open_run(self.folder, self.data, self.rasteriser, self.device)
+        run = open_run(self.folder, self.data, self.rasteriser, self.device, pictures=False)
         levels = levels_asked(self.lighting_level, self.lighting_levels, run.method.lights)
         camera = camera_named(run.scene, self.view)
         if self.width is not None:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ...bridge.regular import require_text
+from ...bridge.run_folder import VIEWS_FILE
 from ..device import DeviceName, choose_device
 from ..kernels.ahead import Needs
 from ..rasterize import Implementation
@@ -23,6 +24,7 @@ from .files import holds_a_run, refuse_a_run, remove_results, remove_unfinished,
 from .lock import hold
 from .log import EventLog
 from .run import Run
+from .views import write_views
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +32,8 @@ class Workshop:
     """Where and with what a training is done, and who is told of it.
 
     ``report``: what happens, in words. ``expect``: how long it will take, where that was found out.
-    ``compile_kernels``: makes sure that the CPU's kernels are there.
+    ``compile_kernels``: makes sure that the CPU's kernels are there. ``between``: called while it is
+    timed, so that a stop need not wait for that; what it raises ends it.
     """
 
     report: Callable[[str], None]
@@ -38,6 +41,7 @@ class Workshop:
     compile_kernels: Callable[[Needs], object]
     device: DeviceName = "auto"
     rasteriser: Implementation = "auto"
+    between: Callable[[], object] = lambda: None
 
     def trainer(
         self, scene: Scene, config: TrainConfig, resumed: Path | None = None, configuration: str = ""
@@ -50,7 +54,7 @@ class Workshop:
             # Before the trainer is made, which calls some of them.
             self.compile_kernels(config.method.kernels_needed())
         trainer = Trainer(scene, config, self.rasteriser, device, resumed, configuration)
-        duration = time_training(trainer)
+        duration = time_training(trainer, between=self.between)
         if duration is not None:
             self.report(f"training will take {duration}")
             self.expect(duration)
@@ -96,6 +100,7 @@ def start_run(
             remove_results(folder)
             EventLog.clear(folder)
         write_config(folder / CONFIG_FILE, config, data, preset)
+        write_views(folder, scene)
         with reading_ahead(trainer, config.iterations):
             yield trainer, Run(folder, preset, config, scene, trainer.method, 0)
 
@@ -112,6 +117,8 @@ def resume_run(folder: Path, data: Path | None, workshop: Workshop) -> Iterator[
         written = read_config(folder / CONFIG_FILE)
         scene = read_scene(data or written.data, written.config.downscale, written.config.color_space)
         trainer = workshop.trainer(scene, written.config, folder, written.fingerprint)
+        if not (folder / VIEWS_FILE).exists():  # an earlier version's
+            write_views(folder, scene)
         run = Run(folder, written.preset, written.config, scene, trainer.method, trainer.iteration)
         with reading_ahead(trainer, run.config.iterations):
             yield trainer, run

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from ...bridge.atomic import remove_leftovers
 from ...bridge.errors import DataMismatchError, OutputError
+from ...bridge.run_folder import VIEWS_FILE
 from ..evaluate import report
 from ..export import FILES as EXPORTED
 from ..train.config import CONFIG_FILE
@@ -60,7 +61,12 @@ def remove_results(folder: Path) -> None:
     They would be taken for the new run's. The caller holds the folder, which must hold a run: elsewhere
     files of these names are somebody's own. Raises ``OutputError``.
     """
-    for name in (CHECKPOINT_FILE, *report.FILES, *EXPORTED):  # the weights first: all else comes of them
+    for name in (
+        CHECKPOINT_FILE,
+        VIEWS_FILE,
+        *report.FILES,
+        *EXPORTED,
+    ):  # the weights first: all else comes of them
         try:
             (folder / name).unlink(missing_ok=True)
         except OSError as error:

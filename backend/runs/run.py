@@ -7,18 +7,20 @@ from pathlib import Path
 
 import numpy as np
 
-from ...bridge.errors import BadValueError
+from ...bridge.errors import BadValueError, FileMissingError
 from ...bridge.model_file import Model
+from ...bridge.run_folder import VIEWS_FILE
 from ..device import DeviceName, choose_device
 from ..export.blender_model import on_gaussians, to_model
 from ..methods.base import Method, SplattingMethod
 from ..methods.registry import name_of
 from ..rasterize import Implementation
 from ..scene import Scene, read_scene
-from ..train.config import CONFIG_FILE, TrainConfig, read_config
+from ..train.config import CONFIG_FILE, RunConfig, TrainConfig, read_config
 from ..train.learned_lens import LearnedLenses, lenses_of_run
 from ..train.trainer import load_method
 from .terminal import console
+from .views import read_views, require_same_views
 
 
 @dataclass(frozen=True)
@@ -73,11 +75,18 @@ def open_run(
     rasteriser: Implementation = "auto",
     device: DeviceName = "cpu",
     report: Callable[[str], None] = console.print,
+    pictures: bool = True,
 ) -> Run:
-    """Open a trained run; ``data`` stands in for the folder it was trained on, where that has moved."""
+    """Open a trained run; ``data`` stands in for the folder it was trained on, where that has moved.
+
+    ``pictures``: whether those of the data set are wanted. Without them, for looking and exporting, it opens
+    by what it keeps of its data set (``views``) where that is not there; ``scene.root`` is where it was.
+
+    Raises what reading raises, and ``DataMismatchError`` where ``data`` is not what it was trained on.
+    """
     written = read_config(folder / CONFIG_FILE)
     config = written.config
-    scene = read_scene(data or written.data, config.downscale, config.color_space)
+    scene = _scene(folder, data, written, pictures, report)
     method, iteration = load_method(
         folder,
         config,
@@ -88,3 +97,23 @@ def open_run(
     )
     lenses = lenses_of_run(folder, [view.camera for view in scene.train])
     return Run(folder, written.preset, config, scene, method, iteration, lenses)
+
+
+def _scene(
+    folder: Path, data: Path | None, written: RunConfig, pictures: bool, report: Callable[[str], None]
+) -> Scene:
+    """The run's data set, or what it keeps of it where that is not there and no pictures are wanted."""
+    config = written.config
+    if data is None and not pictures and not written.data.exists():
+        if not (folder / VIEWS_FILE).exists():
+            raise FileMissingError(
+                f"the data set of {folder} is not there: {written.data}",
+                "Choose the data set where it is now. An earlier version trained this run, and kept nothing "
+                "of it by which the run could be looked at.",
+            )
+        report(f"{written.data} is not there: opened by what the run keeps of its cameras")
+        return read_views(folder, written.data)
+    scene = read_scene(data or written.data, config.downscale, config.color_space)
+    if data is not None:
+        require_same_views(folder, scene)
+    return scene

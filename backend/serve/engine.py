@@ -78,6 +78,8 @@ class Engine:
         self._training: Training | None = None
         self._expected: Duration | None = None  # of the training that is begun
         self._stopping = False
+        self._is_beginning = False  # of a training that is prepared
+        self._pause_first = False  # asked for before there was anything to halt
         self._ending = ""
         self._next_preview = 0.0
 
@@ -176,6 +178,10 @@ class Engine:
             )
 
     def _pause(self, paused: bool) -> None:
+        if self._job or self._is_beginning:
+            self._pause_first = paused
+            self._status.change(message="it halts when it begins" if paused else "it goes on when it begins")
+            return
         if self._status.now.state not in ("training", "paused"):
             what = "pause" if paused else "continue"
             raise NoJobError(f"there is no training to {what}: the state is {self._status.now.state}")
@@ -193,7 +199,7 @@ class Engine:
     def _prepare(self, job: Job) -> None:
         """What was open is closed, and the state is that of the new job."""
         self._close()
-        self._stopping = False
+        self._stopping = self._pause_first = False
         self._curves.clear()
         self._status.tell(
             JobStatus(state="preparing", run=str(job.folder), message="reading the data set", **job.known)
@@ -213,7 +219,7 @@ class Engine:
                 state="failed", message=failure.message, failure=failure, has_model=False, lights=()
             )
         finally:
-            self._training = None
+            self._training, self._is_beginning = None, False
             free_memory()
 
     def _train(self, job: Job) -> None:
@@ -224,12 +230,15 @@ class Engine:
             expect=self._expect,
             compile_kernels=self._compile,
             device=self._machine.device_for(job.device),
+            between=lambda: self._progress_of_preparing(self._status.now.message),
         )
+        self._is_beginning = True
         with job.begin(workshop) as (trainer, run):
             self._progress_of_preparing("starting")
+            self._is_beginning = False
             self._training = Training(trainer, run, self, self._status, self._curves, self._expected)
             self._run = run
-            self._run = self._training.run_to_the_end()
+            self._run = self._training.run_to_the_end(paused=self._pause_first)
 
     def _expect(self, duration: Duration) -> None:
         self._expected = duration
@@ -271,6 +280,7 @@ class Engine:
                 data,
                 device=self._machine.device_for(request.device),
                 report=self._progress_of_preparing,
+                pictures=False,
             )
             if run.method.device.type != "cuda":
                 self._compile(run.config.method.kernels_needed())
@@ -282,6 +292,7 @@ class Engine:
         self._run = run
         self._curves.read(folder / LOG_FILE, run.iteration)
         curves = self._curves.history()
+        without = "" if run.scene.root.exists() else ", without its data set, which is not there"
         self._status.tell(
             JobStatus(
                 state="open",
@@ -289,7 +300,7 @@ class Engine:
                 data=str(run.scene.root),
                 preset=run.preset,
                 device=device_words(run.method.device),
-                message=f"open, at iteration {run.iteration}",
+                message=f"open, at iteration {run.iteration}{without}",
                 iteration=run.iteration,
                 iterations=run.config.iterations,
                 gaussians=run.method.size,

@@ -74,8 +74,11 @@ class Training:
             iterations_per_second=0.0,
         )
 
-    def run_to_the_end(self) -> Run:
-        """Train until the last iteration, or until the desk wants a stop; returns the run as it is then."""
+    def run_to_the_end(self, paused: bool = False) -> Run:
+        """Train until the last iteration, or until the desk wants a stop; returns the run as it is then.
+
+        ``paused``: it halts after its first iteration.
+        """
         trainer, run = self._trainer, self._run
         self._curves.read(run.folder / LOG_FILE, run.iteration)
         message = trainer.start_message
@@ -96,6 +99,8 @@ class Training:
             can_relight=run.method.can_relight,
             lights=run.method.lights,
         )
+        if paused:
+            self.pause(True)
         told = trainer.run(
             run.folder,
             should_stop=lambda: self._desk.stopping,

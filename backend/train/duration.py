@@ -103,10 +103,15 @@ def about(seconds: float) -> str:
     return f"about {minutes // 60} h {minutes % 60:02d} min"
 
 
-def time_training(trainer: Trainer, clock: Callable[[], float] = time.perf_counter) -> Duration | None:
+def time_training(
+    trainer: Trainer,
+    clock: Callable[[], float] = time.perf_counter,
+    between: Callable[[], object] = lambda: None,
+) -> Duration | None:
     """How long ``trainer`` will take from where it is; nothing of it changes, not even a random number.
 
-    None where timing would take more than ``SHARE`` of it, because it is short.
+    None where timing would take more than ``SHARE`` of it, because it is short. ``between``: called before
+    each iteration that is timed; what it raises ends the timing.
     """
     config, begun = trainer.config, trainer.iteration
     plan = plan_of(trainer)
@@ -118,7 +123,7 @@ def time_training(trainer: Trainer, clock: Callable[[], float] = time.perf_count
     if len(sides) * len(counts) * (TIMED + 1) > SHARE * (config.iterations - begun):
         return None
     with torch.random.fork_rng(devices=[trainer.device] if trainer.device.type == "cuda" else []):
-        decoding, half, full = _timed(_copy(trainer), plan, sides, counts, clock)
+        decoding, half, full = _timed(_copy(trainer), plan, sides, counts, clock, between)
     # The copy, which was as large as the training will be. Where a method knows its trainer (HDR-NeRF's film
     # holds all pixels) the two hold each other, and would stay until Python happens to look for such.
     gc.collect()
@@ -172,7 +177,12 @@ def _copy(trainer: Trainer) -> Trainer:
 
 
 def _timed(
-    trial: Trainer, plan: Plan, sides: list[bool], counts: list[int], clock: Callable[[], float]
+    trial: Trainer,
+    plan: Plan,
+    sides: list[bool],
+    counts: list[int],
+    clock: Callable[[], float],
+    between: Callable[[], object],
 ) -> tuple[float, Cost, Cost]:
     """Seconds of decoding all pictures, and what an iteration costs at half and at full size."""
     decoding, decoded = 0.0, set()
@@ -183,6 +193,7 @@ def _timed(
         for half in sides:
             total = 0.0
             for turn in range(TIMED + 1):
+                between()
                 trial.iteration = _iteration(plan, half, turn, late=count == counts[-1])
                 begun = clock()
                 trial.batch(trial.iteration)  # so that no step waits for a picture to be decoded

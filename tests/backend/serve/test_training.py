@@ -3,6 +3,7 @@
 
 import dataclasses
 import json
+import math
 import shutil
 import signal
 import time
@@ -25,9 +26,11 @@ from physhdr.backend.serve import server as server_module
 from physhdr.backend.serve.curves import Curves
 from physhdr.backend.serve.inbox import Abandoned, Command, Inbox
 from physhdr.backend.serve.preview import camera_of, render
+from physhdr.backend.train import duration
 from physhdr.backend.train.checkpoint import load_checkpoint, save_checkpoint
 from physhdr.backend.train.config import read_config, write_config
 from physhdr.backend.train.presets import PRESETS
+from physhdr.backend.train.trainer import Trainer
 from physhdr.bridge.connection import Connection
 from physhdr.bridge.messages import (
     ControlTake,
@@ -49,6 +52,7 @@ from physhdr.bridge.messages import (
     WhenClosed,
 )
 from physhdr.bridge.model_file import read_model
+from physhdr.bridge.run_folder import VIEWS_FILE
 
 ITERATIONS = 260  # densification is due at 100
 CHECKPOINT = "checkpoint.safetensors"
@@ -433,10 +437,50 @@ def test_a_run_whose_data_have_moved_opens_with_their_new_place(backend, enter, 
     peer.wait_for("finished", "failed")
     config = tmp_path / "run" / "config.json"
     write_config(config, read_config(config).config, tmp_path / "gone", "default")
-    assert refusal(peer, RunOpen(run=str(tmp_path / "run"))).code == "file_missing"
-    assert peer.ask(StatusGet()).state == "finished" and peer.status.has_model  # what was open stays
     assert peer.ask(RunOpen(run=str(tmp_path / "run"), data=str(moved))) == Done()
-    assert peer.status.state == "open" and peer.status.iteration == 3
+    assert peer.status.state == "open" and peer.status.iteration == 3 and peer.status.data == str(moved)
+    assert "without" not in peer.status.message
+    # Another data set is not taken for it: the pictures' names are the same, the cameras are not.
+    other = tmp_path / "other"
+    shutil.copytree(tiny_data, other)
+    transforms = json.loads((other / "transforms_train.json").read_text())
+    transforms["frames"][0]["transform_matrix"][2][3] += 0.5
+    (other / "transforms_train.json").write_text(json.dumps(transforms))
+    assert refusal(peer, RunOpen(run=str(tmp_path / "run"), data=str(other))).code == "data_mismatch"
+    # A run of an earlier version has kept nothing to be looked at by.
+    (tmp_path / "run" / VIEWS_FILE).unlink()
+    failure = refusal(peer, RunOpen(run=str(tmp_path / "run")))
+    assert failure.code == "file_missing" and str(tmp_path / "gone") in failure.message
+    assert "Choose the data set where it is now" in failure.hint
+    assert peer.ask(StatusGet()).state == "open" and peer.status.has_model  # what was open stays
+
+
+@pytest.mark.parametrize("preset", ["default", "default-scaffold"])
+def test_a_run_is_looked_at_without_its_data(backend, enter, refusal, tiny_data, runs, tmp_path, preset):
+    """To the bit as with them: pictures, levels, the learned response, the exported model."""
+    run, data = tmp_path / "run", tmp_path / "gone"
+    shutil.copytree(runs[preset], run)
+    write_config(run / "config.json", read_config(run / "config.json").config, data, preset)
+    assert (run / VIEWS_FILE).is_file()
+    peer, asked = enter(backend), PreviewRequest(sequence=1, camera=camera(), exposure_ev=1.0)
+    asked = [dataclasses.replace(asked, tone=tone, lighting_levels=(2.0,)) for tone in ("linear", "learned")]
+    seen = {}
+    for name, where in (("with", str(tiny_data)), ("without", "")):
+        assert peer.ask(RunOpen(run=str(run), data=where)) == Done()
+        path = tmp_path / f"{name}.safetensors"
+        assert peer.ask(ModelExport(path=str(path))).gaussians > 0
+        seen[name] = [peer.preview(request).rgba for request in asked], read_model(path)
+    assert peer.status.state == "open" and "without its data set" in peer.status.message
+    assert peer.status.data == str(data)  # where it was
+    for one, other in zip(*(seen[name][0] for name in seen), strict=True):
+        assert one.any() and np.array_equal(one, other)
+    one, other = (seen[name][1] for name in seen)
+    assert one.exposures == other.exposures and np.array_equal(one.log_radiance_sh, other.log_radiance_sh)
+    assert np.array_equal(one.tone_curve, other.tone_curve)
+    # What needs the pictures says so.
+    peer.ask(TrainResume(run=str(run)))
+    failed = peer.wait_for("failed").failure
+    assert failed.code == "file_missing" and str(data) in failed.message
 
 
 def test_stopped_while_preparing_nothing_is_trained(backend, enter, tiny_data, tmp_path):
@@ -447,6 +491,33 @@ def test_stopped_while_preparing_nothing_is_trained(backend, enter, tiny_data, t
     ended = peer.wait_for("idle", "stopped")
     assert ended.iteration < 1000
     peer.ask(StatusGet())
+
+
+def test_a_stop_and_a_pause_do_not_wait_for_the_timing(tiny_data, tmp_path, monkeypatch):
+    """The engine by itself, for a training whose timing takes a while: what is asked then is done at once."""
+    monkeypatch.setattr(duration, "SHARE", math.inf)
+    for asked, ended in ((TrainStop(), "idle"), (TrainPause(), "paused")):
+        inbox, told, timed = Inbox(), [], []
+        server = SimpleNamespace(publish=told.append, answer=lambda *answered: None, show=lambda *shown: None)
+        engine = engine_module.Engine(inbox, server, Curves(), engine_module.Options(threads=1))
+
+        def step(trainer, asked=asked, inbox=inbox, timed=timed, step=Trainer.step):
+            timed.append(trainer.iteration)
+            if len(timed) == 2:
+                inbox.put(Command(1, "test", 1, asked))
+            return step(trainer)
+
+        with monkeypatch.context() as patched:
+            patched.setattr(Trainer, "step", step)
+            engine._obey(Command(1, "test", 0, start_of(tiny_data, tmp_path / ended, 30)))
+            patched.setattr(engine, "wait", lambda engine=engine: engine._note_stop())  # the pause is reached
+            engine._do(engine._job)
+        states = [status.state for status in told]
+        assert len(timed) >= 2 and ended in states
+        if ended == "idle":
+            assert len(timed) == 2 and "training" not in states  # of eight that would have been timed
+        else:
+            assert told[states.index("paused")].iteration == 0 and states[-1] == "stopped"
 
 
 def test_training_ends_with_its_blender_if_so_wished(start, enter, tiny_data, tmp_path):
