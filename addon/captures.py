@@ -5,11 +5,9 @@ What the trainer's readers take (``backend/scene``) is told by the same files, i
 exposures are read, and nothing of the pictures but headers. No bpy.
 """
 
-import math
 import os
 import re
 import struct
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,23 +15,20 @@ from typing import Any
 import numpy as np
 
 from ..bridge import data_set
-from ..bridge.affine import matrices_of
 from ..bridge.errors import FileDamagedError, FileMissingError, PhysHDRError
 from ..bridge.limits import EXPOSURE, is_number
-from ..bridge.regular import damaged_where_it_fails, read_bytes, read_json_object, read_text, regular_file
+from ..bridge.regular import damaged_where_it_fails, read_json_object, read_text, regular_file
+from .colmap_file import COPY_AGAIN, model_folder, pose_of, read_placed
 
 #: What gives each layout away, and what ``physhdr prepare`` leaves beside the second.
 REAL_FILE, NERFSTUDIO_FILE, PICTURES = "poses_bounds_exps.npy", "transforms.json", "images"
 LOOKED_FOR = f"{NERFSTUDIO_FILE}, no {REAL_FILE}, no {PICTURES}/ with COLMAP's sparse/0"
 REAL_PICTURES = "input_images"
-COPY_AGAIN = "Copy the data set again, or make it again."
 #: Numbers of a row of LLFF's poses: 3 × 5, two bounds, and HDR-NeRF's exposure.
 COLUMNS = 18
-#: Bytes of COLMAP's file of pictures, which has their keypoints.
-LARGEST_MODEL = 1 << 34
 #: What a frame's ``file_path`` may lack.
 SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".JPG", ".PNG")
-_COUNT, _IMAGE, _OBSERVATION = struct.Struct("<Q"), struct.Struct("<i7di"), 24
+_COUNT = struct.Struct("<Q")
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +63,7 @@ class Capture:
 
 def read_capture(folder: Path) -> Capture | None:
     """The capture in a folder; None where it has none of the layouts. Raises the errors of ``bridge``."""
-    model = _model_folder(folder)
+    model = model_folder(folder)
     if (folder / REAL_FILE).exists():
         return _of_real(folder, model)
     if model is not None and (folder / PICTURES).is_dir():
@@ -108,23 +103,15 @@ def _known(seconds: Any) -> float | None:
 # ---- COLMAP, and what physhdr prepare writes ---------------------------------------------------------------
 
 
-def _model_folder(root: Path) -> Path | None:
-    """``sparse/0``, or ``sparse`` as COLMAP's undistorter has it."""
-    for folder in (root / "sparse" / "0", root / "sparse"):
-        if any((folder / f"images.{kind}").exists() for kind in ("bin", "txt")):
-            return folder
-    return None
-
-
 def _of_colmap(root: Path, model: Path) -> Capture:
-    listed = _images(model)
+    listed = {placed.name: placed.place for placed in read_placed(model)}
     stated: dict[str, float | None] = {}
     if (root / data_set.EXPOSURE_FILE).exists():
         for name, seconds in read_json_object(root / data_set.EXPOSURE_FILE, COPY_AGAIN).items():
             stated[data_set.plain_name(name).removeprefix(f"{PICTURES}/")] = _known(seconds)
-    poses = {re.sub(r"_\d+$", "", Path(name).stem) if stated else name: at for name, at in listed.items()}
+    poses = {pose_of(name) if stated else name: at for name, at in listed.items()}
     # Pictures of a bracket of which the model has one are told by the exposure file alone.
-    names = [name for name in stated if re.sub(r"_\d+$", "", Path(name).stem) in poses] or list(listed)
+    names = [name for name in stated if pose_of(name) in poses] or list(listed)
     return Capture(
         "GaussHDR" if stated and all(map(_split_of, stated)) else "COLMAP",
         poses,
@@ -133,43 +120,6 @@ def _of_colmap(root: Path, model: Path) -> Capture:
         _point_count(model),
         (root / data_set.CAPTURE_FILE).is_file(),
     )
-
-
-def _images(model: Path) -> dict[str, np.ndarray]:
-    """Name and place of each picture that was placed."""
-    binary = (model / "images.bin").exists()
-    return dict(_images_binary(model / "images.bin") if binary else _images_text(model / "images.txt"))
-
-
-def _images_binary(path: Path) -> Iterator[tuple[str, np.ndarray]]:
-    content = read_bytes(path, COPY_AGAIN, LARGEST_MODEL)
-    with damaged_where_it_fails(f"{path} is damaged", COPY_AGAIN):
-        (count,) = _COUNT.unpack_from(content, 0)
-        at = _COUNT.size
-        for _ in range(count):
-            _, *pose, _ = _IMAGE.unpack_from(content, at)
-            end = content.index(b"\0", at + _IMAGE.size)
-            name = content[at + _IMAGE.size : end].decode("utf-8")
-            (observed,) = _COUNT.unpack_from(content, end + 1)
-            at = end + 1 + _COUNT.size + _OBSERVATION * observed
-            yield data_set.plain_name(name), _place_of(pose)
-
-
-def _images_text(path: Path) -> Iterator[tuple[str, np.ndarray]]:
-    lines = [line for line in read_text(path, COPY_AGAIN).splitlines() if not line.startswith("#")]
-    with damaged_where_it_fails(f"{path} is damaged", COPY_AGAIN):
-        for line in lines[::2]:  # every second one lists keypoints, and may be empty
-            if words := line.split(maxsplit=9):
-                yield data_set.plain_name(words[9]), _place_of([float(word) for word in words[1:8]])
-
-
-def _place_of(pose: list[float]) -> np.ndarray:
-    """Where the camera is: −Rᵀ t of a world-to-camera quaternion (wxyz) and translation."""
-    quaternion = np.array(pose[:4]) / math.hypot(*pose[:4])
-    place = -matrices_of(quaternion[None])[0].T @ pose[4:]
-    if not np.isfinite(place).all():
-        raise ValueError("a camera's pose is not finite")
-    return place
 
 
 def _point_count(model: Path) -> int | None:
@@ -237,5 +187,6 @@ def _of_real(root: Path, model: Path | None) -> Capture:
     seconds = {file: _known(float(row[17])) for file, row in zip(files, rows, strict=False)}
     if model is None:
         return Capture("HDR-NeRF-Real", poses, seconds)
-    poses = {re.sub(r"_\d+$", "", Path(name).stem): at for name, at in sorted(_images(model).items())[::-1]}
+    listed = sorted(read_placed(model), key=lambda placed: placed.name, reverse=True)
+    poses = {pose_of(placed.name): placed.place for placed in listed}
     return Capture("HDR-NeRF-Real", poses, seconds, points=_point_count(model))

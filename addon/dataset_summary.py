@@ -199,7 +199,7 @@ def _of_capture(folder: Path, capture: Capture) -> DatasetSummary:
         )
     if not capture.poses:
         raise FileMissingError(f"{folder} names no picture that is there", CHOOSE)
-    sizes = {size for file in list(capture.pictures)[:HEADERS] if (size := _picture_size(file))}
+    sizes = {size for file in list(capture.pictures)[:HEADERS] if (size := picture_size(file))}
     exposures = tuple(sorted({seconds for seconds in capture.pictures.values() if seconds is not None}))
     if None not in capture.pictures.values() and len(exposures) < FEWEST_EXPOSURES:
         warnings.append("All pictures have one exposure: high dynamic range cannot be learned.")
@@ -315,7 +315,7 @@ def _check_pictures(
     return next(iter(sizes), None)
 
 
-def _picture_size(path: Path) -> tuple[int, int] | None:
+def picture_size(path: Path) -> tuple[int, int] | None:
     """Width and height by the header of a PNG or JPEG; None for others, of which only the trainer knows."""
     try:
         with open(regular_file(path), "rb") as file:
