@@ -3,10 +3,9 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import tyro
-from rich.progress import Progress
 
 from ...bridge.atomic import atomic_path
 from ...bridge.errors import BadValueError
@@ -23,6 +22,7 @@ from ..runs.files import writable_folder
 from ..runs.run import Run, open_run
 from ..runs.terminal import console
 from ..scene.pictures import write_png
+from .told import answered, progress
 
 
 @dataclass(frozen=True)
@@ -43,17 +43,17 @@ class Evaluate:
     data: Path | None = None
     rasteriser: Implementation = "auto"
     device: DeviceName = "auto"
+    #: Say how far it is, and the result or the error, as JSON, an object a line.
+    json: bool = False
 
     def run(self) -> int:
+        return answered(self._work, self.json)
+
+    def _work(self) -> dict[str, Any]:
         run = open_run(self.folder, self.data, self.rasteriser, self.device)
         out = writable_folder(self.out or self.folder)
         lpips = lpips_from(self.lpips_weights)
-        with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
-            task = bar.add_task("evaluate", total=None)
-
-            def show(done: int, total: int, what: str) -> None:
-                bar.update(task, completed=done, total=total, description=f"evaluate {what}")
-
+        with progress("evaluate", self.json) as show:
             evaluation = evaluate(
                 run.method,
                 run.scene,
@@ -75,7 +75,7 @@ class Evaluate:
             others = [open_run(folder, self.data, self.rasteriser, self.device) for folder in self.against]
             paths += _compare([(run, out), *((other, other.folder) for other in others)], out, self.split)
         console.print("wrote " + ", ".join(str(path) for path in paths), soft_wrap=True)
-        return 0
+        return {"folder": str(out), "split": self.split}
 
 
 def _draw_response(run: Run, path: Path, split: str) -> list[Path]:

@@ -6,13 +6,13 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import groupby, islice
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import tyro
-from rich.progress import Progress
 
 from ...bridge.errors import BadValueError
+from ...bridge.shots import Shot, Shots, read_shots
 from ..device import DeviceName
 from ..evaluate.camera_path import orbit_path, spline_path
 from ..evaluate.renderer import Renderer
@@ -25,6 +25,7 @@ from ..runs.terminal import console
 from ..scene import Camera, Scene
 from .lighting import levels_asked
 from .render import camera_named
+from .told import answered, progress
 
 #: How far a lighting sweep goes where nobody says: from an eighth to eight times, as the relit truth does.
 LIGHT_RANGE = (0.125, 8.0)
@@ -55,6 +56,9 @@ class Video:
     frames: Path | None = None
     #: Through the training cameras, round their middle, or standing still (the default of a sweep).
     path: Literal["spline", "orbit", "still"] | None = None
+    #: A file with every frame's camera, stops of exposure and levels, as Blender's panel writes it
+    #: (docs/formats.md), instead of a path and a sweep; its size and its frames a second are the video's.
+    shots: Path | None = None
     #: What changes: exposure from the shortest to the longest and back, one light's level, or both: exposure
     #: in the first half, light in the second, each from where it stands to both ends and back.
     sweep: Literal["none", "exposure", "lighting", "both"] = "none"
@@ -77,26 +81,32 @@ class Video:
     data: Path | None = None
     rasteriser: Implementation = "auto"
     device: DeviceName = "auto"
+    #: Say how far it is, and the result or the error, as JSON, an object a line.
+    json: bool = False
 
     def run(self) -> int:
+        return answered(self._work, self.json)
+
+    def _work(self) -> dict[str, Any]:
         self._check()
         run = open_run(self.folder, self.data, self.rasteriser, self.device)
-        frames = self.plan(run.scene, run.method)
+        shots = None if self.shots is None else read_shots(self.shots)
+        frames = self.plan(run.scene, run.method, shots)
+        fps = self.fps if shots is None else max(1, round(shots.fps))
         with ExitStack() as stack:
             sinks = []
             if self.out is not None:
-                sinks.append(stack.enter_context(video_writer(self.out, self.fps)))
+                sinks.append(stack.enter_context(video_writer(self.out, fps)))
             if self.frames is not None:
                 sinks.append(stack.enter_context(frames_writer(writable_folder(self.frames))))
-            bar = stack.enter_context(
-                Progress(console=console, transient=True, disable=not console.is_terminal)
-            )
-            for picture in bar.track(pictures(run.method, frames), len(frames), description="video"):
+            show = stack.enter_context(progress("video", self.json))
+            for done, picture in enumerate(pictures(run.method, frames), 1):
                 for sink in sinks:
                     sink(picture)
+                show(done, len(frames), f"frame {done} of {len(frames)}" if self.json else "")
         wrote = " and ".join(str(path) for path in (self.out, self.frames) if path is not None)
         console.print(f"wrote {wrote}: {len(frames)} frames", soft_wrap=True)
-        return 0
+        return {"out": str(self.out or self.frames), "frames": len(frames)}
 
     def _check(self) -> None:
         if self.out is None and self.frames is None:
@@ -120,11 +130,31 @@ class Video:
                     "It needs --sweep exposure or lighting and two values above 0, or --sweep both and four: "
                     "the exposures, then the levels.",
                 )
+        if self.shots is not None and (self.path is not None or self.sweep != "none" or self.lighting_levels):
+            raise BadValueError(
+                "--shots has every frame's camera and light",
+                "Leave --path, --sweep and --lighting-levels out.",
+            )
         if self.light is not None and self.sweep not in ("lighting", "both"):
             raise BadValueError("--light names what --sweep lighting turns", "Add --sweep lighting.")
 
-    def plan(self, scene: Scene, method: Renderer) -> list[Frame]:
-        """Every frame; raises ``BadValueError`` where the scene or the method cannot do what is asked."""
+    def plan(self, scene: Scene, method: Renderer, shots: Shots | None = None) -> list[Frame]:
+        """Every frame, of ``shots`` where there are any.
+
+        Raises ``BadValueError`` where the scene or the method cannot do what is asked.
+        """
+        exposures = sorted({seconds for view in scene.train for seconds in view.exposures})
+        exposure = self.exposure or exposures[len(exposures) // 2]
+        if shots is not None:
+            size = shots.width, shots.height
+            return [
+                Frame(
+                    _camera(shot, size, self.width),
+                    exposure * 2.0**shot.exposure_ev,
+                    _levels(shot, method.lights),
+                )
+                for shot in shots.frames
+            ]
         count = round(self.seconds * self.fps)
         path = self.path or ("spline" if self.sweep == "none" else "still")
         if path == "still":
@@ -137,8 +167,6 @@ class Video:
         if self.width is not None:
             cameras = [camera.resized(self.width) for camera in cameras]
         levels = levels_asked(1.0, self.lighting_levels, method.lights)
-        exposures = sorted({seconds for view in scene.train for seconds in view.exposures})
-        exposure = self.exposure or exposures[len(exposures) // 2]
         times, lit = [exposure] * count, [levels] * count
         ends: tuple[float, ...] = self.sweep_range or ()
         low, high = ends[:2] or (LIGHT_RANGE if self.sweep == "lighting" else (exposures[0], exposures[-1]))
@@ -175,6 +203,22 @@ class Video:
                 f"there is no light '{self.light}' in this model", f"Names are: {', '.join(method.lights)}."
             )
         return method.lights.index(self.light)
+
+
+def _camera(shot: Shot, size: tuple[int, int], width: int | None) -> Camera:
+    """The camera of a frame, as wide as asked for."""
+    camera = Camera(shot.camera_to_world, *size, shot.fx, shot.fy, shot.cx, shot.cy)
+    return camera if width is None else camera.resized(width)
+
+
+def _levels(shot: Shot, lights: Sequence[str]) -> tuple[float, ...]:
+    """A level for each of the model's lights; raises ``BadValueError`` where a frame has more."""
+    if len(shot.levels) > len(lights):
+        raise BadValueError(
+            f"a frame has {len(shot.levels)} lights, the model has {len(lights)}: {', '.join(lights)}",
+            "Write the file again with this run's model selected.",
+        )
+    return (*shot.levels, *[1.0] * (len(lights) - len(shot.levels)))
 
 
 def pictures(method: Renderer, frames: list[Frame]) -> Iterator[np.ndarray]:

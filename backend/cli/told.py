@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How far a command is, for people on a bar, for a program as JSON on stdout, an object a line (``--json``).
+
+What such lines say is what Blender's panel reads of a child process (``addon/session/task.py``).
+"""
+
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from rich.progress import Progress
+
+from ...bridge.errors import PhysHDRError
+from ..runs.terminal import console
+
+#: Called with how many are done, of how many, and what is worked on.
+Told = Callable[[int, int, str], None]
+#: Seconds between two lines.
+BETWEEN = 0.2
+
+
+def line(**content: Any) -> None:
+    """One object, at once."""
+    sys.stdout.write(json.dumps(content) + "\n")
+    sys.stdout.flush()
+
+
+def answered(work: Callable[[], dict[str, Any]], as_json: bool) -> int:
+    """Do the ``work``; the exit status. With ``as_json`` its result or its error is the last line."""
+    if not as_json:
+        work()
+        return 0
+    try:
+        line(result=work())
+    except PhysHDRError as error:
+        line(error={"code": error.code, "message": error.message, "hint": error.hint})
+        return 1
+    return 0
+
+
+@contextmanager
+def progress(what: str, as_json: bool) -> Iterator[Told]:
+    """Shows how far something is for as long as the context lasts."""
+    if as_json:
+        yield _Lines()
+        return
+    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(what, total=None)
+
+        def show(done: int, total: int, part: str) -> None:
+            bar.update(task, completed=done, total=total, description=f"{what} {part}".strip())
+
+        yield show
+
+
+class _Lines:
+    def __init__(self) -> None:
+        self._begun = time.monotonic()
+        self._last = 0.0
+
+    def __call__(self, done: int, total: int, part: str) -> None:
+        now = time.monotonic()
+        if now < self._last + BETWEEN and done < total:
+            return
+        self._last = now
+        left = {"seconds_left": (now - self._begun) / done * (total - done)} if done else {}
+        line(progress=done / total if total else 0.0, message=part, **left)

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""``physhdr evaluate --json`` and ``physhdr video --json``: what a program that started them is told."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from physhdr.backend.cli import evaluate as evaluate_command
+from physhdr.backend.cli import main
+from physhdr.backend.cli import video as video_command
+from physhdr.backend.evaluate.renderer import Renderer
+from physhdr.backend.runs.run import Run
+from physhdr.backend.scene import read_scene
+from physhdr.backend.train.config import TrainConfig
+from physhdr.bridge.errors import FileMissingError
+from physhdr.bridge.shots import Shot, Shots, write_shots
+
+
+class Grey(Renderer):
+    """Grey by exposure and by both levels, and a pixel brighter where the camera is farther right."""
+
+    lights = ("ambient", "lamp")
+
+    def hdr(self, camera, lighting_level=1.0) -> torch.Tensor:
+        levels = (lighting_level, 1.0) if isinstance(lighting_level, float) else lighting_level
+        grey = 0.1 * levels[0] + 0.05 * levels[1] + 0.01 * float(camera.position[0])
+        return torch.full((3, camera.height, camera.width), grey)
+
+    def ldr(self, camera, exposure, lighting_level=1.0) -> torch.Tensor:
+        return (self.hdr(camera, lighting_level) * exposure).clamp(max=1.0)
+
+
+@pytest.fixture
+def opened(tiny_data: Path, monkeypatch):
+    def open_run(folder: Path, *_, **__) -> Run:
+        if not folder.is_dir():
+            raise FileMissingError(f"there is no run in {folder}", "Choose another folder.")
+        return Run(folder, "default", TrainConfig(iterations=10), read_scene(tiny_data), Grey(), 10)
+
+    for command in (evaluate_command, video_command):
+        monkeypatch.setattr(command, "open_run", open_run)
+
+
+def told(capsys) -> list[dict]:
+    lines = capsys.readouterr().out.splitlines()
+    return [json.loads(line) for line in lines if line.startswith("{")]
+
+
+def test_an_evaluation_says_how_far_it_is_and_where_its_files_are(opened, tmp_path: Path, capsys) -> None:
+    assert main(["evaluate", str(tmp_path), "--json"]) == 0
+    *steps, last = told(capsys)
+    fractions = [step["progress"] for step in steps]
+    assert fractions and fractions == sorted(fractions) and fractions[-1] == 1.0
+    assert all("message" in step for step in steps)
+    assert last == {"result": {"folder": str(tmp_path), "split": "test"}}
+    assert (tmp_path / "evaluation.json").exists()
+
+
+@pytest.mark.parametrize("command", [["evaluate"], ["video", "--out", "a.webp"]])
+def test_an_error_is_told_with_its_remedy(opened, tmp_path: Path, capsys, command) -> None:
+    assert main([command[0], str(tmp_path / "none"), *command[1:], "--json"]) == 1
+    [line] = told(capsys)
+    assert line["error"]["hint"] == "Choose another folder." and "none" in line["error"]["message"]
+
+
+def test_a_video_of_shots_shows_each_frames_camera_exposure_and_lights(opened, tmp_path, capsys, tiny_data):
+    """Each frame's grey is what its own numbers make of it, worked out here."""
+    middle = sorted({s for view in read_scene(tiny_data).train for s in view.exposures})[2]
+    frames, greys = [], []
+    for index, (ev, levels) in enumerate(
+        [(-2.0, ()), (-2.0, (2.0,)), (-3.0, (2.0, 0.0)), (-1.0, (0.5, 3.0))]
+    ):
+        pose = np.eye(4)
+        pose[0, 3] = index
+        frames.append(Shot(pose, 20.0, 20.0, 16.0, 8.0, ev, levels))
+        ambient, lamp = (*levels, 1.0, 1.0)[:2]
+        greys.append((0.1 * ambient + 0.05 * lamp + 0.01 * index) * middle * 2.0**ev)
+    write_shots(tmp_path / "shots.json", Shots(32, 16, 12.5, frames))
+    arguments = ["--shots", str(tmp_path / "shots.json"), "--frames", str(tmp_path / "frames")]
+    assert main(["video", str(tmp_path), *arguments, "--json"]) == 0
+    *steps, last = told(capsys)
+    assert steps[-1]["progress"] == 1.0 and steps[-1]["message"] == "frame 4 of 4"
+    assert last["result"] == {"out": str(tmp_path / "frames"), "frames": 4}
+    pictures = [np.asarray(Image.open(path)) for path in sorted((tmp_path / "frames").iterdir())]
+    assert [picture.shape for picture in pictures] == [(16, 32, 3)] * 4
+    found = [int(picture[0, 0, 0]) for picture in pictures]
+    np.testing.assert_allclose(found, 255.0 * np.minimum(greys, 1.0), atol=0.51)
+
+
+def test_shots_have_a_path_and_lights_of_their_own(opened, tmp_path, capsys) -> None:
+    arguments = ["video", str(tmp_path), "--out", "a.webp", "--shots", "s.json", "--path", "orbit", "--json"]
+    assert main(arguments) == 1
+    assert "--shots has every frame's camera" in told(capsys)[0]["error"]["message"]
+    frames = [Shot(np.eye(4), 20.0, 20.0, 16.0, 8.0, 0.0, (1.0, 1.0, 1.0))] * 2
+    write_shots(tmp_path / "three.json", Shots(32, 16, 12.0, frames))
+    out = ["--out", str(tmp_path / "a.webp")]
+    assert main(["video", str(tmp_path), *out, "--shots", str(tmp_path / "three.json"), "--json"]) == 1
+    assert "3 lights, the model has 2: ambient, lamp" in told(capsys)[0]["error"]["message"]
