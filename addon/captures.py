@@ -8,6 +8,7 @@ exposures are read, and nothing of the pictures but headers. No bpy.
 import os
 import re
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -50,7 +51,7 @@ class Capture:
     @property
     def splits(self) -> dict[str, int] | None:
         """Poses for training and for testing, where all names say so; else the trainer chooses."""
-        named = [_split_of(name) for name in self.poses]
+        named = [split_of(name) for name in self.poses]
         if any(split is None for split in named):
             return None
         return {split: named.count(split) for split in (data_set.TRAIN, data_set.TEST)}
@@ -81,7 +82,7 @@ def camera_places(folder: Path) -> np.ndarray:
             entry
             for split in (data_set.TRAIN, data_set.TEST)
             if (path := folder / data_set.transforms_file(split)).exists()
-            for entry in _frames(path, read_json_object(path, COPY_AGAIN))
+            for entry in frames_of(path, read_json_object(path, COPY_AGAIN))
         ]
         return np.array([_place(folder, entry) for entry in frames]).reshape(-1, 3)
     capture = read_capture(folder)
@@ -90,7 +91,7 @@ def camera_places(folder: Path) -> np.ndarray:
     return capture.places
 
 
-def _split_of(name: str) -> str | None:
+def split_of(name: str) -> str | None:
     """``train`` or ``test``, where a name has one of them as a word."""
     words = set(re.split(r"[^a-z]+", name.lower())) & {data_set.TRAIN, data_set.TEST}
     return words.pop() if len(words) == 1 else None
@@ -113,7 +114,7 @@ def _of_colmap(root: Path, model: Path) -> Capture:
     # Pictures of a bracket of which the model has one are told by the exposure file alone.
     names = [name for name in stated if pose_of(name) in poses] or list(listed)
     return Capture(
-        "GaussHDR" if stated and all(map(_split_of, stated)) else "COLMAP",
+        "GaussHDR" if stated and all(map(split_of, stated)) else "COLMAP",
         poses,
         {root / PICTURES / name: stated.get(name) for name in names},
         tuple(name for name in names if not os.path.isfile(root / PICTURES / name)),
@@ -140,7 +141,7 @@ def _point_count(model: Path) -> int | None:
 def _of_nerfstudio(root: Path) -> Capture:
     path = root / NERFSTUDIO_FILE
     poses, pictures, missing = {}, {}, []
-    for entry in _frames(path, read_json_object(path, COPY_AGAIN)):
+    for entry in frames_of(path, read_json_object(path, COPY_AGAIN)):
         name = data_set.plain_name(str(entry.get("file_path", "")))
         file = next((root / (name + end) for end in SUFFIXES if os.path.isfile(root / (name + end))), None)
         if file is None:  # the trainer leaves such frames out, too
@@ -151,7 +152,7 @@ def _of_nerfstudio(root: Path) -> Capture:
     return Capture("transforms.json", poses, pictures, tuple(missing))
 
 
-def _frames(path: Path, content: dict[str, Any]) -> list[dict[str, Any]]:
+def frames_of(path: Path, content: dict[str, Any]) -> list[dict[str, Any]]:
     frames = content.get("frames")
     if not isinstance(frames, list) or not all(isinstance(frame, dict) for frame in frames) or not frames:
         raise FileDamagedError(f"{path} has no list 'frames'", COPY_AGAIN)
@@ -172,6 +173,19 @@ def _place(path: Path, frame: dict[str, Any]) -> np.ndarray:
 
 def _of_real(root: Path, model: Path | None) -> Capture:
     """LLFF's poses, or those of COLMAP's ``model`` beside them: the trainer takes that where it is there."""
+    rows = list(real_rows(root))
+    # LLFF: [down, right, backwards, place, size] of each picture; those of a bracket have one place.
+    poses = {re.sub(r"_\d+$", "", file.stem): row[:15].reshape(3, 5)[:, 3] for file, row in rows}
+    seconds = {file: _known(float(row[17])) for file, row in rows}
+    if model is None:
+        return Capture("HDR-NeRF-Real", poses, seconds)
+    listed = sorted(read_placed(model), key=lambda placed: placed.name, reverse=True)
+    poses = {pose_of(placed.name): placed.place for placed in listed}
+    return Capture("HDR-NeRF-Real", poses, seconds, points=_point_count(model))
+
+
+def real_rows(root: Path) -> Iterator[tuple[Path, np.ndarray]]:
+    """Each picture of HDR-NeRF-Real with its ``[18]`` numbers, float64."""
     path = regular_file(root / REAL_FILE, COPY_AGAIN)
     with damaged_where_it_fails(f"{path} is not a readable array", COPY_AGAIN):
         rows = np.array(np.load(path, mmap_mode="r", allow_pickle=False), np.float64)
@@ -179,14 +193,4 @@ def _of_real(root: Path, model: Path | None) -> Capture:
         raise FileDamagedError(f"{path} is no table of poses, bounds and exposures", COPY_AGAIN)
     folder = root / REAL_PICTURES
     files = sorted(file for file in folder.glob("*") if file.suffix.lower() in SUFFIXES)
-    # LLFF: [down, right, backwards, place, size] of each picture; those of a bracket have one place.
-    poses = {
-        re.sub(r"_\d+$", "", file.stem): row[:15].reshape(3, 5)[:, 3]
-        for file, row in zip(files, rows, strict=False)
-    }
-    seconds = {file: _known(float(row[17])) for file, row in zip(files, rows, strict=False)}
-    if model is None:
-        return Capture("HDR-NeRF-Real", poses, seconds)
-    listed = sorted(read_placed(model), key=lambda placed: placed.name, reverse=True)
-    poses = {pose_of(placed.name): placed.place for placed in listed}
-    return Capture("HDR-NeRF-Real", poses, seconds, points=_point_count(model))
+    yield from zip(files, rows, strict=False)
