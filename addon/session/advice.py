@@ -4,6 +4,7 @@
 import os
 from dataclasses import dataclass
 
+from ...bridge.messages import JobStatus
 from .state import CHECK, DATASET, INSTALL, LOOK, PHOTOS, Problem, State
 
 #: What the state of a job is called, for people.
@@ -22,7 +23,12 @@ JOB_WORDS = {
 
 @dataclass(frozen=True)
 class Choices:
-    """What the user has chosen in Blender, as far as it decides what can be done."""
+    """What the user has chosen in Blender, as far as it decides what can be done.
+
+    ``of_file``: these are the open file's own choices, not what a script may give. ``out``: the run's folder,
+    the one that is proposed where none is chosen. ``unsaved``: a folder that is relative to a .blend which is
+    not saved, and so nowhere.
+    """
 
     data: str = ""
     out: str = ""
@@ -31,9 +37,11 @@ class Choices:
     preview: bool = False
     photos: str = ""
     photos_out: str = ""
+    of_file: bool = False
+    unsaved: str = ""
 
 
-def headline(state: State) -> str:
+def headline(state: State, choices: Choices | None = None) -> str:
     """How things are, in one line."""
     for name, words in ((INSTALL, "Installing the backend"), (CHECK, "Checking the backend")):
         if state.task(name):
@@ -51,10 +59,11 @@ def headline(state: State) -> str:
         return "The backend is gone"
     if state.link.status in ("starting", "connecting"):
         return "The backend starts"
-    if state.job.state == "idle":
+    job, mine = state.job, is_of_file(state.job, choices or Choices())
+    if job.state == "idle" or not (mine or state.active):
         return "Ready"
-    words = JOB_WORDS[state.job.state]
-    return "Saving and stopping" if state.stopping else words
+    words = "Saving and stopping" if state.stopping else JOB_WORDS[job.state]
+    return words if mine else f"{words}: {os.path.basename(os.path.normpath(job.run))}"
 
 
 def next_step(state: State, choices: Choices) -> str:
@@ -72,24 +81,43 @@ def next_step(state: State, choices: Choices) -> str:
     if state.backend.missing is None and not state.active:
         return "Check the backend: what this version needs was not looked for yet"
     job = state.job
-    if state.link.problem and job.failure:
+    mine = is_of_file(job, choices)
+    if state.link.problem and job.failure and mine:
         return "Resume the training" if job.saved_iteration else "Start the training again"
     if not state.active and choices.photos and state.photos.folder:
         return "Choose another folder of photos" if state.photos.problem else "Prepare the photos"
     match job.state:
         case "preparing" | "stopping":
             return ""
+        case "training" | "paused" if not mine:
+            return "Wait for the training of another run, or stop it"
         case "training":
             return "" if choices.preview else "Turn on Live Preview to watch it"
         case "paused":
             return "Continue, or stop"
-        case "failed":
+        case "failed" if mine:
             return job.failure.hint if job.failure and job.failure.hint else "See the log"
-        case "finished" | "stopped" | "open" if _is_of(job.data, choices.data):
+        case "stopped" if mine and job.run and state.link.status == "off":
+            return "Resume the training, or open the run"
+        case "finished" | "stopped" | "open" if mine and _is_of(job.data, choices.data):
             return "Import the result into the scene"
+    if choices.unsaved:
+        return unsaved(choices)
     if not state.dataset.folder or state.dataset.problem:
         return "Prepare photos, render a data set from this scene, or choose one"
-    return "Resume the training" if choices.out_has_run else "Start the training"
+    return "Open the run, or resume its training" if choices.out_has_run else "Start the training"
+
+
+def unsaved(choices: Choices) -> str:
+    """What to say of a folder that is relative to a file which is nowhere yet."""
+    return f"Save the .blend first: {choices.unsaved} is beside it"
+
+
+def is_of_file(job: JobStatus, choices: Choices) -> bool:
+    """Whether the backend's job is of the run that the open file has chosen; so is none at all."""
+    if not choices.of_file or not job.run:
+        return True
+    return bool(choices.out) and os.path.normpath(job.run) == os.path.normpath(choices.out)
 
 
 def _is_of(data: str, chosen: str) -> bool:
@@ -135,7 +163,8 @@ def why_not(state: State, action: str, choices: Choices | None = None) -> str:
         case "start" | "resume":
             return _why_not_train(state, action, choices, busy)
         case "pause":
-            return _why_not_steer(state) or ("" if state.job.state == "training" else "Nothing is training")
+            can_halt = state.active and state.job.state in ("preparing", "training")
+            return _why_not_steer(state) or ("" if can_halt else "Nothing is training")
         case "continue":
             return _why_not_steer(state) or ("" if state.job.state == "paused" else "Nothing is paused")
         case "stop":
@@ -145,12 +174,17 @@ def why_not(state: State, action: str, choices: Choices | None = None) -> str:
                 return "Install the backend first"
             if state.active:
                 return "Stop the training first"
+            if choices.unsaved:
+                return unsaved(choices)
             return "" if choices.out_has_run else "Choose the folder of a run that was trained"
         case "import":
-            if state.link.status == "connected" and state.job.has_model:
+            mine = is_of_file(state.job, choices)
+            if state.link.status == "connected" and state.job.has_model and mine:
                 return _why_not_steer(state)  # the backend writes the file for the one who steers
             return "" if choices.out_has_run else "Train a model, or choose the folder of a run, first"
         case "preview":
+            if state.job.has_model and not is_of_file(state.job, choices):
+                return "The backend holds another run: open this file's"
             return "" if state.job.has_model else "There is no model yet: start a training or open a run"
         case "shutdown":
             return "" if state.link.status == "off" and state.link.pid else _why_not_steer(state)
@@ -207,10 +241,10 @@ def _why_not_train(state: State, action: str, choices: Choices, busy: str) -> st
         return "A training is under way"
     if state.link.status == "connected" and not state.job.in_control:
         return _why_not_steer(state)
-    if not choices.out:
-        return "Choose a folder for the run"
+    if choices.unsaved:
+        return unsaved(choices)
     if action == "resume":
-        return "" if choices.out_has_run else "There is no checkpoint in the run's folder"
+        return "" if choices.out_has_run else "There is no training to resume in the run's folder"
     if not choices.data:
         return "Choose a data set"
     if state.dataset.folder == choices.data and state.dataset.problem:

@@ -130,6 +130,11 @@ class Prepared:
 class State:
     """The whole of it.
 
+    Of the backend, whichever .blend is open: ``backend``, ``link``, ``job`` and its ``history``, ``waiting``,
+    ``beginning``, ``stopping``, ``read``, ``tasks``. They end with its process, or when it says so. Of the
+    file: ``dataset``, ``photos``, ``prepared``, ``exported``, ``problem``. They end when another is opened.
+    What the panel says of a job it says to the file whose run it is (``advice.is_of_file``).
+
     ``waiting``: requests to be sent once there is a connection. ``beginning``: the request for a new job that
     is not answered yet; until then what the backend says of its job is of the former one. ``stopping``:
     whether the user has asked the training to stop; a second time ends the process. ``read``: the job's
@@ -268,6 +273,11 @@ class PhotosChosen:
 
 
 @dataclass(frozen=True)
+class FileOpened:
+    """Another .blend is open now, or a new one: what was said of the former one is past."""
+
+
+@dataclass(frozen=True)
 class Dismissed:
     """The user has read the problem."""
 
@@ -290,6 +300,7 @@ Event = (
     | Refused
     | DatasetChosen
     | PhotosChosen
+    | FileOpened
     | Dismissed
 )
 

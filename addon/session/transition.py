@@ -34,10 +34,12 @@ from .state import (
     Backend,
     Connect,
     Connected,
+    Dataset,
     DatasetChosen,
     Dismissed,
     Effect,
     Event,
+    FileOpened,
     Found,
     KeepReport,
     KillBackend,
@@ -119,8 +121,23 @@ def transition(state: State, event: Event) -> Result:
             return replace(state, dataset=dataset), ()
         case PhotosChosen(folder, options):
             return replace(state, photos=Photos(folder, options)), ()
+        case FileOpened():
+            if state.link.status == "off":  # of a job that is past, and was the former file's
+                state = _without_job(state)
+            return replace(
+                state,
+                dataset=Dataset(),
+                photos=Photos(),
+                prepared=Prepared(),
+                exported=None,
+                problem=None,
+                read=state.job.failure,
+            ), ()
         case Dismissed():
-            state = replace(state, problem=None, read=state.job.failure)
+            job = state.job
+            state = replace(state, problem=None, read=job.failure)
+            if state.link.status == "off" and job.state == "failed":
+                state = _without_job(state)  # no backend is there that would tell it again
             link, backend = replace(state.link, problem=None), replace(state.backend, problem=None)
             return replace(state, link=link, backend=backend), ()
 
@@ -161,7 +178,9 @@ def _task_ended(state: State, event: TaskEnded) -> Result:
             return state, (KeepReport(python, event.result),)
         case name if name == DATASET:
             folder = str(event.result.get("folder", ""))
-            return replace(state, problem=problem), (SummariseDataset(folder),) if folder else ()
+            made = prepared({"folder": folder, "warnings": event.result.get("warnings")})
+            state = replace(state, problem=problem, prepared=made if folder else state.prepared)
+            return state, (SummariseDataset(folder),) if folder else ()
         case name if name == LOOK:
             if problem:  # it stands beside the folder's name, not above everything
                 return replace(state, photos=replace(state.photos, problem=problem)), ()
@@ -177,8 +196,8 @@ def _task_ended(state: State, event: TaskEnded) -> Result:
 # ---- the backend -------------------------------------------------------------------------------------------
 
 
-def _asked(state: State, request: Request) -> Result:
-    state = replace(state, problem=None, exported=None)
+def _asked(before: State, request: Request) -> Result:
+    state = replace(before, problem=None, exported=None)
     if isinstance(request, TrainStart | TrainResume | RunOpen):
         run = request.out if isinstance(request, TrainStart) else request.run
         job = JobStatus(state="preparing", run=run, in_control=state.job.in_control)
@@ -187,7 +206,8 @@ def _asked(state: State, request: Request) -> Result:
         return state, (Send(request),)
     if isinstance(request, Shutdown):
         # One that does not answer can only be ended from outside.
-        return replace(state, link=Link()), (KillBackend(state.link.pid),) if state.link.pid else ()
+        state = _without_job(replace(state, link=Link()))
+        return state, (KillBackend(before.link.pid),) if before.link.pid else ()
     state = replace(state, waiting=(*state.waiting, request))
     return state, (StartBackend(),) if state.link.status == "off" else ()
 
@@ -220,10 +240,19 @@ def _link_lost(state: State, reason: str, clean: bool) -> Result:
         )
         failure = Failure(code="backend_gone", message=f"The backend is gone: {reason}", hint=rescue)
         job = replace(job, state="failed", failure=failure, has_model=False)
-    else:
-        job = replace(job, has_model=False, state="stopped" if state.active else job.state)
+    elif state.active:
+        job = replace(job, has_model=False, state="stopped", message="saved, and stopped")
+    elif job.state != "failed":
+        # What it held is gone with it; a failure is told until it has been read.
+        state = _without_job(state)
+        job = state.job
     link = Link("off", log=log, pid=0 if clean else state.link.pid, problem=problem)
     return replace(state, link=link, job=job, waiting=(), beginning=None, stopping=False), ()
+
+
+def _without_job(state: State) -> State:
+    """There is no backend, and what it held is not there any more: neither a model nor its curves."""
+    return replace(state, job=JobStatus(), history=History(), exported=None)
 
 
 def _received(state: State, message: Reply, request: Request | None) -> Result:

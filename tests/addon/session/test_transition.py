@@ -13,6 +13,7 @@ from physhdr.addon.session.state import (
     Connected,
     Dataset,
     Dismissed,
+    FileOpened,
     Found,
     KeepReport,
     KillBackend,
@@ -329,6 +330,103 @@ def test_a_dismissed_problem_is_gone_whatever_it_was_and_the_next_one_is_told():
 def test_a_good_bye_is_no_problem():
     state, _ = after(connected(), Asked(Shutdown()), LinkLost("it said good-bye", clean=True))
     assert problem_of(state) is None and state.link.status == "off"
+
+
+OPEN = JobStatus(
+    state="open", run="/run", data="/data", iteration=100, iterations=100, has_model=True, in_control=True
+)
+CURVES = History(iterations=(20, 40), losses=(1.0, 0.5))
+HERE = Choices(data="/data", out="/run", out_has_run=True, of_file=True)
+
+
+@pytest.mark.parametrize("state", ["open", "finished", "stopped"])
+@pytest.mark.parametrize("how", ["shut down", "idle", "killed", "ended from outside"])
+def test_what_a_backend_held_is_gone_with_it(state, how):
+    """By the panel's button, by its idle timeout, by kill −9, and where it did not answer."""
+    held, _ = after(connected(), Received(replace(OPEN, state=state)), Received(CURVES))
+    assert held.job.has_model and why_not(held, "preview", HERE) == why_not(held, "import", HERE) == ""
+    events = {
+        "shut down": [Asked(Shutdown()), LinkLost("shut down", clean=True)],
+        "idle": [LinkLost("nobody was connected", clean=True)],
+        "killed": [LinkLost("the connection broke")],
+        "ended from outside": [LinkLost("it does not answer"), Dismissed(), Asked(Shutdown())],
+    }[how]
+    gone, _ = after(held, *events)
+    assert gone.job == JobStatus() and gone.history == History() and gone.exported is None
+    assert headline(gone, HERE) == ("The backend is gone" if how == "killed" else "Ready")
+    assert "no model yet" in why_not(gone, "preview", HERE) and why_not(gone, "open", HERE) == ""
+    assert why_not(gone, "import", HERE) == ""  # the file in the run's folder, which stays
+    with_data = replace(gone, dataset=Dataset("/data", ("18 views",)))
+    assert next_step(with_data, HERE) == "Open the run, or resume its training"
+
+
+def test_a_training_that_was_saved_as_its_backend_ended_can_be_resumed():
+    state, _ = after(training(has_model=True), LinkLost("shut down", clean=True))
+    assert (state.job.state, state.job.has_model, state.job.run) == ("stopped", False, "/run")
+    assert headline(state, HERE) == "Stopped: can be resumed" and why_not(state, "resume", HERE) == ""
+    assert next_step(state, HERE) == "Resume the training, or open the run"
+    # Another file does not inherit it.
+    assert after(state, FileOpened())[0].job == JobStatus()
+
+
+def test_a_failure_is_told_until_it_is_read_though_its_backend_is_gone():
+    failed = JobStatus(state="failed", run="/run", failure=Failure(code="x", message="diverged"))
+    state, _ = after(training(), Received(failed), LinkLost("idle", clean=True))
+    assert problem_of(state).message == "diverged" and headline(state) == "Failed"
+    read, _ = after(state, Dismissed())
+    assert problem_of(read) is None and headline(read) == "Ready"
+
+
+def test_another_file_has_the_backend_and_nothing_of_the_former_file():
+    former, _ = after(connected(), Received(OPEN), Received(CURVES))
+    former = replace(
+        former,
+        dataset=Dataset("/data", ("18 views",)),
+        photos=Photos("/photos"),
+        prepared=Prepared("/data", "9 of 9 places found"),
+        problem=Problem("what was asked for in the former file"),
+    )
+    assert headline(former, HERE) == "Trained model open"
+    state, effects = after(former, FileOpened())
+    assert effects == [] and problem_of(state) is None
+    assert (state.dataset, state.photos, state.prepared) == (Dataset(), Photos(), Prepared())
+    assert state.job == OPEN and state.link == former.link  # the backend has it still
+    new = Choices(of_file=True)
+    assert headline(state, new) == "Ready" and "data set" in next_step(state, new)
+    assert "another run" in why_not(state, "preview", new) and why_not(state, "import", new)
+    other = replace(HERE, out="/other", out_has_run=False)
+    assert headline(state, other) == "Ready" and "another run" in why_not(state, "preview", other)
+    # Back in the former file all is as it was.
+    assert headline(state, HERE) == "Trained model open" and why_not(state, "preview", HERE) == ""
+
+
+def test_a_training_of_another_file_is_named_and_can_be_steered():
+    state, _ = after(training(has_model=True), FileOpened())
+    other = Choices(data="/data", out="/other", of_file=True)
+    assert headline(state, other) == "Training: run" and why_not(state, "stop", other) == ""
+    assert why_not(state, "start", other) == "A training is under way"
+    assert next_step(state, other) == "Wait for the training of another run, or stop it"
+
+
+def test_a_folder_beside_a_file_that_is_nowhere_asks_for_saving():
+    choices = Choices(data="/data", unsaved="//run", of_file=True)
+    for action in ("start", "resume", "open"):
+        assert why_not(READY, action, choices) == "Save the .blend first: //run is beside it"
+    assert next_step(READY, choices) == "Save the .blend first: //run is beside it"
+
+
+def test_a_rendered_data_sets_warnings_are_told():
+    state, _ = after(READY, TaskStarted("dataset", "log"))
+    result = {"folder": "/data", "warnings": ["a light is linked twice"]}
+    state, _ = after(state, TaskEnded("dataset", True, result=result))
+    assert state.prepared == Prepared("/data", "", ("a light is linked twice",))
+
+
+def test_a_training_that_is_prepared_can_be_paused():
+    preparing = training(state="preparing", iteration=0)
+    assert why_not(preparing, "pause") == "" and why_not(preparing, "stop") == ""
+    loading, _ = after(connected(), Received(JobStatus(state="preparing", in_control=True)))
+    assert why_not(loading, "pause") == "Nothing is training"  # the backend itself, for no run
 
 
 def test_a_process_that_ends_before_it_can_be_reached_says_its_last_words():

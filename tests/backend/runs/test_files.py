@@ -63,7 +63,7 @@ def test_nothing_old_survives_a_kill_after_the_new_configuration(run, tiny_data,
     replaced.stdout.close()
     assert json.loads((run / "config.json").read_text())["config"]["seed"] == 77
     left = {path.name for path in run.iterdir() if not path.name.startswith(("training.", "tensorboard"))}
-    assert left <= {"config.json", "log.jsonl"}
+    assert left <= {"config.json", "log.jsonl", "views.json"}  # of the new one
     for command in (["train", "--resume"], ["evaluate"], ["export"]):
         assert main([*command, str(run)]) == 1
         assert "there is no checkpoint" in capsys.readouterr().err
