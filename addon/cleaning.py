@@ -43,7 +43,7 @@ class Cleaning:
     farthest: float = 0.0
     #: … and whether only what reaches into its picture is kept, widened by so many halves of it.
     only_in_view: bool = False
-    view_margin: float = 0.1
+    view_margin: float = 0.125
 
     @property
     def keeps_everything(self) -> bool:
@@ -151,7 +151,7 @@ def _kept_by_camera(
     projection = _array(camera.projection).reshape(4, 4)
     depth = -_along(offset, _array(camera.back))
     radius = scale.max(axis=1) * np.float32(REACH)
-    widened = np.float32(1.0) + np.float32(cleaning.view_margin)
+    widened = np.float32(cleaning.view_margin) + np.float32(1.0)
     keep &= depth + radius >= np.float32(NEAR_PLANE)
     for row, axis in enumerate((camera.right, camera.up)):
         slope, shift, move = projection[row, row], projection[row, 2], projection[row, 3]

@@ -20,7 +20,17 @@ from ..bridge import srgb
 from ..bridge.lights import AMBIENT
 from ..bridge.model_file import Model
 from ..bridge.spherical_harmonics import C0, C1, C2, C3, coefficient_count
-from .attributes import BASE, FIXED_PART, LEVEL_LOG_GAIN, LIGHT_SHARE, LOG_SH, RADIANCE, light_part
+from .attributes import (
+    BASE,
+    FIXED_PART,
+    LEVEL_LOG_GAIN,
+    LIGHT_SHARE,
+    LOG_SH,
+    RADIANCE,
+    SCALE,
+    light_part,
+)
+from .cleaning_nodes import clean, declare_cleaning
 from .node_builder import Field, GeometryBuilder
 from .nodes import (
     CAMERA_SPLATS,
@@ -29,6 +39,7 @@ from .nodes import (
     LIGHTING_LEVEL,
     MARK,
     MODIFIER_NAME,
+    SH_DEGREE,
     TONE_MAPPER,
     VIEW_DEPENDENT,
     level_input,
@@ -39,7 +50,7 @@ from .tone_curve import ToneCurve
 #: Blender evaluates a curve of a node by linear interpolation in a table of so many steps.
 CURVE_STEPS = 256
 #: The version of this recipe, part of what marks a tree.
-_RECIPE = 3
+_RECIPE = 4
 
 
 def add_modifier(target: bpy.types.Object, model: Model) -> bpy.types.NodesModifier:
@@ -78,6 +89,7 @@ def radiance_tree(
     tree[MARK] = mark
     tree.is_modifier = True
     _declare_interface(tree, curve is not None, lights)
+    declare_cleaning(tree.interface, sh_degree > 0)
     _Assembly(tree).build(sh_degree, levels, curve, lights)
     return tree
 
@@ -155,8 +167,17 @@ class _Assembly:
                 "FunctionNodeSeparateColor", make.named(BASE, as_type="FLOAT_COLOR"), output="Alpha"
             )
         self.camera = camera_fields(make, self.position)
+        geometry = clean(
+            make,
+            self.inputs["Geometry"],
+            self.position,
+            make.named(SCALE),
+            self.opacity,
+            self.camera,
+            self.inputs,
+        )
         log_radiance = self._log_radiance(sh_degree)
-        geometry, radiance = self._relight(self.inputs["Geometry"], log_radiance, levels, lights)
+        geometry, radiance = self._relight(geometry, log_radiance, levels, lights)
         geometry = self._expose(geometry, radiance, curve)
         draw(make, geometry, self.opacity, self.camera, self.inputs)
         make.arrange()
@@ -170,13 +191,28 @@ class _Assembly:
                 return constant
             basis = self._basis(sh_degree)
             rest: Field | None = None
-            for k in range(1, coefficient_count(sh_degree)):
-                term = make.named(LOG_SH[k]) * basis[k - 1]
-                rest = term if rest is None else rest + term
+            for degree in range(1, sh_degree + 1):
+                lower = rest
+                for k in range(coefficient_count(degree - 1), coefficient_count(degree)):
+                    term = make.named(LOG_SH[k]) * basis[k - 1]
+                    rest = term if rest is None else rest + term
+                if lower is not None:  # one value decides for all points: the other side is not computed
+                    rest = make.switch(self._reaches(degree), lower, rest, "VECTOR")
             wanted = make.field(
                 "FunctionNodeBooleanMath", self.inputs[VIEW_DEPENDENT], self.camera.exists, operation="AND"
             )
+            wanted = make.field("FunctionNodeBooleanMath", wanted, self._reaches(1), operation="AND")
             return constant + make.switch(wanted, (0.0, 0.0, 0.0), rest, "VECTOR")
+
+    def _reaches(self, degree: int) -> Field:
+        """Whether SH of that degree are wanted."""
+        return self.make.field(
+            "FunctionNodeCompare",
+            self.inputs[SH_DEGREE],
+            degree,
+            data_type="INT",
+            operation="GREATER_EQUAL",
+        )
 
     def _basis(self, sh_degree: int) -> list[Field]:
         """Y_1 … of ``bridge.spherical_harmonics.basis``, as nodes."""

@@ -39,6 +39,13 @@ class CameraFields:
     #: ½ width and ½ height of the picture at distance 1 (orthographic: anywhere).
     half_width: Field
     half_height: Field
+    #: Of the projection: the inverse of those, and what moves the picture (perspective; orthographic).
+    slope_x: Field
+    slope_y: Field
+    shift_x: Field
+    shift_y: Field
+    move_x: Field
+    move_y: Field
     #: Length of the camera's unit vectors: 1 / the object's scale.
     unit: Field
 
@@ -72,6 +79,12 @@ def camera_fields(make: GeometryBuilder, position: Field) -> CameraFields:
             depth=make.dot(offset, unit_back * -1.0),
             half_width=1.0 / make.output(matrix, "Column 1 Row 1"),
             half_height=1.0 / make.output(matrix, "Column 2 Row 2"),
+            slope_x=make.output(matrix, "Column 1 Row 1"),
+            slope_y=make.output(matrix, "Column 2 Row 2"),
+            shift_x=make.output(matrix, "Column 3 Row 1"),
+            shift_y=make.output(matrix, "Column 3 Row 2"),
+            move_x=make.output(matrix, "Column 4 Row 1"),
+            move_y=make.output(matrix, "Column 4 Row 2"),
             unit=make.vector("LENGTH", right),
         )
 
