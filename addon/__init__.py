@@ -10,10 +10,14 @@ from types import ModuleType
 
 _MODULES = (
     "settings",
+    "dataset_settings",
+    "originals",
     "model_import",
     "bake",
     "operators.backend",
     "operators.dataset",
+    "operators.originals",
+    "rig_preview",
     "operators.photos",
     "operators.training",
     "operators.capture",

@@ -36,3 +36,5 @@ home = Change[[]]()
 when_closed = Change[[]]()
 #: A scene has another data set, in the folder that is told.
 dataset = Change[[str]]()
+#: The cameras of a data set that is to be rendered would stand elsewhere, or are to be shown.
+rig = Change[[]]()

@@ -5,22 +5,33 @@ The rendering is another Blender's (synth/make_scene.py on a copy of the file as
 included), so this one is neither blocked nor changed, and what fails there fails alone.
 """
 
-import math
 import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, ClassVar
 
 import bpy
 
 from ...bridge.data_set import INFO_FILE
-from ...bridge.errors import BadValueError, OutputError, PhysHDRError
+from ...bridge.errors import OutputError, PhysHDRError
+from .. import (
+    dataset_command,
+    dataset_dialog,
+    dataset_folder,
+    dataset_settings,
+    originals,
+    placement,
+    render_time,
+    rig_preview,
+)
 from ..blender import layout_of
+from ..dataset_settings import OPTIONS, RenderOptions, settings_of
 from ..dataset_summary import summarise
+from ..look import is_model
 from ..paths import ROOT
+from ..render_time import Started
 from ..runtime import session
 from ..session.state import DATASET
 from ..settings import RELATIVE
@@ -29,117 +40,28 @@ from .base import PhysHDROperator
 SCRIPT = ROOT / "synth" / "make_scene.py"
 #: Seconds that scripts wait for a data set.
 RENDER_SECONDS = 30 * 24 * 3600.0
-MOST_EXPOSURES = 64
 LOOK_SECONDS = 0.5
-AUTOMATIC = {
-    "rig_distance": "Distance",
-    "rig_width": "Grid Width",
-    "rig_height": "Grid Height",
-    "resolution_y": "Height",
-}
-
-RIGS = [
-    ("GRID", "Grid", "A flat grid around your camera, facing the scene"),
-    ("ORBIT", "Orbit", "On an arc around what your camera looks at, at its height"),
-    ("HEMISPHERE", "Hemisphere", "On a part of a sphere around what your camera looks at"),
-    ("PATH", "Camera Animation", "Along your camera's own animation; all else stands still"),
-]
-RESPONSES = [
-    ("reinhard-gamma", "Reinhard, Gamma", "The camera of HDR-NeRF's synthetic data"),
-    ("srgb", "sRGB", "Clipped at white"),
-    ("filmic", "Filmic", "Blender's Filmic, medium contrast"),
-    ("file", "From a File", "A measured curve: pairs of exposure × radiance and code value"),
-]
-DEVICES = [
-    ("CPU", "Processor", "The processor: the same seed gives the same bytes on any machine of its kind"),
-    ("GPU", "Graphics Card", "The card that is chosen in Preferences > System, else the first that works"),
-]
+#: Seconds until a dialog whose settings cannot be opens again, below the error.
+AGAIN_SECONDS = 0.1
 
 
-class PHYSHDR_OT_dataset_render(PhysHDROperator):
-    """Render an HDR data set of this scene from a rig of cameras around its camera. Nothing in the file is
+class PHYSHDR_OT_dataset_render(RenderOptions, PhysHDROperator):
+    """Render an HDR data set of this scene from a rig of cameras around its camera. None of its objects is
     changed, and what was rendered before with the same settings into the same folder is kept"""
 
     bl_idname = "physhdr.dataset_render"
     bl_label = "Render Data Set"
     action = "render"
 
-    out: bpy.props.StringProperty(
-        name="Folder", subtype="DIR_PATH", options=RELATIVE, description="A new folder, or one to go on with"
-    )
-    rig: bpy.props.EnumProperty(name="Cameras", items=RIGS)
-    views: bpy.props.IntProperty(
-        name="Views",
-        default=35,
-        min=2,
-        max=10_000,
-        description="Every second one is for training, the others for testing",
-    )
-    rig_distance: bpy.props.FloatProperty(
-        name="Distance",
-        min=0.0,
-        subtype="DISTANCE",
-        description="From your camera to what the rig looks at; 0: its focus, else what it sees",
-    )
-    rig_width: bpy.props.FloatProperty(
-        name="Grid Width", min=0.0, subtype="DISTANCE", description="0: half the distance"
-    )
-    rig_height: bpy.props.FloatProperty(
-        name="Grid Height", min=0.0, subtype="DISTANCE", description="0: three tenths of the distance"
-    )
-    rig_arc: bpy.props.FloatProperty(
-        name="Arc",
-        default=math.radians(90.0),
-        min=math.radians(0.1),
-        max=math.tau,
-        subtype="ANGLE",
-        description="Azimuth of orbit and hemisphere, your camera in its middle",
-    )
-    exposures: bpy.props.StringProperty(
-        name="Exposures (EV)",
-        default="-3 -1 1 3 5",
-        description="A list such as '-3 -1 1 3 5', or start:step:count such as '-3:2:5'; EV 0 is 1 second",
-    )
-    response: bpy.props.EnumProperty(name="Camera Response", items=RESPONSES)
-    response_file: bpy.props.StringProperty(
-        name="Curve",
-        subtype="FILE_PATH",
-        options=RELATIVE,
-        description="JSON or text of the response, where it is a file's",
-    )
-    resolution_x: bpy.props.IntProperty(name="Width", default=400, min=8, max=8192, subtype="PIXEL")
-    resolution_y: bpy.props.IntProperty(
-        name="Height",
-        min=0,
-        max=8192,
-        subtype="PIXEL",
-        description="0: as the scene's render resolution says",
-    )
-    samples: bpy.props.IntProperty(name="Samples", default=64, min=1, max=2**20)
-    denoise: bpy.props.BoolProperty(name="Denoise", default=True, description="With OpenImageDenoise")
-    seed: bpy.props.IntProperty(name="Seed", min=0, description="Of the noise")
-    device: bpy.props.EnumProperty(name="Device", items=DEVICES)
-    lit_views: bpy.props.IntProperty(
-        name="Views Under Other Light",
-        default=12,
-        min=0,
-        max=10_000,
-        description="Further training views at other levels of the ambient light (world and suns)",
-    )
-    lit_levels: bpy.props.StringProperty(
-        name="Their Levels", default="0.25 4", description="Factors on the ambient light"
-    )
-    relit_views: bpy.props.IntProperty(
-        name="Relit Test Views",
-        default=4,
-        min=0,
-        max=5000,
-        description="Test views that are rendered at each level too, to measure relighting",
-    )
-    ambient_levels: bpy.props.StringProperty(
-        name="At Levels", default="0.125 0.5 2 8", description="Factors on the ambient light"
+    lights: bpy.props.StringProperty(
+        name="Lights That Vary",
+        options={"SKIP_SAVE"},
+        description="Names with ; between, as the dialog lists them: 'ambient; key_light', or with what they "
+        "are: 'ambient; key=collection:Key Things'. Empty: those that are ticked in the dialog",
     )
     wait: bpy.props.BoolProperty(default=bpy.app.background, options={"HIDDEN", "SKIP_SAVE"})
+    #: Whether a dialog asked for it, which is opened again where something is wrong.
+    in_dialog = False
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -149,42 +71,51 @@ class PHYSHDR_OT_dataset_render(PhysHDROperator):
         return super().poll(context)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        if not self.out and bpy.data.filepath:
-            self.out = f"//{Path(bpy.data.filepath).stem}_dataset"
-        return context.window_manager.invoke_props_dialog(self, width=440, confirm_text="Render")
+        settings = settings_of(context.scene)
+        for name in OPTIONS:  # what a script or a button gives is shown, and can be changed
+            if self.properties.is_property_set(name):
+                setattr(settings, name, getattr(self, name))
+                self.properties.property_unset(name)
+        dataset_folder.propose(settings)
+        dataset_settings.look_for_lights(context.scene, context.view_layer)
+        dataset_settings.without_denoiser(context.scene)
+        rig_preview.dialog_opened(context)
+        self.in_dialog = True
+        return context.window_manager.invoke_props_dialog(
+            self, width=dataset_dialog.WIDTH, confirm_text="Render"
+        )
 
     def draw(self, context: bpy.types.Context) -> None:
-        layout = layout_of(self)
-        layout.use_property_split = True
-        layout.prop(self, "out")
-        rig = layout.column(align=True)
-        for name in ("rig", "views", *_rig_options(self.rig)):
-            rig.prop(self, name, **_auto(self, name))
-        camera = layout.column(align=True)
-        file = ("response_file",) if self.response == "file" else ()
-        for name in ("exposures", "response", *file, "resolution_x", "resolution_y"):
-            camera.prop(self, name, **_auto(self, name))
-        cycles = layout.column(align=True)
-        for name in ("samples", "denoise", "seed", "device"):
-            cycles.prop(self, name)
-        light = layout.column(align=True)
-        for name in ("lit_views", "lit_levels", "relit_views", "ambient_levels"):
-            light.prop(self, name)
+        dataset_dialog.draw(context, layout_of(self))
+
+    def cancel(self, context: bpy.types.Context) -> None:
+        rig_preview.dialog_closed()
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        done = super().execute(context)
+        if self.in_dialog and "CANCELLED" in done:
+            bpy.app.timers.register(_open_again, first_interval=AGAIN_SECONDS)
+        return done
 
     def run(self, context: bpy.types.Context) -> set[str]:
+        rig_preview.dialog_closed()
         session().pump()  # a task before this one may have ended since the last time
-        out = _folder(self.out)
-        arguments = self._arguments(out, context.scene)
-        with _copy_of_file() as copy:
-            if bpy.app.module:  # the wheel: there is no Blender to start
-                command = [sys.executable, str(SCRIPT), "--", "--from-file", str(copy)]
-            else:
-                command = [bpy.app.binary_path, "-b", str(copy), "-P", str(SCRIPT), "--"]
-                command += ["--from-file", "current"]
-            current = session()
-            current.start_task(DATASET, [*command, *arguments], current.home / "dataset.log")
+        scene = context.scene
+        if not self.properties.is_property_set("out"):
+            dataset_folder.propose(settings_of(scene))
+        chosen = dataset_settings.chosen(scene, self, self.lights)
+        arguments = dataset_command.of(chosen, scene)
+        out = dataset_folder.whole(chosen.out)
+        current = session()
+        with originals.shown(scene):
+            with _copy_of_file() as copy:
+                current.start_task(DATASET, [*_blender(copy), *arguments], current.home / "dataset.log")
+            originals.remember(scene, context.view_layer, out)
+        started = render_time.begun(chosen, scene, out)
         if not self.wait:
-            _choose_when_done(context.scene.name, out)
+            _choose_when_done(scene.name, started)
+            if not bpy.app.background:  # else undoing what comes next would lose what was remembered
+                bpy.ops.ed.undo_push(message=self.bl_label)
             return {"FINISHED"}
         try:
             current.wait(lambda state: state.task(DATASET) is None, RENDER_SECONDS)
@@ -198,52 +129,40 @@ class PHYSHDR_OT_dataset_render(PhysHDROperator):
             told = (problem.message, problem.hint) if problem else ("the rendering was cancelled",)
             self.report({"ERROR"}, ": ".join(filter(None, told)))
             return {"CANCELLED"}
-        context.scene.physhdr.data = str(out)
+        _take(scene, started)
+        for line in _left_out(scene):
+            self.report({"INFO"}, line)
         self.report({"INFO"}, summarise(out).lines[0])
         return {"FINISHED"}
 
-    def _arguments(self, out: Path, scene: bpy.types.Scene) -> list[str]:
-        """The options of synth/make_scene.py; it checks what is not checked here."""
-        response = bpy.path.abspath(self.response_file) if self.response == "file" else self.response
-        if not response:
-            raise BadValueError("no file of the camera's response is chosen", "Choose one under Curve.")
-        size = f"{self.resolution_x}x{self.resolution_y}" if self.resolution_y else str(self.resolution_x)
-        given = {
-            "out": out,
-            "scene-name": scene.name,
-            "camera-rig": self.rig.lower(),
-            "views": self.views,
-            "exposures": ",".join(repr(2.0**ev) for ev in parse_evs(self.exposures)),
-            "crf": response,
-            "resolution": size,
-            "samples": self.samples,
-            "seed": self.seed,
-            "device": self.device,
-            "lit-views": self.lit_views,
-            "lit-levels": self.lit_levels,
-            "relit-views": min(self.relit_views, self.views // 2),
-            "ambient-levels": self.ambient_levels,
-        }
-        if self.rig != "PATH" and self.rig_distance:
-            given["rig-distance"] = self.rig_distance
-        if self.rig == "GRID" and (self.rig_width or self.rig_height):
-            if not (self.rig_width and self.rig_height):
-                raise BadValueError("the grid has only one side", "Give both its width and its height.")
-            given["rig-extent"] = f"{self.rig_width}x{self.rig_height}"
-        if self.rig in {"ORBIT", "HEMISPHERE"}:
-            given["rig-arc"] = round(math.degrees(self.rig_arc), 4)
-        denoise = "--denoise" if self.denoise else "--no-denoise"
-        return [*(f"--{name}={value}" for name, value in given.items()), denoise, "--progress-json"]
+
+def _open_again() -> None:
+    """The dialog as it was left. Blender closes it at its button, whatever comes of it."""
+    operators: Any = getattr(bpy.ops, "physhdr", None)
+    if hasattr(operators, "dataset_render") and operators.dataset_render.poll():
+        operators.dataset_render("INVOKE_DEFAULT")
 
 
-def _auto(operator: PHYSHDR_OT_dataset_render, name: str) -> dict[str, Any]:
-    """The text of a setting whose 0 means that it is found by itself; it says so while it is 0."""
-    if name not in AUTOMATIC or getattr(operator, name):
-        return {}
-    return {"text": f"{AUTOMATIC[name]} (0: automatic)"}
+def _blender(copy: Path) -> list[str]:
+    """The command, up to make_scene.py's own arguments."""
+    if bpy.app.module:  # the wheel: there is no Blender to start
+        return [sys.executable, str(SCRIPT), "--", "--from-file", str(copy)]
+    return [bpy.app.binary_path, "-b", str(copy), "-P", str(SCRIPT), "--", "--from-file", "current"]
 
 
-def _choose_when_done(name: str, out: Path) -> None:
+def _left_out(scene: bpy.types.Scene) -> list[str]:
+    """What is told of models that were not photographed."""
+    names = [item.name for item in scene.objects if is_model(item) and not item.hide_render]
+    return [f"Left out of what is photographed, trained models: {', '.join(names)}"] if names else []
+
+
+def _take(scene: bpy.types.Scene, started: Started) -> None:
+    """A data set is complete: it is chosen for training, and its time remembered."""
+    placement.settings_of(scene).data = str(started.out)
+    render_time.ended(started, scene, session().home)
+
+
+def _choose_when_done(name: str, started: Started) -> None:
     """Choose the data set for training once it is complete, unless another file has been opened by then.
 
     Blender removes the timer when a file is opened. Saving this one, by whatever name, changes nothing.
@@ -255,52 +174,11 @@ def _choose_when_done(name: str, out: Path) -> None:
         if session().state.task(DATASET):
             return LOOK_SECONDS
         scene = bpy.data.scenes.get(name)
-        if scene and (out / INFO_FILE).is_file():
-            scene.physhdr.data = str(out)
+        if scene and (started.out / INFO_FILE).is_file():
+            _take(scene, started)
         return None
 
     bpy.app.timers.register(look, first_interval=LOOK_SECONDS)
-
-
-def _rig_options(rig: str) -> tuple[str, ...]:
-    """The settings that a rig knows, beside the number of views."""
-    return {
-        "GRID": ("rig_distance", "rig_width", "rig_height"),
-        "ORBIT": ("rig_distance", "rig_arc"),
-        "HEMISPHERE": ("rig_distance", "rig_arc"),
-        "PATH": (),
-    }[rig]
-
-
-def parse_evs(text: str) -> list[float]:
-    """``"-3 -1 1"`` or ``"-3:2:3"`` (start, step, count) → [-3.0, -1.0, 1.0].
-
-    Raises ``BadValueError``.
-    """
-    remedy = "Write a rising list such as -3 -1 1 3 5, or start:step:count such as -3:2:5."
-    try:
-        if ":" in text:
-            start, step, count = (float(part) for part in text.split(":"))
-            if not (step > 0.0 and count == int(count) and 1 <= count <= MOST_EXPOSURES):
-                raise ValueError
-            return [start + step * k for k in range(int(count))]
-        evs = [float(part) for part in text.replace(",", " ").split()]
-    except (ValueError, OverflowError) as error:
-        raise BadValueError(f"the exposures {text!r} are not understood", remedy) from error
-    rising = all(a < b for a, b in pairwise(evs))
-    if not evs or len(evs) > MOST_EXPOSURES or not rising or not all(-19 < ev < 19 for ev in evs):
-        raise BadValueError(f"the exposures {text!r} are no rising list of EV within ±19", remedy)
-    return evs
-
-
-def _folder(given: str) -> Path:
-    if not given.strip():
-        raise BadValueError("no folder is chosen for the data set", "Choose a new or empty one.")
-    if given.startswith("//") and not bpy.data.filepath:
-        raise BadValueError(
-            f"{given} is relative to a file that is not saved yet", "Save it, or choose a whole path."
-        )
-    return Path(bpy.path.abspath(given)).absolute()
 
 
 def _copies() -> Path:
@@ -353,7 +231,7 @@ class PHYSHDR_OT_dataset_check(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         try:
-            summary = summarise(_folder(self.folder))
+            summary = summarise(dataset_folder.whole(self.folder))
         except PhysHDRError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}

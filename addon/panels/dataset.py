@@ -3,6 +3,7 @@
 
 import bpy
 
+from .. import dataset_dialog
 from ..blender import layout_of
 from ..operators.base import choices
 from ..runtime import session
@@ -37,6 +38,7 @@ class PHYSHDR_PT_dataset(Subpanel, bpy.types.Panel):
         button(context, column, state, "look", "physhdr.photos_look", text, "CAMERA_DATA")
         text = "Render from This Scene…"
         button(context, column, state, "render", "physhdr.dataset_render", text, "RENDER_STILL")
+        dataset_dialog.draw_in_panel(context, column)
 
     def _draw_photos(
         self, context: bpy.types.Context, layout: bpy.types.UILayout, state: State, folder: str

@@ -11,6 +11,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
+from physhdr.addon import dataset_command  # noqa: E402
 from physhdr.addon.operators import dataset  # noqa: E402
 from physhdr.bridge.errors import BadValueError  # noqa: E402
 
@@ -177,9 +178,9 @@ def test_checking_a_folder_that_is_none(extension, tmp_path):
 
 
 def test_exposures_as_people_write_them():
-    assert dataset.parse_evs("-3, -1 1") == [-3.0, -1.0, 1.0]
-    assert dataset.parse_evs("-3:2:5") == [-3.0, -1.0, 1.0, 3.0, 5.0]
-    assert dataset.parse_evs("-1:0.5:3") == [-1.0, -0.5, 0.0]
+    assert dataset_command.parse_evs("-3, -1 1") == [-3.0, -1.0, 1.0]
+    assert dataset_command.parse_evs("-3:2:5") == [-3.0, -1.0, 1.0, 3.0, 5.0]
+    assert dataset_command.parse_evs("-1:0.5:3") == [-1.0, -0.5, 0.0]
     for text in ("", "1 1", "2 1", "nan", "1:2", "1:0:3", "1:1:0", "1:1:2.5", "40"):
         with pytest.raises(BadValueError, match="exposures"):
-            dataset.parse_evs(text)
+            dataset_command.parse_evs(text)
