@@ -21,6 +21,7 @@ _MODULES = (
     "operators.photos",
     "operators.training",
     "operators.capture",
+    "operators.results",
     "viewport",
     "plot",
     "runtime",
@@ -28,6 +29,7 @@ _MODULES = (
     "panels.backend",
     "panels.dataset",
     "panels.training",
+    "panels.results",
     "panels.illumination",
     "panels.capture",
 )

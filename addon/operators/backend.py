@@ -12,6 +12,7 @@ from ..blender import layout_of
 from ..paths import ROOT
 from ..runtime import session
 from ..session.pythons import base_of, find_pythons, is_ours, working_python
+from ..session.results import EVALUATE, VIDEO
 from ..session.state import CHECK, DATASET, INSTALL, LOOK, PHOTOS, Dismissed, PythonChosen
 from .base import PhysHDROperator, report_task
 
@@ -167,6 +168,8 @@ class PHYSHDR_OT_task_cancel(bpy.types.Operator):
             (DATASET, "Data Set", "The rendering of a data set"),
             (LOOK, "Look", "The look at a folder of photos"),
             (PHOTOS, "Photos", "The preparation of photos"),
+            (EVALUATE, "Evaluation", "The evaluation of a run"),
+            (VIDEO, "Video", "The making of a video"),
         ],
     )
 

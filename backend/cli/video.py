@@ -89,7 +89,7 @@ class Video:
 
     def _work(self) -> dict[str, Any]:
         self._check()
-        run = open_run(self.folder, self.data, self.rasteriser, self.device)
+        run = open_run(self.folder, self.data, self.rasteriser, self.device, pictures=False)
         shots = None if self.shots is None else read_shots(self.shots)
         frames = self.plan(run.scene, run.method, shots)
         fps = self.fps if shots is None else max(1, round(shots.fps))

@@ -1,0 +1,313 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Operators for what a run is worth and what it shows: evaluate it, make a video of it.
+
+Both are the backend's work (``physhdr evaluate``, ``physhdr video``), in a process of its own: one goes on
+working beside it.
+"""
+
+import subprocess
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar
+
+import bpy
+
+from ...bridge.errors import BadValueError, FileMissingError
+from ...bridge.lights import AMBIENT
+from ...bridge.run_folder import data_of, may_be_of
+from ...bridge.shots import write_shots
+from .. import placement
+from ..attributes import FILE
+from ..blender import cloud_of, layout_of
+from ..look import is_model
+from ..runtime import session
+from ..session.results import (
+    EVALUATE,
+    VIDEO,
+    VideoOptions,
+    evaluate_command,
+    evaluation_of,
+    video_command,
+    why_not,
+)
+from ..session.session import Session
+from ..session.state import State
+from ..shots import shots_of
+from .base import PhysHDROperator, choices, has_run, report_task
+
+if TYPE_CHECKING:
+    from bpy.stub_internal.rna_enums import PropertyFlagItems
+
+GIVEN: "set[PropertyFlagItems]" = {"SKIP_SAVE"}
+FOLDER: "set[PropertyFlagItems]" = {"SKIP_SAVE", "PATH_SUPPORTS_BLEND_RELATIVE"}
+#: Seconds that scripts wait, and that the backend's Python has to say whether it can encode.
+WAIT_SECONDS, ASK_SECONDS = 7 * 24 * 3600.0, 30.0
+#: Suffixes by format; numbered pictures go into a folder.
+SUFFIXES = {"MP4": ".mp4", "WEBP": ".webp", "PNG": ""}
+PATHS = [
+    ("CAMERA", "Scene's Camera", "The scene's camera and its keyframes, with those of exposure and levels"),
+    ("SPLINE", "Past the Photographs", "Through the places from which the training pictures were taken"),
+    ("ORBIT", "Around", "Round the middle of those places"),
+    ("STILL", "Standing Still", "From a test picture's place, while exposure or light change"),
+]
+SWEEPS = [
+    ("none", "Nothing", "Exposure and light stay"),
+    ("exposure", "Exposure", "From the shortest exposure to the longest and back"),
+    ("lighting", "Light", "The first light from an eighth to eight times and back"),
+    ("both", "Both", "First the exposure, then the light"),
+]
+FORMATS = [
+    ("MP4", "MP4", "H.264, which every player shows; the backend's Python needs the package av"),
+    ("WEBP", "WebP", "An animated picture, which web pages loop; for short videos"),
+    ("PNG", "Pictures", "Numbered PNG files, for any other program"),
+]
+
+#: The video, or folder of pictures, that this Blender asked for last, by run. Of this session alone.
+_made: dict[str, str] = {}
+
+
+def shown_run(context: bpy.types.Context, state: State) -> str:
+    """The run that the panel is about: the chosen folder, else the one whose model is open; or empty."""
+    chosen = choices(context).out
+    if has_run(chosen):
+        return chosen
+    return state.job.run if state.job.has_model and has_run(state.job.run) else ""
+
+
+def made_of(run: str) -> str:
+    """The video of a run that was made last in this session, if it is there; or empty."""
+    path = _made.get(run, "")
+    return path if path and Path(path).exists() else ""
+
+
+class _OnRun(PhysHDROperator):
+    """What is done with a run's folder: greyed, with the reason, while that is impossible."""
+
+    task: ClassVar[str]
+    if TYPE_CHECKING:
+        run_folder: str
+        wait: bool
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        reason = why_not(session().state, cls.task)
+        if reason:
+            cls.poll_message_set(reason)
+        return not reason
+
+    def chosen(self, context: bpy.types.Context) -> tuple[str, str]:
+        """The run's folder, and its data set where that is elsewhere now (else empty). Raises errors."""
+        state = session().state
+        given = bpy.path.abspath(self.run_folder) if self.run_folder else ""
+        run = given or shown_run(context, state)
+        if given and not has_run(given):
+            raise FileMissingError(f"there is no trained run in {given}", "Choose the folder of a run.")
+        if reason := why_not(state, self.task, run):
+            raise BadValueError(reason)
+        return run, moved_data(run, choices(context).data)
+
+    def follow(self, command: list[str], success: str) -> set[str]:
+        """Start the backend's command; in scripts, wait for it and report."""
+        current = session()
+        log = current.home / f"{self.task}.log"
+        current.start_task(self.task, current.backend_command(*command), log, current.environment())
+        if not self.wait:
+            return {"FINISHED"}
+        try:
+            current.wait(lambda state: state.task(self.task) is None, WAIT_SECONDS)
+        except KeyboardInterrupt:
+            current.cancel_task(self.task)
+            raise
+        return report_task(self, success)
+
+
+def moved_data(run: str, chosen: str) -> str:
+    """The chosen data set, where it is the run's and the one that the run names is not there; else empty."""
+    named = data_of(Path(run))
+    if named is not None and named.is_dir():
+        return ""
+    return chosen if chosen and may_be_of(Path(run), Path(chosen)) else ""
+
+
+class PHYSHDR_OT_results_evaluate(_OnRun):
+    """Compare the run's pictures with photographs that training never saw: how good it is, and where not.
+    It goes on beside your work"""
+
+    bl_idname = "physhdr.results_evaluate"
+    bl_label = "Evaluate"
+    task = EVALUATE
+
+    run_folder: bpy.props.StringProperty(name="Run", subtype="DIR_PATH", options=FOLDER)
+    wait: bpy.props.BoolProperty(default=bpy.app.background, options={"HIDDEN", "SKIP_SAVE"})
+
+    def run(self, context: bpy.types.Context) -> set[str]:
+        session().pump()
+        run, data = self.chosen(context)
+        named = data_of(Path(run))
+        if not data and named is not None and not named.is_dir():
+            raise FileMissingError(
+                f"the run's data set is not there any more: {named}",
+                "Choose in Data Set where it is now: an evaluation compares with its pictures.",
+            )
+        done = self.follow(evaluate_command(run, data), f"Evaluated {run}")
+        if done == {"FINISHED"} and self.wait and (found := evaluation_of(run)):
+            for figure in found.figures:
+                self.report({"INFO"}, f"{figure.what}: {figure.words} ({figure.numbers})")
+        return done
+
+
+class PHYSHDR_OT_results_video(_OnRun):
+    """Make a video of the run, drawn by the backend: along the scene's camera with all keyframes, or along
+    the photographs. It goes on beside your work"""
+
+    bl_idname = "physhdr.results_video"
+    bl_label = "Video"
+    task = VIDEO
+
+    run_folder: bpy.props.StringProperty(name="Run", subtype="DIR_PATH", options={*FOLDER, "HIDDEN"})
+    filepath: bpy.props.StringProperty(
+        name="File",
+        subtype="FILE_PATH",
+        options=FOLDER,
+        description="The video, or the folder for pictures; empty: in the run's folder",
+    )
+    format: bpy.props.EnumProperty(name="Format", items=FORMATS)
+    path: bpy.props.EnumProperty(name="Camera", items=PATHS)
+    sweep: bpy.props.EnumProperty(name="Change", items=SWEEPS)
+    seconds: bpy.props.FloatProperty(name="Length", default=6.0, min=0.1, max=3600.0, subtype="TIME_ABSOLUTE")
+    fps: bpy.props.IntProperty(name="Frames a Second", default=30, min=1, max=240)
+    width: bpy.props.IntProperty(
+        name="Width",
+        min=0,
+        max=20_000,
+        subtype="PIXEL",
+        description="Of the picture; 0: as the photographs, or with the scene's camera as a render",
+    )
+    exposure: bpy.props.FloatProperty(
+        name="Exposure (s)",
+        min=0.0,
+        description="Seconds of the photograph that is shown, at EV 0; 0: the middle one of the data set",
+    )
+    wait: bpy.props.BoolProperty(default=bpy.app.background, options={"HIDDEN", "SKIP_SAVE"})
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        if not self.properties.is_property_set("format") and not encodes(session()):
+            self.format = "WEBP"
+        if not self.properties.is_property_set("path") and context.scene.camera is None:
+            self.path = "SPLINE"
+        return context.window_manager.invoke_props_dialog(self, width=360, title="Video", confirm_text="Make")
+
+    def draw(self, context: bpy.types.Context) -> None:
+        column = layout_of(self).column()
+        column.use_property_split = True
+        names = ["path"]
+        names += [] if self.path == "CAMERA" else ["sweep", "seconds", "fps"]
+        for name in (*names, "width", "exposure", "format", "filepath"):
+            column.prop(self, name)
+
+    def run(self, context: bpy.types.Context) -> set[str]:
+        current = session()
+        current.pump()
+        run, data = self.chosen(context)
+        if self.format == "MP4" and not encodes(current):
+            python = current.state.backend.python
+            raise BadValueError(
+                "the backend's Python has no package av, which writes MP4",
+                f"Choose WebP or Pictures; or add it: {python} -m pip install av",
+            )
+        out = str(self._out(run))
+        options = self._options(context, run)
+        done = self.follow(video_command(run, out, options, data), f"Wrote {out}")
+        _made[run] = out
+        return done
+
+    def _out(self, run: str) -> Path:
+        suffix = SUFFIXES[self.format]
+        if self.filepath:
+            given = Path(bpy.path.abspath(self.filepath)).absolute()
+            return given if given.suffix.lower() == suffix else Path(f"{given.with_suffix('')}{suffix}")
+        return _unused(Path(run) / f"video{suffix}")
+
+    def _options(self, context: bpy.types.Context, run: str) -> VideoOptions:
+        if self.path != "CAMERA":
+            if self.path == "STILL" and self.sweep == "none":
+                raise BadValueError("nothing moves", "Choose what changes while the camera stands still.")
+            return VideoOptions(
+                path=self.path.lower(),
+                sweep=self.sweep,
+                seconds=self.seconds,
+                fps=self.fps,
+                width=self.width,
+                exposure=self.exposure,
+            )
+        current = session()
+        job = current.state.job
+        lights = job.lights if job.has_model and Path(job.run) == Path(run) else ()
+        data = str(data_of(Path(run)) or "")
+        window_manager = context.window_manager
+        window_manager.progress_begin(0.0, 1.0)
+        try:
+            target = filmed(context, run, data)
+            shots = shots_of(
+                context,
+                target,
+                data,
+                tuple(lights) or (AMBIENT,),
+                show=lambda done, total: window_manager.progress_update(done / total),
+            )
+        finally:
+            window_manager.progress_end()
+        file = current.home / "shots.json"
+        write_shots(file, shots)
+        return VideoOptions(shots=str(file), width=self.width, exposure=self.exposure)
+
+
+def filmed(context: bpy.types.Context, run: str, data: str) -> bpy.types.Object | None:
+    """The imported model of a run whose look and place count: the active one if it is of this run, else the
+    first of the scene; None where none is imported."""
+    of_run = [
+        each
+        for each in context.scene.objects
+        if is_model(each) and Path(str(cloud_of(each).get(FILE, ""))).parent == Path(run)
+    ]
+    if context.object in of_run:
+        return context.object
+    if of_run:
+        return of_run[0]
+    return next(placement.models_of(context.scene, placement.key_of(data)), None) if data else None
+
+
+_encoders: dict[str, bool] = {}
+
+
+def encodes(current: Session) -> bool:
+    """Whether the backend's Python can write MP4; asked of it once."""
+    python = current.state.backend.python
+    if python not in _encoders:
+        try:
+            asked = subprocess.run(
+                [python, "-c", "import av"],
+                env=current.environment(),
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                timeout=ASK_SECONDS,
+                check=False,
+            )
+        except (OSError, subprocess.TimeoutExpired):
+            return False
+        if asked.returncode:  # it may be installed at any time
+            return False
+        _encoders[python] = True
+    return True
+
+
+def _unused(path: Path) -> Path:
+    """The path, or where something is there the same with a number."""
+    candidate, number = path, 2
+    while candidate.exists():
+        candidate = path.with_name(f"{path.stem}_{number}{path.suffix}")
+        number += 1
+    return candidate
+
+
+_CLASSES = (PHYSHDR_OT_results_evaluate, PHYSHDR_OT_results_video)
+register, unregister = bpy.utils.register_classes_factory(_CLASSES)

@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A run's evaluation and videos, as the panel asks for them and says them. Pure but for reading the figures.
+
+Both are the backend's work (``physhdr evaluate``, ``physhdr video``), in a process of its own.
+"""
+
+import math
+import os
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, TypeGuard
+
+from ...bridge.errors import PhysHDRError
+from ...bridge.regular import read_json_object
+from .state import CHECK, INSTALL, State
+
+#: The tasks' names.
+EVALUATE, VIDEO = "evaluate", "video"
+#: What an evaluation leaves in a run's folder (``backend/evaluate/report.py``).
+EVALUATION_FILE, REPORT_FILE, SHEET_FILE = "evaluation.json", "evaluation.md", "comparison.png"
+#: PSNR in dB at which a picture beside its photograph is …
+QUALITIES = (
+    (38.0, "hard to tell from the photograph"),
+    (32.0, "very close"),
+    (27.0, "close, fine detail differs"),
+    (22.0, "recognisable, visibly soft"),
+)
+WORST = "poor"
+#: What the panel calls the table's rows.
+ROWS = (
+    ("LDR-OE", "Exposures It Learned"),
+    ("LDR-NE", "Exposures It Never Saw"),
+    ("HDR", "Radiance (HDR)"),
+)
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A row of the table: what was compared, how well in words, the numbers."""
+
+    what: str
+    words: str
+    numbers: str
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What was measured of a run: ``views`` pictures that training never saw. ``is_old``: it was trained on
+    since."""
+
+    figures: tuple[Figure, ...]
+    views: int
+    iteration: int
+    is_old: bool
+
+
+@dataclass(frozen=True)
+class VideoOptions:
+    """What a video shows. ``shots``: a file of frames, of Blender's camera; else a ``path`` of the trainer's
+    and a ``sweep``, for ``seconds`` at ``fps``. ``exposure``: seconds, 0 the data set's middle one."""
+
+    shots: str = ""
+    path: str = ""
+    sweep: str = "none"
+    light: str = ""
+    seconds: float = 6.0
+    fps: int = 30
+    width: int = 0
+    exposure: float = 0.0
+
+
+def evaluate_command(run: str, data: str = "") -> list[str]:
+    """The arguments of the backend's command that evaluates; ``data``: the data set where it is now."""
+    return ["evaluate", run, *_data(data), "--json"]
+
+
+def video_command(run: str, out: str, options: VideoOptions, data: str = "") -> list[str]:
+    """The arguments of the backend's command that makes a video, or numbered pictures in a folder ``out``."""
+    is_file = bool(os.path.splitext(out)[1])
+    told = ["video", run, "--out" if is_file else "--frames", out, *_data(data)]
+    if options.shots:
+        told += ["--shots", options.shots]
+    else:
+        told += ["--path", options.path] if options.path else []
+        told += ["--sweep", options.sweep] if options.sweep != "none" else []
+        told += ["--light", options.light] if options.light else []
+        told += ["--seconds", f"{options.seconds:g}", "--fps", str(options.fps)]
+    told += ["--width", str(options.width)] if options.width else []
+    told += ["--exposure", f"{options.exposure:.9g}"] if options.exposure else []
+    return [*told, "--json"]
+
+
+def why_not(state: State, task: str, run: str = "given") -> str:
+    """Why a run's folder ``run`` (empty: none) cannot be evaluated or filmed now; empty where it can."""
+    busy = next((each for each in state.tasks if each.name in (INSTALL, CHECK)), None)
+    if busy:
+        return f"Wait for the {busy.name} to end"
+    if not state.backend.ready:
+        return "Install the backend, or use an existing Python, first"
+    if state.task(task):
+        return "It is under way"
+    if not run:
+        return "Train a model, or choose the folder of a run, first"
+    if state.active and os.path.realpath(state.job.run) == os.path.realpath(run):
+        return "This run is being trained: stop it first, or wait until it has finished"
+    return ""
+
+
+def evaluation_of(run: str) -> Evaluation | None:
+    """What was measured of the run in a folder; None where nothing was, or nobody can read it.
+
+    Looked at at every redraw: the file is read once for each of its versions.
+    """
+    path = Path(run) / EVALUATION_FILE
+    try:
+        changed = path.stat().st_mtime_ns
+        trained = (Path(run) / "checkpoint.safetensors").stat().st_mtime_ns
+    except (OSError, ValueError):
+        return None
+    found = _read(path, changed)
+    if found is None:
+        return None
+    figures, views, iteration = found
+    return Evaluation(figures, views, iteration, trained > changed)
+
+
+@lru_cache(maxsize=8)
+def _read(path: Path, changed: int) -> tuple[tuple[Figure, ...], int, int] | None:
+    try:
+        content = read_json_object(path)
+    except PhysHDRError:
+        return None
+    conditions = content.get("conditions")
+    iteration = conditions.get("iteration") if isinstance(conditions, dict) else 0
+    views = content.get("views")
+    return figures(content), len(views) if isinstance(views, list) else 0, int(iteration or 0)
+
+
+def figures(content: dict[str, Any]) -> tuple[Figure, ...]:
+    """The main rows of an evaluation's tables; what is missing or of another kind is passed over."""
+    rows = []
+    means = content.get("means")
+    for name, what in ROWS:
+        row = means.get(name) if isinstance(means, dict) else None
+        if isinstance(row, dict) and _is_number(row.get("psnr")):
+            rows.append(Figure(what, in_words(row["psnr"]), _numbers(row)))
+    relit = content.get("relit_means")
+    everything = relit.get("all") if isinstance(relit, dict) else None
+    if isinstance(everything, dict) and _is_number(everything.get("ours")):
+        psnr = everything["ours"]
+        rows.append(Figure("Under Other Light", in_words(psnr), f"PSNR {psnr:.1f} dB"))
+    ratio = content.get("scale_ratio")
+    if _is_number(ratio) and ratio > 0.0:
+        stops = math.log2(ratio)
+        words = "as the true one" if abs(stops) < 0.05 else f"{stops:+.2f} stops from the true one"
+        rows.append(Figure("Brightness", words, f"× {ratio:.3f}"))
+    return tuple(rows)
+
+
+def in_words(psnr: float) -> str:
+    """How a picture of that PSNR looks beside the photograph."""
+    return next((words for least, words in QUALITIES if psnr >= least), WORST)
+
+
+def _numbers(row: dict[str, Any]) -> str:
+    told = [f"PSNR {row['psnr']:.1f} dB"]
+    told += [f"SSIM {row['ssim']:.3f}"] if _is_number(row.get("ssim")) else []
+    told += [f"LPIPS {row['lpips']:.3f}"] if _is_number(row.get("lpips")) else []
+    return ", ".join(told)
+
+
+def _data(data: str) -> list[str]:
+    return ["--data", data] if data else []
+
+
+def _is_number(value: Any) -> TypeGuard[float]:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

@@ -1,0 +1,287 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""``physhdr.results_evaluate`` and ``results_video`` through a child process that stands in for the backend.
+
+It keeps to what both commands promise with ``--json``; tests/loop has the real ones.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
+
+from physhdr.addon.operators import results as operators  # noqa: E402
+from physhdr.addon.session import results  # noqa: E402
+from physhdr.addon.session.state import PythonChosen, Received, State, TaskStarted  # noqa: E402
+from physhdr.bridge.messages import JobStatus  # noqa: E402
+from physhdr.bridge.shots import read_shots  # noqa: E402
+
+REPORT = {"versions": {"torch": "2.13.0"}, "missing": []}
+LAUNCHER = """
+import json, pathlib, sys, time
+words = sys.argv[1:]
+here = pathlib.Path(__file__)
+calls = here.with_name("calls.json")
+calls.write_text(json.dumps([*(json.loads(calls.read_text()) if calls.exists() else []), words]))
+def say(**content):
+    print(json.dumps(content), flush=True)
+say(progress=0.5, message="test/3", seconds_left=2.0)
+if here.with_name("slow").exists():
+    time.sleep(60)
+if here.with_name("broken").exists():
+    say(error={"code": "data_mismatch", "message": "no test views", "hint": "Take another data set."})
+    sys.exit(1)
+if words[0] == "evaluate":
+    content = json.loads(here.with_name("evaluation.json").read_text())
+    (pathlib.Path(words[1]) / "evaluation.json").write_text(json.dumps(content))
+    say(result={"folder": words[1], "split": "test"})
+else:
+    out = pathlib.Path(words[3])
+    out.write_bytes(b"") if out.suffix else out.mkdir()
+    say(result={"out": str(out), "frames": 2})
+"""
+EVALUATION = {
+    "conditions": {"iteration": 2500},
+    "scale_ratio": 1.19,
+    "means": {
+        "LDR-OE": {"psnr": 38.4, "ssim": 0.979, "lpips": None},
+        "LDR-NE": {"psnr": 31.2, "ssim": 0.9, "lpips": 0.05},
+        "HDR": {"psnr": 20.0, "ssim": 0.7, "lpips": None},
+        "HDR, scale aligned": {"psnr": 21.0},
+    },
+    "relit_means": {"all": {"ours": 33.3}},
+    "views": [{}, {}, {}],
+}
+
+
+@pytest.fixture
+def extension(tmp_path, monkeypatch):
+    """The extension with a backend that passed its check, and a stand-in for the trainer; its session."""
+    import physhdr
+    from physhdr.addon import paths, runtime, settings
+
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    (tmp_path / "launch.py").write_text(LAUNCHER)
+    (tmp_path / "evaluation.json").write_text(json.dumps(EVALUATION))
+    monkeypatch.setattr(settings, "home_folder", lambda: tmp_path / "home")
+    monkeypatch.setattr(paths, "LAUNCHER", tmp_path / "launch.py")
+    monkeypatch.setattr(operators, "encodes", lambda current: True)
+    physhdr.register()
+    try:
+        runtime.session().dispatch(PythonChosen(sys.executable, REPORT))
+        yield runtime.session()
+    finally:
+        physhdr.unregister()
+
+
+@pytest.fixture
+def run(tmp_path, extension) -> Path:
+    """A run's folder that is chosen in the scene, with its data set."""
+    data, folder = tmp_path / "data", tmp_path / "run"
+    data.mkdir()
+    folder.mkdir()
+    (folder / "checkpoint.safetensors").touch()
+    (folder / "config.json").write_text(json.dumps({"data": str(data)}))
+    bpy.context.scene.physhdr.out = str(folder)
+    return folder
+
+
+def calls(tmp_path: Path) -> list[list[str]]:
+    return json.loads((tmp_path / "calls.json").read_text())
+
+
+# ---- evaluation ------------------------------------------------------------------------------------------
+
+
+def test_an_evaluation_is_told_in_words_and_figures(extension, run, tmp_path):
+    assert results.evaluation_of(str(run)) is None
+    assert bpy.ops.physhdr.results_evaluate() == {"FINISHED"}
+    assert calls(tmp_path) == [["evaluate", str(run), "--json"]]
+    found = results.evaluation_of(str(run))
+    assert (found.views, found.iteration, found.is_old) == (3, 2500, False)
+    assert [(f.what, f.words, f.numbers) for f in found.figures] == [
+        ("Exposures It Learned", "hard to tell from the photograph", "PSNR 38.4 dB, SSIM 0.979"),
+        ("Exposures It Never Saw", "close, fine detail differs", "PSNR 31.2 dB, SSIM 0.900, LPIPS 0.050"),
+        ("Radiance (HDR)", "poor", "PSNR 20.0 dB, SSIM 0.700"),
+        ("Under Other Light", "very close", "PSNR 33.3 dB"),
+        ("Brightness", f"{math.log2(1.19):+.2f} stops from the true one", "× 1.190"),
+    ]
+    later = time.time() + 10.0
+    os.utime(run / "checkpoint.safetensors", (later, later))
+    assert results.evaluation_of(str(run)).is_old
+
+
+def test_a_data_set_that_moved_is_sent_along_and_one_that_is_gone_is_named(extension, run, tmp_path):
+    (tmp_path / "data").rename(tmp_path / "moved")
+    with pytest.raises(RuntimeError, match=r"not there any more: .*data[\s\S]*Choose in Data Set"):
+        bpy.ops.physhdr.results_evaluate()
+    bpy.context.scene.physhdr.data = str(tmp_path / "moved")
+    assert bpy.ops.physhdr.results_evaluate() == {"FINISHED"}
+    assert calls(tmp_path) == [["evaluate", str(run), "--data", str(tmp_path / "moved"), "--json"]]
+
+
+def test_an_error_of_the_backend_is_reported_with_its_remedy(extension, run, tmp_path):
+    (tmp_path / "broken").touch()
+    with pytest.raises(RuntimeError, match="no test views Take another data set"):
+        bpy.ops.physhdr.results_evaluate()
+    assert extension.state.problem.log.endswith("evaluate.log")
+
+
+def test_it_tells_how_far_it_is_and_can_be_cancelled(extension, run, tmp_path):
+    (tmp_path / "slow").touch()
+    assert bpy.ops.physhdr.results_evaluate(wait=False) == {"FINISHED"}
+    assert extension.wait(lambda state: state.task("evaluate").fraction > 0.0, 30.0)
+    task = extension.state.task("evaluate")
+    assert (task.fraction, task.message, task.seconds_left) == (0.5, "test/3", 2.0)
+    assert not bpy.ops.physhdr.results_evaluate.poll() and bpy.ops.physhdr.results_video.poll()
+    assert bpy.ops.physhdr.task_cancel(name="evaluate") == {"FINISHED"}
+    assert extension.wait(lambda state: state.task("evaluate") is None, 30.0)
+    assert extension.state.problem is None and results.evaluation_of(str(run)) is None
+
+
+def test_what_another_version_wrote_is_passed_over(tmp_path):
+    assert results.figures({}) == ()
+    assert results.figures({"means": [], "relit_means": 3, "scale_ratio": "x"}) == ()
+    assert results.figures({"means": {"HDR": {"psnr": None}, "LDR-OE": {"psnr": float("nan")}}}) == ()
+    (tmp_path / "checkpoint.safetensors").touch()
+    (tmp_path / "evaluation.json").write_text("no json")
+    assert results.evaluation_of(str(tmp_path)) is None
+
+
+# ---- when ------------------------------------------------------------------------------------------------
+
+
+def test_why_it_cannot_be_done(tmp_path):
+    ready = State()
+    assert "Install the backend" in results.why_not(ready, "evaluate")
+    from physhdr.addon.session.transition import transition
+
+    ready, _ = transition(ready, PythonChosen(sys.executable, REPORT))
+    assert results.why_not(ready, "evaluate", str(tmp_path)) == ""
+    assert "choose the folder of a run" in results.why_not(ready, "video", "")
+    busy, _ = transition(ready, TaskStarted("video", ""))
+    assert results.why_not(busy, "video") == "It is under way" and not results.why_not(busy, "evaluate")
+    checking, _ = transition(ready, TaskStarted("check", ""))
+    assert results.why_not(checking, "video") == "Wait for the check to end"
+    training, _ = transition(ready, Received(JobStatus(state="training", run=str(tmp_path))))
+    assert "being trained" in results.why_not(training, "evaluate", str(tmp_path))
+    assert results.why_not(training, "evaluate", str(tmp_path / "other")) == ""
+
+
+def test_a_folder_without_a_run(extension, tmp_path):
+    with pytest.raises(RuntimeError, match="choose the folder of a run, first"):
+        bpy.ops.physhdr.results_evaluate()
+    with pytest.raises(RuntimeError, match="no trained run in"):
+        bpy.ops.physhdr.results_video(run_folder=str(tmp_path))
+
+
+# ---- videos ----------------------------------------------------------------------------------------------
+
+
+def camera_that_moves() -> bpy.types.Object:
+    """Frames 1 to 3, 1 m to the right each, 90° wide at first and narrower then."""
+    scene = bpy.context.scene
+    scene.frame_start, scene.frame_end, scene.frame_step = 1, 3, 1
+    scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 200, 100, 50
+    scene.render.fps, scene.render.fps_base = 24, 1.0
+    camera = bpy.data.objects.new("eye", bpy.data.cameras.new("eye"))
+    scene.collection.objects.link(camera)
+    scene.camera = camera
+    camera.scale = (2.0, 2.0, 2.0)  # which does nothing to what it sees
+    for frame in (1, 3):
+        camera.location = (float(frame), -4.0, 1.0)
+        camera.data.angle_x = math.radians(90.0 if frame == 1 else 53.130102)
+        camera.keyframe_insert("location", frame=frame)
+        camera.data.keyframe_insert("lens", frame=frame)
+    bpy.context.scene.frame_set(2)
+    return camera
+
+
+def test_a_video_follows_the_scenes_camera_its_lens_and_the_sliders(extension, run, tmp_path):
+    camera_that_moves()
+    settings = bpy.context.scene.physhdr
+    for frame, (ev, level) in ((1, (-1.0, 2.0)), (3, (1.0, 0.0))):
+        settings.exposure_ev, settings.lighting_level = ev, level
+        settings.keyframe_insert("exposure_ev", frame=frame)
+        settings.keyframe_insert("lighting_level", frame=frame)
+    assert bpy.ops.physhdr.results_video(format="WEBP") == {"FINISHED"}
+    assert bpy.context.scene.frame_current == 2, "the scene is as it was"
+    [call] = calls(tmp_path)
+    shots = tmp_path / "home" / "shots.json"
+    assert call == ["video", str(run), "--out", str(run / "video.webp"), "--shots", str(shots), "--json"]
+    assert operators.made_of(str(run)) == str(run / "video.webp")
+    found = read_shots(shots)
+    assert (found.width, found.height, found.fps, len(found.frames)) == (100, 50, 24.0, 3)
+    first, _, last = found.frames
+    at_first = [[1, 0, 0, 1], [0, 1, 0, -4], [0, 0, 1, 1], [0, 0, 0, 1]]
+    np.testing.assert_allclose(first.camera_to_world, at_first, atol=1e-6)
+    np.testing.assert_allclose(last.camera_to_world[:3, 3], (3.0, -4.0, 1.0), atol=1e-6)
+    # Half the width over the tangent of half the angle: tan 45° = 1, tan 26.565° = 0.5.
+    np.testing.assert_allclose([first.fx, first.fy, last.fx], [50.0, 50.0, 100.0], rtol=1e-4)
+    np.testing.assert_allclose([first.cx, first.cy], [50.0, 25.0])
+    assert (first.exposure_ev, first.levels) == (-1.0, (2.0,))
+    assert (last.exposure_ev, last.levels) == (1.0, (0.0,))
+    assert bpy.ops.physhdr.results_video(format="WEBP") == {"FINISHED"}
+    assert calls(tmp_path)[-1][3] == str(run / "video_2.webp"), "an earlier one is not written over"
+
+
+def test_where_the_model_stands_is_taken_out_of_the_camera(extension, run, tmp_path, make_model):
+    """A model that stands 10 m away, twice as large, looks as it does at home from half as far."""
+    from physhdr.addon.model_import import import_model
+    from physhdr.addon.nodes import EXPOSURE, LIGHTING_LEVEL, find_modifier, set_input
+    from physhdr.bridge.model_file import write_model
+
+    write_model(run / "model.safetensors", make_model())
+    target = import_model(run / "model.safetensors")
+    target.location, target.scale = (10.0, 0.0, 0.0), (2.0, 2.0, 2.0)
+    set_input(find_modifier(target), EXPOSURE, 1.5)
+    set_input(find_modifier(target), LIGHTING_LEVEL, 0.25)
+    camera_that_moves()
+    assert bpy.ops.physhdr.results_video(format="PNG") == {"FINISHED"}
+    assert calls(tmp_path)[-1][2:4] == ["--frames", str(run / "video")]
+    shot = read_shots(tmp_path / "home" / "shots.json").frames[0]
+    np.testing.assert_allclose(shot.camera_to_world[:3, 3], ((1.0 - 10.0) / 2, -2.0, 0.5), atol=1e-6)
+    np.testing.assert_allclose(shot.camera_to_world[:3, :3], np.eye(3), atol=1e-6)
+    assert (shot.exposure_ev, shot.levels) == (1.5, (0.25,))
+
+
+def test_a_video_past_the_photographs_is_asked_of_the_trainer(extension, run, tmp_path):
+    out = tmp_path / "orbit"
+    options = {"path": "ORBIT", "sweep": "lighting", "seconds": 2.5, "fps": 25, "width": 320}
+    assert bpy.ops.physhdr.results_video(filepath=str(out), exposure=0.5, **options) == {"FINISHED"}
+    told = ["--path", "orbit", "--sweep", "lighting", "--seconds", "2.5", "--fps", "25", "--width", "320"]
+    assert calls(tmp_path) == [
+        ["video", str(run), "--out", f"{out}.mp4", *told, "--exposure", "0.5", "--json"]
+    ]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda camera: bpy.data.objects.remove(camera), "the scene has no camera"),
+        (lambda camera: setattr(camera.data, "type", "PANO"), "no perspective one"),
+        (lambda camera: (camera.animation_data_clear(), camera.data.animation_data_clear()), "nothing moves"),
+    ],
+)
+def test_what_cannot_be_filmed(extension, run, spoil, message):
+    spoil(camera_that_moves())
+    with pytest.raises(RuntimeError, match=message):
+        bpy.ops.physhdr.results_video()
+    assert bpy.context.scene.frame_current == 2
+
+
+def test_without_an_encoder_it_says_what_to_take(extension, run, monkeypatch):
+    monkeypatch.undo()
+    extension.dispatch(PythonChosen(str(run / "no_python"), REPORT))
+    with pytest.raises(RuntimeError, match=r"no package av[\s\S]*WebP or Pictures"):
+        bpy.ops.physhdr.results_video(path="ORBIT")
+    with pytest.raises(RuntimeError, match="nothing moves"):
+        bpy.ops.physhdr.results_video(path="STILL", format="WEBP")
