@@ -21,6 +21,7 @@ _MODULES = (
     "operators.photos",
     "operators.training",
     "operators.capture",
+    "operators.lighting",
     "operators.results",
     "viewport",
     "plot",

@@ -11,6 +11,7 @@ from .. import settings
 from ..blender import layout_of
 from ..paths import ROOT
 from ..runtime import session
+from ..session.light import LIGHT
 from ..session.pythons import base_of, find_pythons, is_ours, working_python
 from ..session.results import EVALUATE, VIDEO
 from ..session.state import CHECK, DATASET, INSTALL, LOOK, PHOTOS, Dismissed, PythonChosen
@@ -170,6 +171,7 @@ class PHYSHDR_OT_task_cancel(bpy.types.Operator):
             (PHOTOS, "Photos", "The preparation of photos"),
             (EVALUATE, "Evaluation", "The evaluation of a run"),
             (VIDEO, "Video", "The making of a video"),
+            (LIGHT, "Light", "The drawing of a model's light"),
         ],
     )
 

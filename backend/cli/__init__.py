@@ -117,6 +117,7 @@ def _command(argv: list[str]) -> Any:
     from .evaluate import Evaluate
     from .export import Export
     from .inspect import Inspect
+    from .panorama import Panorama
     from .prepare import Prepare
     from .render import Render
     from .train import Train, options_in, preset_named
@@ -133,6 +134,7 @@ def _command(argv: list[str]) -> Any:
         | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
         | Annotated[Render, tyro.conf.subcommand("render")]
         | Annotated[Video, tyro.conf.subcommand("video")]
+        | Annotated[Panorama, tyro.conf.subcommand("panorama")]
         | Annotated[Benchmark, tyro.conf.subcommand("benchmark")]
         | Annotated[Prepare, tyro.conf.subcommand("prepare")]
         | Annotated[Triangulate, tyro.conf.subcommand("triangulate")]

@@ -1,0 +1,386 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Operators that let a capture light the scene: *Light From Here*, *Light as Before*.
+
+The panoramas are drawn by the backend, in a process of its own, from the file that the model was imported
+from; where there is no backend, or the model was edited since, by Cycles in this Blender.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+import bpy
+
+from ...bridge.errors import BadValueError, DataMismatchError, PhysHDRError
+from ...bridge.model_file import SUFFIX, read_model
+from ...bridge.probe import MUCH_UNSEEN, WIDTH, Probe, read_probe
+from .. import lighting, nodes, probes
+from ..attributes import FILE
+from ..blender import cloud_of, layout_of
+from ..look import is_model
+from ..probe_render import render_probe
+from ..runtime import session
+from ..session.advice import why_not
+from ..session.light import LIGHT, panorama_command
+
+if TYPE_CHECKING:
+    from bpy.stub_internal.rna_enums import PropertyFlagItems
+
+#: Seconds that scripts wait for the backend; between looks whether it is done.
+LONGEST, DONE_SECONDS = 24 * 3600.0, 0.25
+GIVEN: "set[PropertyFlagItems]" = {"SKIP_SAVE"}
+FOLDER: "set[PropertyFlagItems]" = {"SKIP_SAVE", "PATH_SUPPORTS_BLEND_RELATIVE"}
+
+MIRRORS = [
+    (
+        "ENVIRONMENT",
+        "Environment",
+        "Reflections show the panorama, as from the probe: bright and smooth, without parallax",
+    ),
+    (
+        "SPLATS",
+        "Splats",
+        "Reflections show the Gaussians where they are, and the panorama through their gaps. Slower; the "
+        "Gaussians keep the colours that they have toward the camera",
+    ),
+]
+
+
+@dataclass(frozen=True)
+class Task:
+    """A probe to be made: the empty's name, "" for a new one at ``place``; ``at``: in the model's space."""
+
+    empty: str
+    place: probes.Place
+    at: probes.Place
+    folder: str
+
+
+class PHYSHDR_OT_light_from_here(bpy.types.Operator):
+    """Light the scene with what the active model shows from a place: the selected empties, or the 3D cursor.
+    CG there is lit as the capture is, and follows the model's lighting levels and exposure"""
+
+    bl_idname = "physhdr.light_from_here"
+    bl_label = "Light From Here"
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
+
+    at: bpy.props.FloatVectorProperty(
+        name="At",
+        description="Where the light is taken, in the world. Not given: at the selected empties, else at the "
+        "3D cursor",
+        subtype="TRANSLATION",
+        options=GIVEN,
+    )
+    width: bpy.props.IntProperty(
+        name="Width",
+        description="Of the panoramas, pixels: a power of two. A small bright lamp wants a wide one",
+        default=WIDTH,
+        min=16,
+        max=16384,
+    )
+    by: bpy.props.EnumProperty(
+        name="Drawn By",
+        items=[
+            ("AUTO", "Automatic", "The backend where there is one and the model is as it was imported"),
+            ("BACKEND", "Backend", "The trainer's rasteriser, beside Blender"),
+            ("BLENDER", "Blender", "Cycles, in this Blender, which waits: the model as it is now"),
+        ],
+    )
+    mirrors: bpy.props.EnumProperty(
+        name="Reflections", description="What mirrors and glass see of the capture", items=MIRRORS
+    )
+    model: bpy.props.StringProperty(
+        name="Model", description="The object whose light it is. Empty: the active one", options=GIVEN
+    )
+    subject: bpy.props.StringProperty(
+        name="Subject",
+        description="The object to whose place the light of several probes is blended. Empty: the camera",
+        options=GIVEN,
+    )
+    folder: bpy.props.StringProperty(
+        name="Folder",
+        description="A probe of this model that physhdr panorama has drawn: it is used as it is",
+        subtype="DIR_PATH",
+        options=FOLDER,
+    )
+    wait: bpy.props.BoolProperty(default=bpy.app.background, options={"HIDDEN", "SKIP_SAVE"})
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if context.mode != "OBJECT":
+            cls.poll_message_set("Leave edit mode first (Tab)")
+            return False
+        if session().state.task(LIGHT):
+            cls.poll_message_set("Light is being taken: wait for that to end, or cancel it")
+            return False
+        if model_in(context) is None:
+            cls.poll_message_set("Select an imported model first")
+            return False
+        return True
+
+    def draw(self, context: bpy.types.Context) -> None:
+        column = layout_of(self).column()
+        column.use_property_split = True
+        for name in ("width", "by", "mirrors"):
+            column.prop(self, name)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        try:
+            return self._run(context)
+        except PhysHDRError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+
+    def _run(self, context: bpy.types.Context) -> set[str]:
+        context.view_layer.update()  # what a script has just set is in no matrix yet
+        model = self._model(context)
+        tasks = self._tasks(context, model)
+        subject = _object(context.scene, self.subject) if self.subject else None
+        after = After(context.scene.name, model.name, self.mirrors, subject.name if subject else "")
+        if self.folder:
+            return self._told(after.apply(tasks))
+        if self._drawn_by(model) == "BLENDER":
+            manager = context.window_manager
+            manager.progress_begin(0.0, 1.0)
+            try:
+                for number, task in enumerate(tasks):
+
+                    def report(done: float, number: int = number) -> None:
+                        manager.progress_update((number + done) / len(tasks))
+
+                    render_probe(model, task.at, self.width, _absolute(task.folder), report)
+            finally:
+                manager.progress_end()
+            return self._told(after.apply(tasks))
+        current = session()
+        current.pump()
+        places = [(task.at, str(_absolute(task.folder))) for task in tasks]
+        command = current.backend_command(*panorama_command(source_of(model), self.width, places))
+        current.start_task(LIGHT, command, current.home / "light.log", current.environment())
+        if not self.wait:
+            _apply_when_done(after, tasks)
+            return {"FINISHED"}
+        try:
+            current.wait(lambda state: state.task(LIGHT) is None, LONGEST)
+        except KeyboardInterrupt:
+            current.cancel_task(LIGHT)
+            raise
+        if problem := current.state.problem:
+            raise DataMismatchError(problem.message, problem.hint)
+        if not all_there(tasks):
+            self.report({"ERROR"}, "taking the light was cancelled")
+            return {"CANCELLED"}
+        return self._told(after.apply(tasks))
+
+    def _model(self, context: bpy.types.Context) -> bpy.types.Object:
+        model = _object(context.scene, self.model) if self.model else model_in(context)
+        if not is_model(model):
+            raise BadValueError(f"{self.model} is no model of ours", "Name an imported model.")
+        if nodes.find_modifier(model) is None:
+            raise DataMismatchError(f"{model.name} has lost its PhysHDR modifier", "Import it again.")
+        return model
+
+    def _tasks(self, context: bpy.types.Context, model: bpy.types.Object) -> list[Task]:
+        """The places, and the folder of each."""
+        scene = context.scene
+        if self.folder:
+            there = read_probe(_absolute(self.folder)).at
+            return [self._at(context, model, _place(probes.in_world(model, there)), self.folder)]
+        if self.properties.is_property_set("at"):
+            empties, place = [], _place(self.at)
+        else:
+            empties = [each for each in context.selected_objects or () if each.type == "EMPTY"]
+            place = _place(scene.cursor.location)
+        if not empties:
+            return [self._at(context, model, place)]
+        places = [(each.name, _place(each.matrix_world.translation)) for each in empties]
+        return [
+            Task(name, place, probes.into_model(model, place), probes.folder_for(name))
+            for name, place in places
+        ]
+
+    def _at(
+        self, context: bpy.types.Context, model: bpy.types.Object, place: probes.Place, folder: str = ""
+    ) -> Task:
+        """A probe at a place of the world: the one that stands there already, or a new one."""
+        there = probes.into_model(model, place)
+        for each in probes.probes_of(context.scene, model):
+            if probes.is_at(each, there):
+                return Task(each.name, place, there, folder or probes.folder_for(each.name))
+        name = probes.free_name(set(bpy.data.objects.keys()))
+        return Task("", place, there, folder or probes.folder_for(name))
+
+    def _drawn_by(self, model: bpy.types.Object) -> Literal["BACKEND", "BLENDER"]:
+        if self.by != "AUTO":
+            if self.by == "BACKEND" and not session().state.backend.ready:
+                raise DataMismatchError("there is no backend", "Install it, or let Blender draw.")
+            return self.by
+        if why_not_backend(model):
+            return "BLENDER"
+        return "BACKEND"
+
+    def _told(self, made: Sequence[Probe]) -> set[str]:
+        for probe in made:
+            told = f"{probe.unseen:.0%} of the sphere was never seen and is filled from its rim"
+            self.report({"WARNING" if probe.unseen > MUCH_UNSEEN else "INFO"}, told)
+        return {"FINISHED"}
+
+
+class PHYSHDR_OT_light_refresh(bpy.types.Operator):
+    """Take the light anew at all probes of the model, where they stand now"""
+
+    bl_idname = "physhdr.light_refresh"
+    bl_label = "Take Light Again"
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        model = model_in(context)
+        if model is None or not probes.probes_of(context.scene, model):
+            cls.poll_message_set("There is no probe of this model: use Light From Here first")
+            return False
+        return PHYSHDR_OT_light_from_here.poll(context)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        model = model_in(context)
+        assert model is not None
+        found = probes.probes_of(context.scene, model)
+        chosen = {"object": model, "active_object": model, "selected_objects": found}
+        override: Any = context.temp_override(**chosen)
+        call: Any = getattr(bpy.ops, "physhdr").light_from_here  # noqa: B009
+        with override:
+            return call(model=model.name, width=probes.known(found[0]).width)
+
+
+class PHYSHDR_OT_light_reset(bpy.types.Operator):
+    """Give the scene the world back that it had before a capture lit it. The probes stay"""
+
+    bl_idname = "physhdr.light_reset"
+    bl_label = "Light as Before"
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not lighting.is_lit(context.scene.world):
+            cls.poll_message_set("This scene's world is not lit by a capture")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        lighting.reset(context.scene)
+        return {"FINISHED"}
+
+
+# ---- what they share ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class After:
+    """What is done with finished panoramas. Names, not data-blocks: an undo may come between."""
+
+    scene: str
+    model: str
+    mirrors: lighting.Mirrors
+    subject: str
+
+    def apply(self, tasks: Sequence[Task]) -> list[Probe]:
+        """Let the probes be in the scene, and light it; raises where something has gone meanwhile."""
+        scene = bpy.data.scenes.get(self.scene)
+        model = scene.objects.get(self.model) if scene else None
+        if scene is None or not is_model(model):
+            raise DataMismatchError(f"{self.model} is no longer in the scene", "Use Light From Here again.")
+        made = []
+        for task in tasks:
+            found = read_probe(_absolute(task.folder))
+            empty = scene.objects.get(task.empty) if task.empty else None
+            if empty is None:
+                empty = probes.new_probe(scene, model, task.place)
+            probes.mark(empty, model, task.folder, found)
+            made.append(found)
+        bpy.context.view_layer.update()
+        subject = scene.objects.get(self.subject) if self.subject else None
+        lighting.light(scene, model, probes.probes_of(scene, model), self.mirrors, subject)
+        return made
+
+
+def model_in(context: bpy.types.Context) -> bpy.types.Object | None:
+    """The active object where it is a model, the model of an active probe, else the scene's only model."""
+    active = context.object
+    if is_model(active):
+        return active
+    if probes.is_probe(active) and is_model(model := active.get(probes.MODEL)):
+        return model
+    models = [each for each in context.scene.objects if is_model(each)]
+    return models[0] if len(models) == 1 else None
+
+
+def source_of(model: bpy.types.Object) -> str:
+    """The model file that a model was imported from; "" where it is not there any more."""
+    path = Path(bpy.path.abspath(str(cloud_of(model).get(FILE, ""))))
+    return str(path) if path.suffix == SUFFIX and path.is_file() else ""
+
+
+def why_not_backend(model: bpy.types.Object) -> str:
+    """Why the backend cannot draw the model as it is here; empty where it can."""
+    state = session().state
+    if not state.backend.ready:
+        return "there is no backend"
+    if why_not(state, "check"):
+        return "the backend is being worked on"
+    if not (source := source_of(model)):
+        return "the file that it was imported from is not there"
+    try:
+        if read_model(source).count != len(cloud_of(model).points):
+            return "the model was edited"
+    except PhysHDRError:
+        return "the file that it was imported from cannot be read"
+    return ""
+
+
+def all_there(tasks: Sequence[Task]) -> bool:
+    """Whether all probes' folders are whole."""
+    try:
+        return all(read_probe(_absolute(task.folder)) is not None for task in tasks)
+    except PhysHDRError:
+        return False
+
+
+def _apply_when_done(after: After, tasks: Sequence[Task]) -> None:
+    """Light the scene once the panoramas are there. Blender removes the timer when a file is opened."""
+
+    def look_again() -> float | None:
+        if not hasattr(bpy.types.Scene, "physhdr"):
+            return None
+        state = session().state
+        if state.task(LIGHT):
+            return DONE_SECONDS
+        if state.problem is None and all_there(tasks):
+            try:
+                after.apply(tasks)
+            except PhysHDRError:
+                return None
+            bpy.ops.ed.undo_push(message="Light From Here")
+        return None
+
+    bpy.app.timers.register(look_again, first_interval=DONE_SECONDS)
+
+
+def _object(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
+    found = scene.objects.get(name)
+    if found is None:
+        raise BadValueError(f"there is no object {name} in the scene")
+    return found
+
+
+def _place(vector: Any) -> probes.Place:
+    x, y, z = vector
+    return x, y, z
+
+
+def _absolute(folder: str) -> Path:
+    return Path(bpy.path.abspath(folder))
+
+
+_CLASSES = (PHYSHDR_OT_light_from_here, PHYSHDR_OT_light_refresh, PHYSHDR_OT_light_reset)
+register, unregister = bpy.utils.register_classes_factory(_CLASSES)

@@ -1,0 +1,213 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""``physhdr panorama``: the light at a place in a trained model, as panoramas that light a scene."""
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import torch
+import tyro
+
+from ...bridge.errors import BadValueError, PhysHDRError
+from ...bridge.limits import check_position
+from ...bridge.model_file import Model, read_model
+from ...bridge.panorama import near_distance
+from ...bridge.ply_model import read_ply_model
+from ...bridge.probe import WIDTH, Probe, begin, check_width, finish
+from ..device import DeviceName
+from ..evaluate.panorama import Draw, LitSplats, Report, lit_model, parted, surroundings
+from ..methods.base import Method, SplattingMethod
+from ..project import version
+from ..rasterize import Implementation
+from ..runs.run import open_run
+from ..runs.terminal import console
+from ..scene import Camera
+from ..scene.pictures import write_exr
+from .prepare import ended_politely
+
+#: What is told of a model that cannot tell its lights apart.
+NO_LIGHTS = "its lights are not known apart: fixed.exr is all of its light, and levels do not change it"
+
+
+@dataclass(frozen=True)
+class Panorama:
+    """Draw what a trained model sees from a place, in all directions: a light probe.
+
+    Writes fixed.exr and an .exr for each light (equirectangular, scene-linear, 32 bits), which add up to the
+    light at any levels, and probe.json.
+    """
+
+    #: Folder of a run, or a model file that was exported (.safetensors, .ply).
+    source: tyro.conf.Positional[Path]
+    #: The place: X Y Z in metres, in the model's space. Several: give --at and --out several times.
+    at: Annotated[list[tuple[float, float, float]], tyro.conf.UseAppendAction]
+    #: The folder to write; one for each place.
+    out: Annotated[list[Path], tyro.conf.UseAppendAction]
+    #: Pixels across: a power of two. The height is half of it.
+    width: int = WIDTH
+    #: Metres: Gaussians nearer than this are left out. Default: a fiftieth of their median distance.
+    near: float | None = None
+    #: The data set, where it has moved since training.
+    data: Path | None = None
+    rasteriser: Implementation = "auto"
+    device: DeviceName = "auto"
+    #: Tell a program what happens: a JSON object a line.
+    json: bool = False
+
+    def run(self) -> int:
+        try:
+            with ended_politely(), torch.no_grad():
+                told = self._probes()
+        except PhysHDRError as error:
+            if not self.json:
+                raise
+            self._write({"error": {"code": error.code, "message": error.message, "hint": error.hint}})
+            return 1
+        if self.json:
+            self._write({"result": {"probes": told}})
+        return 0
+
+    def _probes(self) -> list[dict[str, Any]]:
+        if len(self.at) != len(self.out):
+            raise BadValueError(
+                f"{len(self.at)} places for {len(self.out)} folders", "Give an --out for each --at."
+            )
+        for place in self.at:
+            check_position(place, "--at")
+        if self.near is not None and not self.near >= 0.0:
+            raise BadValueError(f"--near must be 0 m or more, got {self.near}")
+        check_width(self.width)
+        model = self._opened()
+        told = []
+        for number, (place, folder) in enumerate(zip(self.at, self.out, strict=True)):
+
+            def report(done: float, number: int = number, folder: Path = folder) -> None:
+                if self.json:
+                    self._write({"progress": (number + done) / len(self.at), "message": folder.name})
+
+            probe = self._probe(model, place, folder, report)
+            told.append({"folder": str(folder), "unseen": probe.unseen})
+            if not self.json:
+                console.print(
+                    f"wrote {folder}: {', '.join(probe.files)}; {probe.unseen:.1%} of the sphere was never "
+                    f"seen and is filled from its rim; {probe.left_out} Gaussians within {probe.near:.3g} m, "
+                    "or around the place, were left out",
+                    soft_wrap=True,
+                )
+                if not probe.lights:
+                    console.print(NO_LIGHTS, soft_wrap=True)
+        return told
+
+    def _opened(self) -> "_OfModel | _OfSplats | _OfPictures":
+        if self.source.is_dir():
+            method = open_run(self.source, self.data, self.rasteriser, self.device, self._say).method
+            return _OfSplats(method.splatting) if method.splatting else _OfPictures(method)
+        is_ply = self.source.suffix.lower() == ".ply"
+        model = read_ply_model(self.source).model if is_ply else read_model(self.source)
+        return _OfModel(model, self.rasteriser)
+
+    def _probe(
+        self,
+        model: "_OfModel | _OfSplats | _OfPictures",
+        place: Sequence[float],
+        folder: Path,
+        report: Report,
+    ) -> Probe:
+        near = near_distance(model.positions, np.asarray(place)) if self.near is None else self.near
+        begin(folder)
+        found = surroundings(model.draw(place, near), place, self.width, report)
+        x, y, z = place
+        probe = Probe(
+            at=(x, y, z),
+            width=self.width,
+            lights=model.lights,
+            unseen=found.unseen,
+            near=near,
+            left_out=model.left_out,
+            gaussians=len(model.positions),
+            made_by=f"physhdr panorama {version()}",
+            source=str(self.source.absolute()),
+        )
+        for name, part in zip(probe.files, found.parts, strict=True):
+            write_exr(folder / name, part)
+        finish(folder, probe)
+        return probe
+
+    def _say(self, line: str) -> None:
+        if not self.json:
+            console.print(line)
+
+    def _write(self, content: dict[str, Any]) -> None:
+        sys.stdout.write(json.dumps(content) + "\n")
+        sys.stdout.flush()
+
+
+class _OfModel:
+    """A model file's light. ``left_out``: Gaussians too near to the place that was drawn last."""
+
+    def __init__(self, model: Model, implementation: Implementation) -> None:
+        self._model = model
+        self._implementation: Implementation = implementation
+        self.lights = model.lights if model.light_share is not None else ()
+        self.positions, self.left_out = model.position, 0
+
+    def draw(self, place: Sequence[float], near: float) -> Draw:
+        splats = lit_model(self._model, place)
+        kept = splats.beyond(place, near)
+        self.left_out = len(splats.means) - len(kept.means)
+        return lambda camera: kept.drawn(camera, self._implementation)
+
+
+class _OfSplats:
+    """A trained method's light, of its own splats: anchors' are other ones for every picture."""
+
+    def __init__(self, method: SplattingMethod) -> None:
+        self._method, self.left_out = method, 0
+        # Where nothing is known of the light, a level scales all of it: it is all the first light's.
+        self.lights = method.lights if method.has_light_share or not method.can_relight else ()
+        self.positions = method.backbone.positions.detach().cpu().numpy()
+
+    def draw(self, place: Sequence[float], near: float) -> Draw:
+        self.left_out = 0
+
+        def draw(camera: Camera) -> tuple[torch.Tensor, torch.Tensor]:
+            splats = self._lit(camera)
+            kept = splats.beyond(place, near)
+            self.left_out = max(self.left_out, len(splats.means) - len(kept.means))
+            return kept.drawn(camera, self._method.implementation)
+
+        return draw
+
+    def _lit(self, camera: Camera) -> LitSplats:
+        method = self._method
+        splats = method.backbone.splats(camera, method.active_sh_degree)
+        radiance = method.radiance_of(splats, None)
+        if not self.lights:
+            parts = radiance[None]
+        elif splats.light_share is not None:
+            parts = parted(radiance, splats.light_share)
+        else:
+            parts = parted(radiance, torch.ones_like(radiance)[:, None])
+        return LitSplats(splats.means, splats.quaternions, splats.scales, splats.opacities, parts)
+
+
+class _OfPictures:
+    """The light of a method without splats, which sees something in every direction, and no light apart."""
+
+    lights: tuple[str, ...] = ()
+    positions = np.zeros((0, 3), np.float32)
+    left_out = 0
+
+    def __init__(self, method: Method) -> None:
+        self._method = method
+
+    def draw(self, place: Sequence[float], near: float) -> Draw:
+        def draw(camera: Camera) -> tuple[torch.Tensor, torch.Tensor]:
+            picture = self._method.hdr(camera)
+            return picture[None], torch.ones_like(picture[0])
+
+        return draw
