@@ -114,25 +114,20 @@ def is_offered(scene: bpy.types.Scene) -> bool:
     return any(is_model(item) and capture_of(item) in datasets for item in scene.objects)
 
 
-def hide(scene: bpy.types.Scene, lights: bool = True) -> tuple[int, list[str]]:
-    """Hide the originals, in views and renders; how many, and the names of those that cannot be (linked).
+def hide(scene: bpy.types.Scene, lights: bool = True) -> int:
+    """Hide the originals, in views and renders; returns how many.
 
     ``lights``: lights among them, too; what glows is hidden in any case.
     """
     hidden = originals_of(scene).hidden
-    done, failed = 0, []
     for item in of_models(scene):
         if item.type == LIGHT and not lights:
             continue
-        before = item.hide_viewport, item.hide_render
-        if not _set(item, True, True):
-            failed.append(item.name)
-            continue
         entry = hidden.add()
         entry.target = item
-        entry.was_hidden_in_viewports, entry.was_hidden_in_renders = before
-        done += 1
-    return done, failed
+        entry.was_hidden_in_viewports, entry.was_hidden_in_renders = item.hide_viewport, item.hide_render
+        _set(item, True, True)
+    return len(hidden)
 
 
 def show(scene: bpy.types.Scene) -> int:
@@ -141,7 +136,8 @@ def show(scene: bpy.types.Scene) -> int:
     count = 0
     for entry in hidden:
         if entry.target is not None:
-            count += _set(entry.target, entry.was_hidden_in_viewports, entry.was_hidden_in_renders)
+            _set(entry.target, entry.was_hidden_in_viewports, entry.was_hidden_in_renders)
+            count += 1
     hidden.clear()
     return count
 
@@ -164,13 +160,17 @@ def shown(scene: bpy.types.Scene) -> Iterator[None]:
             _set(item, in_viewports, in_renders)
 
 
-def _set(item: bpy.types.Object, in_viewports: bool, in_renders: bool) -> bool:
-    """False where it belongs to a linked library and cannot be written to."""
-    try:
-        item.hide_viewport, item.hide_render = in_viewports, in_renders
-    except (AttributeError, RuntimeError):
-        return False
-    return True
+def _set(item: bpy.types.Object, in_viewports: bool, in_renders: bool) -> None:
+    item.hide_viewport, item.hide_render = in_viewports, in_renders
+
+
+@persistent
+def _hide_linked_again(*_: object) -> None:
+    """Objects of other files come from there as they are there."""
+    for scene in bpy.data.scenes:
+        for entry in originals_of(scene).hidden:
+            if entry.target is not None and entry.target.library is not None:
+                _set(entry.target, True, True)
 
 
 @persistent
@@ -195,9 +195,11 @@ def register() -> None:
         bpy.utils.register_class(cls)
     setattr(bpy.types.Scene, ORIGINALS, bpy.props.PointerProperty(type=PHYSHDR_Originals))
     bpy.app.handlers.save_pre.append(_forget_deleted)
+    bpy.app.handlers.load_post.append(_hide_linked_again)
 
 
 def unregister() -> None:
+    bpy.app.handlers.load_post.remove(_hide_linked_again)
     bpy.app.handlers.save_pre.remove(_forget_deleted)
     delattr(bpy.types.Scene, ORIGINALS)
     for cls in reversed(_CLASSES):

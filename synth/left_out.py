@@ -23,14 +23,7 @@ def hidden(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, report: Report) -
         for item in found:
             if not is_model(item) or item.hide_render:
                 continue
-            try:
-                item.hide_render = True
-            except (AttributeError, RuntimeError):
-                report.warn(
-                    f"the model '{item.name}' belongs to a linked library and is photographed, too: hide its "
-                    "collection in renders first"
-                )
-                continue
+            item.hide_render = True
             undo.callback(setattr, item, "hide_render", False)
             names.append(item.name)
         if names:

@@ -55,10 +55,7 @@ class PHYSHDR_OT_originals_hide(bpy.types.Operator):
             return {"FINISHED"}
         if are_hidden(scene):
             originals.show(scene)  # else what was hidden before would be forgotten
-        count, failed = originals.hide(scene, self.lights)
-        if failed:
-            names = ", ".join(sorted(failed)[:5]) + (" …" if len(failed) > 5 else "")
-            self.report({"WARNING"}, f"Linked from another file, hide their collection instead: {names}")
+        count = originals.hide(scene, self.lights)
         told = "Hidden, with their lights" if self.lights else "Hidden, but for their lights"
         self.report({"INFO"}, f"{told}: {_objects(count)}; the same button shows them again")
         return {"FINISHED"}

@@ -11,9 +11,19 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
-from physhdr.addon import dataset_command  # noqa: E402
+from physhdr.addon import (  # noqa: E402
+    dataset_command,
+    dataset_dialog,
+    dataset_folder,
+    dataset_settings,
+    denoiser,
+    render_time,
+)
 from physhdr.addon.operators import dataset  # noqa: E402
+from physhdr.bridge.blend_file import MODEL_IDENTITY  # noqa: E402
 from physhdr.bridge.errors import BadValueError  # noqa: E402
+from physhdr.synth.light_choice import candidates  # noqa: E402
+from physhdr.synth.light_names import LightChoice  # noqa: E402
 
 SMALL = {
     "rig": "ORBIT",
@@ -129,7 +139,12 @@ def test_textures_beside_the_file_are_found(room, tmp_path):
         ({"out": "//data"}, "not saved yet"),
         ({"response": "file"}, "no file of the camera's response"),
         ({"rig": "GRID", "rig_width": 1.0}, "the grid has only one side"),
-        ({"ambient_levels": "1 2"}, "leave it out"),
+        ({"ambient_levels": "1 2"}, "'At Levels': level 1 is the test split itself; leave it out"),
+        ({"lit_levels": "four"}, "'Their Levels' 'four': 'four' is not a number"),
+        ({"lit_levels": ""}, "'Views Under Other Light': needs at least one of 'Their Levels'"),
+        ({"lights": "sky"}, "there is no light 'sky' in this scene"),
+        ({"lights": "key=collection:Nowhere"}, "unknown collection of this file 'Nowhere'"),
+        ({"lights": ";"}, "no light varies"),
         ({"rig": "PATH"}, "stands still over the frames"),
         ({"out": "/proc/nowhere"}, "cannot write to the output folder"),
     ],
@@ -184,3 +199,213 @@ def test_exposures_as_people_write_them():
     for text in ("", "1 1", "2 1", "nan", "1:2", "1:0:3", "1:1:0", "1:1:2.5", "40"):
         with pytest.raises(BadValueError, match="exposures"):
             dataset_command.parse_evs(text)
+
+
+def test_a_folder_of_other_things_is_refused_before_anything_starts(room, extension, tmp_path):
+    (tmp_path / "letters").mkdir()
+    (tmp_path / "letters/dear.txt").write_text("…")
+    (tmp_path / "file").write_text("")
+    for name, told in (("letters", "holds files but no data set"), ("file", "is a file")):
+        with pytest.raises(RuntimeError, match=told):
+            bpy.ops.physhdr.dataset_render(out=str(tmp_path / name), wait=False, **SMALL)
+        assert not extension.state.tasks
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "letters"]
+
+
+class TestFolder:
+    """Which folder is proposed: one that is free, where it can be written."""
+
+    def test_beside_the_file(self, room, tmp_path):
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "kitchen.blend"))
+        assert dataset_folder.proposed() == "//kitchen_dataset"
+        (tmp_path / "kitchen_dataset").mkdir()
+        assert dataset_folder.proposed() == "//kitchen_dataset"  # empty
+        (tmp_path / "kitchen_dataset/dataset.json").write_text("{}")
+        (tmp_path / "kitchen_dataset_2").write_text("")
+        assert dataset_folder.proposed() == "//kitchen_dataset_3"
+
+    @pytest.mark.parametrize("documents", [True, False])
+    def test_of_a_file_that_was_never_saved(self, room, tmp_path, monkeypatch, documents):
+        monkeypatch.setenv("HOME", str(tmp_path))
+        if documents:
+            (tmp_path / "Documents").mkdir()
+        parent = tmp_path / "Documents/PhysHDR" if documents else tmp_path / "PhysHDR"
+        assert dataset_folder.proposed() == str(parent / "untitled_dataset")
+        (parent / "untitled_dataset").mkdir(parents=True)
+        (parent / "untitled_dataset/dataset.partial.json").write_text("{}")
+        assert dataset_folder.proposed() == str(parent / "untitled_dataset_2")
+
+    def test_what_was_typed_stays_and_what_was_proposed_follows_the_file(self, room, tmp_path, monkeypatch):
+        monkeypatch.setenv("HOME", str(tmp_path))
+        settings = dataset_settings.settings_of(room)
+        dataset_folder.propose(settings)
+        assert settings.out == str(tmp_path / "PhysHDR/untitled_dataset")
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+        settings = dataset_settings.settings_of(bpy.context.scene)
+        dataset_folder.propose(settings)
+        assert settings.out == "//a_dataset"
+        (tmp_path / "a_dataset").mkdir()
+        (tmp_path / "a_dataset/dataset.partial.json").write_text("{}")
+        dataset_folder.propose(settings)
+        assert settings.out == "//a_dataset"  # to go on with what was begun
+        settings.out = "//typed"
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "b.blend"))
+        settings = dataset_settings.settings_of(bpy.context.scene)
+        dataset_folder.propose(settings)
+        assert settings.out == "//typed"
+
+    def test_a_script_that_names_none_gets_one(self, room, tmp_path):
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "kitchen.blend"))
+        assert bpy.ops.physhdr.dataset_render(**SMALL) == {"FINISHED"}
+        assert (tmp_path / "kitchen_dataset/dataset.json").is_file()
+        assert dataset_settings.settings_of(bpy.context.scene).out == "//kitchen_dataset"
+
+
+def fill(settings, values):
+    for name, value in values.items():
+        setattr(settings, name, value)
+
+
+def test_what_was_typed_is_kept_in_the_scene_and_arguments_win(room, tmp_path):
+    """Also after an error, and in the file; a script's arguments are not."""
+    settings = dataset_settings.settings_of(room)
+    fill(settings, {**SMALL, "out": str(tmp_path / "data"), "exposures": "3 1"})
+    with pytest.raises(RuntimeError, match="no rising list"):
+        bpy.ops.physhdr.dataset_render()
+    assert settings.exposures == "3 1" and settings.out == str(tmp_path / "data")
+    assert bpy.ops.physhdr.dataset_render(exposures="-2 2", samples=3) == {"FINISHED"}
+    told = read(tmp_path / "data/dataset.json")
+    assert told["evs"] == [-2.0, 2.0] and told["samples"] == 3 and told["resolution"] == [32, 16]
+    assert settings.exposures == "3 1" and settings.samples == SMALL["samples"]
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "mine.blend"))
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "mine.blend"))
+    settings = dataset_settings.settings_of(bpy.context.scene)
+    assert settings.exposures == "3 1" and settings.rig == "ORBIT" and settings.views == 4
+
+
+def test_without_a_denoiser_nothing_starts(room, extension, tmp_path, monkeypatch):
+    """As in Debian's Blender: a script is told the remedy; the dialog has it off, and says why."""
+    for module in (denoiser, dataset_settings):
+        monkeypatch.setattr(module, "can_denoise", lambda: False)
+    with pytest.raises(RuntimeError, match="without the denoiser") as raised:
+        bpy.ops.physhdr.dataset_render(out=str(tmp_path / "data"), **{**SMALL, "denoise": True})
+    assert "Switch Denoise off and take more samples" in str(raised.value)
+    assert not (tmp_path / "data").exists() and not extension.state.tasks
+    assert dataset_settings.settings_of(room).denoise
+    dataset_settings.without_denoiser(room)
+    assert not dataset_settings.settings_of(room).denoise
+    settings = {name: value for name, value in SMALL.items() if name != "denoise"}
+    assert bpy.ops.physhdr.dataset_render(out=str(tmp_path / "data"), **settings) == {"FINISHED"}
+
+
+def test_what_blender_says_of_its_denoiser_agrees_with_its_own_menu(room):
+    """``Scene.cycles.denoiser`` is a menu of those that there are; asking it is slow, but it knows."""
+    denoiser.can_denoise.cache_clear()
+    assert denoiser.can_denoise() == ("OPENIMAGEDENOISE" in room.cycles.denoiser)
+
+
+def add_lanterns(scene):
+    """A collection with a lamp of its own."""
+    lanterns = bpy.data.collections.new("Lanterns, old")
+    scene.collection.children.link(lanterns)
+    item = bpy.data.objects.new("lantern", bpy.data.lights.new("lantern", "POINT"))
+    item.data.energy, item.location = 50.0, (-1, 0, 1)
+    lanterns.objects.link(item)
+    bpy.context.view_layer.update()
+    return item
+
+
+def test_lights_are_ticked_or_named(room, tmp_path):
+    """The lit views turn both, and truth is made of each alone: by ticks, and by a script's names."""
+    add_lanterns(room)
+    settings = dataset_settings.settings_of(room)
+    dataset_settings.look_for_lights(room, bpy.context.view_layer)
+    (entry,) = settings.lights
+    assert (entry.name, entry.kind, entry.light) == ("Lanterns, old", "collection", "lanterns_old")
+    assert entry.words == "1 lamp" and not entry.vary and settings.vary_ambient
+    entry.vary = True
+    dataset_settings.look_for_lights(room, bpy.context.view_layer)
+    assert settings.lights[0].vary
+    chosen = dataset_settings.chosen(room)
+    assert chosen.lights == ("ambient", "lanterns_old") and dataset_command.combinations(chosen) == 4
+    small = {**SMALL, "lit_views": 4, "lit_levels": "0.25 4"}
+    for name, lights in (("ticked", ""), ("named", "lanterns_old; ambient")):
+        assert bpy.ops.physhdr.dataset_render(out=str(tmp_path / name), lights=lights, **small) == {
+            "FINISHED"
+        }
+        told = read(tmp_path / name / "dataset.json")
+        assert told["lights"] == ["ambient", "lanterns_old", "lamps"]
+        assert told["lit_lights"] == read(tmp_path / name / "transforms_lit.json")["lights"]
+        assert told["lit_lights"] == ["ambient", "lanterns_old"]
+        assert [entry["levels"] for entry in told["relit"]][:2] == [{"ambient": 0.5}, {"lanterns_old": 0.5}]
+    settings.vary_ambient = settings.lights[0].vary = False
+    with pytest.raises(RuntimeError, match="Tick one of the lights"):
+        bpy.ops.physhdr.dataset_render(out=str(tmp_path / "none"), **small)
+
+
+def test_names_of_lights_as_scripts_write_them(room):
+    add_lanterns(room)
+    known = [each.choice for each in candidates(room, bpy.context.view_layer)]
+    key = LightChoice("key", "group", "Key; Light".replace(";", ","))
+    assert dataset_settings.parse_lights("ambient; key=group:Key, Light", known) == (
+        ["ambient", "key"],
+        [key],
+    )
+    assert dataset_settings.parse_lights("lanterns_old", known) == (["lanterns_old"], known)
+    for text in ("lantern", "key=lamp:Key", "key=Key"):
+        with pytest.raises(BadValueError, match="there is no light"):
+            dataset_settings.parse_lights(text, known)
+
+
+def test_models_are_left_out_and_originals_photographed_though_hidden(room, tmp_path):
+    """A second data set, with the originals hidden and their model in the scene, is the first one's."""
+    first, second = tmp_path / "first", tmp_path / "second"
+    assert bpy.ops.physhdr.dataset_render(out=str(first), **SMALL) == {"FINISHED"}
+    cloud = bpy.data.pointclouds.new("splats")
+    cloud.resize(8)
+    cloud[MODEL_IDENTITY] = "some model"
+    cloud["physhdr_capture"] = str(first)
+    model = bpy.data.objects.new("splats", cloud)
+    room.collection.objects.link(model)
+    assert bpy.ops.physhdr.originals_hide() == {"FINISHED"}
+    assert bpy.data.objects["floor"].hide_render and not model.hide_render
+    assert bpy.ops.physhdr.dataset_render(out=str(second), **SMALL) == {"FINISHED"}
+    assert bpy.data.objects["floor"].hide_render and bpy.data.objects["floor"].hide_viewport
+    for path in sorted(first.rglob("hdr_*.exr")):
+        assert (second / path.relative_to(first)).read_bytes() == path.read_bytes()
+    assert read(second / "dataset.json")["source"]["left_out"] == ["splats"]
+    assert dataset._left_out(room) == ["Left out of what is photographed, trained models: splats"]
+
+
+def test_the_time_is_told_as_the_last_data_set_went(room, extension, tmp_path):
+    """Twice the samples and half as many pictures more: from the rate that was measured, by hand."""
+    chosen = dataset_settings.chosen(room)
+    assert render_time.estimate(chosen, room, extension.home, None) == (-1.0, render_time.UNKNOWN)
+    began = time.monotonic()
+    assert bpy.ops.physhdr.dataset_render(out=str(tmp_path / "data"), **SMALL) == {"FINISHED"}
+    took = time.monotonic() - began
+    fill(dataset_settings.settings_of(room), {**SMALL, "samples": 4, "views": 7})
+    chosen = dataset_settings.chosen(room)
+    seconds, by = render_time.estimate(chosen, room, extension.home, None)
+    assert (
+        seconds == pytest.approx(2 * 9 / 6 * took, rel=0.1)
+        and by == "as the last data set of this scene went"
+    )
+    assert render_time.estimate(chosen, room, extension.home, tmp_path / "data")[0] == pytest.approx(
+        seconds * 4 / 9
+    )  # 5 are there
+    other = bpy.data.scenes.new("other")
+    other.render.resolution_x, other.render.resolution_y = 200, 100
+    again, by = render_time.estimate(chosen, other, extension.home, None)
+    assert again == pytest.approx(seconds, rel=1e-6) and by == "as the last one went"
+    chosen.device = "GPU"
+    assert render_time.estimate(chosen, room, extension.home, None)[0] == -1.0
+    (extension.home / render_time.RATES_FILE).write_text("[")
+    chosen.device = "CPU"
+    assert render_time.estimate(chosen, other, extension.home, None)[0] == -1.0
+
+
+def test_about_how_long():
+    told = {3.0: "10 s", 44.0: "40 s", 100.0: "2 min", 3000.0: "50 min", 5400.0: "1.5 h", 90000.0: "25 h"}
+    assert {seconds: dataset_dialog.about(seconds) for seconds in told} == told

@@ -1,0 +1,209 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Hide Originals: what was photographed is hidden and shown again, and nothing else is touched."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
+
+from physhdr.addon import originals  # noqa: E402
+from physhdr.bridge.blend_file import MODEL_IDENTITY  # noqa: E402
+
+DATA = "/data/kitchen"
+
+
+@pytest.fixture
+def registered(tmp_path, monkeypatch):
+    import physhdr
+    from physhdr.addon import settings
+
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    monkeypatch.setattr(settings, "home_folder", lambda: tmp_path / "home")
+    physhdr.register()
+    yield
+    physhdr.unregister()
+
+
+def link(name, data=None, collection=None):
+    item = bpy.data.objects.new(name, data)
+    (collection or bpy.context.scene.collection).objects.link(item)
+    return item
+
+
+def collection(name, parent=None):
+    made = bpy.data.collections.new(name)
+    (parent or bpy.context.scene.collection).children.link(made)
+    return made
+
+
+def layer_collection(name):
+    return next(
+        each for each in bpy.context.view_layer.layer_collection.children if each.collection.name == name
+    )
+
+
+@pytest.fixture
+def room(registered):
+    """A table, a lamp, an instance, things that are not photographed; remembered as of ``DATA``."""
+    scene = bpy.context.scene
+    link("table", bpy.data.meshes.new("table"))
+    link("cutter", bpy.data.meshes.new("cutter")).hide_render = True
+    link("ghost", bpy.data.meshes.new("ghost")).hide_viewport = True
+    link("lamp", bpy.data.lights.new("lamp", "POINT"))
+    scene.camera = link("camera", bpy.data.cameras.new("camera"))
+    link("bone")
+    tree = bpy.data.collections.new("tree")
+    link("leaf", bpy.data.meshes.new("leaf"), tree)
+    holder = link("holder")
+    holder.instance_type, holder.instance_collection = "COLLECTION", tree
+    link("away", bpy.data.meshes.new("away"), collection("Excluded"))
+    layer_collection("Excluded").exclude = True
+    dark = collection("Not Rendered")
+    dark.hide_render = True
+    link("within", bpy.data.meshes.new("within"), collection("Within", dark))
+    link("shelf", bpy.data.meshes.new("shelf"), collection("Furniture"))
+    originals.remember(scene, bpy.context.view_layer, Path(DATA))
+    scene.physhdr.data = DATA
+    return scene
+
+
+def add_model(capture=DATA):
+    cloud = bpy.data.pointclouds.new("model")
+    cloud[MODEL_IDENTITY], cloud["physhdr_capture"] = "some model", capture
+    return link("model", cloud)
+
+
+PHOTOGRAPHED = {"table", "ghost", "lamp", "holder", "shelf"}
+
+
+def hidden(where):
+    return {item.name for item in bpy.data.objects if getattr(item, where)}
+
+
+def test_what_is_photographed(room):
+    found = originals.photographed(room, bpy.context.view_layer)
+    assert {item.name for item in found} == PHOTOGRAPHED
+    (entry,) = originals.originals_of(room).datasets
+    assert {each.target.name for each in entry.objects} == PHOTOGRAPHED
+
+
+def test_it_is_a_toggle_and_what_was_hidden_stays_so(room):
+    model = add_model()
+    added = link("chair", bpy.data.meshes.new("chair"))
+    before = hidden("hide_viewport"), hidden("hide_render")
+    assert before == ({"ghost"}, {"cutter"})
+    assert bpy.ops.physhdr.originals_hide() == {"FINISHED"}
+    assert hidden("hide_viewport") == PHOTOGRAPHED
+    assert hidden("hide_render") == PHOTOGRAPHED | {"cutter"}
+    assert not model.hide_viewport and not added.hide_render
+    assert originals.are_hidden(room)
+    assert bpy.ops.physhdr.originals_hide(action="HIDE") == {"FINISHED"}  # twice is once
+    assert bpy.ops.physhdr.originals_hide() == {"FINISHED"}
+    assert (hidden("hide_viewport"), hidden("hide_render")) == before and not originals.are_hidden(room)
+
+
+def test_lights_are_a_choice(room):
+    add_model()
+    bpy.ops.physhdr.originals_hide(lights=False)
+    assert hidden("hide_render") == PHOTOGRAPHED - {"lamp"} | {"cutter"}
+
+
+def test_renamed_and_replaced(room):
+    """A new object of a deleted original's name is none; one that has another name now still is."""
+    add_model()
+    bpy.data.objects["shelf"].name = "bookcase"
+    bpy.data.objects.remove(bpy.data.objects["table"])
+    link("table", bpy.data.meshes.new("new table"))
+    twin = bpy.data.objects["bookcase"].copy()
+    room.collection.objects.link(twin)
+    bpy.ops.physhdr.originals_hide()
+    assert hidden("hide_render") == (PHOTOGRAPHED - {"table", "shelf"}) | {"bookcase", "cutter"}
+    assert not twin.hide_render
+
+
+def test_saved_and_opened(room, tmp_path):
+    """Hidden in the file, shown again in another session; what was deleted is not kept for that."""
+    add_model()
+    bpy.ops.physhdr.originals_hide()
+    room.collection.objects.unlink(bpy.data.objects["table"])  # as Blender's own Delete does
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
+    scene = bpy.context.scene
+    assert originals.are_hidden(scene) and "table" not in bpy.data.objects
+    assert hidden("hide_render") == PHOTOGRAPHED - {"table"} | {"cutter"}
+    bpy.ops.physhdr.originals_hide(action="SHOW")
+    assert hidden("hide_viewport") == {"ghost"} and hidden("hide_render") == {"cutter"}
+    (entry,) = originals.originals_of(scene).datasets
+    assert {each.target.name for each in entry.objects} == PHOTOGRAPHED - {"table"}
+
+
+def test_undone(room):
+    add_model()
+    bpy.ops.ed.undo_push(message="before")
+    bpy.ops.physhdr.originals_hide()
+    bpy.ops.ed.undo_push(message="hidden")
+    assert hidden("hide_render") == PHOTOGRAPHED | {"cutter"}
+    bpy.ops.ed.undo()
+    scene = bpy.context.scene
+    assert hidden("hide_render") == {"cutter"} and not originals.are_hidden(scene)
+    bpy.ops.ed.redo()
+    scene = bpy.context.scene
+    assert originals.are_hidden(scene)
+    bpy.ops.physhdr.originals_hide()
+    assert hidden("hide_viewport") == {"ghost"} and hidden("hide_render") == {"cutter"}
+
+
+def test_it_is_offered_once_there_is_a_model_of_this_scene(room):
+    assert not originals.is_offered(room)
+    other = add_model("/data/another place")
+    assert not originals.is_offered(room)
+    bpy.data.objects.remove(other)
+    room.physhdr.preview = True
+    assert originals.is_offered(room)
+    room.physhdr.preview = False
+    add_model()
+    assert originals.is_offered(room)
+
+
+def test_each_data_set_has_its_own(room):
+    """A chair that came after the first data set is no original of the first's model, but of the second's."""
+    chair = link("chair", bpy.data.meshes.new("chair"))
+    originals.remember(room, bpy.context.view_layer, Path("/data/second"))
+    first = add_model()
+    bpy.ops.physhdr.originals_hide()
+    assert not chair.hide_render
+    bpy.ops.physhdr.originals_hide()
+    bpy.data.objects.remove(first)
+    add_model("/data/second")
+    bpy.ops.physhdr.originals_hide()
+    assert chair.hide_render
+
+
+def test_nothing_remembered_greys_the_button(registered):
+    assert not bpy.ops.physhdr.originals_hide.poll()
+    with pytest.raises(RuntimeError, match="Nothing is remembered"):
+        bpy.ops.physhdr.originals_hide()
+
+
+def test_what_is_linked_is_hidden_too(room, tmp_path):
+    """What comes from another file is hidden, too, and again after this one is opened."""
+    library = tmp_path / "library.blend"
+    bpy.data.libraries.write(str(library), {bpy.data.objects["shelf"]}, fake_user=True)
+    bpy.data.objects.remove(bpy.data.objects["shelf"])
+    with bpy.data.libraries.load(str(library), link=True) as (_, target):
+        target.objects = ["shelf"]
+    room.collection.objects.link(bpy.data.objects["shelf"])
+    originals.remember(room, bpy.context.view_layer, Path(DATA))
+    add_model()
+    bpy.ops.physhdr.originals_hide()
+    assert bpy.data.objects["shelf"].library and hidden("hide_render") == PHOTOGRAPHED | {"cutter"}
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
+    assert bpy.data.objects["shelf"].library and hidden("hide_render") == PHOTOGRAPHED | {"cutter"}
+    bpy.ops.physhdr.originals_hide()
+    assert hidden("hide_viewport") == {"ghost"} and hidden("hide_render") == {"cutter"}

@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The cameras that are drawn before a data set is rendered are those that it is rendered with."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
+
+from mathutils import Matrix, Vector  # noqa: E402
+
+from physhdr.addon import dataset_settings, rig_cameras, rig_preview  # noqa: E402
+
+SMALL = {"exposures": "-2 0 2", "resolution_x": 32, "samples": 1, "denoise": False, "relit_views": 1}
+
+
+@pytest.fixture
+def room(tmp_path, monkeypatch):
+    """A floor, a sun and a camera that turns and moves in time."""
+    import physhdr
+    from physhdr.addon import settings
+
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    monkeypatch.setattr(settings, "home_folder", lambda: tmp_path / "home")
+    physhdr.register()
+    scene = bpy.context.scene
+    scene.render.resolution_x, scene.render.resolution_y = 200, 100
+    floor = bpy.data.meshes.new("floor")
+    floor.from_pydata([(-9, -9, 0), (9, -9, 0), (9, 9, 0), (-9, 9, 0)], [], [(0, 1, 2, 3)])
+    for name, data in (
+        ("floor", floor),
+        ("sun", bpy.data.lights.new("sun", "SUN")),
+        ("camera", bpy.data.cameras.new("camera")),
+    ):
+        scene.collection.objects.link(bpy.data.objects.new(name, data))
+    camera = scene.camera = bpy.data.objects["camera"]
+    camera.location, camera.rotation_euler = (0.3, -4, 2), (1.1, 0, 0.2)
+    camera.data.lens = 28.0
+    bpy.context.view_layer.update()
+    yield scene
+    physhdr.unregister()
+
+
+def poses(folder, split):
+    frames = json.loads((folder / f"transforms_{split}.json").read_text())["frames"]
+    return np.array([frame["transform_matrix"] for frame in frames])
+
+
+@pytest.mark.parametrize(
+    "rig",
+    [
+        {"rig": "GRID", "rig_width": 1.5, "rig_height": 0.5},
+        {"rig": "ORBIT", "rig_arc": 2.0, "rig_distance": 3.0},
+        {"rig": "HEMISPHERE"},
+        {"rig": "PATH"},
+    ],
+)
+def test_they_are_those_of_the_data_set(room, tmp_path, rig):
+    if rig["rig"] == "PATH":
+        for frame, x in ((1, 0.0), (50, 2.0)):
+            room.camera.location.x = x
+            room.camera.keyframe_insert("location", frame=frame)
+        room.frame_set(7)
+    settings = dataset_settings.settings_of(room)
+    for name, value in {**SMALL, **rig, "views": 5, "lit_views": 2}.items():
+        setattr(settings, name, value)
+    found = rig_cameras.of(room, bpy.context.view_layer, dataset_settings.chosen(room))
+    assert room.frame_current == (7 if rig["rig"] == "PATH" else 1)
+    assert bpy.ops.physhdr.dataset_render(out=str(tmp_path / "data")) == {"FINISHED"}
+    for split in ("train", "test", "lit"):
+        np.testing.assert_allclose(getattr(found, split), poses(tmp_path / "data", split), atol=1e-5)
+    told = json.loads((tmp_path / "data/transforms_train.json").read_text())
+    assert found.angle_x == pytest.approx(told["camera_angle_x"]) and found.aspect == 0.5
+
+
+def test_lines_against_blenders_own_frame_of_a_camera(room):
+    """The corners of the drawn picture are where Blender has those of a camera that stands there."""
+    pose = Matrix.Translation((1, 2, 3)) @ Matrix.Rotation(0.7, 4, Vector((1, 2, 3)).normalized())
+    camera = room.camera
+    camera.matrix_world = pose
+    angle = camera.data.angle_x
+    (lines,) = rig_cameras.frustums(np.array([pose]), angle, 0.5, 0.25)
+    assert lines.shape == (10, 2, 3)
+    frame = camera.data.view_frame(scene=room)  # at some depth
+    expected = [pose @ (corner * (0.25 / -corner.z)) for corner in frame]
+    np.testing.assert_allclose(lines[:4, 0], np.tile(pose.translation, (4, 1)), atol=1e-6)
+    for corner in expected:
+        assert np.linalg.norm(lines[:4, 1] - np.array(corner), axis=1).min() < 1e-5
+    up = np.array(pose.to_3x3() @ Vector((0, 1, 0)))
+    tip = lines[8, 1]
+    assert (tip - np.array(pose.translation)) @ up > max((lines[:4, 1] - np.array(pose.translation)) @ up)
+    height = 0.25 * math.tan(angle / 2.0) * 0.5
+    heights = np.sort((lines[:4, 1] - np.array(pose.translation)) @ up)[::3]
+    np.testing.assert_allclose(heights, [-height, height], rtol=1e-5)
+
+
+def test_thousands_are_thinned():
+    many = np.tile(np.eye(4), (1000, 1, 1)) * np.arange(1000)[:, None, None]
+    few = rig_cameras.thinned(many, 10)
+    assert len(few) == 10 and np.ptp(np.diff(few[:, 3, 3])) <= 1.0
+    assert rig_cameras.thinned(many[:10], 10) is not None and len(rig_cameras.thinned(many[:3], 10)) == 3
+
+
+def test_the_toggle(room):
+    """Shown while it is pressed; what is drawn follows the settings and the camera."""
+    shown = rig_preview._shown
+    assert not shown.lines
+    settings = dataset_settings.settings_of(room)
+    settings.views, settings.lit_views = 6, 0
+    assert not shown.lines  # nobody looks
+    assert bpy.ops.physhdr.rig_show() == {"FINISHED"}
+    assert [len(shown.lines[kind]) for kind in ("train", "test", "lit")] == [3, 3, 0]
+    settings.views, settings.lit_views = 8, 1
+    assert [len(shown.lines[kind]) for kind in ("train", "test", "lit")] == [4, 4, 1]
+    before = shown.lines["train"].copy()
+    room.camera.location.z += 1.0
+    bpy.context.view_layer.update()
+    rig_preview.refresh()
+    assert not np.allclose(before, shown.lines["train"])
+    settings.rig, settings.rig_width = "GRID", 1.0  # one side only: no cameras, and no error from here
+    assert not shown.lines
+    settings.rig_width = 0.0
+    assert shown.lines and bpy.ops.physhdr.rig_show() == {"FINISHED"} and not shown.lines
+    room.camera.data.type = "ORTHO"
+    with pytest.raises(RuntimeError, match="give no cameras"):
+        bpy.ops.physhdr.rig_show()
+    assert not rig_preview.pinned()
+
+
+def test_with_the_dialog_they_come_and_go(room):
+    shown, settings = rig_preview._shown, dataset_settings.settings_of(room)
+    rig_preview.dialog_opened(bpy.context)
+    assert shown.lines
+    settings.show_cameras = False
+    assert not shown.lines
+    settings.show_cameras = True
+    assert shown.lines
+    rig_preview.dialog_closed()
+    assert not shown.lines
+    bpy.ops.physhdr.rig_show()
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    assert not shown.lines and not rig_preview.pinned()
