@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """``physhdr triangulate``: points by structure from motion in a data set's training pictures."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -14,6 +14,7 @@ from ..scene import read_scene
 from ..scene.capture.structure import require_pycolmap
 from ..scene.capture.triangulate import Triangulated, is_ours, triangulate, write_points
 from ..train.config import TrainConfig
+from ..train.sizing import extent_of, found_sizes
 from ..train.views import training_exposures
 
 #: The file that the points go into, in the data set's folder.
@@ -32,8 +33,9 @@ class Triangulate:
     data: tyro.conf.Positional[Path]
     #: The PLY to write; default: points3d_sfm.ply in the data set's folder.
     out: Path | None = None
-    #: Indices of the exposures that may be seen; each is matched for itself.
-    training_exposures: tuple[int, ...] = TrainConfig.training_exposures
+    #: Indices of the exposures that may be seen; each is matched for itself. Default: those that training
+    #: sees, of photographs all.
+    training_exposures: tuple[int, ...] | None = None
     #: Replace points that this command made before.
     overwrite: bool = False
     #: Threads for COLMAP; default: all cores.
@@ -43,8 +45,12 @@ class Triangulate:
         out = self.data / SFM_FILE if self.out is None else self.out
         self._check(out)
         require_pycolmap("'physhdr triangulate' finds points")
-        seen = TrainConfig(training_exposures=self.training_exposures)
         scene = read_scene(self.data, downscale=1.0)
+        seen = TrainConfig()
+        if self.training_exposures is None:
+            seen = found_sizes(extent_of(scene, seen), seen)
+        else:
+            seen = replace(seen, training_exposures=self.training_exposures)
         exposures = [training_exposures(view, seen) for view in scene.train]
         with TemporaryDirectory(prefix="physhdr-triangulate-") as work, console.status("") as status:
 

@@ -104,6 +104,12 @@ def kind_of(path: Path) -> Kind:
     raise FileDamagedError(f"{path} is not a readable PNG or JPEG, nor TIFF, OpenEXR or .hdr", _DELETE)
 
 
+def is_deep(path: Path) -> bool:
+    """Whether a picture holds codes of 16 bits (PNG or TIFF); raises as ``kind_of`` and reading it do."""
+    kind = kind_of(path)
+    return _is_deep_png(path) if kind == "PNG" else kind == "TIFF" and _look(path, kind).format == "uint16"
+
+
 def _is_deep_png(path: Path) -> bool:
     with damaged_where_it_fails(f"{path} cannot be read", _DELETE), open(path, "rb") as file:
         return file.read(PNG_DEPTH_AT + 1)[PNG_DEPTH_AT:] == b"\x10"

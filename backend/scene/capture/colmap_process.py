@@ -120,6 +120,8 @@ def triangulate(job: dict) -> None:
     extraction = extraction_options(job)
     extraction.max_image_size = job["longest_side"]
     reader = pycolmap.ImageReaderOptions(camera_model="PINHOLE")
+    if job["masks"]:
+        reader.mask_path = job["masks"]
     names = [picture["name"] for picture in job["pictures"]]
     pycolmap.extract_features(
         *(database, pictures, names, pycolmap.CameraMode.PER_IMAGE, reader, extraction, pycolmap.Device.cpu)

@@ -16,7 +16,8 @@ from PIL import ExifTags, Image, ImageOps, TiffImagePlugin
 from ....bridge.errors import DataMismatchError, FileDamagedError, FileMissingError
 from ....bridge.regular import damaged_where_it_fails
 from ....bridge.srgb import to_srgb
-from ..exif import Exif, Tags, exposure_of, positive, tags_of
+from ..exif import Exif, Tags, exposure_of, positive, tags_of, tags_of_tiff
+from ..pictures import is_deep, kind_of, picture_size, read_codes
 from . import raw
 from .noise import Noise
 
@@ -59,7 +60,8 @@ class Photo:
     ``bias``, ``brightness``: as ``exif.Exif``. ``camera``: maker and model. ``auto_bracket``: that it was
     taken by automatic bracketing. ``panorama``: that it shows all around. ``mask``: a picture that is black
     where it is not to be looked at. ``white_balance``: of a raw file, the factors of red, green and blue that
-    it is developed with; None: a picture. ``noise``: what a raw file tells of it.
+    it is developed with; None: a picture. ``noise``: what a raw file tells of it. ``deep``: of a picture,
+    that it has 16 bits a channel; it is stored as its ``orientation`` (EXIF's) says.
     """
 
     path: Path
@@ -79,6 +81,8 @@ class Photo:
     mask: Path | None = None
     white_balance: tuple[float, float, float] | None = None
     noise: Noise | None = None
+    deep: bool = False
+    orientation: int = 1
 
     @property
     def name(self) -> str:
@@ -108,6 +112,8 @@ class Photo:
         """The picture as people look at it: RGB, 8 bits, upright; raises ``FileDamagedError``."""
         if self.is_raw:
             return Image.fromarray(_shown(self.developed().picture))
+        if self.deep:
+            return Image.fromarray(np.rint(self._deep_codes() / 257.0).astype(np.uint8))
         unreadable = damaged_where_it_fails(f"{self.path} is not a readable photo", COPY_AGAIN)
         with unreadable, Image.open(self.path, formats=["JPEG", "PNG", "TIFF"]) as picture:
             return ImageOps.exif_transpose(picture).convert("RGB")
@@ -127,16 +133,23 @@ class Photo:
     def codes(self, shorter: bool = False) -> tuple[np.ndarray, np.ndarray | None]:
         """``[H, W, 3]`` as a data set has it, and ``[H, W]`` bool, True where it is to be compared (or None).
 
-        uint8 as the camera wrote it, or uint16, linear, of a raw file. ``shorter``: whether there is a
-        shorter exposure of the same place, so that nothing is lost where a raw file's colour is wrong.
+        uint8 or uint16 as the camera or a raw converter wrote it, or uint16, linear, of a raw file.
+        ``shorter``: whether there is a shorter exposure of the same place, so that nothing is lost where a
+        raw file's colour is wrong.
         """
         keep = self.keep()
+        if self.deep:
+            return self._deep_codes(), keep
         if not self.is_raw:
             return np.asarray(self.decode()), keep
         developed = self.developed()
         if shorter and developed.partly.any():
             keep = ~developed.partly if keep is None else keep & ~developed.partly
         return np.rint(developed.picture * np.float32(raw.FULL)).astype(np.uint16), keep
+
+    def _deep_codes(self) -> np.ndarray:
+        with _remedy_of_photos():
+            return np.ascontiguousarray(_upright(read_codes(self.path)[0], self.orientation))
 
     def keep(self) -> np.ndarray | None:
         """``[H, W]`` bool, True where the photo is to be looked at; None without a mask.
@@ -167,6 +180,24 @@ class Photo:
         pixels = np.asarray(self.copy(side))
         step = max(1, math.ceil(max(pixels.shape[:2]) / side))
         return pixels[::step, ::step]
+
+
+@contextmanager
+def _remedy_of_photos() -> Iterator[None]:
+    """A data set's files are made again where they are damaged, a photo is not."""
+    try:
+        yield
+    except FileDamagedError as error:
+        raise FileDamagedError(error.message, COPY_AGAIN) from error
+
+
+def _upright(stored: np.ndarray, orientation: int) -> np.ndarray:
+    """A picture ``[H, W, …]`` turned and mirrored as EXIF's tag (1 to 8) says that it is looked at."""
+    if orientation in TURNED:
+        stored = stored.swapaxes(0, 1)
+    if orientation in (3, 4, 7, 8):
+        stored = stored[::-1]
+    return stored[:, ::-1] if orientation in (2, 3, 6, 7) else stored
 
 
 def _shown(linear: np.ndarray) -> np.ndarray:
@@ -343,12 +374,15 @@ def _mask_of(path: Path) -> Path | None:
 def _read_header(path: Path) -> Photo:
     if path.suffix.lower() in raw.SUFFIXES:
         return _read_raw_header(path)
+    if _is_deep(path):
+        with _remedy_of_photos():
+            return _read_deep_header(path)
     unreadable = damaged_where_it_fails(f"{path} is not a readable photo", COPY_AGAIN)
     with unreadable, _not_too_large(path), Image.open(path, formats=["JPEG", "PNG", "TIFF"]) as picture:
         if picture.mode not in EIGHT_BIT_MODES:
             raise FileDamagedError(
-                f"{path} is not an 8-bit RGB picture (Pillow's mode {picture.mode})",
-                "Save it again as JPEG, PNG or TIFF with 8 bits a channel, RGB.",
+                f"{path} is not an RGB picture of 8 or 16 bits (Pillow's mode {picture.mode})",
+                "Save it again as JPEG, PNG or TIFF with 8 or 16 bits a channel, RGB.",
             )
         width, height = _stored_size(picture)
         tags = tags_of(picture)
@@ -360,6 +394,31 @@ def _read_header(path: Path) -> Photo:
     # Two to one exactly, from nothing that has a focal length.
     around = around or (width == 2 * height and photo.focal_35mm is None and photo.focal is None)
     return replace(photo, panorama=around and width > LEAST_AROUND)
+
+
+def _is_deep(path: Path) -> bool:
+    try:
+        return is_deep(path)
+    except FileDamagedError:  # it is said of the photo, in a photo's words
+        return False
+
+
+def _read_deep_header(path: Path) -> Photo:
+    """Of 16 bits a channel, as raw converters write them; Pillow knows no such colour, but the tags."""
+    width, height = picture_size(path)
+    tags = tags_of_tiff(path) if kind_of(path) == "TIFF" else _tags_of_png(path)
+    told = tags.get(ExifTags.Base.Orientation)
+    orientation = told if isinstance(told, int) and 1 <= told <= 8 else 1
+    if orientation in TURNED:
+        width, height = height, width
+    photo = Photo(path, width, height, deep=True, orientation=orientation)
+    return _with_tags(photo, tags, exposure_of(tags))
+
+
+def _tags_of_png(path: Path) -> Tags:
+    unreadable = damaged_where_it_fails(f"{path} is not a readable photo", COPY_AGAIN)
+    with unreadable, _not_too_large(path), Image.open(path, formats=["PNG"]) as picture:
+        return tags_of(picture)
 
 
 @contextmanager

@@ -59,8 +59,8 @@ def triangulate(
 
     ``exposures[i]``: positions in the bracket of ``views[i]`` of the pictures to use. Each step of the
     bracket is matched for itself: dark pictures have points where bright ones clip, and matches between them
-    are wrong more often. Colours are those of each view's middle one. ``folder``: an empty one for what
-    COLMAP writes. ``say`` is told each step.
+    are wrong more often. Nothing is looked for where a picture is masked. Colours are those of each view's
+    middle one. ``folder``: an empty one for what COLMAP writes. ``say`` is told each step.
 
     Raises ``StructureError`` where there are too few points or COLMAP fails, ``OutputError`` where the disk
     is full, and what reading pictures raises.
@@ -70,6 +70,7 @@ def triangulate(
         raise StructureError(f"there is no triangulation in {len(views)} training view", REMEDY)
     say("reading pictures")
     (folder / "pictures").mkdir()
+    (folder / "masks").mkdir()
     pictures: list[dict] = []
     shown: list[tuple[int, int]] = []  # the view of each picture, and its step of the bracket
     for number, (view, allowed) in enumerate(zip(views, exposures, strict=True)):
@@ -77,6 +78,8 @@ def triangulate(
         for k in allowed:
             name = f"{number:05d}_{k}.png"
             Image.fromarray(view.shown(k)).save(folder / "pictures" / name, compress_level=1)
+            if (keep := view.mask(k)) is not None:
+                Image.fromarray(keep).convert("L").save(folder / "masks" / f"{name}.png")
             intrinsics = [camera.fx, camera.fy, camera.cx, camera.cy]
             pose = camera.world_to_camera[:3].tolist()
             pictures.append({"name": name, "camera": intrinsics, "world_to_camera": pose})
@@ -84,6 +87,7 @@ def triangulate(
     job = {
         "folder": str(folder),
         "pictures": pictures,
+        "masks": str(folder / "masks") if _masked_or_whole(folder, pictures) else "",
         "pairs": [(pictures[a]["name"], pictures[b]["name"]) for a, b in _pairs(views, shown)],
         "longest_side": MATCH_SIDE,
         "small": max(max(view.camera.width, view.camera.height) for view in views) < SMALL_SIDE,
@@ -108,6 +112,18 @@ def triangulate(
         np.bincount(which, minlength=len(positions)),
         f"{pycolmap.__version__} from {len(pictures)} pictures of {len(views)} training views",
     )
+
+
+def _masked_or_whole(folder: Path, pictures: Sequence[dict]) -> bool:
+    """Whether any picture has a mask; all have one then, as COLMAP wants it."""
+    if not any((folder / "masks").iterdir()):
+        return False
+    for name in (picture["name"] for picture in pictures):
+        path = folder / "masks" / f"{name}.png"
+        if not path.exists():
+            with Image.open(folder / "pictures" / name) as picture:
+                Image.new("L", picture.size, 255).save(path)
+    return True
 
 
 def _pairs(views: Sequence[View], shown: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:

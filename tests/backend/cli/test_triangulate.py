@@ -20,6 +20,7 @@ from physhdr.backend.scene.points import STRUCTURE_FROM_MOTION, read_points
 from physhdr.backend.train.config import TrainConfig
 from physhdr.backend.train.trainer import Trainer
 from physhdr.bridge.axes import camera_to_world_opengl
+from physhdr.bridge.data_set import CAPTURE_FILE, CAPTURE_FORMAT
 from physhdr.bridge.errors import PhysHDRError
 from physhdr.bridge.gaussian_ply import open_ply
 
@@ -167,6 +168,43 @@ def test_cameras_may_differ_from_picture_to_picture(room, tmp_path):
     assert triangulate(tmp_path) == 0
     away = distances(room, read_points(tmp_path / SFM).positions)
     assert len(away) > 300 and np.median(away) < 0.01 and np.mean(away < 0.05) > 0.9
+
+
+def test_all_exposures_of_photographs_are_seen(made, tmp_path):
+    pytest.importorskip("pycolmap", reason="points are triangulated by pycolmap")
+    out, data = tmp_path / "points.ply", tmp_path / "data"
+    shutil.copytree(made, data, ignore=shutil.ignore_patterns("*.ply"))
+    (data / CAPTURE_FILE).write_text(json.dumps({"format": CAPTURE_FORMAT, "version": 1}))
+    assert triangulate(data, "--out", out) == 0
+    assert f"from {3 * VIEWS} pictures" in open_ply(out, "point cloud", "").comments[0]
+
+
+def test_nothing_is_looked_for_where_pictures_are_masked(room, tmp_path):
+    """The lower half of each is: a point that only lies there in all but one view cannot be found."""
+    pytest.importorskip("pycolmap", reason="points are triangulated by pycolmap")
+    frames = []
+    Image.fromarray((np.arange(SIZE[1]) < SIZE[1] // 2)[:, None] & np.ones(SIZE[0], bool)).save(
+        tmp_path / "upper.png"
+    )
+    poses = list(room.arc(6))
+    for number, pose in enumerate(poses):
+        Image.fromarray(room.codes(photograph(room, pose), 0.5)).save(tmp_path / f"frame_train_{number}.png")
+        frames.append({"file_path": f"frame_train_{number}.png", "transform_matrix": matrix_of(pose)})
+    whole = {"fl_x": FOCAL, "w": SIZE[0], "h": SIZE[1]}
+
+    def lower_in_all_but_one(masked):
+        listed = [{**frame, "mask_path": "upper.png"} for frame in frames] if masked else frames
+        (tmp_path / "transforms.json").write_text(json.dumps({**whole, "frames": listed}))
+        out = tmp_path / f"points_{masked}.ply"
+        assert triangulate(tmp_path, "--out", out) == 0
+        points = read_points(out).positions
+        seen = [points @ pose[:, :3].T + pose[:, 3] for pose in poses]
+        upper = np.sum([FOCAL * each[:, 1] / each[:, 2] < 1.0 for each in seen], axis=0)
+        return np.count_nonzero(upper < 2), len(points)
+
+    assert lower_in_all_but_one(masked=False)[0] > 50
+    lower, found = lower_in_all_but_one(masked=True)
+    assert lower == 0 and found > 100
 
 
 # ---- what can go wrong -----------------------------------------------------------------------------------

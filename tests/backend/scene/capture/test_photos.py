@@ -5,8 +5,9 @@ import json
 from datetime import datetime
 
 import numpy as np
+import OpenImageIO
 import pytest
-from PIL import ExifTags, Image
+from PIL import ExifTags, Image, ImageOps
 
 from physhdr.backend.scene.capture.exposures import exposures_from_exif, exposures_from_file
 from physhdr.backend.scene.capture.photos import find_photos, natural_order
@@ -71,6 +72,41 @@ def test_a_photo_lies_upright_as_its_tag_says(room, tmp_path, suffix):
     assert (upright[:, -1, 0] == 255).all() and (upright[:, 0, 0] == 90).all()
 
 
+def write_deep(path, codes, orientation):
+    """A photo of 16 bits a channel by another program's writer, half a second long, as raw converters do."""
+    spec = OpenImageIO.ImageSpec(codes.shape[1], codes.shape[0], 3, "uint16")
+    spec["Orientation"], spec["ExposureTime"] = orientation, 0.5
+    writer = OpenImageIO.ImageOutput.create(str(path))
+    assert writer.open(str(path), spec) and writer.write_image(codes)
+    writer.close()
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_sixteen_bits_are_kept_and_lie_upright(tmp_path, orientation):
+    codes = np.random.default_rng(orientation).integers(0, 65536, (4, 6, 3)).astype(np.uint16)
+    write_deep(tmp_path / "a.tif", codes, orientation)
+    photo = find_photos(tmp_path).photos[0]
+    assert photo.deep and photo.shutter == 0.5
+    for part, of in ((codes >> 8, photo.codes()[0] >> 8), (codes & 255, photo.codes()[0] & 255)):
+        picture = Image.fromarray(part.astype(np.uint8))
+        picture.getexif()[ExifTags.Base.Orientation] = orientation
+        np.testing.assert_array_equal(np.asarray(ImageOps.exif_transpose(picture)), of)
+    assert (photo.width, photo.height) == photo.decode().size == photo.codes()[0].shape[1::-1]
+    assert np.abs(np.asarray(photo.decode()) * 257.0 - photo.codes()[0]).max() <= 128.5
+
+
+def test_sixteen_bits_of_a_png_are_kept_and_a_damaged_one_is_named(tmp_path):
+    codes = np.random.default_rng(0).integers(0, 65536, (40, 60, 3)).astype(np.uint16)
+    for name in ("a.png", "b.tif"):
+        write_deep(tmp_path / name, codes, 1)
+    for photo in find_photos(tmp_path).photos:
+        np.testing.assert_array_equal(photo.codes()[0], codes)
+        whole = photo.path.read_bytes()
+        photo.path.write_bytes(whole[: len(whole) // 2])
+        message = refused(photo.codes)
+        assert photo.name in message and "Copy it again" in message
+
+
 def test_names_in_natural_order():
     assert sorted(["p10", "p9", "P1", "p"], key=natural_order) == ["p", "P1", "p9", "p10"]
 
@@ -128,21 +164,21 @@ def test_folders_without_photos(room, tmp_path):
 
 
 def test_what_is_no_photo_is_skipped_and_named(room, tmp_path):
-    """One damaged file, one of more bits, a video, a note: the others are used."""
+    """One damaged file, one for printers, a video, a note: the others are used."""
     for name in ("a", "b"):
         room.write_photo(tmp_path / f"{name}.jpg", GREY)
     (tmp_path / "c.jpg").write_bytes(b"no picture")
-    Image.fromarray(np.zeros((20, 30), np.uint16)).save(tmp_path / "d.png")
+    Image.new("CMYK", (30, 20)).save(tmp_path / "d.jpg")
     (tmp_path / "e.MOV").write_bytes(b"video")
     (tmp_path / "._a.jpg").write_bytes(b"what macOS leaves on other systems' disks")
     (tmp_path / "notes.txt").write_text("mine")
     found = find_photos(tmp_path)
     assert [photo.name for photo in found.photos] == ["a.jpg", "b.jpg"]
     why = {each.name: each.why for each in found.skipped}
-    assert list(why) == ["c.jpg", "d.png", "e.MOV"]
+    assert list(why) == ["c.jpg", "d.jpg", "e.MOV"]
     assert (
         "not a readable photo" in why["c.jpg"]
-        and "8-bit" in why["d.png"]
+        and "CMYK" in why["d.jpg"]
         and "ffmpeg -i e.MOV" in why["e.MOV"]
     )
     for name in ("a", "b"):
