@@ -119,7 +119,7 @@ class DatasetSummary:
         if self.stops is not None:
             told.append(f"Dynamic range: {self.stops:.1f} stops ({self.stops_from})")
         if self.points is not None:
-            told.append(f"{self.points} first points")
+            told.append(f"Starts from {self.points:,} points")
         return told
 
 

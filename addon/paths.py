@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Where things are: the extension's own code, and the folder for what it writes (never beside its code)."""
 
+import os
 from pathlib import Path
 
 import bpy
@@ -16,6 +17,16 @@ def user_folder() -> Path:
     if PACKAGE.startswith("bl_ext."):
         return Path(bpy.utils.extension_path_user(PACKAGE, create=True))
     return Path(bpy.utils.user_resource("DATAFILES", path="physhdr", create=True))
+
+
+def absolute(chosen: str) -> str:
+    """A chosen path as a whole one; empty where none is chosen, or where it is nowhere."""
+    return os.path.normpath(bpy.path.abspath(chosen)) if chosen and not is_nowhere(chosen) else ""
+
+
+def is_nowhere(chosen: str) -> bool:
+    """Whether a path is relative to the .blend (``//…``), and that is not saved."""
+    return chosen.startswith("//") and not bpy.data.filepath
 
 
 def version() -> str:

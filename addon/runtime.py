@@ -2,12 +2,16 @@
 """The session of this Blender: made when first asked for, pumped by a timer, closed with the extension."""
 
 import traceback
+from pathlib import Path
 
 import bpy
+from bpy.app.handlers import persistent
 
 from . import changes, paths, plot, settings
+from .paths import absolute
 from .session.advice import why_not
 from .session.session import Session
+from .session.state import FileOpened
 from .settings import photo_options
 from .viewport.live import LivePreview
 
@@ -22,10 +26,7 @@ def session() -> Session:
     """The one session; there is one Blender, one backend and one training."""
     global _session
     if _session is None:
-        name = f"Blender {bpy.app.version_string}"
-        if bpy.data.filepath:
-            name += f" ({bpy.path.basename(bpy.data.filepath)})"
-        _session = Session(settings.home_folder(), paths.LAUNCHER, name, paths.version())
+        _session = Session(settings.home_folder(), paths.LAUNCHER, _name(), paths.version())
         _session.set_when_closed(settings.when_closed())
     return _session
 
@@ -74,8 +75,7 @@ def _attend() -> float:
 
 def _follow_scene(current: Session) -> None:
     """Look at the data set of the scene that is shown: another file or scene has another one."""
-    chosen = bpy.context.scene.physhdr.data
-    folder = bpy.path.abspath(chosen) if chosen else ""
+    folder = absolute(bpy.context.scene.physhdr.data)
     if folder and folder != current.state.dataset.folder:
         current.choose_dataset(folder)
 
@@ -83,9 +83,9 @@ def _follow_scene(current: Session) -> None:
 def _follow_photos(current: Session) -> None:
     """Look at the photos of the scene that is shown, anew where other options understand them otherwise."""
     settings = bpy.context.scene.physhdr
-    if not settings.photos or why_not(current.state, "look"):
+    folder, options = absolute(settings.photos), photo_options(settings).to_look
+    if not folder or why_not(current.state, "look"):
         return
-    folder, options = bpy.path.abspath(settings.photos), photo_options(settings).to_look
     if (folder, options) != (current.state.photos.folder, current.state.photos.options):
         current.look_at_photos(folder, options)
 
@@ -95,6 +95,33 @@ def _follow_lights(current: Session) -> None:
     for window in bpy.context.window_manager.windows:
         if window.scene.is_editable:  # not linked from another file
             settings.follow_lights(window.scene.physhdr, current.state.job.lights)
+
+
+@persistent
+def _file_opened(*_: object) -> None:
+    """Another .blend, or a new one: the backend stays, what was said of the former file is past."""
+    if _session is None:
+        return
+    current = session()
+    current.name = _name()
+    current.dispatch(FileOpened())
+    for scene in bpy.data.scenes:
+        chosen = getattr(scene, settings.SETTINGS)
+        if chosen.preview and scene.is_editable and not _holds(current, chosen):
+            chosen.preview = False  # it would show another file's model
+    redraw()
+
+
+def _holds(current: Session, chosen: settings.PHYSHDR_Settings) -> bool:
+    """Whether the backend's model is of the run that a scene has chosen."""
+    out, job = absolute(chosen.out), current.state.job
+    return bool(out and job.has_model) and Path(job.run) == Path(out)
+
+
+def _name() -> str:
+    """Who this is to other Blenders."""
+    file = f" ({bpy.path.basename(bpy.data.filepath)})" if bpy.data.filepath else ""
+    return f"Blender {bpy.app.version_string}{file}"
 
 
 def _when_closed_changed() -> None:
@@ -109,6 +136,7 @@ def register() -> None:
     changes.home.follow(renew)
     changes.when_closed.follow(_when_closed_changed)
     changes.dataset.follow(_dataset_chosen)
+    bpy.app.handlers.load_post.append(_file_opened)
     if not bpy.app.background:
         bpy.app.timers.register(_tick, first_interval=QUIET, persistent=True)
 
@@ -117,6 +145,7 @@ def unregister() -> None:
     changes.home.leave(renew)
     changes.when_closed.leave(_when_closed_changed)
     changes.dataset.leave(_dataset_chosen)
+    bpy.app.handlers.load_post.remove(_file_opened)
     if bpy.app.timers.is_registered(_tick):
         bpy.app.timers.unregister(_tick)
     _live.clear()

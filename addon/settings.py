@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the user chooses: preferences of the extension, and settings of the scene (saved in the .blend)."""
 
+import os
 from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -10,22 +11,27 @@ import bpy
 
 from ..bridge.messages import WhenClosed
 from ..bridge.presets import IN_PANEL
+from ..bridge.run_folder import data_of
 from . import changes
 from .blender import layout_of
-from .paths import PACKAGE, user_folder
+from .paths import PACKAGE, absolute, user_folder
 from .session.photos import PhotoOptions
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import PropertyFlagItems
 
 RELATIVE: "set[PropertyFlagItems]" = {"PATH_SUPPORTS_BLEND_RELATIVE"}
+#: After the data set's name: a folder that is proposed for its run.
+RUN = "_run"
+#: A number of iterations that is not found from the data begins with this: the preset Default's.
+ITERATIONS = 2500
 #: The property of a scene that holds its ``PHYSHDR_Settings``.
 SETTINGS = "physhdr"
 #: As Blender lists them: name, label, description.
 PRESETS = [(preset.name, preset.label, preset.description) for preset in IN_PANEL]
 EXPOSURE_MODES = [
-    ("exp3", "All exposures (exp3)", "Every view is trained at each of its training exposures"),
-    ("exp1", "One exposure (exp1)", "Each view is trained at one exposure, drawn once"),
+    ("exp3", "All", "Every view is trained at each of its exposures: what you want"),
+    ("exp1", "One a View", "Each view is trained at one exposure, drawn once: to compare with"),
 ]
 DEVICES = [
     ("auto", "Automatic", "An NVIDIA card if there is one that works, else the processor"),
@@ -70,7 +76,7 @@ class _Defaults:
 def home_folder() -> Path:
     """The backend's folder: its environment, connection file, log and caches."""
     chosen = preferences().home
-    return Path(bpy.path.abspath(chosen)) if chosen else user_folder() / "backend"
+    return Path(absolute(chosen)) if absolute(chosen) else user_folder() / "backend"
 
 
 def when_closed() -> WhenClosed:
@@ -111,8 +117,31 @@ class PHYSHDR_Preferences(bpy.types.AddonPreferences):
 
 
 def _folder_chosen(self: Any, context: bpy.types.Context) -> None:
-    if self.data:
-        changes.dataset.tell(bpy.path.abspath(self.data))
+    folder = absolute(self.data)
+    if folder:
+        changes.dataset.tell(folder)
+        _leave_former_run(self, folder)
+
+
+def _leave_former_run(chosen: Any, data: str) -> None:
+    """The folder that was proposed for a run of another data set is not where the next one's goes.
+
+    It stays where that has moved: ``data`` may be where it is now.
+    """
+    out = absolute(chosen.out)
+    trained_on = data_of(Path(out)) if out else None
+    if trained_on is None or not trained_on.exists() or os.path.normpath(trained_on) == data:
+        return
+    if os.path.basename(out).startswith(f"{trained_on.name}{RUN}"):
+        chosen.out = ""  # another is proposed
+
+
+def _is_automatic(self: Any) -> bool:
+    return self.iterations == 0
+
+
+def _set_automatic(self: Any, value: bool) -> None:
+    self.iterations = 0 if value else ITERATIONS
 
 
 class PHYSHDR_LightLevel(bpy.types.PropertyGroup):
@@ -144,10 +173,17 @@ class PHYSHDR_Settings(bpy.types.PropertyGroup):
     """Settings of the scene; panels show them, operators take them as their defaults."""
 
     data: bpy.props.StringProperty(
-        name="Data Set", subtype="DIR_PATH", description="Folder of the data set", update=_folder_chosen
+        name="Data Set",
+        subtype="DIR_PATH",
+        options=RELATIVE,
+        description="Folder of the data set",
+        update=_folder_chosen,
     )
     out: bpy.props.StringProperty(
-        name="Run", subtype="DIR_PATH", description="Folder for the trained model, its checkpoint and logs"
+        name="Run",
+        subtype="DIR_PATH",
+        options=RELATIVE,
+        description="Folder for the trained model; empty: beside the .blend, or beside the data set",
     )
     photos: bpy.props.StringProperty(
         name="Photos",
@@ -198,7 +234,19 @@ class PHYSHDR_Settings(bpy.types.PropertyGroup):
     )
     preset: bpy.props.EnumProperty(name="Method", items=PRESETS)
     iterations: bpy.props.IntProperty(
-        name="Iterations", min=0, max=1_000_000, description="0: as many as the method's preset says"
+        name="Iterations",
+        min=0,
+        max=1_000_000,
+        description="Steps of the training; 0: as many as the method needs for data of this size",
+    )
+    iterations_automatic: bpy.props.BoolProperty(
+        name="Automatic",
+        description="As many iterations as the method needs for data of this size",
+        get=_is_automatic,
+        set=_set_automatic,
+    )
+    show_curves: bpy.props.BoolProperty(
+        name="Curves", default=True, description="Quality and loss over the training"
     )
     exposure_mode: bpy.props.EnumProperty(name="Exposures", items=EXPOSURE_MODES)
     device: bpy.props.EnumProperty(name="Device", items=DEVICES)

@@ -21,14 +21,22 @@ class Preset(NamedTuple):
 
 #: Blender's panel offers these. New ones come last: a .blend keeps the place in this list.
 IN_PANEL = (
-    Preset("default", "Default", "PhysHDR with the physical product: good pictures, relights"),
-    Preset("fast", "Fast", "A look: the default with half of its iterations, more at half resolution"),
-    Preset("paper", "Paper", "PhysHDR-GS as the paper states it: both branches, learned networks; slow"),
-    Preset("baseline", "Baseline", "Plain 3DGS with a learned response: no relighting"),
-    Preset("default-scaffold", "Default on Anchors", "The default on Scaffold-GS's anchors: twice the time"),
-    Preset("gausshdr-short", "GaussHDR", "GaussHDR on the default's schedule: no relighting"),
-    Preset("hdr-gs-short", "HDR-GS", "HDR-GS on the default's schedule: no relighting, no absolute scale"),
-    Preset("high", "High", "Over night: the default with four times the iterations, more Gaussians"),
+    Preset("default", "Default", "What you want first: good pictures, relights"),
+    Preset("fast", "Fast", "A look: half of the default's time, not quite as sharp"),
+    Preset("paper", "Paper", "The published method (PhysHDR-GS), word by word: slow, to compare with"),
+    Preset("baseline", "Baseline", "Plain Gaussian splatting in HDR, to compare with: no relighting"),
+    Preset(
+        "default-scaffold",
+        "Default, in Groups",
+        "The default with its splats in groups that share what they learn (Scaffold-GS): twice the time",
+    ),
+    Preset("gausshdr-short", "GaussHDR", "Another published method, to compare with: no relighting"),
+    Preset(
+        "hdr-gs-short",
+        "HDR-GS",
+        "Another published method, to compare with: no relighting, brightness without scale",
+    ),
+    Preset("high", "High", "Over night: four times the default's time, more splats"),
 )
 
 #: Those for comparisons, which take long or answer a question that few have: on the command line alone.

@@ -2,35 +2,91 @@
 """What the operators share: a greyed button says why, an error becomes a report."""
 
 import os
+import time
+from pathlib import Path
 from typing import ClassVar
 
 import bpy
 
 from ...bridge.errors import PhysHDRError
+from ...bridge.run_folder import data_of
+from ..paths import absolute, is_nowhere
 from ..runtime import session
 from ..session.advice import Choices, why_not
+from ..settings import RUN, PHYSHDR_Settings
 
 CHECKPOINT_FILE = "checkpoint.safetensors"
+#: Seconds for which a proposal stands before the disk is looked at again: panels ask at every redraw.
+PROPOSAL_SECONDS = 1.0
+
+_proposals: dict[tuple[str, str], tuple[float, str]] = {}
 
 
 def choices(context: bpy.types.Context) -> Choices:
     """What is chosen in the scene's settings, as far as it decides what can be done."""
     settings = context.scene.physhdr
-    out = folder_of(settings.out)
+    out = absolute(run_of(settings))
     return Choices(
-        data=folder_of(settings.data),
+        data=absolute(settings.data),
         out=out,
         out_has_run=has_run(out),
         online=bpy.app.online_access,
         preview=settings.preview,
-        photos=folder_of(settings.photos),
-        photos_out=folder_of(settings.photos_out),
+        photos=absolute(settings.photos),
+        photos_out=absolute(settings.photos_out),
+        of_file=True,
+        unsaved=next((each for each in (settings.data, settings.out) if is_nowhere(each)), ""),
     )
 
 
-def folder_of(chosen: str) -> str:
-    """A setting's folder as a whole path; empty where none is chosen."""
-    return bpy.path.abspath(chosen) if chosen else ""
+def run_of(settings: PHYSHDR_Settings) -> str:
+    """The run's folder that is chosen, else the one that is proposed; empty where there are neither."""
+    return settings.out or proposed_run(absolute(settings.data))
+
+
+def proposed_run(data: str) -> str:
+    """Where a training on ``data`` may go, so that nothing must be typed; empty where no data set is chosen.
+
+    Beside the .blend; before that is saved, beside the data set, or where one may not write there in the
+    user's own folder. One that holds a run of this data set is proposed again, one that holds anything else
+    never.
+    """
+    if not data:
+        return ""
+    key, now = (data, bpy.data.filepath), time.monotonic()
+    found = _proposals.get(key)
+    if found is None or now > found[0] + PROPOSAL_SECONDS:
+        _proposals[key] = found = now, _free_run(data)
+    return found[1]
+
+
+def _free_run(data: str) -> str:
+    name = f"{os.path.basename(data) or 'data'}{RUN}"
+    if bpy.data.filepath:
+        return f"//{_own_or_free(Path(absolute('//')) / name, data).name}"
+    beside = Path(data).parent
+    is_beside = beside != Path(data) and os.access(beside, os.W_OK)  # a whole card has nothing beside it
+    return str(_own_or_free((beside if is_beside else Path.home()) / name, data))
+
+
+def _own_or_free(folder: Path, data: str) -> Path:
+    """The folder, or the same with a number where it holds something that is no run of ``data``."""
+    candidate, number = folder, 2
+    while not (is_free(candidate) or is_run_of(candidate, data)):
+        candidate = folder.with_name(f"{folder.name}_{number}")
+        number += 1
+    return candidate
+
+
+def is_free(folder: Path) -> bool:
+    """Whether there is nothing, or an empty folder."""
+    return not folder.exists() or (folder.is_dir() and not any(folder.iterdir()))
+
+
+def is_run_of(folder: Path, data: str) -> bool:
+    """Whether ``folder`` holds a run that was trained on the data set in ``data``."""
+    trained_on = data_of(folder)
+    return trained_on is not None and os.path.normpath(trained_on) == data
 
 
 def has_run(folder: str) -> bool:

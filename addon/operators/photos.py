@@ -14,11 +14,12 @@ import bpy
 
 from ...bridge.data_set import CAPTURE_FILE
 from ...bridge.errors import BadValueError, FileMissingError, OutputError
+from ..paths import absolute, is_nowhere
 from ..runtime import session
 from ..session.photos import PhotoOptions, prepare_command
 from ..session.state import LOOK, PHOTOS, PhotosChosen
 from ..settings import LENSES, SETTINGS, PHYSHDR_Settings, photo_options
-from .base import PhysHDROperator, folder_of, has_run, report_task
+from .base import PhysHDROperator, has_run, is_free, is_run_of, proposed_run, report_task
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import PropertyFlagItems
@@ -49,7 +50,7 @@ class PHYSHDR_OT_photos_look(PhysHDROperator):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if not self.properties.is_property_set("directory"):
-            self.directory = folder_of(context.scene.physhdr.photos)
+            self.directory = absolute(context.scene.physhdr.photos)
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
@@ -59,7 +60,7 @@ class PHYSHDR_OT_photos_look(PhysHDROperator):
         photos = _folder(self.directory, "the photos")
         if not photos.is_dir():
             raise FileMissingError(f"there is no folder {photos}", "Choose the folder that holds the photos.")
-        if not settings.photos_out or Path(folder_of(settings.photos)) != photos:
+        if not settings.photos_out or Path(absolute(settings.photos)) != photos:
             settings.photos_out = proposed_folder(photos)
         settings.photos = str(photos)
         current.look_at_photos(str(photos), photo_options(settings).to_look)
@@ -102,7 +103,7 @@ class PHYSHDR_OT_photos_prepare(PhysHDROperator):
     wait: bpy.props.BoolProperty(default=bpy.app.background, options={"HIDDEN", "SKIP_SAVE"})
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        out = folder_of(self._chosen(context, "out", "photos_out"))
+        out = absolute(self._chosen(context, "out", "photos_out"))
         if os.path.isfile(os.path.join(out, CAPTURE_FILE)) and not self.overwrite:
             self.overwrite = True
             return context.window_manager.invoke_confirm(
@@ -177,8 +178,9 @@ def choose(settings: PHYSHDR_Settings, folder: str) -> None:
     """Choose a data set that was made, and a folder for its run where none is chosen or one is taken."""
     forget(settings)
     settings.data = folder
-    if not settings.out or has_run(folder_of(settings.out)):
-        settings.out = str(_unused(Path(f"{folder.rstrip(os.sep)}_run")))
+    out = absolute(settings.out)
+    if not out or (has_run(out) and not is_run_of(Path(out), os.path.normpath(folder))):
+        settings.out = proposed_run(os.path.normpath(folder))
 
 
 def proposed_folder(photos: Path) -> str:
@@ -198,7 +200,7 @@ def proposed_folder(photos: Path) -> str:
 def _unused(folder: Path) -> Path:
     """The folder, or where that holds something the same with a number."""
     candidate, number = folder, 2
-    while candidate.exists() and not (candidate.is_dir() and not any(candidate.iterdir())):
+    while not is_free(candidate):
         candidate = folder.with_name(f"{folder.name}_{number}")
         number += 1
     return candidate
@@ -227,11 +229,11 @@ def _choose_when_done(name: str) -> None:
 def _folder(given: str, what: str) -> Path:
     if not given.strip():
         raise BadValueError(f"no folder is chosen for {what}", "Choose one, or give it as an argument.")
-    if given.startswith("//") and not bpy.data.filepath:
+    if is_nowhere(given):
         raise BadValueError(
             f"{given} is relative to a file that is not saved yet", "Save it, or choose a whole path."
         )
-    return Path(bpy.path.abspath(given)).absolute()
+    return Path(absolute(given)).absolute()
 
 
 _CLASSES = (PHYSHDR_OT_photos_look, PHYSHDR_OT_photos_prepare, PHYSHDR_OT_photos_forget)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Operators for the training: start, resume, pause, continue, stop, open a run, import its result, wait."""
 
+import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -19,12 +20,18 @@ from ...bridge.messages import (
     TrainResume,
     TrainStart,
 )
+from ...bridge.run_folder import data_of, may_be_of
 from .. import settings
+from ..paths import absolute, is_nowhere
 from ..runtime import session
 from ..session.advice import problem_of
 from ..session.state import Problem, State, StopAsked
-from .base import PhysHDROperator, has_run
+from .base import PhysHDROperator, has_run, proposed_run
 
+if TYPE_CHECKING:
+    from bpy.stub_internal.rna_enums import PropertyFlagItems
+
+FOLDER: "set[PropertyFlagItems]" = {"SKIP_SAVE", "PATH_SUPPORTS_BLEND_RELATIVE"}
 MODEL_FILE = "model.safetensors"
 #: Seconds that scripts wait for the backend to take on a request, and for a training.
 ANSWER_SECONDS, TRAIN_SECONDS = 120.0, 30 * 24 * 3600.0
@@ -84,16 +91,35 @@ def _chosen(operator: bpy.types.Operator, context: bpy.types.Context, name: str)
 
 
 def _folder(operator: bpy.types.Operator, context: bpy.types.Context, name: str, what: str) -> str:
-    chosen = _chosen(operator, context, name)
+    return _whole(_chosen(operator, context, name), what, name)
+
+
+def _whole(chosen: str, what: str, name: str) -> str:
     if not chosen:
         raise FileMissingError(f"no {what} is chosen", f"Choose it in the panel, or give {name}=….")
-    path = bpy.path.abspath(chosen)
-    if path.startswith("//"):
+    if is_nowhere(chosen):
         raise FileMissingError(f"{chosen} is relative to a .blend that is not saved", "Save it first.")
-    return path
+    return absolute(chosen)
 
 
-# SKIP_SAVE below: Blender would remember a former call's arguments, and take them for this one's.
+def _run_folder(operator: bpy.types.Operator, context: bpy.types.Context, data: str) -> str:
+    """The run's folder as a whole path: what is given, chosen, or proposed for the data set ``data``."""
+    chosen = _chosen(operator, context, "out") or proposed_run(data)
+    return _whole(chosen, "folder of a run", "out")
+
+
+def _remember(context: bpy.types.Context, out: str, data: str = "") -> None:
+    """What was begun is the scene's choice where it has none: the panel then goes on with that."""
+    chosen = context.scene.physhdr
+    if context.scene.is_editable:
+        if data and not chosen.data:
+            chosen.data = data
+        if not chosen.out:
+            proposed = proposed_run(absolute(chosen.data))
+            chosen.out = proposed if absolute(proposed) == out else out
+
+
+# SKIP_SAVE (in FOLDER, too): Blender would remember a former call's arguments, and take them for this one's.
 
 
 class PHYSHDR_OT_train_start(_Training):
@@ -103,8 +129,8 @@ class PHYSHDR_OT_train_start(_Training):
     bl_label = "Start Training"
     action = "start"
 
-    data: bpy.props.StringProperty(name="Data Set", subtype="DIR_PATH", options={"SKIP_SAVE"})
-    out: bpy.props.StringProperty(name="Run", subtype="DIR_PATH", options={"SKIP_SAVE"})
+    data: bpy.props.StringProperty(name="Data Set", subtype="DIR_PATH", options=FOLDER)
+    out: bpy.props.StringProperty(name="Run", subtype="DIR_PATH", options=FOLDER)
     preset: bpy.props.EnumProperty(name="Method", items=settings.PRESETS, options={"SKIP_SAVE"})
     iterations: bpy.props.IntProperty(
         name="Iterations", min=0, description="0: the preset's", options={"SKIP_SAVE"}
@@ -123,7 +149,8 @@ class PHYSHDR_OT_train_start(_Training):
     wait: bpy.props.BoolProperty(**WAIT)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        out = bpy.path.abspath(_chosen(self, context, "out"))
+        data = absolute(_chosen(self, context, "data"))
+        out = absolute(_chosen(self, context, "out") or proposed_run(data))
         if has_run(out) and not self.overwrite:
             self.overwrite = True
             return context.window_manager.invoke_confirm(
@@ -138,14 +165,19 @@ class PHYSHDR_OT_train_start(_Training):
 
     def run(self, context: bpy.types.Context) -> set[str]:
         names = ("preset", "exposure_mode", "device", "threads")
+        data = _folder(self, context, "data", "data set")
+        out = _run_folder(self, context, data)
         request = TrainStart(
-            data=_folder(self, context, "data", "data set"),
-            out=_folder(self, context, "out", "folder for the run"),
+            data=data,
+            out=out,
             iterations=_chosen(self, context, "iterations") or None,
             seed=self.seed,
             overwrite=self.overwrite,
             **{name: _chosen(self, context, name) for name in names},
         )
+        _remember(context, out, data)
+        if context.scene.is_editable:
+            context.scene.physhdr.show_curves = True
         return self.begin(request)
 
 
@@ -156,31 +188,60 @@ class PHYSHDR_OT_train_resume(_Training):
     bl_label = "Resume Training"
     action = "resume"
 
-    out: bpy.props.StringProperty(name="Run", subtype="DIR_PATH", options={"SKIP_SAVE"})
+    out: bpy.props.StringProperty(name="Run", subtype="DIR_PATH", options=FOLDER)
+    data: bpy.props.StringProperty(
+        name="Data Set",
+        subtype="DIR_PATH",
+        description="Where the run's data set is now, if it has moved",
+        options=FOLDER,
+    )
     device: bpy.props.EnumProperty(name="Device", items=settings.DEVICES, options={"SKIP_SAVE"})
     threads: bpy.props.IntProperty(name="Threads", min=0, options={"SKIP_SAVE"})
     wait: bpy.props.BoolProperty(**WAIT)
 
     def run(self, context: bpy.types.Context) -> set[str]:
-        folder = _folder(self, context, "out", "run")
-        names = ("device", "threads")
-        return self.begin(TrainResume(run=folder, **{name: _chosen(self, context, name) for name in names}))
+        folder = _run_folder(self, context, absolute(context.scene.physhdr.data))
+        _remember(context, folder)
+        given = {name: _chosen(self, context, name) for name in ("device", "threads")}
+        return self.begin(TrainResume(run=folder, data=moved_data(self, context, folder), **given))
 
 
 class PHYSHDR_OT_run_open(_Training):
-    """Open the trained run in the backend, for the live preview and for import, without training"""
+    """Open the trained run in the backend, for the live preview and for import, without training. Its data
+    set need not be there"""
 
     bl_idname = "physhdr.run_open"
     bl_label = "Open Run"
     action = "open"
 
-    out: bpy.props.StringProperty(name="Run", subtype="DIR_PATH", options={"SKIP_SAVE"})
+    out: bpy.props.StringProperty(name="Run", subtype="DIR_PATH", options=FOLDER)
+    data: bpy.props.StringProperty(
+        name="Data Set",
+        subtype="DIR_PATH",
+        description="Where the run's data set is now, if it has moved",
+        options=FOLDER,
+    )
     device: bpy.props.EnumProperty(name="Device", items=settings.DEVICES, options={"SKIP_SAVE"})
     wait: bpy.props.BoolProperty(**WAIT)
 
     def run(self, context: bpy.types.Context) -> set[str]:
-        folder = _folder(self, context, "out", "run")
-        return self.begin(RunOpen(run=folder, device=_chosen(self, context, "device")))
+        folder = _run_folder(self, context, absolute(context.scene.physhdr.data))
+        data = moved_data(self, context, folder)
+        _remember(context, folder)
+        return self.begin(RunOpen(run=folder, device=_chosen(self, context, "device"), data=data))
+
+
+def moved_data(operator: bpy.types.Operator, context: bpy.types.Context, run: str) -> str:
+    """Where the data set of a run is now: as given, or the one that is chosen where the run's own has moved.
+
+    Empty where it is where it was, and where the chosen one is another: its pictures have other names.
+    """
+    if operator.properties.is_property_set("data"):
+        return _folder(operator, context, "data", "data set")
+    own, chosen = data_of(Path(run)), absolute(context.scene.physhdr.data)
+    if not chosen or own is None or own.exists() or not os.path.isdir(chosen):
+        return ""
+    return chosen if may_be_of(Path(run), Path(chosen)) else ""
 
 
 class PHYSHDR_OT_train_pause(PhysHDROperator):
@@ -266,7 +327,7 @@ class PHYSHDR_OT_result_import(PhysHDROperator):
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 (Blender's name for it)
     action = "import"
 
-    out: bpy.props.StringProperty(name="Run", subtype="DIR_PATH", options={"SKIP_SAVE"})
+    out: bpy.props.StringProperty(name="Run", subtype="DIR_PATH", options=FOLDER)
     name: bpy.props.StringProperty(
         name="Name", description="Name of the new object; empty: the run's name", options={"SKIP_SAVE"}
     )
@@ -305,7 +366,7 @@ class PHYSHDR_OT_result_import(PhysHDROperator):
         return self._import(context, Path(current.state.exported.path))
 
     def _file(self, context: bpy.types.Context) -> Path:
-        return Path(_folder(self, context, "out", "run")) / MODEL_FILE
+        return Path(_run_folder(self, context, absolute(context.scene.physhdr.data))) / MODEL_FILE
 
     def _ask(self, context: bpy.types.Context) -> bool:
         """Ask the backend to write the model where it holds this run's; False where it does not."""
@@ -326,7 +387,10 @@ class PHYSHDR_OT_result_import(PhysHDROperator):
         except RuntimeError as error:  # how an operator's error comes to a script
             self.report({"ERROR"}, str(error).removeprefix("Error: ").strip())
             return {"CANCELLED"}
-        context.scene.physhdr.preview = False  # the object shows itself
+        chosen = context.scene.physhdr
+        if context.scene.is_editable:
+            chosen.preview = False  # the object shows itself
+            chosen.show_curves = False  # its sliders are below, and in sight then
         return {"FINISHED"}
 
     def _is_late(self) -> bool:

@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The trainer's Python and its process."""
 
+from typing import TYPE_CHECKING, ClassVar
+
 import bpy
 
 from ..blender import layout_of
 from ..runtime import session
 from ..session.pythons import is_ours
 from ..session.state import State
-from .parts import Subpanel, button, reasons, shortened, write
+from .parts import ICON, Subpanel, button, reasons, shortened, write
 
 
 class PHYSHDR_MT_backend(bpy.types.Menu):
@@ -18,8 +20,10 @@ class PHYSHDR_MT_backend(bpy.types.Menu):
         layout_of(self).operator("physhdr.backend_use", text="Use Existing Python…", icon="FILEBROWSER")
 
 
-class PHYSHDR_PT_backend(Subpanel, bpy.types.Panel):
+class _Backend(Subpanel):
     bl_label = "Backend"
+    if TYPE_CHECKING:
+        layout: bpy.types.UILayout | None
 
     def draw(self, context: bpy.types.Context) -> None:
         state, layout = session().state, layout_of(self)
@@ -31,7 +35,7 @@ class PHYSHDR_PT_backend(Subpanel, bpy.types.Panel):
             button(context, row, state, "install", "physhdr.backend_install", "Install…", "IMPORT")
             button(context, row, state, "use_python", "physhdr.backend_use", "Use Python…", "FILEBROWSER")
             if state.backend.python:
-                button(context, row, state, "check", "physhdr.backend_check", "Check", "CHECKMARK")
+                button(context, layout, state, "check", "physhdr.backend_check", "Check", "CHECKMARK")
             reasons(context, layout, state, "install")
             if state.backend.incomplete:
                 draw_extend(context, layout, state)
@@ -54,8 +58,10 @@ class PHYSHDR_PT_backend(Subpanel, bpy.types.Panel):
 
     def _draw_ready(self, context: bpy.types.Context, layout: bpy.types.UILayout, state: State) -> None:
         write(context, layout, report_line(state.backend.report), "CHECKMARK")
+        for warning in warnings_of(state.backend.report):
+            write(context, layout, warning, "ERROR")
+        layout.label(text=shortened(state.backend.python, context, ICON), icon="FILE_SCRIPT")
         row = layout.row(align=True)
-        row.label(text=shortened(state.backend.python, context), icon="FILE_SCRIPT")
         row.operator("physhdr.backend_check", text="Check")
         row.menu("PHYSHDR_MT_backend", text="", icon="DOWNARROW_HLT")
         if state.backend.missing:
@@ -64,6 +70,43 @@ class PHYSHDR_PT_backend(Subpanel, bpy.types.Panel):
             draw_extend(context, layout, state)
         elif state.backend.missing is None:
             write(context, layout, "Checked by an older version: check it before you prepare photos", "INFO")
+
+
+class PHYSHDR_PT_backend(_Backend, bpy.types.Panel):
+    """First of all, while there is none that works."""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return not session().state.backend.ready
+
+
+class PHYSHDR_PT_backend_ready(_Backend, bpy.types.Panel):
+    """Last and folded, once there is one: what it does is told above."""
+
+    bl_options: ClassVar[set[str]] = {"DEFAULT_CLOSED"}
+    bl_order = 100
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return session().state.backend.ready
+
+    def draw_header(self, context: bpy.types.Context) -> None:
+        state = session().state
+        if state.backend.missing or warnings_of(state.backend.report) or is_of_others(state):
+            layout_of(self).label(text="", icon="ERROR")
+
+
+def is_of_others(state: State) -> bool:
+    """Whether the process that runs is of another version, or another Blender's to steer."""
+    welcome = state.link.welcome
+    return welcome is not None and (welcome.version != session().version or not state.job.in_control)
+
+
+def warnings_of(report: dict) -> list[str]:
+    """What the check found odd; what photos lack is told beside its remedy."""
+    told = report.get("warnings")
+    texts = [text for text in told if isinstance(text, str)] if isinstance(told, list) else []
+    return [text for text in texts if not text.startswith("photos cannot be prepared")]
 
 
 def draw_extend(context: bpy.types.Context, layout: bpy.types.UILayout, state: State) -> None:
@@ -82,4 +125,6 @@ def report_line(report: dict) -> str:
     return ", ".join([*told, str(report.get("device", ""))])
 
 
-register, unregister = bpy.utils.register_classes_factory((PHYSHDR_MT_backend, PHYSHDR_PT_backend))
+register, unregister = bpy.utils.register_classes_factory(
+    (PHYSHDR_MT_backend, PHYSHDR_PT_backend, PHYSHDR_PT_backend_ready)
+)

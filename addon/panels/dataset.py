@@ -7,8 +7,8 @@ from .. import dataset_dialog
 from ..blender import layout_of
 from ..operators.base import choices
 from ..runtime import session
-from ..session.state import PHOTOS, Photos, State
-from .parts import Subpanel, button, duration, reasons, shortened, write
+from ..session.state import PHOTOS, Photos, Prepared, State
+from .parts import Subpanel, button, duration, first_line, reasons, shortened, write
 
 
 class PHYSHDR_PT_dataset(Subpanel, bpy.types.Panel):
@@ -17,19 +17,8 @@ class PHYSHDR_PT_dataset(Subpanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         state, layout = session().state, layout_of(self)
         layout.prop(context.scene.physhdr, "data", text="")
-        dataset = state.dataset
-        if dataset.folder == choices(context).data and not state.active:
-            column = layout.column(align=True)
-            for line in dataset.lines:
-                write(context, column, line)
-            for warning in dataset.warnings:
-                write(context, column, warning, "ERROR")
-            if dataset.problem:
-                write(context, column, f"{dataset.problem.message}. {dataset.problem.hint}", "ERROR")
-            if dataset.folder and state.prepared.folder == dataset.folder:
-                write(context, column, state.prepared.found)
-                for warning in state.prepared.warnings:
-                    write(context, column, warning, "ERROR")
+        if state.dataset.folder and state.dataset.folder == choices(context).data:
+            draw_report(context, layout, state)
         photos = choices(context).photos
         if photos:
             self._draw_photos(context, layout.box(), state, photos)
@@ -73,6 +62,31 @@ class PHYSHDR_PT_dataset(Subpanel, bpy.types.Panel):
         button(context, layout, state, "photos", "physhdr.photos_prepare", "Prepare", "PLAY")
         if not state.task(PHOTOS):
             reasons(context, layout, state, "photos")
+
+
+def draw_report(context: bpy.types.Context, layout: bpy.types.UILayout, state: State) -> None:
+    """What the data set holds, folded; what is wrong with it is always seen."""
+    dataset, made = state.dataset, state.prepared
+    made = made if made.folder == dataset.folder else Prepared()
+    if dataset.problem:
+        write(context, layout, f"{dataset.problem.message}. {dataset.problem.hint}", "ERROR")
+        return
+    warnings = dict.fromkeys((*dataset.warnings, *made.warnings))
+    # Two folds, so that each remembers for itself whether it is open.
+    fold = "physhdr_report_warned" if warnings else "physhdr_report"
+    head, body = layout.panel(fold, default_closed=not warnings)
+    head.label(text=first_line(context, dataset.lines[0].split(", ")[0] if dataset.lines else "Data set"))
+    if body is None:
+        if warnings:
+            many = f"{len(warnings)} warnings" if len(warnings) > 1 else "A warning"
+            head.label(text=many, icon="ERROR")
+        return
+    column = body.column(align=True)
+    for line in (*dataset.lines, made.found):
+        if line:
+            write(context, column, line)
+    for warning in warnings:
+        write(context, column, warning, "ERROR")
 
 
 register, unregister = bpy.utils.register_classes_factory((PHYSHDR_PT_dataset,))

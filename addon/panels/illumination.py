@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Exposure and the lights' levels, of the selected model and of the live preview."""
+"""Exposure and the lights' levels, one set of sliders: those of the selected model, or of the one that the
+live preview shows, else the live preview's own."""
 
 from collections.abc import Sequence
 
@@ -8,8 +9,11 @@ import bpy
 from ...bridge.lights import AMBIENT
 from ..blender import layout_of
 from ..look import draw_look, is_model, slider_name
+from ..operators.base import choices
+from ..preview_look import followed
 from ..runtime import session
 from ..session.advice import why_not
+from ..session.state import State
 from ..settings import PHYSHDR_Settings
 from ..viewport import overlay
 from ..viewport.camera import ORTHOGRAPHIC_HINT
@@ -21,31 +25,54 @@ class PHYSHDR_PT_illumination(Subpanel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         state, layout, settings = session().state, layout_of(self), context.scene.physhdr
-        target = context.object
-        if target is not None and is_model(target):
+        shown = followed(context.scene, context.view_layer, state.job)
+        target = context.object if is_model(context.object) else shown if settings.preview else None
+        row = layout.row()
+        reason = why_not(state, "preview", choices(context))
+        row.enabled = settings.preview or not reason
+        row.prop(settings, "preview", toggle=True, icon="HIDE_OFF" if settings.preview else "HIDE_ON")
+        if target is not None:
             layout.label(text=target.name, icon="OUTLINER_OB_POINTCLOUD")
             draw_look(layout, target)
             column = layout.column()
             column.use_property_split = True
             column.prop(target, "physhdr_viewport", text="3D View")
-            layout.separator()
-        row = layout.row()
-        reason = why_not(state, "preview")
-        row.enabled = settings.preview or not reason
-        row.prop(settings, "preview", toggle=True, icon="HIDE_OFF" if settings.preview else "HIDE_ON")
-        reason = reason or view_hint(context)
-        if reason:
-            write(context, layout, reason, "INFO")
-        column = layout.column()
-        column.use_property_split = True
-        column.active = settings.preview
-        column.prop(settings, "exposure_ev")
-        row = column.row()
-        row.active = state.job.can_relight or not state.job.has_model
-        draw_levels(row.column(), settings, state.job.lights or (AMBIENT,))
-        column.prop(settings, "tone")
-        if state.job.has_model and not state.job.can_relight:
-            write(context, layout, "This method learns no illumination: the level only scales", "INFO")
+        else:
+            draw_own(layout, state, settings)
+        for told in hints(context, state, settings, target, shown, reason):
+            write(context, layout, told, "INFO")
+
+
+def hints(
+    context: bpy.types.Context,
+    state: State,
+    settings: PHYSHDR_Settings,
+    target: bpy.types.Object | None,
+    shown: bpy.types.Object | None,
+    reason: str,
+) -> list[str]:
+    """What is worth a word: below the sliders, which stay where they are."""
+    told = [reason or view_hint(context)]
+    if settings.preview and not reason and target is not None:
+        is_shown = target == shown
+        told.append(
+            "Live Preview follows these sliders" if is_shown else "Live Preview shows another model than this"
+        )
+    if state.job.has_model and not state.job.can_relight and target is None:
+        told.append("This method learns no illumination: the level only scales")
+    return [line for line in told if line]
+
+
+def draw_own(layout: bpy.types.UILayout, state: State, settings: PHYSHDR_Settings) -> None:
+    """The live preview's own sliders."""
+    column = layout.column()
+    column.use_property_split = True
+    column.active = settings.preview
+    column.prop(settings, "exposure_ev")
+    row = column.row()
+    row.active = state.job.can_relight or not state.job.has_model
+    draw_levels(row.column(), settings, state.job.lights or (AMBIENT,))
+    column.prop(settings, "tone")
 
 
 def draw_levels(layout: bpy.types.UILayout, settings: PHYSHDR_Settings, lights: Sequence[str]) -> None:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What panels are made of: texts that wrap, buttons that say why they are greyed, bars, problems."""
 
-import textwrap
 from typing import TYPE_CHECKING
 
+import blf
 import bpy
 
 from ..operators.base import choices
@@ -13,8 +13,14 @@ from ..session.state import Problem, State
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import IconItems
 
-#: Pixels of a character at the interface's scale 1, to wrap texts to the panel's width.
-CHARACTER = 6.4
+#: Pixels at the interface's scale 1: of a region's width what margins, the panel's frame and the tabs take …
+FRAME = 46.0
+#: … and of a line what an icon takes.
+ICON = 24.0
+#: Blender's buttons draw text a little wider than it measures.
+SLACK = 1.05
+#: Points of the interface's text.
+POINTS = 11.0
 
 
 class SidebarPanel:
@@ -49,11 +55,12 @@ def button(
     operator: str,
     text: str,
     icon: "IconItems",
-) -> None:
-    """An operator's button, greyed where the user's choices do not allow it (``reasons`` says why)."""
+) -> bpy.types.OperatorProperties:
+    """An operator's button, greyed where the user's choices do not allow it (``reasons`` says why); its
+    arguments."""
     cell = layout.row(align=True)
     cell.enabled = not why_not(state, action, choices(context))
-    cell.operator(operator, text=text, icon=icon)
+    return cell.operator(operator, text=text, icon=icon)
 
 
 def reasons(context: bpy.types.Context, layout: bpy.types.UILayout, state: State, action: str) -> None:
@@ -76,24 +83,60 @@ def draw_task(layout: bpy.types.UILayout, state: State, name: str) -> None:
     row.progress(factor=task.fraction, text="Cancelling" if task.cancelling else text)
     row.operator("physhdr.task_cancel", text="", icon="X").name = name
     if task.message:
-        column.label(text=task.message)
+        column.label(text=first_line(bpy.context, task.message))
 
 
 def write(
-    context: bpy.types.Context, layout: bpy.types.UILayout, text: str, icon: "IconItems" = "NONE"
+    context: bpy.types.Context,
+    layout: bpy.types.UILayout,
+    text: str,
+    icon: "IconItems" = "NONE",
+    lines: int | None = None,
 ) -> None:
-    """A text of several lines, as wide as the panel."""
+    """A text of several lines, as wide as the panel; with ``lines`` of just so many, cut or filled up."""
     column = layout.column(align=True)
     column.scale_y = 0.8
-    width = columns(context) - (4 if icon != "NONE" else 0)
-    for index, line in enumerate(textwrap.wrap(text, width) or [""]):
+    wrapped = wrap(text, room(context) - (ICON if icon != "NONE" else 0.0)) or [""]
+    if lines is not None:
+        if len(wrapped) > lines:
+            wrapped = [*wrapped[: lines - 1], f"{wrapped[lines - 1]} …"]
+        wrapped += [""] * (lines - len(wrapped))
+    for index, line in enumerate(wrapped):
         column.label(text=line, icon=icon if index == 0 else "BLANK1" if icon != "NONE" else "NONE")
 
 
-def columns(context: bpy.types.Context) -> int:
-    """How many characters a line of the panel holds."""
-    scale = context.preferences.system.ui_scale * CHARACTER
-    return max(20, int(context.region.width / scale) - 6)
+def room(context: bpy.types.Context) -> float:
+    """Pixels at the interface's scale 1 that a line of the panel has for its text."""
+    scale = context.preferences.system.ui_scale or 1.0
+    return max(100.0, context.region.width / scale - FRAME)
+
+
+def text_width(text: str) -> float:
+    """Pixels that a text takes at the interface's scale 1."""
+    blf.size(0, POINTS)
+    return SLACK * blf.dimensions(0, text)[0]
+
+
+def first_line(context: bpy.types.Context, text: str) -> str:
+    """As much of a text as one line holds."""
+    lines = wrap(text, room(context) - text_width(" …"))
+    return f"{lines[0]} …" if len(lines) > 1 else "".join(lines)
+
+
+def wrap(text: str, width: float) -> list[str]:
+    """Lines no wider than ``width``, broken between words, and within one that is wider itself (a path)."""
+    lines: list[str] = []
+    for word in text.split():
+        joined = f"{lines[-1]} {word}" if lines else word
+        if lines and text_width(joined) <= width:
+            lines[-1] = joined
+            continue
+        while len(word) > 1 and text_width(word) > width:
+            fits = next(k for k in range(len(word) - 1, 0, -1) if k == 1 or text_width(word[:k]) <= width)
+            lines.append(word[:fits])
+            word = word[fits:]
+        lines.append(word)
+    return lines
 
 
 def duration(seconds: float) -> str:
@@ -105,7 +148,10 @@ def duration(seconds: float) -> str:
     return f"{minutes} min {seconds} s" if minutes else f"{seconds} s"
 
 
-def shortened(path: str, context: bpy.types.Context) -> str:
-    """The end of a path, as much as there is room for beside a button."""
-    room = max(12, columns(context) - 14)
-    return path if len(path) <= room else f"…{path[1 - room :]}"
+def shortened(path: str, context: bpy.types.Context, beside: float = 90.0) -> str:
+    """The end of a path, as much as there is room for ``beside`` what stands in the same row (pixels)."""
+    width = room(context) - beside
+    if text_width(path) <= width:
+        return path
+    first = next((k for k in range(1, len(path)) if text_width(f"…{path[k:]}") <= width), len(path) - 1)
+    return f"…{path[first:]}"

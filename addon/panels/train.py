@@ -8,13 +8,18 @@ import bpy
 from ..blender import layout_of
 from ..operators.base import choices
 from ..runtime import session
-from ..session.advice import headline, next_step, problem_of
+from ..session.advice import headline, is_of_file, next_step, problem_of
 from ..session.state import CHECK, DATASET, INSTALL, LOOK, PHOTOS, State
-from .parts import SidebarPanel, draw_problem, draw_task, duration, write
+from .parts import SidebarPanel, draw_problem, draw_task, duration, first_line, write
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import IconItems
 
+#: Rows that are kept for the next step, and below the bar of what is under way.
+STEP_LINES, PROGRESS_LINES = 2, 2
+#: Child processes that are told of here.
+TASKS = (INSTALL, CHECK, DATASET, LOOK, PHOTOS)
+READY: "IconItems" = "RADIOBUT_ON"
 ICONS: "dict[str, IconItems]" = {
     "training": "PLAY",
     "preparing": "SORTTIME",
@@ -31,41 +36,61 @@ class PHYSHDR_PT_train(SidebarPanel, bpy.types.Panel):
     bl_label = "Train PhysHDR"
 
     def draw(self, context: bpy.types.Context) -> None:
-        state, layout = session().state, layout_of(self)
+        state, layout, chosen = session().state, layout_of(self), choices(context)
         problem = problem_of(state)
-        icon = ICONS.get(state.job.state, "RADIOBUT_ON" if state.backend.ready else "RADIOBUT_OFF")
-        layout.label(text=headline(state), icon="ERROR" if problem else icon)
-        for name in (INSTALL, CHECK, DATASET, LOOK, PHOTOS):
-            draw_task(layout, state, name)
-        draw_progress(context, layout, state)
+        icon = ICONS.get(state.job.state, READY) if is_of_file(state.job, chosen) or state.active else READY
+        if not state.backend.ready:
+            icon = "RADIOBUT_OFF"
+        layout.label(text=headline(state, chosen), icon="ERROR" if problem else icon)
+        # In rows of their own for good, so that nothing below moves when work begins or ends.
+        step = next_step(state, chosen)
+        write(context, layout, step, "FORWARD" if step else "NONE", lines=STEP_LINES)
+        draw_progress(context, layout, state, is_of_file(state.job, chosen))
         if problem:
             draw_problem(context, layout, problem)
-        step = next_step(state, choices(context))
-        if step:
-            write(context, layout, step, "FORWARD")
 
 
-def draw_progress(context: bpy.types.Context, layout: bpy.types.UILayout, state: State) -> None:
-    """How far the training is: iterations, time left, PSNR, Gaussians, loss."""
+def draw_progress(
+    context: bpy.types.Context, layout: bpy.types.UILayout, state: State, is_mine: bool
+) -> None:
+    """How far what is under way is: a bar and ``PROGRESS_LINES`` lines, empty where nothing is.
+
+    A training comes first; child processes beside it have bars of their own.
+    """
+    tasks = [task.name for task in state.tasks if task.name in TASKS]
     job = state.job
-    if not job.run or not job.iterations:
-        if state.active and job.message:
-            write(context, layout, job.message, "INFO")
-        return
-    text = f"{job.iteration} / {job.iterations}"
+    column = layout.column(align=True)
+    if state.active or (job.run and job.iterations and is_mine and not tasks):
+        draw_training(context, column, state)
+    elif tasks:
+        draw_task(column, state, tasks.pop(0))
+        column.label(text="")
+    else:
+        for _ in range(1 + PROGRESS_LINES):
+            column.label(text="")
+    for name in tasks:
+        draw_task(layout, state, name)
+
+
+def draw_training(context: bpy.types.Context, column: bpy.types.UILayout, state: State) -> None:
+    """Iterations, time left; quality, splats, loss, speed; while it is prepared what is being done."""
+    job = state.job
+    text = f"{job.iteration} / {job.iterations}" if job.iterations else "Preparing"
     if job.state == "training" and job.seconds_left > 0.0:
         text += f"   {duration(job.seconds_left)} left"
-    column = layout.column(align=True)
-    column.progress(factor=job.iteration / job.iterations, text=text)
-    numbers = [f"{job.gaussians:,} Gaussians"] if job.gaussians else []
+    column.progress(factor=job.iteration / job.iterations if job.iterations else 0.0, text=text)
+    if job.state == "preparing":
+        write(context, column, job.message, lines=PROGRESS_LINES)
+        return
+    numbers = [f"{job.gaussians:,} splats"] if job.gaussians else []
     if "PSNR" in job.monitor:
-        numbers.insert(0, f"PSNR {job.monitor['PSNR']:.2f} dB")
+        numbers.insert(0, f"Quality {job.monitor['PSNR']:.2f} dB")
     column.label(text=", ".join(numbers))
     if job.losses and job.state in ("training", "paused"):
         speed = job.iterations_per_second
         column.label(text=f"Loss {sum(job.losses.values()):.4f}, {speed:.1f} iterations/s")
-    elif job.message and state.active:
-        write(context, column, job.message)
+    else:
+        column.label(text=first_line(context, job.message) if state.active else "")
 
 
 register, unregister = bpy.utils.register_classes_factory((PHYSHDR_PT_train,))

@@ -1,13 +1,24 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A training: what is trained, steering it, and its result."""
+"""A training: what is trained, steering it, its curves and its result.
+
+Every button has its place for good, and is greyed where it can do nothing: what stands under the mouse must
+not change when it is pressed. What comes and goes (curves, reasons) is below.
+"""
 
 import bpy
 
 from .. import plot
 from ..blender import layout_of
+from ..operators.base import choices, proposed_run
+from ..paths import absolute
 from ..runtime import session
+from ..session.advice import is_of_file
 from ..session.state import State
+from ..settings import PHYSHDR_Settings
 from .parts import Subpanel, button, reasons, write
+
+#: Height of the curves, in rows.
+CURVES = 11.0
 
 
 class PHYSHDR_PT_training(Subpanel, bpy.types.Panel):
@@ -15,35 +26,70 @@ class PHYSHDR_PT_training(Subpanel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         state, layout, settings = session().state, layout_of(self), context.scene.physhdr
-        if state.active:
-            self._draw_steering(context, layout, state)
-        else:
-            column = layout.column()
-            column.use_property_split = True
-            column.use_property_decorate = False
-            for name in ("out", "preset", "iterations", "exposure_mode", "device"):
-                column.prop(settings, name)
-            row = layout.row(align=True)
-            button(context, row, state, "start", "physhdr.train_start", "Start", "PLAY")
-            button(context, row, state, "resume", "physhdr.train_resume", "Resume", "FILE_REFRESH")
+        column = layout.column()
+        column.enabled = not state.active
+        draw_choices(column, settings)
+        column = layout.column(align=True)
+        row = column.row(align=True)
+        button(context, row, state, "start", "physhdr.train_start", "Start", "PLAY")
+        button(context, row, state, "resume", "physhdr.train_resume", "Resume", "FILE_REFRESH")
+        row = column.row(align=True)
+        button(context, row, state, "pause", "physhdr.train_pause", "Pause", "NONE")
+        button(context, row, state, "continue", "physhdr.train_continue", "Continue", "NONE")
+        text = "End Now" if state.stopping else "Stop"
+        button(context, row, state, "stop", "physhdr.train_stop", text, "NONE")
+        draw_result(context, layout, state)
+        if not state.active:
             reasons(context, layout, state, "start")
-        row = layout.row(align=True)
-        if not state.job.has_model:
-            button(context, row, state, "open", "physhdr.run_open", "Open Run", "FILE_FOLDER")
-        button(context, row, state, "import", "physhdr.result_import", "Import Result", "IMPORT")
-        if plot.icon_id() and len(state.history.iterations) > 1:
-            layout.template_icon(plot.icon_id(), scale=8.0)
-            layout.label(text="Loss (orange, logarithmic), PSNR (blue)")
+        draw_curves(context, layout, state, settings)
 
-    def _draw_steering(self, context: bpy.types.Context, layout: bpy.types.UILayout, state: State) -> None:
-        row = layout.row(align=True)
-        if state.job.state == "paused":
-            button(context, row, state, "continue", "physhdr.train_continue", "Continue", "PLAY")
-        else:
-            button(context, row, state, "pause", "physhdr.train_pause", "Pause", "PAUSE")
-        text = "End at Once" if state.stopping else "Stop"
-        button(context, row, state, "stop", "physhdr.train_stop", text, "SNAP_FACE")
-        write(context, layout, state.job.run, "FILE_FOLDER")
+
+def draw_choices(layout: bpy.types.UILayout, settings: PHYSHDR_Settings) -> None:
+    """What decides what is trained, and where to."""
+    layout.use_property_split = True
+    layout.use_property_decorate = False
+    layout.prop(settings, "out", placeholder=proposed_run(absolute(settings.data)))
+    layout.prop(settings, "preset")
+    row = layout.row(align=True, heading="Iterations")
+    row.use_property_split = False
+    if settings.iterations_automatic:
+        row.prop(settings, "iterations_automatic", text="Automatic", toggle=True)
+    else:
+        row.prop(settings, "iterations", text="")
+        row.prop(settings, "iterations_automatic", text="", icon="X", invert_checkbox=True)
+    head, more = layout.panel("physhdr_training_more", default_closed=True)
+    head.label(text="More")
+    if more is not None:
+        more.use_property_split = True
+        more.use_property_decorate = False
+        for name in ("exposure_mode", "device", "threads"):
+            more.prop(settings, name)
+
+
+def draw_result(context: bpy.types.Context, layout: bpy.types.UILayout, state: State) -> None:
+    """The buttons that bring in what was trained: of the run that this file has chosen."""
+    chosen = choices(context)
+    row = layout.row(align=True)
+    button(context, row, state, "open", "physhdr.run_open", "Open Run", "FILE_FOLDER")
+    result = button(context, row, state, "import", "physhdr.result_import", "Import Result", "IMPORT")
+    if not is_of_file(state.job, chosen) and chosen.out:
+        result.out = chosen.out  # not what the backend holds of another file
+
+
+def draw_curves(
+    context: bpy.types.Context, layout: bpy.types.UILayout, state: State, settings: PHYSHDR_Settings
+) -> None:
+    """The curves of this file's training, their room kept from its beginning on."""
+    if not is_of_file(state.job, choices(context)) or not plot.icon_id():
+        return
+    if not state.active and len(state.history.iterations) < 2:
+        return
+    head, body = layout.panel_prop(settings, "show_curves")
+    head.label(text="Curves")
+    if body is not None:
+        body.template_icon(plot.icon_id(), scale=CURVES)
+        write(context, body, "Blue: quality (PSNR, dB)")
+        write(context, body, "Orange: loss, what is still wrong")
 
 
 register, unregister = bpy.utils.register_classes_factory((PHYSHDR_PT_training,))

@@ -10,7 +10,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, cast
+from typing import cast
 
 import bpy
 import numpy as np
@@ -20,8 +20,8 @@ from .. import placement, similarity
 from ..attributes import FILE
 from ..blender import cloud_of
 from ..look import is_model
+from ..preview_look import PreviewLook, preview_look
 from ..session.session import Session
-from ..settings import preview_levels
 from . import overlay, splats
 from .camera import ViewCamera, of_region
 from .schedule import TIMEOUT_SECONDS, PreviewSchedule, Request, View
@@ -31,10 +31,6 @@ from .splat_data import identity
 SHARPNESS = 1.0
 #: Seconds between looks for imported copies of the model that is shown.
 LOOK_SECONDS = 0.5
-
-
-#: What ``_regions`` puts into a view's ``look``: exposure, a level for each light, tone mapping.
-_Look = tuple[float, tuple[float, ...], Literal["linear", "learned"]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,7 +137,7 @@ class LivePreview:
 
 def _message(sequence: int, wanted: Request) -> PreviewRequest:
     camera: ViewCamera = wanted.camera
-    exposure_ev, lighting_levels, tone = cast(_Look, wanted.look)
+    exposure_ev, lighting_levels, tone = cast(PreviewLook, wanted.look)  # as _regions puts it there
     return PreviewRequest(
         sequence=sequence,
         camera=PreviewCamera(
@@ -181,7 +177,7 @@ def _regions(job: JobStatus) -> Iterator[_Region]:
         settings = window.scene.physhdr
         if not settings.preview:
             continue
-        look = (settings.exposure_ev, preview_levels(settings, job.lights), settings.tone)
+        look = preview_look(window.scene, window.view_layer, job)
         to_world = placement.matrix_of(window.scene, placement.key_of(job.data))
         for area in window.screen.areas:
             if area.type != "VIEW_3D":

@@ -112,7 +112,7 @@ def test_a_prepared_capture(prepared):
         f"{prepared.name}: 3 training views, 1 test, 6 × 4",
         "3 exposures: EV -5.91, -3.91, -1.91",  # log2 of 1/60, 4/60, 16/60
         "Dynamic range: 4.0 stops (between the shortest and the longest exposure)",
-        "1 first points",
+        "Starts from 1 points",
     ]
     assert not found.warnings and found.layout == "photographs"
     np.testing.assert_allclose(camera_places(prepared), PLACES, atol=1e-12)
@@ -128,7 +128,7 @@ def test_a_folder_of_colmap(tmp_path, binary):
         (tmp_path / "images" / name).write_bytes(jpeg_head(60, 40))
     sparse(tmp_path, names, binary)
     found = summarise(tmp_path)
-    assert found.lines == [f"{tmp_path.name}: 4 views, 60 × 40, COLMAP", "1 first points"]
+    assert found.lines == [f"{tmp_path.name}: 4 views, 60 × 40, COLMAP", "Starts from 1 points"]
     assert not found.warnings  # exposures may be in EXIF, which the trainer reads
     np.testing.assert_allclose(camera_places(tmp_path), PLACES, atol=1e-12)
     pycolmap = pytest.importorskip("pycolmap", reason="COLMAP itself is asked for the cameras' places")

@@ -63,7 +63,7 @@ def test_a_plain_folder(folder):
         f"{folder.name}: 3 training views, 2 test, 6 × 4",
         "3 exposures: EV -3, -1, +1",
         "Dynamic range: 4.0 stops (between the shortest and the longest exposure)",
-        "7 first points",
+        "Starts from 7 points",
     ]
 
 

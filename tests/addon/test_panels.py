@@ -1,0 +1,392 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the panels show in each state: no text is cut at the sidebar's default width, nothing jumps, and the
+words are an artist's.
+
+Panels draw onto a layout that keeps what is put on it, with the room that Blender would give each text.
+"""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+
+bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
+
+import physhdr  # noqa: E402
+from physhdr.addon import plot, runtime, settings  # noqa: E402
+from physhdr.addon.panels import parts  # noqa: E402
+from physhdr.addon.panels.backend import PHYSHDR_PT_backend, PHYSHDR_PT_backend_ready  # noqa: E402
+from physhdr.addon.panels.dataset import PHYSHDR_PT_dataset  # noqa: E402
+from physhdr.addon.panels.illumination import PHYSHDR_PT_illumination  # noqa: E402
+from physhdr.addon.panels.train import PHYSHDR_PT_train  # noqa: E402
+from physhdr.addon.panels.training import PHYSHDR_PT_training  # noqa: E402
+from physhdr.addon.session.state import Backend, Dataset, Link, Photos, Problem, Running, State  # noqa: E402
+from physhdr.bridge.messages import Failure, History, JobStatus, Welcome  # noqa: E402
+
+#: Of Blender's sidebar as it comes, and of a text button beside its text, an enumeration's arrow, an icon.
+WIDTH, PADDING, ARROW, ICON = 280, 12, 16, 22
+#: Of a row that is split into label and value.
+LABEL_SHARE = 0.4
+PANELS = (
+    PHYSHDR_PT_train,
+    PHYSHDR_PT_backend,
+    PHYSHDR_PT_dataset,
+    PHYSHDR_PT_training,
+    PHYSHDR_PT_illumination,
+    PHYSHDR_PT_backend_ready,
+)
+#: Words that an artist has no use for.
+JARGON = ("exp1", "exp3", "first points", "anchor", "checkpoint", "Gaussians", "PSNR 3")
+
+
+class Layout:
+    """Keeps what is drawn: ``kept`` has (kind, text, room, icon, name, enabled) in order, down the panel."""
+
+    def __init__(self, room, root=None, row=None):
+        self.__dict__.update(
+            room=room, root=root or self, kept=[], rows=0, parent=row, cells=[], use_property_split=False
+        )
+        self.__dict__.update(enabled=True, heading="")
+
+    def __setattr__(self, name, value):
+        self.__dict__[name] = value
+
+    def child(self, is_row=False, **more):
+        made = Layout(self.room, self.root, self if is_row else None)
+        made.is_row, made.use_property_split = is_row, self.use_property_split
+        made.enabled, made.above = self.enabled, self
+        made.heading = more.get("heading", "")
+        self.cells.append(made)
+        return made
+
+    def row(self, **more):
+        return self.child(True, **more)
+
+    def column(self, **more):
+        return self.child(False, **more)
+
+    def box(self):
+        made = self.child()
+        made.room -= 12
+        return made
+
+    def panel(self, idname, default_closed=False):
+        return self.row(), None if default_closed else self.column()
+
+    def panel_prop(self, data, name):
+        return self.row(), self.column() if getattr(data, name) else None
+
+    def separator(self, **_):
+        pass
+
+    def label(self, text="", icon="NONE"):
+        self.put("label", text, icon)
+
+    def operator(self, name, text=None, icon="NONE", **_):
+        self.put("operator", name if text is None else text, icon, name)
+        return SimpleNamespace()
+
+    def menu(self, name, text="", icon="NONE"):
+        self.put("menu", text, icon, name)
+
+    def progress(self, factor=0.0, text=""):
+        self.put("progress", text, "NONE")
+
+    def template_icon(self, number, scale=1.0):
+        self.put("picture", "", "NONE", scale=scale)
+
+    def prop(self, data, name, text=None, icon="NONE", toggle=False, placeholder="", **_):
+        found = data.bl_rna.properties[name]
+        shown = found.name if text is None else text
+        if toggle or (found.type == "BOOLEAN" and not self.use_property_split):
+            self.put("button", shown, icon, name)
+            return
+        self.put("value", shown, icon, name)
+        if found.type == "ENUM":
+            for item in found.enum_items:
+                self.put("choice", item.name, "NONE", name)
+
+    def put(self, kind, text, icon, name="", scale=1.0):
+        self.cells.append((kind, text, icon, name, self.is_enabled, self.use_property_split, scale))
+
+    @property
+    def is_enabled(self):
+        here, found = self, True
+        while here is not None:
+            found = found and here.enabled
+            here = here.__dict__.get("above")
+        return found
+
+
+Layout.is_row = False
+
+
+def texts(layout, room=None):
+    """(kind, text, pixels it may have, name, enabled) of everything drawn, by the width that rows share."""
+    room = layout.room if room is None else room
+    shown = [cell for cell in layout.cells if isinstance(cell, Layout) or cell[0] != "choice"]
+    wide = [cell for cell in shown if isinstance(cell, Layout) or cell[1]]
+    narrow = len(shown) - len(wide)
+    each = (room - narrow * ICON) / max(len(wide), 1) if layout.is_row else room
+    if layout.heading:
+        yield "label", layout.heading, LABEL_SHARE * room, "", True
+        each = (1.0 - LABEL_SHARE) * room - narrow * ICON
+    for cell in layout.cells:
+        if isinstance(cell, Layout):
+            yield from texts(cell, each)
+            continue
+        kind, text, icon, name, enabled, split, _ = cell
+        free = each - (ICON if icon != "NONE" else 0)
+        free -= PADDING if kind in ("operator", "menu", "button", "progress") else 0
+        if kind == "value" and split:
+            free = LABEL_SHARE * room
+        if kind == "choice":
+            free = ((1.0 - LABEL_SHARE) * room if split else room) - ARROW - PADDING
+        yield kind, text, free, name, enabled
+
+
+def height(cells):
+    """Rows that it takes, in order: where each operator's button is."""
+    places, at = {}, 0.0
+
+    def walk(layout):
+        nonlocal at
+        here = at
+        highest = here
+        for cell in layout.cells:
+            if layout.is_row:
+                at = here
+            if isinstance(cell, Layout):
+                walk(cell)
+            elif cell[0] != "choice":
+                places.setdefault((cell[0], cell[3] or cell[1]), (at, cell[4]))
+                at += cell[6]
+            highest = max(highest, at)
+        at = highest
+
+    walk(cells)
+    return places, at
+
+
+def draw(panel, state=None):
+    """The layout on which a panel was drawn, and what was asked of it."""
+    if state is not None:
+        runtime.session().state = state
+    context = SimpleNamespace(
+        scene=bpy.context.scene,
+        preferences=bpy.context.preferences,
+        object=bpy.context.object,
+        view_layer=bpy.context.view_layer,
+        region=SimpleNamespace(width=WIDTH),
+        space_data=SimpleNamespace(
+            region_3d=SimpleNamespace(is_perspective=True),
+            shading=SimpleNamespace(type="SOLID"),
+            overlay=SimpleNamespace(show_overlays=True),
+        ),
+    )
+    drawn = SimpleNamespace(layout=Layout(WIDTH - parts.FRAME))
+    for name in ("_draw_ready", "_draw_photos"):
+        if hasattr(panel, name):
+            setattr(drawn, name, getattr(panel, name).__get__(drawn))
+    panel.draw(drawn, context)
+    return drawn.layout
+
+
+@pytest.fixture
+def chosen(scene, tmp_path, monkeypatch):
+    """The scene's settings with a data set chosen, in a Blender whose sidebar has its default width."""
+    monkeypatch.setattr(settings, "home_folder", lambda: tmp_path / "home")
+    region = SimpleNamespace(width=WIDTH)
+    monkeypatch.setattr(parts, "room", lambda context: region.width - parts.FRAME)
+    physhdr.register()
+    folder = tmp_path / "kitchen"
+    folder.mkdir()
+    scene.physhdr.data = str(folder)
+    plot.update(History())
+    yield scene.physhdr
+    physhdr.unregister()
+
+
+LIGHTS = ("ambient", "pendant lamp", "window")
+WELCOME = Welcome(
+    protocol=2,
+    version="",
+    pid=29444,
+    log="/tmp/log",
+    device="cpu",
+    torch="2.13.0",
+    presets=(),
+    in_control=True,
+)
+
+
+def states(data):
+    """The states of a session, by name."""
+    report = {"versions": {"torch": "2.13.0+cpu", "numba": "0.68.1"}, "device": "cpu", "missing": []}
+    ready = State(
+        backend=Backend("/home/somebody/.config/blender/5.2/extensions/backend/bin/python", report),
+        link=Link("connected", WELCOME, pid=29444),
+        dataset=Dataset(
+            data,
+            (
+                "interior: 18 training views, 17 test, 12 under other light, 200 × 200",
+                "5 exposures: EV -3, -1, +1, +3, +5",
+                "Dynamic range: 15.2 stops (measured)",
+            ),
+        ),
+    )
+    job = JobStatus(
+        state="training",
+        run=f"{data}_run",
+        data=data,
+        preset="default",
+        iteration=1234,
+        iterations=25000,
+        gaussians=1_160_000,
+        iterations_per_second=14.5,
+        seconds_left=5000.0,
+        losses={"rec": 0.0134},
+        monitor={"PSNR": 33.81},
+        has_model=True,
+        can_relight=True,
+        lights=LIGHTS,
+        in_control=True,
+    )
+    curves = History(iterations=(20, 40), losses=(1.0, 0.5))
+    message = "pictures are used as they are, 0.04 megapixels: 2,500 iterations, at most 60,000 Gaussians"
+    failure = Failure(code="training_diverged", message="the loss is no number", hint="Resume it.")
+    return {
+        "nothing": State(),
+        "installing": State(
+            tasks=(Running("install", "log", 0.4, "downloading torch-2.13.0 (200 MB)", 90.0),)
+        ),
+        "checking": State(
+            tasks=(Running("check", "log", 0.4, "compiling kernels 3/14: response curves, elu"),)
+        ),
+        "broken": State(
+            backend=Backend("/usr/bin/python3", problem=Problem("no module torch", "Install it"))
+        ),
+        "ready": replace(ready, link=Link()),
+        "warned": replace(
+            ready,
+            dataset=replace(ready.dataset, warnings=("There is no test split: quality is not measured.",)),
+        ),
+        "photos": replace(ready, photos=Photos("/photos", lines=("27 photos, 400 × 300",), seconds=75.0)),
+        "rendering": replace(ready, tasks=(Running("dataset", "log", 0.4, "view 12 of 40", 90.0),)),
+        "preparing": replace(ready, job=replace(job, state="preparing", message=message, iteration=0)),
+        "training": replace(ready, job=job, history=curves),
+        "paused": replace(ready, job=replace(job, state="paused"), history=curves),
+        "stopping": replace(ready, job=replace(job, state="stopping"), history=curves, stopping=True),
+        "stopped": replace(ready, job=replace(job, state="stopped"), history=curves),
+        "finished": replace(ready, job=replace(job, state="finished", iteration=25000), history=curves),
+        "failed": replace(ready, job=replace(job, state="failed", failure=failure, has_model=False)),
+        "open": replace(ready, job=replace(job, state="open"), history=curves),
+        "others": replace(
+            ready, job=replace(job, in_control=False, controller="Blender 5.2.2 (kitchen.blend)")
+        ),
+    }
+
+
+NAMES = list(states("/data"))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_no_text_is_cut_at_the_default_width(chosen, name):
+    """By the widths that Blender's own font has; and no word that only the trainer's authors know."""
+    state = states(chosen.data)[name]
+    for live, automatic in ((False, True), (True, False)):
+        chosen.preview, chosen.iterations_automatic = live, automatic
+        settings.follow_lights(chosen, LIGHTS)
+        for panel in PANELS:
+            for kind, text, free, *_ in texts(draw(panel, state)):
+                wide = parts.text_width(text)
+                assert wide <= free, f"{panel.__name__}: {kind} {text!r} is {wide:.0f} px, has {free:.0f}"
+                assert not any(word in text for word in JARGON), f"{panel.__name__}: {text!r}"
+
+
+def test_nothing_of_the_training_stands_elsewhere_while_it_goes_on(chosen):
+    """Each button is where it was, whatever is pressed: greyed, not gone."""
+    found = states(chosen.data)
+    names = (
+        "ready",
+        "preparing",
+        "training",
+        "paused",
+        "stopping",
+        "stopped",
+        "finished",
+        "open",
+        "rendering",
+    )
+    wanted = ("train_start", "train_resume", "train_pause", "train_continue", "train_stop", "run_open")
+    places = {name: height(draw(PHYSHDR_PT_training, found[name]))[0] for name in names}
+    for button in (*wanted, "result_import"):
+        rows = {name: places[name]["operator", f"physhdr.{button}"][0] for name in names}
+        assert len(set(rows.values())) == 1, (button, rows)
+    enabled = {
+        name: {button for button in wanted if places[name]["operator", f"physhdr.{button}"][1]}
+        for name in names
+    }
+    assert enabled["ready"] == {"train_start"}
+    assert enabled["training"] == enabled["preparing"] == {"train_pause", "train_stop"}
+    assert enabled["paused"] == {"train_continue", "train_stop"}
+    assert "train_start" in enabled["finished"]
+    # What stands above it keeps its height as well: the first panel, whose bar comes and goes.
+    heights = {name: height(draw(PHYSHDR_PT_train, found[name]))[1] for name in (*names, "checking")}
+    assert len(set(heights.values())) == 1, heights
+
+
+def test_the_preview_and_its_sliders_stay_where_they_are(chosen):
+    found = states(chosen.data)
+    settings.follow_lights(chosen, LIGHTS)
+    rows = {}
+    for name in ("ready", "training", "finished", "open"):
+        for live in (False, True):
+            chosen.preview = live
+            places, _ = height(draw(PHYSHDR_PT_illumination, found[name]))
+            rows[name, live] = places["button", "preview"][0], places["value", "exposure_ev"][0]
+    assert set(rows.values()) == {(0.0, 1.0)}
+
+
+def test_the_report_is_folded_and_its_warnings_are_not(chosen):
+    found = states(chosen.data)
+    for name, is_open in (("ready", False), ("warned", True)):
+        shown = [text for _, text, *_ in texts(draw(PHYSHDR_PT_dataset, found[name]))]
+        assert "interior: 18 training views" in shown
+        assert any("stops" in text for text in shown) == is_open
+        assert any("no test split" in text for text in shown) == is_open
+
+
+def test_the_backend_is_first_until_there_is_one_and_then_last_and_folded(chosen):
+    found = states(chosen.data)
+    for name, first in (("nothing", True), ("ready", False)):
+        runtime.session().state = found[name]
+        assert PHYSHDR_PT_backend.poll(bpy.context) == first
+        assert PHYSHDR_PT_backend_ready.poll(bpy.context) == (not first)
+    assert "DEFAULT_CLOSED" in PHYSHDR_PT_backend_ready.bl_options
+    assert PHYSHDR_PT_backend_ready.bl_order > getattr(PHYSHDR_PT_illumination, "bl_order", 0)
+
+
+def test_what_the_check_found_odd_is_told(chosen):
+    state = states(chosen.data)["ready"]
+    report = {**state.backend.report, "warnings": ["torch 2.20.0 was not tested: torch>=2.8,<2.14"]}
+    shown = texts(
+        draw(PHYSHDR_PT_backend_ready, replace(state, backend=replace(state.backend, report=report)))
+    )
+    assert "was not tested" in " ".join(text for _, text, *_ in shown)
+
+
+def test_iterations_are_automatic_until_a_number_is_wanted(chosen):
+    state = states(chosen.data)["ready"]
+
+    def shown():
+        return {name: text for kind, text, _, name, _ in texts(draw(PHYSHDR_PT_training, state)) if name}
+
+    assert chosen.iterations == 0 and shown()["iterations_automatic"] == "Automatic"
+    assert "iterations" not in shown()
+    before = height(draw(PHYSHDR_PT_training, state))[1]
+    chosen.iterations_automatic = False
+    assert chosen.iterations > 0 and "iterations" in shown()
+    assert height(draw(PHYSHDR_PT_training, state))[1] == before
+    chosen.iterations = 0  # as scripts say it
+    assert chosen.iterations_automatic
