@@ -66,12 +66,12 @@ def draw_in_panel(context: bpy.types.Context, layout: bpy.types.UILayout) -> Non
 
 
 def time_in_words(values: SimpleNamespace, scene: bpy.types.Scene) -> str:
-    """``48 pictures, about 12 min, as the last data set of this scene went``."""
+    """``48 pictures to render: about 12 min, as the last data set of this scene went``."""
     out = None
     if values.out:
         out = dataset_folder.whole(values.out)
     seconds, by = render_time.estimate(values, scene, session().home, out)
-    pictures = f"{dataset_command.pictures(values)} pictures are rendered"
+    pictures = f"{dataset_command.pictures(values)} pictures to render"
     return f"{pictures}. {by}" if seconds < 0.0 else f"{pictures}: about {about(seconds)}, {by}"
 
 

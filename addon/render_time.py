@@ -21,7 +21,7 @@ from .dataset_settings import settings_of
 
 #: In the backend's folder: device → seconds for a sample of a pixel, and of which scene.
 RATES_FILE = "render_rates.json"
-UNKNOWN = "How long it takes is told once the first pictures are rendered"
+UNKNOWN = "The time is told once the first ones are there"
 
 
 @dataclass(frozen=True)

@@ -114,8 +114,7 @@ class PHYSHDR_OT_dataset_render(RenderOptions, PhysHDROperator):
         started = render_time.begun(chosen, scene, out)
         if not self.wait:
             _choose_when_done(scene.name, started)
-            if not bpy.app.background:  # else undoing what comes next would lose what was remembered
-                bpy.ops.ed.undo_push(message=self.bl_label)
+            _push_undo()
             return {"FINISHED"}
         try:
             current.wait(lambda state: state.task(DATASET) is None, RENDER_SECONDS)
@@ -162,6 +161,15 @@ def _take(scene: bpy.types.Scene, started: Started) -> None:
     render_time.ended(started, scene, session().home)
 
 
+def _push_undo() -> None:
+    """A step of undo: else undoing what comes next would take away what was remembered and chosen."""
+    windows = bpy.context.window_manager.windows
+    if windows and not bpy.app.background:
+        override: Any = bpy.context.temp_override(window=windows[0])  # a context manager, which stubs miss
+        with override:
+            bpy.ops.ed.undo_push(message=PHYSHDR_OT_dataset_render.bl_label)
+
+
 def _choose_when_done(name: str, started: Started) -> None:
     """Choose the data set for training once it is complete, unless another file has been opened by then.
 
@@ -171,11 +179,14 @@ def _choose_when_done(name: str, started: Started) -> None:
     def look() -> float | None:
         if not hasattr(bpy.types.Scene, "physhdr"):
             return None
-        if session().state.task(DATASET):
+        windows = bpy.context.window_manager.windows
+        # What one is in the middle of, such as dragging, is not to be cut in two by a step of undo.
+        if session().state.task(DATASET) or any(len(each.modal_operators) for each in windows):
             return LOOK_SECONDS
         scene = bpy.data.scenes.get(name)
         if scene and (started.out / INFO_FILE).is_file():
             _take(scene, started)
+            _push_undo()
         return None
 
     bpy.app.timers.register(look, first_interval=LOOK_SECONDS)
