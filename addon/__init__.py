@@ -23,6 +23,7 @@ _MODULES = (
     "operators.capture",
     "operators.lighting",
     "operators.results",
+    "operators.native",
     "viewport",
     "plot",
     "runtime",

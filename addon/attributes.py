@@ -43,7 +43,7 @@ POSITION = Attribute("position", "FLOAT_VECTOR")
 SCALE = Attribute("scale", "FLOAT_VECTOR")
 #: Unit, wxyz.
 ROTATION = Attribute("rotation", "QUATERNION")
-#: What Blender 5.3 shows: the SH coefficient of degree 0 of a linear colour, and the opacity in the fourth.
+#: What Blender 5.3 shows: the SH coefficient of degree 0 of a display's code, and the opacity in the fourth.
 BASE = Attribute("radiance:base", "FLOAT4")
 #: The others: ``[k − 1]`` is coefficient k.
 SHOWN_SH = Numbered("radiance:sh_", "FLOAT_VECTOR")

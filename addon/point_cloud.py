@@ -10,7 +10,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ..bridge import spherical_harmonics
+from ..bridge import native_splats
 from ..bridge.errors import BadValueError, DataMismatchError
 from ..bridge.lights import AMBIENT, check_lights
 from ..bridge.model_file import Model
@@ -49,18 +49,15 @@ def attributes_of(
     """The attributes of a model with their values, one at a time: together they are larger than the model.
 
     ``colour_sh`` ``[N, K, 3]``: the colours of the PLY that the model was made from. They become Blender
-    5.3's attributes as they are, as if it had imported the file; a model of ours gives it linear radiance.
+    5.3's attributes as they are, as if it had imported the file; a model of ours gives it sRGB codes of the
+    radiance that a display shows, 0 to 1. No scale is 0, which it could not pack (``native_splats``).
     """
     yield POSITION, model.position
-    yield SCALE, model.scale
+    yield SCALE, native_splats.packable(model.scale)
     length = np.linalg.norm(model.rotation, axis=1, keepdims=True)
     yield ROTATION, model.rotation / length
 
-    shown_sh = colour_sh
-    if shown_sh is None:
-        shown_sh = spherical_harmonics.fit_linear(model.log_radiance_sh)
-        # 3DGS, and so Blender 5.3, shows 0.5 + Σ sh_k Y_k.
-        shown_sh[:, 0] -= np.float32(0.5 / spherical_harmonics.C0)
+    shown_sh = native_splats.shown_sh(model.log_radiance_sh) if colour_sh is None else colour_sh
     yield BASE, np.column_stack([shown_sh[:, 0], model.opacity])
     for k in range(1, shown_sh.shape[1]):
         yield SHOWN_SH[k - 1], shown_sh[:, k]

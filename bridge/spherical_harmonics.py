@@ -35,12 +35,8 @@ C3 = (
     -0.25 * math.sqrt(35.0 / (2.0 * math.pi)),
 )
 
-#: ``fit_linear`` limits log radiance to ±this, so that float32 neither overflows nor underflows.
+#: ``exponential`` limits log radiance to ±this, so that float32 neither overflows nor underflows.
 LOG_LIMIT = 80.0
-#: Gauss-Legendre nodes along z for ``fit_linear`` by degree (twice as many around the axis). exp(f) is
-#: no polynomial: these keep the worst of 2000 random Gaussians (sh ~ 0.35, twice what trained ones have)
-#: below 1e-8, 1e-5 and 1e-3 of the mean radiance; what a degree leaves out of exp(f) is far more.
-_FIT_NODES = (1, 5, 8, 8)
 #: In ``refit`` one product takes so many Gaussians: above 2¹⁸ multiplications OpenBLAS starts threads, which
 #: spin, and where other processes want the cores a product then takes four times as long.
 _GROUP = 32
@@ -151,17 +147,3 @@ def exponential(values: np.ndarray) -> np.ndarray:
     if not (values.max(initial=0.0) <= LOG_LIMIT and values.min(initial=0.0) >= -LOG_LIMIT):
         np.clip(values, -LOG_LIMIT, LOG_LIMIT, out=values)
     return np.exp(values, out=values)
-
-
-def fit_linear(log_radiance_sh: np.ndarray) -> np.ndarray:
-    """SH coefficients ``[N, K, 3]`` (float32) of the *linear* radiance exp(Σ_k sh_k Y_k).
-
-    Its orthogonal projection onto the same basis (the least squares fit over all directions), by a fixed
-    quadrature. What programs that know only linear SH show: Blender 5.3, 3DGS viewers.
-    """
-    degree = degree_of(log_radiance_sh.shape[1])
-    if degree == 0:
-        return exponential(log_radiance_sh * np.float32(C0)) / np.float32(C0)
-    directions, weights = quadrature(_FIT_NODES[degree])
-    evaluate = basis(directions, degree)
-    return refit(log_radiance_sh, exponential, evaluate, (evaluate * weights[:, None]).T)

@@ -10,8 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from physhdr.bridge import spherical_harmonics
-
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
 import physhdr  # noqa: E402
@@ -65,21 +63,6 @@ def test_every_attribute_arrives_exactly(scene, make_model, write, modulator: st
     assert types["rotation"] == "QUATERNION"
     assert types["radiance:base"] == "FLOAT4"
     assert types["physhdr:log_sh_0"] == "FLOAT_VECTOR"
-
-
-def test_linear_attributes_show_the_mean_radiance_in_3dgs_terms(scene, make_model, write):
-    """0.5 + C0 · base is the radiance averaged over all directions, by quadrature here."""
-    model = make_model(degree=1)
-    cloud = model_import.import_model(write(model)).data
-    directions, weights = spherical_harmonics.quadrature(20)
-    expected = sum(
-        w * model.radiance(np.broadcast_to(d, (model.count, 3)))
-        for d, w in zip(directions, weights, strict=True)
-    ) / (4 * np.pi)
-    base = point_cloud.read_attribute(cloud, "radiance:base")[:, :3]
-    np.testing.assert_allclose(0.5 + spherical_harmonics.C0 * base, expected, rtol=1e-4, atol=1e-6)
-    assert "radiance:sh_2" in cloud.attributes
-    assert "radiance:sh_3" not in cloud.attributes
 
 
 def test_provenance_is_kept(scene, make_model, write):
