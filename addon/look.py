@@ -167,7 +167,9 @@ def draw_look(layout: bpy.types.UILayout, target: bpy.types.Object) -> None:
     column = layout.column()
     column.use_property_split = True
     column.use_property_decorate = True
-    names = {nodes.level_input(lights, index): slider_name(lights, index) for index in range(len(lights))}
+    # A panel has less room than a modifier: half of its width is for the names of switches.
+    names = {nodes.TONE_MAPPER: "Learned Tones"}
+    names |= {nodes.level_input(lights, index): slider_name(lights, index) for index in range(len(lights))}
     for label in inputs(lights):
         if nodes.has_input(modifier, label):
             socket = getattr(nodes.inputs_of(modifier), nodes.input_identifier(modifier, label))

@@ -52,7 +52,8 @@ def hints(
     reason: str,
 ) -> list[str]:
     """What is worth a word: below the sliders, which stay where they are."""
-    told = [reason or view_hint(context)]
+    # A model that is in the scene needs no backend.
+    told = ["" if reason and target is not None and not settings.preview else reason or view_hint(context)]
     if settings.preview and not reason and target is not None:
         is_shown = target == shown
         told.append(

@@ -19,6 +19,8 @@ from .parts import Subpanel, button, reasons, write
 
 #: Height of the curves, in rows.
 CURVES = 11.0
+#: Of a row the share that Blender gives a property's name.
+LABEL = 0.4
 
 
 class PHYSHDR_PT_training(Subpanel, bpy.types.Panel):
@@ -50,7 +52,11 @@ def draw_choices(layout: bpy.types.UILayout, settings: PHYSHDR_Settings) -> None
     layout.use_property_decorate = False
     layout.prop(settings, "out", placeholder=proposed_run(absolute(settings.data)))
     layout.prop(settings, "preset")
-    row = layout.row(align=True, heading="Iterations")
+    split = layout.split(factor=LABEL)
+    label = split.row()
+    label.alignment = "RIGHT"
+    label.label(text="Iterations")
+    row = split.row(align=True)
     row.use_property_split = False
     if settings.iterations_automatic:
         row.prop(settings, "iterations_automatic", text="Automatic", toggle=True)

@@ -59,6 +59,11 @@ class Layout:
         self.cells.append(made)
         return made
 
+    def split(self, factor=0.5, **more):
+        made = self.child(True, **more)
+        made.factor = factor
+        return made
+
     def row(self, **more):
         return self.child(True, **more)
 
@@ -101,6 +106,9 @@ class Layout:
         if toggle or (found.type == "BOOLEAN" and not self.use_property_split):
             self.put("button", shown, icon, name)
             return
+        if found.type == "BOOLEAN":
+            self.put("switch", shown, icon, name)
+            return
         self.put("value", shown, icon, name)
         if found.type == "ENUM":
             for item in found.enum_items:
@@ -118,7 +126,7 @@ class Layout:
         return found
 
 
-Layout.is_row = False
+Layout.is_row, Layout.factor = False, 0.0
 
 
 def texts(layout, room=None):
@@ -131,7 +139,9 @@ def texts(layout, room=None):
     if layout.heading:
         yield "label", layout.heading, LABEL_SHARE * room, "", True
         each = (1.0 - LABEL_SHARE) * room - narrow * ICON
-    for cell in layout.cells:
+    for index, cell in enumerate(layout.cells):
+        if layout.factor:
+            each = room * (1.0 - layout.factor if index else layout.factor)
         if isinstance(cell, Layout):
             yield from texts(cell, each)
             continue
@@ -140,6 +150,8 @@ def texts(layout, room=None):
         free -= PADDING if kind in ("operator", "menu", "button", "progress") else 0
         if kind == "value" and split:
             free = LABEL_SHARE * room
+        if kind == "switch":
+            free = (1.0 - LABEL_SHARE) * room - 2 * ICON  # its box, and the dot of a keyframe
         if kind == "choice":
             free = ((1.0 - LABEL_SHARE) * room if split else room) - ARROW - PADDING
         yield kind, text, free, name, enabled
@@ -175,7 +187,7 @@ def draw(panel, state=None):
     context = SimpleNamespace(
         scene=bpy.context.scene,
         preferences=bpy.context.preferences,
-        object=bpy.context.object,
+        object=bpy.context.view_layer.objects.active,
         view_layer=bpy.context.view_layer,
         region=SimpleNamespace(width=WIDTH),
         space_data=SimpleNamespace(
@@ -302,6 +314,20 @@ def test_no_text_is_cut_at_the_default_width(chosen, name):
                 wide = parts.text_width(text)
                 assert wide <= free, f"{panel.__name__}: {kind} {text!r} is {wide:.0f} px, has {free:.0f}"
                 assert not any(word in text for word in JARGON), f"{panel.__name__}: {text!r}"
+
+
+def test_no_text_of_a_models_sliders_is_cut(chosen, make_model, write):
+    """Those of the selected model, which its modifier calls by longer names."""
+    bpy.ops.physhdr.model_import(
+        filepath=str(write(make_model(lights=("ambient", "pendant")))), name="kitchen"
+    )
+    shown = list(texts(draw(PHYSHDR_PT_illumination, State())))
+    for kind, text, free, *_ in shown:
+        assert parts.text_width(text) <= free, f"{kind} {text!r} is cut"
+    assert {"kitchen", "Exposure (EV)", "ambient", "pendant", "Learned Tones"} <= {
+        text for _, text, *_ in shown
+    }
+    assert not any("no model yet" in text for _, text, *_ in shown)  # it needs no backend
 
 
 def test_nothing_of_the_training_stands_elsewhere_while_it_goes_on(chosen):
