@@ -8,6 +8,7 @@ Panels draw onto a layout that keeps what is put on it, with the room that Blend
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
@@ -318,9 +319,11 @@ def test_no_text_is_cut_at_the_default_width(chosen, name):
 
 def test_no_text_of_a_models_sliders_is_cut(chosen, make_model, write):
     """Those of the selected model, which its modifier calls by longer names."""
-    bpy.ops.physhdr.model_import(
-        filepath=str(write(make_model(lights=("ambient", "pendant")))), name="kitchen"
-    )
+    steps = np.linspace(-8.0, 8.0, 32, dtype=np.float32)
+    curve = np.repeat(1.0 / (1.0 + np.exp(-steps))[:, None], 3, axis=1).astype(np.float32)
+    model = make_model(lights=("ambient", "pendant"))
+    model = replace(model, tone_curve_log_exposure=steps, tone_curve=curve)
+    bpy.ops.physhdr.model_import(filepath=str(write(model)), name="kitchen")
     shown = list(texts(draw(PHYSHDR_PT_illumination, State())))
     for kind, text, free, *_ in shown:
         assert parts.text_width(text) <= free, f"{kind} {text!r} is cut"
