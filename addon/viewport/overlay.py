@@ -87,6 +87,8 @@ class Layer:
 
 #: Gives the layers of a region, the farthest first; called while it is drawn.
 Source = Callable[[bpy.types.Context, ViewCamera], Iterable[Layer]]
+#: Draws into the overlay buffer, over the pictures, with the view's matrices.
+Annotation = Callable[[bpy.types.Context], None]
 
 
 def upload(picture: RenderedView) -> Layer:
@@ -162,6 +164,7 @@ class _Runtime:
     def __init__(self) -> None:
         self.handlers: list[Any] = []
         self.sources: list[Source] = []
+        self.annotations: dict[Source, Annotation] = {}
         self.pictures: dict[int, RenderedView] = {}
         self.layers: dict[int, tuple[RenderedView, Layer]] = {}
         self.compositor: Compositor | None = None
@@ -220,13 +223,16 @@ def redraw_all() -> None:
         region.tag_redraw()
 
 
-def add_source(source: Source) -> None:
-    """Let ``source`` give layers whenever a 3D view is drawn."""
+def add_source(source: Source, annotation: Annotation | None = None) -> None:
+    """Let ``source`` give layers whenever a 3D view is drawn, and ``annotation`` draw over all of them."""
     _runtime.sources.append(source)
+    if annotation is not None:
+        _runtime.annotations[source] = annotation
 
 
 def remove_source(source: Source) -> None:
     _runtime.sources.remove(source)
+    _runtime.annotations.pop(source, None)
 
 
 def _forget(key: int) -> None:
@@ -267,6 +273,8 @@ def _after_scene() -> None:
             _runtime.compositor.draw(layer, view, window_matrix)
     for layer in layers:
         _runtime.compositor.draw(layer, view, window_matrix, erase=True)
+    for annotation in _runtime.annotations.values():
+        annotation(context)
 
 
 def register() -> None:

@@ -11,12 +11,13 @@ import numpy as np
 
 from ...bridge.errors import PhysHDRError
 from ...bridge.spherical_harmonics import degree_of
-from ..attributes import BASE, IDENTITY, LEVEL_LOG_GAIN, LOG_SH, POSITION, ROTATION, SCALE
+from ..attributes import BASE, CAMERA_DISTANCE, IDENTITY, LEVEL_LOG_GAIN, LOG_SH, POSITION, ROTATION, SCALE
 from ..point_cloud import lights_of, read_attribute, read_levels, read_numbered, read_shares
 from . import gpu_arrays
+from .chunks import CHUNK, Chunks, chunks_of, morton_order
 
-#: Gaussian i is texel (i mod WIDTH, i div WIDTH) of every texture.
-WIDTH = 2048
+#: Texel i is (i mod WIDTH, i div WIDTH) of every texture; a row has a whole number of chunks.
+WIDTH = 4 * CHUNK
 #: An array texture has room for 256 layers on every GPU: one a light, and what no light turns.
 LIGHTS_MAX = 255
 
@@ -87,24 +88,38 @@ def identity(cloud: bpy.types.PointCloud) -> str:
 
 
 def fingerprint(cloud: bpy.types.PointCloud) -> tuple[int, ...]:
-    """Changes when points are added, deleted, moved, resized or recoloured (1 M Gaussians: 10 ms).
+    """Changes when points are added, deleted, moved, resized, recoloured or measured (1 M Gaussians: 10 ms).
 
     Sums of the bits of the attributes that such edits change. Blender reports a changed modifier input as a
     changed point cloud; uploading again at every step of a slider would be slow.
     """
-    values = (read_attribute(cloud, attribute.name) for attribute in (POSITION, SCALE, BASE))
+    names = [each.name for each in (POSITION, SCALE, BASE, CAMERA_DISTANCE)]
+    values = (read_attribute(cloud, name) for name in names if name in cloud.attributes)
     return len(cloud.points), *(int(array.view(np.uint32).sum(dtype=np.uint64)) for array in values)
 
 
+@dataclass(frozen=True, eq=False)
+class Marks:
+    """Which Gaussians something is true of: kept of a cleaned model, selected in Edit Mode."""
+
+    #: Bool ``[N]``, in the order of the texels.
+    values: np.ndarray
+    #: Another number for other marks.
+    serial: int
+
+
 class SplatTextures:
-    """Gaussians on the GPU; needs an active GPU context."""
+    """Gaussians on the GPU, neighbours beside each other; needs an active GPU context."""
 
     def __init__(self, arrays: SplatArrays) -> None:
         #: Another number for every upload.
         self.serial = next(_serial)
         self.count = arrays.count
-        #: ``[N, 3]`` float32, for sorting.
-        self.position = arrays.position
+        #: ``[N]``: which Gaussian of the cloud each texel is.
+        self.source = morton_order(arrays.position)
+        #: ``[N, 3]`` float32, in the order of the texels, for sorting.
+        self.position = arrays.position[self.source]
+        self.chunks: Chunks = chunks_of(self.position, arrays.scale[self.source])
         self.degree = degree_of(len(arrays.log_sh))
         self.levels = arrays.levels
         self.rows = max(1, math.ceil(arrays.count / WIDTH))
@@ -126,8 +141,20 @@ class SplatTextures:
         #: Layers: the share that no light causes, and each light's; or the log gain at each level.
         self.light = self._texture("RGBA16F", *layers)
 
+    @property
+    def texture_bytes(self) -> int:
+        """What the textures take on the GPU."""
+        texel = {"geometry": 16, "harmonics": 8, "light": 8}
+        layers = {"geometry": 4, "harmonics": max(1, (self.degree + 1) ** 2 - 1)}
+        layers["light"] = len(self.levels) or self.lights + 1
+        return sum(self.rows * WIDTH * size * layers[name] for name, size in texel.items())
+
+    def marks(self, values: np.ndarray) -> Marks:
+        """Marks of ``[N]`` booleans in the cloud's order."""
+        return Marks(values[self.source], next(_serial))
+
     def _texture(self, format: gpu_arrays.Texels, *layers: np.ndarray) -> gpu.types.GPUTexture:
         texels = np.zeros((len(layers), self.rows * WIDTH, 4), np.float32)
         for index, values in enumerate(layers):
-            texels[index, : self.count, : values.shape[1]] = values
+            texels[index, : self.count, : values.shape[1]] = values[self.source]
         return gpu_arrays.texture(texels.reshape(len(layers), self.rows, WIDTH, 4), format)

@@ -12,13 +12,15 @@ from dataclasses import dataclass
 import gpu
 import numpy as np
 
+from ...bridge.spherical_harmonics import MAX_DEGREE
 from ...bridge.splatting import NEAR_PLANE
 from ..tone_curve import ToneCurve
 from . import gpu_arrays, splat_shaders
 from .camera import ViewCamera, object_to_camera
+from .chunks import CHUNK
 from .depth_order import back_to_front
 from .overlay import Layer
-from .splat_data import WIDTH, SplatTextures
+from .splat_data import WIDTH, Marks, SplatTextures
 
 #: Gaussians in one draw call. A triangle each: in software a third faster than quads for small pictures, the
 #: same for large ones; and one large call, not an instance each, is what GPUs like.
@@ -36,12 +38,24 @@ class Item:
     exposure: float = 0.0
     #: ``False``: only the constant term of the spherical harmonics.
     view_dependent: bool = True
+    #: Of the spherical harmonics only those up to this degree.
+    sh_limit: int = MAX_DEGREE
+    #: What is drawn, and what is drawn in the colour of a selection; ``None``: all, and nothing.
+    kept: Marks | None = None
+    selected: Marks | None = None
 
     @property
-    def key(self) -> tuple[int, bytes, tuple[float, ...], float, bool]:
+    def degree(self) -> int:
+        """The degree of the spherical harmonics that are drawn."""
+        return min(self.splats.degree, self.sh_limit) if self.view_dependent else 0
+
+    @property
+    def key(self) -> tuple[int, bytes, tuple[float, ...], float, int, int | None, int | None]:
         """Equal for items that look the same; hashable."""
         pose = self.matrix_world.tobytes()
-        return self.splats.serial, pose, self.levels, self.exposure, self.view_dependent
+        kept = self.kept.serial if self.kept else None
+        selected = self.selected.serial if self.selected else None
+        return self.splats.serial, pose, self.levels, self.exposure, self.degree, kept, selected
 
 
 class Target:
@@ -75,13 +89,22 @@ class Drawing:
     """One picture of some items, drawn at once or, where the GPU is slow, in portions."""
 
     def __init__(
-        self, renderer: "SplatRenderer", target: Target, camera: ViewCamera, order: np.ndarray, depth: float
+        self,
+        renderer: "SplatRenderer",
+        target: Target,
+        camera: ViewCamera,
+        order: np.ndarray,
+        depth: float,
+        is_exact: bool,
     ) -> None:
+        """``order`` ``[N]``: texels, the farthest first; −1 − the texel where it is selected."""
         self.target = target
         self.camera = camera
         #: Typical distance of what is drawn, metres.
         self.typical_depth = depth
         self.count = len(order)
+        #: Whether the order is that of the depths to the last bit.
+        self.is_exact = is_exact
         self._renderer = renderer
         self._drawn = 0
         rows = max(1, math.ceil(self.count / WIDTH))
@@ -117,37 +140,41 @@ class SplatRenderer:
     def __init__(self) -> None:
         self._projection = splat_shaders.create_projection()
         self._drawing = splat_shaders.create_drawing()
-        self._full_screen = gpu_arrays.batch("TRIS", [(-1.0, -1.0), (3.0, -1.0), (-1.0, 3.0)])
         self._triangles = gpu_arrays.triangles(TRIANGLES)
         self._rows = 0
         self._projected: list[gpu.types.GPUTexture] = []
         self._framebuffer: gpu.types.GPUFrameBuffer | None = None
+        #: Scene-linear: selected Gaussians are drawn in shades of it.
+        self.selection_colour = (1.0, 0.2, 0.0)
         #: Of the items last projected: a sampler does not keep its texture.
         self._levels: list[gpu.types.GPUTexture] = []
 
     def begin(
-        self, items: Sequence[Item], camera: ViewCamera, target: Target, *, exact: bool = True
+        self, items: Sequence[Item], camera: ViewCamera, target: Target, *, exact_count: int | None = None
     ) -> Drawing:
-        """Project and sort the items for a camera of the target's size. ``exact``: see ``back_to_front``."""
+        """Project and sort what of the items a camera of the target's size may see.
+
+        More than ``exact_count`` are sorted roughly (``back_to_front``); ``None``: never.
+        """
         self._reserve(sum(item.splats.rows for item in items))
-        depths, texels, first_row = [], [], 0
+        depths, texels, first_row = [np.empty(0, np.float32)], [np.empty(0, np.int64)], 0
         self._levels.clear()
         for item in items:
             to_camera = object_to_camera(camera, item.matrix_world)
-            self._project(item, camera, to_camera, first_row)
-            forward = to_camera[2].astype(np.float32)
-            depths.append(item.splats.position @ forward[:3] + forward[3])
-            start = first_row * WIDTH
-            texels.append(np.arange(start, start + item.splats.count, dtype=np.uint32))
+            chunks = item.splats.chunks.visible(camera, to_camera)
+            if len(chunks):
+                self._project(item, camera, to_camera, first_row, chunks)
+                depth, texel = _seen(item, camera, to_camera, chunks)
+                depths.append(depth)
+                start = first_row * WIDTH
+                is_selected = item.selected.values[texel] if item.selected else None
+                texel = texel + start
+                texels.append(texel if is_selected is None else np.where(is_selected, -1 - texel, texel))
             first_row += item.splats.rows
         depth, texel = np.concatenate(depths), np.concatenate(texels)
-        if not camera.is_orthographic:
-            in_front = depth >= NEAR_PLANE
-            if not in_front.all():
-                depth, texel = depth[in_front], texel[in_front]
         typical = float(np.median(depth[:: max(1, depth.size // 4096)])) if depth.size else 1.0
-        order = texel[back_to_front(depth, exact)]
-        return Drawing(self, target, camera, order, typical)
+        is_exact = exact_count is None or depth.size <= exact_count
+        return Drawing(self, target, camera, texel[back_to_front(depth, is_exact)], typical, is_exact)
 
     def render(
         self, items: Sequence[Item], camera: ViewCamera, *, format: gpu_arrays.Texels | None = None
@@ -163,6 +190,7 @@ class SplatRenderer:
         with gpu_arrays.bound(target.framebuffer):
             shader.bind()
             shader.uniform_float("size", target.size)
+            shader.uniform_float("tint", self.selection_colour)
             shader.uniform_sampler("order", order)
             for name, texture in zip(("place", "axes", "radiance"), self._projected, strict=True):
                 shader.uniform_sampler(f"projected_{name}", texture)
@@ -181,7 +209,9 @@ class SplatRenderer:
             self._framebuffer = gpu.types.GPUFrameBuffer(color_slots=tuple(self._projected))
             self._rows = rows
 
-    def _project(self, item: Item, camera: ViewCamera, to_camera: np.ndarray, first_row: int) -> None:
+    def _project(
+        self, item: Item, camera: ViewCamera, to_camera: np.ndarray, first_row: int, chunks: np.ndarray
+    ) -> None:
         splats, shader = item.splats, self._projection
         from_camera = np.linalg.inv(to_camera)
         if camera.is_orthographic:
@@ -191,7 +221,7 @@ class SplatRenderer:
         index, blend = level_place(splats.levels, item.levels[0] if item.levels else 1.0)
         # The first level that is blended, or how many lights have levels of their own.
         first = index if splats.levels else splats.lights
-        flags = splats.degree if item.view_dependent else 0
+        flags = item.degree
         flags |= splat_shaders.ORTHOGRAPHIC if camera.is_orthographic else 0
         flags |= splat_shaders.HAS_LEVELS if splats.levels else 0
         framebuffer = self._framebuffer
@@ -212,8 +242,42 @@ class SplatRenderer:
             shader.uniform_sampler("light", splats.light)
             self._levels.append(levels_texture(item.levels, splats.lights))
             shader.uniform_sampler("levels", self._levels[-1])
-            self._full_screen.draw(shader)
+            _rectangles(chunks, splats.rows).draw(shader)
             framebuffer.viewport_set(0, 0, WIDTH, self._rows)
+
+
+def _seen(
+    item: Item, camera: ViewCamera, to_camera: np.ndarray, chunks: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Depths ``[M]`` and texels ``[M]`` of what of these chunks is drawn: kept, in front of the camera."""
+    splats = item.splats
+    forward = to_camera[2].astype(np.float32)
+    if len(chunks) == len(splats.chunks.radius):
+        texel, position = np.arange(splats.count), splats.position
+    else:
+        texel = (chunks[:, None] * CHUNK + np.arange(CHUNK)).reshape(-1)
+        if chunks[-1] == len(splats.chunks.radius) - 1:
+            texel = texel[texel < splats.count]
+        position = splats.position[texel]
+    depth = position @ forward[:3] + forward[3]
+    is_drawn = item.kept.values[texel] if item.kept else None
+    if not camera.is_orthographic:
+        in_front = depth >= NEAR_PLANE
+        is_drawn = in_front if is_drawn is None else is_drawn & in_front
+    if is_drawn is None or is_drawn.all():
+        return depth, texel
+    return depth[is_drawn], texel[is_drawn]
+
+
+def _rectangles(chunks: np.ndarray, rows: int) -> gpu.types.GPUBatch:
+    """Where the texels of chunks are in ``rows`` rows of them: two triangles for each run in a row."""
+    across = WIDTH // CHUNK
+    starts = np.flatnonzero((np.diff(chunks, prepend=-2) != 1) | (chunks % across == 0))
+    first, last = chunks[starts], chunks[np.append(starts[1:], len(chunks)) - 1]
+    left, right = 2.0 * (first % across) / across - 1.0, 2.0 * (last % across + 1) / across - 1.0
+    low, high = 2.0 * (first // across) / rows - 1.0, 2.0 * (first // across + 1) / rows - 1.0
+    corners = [(left, low), (right, low), (right, high), (left, low), (right, high), (left, high)]
+    return gpu_arrays.batch("TRIS", np.array(corners, np.float32).transpose(2, 0, 1).reshape(-1, 2))
 
 
 def levels_texture(levels: Sequence[float], lights: int) -> gpu.types.GPUTexture:

@@ -139,7 +139,9 @@ _TRIANGLE = """
 void main()
 {
   int rank = first + gl_VertexID / 3;
-  int index = int(texelFetch(order, ivec2(rank % WIDTH, rank / WIDTH), 0).r);
+  float entry = texelFetch(order, ivec2(rank % WIDTH, rank / WIDTH), 0).r;
+  bool is_selected = entry < 0.0;
+  int index = int(is_selected ? -1.0 - entry : entry);
   ivec2 texel = ivec2(index % WIDTH, index / WIDTH);
   vec4 place = texelFetch(projected_place, texel, 0);
   vec4 axes = texelFetch(projected_axes, texel, 0);
@@ -147,6 +149,11 @@ void main()
   opacity = place.w;
   depth = place.z;
   radiance = shine.rgb;
+  if (is_selected) {
+    /* In shades of the tint, whatever the radiance and the exposure are. */
+    float bright = dot(radiance, vec3(0.2126, 0.7152, 0.0722));
+    radiance = tint * (0.3 + 0.7 * bright / (1.0 + bright));
+  }
   /* In standard deviations along the two axes; the triangle encloses where alpha is 1/255 or more. */
   from_centre = corner * shine.w;
   vec2 pixel = place.xy + from_centre.x * axes.xy + from_centre.y * axes.zw;
@@ -206,6 +213,7 @@ def create_drawing() -> gpu.types.GPUShader:
     info.vertex_out(interface)
     info.push_constant("VEC2", "size")
     info.push_constant("INT", "first")
+    info.push_constant("VEC3", "tint")
     info.sampler(0, "FLOAT_2D", "order")
     for slot, name in enumerate(("projected_place", "projected_axes", "projected_radiance"), 1):
         info.sampler(slot, "FLOAT_2D", name)

@@ -7,23 +7,26 @@ sharp. Where the GPU is slow either happens in portions, between which Blender s
 """
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple, cast
 
 import bpy
 import numpy as np
 
-from ..attributes import DISPLAY, RADIUS
+from ..attributes import DISPLAY
 from ..blender import cloud_of
-from ..look import Look, look_of
+from ..cleaning import Cleaning
+from ..look import Look, is_model, kept_of, look_of
 from ..nodes import find_modifier
-from ..point_cloud import read_tone_curve, write_attribute
+from ..point_cloud import read_tone_curve
 from ..tone_curve import ToneCurve
-from . import overlay
+from . import overlay, stand_in
 from .camera import ViewCamera
+from .edit_points import EditPoints, checksum, selection_of
+from .instances import InstanceFinder, is_visible
 from .overlay import Layer
 from .schedule import REST_SECONDS, STEP, ResolutionLadder
-from .splat_data import SplatTextures, fingerprint, identity, is_splats, read_arrays
+from .splat_data import Marks, SplatTextures, fingerprint, identity, is_splats, read_arrays
 from .splat_renderer import Drawing, Item, SplatRenderer, Target
 
 #: A redraw may spend about as long here.
@@ -33,14 +36,18 @@ EXACT_SORT_COUNT = 300_000
 #: The fewest Gaussians in a portion of a sharp picture, and those of the first. Fewer would not be quicker:
 #: in software, whatever is drawn, reading and writing a large picture takes 15 ms.
 PORTION = 8192
+#: How many ways of cleaning a model are remembered: its copies may have different ones.
+CLEANINGS_HELD = 8
 
 
 class Shown(NamedTuple):
-    """An object to draw: as evaluated, and its point cloud as it is in the file."""
+    """A point cloud to draw, as it is in the file; where, ``[4, 4]``, and how, as evaluated."""
 
-    evaluated: bpy.types.Object
     cloud: bpy.types.PointCloud
+    matrix_world: np.ndarray
     look: Look
+    #: Whether its points are being edited.
+    is_edited: bool = False
 
 
 def shown_objects(
@@ -48,26 +55,45 @@ def shown_objects(
     depsgraph: bpy.types.Depsgraph,
     space: bpy.types.SpaceView3D | None = None,
 ) -> Iterator[Shown]:
-    """The visible objects that are drawn as splats, in ``space`` (``None``: regardless of the view)."""
+    """What is visible and drawn as splats, in ``space`` (``None``: regardless of the view)."""
     for target in view_layer.objects:
-        if target.type != "POINTCLOUD" or getattr(target, DISPLAY) != "SPLATS":
-            continue
-        cloud = cloud_of(target)
-        if identity(cloud) in _runtime.hidden or not is_splats(cloud):
+        if not _is_drawn(target):
             continue
         if target.visible_get(view_layer=view_layer, **({"viewport": space} if space else {})):
-            yield Shown(target.evaluated_get(depsgraph), cloud, look_of(target, depsgraph))
+            matrix_world = np.array(target.evaluated_get(depsgraph).matrix_world)
+            yield Shown(cloud_of(target), matrix_world, look_of(target, depsgraph), target.mode == "EDIT")
+    for instance in _runtime.finder.instances(view_layer, depsgraph, _is_drawn):
+        if is_visible(instance, view_layer, space):
+            target = instance.target
+            yield Shown(cloud_of(target), instance.matrix_world, look_of(target, depsgraph))
+
+
+def _is_drawn(target: bpy.types.Object) -> bool:
+    """Whether an object is a model that is drawn as splats wherever it is visible."""
+    if target.type != "POINTCLOUD" or getattr(target, DISPLAY) != "SPLATS":
+        return False
+    cloud = cloud_of(target)
+    return identity(cloud) not in _runtime.hidden and is_splats(cloud)
 
 
 def items_by_tone(shown: Iterable[Shown]) -> dict[bytes, tuple[ToneCurve | None, list[Item]]]:
     """What to draw, grouped by tone curve (``b""``: scene-linear); needs an active GPU context."""
     groups: dict[bytes, tuple[ToneCurve | None, list[Item]]] = {}
-    for evaluated, cloud, look in shown:
+    for cloud, matrix_world, look, is_edited in shown:
         tone = read_tone_curve(cloud) if look.tone_mapper else None
         _, items = groups.setdefault(tone.key if tone else b"", (tone, []))
-        matrix_world = np.array(evaluated.matrix_world)
+        held = _held(cloud)
         items.append(
-            Item(_textures(cloud), matrix_world, look.lighting_levels, look.exposure_ev, look.view_dependent)
+            Item(
+                held.textures,
+                matrix_world,
+                look.lighting_levels,
+                look.exposure_ev,
+                look.view_dependent,
+                look.sh_limit,
+                held.kept(cloud, look.cleaning),
+                held.selected(cloud) if is_edited else None,
+            )
         )
     return groups
 
@@ -84,13 +110,12 @@ class _Work(NamedTuple):
     drawing: Drawing
     #: What it shows; equal signatures give equal pictures.
     signature: Any
-    #: Step of the ladder; 0 and ``is_exact``: as good as it gets.
+    #: Step of the ladder; 0 and sorted exactly: as good as it gets.
     step: int
-    is_exact: bool
 
     @property
     def is_sharp(self) -> bool:
-        return self.step == 0 and self.is_exact
+        return self.step == 0 and self.drawing.is_exact
 
 
 class _GroupView:
@@ -142,17 +167,16 @@ class _GroupView:
                 return False
             self._next = None
         if not is_shown:
-            exact = sum(item.splats.count for item in items) <= EXACT_SORT_COUNT
-            self._begin(items, camera, self._ladder.step, exact)
+            self._begin(items, camera, self._ladder.step, EXACT_SORT_COUNT)
         elif is_resting and not self.is_sharp:
-            self._begin(items, camera, 0, True)
+            self._begin(items, camera, 0, None)
         return self._next is not None
 
-    def _begin(self, items: list[Item], camera: ViewCamera, step: int, exact: bool) -> None:
+    def _begin(self, items: list[Item], camera: ViewCamera, step: int, exact_count: int | None) -> None:
         start = time.perf_counter()
         size = camera.scaled(STEP**step)
-        drawing = self._renderer.begin(items, size, Target(size.width, size.height), exact=exact)
-        self._next = _Work(drawing, self._signature, step, exact)
+        drawing = self._renderer.begin(items, size, Target(size.width, size.height), exact_count=exact_count)
+        self._next = _Work(drawing, self._signature, step)
         self._seconds = time.perf_counter() - start
 
     def _work(self, end: float) -> None:
@@ -177,29 +201,72 @@ class _GroupView:
             self._shown, self._next = self._next, None
 
 
+class _Held:
+    """What of one point cloud is kept between redraws."""
+
+    def __init__(self, cloud: bpy.types.PointCloud, print_now: tuple[int, ...]) -> None:
+        self.fingerprint = print_now
+        self.textures = SplatTextures(read_arrays(cloud))
+        self._kept: dict[Cleaning, Marks] = {}
+        self._selected: tuple[int, Marks] | None = None
+        self._points: tuple[int, EditPoints] | None = None
+
+    def kept(self, cloud: bpy.types.PointCloud, cleaning: Cleaning) -> Marks | None:
+        """What a cleaned model keeps. Nothing is uploaded for it: what is hidden is left out of the order."""
+        cleaning = cleaning.without_camera()
+        if cleaning.keeps_everything:
+            return None
+        if cleaning not in self._kept:
+            if len(self._kept) >= CLEANINGS_HELD:
+                self._kept.clear()
+            self._kept[cleaning] = self.textures.marks(kept_of(cloud, cleaning))
+        return self._kept[cleaning]
+
+    def selected(self, cloud: bpy.types.PointCloud) -> Marks:
+        """What is selected in Edit Mode."""
+        values = selection_of(cloud)
+        now = checksum(values)
+        if self._selected is None or self._selected[0] != now:
+            self._selected = now, self.textures.marks(values)
+        return self._selected[1]
+
+    def points(self, cloud: bpy.types.PointCloud) -> EditPoints:
+        """The points in Edit Mode."""
+        marks = self.selected(cloud)
+        if self._points is None or self._points[0] != marks.serial:
+            self._points = marks.serial, EditPoints(cloud, selection_of(cloud))
+        return self._points[1]
+
+
 class _Runtime:
     """GPU data and pictures. Everything can be made again; nothing is in the .blend."""
 
     def __init__(self) -> None:
-        #: By the point cloud's session_uid: its fingerprint then, and the textures.
-        self.textures: dict[int, tuple[tuple[int, ...], SplatTextures]] = {}
+        #: By the point cloud's session_uid.
+        self.held: dict[int, _Held] = {}
         #: session_uids of point clouds that may have changed since.
         self.suspects: set[int] = set()
         self.views: dict[tuple[int, bytes], _GroupView] = {}
         self.hidden: set[str] = set()
+        self.finder = InstanceFinder()
+        #: What is edited in the region that is being drawn.
+        self.edited: list[Shown] = []
 
 
 _runtime = _Runtime()
 
 
-def _textures(cloud: bpy.types.PointCloud) -> SplatTextures:
+def _held(cloud: bpy.types.PointCloud) -> _Held:
     uid = cloud.session_uid
-    if uid not in _runtime.textures or uid in _runtime.suspects:
+    held = _runtime.held.get(uid)
+    if held is None or uid in _runtime.suspects:
         now = fingerprint(cloud)
-        if uid not in _runtime.textures or _runtime.textures[uid][0] != now:
-            _runtime.textures[uid] = now, SplatTextures(read_arrays(cloud))
+        if held is None or held.fingerprint != now:
+            # The old textures make room first.
+            _runtime.held.pop(uid, None)
+            held = _runtime.held[uid] = _Held(cloud, now)
         _runtime.suspects.discard(uid)
-    return _runtime.textures[uid][1]
+    return held
 
 
 def _layers(context: bpy.types.Context, camera: ViewCamera) -> list[Layer]:
@@ -218,20 +285,30 @@ def _layers(context: bpy.types.Context, camera: ViewCamera) -> list[Layer]:
         if better_in is not None:
             wake_in = better_in if wake_in is None else min(wake_in, better_in)
     if wake_in is not None:
-        _wake(wake_in)
+        # A redraw asked for from within a redraw would be lost.
+        _soon(overlay.redraw_all, wake_in)
     return sorted(layers, key=lambda layer: -layer.plane_depth)
 
 
-def _wake(seconds: float) -> None:
-    """Redraw after that time; a redraw asked for from within a redraw would be lost."""
-    if bpy.app.timers.is_registered(overlay.redraw_all):
-        bpy.app.timers.unregister(overlay.redraw_all)
-    bpy.app.timers.register(overlay.redraw_all, first_interval=seconds)
+def _draw_points(context: bpy.types.Context) -> None:
+    """The points of what is edited, over the pictures."""
+    edited, _runtime.edited = _runtime.edited, []
+    theme = context.preferences.themes[0].view_3d
+    for each in edited:
+        _held(each.cloud).points(each.cloud).draw(each.matrix_world, theme)
+
+
+def _soon(timer: Callable[[], None], seconds: float) -> None:
+    """Call that once after that time, whatever time was asked for before."""
+    if bpy.app.timers.is_registered(timer):
+        bpy.app.timers.unregister(timer)
+    bpy.app.timers.register(timer, first_interval=seconds)
 
 
 def clear() -> None:
     """Forget everything on the GPU; it is made again when it is needed."""
-    _runtime.textures.clear()
+    _runtime.held.clear()
+    _runtime.finder.changed()
     _runtime.suspects.clear()
     _runtime.views.clear()
 
@@ -243,33 +320,72 @@ def _forget_all(*_: Any) -> None:
 
 @bpy.app.handlers.persistent
 def _note_changes(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
-    if not _runtime.textures:
+    _runtime.finder.changed()
+    clouds = [each.id for each in depsgraph.updates if isinstance(each.id, bpy.types.PointCloud)]
+    if clouds:
+        _runtime.suspects.update(cast(bpy.types.ID, each.original).session_uid for each in clouds)
+    if not _runtime.held:
+        _runtime.suspects.clear()
         return
-    for update in depsgraph.updates:
-        if isinstance(update.id, bpy.types.PointCloud) and update.is_updated_geometry:
-            _runtime.suspects.add(cast(bpy.types.ID, update.id.original).session_uid)
     existing = {cloud.session_uid for cloud in bpy.data.pointclouds}
-    for gone in [uid for uid in _runtime.textures if uid not in existing]:
-        del _runtime.textures[gone]
+    for gone in [uid for uid in _runtime.held if uid not in existing]:
+        del _runtime.held[gone]
         _runtime.suspects.discard(gone)
     regions = {overlay.region_key(region) for _, region in overlay.view_regions()}
     for closed in [key for key in _runtime.views if key[0] not in regions]:
         del _runtime.views[closed]
 
 
+@bpy.app.handlers.persistent
+def _note_frame(*_: Any) -> None:
+    _runtime.finder.changed()
+
+
+@bpy.app.handlers.persistent
+def _hide_points(*_: Any) -> None:
+    """Leave all models that are drawn here to the shader: of a file that was opened, linked or saved."""
+    for target in _models():
+        stand_in.hide(target)
+
+
+@bpy.app.handlers.persistent
+def _show_points(*_: Any) -> None:
+    """What is saved shows the points to who opens the file without the extension."""
+    for target in _models():
+        if target.library is None:
+            stand_in.show(target)
+
+
+def _models() -> list[bpy.types.Object]:
+    # While extensions are enabled at Blender's start there are no data yet.
+    objects: Iterable[bpy.types.Object] = getattr(bpy.data, "objects", ())
+    return [each for each in objects if is_model(each) and getattr(each, DISPLAY) == "SPLATS"]
+
+
 def _apply_display(target: bpy.types.Object, context: bpy.types.Context | None) -> None:
     """Either the shader draws the Gaussians or the modifier's instances do, never both."""
-    modifier = find_modifier(target)
-    if modifier is None:
+    if target.type != "POINTCLOUD" or (modifier := find_modifier(target)) is None:
         return
-    as_splats = getattr(target, DISPLAY) == "SPLATS"
-    modifier.show_viewport = not as_splats
-    target.display_type = "BOUNDS" if as_splats else "TEXTURED"
-    cloud = cloud_of(target)
-    if as_splats and cloud.is_editable and RADIUS.name not in cloud.attributes:
-        # Material Preview and Rendered draw the points themselves, whatever the display type. The modifier
-        # puts out instances only, and they have a size of their own.
-        write_attribute(cloud, RADIUS, np.zeros(len(cloud.points)))
+    if getattr(target, DISPLAY) == "SPLATS":
+        stand_in.hide(target)
+    else:
+        modifier.show_viewport = True
+        target.display_type = "TEXTURED"
+
+
+#: What happens in Blender, and what is then done.
+_HANDLERS = (
+    ("depsgraph_update_post", _note_changes),
+    ("frame_change_post", _note_frame),
+    ("undo_post", _forget_all),
+    ("redo_post", _forget_all),
+    ("load_pre", _forget_all),
+    ("load_post", _hide_points),
+    ("blend_import_post", _hide_points),
+    ("save_pre", _show_points),
+    ("save_post", _hide_points),
+    ("save_post_fail", _hide_points),
+)
 
 
 def register() -> None:
@@ -288,21 +404,20 @@ def register() -> None:
         update=_apply_display,
     )
     setattr(bpy.types.Object, DISPLAY, display)
-    handlers = bpy.app.handlers
-    handlers.depsgraph_update_post.append(_note_changes)
-    for event in (handlers.undo_post, handlers.redo_post, handlers.load_pre):
-        event.append(_forget_all)
-    overlay.add_source(_layers)
+    for event, handler in _HANDLERS:
+        getattr(bpy.app.handlers, event).append(handler)
+    overlay.add_source(_layers, _draw_points)
+    _hide_points()
 
 
 def unregister() -> None:
+    _show_points()
     overlay.remove_source(_layers)
-    handlers = bpy.app.handlers
-    for event in (handlers.undo_post, handlers.redo_post, handlers.load_pre):
-        event.remove(_forget_all)
-    handlers.depsgraph_update_post.remove(_note_changes)
-    if bpy.app.timers.is_registered(overlay.redraw_all):
-        bpy.app.timers.unregister(overlay.redraw_all)
+    for event, handler in _HANDLERS:
+        getattr(bpy.app.handlers, event).remove(handler)
+    for timer in (overlay.redraw_all, _hide_points):
+        if bpy.app.timers.is_registered(timer):
+            bpy.app.timers.unregister(timer)
     clear()
     _runtime.hidden.clear()
     delattr(bpy.types.Object, DISPLAY)

@@ -349,7 +349,7 @@ def test_textures_are_made_once_and_again_when_the_points_change(target):
     assert second != first
     bpy.ops.ed.undo_push(message="test")
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    assert not splats._runtime.textures, "nothing is kept over loading a file"
+    assert not splats._runtime.held, "nothing is kept over loading a file"
 
 
 def test_the_learned_tone_mapper_makes_a_group_of_its_own(registered, renderer, make_model, write):

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What Blender itself shows of a model that the 3D view's shader draws: nothing here, its points elsewhere.
+
+While the extension draws the Gaussians Blender's own drawing of the points would cover them: their radius is
+0 and only the object's bounds are drawn. A file that is opened without the extension would then show an
+empty box. So what is saved has a radius for each point and a material with its colour, and while a file is
+open here the radius is 0. Renders never show the points: the modifier puts out instances of its own.
+"""
+
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ...bridge.spherical_harmonics import C0
+from ..attributes import BASE, LOG_SH, RADIUS, SCALE
+from ..blender import cloud_of, settings_of_cycles
+from ..node_builder import NodeBuilder
+from ..nodes import find_modifier
+from ..point_cloud import read_attribute, write_attribute
+
+#: Points have at most so many times the median radius: a wall's few large Gaussians would hide all else.
+LARGEST = 4.0
+#: Metres; a radius of 0 means that the shader draws.
+SMALLEST = 1e-6
+_MARK = "physhdr_points_material"
+_RECIPE = 1
+
+
+def shown_radius(scale: np.ndarray, opacity: np.ndarray) -> np.ndarray:
+    """``[N]`` float32: the radius of each point as Blender draws it, metres, from ``scale`` ``[N, 3]``.
+
+    Twice the larger two of its three standard deviations (their geometric mean), where flat Gaussians touch
+    as they do in the picture; faint ones are smaller.
+    """
+    ordered = np.sort(scale, axis=1)
+    radius = 2.0 * np.sqrt(ordered[:, 1] * ordered[:, 2] * opacity)
+    if radius.size:
+        radius = np.minimum(radius, LARGEST * np.median(radius))
+    return np.maximum(radius, SMALLEST).astype(np.float32)
+
+
+def points_material() -> bpy.types.Material:
+    """The file's material of points: each glows with its radiance at level 1, the same from everywhere."""
+    for material in bpy.data.materials:
+        if material.get(_MARK) == _RECIPE and material.library is None:
+            return material
+    material = bpy.data.materials.new("PhysHDR Points")
+    material[_MARK] = _RECIPE
+    settings_of_cycles(material).emission_sampling = "NONE"
+    assert material.node_tree is not None  # every material has one since Blender 5
+    tree = material.node_tree
+    tree.nodes.clear()
+    build = NodeBuilder(tree)
+    with build.frame("exp(C0 · ln radiance)"):
+        attribute = build.node(
+            "ShaderNodeAttribute", attribute_type="GEOMETRY", attribute_name=LOG_SH[0].name
+        )
+        axes = build.node("ShaderNodeSeparateXYZ", build.output(attribute, "Vector"))
+        parts = [build.math("EXPONENT", build.output(axes, axis) * C0) for axis in "XYZ"]
+        radiance = build.field("ShaderNodeCombineColor", *parts)
+    with build.frame("Surface"):
+        build.node("ShaderNodeOutputMaterial", build.field("ShaderNodeEmission", radiance, 1.0))
+    build.arrange()
+    return material
+
+
+def is_shown(cloud: bpy.types.PointCloud) -> bool:
+    """Whether Blender draws the points of a point cloud."""
+    radius: Any = cloud.attributes.get(RADIUS.name)
+    return len(cloud.points) > 0 and (radius is None or radius.data[0].value > 0.0)
+
+
+def hide(target: bpy.types.Object) -> None:
+    """Leave the drawing to the shader. Of a linked object it is changed for as long as the file is open."""
+    if (modifier := find_modifier(target)) is None:
+        return
+    cloud = cloud_of(target)
+    if modifier.show_viewport:
+        modifier.show_viewport = False
+    if target.display_type == "TEXTURED":
+        target.display_type = "BOUNDS"
+    if is_shown(cloud):
+        # Material Preview and Rendered draw the points themselves, whatever the display type. A new attribute
+        # is 0, also of linked data, whose attributes take no values.
+        if (radius := cloud.attributes.get(RADIUS.name)) is not None:
+            cloud.attributes.remove(radius)
+        cloud.attributes.new(RADIUS.name, RADIUS.type, "POINT")
+        cloud.update_tag()
+
+
+def show(target: bpy.types.Object) -> None:
+    """Let Blender draw the points, as in a file that is opened without the extension."""
+    if find_modifier(target) is None:
+        return
+    cloud = cloud_of(target)
+    if target.display_type == "BOUNDS":
+        target.display_type = "TEXTURED"
+    if is_shown(cloud):
+        return
+    opacity = read_attribute(cloud, BASE.name)[:, 3]
+    write_attribute(cloud, RADIUS, shown_radius(read_attribute(cloud, SCALE.name), opacity))
+    if not cloud.materials:
+        cloud.materials.append(points_material())
+    cloud.update_tag()
