@@ -131,7 +131,8 @@ class PHYSHDR_OT_backend_use(PhysHDROperator):
 
 
 class PHYSHDR_OT_backend_check(PhysHDROperator):
-    """Import torch, find the device, compile the kernels and train one step, with a log of its own"""
+    """Import torch, find the device, compile the kernels (once: half a minute on an idle machine, minutes on
+    a busy one) and train one step, with a log of its own"""
 
     bl_idname = "physhdr.backend_check"
     bl_label = "Check Backend"

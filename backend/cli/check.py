@@ -88,6 +88,7 @@ def check(tell: Callable[[float, str], None]) -> Findings:
     with findings.timed("device"):
         findings.device, findings.why = trial_step.device(lambda message: tell(IMPORTED, message))
     if findings.device == "cpu":
+        tell(IMPORTED, "compiling kernels, once: half a minute to some minutes")
         with findings.timed("kernels"):
             furthest = IMPORTED
 
@@ -96,10 +97,10 @@ def check(tell: Callable[[float, str], None]) -> Findings:
                 fraction = IMPORTED + (KERNELS_READY - IMPORTED) * done / total
                 if fraction > furthest:
                     furthest = fraction
-                    tell(fraction, f"compiling kernels {done}/{total}: {what}")
+                    tell(fraction, f"compiled kernels {done}/{total}: {what}")
 
             trial_step.compile_for_presets(compiled)
-    tell(KERNELS_READY, "one training step")
+    tell(KERNELS_READY, "training one step")
     with findings.timed("training step"):
         findings.loss, findings.gaussians = trial_step.one_step(findings.device)
     tell(1.0, "everything works")

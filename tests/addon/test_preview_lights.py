@@ -1,17 +1,22 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The live preview's sliders, one a light of the backend's model, and what they ask the backend for."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
 import physhdr  # noqa: E402
+from physhdr.addon import nodes  # noqa: E402
+from physhdr.addon.preview_look import followed, preview_look  # noqa: E402
 from physhdr.addon.settings import follow_lights, preview_levels  # noqa: E402
 from physhdr.addon.viewport import live  # noqa: E402
 from physhdr.addon.viewport.camera import ViewCamera  # noqa: E402
 from physhdr.addon.viewport.schedule import PreviewSchedule, View  # noqa: E402
-from physhdr.bridge.messages import Envelope, decode, encode  # noqa: E402
+from physhdr.bridge.messages import Envelope, JobStatus, decode, encode  # noqa: E402
+from physhdr.bridge.model_file import write_model  # noqa: E402
 
 LIGHTS = ("ambient", "pendant", "Küche")
 
@@ -64,3 +69,43 @@ def test_a_sliders_change_is_asked_for_with_every_level(settings):
     request = live._message(7, wanted(0.3))
     assert request.lighting_levels == (1.0, 2.0, 1.0) and request.tone == "linear"
     assert decode(encode(Envelope("request", 1, request))).message == request
+
+
+def test_the_preview_follows_the_model_of_its_run_that_is_in_the_scene(settings, make_model, tmp_path):
+    """One place for exposure and levels: the imported model's sliders, by its lights' names; else its own."""
+    scene, layer = bpy.context.scene, bpy.context.view_layer
+    steps = np.linspace(-8.0, 8.0, 32, dtype=np.float32)
+    curve = np.repeat(1.0 / (1.0 + np.exp(-steps))[:, None], 3, axis=1).astype(np.float32)
+    model = replace(make_model(lights=LIGHTS), tone_curve_log_exposure=steps, tone_curve=curve)
+    for name in ("run", "other"):
+        (tmp_path / name).mkdir()
+        write_model(tmp_path / name / "model.safetensors", model)
+        bpy.ops.physhdr.model_import(filepath=str(tmp_path / name / "model.safetensors"), name=name)
+    follow_lights(settings, LIGHTS)
+    settings.exposure_ev, settings.lighting_level, settings.tone = 1.0, 0.25, "linear"
+    own = (1.0, (0.25, 1.0, 1.0), "linear")
+    # Another order of lights than the file's, and one that the file has not.
+    job = JobStatus(
+        state="open", run=str(tmp_path / "run"), has_model=True, lights=("Küche", "ambient", "sun")
+    )
+    target, other = bpy.data.objects["run"], bpy.data.objects["other"]
+    modifier = nodes.find_modifier(target)
+    for label, value in (
+        (nodes.EXPOSURE, -2.0),
+        (nodes.level_input(LIGHTS, 2), 3.0),
+        (nodes.TONE_MAPPER, True),
+    ):
+        nodes.set_input(modifier, label, value)
+    for active in (target, other, None):  # whatever is selected beside it
+        layer.objects.active = active
+        assert followed(scene, layer, job) == target
+        assert preview_look(scene, layer, job) == (-2.0, (3.0, 1.0, 1.0), "learned")
+    twin = target.copy()
+    scene.collection.objects.link(twin)
+    nodes.set_input(nodes.find_modifier(twin), nodes.EXPOSURE, 4.0)
+    layer.objects.active = twin  # of two the active one
+    assert preview_look(scene, layer, job)[0] == 4.0
+    for gone in (replace(job, run=str(tmp_path / "third")), replace(job, has_model=False)):
+        assert followed(scene, layer, gone) is None
+    here = replace(job, run=str(tmp_path / "third"), lights=LIGHTS)
+    assert preview_look(scene, layer, here) == own
