@@ -21,9 +21,9 @@ _MODULES = (
     "operators.photos",
     "operators.training",
     "operators.capture",
+    "operators.render",
     "operators.lighting",
     "operators.results",
-    "operators.native",
     "viewport",
     "plot",
     "runtime",
@@ -34,6 +34,7 @@ _MODULES = (
     "panels.results",
     "panels.illumination",
     "panels.capture",
+    "panels.render",
 )
 
 

@@ -18,6 +18,7 @@ from .blender import add_entry, cloud_of, layout_of, remove_entry
 from .placement import capture_of_file, place
 from .point_cloud import build_point_cloud
 from .radiance_tree import add_modifier
+from .render_setup import render_problems, set_up_object
 
 Orientation = Literal["AS_IS", "Y_UP", "COLMAP"]
 
@@ -25,6 +26,7 @@ Orientation = Literal["AS_IS", "Y_UP", "COLMAP"]
 #: Gaussians and their spherical harmonics stay as they are in the file.
 TURNS: dict[Orientation, float] = {"AS_IS": 0.0, "Y_UP": 0.5 * math.pi, "COLMAP": -0.5 * math.pi}
 PLY_SUFFIX = ".ply"
+SET_UP_NEXT = "Before you render: Set Up Render, in the panel Render."
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,7 @@ def import_file(
     if is_ply:
         target.rotation_euler.x = TURNS[orientation]
     add_modifier(target, source.model)
+    set_up_object(target)
     (collection or bpy.context.scene.collection).objects.link(target)
     return Imported(target, source.notes)
 
@@ -159,11 +162,11 @@ class PHYSHDR_OT_model_import(bpy.types.Operator, ImportHelper):
         if not imported:
             return {"CANCELLED"}
         _select(context, [each.target for each in imported])
+        next_step = [SET_UP_NEXT] if render_problems(context.scene) else []
         for each in imported:
             count = len(cloud_of(each.target).points)
-            self.report(
-                {"INFO"}, " ".join([f"Imported {count} Gaussians as {each.target.name!r}.", *each.notes])
-            )
+            told = f"Imported {count} Gaussians as {each.target.name!r}."
+            self.report({"INFO"}, " ".join([told, *each.notes, *next_step]))
         return {"FINISHED"}
 
     def _paths(self) -> list[Path]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where captures stand: what the scene remembers of each, and the models of it.
+"""Where captures stand: what the scene remembers of each, and the models and cameras of it.
 
 A capture is known by its data set's folder, which a run's configuration names; a model file of which nobody
 knows the run is a capture of its own. What is remembered is where models of it are put when they are
@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 #: Of a run's folder: what it was trained on (``backend/runs``).
 CONFIG_FILE = "config.json"
+#: Custom property that marks a camera of a data set (``dataset_cameras``): its frame's name.
+FRAME = "physhdr_frame"
 
 
 def capture_of(target: bpy.types.Object) -> str:
@@ -74,6 +76,14 @@ def models_of(scene: bpy.types.Scene, capture: str) -> Iterator[bpy.types.Object
             yield target
 
 
+def cameras_of(scene: bpy.types.Scene, capture: str) -> Iterator[bpy.types.Object]:
+    """The scene's cameras that came from a capture's data set; not those linked from another file."""
+    for camera in scene.objects:
+        is_ours = camera.type == "CAMERA" and camera.library is None and FRAME in camera
+        if is_ours and str(camera.get(CAPTURE, "")) == capture:
+            yield camera
+
+
 def place(scene: bpy.types.Scene, target: bpy.types.Object) -> None:
     """Put a model that was just imported where its capture stands, if the scene remembers that."""
     if settings_of(scene).captures.get(capture := capture_of(target)):
@@ -81,9 +91,10 @@ def place(scene: bpy.types.Scene, target: bpy.types.Object) -> None:
 
 
 def move(scene: bpy.types.Scene, target: bpy.types.Object, change: np.ndarray) -> "PHYSHDR_Capture":
-    """Let ``change`` ``[4, 4]`` happen to all models of the target's capture, and remember where it is then.
+    """Let ``change`` ``[4, 4]`` happen to all models and cameras of the target's capture, and remember where
+    it is then.
 
-    What hangs on them (a parent's children: cameras, say) goes along. Raises ``DataMismatchError`` where the
+    What hangs on them (a parent's children) goes along. Raises ``DataMismatchError`` where the
     target's own matrix is no similarity, before anything is moved.
     """
     bpy.context.view_layer.update()  # what a script has just set is in no matrix yet
@@ -91,8 +102,9 @@ def move(scene: bpy.types.Scene, target: bpy.types.Object, change: np.ndarray) -
     similarity.scale_of(now)
     kept = remembered(scene, capture, now)
     wanted = {each.name: change @ np.array(each.matrix_world) for each in models_of(scene, capture)}
-    for name, matrix in wanted.items():
-        scene.objects[name].matrix_world = to_matrix(matrix)
+    cameras = _cameras_after(scene, capture, change)
+    _put(scene, wanted)
+    _put(scene, cameras)
     kept.matrix = (change @ now).reshape(-1)
     return kept
 
@@ -114,7 +126,30 @@ def forget(scene: bpy.types.Scene, target: bpy.types.Object) -> None:
     index = captures.find(capture)
     if index < 0:
         return
-    original = to_matrix(np.array(captures[index].original).reshape(4, 4))
-    for each in list(models_of(scene, capture)):
-        each.matrix_world = original
+    bpy.context.view_layer.update()
+    original = np.array(captures[index].original, np.float64).reshape(4, 4)
+    back = original @ np.linalg.inv(np.array(captures[index].matrix, np.float64).reshape(4, 4))
+    cameras = _cameras_after(scene, capture, back)
+    _put(scene, {each.name: original for each in models_of(scene, capture)})
+    _put(scene, cameras)
     captures.remove(index)
+
+
+def _cameras_after(scene: bpy.types.Scene, capture: str, change: np.ndarray) -> dict[str, np.ndarray]:
+    """``[4, 4]`` by name: where the cameras of a capture are after ``change``."""
+    cameras = cameras_of(scene, capture)
+    return {each.name: without_scale(change @ np.array(each.matrix_world, np.float64)) for each in cameras}
+
+
+def without_scale(matrix: np.ndarray) -> np.ndarray:
+    """A similarity ``[4, 4]`` at the same place, of scale 1: a camera has no size."""
+    rigid = np.array(matrix, np.float64)
+    rigid[:3, :3] /= np.cbrt(np.linalg.det(rigid[:3, :3]))
+    return rigid
+
+
+def _put(scene: bpy.types.Scene, wanted: dict[str, np.ndarray]) -> None:
+    """Objects where they shall be, by name; those that hang on others come after these."""
+    for name, matrix in wanted.items():
+        scene.objects[name].matrix_world = to_matrix(matrix)
+    bpy.context.view_layer.update()

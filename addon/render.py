@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Render settings that Gaussians need, a camera from a data set's pose, and pictures for comparing."""
+"""What Gaussians need of an engine's settings, a camera from a data set's pose, and pictures for comparing.
+
+What an artist's scene is given stands in ``render_setup``, which spoils nothing; here are its parts, and the
+settings of a scene that holds Gaussians alone.
+"""
 
 from pathlib import Path
 from typing import Any, cast
@@ -17,7 +21,7 @@ TRANSPARENT_BOUNCES = 1024
 #: counts twice, a card once). With 20 k large overlapping Gaussians 256 is as good as 1024; with 128
 #: ellipsoids show bright dots, and 32 leaves 14 dB to our rasteriser.
 CERTAIN_BOUNCES = 256
-#: The narrowest pixel filter of Cycles: every ray goes through its pixel's centre.
+#: The narrowest pixel filter of Cycles: every ray goes through its pixel's centre. Pixels.
 POINT_SAMPLING = 0.01
 CLIP_START = 0.01
 CLIP_END = 1000.0
@@ -37,16 +41,32 @@ def prepare_cycles(scene: bpy.types.Scene, samples: int = 1, filter_width: float
     cycles = settings_of_cycles(scene)
     cycles.samples = samples
     cycles.use_adaptive_sampling = False
-    cycles.use_denoising = False
-    cycles.sample_clamp_direct = 0.0
     cycles.sample_clamp_indirect = 0.0
     cycles.film_exposure = 1.0
     cycles.max_bounces = 0
-    cycles.transparent_max_bounces = TRANSPARENT_BOUNCES
-    cycles.min_transparent_bounces = CERTAIN_BOUNCES
+    cycles.use_light_tree = False
+    let_rays_pass(scene)
+    sample_centres(scene, filter_width)
+
+
+def let_rays_pass(scene: bpy.types.Scene) -> None:
+    """Let Cycles' rays through all Gaussians that they meet. Who allows more keeps it; others stay."""
+    cycles = settings_of_cycles(scene)
+    cycles.transparent_max_bounces = max(cycles.transparent_max_bounces, TRANSPARENT_BOUNCES)
+    cycles.min_transparent_bounces = max(cycles.min_transparent_bounces, CERTAIN_BOUNCES)
+
+
+def sample_centres(scene: bpy.types.Scene, filter_width: float = POINT_SAMPLING) -> None:
+    """Let Cycles and EEVEE look through the pixels' centres, and leave what they saw as it is.
+
+    ``filter_width``: pixels. Edges of other objects are jagged then.
+    """
+    scene.render.filter_size = filter_width
+    cycles = settings_of_cycles(scene)
     cycles.pixel_filter_type = "BOX"
     cycles.filter_width = filter_width
-    cycles.use_light_tree = False
+    cycles.use_denoising = False
+    cycles.sample_clamp_direct = 0.0
 
 
 def set_resolution(scene: bpy.types.Scene, width: int, height: int) -> None:

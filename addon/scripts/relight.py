@@ -101,7 +101,7 @@ class Report:
 def run(options: argparse.Namespace) -> None:
     import bpy
 
-    from physhdr.addon import camera_file, model_import, nodes, point_cloud, render
+    from physhdr.addon import camera_file, model_import, nodes, point_cloud, render, render_setup
     from physhdr.bridge.lights import in_words
 
     report = Report()
@@ -117,11 +117,10 @@ def run(options: argparse.Namespace) -> None:
     width, height = options.resolution[0], options.resolution[-1]
     render.set_resolution(scene, width, height)
     render.add_camera(scene, pose.camera_to_world, pose.angle_x)
+    render_setup.set_up(scene, render_setup.Wishes(camera_splats=options.shape == "splat"))
     render.prepare_cycles(scene, options.samples, options.filter_width)
     modifier = gaussians.modifiers[nodes.MODIFIER_NAME]
     nodes.set_input(modifier, nodes.EXPOSURE, options.exposure)
-    nodes.set_input(modifier, nodes.CAMERA_SPLATS, options.shape == "splat")
-    nodes.set_input(modifier, nodes.IMAGE_WIDTH, width)
     for name, level in others.items():
         nodes.set_input(modifier, nodes.level_input(lights, lights.index(name)), level)
     if options.blend:

@@ -1,0 +1,171 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Operators for rendering: set the scene up for its models, bring in the cameras of the data set."""
+
+from pathlib import Path
+from typing import Any, ClassVar, cast
+
+import bpy
+
+from ...bridge.errors import BadValueError, FileMissingError, PhysHDRError
+from .. import placement
+from ..blender import layout_of
+from ..dataset_cameras import first_of, import_cameras, take_size
+from ..look import is_model
+from ..render_setup import has_model, models_in_render, render_problems, set_up, wishes_from
+
+
+def model_for(context: bpy.types.Context) -> bpy.types.Object | None:
+    """The model that is meant: the active one, else one that the render shows, else any of the scene."""
+    if is_model(context.object):
+        return context.object
+    shown = models_in_render(context.scene)
+    return shown[0] if shown else next((each for each in context.scene.objects if is_model(each)), None)
+
+
+class PHYSHDR_OT_render_setup(bpy.types.Operator):
+    """Set what the scene's models need to render right in Cycles and EEVEE, and nothing else. Other objects'
+    bounces, samples and shadows stay, and what is set higher stays, too"""
+
+    bl_idname = "physhdr.render_setup"
+    bl_label = "Set Up Render"
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
+
+    camera_splats: bpy.props.BoolProperty(
+        name="Camera Splats",
+        default=True,
+        description="Draw cards that face the camera, as trained. Off: ellipsoids, right in mirrors and from "
+        "any side",
+    )
+    cast_shadows: bpy.props.BoolProperty(
+        name="Cast Shadows",
+        description="Let Gaussians cast shadows on other objects: slow in Cycles, and EEVEE may never end",
+        options={"SKIP_SAVE"},
+    )
+    film_transparent: bpy.props.BoolProperty(
+        name="Transparent Film",
+        description="Leave out the world behind the models. Off: the film stays as it is set",
+        options={"SKIP_SAVE"},
+    )
+    exact: bpy.props.BoolProperty(
+        name="Exact",
+        description="Look through the pixels' centres, without denoiser and direct clamping, as the trainer "
+        "does: for comparing. Edges of other objects become jagged. Off: filter and denoiser stay as set",
+        options={"SKIP_SAVE"},
+    )
+    camera: bpy.props.StringProperty(
+        name="Camera",
+        description="Render through this camera, of the data set or of your own; empty: the scene's",
+        options={"SKIP_SAVE"},
+    )
+    use_size: bpy.props.BoolProperty(
+        name="Size of Its Picture",
+        description="Render as wide and as high as the picture of the data set's camera",
+        options={"SKIP_SAVE"},
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not has_model(context.scene):
+            cls.poll_message_set("Import a model first")
+            return False
+        return True
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = layout_of(self)
+        layout.use_property_split = True
+        for name in ("camera_splats", "cast_shadows", "film_transparent", "exact"):
+            layout.prop(self, name)
+        layout.prop_search(self, "camera", context.scene, "objects", icon="CAMERA_DATA")
+        layout.prop(self, "use_size")
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        scene = context.scene
+        try:
+            camera = self._camera(scene)
+            if self.use_size:
+                if camera is None:
+                    raise FileMissingError("there is no camera", "Import the data set's cameras first.")
+                take_size(scene, camera)
+        except PhysHDRError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        scene.camera = camera
+        set_up(scene, wishes_from(self))
+        left = render_problems(scene)
+        if left:
+            self.report({"WARNING"}, ". ".join(problem.text for problem in left))
+        else:
+            self.report({"INFO"}, "The scene is set up: its models render as they were trained")
+        return {"FINISHED"}
+
+    def _camera(self, scene: bpy.types.Scene) -> bpy.types.Object | None:
+        """The camera that is asked for, or the scene's; raises ``BadValueError``."""
+        if not self.camera:
+            return scene.camera
+        camera = scene.objects.get(self.camera)
+        if camera is None or camera.type != "CAMERA":
+            raise BadValueError(f"{self.camera!r} is no camera of this scene", "Choose one of its cameras.")
+        return camera
+
+
+class PHYSHDR_OT_cameras_import(bpy.types.Operator):
+    """Bring in the cameras of the model's data set, in a collection of their own; those that are there
+    already are put back to their places"""
+
+    bl_idname = "physhdr.cameras_import"
+    bl_label = "Import Cameras"
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
+
+    directory: bpy.props.StringProperty(
+        name="Data Set",
+        subtype="DIR_PATH",
+        description="Folder of the data set, where it has moved; empty: where the model was trained from it",
+        options={"SKIP_SAVE"},
+    )
+    look_through: bpy.props.BoolProperty(
+        name="Look Through",
+        description="Render through the first test view. A scene without a camera does so anyway",
+        options={"SKIP_SAVE"},
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if context.mode != "OBJECT":
+            cls.poll_message_set("Leave edit mode first (Tab)")
+            return False
+        if not has_model(context.scene):
+            cls.poll_message_set("Import a model first")
+            return False
+        return True
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        target = model_for(context)
+        if target is None or self.directory or placement.data_of(target) is not None:
+            return self.execute(context)
+        self.report({"WARNING"}, f"The data set of {target.name!r} has moved: choose its folder")
+        context.window_manager.fileselect_add(cast(Any, self))
+        return {"RUNNING_MODAL"}
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout_of(self).prop(self, "look_through")
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        scene, target = context.scene, model_for(context)
+        assert target is not None
+        folder = Path(bpy.path.abspath(self.directory)) if self.directory else None
+        try:
+            done = import_cameras(scene, target, folder)
+        except PhysHDRError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        if self.look_through or scene.camera is None:
+            scene.camera = first_of(done.cameras)
+        kept = len(done.cameras) - done.added
+        told = f"{done.added} cameras of {placement.capture_of(target)}"
+        told += f", and {kept} put back." if kept else "."
+        self.report({"INFO"}, " ".join([told, *done.notes]))
+        return {"FINISHED"}
+
+
+_CLASSES = (PHYSHDR_OT_render_setup, PHYSHDR_OT_cameras_import)
+register, unregister = bpy.utils.register_classes_factory(_CLASSES)

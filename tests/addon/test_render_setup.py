@@ -1,0 +1,357 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Set Up Render: what it sets, what it keeps, how it is undone, and what would render wrong without it."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
+
+import physhdr  # noqa: E402
+from physhdr.addon import model_import, nodes, render, render_setup  # noqa: E402
+
+SIZE = 64
+
+
+@pytest.fixture
+def registered(scene):
+    physhdr.register()
+    yield scene
+    physhdr.unregister()
+
+
+@pytest.fixture
+def room(registered, make_model, write, look_at):
+    """Blender's own startup scene as far as rendering goes: a camera, a lamp, Cycles, and a model."""
+    target = model_import.import_model(write(make_model(count=20, seed=5)))
+    render.add_camera(registered, look_at(2.0, -3.0, 1.5), 0.7)
+    registered.render.engine = "CYCLES"
+    lamp = bpy.data.objects.new("Lamp", bpy.data.lights.new("Lamp", "SUN"))
+    registered.collection.objects.link(lamp)
+    return target
+
+
+def kinds(scene) -> list[str]:
+    return [problem.kind for problem in render_setup.render_problems(scene)]
+
+
+def value(target, name: str):
+    modifier = nodes.find_modifier(target)
+    return getattr(nodes.inputs_of(modifier), nodes.input_identifier(modifier, name)).value
+
+
+def evaluated_width(target) -> int:
+    """What the modifier is evaluated with: of the copy that renders."""
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    return value(target.evaluated_get(depsgraph), nodes.IMAGE_WIDTH)
+
+
+def test_an_import_tells_what_comes_next_where_it_is_needed(registered, make_model, write, look_at, capfd):
+    path = str(write(make_model(count=5)))
+    render.add_camera(registered, look_at(2.0, -3.0, 1.5), 0.7)
+    bpy.ops.physhdr.model_import(filepath=path)
+    assert "Set Up Render" in capfd.readouterr().out
+    assert not bpy.data.objects["model"].visible_shadow
+    bpy.ops.physhdr.render_setup()
+    capfd.readouterr()
+    bpy.data.objects["model"].hide_render = True
+    bpy.ops.physhdr.model_import(filepath=path, name="other")
+    assert "Set Up Render" in capfd.readouterr().out  # the new one is no camera splat yet
+    bpy.data.objects["other"].hide_render = True
+    apart = bpy.data.collections.new("apart")
+    registered.collection.children.link(apart)
+    apart.hide_render = True
+    layer = registered.view_layers[0]
+    layer.active_layer_collection = layer.layer_collection.children["apart"]
+    bpy.ops.physhdr.model_import(filepath=path, name="hidden")
+    told = capfd.readouterr().out
+    assert "Imported 5 Gaussians" in told and "Set Up Render" not in told
+
+
+def test_set_up_leaves_nothing_wrong(room, registered):
+    assert kinds(registered) == ["BOUNCES", "SPLATS", "WIDTH"]
+    assert bpy.ops.physhdr.render_setup() == {"FINISHED"}
+    assert kinds(registered) == []
+    registered.render.engine = "BLENDER_EEVEE"
+    assert kinds(registered) == []
+
+
+def settings(scene) -> dict[str, object]:
+    """Every setting of the render, of Cycles and of EEVEE that can be read as a number, a text or a flag."""
+    found = {}
+    for name, group in {"render": scene.render, "cycles": scene.cycles, "eevee": scene.eevee}.items():
+        for each in group.bl_rna.properties:
+            if each.type in ("INT", "FLOAT", "BOOLEAN", "ENUM", "STRING") and not each.is_readonly:
+                found[f"{name}.{each.identifier}"] = getattr(group, each.identifier)
+    return {
+        key: each if isinstance(each, str | set) else np.array(each).tolist() for key, each in found.items()
+    }
+
+
+def changed(before: dict[str, object], after: dict[str, object]) -> set[str]:
+    return {key for key in before if before[key] != after[key]}
+
+
+def test_set_up_changes_transparent_bounces_alone(room, registered):
+    """Of all settings that a scene of Cycles and EEVEE has; EEVEE's samples are enough as Blender comes."""
+    before = settings(registered)
+    assert len(before) > 150
+    bpy.ops.physhdr.render_setup()
+    after = settings(registered)
+    assert changed(before, after) == {"cycles.transparent_max_bounces", "cycles.min_transparent_bounces"}
+    assert (after["cycles.transparent_max_bounces"], after["cycles.min_transparent_bounces"]) == (1024, 256)
+
+
+def test_wishes_change_what_they_name(room, registered):
+    bpy.ops.physhdr.render_setup()
+    before = settings(registered)
+    bpy.ops.physhdr.render_setup(film_transparent=True)
+    assert changed(before, settings(registered)) == {"render.film_transparent"}
+    before = settings(registered)
+    bpy.ops.physhdr.render_setup(exact=True)
+    exact = {"cycles.pixel_filter_type", "cycles.filter_width", "cycles.use_denoising", "render.filter_size"}
+    # Blender itself links Cycles' older name of the width to it.
+    assert changed(before, settings(registered)) == exact
+    assert registered.cycles.filter_width == pytest.approx(0.01)
+    bpy.ops.physhdr.render_setup()  # neither wish takes anything back
+    assert registered.render.film_transparent and registered.cycles.filter_width == pytest.approx(0.01)
+
+
+def test_set_up_lowers_nothing(room, registered):
+    cycles, eevee = registered.cycles, registered.eevee
+    cycles.transparent_max_bounces, cycles.min_transparent_bounces = 1024, 900
+    eevee.taa_render_samples = 333
+    before = settings(registered)
+    bpy.ops.physhdr.render_setup()
+    assert changed(before, settings(registered)) == set()
+    eevee.taa_render_samples = 8
+    bpy.ops.physhdr.render_setup()
+    assert eevee.taa_render_samples == render_setup.EEVEE_SAMPLES
+
+
+def test_set_up_can_be_undone(room, registered):
+    name = room.name
+    bpy.context.preferences.edit.use_global_undo = True
+    bpy.ops.ed.undo_push(message="before")
+    bpy.ops.physhdr.render_setup(film_transparent=True)
+    bpy.ops.ed.undo_push(message="after")
+    assert kinds(bpy.context.scene) == []
+    bpy.ops.ed.undo()
+    scene, target = bpy.context.scene, bpy.data.objects[name]
+    assert kinds(scene) == ["BOUNCES", "SPLATS", "WIDTH"]
+    assert not scene.render.film_transparent
+    assert not render_setup.follows_render_width(target)
+    bpy.ops.ed.redo()
+    assert kinds(bpy.context.scene) == []
+
+
+def test_the_image_width_follows_the_render(room, registered):
+    bpy.ops.physhdr.render_setup()
+    for wide, percent, expected in ((640, 100, 640), (1920, 50, 960), (333, 10, 33)):
+        registered.render.resolution_x, registered.render.resolution_percentage = wide, percent
+        assert evaluated_width(room) == expected == render_setup.render_width(registered)
+
+
+def test_the_image_width_is_of_the_scene_that_is_rendered(room, registered):
+    """A model that two scenes show, at two sizes."""
+    bpy.ops.physhdr.render_setup()
+    registered.render.resolution_x = 640
+    other = bpy.data.scenes.new("other")
+    other.collection.objects.link(room)
+    other.render.resolution_x, other.render.resolution_percentage = 400, 50
+    widths = {}
+    for scene in (registered, other):
+        layer = scene.view_layers[0]
+        layer.update()
+        widths[scene.name] = value(room.evaluated_get(layer.depsgraph), nodes.IMAGE_WIDTH)
+    assert widths == {registered.name: 640, "other": 200}
+
+
+def test_a_driver_or_keyframes_of_the_users_stay(room, registered):
+    path = nodes.input_data_path(nodes.find_modifier(room), nodes.IMAGE_WIDTH)
+    nodes.set_input(nodes.find_modifier(room), nodes.IMAGE_WIDTH, 77)
+    room.keyframe_insert(path, frame=1)
+    bpy.ops.physhdr.render_setup()
+    assert evaluated_width(room) == 77
+    assert kinds(registered) == ["WIDTH"]
+    assert not render_setup.render_problems(registered)[0].mended
+    room.animation_data_clear()
+    room.driver_add(path).driver.expression = "55"
+    bpy.ops.physhdr.render_setup()
+    assert evaluated_width(room) == 55
+    assert room.animation_data.drivers[0].driver.expression == "55"
+
+
+SAVED = """
+import sys
+import bpy
+from physhdr.addon import nodes  # for a name alone: nothing is registered
+
+bpy.context.preferences.filepaths.use_scripts_auto_execute = False
+bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
+assert not hasattr(bpy.types, "PHYSHDR_OT_render_setup")
+bpy.context.scene.render.resolution_x = 808
+bpy.context.scene.render.resolution_percentage = 25
+target = bpy.data.objects[sys.argv[2]]
+modifier = target.modifiers[0]
+copy = target.evaluated_get(bpy.context.evaluated_depsgraph_get()).modifiers[0]
+print("width", getattr(nodes.inputs_of(copy), nodes.input_identifier(modifier, nodes.IMAGE_WIDTH)).value)
+"""
+
+
+def test_a_saved_file_needs_neither_the_extension_nor_leave_to_run_scripts(room, registered, tmp_path):
+    bpy.ops.physhdr.render_setup()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "saved.blend"))
+    arguments = [sys.executable, "-c", SAVED, str(tmp_path / "saved.blend"), room.name]
+    done = subprocess.run(arguments, capture_output=True, text=True, check=False)
+    assert "width 202" in done.stdout.splitlines(), done.stdout + done.stderr
+
+
+# ---- problems, one by one ----------------------------------------------------------------------------------
+
+
+def few_bounces(scene, target):
+    scene.cycles.transparent_max_bounces = 128
+
+
+def few_certain_bounces(scene, target):
+    scene.cycles.min_transparent_bounces = 0
+
+
+def few_samples(scene, target):
+    scene.render.engine = "BLENDER_EEVEE"
+    scene.eevee.taa_render_samples = 16
+
+
+def shadows(scene, target):
+    scene.render.engine = "BLENDER_EEVEE"
+    target.visible_shadow = True
+
+
+def ellipsoids(scene, target):
+    nodes.set_input(nodes.find_modifier(target), nodes.CAMERA_SPLATS, False)
+
+
+def no_driver(scene, target):
+    target.animation_data_clear()
+    nodes.set_input(nodes.find_modifier(target), nodes.IMAGE_WIDTH, 100)
+
+
+def no_modifier_in_renders(scene, target):
+    nodes.find_modifier(target).show_render = False
+
+
+def panorama(scene, target):
+    scene.camera.data.type = "PANO"
+
+
+@pytest.mark.parametrize(
+    ("spoil", "kind", "says"),
+    [
+        (few_bounces, "BOUNCES", "passes 128 Gaussians"),
+        (few_certain_bounces, "BOUNCES", "noisy"),
+        (few_samples, "SAMPLES", "with 16 samples"),
+        (shadows, "SHADOWS", "may never end"),
+        (ellipsoids, "SPLATS", "drawn as ellipsoids"),
+        (no_driver, "WIDTH", "widened for 100 pixels, the render is 1920 wide"),
+        (no_modifier_in_renders, "MODIFIER", "switched off"),
+        (panorama, "SPLATS", "panorama"),
+    ],
+)
+def test_each_problem_is_told_alone_and_mended(room, registered, spoil, kind, says):
+    bpy.ops.physhdr.render_setup()
+    spoil(registered, room)
+    (problem,) = render_setup.render_problems(registered)
+    assert (problem.kind, problem.mended) == (kind, True)
+    assert says in problem.text
+    bpy.ops.physhdr.render_setup()
+    assert kinds(registered) == []
+
+
+def test_shadows_are_no_problem_where_nothing_casts_them(room, registered):
+    bpy.ops.physhdr.render_setup()
+    shadows(registered, room)
+    assert kinds(registered) == ["SHADOWS"]
+    bpy.data.objects["Lamp"].data.use_shadow = False
+    assert kinds(registered) == []
+    registered.world = bpy.data.worlds.new("sky")
+    registered.world.node_tree.nodes.new("ShaderNodeTexSky")
+    assert kinds(registered) == ["SHADOWS"]
+    registered.render.engine = "CYCLES"
+    assert kinds(registered) == []
+
+
+def test_a_scene_without_a_camera_says_so(room, registered):
+    bpy.ops.physhdr.render_setup()
+    bpy.data.objects.remove(registered.camera)
+    (problem,) = render_setup.render_problems(registered)
+    assert (problem.kind, problem.mended) == ("CAMERA", False)
+
+
+def test_a_model_without_its_modifier_cannot_be_mended(room, registered):
+    bpy.ops.physhdr.render_setup()
+    room.modifiers.clear()
+    bpy.ops.physhdr.render_setup()
+    (problem,) = render_setup.render_problems(registered)
+    assert (problem.kind, problem.mended) == ("MODIFIER", False)
+
+
+def test_ellipsoids_on_purpose_are_no_problem(room, registered):
+    bpy.ops.physhdr.render_setup(camera_splats=False)
+    assert not value(room, nodes.CAMERA_SPLATS)
+    assert kinds(registered) == []
+    bpy.ops.physhdr.render_setup()
+    assert value(room, nodes.CAMERA_SPLATS)
+    ellipsoids(registered, room)
+    assert kinds(registered) == ["SPLATS"]  # the purpose was forgotten with the next wish
+
+
+def test_hidden_models_are_no_problem_and_instances_are_one(room, registered):
+    assert kinds(registered)
+    room.hide_render = True
+    assert kinds(registered) == []
+    room.hide_render = False
+    apart = bpy.data.collections.new("apart")
+    registered.collection.children.link(apart)
+    apart.objects.link(room)
+    registered.collection.objects.unlink(room)
+    assert kinds(registered)
+    apart.hide_render = True
+    assert kinds(registered) == []
+    apart.hide_render = False
+    registered.view_layers[0].layer_collection.children["apart"].exclude = True
+    assert kinds(registered) == []
+    instance = bpy.data.objects.new("instance", None)
+    instance.instance_type, instance.instance_collection = "COLLECTION", apart
+    registered.collection.objects.link(instance)
+    assert render_setup.models_in_render(registered) == [room]
+    bpy.ops.physhdr.render_setup()
+    assert kinds(registered) == []
+
+
+def test_older_imports_cast_no_shadow_after_set_up_unless_it_is_wished(room, registered):
+    room.visible_shadow = True
+    bpy.ops.physhdr.render_setup(cast_shadows=True)
+    assert room.visible_shadow
+    bpy.ops.physhdr.render_setup()
+    assert not room.visible_shadow
+
+
+def test_the_picture_after_set_up_is_the_exact_one(room, registered, tmp_path):
+    """From Blender's defaults to what ``prepare_cycles`` renders, whose picture is proven elsewhere."""
+    render.set_resolution(registered, SIZE, SIZE)
+    registered.cycles.samples = 1
+    bpy.ops.physhdr.render_setup(film_transparent=True, exact=True)
+    render.render_exr(registered, tmp_path / "set_up.exr")
+    nodes.set_input(nodes.find_modifier(room), nodes.IMAGE_WIDTH, SIZE)
+    render.prepare_cycles(registered)
+    render.render_exr(registered, tmp_path / "exact.exr")
+    given, wanted = (render.read_exr(tmp_path / f"{name}.exr").astype(float) for name in ("set_up", "exact"))
+    assert wanted[..., 3].max() > 0.5
+    error = np.square(given - wanted).mean()
+    assert error == 0.0 or 10.0 * math.log10(wanted.max() ** 2 / error) > 80.0
