@@ -24,6 +24,7 @@ _MODULES = (
     "operators.render",
     "operators.lighting",
     "operators.results",
+    "operators.native",
     "viewport",
     "plot",
     "runtime",
