@@ -103,7 +103,8 @@ def _facts(found: Inspection) -> list[tuple[str, str]]:
     if found.made_by:
         facts.append(("made by", found.made_by))
     if found.resolution:
-        facts.append(("resolution", _size(found)))
+        others = f", the middle one of {found.resolutions} sizes" if found.resolutions > 1 else ""
+        facts.append(("resolution", _size(found) + others))
     for name, split in found.splits.items():
         truth = f"true HDR of {split.hdr}" if split.hdr else "no true HDR"
         levels = "; ".join(f"{light} at {_numbers(values)}" for light, values in split.levels.items())

@@ -41,9 +41,11 @@ def _ask_the_reader(
         if not any(str(path) in error.message for path in faulty):
             found.errors.append(error.message)
         return None
-    camera = scene.train[0].camera
+    sizes = sorted(
+        ((view.camera.width, view.camera.height) for view in scene.train), key=lambda size: size[0] * size[1]
+    )
     found.layout, found.messages = scene.layout, list(scene.messages)
-    found.resolution = camera.width, camera.height
+    found.resolution, found.resolutions = sizes[(len(sizes) - 1) // 2], len(set(sizes))
     if scene.points is not None:
         found.points, found.points_origin = len(scene.points.positions), scene.points.origin
     return scene

@@ -25,7 +25,7 @@ def look_at_scene(scene: Scene, found: Inspection) -> None:
         name: [dict(zip(view.bracket, view.exposures, strict=True)) for view in views]
         for name, views in splits.items()
     }
-    tell_exposures(found, brackets)
+    tell_exposures(found, brackets, scene.photographs)
     if scene.response_anchor is not None:
         light, code = scene.response_anchor
         found.response = f"response of {code:g} at exposure × radiance = {light:g}"

@@ -54,7 +54,8 @@ class DynamicRange:
 class Inspection:
     """Everything found in ``folder``; ``errors`` are faults that make the data unusable as they are.
 
-    ``messages``: what the reader decided, in sentences. ``resolution``: that training sees, pixels.
+    ``messages``: what the reader decided, in sentences. ``resolution``: of the view in the middle by size, as
+    training sees it, pixels; ``resolutions``: how many different ones there are.
     """
 
     folder: str
@@ -62,9 +63,12 @@ class Inspection:
     scene: str = ""
     made_by: str = ""
     resolution: tuple[int, int] | None = None
+    resolutions: int = 1
     splits: dict[str, Split] = field(default_factory=dict)
     exposures: list[Exposure] = field(default_factory=list)
     exposure_modes: list[str] = field(default_factory=list)
+    over_views: float = 0.0
+    """Stops from the shortest to the longest exposure where each view has one of its own."""
     lights: list[str] = field(default_factory=list)
     relit: list[dict[str, Any]] = field(default_factory=list)
     passes: int = 0
@@ -116,22 +120,33 @@ def floor_in_words(floor: Mapping[str, Any]) -> str:
     )
 
 
-def tell_exposures(found: Inspection, brackets: dict[str, list[dict[int, float]]]) -> None:
+def tell_exposures(
+    found: Inspection, brackets: dict[str, list[dict[int, float]]], photographs: bool = False
+) -> None:
     """The exposures by their place in the bracket, and how training may use them.
 
-    ``brackets``: of each split, one a view, place → seconds.
+    ``brackets``: of each split, one a view, place → seconds. ``photographs``: training sees all of them.
     """
+    every = [bracket for views in brackets.values() for bracket in views]
     places: dict[int, float] = {}
     differ = False
-    for bracket in (bracket for views in brackets.values() for bracket in views):
+    for bracket in every:
         for k, seconds in bracket.items():
             differ |= places.setdefault(k, seconds) != seconds
-    if differ:
+    if differ and all(len(bracket) == 1 for bracket in every):
+        seconds = [only for bracket in every for only in bracket.values()]
+        found.over_views = round(math.log2(max(seconds) / min(seconds)), 4)
+        found.messages.append(
+            f"one exposure a view, from {min(seconds):.3g} to {max(seconds):.3g} s: a bracket of "
+            f"{found.over_views:.2g} stops over the views (the first view's is shown)"
+        )
+    elif differ:
         found.warnings.append("the exposures differ from view to view: the first view's are shown")
+    observed = tuple(places) if photographs else OBSERVED_EXPOSURES
     for k, seconds in sorted(places.items()):
-        use = "OE" if k in OBSERVED_EXPOSURES else "NE" if k in NOVEL_EXPOSURES else "unused"
+        use = "OE" if k in observed else "NE" if k in NOVEL_EXPOSURES else "unused"
         found.exposures.append(Exposure(seconds, round(math.log2(seconds), 4), use, place=k))
-    trained = {k for bracket in brackets.get(TRAIN, []) for k in bracket if k in OBSERVED_EXPOSURES}
+    trained = {k for bracket in brackets.get(TRAIN, []) for k in bracket if k in observed}
     if found.exposures:
         found.exposure_modes = ["exp1", "exp3"] if len(trained) > 1 else ["exp1"]
 
@@ -143,7 +158,7 @@ def warn_of_exposures(found: Inspection) -> None:
         in_order = sorted(found.exposures, key=lambda exposure: exposure.seconds)
         for lost, other in lost_at_the_ends(in_order[0].white, in_order[-1].black):
             warn(f"{lost}: {other} exposures would show more")
-        if len(found.exposure_modes) < 2:
+        if len(found.exposure_modes) < 2 and not found.over_views:
             warn("training sees one exposure only: the scale of the radiance comes from the response alone")
     if TEST not in found.splits:
         warn("there are no test views: physhdr evaluate has nothing to measure")

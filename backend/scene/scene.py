@@ -39,23 +39,46 @@ class PictureCache:
         self.reduction = reduction or Reduction()
         self.bytes_held = 0
         self._pictures: OrderedDict[Hashable, Decoded] = OrderedDict()
+        self._being_decoded: dict[Hashable, threading.Lock] = {}
         self._lock = threading.Lock()  # the preview server renders from another thread than the trainer
 
     def get(self, source: PictureSource) -> Decoded:
-        """The picture and its mask, read-only; raises what ``PictureSource.read`` raises."""
+        """The picture and its mask, read-only; raises what ``PictureSource.read`` raises.
+
+        Threads that want different pictures decode at the same time; one that wants the same waits for it.
+        """
         with self._lock:
-            if source.key in self._pictures:
-                self._pictures.move_to_end(source.key)
-                return self._pictures[source.key]
-            picture = source.read(self.reduction)
-            picture.codes.setflags(write=False)
-            if picture.mask is not None:
-                picture.mask.setflags(write=False)
-            self._pictures[source.key] = picture
-            self.bytes_held += picture.nbytes
-            while self.bytes_held > self.budget and len(self._pictures) > 1:
-                self.bytes_held -= self._pictures.popitem(last=False)[1].nbytes
+            if (kept := self._kept(source.key)) is not None:
+                return kept
+            being_decoded = self._being_decoded.setdefault(source.key, threading.Lock())
+        with being_decoded:
+            with self._lock:
+                if (kept := self._kept(source.key)) is not None:
+                    return kept
+            try:
+                picture = source.read(self.reduction)
+                picture.codes.setflags(write=False)
+                if picture.mask is not None:
+                    picture.mask.setflags(write=False)
+                with self._lock:
+                    self._keep(source.key, picture)
+            finally:
+                with self._lock:
+                    self._being_decoded.pop(source.key, None)
             return picture
+
+    def _kept(self, key: Hashable) -> Decoded | None:
+        if key in self._pictures:
+            self._pictures.move_to_end(key)
+        return self._pictures.get(key)
+
+    def _keep(self, key: Hashable, picture: Decoded) -> None:
+        if former := self._pictures.pop(key, None):  # where a first attempt of another thread had failed
+            self.bytes_held -= former.nbytes
+        self._pictures[key] = picture
+        self.bytes_held += picture.nbytes
+        while self.bytes_held > self.budget and len(self._pictures) > 1:
+            self.bytes_held -= self._pictures.popitem(last=False)[1].nbytes
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,6 +18,7 @@ from physhdr.backend.cli import main
 from physhdr.backend.inspect import inspect
 from physhdr.backend.runs.terminal import console
 from physhdr.backend.scene.pictures import read_exr, write_exr
+from physhdr.bridge.data_set import CAPTURE_FILE, CAPTURE_FORMAT
 
 
 @pytest.fixture(autouse=True)
@@ -369,3 +370,47 @@ def test_no_points_is_a_warning(layouts, tmp_path):
     found = inspect(layouts.write_nerfstudio(tmp_path / "scene"))
     (warning,) = [warning for warning in found.warnings if "no first points" in warning]
     assert found.points is None and "stereo" in warning and "physhdr triangulate" in warning
+
+
+def test_photos_of_automatic_exposure_are_a_bracket_over_the_views(layouts, tmp_path):
+    root = layouts.write_nerfstudio(tmp_path / "walk")
+
+    def metered(content):
+        for number, frame in enumerate(content["frames"]):
+            frame["exposure_time"] = 0.5 * 2.0 ** (number % 4)
+
+    edit(root / "transforms.json", metered)
+    found = inspect(root)
+    assert found.over_views == pytest.approx(3.0) and "bracket of 3 stops" in found.messages[-1]
+    assert not any("differ" in warning or "one exposure only" in warning for warning in found.warnings)
+    edit(root / "transforms.json", lambda content: [f.update(exposure_time=1.0) for f in content["frames"]])
+    same = inspect(root)
+    assert same.over_views == 0.0 and any("one exposure only" in warning for warning in same.warnings)
+
+
+def test_the_size_in_the_middle_is_told_and_that_there_are_others(layouts, tmp_path, capsys):
+    """The first view alone is a thumbnail."""
+    root = layouts.write_nerfstudio(tmp_path / "phone")
+    path = root / "images" / "frame_00000.png"
+    with Image.open(path) as picture:
+        small = picture.resize((48, 36))
+    small.save(path)
+
+    def of_its_own(content):
+        for frame in content["frames"]:
+            if frame["file_path"].endswith("00000.png"):
+                frame |= {"w": 48, "h": 36, "fl_x": 40.0, "fl_y": 40.0, "cx": 24.0, "cy": 18.0}
+
+    edit(root / "transforms.json", of_its_own)
+    assert main(["inspect", str(root)]) == 0
+    assert "96×72, the middle one of 2 sizes" in capsys.readouterr().out
+
+
+def test_of_photographs_training_sees_all_exposures(layouts, tmp_path):
+    root = layouts.write_gausshdr(tmp_path / "photos")
+    (root / CAPTURE_FILE).write_text(json.dumps({"format": CAPTURE_FORMAT, "version": 1}))
+    assert {exposure.use for exposure in inspect(root).exposures} == {"OE"}
+
+
+def test_of_renders_training_sees_every_second_exposure(tiny_data):
+    assert [exposure.use for exposure in inspect(tiny_data).exposures] == ["OE", "NE", "OE", "NE", "OE"]

@@ -4,6 +4,8 @@
 import dataclasses
 import threading
 import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,7 +13,9 @@ import pytest
 
 from physhdr.backend.scene import View, read_scene
 from physhdr.backend.scene.prefetch import AHEAD, reading_ahead
+from physhdr.backend.scene.resize import Reduction
 from physhdr.backend.scene.scene import PictureCache
+from physhdr.backend.scene.source import Decoded
 from physhdr.backend.train.config import TrainConfig
 from physhdr.backend.train.trainer import Trainer
 
@@ -98,3 +102,36 @@ def test_a_training_from_a_cache_that_holds_one_bracket_is_the_same_to_the_bit(t
         ends.append({k: v.detach().numpy() for k, v in trainer.method.gaussians.parameters.items()})
     for name, values in ends[0].items():
         np.testing.assert_array_equal(values, ends[1][name])
+
+
+@dataclass(frozen=True, eq=False)
+class Slow:
+    """A source whose reading waits for somebody."""
+
+    key: str
+    read_by: list[str]
+    wait: Callable[[], object]
+
+    def read(self, reduction: Reduction) -> Decoded:
+        self.read_by.append(self.key)
+        self.wait()
+        return Decoded(np.zeros((2, 3, 3), np.uint8))
+
+
+def all_of(cache, sources):
+    """What threads find that ask for each of ``sources`` at the same time."""
+    with ThreadPoolExecutor(len(sources)) as threads:
+        return list(threads.map(cache.get, sources))
+
+
+def test_two_pictures_are_decoded_at_the_same_time():
+    cache, read, both = PictureCache(), [], threading.Barrier(2, timeout=5.0)
+    all_of(cache, [Slow("a", read, both.wait), Slow("b", read, both.wait)])  # else the barrier breaks
+    assert sorted(read) == ["a", "b"] and cache.bytes_held == 2 * 18
+
+
+def test_one_picture_is_decoded_once_for_several_who_want_it():
+    cache, read = PictureCache(), []
+    source = Slow("a", read, lambda: time.sleep(0.1))
+    first, *others = all_of(cache, [source] * 4)
+    assert read == ["a"] and all(other is first for other in others) and cache.bytes_held == 18
