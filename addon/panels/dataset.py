@@ -55,7 +55,10 @@ class PHYSHDR_PT_dataset(Subpanel, bpy.types.Panel):
         if more is not None:
             more.use_property_split = True
             more.use_property_decorate = False
-            for name in ("bracket", "same_exposure", "exposures", "lens", "borrow_poses", "partial"):
+            for name in ("bracket", "exposures", "lens"):
+                more.prop(settings, f"photos_{name}")
+            more.use_property_split = False  # for the longest name there is only so room beside its box
+            for name in ("same_exposure", "borrow_poses", "partial"):
                 more.prop(settings, f"photos_{name}")
         if found.seconds >= 0.0:
             write(context, layout, f"Preparing takes about {duration(found.seconds)}", "SORTTIME")

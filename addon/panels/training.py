@@ -68,7 +68,7 @@ def draw_choices(layout: bpy.types.UILayout, settings: PHYSHDR_Settings) -> None
     if more is not None:
         more.use_property_split = True
         more.use_property_decorate = False
-        for name in ("exposure_mode", "device", "threads"):
+        for name in ("exposure_mode", "device"):
             more.prop(settings, name)
 
 

@@ -77,7 +77,7 @@ class Layout:
         return made
 
     def panel(self, idname, default_closed=False):
-        return self.row(), None if default_closed else self.column()
+        return self.row(), self.column() if self.unfold or not default_closed else None
 
     def panel_prop(self, data, name):
         return self.row(), self.column() if getattr(data, name) else None
@@ -104,7 +104,7 @@ class Layout:
     def prop(self, data, name, text=None, icon="NONE", toggle=False, placeholder="", **_):
         found = data.bl_rna.properties[name]
         shown = found.name if text is None else text
-        if toggle or (found.type == "BOOLEAN" and not self.use_property_split):
+        if toggle:
             self.put("button", shown, icon, name)
             return
         if found.type == "BOOLEAN":
@@ -127,7 +127,7 @@ class Layout:
         return found
 
 
-Layout.is_row, Layout.factor = False, 0.0
+Layout.is_row, Layout.factor, Layout.unfold = False, 0.0, False
 
 
 def texts(layout, room=None):
@@ -152,7 +152,8 @@ def texts(layout, room=None):
         if kind == "value" and split:
             free = LABEL_SHARE * room
         if kind == "switch":
-            free = (1.0 - LABEL_SHARE) * room - 2 * ICON  # its box, and the dot of a keyframe
+            # Beside its box, and the dot of a keyframe.
+            free = (1.0 - LABEL_SHARE) * room - 2 * ICON if split else each - ICON
         if kind == "choice":
             free = ((1.0 - LABEL_SHARE) * room if split else room) - ARROW - PADDING
         yield kind, text, free, name, enabled
@@ -304,9 +305,14 @@ NAMES = list(states("/data"))
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_no_text_is_cut_at_the_default_width(chosen, name):
+def test_no_text_is_cut_at_the_default_width(chosen, name, tmp_path, monkeypatch):
     """By the widths that Blender's own font has; and no word that only the trainer's authors know."""
+    monkeypatch.setattr(Layout, "unfold", True)
     state = states(chosen.data)[name]
+    if name == "photos":
+        (tmp_path / "photos").mkdir()
+        chosen.photos, chosen.photos_out = str(tmp_path / "photos"), str(tmp_path / "photos_dataset")
+        state = replace(state, photos=replace(state.photos, folder=chosen.photos))
     for live, automatic in ((False, True), (True, False)):
         chosen.preview, chosen.iterations_automatic = live, automatic
         settings.follow_lights(chosen, LIGHTS)
