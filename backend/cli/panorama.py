@@ -104,7 +104,9 @@ class Panorama:
 
     def _opened(self) -> "_OfModel | _OfSplats | _OfPictures":
         if self.source.is_dir():
-            method = open_run(self.source, self.data, self.rasteriser, self.device, self._say).method
+            method = open_run(
+                self.source, self.data, self.rasteriser, self.device, self._say, pictures=False
+            ).method
             return _OfSplats(method.splatting) if method.splatting else _OfPictures(method)
         is_ply = self.source.suffix.lower() == ".ply"
         model = read_ply_model(self.source).model if is_ply else read_model(self.source)
