@@ -75,6 +75,8 @@ def revert(target: bpy.types.Object) -> None:
         else:  # nothing used it any more, and the file was saved since
             target.modifiers.remove(modifier)
             add_modifier(target, model_of(cloud))
+    if native_material().name in cloud.materials:
+        cloud.materials.clear()
     _display(target, "SPLATS")
 
 

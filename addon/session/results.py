@@ -21,17 +21,17 @@ EVALUATE, VIDEO = "evaluate", "video"
 EVALUATION_FILE, REPORT_FILE, SHEET_FILE = "evaluation.json", "evaluation.md", "comparison.png"
 #: PSNR in dB at which a picture beside its photograph is …
 QUALITIES = (
-    (38.0, "hard to tell from the photograph"),
+    (38.0, "excellent"),
     (32.0, "very close"),
-    (27.0, "close, fine detail differs"),
-    (22.0, "recognisable, visibly soft"),
+    (27.0, "close, softer detail"),
+    (22.0, "visibly soft"),
 )
 WORST = "poor"
-#: What the panel calls the table's rows.
+#: What the panel calls the table's rows, short enough for its default width.
 ROWS = (
-    ("LDR-OE", "Exposures It Learned"),
-    ("LDR-NE", "Exposures It Never Saw"),
-    ("HDR", "Radiance (HDR)"),
+    ("LDR-OE", "Learned Exposures"),
+    ("LDR-NE", "New Exposures"),
+    ("HDR", "HDR Radiance"),
 )
 
 
@@ -149,7 +149,7 @@ def figures(content: dict[str, Any]) -> tuple[Figure, ...]:
     everything = relit.get("all") if isinstance(relit, dict) else None
     if isinstance(everything, dict) and _is_number(everything.get("ours")):
         psnr = everything["ours"]
-        rows.append(Figure("Under Other Light", in_words(psnr), f"PSNR {psnr:.1f} dB"))
+        rows.append(Figure("Other Light", in_words(psnr), f"PSNR {psnr:.1f} dB"))
     ratio = content.get("scale_ratio")
     if _is_number(ratio) and ratio > 0.0:
         stops = math.log2(ratio)

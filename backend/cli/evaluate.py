@@ -53,7 +53,7 @@ class Evaluate:
         run = open_run(self.folder, self.data, self.rasteriser, self.device)
         out = writable_folder(self.out or self.folder)
         lpips = lpips_from(self.lpips_weights)
-        with progress("evaluate", self.json) as show:
+        with progress("evaluate", "picture", self.json) as show:
             evaluation = evaluate(
                 run.method,
                 run.scene,

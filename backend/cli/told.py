@@ -42,10 +42,10 @@ def answered(work: Callable[[], dict[str, Any]], as_json: bool) -> int:
 
 
 @contextmanager
-def progress(what: str, as_json: bool) -> Iterator[Told]:
-    """Shows how far something is for as long as the context lasts."""
+def progress(what: str, unit: str, as_json: bool) -> Iterator[Told]:
+    """Shows how far ``what`` is, counted in ``unit``, for as long as the context lasts."""
     if as_json:
-        yield _Lines()
+        yield _Lines(unit)
         return
     with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(what, total=None)
@@ -57,7 +57,8 @@ def progress(what: str, as_json: bool) -> Iterator[Told]:
 
 
 class _Lines:
-    def __init__(self) -> None:
+    def __init__(self, unit: str) -> None:
+        self._unit = unit
         self._begun = time.monotonic()
         self._last = 0.0
 
@@ -67,4 +68,4 @@ class _Lines:
             return
         self._last = now
         left = {"seconds_left": (now - self._begun) / done * (total - done)} if done else {}
-        line(progress=done / total if total else 0.0, message=part, **left)
+        line(progress=done / total if total else 0.0, message=f"{self._unit} {done} of {total}", **left)

@@ -99,11 +99,11 @@ class Video:
                 sinks.append(stack.enter_context(video_writer(self.out, fps)))
             if self.frames is not None:
                 sinks.append(stack.enter_context(frames_writer(writable_folder(self.frames))))
-            show = stack.enter_context(progress("video", self.json))
+            show = stack.enter_context(progress("video", "frame", self.json))
             for done, picture in enumerate(pictures(run.method, frames), 1):
                 for sink in sinks:
                     sink(picture)
-                show(done, len(frames), f"frame {done} of {len(frames)}" if self.json else "")
+                show(done, len(frames), "")
         wrote = " and ".join(str(path) for path in (self.out, self.frames) if path is not None)
         console.print(f"wrote {wrote}: {len(frames)} frames", soft_wrap=True)
         return {"out": str(self.out or self.frames), "frames": len(frames)}

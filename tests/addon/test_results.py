@@ -108,10 +108,10 @@ def test_an_evaluation_is_told_in_words_and_figures(extension, run, tmp_path):
     found = results.evaluation_of(str(run))
     assert (found.views, found.iteration, found.is_old) == (3, 2500, False)
     assert [(f.what, f.words, f.numbers) for f in found.figures] == [
-        ("Exposures It Learned", "hard to tell from the photograph", "PSNR 38.4 dB, SSIM 0.979"),
-        ("Exposures It Never Saw", "close, fine detail differs", "PSNR 31.2 dB, SSIM 0.900, LPIPS 0.050"),
-        ("Radiance (HDR)", "poor", "PSNR 20.0 dB, SSIM 0.700"),
-        ("Under Other Light", "very close", "PSNR 33.3 dB"),
+        ("Learned Exposures", "excellent", "PSNR 38.4 dB, SSIM 0.979"),
+        ("New Exposures", "close, softer detail", "PSNR 31.2 dB, SSIM 0.900, LPIPS 0.050"),
+        ("HDR Radiance", "poor", "PSNR 20.0 dB, SSIM 0.700"),
+        ("Other Light", "very close", "PSNR 33.3 dB"),
         ("Brightness", f"{math.log2(1.19):+.2f} stops from the true one", "× 1.190"),
     ]
     later = time.time() + 10.0

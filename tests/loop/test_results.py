@@ -48,7 +48,7 @@ def test_a_run_is_evaluated_and_filmed_from_blender(run, in_blender, tmp_path):
     assert seen["views"] == len(opened.scene.test)
     means = json.loads((run / "evaluation.json").read_text())["means"]
     told = {what: numbers for what, _, numbers in seen["figures"]}
-    assert told["Exposures It Learned"].startswith(f"PSNR {means['LDR-OE']['psnr']:.1f} dB")
+    assert told["Learned Exposures"].startswith(f"PSNR {means['LDR-OE']['psnr']:.1f} dB")
     assert (run / "comparison.png").exists()
 
     # The same frames, worked out here: the camera looks along +Y, Z up.

@@ -55,7 +55,7 @@ def test_an_evaluation_says_how_far_it_is_and_where_its_files_are(opened, tmp_pa
     *steps, last = told(capsys)
     fractions = [step["progress"] for step in steps]
     assert fractions and fractions == sorted(fractions) and fractions[-1] == 1.0
-    assert all("message" in step for step in steps)
+    assert steps[-1]["message"].startswith("picture ") and " of " in steps[-1]["message"]
     assert last == {"result": {"folder": str(tmp_path), "split": "test"}}
     assert (tmp_path / "evaluation.json").exists()
 

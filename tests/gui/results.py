@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A trained run in a real window: evaluated and filmed beside one's work, told in the panel."""
+
+import math
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+import bpy
+from driver import Window, drive
+
+
+def test(window: Window) -> Iterator[float]:
+    options = window.options
+    run = options.out / "room_run"
+    run.mkdir()
+    for name in ("config.json", "checkpoint.safetensors", "model.safetensors"):
+        shutil.copy(options.model.parent / name, run)
+    yield from window.open()
+    session = window.module("addon.runtime").session()
+    state = window.module("addon.session.state")
+    # As if it had passed its check, which other tests wait for.
+    report = {"versions": {"torch": "as installed"}, "missing": [], "device": "Processor"}
+    session.dispatch(state.PythonChosen(str(options.python), report))
+    settings = bpy.context.scene.physhdr
+    settings.data, settings.out = str(options.data), str(run)
+    panels = window.module("addon.panels.results")
+    assert panels.PHYSHDR_PT_results.poll(bpy.context)
+    # The other panels folded, so that this one is in sight.
+    for name in ("backend", "dataset", "training", "illumination", "capture", "render"):
+        panel = getattr(bpy.types, f"PHYSHDR_PT_{name}", None)
+        if panel is not None:
+            bpy.utils.unregister_class(panel)
+    bpy.utils.unregister_class(panels.PHYSHDR_PT_results)
+    panels.PHYSHDR_PT_results.bl_options = set()
+    bpy.utils.register_class(panels.PHYSHDR_PT_results)
+    yield from window.redrawn()
+    window.screenshot("1_before")
+
+    assert bpy.ops.physhdr.results_evaluate() == {"FINISHED"}
+    yield from window.until(lambda: session.state.task("evaluate").fraction > 0.1, 200, "under way")
+    yield from window.redrawn()
+    window.screenshot("2_evaluating")
+    yield from window.until(lambda: session.state.task("evaluate") is None, 300, "evaluated")
+    assert session.state.problem is None, session.state.problem
+    yield from window.redrawn()
+    window.screenshot("3_evaluated")
+
+    bpy.ops.physhdr.model_import(filepath=str(run / "model.safetensors"))
+    scene = bpy.context.scene
+    scene.frame_start, scene.frame_end = 1, 6
+    camera = window.look_through(options.data / "transforms_test.json", 0)
+    scene.render.resolution_x, scene.render.resolution_y = 160, 120
+    for frame, turn in ((1, 0.0), (6, math.radians(10.0))):
+        camera.rotation_euler.z += turn
+        camera.keyframe_insert("rotation_euler", frame=frame)
+    with window.override():
+        bpy.ops.physhdr.results_video("INVOKE_DEFAULT")
+    yield 1.0
+    window.screenshot("4_video_dialogue")
+    subprocess.run(["xdotool", "key", "Escape"], check=True)
+    yield 0.5
+    with window.override():
+        assert bpy.ops.physhdr.results_video(format="WEBP") == {"FINISHED"}
+    yield from window.until(lambda: session.state.task("video") is None, 300, "filmed")
+    assert session.state.problem is None, session.state.problem
+    assert (run / "video.webp").stat().st_size > 1000
+    yield from window.redrawn()
+    window.screenshot("5_filmed")
+
+
+drive(test)
