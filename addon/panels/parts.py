@@ -70,8 +70,11 @@ def reasons(context: bpy.types.Context, layout: bpy.types.UILayout, state: State
         write(context, layout, reason, "INFO")
 
 
-def draw_task(layout: bpy.types.UILayout, state: State, name: str) -> None:
-    """How far a child process is, what it does, and a button that cancels it."""
+def draw_task(layout: bpy.types.UILayout, state: State, name: str, lines: int = 0) -> None:
+    """How far a child process is, what it does, and a button that cancels it.
+
+    ``lines``: room that is kept for what it does; 0: one line where it says anything.
+    """
     task = state.task(name)
     if task is None:
         return
@@ -82,7 +85,9 @@ def draw_task(layout: bpy.types.UILayout, state: State, name: str) -> None:
     row = column.row(align=True)
     row.progress(factor=task.fraction, text="Cancelling" if task.cancelling else text)
     row.operator("physhdr.task_cancel", text="", icon="X").name = name
-    if task.message:
+    if lines:
+        write(bpy.context, column, task.message, lines=lines)
+    elif task.message:
         column.label(text=first_line(bpy.context, task.message))
 
 

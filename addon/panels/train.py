@@ -10,7 +10,7 @@ from ..operators.base import choices
 from ..runtime import session
 from ..session.advice import headline, is_of_file, next_step, problem_of
 from ..session.state import CHECK, DATASET, INSTALL, LOOK, PHOTOS, State
-from .parts import SidebarPanel, draw_problem, draw_task, duration, first_line, write
+from .parts import SidebarPanel, draw_problem, draw_task, duration, write
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import IconItems
@@ -63,11 +63,10 @@ def draw_progress(
     if state.active or (job.run and job.iterations and is_mine and not tasks):
         draw_training(context, column, state)
     elif tasks:
-        draw_task(column, state, tasks.pop(0))
-        column.label(text="")
+        draw_task(column, state, tasks.pop(0), PROGRESS_LINES)
     else:
-        for _ in range(1 + PROGRESS_LINES):
-            column.label(text="")
+        column.label(text="")
+        write(context, column, "", lines=PROGRESS_LINES)
     for name in tasks:
         draw_task(layout, state, name)
 
@@ -85,12 +84,13 @@ def draw_training(context: bpy.types.Context, column: bpy.types.UILayout, state:
     numbers = [f"{job.gaussians:,} splats"] if job.gaussians else []
     if "PSNR" in job.monitor:
         numbers.insert(0, f"Quality {job.monitor['PSNR']:.2f} dB")
-    column.label(text=", ".join(numbers))
     if job.losses and job.state in ("training", "paused"):
         speed = job.iterations_per_second
-        column.label(text=f"Loss {sum(job.losses.values()):.4f}, {speed:.1f} iterations/s")
+        told = f"Loss {sum(job.losses.values()):.4f}, {speed:.1f} iterations/s"
     else:
-        column.label(text=first_line(context, job.message) if state.active else "")
+        told = job.message if state.active else ""
+    write(context, column, ", ".join(numbers), lines=1)
+    write(context, column, told, lines=1)
 
 
 register, unregister = bpy.utils.register_classes_factory((PHYSHDR_PT_train,))

@@ -62,7 +62,7 @@ def draw_choices(layout: bpy.types.UILayout, settings: PHYSHDR_Settings) -> None
         row.prop(settings, "iterations_automatic", text="Automatic", toggle=True)
     else:
         row.prop(settings, "iterations", text="")
-        row.prop(settings, "iterations_automatic", text="", icon="X", invert_checkbox=True)
+        row.prop(settings, "iterations_automatic", text="", icon="X", toggle=True)
     head, more = layout.panel("physhdr_training_more", default_closed=True)
     head.label(text="More")
     if more is not None:
