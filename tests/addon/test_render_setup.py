@@ -97,14 +97,17 @@ def changed(before: dict[str, object], after: dict[str, object]) -> set[str]:
     return {key for key in before if before[key] != after[key]}
 
 
-def test_set_up_changes_transparent_bounces_alone(room, registered):
-    """Of all settings that a scene of Cycles and EEVEE has; EEVEE's samples are enough as Blender comes."""
+def test_set_up_changes_transparent_bounces_and_eevees_samples_alone(room, registered):
+    """Of all settings that a scene of Cycles and EEVEE has."""
     before = settings(registered)
     assert len(before) > 150
     bpy.ops.physhdr.render_setup()
     after = settings(registered)
-    assert changed(before, after) == {"cycles.transparent_max_bounces", "cycles.min_transparent_bounces"}
-    assert (after["cycles.transparent_max_bounces"], after["cycles.min_transparent_bounces"]) == (1024, 256)
+    assert {key: after[key] for key in changed(before, after)} == {
+        "cycles.transparent_max_bounces": 1024,
+        "cycles.min_transparent_bounces": 256,
+        "eevee.taa_render_samples": render_setup.EEVEE_SAMPLES,
+    }
 
 
 def test_wishes_change_what_they_name(room, registered):
