@@ -8,7 +8,7 @@ from ..blender import layout_of
 from ..operators.base import choices
 from ..runtime import session
 from ..session.state import PHOTOS, Photos, Prepared, State
-from .parts import Subpanel, button, duration, first_line, reasons, shortened, write
+from .parts import BOX, Subpanel, button, duration, first_line, reasons, shortened, write
 
 
 class PHYSHDR_PT_dataset(Subpanel, bpy.types.Panel):
@@ -39,11 +39,11 @@ class PHYSHDR_PT_dataset(Subpanel, bpy.types.Panel):
         found = state.photos if state.photos.folder == folder else Photos()
         column = layout.column(align=True)
         for line in found.lines:
-            write(context, column, line)
+            write(context, column, line, beside=BOX)
         for warning in found.warnings:
-            write(context, column, warning, "ERROR")
+            write(context, column, warning, "ERROR", beside=BOX)
         if found.problem:
-            write(context, column, f"{found.problem.message}. {found.problem.hint}", "ERROR")
+            write(context, column, f"{found.problem.message}. {found.problem.hint}", "ERROR", beside=BOX)
         column = layout.column()
         column.use_property_split = True
         column.use_property_decorate = False
@@ -61,10 +61,10 @@ class PHYSHDR_PT_dataset(Subpanel, bpy.types.Panel):
             for name in ("same_exposure", "borrow_poses", "partial"):
                 more.prop(settings, f"photos_{name}")
         if found.seconds >= 0.0:
-            write(context, layout, f"Preparing takes about {duration(found.seconds)}", "SORTTIME")
+            write(context, layout, f"Preparing takes about {duration(found.seconds)}", "SORTTIME", beside=BOX)
         button(context, layout, state, "photos", "physhdr.photos_prepare", "Prepare", "PLAY")
         if not state.task(PHOTOS):
-            reasons(context, layout, state, "photos")
+            reasons(context, layout, state, "photos", BOX)
 
 
 def draw_report(context: bpy.types.Context, layout: bpy.types.UILayout, state: State) -> None:

@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 FRAME = 46.0
 #: … and of a line what an icon takes.
 ICON = 24.0
+#: … and what a box takes of everything in it.
+BOX = 16.0
 #: Blender's buttons draw text a little wider than it measures.
 SLACK = 1.05
 #: Points of the interface's text.
@@ -38,9 +40,9 @@ def draw_problem(context: bpy.types.Context, layout: bpy.types.UILayout, problem
     box = layout.box()
     column = box.column(align=True)
     column.alert = True
-    write(context, column, problem.message, "ERROR")
+    write(context, column, problem.message, "ERROR", beside=BOX)
     if problem.hint:
-        write(context, box, problem.hint, "INFO")
+        write(context, box, problem.hint, "INFO", beside=BOX)
     row = box.row(align=True)
     if problem.log:
         row.operator("physhdr.log_open", icon="TEXT").filepath = problem.log
@@ -63,11 +65,13 @@ def button(
     return cell.operator(operator, text=text, icon=icon)
 
 
-def reasons(context: bpy.types.Context, layout: bpy.types.UILayout, state: State, action: str) -> None:
+def reasons(
+    context: bpy.types.Context, layout: bpy.types.UILayout, state: State, action: str, beside: float = 0.0
+) -> None:
     """Why a button above is greyed, in the panel itself: a tooltip alone is not found."""
     reason = why_not(state, action, choices(context))
     if reason:
-        write(context, layout, reason, "INFO")
+        write(context, layout, reason, "INFO", beside=beside)
 
 
 def draw_task(layout: bpy.types.UILayout, state: State, name: str, lines: int = 0) -> None:
@@ -97,14 +101,20 @@ def write(
     text: str,
     icon: "IconItems" = "NONE",
     lines: int | None = None,
+    beside: float = 0.0,
 ) -> None:
-    """A text of several lines, as wide as the panel; with ``lines`` of just so many, cut or filled up."""
+    """A text of several lines, as wide as the panel; with ``lines`` of just so many, cut or filled up.
+
+    ``beside``: pixels that it has less than the panel (``BOX``).
+    """
     column = layout.column(align=True)
     column.scale_y = 0.8
-    wrapped = wrap(text, room(context) - (ICON if icon != "NONE" else 0.0)) or [""]
+    width = room(context) - beside - (ICON if icon != "NONE" else 0.0)
+    wrapped = wrap(text, width) or [""]
     if lines is not None:
         if len(wrapped) > lines:
-            wrapped = [*wrapped[: lines - 1], f"{wrapped[lines - 1]} …"]
+            wrapped = wrap(text, width - text_width(" …"))[:lines]
+            wrapped[-1] += " …"
         wrapped += [""] * (lines - len(wrapped))
     for index, line in enumerate(wrapped):
         column.label(text=line, icon=icon if index == 0 else "BLANK1" if icon != "NONE" else "NONE")

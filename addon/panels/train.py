@@ -86,7 +86,7 @@ def draw_training(context: bpy.types.Context, column: bpy.types.UILayout, state:
         numbers.insert(0, f"Quality {job.monitor['PSNR']:.2f} dB")
     if job.losses and job.state in ("training", "paused"):
         speed = job.iterations_per_second
-        told = f"Loss {sum(job.losses.values()):.4f}, {speed:.1f} iterations/s"
+        told = f"Loss {sum(job.losses.values()):.4f}" + (f", {speed:.1f} iterations/s" if speed else "")
     else:
         told = job.message if state.active else ""
     write(context, column, ", ".join(numbers), lines=1)

@@ -37,7 +37,7 @@ PANELS = (
     PHYSHDR_PT_backend_ready,
 )
 #: Words that an artist has no use for.
-JARGON = ("exp1", "exp3", "first points", "anchor", "checkpoint", "Gaussians", "PSNR 3")
+JARGON = ("exp1", "exp3", "first points", "anchor", "Gaussians", "PSNR 3")
 
 
 class Layout:
@@ -73,7 +73,7 @@ class Layout:
 
     def box(self):
         made = self.child()
-        made.room -= 12
+        made.room -= 14
         return made
 
     def panel(self, idname, default_closed=False):
@@ -272,7 +272,11 @@ def states(data):
     )
     curves = History(iterations=(20, 40), losses=(1.0, 0.5))
     message = "pictures are used as they are, 0.04 megapixels: 2,500 iterations, at most 60,000 Gaussians"
-    failure = Failure(code="training_diverged", message="the loss is no number", hint="Resume it.")
+    failure = Failure(
+        code="backend_gone",
+        message="The backend is gone: the connection broke",
+        hint="Resume goes on from the checkpoint of iteration 841.",
+    )
     return {
         "nothing": State(),
         "installing": State(
@@ -289,7 +293,18 @@ def states(data):
             ready,
             dataset=replace(ready.dataset, warnings=("There is no test split: quality is not measured.",)),
         ),
-        "photos": replace(ready, photos=Photos("/photos", lines=("27 photos, 400 × 300",), seconds=75.0)),
+        "photos": replace(
+            ready,
+            photos=Photos(
+                "/photos",
+                lines=(
+                    "27 photos, 400 × 300",
+                    "9 exposures: 1/1250 s to 1/8 s, 4.0 stops, found by their names",
+                ),
+                warnings=("Left out: IMG_20260712_181502.jpg, it is not of the others' size",),
+                seconds=75.0,
+            ),
+        ),
         "rendering": replace(ready, tasks=(Running("dataset", "log", 0.4, "view 12 of 40", 90.0),)),
         "preparing": replace(ready, job=replace(job, state="preparing", message=message, iteration=0)),
         "training": replace(ready, job=job, history=curves),
