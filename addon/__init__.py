@@ -25,6 +25,7 @@ _MODULES = (
     "operators.lighting",
     "operators.results",
     "operators.native",
+    "operators.cg",
     "viewport",
     "plot",
     "runtime",
@@ -35,6 +36,7 @@ _MODULES = (
     "panels.results",
     "panels.illumination",
     "panels.capture",
+    "panels.cg",
     "panels.render",
 )
 

@@ -93,8 +93,12 @@ def hindrances(scene: bpy.types.Scene) -> list[str]:
 
 
 def _is_loose(scene: bpy.types.Scene) -> bool:
-    layer = scene.view_layers.get(SHADOW_LAYER)
-    return layer is not None and any(shows_model(each) for each in layer.objects)
+    """Whether a model is in a collection that the layer of the shadow shows."""
+    return any(
+        collection.get(MARK) != CAPTURE
+        for model in models_of(scene)
+        for collection in _collections_in(scene, model)
+    )
 
 
 # ---- setting up --------------------------------------------------------------------------------------------

@@ -1,0 +1,333 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""*Put CG Here*: the shadow on splats against integrals of the sky, order by depth, and nothing left behind.
+
+A black ball hangs over a floor that is one Gaussian, under a sky that is even in red and rises with the
+height in green; a Gaussian hangs before the shadow, another one behind the ball.
+"""
+
+import math
+
+import numpy as np
+import pytest
+
+bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
+
+from mathutils import Vector  # noqa: E402
+
+from physhdr.addon import cg, model_import, render  # noqa: E402
+from physhdr.bridge.model_file import Model  # noqa: E402
+
+SIZE, ANGLE = 40, 0.7
+BALL, RADIUS = np.array([0.0, 0.0, 0.55]), 0.4
+#: x, y, z, deviations, opacity, radiance: the floor, one before its shadow, one behind the ball.
+SPLATS = (
+    ((0.0, 0.0, 0.0), (60.0, 60.0, 5e-4), 0.995, (0.6, 0.3, 0.2)),
+    ((0.2, -0.9, 0.78), (0.12, 0.12, 0.12), 0.8, (0.1, 0.9, 0.4)),
+    ((-0.1, 1.2, 0.5), (0.25, 0.25, 0.25), 0.9, (5.0, 5.0, 5.0)),
+)
+
+
+@pytest.fixture
+def extension(scene):
+    """The extension's classes, registered."""
+    from physhdr import addon
+
+    addon.register()
+    yield scene
+    addon.unregister()
+
+
+@pytest.fixture
+def capture(scene, write):
+    """The three Gaussians, imported, and a camera; gives the scene."""
+    position, scale, opacity, radiance = (np.array(each, np.float32) for each in zip(*SPLATS, strict=True))
+    model = Model(
+        position=position,
+        rotation=np.tile(np.float32([1.0, 0.0, 0.0, 0.0]), (len(SPLATS), 1)),
+        scale=scale,
+        opacity=opacity,
+        log_radiance_sh=np.log(radiance)[:, None] * np.float32(2.0 * math.sqrt(math.pi)),
+        light_share=np.full((len(SPLATS), 1, 3), 0.5, np.float32),
+        lights=("ambient",),
+        exposures=(1.0,),
+        metadata={},
+    )
+    target = model_import.import_model(str(write(model)))
+    for ray in ("diffuse", "glossy", "transmission", "volume_scatter", "shadow"):
+        setattr(target, f"visible_{ray}", False)
+    return scene
+
+
+def pose(look_at) -> np.ndarray:
+    placed = look_at(0.0, -4.0, 2.4)
+    return placed
+
+
+@pytest.fixture
+def draw(look_at, tmp_path):
+    """Renders the scene: ``[SIZE, SIZE, 4]`` float64."""
+
+    def draw(scene) -> np.ndarray:
+        render.prepare_cycles(scene)
+        render.set_resolution(scene, SIZE, SIZE)
+        scene.render.compositor_device = "CPU"
+        if scene.camera is None:
+            render.add_camera(scene, pose(look_at), ANGLE)
+        render.render_exr(scene, tmp_path / "picture.exr")
+        return render.read_exr(tmp_path / "picture.exr").astype(np.float64)
+
+    return draw
+
+
+def add_sky(scene) -> None:
+    """Radiance 1 in red, the sine of the elevation in green, blue 0.25; below the horizon nothing."""
+    world = bpy.data.worlds.new("sky")
+    scene.world = world
+    tree = world.node_tree
+    tree.nodes.clear()
+    add, link = tree.nodes.new, tree.links.new
+    direction, split = add("ShaderNodeTexCoord"), add("ShaderNodeSeparateXYZ")
+    colour, background = add("ShaderNodeCombineColor"), add("ShaderNodeBackground")
+    link(direction.outputs["Generated"], split.inputs[0])
+    link(split.outputs["Z"], colour.inputs["Green"])
+    colour.inputs["Red"].default_value, colour.inputs["Blue"].default_value = 1.0, 0.25
+    link(colour.outputs[0], background.inputs["Color"])
+    path, mix = add("ShaderNodeLightPath"), add("ShaderNodeMixShader")
+    link(path.outputs["Is Camera Ray"], mix.inputs[0])
+    link(background.outputs[0], mix.inputs[1])
+    link(mix.outputs[0], add("ShaderNodeOutputWorld").inputs["Surface"])
+
+
+def add_ball(scene):
+    mesh = bpy.data.meshes.new("ball")
+    import bmesh
+
+    made = bmesh.new()
+    bmesh.ops.create_icosphere(made, subdivisions=6, radius=RADIUS)
+    made.to_mesh(mesh)
+    made.free()
+    black = bpy.data.materials.new("black")
+    black.node_tree.nodes.clear()
+    emission = black.node_tree.nodes.new("ShaderNodeEmission")
+    emission.inputs["Strength"].default_value = 0.0
+    output = black.node_tree.nodes.new("ShaderNodeOutputMaterial")
+    black.node_tree.links.new(emission.outputs[0], output.inputs[0])
+    mesh.materials.append(black)
+    ball = bpy.data.objects.new("ball", mesh)
+    ball.location = BALL
+    scene.collection.objects.link(ball)
+    return ball
+
+
+def rays(look_at) -> tuple[np.ndarray, np.ndarray]:
+    """The camera's place [3] and unit directions [SIZE, SIZE, 3] through the middles of pixels."""
+    placed = pose(look_at)
+    half = math.tan(ANGLE / 2.0)
+    x, y = np.meshgrid((np.arange(SIZE) + 0.5) / SIZE * 2.0 - 1.0, 1.0 - (np.arange(SIZE) + 0.5) / SIZE * 2.0)
+    local = np.stack([x * half, y * half, -np.ones_like(x)], -1)
+    directions = local @ placed[:3, :3].T
+    return placed[:3, 3], directions / np.linalg.norm(directions, axis=-1, keepdims=True)
+
+
+def alpha_of(index: int, eye: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Of a Gaussian for rays, at its densest along each: [SIZE, SIZE]."""
+    centre, deviations, opacity, _ = SPLATS[index]
+    offset, heading = (np.array(centre) - eye) / deviations, directions / np.array(deviations)
+    along = heading @ offset / np.square(heading).sum(-1)
+    nearest = offset - along[..., None] * heading
+    alpha = opacity * np.exp(-0.5 * np.square(nearest).sum(-1))
+    return np.where(alpha > 1.0 / 255.0, alpha, 0.0)
+
+
+def light_ratio(points: np.ndarray) -> np.ndarray:
+    """[N, 3]: the irradiance on a floor at points [N, 3] with the ball over that without: sums over the sky.
+
+    Directions are spread by a Fibonacci lattice with density ∝ cosine, so that red is a mere count.
+    """
+    count = 20_000
+    k = np.arange(count) + 0.5
+    sine = np.sqrt(k / count)
+    azimuth = k * math.pi * (3.0 - math.sqrt(5.0))
+    sky = np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), np.sqrt(1.0 - sine**2)], -1)
+    weights = np.stack([np.ones(count), sky[:, 2], np.ones(count)], -1)
+    ratios = []
+    for point in points:
+        offset = BALL - point
+        along = sky @ offset
+        free = (along <= 0.0) | (offset @ offset - along**2 > RADIUS**2)
+        ratios.append(weights[free].sum(0) / weights.sum(0))
+    return np.array(ratios)
+
+
+def expected(look_at) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The picture, S, where the ball or its edge is, and where the ball is all: [SIZE, SIZE, …]."""
+    eye, directions = rays(look_at)
+    flat = directions.reshape(-1, 3)
+    down = flat[:, 2] < -1e-3
+    points = eye + flat * np.where(down, -eye[2] / np.where(down, flat[:, 2], -1.0), 0.0)[:, None]
+    ratio = np.where(down[:, None], light_ratio(points), 1.0).reshape(SIZE, SIZE, 3)
+    offset = BALL - eye
+    beside = np.sqrt(np.maximum(offset @ offset - (directions @ offset) ** 2, 0.0))
+    ball = beside < RADIUS
+    edge = np.abs(beside - RADIUS) < 0.012 * np.linalg.norm(offset)
+    floor, front, behind = (alpha_of(k, eye, directions)[..., None] for k in range(3))
+    radiance = [np.array(splat[3]) for splat in SPLATS]
+    back = np.where(ball[..., None], 0.0, behind * radiance[2] + (1.0 - behind) * floor * ratio * radiance[0])
+    return front * radiance[1] + (1.0 - front) * back, ratio, ball | edge, ball & ~edge
+
+
+def decibels(picture: np.ndarray, truth: np.ndarray) -> float:
+    return 10.0 * math.log10(1.0 / np.square(picture - truth).mean())
+
+
+def test_shadow_and_order_are_right_by_numbers(capture, draw, look_at):
+    """Of every pixel: the floor under the sky that the ball leaves, through what is in front."""
+    add_sky(capture)
+    without = draw(capture)
+    add_ball(capture)
+    plain = draw(capture)
+    cg.put(capture, bpy.context.view_layer, Vector((0.0, 0.0, 0.0)), size=8.0)
+    capture.view_layers[cg.SHADOW_LAYER].samples = 512
+    picture = draw(capture)
+
+    truth, ratio, ball, inside = expected(look_at)
+    eye, directions = rays(look_at)
+    behind = alpha_of(2, eye, directions)
+    floor = ~ball & (behind == 0.0)
+    shaded = floor & (ratio.min(-1) < 0.9)
+    assert shaded.sum() > 40 and ratio.min() < 0.4
+    assert decibels(picture[shaded][:, :3], truth[shaded]) > 42.0
+    assert decibels(plain[shaded][:, :3], truth[shaded]) < 22.0  # without the ground: no shadow at all
+    # Colours of the shadow: green, which comes from above, is darker under the ball than red is.
+    seen = picture[..., :3] / np.maximum(without[..., :3], 1e-6)
+    bare = floor & (alpha_of(1, eye, directions) == 0.0)
+    deepest = np.unravel_index(np.where(bare, ratio[..., 1], 2.0).argmin(), ratio.shape[:2])
+    np.testing.assert_allclose(seen[deepest], ratio[deepest], atol=0.03)
+    # The ball is black: what is seen where it is, is what hangs before it.
+    front = alpha_of(1, eye, directions)
+    covered = inside & (front > 0.3)
+    hidden = inside & (behind > 0.5) & (front == 0.0)
+    assert covered.sum() > 3 and hidden.sum() > 3
+    assert decibels(picture[covered][:, :3], truth[covered]) > 40.0
+    np.testing.assert_allclose(picture[hidden][:, :3], 0.0, atol=1e-4)
+    # And far from ball and shadow nothing changes.
+    elsewhere = ~ball & (ratio.min(-1) > 0.995)
+    assert elsewhere.sum() > 100
+    assert decibels(picture[elsewhere][:, :3], without[elsewhere][:, :3]) > 50.0
+    np.testing.assert_array_equal(picture[..., 3], plain[..., 3])
+
+
+def shown(collection) -> set[str]:
+    """The objects that a layer shows of a collection. Its own list of them is as old as its last drawing."""
+    if collection.exclude:
+        return set()
+    below = (shown(each) for each in collection.children)
+    return {each.name for each in collection.collection.objects}.union(*below)
+
+
+def state_of(scene) -> dict:
+    """What *Put CG Here* may not change for good: who is in which collection, layers, what is composed."""
+    tree = scene.compositing_node_group
+    links = (
+        [(each.from_node.name, each.from_socket.name, each.to_node.name) for each in tree.links]
+        if tree
+        else []
+    )
+    return {
+        "objects": {each.name: sorted(one.name for one in each.users_collection) for each in scene.objects},
+        "layers": [each.name for each in scene.view_layers],
+        "collections": sorted(each.name for each in bpy.data.collections),
+        "shown": {each.name: sorted(shown(each.layer_collection)) for each in scene.view_layers},
+        "tree": tree.name if tree else None,
+        "links": sorted(links),
+        "groups": sorted(each.name for each in bpy.data.node_groups if each.type == "COMPOSITING"),
+        "meshes": sorted(each.name for each in bpy.data.meshes),
+    }
+
+
+def compose(scene, layer: str) -> None:
+    """A user's own compositor: the picture, blurred, beside what another layer shows."""
+    tree = bpy.data.node_groups.new("Mine", "CompositorNodeTree")
+    tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
+    source, blur = tree.nodes.new("CompositorNodeRLayers"), tree.nodes.new("CompositorNodeBlur")
+    source.scene, source.layer = scene, layer
+    tree.links.new(source.outputs["Image"], blur.inputs["Image"])
+    tree.links.new(source.outputs["Alpha"], tree.nodes.new("CompositorNodeSetAlpha").inputs["Alpha"])
+    tree.links.new(blur.outputs[0], tree.nodes.new("NodeGroupOutput").inputs[0])
+    scene.compositing_node_group = tree
+
+
+@pytest.mark.parametrize("composed", [False, True])
+def test_reset_leaves_the_scene_as_it_was(extension, capture, composed):
+    scene, operators = capture, bpy.ops.physhdr
+    own = bpy.data.collections.new("Mine")
+    scene.collection.children.link(own)
+    model = next(each for each in scene.objects if each.type == "POINTCLOUD")
+    own.objects.link(model)
+    scene.collection.objects.unlink(model) if model.name in scene.collection.objects else None
+    ball = add_ball(scene)
+    scene.view_layers.new("Other").layer_collection.children["Mine"].exclude = True
+    if composed:
+        compose(scene, "ViewLayer")
+    scene.render.engine = "CYCLES"
+    before = state_of(scene)
+    assert not operators.cg_reset.poll()
+    for _ in range(2):  # the second time it moves what is there
+        assert operators.cg_here(location=(0.3, -0.2, 0.05)) == {"FINISHED"}
+    during = state_of(scene)
+    assert during["layers"] == ["ViewLayer", "Other", cg.SHADOW_LAYER, cg.FRONT_LAYER]
+    # No layer of the user's shows anything else than before; ours show what they are for.
+    assert {name: during["shown"][name] for name in before["shown"]} == before["shown"]
+    assert during["shown"][cg.SHADOW_LAYER] == sorted([ball.name, "PhysHDR Ground"])
+    assert during["shown"][cg.FRONT_LAYER] == sorted([ball.name, model.name, "PhysHDR Ground Top"])
+    assert cg.hindrances(scene) == []
+    # On the floor that the splats are, not on the height that was given.
+    assert cg.ground_of(scene).location.z == pytest.approx(0.0, abs=2e-3)
+    if composed:
+        shown = scene.compositing_node_group.nodes["Blur"].inputs["Image"].links[0].from_node
+        assert shown.type == "GROUP" and during["tree"] == "Mine"
+    assert operators.cg_reset() == {"FINISHED"}
+    assert state_of(scene) == before
+
+
+def test_what_would_hinder_the_shadow_is_told(extension, capture, write, make_model):
+    scene = capture
+    scene.render.engine = "CYCLES"
+    bpy.ops.physhdr.cg_here()
+    assert cg.hindrances(scene) == []
+    for spoil, told in [
+        (lambda: setattr(scene.render, "engine", "BLENDER_EEVEE"), "Only Cycles"),
+        (lambda: setattr(scene.view_layers[cg.SHADOW_LAYER], "use", False), "missing or off"),
+        (lambda: setattr(scene.render, "use_compositing", False), "compositor"),
+        (lambda: model_import.import_model(str(write(make_model(count=3)))), "hides the ground"),
+    ]:
+        spoil()
+        assert any(told in each for each in cg.hindrances(scene)), told
+        scene.render.engine = "CYCLES"
+        assert bpy.ops.physhdr.cg_here() == {"FINISHED"}
+        assert cg.hindrances(scene) == []
+
+
+def test_selected_objects_stand_at_the_cursor(extension, capture):
+    scene = capture
+    ball, hat = add_ball(scene), add_ball(scene)
+    hat.parent = ball  # moves with it, once
+    hat.location = (0.0, 0.0, 0.5)
+    lamp = bpy.data.objects.new("lamp", bpy.data.lights.new("lamp", "POINT"))
+    scene.collection.objects.link(lamp)
+    for each in scene.objects:
+        each.select_set(True)
+    scene.cursor.location = (0.7, -0.3, 0.04)
+    assert bpy.ops.physhdr.cg_here(floor="PLACE") == {"FINISHED"}
+    np.testing.assert_allclose(ball.matrix_world.translation, (0.7, -0.3, 0.04 + RADIUS), atol=1e-4)
+    np.testing.assert_allclose(hat.matrix_world.translation, (0.7, -0.3, 0.54 + RADIUS), atol=1e-4)
+    assert tuple(lamp.location) == (0.0, 0.0, 0.0)
+    np.testing.assert_allclose(cg.ground_of(scene).location, (0.7, -0.3, 0.04), atol=1e-6)
+
+
+def test_without_a_model_nothing_is_set_up(extension):
+    scene = extension
+    assert not bpy.ops.physhdr.cg_here.poll()
+    with pytest.raises(RuntimeError):
+        bpy.ops.physhdr.cg_here()
+    assert len(scene.view_layers) == 1
