@@ -10,7 +10,7 @@ import bpy
 
 from ..bridge.errors import PhysHDRError
 from ..synth.light_names import GROUP
-from . import dataset_command, dataset_folder, denoiser, originals, render_time, rig_preview
+from . import dataset_command, dataset_folder, denoiser, originals, render_time, rig_preview, time_trial
 from .dataset_settings import PHYSHDR_DatasetSettings, chosen, settings_of
 from .look import is_model
 from .runtime import session
@@ -45,7 +45,7 @@ def draw(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
     problem, folder = _judged(values, scene)
     if problem is None:
         _write(layout, folder, "FILE_FOLDER")
-        _write(layout, time_in_words(values, scene), "SORTTIME")
+        _draw_time(layout, values, scene)
     else:
         box = layout.box()
         box.alert = True
@@ -91,6 +91,15 @@ def _judged(values: SimpleNamespace, scene: bpy.types.Scene) -> tuple[PhysHDRErr
         return None, dataset_folder.check(Path(dataset_folder.whole(values.out)))
     except PhysHDRError as error:
         return error, ""
+
+
+def _draw_time(layout: bpy.types.UILayout, values: SimpleNamespace, scene: bpy.types.Scene) -> None:
+    row = layout.row()
+    trial = time_trial.in_words()
+    _write(row, trial or time_in_words(values, scene), "SORTTIME")
+    known = settings_of(scene).rate > 0.0 and settings_of(scene).rate_device == values.device
+    if not known and not time_trial.trial().is_running:
+        row.operator("physhdr.dataset_time", icon="FILE_REFRESH")
 
 
 def _draw_rig(column: bpy.types.UILayout, settings: PHYSHDR_DatasetSettings) -> None:

@@ -193,9 +193,10 @@ class PHYSHDR_DatasetSettings(RenderOptions, bpy.types.PropertyGroup):
         description="The world, and suns that are in no light chosen here",
     )
     lights: bpy.props.CollectionProperty(type=PHYSHDR_LightChoice)
-    #: Seconds for a sample of a pixel, as the last data set of this scene took; 0: none was made.
+    #: Seconds for a sample of a pixel of this scene, with what and by what they are known; 0: they are not.
     rate: bpy.props.FloatProperty(options={"HIDDEN"})
     rate_device: bpy.props.StringProperty(options={"HIDDEN"})
+    rate_by: bpy.props.StringProperty(options={"HIDDEN"})
 
 
 def settings_of(scene: bpy.types.Scene) -> PHYSHDR_DatasetSettings:

@@ -21,7 +21,7 @@ from .dataset_settings import settings_of
 
 #: In the backend's folder: device → seconds for a sample of a pixel, and of which scene.
 RATES_FILE = "render_rates.json"
-UNKNOWN = "The time is told once the first ones are there"
+UNKNOWN = "Nothing of this scene was rendered yet to tell the time by"
 
 
 @dataclass(frozen=True)
@@ -48,13 +48,22 @@ def ended(started: Started, scene: bpy.types.Scene | None, home: Path) -> None:
     if new < 1:
         return
     rate = (time.monotonic() - started.began) / ((new + 1) * started.samples)
-    if scene is not None:
-        settings = settings_of(scene)
-        settings.rate, settings.rate_device = rate, started.device
+    _keep(rate, started.device, scene, "as the last data set of this scene went")
     rates = _rates(home)
     rates[started.device] = {"seconds": rate, "file": Path(bpy.data.filepath).stem}
     with suppress(PhysHDRError), atomic_path(home / RATES_FILE) as pending:
         pending.write_text(json.dumps(rates), encoding="utf-8")
+
+
+def tried(chosen: SimpleNamespace, scene: bpy.types.Scene, seconds: float) -> None:
+    """A picture as ``chosen`` took so long, tried before the data set."""
+    _keep(seconds / _samples(chosen, scene), chosen.device, scene, "as two pictures went that were tried")
+
+
+def _keep(rate: float, device: str, scene: bpy.types.Scene | None, by: str) -> None:
+    if scene is not None:
+        settings = settings_of(scene)
+        settings.rate, settings.rate_device, settings.rate_by = rate, device, by
 
 
 def estimate(
@@ -65,7 +74,7 @@ def estimate(
     work = pictures * _samples(chosen, scene)
     settings = settings_of(scene)
     if settings.rate > 0.0 and settings.rate_device == chosen.device:
-        return work * settings.rate, "as the last data set of this scene went"
+        return work * settings.rate, settings.rate_by
     found = _rates(home).get(chosen.device)
     match found:
         case {"seconds": float(rate), "file": str(file)} if rate > 0.0:

@@ -61,7 +61,7 @@ def make(out: Path, options: Options, report: Report | None = None) -> dict[str,
 
     Returns:
         What a program that started us wants to know (``--progress-json``); of a part of the poses
-        (``options.part``) only which one of which folder it is.
+        (``options.part``) only which one of which folder it is, and how long its pictures took.
 
     Raises:
         SynthError: any of its kinds, with a message for the user. Nothing that exists is overwritten.
@@ -94,10 +94,10 @@ def make(out: Path, options: Options, report: Report | None = None) -> dict[str,
             objects.numbered(stage, report) as numbers,
             renderer(stage, options.denoise) as camera,
         ):
-            _render(job, claims, camera, report)
+            took = _render(job, claims, camera, report)
             if options.part:
                 report.say(f"data set {out}: part {options.part[0]} of {options.part[1]} is rendered")
-                return {"folder": str(out.absolute()), "part": list(options.part)}
+                return {"folder": str(out.absolute()), "part": list(options.part), "picture_seconds": took}
             told = _finish(job, claims, camera, record, numbers, report)
     floor, stops = told["noise_floor"], told["dynamic_range"]["stops"]
     exposures = floor.get("exposures", told["exposures"])
@@ -217,20 +217,26 @@ def _exposed(options: Options, evs: tuple[float, ...]) -> Options:
     return options if options.exposures is not None else replace(options, exposures=seconds(evs))
 
 
-def _render(job: _Job, claims: Claims, camera: Renderer, report: Report) -> None:
-    """Make every pose's files. What another process is at work on is waited for at the end."""
+def _render(job: _Job, claims: Claims, camera: Renderer, report: Report) -> list[float]:
+    """Make every pose's files. What another process is at work on is waited for at the end.
+
+    Returns the seconds that each of those took that this process made.
+    """
     left = [piece for piece in (*job.ours, *job.chunks) if job.missing(piece)]
+    took: list[float] = []
     if not left:
-        return
+        return took
     report.begin(len(left))
     while left:
         piece = next((piece for piece in left if claims.take(piece.name)), None)
         if piece is None:
             time.sleep(WAIT)
         else:
+            began = time.monotonic()
             try:
                 report.start(piece.name)
                 _make(job, piece, camera)
+                took.append(round(time.monotonic() - began, 3))
             finally:
                 claims.release(piece.name)
         still = [piece for piece in left if job.missing(piece)]
@@ -238,6 +244,7 @@ def _render(job: _Job, claims: Claims, camera: Renderer, report: Report) -> None
             if piece not in still:  # ours, and what other processes have done meanwhile
                 report.advance(piece.name)
         left = still
+    return took
 
 
 def _make(job: _Job, shot: Shot | floors.Chunk, camera: Renderer) -> None:

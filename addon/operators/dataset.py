@@ -25,6 +25,7 @@ from .. import (
     placement,
     render_time,
     rig_preview,
+    time_trial,
 )
 from ..blender import layout_of
 from ..dataset_settings import OPTIONS, RenderOptions, settings_of
@@ -32,7 +33,7 @@ from ..dataset_summary import summarise
 from ..look import is_model
 from ..paths import ROOT
 from ..render_time import Started
-from ..runtime import session
+from ..runtime import redraw, session
 from ..session.state import DATASET
 from ..settings import RELATIVE
 from .base import PhysHDROperator
@@ -103,6 +104,7 @@ class PHYSHDR_OT_dataset_render(RenderOptions, PhysHDROperator):
         scene = context.scene
         if not self.properties.is_property_set("out"):
             dataset_folder.propose(settings_of(scene))
+        time_trial.trial().end()  # it reads the copy that is replaced now
         chosen = dataset_settings.chosen(scene, self, self.lights)
         arguments = dataset_command.of(chosen, scene)
         out = dataset_folder.whole(chosen.out)
@@ -231,6 +233,47 @@ def _copy_of_file() -> Iterator[Path]:
         paths.file_preview_type = preview
 
 
+class PHYSHDR_OT_dataset_time(PhysHDROperator):
+    """Render two pictures of this scene with few samples, in the background, to tell about how long its data
+    set will take"""
+
+    bl_idname = "physhdr.dataset_time"
+    bl_label = "Try"
+    action = "render"
+
+    wait: bpy.props.BoolProperty(default=bpy.app.background, options={"HIDDEN", "SKIP_SAVE"})
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if context.scene.camera is None or time_trial.trial().is_running:
+            cls.poll_message_set("It is being tried" if context.scene.camera else "Add a camera first")
+            return False
+        return super().poll(context)
+
+    def run(self, context: bpy.types.Context) -> set[str]:
+        scene, trial, home = context.scene, time_trial.trial(), session().home
+        chosen = dataset_settings.chosen(scene)
+        with originals.shown(scene), _copy_of_file() as copy:
+            trial.start(_blender(copy), chosen, scene, copy.parent / "tried", home)
+        if not self.wait:
+            bpy.app.timers.register(_look_at_trial, first_interval=time_trial.LOOK_SECONDS)
+            return {"FINISHED"}
+        try:
+            trial.wait(RENDER_SECONDS)
+        finally:
+            trial.end()
+            _remove_copies()
+        self.report({"INFO"}, dataset_dialog.time_in_words(chosen, scene))
+        return {"FINISHED"}
+
+
+def _look_at_trial() -> float | None:
+    trial = time_trial.trial()
+    going_on = trial.look()
+    redraw()
+    return time_trial.LOOK_SECONDS if going_on else None
+
+
 class PHYSHDR_OT_dataset_check(bpy.types.Operator):
     """Look whether a folder is a data set, and tell what it holds and what is wrong with it"""
 
@@ -253,7 +296,7 @@ class PHYSHDR_OT_dataset_check(bpy.types.Operator):
         return {"FINISHED"}
 
 
-_CLASSES = (PHYSHDR_OT_dataset_render, PHYSHDR_OT_dataset_check)
+_CLASSES = (PHYSHDR_OT_dataset_render, PHYSHDR_OT_dataset_time, PHYSHDR_OT_dataset_check)
 
 
 def register() -> None:
@@ -262,5 +305,6 @@ def register() -> None:
 
 
 def unregister() -> None:
+    time_trial.trial().end()
     for cls in reversed(_CLASSES):
         bpy.utils.unregister_class(cls)

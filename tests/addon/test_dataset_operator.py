@@ -409,3 +409,28 @@ def test_the_time_is_told_as_the_last_data_set_went(room, extension, tmp_path):
 def test_about_how_long():
     told = {3.0: "10 s", 44.0: "40 s", 100.0: "2 min", 3000.0: "50 min", 5400.0: "1.5 h", 90000.0: "25 h"}
     assert {seconds: dataset_dialog.about(seconds) for seconds in told} == told
+
+
+def test_the_time_is_tried(room, extension, tmp_path):
+    """Two pictures with a quarter of the samples: the estimate is of the order of what it then takes."""
+    values = {**SMALL, "resolution_x": 160, "samples": 64, "views": 5, "lit_views": 0}
+    fill(dataset_settings.settings_of(room), {**values, "out": str(tmp_path / "data")})
+    assert bpy.ops.physhdr.dataset_time() == {"FINISHED"}
+    settings = dataset_settings.settings_of(room)
+    assert settings.rate > 0.0 and settings.rate_by == "as two pictures went that were tried"
+    assert not dataset._copies().exists() and not (tmp_path / "data").exists()
+    chosen = dataset_settings.chosen(room)
+    seconds, _ = render_time.estimate(chosen, room, extension.home, None)
+    assert "6 pictures to render: about" in dataset_dialog.time_in_words(chosen, room)
+    began = time.monotonic()
+    assert bpy.ops.physhdr.dataset_render() == {"FINISHED"}
+    took = time.monotonic() - began  # which has a start, and other programs beside it
+    assert 0.05 * took < seconds < 2.0 * took
+    assert settings.rate_by == "as the last data set of this scene went"
+
+
+def test_a_trial_that_fails_says_why(room, extension):
+    bpy.data.lights["sun"].energy = bpy.data.lights["lamp"].energy = 0.0
+    with pytest.raises(RuntimeError, match="has no light"):
+        bpy.ops.physhdr.dataset_time()
+    assert dataset_settings.settings_of(room).rate == 0.0 and not dataset._copies().exists()
