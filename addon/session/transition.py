@@ -260,7 +260,10 @@ def _received(state: State, message: Reply, request: Request | None) -> Result:
         case JobStatus():
             return (state if state.beginning else _job_changed(state, message)), ()
         case Done() if state.beginning and request == state.beginning:
-            return replace(state, beginning=None), (Send(StatusGet()),)
+            news = (Send(StatusGet()),)
+            if not isinstance(request, TrainStart):  # it has a past, which only the backend knows
+                news = (*news, Send(HistoryGet()))
+            return replace(state, beginning=None), news
         case History():
             return replace(state, history=message), ()
         case Exported():

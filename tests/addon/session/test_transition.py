@@ -44,6 +44,7 @@ from physhdr.bridge.messages import (
     History,
     HistoryGet,
     JobStatus,
+    RunOpen,
     Shutdown,
     StatusGet,
     TrainPause,
@@ -266,6 +267,14 @@ def test_what_the_backend_says_of_the_former_job_is_not_taken_for_the_new_one():
     assert effects == [Send(StatusGet())]
     state, _ = after(state, Received(JobStatus(state="training", run="/run", iteration=1, iterations=9)))
     assert state.job.state == "training"
+
+
+def test_an_opened_run_brings_its_curves():
+    request = RunOpen(run="/run")
+    state, effects = after(connected(), Asked(request), Received(Done(), request))
+    assert effects == [Send(request), Send(StatusGet()), Send(HistoryGet())]
+    opened, _ = after(state, Received(replace(OPEN, monitor={"PSNR": 30.0})), Received(CURVES))
+    assert opened.history == CURVES and headline(opened, HERE) == "Trained model open"
 
 
 def test_a_refused_start_is_shown_and_the_former_job_asked_for():
