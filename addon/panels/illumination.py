@@ -10,6 +10,7 @@ from ...bridge.lights import AMBIENT
 from ..blender import layout_of
 from ..look import draw_look, is_model, slider_name
 from ..operators.base import choices
+from ..operators.native import draw_native
 from ..preview_look import followed
 from ..runtime import session
 from ..session.advice import why_not
@@ -37,6 +38,7 @@ class PHYSHDR_PT_illumination(Subpanel, bpy.types.Panel):
             column = layout.column()
             column.use_property_split = True
             column.prop(target, "physhdr_viewport", text="3D View")
+            draw_native(layout, target)
         else:
             draw_own(layout, state, settings)
         for told in hints(context, state, settings, target, shown, reason):

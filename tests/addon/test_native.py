@@ -306,6 +306,29 @@ def test_from_5_3_on_one_click_makes_it_native_and_one_takes_it_back(registered,
     assert target.data.type != "GAUSSIAN_SPLAT"
 
 
+@pytest.mark.skipif(HAS_SPLATS, reason="the real one is tested above")
+def test_the_operators_as_they_go_from_5_3_on(registered, make_model, tmp_path, typed, monkeypatch):
+    """All that surrounds the type, which this Blender does not have: several at once, and the 3D view."""
+    monkeypatch.setattr(native, "available", lambda: True)
+    monkeypatch.setattr(native, "is_native", lambda cloud: typed.get(cloud.name) == native.SPLATS)
+    targets = []
+    for name in ("one", "two"):
+        target = model_in_the_scene(make_model(), tmp_path / f"{name}.safetensors")
+        target.physhdr_viewport = "SPLATS"
+        target.select_set(True)
+        targets.append(target)
+    bpy.context.view_layer.objects.active = targets[0]
+    assert not bpy.ops.physhdr.native_revert.poll()
+    assert bpy.ops.physhdr.native_convert() == {"FINISHED"}
+    assert set(typed.values()) == {"GAUSSIAN_SPLAT"} and len(typed) == 2
+    assert not bpy.ops.physhdr.native_convert.poll(), "they are native now"
+    for target in targets:
+        modifier = nodes.find_modifier(target)
+        assert target.physhdr_viewport == "NODES" and modifier.show_viewport
+        assert target.display_type == "TEXTURED", "nothing of ours stands in the way of Blender's drawing"
+        assert len(Points(target)) == 40
+
+
 def test_the_version_is_asked_in_one_place():
     """Of all that Blender loads, only native.py looks at the version or at the type of a cloud."""
     from pathlib import Path
