@@ -7,6 +7,8 @@ Attributes without ``physhdr:`` are named as Blender 5.3 names those of Gaussian
 from dataclasses import dataclass
 from typing import Literal
 
+from ..bridge.blend_file import MODEL_IDENTITY
+
 AttributeType = Literal["FLOAT", "FLOAT_VECTOR", "FLOAT4", "FLOAT_COLOR", "QUATERNION"]
 
 #: Blender's attribute type → (numbers a point, property that ``foreach_set`` fills).
@@ -69,7 +71,7 @@ FIRST_PART = Attribute("physhdr:ambient", "FLOAT_COLOR")
 FURTHER_PART = Numbered("physhdr:light_", "FLOAT_COLOR")
 
 #: Custom property with the model's identity; survives undo, copies and appending, unlike a reference.
-IDENTITY = "physhdr_uuid"
+IDENTITY = MODEL_IDENTITY
 #: Custom property: the file that the model was imported from.
 FILE = "physhdr_file"
 #: Custom property: the data set's folder of the model's run, else the model's file (``placement``).
