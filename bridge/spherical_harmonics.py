@@ -147,3 +147,21 @@ def exponential(values: np.ndarray) -> np.ndarray:
     if not (values.max(initial=0.0) <= LOG_LIMIT and values.min(initial=0.0) >= -LOG_LIMIT):
         np.clip(values, -LOG_LIMIT, LOG_LIMIT, out=values)
     return np.exp(values, out=values)
+
+
+def rotated(sh: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """SH coefficients ``[N, K, 3]`` of the function turned by ``turn`` ``[3, 3]``: f'(ω) = f(turn⁻¹ ω).
+
+    A rotation keeps each degree to itself. Its matrices are the integrals of Y_j(ω) Y_k(turn⁻¹ ω), which this
+    quadrature gives exactly; reckoned in float64, returned in the type of ``sh``.
+    """
+    degree = degree_of(sh.shape[1])
+    directions, weights = quadrature(degree + 1)
+    there = basis(directions, degree).T * weights
+    matrix = there @ basis(directions @ np.asarray(turn, np.float64), degree)
+    turned = np.empty_like(sh)
+    for each in range(degree + 1):
+        band = slice(each**2, (each + 1) ** 2)
+        turned[:, band] = np.einsum("jk,nkc->njc", matrix[band, band], sh[:, band])
+    turned[:, 0] = sh[:, 0]  # to the bit
+    return turned

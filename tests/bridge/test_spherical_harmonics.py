@@ -94,3 +94,19 @@ def test_fit_linear_matches_a_finer_quadrature(degree: int):
 
 def test_fit_linear_survives_absurd_values():
     assert np.isfinite(fit_linear(np.full((2, 4, 3), 1e4, np.float32))).all()
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_turned_coefficients_are_the_function_turned(degree: int):
+    """By direct evaluation in float64: f'(ω) is f where ω was before the turn."""
+    rng = np.random.default_rng(degree)
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    turn *= np.linalg.det(turn)
+    coefficients = rng.normal(size=(5, sh.coefficient_count(degree), 3))
+    turned = sh.rotated(coefficients, turn)
+    directions = random_directions(50)
+    before = np.einsum("dk,nkc->dnc", sh.basis(directions @ turn, degree), coefficients)  # at turn⁻¹ ω
+    after = np.einsum("dk,nkc->dnc", sh.basis(directions, degree), turned)
+    np.testing.assert_allclose(after, before, atol=1e-13)
+    np.testing.assert_allclose(sh.rotated(turned, turn.T), coefficients, atol=1e-13)
+    assert sh.rotated(coefficients.astype(np.float32), turn).dtype == np.float32
