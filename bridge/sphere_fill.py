@@ -2,9 +2,10 @@
 """What a capture never saw, guessed from its rim: a panorama's holes are filled smoothly.
 
 A pyramid on the sphere (push and pull): every coarser level is the mean of what is there, by coverage and by
-solid angle; holes take their colours from the finest level that knows any, and blend into it. The weights
-follow the coverage alone, so that filling is linear in radiance: parts of a light that are filled each add up
-to what their sum would be filled with.
+solid angle; holes take their colours from the finest level that knows any, and blend into it. What is much
+brighter than most of what was seen, a lamp or a window, counts less: light sources are few, and behind a camera
+stands rarely another one (measured: docs/lighting.md). The weights are the same for all parts, so that parts of
+a light that are filled each add up to what their sum is filled with.
 """
 
 import numpy as np
@@ -15,6 +16,8 @@ from .panorama import solid_angles
 NARROWEST = 8
 #: Coverage below this tells no colour: what is there is nearly black, and divided by nearly nothing.
 FAINTEST = 1e-3
+#: What is brighter than so many times the median of what was seen counts the less, the brighter it is.
+BRIGHT = 2.0
 
 
 def filled(parts: np.ndarray, alpha: np.ndarray) -> np.ndarray:
@@ -26,9 +29,21 @@ def filled(parts: np.ndarray, alpha: np.ndarray) -> np.ndarray:
     count, height, width, channels = parts.shape
     planes = np.moveaxis(parts, 0, 2).reshape(height, width, count * channels)
     coverage = np.where(alpha < FAINTEST, 0.0, alpha)
-    guess = _pulled(planes * (coverage > 0.0)[..., None], coverage)
+    trust = np.where(coverage > 0.0, _trust(parts.sum(0), coverage), 0.0)
+    guess = _pulled(planes * trust[..., None], coverage * trust)
     whole = planes + (1.0 - alpha)[..., None] * guess
     return np.moveaxis(whole.reshape(height, width, count, channels), 2, 0).astype(parts.dtype)
+
+
+def _trust(total: np.ndarray, coverage: np.ndarray) -> np.ndarray:
+    """``[H, W]`` in 0…1: how much each pixel of a premultiplied light ``[H, W, C]`` tells of what is unseen."""
+    bright = total.max(-1) / np.maximum(coverage, FAINTEST)
+    order = np.argsort(bright, axis=None)
+    weight = np.cumsum((coverage * solid_angles(coverage.shape[1])[:, None]).ravel()[order])
+    median = bright.ravel()[order][np.searchsorted(weight, 0.5 * weight[-1])]
+    return (
+        np.minimum(1.0, BRIGHT * median / np.maximum(bright, 1e-30)) if median > 0.0 else np.ones_like(bright)
+    )
 
 
 def _pulled(planes: np.ndarray, coverage: np.ndarray) -> np.ndarray:

@@ -55,9 +55,18 @@ def test_parts_that_are_filled_add_up_to_the_sum_that_is_filled():
     rng = np.random.default_rng(0)
     alpha = rng.uniform(0.0, 1.0, (WIDTH // 2, WIDTH)) * cap((0, 1, 0), 70)
     parts = rng.uniform(0.0, 5.0, (3, WIDTH // 2, WIDTH, 3)) * alpha[..., None]
-    levels = np.array([1.0, 4.0, 0.25])[:, None, None, None]
-    together = filled((levels * parts).sum(0, keepdims=True), alpha)[0]
-    assert (levels * filled(parts, alpha)).sum(0) == pytest.approx(together, rel=1e-9, abs=1e-12)
+    together = filled(parts.sum(0, keepdims=True), alpha)[0]
+    assert filled(parts, alpha).sum(0) == pytest.approx(together, rel=1e-9, abs=1e-12)
+
+
+def test_a_lamp_beside_a_hole_does_not_light_it():
+    # Of a white wall and a lamp of 6 degrees a thousand times as bright, at the rim of half a sphere unseen.
+    alpha = cap((0, -1, 0), 90)
+    lamp = panorama.directions(WIDTH) @ np.array([0.0, np.sin(0.2), np.cos(0.2)]) > np.cos(np.radians(6.0))
+    light = np.where(lamp[..., None], 1000.0, 1.0) * np.ones(3)
+    whole = filled((light * alpha[..., None])[None], alpha)[0]
+    unseen = whole[alpha == 0.0]
+    assert unseen.min() >= 1.0 - 1e-9 and unseen.mean() < 1.5
 
 
 def test_nothing_is_darker_or_brighter_than_what_was_seen_and_nothing_seen_is_black():
