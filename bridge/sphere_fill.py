@@ -3,9 +3,9 @@
 
 A pyramid on the sphere (push and pull): every coarser level is the mean of what is there, by coverage and by
 solid angle; holes take their colours from the finest level that knows any, and blend into it. What is much
-brighter than most of what was seen, a lamp or a window, counts less: light sources are few, and behind a camera
-stands rarely another one (measured: docs/lighting.md). The weights are the same for all parts, so that parts of
-a light that are filled each add up to what their sum is filled with.
+brighter than most of what was seen, a lamp or a window, counts less: light sources are few, and where nobody
+looked there is rarely another one (measured: docs/lighting.md). The weights are the same for all parts, so
+that parts of a light that are filled each add up to what their sum is filled with.
 """
 
 import numpy as np
@@ -36,7 +36,7 @@ def filled(parts: np.ndarray, alpha: np.ndarray) -> np.ndarray:
 
 
 def _trust(total: np.ndarray, coverage: np.ndarray) -> np.ndarray:
-    """``[H, W]`` in 0…1: how much each pixel of a premultiplied light ``[H, W, C]`` tells of what is unseen."""
+    """``[H, W]`` in 0…1: what pixels of a premultiplied light ``[H, W, C]`` tell of what is unseen."""
     bright = total.max(-1) / np.maximum(coverage, FAINTEST)
     order = np.argsort(bright, axis=None)
     weight = np.cumsum((coverage * solid_angles(coverage.shape[1])[:, None]).ravel()[order])
