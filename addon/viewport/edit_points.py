@@ -15,8 +15,10 @@ from ..point_cloud import read_attribute
 
 #: Blender's name of what is selected, as the modes that edit point clouds keep it.
 SELECTION = ".selection"
-#: Pixels of a point that is not selected, and its opacity: many in one place stay a picture.
-FAINT_SIZE, FAINT_ALPHA = 2.0, 0.35
+#: Pixels of a point: many in one place stay a picture.
+SIZE = 2.0
+#: The opacity of a point that is not selected.
+FAINT_ALPHA = 0.35
 
 
 def selection_of(cloud: bpy.types.PointCloud) -> np.ndarray:
@@ -55,12 +57,12 @@ class EditPoints:
             self._shader.bind()
             if self._others is not None:
                 gpu.state.depth_test_set("LESS_EQUAL")
-                gpu.state.point_size_set(FAINT_SIZE)
+                gpu.state.point_size_set(SIZE)
                 self._shader.uniform_float("color", (*others, FAINT_ALPHA))
                 self._others.draw(self._shader)
             if self._selected is not None:
                 gpu.state.depth_test_set("NONE")
-                gpu.state.point_size_set(float(max(theme.vertex_size, 2)))
+                gpu.state.point_size_set(SIZE)
                 self._shader.uniform_float("color", (*selected, 1.0))
                 self._selected.draw(self._shader)
             gpu.state.point_size_set(1.0)

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, cast
 import bpy
 import numpy as np
 
+from ...bridge import srgb
 from ..attributes import DISPLAY
 from ..blender import cloud_of
 from ..cleaning import Cleaning
@@ -140,6 +141,11 @@ class _GroupView:
         """Whether what is shown is as good as it gets."""
         shown = self._shown
         return shown is not None and shown.is_sharp and shown.signature == self._signature
+
+    def tint(self, theme: bpy.types.ThemeView3D) -> None:
+        """Draw what is selected in the theme's colour."""
+        red, green, blue = srgb.to_linear(np.array(theme.vertex_select[:3]))
+        self._renderer.selection_colour = float(red), float(green), float(blue)
 
     def update(self, items: list[Item], camera: ViewCamera) -> tuple[Drawing | None, float | None]:
         """The newest complete picture, and in how many seconds to ask for a better one (``None``: never)."""
@@ -279,7 +285,9 @@ def _layers(context: bpy.types.Context, camera: ViewCamera) -> list[Layer]:
     for key, (tone, items) in items_by_tone(shown).items():
         if (region, key) not in _runtime.views:
             _runtime.views[region, key] = _GroupView()
-        drawing, better_in = _runtime.views[region, key].update(items, camera)
+        view = _runtime.views[region, key]
+        view.tint(context.preferences.themes[0].view_3d)
+        drawing, better_in = view.update(items, camera)
         if drawing is not None:
             layers.append(drawing.layer(tone))
         if better_in is not None:

@@ -47,7 +47,8 @@ def points_material() -> bpy.types.Material:
             return material
     material = bpy.data.materials.new("PhysHDR Points")
     material[_MARK] = _RECIPE
-    settings_of_cycles(material).emission_sampling = "NONE"
+    if hasattr(material, "cycles"):  # Blender takes it away before it quits
+        settings_of_cycles(material).emission_sampling = "NONE"
     assert material.node_tree is not None  # every material has one since Blender 5
     tree = material.node_tree
     tree.nodes.clear()
