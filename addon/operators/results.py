@@ -137,6 +137,12 @@ class PHYSHDR_OT_results_evaluate(_OnRun):
     task = EVALUATE
 
     run_folder: bpy.props.StringProperty(name="Run", subtype="DIR_PATH", options=FOLDER)
+    lpips_weights: bpy.props.StringProperty(
+        name="LPIPS Weights",
+        subtype="FILE_PATH",
+        options=FOLDER,
+        description="An .npz of AlexNet and its linear heads, for LPIPS as well; empty: without",
+    )
     wait: bpy.props.BoolProperty(default=bpy.app.background, options={"HIDDEN", "SKIP_SAVE"})
 
     def run(self, context: bpy.types.Context) -> set[str]:
@@ -148,7 +154,8 @@ class PHYSHDR_OT_results_evaluate(_OnRun):
                 f"the run's data set is not there any more: {named}",
                 "Choose in Data Set where it is now: an evaluation compares with its pictures.",
             )
-        done = self.follow(evaluate_command(run, data), f"Evaluated {run}")
+        weights = bpy.path.abspath(self.lpips_weights) if self.lpips_weights else ""
+        done = self.follow(evaluate_command(run, data, weights), f"Evaluated {run}")
         if done == {"FINISHED"} and self.wait and (found := evaluation_of(run)):
             for figure in found.figures:
                 self.report({"INFO"}, f"{figure.what}: {figure.words} ({figure.numbers})")

@@ -70,9 +70,10 @@ class VideoOptions:
     exposure: float = 0.0
 
 
-def evaluate_command(run: str, data: str = "") -> list[str]:
+def evaluate_command(run: str, data: str = "", lpips_weights: str = "") -> list[str]:
     """The arguments of the backend's command that evaluates; ``data``: the data set where it is now."""
-    return ["evaluate", run, *_data(data), "--json"]
+    told = ["--lpips-weights", lpips_weights] if lpips_weights else []
+    return ["evaluate", run, *_data(data), *told, "--json"]
 
 
 def video_command(run: str, out: str, options: VideoOptions, data: str = "") -> list[str]:

@@ -114,6 +114,9 @@ def test_an_evaluation_is_told_in_words_and_figures(extension, run, tmp_path):
         ("Other Light", "very close", "PSNR 33.3 dB"),
         ("Brightness", f"{math.log2(1.19):+.2f} stops from the true one", "× 1.190"),
     ]
+    assert bpy.ops.physhdr.results_evaluate(lpips_weights="/w.npz") == {"FINISHED"}
+    assert calls(tmp_path)[-1] == ["evaluate", str(run), "--lpips-weights", "/w.npz", "--json"]
+    found = results.evaluation_of(str(run))
     later = time.time() + 10.0
     os.utime(run / "checkpoint.safetensors", (later, later))
     assert results.evaluation_of(str(run)).is_old
