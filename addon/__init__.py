@@ -36,6 +36,7 @@ _MODULES = (
     "panels.results",
     "panels.illumination",
     "panels.capture",
+    "panels.lighting",
     "panels.cg",
     "panels.render",
 )

@@ -22,6 +22,7 @@ from ..synth import exr
 from . import nodes
 from .attributes import BASE, POSITION, ROTATION, SCALE
 from .blender import cloud_of, settings_of_cycles
+from .look import cleaning_of, kept_of
 from .point_cloud import lights_of, read_attribute, read_levels, write_attribute
 from .render import prepare_cycles, read_exr, render_exr, set_resolution
 
@@ -50,11 +51,12 @@ def render_probe(
     shape = [read_attribute(cloud, each.name) for each in (POSITION, ROTATION, SCALE)]
     near = near_distance(shape[0], place)
     close = too_near(shape[0], shape[1], shape[2], place, near)
+    hidden = ~kept_of(cloud, cleaning_of(target).without_camera())
     # All lights off, then each alone: the first picture is what no light turns.
     settings = [tuple(float(index == lit) for index in range(len(lights))) for lit in range(-1, len(lights))]
     settings = settings if lights else [(1.0,)]
     drawn: list[np.ndarray] = []
-    with _stage(target, close, at, width) as (scene, model):
+    with _stage(target, close | hidden, at, width) as (scene, model):
         for levels in settings:
             _set_levels(model, levels)
             path = folder / "fixed.exr"  # in the place of a picture that is written there at the end
@@ -71,7 +73,7 @@ def render_probe(
         lights=lights,
         unseen=unseen_share(alpha),
         near=near,
-        left_out=int(close.sum()),
+        left_out=int((close & ~hidden).sum()),
         gaussians=len(cloud.points),
         made_by=f"Blender {bpy.app.version_string}",
         source=target.name,
@@ -85,7 +87,7 @@ def render_probe(
 
 @contextmanager
 def _stage(
-    target: bpy.types.Object, close: np.ndarray, at: tuple[float, float, float], width: int
+    target: bpy.types.Object, left_out: np.ndarray, at: tuple[float, float, float], width: int
 ) -> Iterator[tuple[bpy.types.Scene, bpy.types.Object]]:
     """A scene with a copy of the model, as it stands in its file, and a camera that sees all round."""
     scene = bpy.data.scenes.new("PhysHDR light probe")
@@ -94,10 +96,10 @@ def _stage(
     model = target.copy()
     cloud: bpy.types.PointCloud | None = None
     try:
-        if close.any():
+        if left_out.any():
             model.data = cloud = cloud_of(target).copy()
             base = read_attribute(cloud, BASE.name)
-            base[close, 3] = 0.0
+            base[left_out, 3] = 0.0
             write_attribute(cloud, BASE, base)
         model.animation_data_clear()
         model.constraints.clear()
@@ -141,6 +143,12 @@ def _as_captured(model: bpy.types.Object) -> None:
     for label, value in wanted.items():
         if nodes.has_input(modifier, label):
             nodes.set_input(modifier, label, value)
+    # What is hidden is left out already: the crop box stands where the model does, which is not here.
+    for label in (*nodes.CLEANING, *nodes.CULLING):
+        if label != nodes.SH_DEGREE and nodes.has_input(modifier, label):
+            found = getattr(nodes.inputs_of(modifier), nodes.input_identifier(modifier, label)).value
+            if isinstance(found, bool | int | float):
+                nodes.set_input(modifier, label, type(found)(0))
 
 
 def _set_levels(model: bpy.types.Object, levels: tuple[float, ...]) -> None:

@@ -18,7 +18,8 @@ from ...bridge.probe import MUCH_UNSEEN, WIDTH, Probe, read_probe
 from .. import lighting, nodes, probes
 from ..attributes import FILE
 from ..blender import cloud_of, layout_of
-from ..look import is_model
+from ..look import cleaning_of, is_model
+from ..probe_checks import note
 from ..probe_render import render_probe
 from ..runtime import session
 from ..session.advice import why_not
@@ -297,6 +298,7 @@ class After:
             if empty is None:
                 empty = probes.new_probe(scene, model, task.place)
             probes.mark(empty, model, task.folder, found)
+            note(empty, model)
             made.append(found)
         bpy.context.view_layer.update()
         subject = scene.objects.get(self.subject) if self.subject else None
@@ -333,6 +335,8 @@ def why_not_backend(model: bpy.types.Object) -> str:
     try:
         if read_model(source).count != len(cloud_of(model).points):
             return "the model was edited"
+        if cleaning_of(model).by_itself:
+            return "some of the model is hidden"
     except PhysHDRError:
         return "the file that it was imported from cannot be read"
     return ""

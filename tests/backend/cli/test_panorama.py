@@ -28,9 +28,9 @@ def run(two_lights_data, tmp_path_factory) -> Path:
     return trained("default", two_lights_data, tmp_path_factory.mktemp("runs") / "two")
 
 
-def drawn(source: Path, out: Path, *more: str) -> Path:
+def drawn(source: Path, out: Path, *more: str, width: int = WIDTH) -> Path:
     at = ("--at", "0.2", "-3.5", "0.1")
-    assert main(["panorama", str(source), *at, "--out", str(out), "--width", str(WIDTH), *more]) == 0
+    assert main(["panorama", str(source), *at, "--out", str(out), "--width", str(width), *more]) == 0
     return out
 
 
@@ -91,7 +91,7 @@ def test_a_program_is_told_what_happens(run, tmp_path, capsys):
 )
 def test_methods_tell_what_they_know_of_their_light(preset, lights, tiny_data, tmp_path):
     run = trained(preset, tiny_data, tmp_path / "run", iterations=2)
-    folder = drawn(run, tmp_path / "probe")
+    folder = drawn(run, tmp_path / "probe", width=16)
     assert read_probe(folder).lights == lights
     assert sorted(path.name for path in folder.iterdir()) == sorted([*read_probe(folder).files, PROBE_FILE])
 

@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The capture as a light: the model's probes, what of them is a guess, and the world that they light."""
+
+import bpy
+
+from .. import lighting, probes
+from ..blender import layout_of
+from ..operators.lighting import model_in
+from ..probe_checks import warnings_of
+from ..runtime import session
+from ..session.light import LIGHT
+from .parts import Subpanel, draw_task, write
+
+
+class PHYSHDR_PT_light(Subpanel, bpy.types.Panel):
+    bl_label = "Light"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return model_in(context) is not None or lighting.is_lit(context.scene.world)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, model = layout_of(self), model_in(context)
+        if session().state.task(LIGHT):
+            draw_task(layout, session().state, LIGHT)
+        else:
+            column = layout.column(align=True)
+            column.operator("physhdr.light_from_here", icon="LIGHTPROBE_SPHERE")
+            write(context, column, _places(context))
+        found = probes.probes_of(context.scene, model) if model else []
+        for probe in found:
+            assert model is not None
+            _draw_probe(context, layout, probe, model)
+        row = layout.row(align=True)
+        if found:
+            row.operator("physhdr.light_refresh", text="Again", icon="FILE_REFRESH")
+        if lighting.is_lit(context.scene.world):
+            row.operator("physhdr.light_reset", text="As Before", icon="LOOP_BACK")
+            if model is not None and context.scene.world[lighting.MODEL] != model:
+                write(context, layout, "Another model lights this scene", "INFO")
+
+
+def _places(context: bpy.types.Context) -> str:
+    """Where light would be taken."""
+    empties = [each for each in context.selected_objects or () if each.type == "EMPTY"]
+    if not empties:
+        return "At the 3D cursor"
+    return f"At {empties[0].name}" if len(empties) == 1 else f"At {len(empties)} selected empties"
+
+
+def _draw_probe(
+    context: bpy.types.Context,
+    layout: bpy.types.UILayout,
+    probe: bpy.types.Object,
+    model: bpy.types.Object,
+) -> None:
+    known = probes.known(probe)
+    row = layout.row(align=True)
+    row.label(text=probe.name, icon="LIGHTPROBE_SPHERE")
+    row.label(text=f"{known.unseen:.0%} guessed")
+    for warning in warnings_of(probe, model):
+        write(context, layout, warning, "ERROR")
+    if not known.lights:
+        write(context, layout, "Its lights are not known apart: levels do not change it", "INFO")
+
+
+register, unregister = bpy.utils.register_classes_factory((PHYSHDR_PT_light,))

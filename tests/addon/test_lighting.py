@@ -1,0 +1,286 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The world that a capture lights: what Cycles makes of it, against numbers known beforehand."""
+
+from pathlib import Path
+
+import bpy
+import mathutils
+import numpy as np
+import pytest
+
+from physhdr.addon import lighting, nodes, probes
+from physhdr.addon.model_import import import_model
+from physhdr.addon.render import add_camera, prepare_cycles, read_exr, render_exr, set_resolution
+from physhdr.bridge.panorama import PANORAMIC_CAMERA_TURN, directions
+from physhdr.bridge.probe import Probe, begin, finish
+from physhdr.synth import exr
+
+WIDTH = 64
+LIGHTS = ("ambient", "lamp")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def registered(factory_settings):
+    import physhdr
+
+    physhdr.register()
+    yield
+    physhdr.unregister()
+
+
+@pytest.fixture
+def model(scene, make_model, write):
+    """A model that no ray meets, so that only its light counts: two lights, SH of degree 1."""
+    target = import_model(write(make_model(lights=LIGHTS)))
+    target.location = (0.0, 0.0, -500.0)
+    bpy.context.view_layer.objects.active = target
+    bpy.context.view_layer.update()
+    return target
+
+
+def write_probe(folder: Path, *pictures, at=(0.0, 0.0, 500.0), lights=LIGHTS) -> Path:
+    """A probe of given panoramas: a colour for all directions, or ``[H, W, 3]``."""
+    begin(folder)
+    found = Probe(at, WIDTH, lights, 0.25, 0.01, 0, 40, "test")
+    for name, picture in zip(found.files, pictures, strict=True):
+        pixels = np.broadcast_to(np.asarray(picture, np.float32), (WIDTH // 2, WIDTH, 3))
+        (folder / name).write_bytes(exr.encode_rgb(pixels))
+    finish(folder, found)
+    return folder
+
+
+def light(folder: Path, **options) -> bpy.types.World:
+    assert bpy.ops.physhdr.light_from_here(folder=str(folder), **options) == {"FINISHED"}
+    return bpy.context.scene.world
+
+
+def mirror_ball(scene) -> None:
+    """Nothing but what a mirror sees: the camera stands before a large chrome ball."""
+    bpy.ops.mesh.primitive_plane_add(size=20.0, location=(0.0, 5.0, 0.0), rotation=(np.pi / 2, 0.0, 0.0))
+    material = bpy.data.materials.new("mirror")
+    tree = material.node_tree
+    tree.nodes.clear()
+    shader = tree.nodes.new("ShaderNodeBsdfAnisotropic")
+    shader.inputs["Roughness"].default_value = 0.0
+    shader.inputs["Color"].default_value = (1.0, 1.0, 1.0, 1.0)
+    output = tree.nodes.new("ShaderNodeOutputMaterial")
+    tree.links.new(shader.outputs[0], output.inputs["Surface"])
+    bpy.context.object.data.materials.append(material)
+
+
+def reflected(scene, tmp_path: Path) -> np.ndarray:
+    """What a mirror that faces −Y reflects to a camera that looks along +Y, in the middle: ``[3]``."""
+    if scene.camera is None:
+        pose = np.eye(4)
+        pose[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]
+        add_camera(scene, pose, 0.02)
+        mirror_ball(scene)
+    return rendered(scene, tmp_path)[2, 2, :3]
+
+
+def rendered(scene, tmp_path: Path, width: int = 4, height: int = 4) -> np.ndarray:
+    prepare_cycles(scene, 4)
+    scene.cycles.max_bounces = 4
+    set_resolution(scene, width, height)
+    render_exr(scene, tmp_path / "render.exr")
+    return read_exr(tmp_path / "render.exr")
+
+
+def test_directions_are_cycles_own(scene, tmp_path):
+    """An environment texture and the panoramic camera, which know nothing of our formulas."""
+    width = 64
+    pixels = (directions(width) + 2.0).astype(np.float32)
+    (tmp_path / "directions.exr").write_bytes(exr.encode_rgb(pixels))
+    image = bpy.data.images.load(str(tmp_path / "directions.exr"))
+    image.colorspace_settings.name = "Non-Color"
+    scene.world = bpy.data.worlds.new("test")
+    tree = scene.world.node_tree
+    tree.nodes.clear()
+    texture, shader, output = (
+        tree.nodes.new(f"ShaderNode{kind}") for kind in ("TexEnvironment", "Background", "OutputWorld")
+    )
+    texture.image = image
+    tree.links.new(texture.outputs["Color"], shader.inputs["Color"])
+    tree.links.new(shader.outputs[0], output.inputs["Surface"])
+    lens = bpy.data.cameras.new("all round")
+    lens.type, lens.panorama_type = "PANO", "EQUIRECTANGULAR"
+    camera = bpy.data.objects.new("all round", lens)
+    camera.rotation_euler = PANORAMIC_CAMERA_TURN
+    scene.collection.objects.link(camera)
+    scene.camera = camera
+    prepare_cycles(scene, 1)
+    scene.render.film_transparent = False
+    set_resolution(scene, width, width // 2)
+    render_exr(scene, tmp_path / "out.exr")
+    # Half a pixel's turn is 0.05: a shift or a flip would be seen, an interpolation not.
+    assert np.abs(read_exr(tmp_path / "out.exr")[..., :3] - pixels).max() < 5e-3
+    # And without a panoramic camera: the middle of an ordinary picture, whatever it looks along.
+    lens.type, lens.angle = "PERSP", 0.01
+    for axis in ((0, 1, 0), (0, -1, 0), (1, 0, 0), (0.3, -0.4, 0.86)):
+        vector = mathutils.Vector(axis).normalized()
+        camera.rotation_euler = vector.to_track_quat("-Z", "Y").to_euler()
+        set_resolution(scene, 2, 2)
+        render_exr(scene, tmp_path / "out.exr")
+        assert read_exr(tmp_path / "out.exr")[..., :3].mean((0, 1)) - 2.0 == pytest.approx(vector, abs=5e-3)
+
+
+def test_cg_is_lit_by_the_fixed_part_and_each_light_at_its_level(scene, model, tmp_path):
+    light(write_probe(tmp_path / "probe", (1.0, 2.0, 3.0), (0.5, 0.25, 0.125), (10.0, 0.0, 7e4)))
+    modifier = nodes.find_modifier(model)
+    assert reflected(scene, tmp_path) == pytest.approx([11.5, 2.25, 70003.125], rel=1e-4)
+    nodes.set_input(modifier, nodes.LIGHTING_LEVEL, 4.0)
+    nodes.set_input(modifier, nodes.level_input(LIGHTS, 1), 0.25)
+    nodes.set_input(modifier, nodes.EXPOSURE, -1.0)
+    expected = 0.5 * np.array([1.0 + 2.0 + 2.5, 2.0 + 1.0, 3.0 + 0.5 + 17500.0])
+    assert reflected(scene, tmp_path) == pytest.approx(expected, rel=1e-4)
+
+
+def test_keyframes_of_the_model_relight_also_after_saving(scene, model, tmp_path):
+    blend = tmp_path / "scene.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(blend))
+    light(write_probe(tmp_path / "probe", (1.0,) * 3, (2.0,) * 3, (4.0,) * 3))
+    path = nodes.input_data_path(nodes.find_modifier(model), nodes.LIGHTING_LEVEL)
+    for frame, level in ((1, 0.0), (21, 10.0)):
+        nodes.set_input(nodes.find_modifier(model), nodes.LIGHTING_LEVEL, level)
+        model.keyframe_insert(path, frame=frame)
+    reflected(scene, tmp_path)
+    bpy.ops.wm.save_as_mainfile(filepath=str(blend))
+    bpy.ops.wm.open_mainfile(filepath=str(blend))
+    scene = bpy.context.scene
+    for frame, expected in ((1, 5.0), (21, 25.0)):
+        scene.frame_set(frame)
+        assert reflected(scene, tmp_path) == pytest.approx([expected] * 3, rel=1e-4)
+
+
+def test_the_light_turns_with_the_model(scene, model, tmp_path):
+    """The mirror shows −Y. A model that is turned by 90° has its own −X there."""
+    towards = directions(WIDTH)
+    light(write_probe(tmp_path / "probe", 2.0 + towards, (0,) * 3, (0,) * 3))
+    assert reflected(scene, tmp_path) - 2.0 == pytest.approx([0.0, -1.0, 0.0], abs=0.01)
+    turn = mathutils.Euler((0.3, -0.5, 1.1))
+    model.rotation_euler = turn
+    model.scale = (2.5,) * 3
+    expected = turn.to_matrix().inverted() @ mathutils.Vector((0.0, -1.0, 0.0))
+    assert reflected(scene, tmp_path) - 2.0 == pytest.approx(expected, abs=0.01)
+
+
+def test_the_camera_sees_what_the_former_world_showed(scene, model, tmp_path):
+    former = bpy.data.worlds.new("mine")
+    former.node_tree.nodes["Background"].inputs["Color"].default_value = (0.2, 0.3, 0.4, 1.0)
+    scene.world = former
+    world = light(write_probe(tmp_path / "probe", (5.0,) * 3, (0,) * 3, (0,) * 3))
+    assert world != former and reflected(scene, tmp_path) == pytest.approx([5.0] * 3, rel=1e-4)
+    scene.camera.rotation_euler.z += np.pi  # past the mirror
+    prepare_cycles(scene, 1)
+    scene.render.film_transparent = False
+    render_exr(scene, tmp_path / "render.exr")
+    assert read_exr(tmp_path / "render.exr")[1, 1, :3] == pytest.approx([0.2, 0.3, 0.4], rel=1e-4)
+
+
+def test_light_as_before_leaves_nothing_behind(scene, model, tmp_path):
+    former = bpy.data.worlds.new("mine")
+    scene.world = former
+    model.visible_glossy = False
+    before = [getattr(model, name) for name in (*lighting.LIGHTING_RAYS, *lighting.MIRROR_RAYS)]
+    light(write_probe(tmp_path / "probe", (5.0,) * 3, (0,) * 3, (0,) * 3), mirrors="SPLATS")
+    rays = ("visible_diffuse", "visible_glossy", "visible_transmission", "visible_shadow")
+    assert [getattr(model, name) for name in rays] == [False, True, True, False]
+    assert model.visible_camera and not model.visible_volume_scatter
+    light(tmp_path / "probe")  # again, and otherwise
+    assert [getattr(model, name) for name in rays] == [False, False, False, False]
+    assert bpy.ops.physhdr.light_reset() == {"FINISHED"}
+    assert scene.world == former and list(bpy.data.worlds) == [former]
+    assert [getattr(model, name) for name in (*lighting.LIGHTING_RAYS, *lighting.MIRROR_RAYS)] == before
+    assert not bpy.ops.physhdr.light_reset.poll()
+
+
+def test_a_scene_without_a_world_has_none_again(scene, model, tmp_path):
+    scene.world = None
+    light(write_probe(tmp_path / "probe", (5.0,) * 3, (0,) * 3, (0,) * 3))
+    assert reflected(scene, tmp_path) == pytest.approx([5.0] * 3, rel=1e-4)
+    bpy.ops.physhdr.light_reset()
+    assert scene.world is None
+
+
+def test_taking_light_again_replaces_nodes_and_probe(scene, model, tmp_path):
+    world = light(write_probe(tmp_path / "probe", (5.0,) * 3, (0,) * 3, (0,) * 3))
+    nodes_before, drivers = len(world.node_tree.nodes), len(world.node_tree.animation_data.drivers)
+    # By hand: a user's own node stays.
+    world.node_tree.nodes.new("ShaderNodeValue").name = "mine"
+    write_probe(tmp_path / "probe", (7.0,) * 3, (0,) * 3, (0,) * 3)
+    assert light(tmp_path / "probe") == world
+    assert len(world.node_tree.nodes) == nodes_before + 1 and "mine" in world.node_tree.nodes
+    assert len(world.node_tree.animation_data.drivers) == drivers
+    assert len(probes.probes_of(scene, model)) == 1 and len(bpy.data.images) == 3
+    assert reflected(scene, tmp_path) == pytest.approx([7.0] * 3, rel=1e-4)
+
+
+def test_several_probes_blend_by_how_near_they_are(scene, model, tmp_path):
+    dark = (0,) * 3
+    places = {"a": (0.0, 0.0, 500.0), "b": (4.0, 0.0, 500.0), "c": (0.0, 4.0, 500.0)}
+    values = {"a": (1.0, 0.0, 0.0), "b": (0.0, 1.0, 0.0), "c": (0.0, 0.0, 1.0)}
+    subject = bpy.data.objects.new("subject", None)
+    scene.collection.objects.link(subject)
+    for name, at in places.items():
+        light(write_probe(tmp_path / name, values[name], dark, dark, at=at), subject="subject")
+    # At a probe of its own light alone; elsewhere by the inverse squares of the distances.
+    for place, weights in (
+        ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)),
+        ((4.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
+        ((2.0, 0.0, 0.0), (1 / 4, 1 / 4, 1 / 20)),
+        ((1.0, 2.0, 3.0), (1 / 14, 1 / 22, 1 / 14)),
+    ):
+        subject.location = place
+        got = reflected(scene, tmp_path)
+        assert got == pytest.approx(np.array(weights) / sum(weights), abs=1e-4)
+        assert got.sum() == pytest.approx(1.0, rel=1e-4)
+
+
+def test_a_probe_hangs_on_its_model_and_says_when_it_has_moved(scene, model, tmp_path):
+    model.scale = (2.0,) * 3
+    model.rotation_euler.z = 1.0
+    bpy.context.view_layer.update()
+    at = (0.25, -0.5, 1.0)
+    light(write_probe(tmp_path / "probe", (5.0,) * 3, (0,) * 3, (0,) * 3, at=at))
+    (probe,) = probes.probes_of(scene, model)
+    bpy.context.view_layer.update()
+    there = tuple(model.matrix_world @ mathutils.Vector(at))
+    assert tuple(probe.matrix_world.translation) == pytest.approx(there, abs=1e-4)
+    assert not probes.has_moved(probe)
+    model.location.x += 3.0
+    bpy.context.view_layer.update()
+    assert not probes.has_moved(probe)
+    probe.location.x += 0.1
+    bpy.context.view_layer.update()
+    assert probes.has_moved(probe)
+
+
+def test_pictures_are_packed_until_the_file_is_saved_and_relative_then(scene, model, tmp_path):
+    light(write_probe(tmp_path / "elsewhere", (5.0,) * 3, (0,) * 3, (0,) * 3))
+    assert all(image.packed_file for image in bpy.data.images)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    beside = f"//{probes.ROOT}/Light_Probe"
+    assert probes.folder_for("Light Probe") == beside
+    write_probe(tmp_path / probes.ROOT / "Light_Probe", (6.0,) * 3, (0,) * 3, (0,) * 3)
+    light(beside)
+    found = [image for image in bpy.data.images if image.users]
+    assert [image.packed_file for image in found] == [None] * 3
+    assert all(image.filepath.startswith(beside) for image in found)
+    assert reflected(scene, tmp_path) == pytest.approx([6.0] * 3, rel=1e-4)
+
+
+def test_what_cannot_be_is_said(scene, model, tmp_path):
+    with pytest.raises(RuntimeError, match="is no model of ours"):
+        bpy.ops.object.empty_add()
+        bpy.ops.physhdr.light_from_here(model=bpy.context.object.name)
+    bpy.context.view_layer.objects.active = model
+    with pytest.raises(RuntimeError, match=r"missing|there is no|is not there"):
+        bpy.ops.physhdr.light_from_here(folder=str(tmp_path / "nowhere"))
+    write_probe(tmp_path / "other", (5.0,) * 3, (0,) * 3, lights=("sun",))
+    with pytest.raises(RuntimeError, match="has the lights sun"):
+        bpy.ops.physhdr.light_from_here(folder=str(tmp_path / "other"))
+    model.scale = (1.0, 2.0, 1.0)
+    write_probe(tmp_path / "probe", (5.0,) * 3, (0,) * 3, (0,) * 3)
+    with pytest.raises(RuntimeError, match="scaled differently"):
+        bpy.ops.physhdr.light_from_here(at=(0.0, 0.0, 0.0), by="BLENDER", width=16)
+    assert not lighting.is_lit(scene.world)
