@@ -20,23 +20,30 @@ from ..bridge.affine import transform_gaussians
 from ..bridge.display import Tone, display_colour_sh, look_comment
 from ..bridge.errors import PhysHDRError
 from ..bridge.gaussian_ply import write_standard_ply
+from ..bridge.spherical_harmonics import coefficient_count
 from .blender import add_entry, cloud_of, layout_of, remove_entry
-from .look import Look, is_model, look_of
+from .look import Look, is_model, kept_of, look_of
 from .point_cloud import lights_of, model_of
+from .save_model import subset
 
 #: A viewer takes the logarithm of a scale: none may be 0.
 SMALLEST_SCALE = 1e-12
 
 
 def bake(target: bpy.types.Object, path: Path, look: Look, tone: Tone, apply_transform: bool = True) -> int:
-    """Write the PLY, atomically, as ``physhdr export`` does; how many Gaussians it holds.
+    """Write the PLY, atomically, as ``physhdr export`` does; how many Gaussians it holds: those not hidden.
 
     ``apply_transform``: in world space (any scale and shear is exact), else in the object's own. Raises
     ``DataMismatchError`` and ``BadValueError`` for what cannot be baked, ``OutputError``.
     """
-    model = model_of(cloud_of(target))
-    if not look.view_dependent:
-        model = dataclasses.replace(model, log_radiance_sh=model.log_radiance_sh[:, :1])
+    cloud = cloud_of(target)
+    model = model_of(cloud)
+    if not look.cleaning.keeps_everything:
+        model = subset(model, kept_of(cloud, look.cleaning.without_camera()))
+    degree = min(model.sh_degree, look.sh_limit) if look.view_dependent else 0
+    if degree < model.sh_degree:
+        sh = model.log_radiance_sh[:, : coefficient_count(degree)]
+        model = dataclasses.replace(model, log_radiance_sh=sh)
     shape = model.position, model.rotation, model.scale
     to_world = np.array(target.matrix_world) if apply_transform else np.eye(4)
     moved = not np.array_equal(to_world, np.eye(4))

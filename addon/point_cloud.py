@@ -39,8 +39,10 @@ from .attributes import (
 )
 from .tone_curve import ToneCurve
 
+#: Quaternions of this length but for rounding are unit: they stay to the bit when imported again.
+UNIT_TOLERANCE = 1e-6
 #: Where a model is from; kept as custom properties.
-METADATA = ("scene", "method", "iteration")
+METADATA = ("scene", "method", "iteration", "edited")
 
 
 def attributes_of(
@@ -55,6 +57,7 @@ def attributes_of(
     yield POSITION, model.position
     yield SCALE, native_splats.packable(model.scale)
     length = np.linalg.norm(model.rotation, axis=1, keepdims=True)
+    length[np.abs(length - 1.0) < UNIT_TOLERANCE] = 1.0
     yield ROTATION, model.rotation / length
 
     shown_sh = native_splats.shown_sh(model.log_radiance_sh) if colour_sh is None else colour_sh

@@ -1,0 +1,369 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Operators that clean a model: select in Edit Mode by what a Gaussian is like, remove what is hidden,
+measure how near the data set's cameras are, suggest floaters. All can be undone."""
+
+from dataclasses import replace
+from typing import ClassVar
+
+import bpy
+import mathutils
+import numpy as np
+
+from ...bridge.errors import BadValueError, DataMismatchError, FileMissingError, PhysHDRError
+from .. import nodes, placement, similarity
+from ..attributes import BASE, CAMERA_DISTANCE, POSITION, SCALE
+from ..blender import add_entry, cloud_of, layout_of, remove_entry
+from ..captures import camera_places
+from ..cleaning import ALL, elongation_of
+from ..floaters import floaters
+from ..look import cleaning_of, is_model, kept_of
+from ..point_cloud import read_attribute, write_attribute
+from ..point_removal import keep_points, select_points, selection_of
+from ..radiance_tree import update_modifier
+
+#: What a crop box is fitted to: all but so much of the Gaussians at either end of each axis.
+OUTLIERS = 0.02
+
+
+class _OnModel(bpy.types.Operator):
+    """What is done to the active model: ``act`` does it and says so, or raises with nothing changed."""
+
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
+    #: Whether the Gaussians themselves are changed, which a linked model's cannot be.
+    edits_points: ClassVar[bool] = True
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        target = context.object
+        if not is_model(target):
+            cls.poll_message_set("Select an imported model first")
+            return False
+        if target.library is not None or (cls.edits_points and not cloud_of(target).is_editable):
+            cls.poll_message_set("The model is linked from another file: clean it there")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        target = context.object
+        assert is_model(target)
+        try:
+            told = self.act(context, target)
+        except PhysHDRError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        self.report({"INFO"}, told)
+        return {"FINISHED"}
+
+    def act(self, context: bpy.types.Context, target: bpy.types.Object) -> str:
+        raise NotImplementedError
+
+
+class PHYSHDR_OT_cleaning_select(_OnModel):
+    """Select Gaussians by what they are like. In Object Mode the selection shows once Edit Mode is entered"""
+
+    bl_idname = "physhdr.cleaning_select"
+    bl_label = "Select Gaussians"
+
+    by: bpy.props.EnumProperty(
+        name="By",
+        items=[
+            ("SIZE", "Size", "Larger than the limit, metres of one standard deviation"),
+            ("OPACITY", "Opacity", "Fainter than the limit"),
+            ("ELONGATION", "Elongation", "Needles: so many times longer than wide"),
+            ("DISTANCE", "Distance", "Farther than the limit from the 3D cursor, metres"),
+            ("PHOTOS", "Near Photos", "Nearer than the limit to a camera of the data set, metres"),
+            ("CROP", "Outside the Crop Box", "What the model's crop box hides, also while Crop is off"),
+            ("HIDDEN", "Hidden", "All that the limits in Clean hide"),
+            ("FLOATERS", "Floaters", "A suggestion: alone, and near a camera or large and faint"),
+        ],
+    )
+    limit: bpy.props.FloatProperty(name="Limit", min=0.0, default=0.1, precision=4)
+    action: bpy.props.EnumProperty(
+        name="Selection",
+        items=[
+            ("REPLACE", "Replace", "Select these alone"),
+            ("EXTEND", "Extend", "Select these as well"),
+            ("SUBTRACT", "Subtract", "Deselect these"),
+        ],
+    )
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = layout_of(self)
+        layout.use_property_split = True
+        layout.prop(self, "by")
+        if self.by not in {"CROP", "HIDDEN", "FLOATERS"}:
+            layout.prop(self, "limit")
+        layout.prop(self, "action")
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        target = context.object
+        assert is_model(target)
+        if not self.properties.is_property_set("limit"):
+            self.limit = _likely_limit(target, self.by, self.limit)
+        return self.execute(context)
+
+    def act(self, context: bpy.types.Context, target: bpy.types.Object) -> str:
+        cloud = cloud_of(target)
+        found = self._found(context, target)
+        if self.action == "EXTEND":
+            found |= selection_of(cloud)
+        elif self.action == "SUBTRACT":
+            found = selection_of(cloud) & ~found
+        select_points(cloud, found)
+        return f"{int(found.sum())} of {len(found)} Gaussians are selected"
+
+    def _found(self, context: bpy.types.Context, target: bpy.types.Object) -> np.ndarray:
+        cloud = cloud_of(target)
+        if self.by == "SIZE":
+            return read_attribute(cloud, SCALE.name).max(axis=1) > self.limit
+        if self.by == "OPACITY":
+            return read_attribute(cloud, BASE.name)[:, 3] < self.limit
+        if self.by == "ELONGATION":
+            return elongation_of(read_attribute(cloud, SCALE.name)) > self.limit
+        if self.by == "DISTANCE":
+            cursor = np.array(target.matrix_world.inverted_safe() @ context.scene.cursor.location)
+            offset = read_attribute(cloud, POSITION.name) - cursor
+            return np.linalg.norm(offset, axis=1) > self.limit
+        if self.by == "PHOTOS":
+            return camera_distances(context, target) < self.limit
+        if self.by == "FLOATERS":
+            return find_floaters(context, target)
+        cleaning = cleaning_of(target, context.evaluated_depsgraph_get())
+        if self.by == "CROP":
+            modifier = nodes.find_modifier(target)
+            box = _crop_box(modifier) if modifier else None
+            if modifier is None or box is None:
+                raise BadValueError(
+                    "the model has no crop box", "Add one in Clean, or choose an object there."
+                )
+            to_box = box.matrix_world.inverted_safe() @ target.matrix_world
+            flat = tuple(number for row in to_box for number in row)
+            keep_outside = bool(nodes.get_input(modifier, nodes.KEEP_OUTSIDE))
+            cleaning = replace(ALL, crop=flat, keep_outside=keep_outside)
+        return ~kept_of(cloud, cleaning.without_camera())
+
+
+class PHYSHDR_OT_cleaning_floaters(_OnModel):
+    """Suggest floaters: Gaussians that are alone, and near a camera or large and faint. They are selected,
+    for you to look at in Edit Mode and delete there (X); nothing is removed"""
+
+    bl_idname = "physhdr.cleaning_floaters"
+    bl_label = "Find Floaters"
+
+    def act(self, context: bpy.types.Context, target: bpy.types.Object) -> str:
+        found = find_floaters(context, target)
+        select_points(cloud_of(target), found)
+        if context.mode == "OBJECT" and target.name in context.view_layer.objects:
+            bpy.ops.object.mode_set(mode="EDIT")
+        share = f"{int(found.sum())} of {len(found)} Gaussians look like floaters"
+        return f"{share} and are selected: look, then X deletes them"
+
+
+class PHYSHDR_OT_cleaning_apply(_OnModel):
+    """Remove for good what the limits in Clean hide from every side, and in Object Mode reset
+    them. What only the camera that renders leaves out stays"""
+
+    bl_idname = "physhdr.cleaning_apply"
+    bl_label = "Remove What Is Hidden"
+
+    def act(self, context: bpy.types.Context, target: bpy.types.Object) -> str:
+        cloud = cloud_of(target)
+        cleaning = cleaning_of(target, context.evaluated_depsgraph_get()).without_camera()
+        keep = kept_of(cloud, cleaning)
+        removed = int((~keep).sum())
+        if not keep.any():
+            raise BadValueError(
+                "everything of the model is hidden", "Widen the limits, or delete the object."
+            )
+        if removed:
+            keep_points(cloud, keep)
+        # Undo in Edit Mode brings back points, not sliders. There the limits stay: they hide nothing more.
+        animated = _reset(target) if context.mode == "OBJECT" else []
+        told = f"Removed {removed} of {len(keep)} Gaussians"
+        if cloud.users > 1:
+            told += f", of all {cloud.users} objects with this point cloud"
+        return f"{told}. Animated limits stay: {', '.join(animated)}" if animated else told
+
+
+class PHYSHDR_OT_cleaning_measure(_OnModel):
+    """Measure how far each Gaussian is from the nearest camera of the data set (or from the selected
+    cameras), so that Clear of Photos can hide floaters"""
+
+    bl_idname = "physhdr.cleaning_measure"
+    bl_label = "Measure from Photos"
+
+    def act(self, context: bpy.types.Context, target: bpy.types.Object) -> str:
+        distance = measured(context, target)
+        write_attribute(cloud_of(target), CAMERA_DISTANCE, distance)
+        cloud_of(target).update_tag()
+        return f"The Gaussians are {distance.min():.3g} to {distance.max():.3g} m from the nearest photo"
+
+
+class PHYSHDR_OT_cleaning_box(_OnModel):
+    """Add a crop box around the model: a cube to move, turn and scale. What is outside is hidden"""
+
+    bl_idname = "physhdr.cleaning_box"
+    bl_label = "Add Crop Box"
+    edits_points = False
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if context.mode != "OBJECT":
+            cls.poll_message_set("Leave edit mode first (Tab)")
+            return False
+        return super().poll(context)
+
+    def act(self, context: bpy.types.Context, target: bpy.types.Object) -> str:
+        modifier = _modifier(target)
+        position = read_attribute(cloud_of(target), POSITION.name).astype(np.float64)
+        low, high = np.quantile(position, [OUTLIERS, 1.0 - OUTLIERS], axis=0)
+        box = bpy.data.objects.new(f"{target.name} crop", None)
+        box.empty_display_type, box.empty_display_size = "CUBE", 1.0
+        (target.users_collection or (context.scene.collection,))[0].objects.link(box)
+        inside = mathutils.Matrix.Translation((low + high) / 2.0)
+        inside @= mathutils.Matrix.Diagonal((*np.maximum((high - low) / 2.0, 1e-3), 1.0))
+        box.matrix_world = target.matrix_world @ inside
+        nodes.set_input(modifier, nodes.CROP_BOX, box)
+        nodes.set_input(modifier, nodes.CROP, True)
+        context.view_layer.update()
+        return f"{box.name!r} crops the model: move, turn and scale it"
+
+
+class PHYSHDR_OT_cleaning_update(_OnModel):
+    """Give a model of an older PhysHDR the limits of this one; its exposure and levels stay"""
+
+    bl_idname = "physhdr.cleaning_update"
+    bl_label = "Update the Modifier"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not super().poll(context):
+            return False
+        assert context.object is not None
+        if nodes.find_modifier(context.object) is None:
+            cls.poll_message_set("Its PhysHDR modifier was removed: import the model again")
+            return False
+        return True
+
+    def act(self, context: bpy.types.Context, target: bpy.types.Object) -> str:
+        modifier = nodes.find_modifier(target)
+        assert modifier is not None
+        lost = update_modifier(target, modifier)
+        return f"Updated. Animate these anew: {', '.join(lost)}" if lost else "The modifier is this version's"
+
+
+# ---- what the operators need -------------------------------------------------------------------------------
+
+
+def measured(context: bpy.types.Context, target: bpy.types.Object) -> np.ndarray:
+    """``[N]`` float32: metres in the model's space to the nearest of the selected cameras, else of the data
+    set's. Raises ``FileMissingError`` where there are neither."""
+    selected = [each for each in context.selected_objects or () if each.type == "CAMERA"]
+    folder = placement.data_of(target)
+    if selected:
+        places = np.array([each.matrix_world.translation for each in selected], np.float64)
+        places = similarity.apply(np.linalg.inv(np.array(target.matrix_world, np.float64)), places)
+    elif folder is not None:
+        places = camera_places(folder)
+    else:
+        raise FileMissingError(
+            "the data set of this model is not there, and with it the places of its cameras",
+            "Select cameras that stand where photos were taken, with the model.",
+        )
+    position = read_attribute(cloud_of(target), POSITION.name)
+    nearest = np.full(len(position), np.inf, np.float32)
+    for place in places.astype(np.float32):
+        offset = position - place
+        np.minimum(nearest, np.einsum("nc,nc->n", offset, offset), out=nearest)
+    return np.sqrt(nearest)
+
+
+def camera_distances(context: bpy.types.Context, target: bpy.types.Object) -> np.ndarray:
+    """``[N]``: as they were measured, else measured now. Raises as ``measured``."""
+    cloud = cloud_of(target)
+    if CAMERA_DISTANCE.name in cloud.attributes:
+        return read_attribute(cloud, CAMERA_DISTANCE.name)
+    return measured(context, target)
+
+
+def find_floaters(context: bpy.types.Context, target: bpy.types.Object) -> np.ndarray:
+    """Bool ``[N]``: ``floaters`` of a model, with its cameras' distances where they can be known."""
+    cloud = cloud_of(target)
+    try:
+        distance = camera_distances(context, target)
+    except PhysHDRError:  # without its data set they are told by size and opacity alone
+        distance = None
+    position, scale = read_attribute(cloud, POSITION.name), read_attribute(cloud, SCALE.name)
+    return floaters(position, scale, read_attribute(cloud, BASE.name)[:, 3], distance)
+
+
+def _likely_limit(target: bpy.types.Object, by: str, default: float) -> float:
+    """A limit with something beyond it, and not much."""
+    scale = read_attribute(cloud_of(target), SCALE.name)
+    if by == "SIZE":
+        return float(np.quantile(scale.max(axis=1), 0.99))
+    if by == "ELONGATION":
+        return 10.0
+    if by == "DISTANCE":
+        position = read_attribute(cloud_of(target), POSITION.name)
+        return float(np.quantile(np.linalg.norm(position - np.median(position, axis=0), axis=1), 0.99))
+    return default
+
+
+def _modifier(target: bpy.types.Object) -> bpy.types.NodesModifier:
+    """The model's modifier, if it has this version's limits. Raises ``DataMismatchError``."""
+    modifier = nodes.find_modifier(target)
+    if modifier is None or not nodes.has_input(modifier, nodes.CROP):
+        raise DataMismatchError(
+            "the model's modifier was removed, or is of an older PhysHDR",
+            "Update the modifier in Clean, or import the model again.",
+        )
+    return modifier
+
+
+def _crop_box(modifier: bpy.types.NodesModifier) -> bpy.types.Object | None:
+    return nodes.get_input(modifier, nodes.CROP_BOX) if nodes.has_input(modifier, nodes.CROP_BOX) else None
+
+
+def _reset(target: bpy.types.Object) -> list[str]:
+    """Let the limits that hide from every side hide nothing; the labels of those that something animates."""
+    modifier = nodes.find_modifier(target)
+    if modifier is None or not nodes.has_input(modifier, nodes.CROP):
+        return []
+    animation = target.animation_data
+    paths = {curve.data_path for curve in animation.drivers} if animation else set()
+    if animation and animation.action:
+        paths |= {curve.data_path for curve in nodes.curves_of(animation)}
+    off = {nodes.CROP: False, nodes.KEEP_OUTSIDE: False, nodes.CROP_BOX: None, nodes.DISTANCE_FROM: None}
+    for name in nodes.CLEANING:
+        nodes.set_input(modifier, name, off.get(name, 0.0))
+    return [name for name in nodes.CLEANING if nodes.input_data_path(modifier, name) in paths]
+
+
+_CLASSES = (
+    PHYSHDR_OT_cleaning_select,
+    PHYSHDR_OT_cleaning_floaters,
+    PHYSHDR_OT_cleaning_apply,
+    PHYSHDR_OT_cleaning_measure,
+    PHYSHDR_OT_cleaning_box,
+    PHYSHDR_OT_cleaning_update,
+)
+
+
+def _draw_select_menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
+    if is_model(context.object):
+        layout = layout_of(menu)
+        layout.separator()
+        layout.operator_menu_enum(PHYSHDR_OT_cleaning_select.bl_idname, "by", text="Gaussians by")
+
+
+def register() -> None:
+    for cls in _CLASSES:
+        bpy.utils.register_class(cls)
+    add_entry(bpy.types.VIEW3D_MT_select_edit_pointcloud, _draw_select_menu)
+
+
+def unregister() -> None:
+    remove_entry(bpy.types.VIEW3D_MT_select_edit_pointcloud, _draw_select_menu)
+    for cls in reversed(_CLASSES):
+        bpy.utils.unregister_class(cls)
