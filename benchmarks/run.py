@@ -22,7 +22,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 import growth
 import torch
-from blender_rows import import_rows
+from blender_rows import import_rows, view_rows
 from iteration import iteration_rows, picture_rows
 from kernel_rows import kernel_rows, rasteriser_rows
 from measure import Row
@@ -49,10 +49,11 @@ SECTIONS: dict[str, tuple[str, Callable[[bool], Iterator[Row]]]] = {
     "memory": ("Memory of a training process", memory_rows),
     "start": ("Compilation and start", start_rows),
     "import": ("Import into Blender", import_rows),
+    "view": ("Blender's 3D view", view_rows),
 }
 SHARES = "shares"
 #: What ``--quick`` leaves out.
-SLOW = ("memory", "start", "import")
+SLOW = ("memory", "start", "import", "view")
 
 GROWTH_PICTURE = Path(__file__).parent.parent / "docs" / "images" / "growth.png"
 

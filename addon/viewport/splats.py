@@ -280,7 +280,11 @@ def _layers(context: bpy.types.Context, camera: ViewCamera) -> list[Layer]:
     depsgraph = context.view_layer.depsgraph
     if depsgraph is None:
         return []
-    shown = shown_objects(context.view_layer, depsgraph, context.space_data)
+    shown = list(shown_objects(context.view_layer, depsgraph, context.space_data))
+    _runtime.edited = [each for each in shown if each.is_edited]
+    if any(stand_in.is_shown(each.cloud) for each in shown):
+        # Linked, reloaded, appended by a script. Nothing may be changed while a view is drawn.
+        _soon(_hide_points, 0.0)
     region, layers, wake_in = overlay.region_key(context.region), [], None
     for key, (tone, items) in items_by_tone(shown).items():
         if (region, key) not in _runtime.views:
@@ -367,7 +371,8 @@ def _show_points(*_: Any) -> None:
 def _models() -> list[bpy.types.Object]:
     # While extensions are enabled at Blender's start there are no data yet.
     objects: Iterable[bpy.types.Object] = getattr(bpy.data, "objects", ())
-    return [each for each in objects if is_model(each) and getattr(each, DISPLAY) == "SPLATS"]
+    chosen = (each for each in objects if is_model(each) and getattr(each, DISPLAY) == "SPLATS")
+    return [each for each in chosen if is_splats(cloud_of(each))]
 
 
 def _apply_display(target: bpy.types.Object, context: bpy.types.Context | None) -> None:

@@ -74,10 +74,8 @@ def is_shown(cloud: bpy.types.PointCloud) -> bool:
 
 def hide(target: bpy.types.Object) -> None:
     """Leave the drawing to the shader. Of a linked object it is changed for as long as the file is open."""
-    if (modifier := find_modifier(target)) is None:
-        return
-    cloud = cloud_of(target)
-    if modifier.show_viewport:
+    cloud, modifier = cloud_of(target), find_modifier(target)
+    if modifier is not None and modifier.show_viewport:
         modifier.show_viewport = False
     if target.display_type == "TEXTURED":
         target.display_type = "BOUNDS"
@@ -92,8 +90,6 @@ def hide(target: bpy.types.Object) -> None:
 
 def show(target: bpy.types.Object) -> None:
     """Let Blender draw the points, as in a file that is opened without the extension."""
-    if find_modifier(target) is None:
-        return
     cloud = cloud_of(target)
     if target.display_type == "BOUNDS":
         target.display_type = "TEXTURED"
