@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Edit Mode and instances in the 3D view: a selection is seen, instances are drawn, a saved file is clean."""
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+import bpy
+from driver import Window, drive
+from mathutils import Euler
+
+
+def test(window: Window) -> Iterator[float]:
+    options = window.options
+    yield from window.open()
+    bpy.ops.physhdr.model_import(filepath=str(options.model))
+    target = bpy.context.object
+    view = window.region.data
+    view.view_perspective = "PERSP"
+    view.view_location, view.view_distance = (0.2, 1.4, 0.9), 3.4
+    view.view_rotation = Euler((1.3, 0.0, 0.25)).to_quaternion()
+    yield from sharp(window)
+    window.screenshot("object_mode")
+    bpy.ops.wm.save_as_mainfile(filepath=str(options.out / "saved.blend"))
+    yield 0.5
+    assert not bpy.data.is_dirty and target.display_type == "BOUNDS"
+
+    with window.override():
+        bpy.ops.object.mode_set(mode="EDIT")
+        bpy.ops.pointcloud.select_all(action="DESELECT")
+    yield from sharp(window)
+    window.screenshot("nothing_selected")
+    width, height = window.region.width, window.region.height
+    box = {"xmin": width // 4, "xmax": width // 2, "ymin": height // 4, "ymax": height // 2}
+    with window.override():
+        bpy.ops.view3d.select_box(**box, wait_for_input=False)
+    yield from sharp(window)
+    window.screenshot("box_selected")
+    inside = orange(window, "box_selected", box)
+    before = orange(window, "nothing_selected", box)
+    assert inside > 0.6 and before < 0.3, (inside, before)
+    with window.override():
+        bpy.ops.object.mode_set(mode="OBJECT")
+
+    collection = bpy.data.collections.new("Set piece")
+    for owner in target.users_collection:
+        owner.objects.unlink(target)
+    collection.objects.link(target)
+    for place in (0.0, 6.0):
+        empty = bpy.data.objects.new(f"at {place:g}", None)
+        empty.instance_type, empty.instance_collection = "COLLECTION", collection
+        empty.location.x, empty.scale = place, (0.5, 0.5, 0.5)
+        bpy.context.scene.collection.objects.link(empty)
+    view.view_distance = 14.0
+    yield from sharp(window)
+    window.screenshot("instances")
+    assert drawn(window) == 2
+    bpy.context.view_layer.objects.active = empty
+    empty.select_set(True)
+    with window.override():
+        bpy.ops.view3d.localview()
+    yield 1.0
+    yield from sharp(window)
+    window.screenshot("local_view")
+    assert drawn(window) == 1
+
+
+def drawn(window: Window) -> int:
+    """How many models are shown in the view now."""
+    shown = window.module("addon.viewport.splats").shown_objects
+    layer = bpy.context.view_layer
+    return len(list(shown(layer, layer.depsgraph, window.area.spaces.active)))
+
+
+def orange(window: Window, name: str, box: dict[str, int]) -> float:
+    """The share of a screenshot's pixels in a box of the region that have the selection's hue."""
+    height = window.region.height
+    left, top = window.on_screen(box["xmin"], height - box["ymax"])
+    right, bottom = window.on_screen(box["xmax"], height - box["ymin"])
+    red, green, blue = window.pixels(name)[top:bottom, left:right].transpose(2, 0, 1)
+    return float(((red > green + 25) & (green > blue + 15) & (blue < 0.35 * red)).mean())
+
+
+def sharp(window: Window) -> Iterator[float]:
+    """Until every picture of splats is as good as it gets."""
+    views = window.module("addon.viewport.splats")._runtime.views
+    yield from window.settle(2, 0.05)
+    yield from window.until(lambda: all(view.is_sharp for view in views.values()), 60, "sharp")
+    yield 0.2
+
+
+drive(test)
