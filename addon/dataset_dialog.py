@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 #: Pixels of the dialog, and characters of a line of it.
 WIDTH, COLUMNS = 460, 72
+#: Characters of a line beside a small button.
+TEXT_BESIDE = 52
 
 
 def draw(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
@@ -94,12 +96,15 @@ def _judged(values: SimpleNamespace, scene: bpy.types.Scene) -> tuple[PhysHDRErr
 
 
 def _draw_time(layout: bpy.types.UILayout, values: SimpleNamespace, scene: bpy.types.Scene) -> None:
-    row = layout.row()
     trial = time_trial.in_words()
-    _write(row, trial or time_in_words(values, scene), "SORTTIME")
+    text = trial or time_in_words(values, scene)
     known = settings_of(scene).rate > 0.0 and settings_of(scene).rate_device == values.device
-    if not known and not time_trial.trial().is_running:
-        row.operator("physhdr.dataset_time", icon="FILE_REFRESH")
+    if known or time_trial.trial().is_running:
+        _write(layout, text, "SORTTIME")
+        return
+    row = layout.split(factor=0.8)
+    _write(row, text, "SORTTIME", TEXT_BESIDE)
+    row.operator("physhdr.dataset_time", icon="FILE_REFRESH")
 
 
 def _draw_rig(column: bpy.types.UILayout, settings: PHYSHDR_DatasetSettings) -> None:
@@ -147,8 +152,8 @@ def _prop(layout: bpy.types.UILayout, settings: PHYSHDR_DatasetSettings, name: s
     layout.prop(settings, name, text=dataset_command.label(name, getattr(settings, name)))
 
 
-def _write(layout: bpy.types.UILayout, text: str, icon: "IconItems") -> None:
+def _write(layout: bpy.types.UILayout, text: str, icon: "IconItems", columns: int = COLUMNS) -> None:
     column = layout.column(align=True)
     column.scale_y = 0.8
-    for index, line in enumerate(textwrap.wrap(text, COLUMNS)):
+    for index, line in enumerate(textwrap.wrap(text, columns)):
         column.label(text=line, icon=icon if index == 0 else "BLANK1")

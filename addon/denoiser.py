@@ -7,7 +7,7 @@ from importlib import import_module
 from ..bridge.errors import BadValueError
 
 #: As the dialog says it.
-REASON = "This Blender was built without OpenImageDenoise: take more samples instead"
+REASON = "This Blender has no OpenImageDenoise: take more samples"
 
 
 @cache

@@ -21,7 +21,7 @@ from .dataset_settings import settings_of
 
 #: In the backend's folder: device → seconds for a sample of a pixel, and of which scene.
 RATES_FILE = "render_rates.json"
-UNKNOWN = "Nothing of this scene was rendered yet to tell the time by"
+UNKNOWN = "How long it takes is not known yet"
 
 
 @dataclass(frozen=True)
