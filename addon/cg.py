@@ -16,6 +16,7 @@ bear a mark, and ``reset`` takes all of them away again.
 """
 
 from collections.abc import Iterator
+from typing import Any
 
 import bpy
 import numpy as np
@@ -259,7 +260,7 @@ def _material() -> bpy.types.Material:
     assert tree is not None  # every material has one since Blender 5
     tree.nodes.clear()
     diffuse = tree.nodes.new("ShaderNodeBsdfDiffuse")
-    colour: bpy.types.NodeSocketColor = diffuse.inputs["Color"]  # type: ignore[assignment]
+    colour: Any = diffuse.inputs["Color"]
     colour.default_value = (ALBEDO, ALBEDO, ALBEDO, 1.0)
     output = tree.nodes.new("ShaderNodeOutputMaterial")
     output.location = (200.0, 0.0)

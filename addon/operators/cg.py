@@ -108,8 +108,8 @@ def stood(context: bpy.types.Context, place: Vector) -> int:
     for each in chosen:
         there = each.evaluated_get(depsgraph)
         corners += [there.matrix_world @ Vector(corner) for corner in there.bound_box]
-    low = Vector(min(corner[axis] for corner in corners) for axis in range(3))
-    high = Vector(max(corner[axis] for corner in corners) for axis in range(3))
+    low = Vector([min(corner[axis] for corner in corners) for axis in range(3)])
+    high = Vector([max(corner[axis] for corner in corners) for axis in range(3)])
     by = place - Vector(((low.x + high.x) / 2.0, (low.y + high.y) / 2.0, low.z))
     tops = [each for each in chosen if not _has_ancestor(each, set(chosen))]
     for each in tops:
