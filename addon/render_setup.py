@@ -18,8 +18,8 @@ from .look import is_model
 from .render import CERTAIN_BOUNCES, TRANSPARENT_BOUNCES, let_rays_pass, sample_centres
 
 CYCLES, EEVEE = "CYCLES", "BLENDER_EEVEE"
-#: EEVEE draws each Gaussian in a share of its samples, by lot. The demo's room is 29 dB from our rasteriser with
-#: 16 samples (sRGB, 200×200), 32 with 256 (100×100): grain.
+#: EEVEE draws each Gaussian in a share of its samples, by lot. The demo's room is 29 dB from our rasteriser
+#: with 16 samples (sRGB, 200×200), 32 with 256 (100×100): grain.
 EEVEE_SAMPLES = 256
 #: The driver's variables, from the scene that is rendered.
 WIDTH = {"width": "render.resolution_x", "percent": "render.resolution_percentage"}
