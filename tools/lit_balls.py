@@ -6,7 +6,8 @@ them.
     .venvs/run-blender tools/lit_balls.py -- truth interior --out BALLS
     .venvs/run-blender tools/lit_balls.py -- lit BALLS
     physhdr panorama runs/demo --at -0.1 -0.7 1.2 --out PROBE
-    .venvs/run-blender tools/lit_balls.py -- lit BALLS --model runs/demo/model.safetensors --probe PROBE
+    .venvs/run-blender tools/lit_balls.py -- lit BALLS --model runs/demo/model.safetensors --probe PROBE \\
+        --name demo
     .venvs/backend/bin/python tools/lit_balls_sheet.py BALLS --image docs/images/lit_balls.jpg
 
 ``photograph`` makes a data set of the scene by cameras that stand all around the balls' place, for a capture
@@ -92,7 +93,7 @@ def _parser() -> argparse.ArgumentParser:
     alone.add_argument("balls", type=Path)
     alone.add_argument("--model", type=Path, help="a trained model: its own light, not the true panorama's")
     alone.add_argument("--probe", type=Path, help="what physhdr panorama drew of it at the balls' place")
-    alone.add_argument("--name", default="capture", help="what the pictures with --model are called")
+    alone.add_argument("--name", default="demo", help="what the pictures with --model are called")
     alone.add_argument("--samples", type=int, default=256)
     alone.set_defaults(step=lit)
     return made

@@ -30,9 +30,10 @@ BALLS = ("chrome", "grey")
 LEVELS = (0.25, 1.0, 4.0)
 NAMES = {
     "truth": "truth",
-    "capture": "Light From Here",
+    "around": "captured around",
+    "demo": "captured from one side",
     "panorama": "true panorama",
-    "scaled": "HDRI of level 1, scaled",
+    "scaled": "scaled HDRI",
 }
 #: Seconds, by level: what a photographer would choose.
 EXPOSURE = {0.25: 4.0, 1.0: 2.0, 4.0: 0.5}
@@ -44,7 +45,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("balls", type=Path)
     parser.add_argument("--image", type=Path, help="write a sheet of the pictures there")
-    parser.add_argument("--cell", type=int, default=150)
+    parser.add_argument("--cell", type=int, default=190)
     given = parser.parse_args()
     try:
         print("\n".join(table(given.balls)))
