@@ -19,7 +19,7 @@ from ...bridge.panorama import near_distance
 from ...bridge.ply_model import read_ply_model
 from ...bridge.probe import WIDTH, Probe, begin, check_width, finish
 from ..device import DeviceName
-from ..evaluate.panorama import Draw, LitSplats, Report, lit_model, parted, surroundings
+from ..evaluate.panorama import SPLATS_WIDTH, Draw, LitSplats, Report, lit_model, parted, surroundings
 from ..methods.base import Method, SplattingMethod
 from ..project import version
 from ..rasterize import Implementation
@@ -121,7 +121,7 @@ class Panorama:
     ) -> Probe:
         near = near_distance(model.positions, np.asarray(place)) if self.near is None else self.near
         begin(folder)
-        found = surroundings(model.draw(place, near), place, self.width, report)
+        found = surroundings(model.draw(place, near), place, self.width, report, model.drawn_width)
         x, y, z = place
         probe = Probe(
             at=(x, y, z),
@@ -151,6 +151,8 @@ class Panorama:
 class _OfModel:
     """A model file's light. ``left_out``: Gaussians too near to the place that was drawn last."""
 
+    drawn_width = SPLATS_WIDTH
+
     def __init__(self, model: Model, implementation: Implementation) -> None:
         self._model = model
         self._implementation: Implementation = implementation
@@ -166,6 +168,8 @@ class _OfModel:
 
 class _OfSplats:
     """A trained method's light, of its own splats: anchors' are other ones for every picture."""
+
+    drawn_width = SPLATS_WIDTH
 
     def __init__(self, method: SplattingMethod) -> None:
         self._method, self.left_out = method, 0
@@ -202,7 +206,7 @@ class _OfPictures:
 
     lights: tuple[str, ...] = ()
     positions = np.zeros((0, 3), np.float32)
-    left_out = 0
+    left_out = drawn_width = 0
 
     def __init__(self, method: Method) -> None:
         self._method = method

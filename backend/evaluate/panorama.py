@@ -29,6 +29,9 @@ HALF_VIEW = math.radians(32.0)
 #: Rows and columns of directions in a pixel; the pictures are as fine.
 SUPERSAMPLING = 2
 
+#: Splats are drawn at least so wide, and averaged: a rasteriser widens them to its pixels.
+SPLATS_WIDTH = 512
+
 #: Draws what a camera sees: parts ``[P, 3, H, W]``, premultiplied, and coverage ``[H, W]``; float32.
 Draw = Callable[[Camera], tuple[torch.Tensor, torch.Tensor]]
 #: Called with the share of the work that is done.
@@ -44,11 +47,28 @@ class Surroundings:
 
 
 def surroundings(
-    draw: Draw, at: Sequence[float], width: int, report: Report = lambda _: None
+    draw: Draw,
+    at: Sequence[float],
+    width: int,
+    report: Report = lambda _: None,
+    drawn_width: int = SPLATS_WIDTH,
 ) -> Surroundings:
-    """What is seen from ``at`` ``[3]`` (metres) in all directions, ``width`` pixels across."""
+    """What is seen from ``at`` ``[3]`` (metres) in all directions, ``width`` pixels across.
+
+    ``drawn_width``: it is drawn that wide at least, and averaged to ``width``; both are powers of two.
+    """
+    planes = _seen(draw, np.asarray(at, np.float64), max(width, drawn_width), report)
+    while planes.shape[1] > width:
+        planes = _halved(planes)
+    alpha = planes[..., -1].clip(0.0, 1.0)
+    parts = np.moveaxis(planes[..., :-1].reshape(*alpha.shape, -1, 3), 2, 0)
+    return Surroundings(filled(parts, alpha).astype(np.float32), panorama.unseen_share(alpha))
+
+
+def _seen(draw: Draw, at: np.ndarray, width: int, report: Report) -> np.ndarray:
+    """``[H, W, 3 P + 1]``: the mean over each pixel's area of the parts, and of the coverage."""
     height, fine = width // 2, SUPERSAMPLING * width
-    cameras = view_cameras(np.asarray(at, np.float64), fine)
+    cameras = view_cameras(at, fine)
     offsets = [(k + 0.5) / SUPERSAMPLING for k in range(SUPERSAMPLING)]
     places = list(itertools.product(offsets, offsets))
     seen = [panorama.directions(width, column, row).astype(np.float32) for row, column in places]
@@ -70,10 +90,15 @@ def surroundings(
             planes[inside] += factor[:, None] * values
         report((number + 1) / len(cameras))
     assert planes is not None
-    planes = planes.reshape(height, width, -1)
-    alpha = planes[..., -1].clip(0.0, 1.0)
-    parts = np.moveaxis(planes[..., :-1].reshape(height, width, -1, 3), 2, 0)
-    return Surroundings(filled(parts, alpha).astype(np.float32), panorama.unseen_share(alpha))
+    return planes.reshape(height, width, -1)
+
+
+def _halved(planes: np.ndarray) -> np.ndarray:
+    """Means of 2 × 2 pixels by their solid angles."""
+    weights = panorama.solid_angles(planes.shape[1]).reshape(-1, 2)
+    weights = 0.5 * weights / weights.sum(axis=1, keepdims=True)
+    pairs = (planes[:, ::2] + planes[:, 1::2]).reshape(len(weights), 2, -1, planes.shape[2])
+    return np.einsum("hr,hrwk->hwk", weights, pairs)
 
 
 def view_cameras(at: np.ndarray, fine: int) -> list[Camera]:
