@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A cube and a ball on the floor of a built-in scene, and the same put into its capture by *Put CG Here*.
 
-    physhdr panorama runs/demo --at 0.47 0.03 0.2 --out PROBE
+    physhdr panorama runs/demo --at 0.45 0.55 0.15 --out PROBE
     .venvs/run-blender tools/standing_cg.py -- interior --model runs/demo/model.safetensors --probe PROBE \\
         --out FOLDER
 
@@ -26,12 +26,12 @@ from physhdr.synth.built_in import built
 from physhdr.synth.renderer import renderer, view_seed
 from physhdr.synth.stage import Stage
 
-#: Where they stand, metres: the middle of the cube's underside and of the ball's, on rug and floorboards.
-PLACES = {"interior": ((0.36, -0.02, 0.016), (0.62, 0.12, 0.016))}
+#: Where they stand, metres: the middle of the cube's underside and of the ball's, on the rug, where no sun is.
+PLACES = {"interior": ((0.35, 0.48, 0.016), (0.56, 0.62, 0.016))}
 #: Half of the cube's edge and the ball's radius, metres; their albedo.
 HALF, ALBEDO = 0.1, 0.5
 #: Pixels and field of view of the picture; of the data set's pictures, whose pixels widen its Gaussians.
-SIZE, ANGLE = 112, 0.5
+SIZE, ANGLE = 80, 0.36
 PIXELS, ACROSS = 200, math.radians(62.0)
 #: The true floor has lost this share of its light where it counts as shaded, and this where it does not.
 SHADED, LIT = 0.1, 0.01
@@ -114,7 +114,7 @@ def _captured(given: argparse.Namespace, pose: np.ndarray) -> None:
     render.prepare_cycles(scene, given.picture_samples)
     cycles: Any = scene.cycles
     cycles.max_bounces, cycles.pixel_filter_type, cycles.filter_width = 3, "BLACKMAN_HARRIS", 1.5
-    cycles.use_denoising = False
+    cycles.use_denoising = True
     render.set_resolution(scene, SIZE, SIZE)
     render.add_camera(scene, pose, ANGLE)
     if not (given.out / "without.exr").exists():
