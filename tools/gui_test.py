@@ -6,6 +6,10 @@
     python tools/gui_test.py panel          one of them
     python tools/gui_test.py --keep         then put the guide's pictures into docs/images/guide
 
+Every test has a Blender, a home, a /tmp and processes of its own, which all end with it; one that leaves any
+running fails. What is compiled (kernels, shaders) is kept in runs/gui from run to run, and the backend is
+checked once for all.
+
 Debian sid has a Blender that is new enough, and opens its window without a graphics card. debootstrap makes a
 root folder of 1.7 GB, once, in PHYSHDR_BLENDER_ROOT (default: /var/cache/physhdr/blender), of what the
 system's own apt is set up to take Debian from, or PHYSHDR_DEBIAN_MIRROR. Mounts are made in a namespace of
@@ -13,21 +17,27 @@ their own and are gone with it.
 """
 
 import argparse
+import contextlib
+import hashlib
 import os
 import platform
 import re
+import resource
 import shlex
 import shutil
 import subprocess
 import sys
 import time
 import urllib.request
+import zipfile
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 CHROOT = Path(os.environ.get("PHYSHDR_BLENDER_ROOT", "/var/cache/physhdr/blender"))
 OUT = ROOT / "runs" / "gui"
+TESTS = ROOT / "tests" / "gui"
 PYTHON = ROOT / ".venvs" / "backend" / "bin" / "python"
 APT = Path("/etc/apt")
 PACKAGES = (
@@ -35,8 +45,15 @@ PACKAGES = (
     "python3-numpy python3-requests python3-cattr python3-zstandard"
 )
 SCREEN = "-screen 0 1280x800x24 +extension GLX"
-#: Seconds for one test; software rendering on two cores is slow.
+#: Seconds for one test on an idle machine, more on a busy one; software rendering on two cores is slow.
 PATIENCE = 900
+#: Inside: the artist's home, as pictures show it, and where in it the backend looks for compiled kernels.
+HOME = Path("/home/artist")
+KERNELS = Path("blender/extensions/.user/user_default/physhdr/backend/cache")
+#: Of the extension: whose functions are compiled.
+COMPILED = ("backend/kernels/", "backend/rasterize/", "backend/simd/")
+#: Of the demo's run: what tests open, import and evaluate.
+OF_RUN = ("config.json", "checkpoint.safetensors", "model.safetensors", "log.jsonl")
 #: Seconds for the first answer of the mirror.
 PAGE_SECONDS = 20
 
@@ -54,6 +71,8 @@ KEPT = {
     "splats": "splats/free_view",
 }
 GUIDE = ROOT / "docs" / "images" / "guide"
+#: What else is in tests/gui.
+NO_TESTS = ("driver", "prepare", "__init__")
 
 
 class Skip(Exception):  # noqa: N818 (not an error)
@@ -105,7 +124,7 @@ def make_blender() -> None:
     """Debian sid with Blender in ``CHROOT``, unless it is there; raises ``Skip``."""
     if os.name != "posix" or os.geteuid() != 0:
         raise Skip("a chroot needs root")
-    for program in ("debootstrap", "unshare"):
+    for program in ("debootstrap", "unshare", "setpriv"):
         if shutil.which(program) is None:
             raise Skip(f"there is no {program} (apt-get install debootstrap util-linux)")
     if (CHROOT / "usr" / "bin" / "xdotool").exists() and (CHROOT / "usr" / "bin" / "blender").exists():
@@ -128,46 +147,172 @@ def make_blender() -> None:
 def enter(command: str, folders: list[Path], output=None) -> int:
     """Run a shell command inside, with ``folders`` at the same places; returns its status."""
     mounts = [f"mount --rbind /{name} {CHROOT}/{name}" for name in ("proc", "dev", "sys")]
-    for folder in folders:
-        inside = shlex.quote(f"{CHROOT}{folder}")
-        mounts.append(f"mkdir -p {inside} && mount --bind {shlex.quote(str(folder))} {inside}")
+    mounts += [bind(folder, folder) for folder in folders]
     script = " && ".join([*mounts, f"exec chroot {CHROOT} /bin/sh -c {shlex.quote(command)}"])
     unshare = ["unshare", "--mount", "--propagation", "private", "/bin/sh", "-c", script]
     return subprocess.call(unshare, stdout=output, stderr=output)
 
 
-def materials() -> dict[str, Path]:
-    """What the tests use: the extension, a Python with torch, a data set and a trained model."""
-    if subprocess.call([str(PYTHON), str(ROOT / "tools" / "build_extension.py")]):
+def bind(folder: Path, place: Path) -> str:
+    """The commands that let a folder be found at ``place`` inside."""
+    inside = shlex.quote(f"{CHROOT}{place}")
+    return f"mkdir -p {inside} && mount --bind {shlex.quote(str(folder))} {inside}"
+
+
+@dataclass(frozen=True)
+class Room:
+    """Where the tests live: an artist's home, the same path for each, so that what is compiled stays valid.
+
+    ``base``: the Python's own folder, beside its environment. ``kernels``, ``shaders``: what is compiled, and
+    outlives a run. ``template``: what is copied for each test.
+    """
+
+    zip: Path
+    base: Path
+    kernels: Path
+    shaders: Path
+    template: Path
+
+    def run(self, out: Path, command: str, seconds: float) -> list[str]:
+        """A command with ``out/home`` as its home; what it has left running, one line each.
+
+        It has processes of its own (a PID namespace): whatever becomes of it, or of this program, they end.
+        """
+        (out / "home" / KERNELS).mkdir(parents=True, exist_ok=True)
+        (out / "home" / ".cache").mkdir(exist_ok=True)
+        home = {
+            out / "home": HOME,
+            self.kernels: HOME / KERNELS,
+            self.shaders: HOME / ".cache",
+            ROOT / "data" / "demo": HOME / "room",
+            ROOT / ".venvs" / "backend": HOME / "torch",
+        }
+        mounts = [f"mount -t proc proc {CHROOT}/proc", f"mount -t tmpfs tmpfs {CHROOT}/tmp"]
+        mounts += [f"mount --rbind /{name} {CHROOT}/{name}" for name in ("dev", "sys")]
+        mounts += [bind(folder, folder) for folder in (ROOT, self.base)]
+        mounts += [bind(folder, place) for folder, place in home.items()]
+        left = out / "left.txt"
+        inside = f"/usr/bin/python3 {ROOT / 'tools' / 'gui_inside.py'} {seconds} {left}"
+        told = f"cd {HOME} && exec {inside} /bin/sh -c {shlex.quote(command)}"
+        script = " && ".join([*mounts, f"exec chroot {CHROOT} /bin/sh -c {shlex.quote(told)}"])
+        # Where this program is killed so is unshare, and with it all of the room.
+        unshare = ["setpriv", "--pdeathsig", "KILL", "unshare", "--mount", "--propagation", "private"]
+        unshare += ["--pid", "--fork", "--kill-child", "/bin/sh", "-c", script]
+        with open(out / "blender.log", "w") as log:
+            subprocess.call(unshare, stdout=log, stderr=log)
+        return left.read_text().splitlines() if left.exists() else ["(it was not looked at)"]
+
+    def blender(self, script: Path, out: Path, options: str) -> str:
+        """The command of a Blender that runs a script of tests/gui; ``options``: Blender's own."""
+        given = {"out": out, "zip": self.zip, "python": HOME / "torch" / "bin" / "python"}
+        given |= {"data": HOME / "room", "model": HOME / "room_run" / "model.safetensors"}
+        arguments = " ".join(f"--{name} {shlex.quote(str(path))}" for name, path in given.items())
+        variables = f"BLENDER_USER_RESOURCES={HOME}/blender HOME={HOME} LIBGL_ALWAYS_SOFTWARE=1"
+        return f"{variables} blender --factory-startup {options} -P {script} -- {arguments}"
+
+
+def furnish(extension: Path | None = None) -> Room:
+    """What the tests use: the extension, a Python with torch, a data set and a trained model; or ``Skip``.
+
+    The extension is installed and its backend checked once, into a home that each test begins with a copy of.
+    """
+    if extension is None and subprocess.call([str(PYTHON), str(ROOT / "tools" / "build_extension.py")]):
         raise SystemExit(1)
     data, run = ROOT / "data" / "demo", ROOT / "runs" / "demo"
     if not (run / "model.safetensors").exists() or not (data / "dataset.json").exists():
         raise Skip("there are no demo data and run; make demo makes them")
-    newest = max((ROOT / "dist").glob("physhdr-*.zip"), key=lambda path: path.stat().st_mtime)
-    return {"zip": newest, "python": PYTHON, "data": data, "model": run / "model.safetensors"}
+    newest = extension or max((ROOT / "dist").glob("physhdr-*.zip"), key=lambda path: path.stat().st_mtime)
+    base = subprocess.check_output([str(PYTHON), "-c", "import sys; print(sys.base_prefix)"], text=True)
+    site = sorted(
+        path.name for path in (PYTHON.parent.parent / "lib").glob("python*/site-packages/*.dist-info")
+    )
+    with zipfile.ZipFile(newest) as archive:
+        code = {name: archive.read(name) for name in sorted(archive.namelist()) if not name.endswith("/")}
+    kernels = digest(site, [name for name in code if name.startswith(COMPILED)], code)
+    version = (CHROOT / "var" / "lib" / "dpkg" / "status").read_text(encoding="utf-8")
+    blender = re.search(r"^Package: blender\n(?:.+\n)*?Version: (.+)$", version, re.MULTILINE)
+    scripts = {name: (TESTS / name).read_bytes() for name in ("prepare.py",)}
+    key = digest([blender[1] if blender else "", *site], [*code, *scripts], code | scripts)
+    caches = OUT / ".kernels"
+    for old in caches.glob("*"):  # of other code: they would only grow
+        if old.name != kernels:
+            shutil.rmtree(old)
+    room = Room(newest, Path(base.strip()), caches / kernels, OUT / ".shaders", OUT / ".template")
+    for folder in (room.kernels, room.shaders):
+        folder.mkdir(parents=True, exist_ok=True)
+    known = room.template / "key.txt"
+    if not known.exists() or known.read_text() != key:
+        prepare(room)
+        known.write_text(key)
+    return room
 
 
-def run_test(script: Path, options: dict[str, Path]) -> bool:
+def digest(words: list[str], names: list[str], contents: dict[str, bytes]) -> str:
+    found = hashlib.sha256("\n".join(words).encode())
+    for name in names:
+        found.update(name.encode() + hashlib.sha256(contents[name]).digest())
+    return found.hexdigest()[:16]
+
+
+def prepare(room: Room) -> None:
+    """Make the home that tests begin with; ends the program where that fails."""
+    shutil.rmtree(room.template, ignore_errors=True)
+    room.template.mkdir(parents=True)
+    begun = time.perf_counter()
+    command = room.blender(TESTS / "prepare.py", room.template, "-b --python-exit-code 1")
+    left = room.run(room.template, command, PATIENCE)
+    check = room.template / "check.json"
+    if not check.exists() or left:
+        print(f"error: the extension could not be installed and checked: {' '.join(left)}")
+        print((room.template / "blender.log").read_text())
+        raise SystemExit(1)
+    seconds = time.perf_counter() - begun
+    print(f"installed and checked in {seconds:.0f} s; the check: {check.read_text()}", flush=True)
+
+
+def run_test(room: Room, script: Path) -> bool:
     out = OUT / script.stem
     shutil.rmtree(out, ignore_errors=True)
-    out.mkdir(parents=True)
-    arguments = " ".join(f"--{name} {shlex.quote(str(path))}" for name, path in options.items())
     # A home of its own: neither the user's preferences nor an earlier test's.
-    variables = f"BLENDER_USER_RESOURCES={out}/blender HOME={out} LIBGL_ALWAYS_SOFTWARE=1"
-    blender = f"blender --factory-startup --window-geometry 0 0 1280 800 -P {script}"
-    command = f"{variables} timeout {PATIENCE} xvfb-run -a -s {shlex.quote(SCREEN)}"
-    command += f" {blender} -- --out {out} {arguments}"
-    base = subprocess.check_output([str(PYTHON), "-c", "import sys; print(sys.base_prefix)"], text=True)
-    begun = time.perf_counter()
-    with open(out / "blender.log", "w") as log:
-        enter(command, [ROOT, Path(base.strip())], log)
+    shutil.copytree(room.template / "home", out / "home", symlinks=True)
+    run = out / "home" / "room_run"
+    run.mkdir()
+    for name in OF_RUN:
+        shutil.copy(ROOT / "runs" / "demo" / name, run)
+    blender = room.blender(script, out, "--window-geometry 0 0 1280 800")
+    # A display's number is the whole machine's, whatever the room's /tmp says.
+    xvfb = f"xvfb-run -a -n {100 + os.getpid() % 10_000} -s {shlex.quote(SCREEN)}"
+    begun, before = time.perf_counter(), cpu_seconds()
+    left = room.run(out, f"{xvfb} /usr/bin/env {blender}", PATIENCE)
     result = out / "result.txt"
     told = result.read_text().strip() if result.exists() else "Blender did not start the test"
-    seconds = time.perf_counter() - begun
-    print(f"{script.stem}: {told if told == 'passed' else 'FAILED'} in {seconds:.0f} s; pictures in {out}")
+    if left:
+        told = f"{told}\nleft running: " + "\n  ".join(left)
+    seconds, used = time.perf_counter() - begun, cpu_seconds() - before
+    passed = "passed" if told == "passed" else "FAILED"
+    print(
+        f"{script.stem}: {passed} in {seconds:.0f} s ({used:.0f} s of processors); pictures in {out}",
+        flush=True,
+    )
     if told != "passed":
-        print(f"{told}\n  Blender's log is {out / 'blender.log'}")
+        print(f"{told}\n  Blender's log is {out / 'blender.log'}", flush=True)
     return told == "passed"
+
+
+def cpu_seconds() -> float:
+    """What all ended children of this process have used."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def inmates() -> set[int]:
+    """The processes of this machine whose root is the chroot."""
+    found = set()
+    for folder in Path("/proc").iterdir():
+        with contextlib.suppress(OSError):
+            if folder.name.isdigit() and os.readlink(folder / "root") == str(CHROOT):
+                found.add(int(folder.name))
+    return found
 
 
 def keep() -> None:
@@ -185,21 +330,25 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("names", nargs="*", help="tests of tests/gui; all by default")
     parser.add_argument("--keep", action="store_true", help="put the guide's pictures into docs/images/guide")
+    parser.add_argument("--extension", type=Path, help="the zip of an extension; by default it is built")
     given = parser.parse_args()
     names = given.names
+    before = inmates()
     try:
         make_blender()
-        options = materials()
+        room = furnish(given.extension and given.extension.resolve())
     except Skip as reason:
         print(f"gui-test skipped: {reason}")
         return 0
-    scripts = sorted((ROOT / "tests" / "gui").glob("*.py"))
-    scripts = [path for path in scripts if path.stem not in ("driver", "__init__")]
+    scripts = [path for path in sorted(TESTS.glob("*.py")) if path.stem not in NO_TESTS]
     chosen = [path for path in scripts if not names or path.stem in names]
     if not chosen:
         print(f"error: there is no GUI test {names}\n  Choose from: {', '.join(p.stem for p in scripts)}")
         return 1
-    passed = all([run_test(path, options) for path in chosen])
+    passed = all([run_test(room, path) for path in chosen])
+    if left := inmates() - before:
+        print(f"error: processes of the tests still run: {sorted(left)}")
+        passed = False
     if passed and given.keep:
         keep()
     return 0 if passed else 1

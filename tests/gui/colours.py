@@ -13,18 +13,18 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import bpy
 import numpy as np
-from driver import SHADINGS, Window, drive
+from driver import SHADINGS, Patience, Window, drive
 from mathutils import Matrix
 
 #: Radiance of the patches.
 PATCHES = (0.18, 1.0, 8.0)
-#: Seconds that EEVEE may compile.
+#: Seconds of an idle machine that EEVEE may compile.
 PATIENCE = 60
 
 
 def test(window: Window) -> Iterator[float]:
+    yield from window.redrawn(1)
     window.install()
-    yield 1.0
     window.clear_scene()
     overlay, camera_module = window.module("addon.viewport.overlay"), window.module("addon.viewport.camera")
     view = window.region.data
@@ -35,7 +35,7 @@ def test(window: Window) -> Iterator[float]:
         place = Matrix.Translation((-1.6 + 1.2 * index, 1.2, -10.0))
         bpy.context.object.matrix_world = view.view_matrix.inverted() @ place
     bpy.ops.object.select_all(action="DESELECT")
-    yield from window.settle()
+    yield from window.redrawn()
     camera = camera_module.of_region(window.region, view)
     rgba = np.zeros((camera.height, camera.width, 4), np.float16)
     depth = np.full((camera.height, camera.width), 5.0, np.float32)
@@ -50,15 +50,15 @@ def test(window: Window) -> Iterator[float]:
         bpy.context.scene.view_settings.view_transform = transform
         for shading, engine, redraws in SHADINGS[1:]:  # Solid shows Standard whatever is set
             window.shade(shading, engine)
-            yield from window.settle(redraws)
+            yield from window.redrawn(redraws)
             name = f"{transform}_{shading}_{engine}"
-            pairs = []
-            for _ in range(PATIENCE):  # until EEVEE has compiled its shaders
-                yield from window.settle(1, 1.0)
+            patience, pairs = Patience(PATIENCE), []
+            while not (
+                pairs and (is_right(pairs) or patience.is_over)
+            ):  # until EEVEE has compiled its shaders
+                yield from window.redrawn(1)
                 window.screenshot(name)
                 pairs = seen_codes(window, name, camera, centres)
-                if is_right(pairs):
-                    break
             assert is_right(pairs), f"{name}: codes of the picture's patches and the planes': {pairs}"
             report[name] = pairs
     (window.options.out / "codes.json").write_text(json.dumps(report, indent=1))

@@ -9,7 +9,6 @@ import argparse
 import importlib
 import subprocess
 import sys
-import time
 import traceback
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -17,8 +16,18 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-#: Before the first redraw panels cannot be chosen.
-SETTLE_SECONDS = 1.5
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
+
+from gui_inside import Patience
+
+#: Before its window is there Blender draws nothing.
+SETTLE_SECONDS = 0.5
+#: Between looks whether what is waited for has happened.
+LOOK_SECONDS = 0.03
+#: After a redraw: what Blender has drawn is on its way to the X server.
+FLUSH_SECONDS = 0.1
+#: A box that opens or closes changes at least this share of the screen.
+POP_UP = 0.01
 #: Shading, engine, redraws until EEVEE's shaders are compiled or Cycles is done.
 SHADINGS = (
     ("SOLID", "BLENDER_EEVEE", 4),
@@ -44,6 +53,13 @@ class Window:
 
     def __init__(self, options: argparse.Namespace) -> None:
         self.options = options
+        #: How often 3D views were drawn.
+        self._drawn = 0
+        self._panels: list[type] = []
+        bpy.types.SpaceView3D.draw_handler_add(self._count, (), "WINDOW", "POST_PIXEL")
+
+    def _count(self) -> None:
+        self._drawn += 1
 
     @property
     def area(self) -> bpy.types.Area:
@@ -66,26 +82,105 @@ class Window:
         """A module of the installed extension."""
         return importlib.import_module(f"{EXTENSION}.{name}")
 
+    @property
+    def session(self):
+        """The extension's session."""
+        return self.module("addon.runtime").session()
+
     def sharp(self) -> Iterator[float]:
         """``yield from``: until the live preview shows each view as it is now, at full size."""
+        live, module = self.module("addon.runtime")._live, self.module("addon.viewport.live")
 
         def is_sharp() -> bool:
-            live = self.module("addon.runtime")._live
-            schedules = live._schedules.values()
-            return live._asked is None and all(
-                schedule._last is not None and schedule._last[0].is_sharp for schedule in schedules
-            )
+            if live._asked is not None:
+                return False
+            for region in module._regions(self.session.state.job):
+                schedule = live._schedules.get(region.key)
+                if schedule is None or schedule._last is None or not schedule._last[0].is_sharp:
+                    return False
+                if schedule._last_held != region.view.held:
+                    return False
+            return bool(live._schedules)
 
-        yield 0.5  # for the timer to see what has changed
+        yield from self.redrawn()
         yield from self.until(is_sharp, 60, "sharp")
         yield from self.redrawn()
 
-    def redrawn(self) -> Iterator[float]:
-        """``yield from``: everything drawn anew; Blender does not see what scripts change."""
-        for area in bpy.context.window_manager.windows[0].screen.areas:
-            for region in area.regions:
-                region.tag_redraw()
-        yield 0.5
+    def drawn(self) -> Iterator[float]:
+        """``yield from``: until the shader's pictures of all models are as good as they get."""
+        views = self.module("addon.viewport.splats")._runtime.views
+
+        def is_sharp() -> bool:
+            return bool(views) and all(view.is_sharp for view in views.values())
+
+        yield from self.redrawn()
+        yield from self.until(is_sharp, 60, "sharp")
+        yield from self.redrawn()
+
+    def redrawn(self, times: int = 2) -> Iterator[float]:
+        """``yield from``: all drawn anew so often; Blender does not see what scripts change.
+
+        What is asked for at once is drawn at once: the 3D view tells for its sidebar, too.
+        """
+        wanted = self._drawn + times
+
+        def is_drawn() -> bool:
+            if self._drawn >= wanted:
+                return True
+            for area in bpy.context.window_manager.windows[0].screen.areas:
+                for region in area.regions:
+                    region.tag_redraw()
+            return False
+
+        yield from self.until(is_drawn, 60, "redrawn")
+        yield FLUSH_SECONDS
+
+    def still(self) -> Iterator[float]:
+        """``yield from``: until the screen does not change any more: boxes are open, pictures done."""
+        last: bytes | None = None
+
+        def is_still() -> bool:
+            nonlocal last
+            before, last = last, self.grab()
+            return before == last
+
+        yield from self.until(is_still, 60, "still")
+
+    def pops_up(self, invoke: Callable[[], object]) -> Iterator[float]:
+        """``yield from``: what ``invoke`` opens over the window is there."""
+        yield from self.redrawn()
+        before = self.grab()
+        with self.override():
+            invoke()
+        yield from self.until(lambda: self.changed(before) > POP_UP, 60, "opened")
+        yield from self.still()
+
+    def closes(self, before: bytes) -> Iterator[float]:
+        """``yield from``: the screen differs from ``before`` as much as by a box that has gone."""
+        yield from self.until(lambda: self.changed(before) > POP_UP, 60, "closed")
+        yield from self.still()
+
+    def changed(self, before: bytes) -> float:
+        """The share of the screen's bytes that are others than ``before``."""
+        now = self.grab()
+        if len(now) != len(before):
+            return 1.0
+        return float(np.mean(np.frombuffer(now, np.uint8) != np.frombuffer(before, np.uint8)))
+
+    def grab(self) -> bytes:
+        """The screen's pixels, as they come."""
+        command = ["import", "-silent", "-window", "root", "-depth", "8", "rgb:-"]
+        return subprocess.run(command, check=True, capture_output=True).stdout
+
+    def key(self, name: str) -> None:
+        """Press a key, wherever the mouse is."""
+        subprocess.run(["xdotool", "key", name], check=True)
+
+    def point(self, x: float, y: float) -> Iterator[float]:
+        """``yield from``: the mouse at a share of the 3D view, and Blender knows."""
+        left, top = self.on_screen(self.region.width * x, self.region.height * y)
+        subprocess.run(["xdotool", "mousemove", "--sync", str(left), str(top)], check=True)
+        yield from self.redrawn()
 
     def screenshot(self, name: str) -> Path:
         path = self.options.out / f"{name}.png"
@@ -93,19 +188,18 @@ class Window:
         return path
 
     def open(self) -> Iterator[float]:
-        """``yield from``: the extension installed, an empty scene, a large 3D view with the panel."""
+        """``yield from``: the extension there, an empty scene, a large 3D view with the panel."""
+        yield from self.redrawn(1)
         self.install()
         self.full_screen()
-        yield 1.0
+        yield from self.redrawn()
         self.show_tab()
         self.clear_scene()
-        yield 0.5
+        yield from self.redrawn()
 
     def install(self) -> None:
-        """Install the zip as a user does."""
-        bpy.ops.extensions.package_install_files(
-            filepath=str(self.options.zip), repo="user_default", enable_on_install=True
-        )
+        """Turn the extension on; ``prepare.py`` has installed it as a user does."""
+        bpy.ops.preferences.addon_enable(module=EXTENSION)
 
     def full_screen(self) -> None:
         """Nothing but the 3D view, with its sidebar."""
@@ -120,13 +214,37 @@ class Window:
     def show_tab(self, name: str = "PhysHDR") -> None:
         next(region for region in self.area.regions if region.type == "UI").active_panel_category = name
 
-    def scroll_panel(self, pixels: int = 2000) -> None:
-        """Show the lower end of the panel."""
+    def show_panels(self, *names: str) -> Iterator[float]:
+        """``yield from``: of the panel's parts only these, open; none: all, as they are by themselves."""
+        for cls in reversed(self._parts()):
+            if cls.is_registered:
+                bpy.utils.unregister_class(cls)
+        for cls in self._parts():
+            name = cls.__name__.removeprefix("PHYSHDR_PT_")
+            if not names or name in names:
+                options = getattr(cls, "bl_options", set())
+                if names:
+                    cls.bl_options = options - {"DEFAULT_CLOSED"}
+                bpy.utils.register_class(cls)
+                cls.bl_options = options
+        yield from self.redrawn()
+
+    def _parts(self) -> list[type]:
+        """The classes of the panel's parts, in their order, parts of parts last."""
+        if not self._panels:
+            known = [cls for cls in bpy.types.Panel.__subclasses__() if cls.__module__.startswith(EXTENSION)]
+            known = [cls for cls in known if cls.is_registered and hasattr(cls, "bl_parent_id")]
+            self._panels = sorted(known, key=lambda cls: cls.bl_parent_id != "PHYSHDR_PT_train")
+        return self._panels
+
+    def scroll_panel(self, pixels: int = 2000) -> Iterator[float]:
+        """``yield from``: the lower end of the panel in sight."""
         region = next(region for region in self.area.regions if region.type == "UI")
         window = bpy.context.window_manager.windows[0]
         with bpy.context.temp_override(window=window, area=self.area, region=region):
             for _ in range(0, pixels, 120):
                 bpy.ops.view2d.scroll_down(deltay=120)
+        yield from self.redrawn()
 
     def clear_scene(self) -> None:
         for target in list(bpy.data.objects):
@@ -161,12 +279,6 @@ class Window:
             bpy.context.scene.cycles.use_preview_denoising = False
         self.area.spaces.active.shading.type = shading
 
-    def settle(self, redraws: int = 4, seconds: float = 0.15) -> Iterator[float]:
-        """``yield from``: so many redraws of the 3D view."""
-        for _ in range(redraws):
-            self.region.tag_redraw()
-            yield seconds
-
     def pixels(self, name: str) -> np.ndarray:
         """``[H, W, 3]`` 8-bit codes of a screenshot, top row first."""
         image = bpy.data.images.load(str(self.options.out / f"{name}.png"))
@@ -182,11 +294,50 @@ class Window:
         height = bpy.context.window_manager.windows[0].height
         return round(self.region.x + x), round(height - (self.region.y + self.region.height) + y)
 
+    def shaded(self, shading: str, engine: str, redraws: int) -> Iterator[float]:
+        """``yield from``: the 3D view so shaded, its shaders compiled and its samples taken."""
+        self.shade(shading, engine)
+        yield from self.redrawn(redraws)
+        yield from self.still()
+
+    def checked(self) -> Iterator[float]:
+        """``yield from``: the backend's check, here and now."""
+        bpy.ops.physhdr.backend_use(filepath=str(self.options.python))
+        yield from self.until(lambda: not self.session.state.tasks, 300, "checked")
+        assert self.session.state.backend.ready, self.session.state.backend
+
+    def forget_backend(self) -> None:
+        """As if none had been checked yet."""
+        self.session.dispatch(self.module("addon.session.state").PythonChosen(""))
+
+    def shut_down(self) -> Iterator[float]:
+        """``yield from``: the backend has ended, and with it what it trained."""
+        link = self.session.state.link
+        if link.status == "off":
+            return
+        pid = link.pid or (link.welcome.pid if link.welcome else 0)
+        bpy.ops.physhdr.backend_shutdown()
+        alive = self.module("addon.session.process").is_alive
+        yield from self.until(lambda: self.session.state.link.status == "off", 30, "shut down")
+        yield from self.until(lambda: not pid or not alive(pid), 30, "gone")
+
+    def end(self) -> Iterator[float]:
+        """``yield from``: nothing that this Blender has begun is under way any more."""
+        if not is_enabled():
+            return
+        for task in self.session.state.tasks:
+            self.session.cancel_task(task.name)
+        yield from self.until(lambda: not self.session.state.tasks, 60, "cancelled")
+        if self.session.state.link.status in ("starting", "connecting"):
+            settled = ("off", "connected")
+            yield from self.until(lambda: self.session.state.link.status in settled, 90, "started")
+        yield from self.shut_down()
+
     def resize_view(self, width: int, height: int) -> Iterator[float]:
         """``yield from``: make Blender's window such that the 3D view has so many pixels."""
         space = self.area.spaces.active
         space.show_region_ui = space.show_region_header = space.show_region_tool_header = False
-        yield 0.5
+        yield from self.redrawn()
         window = bpy.context.window_manager.windows[0]
         wanted = window.width - self.region.width + width, window.height - self.region.height + height
         found = subprocess.run(
@@ -197,15 +348,24 @@ class Window:
         )
         for identifier in found.stdout.split():
             subprocess.run(["xdotool", "windowsize", identifier, *map(str, wanted)], check=True)
-        yield 1.5
+        is_so = lambda: (self.region.width, self.region.height) == (width, height)  # noqa: E731
+        yield from self.until(is_so, 30, f"of {width} × {height} pixels")
+        yield from self.redrawn()
 
     def until(self, done: Callable[[], bool], seconds: float, what: str) -> Iterator[float]:
-        """``yield from window.until(…)``: let Blender live until ``done``; fails after ``seconds``."""
-        end = time.monotonic() + seconds
+        """``yield from window.until(…)``: let Blender live until ``done``; fails after ``seconds``.
+
+        They are seconds of an idle machine: where others run, it takes longer.
+        """
+        patience = Patience(seconds)
         while not done():
-            if time.monotonic() > end:
-                raise TimeoutError(f"not {what} within {seconds:g} s")
-            yield 0.05
+            if patience.is_over:
+                raise TimeoutError(f"not {what} within {seconds:g} s of an idle machine")
+            yield LOOK_SECONDS
+
+
+def is_enabled() -> bool:
+    return EXTENSION in bpy.context.preferences.addons
 
 
 def drive(test: Callable[[Window], Iterator[float]]) -> None:
@@ -215,16 +375,27 @@ def drive(test: Callable[[Window], Iterator[float]]) -> None:
     result = options.out / "result.txt"
     result.write_text("did not end\n")
     bpy.context.preferences.view.show_splash = False
-    steps = test(Window(options))
+    bpy.context.preferences.view.smooth_view = 0  # a view that is set is there at once
+    window = Window(options)
+    told: list[str] = []
+
+    def whole() -> Iterator[float]:
+        """The test, and its end, however it ends."""
+        for steps in (test, Window.end):
+            try:
+                yield from steps(window)
+            except BaseException:  # noqa: BLE001 (it is told, and the window must not stay open)
+                picture = options.out / f"failed{len(told) or ''}.png"
+                subprocess.run(["import", "-window", "root", str(picture)], check=False)
+                told.append(traceback.format_exc())
+
+    steps = whole()
 
     def step() -> float | None:
         try:
             return next(steps)
         except StopIteration:
-            result.write_text("passed\n")
-        except BaseException:  # noqa: BLE001 (it is told, and the window must not stay open)
-            result.write_text(traceback.format_exc())
-            subprocess.run(["import", "-window", "root", str(options.out / "failed.png")], check=False)
+            result.write_text("\n".join(told) or "passed\n")
         bpy.ops.wm.quit_blender()
         return None
 

@@ -21,22 +21,22 @@ def test(window: Window) -> Iterator[float]:
     view.view_perspective = "PERSP"
     view.view_location, view.view_distance = (0.2, 1.4, 0.9), 3.4
     view.view_rotation = Euler((1.3, 0.0, 0.25)).to_quaternion()
-    yield from sharp(window)
+    yield from window.drawn()
     window.screenshot("object_mode")
     bpy.ops.wm.save_as_mainfile(filepath=str(options.out / "saved.blend"))
-    yield 0.5
+    yield from window.redrawn()
     assert not bpy.data.is_dirty and target.display_type == "BOUNDS"
 
     with window.override():
         bpy.ops.object.mode_set(mode="EDIT")
         bpy.ops.pointcloud.select_all(action="DESELECT")
-    yield from sharp(window)
+    yield from window.drawn()
     window.screenshot("nothing_selected")
     width, height = window.region.width, window.region.height
     box = {"xmin": width // 4, "xmax": width // 2, "ymin": height // 4, "ymax": height // 2}
     with window.override():
         bpy.ops.view3d.select_box(**box, wait_for_input=False)
-    yield from sharp(window)
+    yield from window.drawn()
     window.screenshot("box_selected")
     inside = orange(window, "box_selected", box)
     before = orange(window, "nothing_selected", box)
@@ -54,15 +54,14 @@ def test(window: Window) -> Iterator[float]:
         empty.location.x, empty.scale = place, (0.5, 0.5, 0.5)
         bpy.context.scene.collection.objects.link(empty)
     view.view_distance = 14.0
-    yield from sharp(window)
+    yield from window.drawn()
     window.screenshot("instances")
     assert drawn(window) == 2
     bpy.context.view_layer.objects.active = empty
     empty.select_set(True)
     with window.override():
         bpy.ops.view3d.localview()
-    yield 1.0
-    yield from sharp(window)
+    yield from window.drawn()
     window.screenshot("local_view")
     assert drawn(window) == 1
 
@@ -81,14 +80,6 @@ def orange(window: Window, name: str, box: dict[str, int]) -> float:
     right, bottom = window.on_screen(box["xmax"], height - box["ymin"])
     red, green, blue = window.pixels(name)[top:bottom, left:right].transpose(2, 0, 1)
     return float(((red > green + 25) & (green > blue + 15) & (blue < 0.35 * red)).mean())
-
-
-def sharp(window: Window) -> Iterator[float]:
-    """Until every picture of splats is as good as it gets."""
-    views = window.module("addon.viewport.splats")._runtime.views
-    yield from window.settle(2, 0.05)
-    yield from window.until(lambda: all(view.is_sharp for view in views.values()), 60, "sharp")
-    yield 0.2
 
 
 drive(test)

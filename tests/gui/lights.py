@@ -26,9 +26,6 @@ def test(window: Window) -> Iterator[float]:
     yield from window.open()
     runtime = window.module("addon.runtime")
     session, settings = runtime.session(), bpy.context.scene.physhdr
-    bpy.ops.physhdr.backend_use(filepath=str(options.python))
-    yield from window.until(lambda: not session.state.tasks, 300, "checked")
-
     settings.data = str(with_two_lights(options.data, options.out / "data"))
     settings.out = str(options.out / "run")
     settings.iterations = ITERATIONS
@@ -40,7 +37,7 @@ def test(window: Window) -> Iterator[float]:
     yield from window.until(lambda: "pendant" in settings.further_levels, 10, "a slider for the pendant")
     assert list(session.state.job.lights) == LIGHTS
     yield from window.until(lambda: session.state.job.state == "finished", 600, "finished")
-    window.scroll_panel()
+    yield from window.show_panels("training", "illumination")
     pictures = []
     for level in (1.0, 3.0):
         settings.further_levels["pendant"].level = level
@@ -54,12 +51,9 @@ def test(window: Window) -> Iterator[float]:
     yield from window.until(lambda: bpy.context.object is not None, 60, "imported")
     nodes = window.module("addon.nodes")
     nodes.set_input(nodes.find_modifier(bpy.context.object), "Level of pendant", 0.5)
-    views = window.module("addon.viewport.splats")._runtime.views
-    yield from window.until(lambda: views and all(view.is_sharp for view in views.values()), 60, "drawn")
-    yield from window.redrawn()
+    yield from window.drawn()
     window.screenshot("imported")
-    bpy.ops.physhdr.backend_shutdown()
-    yield from window.until(lambda: session.state.link.status == "off", 10, "shut down")
+    yield from window.shut_down()
 
 
 def with_two_lights(source: Path, folder: Path) -> Path:

@@ -12,7 +12,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent))
 
 import bpy
 import numpy as np
-from driver import Window, drive
+from driver import Window, drive, slowness
 from mathutils import Matrix
 
 LEVELS = (0.25, 1.0, 4.0)
@@ -21,6 +21,8 @@ SIDE = 400
 SECONDS = 6.0
 #: What the adaptive resolution aims at (addon/viewport/schedule.py).
 FRAME_SECONDS = 0.8 / 15
+#: The longest that anything of ours may hold the interface up, on an idle machine.
+HOLD_MILLISECONDS = 50.0
 
 
 def test(window: Window) -> Iterator[float]:
@@ -28,12 +30,7 @@ def test(window: Window) -> Iterator[float]:
     yield from window.open()
     session = window.module("addon.runtime").session()
     settings = bpy.context.scene.physhdr
-    bpy.ops.physhdr.backend_use(filepath=str(options.python))
-    yield from window.until(lambda: not session.state.tasks, 300, "checked")
-
-    settings.out = str(options.model.parent)
-    bpy.ops.physhdr.run_open()
-    yield from window.until(lambda: session.state.job.has_model, 120, "opened")
+    yield from open_moved(window)
     window.look_through(options.data / "transforms_test.json", 8)
     window.add_objects()
     settings.preview = True
@@ -53,6 +50,42 @@ def test(window: Window) -> Iterator[float]:
     window.screenshot("user_view")
 
     yield from measure(window, session)
+    yield from shut_down(window)
+
+
+def open_moved(window: Window) -> Iterator[float]:
+    """Open a run whose data set is not where it was: the one that is chosen in the panel is sent along."""
+    run, session, settings = window.options.model.parent, window.session, bpy.context.scene.physhdr
+    config = run / "config.json"
+    written = json.loads(config.read_text())
+    written["data"] = "/mnt/old_disk/room"
+    config.write_text(json.dumps(written))
+    settings.data, settings.out = str(window.options.data), str(run)
+    bpy.ops.physhdr.run_open()
+    yield from window.until(lambda: session.state.job.has_model, 120, "opened")
+    assert session.state.problem is None and session.state.job.data == str(window.options.data)
+    yield from window.redrawn()
+    window.screenshot("opened")
+
+
+def shut_down(window: Window) -> Iterator[float]:
+    """What the backend held is gone with it, and what was said of a file with the file."""
+    headline = window.module("addon.session.advice").headline
+    choices = window.module("addon.operators.base").choices
+    assert headline(window.session.state, choices(bpy.context)) == "Trained model open"
+    yield from window.shut_down()
+    window.area.spaces.active.show_region_ui = True
+    yield from window.redrawn()
+    window.screenshot("shut_down")
+    assert headline(window.session.state, choices(bpy.context)) == "Ready"
+    bpy.ops.wm.read_homefile(app_template="")
+    yield from window.redrawn(1)
+    window.full_screen()
+    yield from window.redrawn()
+    window.show_tab()
+    yield from window.redrawn()
+    window.screenshot("another_file")
+    assert headline(window.session.state, choices(bpy.context)) == "Ready"
 
 
 def turn(window: Window, angle: float) -> None:
@@ -117,7 +150,8 @@ def measure(window: Window, session) -> Iterator[float]:
     report = {"view": [window.region.width, window.region.height], "gaussians": session.state.job.gaussians}
     for name, frame_seconds in (("bare", None), ("adaptive", FRAME_SECONDS), ("full size", math.inf)):
         settings.preview = frame_seconds is not None
-        yield 1.0
+        if settings.preview:
+            yield from window.sharp()
         for schedule in live._schedules.values():
             schedule.ladder.step, schedule.ladder.frame_seconds = 0, frame_seconds
         for record in (redraws, pictures, answers, held):
@@ -136,7 +170,9 @@ def measure(window: Window, session) -> Iterator[float]:
             }
     window.screenshot("moving")
     (window.options.out / "speed.json").write_text(json.dumps(report, indent=1))
-    assert max(report[name]["longest hold, ms"] for name in ("adaptive", "full size")) < 50.0, report
+    # Whoever else computes takes turns with the interface.
+    longest = max(report[name]["longest hold, ms"] for name in ("adaptive", "full size"))
+    assert longest < HOLD_MILLISECONDS * slowness(), report
 
 
 drive(test)

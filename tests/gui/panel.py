@@ -22,6 +22,7 @@ def test(window: Window) -> Iterator[float]:
     yield from window.open()
     session = window.module("addon.runtime").session()
     settings = bpy.context.scene.physhdr
+    window.forget_backend()
     yield from window.redrawn()
     window.screenshot("1_no_backend")
     assert not bpy.ops.physhdr.train_start.poll()
@@ -69,11 +70,11 @@ def test(window: Window) -> Iterator[float]:
         bpy.ops.physhdr.result_import("INVOKE_DEFAULT")
     yield from window.until(lambda: bpy.context.object is not None, 60, "imported")
     assert not settings.preview  # the object shows itself
-    yield 4.0  # the shader's picture
-    yield from window.redrawn()
+    yield from window.drawn()
     window.screenshot("8_imported")
-    bpy.ops.physhdr.backend_shutdown()
-    yield from window.until(lambda: session.state.link.status == "off", 10, "shut down")
+    yield from window.shut_down()
+    yield from window.redrawn()
+    window.screenshot("9_shut_down")
 
 
 drive(test)

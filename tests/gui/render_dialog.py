@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The dialog of *Render from This Scene* in a real window: what it shows, and that it comes and goes well."""
 
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -38,15 +37,26 @@ def room() -> None:
     bpy.context.view_layer.update()
 
 
-def press(window: Window, key: str) -> None:
-    """A key, with the mouse in the middle of the 3D view where the dialog is."""
-    subprocess.run(["xdotool", "key", key], check=True)
+def again(window: Window) -> Iterator[float]:
+    """*Render* is pressed, and the dialog opens anew."""
+    preview, opened = window.module("addon.rig_preview"), []
+    real = preview.dialog_opened
+
+    def told(context: bpy.types.Context) -> None:
+        opened.append(True)
+        real(context)
+
+    preview.dialog_opened = told
+    window.key("Return")
+    yield from window.until(lambda: opened, 20, "open again")
+    preview.dialog_opened = real
+    yield from window.still()
 
 
-def point(window: Window, x: float, y: float) -> None:
-    """The mouse at a share of the 3D view."""
-    left, top = window.on_screen(window.region.width * x, window.region.height * y)
-    subprocess.run(["xdotool", "mousemove", str(left), str(top)], check=True)
+def opens(window: Window) -> Iterator[float]:
+    """The dialog is open, with the mouse in it."""
+    yield from window.point(0.35, 0.45)
+    yield from window.pops_up(lambda: bpy.ops.physhdr.dataset_render("INVOKE_DEFAULT"))
 
 
 def test(window: Window) -> Iterator[float]:
@@ -59,12 +69,7 @@ def test(window: Window) -> Iterator[float]:
     scene = bpy.context.scene
     shown = window.module("addon.rig_preview")._shown
     settings = window.module("addon.dataset_settings").settings_of(scene)
-    point(window, 0.35, 0.45)
-    yield 0.5
-    with window.override():
-        bpy.ops.physhdr.dataset_render("INVOKE_DEFAULT")
-    yield 1.0
-    yield from window.redrawn()
+    yield from opens(window)
     window.screenshot("1_dialog")
     assert [each.light for each in settings.lights] == ["neon", "collection", "ceiling_lamps"]
     assert len(shown.lines["train"]) == 18 and len(shown.lines["lit"]) == 12
@@ -75,32 +80,23 @@ def test(window: Window) -> Iterator[float]:
     settings.rig, settings.views = "HEMISPHERE", 60
     settings.lights[2].vary = True
     settings.ambient_levels = "1 2"  # cannot be
-    yield from window.redrawn()
-    point(window, 0.35, 0.46)
-    yield 0.5
+    yield from window.point(0.35, 0.46)
+    yield from window.still()
     window.screenshot("2_mistake")
     assert len(shown.lines["train"]) == 30
-    press(window, "Escape")
-    yield 1.0
-    assert not shown.lines and not shown.in_dialog
+    window.key("Escape")
+    yield from window.until(lambda: not shown.lines and not shown.in_dialog, 20, "closed")
     assert settings.views == 60 and settings.ambient_levels == "1 2"
     yield from window.redrawn()
     window.screenshot("3_closed")
 
-    point(window, 0.35, 0.45)
-    yield 0.5
-    with window.override():
-        bpy.ops.physhdr.dataset_render("INVOKE_DEFAULT")
-    yield 1.0
-    press(window, "Return")  # its mistake is told, and it opens again
-    yield 1.5
-    yield from window.redrawn()
+    yield from opens(window)
+    yield from again(window)  # its mistake is told, and it opens again
     window.screenshot("4_open_again")
     assert shown.in_dialog and settings.views == 60
     assert not window.module("addon.runtime").session().state.tasks
-    press(window, "Escape")
-    yield 1.0
-    assert not shown.in_dialog
+    window.key("Escape")
+    yield from window.until(lambda: not shown.in_dialog, 20, "closed")
 
     bpy.ops.physhdr.rig_show()
     yield from window.redrawn()
@@ -110,12 +106,8 @@ def test(window: Window) -> Iterator[float]:
     settings.ambient_levels, settings.views, settings.lit_views, settings.relit_views = "2", 2, 1, 1
     settings.resolution_x, settings.samples, settings.rig = 64, 4, "GRID"
     settings.out = str(window.options.out / "data")
-    point(window, 0.35, 0.45)
-    yield 0.5
-    with window.override():
-        bpy.ops.physhdr.dataset_render("INVOKE_DEFAULT")
-    yield 1.0
-    press(window, "Return")
+    yield from opens(window)
+    window.key("Return")
     session = window.module("addon.runtime").session()
     yield from window.until(lambda: len(session.state.tasks) > 0, 20, "begun")
     assert not shown.in_dialog

@@ -2,8 +2,6 @@
 """A trained run in a real window: evaluated and filmed beside one's work, told in the panel."""
 
 import math
-import shutil
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,29 +14,14 @@ from driver import Window, drive
 
 def test(window: Window) -> Iterator[float]:
     options = window.options
-    run = options.out / "room_run"
-    run.mkdir()
-    for name in ("config.json", "checkpoint.safetensors", "model.safetensors"):
-        shutil.copy(options.model.parent / name, run)
+    run = options.model.parent
     yield from window.open()
     session = window.module("addon.runtime").session()
-    state = window.module("addon.session.state")
-    # As if it had passed its check, which other tests wait for.
-    report = {"versions": {"torch": "as installed"}, "missing": [], "device": "Processor"}
-    session.dispatch(state.PythonChosen(str(options.python), report))
     settings = bpy.context.scene.physhdr
     settings.data, settings.out = str(options.data), str(run)
     panels = window.module("addon.panels.results")
     assert panels.PHYSHDR_PT_results.poll(bpy.context)
-    # The other panels folded, so that this one is in sight.
-    for name in ("backend", "dataset", "training", "illumination", "capture", "render"):
-        panel = getattr(bpy.types, f"PHYSHDR_PT_{name}", None)
-        if panel is not None:
-            bpy.utils.unregister_class(panel)
-    bpy.utils.unregister_class(panels.PHYSHDR_PT_results)
-    panels.PHYSHDR_PT_results.bl_options = set()
-    bpy.utils.register_class(panels.PHYSHDR_PT_results)
-    yield from window.redrawn()
+    yield from window.show_panels("results")
     window.screenshot("1_before")
 
     assert bpy.ops.physhdr.results_evaluate() == {"FINISHED"}
@@ -58,12 +41,13 @@ def test(window: Window) -> Iterator[float]:
     for frame, turn in ((1, 0.0), (6, math.radians(10.0))):
         camera.rotation_euler.z += turn
         camera.keyframe_insert("rotation_euler", frame=frame)
-    with window.override():
-        bpy.ops.physhdr.results_video("INVOKE_DEFAULT")
-    yield 1.0
+    yield from window.drawn()
+    yield from window.point(0.4, 0.5)
+    yield from window.pops_up(lambda: bpy.ops.physhdr.results_video("INVOKE_DEFAULT"))
     window.screenshot("4_video_dialogue")
-    subprocess.run(["xdotool", "key", "Escape"], check=True)
-    yield 0.5
+    before = window.grab()
+    window.key("Escape")
+    yield from window.closes(before)
     with window.override():
         assert bpy.ops.physhdr.results_video(format="WEBP") == {"FINISHED"}
     yield from window.until(lambda: session.state.task("video") is None, 300, "filmed")

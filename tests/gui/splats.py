@@ -28,7 +28,7 @@ def test(window: Window) -> Iterator[float]:
     camera = window.look_through(options.data / "transforms_test.json", 1)
     window.region.data.view_camera_zoom = 25.0
     camera.data.shift_x, camera.data.shift_y = 0.08, -0.05
-    yield from window.settle()
+    yield from window.redrawn()
     report["camera view with lens shift, px"] = projection_error(window)
     camera.data.shift_x = camera.data.shift_y = 0.0
     window.add_objects()
@@ -37,14 +37,13 @@ def test(window: Window) -> Iterator[float]:
     modifier = nodes.find_modifier(target)
     nodes.set_input(modifier, nodes.EXPOSURE, 1.0)
     for shading, engine, redraws in SHADINGS:
-        window.shade(shading, engine)
-        yield from window.settle(redraws)
-        yield from sharp(window)
+        yield from window.shaded(shading, engine, redraws)
+        yield from window.drawn()
         window.screenshot(f"{shading}_{engine}")
     window.shade("SOLID")
     for level in LEVELS:
         nodes.set_input(modifier, nodes.LIGHTING_LEVEL, level)
-        yield from sharp(window)
+        yield from window.drawn()
         window.screenshot(f"level_{level:g}")
     nodes.set_input(modifier, nodes.LIGHTING_LEVEL, 1.0)
 
@@ -52,24 +51,15 @@ def test(window: Window) -> Iterator[float]:
     view.view_perspective = "PERSP"
     view.view_location, view.view_distance = (0.2, 1.4, 0.9), 3.4
     view.view_rotation = Euler((1.3, 0.0, 0.25)).to_quaternion()
-    yield from sharp(window)
+    yield from window.drawn()
     window.screenshot("free_view")
     report["free view, px"] = projection_error(window)
     yield from measure(window, report)
     view.view_perspective = "ORTHO"
-    yield from sharp(window)
+    yield from window.drawn()
     window.screenshot("orthographic")
     (options.out / "report.json").write_text(json.dumps(report, indent=1))
     assert max(report["camera view with lens shift, px"], report["free view, px"]) < PROJECTION_PIXELS, report
-
-
-def sharp(window: Window) -> Iterator[float]:
-    """Until every picture of splats is as good as it gets."""
-    splats = window.module("addon.viewport.splats")
-    yield from window.settle(2, 0.05)
-    views = splats._runtime.views
-    yield from window.until(lambda: all(view.is_sharp for view in views.values()), 30, "sharp")
-    yield 0.2
 
 
 def measure(window: Window, report: dict) -> Iterator[float]:
@@ -91,7 +81,7 @@ def measure(window: Window, report: dict) -> Iterator[float]:
     report["moving, ms"] = [round(1e3 * value) for value in seconds]
     window.screenshot("moving")
     seconds.clear()
-    yield from sharp(window)
+    yield from window.drawn()
     report["sharpening, ms"] = [round(1e3 * value) for value in seconds]
     sources[0] = drawn
 
