@@ -14,6 +14,8 @@ from ..bridge.splatting import ALPHA_MIN, JACOBIAN_MARGIN, NEAR_PLANE
 
 #: Standard deviations to where a Gaussian of opacity 1 ends: no splat reaches farther.
 REACH = float(np.sqrt(np.float32(-2.0 * np.log(ALPHA_MIN))))
+#: What has a side of so many times another is no longer seen as the nodes reckon it (``RenderCamera.is_even``).
+EVEN = 1.001
 
 Place = tuple[float, float, float]
 
@@ -87,6 +89,10 @@ class RenderCamera:
     #: 4×4, row by row: OpenGL's.
     projection: tuple[float, ...]
     is_orthographic: bool = False
+    #: Length of one of the scene's metres: 1 / the model's scale.
+    unit: float = 1.0
+    #: Whether the model has the same scale along its axes. Where not, nobody is out of view.
+    is_even: bool = True
 
 
 def kept(
@@ -146,7 +152,7 @@ def _kept_by_camera(
     keep = distance >= np.float32(cleaning.clear_of_camera)
     if cleaning.farthest > 0.0:
         keep &= distance <= np.float32(cleaning.farthest)
-    if not cleaning.only_in_view:
+    if not (cleaning.only_in_view and camera.is_even):
         return keep
     projection = _array(camera.projection).reshape(4, 4)
     depth = -_along(offset, _array(camera.back))
@@ -155,12 +161,15 @@ def _kept_by_camera(
     keep &= depth + radius >= np.float32(NEAR_PLANE)
     for row, axis in enumerate((camera.right, camera.up)):
         slope, shift, move = projection[row, row], projection[row, 2], projection[row, 3]
-        across = _along(offset, _array(axis)) * slope
         if camera.is_orthographic:
-            keep &= np.abs(across + move) <= widened + radius * slope
+            # Such a picture is so many of the scene's metres wide, wherever something is.
+            per_length = slope / np.float32(camera.unit)
+            along = _along(offset, _array(axis)) * per_length
+            keep &= np.abs(along + move) <= widened + radius * per_length
         else:
             # How far a ball reaches toward a slanted side, at most; and a card, which lies in the picture's
             # plane and which the projection's Jacobian makes longer there.
+            across = _along(offset, _array(axis)) * slope
             slant = slope + (widened + np.abs(shift) + np.float32(JACOBIAN_MARGIN))
             keep &= np.abs(across - depth * shift) <= depth * widened + radius * slant
     return keep

@@ -11,7 +11,7 @@ from typing import Any
 from ..bridge.splatting import JACOBIAN_MARGIN, NEAR_PLANE
 from . import nodes
 from .attributes import CAMERA_DISTANCE
-from .cleaning import ALL, REACH
+from .cleaning import ALL, EVEN, REACH
 from .node_builder import Field, GeometryBuilder
 from .splat_nodes import CameraFields
 
@@ -227,10 +227,22 @@ class _Limits:
         clear = self.compare("GREATER_EQUAL", make.output(node, "Attribute"), self.inputs[name])
         self.add(self.above_0(name), self.both("OR", clear, self.inverted(make.output(node, "Exists"))))
 
+    def is_even(self) -> Field:
+        """Whether the model has one scale: else its pictures' sides are elsewhere than reckoned here."""
+        make = self.make
+        this = make.node(
+            "GeometryNodeObjectInfo", make.field("GeometryNodeSelfObject"), transform_space="ORIGINAL"
+        )
+        x, y, z = (make.math("ABSOLUTE", part) for part in self.parts(make.output(this, "Scale")))
+        lowest = make.math("MINIMUM", make.math("MINIMUM", x, y), z)
+        highest = make.math("MAXIMUM", make.math("MAXIMUM", x, y), z)
+        return self.compare("LESS_EQUAL", highest, lowest * EVEN)
+
     def in_view(self, camera: CameraFields, radius: Field) -> None:
         """A ball's reach toward a slanted side is bounded by the triangle inequality: it errs by keeping."""
         make = self.make
         on = self.both("AND", self.inputs[nodes.ONLY_IN_VIEW], camera.exists)
+        on = self.both("AND", on, self.is_even())
         widened = self.inputs[nodes.VIEW_MARGIN] + 1.0
         keep = self.compare("GREATER_EQUAL", camera.depth + radius, NEAR_PLANE)
         sides = (
@@ -245,8 +257,11 @@ class _Limits:
                 make.math("ABSOLUTE", across - camera.depth * shift),
                 camera.depth * widened + radius * slant,
             )
+            # An orthographic picture is so many of the scene's metres wide, wherever something is.
+            per_length = slope / camera.unit
+            along = make.dot(camera.offset, axis) * per_length
             straight = self.compare(
-                "LESS_EQUAL", make.math("ABSOLUTE", across + move), widened + radius * slope
+                "LESS_EQUAL", make.math("ABSOLUTE", along + move), widened + radius * per_length
             )
             keep = self.both("AND", keep, make.switch(camera.is_orthographic, seen, straight, "BOOLEAN"))
         self.add(on, keep)

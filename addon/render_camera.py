@@ -5,7 +5,7 @@ import bpy
 import mathutils
 import numpy as np
 
-from .cleaning import Place, RenderCamera
+from .cleaning import EVEN, Place, RenderCamera
 
 
 def render_camera(target: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> RenderCamera | None:
@@ -17,8 +17,11 @@ def render_camera(target: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> R
     lens = camera.data
     if not isinstance(lens, bpy.types.Camera):
         return None
-    pose = target.evaluated_get(depsgraph).matrix_world.inverted_safe() @ camera.matrix_world
-    right, up, back = (_place(axis.normalized()) for axis in pose.to_3x3().transposed())
+    placed = target.evaluated_get(depsgraph).matrix_world
+    pose = placed.inverted_safe() @ camera.matrix_world
+    axes = pose.to_3x3().transposed()
+    right, up, back = (_place(axis.normalized()) for axis in axes)
+    sides = sorted(abs(side) for side in placed.to_scale())
     render = scene.render
     projection = camera.calc_matrix_camera(
         depsgraph,
@@ -34,6 +37,8 @@ def render_camera(target: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> R
         back=back,
         projection=tuple(np.array(projection).reshape(-1).tolist()),
         is_orthographic=lens.type == "ORTHO",
+        unit=axes[0].length / camera.matrix_world.to_3x3().transposed()[0].length,
+        is_even=sides[2] <= sides[0] * EVEN,
     )
 
 

@@ -190,12 +190,14 @@ def test_keyframes_hide_and_show(add, scene):
     assert counts[0] == COUNT and 0 < counts[1] < COUNT and counts[2] == (model.opacity == 1.0).sum()
 
 
+@pytest.mark.parametrize("scale", [3.0, 0.4, -0.8])
 @pytest.mark.parametrize("kind", ["PERSP", "ORTHO"])
-def test_only_in_view_keeps_what_reaches_into_the_picture(add, scene, kind: str):
+def test_only_in_view_keeps_what_reaches_into_the_picture(add, scene, kind: str, scale: float):
     _, target, modifier, camera = add()
-    target.scale = (3.0,) * 3
+    target.scale = (scale,) * 3
     target.rotation_euler = (0.2, 0.5, -0.4)
-    camera.data.type, camera.data.ortho_scale = kind, 1.0
+    camera.data.type, camera.data.ortho_scale = kind, abs(scale) / 2.0
+    camera.data.lens /= min(1.0, abs(scale) / 2.0)
     camera.data.shift_x, camera.data.shift_y = 0.3, -0.1
     render.set_resolution(scene, 300, 200)
     nodes.set_input(modifier, nodes.ONLY_IN_VIEW, True)
@@ -211,6 +213,15 @@ def test_only_in_view_keeps_what_reaches_into_the_picture(add, scene, kind: str)
     assert in_picture.sum() < keep.sum() < 0.95 * COUNT
     # And without a camera nobody is left out.
     scene.camera = None
+    assert agreed(target, with_camera=True).all()
+
+
+def test_nobody_is_out_of_view_of_a_model_that_is_stretched(add):
+    _, target, modifier, _ = add()
+    target.scale = (3.0, 3.0, 3.0001)
+    nodes.set_input(modifier, nodes.ONLY_IN_VIEW, True)
+    assert 0.1 < agreed(target, with_camera=True).mean() < 0.9
+    target.scale.z = 2.0
     assert agreed(target, with_camera=True).all()
 
 
