@@ -2,14 +2,17 @@
 """How a run begins: with the sizes that its data call for, which are told and kept, and what is typed."""
 
 import dataclasses
+import json
 import math
+import shutil
 
 import pytest
 
 from physhdr.backend.runs.begin import Workshop, resume_run, start_run
 from physhdr.backend.train import duration, sizing
 from physhdr.backend.train.config import CONFIG_FILE, TrainConfig, read_config
-from physhdr.bridge.errors import BadValueError
+from physhdr.backend.train.trainer import CHECKPOINT_FILE
+from physhdr.bridge.errors import BadValueError, DataMismatchError
 
 PRESET = TrainConfig(initial_points="random", random_points=150)
 
@@ -45,6 +48,23 @@ def test_what_is_found_is_told_and_written_and_is_what_a_resume_has(tiny_data, t
     with resume_run(tmp_path / "run", None, workshop) as (resumed, _):
         assert resumed.config == written
     assert not any("megapixels" in str(line) for line in told)  # nothing is found anew
+
+
+def test_a_run_is_not_resumed_with_another_data_set(tiny_data, tmp_path, workshop):
+    out, moved = tmp_path / "run", tmp_path / "moved"
+    with begin(tiny_data, out, workshop) as (trainer, run):
+        trainer.save(run.folder)
+    shutil.copytree(tiny_data, moved)
+    with resume_run(out, moved, workshop) as (resumed, _):
+        assert resumed.config == run.config
+    cameras = moved / "transforms_train.json"
+    content = json.loads(cameras.read_text())
+    content["frames"][0]["transform_matrix"][0][3] += 0.1  # same names of pictures, taken from elsewhere
+    cameras.write_text(json.dumps(content))
+    before = (out / CHECKPOINT_FILE).read_bytes()
+    with pytest.raises(DataMismatchError, match="cameras stand elsewhere"), resume_run(out, moved, workshop):
+        pass
+    assert (out / CHECKPOINT_FILE).read_bytes() == before
 
 
 def test_what_is_typed_is_what_is_trained(tiny_data, tmp_path, workshop):
