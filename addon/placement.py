@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING
 import bpy
 import numpy as np
 
-from ..bridge.errors import PhysHDRError
-from ..bridge.regular import read_json_object
+from ..bridge.run_folder import data_of as data_of_run
 from . import similarity
 from .attributes import CAPTURE, FILE
 from .blender import cloud_of
@@ -26,8 +25,6 @@ from .settings import SETTINGS
 if TYPE_CHECKING:
     from .settings import PHYSHDR_Capture, PHYSHDR_Settings
 
-#: Of a run's folder: what it was trained on (``backend/runs``).
-CONFIG_FILE = "config.json"
 #: Custom property that marks a camera of a data set (``dataset_cameras``): its frame's name.
 FRAME = "physhdr_frame"
 
@@ -41,11 +38,7 @@ def capture_of(target: bpy.types.Object) -> str:
 
 def capture_of_file(path: Path) -> str:
     """The capture of a model file: the data set of the run in whose folder it lies, else the file."""
-    try:
-        data = read_json_object(path.parent / CONFIG_FILE).get("data")
-    except PhysHDRError:
-        data = None
-    return key_of(data if isinstance(data, str) and data else str(path))
+    return key_of(str(data_of_run(path.parent) or path))
 
 
 def data_of(target: bpy.types.Object) -> Path | None:

@@ -2,11 +2,11 @@
 """The session of this Blender: made when first asked for, pumped by a timer, closed with the extension."""
 
 import traceback
-from pathlib import Path
 
 import bpy
 from bpy.app.handlers import persistent
 
+from ..bridge.run_folder import same_folder
 from . import changes, paths, plot, settings
 from .paths import absolute
 from .session.advice import why_not
@@ -115,7 +115,7 @@ def _file_opened(*_: object) -> None:
 def _holds(current: Session, chosen: settings.PHYSHDR_Settings) -> bool:
     """Whether the backend's model is of the run that a scene has chosen."""
     out, job = absolute(chosen.out), current.state.job
-    return bool(out and job.has_model) and Path(job.run) == Path(out)
+    return bool(out and job.has_model) and same_folder(job.run, out)
 
 
 def _name() -> str:

@@ -11,7 +11,7 @@ import bpy
 
 from ..bridge.messages import WhenClosed
 from ..bridge.presets import IN_PANEL
-from ..bridge.run_folder import data_of
+from ..bridge.run_folder import data_of, same_folder
 from . import changes
 from .blender import layout_of
 from .paths import PACKAGE, absolute, user_folder
@@ -130,7 +130,7 @@ def _leave_former_run(chosen: Any, data: str) -> None:
     """
     out = absolute(chosen.out)
     trained_on = data_of(Path(out)) if out else None
-    if trained_on is None or not trained_on.exists() or os.path.normpath(trained_on) == data:
+    if trained_on is None or not trained_on.exists() or same_folder(trained_on, data):
         return
     if os.path.basename(out).startswith(f"{trained_on.name}{RUN}"):
         chosen.out = ""  # another is proposed

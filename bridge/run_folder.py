@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a run's folder says of the data set that it was trained on: where that was, and what it looked like.
+"""The files of a run's folder, and what it says of the data set that it was trained on: where that was, and
+what it looked like.
 
 The trainer writes ``config.json`` and ``views.json`` (docs/formats.md); Blender asks here whether the data
 set is still where it was, and whether another folder is the same one.
 """
 
+import os
 from contextlib import suppress
 from pathlib import Path
 
@@ -12,6 +14,10 @@ from .errors import PhysHDRError
 from .regular import read_json_object
 
 CONFIG_FILE = "config.json"
+CHECKPOINT_FILE = "checkpoint.safetensors"
+MODEL_FILE = "model.safetensors"
+#: What an evaluation leaves there: figures for programs, the same for people, and pictures side by side.
+EVALUATION_FILE, REPORT_FILE, SHEET_FILE = "evaluation.json", "evaluation.md", "comparison.png"
 #: Cameras, exposures and lights of the data set, so that a run can be looked at without it.
 VIEWS_FILE = "views.json"
 VIEWS_FORMAT = "physhdr-views"
@@ -27,6 +33,20 @@ def data_of(folder: Path) -> Path | None:
         if isinstance(data, str) and data:
             return Path(data)
     return None
+
+
+def same_folder(one: str | Path, other: str | Path) -> bool:
+    """Whether two paths lead to one folder, be it there or not.
+
+    The trainer writes a data set's own path, Blender has the one that was chosen: through a link, a mapped
+    drive, or on Windows in other letters' case.
+    """
+    spelled = (os.path.normcase(os.path.normpath(each)) for each in (one, other))
+    if len(set(spelled)) == 1:
+        return True
+    with suppress(OSError, ValueError):
+        return len({os.path.normcase(os.path.realpath(each)) for each in (one, other)}) == 1
+    return False
 
 
 def picture_names(folder: Path) -> list[str]:

@@ -9,13 +9,12 @@ from typing import ClassVar
 import bpy
 
 from ...bridge.errors import PhysHDRError
-from ...bridge.run_folder import data_of
+from ...bridge.run_folder import CHECKPOINT_FILE, data_of, may_be_of, same_folder
 from ..paths import absolute, is_nowhere
 from ..runtime import session
 from ..session.advice import Choices, why_not
 from ..settings import RUN, PHYSHDR_Settings
 
-CHECKPOINT_FILE = "checkpoint.safetensors"
 #: Seconds for which a proposal stands before the disk is looked at again: panels ask at every redraw.
 PROPOSAL_SECONDS = 1.0
 
@@ -79,14 +78,28 @@ def _own_or_free(folder: Path, data: str) -> Path:
 
 
 def is_free(folder: Path) -> bool:
-    """Whether there is nothing, or an empty folder."""
-    return not folder.exists() or (folder.is_dir() and not any(folder.iterdir()))
+    """Whether there is nothing, or an empty folder. Panels ask: where nobody may look it says no."""
+    try:
+        return not folder.exists() or (folder.is_dir() and not any(folder.iterdir()))
+    except OSError:
+        return False
 
 
 def is_run_of(folder: Path, data: str) -> bool:
     """Whether ``folder`` holds a run that was trained on the data set in ``data``."""
     trained_on = data_of(folder)
-    return trained_on is not None and os.path.normpath(trained_on) == data
+    return trained_on is not None and same_folder(trained_on, data)
+
+
+def moved_data(run: str, chosen: str) -> str:
+    """The chosen data set, where it can be the run's and the one that the run names is not there; else empty.
+
+    The trainer looks at its cameras, too: pictures of another one may have the same names.
+    """
+    named = data_of(Path(run))
+    if not chosen or named is None or named.is_dir() or not os.path.isdir(chosen):
+        return ""
+    return chosen if may_be_of(Path(run), Path(chosen)) else ""
 
 
 def has_run(folder: str) -> bool:

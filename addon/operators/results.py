@@ -13,12 +13,13 @@ import bpy
 
 from ...bridge.errors import BadValueError, FileMissingError
 from ...bridge.lights import AMBIENT
-from ...bridge.run_folder import data_of, may_be_of
+from ...bridge.run_folder import data_of
 from ...bridge.shots import write_shots
 from .. import placement
 from ..attributes import FILE
 from ..blender import cloud_of, layout_of
 from ..look import is_model
+from ..paths import absolute, is_nowhere
 from ..runtime import session
 from ..session.results import (
     EVALUATE,
@@ -32,7 +33,7 @@ from ..session.results import (
 from ..session.session import Session
 from ..session.state import State
 from ..shots import shots_of
-from .base import PhysHDROperator, choices, has_run, report_task
+from .base import PhysHDROperator, choices, has_run, moved_data, report_task
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import PropertyFlagItems
@@ -41,6 +42,8 @@ GIVEN: "set[PropertyFlagItems]" = {"SKIP_SAVE"}
 FOLDER: "set[PropertyFlagItems]" = {"SKIP_SAVE", "PATH_SUPPORTS_BLEND_RELATIVE"}
 #: Seconds that scripts wait, and that the backend's Python has to say whether it can encode.
 WAIT_SECONDS, ASK_SECONDS = 7 * 24 * 3600.0, 30.0
+#: The frames of Blender's camera, for the backend to read, in Blender's folder for temporary files.
+SHOTS_FILE = "physhdr_shots.json"
 #: Suffixes by format; numbered pictures go into a folder.
 SUFFIXES = {"MP4": ".mp4", "WEBP": ".webp", "PNG": ""}
 PATHS = [
@@ -97,7 +100,7 @@ class _OnRun(PhysHDROperator):
     def chosen(self, context: bpy.types.Context) -> tuple[str, str]:
         """The run's folder, and its data set where that is elsewhere now (else empty). Raises errors."""
         state = session().state
-        given = bpy.path.abspath(self.run_folder) if self.run_folder else ""
+        given = _whole(self.run_folder)
         run = given or shown_run(context, state)
         if given and not has_run(given):
             raise FileMissingError(f"there is no trained run in {given}", "Choose the folder of a run.")
@@ -118,14 +121,6 @@ class _OnRun(PhysHDROperator):
             current.cancel_task(self.task)
             raise
         return report_task(self, success)
-
-
-def moved_data(run: str, chosen: str) -> str:
-    """The chosen data set, where it is the run's and the one that the run names is not there; else empty."""
-    named = data_of(Path(run))
-    if named is not None and named.is_dir():
-        return ""
-    return chosen if chosen and may_be_of(Path(run), Path(chosen)) else ""
 
 
 class PHYSHDR_OT_results_evaluate(_OnRun):
@@ -154,7 +149,7 @@ class PHYSHDR_OT_results_evaluate(_OnRun):
                 f"the run's data set is not there any more: {named}",
                 "Choose in Data Set where it is now: an evaluation compares with its pictures.",
             )
-        weights = bpy.path.abspath(self.lpips_weights) if self.lpips_weights else ""
+        weights = _whole(self.lpips_weights)
         done = self.follow(evaluate_command(run, data, weights), f"Evaluated {run}")
         if done == {"FINISHED"} and self.wait and (found := evaluation_of(run)):
             for figure in found.figures:
@@ -197,9 +192,10 @@ class PHYSHDR_OT_results_video(_OnRun):
     wait: bpy.props.BoolProperty(default=bpy.app.background, options={"HIDDEN", "SKIP_SAVE"})
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        if not self.properties.is_property_set("format") and not encodes(session()):
+        given = self.properties.is_property_set
+        if not given("format") and self.format == "MP4" and not encodes(session()):
             self.format = "WEBP"
-        if not self.properties.is_property_set("path") and context.scene.camera is None:
+        if not given("path") and self.path == "CAMERA" and context.scene.camera is None:
             self.path = "SPLINE"
         return context.window_manager.invoke_props_dialog(self, width=360, title="Video", confirm_text="Make")
 
@@ -223,15 +219,21 @@ class PHYSHDR_OT_results_video(_OnRun):
             )
         out = str(self._out(run))
         options = self._options(context, run)
-        done = self.follow(video_command(run, out, options, data), f"Wrote {out}")
+        command = video_command(run, out, options, data, is_folder=self.format == "PNG")
+        done = self.follow(command, f"Wrote {out}")
         _made[run] = out
         return done
 
     def _out(self, run: str) -> Path:
         suffix = SUFFIXES[self.format]
         if self.filepath:
-            given = Path(bpy.path.abspath(self.filepath)).absolute()
-            return given if given.suffix.lower() == suffix else Path(f"{given.with_suffix('')}{suffix}")
+            given = Path(_whole(self.filepath)).absolute()
+            ending = given.suffix.lower()
+            if ending == suffix:
+                return given
+            # Another format's ending is replaced; what else follows a dot belongs to the name.
+            is_other = ending in SUFFIXES.values() and ending != ""
+            return given.with_name(f"{given.stem if is_other else given.name}{suffix}")
         return _unused(Path(run) / f"video{suffix}")
 
     def _options(self, context: bpy.types.Context, run: str) -> VideoOptions:
@@ -263,7 +265,7 @@ class PHYSHDR_OT_results_video(_OnRun):
             )
         finally:
             window_manager.progress_end()
-        file = current.home / "shots.json"
+        file = Path(bpy.app.tempdir) / SHOTS_FILE  # of this Blender alone: another one may film, too
         write_shots(file, shots)
         return VideoOptions(shots=str(file), width=self.width, exposure=self.exposure)
 
@@ -305,6 +307,15 @@ def encodes(current: Session) -> bool:
             return False
         _encoders[python] = True
     return True
+
+
+def _whole(given: str) -> str:
+    """An argument's path, absolute; ``BadValueError`` where it is beside a file that is not saved."""
+    if is_nowhere(given):
+        raise BadValueError(
+            f"{given} is relative to a file that is not saved yet", "Save it, or choose a whole path."
+        )
+    return absolute(given)
 
 
 def _unused(path: Path) -> Path:

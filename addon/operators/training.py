@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Operators for the training: start, resume, pause, continue, stop, open a run, import its result, wait."""
 
-import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -20,19 +19,18 @@ from ...bridge.messages import (
     TrainResume,
     TrainStart,
 )
-from ...bridge.run_folder import data_of, may_be_of
+from ...bridge.run_folder import MODEL_FILE
 from .. import settings
 from ..paths import absolute, is_nowhere
 from ..runtime import session
 from ..session.advice import problem_of
 from ..session.state import Problem, State, StopAsked
-from .base import PhysHDROperator, has_run, proposed_run
+from .base import PhysHDROperator, has_run, moved_data, proposed_run
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import PropertyFlagItems
 
 FOLDER: "set[PropertyFlagItems]" = {"SKIP_SAVE", "PATH_SUPPORTS_BLEND_RELATIVE"}
-MODEL_FILE = "model.safetensors"
 #: Seconds that scripts wait for the backend to take on a request, and for a training.
 ANSWER_SECONDS, TRAIN_SECONDS = 120.0, 30 * 24 * 3600.0
 
@@ -203,7 +201,7 @@ class PHYSHDR_OT_train_resume(_Training):
         folder = _run_folder(self, context, absolute(context.scene.physhdr.data))
         _remember(context, folder)
         given = {name: _chosen(self, context, name) for name in ("device", "threads")}
-        return self.begin(TrainResume(run=folder, data=moved_data(self, context, folder), **given))
+        return self.begin(TrainResume(run=folder, data=_data_now(self, context, folder), **given))
 
 
 class PHYSHDR_OT_run_open(_Training):
@@ -226,22 +224,19 @@ class PHYSHDR_OT_run_open(_Training):
 
     def run(self, context: bpy.types.Context) -> set[str]:
         folder = _run_folder(self, context, absolute(context.scene.physhdr.data))
-        data = moved_data(self, context, folder)
+        data = _data_now(self, context, folder)
         _remember(context, folder)
         return self.begin(RunOpen(run=folder, device=_chosen(self, context, "device"), data=data))
 
 
-def moved_data(operator: bpy.types.Operator, context: bpy.types.Context, run: str) -> str:
+def _data_now(operator: bpy.types.Operator, context: bpy.types.Context, run: str) -> str:
     """Where the data set of a run is now: as given, or the one that is chosen where the run's own has moved.
 
-    Empty where it is where it was, and where the chosen one is another: its pictures have other names.
+    Empty where it is where it was, and where the chosen one is another.
     """
     if operator.properties.is_property_set("data"):
         return _folder(operator, context, "data", "data set")
-    own, chosen = data_of(Path(run)), absolute(context.scene.physhdr.data)
-    if not chosen or own is None or own.exists() or not os.path.isdir(chosen):
-        return ""
-    return chosen if may_be_of(Path(run), Path(chosen)) else ""
+    return moved_data(run, absolute(context.scene.physhdr.data))
 
 
 class PHYSHDR_OT_train_pause(PhysHDROperator):

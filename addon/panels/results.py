@@ -6,13 +6,12 @@ from typing import TYPE_CHECKING
 
 import bpy
 
+from ...bridge.run_folder import REPORT_FILE, SHEET_FILE
 from ..blender import layout_of
 from ..operators.results import made_of, shown_run
 from ..runtime import session
 from ..session.results import (
     EVALUATE,
-    REPORT_FILE,
-    SHEET_FILE,
     VIDEO,
     Evaluation,
     evaluation_of,

@@ -5,6 +5,7 @@ import os
 from dataclasses import dataclass
 
 from ...bridge.messages import JobStatus
+from ...bridge.run_folder import same_folder
 from .state import CHECK, DATASET, INSTALL, LOOK, PHOTOS, Problem, State
 
 #: What the state of a job is called, for people.
@@ -117,12 +118,12 @@ def is_of_file(job: JobStatus, choices: Choices) -> bool:
     """Whether the backend's job is of the run that the open file has chosen; so is none at all."""
     if not choices.of_file or not job.run:
         return True
-    return bool(choices.out) and os.path.normpath(job.run) == os.path.normpath(choices.out)
+    return bool(choices.out) and same_folder(job.run, choices.out)
 
 
 def _is_of(data: str, chosen: str) -> bool:
     """Whether a job's data set is the one that is chosen, as far as both are known."""
-    return not data or not chosen or os.path.normpath(data) == os.path.normpath(chosen)
+    return not data or not chosen or same_folder(data, chosen)
 
 
 def problem_of(state: State) -> Problem | None:

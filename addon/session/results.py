@@ -5,7 +5,6 @@ Both are the backend's work (``physhdr evaluate``, ``physhdr video``), in a proc
 """
 
 import math
-import os
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -13,12 +12,11 @@ from typing import Any, TypeGuard
 
 from ...bridge.errors import PhysHDRError
 from ...bridge.regular import read_json_object
+from ...bridge.run_folder import CHECKPOINT_FILE, EVALUATION_FILE, same_folder
 from .state import CHECK, INSTALL, State
 
 #: The tasks' names.
 EVALUATE, VIDEO = "evaluate", "video"
-#: What an evaluation leaves in a run's folder (``backend/evaluate/report.py``).
-EVALUATION_FILE, REPORT_FILE, SHEET_FILE = "evaluation.json", "evaluation.md", "comparison.png"
 #: PSNR in dB at which a picture beside its photograph is …
 QUALITIES = (
     (38.0, "excellent"),
@@ -76,10 +74,11 @@ def evaluate_command(run: str, data: str = "", lpips_weights: str = "") -> list[
     return ["evaluate", run, *_data(data), *told, "--json"]
 
 
-def video_command(run: str, out: str, options: VideoOptions, data: str = "") -> list[str]:
-    """The arguments of the backend's command that makes a video, or numbered pictures in a folder ``out``."""
-    is_file = bool(os.path.splitext(out)[1])
-    told = ["video", run, "--out" if is_file else "--frames", out, *_data(data)]
+def video_command(
+    run: str, out: str, options: VideoOptions, data: str = "", is_folder: bool = False
+) -> list[str]:
+    """The arguments of the backend's command that makes a video ``out``, or numbered pictures in a folder."""
+    told = ["video", run, "--frames" if is_folder else "--out", out, *_data(data)]
     if options.shots:
         told += ["--shots", options.shots]
     else:
@@ -103,7 +102,7 @@ def why_not(state: State, task: str, run: str = "given") -> str:
         return "It is under way"
     if not run:
         return "Train a model, or choose the folder of a run, first"
-    if state.active and os.path.realpath(state.job.run) == os.path.realpath(run):
+    if state.active and same_folder(state.job.run, run):
         return "This run is being trained: stop it first, or wait until it has finished"
     return ""
 
@@ -116,7 +115,7 @@ def evaluation_of(run: str) -> Evaluation | None:
     path = Path(run) / EVALUATION_FILE
     try:
         changed = path.stat().st_mtime_ns
-        trained = (Path(run) / "checkpoint.safetensors").stat().st_mtime_ns
+        trained = (Path(run) / CHECKPOINT_FILE).stat().st_mtime_ns
     except (OSError, ValueError):
         return None
     found = _read(path, changed)
@@ -135,7 +134,8 @@ def _read(path: Path, changed: int) -> tuple[tuple[Figure, ...], int, int] | Non
     conditions = content.get("conditions")
     iteration = conditions.get("iteration") if isinstance(conditions, dict) else 0
     views = content.get("views")
-    return figures(content), len(views) if isinstance(views, list) else 0, int(iteration or 0)
+    count = len(views) if isinstance(views, list) else 0
+    return figures(content), count, int(iteration) if _is_number(iteration) else 0
 
 
 def figures(content: dict[str, Any]) -> tuple[Figure, ...]:

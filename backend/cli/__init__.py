@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 from ...bridge.errors import PhysHDRError
 from ...bridge.regular import require_text
+from ...bridge.run_folder import CHECKPOINT_FILE
 from ..memory import address_limit, gigabytes, is_out_of_memory, refuse_too_few_addresses
 from ..project import version
 
@@ -94,7 +95,7 @@ def _run_in(argv: list[str]) -> Path | None:
 
 def _resumption(run: Path | None) -> str:
     """How to go on with a run of which something was saved, as a further sentence."""
-    if run is None or not (run / "checkpoint.safetensors").is_file():
+    if run is None or not (run / CHECKPOINT_FILE).is_file():
         return ""
     return f" Go on with what was saved: physhdr train --resume {run}"
 

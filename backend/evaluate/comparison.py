@@ -20,10 +20,10 @@ from rich.text import Text
 from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
 from ...bridge.limits import is_number
 from ...bridge.regular import read_json_object
+from ...bridge.run_folder import EVALUATION_FILE as EVALUATION_FILE
 from .published import published_means
 
 FORMAT, VERSION = "physhdr-evaluation", 1
-EVALUATION_FILE = "evaluation.json"
 #: What an empty cell of a table shows: not measured.
 NONE = "–"
 

@@ -15,6 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ...bridge.atomic import atomic_path
+from ...bridge.run_folder import EVALUATION_FILE, REPORT_FILE, SHEET_FILE
 from .results import NOVEL_EXPOSURES, OBSERVED_EXPOSURES, VIEWS_OF, Evaluation, Metrics, RelitMeans
 
 #: What an empty cell of a table shows: not computed.
@@ -25,8 +26,7 @@ VIEW_METRICS = (("PSNR", "psnr", 2), ("SSIM", "ssim", 4), ("LPIPS 01", "lpips_01
 METRIC_COLUMNS = ("PSNR dB", "SSIM", "LPIPS", "LPIPS 01")
 RELIT_COLUMNS = ("ours", "level × truth", "best × truth", "level × ours", "gain")
 
-REPORT_FILES = ("evaluation.json", "evaluation.csv", "evaluation.md")
-SHEET_FILE = "comparison.png"
+REPORT_FILES = (EVALUATION_FILE, "evaluation.csv", REPORT_FILE)
 RESPONSE_FILE = "response.png"
 #: Several methods on one table and one sheet.
 METHODS_FILES = ("methods.md", "methods.csv", "methods.png")

@@ -14,6 +14,7 @@ from typing import Any, Literal, NamedTuple
 from ...bridge.atomic import atomic_path
 from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
 from ...bridge.regular import read_json_object
+from ...bridge.run_folder import CONFIG_FILE as CONFIG_FILE
 from ..methods.base import MethodConfig
 from ..methods.physhdr_common import PhysHDRConfig
 from ..methods.registry import config_named, name_of
@@ -23,7 +24,6 @@ from .densify import DensifyConfig
 from .nuisances import NuisanceConfig
 from .optimisers import OptimiserConfig
 
-CONFIG_FILE = "config.json"
 #: Ten million: more than anybody trains, and exact in every number that counts them.
 ITERATIONS_MAX = 10_000_000
 #: What NumPy's and torch's generators both take.

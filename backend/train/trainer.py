@@ -11,6 +11,7 @@ import numpy as np
 import torch
 
 from ...bridge.errors import BadValueError, DataMismatchError, PhysHDRError
+from ...bridge.run_folder import CHECKPOINT_FILE
 from ..methods.base import Batch, Facts, Method, Recording, SplattingMethod
 from ..methods.registry import name_of, new_method
 from ..model.anchors import Anchors
@@ -46,7 +47,6 @@ from .nuisances import Nuisances
 from .optimisers import ADAM, Optimiser
 from .views import responses_of, training_exposures, training_lights, training_views
 
-CHECKPOINT_FILE = "checkpoint.safetensors"
 #: Prefix of the backbone's parameters in a checkpoint, of either backbone.
 PRIMITIVES = "gaussians."
 #: Prefix of the networks of method and backbone.

@@ -218,7 +218,7 @@ def test_a_video_follows_the_scenes_camera_its_lens_and_the_sliders(extension, r
     assert bpy.ops.physhdr.results_video(format="WEBP") == {"FINISHED"}
     assert bpy.context.scene.frame_current == 2, "the scene is as it was"
     [call] = calls(tmp_path)
-    shots = tmp_path / "home" / "shots.json"
+    shots = Path(bpy.app.tempdir) / operators.SHOTS_FILE
     assert call == ["video", str(run), "--out", str(run / "video.webp"), "--shots", str(shots), "--json"]
     assert operators.made_of(str(run)) == str(run / "video.webp")
     found = read_shots(shots)
@@ -236,6 +236,26 @@ def test_a_video_follows_the_scenes_camera_its_lens_and_the_sliders(extension, r
     assert calls(tmp_path)[-1][3] == str(run / "video_2.webp"), "an earlier one is not written over"
 
 
+@pytest.mark.parametrize(
+    ("format", "given", "written"),
+    [
+        ("WEBP", "take1.5", "take1.5.webp"),
+        ("WEBP", "old.mp4", "old.webp"),
+        ("WEBP", "x.WEBP", "x.WEBP"),
+        ("PNG", "v1.2", "v1.2"),
+        ("PNG", "old.mp4", "old"),
+    ],
+)
+def test_a_video_is_written_where_it_was_said(extension, run, tmp_path, format, given, written):
+    camera_that_moves()
+    operator = bpy.ops.physhdr.results_video
+    assert operator(format=format, filepath=str(tmp_path / given)) == {"FINISHED"}
+    option = "--frames" if format == "PNG" else "--out"
+    assert calls(tmp_path)[-1][2:4] == [option, str(tmp_path / written)]
+    with pytest.raises(RuntimeError, match="is not saved yet"):  # else it were the root of the disk
+        operator(format=format, filepath=f"//{given}")
+
+
 def test_where_the_model_stands_is_taken_out_of_the_camera(extension, run, tmp_path, make_model):
     """A model that stands 10 m away, twice as large, looks as it does at home from half as far."""
     from physhdr.addon.model_import import import_model
@@ -250,7 +270,7 @@ def test_where_the_model_stands_is_taken_out_of_the_camera(extension, run, tmp_p
     camera_that_moves()
     assert bpy.ops.physhdr.results_video(format="PNG") == {"FINISHED"}
     assert calls(tmp_path)[-1][2:4] == ["--frames", str(run / "video")]
-    shot = read_shots(tmp_path / "home" / "shots.json").frames[0]
+    shot = read_shots(Path(bpy.app.tempdir) / operators.SHOTS_FILE).frames[0]
     np.testing.assert_allclose(shot.camera_to_world[:3, 3], ((1.0 - 10.0) / 2, -2.0, 0.5), atol=1e-6)
     np.testing.assert_allclose(shot.camera_to_world[:3, :3], np.eye(3), atol=1e-6)
     assert (shot.exposure_ev, shot.levels) == (1.5, (0.25,))
