@@ -15,6 +15,7 @@ import bpy
 import numpy as np
 
 from ..bridge import data_set
+from ..bridge.blend_file import SPLIT
 from ..bridge.errors import DataMismatchError, FileMissingError
 from . import placement, similarity
 from .attributes import CAPTURE
@@ -24,8 +25,6 @@ from .render import CLIP_END, CLIP_START, to_matrix
 
 #: Custom properties of a camera: its picture's width and height, and its focal lengths, in pixels.
 RESOLUTION, FOCAL_LENGTHS = "physhdr_resolution", "physhdr_focal_lengths"
-#: Custom property of a camera and of a collection: what the cameras are for (``train``, ``test`` …).
-SPLIT = "physhdr_split"
 #: Drawn in the 3D view as large as this share of the cameras' spread, so that many do not hide each other.
 DRAWN = 0.03
 #: In this order one looks for a camera to look through: the first view that training has not seen.
@@ -150,9 +149,9 @@ def size_of(camera: bpy.types.Object) -> tuple[int, int]:
 def has_size(scene: bpy.types.Scene, camera: bpy.types.Object) -> bool:
     """Whether the scene's render has the camera's picture's width and height."""
     render = scene.render
-    percent = render.resolution_percentage / 100.0
-    width, height = size_of(camera)
-    return (int(render.resolution_x * percent), int(render.resolution_y * percent)) == (width, height)
+    percent = render.resolution_percentage
+    # In whole numbers, as Blender has it: 0.29 × 700 is a little less than 203.
+    return (render.resolution_x * percent // 100, render.resolution_y * percent // 100) == size_of(camera)
 
 
 def take_size(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:

@@ -67,6 +67,15 @@ def whole(given: str) -> Path:
     return Path(bpy.path.abspath(given)).absolute()
 
 
+def _names(folder: Path) -> list[str]:
+    try:
+        return os.listdir(folder)
+    except OSError as error:
+        raise OutputError(
+            f"nobody may look into {folder}: {error.strerror or error}", "Choose another folder."
+        ) from error
+
+
 def check(out: Path) -> str:
     """What becomes of a folder, in words; raises ``OutputError`` where nothing can be written there."""
     if (out / INFO_FILE).is_file():
@@ -74,7 +83,7 @@ def check(out: Path) -> str:
     if (out / PARTIAL_FILE).is_file():
         return "It holds a part of a data set: with the same settings the rest is rendered"
     if out.is_dir():
-        if any(not name.startswith(".") for name in os.listdir(out)):
+        if any(not name.startswith(".") for name in _names(out)):
             raise OutputError(f"{out} holds files but no data set", "Choose a new or empty folder.")
         parent = out
     elif out.exists():

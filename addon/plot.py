@@ -64,8 +64,9 @@ def draw_curves(history: History) -> np.ndarray:
             column = round(float(column_of(value, last)))
             picture[BOTTOM : HEIGHT - TOP, column] = GRID
             _write(picture, short(value), column, 2, "centre", NUMBERS)
-    losses = np.log(np.maximum(history.losses, 1e-9)) if len(history.losses) > 1 else np.empty(0)
-    psnr = np.asarray(history.psnr if len(history.psnr) > 1 else (), float)
+    loss_at, losses = _finite(history.iterations, history.losses)
+    losses = np.log(np.maximum(losses, 1e-9))
+    psnr_at, psnr = _finite(history.psnr_iterations, history.psnr)
     if psnr.size:
         for value in ticks(psnr.min(), psnr.max(), least=1.0) or [round(float(psnr.mean()))]:
             row = round(float(row_of(value, psnr)))
@@ -75,9 +76,16 @@ def draw_curves(history: History) -> np.ndarray:
         for value in powers(math.exp(losses.min()), math.exp(losses.max())):
             row = round(float(row_of(math.log(value), losses)))
             _write(picture, short(value), WIDTH - RIGHT + 5, row - TALL // 2, "left", LOSS)
-    _draw(picture, history.psnr_iterations, psnr, last, PSNR)
-    _draw(picture, history.iterations, losses, last, LOSS)
+    _draw(picture, psnr_at, psnr, last, PSNR)
+    _draw(picture, loss_at, losses, last, LOSS)
     return picture
+
+
+def _finite(x: Any, y: Any) -> tuple[np.ndarray, np.ndarray]:
+    """The points of a curve that can be drawn; none where fewer than two can: that is no curve."""
+    places, values = np.asarray(x, float), np.asarray(y, float)
+    kept = np.isfinite(values)
+    return (places[kept], values[kept]) if kept.sum() > 1 else (np.empty(0), np.empty(0))
 
 
 def column_of(iteration: Any, last: int) -> Any:
@@ -121,7 +129,7 @@ def short(value: float) -> str:
     return text.replace("0.", ".", 1) if len(text) > 4 else text
 
 
-def _draw(picture: np.ndarray, x: tuple[int, ...], y: np.ndarray, last: int, colour: tuple) -> None:
+def _draw(picture: np.ndarray, x: np.ndarray, y: np.ndarray, last: int, colour: tuple) -> None:
     """One curve, soft-edged: in each column what lies between it and its neighbours' heights."""
     if y.size < 2 or last <= 0:
         return

@@ -73,7 +73,8 @@ def refresh(context: bpy.types.Context | None = None) -> None:
         return
     values = chosen(scene)
     state = _state(scene, layer, values)
-    if state != _shown.state or not _shown.lines:
+    # Not again and again where there can be none: to look along the camera's animation changes the scene.
+    if state != _shown.state:
         _shown.state, _shown.scene = state, scene.name
         _shown.lines, _shown.batches = lines(scene, layer, values), {}
     if _shown.handler is None and not bpy.app.background:

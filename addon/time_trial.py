@@ -83,6 +83,11 @@ class TimeTrial:
             shutil.rmtree(self._folder, ignore_errors=True)
         self._folder = None
 
+    def forget(self) -> None:
+        """Stop it, and say nothing of it any more."""
+        self.end()
+        self.problem = ""
+
     def _finish(self, ended: TaskEnded) -> None:
         self._task = None
         self.end()

@@ -7,12 +7,14 @@ included), so this one is neither blocked nor changed, and what fails there fail
 
 import shutil
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar
 
 import bpy
+from bpy.app.handlers import persistent
 
 from ...bridge.data_set import INFO_FILE
 from ...bridge.errors import OutputError, PhysHDRError
@@ -42,6 +44,8 @@ SCRIPT = ROOT / "synth" / "make_scene.py"
 #: Seconds that scripts wait for a data set.
 RENDER_SECONDS = 30 * 24 * 3600.0
 LOOK_SECONDS = 0.5
+#: Seconds that one who is in the middle of something is waited for; some add-ons are so all the time.
+MODAL_SECONDS = 20.0
 #: Seconds until a dialog whose settings cannot be opens again, below the error.
 AGAIN_SECONDS = 0.1
 
@@ -177,21 +181,32 @@ def _choose_when_done(name: str, started: Started) -> None:
 
     Blender removes the timer when a file is opened. Saving this one, by whatever name, changes nothing.
     """
+    latest = 0.0  # when it is chosen whatever one is in the middle of
 
     def look() -> float | None:
+        nonlocal latest
         if not hasattr(bpy.types.Scene, "physhdr"):
             return None
-        windows = bpy.context.window_manager.windows
+        if session().state.task(DATASET):
+            return LOOK_SECONDS
+        latest = latest or time.monotonic() + MODAL_SECONDS
         # What one is in the middle of, such as dragging, is not to be cut in two by a step of undo.
-        if session().state.task(DATASET) or any(len(each.modal_operators) for each in windows):
+        is_busy = _in_the_middle()
+        if is_busy and time.monotonic() < latest:
             return LOOK_SECONDS
         scene = bpy.data.scenes.get(name)
         if scene and (started.out / INFO_FILE).is_file():
             _take(scene, started)
-            _push_undo()
+            if not is_busy:
+                _push_undo()
         return None
 
     bpy.app.timers.register(look, first_interval=LOOK_SECONDS)
+
+
+def _in_the_middle() -> bool:
+    """Whether an operator is under way in any window."""
+    return any(len(each.modal_operators) for each in bpy.context.window_manager.windows)
 
 
 def _copies() -> Path:
@@ -274,6 +289,12 @@ def _look_at_trial() -> float | None:
     return time_trial.LOOK_SECONDS if going_on else None
 
 
+@persistent
+def _file_opened(*_: object) -> None:
+    """The trial was of the former file's scene, and Blender has removed the timer that looks at it."""
+    time_trial.trial().forget()
+
+
 class PHYSHDR_OT_dataset_check(bpy.types.Operator):
     """Look whether a folder is a data set, and tell what it holds and what is wrong with it"""
 
@@ -302,9 +323,11 @@ _CLASSES = (PHYSHDR_OT_dataset_render, PHYSHDR_OT_dataset_time, PHYSHDR_OT_datas
 def register() -> None:
     for cls in _CLASSES:
         bpy.utils.register_class(cls)
+    bpy.app.handlers.load_post.append(_file_opened)
 
 
 def unregister() -> None:
-    time_trial.trial().end()
+    bpy.app.handlers.load_post.remove(_file_opened)
+    time_trial.trial().forget()
     for cls in reversed(_CLASSES):
         bpy.utils.unregister_class(cls)

@@ -138,3 +138,17 @@ def test_nothing_measured_is_an_empty_frame():
     empty = draw_curves(History())
     assert np.array_equal(empty, draw_curves(History(iterations=(), losses=())))
     assert not inked(empty, LOSS).any() and not inked(empty, PSNR).any() and not inked(empty, NUMBERS).any()
+
+
+def test_what_is_no_number_is_passed_over():
+    """A perfect picture has an infinite PSNR: its point is left out, and no curve is lost for it."""
+    whole = History(iterations=(1, 2, 4), losses=(0.5, 0.4, 0.2), psnr_iterations=(1, 4), psnr=(20.0, 30.0))
+    holed = History(
+        iterations=(1, 2, 3, 4),
+        losses=(0.5, 0.4, float("nan"), 0.2),
+        psnr_iterations=(1, 2, 4),
+        psnr=(20.0, float("inf"), 30.0),
+    )
+    np.testing.assert_array_equal(draw_curves(whole), draw_curves(holed))
+    nothing = draw_curves(History(iterations=(1, 4), losses=(float("nan"),) * 2))
+    np.testing.assert_array_equal(nothing, draw_curves(History(iterations=(1, 4), losses=())))

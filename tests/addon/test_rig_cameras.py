@@ -144,3 +144,16 @@ def test_with_the_dialog_they_come_and_go(room):
     bpy.ops.physhdr.rig_show()
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     assert not shown.lines and not rig_preview.pinned()
+
+
+def test_an_animation_that_stands_still_is_looked_at_once(room, monkeypatch):
+    """To look along it sets frames, which changes the scene, at which the cameras follow."""
+    assert bpy.ops.physhdr.rig_show() == {"FINISHED"}
+    looked = []
+    monkeypatch.setattr(rig_preview, "lines", lambda *given: looked.append(given) or {})
+    dataset_settings.settings_of(room).rig = "PATH"
+    for _ in range(3):
+        rig_preview._follow()
+    assert len(looked) == 1 and rig_preview.pinned()
+    dataset_settings.settings_of(room).views += 1
+    assert len(looked) == 2
