@@ -11,18 +11,12 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
-from mathutils import Vector  # noqa: E402
-
 from physhdr.addon import (  # noqa: E402
-    cg,
-    dataset_cameras,
     dataset_command,
     dataset_dialog,
     dataset_folder,
     dataset_settings,
     denoiser,
-    lighting,
-    probes,
     render_time,
     time_trial,
 )
@@ -385,37 +379,6 @@ def test_models_are_left_out_and_originals_photographed_though_hidden(room, tmp_
     assert dataset._left_out(room) == ["Left out of what is photographed, trained models: splats"]
 
 
-def test_light_ground_probes_and_cameras_of_ours_are_no_part_of_a_second_data_set(room, tmp_path):
-    """The scene is lit by its capture and holds CG: what is photographed is the scene of before."""
-    room.world = bpy.data.worlds.new("sky")
-    background = room.world.node_tree.nodes["Background"]
-    background.inputs["Strength"].default_value = 0.5
-    first, second = tmp_path / "first", tmp_path / "second"
-    assert bpy.ops.physhdr.dataset_render(out=str(first), **SMALL) == {"FINISHED"}
-    lit = lighting._lit_world(room)
-    lit[lighting.MODEL] = room.camera  # a model, as far as a world knows
-    lit.node_tree.nodes["Background"].inputs["Color"].default_value = (9.0, 0.0, 0.0, 1.0)
-    assert room.world == lit and lit[lighting.FORMER].name == "sky"
-    cg._lay_ground(room, Vector((0.0, 0.0, 0.5)), 4.0, 0.05)
-    for name, data, mark in (
-        ("probe", None, probes.KNOWN),
-        ("test/0", bpy.data.cameras.new("0"), dataset_cameras.SPLIT),
-    ):
-        item = bpy.data.objects.new(name, data)
-        item[mark] = "of ours"
-        room.collection.objects.link(item)
-    assert bpy.ops.physhdr.dataset_render(out=str(second), **SMALL) == {"FINISHED"}
-    assert room.world == lit
-    kept = sorted(first.rglob("hdr_*.exr"))
-    assert kept
-    for path in kept:
-        assert (second / path.relative_to(first)).read_bytes() == path.read_bytes()
-    told, before = read(second / "dataset.json"), read(first / "dataset.json")
-    assert sorted(told["source"]["left_out"]) == ["PhysHDR Ground", "PhysHDR Ground Top"]
-    marks = [each["fingerprint"] for each in (told, before)] if "fingerprint" in told else [0, 0]
-    assert marks[0] == marks[1]
-
-
 def test_the_time_is_told_as_the_last_data_set_went(room, extension, tmp_path):
     """Twice the samples and half as many pictures more: from the rate that was measured, by hand."""
     chosen = dataset_settings.chosen(room)
@@ -482,9 +445,7 @@ def test_a_trial_is_the_files_that_it_was_begun_in(room, extension, tmp_path):
     assert not time_trial.trial().is_running and not time_trial.in_words()
 
 
-def test_a_data_set_is_chosen_though_an_operator_never_ends(
-    room, extension, tmp_path, monkeypatch
-):
+def test_a_data_set_is_chosen_though_an_operator_never_ends(room, extension, tmp_path, monkeypatch):
     """Such as one that shows the keys that are pressed; dragging is waited for."""
     timers, pushed = [], []
     monkeypatch.setattr(dataset.bpy.app.timers, "register", lambda look, **given: timers.append(look), False)
