@@ -14,7 +14,7 @@ from ..bridge.splatting import ALPHA_MIN, JACOBIAN_MARGIN, NEAR_PLANE
 
 #: Standard deviations to where a Gaussian of opacity 1 ends: no splat reaches farther.
 REACH = float(np.sqrt(np.float32(-2.0 * np.log(ALPHA_MIN))))
-#: What has a side of so many times another is no longer seen as the nodes reckon it (``RenderCamera.is_even``).
+#: A model with a side scaled so many times another's is stretched (``RenderCamera.is_even``).
 EVEN = 1.001
 
 Place = tuple[float, float, float]

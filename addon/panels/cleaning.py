@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Clean: what is hidden of the selected model, how many Gaussians that is, and how to make it final."""
 
+from typing import Any
+
 import bpy
 
 from ...bridge.errors import PhysHDRError
@@ -14,6 +16,8 @@ from .parts import Subpanel, write
 
 #: A slider that moves is waited for so long, seconds: counting a million Gaussians takes longer than drawing.
 PATIENCE = 0.15
+#: So many distances tell whether they are those that were counted with.
+SAMPLES = 16
 
 
 class _Count:
@@ -27,13 +31,12 @@ class _Count:
         """The number; ``None`` until it is counted, which this asks for."""
         if not cleaning.by_itself:
             return 0
-        key = cloud.session_uid, len(cloud.points), CAMERA_DISTANCE.name in cloud.attributes, cleaning
+        key = cloud.session_uid, len(cloud.points), _measured(cloud), cleaning
         if self._known is not None and self._known[0] == key:
             return self._known[1]
         self._wanted = key, cloud.name_full, cleaning
-        if bpy.app.timers.is_registered(self.count):
-            bpy.app.timers.unregister(self.count)
-        bpy.app.timers.register(self.count, first_interval=PATIENCE)
+        _stop_waiting()
+        bpy.app.timers.register(_count_hidden, first_interval=PATIENCE)
         return None
 
     def count(self) -> None:
@@ -53,12 +56,30 @@ class _Count:
         overlay.redraw_all()
 
     def forget(self) -> None:
-        if bpy.app.timers.is_registered(self.count):
-            bpy.app.timers.unregister(self.count)
+        _stop_waiting()
         self._known = self._wanted = None
 
 
 hidden = _Count()
+
+
+def _count_hidden() -> None:
+    # Blender knows a timer by the function itself, and a method is another object each time it is named.
+    hidden.count()
+
+
+def _stop_waiting() -> None:
+    if bpy.app.timers.is_registered(_count_hidden):
+        bpy.app.timers.unregister(_count_hidden)
+
+
+def _measured(cloud: bpy.types.PointCloud) -> tuple[float, ...]:
+    """A few of the distances from the data set's cameras: others when they were measured anew."""
+    attribute: Any = cloud.attributes.get(CAMERA_DISTANCE.name)
+    if attribute is None:
+        return ()
+    count = len(attribute.data)
+    return tuple(attribute.data[index].value for index in range(0, count, max(1, count // SAMPLES)))
 
 
 class PHYSHDR_PT_cleaning(Subpanel, bpy.types.Panel):

@@ -2,7 +2,9 @@
 """A model is cleaned for good, in Object and in Edit Mode, undone, saved in our own format, read again."""
 
 import dataclasses
+import errno
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -235,6 +237,23 @@ def test_saved_is_what_is_not_hidden(add, tmp_path):
     assert read_model(path).count == 300  # what was there is untouched
 
 
+def test_a_full_disk_is_told_and_leaves_the_file_that_was_there(add, tmp_path, monkeypatch):
+    _, _, modifier = add(count=300)
+    path = tmp_path / "model_edited.safetensors"
+    bpy.ops.physhdr.model_save(filepath=str(path))
+    before, there = path.read_bytes(), sorted(each.name for each in tmp_path.iterdir())
+    nodes.set_input(modifier, nodes.SMALLEST_OPACITY, 0.5)
+
+    def full(*_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(RuntimeError, match=r"cannot write the model file[\s\S]*No space left[\s\S]*has room"):
+        bpy.ops.physhdr.model_save(filepath=str(path))
+    monkeypatch.undo()
+    assert path.read_bytes() == before and sorted(each.name for each in tmp_path.iterdir()) == there
+
+
 def test_a_transform_moves_the_radiance_too(add, tmp_path):
     """In world space the saved model has, toward any direction, what the moved object has."""
     model, target, _ = add(degree=3)
@@ -282,6 +301,36 @@ def test_the_panels_number_is_counted_once_for_each_set_of_limits(add, monkeypat
     panel.hidden.count()  # what the timer calls
     assert panel.hidden.of(target.data, wanted) == (model.opacity < 0.5).sum()
     assert panel.hidden.of(target.data, dataclasses.replace(wanted, smallest_opacity=0.6)) is None
+
+
+def test_a_slider_that_moves_puts_the_counting_off(add):
+    """One timer waits, begun anew at every step; none is left when the extension goes."""
+    _, target, modifier = add()
+    nodes.set_input(modifier, nodes.SMALLEST_OPACITY, 0.5)
+    first = look.cleaning_of(target)
+    waits = panel._count_hidden
+    for step in range(3):
+        panel.hidden.of(target.data, dataclasses.replace(first, smallest_opacity=0.1 * step + 0.1))
+        assert bpy.app.timers.is_registered(waits)
+    bpy.app.timers.unregister(waits)  # all there was
+    assert not bpy.app.timers.is_registered(waits)
+    panel.hidden.of(target.data, first)
+    panel.hidden.forget()
+    assert not bpy.app.timers.is_registered(waits)
+
+
+def test_the_panels_number_is_counted_anew_when_distances_are_measured_anew(add):
+    _, target, modifier = add(count=300)
+    nodes.set_input(modifier, nodes.CLEAR_OF_PHOTOS, 0.5)
+    wanted, counts = look.cleaning_of(target), []
+    for largest in (1.0, 0.6):
+        distance = np.linspace(0.0, largest, 300, dtype=np.float32)
+        point_cloud.write_attribute(target.data, attributes.CAMERA_DISTANCE, distance)
+        assert panel.hidden.of(target.data, wanted) is None
+        panel.hidden.count()
+        counts.append(panel.hidden.of(target.data, wanted))
+        assert counts[-1] == (distance < np.float32(0.5)).sum()
+    assert counts[0] < counts[1]
 
 
 def test_a_model_of_an_earlier_version_gets_the_limits(registered):
