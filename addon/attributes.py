@@ -51,6 +51,8 @@ BASE = Attribute("radiance:base", "FLOAT4")
 SHOWN_SH = Numbered("radiance:sh_", "FLOAT_VECTOR")
 #: Of a point as Blender draws points, metres.
 RADIUS = Attribute("radius", "FLOAT")
+#: That radius while the 3D view's shader draws the Gaussians, and Blender nothing (``viewport.stand_in``).
+KEPT_RADIUS = Attribute("physhdr:radius", "FLOAT")
 
 #: SH coefficients of ln radiance at level 1.
 LOG_SH = Numbered("physhdr:log_sh_", "FLOAT_VECTOR")

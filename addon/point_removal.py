@@ -46,17 +46,20 @@ def keep_points(cloud: bpy.types.PointCloud, keep: np.ndarray) -> None:
 
 def selection_of(cloud: bpy.types.PointCloud) -> np.ndarray:
     """Bool ``[N]``: what is selected in Edit Mode; everything where nobody selected yet."""
-    selected = np.ones(len(cloud.points), bool)
-    if SELECTION in cloud.attributes:
-        _data(cloud, SELECTION).foreach_get("value", selected)
-    return selected
+    attribute = cloud.attributes.get(SELECTION)
+    if attribute is None:
+        return np.ones(len(cloud.points), bool)
+    selected = np.empty(len(cloud.points), _TYPES[attribute.data_type][1])
+    _data(cloud, SELECTION).foreach_get("value", selected)
+    return selected.astype(bool)
 
 
 def select_points(cloud: bpy.types.PointCloud, selected: np.ndarray) -> None:
     """Select the points of bool ``[N]`` and no others."""
     if SELECTION not in cloud.attributes:
         cloud.attributes.new(SELECTION, "BOOLEAN", "POINT")
-    _data(cloud, SELECTION).foreach_set("value", np.ascontiguousarray(selected))
+    kind = _TYPES[cloud.attributes[SELECTION].data_type][1]
+    _data(cloud, SELECTION).foreach_set("value", np.ascontiguousarray(selected, kind))
     cloud.update_tag()
 
 

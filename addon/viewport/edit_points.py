@@ -13,23 +13,10 @@ from mathutils import Matrix
 from ..attributes import POSITION
 from ..point_cloud import read_attribute
 
-#: Blender's name of what is selected, as the modes that edit point clouds keep it.
-SELECTION = ".selection"
 #: Pixels of a point: many in one place stay a picture.
 SIZE = 2.0
 #: The opacity of a point that is not selected.
 FAINT_ALPHA = 0.35
-
-
-def selection_of(cloud: bpy.types.PointCloud) -> np.ndarray:
-    """Bool ``[N]``: what is selected. Where nothing was ever unselected Blender keeps no attribute."""
-    attribute: Any = cloud.attributes.get(SELECTION)
-    count = len(cloud.points)
-    if attribute is None:
-        return np.ones(count, bool)
-    values = np.empty(count, bool if attribute.data_type == "BOOLEAN" else np.float32)
-    attribute.data.foreach_get("value", values)
-    return values.astype(bool)
 
 
 def checksum(values: np.ndarray) -> int:

@@ -6,6 +6,7 @@ Blender tells all instances of a scene only by going through all of them, which 
 asked only where something that can make instances uses a model, and again only when the scene has changed.
 """
 
+import functools
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -64,10 +65,11 @@ class InstanceFinder:
             found = list(_find(view_layer, depsgraph, is_model))
             if time.perf_counter() - start > QUICK_SECONDS:
                 self._found[layer] = found
+        objects = functools.cache(_object)  # which looks through all of the file's
         for each in found:
-            target = _object(each.target)
+            target = objects(each.target)
             if target is not None:
-                yield Instance(target, each.parent and _object(each.parent), each.matrix_world)
+                yield Instance(target, each.parent and objects(each.parent), each.matrix_world)
 
 
 def is_visible(

@@ -20,10 +20,11 @@ from ..cleaning import Cleaning
 from ..look import Look, is_model, kept_of, look_of
 from ..nodes import find_modifier
 from ..point_cloud import read_tone_curve
+from ..point_removal import selection_of
 from ..tone_curve import ToneCurve
 from . import overlay, stand_in
 from .camera import ViewCamera
-from .edit_points import EditPoints, checksum, selection_of
+from .edit_points import EditPoints, checksum
 from .instances import InstanceFinder, is_visible
 from .overlay import Layer
 from .schedule import REST_SECONDS, STEP, ResolutionLadder
@@ -63,10 +64,13 @@ def shown_objects(
         if target.visible_get(view_layer=view_layer, **({"viewport": space} if space else {})):
             matrix_world = np.array(target.evaluated_get(depsgraph).matrix_world)
             yield Shown(cloud_of(target), matrix_world, look_of(target, depsgraph), target.mode == "EDIT")
+    looks: dict[int, Look] = {}  # thousands of instances have the look of one object
     for instance in _runtime.finder.instances(view_layer, depsgraph, _is_drawn):
         if is_visible(instance, view_layer, space):
             target = instance.target
-            yield Shown(cloud_of(target), instance.matrix_world, look_of(target, depsgraph))
+            if target.session_uid not in looks:
+                looks[target.session_uid] = look_of(target, depsgraph)
+            yield Shown(cloud_of(target), instance.matrix_world, looks[target.session_uid])
 
 
 def _is_drawn(target: bpy.types.Object) -> bool:
@@ -384,6 +388,8 @@ def _apply_display(target: bpy.types.Object, context: bpy.types.Context | None) 
     else:
         modifier.show_viewport = True
         target.display_type = "TEXTURED"
+        if cloud_of(target).is_editable and stand_in.restore_radius(cloud_of(target)):
+            cloud_of(target).update_tag()
 
 
 #: What happens in Blender, and what is then done.

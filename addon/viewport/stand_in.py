@@ -4,7 +4,8 @@
 While the extension draws the Gaussians Blender's own drawing of the points would cover them: their radius is
 0 and only the object's bounds are drawn. A file that is opened without the extension would then show an
 empty box. So what is saved has a radius for each point and a material with its colour, and while a file is
-open here the radius is 0. Renders never show the points: the modifier puts out instances of its own.
+open here the radius is 0, and what it was is kept under another name (who gave the points radii of his own
+finds them again). Renders never show the points: the modifier puts out instances of its own.
 """
 
 from typing import Any
@@ -13,7 +14,7 @@ import bpy
 import numpy as np
 
 from ...bridge.spherical_harmonics import C0
-from ..attributes import BASE, LOG_SH, RADIUS, SCALE
+from ..attributes import BASE, KEPT_RADIUS, LOG_SH, RADIUS, SCALE
 from ..blender import cloud_of, settings_of_cycles
 from ..node_builder import NodeBuilder
 from ..nodes import find_modifier
@@ -82,8 +83,10 @@ def hide(target: bpy.types.Object) -> None:
     if is_shown(cloud):
         # Material Preview and Rendered draw the points themselves, whatever the display type. A new attribute
         # is 0, also of linked data, whose attributes take no values.
+        if (kept := cloud.attributes.get(KEPT_RADIUS.name)) is not None:
+            cloud.attributes.remove(kept)
         if (radius := cloud.attributes.get(RADIUS.name)) is not None:
-            cloud.attributes.remove(radius)
+            radius.name = KEPT_RADIUS.name
         cloud.attributes.new(RADIUS.name, RADIUS.type, "POINT")
         cloud.update_tag()
 
@@ -93,10 +96,21 @@ def show(target: bpy.types.Object) -> None:
     cloud = cloud_of(target)
     if target.display_type == "BOUNDS":
         target.display_type = "TEXTURED"
-    if is_shown(cloud):
+    if is_shown(cloud) or not cloud.is_editable:  # a linked one's radius is in the file that it is of
         return
-    opacity = read_attribute(cloud, BASE.name)[:, 3]
-    write_attribute(cloud, RADIUS, shown_radius(read_attribute(cloud, SCALE.name), opacity))
+    if not restore_radius(cloud):
+        opacity = read_attribute(cloud, BASE.name)[:, 3]
+        write_attribute(cloud, RADIUS, shown_radius(read_attribute(cloud, SCALE.name), opacity))
     if not cloud.materials:
         cloud.materials.append(points_material())
     cloud.update_tag()
+
+
+def restore_radius(cloud: bpy.types.PointCloud) -> bool:
+    """Give the points back the radii that ``hide`` kept; whether there were any."""
+    if KEPT_RADIUS.name not in cloud.attributes:
+        return False
+    if (radius := cloud.attributes.get(RADIUS.name)) is not None:
+        cloud.attributes.remove(radius)
+    cloud.attributes[KEPT_RADIUS.name].name = RADIUS.name
+    return True

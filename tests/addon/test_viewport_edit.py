@@ -9,9 +9,10 @@ import gpu  # noqa: E402
 from mathutils import Matrix  # noqa: E402
 
 from physhdr.addon import look, model_import, nodes, viewport  # noqa: E402
+from physhdr.addon.point_removal import selection_of  # noqa: E402
 from physhdr.addon.viewport import gpu_arrays, splats  # noqa: E402
 from physhdr.addon.viewport.camera import ViewCamera  # noqa: E402
-from physhdr.addon.viewport.edit_points import EditPoints, checksum, selection_of  # noqa: E402
+from physhdr.addon.viewport.edit_points import EditPoints, checksum  # noqa: E402
 from physhdr.addon.viewport.splat_renderer import SplatRenderer  # noqa: E402
 
 SIZE, COUNT = 80, 60

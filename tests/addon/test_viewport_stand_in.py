@@ -160,6 +160,50 @@ def test_what_the_artist_chose_stays(target, tmp_path):
     assert (state(other), read_attribute(other.data, RADIUS.name).tolist()) == kept
 
 
+def test_radii_of_the_artists_own_come_back(target, tmp_path):
+    """In what is saved, when it is opened again, when the nodes draw, and without the extension."""
+    own = np.linspace(0.5, 1.0, 60, dtype=np.float32)
+    target.physhdr_viewport = "NODES"
+    write_attribute(target.data, RADIUS, own)
+
+    def radius() -> np.ndarray:
+        (model,) = (each for each in bpy.data.objects if each.type == "POINTCLOUD")
+        return read_attribute(model.data, RADIUS.name)
+
+    target.physhdr_viewport = "SPLATS"
+    assert state(target) == HERE and not radius().any()
+    target.physhdr_viewport = "NODES"
+    np.testing.assert_array_equal(radius(), own)
+    target.physhdr_viewport = "SPLATS"
+    for _ in range(2):
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "saved.blend"))
+        assert not radius().any()
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "saved.blend"))
+    assert not radius().any()
+    viewport.unregister()
+    try:
+        np.testing.assert_array_equal(radius(), own)
+        bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "saved.blend"))
+        np.testing.assert_array_equal(radius(), own)
+    finally:
+        viewport.register()
+
+
+def test_a_linked_models_file_is_not_touched(target, tmp_path):
+    """An object of this file on another file's points: no material is put on them, and saving works."""
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (there, here):
+        here.pointclouds = there.pointclouds[:1]
+    (cloud,) = bpy.data.pointclouds
+    local = bpy.data.objects.new("local", cloud)
+    bpy.context.scene.collection.objects.link(local)
+    local.physhdr_viewport = "SPLATS"
+    materials = list(cloud.materials)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "saved.blend"))
+    assert list(cloud.materials) == materials and not any(each.library is None for each in bpy.data.materials)
+
+
 def test_the_radius():
     """2 √(σ₂ σ₃ o) of the larger two, at most four times the median, never 0."""
     scale = np.array([(0.01, 0.04, 0.09), (0.04, 0.09, 0.01), (0.0, 0.0, 0.0), (5.0, 5.0, 5.0)], np.float32)
