@@ -25,6 +25,10 @@ from .splat_data import WIDTH, Marks, SplatTextures
 #: Gaussians in one draw call. A triangle each: in software a third faster than quads for small pictures, the
 #: same for large ones; and one large call, not an instance each, is what GPUs like.
 TRIANGLES = 1 << 16
+#: Rows of Gaussians in one picture, instances counted: numbers of texels are floats, exact up to 2²⁴.
+ROWS_MAX = (1 << 24) // WIDTH
+#: A map whose determinant is below this share of its largest stretch's cube is flat: it shows nothing.
+FLATTEST = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,20 +160,17 @@ class SplatRenderer:
 
         More than ``exact_count`` are sorted roughly (``back_to_front``); ``None``: never.
         """
-        self._reserve(sum(item.splats.rows for item in items))
+        drawn = _in_view(items, camera)
+        self._reserve(sum(item.splats.rows for item, _, _ in drawn))
         depths, texels, first_row = [np.empty(0, np.float32)], [np.empty(0, np.int64)], 0
         self._levels.clear()
-        for item in items:
-            to_camera = object_to_camera(camera, item.matrix_world)
-            chunks = item.splats.chunks.visible(camera, to_camera)
-            if len(chunks):
-                self._project(item, camera, to_camera, first_row, chunks)
-                depth, texel = _seen(item, camera, to_camera, chunks)
-                depths.append(depth)
-                start = first_row * WIDTH
-                is_selected = item.selected.values[texel] if item.selected else None
-                texel = texel + start
-                texels.append(texel if is_selected is None else np.where(is_selected, -1 - texel, texel))
+        for item, to_camera, chunks in drawn:
+            self._project(item, camera, to_camera, first_row, chunks)
+            depth, texel = _seen(item, camera, to_camera, chunks)
+            depths.append(depth)
+            is_selected = item.selected.values[texel] if item.selected else None
+            texel = texel + first_row * WIDTH
+            texels.append(texel if is_selected is None else np.where(is_selected, -1 - texel, texel))
             first_row += item.splats.rows
         depth, texel = np.concatenate(depths), np.concatenate(texels)
         typical = float(np.median(depth[:: max(1, depth.size // 4096)])) if depth.size else 1.0
@@ -244,6 +245,42 @@ class SplatRenderer:
             shader.uniform_sampler("levels", self._levels[-1])
             _rectangles(chunks, splats.rows).draw(shader)
             framebuffer.viewport_set(0, 0, WIDTH, self._rows)
+
+
+def _in_view(items: Sequence[Item], camera: ViewCamera) -> list[tuple[Item, np.ndarray, np.ndarray]]:
+    """The items that may show something, as many of the nearest as a picture holds, in the items' order.
+
+    With each its ``object_to_camera`` ``[4, 4]`` and the indices of its chunks that may be seen.
+    """
+    found: list[tuple[Item, np.ndarray, np.ndarray]] = []
+    for item in items:
+        to_camera = object_to_camera(camera, item.matrix_world)
+        if is_flat(to_camera):
+            continue
+        chunks = item.splats.chunks.visible(camera, to_camera)
+        if len(chunks):
+            found.append((item, to_camera, chunks))
+    if sum(item.splats.rows for item, _, _ in found) <= ROWS_MAX:
+        return found
+    middles = [item.splats.chunks.centre[chunks].mean(axis=0) for item, _, chunks in found]
+    away = [
+        np.linalg.norm(to[:3, :3] @ at + to[:3, 3]) for (_, to, _), at in zip(found, middles, strict=True)
+    ]
+    nearest, rows = set[int](), 0
+    for index in np.argsort(away, kind="stable").tolist():
+        rows += found[index][0].splats.rows
+        if nearest and rows > ROWS_MAX:
+            break
+        nearest.add(index)
+    return [each for index, each in enumerate(found) if index in nearest]
+
+
+def is_flat(matrix: np.ndarray) -> bool:
+    """Whether a map ``[4, 4]`` makes all of space a plane, a line or a point, or is none at all."""
+    linear = np.asarray(matrix, np.float64)[:3, :3]
+    if not np.isfinite(matrix).all():
+        return True
+    return not abs(np.linalg.det(linear)) > FLATTEST * np.linalg.norm(linear) ** 3
 
 
 def _seen(

@@ -9,6 +9,7 @@ import pytest
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 import gpu  # noqa: E402
 
+from physhdr.addon.viewport import splat_renderer  # noqa: E402
 from physhdr.addon.viewport.camera import ViewCamera, object_to_camera  # noqa: E402
 from physhdr.addon.viewport.chunks import CHUNK, Chunks, chunks_of, morton_order  # noqa: E402
 from physhdr.addon.viewport.splat_data import SplatArrays, SplatTextures  # noqa: E402
@@ -98,6 +99,39 @@ def test_neighbours_are_beside_each_other():
     # 64 chunks of a cube of side 2: cubes of side ½ have a ball of 0.43.
     assert np.median(chunks.radius) < 0.75
     assert len(morton_order(position[:0])) == 0 and len(chunks_of(position[:0], position[:0]).radius) == 0
+
+
+def test_what_is_scaled_to_nothing_shows_nothing(renderer):
+    """And does not keep others from being drawn; what is mirrored is drawn."""
+    textures = SplatTextures(normalised(arrays(count=600)))
+    camera = ViewCamera(turned(0.0, (0.0, 0.0, 12.0)), SIZE, SIZE, 60.0, 60.0, 32.0, 32.0)
+    there = Item(textures, np.diag([-0.5, 0.5, 0.5, 1.0]))
+    flat = [Item(textures, np.diag([*sides, 1.0])) for sides in [(1, 1, 0), (0, 0, 0), (1, np.nan, 1)]]
+    alone = renderer.render([there], camera).read()[0]
+    assert alone.any()
+    np.testing.assert_array_equal(renderer.render([*flat, there], camera).read()[0], alone)
+    assert not renderer.render(flat, camera).read()[0].any()
+
+
+def test_more_than_a_picture_holds_are_the_nearest(renderer, monkeypatch):
+    """Instances may be many; what is out of view takes no room."""
+    monkeypatch.setattr(splat_renderer, "ROWS_MAX", 2)
+    textures = SplatTextures(normalised(arrays(count=100)))
+    camera = ViewCamera(np.eye(4), SIZE, SIZE, 60.0, 60.0, 32.0, 32.0)
+
+    def at(depth: float) -> Item:
+        place = np.diag([0.1, 0.1, 0.1, 1.0])
+        place[2, 3] = -depth
+        return Item(textures, place)
+
+    def picture(*items: Item) -> np.ndarray:
+        return renderer.render(items, camera).read()[0]
+
+    wanted = picture(at(3.0), at(2.0))
+    np.testing.assert_array_equal(picture(at(9.0), at(-5.0), at(3.0), at(-2.0), at(2.0), at(4.0)), wanted)
+    assert (wanted != picture(at(2.0))).any()
+    monkeypatch.setattr(splat_renderer, "ROWS_MAX", 0)
+    np.testing.assert_array_equal(picture(at(3.0), at(2.0)), picture(at(2.0)))
 
 
 def test_marks_follow_the_gaussians(renderer):
