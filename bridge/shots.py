@@ -16,6 +16,7 @@ import numpy as np
 
 from .atomic import atomic_path
 from .errors import BadValueError, FileDamagedError
+from .limits import EV_MAX
 from .regular import read_json_object
 
 FORMAT, VERSION = "physhdr-shots", 1
@@ -108,6 +109,10 @@ def _shot(path: Path, index: int, row: Any) -> Shot:
     fx, fy, cx, cy, exposure_ev, *levels = map(float, numbers)
     if not (fx > 0.0 and fy > 0.0 and all(level >= 0.0 for level in levels)):
         raise BadValueError(f"{path}: frame {index} has a focal length or a level below 0")
+    if abs(exposure_ev) > EV_MAX:
+        raise BadValueError(
+            f"{path}: frame {index} has an exposure of {exposure_ev:g} EV: at most ±{EV_MAX:g}"
+        )
     return Shot(pose, fx, fy, cx, cy, exposure_ev, tuple(levels))
 
 

@@ -40,6 +40,7 @@ def test_it_comes_back_to_the_last_bit(tmp_path: Path) -> None:
         (lambda c: c["frames"].__setitem__(1, 7), BadValueError, "frame 1"),
         (lambda c: c["frames"][2].pop("fl_x"), BadValueError, "frame 2"),
         (lambda c: c["frames"][2].update(levels=[-1.0]), BadValueError, "below 0"),
+        (lambda c: c["frames"][1].update(exposure_ev=5000.0), BadValueError, "frame 1 .* 5000 EV"),
         (lambda c: c["frames"][0].update(cx="left"), BadValueError, "frame 0"),
         (lambda c: c["frames"][0].update(transform_matrix=[[1.0]]), BadValueError, "frame 0"),
     ],
