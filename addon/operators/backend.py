@@ -19,7 +19,7 @@ from .base import PhysHDROperator, report_task
 
 INSTALL_SCRIPT = ROOT / "addon" / "scripts" / "install_backend.py"
 #: Seconds that scripts wait for an installation or a check.
-INSTALL_SECONDS, CHECK_SECONDS = 3600.0, 600.0
+INSTALL_SECONDS, CHECK_SECONDS = 3600.0, 3600.0
 
 
 class PHYSHDR_OT_backend_install(PhysHDROperator):
@@ -151,7 +151,9 @@ def check(operator: PhysHDROperator, wait: bool) -> set[str]:
     current.start_task(CHECK, command, current.home / "check.log", current.environment())
     if not wait:
         return {"FINISHED"}
-    current.wait(lambda state: state.task(CHECK) is None, CHECK_SECONDS)
+    if not current.wait(lambda state: state.task(CHECK) is None, CHECK_SECONDS):
+        operator.report({"ERROR"}, "the check goes on: see its log for what takes so long")
+        return {"CANCELLED"}
     return report_task(operator, "The backend works")
 
 
