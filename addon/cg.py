@@ -23,6 +23,7 @@ import numpy as np
 from mathutils import Vector
 
 from ..bridge.affine import matrices_of
+from ..bridge.blend_file import CG
 from ..bridge.errors import DataMismatchError, FileMissingError
 from . import cg_compositor
 from .attributes import BASE, POSITION, ROTATION, SCALE
@@ -33,7 +34,7 @@ from .point_cloud import read_attribute
 from .similarity import scale_of
 
 #: Custom property of what is ours, and what it is.
-MARK = "physhdr_cg"
+MARK = CG
 GROUND, FRONT, CAPTURE = "ground", "front", "capture"
 #: Custom property of a scene: the view layer whose picture gets the shadow.
 BEAUTY = "physhdr_cg_layer"

@@ -61,6 +61,11 @@ def draw_in_panel(context: bpy.types.Context, layout: bpy.types.UILayout) -> Non
     scene = context.scene
     if rig_preview.pinned():
         layout.operator("physhdr.rig_show", text="Hide Cameras", icon="OUTLINER_DATA_CAMERA", depress=True)
+    draw_originals(scene, layout)
+
+
+def draw_originals(scene: bpy.types.Scene, layout: bpy.types.UILayout) -> None:
+    """The toggle of what was photographed, where anything was."""
     if originals.is_offered(scene):
         hidden = originals.are_hidden(scene)
         text, icon = ("Show Originals", "HIDE_ON") if hidden else ("Hide Originals", "HIDE_OFF")

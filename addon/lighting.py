@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 import bpy
 
+from ..bridge.blend_file import FORMER_WORLD, LIGHT_MODEL
 from ..bridge.errors import DataMismatchError, FileMissingError
 from ..bridge.probe import Probe
 from . import nodes
@@ -26,7 +27,7 @@ Mirrors = Literal["ENVIRONMENT", "SPLATS"]
 
 #: Custom properties of a world that is lit by a capture: the model, the former world (if there was one), and
 #: what is measured from for the weights of several probes.
-MODEL, FORMER, SUBJECT = "physhdr_light_model", "physhdr_former_world", "physhdr_light_subject"
+MODEL, FORMER, SUBJECT = LIGHT_MODEL, FORMER_WORLD, "physhdr_light_subject"
 #: Custom property of our nodes in it.
 OURS = "physhdr_light"
 #: Custom property of a model: the visibility to rays that it had before.

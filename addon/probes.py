@@ -14,6 +14,7 @@ from typing import TypeGuard
 import bpy
 import numpy as np
 
+from ..bridge.blend_file import PROBE
 from ..bridge.probe import Probe
 from .look import is_model
 from .render import to_matrix
@@ -23,7 +24,7 @@ from .similarity import scale_of
 Place = tuple[float, float, float]
 
 #: Custom properties of an empty: its model, the folder of its panoramas, and what is in it.
-MODEL, FOLDER, KNOWN = "physhdr_probe_model", "physhdr_probe_folder", "physhdr_probe"
+MODEL, FOLDER, KNOWN = "physhdr_probe_model", "physhdr_probe_folder", PROBE
 #: Beside the .blend: the folders of all probes.
 ROOT = "PhysHDR_light"
 #: How large a new one is drawn, metres.

@@ -15,6 +15,7 @@ import bpy
 
 from ..bridge.lights import AMBIENT
 from .blender import instanced, light_of
+from .left_out import is_ours
 from .light_choice import LAMPS, LightChoice, gives_light, is_lamp, is_sun, layer_name, shares, shines
 
 OURS = "physhdr"
@@ -131,6 +132,6 @@ def any_light(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bool:
 def materials(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.types.Material]:
     """The materials of all objects that are rendered, each once."""
     items = [item for item in scene.objects if not item.hide_render]
-    items += instanced(layer)
+    items += [item for item in instanced(layer) if not (item.hide_render and is_ours(item))]
     found = [slot.material for item in dict.fromkeys(items) for slot in item.material_slots if slot.material]
     return list(dict.fromkeys(found))

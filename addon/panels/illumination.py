@@ -8,6 +8,7 @@ import bpy
 
 from ...bridge.lights import AMBIENT
 from ..blender import layout_of
+from ..dataset_dialog import draw_originals
 from ..look import draw_look, is_model, slider_name
 from ..operators.base import choices
 from ..operators.native import draw_native
@@ -39,6 +40,7 @@ class PHYSHDR_PT_illumination(Subpanel, bpy.types.Panel):
             column.use_property_split = True
             column.prop(target, "physhdr_viewport", text="3D View")
             draw_native(layout, target)
+            draw_originals(context.scene, layout)
         else:
             draw_own(layout, state, settings)
         for told in hints(context, state, settings, target, shown, reason):
