@@ -7,7 +7,8 @@
 
 It writes what Cycles shows of the true scene without and with them, and what the capture shows without them,
 with them but no ground, and with the ground. It says how far each is from the truth: PSNR after the μ-law of
-the project's HDR comparison, over the floor where the true shadow takes a tenth of the light or more.
+the project's HDR comparison, over the floor where the true shadow takes a tenth of the light or more. Where
+that is, two pictures with the same noise tell, not denoised: what noise or a denoiser takes is no shadow.
 """
 
 import argparse
@@ -26,7 +27,7 @@ from physhdr.synth.built_in import built
 from physhdr.synth.renderer import renderer, view_seed
 from physhdr.synth.stage import Stage
 
-#: Where they stand, metres: the middle of the cube's underside and of the ball's, on the rug, where no sun is.
+#: Where they stand, metres: the middle of the undersides of cube and ball, on the rug, where no sun is.
 PLACES = {"interior": ((0.35, 0.48, 0.016), (0.56, 0.62, 0.016))}
 #: Half of the cube's edge and the ball's radius, metres; their albedo.
 HALF, ALBEDO = 0.1, 0.5
@@ -35,6 +36,9 @@ SIZE, ANGLE = 80, 0.36
 PIXELS, ACROSS = 200, math.radians(62.0)
 #: The true floor has lost this share of its light where it counts as shaded, and this where it does not.
 SHADED, LIT = 0.1, 0.01
+#: The built-in scene's lamp that neither cameras nor a panorama see.
+FILL = "fill"
+QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 MU = 5000.0
 
 
@@ -47,6 +51,9 @@ def main() -> int:
     )
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--samples", type=int, default=128, help="of the truth, and of the shadow")
+    parser.add_argument(
+        "--no-fill", dest="fill", action="store_false", help="no lamp that cameras cannot see"
+    )
     parser.add_argument("--picture-samples", type=int, default=8, help="of the capture's picture")
     given = parser.parse_args(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:])
     try:
@@ -63,20 +70,24 @@ def _truth(given: argparse.Namespace) -> np.ndarray:
     """Render the true scene without and with the objects; the camera's pose [4, 4]."""
     pose = np.eye(4)
     for name in ("true_without", "true"):
-        path = given.out / f"{name}.exr"
+        path, raw = given.out / f"{name}.exr", given.out / f"{name}_raw.npy"
         with built(given.scene) as stage:
             pose = _pose(stage, given.scene)
             items = _objects(stage.scene.collection, given.scene) if name == "true" else []
             for index, item in enumerate(items):
                 item.pass_index = index + 1
-            if path.exists():
+            if path.exists() and raw.exists():
                 continue
+            if not given.fill:
+                for item in stage.scene.objects:
+                    item.hide_render = item.hide_render or item.name == FILL
             wanted = settings.ground_truth((SIZE, SIZE), given.samples)
             with settings.applied(stage.scene, wanted), renderer(stage, denoise=True) as camera:
                 camera.camera.data.angle = ANGLE
-                seen = camera.render(pose, view_seed(0, name), path.with_suffix(".scratch.exr"))
+                seen = camera.render(pose, view_seed(0, "true"), path.with_suffix(".scratch.exr"))
         folder.write(path, exr.encode_rgb(seen.radiance({})))
         np.save(given.out / f"{name}_index.npy", seen.index)
+        np.save(raw, seen.raw)
         print(path, flush=True)
     return pose
 
@@ -135,12 +146,14 @@ def compared(root: Path) -> list[str]:
     near = objects.copy()
     for axis in (0, 1):  # and their edges
         near |= np.roll(near, 1, axis) | np.roll(near, -1, axis)
-    lost = 1.0 - true.sum(-1) / np.maximum(before.sum(-1), 1e-6)
-    shaded, lit = ~near & (lost >= SHADED), ~near & (np.abs(lost) <= LIT)
+    left = light_left(np.load(root / "true_raw.npy"), np.load(root / "true_without_raw.npy"), near)
+    shaded, lit = ~near & (left <= 1.0 - SHADED), ~near & (np.abs(left - 1.0) <= LIT)
     largest = true.max()
     pictures = {
         name: render.read_exr(root / f"{name}.exr")[..., :3] for name in ("without", "no_ground", "ground")
     }
+
+    here = light_left(pictures["ground"], pictures["without"], near)
 
     def shown(values: np.ndarray) -> np.ndarray:
         return np.log1p(MU * np.clip(values / largest, 0.0, 1.0)) / math.log1p(MU)
@@ -157,9 +170,25 @@ def compared(root: Path) -> list[str]:
         f"objects: {decibels('ground', true, objects):.1f} dB",
         f"unshaded floor, with the ground against without it: "
         f"{decibels('ground', pictures['no_ground'], lit):.1f} dB",
-        f"light that the shadow leaves, median: true {np.median(1.0 - lost[shaded]):.3f}, here "
-        f"{np.median((pictures['ground'].sum(-1) / pictures['without'].sum(-1))[shaded]):.3f}",
+        *(
+            f"light that the shadow leaves, {name}: {np.quantile(each[shaded], QUANTILES).round(2)}"
+            for name, each in (("true", left), ("here", here))
+        ),
+        f"here against true: {np.mean((here - left)[shaded]):+.3f}, "
+        f"root mean square {np.sqrt(np.square(here - left)[shaded].mean()):.3f}",
     ]
+
+
+def light_left(shaded: np.ndarray, lit: np.ndarray, without: np.ndarray) -> np.ndarray:
+    """[H, W]: light of one picture [H, W, 3] over that of another, both smoothed over 3 × 3 pixels; pixels
+    of ``without`` [H, W] count for none, and have 1 where nothing else is near."""
+    sums = []
+    for picture in (shaded, lit):
+        light = np.where(without, 0.0, picture.sum(-1, dtype=np.float64))
+        for axis in (0, 1):
+            light = light + np.roll(light, 1, axis) + np.roll(light, -1, axis)
+        sums.append(light)
+    return np.where(sums[1] > 0.0, sums[0] / np.maximum(sums[1], 1e-12), 1.0)
 
 
 if __name__ == "__main__":

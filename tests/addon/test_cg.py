@@ -2,10 +2,13 @@
 """*Put CG Here*: the shadow on splats against integrals of the sky, order by depth, and nothing left behind.
 
 A black ball hangs over a floor that is one Gaussian, under a sky that is even in red and rises with the
-height in green; a Gaussian hangs before the shadow, another one behind the ball.
+height in green; a Gaussian hangs before the shadow, another one behind the ball. Then under a probe of a
+small bright lamp. And the tool that measures a shadow takes no noise for one.
 """
 
+import importlib.util
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,8 +17,12 @@ bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, o
 
 from mathutils import Vector  # noqa: E402
 
-from physhdr.addon import cg, model_import, render  # noqa: E402
+from physhdr.addon import cg, model_import, nodes, render  # noqa: E402
 from physhdr.bridge.model_file import Model  # noqa: E402
+from physhdr.bridge.panorama import directions as panorama_directions  # noqa: E402
+from physhdr.bridge.panorama import solid_angles  # noqa: E402
+from physhdr.bridge.probe import Probe, begin, finish  # noqa: E402
+from physhdr.synth import exr  # noqa: E402
 
 SIZE, ANGLE = 40, 0.7
 BALL, RADIUS = np.array([0.0, 0.0, 0.55]), 0.4
@@ -149,7 +156,11 @@ def light_ratio(points: np.ndarray) -> np.ndarray:
     sine = np.sqrt(k / count)
     azimuth = k * math.pi * (3.0 - math.sqrt(5.0))
     sky = np.stack([sine * np.cos(azimuth), sine * np.sin(azimuth), np.sqrt(1.0 - sine**2)], -1)
-    weights = np.stack([np.ones(count), sky[:, 2], np.ones(count)], -1)
+    return left_by_ball(points, sky, np.stack([np.ones(count), sky[:, 2], np.ones(count)], -1))
+
+
+def left_by_ball(points: np.ndarray, sky: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """[N, C]: the share of the light from directions [K, 3] with weights [K, C] that passes the ball."""
     ratios = []
     for point in points:
         offset = BALL - point
@@ -215,6 +226,82 @@ def test_shadow_and_order_are_right_by_numbers(capture, draw, look_at):
     assert elsewhere.sum() > 100
     assert decibels(picture[elsewhere][:, :3], without[elsewhere][:, :3]) > 50.0
     np.testing.assert_array_equal(picture[..., 3], plain[..., 3])
+
+
+#: A probe's lamp: towards it, how narrow (its deviation is some 5°), how bright; and all else.
+LAMP, NARROW, BRIGHT, DIM = np.array([0.48, 0.36, 0.8]), 130.0, 60.0, 0.2
+PROBE_WIDTH = 256
+
+
+def write_lamp_probe(folder: Path) -> Path:
+    """A probe whose one light is the lamp; what no light turns is dim and even."""
+    begin(folder)
+    lobe = BRIGHT * np.exp(NARROW * (panorama_directions(PROBE_WIDTH) @ LAMP - 1.0))
+    for name, light in (("fixed.exr", np.full_like(lobe, DIM)), ("light_0.exr", lobe)):
+        (folder / name).write_bytes(exr.encode_rgb(np.repeat(light[..., None], 3, 2).astype(np.float32)))
+    finish(folder, Probe((0.0, 0.0, 0.5), PROBE_WIDTH, ("ambient",), 0.0, 0.01, 0, len(SPLATS), "test"))
+    return folder
+
+
+@pytest.mark.parametrize("level", [0.25, 1.0])
+def test_shadow_of_a_small_bright_lamp_in_a_probe(extension, capture, draw, look_at, tmp_path, level):
+    """*Light From Here* and the ground together: the ratio that the panorama's own pixels add up to."""
+    target = next(each for each in capture.objects if each.type == "POINTCLOUD")
+    bpy.context.view_layer.objects.active = target
+    probe = write_lamp_probe(tmp_path / "probe")
+    assert bpy.ops.physhdr.light_from_here(folder=str(probe)) == {"FINISHED"}
+    nodes.set_input(nodes.find_modifier(target), nodes.level_input(("ambient",), 0), level)
+    add_ball(capture)
+    plain = draw(capture)
+    cg.put(capture, bpy.context.view_layer, Vector((0.0, 0.0, 0.0)), size=8.0)
+    capture.view_layers[cg.SHADOW_LAYER].samples = 256
+    picture = draw(capture)
+
+    eye, directions = rays(look_at)
+    _, _, ball, _ = expected(look_at)
+    splats = alpha_of(1, eye, directions) + alpha_of(2, eye, directions)
+    bare = ~ball & (splats == 0.0) & (directions[..., 2] < -1e-3)
+    points = eye + directions[bare] * (-eye[2] / directions[bare][:, 2])[:, None]
+    sky = panorama_directions(PROBE_WIDTH)[: PROBE_WIDTH // 4].reshape(-1, 3)
+    angles = np.repeat(solid_angles(PROBE_WIDTH)[: PROBE_WIDTH // 4], PROBE_WIDTH)
+    light = angles * sky[:, 2] * (DIM + level * BRIGHT * np.exp(NARROW * (sky @ LAMP - 1.0)))
+    truth = left_by_ball(points, sky, light[:, None])[:, 0]
+    seen = picture[bare][:, :3].sum(-1) / plain[bare][:, :3].sum(-1)
+    shaded = truth < 0.9
+    assert shaded.sum() > 40 and truth.min() < (0.6 if level < 1.0 else 0.3)
+    assert abs(np.mean(seen[shaded] - truth[shaded])) < 0.01
+    assert np.sqrt(np.square(seen - truth)[shaded].mean()) < 0.03
+    assert np.abs(seen - truth)[truth > 0.995].max() < 0.02
+
+
+def test_the_tool_takes_noise_for_no_shadow(tmp_path):
+    """tools/standing_cg.py: a patch that keeps 0.8 of its light, in pictures whose noise is a tenth."""
+    path = Path(__file__).resolve().parents[2] / "tools" / "standing_cg.py"
+    spec = importlib.util.spec_from_file_location("standing_cg_tool", path)
+    tool = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(tool)
+    dice = np.random.default_rng(0)
+    keeps = np.ones((SIZE, SIZE, 1), np.float32)
+    keeps[20:30, 8:20] = 0.8
+    floor = dice.uniform(0.5, 1.5, (SIZE, SIZE, 3)).astype(np.float32)
+
+    def noisy() -> np.ndarray:
+        return floor * np.exp(dice.normal(0.0, 0.1, (SIZE, SIZE, 1))).astype(np.float32)
+
+    same, objects = noisy(), np.zeros((SIZE, SIZE))
+    objects[10:18, 22:30] = 1.0
+    np.save(tmp_path / "true_index.npy", objects)
+    np.save(tmp_path / "true_without_raw.npy", same)
+    np.save(tmp_path / "true_raw.npy", same * keeps)
+    pictures = {"true": noisy() * keeps, "true_without": noisy(), "without": floor, "no_ground": floor}
+    for name, values in {**pictures, "ground": floor * keeps}.items():
+        (tmp_path / f"{name}.exr").write_bytes(exr.encode_rgb(values))
+    said = tool.compared(tmp_path)
+    found = int(said[0].split("shadow ")[1].split(",")[0])
+    assert 8 * 10 <= found <= 12 * 14  # the patch, but for its rim of a pixel
+    for name in ("true", "here"):
+        line = next(each for each in said if f"leaves, {name}" in each)
+        assert line.split("[")[1].split()[2] == "0.8", line  # the median
 
 
 def shown(collection) -> set[str]:
