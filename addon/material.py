@@ -6,7 +6,7 @@ Every Gaussian is an instance of a proxy mesh, scaled so that the Gaussian's alp
 reach² = 2 ln(255 o), which is o · (255 o)^(−d²). Radiance and opacity come from the instance.
 """
 
-from typing import Literal
+from typing import Any, Literal
 
 import bpy
 
@@ -20,7 +20,11 @@ Shape = Literal["ellipsoid", "splat"]
 
 #: Custom property that marks our materials, with the version of this file's recipe.
 _MARK = "physhdr_material"
-_RECIPE = 1
+_RECIPE = 2
+#: How EEVEE draws them. BLENDED sorts instances by the depth of their centres along the view's axis, as the
+#: trainer's rasteriser does, and blends each once: no grain. But each is a draw call of its own, and what is
+#: seen through others is its only depth. DITHERED draws all in one call, each in a share of the samples.
+_EEVEE: dict[Shape, Literal["DITHERED", "BLENDED"]] = {"ellipsoid": "DITHERED", "splat": "BLENDED"}
 _NAMES: dict[Shape, str] = {"ellipsoid": "PhysHDR Ellipsoid", "splat": "PhysHDR Splat"}
 
 
@@ -36,13 +40,20 @@ def splat_material(shape: Shape) -> bpy.types.Material:
             return material
     material = bpy.data.materials.new(_NAMES[shape])
     material[_MARK] = mark
-    # Order-independent in EEVEE: instances are not sorted among each other.
-    material.surface_render_method = "DITHERED"
+    material.surface_render_method = _EEVEE[shape]
+    material.use_transparency_overlap = True  # else EEVEE blends the nearest alone
     # Gaussians carry their light with them. Sampling each as a lamp would only cost time.
     settings_of_cycles(material).emission_sampling = "NONE"
     assert material.node_tree is not None  # every material has one since Blender 5
     _build(material.node_tree, shape)
     return material
+
+
+def materials_in(tree: bpy.types.NodeTree | None, shape: Shape) -> list[bpy.types.Material]:
+    """The materials of that shape which a model's node tree uses, of any version of this recipe."""
+    setters: list[Any] = [node for node in tree.nodes if node.type == "SET_MATERIAL"] if tree else []
+    found = (node.inputs["Material"].default_value for node in setters)
+    return [each for each in found if each is not None and str(each.get(_MARK, "")).startswith(f"{shape} ")]
 
 
 def _build(tree: bpy.types.NodeTree, shape: Shape) -> None:

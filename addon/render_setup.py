@@ -15,11 +15,16 @@ import bpy
 from . import nodes
 from .blender import settings_of_cycles
 from .look import is_model
+from .material import materials_in
 from .render import CERTAIN_BOUNCES, TRANSPARENT_BOUNCES, let_rays_pass, sample_centres
 
 CYCLES, EEVEE = "CYCLES", "BLENDER_EEVEE"
-#: EEVEE draws each Gaussian in a share of its samples, by lot. The demo's room is 29 dB from our rasteriser
-#: with 16 samples (sRGB, 200×200), 32 with 256 (100×100): grain.
+#: How EEVEE draws camera splats: blended by the depth of their centres, without grain, 54 dB from our
+#: rasteriser (the demo's room, sRGB, 100×100, one sample). What is blended has no depth of its own: depth of
+#: field takes it for what lies behind it.
+BLENDED, BY_LOT = "BLENDED", "DITHERED"
+#: By lot each Gaussian is drawn in a share of the samples: with 256 the demo's room is 32 dB from our
+#: rasteriser, 29 with 16: grain. Ellipsoids are always drawn so.
 EEVEE_SAMPLES = 256
 #: The driver's variables, from the scene that is rendered.
 WIDTH = {"width": "render.resolution_x", "percent": "render.resolution_percentage"}
@@ -281,8 +286,10 @@ def _width(scene: bpy.types.Scene, models: Models) -> Iterator[Problem]:
         width = _input(each, nodes.IMAGE_WIDTH)
         if width in (None, wide) or follows_render_width(each):
             continue
-        now = f"are widened for {width} pixels" if width else "are not widened to pixels"
-        told = f"{each.name}: small Gaussians {now}, the render is {wide} wide (Image Width)"
+        told = f"{each.name}: fine detail comes out too thin"
+        if width:
+            told = f"{each.name}: fine detail is for a picture {width} pixels wide, and this one has {wide}"
+        told += " (Image Width)"
         modifier = nodes.find_modifier(each)
         own = modifier is not None and _curve(each, modifier) is not None
         yield Problem("WIDTH", told, mended=_editable([each]) and not own)
@@ -290,17 +297,50 @@ def _width(scene: bpy.types.Scene, models: Models) -> Iterator[Problem]:
 
 def _samples(scene: bpy.types.Scene, models: Models) -> Iterator[Problem]:
     samples = settings_of_eevee(scene).taa_render_samples
-    if scene.render.engine == EEVEE and samples < EEVEE_SAMPLES:
-        told = f"EEVEE draws Gaussians by lot, and with {samples} samples they are grainy"
+    if scene.render.engine != EEVEE or samples >= EEVEE_SAMPLES:
+        return
+    grainy = [each for each in models if BY_LOT in _methods(each)]
+    if grainy:
+        told = f"{names_of(grainy)}: grainy with {samples} samples: EEVEE draws each Gaussian in some of them"
         yield Problem("SAMPLES", f"{told} ({EEVEE_SAMPLES} are needed)")
 
 
-def _editable(models: Models) -> bool:
-    return all(each.library is None for each in models)
+def _depth_of_field(scene: bpy.types.Scene, models: Models) -> Iterator[Problem]:
+    if scene.render.engine != EEVEE or not _has_depth_of_field(scene):
+        return
+    blended = [each for each in models if BLENDED in _methods(each)]
+    if blended:
+        told = f"{names_of(blended)}: EEVEE's depth of field takes all of it for what lies behind it"
+        yield Problem("DEPTH", told, mended=_editable(_materials(blended)))
+
+
+def _has_depth_of_field(scene: bpy.types.Scene) -> bool:
+    lens = scene.camera.data if scene.camera else None
+    return isinstance(lens, bpy.types.Camera) and lens.dof is not None and lens.dof.use_dof
+
+
+def _methods(target: bpy.types.Object) -> set[str]:
+    """How EEVEE draws a model as it is set now."""
+    return {each.surface_render_method for each in _materials([target])}
+
+
+def _materials(models: Models) -> list[bpy.types.Material]:
+    """What shades the models as they are set now."""
+    found: list[bpy.types.Material] = []
+    for each in models:
+        modifier = nodes.find_modifier(each)
+        splats = _input(each, nodes.CAMERA_SPLATS)
+        if modifier is not None and splats is not None:
+            found += materials_in(modifier.node_group, "splat" if splats else "ellipsoid")
+    return found
+
+
+def _editable(data: Sequence[bpy.types.ID]) -> bool:
+    return all(each.library is None for each in data)
 
 
 _CHECKS: tuple[Callable[[bpy.types.Scene, Models], Iterator[Problem]], ...] = (
-    *(_camera, _modifier, _bounces, _samples, _shadows, _splats, _width),
+    *(_camera, _modifier, _bounces, _samples, _depth_of_field, _shadows, _splats, _width),
 )
 
 
@@ -315,8 +355,6 @@ def set_up(scene: bpy.types.Scene, wishes: Wishes | None = None) -> None:
     wishes = wishes or Wishes()
     if hasattr(scene, "cycles"):  # it can be switched off as an extension can
         let_rays_pass(scene)
-    eevee = settings_of_eevee(scene)
-    eevee.taa_render_samples = max(eevee.taa_render_samples, EEVEE_SAMPLES)
     if wishes.film_transparent:
         scene.render.film_transparent = True
     if wishes.exact:
@@ -324,6 +362,9 @@ def set_up(scene: bpy.types.Scene, wishes: Wishes | None = None) -> None:
     for target in models_in_render(scene):
         if target.library is None:
             _set_up_model(scene, target, wishes)
+    if any(BY_LOT in _methods(each) for each in models_in_render(scene)):
+        eevee = settings_of_eevee(scene)
+        eevee.taa_render_samples = max(eevee.taa_render_samples, EEVEE_SAMPLES)
 
 
 def _set_up_model(scene: bpy.types.Scene, target: bpy.types.Object, wishes: Wishes) -> None:
@@ -340,6 +381,10 @@ def _set_up_model(scene: bpy.types.Scene, target: bpy.types.Object, wishes: Wish
         target[ELLIPSOIDS] = True
     if _input(target, nodes.IMAGE_WIDTH) is not None:
         follow_render_width(target)
+    if _input(target, nodes.CAMERA_SPLATS):
+        for material in _materials([target]):
+            if material.library is None:
+                material.surface_render_method = BY_LOT if _has_depth_of_field(scene) else BLENDED
 
 
 def wishes_from(given: Any) -> Wishes:

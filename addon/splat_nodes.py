@@ -46,7 +46,7 @@ class CameraFields:
     shift_y: Field
     move_x: Field
     move_y: Field
-    #: Length of the camera's unit vectors: 1 / the object's scale.
+    #: Length of a metre of the scene: 1 / the object's scale, whatever the camera's own scale is.
     unit: Field
 
 
@@ -63,6 +63,10 @@ def camera_fields(make: GeometryBuilder, position: Field) -> CameraFields:
         def axis(*components: float) -> Field:
             return make.field("FunctionNodeTransformDirection", components, transform)
 
+        in_scene = make.node("GeometryNodeObjectInfo", active, transform_space="ORIGINAL")
+        own_scale = make.field(
+            "FunctionNodeTransformDirection", (1.0, 0.0, 0.0), make.output(in_scene, "Transform")
+        )
         right, up, back = axis(1.0, 0.0, 0.0), axis(0.0, 1.0, 0.0), axis(0.0, 0.0, 1.0)
         unit_back = make.vector("NORMALIZE", back, label="back")
         direction = make.vector("NORMALIZE", offset)
@@ -85,7 +89,7 @@ def camera_fields(make: GeometryBuilder, position: Field) -> CameraFields:
             shift_y=make.output(matrix, "Column 3 Row 2"),
             move_x=make.output(matrix, "Column 4 Row 1"),
             move_y=make.output(matrix, "Column 4 Row 2"),
-            unit=make.vector("LENGTH", right),
+            unit=make.vector("LENGTH", right) / make.vector("LENGTH", own_scale),
         )
 
 

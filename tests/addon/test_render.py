@@ -198,6 +198,27 @@ def test_camera_splats_match_the_reference_rasteriser(draw, make_model, tmp_path
     assert psnr > 80.0
 
 
+@pytest.mark.parametrize("kind", ["PERSP", "ORTHO"])
+def test_a_camera_that_is_scaled_sees_the_same(scene, make_model, write, look_at, tmp_path, kind):
+    """Blender leaves a camera's scale out of its picture; the widening by a pixel does, too."""
+    target = model_import.import_model(write(make_model(count=20, seed=5)))
+    target.scale = (0.5,) * 3
+    camera = render.add_camera(scene, look_at(2.0, -3.0, 1.5), 0.7)
+    camera.data.type, camera.data.ortho_scale = kind, 2.0
+    for name, value in ((nodes.CAMERA_SPLATS, True), (nodes.IMAGE_WIDTH, 16)):
+        nodes.set_input(target.modifiers[0], name, value)
+    render.set_resolution(scene, 16, 16)
+    render.prepare_cycles(scene)
+    pictures = []
+    for scale in (1.0, 2.0, 0.3):
+        camera.scale = (scale,) * 3
+        render.render_exr(scene, tmp_path / "picture.exr")
+        pictures.append(render.read_exr(tmp_path / "picture.exr"))
+    assert pictures[0][..., 3].max() > 0.3
+    for other in pictures[1:]:
+        np.testing.assert_allclose(other, pictures[0], rtol=1e-3, atol=1e-4)
+
+
 KEYFRAMES = """
 import sys
 from pathlib import Path
