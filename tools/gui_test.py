@@ -279,7 +279,7 @@ def run_test(room: Room, script: Path) -> bool:
     run.mkdir()
     for name in OF_RUN:
         shutil.copy(ROOT / "runs" / "demo" / name, run)
-    blender = room.blender(script, out, "--window-geometry 0 0 1280 800")
+    blender = room.blender(script, out, "--python-exit-code 1 --window-geometry 0 0 1280 800")
     # A display's number is the whole machine's, whatever the room's /tmp says.
     xvfb = f"xvfb-run -a -n {100 + os.getpid() % 10_000} -s {shlex.quote(SCREEN)}"
     begun, before = time.perf_counter(), cpu_seconds()

@@ -18,7 +18,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 
-from gui_inside import Patience
+from gui_inside import Patience, slowness
+
+__all__ = ["EXTENSION", "SHADINGS", "Patience", "Window", "arguments", "drive", "slowness"]
 
 #: Before its window is there Blender draws nothing.
 SETTLE_SECONDS = 0.5
@@ -171,6 +173,11 @@ class Window:
         """The screen's pixels, as they come."""
         command = ["import", "-silent", "-window", "root", "-depth", "8", "rgb:-"]
         return subprocess.run(command, check=True, capture_output=True).stdout
+
+    def grab_pixels(self) -> np.ndarray:
+        """``[H, W, 3]`` 8-bit codes of the screen, top row first."""
+        window = bpy.context.window_manager.windows[0]
+        return np.frombuffer(self.grab(), np.uint8).reshape(-1, window.width, 3)
 
     def key(self, name: str) -> None:
         """Press a key, wherever the mouse is."""

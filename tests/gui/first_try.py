@@ -18,6 +18,8 @@ from driver import EXTENSION, Window, drive
 BALL = (0.1, 0.3, 0.75)
 RADIUS = 0.25
 LEVELS = (0.25, 1.0, 4.0)
+#: Codes by which red and blue of what is magenta are above its green, whatever the view transform.
+MAGENTA = 30
 
 
 def test(window: Window) -> Iterator[float]:
@@ -54,7 +56,7 @@ def light(window: Window) -> Iterator[float]:
     lighting, nodes = window.module("addon.lighting"), window.module("addon.nodes")
     model = bpy.context.object
     scene.cursor.location = BALL
-    before = scene.world
+    former = scene.world
     bpy.ops.physhdr.light_from_here()
     yield from window.until(lambda: session.state.task("light") is None, 300, "taken")
     yield from window.until(lambda: lighting.is_lit(scene.world), 30, "lit")
@@ -65,8 +67,10 @@ def light(window: Window) -> Iterator[float]:
     model.select_set(True)
     scene.cycles.samples = scene.cycles.preview_samples = 8
     yield from window.show_panels("light", "illumination")
-    yield from window.shaded("RENDERED", "BLENDER_EEVEE", 8)
+    window.shade("RENDERED", "BLENDER_EEVEE")
+    yield from compiled(window, bpy.data.objects["grey"])
     yield from window.drawn()
+    yield from window.still()
     window.screenshot("4_lit")
     seen = []
     for level in LEVELS:
@@ -74,11 +78,31 @@ def light(window: Window) -> Iterator[float]:
         yield from window.drawn()
         yield from window.still()
         window.screenshot(f"lit_{level:g}")
-        seen.append(brightness(window, f"lit_{level:g}", "grey"))
+        seen.append(float(block(window, window.pixels(f"lit_{level:g}"), "grey").mean()))
     assert seen[0] < seen[1] < seen[2], seen
     nodes.set_input(nodes.find_modifier(model), nodes.LIGHTING_LEVEL, 1.0)
     bpy.ops.physhdr.light_reset()
-    assert scene.world == before
+    assert scene.world == former
+
+
+def compiled(window: Window, target: bpy.types.Object) -> Iterator[float]:
+    """EEVEE draws nothing until it has compiled its shaders: until an object is magenta, and is not any more."""
+    usual = target.data.materials[0]
+    magenta = bpy.data.materials.new("magenta")
+    shader = magenta.node_tree.nodes["Principled BSDF"]
+    shader.inputs["Base Color"].default_value = (0.0, 0.0, 0.0, 1.0)
+    shader.inputs["Emission Color"].default_value = (1.0, 0.0, 1.0, 1.0)
+    shader.inputs["Emission Strength"].default_value = 1.0
+
+    def is_magenta() -> bool:
+        window.region.tag_redraw()
+        red, green, blue = block(window, window.grab_pixels(), target.name).mean((0, 1))
+        return min(red, blue) > green + MAGENTA
+
+    target.data.materials[0] = magenta
+    yield from window.until(is_magenta, 120, "drawn by EEVEE")
+    target.data.materials[0] = usual
+    yield from window.until(lambda: not is_magenta(), 60, "as it is")
 
 
 def ball(name: str, aside: float, metallic: float, roughness: float) -> None:
@@ -94,13 +118,13 @@ def ball(name: str, aside: float, metallic: float, roughness: float) -> None:
     bpy.context.object.select_set(False)
 
 
-def brightness(window: Window, picture: str, name: str) -> float:
-    """The mean code of a ball's middle in a screenshot."""
+def block(window: Window, pixels: np.ndarray, name: str) -> np.ndarray:
+    """The codes of a ball's middle in a picture of the screen."""
     camera = window.module("addon.viewport.camera").of_region(window.region, window.region.data)
     centre = np.array(bpy.data.objects[name].location, np.float64)[None]
     ((x, y),), _ = camera.project(centre)
     column, row = window.on_screen(x, y)
-    return float(window.pixels(picture)[row - 8 : row + 9, column - 8 : column + 9].mean())
+    return pixels[row - 8 : row + 9, column - 8 : column + 9].astype(float)
 
 
 def clean(window: Window) -> Iterator[float]:
