@@ -69,6 +69,13 @@ KEPT = {
     "level_1": "live_preview/level_1",
     "level_4": "live_preview/level_4",
     "splats": "splats/free_view",
+    "dialog": "render_dialog/1_dialog",
+    "results": "results/3_evaluated",
+    "render_warns": "first_try/2_render_warns",
+    "lit": "first_try/4_lit",
+    "cleaned": "first_try/6_cropped",
+    "without": "first_try/7_without",
+    "selected": "edit_mode/box_selected",
 }
 GUIDE = ROOT / "docs" / "images" / "guide"
 #: What else is in tests/gui.
@@ -323,7 +330,8 @@ def keep() -> None:
     for name, shot in KEPT.items():
         source = OUT / f"{shot}.png"
         if source.exists():
-            Image.open(source).convert("RGB").save(GUIDE / f"{name}.jpg", quality=88, optimize=True)
+            picture = Image.open(source).convert("RGB")
+            picture.save(GUIDE / f"{name}.jpg", quality=80, optimize=True, progressive=True)
 
 
 def main() -> int:

@@ -86,7 +86,7 @@ def light(window: Window) -> Iterator[float]:
 
 
 def compiled(window: Window, target: bpy.types.Object) -> Iterator[float]:
-    """EEVEE draws nothing until it has compiled its shaders: until an object is magenta, and is not any more."""
+    """Until an object is magenta, and is not any more: EEVEE draws nothing while it compiles its shaders."""
     usual = target.data.materials[0]
     magenta = bpy.data.materials.new("magenta")
     shader = magenta.node_tree.nodes["Principled BSDF"]
