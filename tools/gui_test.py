@@ -50,6 +50,8 @@ PATIENCE = 900
 #: Inside: the artist's home, as pictures show it, and where in it the backend looks for compiled kernels.
 HOME = Path("/home/artist")
 KERNELS = Path("blender/extensions/.user/user_default/physhdr/backend/cache")
+#: A variable that all processes of a test inherit: which run of this program began them.
+ROOM_MARK = "PHYSHDR_GUI_TEST"
 #: Of the extension: whose functions are compiled.
 COMPILED = ("backend/kernels/", "backend/rasterize/", "backend/simd/")
 #: Of the demo's run: what tests open, import and evaluate.
@@ -206,7 +208,8 @@ class Room:
         unshare = ["setpriv", "--pdeathsig", "KILL", "unshare", "--mount", "--propagation", "private"]
         unshare += ["--pid", "--fork", "--kill-child", "/bin/sh", "-c", script]
         with open(out / "blender.log", "w") as log:
-            subprocess.call(unshare, stdout=log, stderr=log)
+            environment = {**os.environ, ROOM_MARK: str(os.getpid())}
+            subprocess.call(unshare, stdout=log, stderr=log, env=environment)
         return left.read_text().splitlines() if left.exists() else ["(it was not looked at)"]
 
     def blender(self, script: Path, out: Path, options: str) -> str:
@@ -312,13 +315,13 @@ def cpu_seconds() -> float:
     return used.ru_utime + used.ru_stime
 
 
-def inmates() -> set[int]:
-    """The processes of this machine whose root is the chroot."""
-    found = set()
+def inmates() -> list[int]:
+    """The processes of this machine that this program's tests have begun."""
+    mark, found = f"{ROOM_MARK}={os.getpid()}".encode(), []
     for folder in Path("/proc").iterdir():
         with contextlib.suppress(OSError):
-            if folder.name.isdigit() and os.readlink(folder / "root") == str(CHROOT):
-                found.add(int(folder.name))
+            if folder.name.isdigit() and mark in (folder / "environ").read_bytes().split(b"\0"):
+                found.append(int(folder.name))
     return found
 
 
@@ -341,7 +344,6 @@ def main() -> int:
     parser.add_argument("--extension", type=Path, help="the zip of an extension; by default it is built")
     given = parser.parse_args()
     names = given.names
-    before = inmates()
     try:
         make_blender()
         room = furnish(given.extension and given.extension.resolve())
@@ -354,8 +356,8 @@ def main() -> int:
         print(f"error: there is no GUI test {names}\n  Choose from: {', '.join(p.stem for p in scripts)}")
         return 1
     passed = all([run_test(room, path) for path in chosen])
-    if left := inmates() - before:
-        print(f"error: processes of the tests still run: {sorted(left)}")
+    if left := inmates():
+        print(f"error: processes of the tests still run: {left}")
         passed = False
     if passed and given.keep:
         keep()
