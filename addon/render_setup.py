@@ -310,7 +310,7 @@ def _depth_of_field(scene: bpy.types.Scene, models: Models) -> Iterator[Problem]
         return
     blended = [each for each in models if BLENDED in _methods(each)]
     if blended:
-        told = f"{names_of(blended)}: EEVEE's depth of field takes all of it for what lies behind it"
+        told = f"{names_of(blended)}: EEVEE's depth of field may take it for what lies behind it"
         yield Problem("DEPTH", told, mended=_editable(_materials(blended)))
 
 
