@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The user's hands in Blender: operators and panels. bpy and numpy; torch never.
 
+``panels`` show, ``operators`` do; what they show and do is in ``session`` (the trainer and child processes),
+``dataset`` (of the open scene), ``capture`` (where a model is from), ``model`` (a point cloud with nodes),
+``viewport`` (the 3D view), ``light`` and ``rendering``.
+
 A module that has classes to register is named in ``_MODULES``, in the order in which they depend on
 each other, and has a ``register`` and an ``unregister`` of its own.
 """
@@ -10,15 +14,15 @@ from types import ModuleType
 
 _MODULES = (
     "settings",
-    "dataset_settings",
-    "originals",
-    "model_import",
-    "bake",
-    "save_model",
+    "dataset.dataset_settings",
+    "capture.originals",
+    "model.model_import",
+    "model.bake",
+    "model.save_model",
     "operators.backend",
     "operators.dataset",
     "operators.originals",
-    "rig_preview",
+    "dataset.rig_preview",
     "operators.photos",
     "operators.training",
     "operators.capture",

@@ -258,7 +258,7 @@ def _render_under(
 def _render_in_capture(given: argparse.Namespace, about: dict) -> None:
     """Balls where a capture lights the scene, at the levels of its model's slider."""
     from physhdr import addon
-    from physhdr.addon import model_import, nodes
+    from physhdr.addon.model import model_import, nodes
 
     addon.register()
     for level in LEVELS:
@@ -278,7 +278,7 @@ def _render_in_capture(given: argparse.Namespace, about: dict) -> None:
 def balls_under_world(scene: bpy.types.Scene, about: dict, samples: int, target: Path, level: float) -> None:
     """Each ball in its place under the scene's world, with what else there is in the scene unseen."""
     pose, angle = np.array(about["camera_to_world"]), about["angle"]
-    from physhdr.addon import render
+    from physhdr.addon.rendering import render
 
     render.prepare_cycles(scene, samples)
     cycles: Any = scene.cycles

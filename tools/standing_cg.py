@@ -20,7 +20,8 @@ from typing import Any
 import bpy
 import numpy as np
 
-from physhdr.addon import model_import, nodes, render
+from physhdr.addon.model import model_import, nodes
+from physhdr.addon.rendering import render
 from physhdr.bridge.errors import PhysHDRError
 from physhdr.synth import exr, folder, rig, settings
 from physhdr.synth.built_in import built

@@ -15,11 +15,11 @@ from bpy_extras import view3d_utils
 from gpu_extras.batch import batch_for_shader
 
 from ...bridge.errors import BadValueError, FileMissingError, PhysHDRError
-from .. import placement, similarity
 from ..blender import cloud_of, layout_of
-from ..captures import camera_places
-from ..look import is_model
-from ..picking import surface_along_ray
+from ..capture import placement, similarity
+from ..capture.captures import camera_places
+from ..capture.picking import surface_along_ray
+from ..model.look import is_model
 from ..viewport.splat_data import is_splats, read_arrays
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ import bpy
 from mathutils import Vector
 
 from ...bridge.errors import PhysHDRError
-from .. import cg
+from ..light import cg
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import PropertyFlagItems

@@ -10,16 +10,17 @@ import mathutils
 import numpy as np
 
 from ...bridge.errors import BadValueError, DataMismatchError, FileMissingError, PhysHDRError
-from .. import nodes, placement, similarity
-from ..attributes import BASE, CAMERA_DISTANCE, POSITION, SCALE
 from ..blender import add_entry, cloud_of, layout_of, remove_entry
-from ..captures import camera_places
-from ..cleaning import ALL, elongation_of
-from ..floaters import floaters
-from ..look import cleaning_of, is_model, kept_of
-from ..point_cloud import read_attribute, write_attribute
-from ..point_removal import keep_points, select_points, selection_of
-from ..radiance_tree import update_modifier
+from ..capture import placement, similarity
+from ..capture.captures import camera_places
+from ..model import nodes
+from ..model.attributes import BASE, CAMERA_DISTANCE, POSITION, SCALE
+from ..model.cleaning import ALL, elongation_of
+from ..model.floaters import floaters
+from ..model.look import cleaning_of, is_model, kept_of
+from ..model.point_cloud import read_attribute, write_attribute
+from ..model.point_removal import keep_points, select_points, selection_of
+from ..model.radiance_tree import update_modifier
 
 #: What a crop box is fitted to: all but so much of the Gaussians at either end of each axis.
 OUTLIERS = 0.02

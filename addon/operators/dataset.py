@@ -18,23 +18,22 @@ from bpy.app.handlers import persistent
 
 from ...bridge.data_set import INFO_FILE
 from ...bridge.errors import OutputError, PhysHDRError
-from .. import (
+from ..blender import layout_of
+from ..capture import originals, placement
+from ..dataset import (
     dataset_command,
     dataset_dialog,
     dataset_folder,
     dataset_settings,
-    originals,
-    placement,
     render_time,
     rig_preview,
     time_trial,
 )
-from ..blender import layout_of
-from ..dataset_settings import OPTIONS, RenderOptions, settings_of
-from ..dataset_summary import summarise
-from ..look import is_model
+from ..dataset.dataset_settings import OPTIONS, RenderOptions, settings_of
+from ..dataset.dataset_summary import summarise
+from ..dataset.render_time import Started
+from ..model.look import is_model
 from ..paths import ROOT
-from ..render_time import Started
 from ..runtime import redraw, session
 from ..session.state import DATASET
 from ..settings import RELATIVE

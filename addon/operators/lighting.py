@@ -15,12 +15,13 @@ import bpy
 from ...bridge.errors import BadValueError, DataMismatchError, PhysHDRError
 from ...bridge.model_file import SUFFIX, read_model
 from ...bridge.probe import MUCH_UNSEEN, WIDTH, Probe, read_probe
-from .. import lighting, nodes, probes
-from ..attributes import FILE
 from ..blender import cloud_of, layout_of
-from ..look import cleaning_of, is_model
-from ..probe_checks import note
-from ..probe_render import render_probe
+from ..light import lighting, probes
+from ..light.probe_checks import note
+from ..light.probe_render import render_probe
+from ..model import nodes
+from ..model.attributes import FILE
+from ..model.look import cleaning_of, is_model
 from ..runtime import session
 from ..session.advice import why_not
 from ..session.light import LIGHT, panorama_command

@@ -6,9 +6,9 @@ from typing import ClassVar
 import bpy
 
 from ...bridge.errors import PhysHDRError
-from .. import native
 from ..blender import add_entry, cloud_of, layout_of, remove_entry
-from ..look import is_model
+from ..model import native
+from ..model.look import is_model
 
 
 class _OnModels(bpy.types.Operator):

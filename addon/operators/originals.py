@@ -5,9 +5,9 @@ from typing import ClassVar
 
 import bpy
 
-from .. import originals
 from ..blender import layout_of
-from ..originals import are_hidden
+from ..capture import originals
+from ..capture.originals import are_hidden
 
 ACTIONS = [
     ("TOGGLE", "Toggle", "Hide them, or show them where they are hidden"),

@@ -7,11 +7,11 @@ from typing import Any, ClassVar, cast
 import bpy
 
 from ...bridge.errors import BadValueError, FileMissingError, PhysHDRError
-from .. import placement
 from ..blender import layout_of
-from ..dataset_cameras import first_of, import_cameras, take_size
-from ..look import is_model
-from ..render_setup import has_model, models_in_render, render_problems, set_up, wishes_from
+from ..capture import placement
+from ..capture.dataset_cameras import first_of, import_cameras, take_size
+from ..model.look import is_model
+from ..rendering.render_setup import has_model, models_in_render, render_problems, set_up, wishes_from
 
 
 def model_for(context: bpy.types.Context) -> bpy.types.Object | None:

@@ -15,11 +15,12 @@ from ...bridge.errors import BadValueError, FileMissingError
 from ...bridge.lights import AMBIENT
 from ...bridge.run_folder import data_of
 from ...bridge.shots import write_shots
-from .. import placement
-from ..attributes import FILE
 from ..blender import cloud_of, layout_of
-from ..look import is_model
+from ..capture import placement
+from ..model.attributes import FILE
+from ..model.look import is_model
 from ..paths import absolute, is_nowhere
+from ..rendering.shots import shots_of
 from ..runtime import session
 from ..session.results import (
     EVALUATE,
@@ -32,7 +33,6 @@ from ..session.results import (
 )
 from ..session.session import Session
 from ..session.state import State
-from ..shots import shots_of
 from .base import PhysHDROperator, choices, has_run, moved_data, report_task
 
 if TYPE_CHECKING:

@@ -3,9 +3,9 @@
 
 import bpy
 
-from .. import placement
 from ..blender import layout_of
-from ..look import is_model
+from ..capture import placement
+from ..model.look import is_model
 from .parts import Subpanel, write
 
 

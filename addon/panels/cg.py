@@ -3,8 +3,8 @@
 
 import bpy
 
-from .. import cg
 from ..blender import layout_of
+from ..light import cg
 from .parts import Subpanel, write
 
 

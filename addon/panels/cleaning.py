@@ -6,11 +6,11 @@ from typing import Any
 import bpy
 
 from ...bridge.errors import PhysHDRError
-from .. import nodes
-from ..attributes import CAMERA_DISTANCE
 from ..blender import cloud_of, layout_of
-from ..cleaning import Cleaning
-from ..look import cleaning_of, is_model, kept_of
+from ..model import nodes
+from ..model.attributes import CAMERA_DISTANCE
+from ..model.cleaning import Cleaning
+from ..model.look import cleaning_of, is_model, kept_of
 from ..viewport import overlay
 from .parts import Subpanel, write
 

@@ -3,8 +3,8 @@
 
 import bpy
 
-from .. import dataset_dialog
 from ..blender import layout_of
+from ..dataset import dataset_dialog
 from ..operators.base import choices
 from ..runtime import session
 from ..session.state import PHOTOS, Photos, Prepared, State

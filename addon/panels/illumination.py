@@ -8,11 +8,11 @@ import bpy
 
 from ...bridge.lights import AMBIENT
 from ..blender import layout_of
-from ..dataset_dialog import draw_originals
-from ..look import draw_look, is_model, slider_name
+from ..dataset.dataset_dialog import draw_originals
+from ..model.look import draw_look, is_model, slider_name
+from ..model.preview_look import followed
 from ..operators.base import choices
 from ..operators.native import draw_native
-from ..preview_look import followed
 from ..runtime import session
 from ..session.advice import why_not
 from ..session.state import State

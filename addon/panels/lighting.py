@@ -3,10 +3,10 @@
 
 import bpy
 
-from .. import lighting, probes
 from ..blender import layout_of
+from ..light import lighting, probes
+from ..light.probe_checks import warnings_of
 from ..operators.lighting import model_in
-from ..probe_checks import warnings_of
 from ..runtime import session
 from ..session.light import LIGHT
 from .parts import Subpanel, draw_task, write

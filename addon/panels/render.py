@@ -4,9 +4,9 @@
 import bpy
 
 from ..blender import layout_of
-from ..dataset_cameras import cameras_of, has_size, is_of_data_set, size_of
+from ..capture.dataset_cameras import cameras_of, has_size, is_of_data_set, size_of
 from ..operators.render import model_for
-from ..render_setup import has_model, render_problems
+from ..rendering.render_setup import has_model, render_problems
 from .parts import Subpanel, write
 
 

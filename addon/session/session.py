@@ -17,7 +17,7 @@ from ...bridge.atomic import atomic_path
 from ...bridge.connection import is_of_another, private_home, read_connection
 from ...bridge.errors import FileDamagedError, FileMissingError, OutputError, PhysHDRError
 from ...bridge.messages import PreviewFrame, PreviewRequest, Request, WhenClosed
-from ..dataset_summary import summarise
+from ..dataset.dataset_summary import summarise
 from .client import Client, PreviewRefused
 from .photos import look_command
 from .process import clean_environment, is_alive, kill, open_log, spawn

@@ -10,8 +10,8 @@ import gpu
 import numpy as np
 from mathutils import Matrix
 
-from ..attributes import POSITION
-from ..point_cloud import read_attribute
+from ..model.attributes import POSITION
+from ..model.point_cloud import read_attribute
 
 #: Pixels of a point: many in one place stay a picture.
 SIZE = 2.0

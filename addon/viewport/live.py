@@ -16,11 +16,11 @@ import bpy
 import numpy as np
 
 from ...bridge.messages import JobStatus, PreviewCamera, PreviewFrame, PreviewRequest
-from .. import placement, similarity
-from ..attributes import FILE
 from ..blender import cloud_of
-from ..look import is_model
-from ..preview_look import PreviewLook, preview_look
+from ..capture import placement, similarity
+from ..model.attributes import FILE
+from ..model.look import is_model
+from ..model.preview_look import PreviewLook, preview_look
 from ..session.session import Session
 from . import overlay, splats
 from .camera import ViewCamera, of_region

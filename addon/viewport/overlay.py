@@ -30,7 +30,7 @@ import gpu
 import numpy as np
 
 from ...bridge.errors import DataMismatchError
-from ..tone_curve import ToneCurve
+from ..model.tone_curve import ToneCurve
 from . import gpu_arrays, overlay_shader
 from .camera import OPENGL_TO_OPENCV, ViewCamera, between, of_region
 from .overlay_shader import Flag

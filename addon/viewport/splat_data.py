@@ -11,8 +11,17 @@ import numpy as np
 
 from ...bridge.errors import PhysHDRError
 from ...bridge.spherical_harmonics import degree_of
-from ..attributes import BASE, CAMERA_DISTANCE, IDENTITY, LEVEL_LOG_GAIN, LOG_SH, POSITION, ROTATION, SCALE
-from ..point_cloud import lights_of, read_attribute, read_levels, read_numbered, read_shares
+from ..model.attributes import (
+    BASE,
+    CAMERA_DISTANCE,
+    IDENTITY,
+    LEVEL_LOG_GAIN,
+    LOG_SH,
+    POSITION,
+    ROTATION,
+    SCALE,
+)
+from ..model.point_cloud import lights_of, read_attribute, read_levels, read_numbered, read_shares
 from . import gpu_arrays
 from .chunks import CHUNK, Chunks, chunks_of, morton_order
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from ...bridge.spherical_harmonics import MAX_DEGREE
 from ...bridge.splatting import NEAR_PLANE
-from ..tone_curve import ToneCurve
+from ..model.tone_curve import ToneCurve
 from . import gpu_arrays, splat_shaders
 from .camera import ViewCamera, object_to_camera
 from .chunks import CHUNK

@@ -14,14 +14,14 @@ import bpy
 import numpy as np
 
 from ...bridge import srgb
-from ..attributes import DISPLAY
 from ..blender import cloud_of
-from ..cleaning import Cleaning
-from ..look import Look, is_model, kept_of, look_of
-from ..nodes import find_modifier
-from ..point_cloud import read_tone_curve
-from ..point_removal import selection_of
-from ..tone_curve import ToneCurve
+from ..model.attributes import DISPLAY
+from ..model.cleaning import Cleaning
+from ..model.look import Look, is_model, kept_of, look_of
+from ..model.nodes import find_modifier
+from ..model.point_cloud import read_tone_curve
+from ..model.point_removal import selection_of
+from ..model.tone_curve import ToneCurve
 from . import overlay, stand_in
 from .camera import ViewCamera
 from .edit_points import EditPoints, checksum

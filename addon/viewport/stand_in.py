@@ -14,11 +14,11 @@ import bpy
 import numpy as np
 
 from ...bridge.spherical_harmonics import C0
-from ..attributes import BASE, KEPT_RADIUS, LOG_SH, RADIUS, SCALE
 from ..blender import cloud_of, settings_of_cycles
-from ..node_builder import NodeBuilder
-from ..nodes import find_modifier
-from ..point_cloud import read_attribute, write_attribute
+from ..model.attributes import BASE, KEPT_RADIUS, LOG_SH, RADIUS, SCALE
+from ..model.node_builder import NodeBuilder
+from ..model.nodes import find_modifier
+from ..model.point_cloud import read_attribute, write_attribute
 
 #: Points have at most so many times the median radius: a wall's few large Gaussians would hide all else.
 LARGEST = 4.0

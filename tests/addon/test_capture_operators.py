@@ -17,9 +17,11 @@ import pytest
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
 import physhdr  # noqa: E402
-from physhdr.addon import model_import, nodes, placement, render, similarity  # noqa: E402
+from physhdr.addon.capture import placement, similarity  # noqa: E402
+from physhdr.addon.model import model_import, nodes  # noqa: E402
+from physhdr.addon.model.point_cloud import read_attribute  # noqa: E402
 from physhdr.addon.operators import capture as operators  # noqa: E402
-from physhdr.addon.point_cloud import read_attribute  # noqa: E402
+from physhdr.addon.rendering import render  # noqa: E402
 from physhdr.addon.viewport import live  # noqa: E402
 from physhdr.addon.viewport.camera import ViewCamera  # noqa: E402
 from physhdr.bridge.affine import transform_gaussians  # noqa: E402

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from physhdr.addon.captures import camera_places, read_capture
-from physhdr.addon.dataset_summary import summarise
+from physhdr.addon.capture.captures import camera_places, read_capture
+from physhdr.addon.dataset.dataset_summary import summarise
 from physhdr.bridge.errors import FileDamagedError, FileMissingError, PhysHDRError
 
 #: Where cameras stand, metres; each is turned by its own angle about an axis of its own.

@@ -17,7 +17,9 @@ bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, o
 
 from mathutils import Vector  # noqa: E402
 
-from physhdr.addon import cg, model_import, nodes, render  # noqa: E402
+from physhdr.addon.light import cg  # noqa: E402
+from physhdr.addon.model import model_import, nodes  # noqa: E402
+from physhdr.addon.rendering import render  # noqa: E402
 from physhdr.bridge.model_file import Model  # noqa: E402
 from physhdr.bridge.panorama import directions as panorama_directions  # noqa: E402
 from physhdr.bridge.panorama import solid_angles  # noqa: E402

@@ -9,9 +9,10 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
-from physhdr.addon import attributes, cleaning, look, model_import, nodes, point_cloud, render  # noqa: E402
-from physhdr.addon.cleaning import Cleaning  # noqa: E402
-from physhdr.addon.render_camera import render_camera  # noqa: E402
+from physhdr.addon.model import attributes, cleaning, look, model_import, nodes, point_cloud  # noqa: E402
+from physhdr.addon.model.cleaning import Cleaning  # noqa: E402
+from physhdr.addon.model.render_camera import render_camera  # noqa: E402
+from physhdr.addon.rendering import render  # noqa: E402
 
 COUNT = 4000
 

@@ -15,7 +15,7 @@ import pytest
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
 import physhdr  # noqa: E402
-from physhdr.addon import camera_file, dataset_cameras, placement, similarity  # noqa: E402
+from physhdr.addon.capture import camera_file, dataset_cameras, placement, similarity  # noqa: E402
 from physhdr.bridge.errors import FileMissingError, PhysHDRError  # noqa: E402
 from physhdr.bridge.model_file import write_model  # noqa: E402
 

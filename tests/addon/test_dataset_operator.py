@@ -11,7 +11,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
-from physhdr.addon import (  # noqa: E402
+from physhdr.addon.dataset import (  # noqa: E402
     dataset_command,
     dataset_dialog,
     dataset_folder,

@@ -8,7 +8,8 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
-from physhdr.addon import look, render  # noqa: E402
+from physhdr.addon.model import look  # noqa: E402
+from physhdr.addon.rendering import render  # noqa: E402
 
 EARLIER = Path(__file__).parent.parent / "fixtures" / "e7440a3"
 

@@ -13,7 +13,7 @@ import pytest
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
 import physhdr  # noqa: E402
-from physhdr.addon import attributes, model_import, point_cloud  # noqa: E402
+from physhdr.addon.model import attributes, model_import, point_cloud  # noqa: E402
 
 
 @pytest.fixture

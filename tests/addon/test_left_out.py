@@ -12,7 +12,10 @@ bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, o
 
 from mathutils import Vector  # noqa: E402
 
-from physhdr.addon import cg, dataset_cameras, lighting, model_import, probes, render  # noqa: E402
+from physhdr.addon.capture import dataset_cameras  # noqa: E402
+from physhdr.addon.light import cg, lighting, probes  # noqa: E402
+from physhdr.addon.model import model_import  # noqa: E402
+from physhdr.addon.rendering import render  # noqa: E402
 from physhdr.synth import left_out  # noqa: E402
 from physhdr.synth.fingerprint import fingerprint  # noqa: E402
 

@@ -8,9 +8,10 @@ import mathutils
 import numpy as np
 import pytest
 
-from physhdr.addon import lighting, nodes, probes
-from physhdr.addon.model_import import import_model
-from physhdr.addon.render import add_camera, prepare_cycles, read_exr, render_exr, set_resolution
+from physhdr.addon.light import lighting, probes
+from physhdr.addon.model import nodes
+from physhdr.addon.model.model_import import import_model
+from physhdr.addon.rendering.render import add_camera, prepare_cycles, read_exr, render_exr, set_resolution
 from physhdr.bridge.panorama import PANORAMIC_CAMERA_TURN, directions
 from physhdr.bridge.probe import Probe, begin, finish
 from physhdr.synth import exr

@@ -12,8 +12,8 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
-from physhdr.addon import attributes, model_import, native, nodes, point_cloud  # noqa: E402
-from physhdr.addon.render import add_camera  # noqa: E402
+from physhdr.addon.model import attributes, model_import, native, nodes, point_cloud  # noqa: E402
+from physhdr.addon.rendering.render import add_camera  # noqa: E402
 from physhdr.bridge import native_splats, spherical_harmonics  # noqa: E402
 from physhdr.bridge.model_file import Model  # noqa: E402
 

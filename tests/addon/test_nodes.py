@@ -9,8 +9,9 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
-from physhdr.addon import attributes, look, model_import, nodes, point_cloud, render  # noqa: E402
-from physhdr.addon.radiance_tree import radiance_tree  # noqa: E402
+from physhdr.addon.model import attributes, look, model_import, nodes, point_cloud  # noqa: E402
+from physhdr.addon.model.radiance_tree import radiance_tree  # noqa: E402
+from physhdr.addon.rendering import render  # noqa: E402
 from physhdr.bridge.lights import Levels  # noqa: E402
 
 LIGHTS = ("ambient", "pendant", "desk lamp, Küche")

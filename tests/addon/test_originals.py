@@ -9,7 +9,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
-from physhdr.addon import originals  # noqa: E402
+from physhdr.addon.capture import originals  # noqa: E402
 from physhdr.bridge.blend_file import MODEL_IDENTITY  # noqa: E402
 
 DATA = "/data/kitchen"

@@ -9,8 +9,8 @@ import pytest
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
 import physhdr  # noqa: E402
-from physhdr.addon import nodes  # noqa: E402
-from physhdr.addon.preview_look import followed, preview_look  # noqa: E402
+from physhdr.addon.model import nodes  # noqa: E402
+from physhdr.addon.model.preview_look import followed, preview_look  # noqa: E402
 from physhdr.addon.settings import follow_lights, preview_levels  # noqa: E402
 from physhdr.addon.viewport import live  # noqa: E402
 from physhdr.addon.viewport.camera import ViewCamera  # noqa: E402

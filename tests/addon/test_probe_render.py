@@ -8,10 +8,11 @@ import bpy
 import numpy as np
 import pytest
 
-from physhdr.addon import nodes, probe_checks, probe_render
-from physhdr.addon.camera_file import Frame
-from physhdr.addon.model_import import import_model
-from physhdr.addon.render import read_exr
+from physhdr.addon.capture.camera_file import Frame
+from physhdr.addon.light import probe_checks, probe_render
+from physhdr.addon.model import nodes
+from physhdr.addon.model.model_import import import_model
+from physhdr.addon.rendering.render import read_exr
 from physhdr.bridge.errors import OutputError
 from physhdr.bridge.model_file import Model
 from physhdr.bridge.panorama import directions
@@ -158,7 +159,7 @@ def test_a_probe_says_when_its_model_is_another_by_now(scene, shell, tmp_path: P
     import json
     from dataclasses import asdict
 
-    from physhdr.addon import probes
+    from physhdr.addon.light import probes
     from physhdr.bridge.probe import Probe
 
     target = import_model(shell[1])

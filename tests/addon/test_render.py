@@ -17,7 +17,8 @@ from physhdr.bridge.axes import world_to_camera_opencv
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
-from physhdr.addon import model_import, nodes, render  # noqa: E402
+from physhdr.addon.model import model_import, nodes  # noqa: E402
+from physhdr.addon.rendering import render  # noqa: E402
 from physhdr.bridge.lights import Levels  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]

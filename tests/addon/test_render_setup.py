@@ -13,7 +13,8 @@ import pytest
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
 import physhdr  # noqa: E402
-from physhdr.addon import material, model_import, nodes, render, render_setup  # noqa: E402
+from physhdr.addon.model import material, model_import, nodes  # noqa: E402
+from physhdr.addon.rendering import render, render_setup  # noqa: E402
 
 SIZE = 64
 

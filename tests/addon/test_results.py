@@ -258,8 +258,8 @@ def test_a_video_is_written_where_it_was_said(extension, run, tmp_path, format, 
 
 def test_where_the_model_stands_is_taken_out_of_the_camera(extension, run, tmp_path, make_model):
     """A model that stands 10 m away, twice as large, looks as it does at home from half as far."""
-    from physhdr.addon.model_import import import_model
-    from physhdr.addon.nodes import EXPOSURE, LIGHTING_LEVEL, find_modifier, set_input
+    from physhdr.addon.model.model_import import import_model
+    from physhdr.addon.model.nodes import EXPOSURE, LIGHTING_LEVEL, find_modifier, set_input
     from physhdr.bridge.model_file import write_model
 
     write_model(run / "model.safetensors", make_model())

@@ -13,7 +13,7 @@ bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, o
 
 from mathutils import Matrix, Vector  # noqa: E402
 
-from physhdr.addon import dataset_settings, rig_cameras, rig_preview  # noqa: E402
+from physhdr.addon.dataset import dataset_settings, rig_cameras, rig_preview  # noqa: E402
 
 SMALL = {"exposures": "-2 0 2", "resolution_x": 32, "samples": 1, "denoise": False, "relit_views": 1}
 

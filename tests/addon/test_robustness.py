@@ -9,8 +9,8 @@ import pytest
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
 import physhdr  # noqa: E402
-from physhdr.addon import look, model_import, nodes, point_cloud  # noqa: E402
-from physhdr.addon.attributes import Attribute  # noqa: E402
+from physhdr.addon.model import look, model_import, nodes, point_cloud  # noqa: E402
+from physhdr.addon.model.attributes import Attribute  # noqa: E402
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
-from physhdr.addon import render  # noqa: E402
+from physhdr.addon.rendering import render  # noqa: E402
 from physhdr.addon.viewport import camera as view_camera  # noqa: E402
 
 

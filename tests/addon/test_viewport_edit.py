@@ -8,8 +8,9 @@ bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, o
 import gpu  # noqa: E402
 from mathutils import Matrix  # noqa: E402
 
-from physhdr.addon import look, model_import, nodes, viewport  # noqa: E402
-from physhdr.addon.point_removal import selection_of  # noqa: E402
+from physhdr.addon import viewport  # noqa: E402
+from physhdr.addon.model import look, model_import, nodes  # noqa: E402
+from physhdr.addon.model.point_removal import selection_of  # noqa: E402
 from physhdr.addon.viewport import gpu_arrays, splats  # noqa: E402
 from physhdr.addon.viewport.camera import ViewCamera  # noqa: E402
 from physhdr.addon.viewport.edit_points import EditPoints, checksum  # noqa: E402

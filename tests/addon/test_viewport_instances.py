@@ -9,7 +9,8 @@ import pytest
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 import gpu  # noqa: E402
 
-from physhdr.addon import model_import, nodes, viewport  # noqa: E402
+from physhdr.addon import viewport  # noqa: E402
+from physhdr.addon.model import model_import, nodes  # noqa: E402
 from physhdr.addon.viewport import instances, splats  # noqa: E402
 
 

@@ -7,7 +7,7 @@ import pytest
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 import gpu  # noqa: E402
 
-from physhdr.addon.tone_curve import ToneCurve  # noqa: E402
+from physhdr.addon.model.tone_curve import ToneCurve  # noqa: E402
 from physhdr.addon.viewport import gpu_arrays  # noqa: E402
 from physhdr.addon.viewport.camera import ViewCamera, from_matrices  # noqa: E402
 from physhdr.addon.viewport.overlay import Compositor, Layer, RenderedView, upload  # noqa: E402

@@ -11,7 +11,8 @@ import pytest
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 import gpu  # noqa: E402
 
-from physhdr.addon import attributes, model_import, nodes, point_cloud, viewport  # noqa: E402
+from physhdr.addon import viewport  # noqa: E402
+from physhdr.addon.model import attributes, model_import, nodes, point_cloud  # noqa: E402
 from physhdr.addon.viewport import splats  # noqa: E402
 from physhdr.addon.viewport.camera import ViewCamera  # noqa: E402
 from physhdr.addon.viewport.splat_data import LIGHTS_MAX, SplatArrays, SplatTextures, read_arrays  # noqa: E402

@@ -11,9 +11,11 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
-from physhdr.addon import model_import, nodes, render, viewport  # noqa: E402
-from physhdr.addon.attributes import RADIUS  # noqa: E402
-from physhdr.addon.point_cloud import read_attribute, write_attribute  # noqa: E402
+from physhdr.addon import viewport  # noqa: E402
+from physhdr.addon.model import model_import, nodes  # noqa: E402
+from physhdr.addon.model.attributes import RADIUS  # noqa: E402
+from physhdr.addon.model.point_cloud import read_attribute, write_attribute  # noqa: E402
+from physhdr.addon.rendering import render  # noqa: E402
 from physhdr.addon.viewport import stand_in  # noqa: E402
 
 #: What a Blender that knows nothing of us finds in a file, and draws of it, as JSON.

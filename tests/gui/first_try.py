@@ -36,7 +36,7 @@ def test(window: Window) -> Iterator[float]:
 def set_up_render(window: Window) -> Iterator[float]:
     """The panel says what would render wrong; *Set Up Render* sets it right."""
     scene = bpy.context.scene
-    problems = window.module("addon.render_setup").render_problems
+    problems = window.module("addon.rendering.render_setup").render_problems
     bpy.ops.physhdr.cameras_import(directory=str(window.options.data), look_through=True)
     window.area.spaces.active.region_3d.view_perspective = "CAMERA"
     scene.render.engine = "CYCLES"
@@ -53,7 +53,7 @@ def set_up_render(window: Window) -> Iterator[float]:
 def light(window: Window) -> Iterator[float]:
     """Balls of chrome and grey are lit by the capture, and follow its level."""
     scene, session = bpy.context.scene, window.session
-    lighting, nodes = window.module("addon.lighting"), window.module("addon.nodes")
+    lighting, nodes = window.module("addon.light.lighting"), window.module("addon.model.nodes")
     model = bpy.context.object
     scene.cursor.location = BALL
     former = scene.world
@@ -129,7 +129,7 @@ def block(window: Window, pixels: np.ndarray, name: str) -> np.ndarray:
 
 def clean(window: Window) -> Iterator[float]:
     """A crop box, and how many Gaussians it hides."""
-    nodes, panel = window.module("addon.nodes"), window.module("addon.panels.cleaning")
+    nodes, panel = window.module("addon.model.nodes"), window.module("addon.panels.cleaning")
     for name in ("chrome", "grey"):
         bpy.data.objects.remove(bpy.data.objects[name])
     model = bpy.context.object
@@ -158,7 +158,7 @@ def open_without(window: Window) -> Iterator[float]:
     """The file, opened where there is no PhysHDR: Blender itself draws the points."""
     path = window.options.out / "home" / "room.blend"
     model = bpy.context.object
-    nodes = window.module("addon.nodes")
+    nodes = window.module("addon.model.nodes")
     nodes.set_input(nodes.find_modifier(model), nodes.CROP, False)
     bpy.ops.wm.save_as_mainfile(filepath=str(path))
     yield from window.show_panels()

@@ -49,7 +49,7 @@ def test(window: Window) -> Iterator[float]:
     with window.override():
         bpy.ops.physhdr.result_import("INVOKE_DEFAULT")
     yield from window.until(lambda: bpy.context.object is not None, 60, "imported")
-    nodes = window.module("addon.nodes")
+    nodes = window.module("addon.model.nodes")
     nodes.set_input(nodes.find_modifier(bpy.context.object), "Level of pendant", 0.5)
     yield from window.drawn()
     window.screenshot("imported")

@@ -39,7 +39,7 @@ def room() -> None:
 
 def again(window: Window) -> Iterator[float]:
     """*Render* is pressed, and the dialog opens anew."""
-    preview, opened = window.module("addon.rig_preview"), []
+    preview, opened = window.module("addon.dataset.rig_preview"), []
     real = preview.dialog_opened
 
     def told(context: bpy.types.Context) -> None:
@@ -67,14 +67,14 @@ def test(window: Window) -> Iterator[float]:
     view.view_distance, view.view_location = 13.0, (-3.0, -5.0, 0.5)  # the cameras right of the dialog
     view.view_rotation = Euler((1.15, 0.0, 0.5)).to_quaternion()
     scene = bpy.context.scene
-    shown = window.module("addon.rig_preview")._shown
-    settings = window.module("addon.dataset_settings").settings_of(scene)
+    shown = window.module("addon.dataset.rig_preview")._shown
+    settings = window.module("addon.dataset.dataset_settings").settings_of(scene)
     yield from opens(window)
     window.screenshot("1_dialog")
     assert [each.light for each in settings.lights] == ["neon", "collection", "ceiling_lamps"]
     assert len(shown.lines["train"]) == 18 and len(shown.lines["lit"]) == 12
     assert Path(settings.out).name == "untitled_dataset"
-    denoiser = window.module("addon.denoiser").can_denoise()
+    denoiser = window.module("addon.dataset.denoiser").can_denoise()
     assert settings.denoise == denoiser
 
     settings.rig, settings.views = "HEMISPHERE", 60
@@ -121,7 +121,7 @@ def test(window: Window) -> Iterator[float]:
         bpy.ops.ed.undo()
     assert "Empty" not in bpy.data.objects
     scene = bpy.context.scene
-    originals = window.module("addon.originals")
+    originals = window.module("addon.capture.originals")
     assert len(originals.originals_of(scene).datasets) == 1
     scene.physhdr.preview = True
     yield from window.redrawn()

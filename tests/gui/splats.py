@@ -33,7 +33,7 @@ def test(window: Window) -> Iterator[float]:
     camera.data.shift_x = camera.data.shift_y = 0.0
     window.add_objects()
 
-    nodes = window.module("addon.nodes")
+    nodes = window.module("addon.model.nodes")
     modifier = nodes.find_modifier(target)
     nodes.set_input(modifier, nodes.EXPOSURE, 1.0)
     for shading, engine, redraws in SHADINGS:

@@ -15,9 +15,10 @@ import gpu
 import mathutils
 import numpy as np
 
-from physhdr.addon import nodes, viewport
-from physhdr.addon.model_import import import_model
-from physhdr.addon.point_cloud import lights_of
+from physhdr.addon import viewport
+from physhdr.addon.model import nodes
+from physhdr.addon.model.model_import import import_model
+from physhdr.addon.model.point_cloud import lights_of
 from physhdr.addon.viewport import splats
 from physhdr.addon.viewport.camera import ViewCamera
 from physhdr.addon.viewport.splat_renderer import SplatRenderer

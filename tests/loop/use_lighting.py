@@ -8,7 +8,8 @@ from pathlib import Path
 import bpy
 
 import physhdr
-from physhdr.addon import probes, runtime, settings
+from physhdr.addon import runtime, settings
+from physhdr.addon.light import probes
 from physhdr.addon.session.state import PythonChosen
 
 WIDTH = 64

@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The cameras of a model's data set as Blender's cameras: its pictures' own views, to render and compare.
+
+Each stands where its picture was taken, seen from where the model stands now, and goes along when scale and
+ground of the capture are set (``placement``). A camera holds the focal length and the principal point of its
+picture for every width of the render; the render's size and the shape of its pixels are the scene's, and are
+set by ``take_size`` alone.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+from ...bridge import data_set
+from ...bridge.blend_file import SPLIT
+from ...bridge.errors import DataMismatchError, FileMissingError
+from ..model.attributes import CAPTURE
+from ..rendering.render import CLIP_END, CLIP_START, to_matrix
+from . import placement, similarity
+from .camera_file import VIEWS, Frame, read_frames
+from .placement import FRAME
+
+#: Custom properties of a camera: its picture's width and height, and its focal lengths, in pixels.
+RESOLUTION, FOCAL_LENGTHS = "physhdr_resolution", "physhdr_focal_lengths"
+#: Drawn in the 3D view as large as this share of the cameras' spread, so that many do not hide each other.
+DRAWN = 0.03
+#: In this order one looks for a camera to look through: the first view that training has not seen.
+FIRST = (data_set.TEST, VIEWS, data_set.TRAIN)
+#: Pixels count as square where the focal lengths are as near to each other as this.
+SQUARE = 1e-6
+
+
+@dataclass(frozen=True)
+class Imported:
+    """``cameras``: all of the data set, in its order, of which ``added`` were not there before; ``notes``:
+    sentences about what they are not."""
+
+    cameras: tuple[bpy.types.Object, ...]
+    added: int
+    notes: tuple[str, ...]
+
+
+def import_cameras(scene: bpy.types.Scene, target: bpy.types.Object, folder: Path | None = None) -> Imported:
+    """Bring in the cameras of the data set of a model; those that are there already are put back.
+
+    ``folder``: where the data set is now, if not where the model was trained from it. Raises
+    ``FileMissingError`` where it is not there, ``DataMismatchError`` where the model is sheared or mirrored,
+    and what ``read_frames`` raises, before anything is made.
+    """
+    capture = placement.capture_of(target)
+    found = read_frames(folder or _folder_of(target))
+    bpy.context.view_layer.update()
+    stands = np.array(target.matrix_world, np.float64)
+    scale = similarity.scale_of(stands)
+    there = {camera[FRAME]: camera for camera in reversed([*placement.cameras_of(scene, capture)])}
+    positions = np.array([frame.camera_to_world[:3, 3] for frame in found.frames])
+    size = DRAWN * scale * float(np.ptp(positions, axis=0).max() if len(positions) > 1 else 1.0)
+    cameras = []
+    for frame in found.frames:
+        camera = there.get(frame.name) or _new_camera(scene, capture, frame)
+        _set_lens(camera, frame)
+        lens = camera.data
+        assert isinstance(lens, bpy.types.Camera)
+        lens.clip_start, lens.clip_end = CLIP_START * min(scale, 1.0), CLIP_END * max(scale, 1.0)
+        lens.display_size = max(size, 1e-3)
+        camera.matrix_world = to_matrix(placement.without_scale(stands @ frame.camera_to_world))
+        cameras.append(camera)
+    bpy.context.view_layer.update()
+    return Imported(tuple(cameras), sum(frame.name not in there for frame in found.frames), found.notes)
+
+
+def _folder_of(target: bpy.types.Object) -> Path:
+    folder = placement.data_of(target)
+    if folder is None:
+        raise FileMissingError(
+            f"the data set of {target.name!r} is not there: {placement.capture_of(target)}",
+            "Put it back there, or choose its folder.",
+        )
+    return folder
+
+
+def _new_camera(scene: bpy.types.Scene, capture: str, frame: Frame) -> bpy.types.Object:
+    camera = bpy.data.objects.new(frame.name, bpy.data.cameras.new(frame.name))
+    camera[FRAME], camera[CAPTURE], camera[SPLIT] = frame.name, capture, frame.split
+    _collection_for(scene, capture, frame.split).objects.link(camera)
+    return camera
+
+
+def _collection_for(scene: bpy.types.Scene, capture: str, split: str) -> bpy.types.Collection:
+    """The collection of a capture's cameras of a split, inside that of all its cameras."""
+    whole = _child(scene.collection, f"Cameras of {Path(capture).name}", {CAPTURE: capture})
+    return _child(whole, f"{whole.name}: {split}", {CAPTURE: capture, SPLIT: split})
+
+
+def _child(parent: bpy.types.Collection, name: str, marks: dict[str, str]) -> bpy.types.Collection:
+    """The collection with these custom properties, wherever the user moved it; made in ``parent``."""
+    keys = (CAPTURE, SPLIT)
+    for child in parent.children_recursive:
+        if child.is_editable and all(child.get(key) == marks.get(key) for key in keys):
+            return child
+    made = bpy.data.collections.new(name)
+    for key, value in marks.items():
+        made[key] = value
+    parent.children.link(made)
+    return made
+
+
+def _set_lens(camera: bpy.types.Object, frame: Frame) -> None:
+    """The pinhole of a frame: Blender counts both shifts in widths of the picture, up and to the right."""
+    lens = camera.data
+    assert isinstance(lens, bpy.types.Camera)
+    lens.type, lens.sensor_fit, lens.lens_unit = "PERSP", "HORIZONTAL", "MILLIMETERS"
+    lens.lens = frame.fx * lens.sensor_width / frame.width
+    lens.shift_x = 0.5 - frame.cx / frame.width
+    lens.shift_y = (frame.cy - 0.5 * frame.height) * frame.fx / (frame.fy * frame.width)
+    camera[RESOLUTION] = [frame.width, frame.height]
+    camera[FOCAL_LENGTHS] = [frame.fx, frame.fy]
+
+
+def is_of_data_set(camera: bpy.types.Object | None) -> bool:
+    """Whether an object is a camera that came from a data set."""
+    return camera is not None and camera.type == "CAMERA" and FRAME in camera and RESOLUTION in camera
+
+
+def cameras_of(scene: bpy.types.Scene, target: bpy.types.Object) -> list[bpy.types.Object]:
+    """The scene's cameras of a model's data set."""
+    return list(placement.cameras_of(scene, placement.capture_of(target)))
+
+
+def first_of(cameras: Iterator[bpy.types.Object] | tuple[bpy.types.Object, ...]) -> bpy.types.Object | None:
+    """The camera to look through first: of a view that training has not seen, where there is one."""
+    ordered = list(cameras)
+    for split in FIRST:
+        for camera in ordered:
+            if camera.get(SPLIT) == split:
+                return camera
+    return ordered[0] if ordered else None
+
+
+def size_of(camera: bpy.types.Object) -> tuple[int, int]:
+    """Width and height of the camera's picture, pixels."""
+    width, height = camera[RESOLUTION]
+    return int(width), int(height)
+
+
+def has_size(scene: bpy.types.Scene, camera: bpy.types.Object) -> bool:
+    """Whether the scene's render has the camera's picture's width and height."""
+    render = scene.render
+    percent = render.resolution_percentage
+    # In whole numbers, as Blender has it: 0.29 × 700 is a little less than 203.
+    return (render.resolution_x * percent // 100, render.resolution_y * percent // 100) == size_of(camera)
+
+
+def take_size(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:
+    """Give the scene's render the size of the camera's picture, and its pixels' shape.
+
+    Raises ``DataMismatchError`` for a camera that is of no data set.
+    """
+    if not is_of_data_set(camera):
+        raise DataMismatchError(
+            f"{camera.name!r} is no camera of a data set: it has no size", "Choose one of the data set's."
+        )
+    render = scene.render
+    render.resolution_x, render.resolution_y = size_of(camera)
+    render.resolution_percentage = 100
+    fx, fy = camera[FOCAL_LENGTHS]
+    taller = fx / fy  # a pixel's height in its widths
+    square = abs(taller - 1.0) < SQUARE
+    # Blender takes numbers from 1.
+    render.pixel_aspect_x = 1.0 if square or taller >= 1.0 else 1.0 / taller
+    render.pixel_aspect_y = 1.0 if square or taller <= 1.0 else taller

@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The objects that a data set was photographed from: remembered in the scene, and hidden where its model is
+to be seen alone. What is pointed to keeps its identity through renaming, saving and undo, and a new object of
+an old one's name is another.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import bpy
+from bpy.app.handlers import persistent
+
+from ...synth.objects import SURFACES
+from ..model.look import is_model
+from .placement import capture_of, key_of, settings_of
+
+#: The property of a scene that holds its ``PHYSHDR_Originals``.
+ORIGINALS = "physhdr_originals"
+LIGHT = "LIGHT"
+
+
+class PHYSHDR_Original(bpy.types.PropertyGroup):
+    """An object that was photographed; of one that is hidden, how it was before."""
+
+    target: bpy.props.PointerProperty(type=bpy.types.Object)
+    was_hidden_in_viewports: bpy.props.BoolProperty()
+    was_hidden_in_renders: bpy.props.BoolProperty()
+
+
+class PHYSHDR_Photographed(bpy.types.PropertyGroup):
+    """A data set of this scene (``name`` is its folder), and what it shows."""
+
+    objects: bpy.props.CollectionProperty(type=PHYSHDR_Original)
+
+
+class PHYSHDR_Originals(bpy.types.PropertyGroup):
+    """What a scene remembers of its data sets."""
+
+    datasets: bpy.props.CollectionProperty(type=PHYSHDR_Photographed)
+    #: Those that are hidden now.
+    hidden: bpy.props.CollectionProperty(type=PHYSHDR_Original)
+
+
+def originals_of(scene: bpy.types.Scene) -> PHYSHDR_Originals:
+    """A scene's own."""
+    return getattr(scene, ORIGINALS)
+
+
+def photographed(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
+    """What renders of a layer show or are lit by now: surfaces, lights and instances; no model, no camera."""
+    shown: dict[bpy.types.Object, None] = {}
+
+    def walk(part: bpy.types.LayerCollection, is_hidden: bool) -> None:
+        is_hidden |= part.collection.hide_render
+        if not part.exclude and not is_hidden:
+            shown.update(dict.fromkeys(part.collection.objects))
+        for child in part.children:
+            walk(child, is_hidden)
+
+    walk(layer.layer_collection, False)
+    return [
+        item
+        for item in shown
+        if not item.hide_render
+        and not is_model(item)
+        and (item.type in SURFACES or item.type == LIGHT or item.instance_type != "NONE")
+    ]
+
+
+def remember(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, out: Path) -> None:
+    """The data set in ``out`` is photographed from what is to be seen now."""
+    datasets, name = originals_of(scene).datasets, key_of(str(out))
+    entry = datasets.get(name) or datasets.add()
+    entry.name = name
+    entry.objects.clear()
+    for item in photographed(scene, layer):
+        entry.objects.add().target = item
+
+
+def of_models(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The originals of what is shown of trained models: imported ones, and the live preview's.
+
+    Where neither is of a data set of this scene, those of its data set chosen in the panel; each once.
+    """
+    datasets = originals_of(scene).datasets
+    shown = {capture_of(item) for item in scene.objects if is_model(item)}
+    settings = settings_of(scene)
+    chosen = key_of(bpy.path.abspath(settings.data)) if settings.data else ""
+    if settings.preview or not any(entry.name in shown for entry in datasets):
+        shown.add(chosen)
+    found: dict[bpy.types.Object, None] = {}
+    for entry in datasets:
+        if entry.name in shown:
+            found.update(dict.fromkeys(each.target for each in entry.objects))
+    inside = set(scene.objects)
+    return [item for item in found if item is not None and item in inside and not is_model(item)]
+
+
+def are_hidden(scene: bpy.types.Scene) -> bool:
+    return len(originals_of(scene).hidden) > 0
+
+
+def is_offered(scene: bpy.types.Scene) -> bool:
+    """Whether the panel offers to hide the originals: there are some, and a model of them is shown."""
+    datasets = originals_of(scene).datasets
+    if are_hidden(scene):
+        return True
+    if not len(datasets):
+        return False
+    settings = settings_of(scene)
+    if settings.preview and settings.data and key_of(bpy.path.abspath(settings.data)) in datasets:
+        return True
+    return any(is_model(item) and capture_of(item) in datasets for item in scene.objects)
+
+
+def hide(scene: bpy.types.Scene, lights: bool = True) -> int:
+    """Hide the originals, in views and renders; returns how many.
+
+    ``lights``: lights among them, too; what glows is hidden in any case.
+    """
+    hidden = originals_of(scene).hidden
+    for item in of_models(scene):
+        if item.type == LIGHT and not lights:
+            continue
+        entry = hidden.add()
+        entry.target = item
+        entry.was_hidden_in_viewports, entry.was_hidden_in_renders = item.hide_viewport, item.hide_render
+        _set(item, True, True)
+    return len(hidden)
+
+
+def show(scene: bpy.types.Scene) -> int:
+    """Show what ``hide`` hid: each object as it was before; returns how many."""
+    hidden = originals_of(scene).hidden
+    count = 0
+    for entry in hidden:
+        if entry.target is not None:
+            _set(entry.target, entry.was_hidden_in_viewports, entry.was_hidden_in_renders)
+            count += 1
+    hidden.clear()
+    return count
+
+
+@contextmanager
+def shown(scene: bpy.types.Scene) -> Iterator[None]:
+    """The originals as they are photographed, for as long as a copy of the file is written."""
+    former = [
+        (each.target, each.target.hide_viewport, each.target.hide_render)
+        for each in originals_of(scene).hidden
+        if each.target is not None
+    ]
+    try:
+        for entry in originals_of(scene).hidden:
+            if entry.target is not None:
+                _set(entry.target, entry.was_hidden_in_viewports, entry.was_hidden_in_renders)
+        yield
+    finally:
+        for item, in_viewports, in_renders in former:
+            _set(item, in_viewports, in_renders)
+
+
+def _set(item: bpy.types.Object, in_viewports: bool, in_renders: bool) -> None:
+    item.hide_viewport, item.hide_render = in_viewports, in_renders
+
+
+@persistent
+def _hide_linked_again(*_: object) -> None:
+    """Objects of other files come from there as they are there."""
+    for scene in bpy.data.scenes:
+        for entry in originals_of(scene).hidden:
+            if entry.target is not None and entry.target.library is not None:
+                _set(entry.target, True, True)
+
+
+@persistent
+def _forget_deleted(*_: object) -> None:
+    """What was deleted is not kept in the file for being pointed to."""
+    for scene in bpy.data.scenes:
+        if not scene.is_editable:
+            continue
+        inside = set(scene.objects)
+        for entry in (*originals_of(scene).datasets, None):
+            kept = originals_of(scene).hidden if entry is None else entry.objects
+            for index in reversed(range(len(kept))):
+                if kept[index].target not in inside:
+                    kept.remove(index)
+
+
+_CLASSES = (PHYSHDR_Original, PHYSHDR_Photographed, PHYSHDR_Originals)
+
+
+def register() -> None:
+    for cls in _CLASSES:
+        bpy.utils.register_class(cls)
+    setattr(bpy.types.Scene, ORIGINALS, bpy.props.PointerProperty(type=PHYSHDR_Originals))
+    bpy.app.handlers.save_pre.append(_forget_deleted)
+    bpy.app.handlers.load_post.append(_hide_linked_again)
+
+
+def unregister() -> None:
+    bpy.app.handlers.load_post.remove(_hide_linked_again)
+    bpy.app.handlers.save_pre.remove(_forget_deleted)
+    delattr(bpy.types.Scene, ORIGINALS)
+    for cls in reversed(_CLASSES):
+        bpy.utils.unregister_class(cls)

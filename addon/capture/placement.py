@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where captures stand: what the scene remembers of each, and the models and cameras of it.
+
+A capture is known by its data set's folder, which a run's configuration names; a model file of which nobody
+knows the run is a capture of its own. What is remembered is where models of it are put when they are
+imported, and where the live preview shows it.
+"""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import bpy
+import numpy as np
+
+from ...bridge.run_folder import data_of as data_of_run
+from ..blender import cloud_of
+from ..model.attributes import CAPTURE, FILE
+from ..model.look import is_model
+from ..rendering.render import to_matrix
+from ..settings import SETTINGS
+from . import similarity
+
+if TYPE_CHECKING:
+    from ..settings import PHYSHDR_Capture, PHYSHDR_Settings
+
+#: Custom property that marks a camera of a data set (``dataset_cameras``): its frame's name.
+FRAME = "physhdr_frame"
+
+
+def capture_of(target: bpy.types.Object) -> str:
+    """The capture that a model is of: its data set's folder, else the model's file."""
+    cloud = cloud_of(target)
+    # Those that older versions imported have the file alone.
+    return str(cloud.get(CAPTURE, "")) or capture_of_file(Path(str(cloud.get(FILE, ""))))
+
+
+def capture_of_file(path: Path) -> str:
+    """The capture of a model file: the data set of the run in whose folder it lies, else the file."""
+    return key_of(str(data_of_run(path.parent) or path))
+
+
+def data_of(target: bpy.types.Object) -> Path | None:
+    """The folder of a model's data set; None where it is not known, or not there any more."""
+    folder = Path(capture_of(target))
+    return folder if folder.is_dir() else None
+
+
+def key_of(data: str) -> str:
+    """A data set's folder as the scene remembers it."""
+    return os.path.realpath(data) if data else ""
+
+
+def settings_of(scene: bpy.types.Scene) -> "PHYSHDR_Settings":
+    return getattr(scene, SETTINGS)
+
+
+def matrix_of(scene: bpy.types.Scene, capture: str) -> np.ndarray:
+    """``[4, 4]`` float64: where the scene remembers a capture to stand; the identity where it does not."""
+    found = settings_of(scene).captures.get(capture)
+    return np.array(found.matrix, np.float64).reshape(4, 4) if found else np.eye(4)
+
+
+def models_of(scene: bpy.types.Scene, capture: str) -> Iterator[bpy.types.Object]:
+    """The scene's models of a capture; not those that are linked from another file."""
+    for target in scene.objects:
+        if is_model(target) and target.library is None and capture_of(target) == capture:
+            yield target
+
+
+def cameras_of(scene: bpy.types.Scene, capture: str) -> Iterator[bpy.types.Object]:
+    """The scene's cameras that came from a capture's data set; not those linked from another file."""
+    for camera in scene.objects:
+        is_ours = camera.type == "CAMERA" and camera.library is None and FRAME in camera
+        if is_ours and str(camera.get(CAPTURE, "")) == capture:
+            yield camera
+
+
+def place(scene: bpy.types.Scene, target: bpy.types.Object) -> None:
+    """Put a model that was just imported where its capture stands, if the scene remembers that."""
+    if settings_of(scene).captures.get(capture := capture_of(target)):
+        target.matrix_world = to_matrix(matrix_of(scene, capture))
+
+
+def move(scene: bpy.types.Scene, target: bpy.types.Object, change: np.ndarray) -> "PHYSHDR_Capture":
+    """Let ``change`` ``[4, 4]`` happen to all models and cameras of the target's capture, and remember where
+    it is then.
+
+    What hangs on them (a parent's children) goes along. Raises ``DataMismatchError`` where the
+    target's own matrix is no similarity, before anything is moved.
+    """
+    bpy.context.view_layer.update()  # what a script has just set is in no matrix yet
+    capture, now = capture_of(target), np.array(target.matrix_world, np.float64)
+    similarity.scale_of(now)
+    kept = remembered(scene, capture, now)
+    wanted = {each.name: change @ np.array(each.matrix_world) for each in models_of(scene, capture)}
+    cameras = _cameras_after(scene, capture, change)
+    _put(scene, wanted)
+    _put(scene, cameras)
+    kept.matrix = (change @ now).reshape(-1)
+    return kept
+
+
+def remembered(scene: bpy.types.Scene, capture: str, now: np.ndarray) -> "PHYSHDR_Capture":
+    """The scene's entry of a capture, begun where there is none, with where it stood before all settings."""
+    captures = settings_of(scene).captures
+    found = captures.get(capture)
+    if found is None:
+        found = captures.add()
+        found.name = capture
+        found.original = now.reshape(-1)
+    return found
+
+
+def forget(scene: bpy.types.Scene, target: bpy.types.Object) -> None:
+    """Put the models of the target's capture back to where they were imported, and remember nothing."""
+    capture, captures = capture_of(target), settings_of(scene).captures
+    index = captures.find(capture)
+    if index < 0:
+        return
+    bpy.context.view_layer.update()
+    original = np.array(captures[index].original, np.float64).reshape(4, 4)
+    back = original @ np.linalg.inv(np.array(captures[index].matrix, np.float64).reshape(4, 4))
+    cameras = _cameras_after(scene, capture, back)
+    _put(scene, {each.name: original for each in models_of(scene, capture)})
+    _put(scene, cameras)
+    captures.remove(index)
+
+
+def _cameras_after(scene: bpy.types.Scene, capture: str, change: np.ndarray) -> dict[str, np.ndarray]:
+    """``[4, 4]`` by name: where the cameras of a capture are after ``change``."""
+    cameras = cameras_of(scene, capture)
+    return {each.name: without_scale(change @ np.array(each.matrix_world, np.float64)) for each in cameras}
+
+
+def without_scale(matrix: np.ndarray) -> np.ndarray:
+    """A similarity ``[4, 4]`` at the same place, of scale 1: a camera has no size."""
+    rigid = np.array(matrix, np.float64)
+    rigid[:3, :3] /= np.cbrt(np.linalg.det(rigid[:3, :3]))
+    return rigid
+
+
+def _put(scene: bpy.types.Scene, wanted: dict[str, np.ndarray]) -> None:
+    """Objects where they shall be, by name; those that hang on others come after these."""
+    for name, matrix in wanted.items():
+        scene.objects[name].matrix_world = to_matrix(matrix)
+    bpy.context.view_layer.update()

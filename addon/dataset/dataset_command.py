@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The command line of synth/make_scene.py for a data set of the open scene, checked before it starts."""
+
+import math
+import re
+from itertools import pairwise
+from pathlib import Path
+from types import SimpleNamespace
+
+import bpy
+
+from ...bridge.errors import BadValueError, PhysHDRError
+from ...bridge.lights import AMBIENT
+from ...synth import arguments as command_line
+from ...synth import user_camera
+from ...synth.options import CURRENT, Options
+from ...synth.response import by_name
+from . import dataset_folder
+from .dataset_settings import RenderOptions
+from .denoiser import require_denoiser
+
+MOST_EXPOSURES = 64
+
+#: The command line's options, as the dialog calls them.
+LABELS = {
+    "--out": "Folder",
+    "--camera-rig": "Cameras",
+    "--views": "Views",
+    "--rig-distance": "Distance",
+    "--rig-extent": "Grid Width and Height",
+    "--rig-arc": "Arc",
+    "--exposures": "Exposures",
+    "--crf": "Camera Response",
+    "--resolution": "Width and Height",
+    "--samples": "Samples",
+    "--seed": "Seed",
+    "--device": "Device",
+    "--lit-views": "Views Under Other Light",
+    "--lit-levels": "Their Levels",
+    "--train-ambient-levels": "Their Levels",
+    "--lit-lights": "Lights That Vary",
+    "--light": "Lights That Vary",
+    "--relit-views": "Relit Test Views",
+    "--ambient-levels": "At Levels",
+}
+
+
+def of(chosen: SimpleNamespace, scene: bpy.types.Scene) -> list[str]:
+    """The arguments of synth/make_scene.py, which checks them again.
+
+    Raises:
+        PhysHDRError: something cannot be, found without a look at the scene's objects; nothing was done.
+    """
+    out = dataset_folder.whole(chosen.out)
+    if chosen.denoise:
+        require_denoiser()
+    made = _arguments(chosen, scene, out)
+    try:
+        user_camera.checked(scene)
+        wanted = options(made)
+        wanted.check()
+        by_name(wanted.crf)
+    except PhysHDRError as error:
+        raise BadValueError(in_the_dialogs_words(error.message), error.hint) from error
+    dataset_folder.check(out)
+    return made
+
+
+def options(arguments: list[str]) -> Options:
+    """What a command line means; raises ``OptionError``."""
+    return command_line.options(command_line.parser().parse_args(["--from-file", CURRENT, *arguments]))
+
+
+def in_the_dialogs_words(message: str) -> str:
+    """``--lit-levels: 0 is …`` → ``'Their Levels': 0 is …``."""
+    return re.sub(
+        r"--[a-z][a-z-]*", lambda found: f"'{LABELS[found[0]]}'" if found[0] in LABELS else found[0], message
+    )
+
+
+def _arguments(chosen: SimpleNamespace, scene: bpy.types.Scene, out: Path) -> list[str]:
+    response = bpy.path.abspath(chosen.response_file) if chosen.response == "file" else chosen.response
+    if not response:
+        raise BadValueError("no file of the camera's response is chosen", "Choose one under Curve.")
+    if chosen.lit_views and not chosen.lights:
+        raise BadValueError(
+            "no light varies in the views under other light",
+            "Tick one of the lights, or set Views Under Other Light to 0.",
+        )
+    size = f"{chosen.resolution_x}x{chosen.resolution_y}" if chosen.resolution_y else str(chosen.resolution_x)
+    given: dict[str, object] = {
+        "out": out,
+        "scene-name": scene.name,
+        "camera-rig": chosen.rig.lower(),
+        "views": chosen.views,
+        "exposures": ",".join(repr(2.0**ev) for ev in parse_evs(chosen.exposures)),
+        "crf": response,
+        "resolution": size,
+        "samples": chosen.samples,
+        "seed": chosen.seed,
+        "device": chosen.device,
+        "lit-views": chosen.lit_views,
+        "lit-levels": chosen.lit_levels,
+        "lit-lights": ",".join(chosen.lights or (AMBIENT,)),
+        "relit-views": min(chosen.relit_views, chosen.views // 2),
+        "ambient-levels": chosen.ambient_levels,
+    }
+    given |= _rig(chosen)
+    lights = [f"--light={choice}" for choice in chosen.light_choices]
+    denoise = "--denoise" if chosen.denoise else "--no-denoise"
+    return [*(f"--{name}={value}" for name, value in given.items()), *lights, denoise, "--progress-json"]
+
+
+def _rig(chosen: SimpleNamespace) -> dict[str, object]:
+    """The options of where cameras stand, as far as they are not found by themselves."""
+    given: dict[str, object] = {}
+    if chosen.rig != "PATH" and chosen.rig_distance:
+        given["rig-distance"] = chosen.rig_distance
+    if chosen.rig == "GRID" and (chosen.rig_width or chosen.rig_height):
+        if not (chosen.rig_width and chosen.rig_height):
+            raise BadValueError("the grid has only one side", "Give both its width and its height.")
+        given["rig-extent"] = f"{chosen.rig_width}x{chosen.rig_height}"
+    if chosen.rig in {"ORBIT", "HEMISPHERE"}:
+        given["rig-arc"] = round(math.degrees(chosen.rig_arc), 4)
+    return given
+
+
+def camera_options(chosen: SimpleNamespace, scene: bpy.types.Scene) -> Options:
+    """Of synth's options those that say where cameras stand; ``BadValueError`` where they cannot be."""
+    given = _rig(chosen)
+    extent = (chosen.rig_width, chosen.rig_height) if "rig-extent" in given else None
+    return Options(
+        from_file=CURRENT,
+        camera_rig=chosen.rig.lower(),
+        views=chosen.views,
+        lit_views=chosen.lit_views,
+        resolution=size(chosen, scene),
+        rig_distance=chosen.rig_distance if "rig-distance" in given else None,
+        rig_extent=extent,
+        rig_arc=math.degrees(chosen.rig_arc) if "rig-arc" in given else None,
+    )
+
+
+def combinations(chosen: SimpleNamespace) -> int:
+    """How many settings of the lights the views under other light go through."""
+    levels = len(chosen.lit_levels.replace(",", " ").split())
+    return levels ** len(chosen.lights)
+
+
+def pictures(chosen: SimpleNamespace) -> int:
+    """How many renders a data set takes: every view, and one more that tells the noise."""
+    return chosen.views + chosen.lit_views + 1
+
+
+def size(chosen: SimpleNamespace, scene: bpy.types.Scene) -> tuple[int, int]:
+    """Pixels of the pictures."""
+    return user_camera.resolution(scene, (chosen.resolution_x, chosen.resolution_y))
+
+
+def parse_evs(text: str) -> list[float]:
+    """``"-3 -1 1"`` or ``"-3:2:3"`` (start, step, count) → [-3.0, -1.0, 1.0].
+
+    Raises ``BadValueError``.
+    """
+    remedy = "Write a rising list such as -3 -1 1 3 5, or start:step:count such as -3:2:5."
+    try:
+        if ":" in text:
+            start, step, count = (float(part) for part in text.split(":"))
+            if not (step > 0.0 and count == int(count) and 1 <= count <= MOST_EXPOSURES):
+                raise ValueError
+            return [start + step * k for k in range(int(count))]
+        evs = [float(part) for part in text.replace(",", " ").split()]
+    except (ValueError, OverflowError) as error:
+        raise BadValueError(f"the exposures {text!r} are not understood", remedy) from error
+    rising = all(a < b for a, b in pairwise(evs))
+    if not evs or len(evs) > MOST_EXPOSURES or not rising or not all(-19 < ev < 19 for ev in evs):
+        raise BadValueError(f"the exposures {text!r} are no rising list of EV within ±19", remedy)
+    return evs
+
+
+def label(name: str, value: object) -> str:
+    """The text of a setting whose 0 means that it is found by itself; it says so while it is 0."""
+    told: str = RenderOptions.__annotations__[name].keywords["name"]
+    return told if value or name not in AUTOMATIC else f"{told} (0: automatic)"
+
+
+#: Settings whose 0 means that they are found by themselves.
+AUTOMATIC = {"rig_distance", "rig_width", "rig_height", "resolution_y"}

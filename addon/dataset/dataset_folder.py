@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The folder that a data set of the open scene is rendered into: which is proposed, and what is in it."""
+
+import os
+from pathlib import Path
+
+import bpy
+
+from ...bridge.data_set import INFO_FILE, PARTIAL_FILE
+from ...bridge.errors import BadValueError, OutputError
+from ..paths import user_folder
+from .dataset_settings import PHYSHDR_DatasetSettings
+
+SUFFIX = "_dataset"
+
+
+def propose(settings: PHYSHDR_DatasetSettings) -> None:
+    """Fill in a folder where none is chosen, or where one was proposed for another file than this is now."""
+    if settings.out and (settings.out != settings.proposed or settings.proposed_for == bpy.data.filepath):
+        return
+    settings.out = settings.proposed = proposed()
+    settings.proposed_for = bpy.data.filepath
+
+
+def proposed() -> str:
+    """A folder that is not there yet: beside the file, else in the user's documents."""
+    file = Path(bpy.data.filepath)
+    if bpy.data.filepath and os.access(file.parent, os.W_OK):
+        return f"//{_free(file.parent, file.stem)}"
+    parent = _documents() / "PhysHDR"
+    return str(parent / _free(parent, file.stem or "untitled"))
+
+
+def _free(parent: Path, stem: str) -> str:
+    """``kitchen_dataset``, else ``kitchen_dataset_2`` …: the first name of which there is nothing yet."""
+    name, count = f"{stem}{SUFFIX}", 2
+    while _held(parent / name):
+        name, count = f"{stem}{SUFFIX}_{count}", count + 1
+    return name
+
+
+def _held(path: Path) -> bool:
+    """Whether there is anything at a path that is not to be mixed with what is new."""
+    try:
+        return path.exists() and not (path.is_dir() and not any(path.iterdir()))
+    except OSError:
+        return True
+
+
+def _documents() -> Path:
+    """Where a user keeps things: a folder that can be written to."""
+    home = Path.home()
+    for folder in (home / "Documents", home):
+        if folder.is_dir() and os.access(folder, os.W_OK):
+            return folder
+    return user_folder()
+
+
+def whole(given: str) -> Path:
+    """The path that was given, absolute; raises ``BadValueError`` where there is none."""
+    if not given.strip():
+        raise BadValueError("no folder is chosen for the data set", "Choose a new or empty one.")
+    if given.startswith("//") and not bpy.data.filepath:
+        raise BadValueError(
+            f"{given} is relative to a file that is not saved yet", "Save it, or choose a whole path."
+        )
+    return Path(bpy.path.abspath(given)).absolute()
+
+
+def _names(folder: Path) -> list[str]:
+    try:
+        return os.listdir(folder)
+    except OSError as error:
+        raise OutputError(
+            f"nobody may look into {folder}: {error.strerror or error}", "Choose another folder."
+        ) from error
+
+
+def check(out: Path) -> str:
+    """What becomes of a folder, in words; raises ``OutputError`` where nothing can be written there."""
+    if (out / INFO_FILE).is_file():
+        return "It holds a data set: what has the same settings is kept, and nothing is overwritten"
+    if (out / PARTIAL_FILE).is_file():
+        return "It holds a part of a data set: with the same settings the rest is rendered"
+    if out.is_dir():
+        if any(not name.startswith(".") for name in _names(out)):
+            raise OutputError(f"{out} holds files but no data set", "Choose a new or empty folder.")
+        parent = out
+    elif out.exists():
+        raise OutputError(f"{out} is a file", "Choose a new or empty folder.")
+    else:
+        parent = next((each for each in out.parents if each.exists()), out.parent)
+    if not os.access(parent, os.W_OK):
+        raise OutputError(f"nothing can be written in {parent}", "Choose another folder.")
+    return "A new folder"

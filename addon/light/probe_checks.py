@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is to be said of a light probe: how much of it is a guess, and whether it is still of this model."""
+
+import json
+
+import bpy
+import numpy as np
+
+from ...bridge.errors import PhysHDRError
+from ...bridge.probe import MUCH_UNSEEN
+from ..blender import cloud_of
+from ..capture.camera_file import Frame, read_frames
+from ..capture.placement import data_of
+from ..model.look import cleaning_of
+from .probes import Place, has_moved, known
+
+#: Custom properties of a probe: whether no camera saw its place, and what of the model was hidden then.
+OUTSIDE, HIDDEN = "physhdr_probe_outside", "physhdr_probe_hidden"
+
+
+def note(probe: bpy.types.Object, model: bpy.types.Object) -> None:
+    """Remember of a probe whose light was just taken what cannot be found out later, or not while drawing."""
+    probe[OUTSIDE] = _is_outside(model, known(probe).at)
+    probe[HIDDEN] = _hidden(model)
+
+
+def warnings_of(probe: bpy.types.Object, model: bpy.types.Object) -> list[str]:
+    """Sentences for the panel, the gravest first; none where all is well."""
+    found, told = known(probe), []
+    if has_moved(probe):
+        told.append("It was moved: take its light again")
+    if found.gaussians != len(cloud_of(model).points) or probe.get(HIDDEN, "") != _hidden(model):
+        told.append("The model was edited since: take its light again")
+    if probe.get(OUTSIDE):
+        told.append("No camera saw this place: what is around it may be far from true")
+    if found.unseen > MUCH_UNSEEN:
+        told.append(f"{found.unseen:.0%} of what is around was never seen: a guess from its rim")
+    return told
+
+
+def _hidden(model: bpy.types.Object) -> str:
+    """What is hidden of a model from every side, as text; "" for nothing."""
+    cleaning = cleaning_of(model)
+    if not cleaning.by_itself:
+        return ""
+    limits = (
+        cleaning.largest_size,
+        cleaning.smallest_opacity,
+        cleaning.largest_elongation,
+        cleaning.largest_distance,
+        cleaning.clear_of_photos,
+    )
+    # The box in the model's space: numbers that change when a finger moves it, not when the model is moved.
+    box = [] if cleaning.crop is None else [round(number, 4) for number in cleaning.crop]
+    return json.dumps([box, cleaning.keep_outside, *limits])
+
+
+def _is_outside(model: bpy.types.Object, at: Place) -> bool:
+    """Whether no camera of the model's data set saw a place, and none stood near it; False if not known."""
+    folder = data_of(model)
+    if folder is None:
+        return False
+    try:
+        frames = read_frames(folder).frames
+    except (PhysHDRError, OSError):
+        return False
+    return is_outside(frames, np.array(at))
+
+
+def is_outside(frames: tuple[Frame, ...] | list[Frame], at: np.ndarray) -> bool:
+    """Whether a place ``[3]`` is in no camera's picture, and farther from all than they are apart."""
+    if not frames or any(_sees(frame, at) for frame in frames):
+        return False
+    positions = np.array([frame.camera_to_world[:3, 3] for frame in frames])
+    extent = np.linalg.norm(positions - positions.mean(axis=0), axis=1).max()
+    return bool(np.linalg.norm(positions - at, axis=1).min() > extent)
+
+
+def _sees(frame: Frame, at: np.ndarray) -> bool:
+    pose = frame.camera_to_world
+    right, up, back = pose[:3, :3].T @ (at - pose[:3, 3])
+    if back >= 0.0:
+        return False
+    x, y = frame.cx - frame.fx * right / back, frame.cy + frame.fy * up / back
+    return bool(0.0 <= x <= frame.width and 0.0 <= y <= frame.height)

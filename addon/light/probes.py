@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Light probes in the scene: empties that say where the light of which model was taken, and what came of it.
+
+All of it stands in custom properties, so that it is saved, undone, copied and appended with the empty. What
+is known of a probe's panoramas is kept as text (``bridge.probe``), so that panels read no files.
+"""
+
+import json
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import TypeGuard
+
+import bpy
+import numpy as np
+
+from ...bridge.blend_file import PROBE
+from ...bridge.probe import Probe
+from ..capture.similarity import scale_of
+from ..model.look import is_model
+from ..rendering.render import to_matrix
+
+#: Metres.
+Place = tuple[float, float, float]
+
+#: Custom properties of an empty: its model, the folder of its panoramas, and what is in it.
+MODEL, FOLDER, KNOWN = "physhdr_probe_model", "physhdr_probe_folder", PROBE
+#: Beside the .blend: the folders of all probes.
+ROOT = "PhysHDR_light"
+#: How large a new one is drawn, metres.
+SIZE = 0.1
+#: So far may a probe be from where its light was taken: metres, or shares of its distance to the model's
+#: origin where that is more.
+MOVED = 1e-4
+
+
+def is_probe(target: bpy.types.Object | None) -> TypeGuard[bpy.types.Object]:
+    """Whether an object is an empty at which light was taken."""
+    return target is not None and target.type == "EMPTY" and KNOWN in target
+
+
+def probes_of(scene: bpy.types.Scene, model: bpy.types.Object) -> list[bpy.types.Object]:
+    """The scene's probes of a model, by name."""
+    found = (each for each in scene.objects if is_probe(each) and each.get(MODEL) == model)
+    return sorted(found, key=lambda probe: probe.name)
+
+
+def known(probe: bpy.types.Object) -> Probe:
+    """What is known of its panoramas."""
+    content = json.loads(probe[KNOWN])
+    return Probe(**{**content, "at": tuple(content["at"]), "lights": tuple(content["lights"])})
+
+
+def into_model(model: bpy.types.Object, place: Place) -> Place:
+    """A place of the world in the model's own space, where its panoramas are drawn.
+
+    Raises ``DataMismatchError`` where the model is sheared, mirrored or scaled differently along its axes:
+    directions would not only turn.
+    """
+    to_world = np.array(model.matrix_world, np.float64)
+    scale_of(to_world)
+    x, y, z = (np.linalg.inv(to_world) @ np.array([*place, 1.0]))[:3]
+    return float(x), float(y), float(z)
+
+
+def in_world(model: bpy.types.Object, there: Place) -> Place:
+    """Where a place of the model's own space is in the world."""
+    x, y, z = (np.array(model.matrix_world, np.float64) @ np.array([*there, 1.0]))[:3]
+    return x, y, z
+
+
+def is_at(probe: bpy.types.Object, there: Place) -> bool:
+    """Whether a probe's light was taken ``there``, in the model's space."""
+    taken = np.array(known(probe).at)
+    return bool(np.linalg.norm(taken - there) <= MOVED * max(1.0, float(np.linalg.norm(taken))))
+
+
+def has_moved(probe: bpy.types.Object) -> bool:
+    """Whether the probe stands elsewhere in its model than where its light was taken."""
+    model = probe.get(MODEL)
+    if not isinstance(model, bpy.types.Object) or not is_model(model):
+        return False
+    here = np.linalg.inv(np.array(model.matrix_world)) @ np.array([*probe.matrix_world.translation, 1.0])
+    x, y, z = here[:3]
+    return not is_at(probe, (x, y, z))
+
+
+def mark(probe: bpy.types.Object, model: bpy.types.Object, folder: str, found: Probe) -> None:
+    """Remember at an empty what light was taken there."""
+    probe[MODEL], probe[FOLDER], probe[KNOWN] = model, folder, json.dumps(asdict(found))
+
+
+def new_probe(scene: bpy.types.Scene, model: bpy.types.Object, place: Place) -> bpy.types.Object:
+    """An empty at a place of the world; it hangs on the model, and moves with the capture."""
+    probe = bpy.data.objects.new("Light Probe", None)
+    probe.empty_display_type, probe.empty_display_size = "SPHERE", SIZE
+    collections = [each for each in model.users_collection if each.is_editable]
+    (collections[0] if collections else scene.collection).objects.link(probe)
+    probe.parent = model
+    scale = scale_of(np.array(model.matrix_world))
+    probe.matrix_local = to_matrix(np.diag([1.0 / scale] * 3 + [1.0]))
+    probe.location = into_model(model, place)
+    return probe
+
+
+def folder_for(name: str) -> str:
+    """The folder for a probe's panoramas: beside the .blend, ``//`` and all.
+
+    Before that is saved, Blender's own for temporary files, from which they are packed into the file.
+    """
+    safe = bpy.path.clean_name(name) or "probe"
+    if bpy.data.filepath:
+        return f"//{ROOT}/{safe}"
+    return str(Path(bpy.app.tempdir) / ROOT / safe)
+
+
+def free_name(taken: Iterator[str] | set[str], wanted: str = "Light Probe") -> str:
+    """``wanted``, with a number where another one has that name."""
+    names, number, name = set(taken), 1, wanted
+    while name in names:
+        name, number = f"{wanted}.{number:03d}", number + 1
+    return name

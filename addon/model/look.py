@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How a model is looked at: exposure, lighting levels, tone mapping, and what of it is hidden. Inputs of its
+modifier, so that they are saved, undone, keyframed and driven as everything in Blender; what draws a model
+reads them from here.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, TypeGuard
+
+import bpy
+import mathutils
+import numpy as np
+
+from ...bridge.errors import PhysHDRError
+from ...bridge.spherical_harmonics import MAX_DEGREE
+from ..blender import cloud_of
+from . import nodes
+from .attributes import BASE, CAMERA_DISTANCE, IDENTITY, POSITION, SCALE
+from .cleaning import ALL, Cleaning, RenderCamera, kept
+from .point_cloud import lights_of, read_attribute
+
+
+def inputs(lights: Sequence[str]) -> list[str]:
+    """The labels of the inputs that people use, in the panel's order: a level for each of the lights."""
+    levels = [nodes.level_input(lights, index) for index in range(len(lights))]
+    return [nodes.EXPOSURE, *levels, nodes.TONE_MAPPER, nodes.VIEW_DEPENDENT]
+
+
+@dataclass(frozen=True)
+class Look:
+    """``exposure_ev``: radiance is multiplied by 2 to this power; ``lighting_levels``: the factor of each of
+    the model's lights, 1 as captured; ``tone_mapper``: show the learned response's codes, not radiance.
+    ``cleaning``: what is hidden; ``sh_limit``: no SH of a higher degree are used."""
+
+    exposure_ev: float = 0.0
+    lighting_levels: tuple[float, ...] = (1.0,)
+    tone_mapper: bool = False
+    view_dependent: bool = True
+    cleaning: Cleaning = ALL
+    sh_limit: int = MAX_DEGREE
+
+    @property
+    def exposure(self) -> float:
+        """Seconds: 2^EV."""
+        return 2.0**self.exposure_ev
+
+
+def is_model(target: bpy.types.Object | None) -> TypeGuard[bpy.types.Object]:
+    """Whether an object is an imported model (or a copy of one)."""
+    return target is not None and target.type == "POINTCLOUD" and IDENTITY in cloud_of(target)
+
+
+def look_of(target: bpy.types.Object, depsgraph: bpy.types.Depsgraph | None = None) -> Look:
+    """The look of a model: its values now, or with ``depsgraph`` as evaluated there (a frame being rendered).
+
+    A model whose modifier was removed has the look it was captured with; a light that the modifier knows
+    nothing of (an older one's) is at 1. Raises ``DataMismatchError`` as ``lights_of`` does.
+    """
+    lights = lights_of(cloud_of(target))
+    values = _values(target, (*inputs(lights), *nodes.CLEANING, *nodes.CULLING), depsgraph)
+    levels = [values.get(nodes.level_input(lights, index), 1.0) for index in range(len(lights))]
+    return Look(
+        exposure_ev=values.get(nodes.EXPOSURE, 0.0),
+        lighting_levels=tuple(levels),
+        tone_mapper=values.get(nodes.TONE_MAPPER, False),
+        view_dependent=values.get(nodes.VIEW_DEPENDENT, True),
+        cleaning=_cleaning(target, values, depsgraph),
+        sh_limit=values.get(nodes.SH_DEGREE, MAX_DEGREE),
+    )
+
+
+def cleaning_of(target: bpy.types.Object, depsgraph: bpy.types.Depsgraph | None = None) -> Cleaning:
+    """What of a model is hidden, as ``look_of``; nothing where its modifier is an older one, or removed."""
+    values = _values(target, (*nodes.CLEANING, *nodes.CULLING), depsgraph)
+    return _cleaning(target, values, depsgraph)
+
+
+def kept_of(
+    cloud: bpy.types.PointCloud, cleaning: Cleaning, camera: RenderCamera | None = None
+) -> np.ndarray:
+    """Bool ``[N]``: which Gaussians of a model's point cloud ``cleaning.kept`` keeps."""
+    measured = CAMERA_DISTANCE.name in cloud.attributes
+    return kept(
+        cleaning,
+        read_attribute(cloud, POSITION.name),
+        read_attribute(cloud, SCALE.name),
+        read_attribute(cloud, BASE.name)[:, 3],
+        read_attribute(cloud, CAMERA_DISTANCE.name) if measured else None,
+        camera,
+    )
+
+
+def _values(
+    target: bpy.types.Object, labels: Sequence[str], depsgraph: bpy.types.Depsgraph | None
+) -> dict[str, Any]:
+    """The values of those inputs that the model's modifier has."""
+    modifier = nodes.find_modifier(target)
+    if modifier is None:
+        return {}
+    # Labels are looked up in the original; an evaluated object has only the values of its own.
+    identifiers = nodes.identifiers(modifier)
+    if depsgraph is not None:
+        modifier = target.evaluated_get(depsgraph).modifiers[modifier.name]
+    found = nodes.inputs_of(modifier)
+    return {label: getattr(found, identifiers[label]).value for label in labels if label in identifiers}
+
+
+def _cleaning(
+    target: bpy.types.Object, values: dict[str, Any], depsgraph: bpy.types.Depsgraph | None
+) -> Cleaning:
+    if not values:
+        return ALL
+
+    def value(label: str, default: Any = 0.0) -> Any:
+        return values.get(label, default)
+
+    def relative(label: str) -> mathutils.Matrix | None:
+        """From the space of an input's object to the model's."""
+        other = values.get(label)
+        if other is None:
+            return None
+        this = target
+        if depsgraph is not None:
+            this = target.evaluated_get(depsgraph)
+            # What an evaluated modifier names is evaluated already.
+            other = other if other.is_evaluated else other.evaluated_get(depsgraph)
+        return this.matrix_world.inverted_safe() @ other.matrix_world
+
+    crop = None
+    if value(nodes.CROP, False) and (box := relative(nodes.CROP_BOX)) and box.determinant() != 0.0:
+        crop = tuple(number for row in box.inverted() for number in row)
+    # Asked for only where it counts: nearly all of the time nothing is hidden.
+    centre = relative(nodes.DISTANCE_FROM) if value(nodes.LARGEST_DISTANCE) > 0.0 else None
+    return Cleaning(
+        crop=crop,
+        keep_outside=value(nodes.KEEP_OUTSIDE, False),
+        largest_size=value(nodes.LARGEST_SIZE),
+        smallest_opacity=value(nodes.SMALLEST_OPACITY),
+        largest_elongation=value(nodes.LARGEST_ELONGATION),
+        largest_distance=value(nodes.LARGEST_DISTANCE),
+        centre=(centre.translation.x, centre.translation.y, centre.translation.z) if centre else ALL.centre,
+        clear_of_photos=value(nodes.CLEAR_OF_PHOTOS),
+        clear_of_camera=value(nodes.CLEAR_OF_CAMERA),
+        farthest=value(nodes.FARTHEST),
+        only_in_view=value(nodes.ONLY_IN_VIEW, False),
+        view_margin=value(nodes.VIEW_MARGIN, ALL.view_margin),
+    )
+
+
+def slider_name(lights: Sequence[str], index: int) -> str:
+    """What a panel calls a light's level: by its name alone, which is all there is room for."""
+    return nodes.level_input(lights, 0) if len(lights) == 1 else lights[index]
+
+
+def draw_look(layout: bpy.types.UILayout, target: bpy.types.Object) -> None:
+    """The look's sliders (one a light) with keyframe buttons; a label where the modifier was removed."""
+    modifier = nodes.find_modifier(target)
+    if modifier is None:
+        layout.label(text="Its PhysHDR modifier was removed: import it again", icon="ERROR")
+        return
+    try:
+        lights = lights_of(cloud_of(target))
+    except PhysHDRError as error:
+        layout.label(text=str(error), icon="ERROR")
+        return
+    column = layout.column()
+    column.use_property_split = True
+    column.use_property_decorate = True
+    # A panel has less room than a modifier: half of its width is for the names of switches.
+    names = {nodes.TONE_MAPPER: "Learned Tones"}
+    names |= {nodes.level_input(lights, index): slider_name(lights, index) for index in range(len(lights))}
+    for label in inputs(lights):
+        if nodes.has_input(modifier, label):
+            socket = getattr(nodes.inputs_of(modifier), nodes.input_identifier(modifier, label))
+            column.prop(socket, "value", text=names.get(label, label))

@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Bring Gaussians into the scene: a trained model or any 3DGS PLY, by script, menu or drag and drop."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+import bpy
+from bpy_extras.io_utils import ImportHelper, poll_file_object_drop
+
+from ...bridge.display import ColorSpace
+from ...bridge.errors import PhysHDRError
+from ...bridge.model_file import read_model
+from ...bridge.ply_model import PlyModel, read_ply_model
+from ..blender import add_entry, cloud_of, layout_of, remove_entry
+from ..capture.placement import capture_of_file, place
+from ..rendering.render_setup import render_problems, set_up_object
+from .attributes import CAPTURE, COLOR_SPACE, DISPLAY, FILE
+from .point_cloud import build_point_cloud
+from .radiance_tree import add_modifier
+
+Orientation = Literal["AS_IS", "Y_UP", "COLMAP"]
+
+#: Turn about X, in radians, that makes the file's up the scene's Z. It is the object's rotation: the
+#: Gaussians and their spherical harmonics stay as they are in the file.
+TURNS: dict[Orientation, float] = {"AS_IS": 0.0, "Y_UP": 0.5 * math.pi, "COLMAP": -0.5 * math.pi}
+PLY_SUFFIX = ".ply"
+SET_UP_NEXT = "Before you render: Set Up Render, in the panel Render."
+
+
+@dataclass(frozen=True)
+class Imported:
+    """The new object, and sentences for the user about what the file could not tell."""
+
+    target: bpy.types.Object
+    notes: tuple[str, ...]
+
+
+def import_model(
+    path: str | Path, name: str = "", collection: bpy.types.Collection | None = None
+) -> bpy.types.Object:
+    """Read a model file or a PLY and make it an object that relights and renders without a backend.
+
+    ``name``: the file's name if empty; ``collection``: the scene's own if ``None``. Raises what
+    ``read_model`` and ``read_ply_model`` raise, before anything is made.
+    """
+    return import_file(path, name, collection).target
+
+
+def import_file(
+    path: str | Path,
+    name: str = "",
+    collection: bpy.types.Collection | None = None,
+    color_space: ColorSpace = "SRGB",
+    orientation: Orientation = "AS_IS",
+) -> Imported:
+    """As ``import_model``; ``color_space`` and ``orientation`` count for PLYs only: a model has its own."""
+    path = Path(path)
+    is_ply = path.suffix.lower() == PLY_SUFFIX
+    source = read_ply_model(path, color_space) if is_ply else PlyModel(read_model(path), None, 0, ())
+    name = name or path.stem
+    cloud = build_point_cloud(source.model, name, source.colour_sh)
+    cloud[FILE] = str(path)
+    cloud[CAPTURE] = capture_of_file(path)
+    if source.colour_sh is not None:
+        cloud[COLOR_SPACE] = color_space
+    target = bpy.data.objects.new(name, cloud)
+    if is_ply:
+        target.rotation_euler.x = TURNS[orientation]
+    add_modifier(target, source.model)
+    set_up_object(target)
+    (collection or bpy.context.scene.collection).objects.link(target)
+    return Imported(target, source.notes)
+
+
+class PHYSHDR_OT_model_import(bpy.types.Operator, ImportHelper):
+    """Import trained PhysHDR models or any 3DGS PLY as point clouds that can be relit and rendered"""
+
+    bl_idname = "physhdr.model_import"
+    bl_label = "Import Gaussians"
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
+
+    if TYPE_CHECKING:
+        filepath: str  # ImportHelper's
+
+    filename_ext = ".safetensors"
+    filter_glob: bpy.props.StringProperty(default="*.safetensors;*.ply", options={"HIDDEN"})
+    directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
+    files: bpy.props.CollectionProperty(
+        type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"}
+    )
+    name: bpy.props.StringProperty(
+        name="Name",
+        description="Name of the new object; empty: the file's name. Several files have their own",
+        options={"SKIP_SAVE"},
+    )
+    color_space: bpy.props.EnumProperty(
+        name="PLY colours",
+        description="What the colours of a PLY are. PhysHDR's own model files are always scene-linear",
+        items=[
+            ("SRGB", "sRGB", "Display-referred, as nearly every 3DGS trainer writes; they are linearised"),
+            ("LINEAR", "Linear", "Scene-linear radiance"),
+        ],
+    )
+    orientation: bpy.props.EnumProperty(
+        name="PLY orientation",
+        description="Which way is up in a PLY; the object is turned. Model files are in Blender's axes",
+        items=[
+            ("AS_IS", "As it is", "Z up, as PhysHDR's own and nerfstudio's"),
+            ("Y_UP", "Y up", "Y up, Z backward, as most web and game tools"),
+            ("COLMAP", "COLMAP", "Y down, Z forward, as 3DGS writes what was trained from COLMAP's cameras"),
+        ],
+    )
+    viewport: bpy.props.EnumProperty(
+        name="Viewport",
+        description="How the 3D view draws the Gaussians. Renders are not affected",
+        items=[
+            ("SPLATS", "Splats", "By a shader, as the trainer draws them: fast"),
+            ("NODES", "Geometry nodes", "The instances that Cycles and EEVEE render: slow for many"),
+        ],
+    )
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if context.mode != "OBJECT":
+            cls.poll_message_set("Leave edit mode first (Tab)")
+            return False
+        return True
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        # Dropped files come with their paths; a PLY's axes and colours are worth a question.
+        dropped = self.properties.is_property_set("filepath")
+        if dropped and not any(path.suffix.lower() == PLY_SUFFIX for path in self._paths()):
+            return self.execute(context)
+        return self.invoke_popup(context)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        column = layout_of(self).column()
+        column.use_property_split = True
+        for name in ("name", "orientation", "color_space", "viewport"):
+            column.prop(self, name)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        paths = self._paths()
+        imported: list[Imported] = []
+        failures: list[PhysHDRError] = []
+        window_manager = context.window_manager
+        window_manager.progress_begin(0, len(paths))
+        try:
+            for index, path in enumerate(paths):
+                window_manager.progress_update(index)
+                try:
+                    imported.append(self._import(context, path, self.name if len(paths) == 1 else ""))
+                except PhysHDRError as error:
+                    failures.append(error)
+        finally:
+            window_manager.progress_end()
+        for error in failures:
+            # From a script an error raises, as if nothing had been imported.
+            self.report({"WARNING" if imported else "ERROR"}, str(error))
+        if not imported:
+            return {"CANCELLED"}
+        _select(context, [each.target for each in imported])
+        next_step = [SET_UP_NEXT] if render_problems(context.scene) else []
+        for each in imported:
+            count = len(cloud_of(each.target).points)
+            told = f"Imported {count} Gaussians as {each.target.name!r}."
+            self.report({"INFO"}, " ".join([told, *each.notes, *next_step]))
+        return {"FINISHED"}
+
+    def _paths(self) -> list[Path]:
+        names = [each.name for each in self.files if each.name]
+        if self.directory and names:
+            folder = Path(bpy.path.abspath(self.directory))
+            return [folder / name for name in names]
+        return [Path(bpy.path.abspath(self.filepath))]
+
+    def _import(self, context: bpy.types.Context, path: Path, name: str) -> Imported:
+        # A collection linked from another file takes no objects.
+        collection = context.collection if context.collection.is_editable else None
+        done = import_file(path, name, collection, self.color_space, self.orientation)
+        place(context.scene, done.target)
+        if hasattr(done.target, DISPLAY):  # absent where the 3D view's drawing is not registered
+            setattr(done.target, DISPLAY, self.viewport)
+        return done
+
+
+def _select(context: bpy.types.Context, targets: list[bpy.types.Object]) -> None:
+    """Make ``targets`` the selection and the last one active, as far as this view layer shows them."""
+    for selected in context.selected_objects or ():
+        selected.select_set(False)
+    for target in targets:
+        if target.name in context.view_layer.objects:  # not where its collection is excluded
+            target.select_set(True)
+            context.view_layer.objects.active = target
+
+
+class PHYSHDR_FH_gaussians(bpy.types.FileHandler):
+    """Gaussians dropped into the 3D view or the outliner. Blender asks which importer reads a .ply."""
+
+    bl_idname = "PHYSHDR_FH_gaussians"
+    bl_label = "PhysHDR Gaussians"
+    bl_import_operator = PHYSHDR_OT_model_import.bl_idname
+    bl_file_extensions = ".safetensors;.ply"
+
+    @classmethod
+    def poll_drop(cls, context: bpy.types.Context) -> bool:
+        return poll_file_object_drop(context)
+
+
+def _draw_import_menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
+    layout_of(menu).operator(
+        PHYSHDR_OT_model_import.bl_idname, text="PhysHDR model, Gaussians (.safetensors/.ply)"
+    )
+
+
+_CLASSES = (PHYSHDR_OT_model_import, PHYSHDR_FH_gaussians)
+
+
+def register() -> None:
+    for cls in _CLASSES:
+        bpy.utils.register_class(cls)
+    add_entry(bpy.types.TOPBAR_MT_file_import, _draw_import_menu)
+
+
+def unregister() -> None:
+    remove_entry(bpy.types.TOPBAR_MT_file_import, _draw_import_menu)
+    for cls in reversed(_CLASSES):
+        bpy.utils.unregister_class(cls)

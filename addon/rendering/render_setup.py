@@ -1,0 +1,392 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a scene with models needs to render right, said once: what is wrong now, and what sets it right.
+
+``render_problems`` looks, ``set_up`` sets. What is set is as little as Gaussians need: other objects' light,
+edges and noise stay as the artist has them, and what is set higher than needed stays, too. A picture that
+agrees with the trainer's to the last digit has jagged edges: that is asked for (``Wishes.exact``).
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import bpy
+
+from ..blender import settings_of_cycles
+from ..model import nodes
+from ..model.look import is_model
+from ..model.material import materials_in
+from .render import CERTAIN_BOUNCES, TRANSPARENT_BOUNCES, let_rays_pass, sample_centres
+
+CYCLES, EEVEE = "CYCLES", "BLENDER_EEVEE"
+#: How EEVEE draws camera splats: blended by the depth of their centres, without grain, 54 dB from our
+#: rasteriser (the demo's room, sRGB, 100×100, one sample). What is blended has no depth of its own: depth of
+#: field takes it for what lies behind it.
+BLENDED, BY_LOT = "BLENDED", "DITHERED"
+#: By lot each Gaussian is drawn in a share of the samples: with 256 the demo's room is 32 dB from our
+#: rasteriser, 29 with 16: grain. Ellipsoids are always drawn so.
+EEVEE_SAMPLES = 256
+#: The driver's variables, from the scene that is rendered.
+WIDTH = {"width": "render.resolution_x", "percent": "render.resolution_percentage"}
+WIDTH_EXPRESSION = "width * percent / 100"
+#: Custom property of a model that was set to be drawn as ellipsoids on purpose.
+ELLIPSOIDS = "physhdr_ellipsoids"
+#: So many models are named in a sentence.
+NAMED = 3
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What would render wrong, in a sentence. ``mended``: whether *Set Up Render* sets it right."""
+
+    kind: str
+    text: str
+    mended: bool = True
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What is chosen in *Set Up Render*. ``film_transparent`` and ``exact`` set their settings where True,
+    and leave them where False."""
+
+    camera_splats: bool = True
+    cast_shadows: bool = False
+    film_transparent: bool = False
+    exact: bool = False
+
+
+def settings_of_eevee(scene: bpy.types.Scene) -> bpy.types.SceneEEVEE:
+    assert scene.eevee is not None  # every scene has them
+    return scene.eevee
+
+
+# ---- which models ------------------------------------------------------------------------------------------
+
+
+def models_in_render(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The models that a render of the scene shows, instances of collections included, each once."""
+    found: dict[bpy.types.Object, None] = {}
+    for layer in scene.view_layers:
+        if layer.use:
+            for each in _in_layer(layer.layer_collection):
+                found |= dict.fromkeys(_with_instances(each, ()))
+    return [each for each in found if is_model(each)]
+
+
+def _in_layer(layer: bpy.types.LayerCollection) -> Iterator[bpy.types.Object]:
+    if layer.collection.hide_render:
+        return
+    if not layer.exclude:
+        yield from (each for each in layer.collection.objects if not each.hide_render)
+    for child in layer.children:
+        yield from _in_layer(child)
+
+
+def _with_instances(each: bpy.types.Object, inside: tuple[str, ...]) -> Iterator[bpy.types.Object]:
+    """The object, and what it is an instance of. ``inside``: collections that one is in already."""
+    yield each
+    collection = each.instance_collection if each.instance_type == "COLLECTION" else None
+    if collection is not None and collection.name_full not in inside:
+        for other in _in_collection(collection):
+            yield from _with_instances(other, (*inside, collection.name_full))
+
+
+def _in_collection(collection: bpy.types.Collection) -> Iterator[bpy.types.Object]:
+    if collection.hide_render:
+        return
+    yield from (each for each in collection.objects if not each.hide_render)
+    for child in collection.children:
+        yield from _in_collection(child)
+
+
+def has_model(scene: bpy.types.Scene) -> bool:
+    """Whether there is any model in the scene, shown or not."""
+    return any(is_model(each) for each in scene.objects) or bool(models_in_render(scene))
+
+
+# ---- what belongs to an object -----------------------------------------------------------------------------
+
+
+def set_up_object(target: bpy.types.Object) -> None:
+    """What belongs to a model and not to a scene; the import does it.
+
+    Gaussians carry their light with them and cast no shadow: beside a sun EEVEE would draw the shadow of
+    every one (60 thousand at 120×120: it had not ended after 15 minutes; without it takes 20 seconds).
+    """
+    target.visible_shadow = False
+
+
+def render_width(scene: bpy.types.Scene) -> int:
+    """Pixels across a render of the scene."""
+    return int(scene.render.resolution_x * scene.render.resolution_percentage / 100.0)
+
+
+def follow_render_width(target: bpy.types.Object) -> None:
+    """Drive the model's image width by the width of the scene that is rendered, whichever that is.
+
+    A simple expression of Blender's own: it needs neither this extension nor Python scripts to be allowed.
+    A driver or keyframes of the user's stay.
+    """
+    modifier = nodes.find_modifier(target)
+    if modifier is None or _curve(target, modifier) is not None:
+        return
+    path = nodes.input_data_path(modifier, nodes.IMAGE_WIDTH)
+    curve: Any = target.driver_add(path)
+    driver = curve.driver
+    driver.type = "SCRIPTED"
+    for name, data_path in WIDTH.items():
+        variable = driver.variables.new()
+        variable.name, variable.type = name, "CONTEXT_PROP"
+        variable.targets[0].context_property = "ACTIVE_SCENE"
+        variable.targets[0].data_path = data_path
+    driver.expression = WIDTH_EXPRESSION
+
+
+def follows_render_width(target: bpy.types.Object) -> bool:
+    """Whether the model's image width has our driver."""
+    modifier = nodes.find_modifier(target)
+    curve = None if modifier is None else _curve(target, modifier)
+    driver = getattr(curve, "driver", None)
+    return driver is not None and driver.is_valid and driver.expression == WIDTH_EXPRESSION
+
+
+def _curve(target: bpy.types.Object, modifier: bpy.types.NodesModifier) -> Any:
+    """The driver or the keyframes of the model's image width; None where it has neither."""
+    path, data = nodes.input_data_path(modifier, nodes.IMAGE_WIDTH), target.animation_data
+    if data is None:
+        return None
+    drivers = (curve for curve in data.drivers if curve.data_path == path)
+    return next(drivers, None) or _keyframes(data, path)
+
+
+def _keyframes(data: bpy.types.AnimData, path: str) -> Any:
+    """The curve of the object's action that has this path, if any."""
+    action, slot = data.action, data.action_slot
+    if action is None or slot is None:
+        return None
+    strips: list[Any] = [strip for layer in action.layers for strip in layer.strips]
+    bags = (strip.channelbag(slot) for strip in strips)
+    curves = (curve for bag in bags if bag is not None for curve in bag.fcurves)
+    return next((curve for curve in curves if curve.data_path == path), None)
+
+
+def _input(target: bpy.types.Object, name: str) -> Any:
+    """The value of a model's input now; None where it has none."""
+    modifier = nodes.find_modifier(target)
+    if modifier is None or not nodes.has_input(modifier, name):
+        return None
+    return getattr(nodes.inputs_of(modifier), nodes.input_identifier(modifier, name)).value
+
+
+def _set(target: bpy.types.Object, name: str, value: Any) -> None:
+    modifier = nodes.find_modifier(target)
+    if modifier is not None and nodes.has_input(modifier, name):
+        nodes.set_input(modifier, name, value)
+
+
+# ---- what would render wrong -------------------------------------------------------------------------------
+
+Models = Sequence[bpy.types.Object]
+
+
+def render_problems(scene: bpy.types.Scene) -> list[Problem]:
+    """What a render of the scene would show wrong of its models, with the engine that is chosen now."""
+    models = models_in_render(scene)
+    if not models:
+        return []
+    found: list[Problem] = []
+    for check in _CHECKS:
+        found += check(scene, models)
+    return found
+
+
+def names_of(models: Iterable[bpy.types.Object]) -> str:
+    """``room, garden and 3 more``."""
+    names = [each.name for each in models]
+    told, more = names[:NAMED], len(names) - NAMED
+    if more > 0:
+        return f"{', '.join(told)} and {more} more"
+    return f"{', '.join(told[:-1])} and {told[-1]}" if len(told) > 1 else told[0]
+
+
+def _modifier(scene: bpy.types.Scene, models: Models) -> Iterator[Problem]:
+    gone = [each for each in models if nodes.find_modifier(each) is None]
+    if gone:
+        told = f"{names_of(gone)}: no PhysHDR modifier, so nothing is rendered. Import again"
+        yield Problem("MODIFIER", told, mended=False)
+    modifiers = ((each, nodes.find_modifier(each)) for each in models)
+    hidden = [each for each, modifier in modifiers if modifier is not None and not modifier.show_render]
+    if hidden:
+        yield Problem("MODIFIER", f"{names_of(hidden)}: the modifier is switched off for renders")
+
+
+def _bounces(scene: bpy.types.Scene, models: Models) -> Iterator[Problem]:
+    if scene.render.engine != CYCLES:
+        return
+    cycles = settings_of_cycles(scene)
+    passed, certain = cycles.transparent_max_bounces, cycles.min_transparent_bounces
+    if passed < CERTAIN_BOUNCES:
+        told = f"A ray passes {passed} Gaussians and ends: the picture is black and blotchy"
+        yield Problem("BOUNCES", f"{told} (Transparent Bounces, {TRANSPARENT_BOUNCES} are needed)")
+    elif certain < CERTAIN_BOUNCES:
+        told = "Rays end at random among the Gaussians: the picture is noisy"
+        yield Problem("BOUNCES", f"{told} (Min Transparent Bounces {certain}, {CERTAIN_BOUNCES} are needed)")
+
+
+def _shadows(scene: bpy.types.Scene, models: Models) -> Iterator[Problem]:
+    casting = [each for each in models if each.visible_shadow]
+    if scene.render.engine == EEVEE and casting and _has_shadows(scene):
+        told = f"{names_of(casting)}: every Gaussian casts a shadow, and EEVEE may never end"
+        yield Problem("SHADOWS", told, mended=_editable(casting))
+
+
+def _has_shadows(scene: bpy.types.Scene) -> bool:
+    """Whether EEVEE draws shadows in the scene: of a lamp, or of a world that has a sun in it."""
+    if not settings_of_eevee(scene).use_shadows:
+        return False
+    for each in scene.objects:
+        if isinstance(each.data, bpy.types.Light) and each.data.use_shadow and not each.hide_render:
+            return True
+    world: Any = scene.world
+    if world is None or world.node_tree is None or not world.use_sun_shadow:
+        return False
+    return any(node.type in ("TEX_ENVIRONMENT", "TEX_SKY") for node in world.node_tree.nodes)
+
+
+def _camera(scene: bpy.types.Scene, models: Models) -> Iterator[Problem]:
+    if scene.camera is None:
+        told = "There is no camera to render through. Import Cameras brings those of the data set"
+        yield Problem("CAMERA", told, mended=False)
+
+
+def _splats(scene: bpy.types.Scene, models: Models) -> Iterator[Problem]:
+    if scene.camera is None:
+        return
+    drawn = {each: _input(each, nodes.CAMERA_SPLATS) for each in models}
+    if _is_panorama(scene):
+        cards = [each for each, splats in drawn.items() if splats]
+        if cards:
+            told = f"{names_of(cards)}: camera splats are for flat pictures, and the camera takes a panorama"
+            yield Problem("SPLATS", told, mended=_editable(cards))
+        return
+    proxies = [each for each, splats in drawn.items() if splats is False and ELLIPSOIDS not in each]
+    if proxies:
+        told = f"{names_of(proxies)}: drawn as ellipsoids, not as it was trained (Camera Splats is off)"
+        yield Problem("SPLATS", told, mended=_editable(proxies))
+
+
+def _is_panorama(scene: bpy.types.Scene) -> bool:
+    lens = scene.camera.data if scene.camera else None
+    return isinstance(lens, bpy.types.Camera) and lens.type == "PANO"
+
+
+def _width(scene: bpy.types.Scene, models: Models) -> Iterator[Problem]:
+    wide = render_width(scene)
+    for each in models:
+        width = _input(each, nodes.IMAGE_WIDTH)
+        if width in (None, wide) or follows_render_width(each):
+            continue
+        told = f"{each.name}: fine detail comes out too thin"
+        if width:
+            told = f"{each.name}: fine detail is for a picture {width} pixels wide, and this one has {wide}"
+        told += " (Image Width)"
+        modifier = nodes.find_modifier(each)
+        own = modifier is not None and _curve(each, modifier) is not None
+        yield Problem("WIDTH", told, mended=_editable([each]) and not own)
+
+
+def _samples(scene: bpy.types.Scene, models: Models) -> Iterator[Problem]:
+    samples = settings_of_eevee(scene).taa_render_samples
+    if scene.render.engine != EEVEE or samples >= EEVEE_SAMPLES:
+        return
+    grainy = [each for each in models if BY_LOT in _methods(each)]
+    if grainy:
+        told = f"{names_of(grainy)}: grainy with {samples} samples: EEVEE draws each Gaussian in some of them"
+        yield Problem("SAMPLES", f"{told} ({EEVEE_SAMPLES} are needed)")
+
+
+def _depth_of_field(scene: bpy.types.Scene, models: Models) -> Iterator[Problem]:
+    if scene.render.engine != EEVEE or not _has_depth_of_field(scene):
+        return
+    blended = [each for each in models if BLENDED in _methods(each)]
+    if blended:
+        told = f"{names_of(blended)}: EEVEE's depth of field may take it for what lies behind it"
+        yield Problem("DEPTH", told, mended=_editable(_materials(blended)))
+
+
+def _has_depth_of_field(scene: bpy.types.Scene) -> bool:
+    lens = scene.camera.data if scene.camera else None
+    return isinstance(lens, bpy.types.Camera) and lens.dof is not None and lens.dof.use_dof
+
+
+def _methods(target: bpy.types.Object) -> set[str]:
+    """How EEVEE draws a model as it is set now."""
+    return {each.surface_render_method for each in _materials([target])}
+
+
+def _materials(models: Models) -> list[bpy.types.Material]:
+    """What shades the models as they are set now."""
+    found: list[bpy.types.Material] = []
+    for each in models:
+        modifier = nodes.find_modifier(each)
+        splats = _input(each, nodes.CAMERA_SPLATS)
+        if modifier is not None and splats is not None:
+            found += materials_in(modifier.node_group, "splat" if splats else "ellipsoid")
+    return found
+
+
+def _editable(data: Sequence[bpy.types.ID]) -> bool:
+    return all(each.library is None for each in data)
+
+
+_CHECKS: tuple[Callable[[bpy.types.Scene, Models], Iterator[Problem]], ...] = (
+    *(_camera, _modifier, _bounces, _samples, _depth_of_field, _shadows, _splats, _width),
+)
+
+
+# ---- what sets it right ------------------------------------------------------------------------------------
+
+
+def set_up(scene: bpy.types.Scene, wishes: Wishes | None = None) -> None:
+    """Set what the scene and its models need, for Cycles and EEVEE alike, as little as that is.
+
+    Models that are linked from another file stay as they are there.
+    """
+    wishes = wishes or Wishes()
+    if hasattr(scene, "cycles"):  # it can be switched off as an extension can
+        let_rays_pass(scene)
+    if wishes.film_transparent:
+        scene.render.film_transparent = True
+    if wishes.exact:
+        sample_centres(scene)
+    for target in models_in_render(scene):
+        if target.library is None:
+            _set_up_model(scene, target, wishes)
+    if any(BY_LOT in _methods(each) for each in models_in_render(scene)):
+        eevee = settings_of_eevee(scene)
+        eevee.taa_render_samples = max(eevee.taa_render_samples, EEVEE_SAMPLES)
+
+
+def _set_up_model(scene: bpy.types.Scene, target: bpy.types.Object, wishes: Wishes) -> None:
+    modifier = nodes.find_modifier(target)
+    if modifier is not None:
+        modifier.show_render = True
+    set_up_object(target)
+    if wishes.cast_shadows:
+        target.visible_shadow = True
+    _set(target, nodes.CAMERA_SPLATS, wishes.camera_splats and not _is_panorama(scene))
+    if wishes.camera_splats:
+        target.pop(ELLIPSOIDS, None)
+    else:
+        target[ELLIPSOIDS] = True
+    if _input(target, nodes.IMAGE_WIDTH) is not None:
+        follow_render_width(target)
+    if _input(target, nodes.CAMERA_SPLATS):
+        for material in _materials([target]):
+            if material.library is None:
+                material.surface_render_method = BY_LOT if _has_depth_of_field(scene) else BLENDED
+
+
+def wishes_from(given: Any) -> Wishes:
+    """The wishes among an operator's properties."""
+    return Wishes(**{each.name: getattr(given, each.name) for each in fields(Wishes)})
