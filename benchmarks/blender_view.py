@@ -75,9 +75,9 @@ def main() -> None:
     options = parser.parse_args(sys.argv[after:])
     load_package()
     import physhdr
-    from physhdr.addon.cleaning import Cleaning
-    from physhdr.addon.look import kept_of
-    from physhdr.addon.point_cloud import build_point_cloud
+    from physhdr.addon.model.cleaning import Cleaning
+    from physhdr.addon.model.look import kept_of
+    from physhdr.addon.model.point_cloud import build_point_cloud
     from physhdr.addon.viewport.camera import ViewCamera
     from physhdr.addon.viewport.chunks import Chunks
     from physhdr.addon.viewport.splat_data import SplatTextures, fingerprint, read_arrays
