@@ -34,11 +34,13 @@ def test(window: Window) -> Iterator[float]:
     window.look_through(options.data / "transforms_test.json", 8)
     window.add_objects()
     settings.preview = True
+    yield from window.show_panels("illumination")  # its sliders in sight
     for level in LEVELS:
         settings.lighting_level = level
         yield from window.sharp()
         window.screenshot(f"level_{level:g}")
     settings.lighting_level = 1.0
+    yield from window.show_panels()
     settings.tone = "learned"
     bpy.context.scene.view_settings.view_transform = "Standard"
     yield from window.sharp()
