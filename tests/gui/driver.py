@@ -229,11 +229,17 @@ class Window:
         for cls in self._parts():
             name = cls.__name__.removeprefix("PHYSHDR_PT_")
             if not names or name in names:
-                options = getattr(cls, "bl_options", set())
-                if names:
-                    cls.bl_options = options - {"DEFAULT_CLOSED"}
+                options, usual = getattr(cls, "bl_options", set()), cls.__dict__.get("bl_idname")
+                if names and "DEFAULT_CLOSED" in options:
+                    # Blender remembers by its name that a panel is folded.
+                    cls.bl_options, cls.bl_idname = options - {"DEFAULT_CLOSED"}, f"{cls.__name__}_open"
                 bpy.utils.register_class(cls)
-                cls.bl_options = options
+                if names and "DEFAULT_CLOSED" in options:
+                    cls.bl_options = options
+                    if usual is None:
+                        del cls.bl_idname
+                    else:
+                        cls.bl_idname = usual
         yield from self.redrawn()
 
     def _parts(self) -> list[type]:

@@ -135,9 +135,9 @@ def clean(window: Window) -> Iterator[float]:
     model = bpy.context.object
     window.shade("SOLID")
     window.area.spaces.active.region_3d.view_perspective = "PERSP"
-    with window.override():
-        bpy.ops.view3d.view_selected()
-    yield from window.show_panels("cleaning", "culling")
+    view = window.region.data
+    view.view_location, view.view_distance = (0.2, 1.4, 0.9), 14.0
+    yield from window.show_panels("cleaning")
     yield from window.drawn()
     window.screenshot("5_clean")
     bpy.ops.physhdr.cleaning_box()
