@@ -27,7 +27,7 @@ def test(window: Window) -> Iterator[float]:
     runtime = window.module("addon.runtime")
     session, settings = runtime.session(), bpy.context.scene.physhdr
     settings.data = str(with_two_lights(options.data, options.out / "data"))
-    settings.out = str(options.out / "run")
+    settings.out = str(Path.home() / "training")
     settings.iterations = ITERATIONS
     assert not settings.further_levels
     bpy.ops.physhdr.train_start()

@@ -34,7 +34,7 @@ def test(window: Window) -> Iterator[float]:
     yield from window.until(lambda: not session.state.tasks, 300, "checked")
     assert session.state.backend.ready, session.state.backend.problem
     settings.data = str(options.data)
-    settings.out = str(options.out / "run")
+    settings.out = str(Path.home() / "training")
     settings.iterations = ITERATIONS
     yield from window.redrawn()
     window.screenshot("3_ready")
