@@ -60,7 +60,7 @@ def open_moved(window: Window) -> Iterator[float]:
     run, session, settings = window.options.model.parent, window.session, bpy.context.scene.physhdr
     config = run / "config.json"
     written = json.loads(config.read_text())
-    written["data"] = "/mnt/old_disk/room"
+    written["data"] = str(Path("/") / "an_old_disk" / "room")
     config.write_text(json.dumps(written))
     settings.data, settings.out = str(window.options.data), str(run)
     bpy.ops.physhdr.run_open()
