@@ -224,7 +224,8 @@ KEYFRAMES = """
 import sys
 from pathlib import Path
 import bpy, numpy as np
-from physhdr.addon import look, model_import, nodes, render
+from physhdr.addon.model import look, model_import, nodes
+from physhdr.addon.rendering import render
 
 model, out, engine, width = sys.argv[1], Path(sys.argv[2]), sys.argv[3], int(sys.argv[4])
 if engine == "eevee":

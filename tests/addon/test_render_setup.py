@@ -199,7 +199,7 @@ def test_a_driver_or_keyframes_of_the_users_stay(room, registered):
 SAVED = """
 import sys
 import bpy
-from physhdr.addon import nodes  # for a name alone: nothing is registered
+from physhdr.addon.model import nodes  # for a name alone: nothing is registered
 
 bpy.context.preferences.filepaths.use_scripts_auto_execute = False
 bpy.ops.wm.open_mainfile(filepath=sys.argv[1])
@@ -413,7 +413,8 @@ try:
 except (RuntimeError, SystemError) as error:
     sys.exit(f"no EEVEE here: {error}")
 import numpy as np
-from physhdr.addon import model_import, render, render_setup
+from physhdr.addon.model import model_import
+from physhdr.addon.rendering import render, render_setup
 
 bpy.ops.wm.read_factory_settings(use_empty=True)
 scene = bpy.context.scene

@@ -135,7 +135,9 @@ def test_parts_share_the_poses_and_the_last_step_has_nothing_to_render(tmp_path,
     monkeypatch.setattr(Renderer, "render", counted)
     out, whole = tmp_path / "parts", tmp_path / "whole"
     told = dataset.make(out, replace(small, part=(3, 3), threads=1))
+    took = told.pop("picture_seconds")
     assert told == {"folder": str(out), "part": [3, 3]}
+    assert len(took) == len(rendered) and all(seconds > 0.0 for seconds in took)
     assert 0 < len(rendered) == len(list((out / "passes").iterdir())) < 4 and not list(out.glob(".*"))
     assert not (out / "dataset.json").exists() and not (out / "points3d.ply").exists()
     for k in (1, 2, 2):
