@@ -27,6 +27,15 @@ def cloud_of(target: bpy.types.Object) -> bpy.types.PointCloud:
     return target.data
 
 
+def render_size(scene: bpy.types.Scene, percentage: float = 100.0) -> tuple[int, int]:
+    """Width and height of a render of the scene, pixels; ``percentage`` of it where that is asked for."""
+    render = scene.render
+    # In whole numbers, as Blender has it: 0.29 × 700 is a little less than 203.
+    percent = render.resolution_percentage
+    width, height = render.resolution_x * percent // 100, render.resolution_y * percent // 100
+    return max(1, int(width * percentage / 100.0)), max(1, int(height * percentage / 100.0))
+
+
 def settings_of_cycles(of: bpy.types.Scene | bpy.types.Material) -> Any:
     """Cycles' settings of a scene or a material: Cycles registers them, as an extension does."""
     return cast(Any, of).cycles

@@ -17,7 +17,7 @@ import numpy as np
 
 from ...bridge import data_set
 from ...bridge.axes import camera_to_world_from_llff
-from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError, PhysHDRError
+from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
 from ...bridge.limits import FOCAL_LENGTH, LARGEST_SIDE, PRINCIPAL_POINT, check_position, is_number
 from ...bridge.regular import damaged_where_it_fails, read_json_object
 from ..dataset.dataset_summary import picture_size
@@ -75,19 +75,12 @@ def read_pose(path: Path, index: int) -> Pose:
     if not path.exists():
         raise FileMissingError(f"there is no camera file {path}", "Give a transforms_*.json.")
     content = read_json_object(path, "Make the data set again.")
-    try:
+    with damaged_where_it_fails(f"{path}: camera {index} cannot be read", "Make the data set again."):
         frames, angle_x = list(content["frames"]), float(content["camera_angle_x"])
         if not 0 <= index < len(frames):
             raise BadValueError(f"{path} has no camera {index}", f"Choose one from 0 to {len(frames) - 1}.")
         matrix = np.array(frames[index]["transform_matrix"], float)
         name = str(frames[index].get("file_path", index))
-    except PhysHDRError:
-        raise
-    except Exception as error:
-        raise FileDamagedError(
-            f"{path}: camera {index} cannot be read ({type(error).__name__}: {error})",
-            "Make the data set again.",
-        ) from error
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all() or not 0.0 < angle_x < np.pi:
         raise BadValueError(
             f"{path}: camera {index} is not a finite 4×4 pose with an angle in (0, π)",

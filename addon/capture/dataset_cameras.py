@@ -17,6 +17,7 @@ import numpy as np
 from ...bridge import data_set
 from ...bridge.blend_file import SPLIT
 from ...bridge.errors import DataMismatchError, FileMissingError
+from ..blender import render_size
 from ..model.attributes import CAPTURE
 from ..rendering.render import CLIP_END, CLIP_START, to_matrix
 from . import placement, similarity
@@ -148,10 +149,7 @@ def size_of(camera: bpy.types.Object) -> tuple[int, int]:
 
 def has_size(scene: bpy.types.Scene, camera: bpy.types.Object) -> bool:
     """Whether the scene's render has the camera's picture's width and height."""
-    render = scene.render
-    percent = render.resolution_percentage
-    # In whole numbers, as Blender has it: 0.29 × 700 is a little less than 203.
-    return (render.resolution_x * percent // 100, render.resolution_y * percent // 100) == size_of(camera)
+    return render_size(scene) == size_of(camera)
 
 
 def take_size(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:

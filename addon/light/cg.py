@@ -118,6 +118,25 @@ def put(
     Once more it moves the ground, and takes in models and collections that came since. ``thickness``: metres
     above the plane that belong to the ground; found from the splats there if ``None``.
 
+    Raises what ``models_to_set_apart`` raises, with nothing changed.
+    """
+    models = models_to_set_apart(scene)
+    if layer.name in (SHADOW_LAYER, FRONT_LAYER):
+        layer = _beauty(scene)
+    if thickness is None:
+        thickness = floor_thickness(models, place, size / 2.0)
+    for each in models:
+        _set_apart(scene, each)
+    ground = _lay_ground(scene, place, size, thickness)
+    scene[BEAUTY] = layer.name
+    _add_layers(scene, layer)
+    cg_compositor.connect(scene, layer.name, SHADOW_LAYER, FRONT_LAYER)
+    return ground
+
+
+def models_to_set_apart(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """The scene's models, each of which can be moved into a collection that a layer leaves out.
+
     Raises:
         DataMismatchError: there is no model in the scene.
         FileMissingError: a model's collection is another file's, and nothing in it can be moved.
@@ -132,17 +151,7 @@ def put(
                     f"{each.name} is in the collection {collection.name} of another file",
                     "Make a library override of the collection, or append the model.",
                 )
-    if layer.name in (SHADOW_LAYER, FRONT_LAYER):
-        layer = _beauty(scene)
-    if thickness is None:
-        thickness = floor_thickness(models, place, size / 2.0)
-    for each in models:
-        _set_apart(scene, each)
-    ground = _lay_ground(scene, place, size, thickness)
-    scene[BEAUTY] = layer.name
-    _add_layers(scene, layer)
-    cg_compositor.connect(scene, layer.name, SHADOW_LAYER, FRONT_LAYER)
-    return ground
+    return models
 
 
 def reset(scene: bpy.types.Scene) -> None:

@@ -5,6 +5,7 @@ import bpy
 import mathutils
 import numpy as np
 
+from ..blender import render_size
 from .cleaning import EVEN, Place, RenderCamera
 
 
@@ -22,11 +23,11 @@ def render_camera(target: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> R
     axes = pose.to_3x3().transposed()
     right, up, back = (_place(axis.normalized()) for axis in axes)
     sides = sorted(abs(side) for side in placed.to_scale())
-    render = scene.render
+    render, (width, height) = scene.render, render_size(scene)
     projection = camera.calc_matrix_camera(
         depsgraph,
-        x=max(1, render.resolution_x * render.resolution_percentage // 100),
-        y=max(1, render.resolution_y * render.resolution_percentage // 100),
+        x=width,
+        y=height,
         scale_x=render.pixel_aspect_x,
         scale_y=render.pixel_aspect_y,
     )

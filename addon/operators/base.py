@@ -10,6 +10,7 @@ import bpy
 
 from ...bridge.errors import PhysHDRError
 from ...bridge.run_folder import CHECKPOINT_FILE, data_of, may_be_of, same_folder
+from ..model.look import is_model
 from ..paths import absolute, is_nowhere
 from ..runtime import session
 from ..session.advice import Choices, why_not
@@ -141,6 +142,27 @@ class PhysHDROperator(bpy.types.Operator):
             return {"CANCELLED"}
 
     def run(self, context: bpy.types.Context) -> set[str]:
+        raise NotImplementedError
+
+
+class OnModel(bpy.types.Operator):
+    """What is done to the active model, which ``poll`` sees to; it can be undone."""
+
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        target = context.object
+        assert is_model(target)
+        try:
+            told = self.act(context, target)
+        except PhysHDRError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        self.report({"INFO"}, told)
+        return {"FINISHED"}
+
+    def act(self, context: bpy.types.Context, target: bpy.types.Object) -> str:
+        """Do it; what was done, in a sentence. Raises ``PhysHDRError`` with nothing changed."""
         raise NotImplementedError
 
 

@@ -21,6 +21,7 @@ from ..capture.captures import camera_places
 from ..capture.picking import surface_along_ray
 from ..model.look import is_model
 from ..viewport.splat_data import is_splats, read_arrays
+from .base import OnModel
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import PropertyFlagItems
@@ -43,10 +44,8 @@ def _point(name: str) -> Any:
     )
 
 
-class _OnCapture(bpy.types.Operator):
+class _OnCapture(OnModel):
     """What is done to the capture of the active model: ``change`` says what, as a map of the world."""
-
-    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -57,21 +56,6 @@ class _OnCapture(bpy.types.Operator):
             cls.poll_message_set("Select an imported model first")
             return False
         return True
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        target = context.object
-        assert is_model(target)
-        try:
-            told = self.act(context, target)
-        except PhysHDRError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        self.report({"INFO"}, told)
-        return {"FINISHED"}
-
-    def act(self, context: bpy.types.Context, target: bpy.types.Object) -> str:
-        """Do it; what was done, in a sentence. Raises ``PhysHDRError`` with nothing changed."""
-        raise NotImplementedError
 
     def points(self, context: bpy.types.Context, names: Sequence[str]) -> np.ndarray:
         """``[N, 3]``: the points given under these names, else the places of as many selected empties.

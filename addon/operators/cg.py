@@ -80,6 +80,7 @@ class PHYSHDR_OT_cg_here(bpy.types.Operator):
             self.location = place
         try:
             context.view_layer.update()
+            cg.models_to_set_apart(scene)  # before anything is moved
             if self.floor == "BELOW":
                 below = cg.floor_below(scene, place)
                 place.z = place.z if below is None else below

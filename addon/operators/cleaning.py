@@ -21,15 +21,15 @@ from ..model.look import cleaning_of, is_model, kept_of
 from ..model.point_cloud import read_attribute, write_attribute
 from ..model.point_removal import keep_points, select_points, selection_of
 from ..model.radiance_tree import update_modifier
+from .base import OnModel
 
 #: What a crop box is fitted to: all but so much of the Gaussians at either end of each axis.
 OUTLIERS = 0.02
 
 
-class _OnModel(bpy.types.Operator):
+class _OnModel(OnModel):
     """What is done to the active model: ``act`` does it and says so, or raises with nothing changed."""
 
-    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
     #: Whether the Gaussians themselves are changed, which a linked model's cannot be.
     edits_points: ClassVar[bool] = True
 
@@ -43,20 +43,6 @@ class _OnModel(bpy.types.Operator):
             cls.poll_message_set("The model is linked from another file: clean it there")
             return False
         return True
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        target = context.object
-        assert is_model(target)
-        try:
-            told = self.act(context, target)
-        except PhysHDRError as error:
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
-        self.report({"INFO"}, told)
-        return {"FINISHED"}
-
-    def act(self, context: bpy.types.Context, target: bpy.types.Object) -> str:
-        raise NotImplementedError
 
 
 class PHYSHDR_OT_cleaning_select(_OnModel):

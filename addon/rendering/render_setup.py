@@ -12,7 +12,7 @@ from typing import Any
 
 import bpy
 
-from ..blender import settings_of_cycles
+from ..blender import render_size, settings_of_cycles
 from ..model import nodes
 from ..model.look import is_model
 from ..model.material import materials_in
@@ -66,10 +66,11 @@ def settings_of_eevee(scene: bpy.types.Scene) -> bpy.types.SceneEEVEE:
 def models_in_render(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     """The models that a render of the scene shows, instances of collections included, each once."""
     found: dict[bpy.types.Object, None] = {}
+    seen: set[str] = set()
     for layer in scene.view_layers:
         if layer.use:
             for each in _in_layer(layer.layer_collection):
-                found |= dict.fromkeys(_with_instances(each, ()))
+                found |= dict.fromkeys(_with_instances(each, seen))
     return [each for each in found if is_model(each)]
 
 
@@ -82,13 +83,18 @@ def _in_layer(layer: bpy.types.LayerCollection) -> Iterator[bpy.types.Object]:
         yield from _in_layer(child)
 
 
-def _with_instances(each: bpy.types.Object, inside: tuple[str, ...]) -> Iterator[bpy.types.Object]:
-    """The object, and what it is an instance of. ``inside``: collections that one is in already."""
+def _with_instances(each: bpy.types.Object, seen: set[str]) -> Iterator[bpy.types.Object]:
+    """The object, and what it is an instance of.
+
+    ``seen``: collections that somebody was an instance of already. Each is gone through once, however many
+    instances there are: panels ask.
+    """
     yield each
     collection = each.instance_collection if each.instance_type == "COLLECTION" else None
-    if collection is not None and collection.name_full not in inside:
+    if collection is not None and collection.name_full not in seen:
+        seen.add(collection.name_full)
         for other in _in_collection(collection):
-            yield from _with_instances(other, (*inside, collection.name_full))
+            yield from _with_instances(other, seen)
 
 
 def _in_collection(collection: bpy.types.Collection) -> Iterator[bpy.types.Object]:
@@ -114,11 +120,6 @@ def set_up_object(target: bpy.types.Object) -> None:
     every one (60 thousand at 120×120: it had not ended after 15 minutes; without it takes 20 seconds).
     """
     target.visible_shadow = False
-
-
-def render_width(scene: bpy.types.Scene) -> int:
-    """Pixels across a render of the scene."""
-    return int(scene.render.resolution_x * scene.render.resolution_percentage / 100.0)
 
 
 def follow_render_width(target: bpy.types.Object) -> None:
@@ -281,7 +282,7 @@ def _is_panorama(scene: bpy.types.Scene) -> bool:
 
 
 def _width(scene: bpy.types.Scene, models: Models) -> Iterator[Problem]:
-    wide = render_width(scene)
+    wide = render_size(scene)[0]
     for each in models:
         width = _input(each, nodes.IMAGE_WIDTH)
         if width in (None, wide) or follows_render_width(each):

@@ -12,6 +12,7 @@ import numpy as np
 
 from ...bridge.errors import BadValueError
 from ...bridge.shots import Shot, Shots
+from ..blender import render_size
 from ..capture import placement, similarity
 from ..model.look import look_of
 from ..settings import preview_levels
@@ -38,7 +39,7 @@ def shots_of(
     before = scene.frame_current, scene.frame_subframe
     frames: list[Shot] = []
     numbers = range(scene.frame_start, scene.frame_end + 1, scene.frame_step)
-    size = _size(scene, percentage)
+    size = render_size(scene, percentage)
     capture = placement.key_of(data)
     try:
         for done, number in enumerate(numbers, 1):
@@ -55,13 +56,6 @@ def shots_of(
         )
     render = scene.render
     return Shots(*size, render.fps / render.fps_base / scene.frame_step, frames)
-
-
-def _size(scene: bpy.types.Scene, percentage: float) -> tuple[int, int]:
-    """Pixels, as the render's dimensions say."""
-    render = scene.render
-    factor = 0.01 * render.resolution_percentage * 0.01 * percentage
-    return max(1, round(render.resolution_x * factor)), max(1, round(render.resolution_y * factor))
 
 
 def _shot(

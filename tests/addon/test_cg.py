@@ -19,6 +19,7 @@ from mathutils import Vector  # noqa: E402
 
 from physhdr.addon.light import cg  # noqa: E402
 from physhdr.addon.model import model_import, nodes  # noqa: E402
+from physhdr.addon.model.look import is_model  # noqa: E402
 from physhdr.addon.rendering import render  # noqa: E402
 from physhdr.bridge.model_file import Model  # noqa: E402
 from physhdr.bridge.panorama import directions as panorama_directions  # noqa: E402
@@ -420,3 +421,21 @@ def test_without_a_model_nothing_is_set_up(extension):
     with pytest.raises(RuntimeError):
         bpy.ops.physhdr.cg_here()
     assert len(scene.view_layers) == 1
+
+
+def test_where_a_model_cannot_be_set_apart_nothing_is_moved(extension, capture, tmp_path):
+    """The model's collection is another file's: said before the cube is put onto the floor."""
+    target = next(each for each in capture.objects if is_model(each))
+    theirs = bpy.data.collections.new("Theirs")
+    theirs.objects.link(target)
+    bpy.data.libraries.write(str(tmp_path / "theirs.blend"), {theirs})
+    bpy.data.objects.remove(target)
+    bpy.data.collections.remove(theirs)
+    with bpy.data.libraries.load(str(tmp_path / "theirs.blend"), link=True) as (_, wanted):
+        wanted.collections = ["Theirs"]
+    capture.collection.children.link(wanted.collections[0])
+    bpy.ops.mesh.primitive_cube_add(location=(0.1, 0.2, 3.0))
+    cube = bpy.context.object
+    with pytest.raises(RuntimeError, match="of another file"):
+        bpy.ops.physhdr.cg_here(location=(0.0, 0.0, 0.0))
+    assert tuple(cube.matrix_world.translation) == pytest.approx((0.1, 0.2, 3.0)) and not cg.is_there(capture)

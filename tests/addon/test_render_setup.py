@@ -13,6 +13,7 @@ import pytest
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
 import physhdr  # noqa: E402
+from physhdr.addon.blender import render_size  # noqa: E402
 from physhdr.addon.model import material, model_import, nodes  # noqa: E402
 from physhdr.addon.rendering import render, render_setup  # noqa: E402
 
@@ -128,6 +129,32 @@ def test_wishes_change_what_they_name(room, registered):
     assert registered.render.film_transparent and registered.cycles.filter_width == pytest.approx(0.01)
 
 
+def test_each_instanced_collection_is_gone_through_once(room, registered, monkeypatch):
+    """Each of 20 has two instances of the next, the last one the model: a million ways to it."""
+    last = bpy.data.collections.new("last")
+    last.objects.link(room)
+    for index in range(20):
+        outer = bpy.data.collections.new(f"outer {index}")
+        for _ in range(2):
+            empty = bpy.data.objects.new("instance", None)
+            empty.instance_type, empty.instance_collection = "COLLECTION", last
+            outer.objects.link(empty)
+        last = outer
+    registered.collection.objects.unlink(room)
+    for empty in list(last.objects):
+        registered.collection.objects.link(empty)
+    gone_through = []
+    real = render_setup._in_collection
+
+    def counted(collection):
+        gone_through.append(collection.name)
+        return real(collection)
+
+    monkeypatch.setattr(render_setup, "_in_collection", counted)
+    assert render_setup.models_in_render(registered) == [room]
+    assert len(gone_through) == len(set(gone_through)) == 20
+
+
 def test_set_up_lowers_nothing(room, registered):
     cycles, eevee = registered.cycles, registered.eevee
     cycles.transparent_max_bounces, cycles.min_transparent_bounces = 1024, 900
@@ -163,7 +190,7 @@ def test_the_image_width_follows_the_render(room, registered):
     bpy.ops.physhdr.render_setup()
     for wide, percent, expected in ((640, 100, 640), (1920, 50, 960), (333, 10, 33)):
         registered.render.resolution_x, registered.render.resolution_percentage = wide, percent
-        assert evaluated_width(room) == expected == render_setup.render_width(registered)
+        assert evaluated_width(room) == expected == render_size(registered)[0]
 
 
 def test_the_image_width_is_of_the_scene_that_is_rendered(room, registered):
