@@ -34,7 +34,7 @@ LONGEST_NAME = 100
 MAY_BE_ZERO = frozenset(
     {
         *("seed", "start", "reset_every", "budget", "sh_degree", "warm_start_steps", "skip"),
-        *("position_octaves", "direction_octaves", "fine_samples"),
+        *("position_octaves", "direction_octaves", "fine_samples", "schedule_for"),
     }
 )
 #: Sizes of networks and of what they make, and the most of each: ten times what any system has.
@@ -93,6 +93,10 @@ class TrainConfig:
     half_size_until: float = 0.1
     #: The SH degree rises by one after this many iterations (3DGS: 1000).
     sh_degree_every: int = 150
+    #: The length of training that steps of the schedule are given for (sh_degree_every; start, every and
+    #: reset_every of densify; every of anchors.growth): in one twice as long they are twice as long. 0: they
+    #: are iterations, however long it is.
+    schedule_for: int = 0
     method: MethodConfig = field(default_factory=PhysHDRConfig)
     #: Scaffold-GS's backbone instead of 3DGS's.
     anchors: AnchorsConfig | None = None
@@ -133,6 +137,32 @@ class TrainConfig:
                 f"{name}, with these settings, cannot learn from views at half their size",
                 "Set --half-size-until 0.",
             )
+
+
+def in_iterations(config: TrainConfig) -> TrainConfig:
+    """``config`` with the steps of its schedule in iterations of this training, each at least one."""
+    if not config.schedule_for or config.schedule_for == config.iterations:
+        return dataclasses.replace(config, schedule_for=0)
+
+    def stretched(steps: int) -> int:
+        return steps and max(1, round(steps * config.iterations / config.schedule_for))
+
+    densify, anchors = config.densify, config.anchors
+    if anchors is not None:
+        growth = dataclasses.replace(anchors.growth, every=stretched(anchors.growth.every))
+        anchors = dataclasses.replace(anchors, growth=growth)
+    return dataclasses.replace(
+        config,
+        schedule_for=0,
+        sh_degree_every=stretched(config.sh_degree_every),
+        densify=dataclasses.replace(
+            densify,
+            start=stretched(densify.start),
+            every=stretched(densify.every),
+            reset_every=stretched(densify.reset_every),
+        ),
+        anchors=anchors,
+    )
 
 
 def _check_numbers(config: Any, where: str) -> None:

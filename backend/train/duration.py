@@ -140,7 +140,7 @@ def plan_of(trainer: Trainer) -> Plan:
     if sizes.most == sizes.first:
         most = now  # no growth
     if config.anchors is None:
-        start, stop = config.densify.start, config.densify.stop
+        start, stop = trainer.schedule.densify.start, config.densify.stop
     else:
         growth = config.anchors.growth
         start, stop = round(growth.start * config.iterations), growth.stop

@@ -22,7 +22,7 @@ from ..scene.resident import PICTURE_BYTES
 from ..scene.scene import CACHE_BYTES, Scene, View
 from ..start.initialise import MOST_STEREO_POINTS
 from ..start.stereo import MOST_DEPTHS, WORK_WIDTH
-from .config import TrainConfig
+from .config import TrainConfig, in_iterations
 from .views import training_lights, training_views
 
 FLOAT = 4
@@ -223,7 +223,7 @@ def _first_points(scene: Scene, config: TrainConfig, views: list[View]) -> tuple
 def _counts(points: int, config: TrainConfig) -> tuple[int, int]:
     """Gaussians at the start, and the most there will be."""
     if config.anchors is None:
-        grows = config.densify.start < config.densify.stop * config.iterations
+        grows = in_iterations(config).densify.start < config.densify.stop * config.iterations
         return points, _grown(points, config.densify.budget, GROWTH) if grows else points
     # On surfaces, about half of the points share a cell of two spacings with another.
     cells = points / max(1.0, config.anchors.placement / VOXELS_PER_SPACING)

@@ -78,7 +78,7 @@ def found_sizes(extent: Extent, config: TrainConfig, typed: Collection[str] = ()
         changes["iterations"] = iterations
         if config.half_size_until > 0.0:
             changes["half_size_until"] = _half_size_until(extent, config)
-        if "iterations" not in typed:
+        if "iterations" not in typed and not config.schedule_for:
             longer = iterations / config.iterations
             changes["sh_degree_every"] = round(config.sh_degree_every * longer)
         if extent.detail > 1.0:

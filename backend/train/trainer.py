@@ -38,7 +38,7 @@ from .checkpoint import (
     save_checkpoint,
 )
 from .clearance import clearances
-from .config import TrainConfig, fingerprint
+from .config import TrainConfig, fingerprint, in_iterations
 from .densify import CLEARANCE, GaussianGrowth
 from .events import Event, Finished, Progress, Saved, Started
 from .growth import Growth, NoGrowth
@@ -92,6 +92,7 @@ class Trainer:
     ) -> None:
         self.scene = with_points_file(scene, config.points_file)
         self.config, self.device = config, torch.device(device)
+        self.schedule = in_iterations(config)
         self.configuration = configuration or fingerprint(config)
         self.pictures = Pictures(self.device)
         self.iteration = 0
@@ -107,7 +108,7 @@ class Trainer:
         torch.manual_seed(config.seed)  # initial values of the networks
         self.responses = responses_of(self.views, self.exposures)
         facts = Facts(scene.response_anchor, implementation, self.lights, self.responses)
-        self.method = new_method(config.method, config.anchors, facts)
+        self.method = new_method(config.method, self.schedule.anchors, facts)
         state = self._restore(resumed) if resumed else {}
         #: What is learned of each photo; None where nothing is.
         self.nuisances = self._new_nuisances(state, resumed)
@@ -141,7 +142,7 @@ class Trainer:
         self.cpu_seconds = time.process_time() - begun_cpu
 
     def _new_growth(self) -> Growth:
-        config, seed = self.config, (self.config.seed, STREAM_GROWTH)
+        config, seed = self.schedule, (self.config.seed, STREAM_GROWTH)
         method = self.method.splatting
         if method is None:
             return NoGrowth()
@@ -316,7 +317,7 @@ class Trainer:
         return {name: term.detach() for name, term in terms.items()}
 
     def _follow_schedule(self, iteration: int) -> None:
-        self.method.follow_schedule(iteration, self.config.iterations, self.config.sh_degree_every)
+        self.method.follow_schedule(iteration, self.config.iterations, self.schedule.sh_degree_every)
 
     # -- the loop ----------------------------------------------------------------------------------------
 
@@ -530,5 +531,6 @@ def load_method(
     method = new_method(config.method, config.anchors, facts)
     restore_method(method, tensors, path)
     method.to_device(torch.device(device))
-    method.follow_schedule(max(iteration - 1, 0), config.iterations, config.sh_degree_every)
+    every = in_iterations(config).sh_degree_every
+    method.follow_schedule(max(iteration - 1, 0), config.iterations, every)
     return method, iteration

@@ -22,6 +22,7 @@ OF_SPLATS = (
     "initial_ambient_share",
     "half_size_until",
     "sh_degree_every",
+    "schedule_for",
     "supervision",
 )
 #: Of anchors a network says how opaque a Gaussian is and which light it has; they grow by anchors.growth.

@@ -21,7 +21,7 @@ from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.pictures import read_exr, write_exr, write_png
 from physhdr.backend.scene.scene import Points
 from physhdr.backend.train.checkpoint import load_checkpoint
-from physhdr.backend.train.config import fingerprint, read_config, write_config
+from physhdr.backend.train.config import fingerprint, in_iterations, read_config, write_config
 from physhdr.backend.train.densify import DensifyConfig
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import CHECKPOINT_FILE, Trainer, TrainingDivergedError, load_method
@@ -74,6 +74,32 @@ def assert_identical(first, second):
     assert first.keys() == second.keys()
     for name in first:
         assert torch.equal(first[name], second[name]), name
+
+
+def test_a_schedule_given_for_another_length_is_stretched(tiny_data, tmp_path):
+    """For 400 iterations, in a training of 40: each step is a tenth, and nothing else differs."""
+    config = short("paper")
+    steps = dataclasses.replace(config.densify, start=50, every=100, reset_every=250)
+    given = dataclasses.replace(config, densify=steps, sh_degree_every=100, schedule_for=400)
+    scene = read_scene(tiny_data)
+    for name, each in (("plain", config), ("stretched", given)):
+        train(scene, each, tmp_path / name)
+    assert_identical(weights(tmp_path / "plain"), weights(tmp_path / "stretched"))
+    shown = [
+        load_method(tmp_path / name, each, scene.response_anchor)[0].splatting.active_sh_degree
+        for name, each in (("plain", config), ("stretched", given))
+    ]
+    assert shown == [3, 3]
+
+
+def test_steps_of_a_stretched_schedule_are_whole_and_at_least_one():
+    scaffold = dataclasses.replace(PRESETS["paper-scaffold"], iterations=1000, schedule_for=30_000)
+    there = in_iterations(scaffold)
+    assert (there.sh_degree_every, there.anchors.growth.every, there.densify.reset_every) == (33, 3, 100)
+    assert in_iterations(dataclasses.replace(scaffold, iterations=10)).anchors.growth.every == 1
+    never = in_iterations(dataclasses.replace(PRESETS["default"], iterations=5000, schedule_for=2500))
+    assert (never.densify.reset_every, never.densify.every, never.sh_degree_every) == (0, 200, 300)
+    assert in_iterations(PRESETS["default"]) == PRESETS["default"]
 
 
 @pytest.mark.parametrize(
