@@ -11,6 +11,7 @@ from pathlib import Path
 import bpy
 from bpy.app.handlers import persistent
 
+from ...synth.in_render import in_layer
 from ...synth.objects import SURFACES
 from ..model.look import is_model
 from .placement import capture_of, key_of, settings_of
@@ -49,21 +50,10 @@ def originals_of(scene: bpy.types.Scene) -> PHYSHDR_Originals:
 
 def photographed(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
     """What renders of a layer show or are lit by now: surfaces, lights and instances; no model, no camera."""
-    shown: dict[bpy.types.Object, None] = {}
-
-    def walk(part: bpy.types.LayerCollection, is_hidden: bool) -> None:
-        is_hidden |= part.collection.hide_render
-        if not part.exclude and not is_hidden:
-            shown.update(dict.fromkeys(part.collection.objects))
-        for child in part.children:
-            walk(child, is_hidden)
-
-    walk(layer.layer_collection, False)
     return [
         item
-        for item in shown
-        if not item.hide_render
-        and not is_model(item)
+        for item in dict.fromkeys(in_layer(layer.layer_collection))
+        if not is_model(item)
         and (item.type in SURFACES or item.type == LIGHT or item.instance_type != "NONE")
     ]
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import bpy
 
+from ...synth.in_render import in_collection, in_layer, instanced_by
 from ..blender import render_size, settings_of_cycles
 from ..model import nodes
 from ..model.look import is_model
@@ -69,18 +70,9 @@ def models_in_render(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     seen: set[str] = set()
     for layer in scene.view_layers:
         if layer.use:
-            for each in _in_layer(layer.layer_collection):
+            for each in in_layer(layer.layer_collection):
                 found |= dict.fromkeys(_with_instances(each, seen))
     return [each for each in found if is_model(each)]
-
-
-def _in_layer(layer: bpy.types.LayerCollection) -> Iterator[bpy.types.Object]:
-    if layer.collection.hide_render:
-        return
-    if not layer.exclude:
-        yield from (each for each in layer.collection.objects if not each.hide_render)
-    for child in layer.children:
-        yield from _in_layer(child)
 
 
 def _with_instances(each: bpy.types.Object, seen: set[str]) -> Iterator[bpy.types.Object]:
@@ -90,19 +82,11 @@ def _with_instances(each: bpy.types.Object, seen: set[str]) -> Iterator[bpy.type
     instances there are: panels ask.
     """
     yield each
-    collection = each.instance_collection if each.instance_type == "COLLECTION" else None
+    collection = instanced_by(each)
     if collection is not None and collection.name_full not in seen:
         seen.add(collection.name_full)
-        for other in _in_collection(collection):
+        for other in in_collection(collection):
             yield from _with_instances(other, seen)
-
-
-def _in_collection(collection: bpy.types.Collection) -> Iterator[bpy.types.Object]:
-    if collection.hide_render:
-        return
-    yield from (each for each in collection.objects if not each.hide_render)
-    for child in collection.children:
-        yield from _in_collection(child)
 
 
 def has_model(scene: bpy.types.Scene) -> bool:

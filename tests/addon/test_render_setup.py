@@ -144,13 +144,13 @@ def test_each_instanced_collection_is_gone_through_once(room, registered, monkey
     for empty in list(last.objects):
         registered.collection.objects.link(empty)
     gone_through = []
-    real = render_setup._in_collection
+    real = render_setup.in_collection
 
     def counted(collection):
         gone_through.append(collection.name)
         return real(collection)
 
-    monkeypatch.setattr(render_setup, "_in_collection", counted)
+    monkeypatch.setattr(render_setup, "in_collection", counted)
     assert render_setup.models_in_render(registered) == [room]
     assert len(gone_through) == len(set(gone_through)) == 20
 

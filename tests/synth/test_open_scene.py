@@ -913,6 +913,66 @@ def test_what_can_be_chosen(scene):
     }
 
 
+def hide_item(away, within, holder):
+    bpy.data.objects["lamp"].hide_render = True
+
+
+def hide_collection(away, within, holder):
+    away.hide_render = True
+
+
+def exclude(away, within, holder):
+    bpy.context.view_layer.layer_collection.children["Away"].exclude = True
+
+
+def exclude_and_instance(away, within, holder):
+    exclude(away, within, holder)
+    holder.instance_type, holder.instance_collection = "COLLECTION", away
+
+
+def hide_instance(away, within, holder):
+    exclude_and_instance(away, within, holder)
+    holder.hide_render = True
+
+
+def hide_what_is_instanced(away, within, holder):
+    exclude_and_instance(away, within, holder)
+    away.hide_render = True
+
+
+def hide_within_what_is_instanced(away, within, holder):
+    exclude_and_instance(away, within, holder)
+    within.hide_render = True
+
+
+HIDINGS = (hide_item, hide_collection, exclude, hide_instance, hide_what_is_instanced)
+HIDINGS = (lambda *_: None, *HIDINGS, exclude_and_instance, hide_within_what_is_instanced)
+
+
+@pytest.mark.parametrize("hide", HIDINGS)
+def test_a_lamp_is_offered_where_its_light_is_in_the_picture(scene, tmp_path, hide):
+    """Against a render by Cycles in which nothing else shines."""
+    background().inputs["Strength"].default_value = 0.0
+    bpy.data.objects.remove(bpy.data.objects["sun"])
+    away, within = (bpy.data.collections.new(name) for name in ("Away", "Within"))
+    scene.collection.children.link(away)
+    away.children.link(within)
+    within.objects.link(bpy.data.objects["lamp"])
+    scene.collection.objects.unlink(bpy.data.objects["lamp"])
+    hide(away, within, add("holder", None))
+    layer = scene.view_layers[0]
+    layer.update()
+    scene.render.engine, scene.cycles.samples, scene.cycles.use_denoising = "CYCLES", 4, False
+    scene.render.resolution_x, scene.render.resolution_y = 16, 9
+    scene.render.image_settings.file_format = "OPEN_EXR"
+    scene.render.filepath = str(tmp_path / "picture.exr")
+    bpy.ops.render.render(write_still=True)
+    is_lit = readers.read_exr(tmp_path / "picture.exr").max() > 0.0
+    shining = [item.name for item in light_choice.emitters(scene, layer)]
+    assert shining == (["lamp"] if is_lit else [])
+    assert bool(light_choice.candidates(scene, layer)) == is_lit
+
+
 def test_a_chosen_sun_is_ambient_no_more(scene):
     sky = bpy.data.collections.new("Sky")
     scene.collection.children.link(sky)
