@@ -11,14 +11,20 @@ from ..blender import layout_of
 from ..capture import placement
 from ..capture.dataset_cameras import first_of, import_cameras, take_size
 from ..model.look import is_model
-from ..rendering.render_setup import has_model, models_in_render, render_problems, set_up, wishes_from
+from ..rendering.render_setup import (
+    has_model,
+    models_in_render,
+    models_of,
+    render_problems,
+    set_up,
+    wishes_from,
+)
 
 
 def model_for(context: bpy.types.Context) -> bpy.types.Object | None:
-    """The model that is meant: the active one, else one that the render shows, else any of the scene."""
-    if is_model(context.object):
-        return context.object
-    shown = models_in_render(context.scene)
+    """The model that is meant: the active one, or the one whose instance is active, else one that the render
+    shows, else any of the scene."""
+    shown = models_of(context.object) or models_in_render(context.scene)
     return shown[0] if shown else next((each for each in context.scene.objects if is_model(each)), None)
 
 

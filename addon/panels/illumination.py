@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Exposure and the lights' levels, one set of sliders: those of the selected model, or of the one that the
-live preview shows, else the live preview's own."""
+"""Exposure and the lights' levels, one set of sliders: those of the selected model or of one whose instance
+is selected, or of the one that the live preview shows, else the preview's own."""
 
 from collections.abc import Sequence
 
@@ -9,10 +9,11 @@ import bpy
 from ...bridge.lights import AMBIENT
 from ..blender import layout_of
 from ..dataset.dataset_dialog import draw_originals
-from ..model.look import draw_look, is_model, slider_name
+from ..model.look import draw_look, slider_name
 from ..model.preview_look import followed
 from ..operators.base import choices
 from ..operators.native import draw_native
+from ..rendering.render_setup import has_model, models_of
 from ..runtime import session
 from ..session.advice import why_not
 from ..session.state import State
@@ -28,7 +29,8 @@ class PHYSHDR_PT_illumination(Subpanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         state, layout, settings = session().state, layout_of(self), context.scene.physhdr
         shown = followed(context.scene, context.view_layer, state.job)
-        target = context.object if is_model(context.object) else shown if settings.preview else None
+        selected = models_of(context.object)
+        target = selected[0] if selected else shown if settings.preview else None
         row = layout.row()
         reason = why_not(state, "preview", choices(context))
         row.enabled = settings.preview or not reason
@@ -57,7 +59,13 @@ def hints(
 ) -> list[str]:
     """What is worth a word: below the sliders, which stay where they are."""
     # A model that is in the scene needs no backend.
+    if reason and target is None and not state.job.has_model and has_model(context.scene):
+        reason = "Select a model for its sliders. Live Preview needs a training, or an open run"
     told = ["" if reason and target is not None and not settings.preview else reason or view_hint(context)]
+    if target is not None and target != context.object and target in models_of(context.object):
+        told.append("These are the model's own sliders: all of its instances follow them")
+        if target.library is not None:
+            told.append("It is linked from another file: make it local, or a library override, to change it")
     if settings.preview and not reason and target is not None:
         is_shown = target == shown
         told.append(

@@ -89,6 +89,11 @@ def _with_instances(each: bpy.types.Object, seen: set[str]) -> Iterator[bpy.type
             yield from _with_instances(other, seen)
 
 
+def models_of(item: bpy.types.Object | None) -> list[bpy.types.Object]:
+    """The model that an object is, or the models that it shows as an instance of a collection."""
+    return [] if item is None else [each for each in _with_instances(item, set()) if is_model(each)]
+
+
 def has_model(scene: bpy.types.Scene) -> bool:
     """Whether there is any model in the scene, shown or not."""
     return any(is_model(each) for each in scene.objects) or bool(models_in_render(scene))

@@ -358,6 +358,28 @@ def test_no_text_of_a_models_sliders_is_cut(chosen, make_model, write):
     assert not any("no model yet" in text for _, text, *_ in shown)  # it needs no backend
 
 
+def test_sliders_of_the_model_that_an_instance_shows(chosen, make_model, write):
+    """As from an asset: the model is in a collection that the view layer has not."""
+    bpy.ops.physhdr.model_import(filepath=str(write(make_model())), name="kitchen")
+    scene, model, apart = bpy.context.scene, bpy.context.object, bpy.data.collections.new("apart")
+    scene.collection.objects.unlink(model)
+    apart.objects.link(model)
+    within, holder, other = (bpy.data.objects.new(name, None) for name in ("within", "holder", "other"))
+    outer = bpy.data.collections.new("outer")
+    outer.objects.link(within)
+    for empty, collection in ((within, apart), (holder, outer)):
+        empty.instance_type, empty.instance_collection = "COLLECTION", collection
+    scene.collection.objects.link(holder)
+    scene.collection.objects.link(other)
+    for active, selected in ((holder, True), (other, False)):
+        bpy.context.view_layer.objects.active = active
+        shown = [text for _, text, *_ in texts(draw(PHYSHDR_PT_illumination, State()))]
+        told = " ".join(shown)
+        assert ("kitchen" in shown) == ("all of its instances follow" in told) == selected
+        assert ("Select a model for its sliders" in told) == (not selected)
+        assert "no model yet" not in told
+
+
 def test_nothing_of_the_training_stands_elsewhere_while_it_goes_on(chosen):
     """Each button is where it was, whatever is pressed: greyed, not gone."""
     found = states(chosen.data)
