@@ -4,8 +4,11 @@ modifier, so that they are saved, undone, keyframed and driven as everything in 
 reads them from here.
 """
 
+import os
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, TypeGuard
 
 import bpy
@@ -13,10 +16,11 @@ import mathutils
 import numpy as np
 
 from ...bridge.errors import PhysHDRError
+from ...bridge.run_folder import same_folder
 from ...bridge.spherical_harmonics import MAX_DEGREE
 from ..blender import cloud_of
 from . import nodes
-from .attributes import BASE, CAMERA_DISTANCE, IDENTITY, POSITION, SCALE
+from .attributes import BASE, CAMERA_DISTANCE, FILE, IDENTITY, POSITION, SCALE
 from .cleaning import ALL, Cleaning, RenderCamera, kept
 from .point_cloud import lights_of, read_attribute
 
@@ -49,6 +53,20 @@ class Look:
 def is_model(target: bpy.types.Object | None) -> TypeGuard[bpy.types.Object]:
     """Whether an object is an imported model (or a copy of one)."""
     return target is not None and target.type == "POINTCLOUD" and IDENTITY in cloud_of(target)
+
+
+def is_of_run(target: bpy.types.Object | None, run: str) -> TypeGuard[bpy.types.Object]:
+    """Whether an object is a model from a run's folder, by whatever path the two are known."""
+    if not run or not is_model(target):
+        return False
+    file = bpy.path.abspath(str(cloud_of(target).get(FILE, "")))
+    return bool(file) and _same_folder(os.path.dirname(file), run, int(time.monotonic()))
+
+
+@lru_cache(maxsize=64)
+def _same_folder(one: str, other: str, second: int) -> bool:
+    """Asked at every redraw, answered anew each second: links are looked up on disk, or in a network."""
+    return same_folder(one, other)
 
 
 def look_of(target: bpy.types.Object, depsgraph: bpy.types.Depsgraph | None = None) -> Look:

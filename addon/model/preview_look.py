@@ -6,7 +6,6 @@ inputs; the panel shows those, and the preview follows them.
 """
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Literal
 
 import bpy
@@ -15,8 +14,7 @@ from ...bridge.errors import PhysHDRError
 from ...bridge.messages import JobStatus
 from ..blender import cloud_of
 from ..settings import SETTINGS, PHYSHDR_Settings, preview_levels
-from .attributes import FILE
-from .look import is_model, look_of
+from .look import is_of_run, look_of
 from .point_cloud import lights_of
 
 #: Exposure (EV), a level for each of the job's lights, tone mapping.
@@ -46,10 +44,7 @@ def preview_look(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer, job: J
 
 
 def _models_of(scene: bpy.types.Scene, job: JobStatus) -> Iterator[bpy.types.Object]:
-    run = Path(job.run)
-    for target in scene.objects:
-        if is_model(target) and Path(cloud_of(target).get(FILE, "")).parent == run and _has_lights(target):
-            yield target
+    return (each for each in scene.objects if is_of_run(each, job.run) and _has_lights(each))
 
 
 def _has_lights(target: bpy.types.Object) -> bool:

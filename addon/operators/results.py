@@ -13,12 +13,11 @@ import bpy
 
 from ...bridge.errors import BadValueError, FileMissingError
 from ...bridge.lights import AMBIENT
-from ...bridge.run_folder import data_of
+from ...bridge.run_folder import data_of, same_folder
 from ...bridge.shots import write_shots
-from ..blender import cloud_of, layout_of
+from ..blender import layout_of
 from ..capture import placement
-from ..model.attributes import FILE
-from ..model.look import is_model
+from ..model.look import is_of_run
 from ..paths import absolute, is_nowhere
 from ..rendering.shots import shots_of
 from ..runtime import session
@@ -204,7 +203,12 @@ class PHYSHDR_OT_results_video(_OnRun):
         column.use_property_split = True
         names = ["path"]
         names += [] if self.path == "CAMERA" else ["sweep", "seconds", "fps"]
-        for name in (*names, "width", "exposure", "format", "filepath"):
+        for name in names:
+            column.prop(self, name)
+        size = "as rendered" if self.path == "CAMERA" else "as photos"
+        column.prop(self, "width", text="Width" if self.width else f"Width (0: {size})")
+        column.prop(self, "exposure", text="Exposure (s)" if self.exposure else "Exposure (0: middle)")
+        for name in ("format", "filepath"):
             column.prop(self, name)
 
     def run(self, context: bpy.types.Context) -> set[str]:
@@ -250,7 +254,7 @@ class PHYSHDR_OT_results_video(_OnRun):
             )
         current = session()
         job = current.state.job
-        lights = job.lights if job.has_model and Path(job.run) == Path(run) else ()
+        lights = job.lights if job.has_model and same_folder(job.run, run) else ()
         data = str(data_of(Path(run)) or "")
         window_manager = context.window_manager
         window_manager.progress_begin(0.0, 1.0)
@@ -273,11 +277,7 @@ class PHYSHDR_OT_results_video(_OnRun):
 def filmed(context: bpy.types.Context, run: str, data: str) -> bpy.types.Object | None:
     """The imported model of a run whose look and place count: the active one if it is of this run, else the
     first of the scene; None where none is imported."""
-    of_run = [
-        each
-        for each in context.scene.objects
-        if is_model(each) and Path(str(cloud_of(each).get(FILE, ""))).parent == Path(run)
-    ]
+    of_run = [each for each in context.scene.objects if is_of_run(each, run)]
     if context.object in of_run:
         return context.object
     if of_run:

@@ -9,7 +9,6 @@ import itertools
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import cast
 
 import bpy
@@ -18,8 +17,7 @@ import numpy as np
 from ...bridge.messages import JobStatus, PreviewCamera, PreviewFrame, PreviewRequest
 from ..blender import cloud_of
 from ..capture import placement, similarity
-from ..model.attributes import FILE
-from ..model.look import is_model
+from ..model.look import is_of_run
 from ..model.preview_look import PreviewLook, preview_look
 from ..session.session import Session
 from . import overlay, splats
@@ -87,11 +85,9 @@ class LivePreview:
         if now < self._looked + LOOK_SECONDS:
             return
         self._looked = now
-        run = Path(session.state.job.run)
-        hidden = set()
-        for target in bpy.data.objects if is_on else ():
-            if is_model(target) and Path(cloud_of(target).get(FILE, "")).parent == run:
-                hidden.add(identity(cloud_of(target)))
+        run = session.state.job.run
+        models = (each for each in bpy.data.objects if is_on and is_of_run(each, run))
+        hidden = {identity(cloud_of(target)) for target in models}
         if hidden != self._hidden:
             self._hidden = hidden
             splats.set_hidden(hidden)

@@ -100,6 +100,8 @@ def test_the_preview_follows_the_model_of_its_run_that_is_in_the_scene(settings,
         layer.objects.active = active
         assert followed(scene, layer, job) == target
         assert preview_look(scene, layer, job) == (-2.0, (3.0, 1.0, 1.0), "learned")
+    (tmp_path / "link").symlink_to(tmp_path / "run")
+    assert followed(scene, layer, replace(job, run=str(tmp_path / "link"))) == target
     twin = target.copy()
     scene.collection.objects.link(twin)
     nodes.set_input(nodes.find_modifier(twin), nodes.EXPOSURE, 4.0)

@@ -12,6 +12,7 @@ import os
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -274,6 +275,23 @@ def test_where_the_model_stands_is_taken_out_of_the_camera(extension, run, tmp_p
     np.testing.assert_allclose(shot.camera_to_world[:3, 3], ((1.0 - 10.0) / 2, -2.0, 0.5), atol=1e-6)
     np.testing.assert_allclose(shot.camera_to_world[:3, :3], np.eye(3), atol=1e-6)
     assert (shot.exposure_ev, shot.levels) == (1.5, (0.25,))
+    (tmp_path / "link").symlink_to(run)
+    assert operators.filmed(bpy.context, str(tmp_path / "link"), "") == target
+    assert operators.filmed(bpy.context, str(tmp_path), "") is None
+
+
+def test_the_videos_dialog_says_what_0_means():
+    drawn = {}
+    column = SimpleNamespace(prop=lambda _, name, text="": drawn.update({name: text}))
+    layout = SimpleNamespace(column=lambda: column)
+    for path, width, exposure, words in (
+        ("CAMERA", 0, 0.0, ("Width (0: as rendered)", "Exposure (0: middle)")),
+        ("ORBIT", 0, 0.0, ("Width (0: as photos)", "Exposure (0: middle)")),
+        ("ORBIT", 640, 0.5, ("Width", "Exposure (s)")),
+    ):
+        dialog = SimpleNamespace(layout=layout, path=path, width=width, exposure=exposure)
+        operators.PHYSHDR_OT_results_video.draw(dialog, bpy.context)
+        assert (drawn["width"], drawn["exposure"]) == words
 
 
 def test_a_video_past_the_photographs_is_asked_of_the_trainer(extension, run, tmp_path):
