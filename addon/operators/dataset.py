@@ -7,7 +7,6 @@ included), so this one is neither blocked nor changed, and what fails there fail
 
 import shutil
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -37,14 +36,12 @@ from ..paths import ROOT
 from ..runtime import redraw, session
 from ..session.state import DATASET
 from ..settings import RELATIVE
+from .afterwards import push_undo, take_when_ended
 from .base import PhysHDROperator
 
 SCRIPT = ROOT / "synth" / "make_scene.py"
 #: Seconds that scripts wait for a data set.
 RENDER_SECONDS = 30 * 24 * 3600.0
-LOOK_SECONDS = 0.5
-#: Seconds that one who is in the middle of something is waited for; some add-ons are so all the time.
-MODAL_SECONDS = 20.0
 #: Seconds until a dialog whose settings cannot be opens again, below the error.
 AGAIN_SECONDS = 0.1
 
@@ -119,7 +116,7 @@ class PHYSHDR_OT_dataset_render(RenderOptions, PhysHDROperator):
         started = render_time.begun(chosen, scene, out)
         if not self.wait:
             _choose_when_done(scene.name, started)
-            _push_undo()
+            push_undo(self.bl_label)
             return {"FINISHED"}
         try:
             current.wait(lambda state: state.task(DATASET) is None, RENDER_SECONDS)
@@ -166,46 +163,17 @@ def _take(scene: bpy.types.Scene, started: Started) -> None:
     render_time.ended(started, scene, session().home)
 
 
-def _push_undo() -> None:
-    """A step of undo: else undoing what comes next would take away what was remembered and chosen."""
-    windows = bpy.context.window_manager.windows
-    if windows and not bpy.app.background:
-        override: Any = bpy.context.temp_override(window=windows[0])  # a context manager, which stubs miss
-        with override:
-            bpy.ops.ed.undo_push(message=PHYSHDR_OT_dataset_render.bl_label)
-
-
 def _choose_when_done(name: str, started: Started) -> None:
-    """Choose the data set for training once it is complete, unless another file has been opened by then.
+    """Choose the data set for training once it is complete, unless another file has been opened by then."""
 
-    Blender removes the timer when a file is opened. Saving this one, by whatever name, changes nothing.
-    """
-    latest = 0.0  # when it is chosen whatever one is in the middle of
-
-    def look() -> float | None:
-        nonlocal latest
-        if not hasattr(bpy.types.Scene, "physhdr"):
-            return None
-        if session().state.task(DATASET):
-            return LOOK_SECONDS
-        latest = latest or time.monotonic() + MODAL_SECONDS
-        # What one is in the middle of, such as dragging, is not to be cut in two by a step of undo.
-        is_busy = _in_the_middle()
-        if is_busy and time.monotonic() < latest:
-            return LOOK_SECONDS
+    def take() -> bool:
         scene = bpy.data.scenes.get(name)
-        if scene and (started.out / INFO_FILE).is_file():
-            _take(scene, started)
-            if not is_busy:
-                _push_undo()
-        return None
+        if scene is None or not (started.out / INFO_FILE).is_file():
+            return False
+        _take(scene, started)
+        return True
 
-    bpy.app.timers.register(look, first_interval=LOOK_SECONDS)
-
-
-def _in_the_middle() -> bool:
-    """Whether an operator is under way in any window."""
-    return any(len(each.modal_operators) for each in bpy.context.window_manager.windows)
+    take_when_ended(DATASET, take, PHYSHDR_OT_dataset_render.bl_label)
 
 
 def _copies() -> Path:

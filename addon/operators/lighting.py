@@ -25,12 +25,13 @@ from ..model.look import cleaning_of, is_model
 from ..runtime import session
 from ..session.advice import why_not
 from ..session.light import LIGHT, panorama_command
+from .afterwards import take_when_ended
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import PropertyFlagItems
 
-#: Seconds that scripts wait for the backend; between looks whether it is done.
-LONGEST, DONE_SECONDS = 24 * 3600.0, 0.25
+#: Seconds that scripts wait for the backend.
+LONGEST = 24 * 3600.0
 GIVEN: "set[PropertyFlagItems]" = {"SKIP_SAVE"}
 FOLDER: "set[PropertyFlagItems]" = {"SKIP_SAVE", "PATH_SUPPORTS_BLEND_RELATIVE"}
 
@@ -352,23 +353,18 @@ def all_there(tasks: Sequence[Task]) -> bool:
 
 
 def _apply_when_done(after: After, tasks: Sequence[Task]) -> None:
-    """Light the scene once the panoramas are there. Blender removes the timer when a file is opened."""
+    """Light the scene once the panoramas are there, unless another file has been opened by then."""
 
-    def look_again() -> float | None:
-        if not hasattr(bpy.types.Scene, "physhdr"):
-            return None
-        state = session().state
-        if state.task(LIGHT):
-            return DONE_SECONDS
-        if state.problem is None and all_there(tasks):
-            try:
-                after.apply(tasks)
-            except PhysHDRError:
-                return None
-            bpy.ops.ed.undo_push(message="Light From Here")
-        return None
+    def take() -> bool:
+        if session().state.problem is not None or not all_there(tasks):
+            return False
+        try:
+            after.apply(tasks)
+        except PhysHDRError:
+            return False
+        return True
 
-    bpy.app.timers.register(look_again, first_interval=DONE_SECONDS)
+    take_when_ended(LIGHT, take, PHYSHDR_OT_light_from_here.bl_label)
 
 
 def _object(scene: bpy.types.Scene, name: str) -> bpy.types.Object:

@@ -19,6 +19,7 @@ from ..runtime import session
 from ..session.photos import PhotoOptions, prepare_command
 from ..session.state import LOOK, PHOTOS, PhotosChosen
 from ..settings import LENSES, SETTINGS, PHYSHDR_Settings, photo_options
+from .afterwards import take_when_ended
 from .base import PhysHDROperator, has_run, is_free, is_run_of, proposed_run, report_task
 
 if TYPE_CHECKING:
@@ -26,9 +27,6 @@ if TYPE_CHECKING:
 
 #: Seconds that scripts wait for a look, and for a data set.
 LOOK_SECONDS, PREPARE_SECONDS = 24 * 3600.0, 30 * 24 * 3600.0
-#: Seconds between looks whether the data set is there.
-DONE_SECONDS = 0.5
-#: What ``physhdr prepare`` leaves in a data set that it made (docs/formats.md).
 #: Arguments that count where they are given, else the scene's settings.
 OPTIONS = [each.name for each in fields(PhotoOptions)]
 GIVEN: "set[PropertyFlagItems]" = {"SKIP_SAVE"}
@@ -207,23 +205,16 @@ def _unused(folder: Path) -> Path:
 
 
 def _choose_when_done(name: str) -> None:
-    """Choose the data set for training once it is there, unless another file has been opened by then.
+    """Choose the data set for training once it is there, unless another file has been opened by then."""
 
-    Blender removes the timer when a file is opened. Saving this one, by whatever name, changes nothing.
-    """
+    def take() -> bool:
+        scene, made = bpy.data.scenes.get(name), session().state.prepared
+        if scene is None or not made.folder:
+            return False
+        choose(getattr(scene, SETTINGS), made.folder)
+        return True
 
-    def look_again() -> float | None:
-        if not hasattr(bpy.types.Scene, "physhdr"):
-            return None
-        state = session().state
-        if state.task(PHOTOS):
-            return DONE_SECONDS
-        scene = bpy.data.scenes.get(name)
-        if scene and state.prepared.folder:
-            choose(getattr(scene, SETTINGS), state.prepared.folder)
-        return None
-
-    bpy.app.timers.register(look_again, first_interval=DONE_SECONDS)
+    take_when_ended(PHOTOS, take, "Prepare Photos")
 
 
 def _folder(given: str, what: str) -> Path:

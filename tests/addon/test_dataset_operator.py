@@ -20,7 +20,7 @@ from physhdr.addon.dataset import (  # noqa: E402
     render_time,
     time_trial,
 )
-from physhdr.addon.operators import dataset  # noqa: E402
+from physhdr.addon.operators import afterwards, dataset  # noqa: E402
 from physhdr.bridge.blend_file import MODEL_IDENTITY  # noqa: E402
 from physhdr.bridge.errors import BadValueError, OutputError  # noqa: E402
 from physhdr.synth.light_choice import candidates  # noqa: E402
@@ -449,14 +449,14 @@ def test_a_data_set_is_chosen_though_an_operator_never_ends(room, extension, tmp
     """Such as one that shows the keys that are pressed; dragging is waited for."""
     timers, pushed = [], []
     monkeypatch.setattr(dataset.bpy.app.timers, "register", lambda look, **given: timers.append(look), False)
-    monkeypatch.setattr(dataset, "_in_the_middle", lambda: True)
-    monkeypatch.setattr(dataset, "_push_undo", lambda: pushed.append(1))
+    monkeypatch.setattr(afterwards, "in_the_middle", lambda: True)
+    monkeypatch.setattr(afterwards, "push_undo", pushed.append)
     (tmp_path / dataset.INFO_FILE).write_text("{}")
     dataset._choose_when_done(room.name, render_time.Started(tmp_path, 1, "CPU", 0, 0.0))
     [look] = timers
-    assert look() == dataset.LOOK_SECONDS and not room.physhdr.data
+    assert look() == afterwards.LOOK_SECONDS and not room.physhdr.data
     now = time.monotonic()
-    monkeypatch.setattr(dataset.time, "monotonic", lambda: now + dataset.MODAL_SECONDS + 1.0)
+    monkeypatch.setattr(afterwards.time, "monotonic", lambda: now + afterwards.MODAL_SECONDS + 1.0)
     assert look() is None and room.physhdr.data == str(tmp_path) and not pushed
 
 

@@ -15,6 +15,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
+from physhdr.addon.operators import afterwards  # noqa: E402
 from physhdr.addon.operators import photos as operators  # noqa: E402
 from physhdr.addon.operators.base import choices  # noqa: E402
 from physhdr.addon.session.advice import headline, next_step, problem_of, why_not  # noqa: E402
@@ -236,14 +237,16 @@ def test_a_look_that_is_cancelled_stays_so(extension, photos, tmp_path):
 
 
 def test_a_file_that_is_saved_meanwhile_still_gets_its_data_set(extension, photos, tmp_path, monkeypatch):
-    timers = []
+    timers, pushed = [], []
     monkeypatch.setattr(operators.bpy.app.timers, "register", lambda call, **_: timers.append(call))
+    monkeypatch.setattr(afterwards, "push_undo", pushed.append)
     bpy.context.scene.physhdr.photos = str(photos)
     bpy.ops.physhdr.photos_prepare(wait=False)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "mine.blend"))
     assert extension.wait(lambda state: state.task(PHOTOS) is None, 20.0)
     assert [call() for call in timers] == [None]
     assert bpy.context.scene.physhdr.data == str(tmp_path / "church_dataset")
+    assert pushed == ["Prepare Photos"]  # else undoing what comes next would leave the data set again
 
 
 def test_without_a_backend_that_can_the_buttons_say_why(extension, photos):
