@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """``physhdr evaluate``: the paper's protocol on the test or validation views, printed and saved."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,7 +12,9 @@ from ...bridge.errors import BadValueError
 from ..device import DeviceName
 from ..evaluate.comparison import SHORT_METRICS, ComparedRun, comparison_table, load_evaluation
 from ..evaluate.optional import PackageMissingError
+from ..evaluate.picture_folder import PictureFolder
 from ..evaluate.protocol import evaluate, lpips_from
+from ..evaluate.renderer import Renderer
 from ..evaluate.report import METHODS_FILES, RESPONSE_FILE, SHEET_FILE, to_terminal, write_report
 from ..evaluate.response import learned_response, write_response_figure
 from ..evaluate.results import VIEWS_OF
@@ -21,26 +23,38 @@ from ..rasterize import Implementation
 from ..runs.files import writable_folder
 from ..runs.run import Run, open_run
 from ..runs.terminal import console
+from ..scene import Scene, read_scene
 from ..scene.pictures import write_png
 from .told import answered, progress
 
 
 @dataclass(frozen=True)
 class Evaluate:
-    """LDR-OE, LDR-NE, HDR and relighting against the truth: tables, files and a comparison sheet."""
+    """LDR-OE, LDR-NE, HDR and relighting against the truth: tables, files and a comparison sheet.
+
+    Of a run, or of pictures that any other program made (--pictures; docs/compare.md).
+    """
 
     #: Folder of the run.
-    folder: tyro.conf.Positional[Path]
+    folder: tyro.conf.Positional[Path | None] = None
+    #: Instead of a run: a folder of pictures of every view, called as those of the data set (--data).
+    pictures: Path | None = None
     #: The views: test, or val: the validation views, on which choices are made.
     split: Literal["test", "val"] = "test"
-    #: Folder for the results; default: the run's own.
+    #: Folder for the results; default: the run's own, or that of the pictures.
     out: Path | None = None
     #: LPIPS weights (an .npz of AlexNet and the linear heads, see docs/formats.md); without: skipped.
     lpips_weights: Path | None = None
     #: Folders of other runs on the same data, evaluated before: one table and one sheet of all of them.
     against: tuple[Path, ...] = ()
-    #: The data set, where it has moved since training.
+    #: The data set: of a run, where it has moved since training; of --pictures always.
     data: Path | None = None
+    #: Of --pictures: how exposures were chosen in training, which the report tells.
+    exposure_mode: Literal["exp1", "exp3"] | None = None
+    #: Of --pictures: how much smaller the data set's pictures are taken; default: as its layout has it.
+    downscale: float | None = None
+    #: Of --pictures: the colour space of a data set of radiance; default: as its files say.
+    color_space: str | None = None
     rasteriser: Implementation = "auto"
     device: DeviceName = "auto"
     #: Say how far it is, and the result or the error, as JSON, an object a line.
@@ -50,61 +64,122 @@ class Evaluate:
         return answered(self._work, self.json)
 
     def _work(self) -> dict[str, Any]:
-        run = open_run(self.folder, self.data, self.rasteriser, self.device)
-        out = writable_folder(self.out or self.folder)
+        subject = self._subject()
+        out = writable_folder(self.out or subject.folder)
         lpips = lpips_from(self.lpips_weights)
         with progress("evaluate", "picture", self.json) as show:
             evaluation = evaluate(
-                run.method,
-                run.scene,
+                subject.renderer,
+                subject.scene,
                 split=self.split,
                 lpips=lpips,
-                exposure_mode=run.config.exposure_mode,
-                training_exposures=run.config.training_exposures,
-                iteration=run.iteration,
-                iterations=run.config.iterations,
+                exposure_mode=subject.setting,
                 progress=show,
-                falloff=None if run.lenses is None else run.lenses.falloff,
+                **subject.training,
+                **subject.parts,
             )
         paths = write_report(evaluation, out)  # before anything else that can fail: the numbers took long
         console.print(to_terminal(evaluation))
         sheet = out / SHEET_FILE
-        write_png(sheet, comparison_sheet(run.method, run.scene, split=self.split))
-        paths = [*paths, sheet, *_draw_response(run, out / RESPONSE_FILE, self.split)]
+        write_png(sheet, comparison_sheet(subject.renderer, subject.scene, split=self.split, **subject.parts))
+        paths = [*paths, sheet, *_draw_response(subject, out / RESPONSE_FILE, self.split)]
         if self.against:
-            others = [open_run(folder, self.data, self.rasteriser, self.device) for folder in self.against]
-            paths += _compare([(run, out), *((other, other.folder) for other in others)], out, self.split)
+            others = [_of_run(self._open(folder)) for folder in self.against]
+            compared = [(subject, out), *((other, other.folder) for other in others)]
+            paths += _compare(compared, out, self.split)
         console.print("wrote " + ", ".join(str(path) for path in paths), soft_wrap=True)
         return {"folder": str(out), "split": self.split}
 
+    def _open(self, folder: Path) -> Run:
+        return open_run(folder, self.data, self.rasteriser, self.device)
 
-def _draw_response(run: Run, path: Path, split: str) -> list[Path]:
-    """The figure, where the method has a response curve and there is a package to draw it."""
-    learned = learned_response(run.method)
+    def _subject(self) -> "_Subject":
+        if (self.folder is None) == (self.pictures is None):
+            raise BadValueError(
+                "one of the two is wanted: the folder of a run, or --pictures",
+                "Call: physhdr evaluate RUN, or: physhdr evaluate --pictures FOLDER --data DATA",
+            )
+        if self.folder is not None:
+            options = ("exposure_mode", "downscale", "color_space")
+            if given := [name for name in options if getattr(self, name) is not None]:
+                raise BadValueError(
+                    f"--{given[0].replace('_', '-')} is of --pictures: a run knows its own", "Leave it out."
+                )
+            return _of_run(self._open(self.folder))
+        assert self.pictures is not None
+        if self.data is None:
+            raise BadValueError("--pictures needs the data set that they are of", "Name it: --data DATA")
+        if self.out is None and self.pictures.resolve() == self.data.resolve():
+            raise BadValueError(
+                f"{self.pictures} is the data set itself, where no results are written",
+                "Name a folder for them: --out FOLDER",
+            )
+        scene = read_scene(self.data, self.downscale, self.color_space)
+        return _of_pictures(PictureFolder(self.pictures, scene, self.split), scene, self.exposure_mode)
+
+
+@dataclass(frozen=True)
+class _Subject:
+    """What is evaluated. ``names``: what a table may call it, the shortest first; the last is its alone.
+
+    ``training``: what ``evaluate`` is told of that; ``parts``: what it and the sheet are told is there.
+    """
+
+    folder: Path
+    names: tuple[str, str, str]
+    scene: Scene
+    renderer: Renderer
+    setting: str
+    seed: int | None = None
+    training: dict[str, Any] = field(default_factory=dict)
+    parts: dict[str, Any] = field(default_factory=dict)
+
+
+def _of_run(run: Run) -> _Subject:
+    training = {
+        "training_exposures": run.config.training_exposures,
+        "iteration": run.iteration,
+        "iterations": run.config.iterations,
+        "falloff": None if run.lenses is None else run.lenses.falloff,
+    }
+    names = (run.preset, run.folder.name, str(run.folder.resolve()))
+    mode, seed = run.config.exposure_mode, run.config.seed
+    return _Subject(run.folder, names, run.scene, run.method, mode, seed, training)
+
+
+def _of_pictures(pictures: PictureFolder, scene: Scene, exposure_mode: str | None) -> _Subject:
+    whole = pictures.folder.resolve()
+    parts = {"hdr": pictures.has_hdr, "shows": pictures.shows}
+    names = (whole.name, whole.name, str(whole))
+    return _Subject(pictures.folder, names, scene, pictures, exposure_mode or "unknown", parts=parts)
+
+
+def _draw_response(subject: _Subject, path: Path, split: str) -> list[Path]:
+    """The figure, where there is a response curve and a package to draw it."""
+    learned = learned_response(subject.renderer)
     if learned is None:
         return []
     try:
-        write_response_figure(path, learned, run.scene, split)
+        write_response_figure(path, learned, subject.scene, split)
     except PackageMissingError as error:
         console.print(f"{path.name} left out: {error}", style="yellow")
         return []
     return [path]
 
 
-def _compare(runs: list[tuple[Run, Path]], out: Path, split: str) -> list[Path]:
-    """Print and write the table of ``runs``, each with the folder of its evaluation, and their sheet."""
-    names = _names([run for run, _ in runs])
-    scene = runs[0][0].scene
+def _compare(subjects: list[tuple[_Subject, Path]], out: Path, split: str) -> list[Path]:
+    """Print and write the table of ``subjects``, each with the folder of its evaluation, and their sheet."""
+    names = _names([subject for subject, _ in subjects])
+    scene = subjects[0][0].scene
     entries = []
-    for name, (run, folder) in zip(names, runs, strict=True):
-        if run.scene.root.resolve() != scene.root.resolve():
+    for name, (subject, folder) in zip(names, subjects, strict=True):
+        if subject.scene.root.resolve() != scene.root.resolve():
             raise BadValueError(
-                f"{run.folder} was trained on {run.scene.root}, not on {scene.root}",
+                f"{subject.folder} was trained on {subject.scene.root}, not on {scene.root}",
                 "Compare runs on one data set, or give --data where it has moved.",
             )
-        entries.append(
-            ComparedRun(name, scene.name, run.config.exposure_mode, run.config.seed, load_evaluation(folder))
-        )
+        evaluation = load_evaluation(folder)
+        entries.append(ComparedRun(name, scene.name, subject.setting, subject.seed, evaluation))
     title = f"{scene.name}, {VIEWS_OF[split]}"
     table = comparison_table(entries, title=title)
     paths = [out / name for name in METHODS_FILES]
@@ -112,18 +187,17 @@ def _compare(runs: list[tuple[Run, Path]], out: Path, split: str) -> list[Path]:
         with atomic_path(path) as temporary:
             temporary.write_text(text, encoding="utf-8")
     console.print(comparison_table(entries, metrics=SHORT_METRICS, title=title).rich())
-    renderers = {name: run.method for name, (run, _) in zip(names, runs, strict=True)}
-    write_png(paths[-1], method_sheet(renderers, scene, split=split))
+    renderers = {name: subject.renderer for name, (subject, _) in zip(names, subjects, strict=True)}
+    without = [
+        name for name, (subject, _) in zip(names, subjects, strict=True) if not subject.parts.get("hdr", True)
+    ]
+    write_png(paths[-1], method_sheet(renderers, scene, split=split, without_hdr=without))
     return paths
 
 
-def _names(runs: list[Run]) -> list[str]:
+def _names(subjects: list[_Subject]) -> list[str]:
     """Each run's preset, or where two are alike the folder's name, or where these are alike the folder."""
-    for names in (
-        [run.preset for run in runs],
-        [run.folder.name for run in runs],
-        [str(run.folder.resolve()) for run in runs],
-    ):
-        if len(set(names)) == len(runs):
-            return names
+    for names in zip(*(subject.names for subject in subjects), strict=True):
+        if len(set(names)) == len(subjects):
+            return list(names)
     raise BadValueError("a run is compared with itself", "Give each folder once.")

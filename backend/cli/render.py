@@ -1,20 +1,24 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""``physhdr render``: one picture from a trained run, scene-linear EXR or LDR PNG."""
+"""``physhdr render``: one picture from a trained run, scene-linear EXR or LDR PNG; or those of all views."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import tyro
 
 from ...bridge.errors import BadValueError
 from ..device import DeviceName
+from ..evaluate.picture_folder import write_pictures
+from ..evaluate.results import VIEWS_OF
 from ..rasterize import Implementation
 from ..runs.run import open_run
 from ..runs.terminal import console
 from ..scene import Camera, Scene
 from ..scene.pictures import write_exr, write_png
 from .lighting import levels_asked
+from .told import progress
 
 
 def camera_named(scene: Scene, name: str | None) -> Camera:
@@ -35,12 +39,15 @@ def camera_named(scene: Scene, name: str | None) -> Camera:
 
 @dataclass(frozen=True)
 class Render:
-    """Render a camera of the data set at any exposure and lighting level."""
+    """Render a camera of the data set at any exposure and lighting level, or all that are evaluated."""
 
     #: Folder of the run.
     folder: tyro.conf.Positional[Path]
-    #: The picture to write: .exr (scene-linear radiance) or .png (through the learned response).
+    #: The picture to write: .exr (scene-linear radiance) or .png (through the learned response); with --split
+    #: a folder.
     out: Path
+    #: Every view of a split at every exposure, and its radiance, as physhdr evaluate --pictures takes them.
+    split: Literal["test", "val"] | None = None
     #: Which camera: SPLIT/POSE; default: the first test view.
     view: str | None = None
     #: Seconds; for .png only. Default: the middle exposure of the data set.
@@ -57,6 +64,8 @@ class Render:
     device: DeviceName = "auto"
 
     def run(self) -> int:
+        if self.split is not None:
+            return self._all_of(self.split)
         kind = self.out.suffix.lower()
         if kind not in (".exr", ".png"):
             raise BadValueError(f"--out must end in .exr or .png, got {self.out.name}")
@@ -77,6 +86,21 @@ class Render:
             ldr = _planes_last(run.method.ldr(camera, exposure, levels).cpu().numpy())
             write_png(self.out, np.round(255.0 * ldr.clip(0.0, 1.0)).astype(np.uint8))
         console.print(f"wrote {self.out}")
+        return 0
+
+    def _all_of(self, split: str) -> int:
+        alone = ("view", "exposure", "lighting_level", "lighting_levels", "width")
+        defaults = {each.name: each.default for each in fields(self)}
+        if given := [name for name in alone if getattr(self, name) != defaults[name]]:
+            raise BadValueError(
+                f"--{given[0].replace('_', '-')} is of one picture, --split of all", "Leave one of them out."
+            )
+        run = open_run(self.folder, self.data, self.rasteriser, self.device)
+        if not run.scene.splits[split]:
+            raise BadValueError(f"{run.scene.root} has no {VIEWS_OF[split]}", "Choose the other --split.")
+        with progress("render", "view", as_json=False) as show:
+            count = write_pictures(run.method, run.scene, self.out, split, show)
+        console.print(f"wrote {count} pictures into {self.out}", soft_wrap=True)
         return 0
 
 

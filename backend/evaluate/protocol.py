@@ -55,6 +55,8 @@ def evaluate(
     iterations: int | None = None,
     progress: Callable[[int, int, str], None] | None = None,
     falloff: Falloff | None = None,
+    hdr: bool = True,
+    shows: Callable[[truth.RelitTruth], bool] | None = None,
 ) -> Evaluation:
     """Render and compare every view of ``split``: the test views, or the validation views (``val``).
 
@@ -65,6 +67,8 @@ def evaluate(
     ``progress`` is called with (done, total, what is next). ``falloff``: the vignetting that training found
     of the lens, used where these pictures have it; their gain and white balance are fitted beside
     (``photos.py``).
+    Of pictures that another program made (``PictureFolder``) ``hdr`` says whether radiance is among them, and
+    ``shows`` whether it is under a mixture of light; by default whatever the renderer has levels for.
     Parts for which the data set has no truth are left out, with a message. Raises ``DataMismatchError``
     without views in the split, ``BadValueError`` for a split that is trained from, if the model renders NaN
     or ``dataset.json`` states a response that is none, and what ``read_png`` and ``read_exr`` raise.
@@ -72,8 +76,10 @@ def evaluate(
     views = _views_of(scene, split)
     started = time.monotonic()
     relit = truth.relit_truth(scene.root) if split == TEST else []
-    unknown = [item for item in relit if not item.can_be_shown(renderer.lights)]
-    messages = [*renderer.remarks, *_what_is_left_out(scene, split, lpips, relit, unknown)]
+    can_show = shows or (lambda item: item.can_be_shown(renderer.lights))
+    unknown = [item for item in relit if not can_show(item)]
+    why = "the model has no level for a light of it" if shows is None else "no pictures of it were given"
+    messages = [*renderer.remarks, *_what_is_left_out(scene, split, lpips, hdr, relit, unknown, why)]
     messages += in_words(views)
     there = {k for view in views for k in view.bracket}
     messages += _what_training_was(training_exposures, there, iteration, iterations)
@@ -98,24 +104,24 @@ def evaluate(
     if falloff is not None:
         fitted = fitted_photos(renderer, views, falloff, step)
         messages += [] if fitted is None else [str(fitted)]
-    hdr: list[HdrRow] = []
+    hdr_rows: list[HdrRow] = []
     relit_rows: list[RelitRow] = []
-    if truth.has_hdr_truth(scene.root, split):
+    if hdr and truth.has_hdr_truth(scene.root, split):
         standard = _standard_views(renderer, scene, split, step)
-        hdr = _hdr_rows(standard, lpips)
+        hdr_rows = _hdr_rows(standard, lpips)
         for item in relit:
             step(f"relit {item.condition} {item.path.stem}")
             scene.find(TEST, item.index)  # says which poses there are
             relit_rows.append(_relit_row(renderer, standard[item.index], item))
     step.end()
-    messages += _what_is_capped(ldr, hdr, relit_rows)
+    messages += _what_is_capped(ldr, hdr_rows, relit_rows)
     return Evaluation(
         scene=scene.name,
         split=split,
         exposure_mode=exposure_mode,
         resolution=(camera.width, camera.height),
         ldr=ldr,
-        hdr=hdr,
+        hdr=hdr_rows,
         relit=relit_rows,
         messages=messages,
         seconds=time.monotonic() - started,
@@ -164,8 +170,10 @@ def _what_is_left_out(
     scene: Scene,
     split: str,
     lpips: Lpips | None,
+    hdr: bool,
     relit: list[truth.RelitTruth],
     unknown: list[truth.RelitTruth],
+    why: str,
 ) -> list[str]:
     messages = []
     camera = scene.splits[split][0].camera
@@ -177,13 +185,15 @@ def _what_is_left_out(
         messages.append(
             f"HDR and relit left out: {scene.root} has no true radiance of its {VIEWS_OF[split]}."
         )
+    elif not hdr:
+        messages.append("HDR and relit left out: no HDR pictures were given.")
     elif split != TEST:
         messages.append(f"Relit left out: relit truth is of test views alone, not of {VIEWS_OF[split]}.")
     elif not relit:
         messages.append(f"Relit left out: {scene.root / 'relit'} holds no level_*/hdr_*.exr.")
     elif unknown:
         conditions = ", ".join(dict.fromkeys(item.condition for item in unknown))
-        messages.append(f"Relit left out, because the model has no level for a light of it: {conditions}.")
+        messages.append(f"Relit left out, because {why}: {conditions}.")
     return messages
 
 

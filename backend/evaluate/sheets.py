@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Pictures that show results: a labelled grid; truth | ours | residual; several methods on one sheet."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -134,13 +134,16 @@ def comparison_sheet(
     exposure_indices: tuple[int, ...] = OBSERVED_EXPOSURES,
     gain: float = RESIDUAL_GAIN,
     split: str = TEST,
+    hdr: bool = True,
+    shows: Callable[[truth.RelitTruth], bool] | None = None,
 ) -> np.ndarray:
     """Truth | ours | residual for some views of ``split``: LDR rows, HDR rows (μ-law), relit rows; uint8.
 
     ``poses``: pose numbers; None takes one that has relit truth, or the middle one. Exposures that a view
-    lacks and parts without truth have no rows; relit truth is of test views. Raises ``BadValueError`` for an
-    unknown pose, and what readers raise.
+    lacks and parts without truth have no rows; relit truth is of test views. ``hdr`` and ``shows`` as for
+    ``evaluate``. Raises ``BadValueError`` for an unknown pose, and what readers raise.
     """
+    can_show = shows or (lambda item: item.can_be_shown(renderer.lights))
     relit = _relit(scene, split)
     rows: list[list[Cell]] = []
     for pose in _poses(scene, split, poses, relit):
@@ -148,11 +151,11 @@ def comparison_sheet(
         for k in _positions(view, exposure_indices):
             label = f"{view.name}, {view.exposures[k]:.4g} s"
             rows.append(_row(label, _ldr(renderer, view, k), gain))
-        if truth.has_hdr_truth(scene.root, split):
+        if hdr and truth.has_hdr_truth(scene.root, split):
             reference = truth.hdr_truth(scene.root, split, pose)
             rows.append(_row(f"{view.name} HDR", _hdr(renderer, view, 1.0, reference), gain))
         for item in relit:
-            if item.index == pose and item.can_be_shown(renderer.lights):
+            if hdr and item.index == pose and can_show(item):
                 shown = _hdr(renderer, view, item.levels_of(renderer.lights), item.radiance())
                 rows.append(_row(f"{view.name} {item.condition}", shown, gain))
     return labelled_grid(
@@ -168,12 +171,13 @@ def method_sheet(
     exposure_indices: tuple[int, ...] = (2, 3),
     gain: float = RESIDUAL_GAIN,
     split: str = TEST,
+    without_hdr: Collection[str] = (),
 ) -> np.ndarray:
     """Several methods beside the truth: each condition is a row of pictures over a row of residuals; uint8.
 
     ``renderers``: by the name that stands in the captions. The conditions are the exposures (by default one
     that training saw and one between) and HDR where there is truth; ``poses`` and ``split`` as in
-    ``comparison_sheet``.
+    ``comparison_sheet``. ``without_hdr``: names of those that have no radiance.
     Raises ``BadValueError`` without a method or for an unknown pose, and what readers raise.
     """
     if not renderers:
@@ -184,9 +188,10 @@ def method_sheet(
         for k in _positions(view, exposure_indices):
             shown = {name: _ldr(renderer, view, k) for name, renderer in renderers.items()}
             rows += _method_rows(f"{view.name}, {_part(view, k)}, {view.exposures[k]:.4g} s", shown, gain)
-        if truth.has_hdr_truth(scene.root, split):
+        if truth.has_hdr_truth(scene.root, split) and renderers.keys() - set(without_hdr):
             reference = truth.hdr_truth(scene.root, split, pose)
-            shown = {name: _hdr(renderer, view, 1.0, reference) for name, renderer in renderers.items()}
+            radiant = {name: each for name, each in renderers.items() if name not in without_hdr}
+            shown = {name: _hdr(renderer, view, 1.0, reference) for name, renderer in radiant.items()}
             rows += _method_rows(f"{view.name}, HDR", shown, gain)
     return labelled_grid(rows, f"{_title(scene, split)}: truth and {len(renderers)} methods", _note())
 

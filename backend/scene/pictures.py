@@ -6,6 +6,7 @@ reads PNG and JPEG of 8 bits, OpenEXR's own library its format, OpenImageIO all 
 colour of 16 bits.
 """
 
+import struct
 import sys
 import threading
 import warnings
@@ -14,6 +15,7 @@ from contextlib import redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, TextIO, TypeVar, cast
+from zlib import compress, crc32
 
 import numpy as np
 import OpenEXR
@@ -44,10 +46,12 @@ READABLE = ("PNG", "JPEG")
 MAX_TIFF_RATIO = 4096
 #: .hdr packs a run of 127 values into two bytes.
 MAX_HDR_RATIO = 64
+#: A PNG's first bytes, its number for RGB, and for rows that are written as differences to those above.
+PNG_SIGNATURE, PNG_RGB, PNG_UP = b"\x89PNG\r\n\x1a\n", 2, 2
 #: How files of each kind begin.
 Kind = Literal["PNG", "JPEG", "TIFF", "EXR", "HDR"]
 MAGIC: dict[bytes, Kind] = {
-    b"\x89PNG\r\n\x1a\n": "PNG",
+    PNG_SIGNATURE: "PNG",
     b"\xff\xd8\xff": "JPEG",
     b"II*\0": "TIFF",
     b"MM\0*": "TIFF",
@@ -328,11 +332,32 @@ def _open_picture(path: Path, formats: tuple[str, ...], look: Callable[[Image.Im
 
 
 def write_png(path: Path, picture: np.ndarray) -> None:
-    """Write ``[H, W, 3]`` uint8 as PNG, atomically; raises ``OutputError`` or ``BadValueError``."""
-    if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3:
-        raise BadValueError(f"a PNG is written from [H, W, 3] uint8, got {picture.shape} {picture.dtype}")
+    """Write ``[H, W, 3]`` uint8 or uint16 as PNG, atomically; raises ``OutputError`` or ``BadValueError``."""
+    if picture.dtype not in (np.uint8, np.uint16) or picture.ndim != 3 or picture.shape[2] != 3:
+        raise BadValueError(
+            f"a PNG is written from [H, W, 3] uint8 or uint16, got {picture.shape} {picture.dtype}"
+        )
     with atomic_path(path) as temporary:
-        Image.fromarray(picture).save(temporary, format="PNG")
+        if picture.dtype == np.uint16:
+            temporary.write_bytes(deep_png(picture))
+        else:
+            Image.fromarray(picture).save(temporary, format="PNG")
+
+
+def deep_png(picture: np.ndarray) -> bytes:
+    """A PNG of ``[H, W, 3]`` uint16, which Pillow cannot write (PNG specification, third edition)."""
+    height, width, _ = picture.shape
+    rows = picture.astype(">u2").view(np.uint8).reshape(height, width * 6)
+    above = np.concatenate([np.zeros_like(rows[:1]), rows[:-1]])
+    filtered = np.full((height, width * 6 + 1), PNG_UP, np.uint8)
+    filtered[:, 1:] = rows - above
+
+    def chunk(kind: bytes, content: bytes) -> bytes:
+        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", crc32(kind + content))
+
+    header = struct.pack(">IIBBBBB", width, height, 16, PNG_RGB, 0, 0, 0)
+    packed = compress(filtered.tobytes(), 4)
+    return PNG_SIGNATURE + chunk(b"IHDR", header) + chunk(b"IDAT", packed) + chunk(b"IEND", b"")
 
 
 def read_exr(path: Path) -> np.ndarray:

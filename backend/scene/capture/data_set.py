@@ -17,7 +17,6 @@ from pathlib import Path
 from shutil import rmtree
 from tempfile import mkdtemp
 from typing import Any, BinaryIO
-from zlib import compress, crc32
 
 import numpy as np
 from filelock import FileLock
@@ -26,6 +25,7 @@ from PIL import Image
 from ....bridge.data_set import CAPTURE_FILE, EXPOSURE_FILE
 from ....bridge.errors import OutputError
 from ..lens import Lens
+from ..pictures import deep_png
 from ..test_choice import test_places
 from .brackets import Brackets
 from .choice import NUMBERS
@@ -41,8 +41,6 @@ WRITTEN = re.compile(
     r"|masks(/(train|test)_\d+_\d\.png)?|sparse(/0(/(cameras|images|points3D)\.bin)?)?"
     r"|(.+/)?(\.DS_Store|Thumbs\.db|desktop\.ini)"  # by whoever has looked at the folder
 )
-#: PNG's first bytes, its number for RGB, and for rows that are written as differences to those above.
-SIGNATURE, RGB, UP = b"\x89PNG\r\n\x1a\n", 2, 2
 #: COLMAP's number for a pinhole camera with fx, fy, cx, cy.
 PINHOLE = 1
 
@@ -227,28 +225,12 @@ def _write_picture(folder: Path, name: str, photo: Photo, lens: Lens, shorter: b
     codes, keep = photo.codes(shorter)
     picture = lens.picture(codes)
     if picture.dtype == np.uint16:
-        (folder / "images" / name).write_bytes(png_of(picture))
+        (folder / "images" / name).write_bytes(deep_png(picture))
     else:
         Image.fromarray(picture).save(folder / "images" / name)
     if keep is not None and not (straight := lens.mask(keep)).all():
         (folder / MASKS).mkdir(exist_ok=True)
         Image.fromarray(straight).save(folder / MASKS / name)
-
-
-def png_of(picture: np.ndarray) -> bytes:
-    """A PNG of ``[H, W, 3]`` uint16, which Pillow cannot write (PNG specification, third edition)."""
-    height, width, _ = picture.shape
-    rows = picture.astype(">u2").view(np.uint8).reshape(height, width * 6)
-    above = np.concatenate([np.zeros_like(rows[:1]), rows[:-1]])
-    filtered = np.full((height, width * 6 + 1), UP, np.uint8)
-    filtered[:, 1:] = rows - above
-
-    def chunk(kind: bytes, content: bytes) -> bytes:
-        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", crc32(kind + content))
-
-    header = struct.pack(">IIBBBBB", width, height, 16, RGB, 0, 0, 0)
-    packed = compress(filtered.tobytes(), 4)
-    return SIGNATURE + chunk(b"IHDR", header) + chunk(b"IDAT", packed) + chunk(b"IEND", b"")
 
 
 def _write_json(path: Path, value: object) -> None:

@@ -2,6 +2,8 @@
 """``physhdr evaluate`` with a method that needs no training: what it writes, and when."""
 
 import json
+import re
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -85,3 +87,83 @@ def test_against_a_run_at_another_resolution_nothing_is_ranked(
     assert (
         "NOT COMPARABLE" in text and "500 of 1000 iterations" in text and "**" not in text.split("\n", 2)[2]
     )
+
+
+# ---- pictures that another program made ------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def trained(tiny_data: Path, tmp_path_factory) -> Path:
+    """A short training and, in ``theirs/`` beside it, its pictures of the test views."""
+    run = tmp_path_factory.mktemp("trained") / "run"
+    words = ["--iterations", "30", "--sh-degree-every", "5"]
+    assert main(["train", str(tiny_data), "--out", str(run), *words]) == 0
+    assert main(["render", str(run), "--split", "test", "--out", str(run.parent / "theirs")]) == 0
+    assert main(["evaluate", str(run)]) == 0
+    return run
+
+
+def test_a_runs_own_pictures_are_measured_as_the_run_is(trained, tiny_data, tmp_path, capsys) -> None:
+    theirs, out = trained.parent / "theirs", tmp_path / "out"
+    words = ["--pictures", str(theirs), "--data", str(tiny_data), "--exposure-mode", "exp3"]
+    assert main(["evaluate", *words, "--out", str(out), "--against", str(trained)]) == 0
+    ours, found = written(trained), written(out)
+    for part in ("LDR-OE", "LDR-NE", "HDR", "HDR, scale aligned"):
+        for name in ("psnr", "ssim"):
+            # Rounded to 16 bits a code may fall on the other side of half an 8-bit one; radiance is exact.
+            off = 1e-9 if part.startswith("HDR") else 5e-3
+            assert found["means"][part][name] == pytest.approx(ours["means"][part][name], abs=off), part
+    assert found["relit_means"] == ours["relit_means"] and found["scale_ratio"] == ours["scale_ratio"]
+    told = {key: value for key, value in ours["conditions"].items() if not key.startswith("iteration")}
+    assert told.items() <= found["conditions"].items() and found["conditions"]["iteration"] is None
+    assert not (theirs / "evaluation.json").exists() and (out / "comparison.png").exists()
+    table = (out / "methods.md").read_text()
+    assert "| theirs |" in table and "| default |" in table and "NOT COMPARABLE" not in table
+    assert (out / "methods.png").exists()
+
+
+def test_their_results_are_written_beside_the_pictures(trained, tiny_data, tmp_path, capsys) -> None:
+    theirs = shutil.copytree(trained.parent / "theirs", tmp_path / "theirs")
+    shutil.rmtree(theirs / "test_hdr")
+    shutil.rmtree(theirs / "relit")
+    assert main(["evaluate", "--pictures", str(theirs), "--data", str(tiny_data), "--json"]) == 0
+    last = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert last == {"result": {"folder": str(theirs), "split": "test"}}
+    assert (
+        written(theirs)["means"]["HDR"] is None
+        and written(theirs)["conditions"]["exposure_mode"] == "unknown"
+    )
+    # What an evaluation left there is none of the pictures: it can be done again, beside others, too.
+    words = ["evaluate", "--pictures", str(theirs), "--data", str(tiny_data), "--exposure-mode", "exp3"]
+    assert main([*words, "--against", str(trained)]) == 0
+    assert "| theirs |" in (theirs / "methods.md").read_text()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ([], "the folder of a run, or --pictures"),
+        (["RUN", "--pictures", "THEIRS"], "the folder of a run, or --pictures"),
+        (["--pictures", "THEIRS"], "--pictures needs the data set"),
+        (["RUN", "--downscale", "2"], "--downscale is of --pictures"),
+        (["RUN", "--exposure-mode", "exp1"], "--exposure-mode is of --pictures"),
+        (["--pictures", "DATA", "--data", "DATA"], "is the data set itself"),
+        (["--pictures", "THEIRS", "--data", "DATA", "--split", "val"], "has no validation views"),
+        (["--pictures", "NOWHERE", "--data", "DATA"], "there is no folder of pictures"),
+        (["--pictures", "THEIRS", "--data", "DATA", "--downscale", "2"], "r_0_0.png is 32×32, .* at 16×16"),
+    ],
+)
+def test_what_does_not_go_together(trained, tiny_data, words, said, capsys) -> None:
+    places = {"RUN": trained, "THEIRS": trained.parent / "theirs", "DATA": tiny_data, "NOWHERE": "nowhere"}
+    assert main(["evaluate", *(str(places.get(word, word)) for word in words)]) == 1
+    assert re.search(said, capsys.readouterr().err)
+
+
+def test_all_views_are_rendered_as_they_are_evaluated(trained, tiny_data, tmp_path, capsys) -> None:
+    render = ["render", str(trained), "--split", "test", "--out"]
+    assert main([*render, str(tmp_path / "a"), "--view", "test/0"]) == 1
+    assert "--view is of one picture" in capsys.readouterr().err
+    assert main([*render[:2], "--split", "val", "--out", str(tmp_path / "a")]) == 1
+    assert "has no validation views" in capsys.readouterr().err
+    assert main([*render, str(tiny_data)]) == 1
+    assert "is the data set" in capsys.readouterr().err and not (tmp_path / "a").exists()

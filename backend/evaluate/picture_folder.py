@@ -1,0 +1,247 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Pictures of a split's views that any program made, in a folder: read for an evaluation, and written.
+
+They are called as the data set's own files: ``test/r_0_0.png`` at the first exposure of pose 0, the name of
+the true radiance for HDR (``test_hdr/hdr_000.exr``), that of the relit truth under other light
+(``relit/level_4/hdr_000.exr``). Other layouts have names of their own; where a picture is no PNG there, a
+``.png`` of the same name will do, for a JPEG loses something.
+"""
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from ...bridge.data_set import TEST
+from ...bridge.errors import BadValueError, DataMismatchError, FileMissingError, PhysHDRError
+from ...bridge.lights import AMBIENT, Levels, as_levels
+from ..scene.camera import Camera
+from ..scene.encoding import LARGEST
+from ..scene.pictures import picture_size, read_codes, read_exr, write_exr, write_png
+from ..scene.scene import Scene, View
+from . import truth
+from .pictures import finite
+from .renderer import Renderer
+from .results import VIEWS_OF
+
+MEND = "Write it again: it is called, and as large, as the data set's own picture; docs/compare.md says more."
+ALL_OR_NONE = "Write it, or none of its kind: a mean over some of the views compares with no other."
+#: Of a 16-bit picture.
+DEEP = float(LARGEST[np.dtype(np.uint16)])
+
+
+class PictureFolder(Renderer):
+    """The pictures in ``folder``, one for each view of ``split`` at each exposure, as a renderer of them.
+
+    It knows the cameras of these views alone. ``has_hdr``: whether there are HDR pictures; ``shows`` says of
+    a mixture of light whether it is there. Everything that an evaluation will read is looked for here, and
+    its size compared, before any of it is read.
+
+    Raises ``FileMissingError`` for a picture that is missing (all of the HDR ones may be, and all of a
+    mixture), ``DataMismatchError`` for one of another size and ``FileDamagedError`` for what is no picture.
+    """
+
+    def __init__(self, folder: Path, scene: Scene, split: str = TEST) -> None:
+        self.folder, self._split = Path(folder), split
+        if not self.folder.is_dir():
+            raise FileMissingError(f"there is no folder of pictures {folder}", "Name the one that has them.")
+        views = scene.splits[split]
+        self._views = {view.camera: view for view in views}
+        assert len(self._views) == len(views)  # every pose has a camera of its own
+        self._ldr = {view.camera: self._ldr_paths(scene, view) for view in views}
+        self._require([path for paths in self._ldr.values() for path in paths.values()])
+        self._find_hdr(scene, views)
+        self._find_relit(scene)
+        for view in views:
+            relit = [path for (index, _), path in self._relit.items() if index == view.index]
+            hdr = [self._hdr[view.camera]] if view.camera in self._hdr else []
+            for path in [*self._ldr[view.camera].values(), *hdr, *relit]:
+                _require_size(path, view.camera)
+
+    def _ldr_paths(self, scene: Scene, view: View) -> dict[int, Path]:
+        """By position in the view's exposures, of a camera's pictures; others are compared through HDR."""
+        paths = {}
+        for k, source in enumerate(view.sources):
+            if not view.encodings[k].is_known:
+                path = self._at(scene, source.path)
+                other = path.with_suffix(".png")
+                paths[k] = other if not path.exists() and other.exists() else path
+        return paths
+
+    def _find_hdr(self, scene: Scene, views: Sequence[View]) -> None:
+        paths = {view.camera: self._at(scene, hdr_path(scene, self._split, view)) for view in views}
+        read = [view.camera for view in views if any(encoding.is_known for encoding in view.encodings)]
+        self._require([paths[camera] for camera in read])
+        judged = truth.has_hdr_truth(scene.root, self._split)
+        self.has_hdr = judged and self._is_whole(list(paths.values()), "HDR")
+        self._hdr = paths if self.has_hdr else {camera: paths[camera] for camera in read}
+
+    def _find_relit(self, scene: Scene) -> None:
+        there = truth.relit_truth(scene.root) if self._split == TEST else []
+        names = [name for item in there for name in item.levels]
+        self.lights = tuple(dict.fromkeys([AMBIENT, *names]))
+        self._relit: dict[tuple[int, tuple[float, ...]], Path] = {}
+        for condition in dict.fromkeys(item.condition for item in there):
+            items = [item for item in there if item.condition == condition]
+            paths = [self._at(scene, item.path) for item in items]
+            if self._is_whole(paths, condition):
+                keys = [(item.index, item.levels_of(self.lights)) for item in items]
+                self._relit |= dict(zip(keys, paths, strict=True))
+        if self._relit and not self.has_hdr:
+            raise FileMissingError(
+                f"{self.folder} has relit pictures, but no HDR ones",
+                "Relit pictures are judged beside these: write them, too.",
+            )
+
+    def _at(self, scene: Scene, path: Path) -> Path:
+        """Where a file of the data set has its counterpart."""
+        return self.folder / name_in(scene, path)
+
+    def _require(self, paths: Sequence[Path]) -> None:
+        missing = [path for path in paths if not path.exists()]
+        if missing:
+            more = f" ({len(missing)} of {len(paths)} are)" if len(missing) > 1 else ""
+            raise FileMissingError(
+                f"{missing[0]} is missing{more}",
+                f"Each of the {len(self._views)} {VIEWS_OF[self._split]} needs a picture at each of its "
+                "exposures, called as the data set's own.",
+            )
+
+    def _is_whole(self, paths: Sequence[Path], kind: str) -> bool:
+        """Whether all are there; raises ``FileMissingError`` where only some are."""
+        missing = [path for path in paths if not path.exists()]
+        if missing and len(missing) < len(paths):
+            raise FileMissingError(
+                f"{missing[0]} is missing ({len(missing)} of {len(paths)} {kind} pictures are)", ALL_OR_NONE
+            )
+        return not missing
+
+    def shows(self, item: truth.RelitTruth) -> bool:
+        """Whether there are pictures under this light."""
+        return (item.index, item.levels_of(self.lights)) in self._relit
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        return ("Pictures that another program made: how it was trained is not known here.",)
+
+    def hdr(self, camera: Camera, lighting_level: Levels = 1.0) -> torch.Tensor:
+        view, levels = self._view(camera), as_levels(lighting_level, self.lights)
+        standard = all(level == 1.0 for level in levels)
+        path = self._hdr.get(camera) if standard else self._relit.get((view.index, levels))
+        if path is None:
+            raise BadValueError(f"{self.folder} has no HDR picture of {view.name} at the levels {levels}")
+        with _of_a_picture():
+            return torch.from_numpy(read_exr(path)).permute(2, 0, 1).contiguous()
+
+    def ldr(self, camera: Camera, exposure: float, lighting_level: Levels = 1.0) -> torch.Tensor:
+        return next(iter(self.ldr_bracket(camera, [exposure], lighting_level)))
+
+    def ldr_bracket(
+        self, camera: Camera, exposures: Sequence[float], lighting_level: Levels = 1.0
+    ) -> Iterator[torch.Tensor]:
+        """As a renderer's; of equal exposures in one bracket the first, then the next."""
+        view, left = self._view(camera), dict(self._ldr[camera])
+        for exposure in exposures:
+            k = next((k for k in left if view.exposures[k] == exposure), None)
+            if k is None:
+                raise BadValueError(f"{self.folder} has no picture of {view.name} at {exposure:g} s")
+            with _of_a_picture():
+                codes, _ = read_codes(left.pop(k))
+            yield torch.from_numpy(codes / float(LARGEST[codes.dtype])).permute(2, 0, 1).contiguous()
+
+    def photographed(
+        self,
+        camera: Camera,
+        exposures: Sequence[float],
+        effects: Sequence[torch.Tensor],
+        lighting_level: Levels = 1.0,
+    ) -> Iterator[torch.Tensor]:
+        """Never asked of what learns nothing of a camera."""
+        raise BadValueError(f"{self.folder} has pictures as they are alone")
+
+    def _view(self, camera: Camera) -> View:
+        if camera not in self._views:
+            raise BadValueError(f"{self.folder} has pictures of the {VIEWS_OF[self._split]} alone")
+        return self._views[camera]
+
+
+def _require_size(path: Path, camera: Camera) -> None:
+    with _of_a_picture():
+        width, height = picture_size(path)
+    if (width, height) != (camera.width, camera.height):
+        raise DataMismatchError(
+            f"{path} is {width}×{height}, the data set's picture is evaluated at "
+            f"{camera.width}×{camera.height}",
+            "Render at that size; --downscale evaluates at another.",
+        )
+
+
+@contextmanager
+def _of_a_picture() -> Iterator[None]:
+    """Readers' errors with a remedy for pictures that are no data set's."""
+    try:
+        yield
+    except PhysHDRError as error:
+        raise type(error)(error.message, MEND) from error
+
+
+# ---- names, and writing --------------------------------------------------------------------------------
+
+
+def name_in(scene: Scene, path: Path) -> str:
+    """A file of the data set as named within it, ``test/r_0_0.png``."""
+    return os.path.relpath(os.path.abspath(path), os.path.abspath(scene.root))
+
+
+def hdr_path(scene: Scene, split: str, view: View) -> Path:
+    """Where the data set has the view's true radiance, or would have it."""
+    return truth.hdr_truth_path(scene.root, split, view.index)
+
+
+@torch.no_grad()
+def write_pictures(
+    renderer: Renderer,
+    scene: Scene,
+    folder: Path,
+    split: str = TEST,
+    progress: Callable[[int, int, str], None] = lambda done, total, what: None,
+) -> int:
+    """Write what ``PictureFolder`` reads of every view of ``split``; returns the number of files.
+
+    A camera's pictures as PNG of 16 bits, radiance as OpenEXR, and that under every light of the relit truth
+    which the model has a level for. What is there already under these names is replaced. ``progress`` is
+    called with (views done, all, what is next). Raises ``BadValueError`` where ``folder`` is the data set
+    itself or the model renders NaN, and ``OutputError``.
+    """
+    if folder.resolve() == scene.root.resolve():
+        raise BadValueError(
+            f"{folder} is the data set: its own pictures would be replaced", "Give another folder."
+        )
+    relit = truth.relit_truth(scene.root) if split == TEST else []
+    views, count = scene.splits[split], 0
+    for done, view in enumerate(views):
+        progress(done, len(views), view.name)
+        places = [k for k, encoding in enumerate(view.encodings) if not encoding.is_known]
+        drawn = renderer.ldr_bracket(view.camera, [view.exposures[k] for k in places]) if places else ()
+        for k, picture in zip(places, drawn, strict=True):
+            codes = finite(picture, view.name).clamp(0.0, 1.0).double() * DEEP
+            path = (folder / name_in(scene, view.sources[k].path)).with_suffix(".png")
+            write_png(path, _planes_last(codes.round()).astype(np.uint16))
+        conditions = [item for item in relit if item.index == view.index]
+        conditions = [item for item in conditions if item.can_be_shown(renderer.lights)]
+        radiance = {hdr_path(scene, split, view): renderer.hdr(view.camera)}
+        radiance |= {
+            item.path: renderer.hdr(view.camera, item.levels_of(renderer.lights)) for item in conditions
+        }
+        for path, picture in radiance.items():
+            write_exr(folder / name_in(scene, path), _planes_last(finite(picture, view.name)))
+        count += len(places) + len(radiance)
+    progress(len(views), len(views), "")
+    return count
+
+
+def _planes_last(picture: torch.Tensor) -> np.ndarray:
+    return np.ascontiguousarray(picture.permute(1, 2, 0).numpy())
