@@ -37,12 +37,12 @@ torture: setup ## Kills, full disks, two of everything at once, long use (hours)
 benchmark: setup ## Speed of the kernels against their alternatives, in one run; WITH="--quick" and other options
 	@$(BACKEND) benchmarks/run.py $(WITH)
 
-report: setup ## Methods at equal iterations and CPU seconds, the paper's steps: docs/benchmarks.md, ablation.md (hours)
-	@$(BACKEND) tools/benchmark_data.py bathroom interior sponza bathroom-local
-	@.venvs/backend/bin/physhdr benchmark --plan benchmarks/methods.toml --jobs 2 \
-		--out runs/methods --report docs/benchmarks.md
-	@.venvs/backend/bin/physhdr benchmark --plan benchmarks/ladder.toml --jobs 2 \
-		--out runs/ladder --report docs/ablation.md
+# What make report runs, each plan in a folder of its own.
+PLANS := held_out exp1 published faults length ladder
+report: setup ## The comparison, faults, lengths, the paper's steps: docs/tables (days); PLANS=… LPIPS=weights.npz
+	@$(BACKEND) tools/benchmark_data.py --plans $(PLANS:%=benchmarks/%.toml)
+	@for plan in $(PLANS); do .venvs/backend/bin/physhdr benchmark --plan benchmarks/$$plan.toml --jobs 2 \
+		--out runs/report/$$plan --report docs/tables/$$plan.md $(if $(LPIPS),--lpips-weights $(LPIPS)) || exit; done
 
 gpu-check: ## Is the CUDA path right, and how fast? Says so and ends where there is no card
 	@$(WITH_TORCH) tools/gpu_check.py

@@ -3,6 +3,7 @@
 
     .venvs/backend/bin/python tools/benchmark_data.py                     the seven open scenes
     .venvs/backend/bin/python tools/benchmark_data.py dog dog-iso1600     these alone
+    .venvs/backend/bin/python tools/benchmark_data.py --plans benchmarks/exp1.toml   what plans ask for
 
 200×200, 35 poses, no lit views: every method trains on the same pictures. Training views are rendered (2 to 5
 minutes of two cores a scene); the truth of test and validation views is taken from benchmarks/data. A name
@@ -14,6 +15,7 @@ import argparse
 import subprocess
 import sys
 import time
+import tomllib
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -61,7 +63,9 @@ def main() -> int:
     told = ", ".join([*SAMPLES, *(f"SCENE-{camera}" for camera in CAMERAS)])
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("names", nargs="*", default=USUAL, metavar="NAME", help=f"of: {told}")
-    names = parser.parse_args().names
+    parser.add_argument("--plans", nargs="+", type=Path, metavar="FILE", help="what these plans ask for")
+    arguments = parser.parse_args()
+    names = _asked_for(arguments.plans) if arguments.plans else arguments.names
     for name in names:  # all, before the first is rendered
         if name not in known:
             parser.error(f"there is no data set '{name}'; there are {told}")
@@ -71,6 +75,12 @@ def main() -> int:
         if status := next((status for each in parts if (status := _make(each))), 0):
             return status
     return 0
+
+
+def _asked_for(plans: list[Path]) -> list[str]:
+    """The data sets of plans (TOML), by name, each once."""
+    scenes = [scene for plan in plans for scene in tomllib.loads(plan.read_text())["scenes"]]
+    return list(dict.fromkeys(Path(scene).name for scene in scenes))
 
 
 def _make(name: str) -> int:

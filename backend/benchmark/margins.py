@@ -1,35 +1,52 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""By how much one method is ahead of another: differences of runs on the same scene with the same seed."""
+"""By how much one method is ahead of another: differences of runs on the same scene with the same seed.
+
+Scenes are what a claim is generalised over, seeds are what one run happens to be. So the differences of a
+scene are averaged over its seeds first, and the interval is Student's over the scenes: it holds both kinds of
+spread.
+"""
 
 import math
 import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
+
+from scipy.stats import t as student
 
 from ..evaluate.comparison import Column, ComparedRun, column
 
-#: What a method is judged by, and the paper's margins over GaussHDR on its synthetic scenes, in dB (Ours† −
-#: GaussHDR†, exp3: 44.26 − 43.87, 43.19 − 42.74, 39.21 − 39.08).
-PAPER_MARGINS = {"LDR-OE.psnr": 0.39, "LDR-NE.psnr": 0.45, "HDR.psnr": 0.13}
+#: What a method is judged by.
+JUDGED = ("LDR-OE.psnr", "LDR-NE.psnr", "HDR.psnr", "HDR-aligned.psnr", "LDR-OE.lpips")
+#: Of the intervals: the probability with which one holds the mean difference.
+CONFIDENCE = 0.95
+
+Standing = Literal["ahead", "behind", "not told apart", "one run"]
 
 
 @dataclass(frozen=True)
 class Margin:
     """Paired differences, one for each (scene, seed) that both methods have.
 
-    ``spread``: their standard deviation over the seeds of a scene, pooled over the scenes (that scenes differ
-    is no noise); None where no scene has two seeds.
+    ``mean``: over scenes of the mean over seeds. ``interval``: of that mean, by the scenes where there are
+    two, else by the seeds of the one; None of one pair. ``spread``: the standard deviation over the seeds of
+    a scene, pooled over the scenes (that scenes differ is no noise); None where no scene has two seeds.
     """
 
     mean: float
+    interval: tuple[float, float] | None
     spread: float | None
-    least: float
     pairs: int
+    scenes: int
+    lower_is_better: bool = False
 
     @property
-    def is_ahead(self) -> bool | None:
-        """Whether the mean is above 0 by more than the spread; None where no spread is known."""
-        return None if self.spread is None else self.mean > self.spread
+    def standing(self) -> Standing:
+        """What the interval says: *ahead* where all of it is on the better side of 0."""
+        if self.interval is None:
+            return "one run"
+        low, high = (-self.interval[1], -self.interval[0]) if self.lower_is_better else self.interval
+        return "ahead" if low > 0.0 else "behind" if high < 0.0 else "not told apart"
 
 
 def margin(entries: Sequence[ComparedRun], method: str, other: str, key: str) -> Margin | None:
@@ -41,8 +58,21 @@ def margin(entries: Sequence[ComparedRun], method: str, other: str, key: str) ->
         of_scene.setdefault(run[0], []).append(ours[run] - theirs[run])
     if not of_scene:
         return None
-    differences = [difference for scene in of_scene.values() for difference in scene]
-    return Margin(statistics.fmean(differences), _spread(of_scene), min(differences), len(differences))
+    means = [statistics.fmean(scene) for scene in of_scene.values()]
+    pairs = sum(len(scene) for scene in of_scene.values())
+    interval = _interval(means if len(means) > 1 else next(iter(of_scene.values())))
+    lower = each.better == "lower"
+    return Margin(statistics.fmean(means), interval, _spread(of_scene), pairs, len(means), lower)
+
+
+def _interval(values: Sequence[float]) -> tuple[float, float] | None:
+    """Student's, of the mean of ``values``; None of a single one."""
+    if len(values) < 2:
+        return None
+    quantile = float(student.ppf(0.5 + 0.5 * CONFIDENCE, len(values) - 1))
+    reach = quantile * statistics.stdev(values) / math.sqrt(len(values))
+    mean = statistics.fmean(values)
+    return mean - reach, mean + reach
 
 
 def _spread(of_scene: dict[str, list[float]]) -> float | None:

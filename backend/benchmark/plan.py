@@ -9,12 +9,8 @@ seeds = [0, 1, 2]
 budgets = ["iterations=1000", "cpu-seconds=60"]
 set = ["downscale=2"]                                     # for every method
 margins_of = ["default"]                                  # whose lead over the others is reported
-controls = ["dim"]                                        # that the verdict on that lead does not count
 note = "What the figures do not show."                    # stands at the top of the report
 open_sealed = true                                        # a report may have sealed scenes (roles.py)
-[[group]]
-name = "one backbone"                                     # the verdict over these alone, too
-methods = ["baseline", "default"]
 [[ladder]]
 name = "ablation"
 steps = ["baseline", "dim", "default"]
@@ -135,14 +131,6 @@ class Budget:
 
 
 @dataclass(frozen=True)
-class Group:
-    """Methods of one kind, among which a lead is told once more."""
-
-    name: str
-    methods: tuple[str, ...]
-
-
-@dataclass(frozen=True)
 class Ladder:
     """Methods of which each adds one thing to the one before."""
 
@@ -169,8 +157,6 @@ class Plan:
     device: str = "auto"
     lpips_weights: Path | None = None
     margins_of: tuple[str, ...] = ()
-    controls: tuple[str, ...] = ()
-    groups: tuple[Group, ...] = ()
     ladders: tuple[Ladder, ...] = ()
     note: str = ""
     kind: str = REPORT
@@ -192,8 +178,7 @@ class Plan:
         for text in self.assignments:
             option_words(text)  # raises where it cannot be used
         steps = [step for ladder in self.ladders for step in ladder.steps]
-        grouped = [name for group in self.groups for name in group.methods]
-        for name in [*self.margins_of, *self.controls, *grouped, *steps]:
+        for name in [*self.margins_of, *steps]:
             if name not in names:
                 raise BadValueError(f"the plan has no method '{name}'", f"Choose from: {', '.join(names)}.")
         for ladder in self.ladders:
@@ -246,10 +231,8 @@ _KEYS: dict[str, tuple[str, Callable[[Any, Path], Any]]] = {
     "device": ("device", lambda value, _: str(value)),
     "lpips_weights": ("lpips_weights", lambda value, at: at / str(value)),
     "margins_of": ("margins_of", lambda value, _: tuple(_texts(value))),
-    "controls": ("controls", lambda value, _: tuple(_texts(value))),
     "note": ("note", lambda value, _: str(value)),
     "open_sealed": ("open_sealed", lambda value, _: _yes_or_no(value)),
-    "group": ("groups", lambda value, _: tuple(Group(str(x["name"]), tuple(x["methods"])) for x in value)),
     "ladder": ("ladders", lambda value, _: tuple(Ladder(str(x["name"]), tuple(x["steps"])) for x in value)),
 }
 
@@ -310,19 +293,15 @@ def write_plan(plan: Plan, path: Path) -> None:
         rows["lpips_weights"] = str(plan.lpips_weights)
     if plan.margins_of:
         rows["margins_of"] = list(plan.margins_of)
-    if plan.controls:
-        rows["controls"] = list(plan.controls)
     if plan.note:
         rows["note"] = plan.note
     if plan.open_sealed:
         rows["open_sealed"] = True
     # A string, a number, true or a list of them is the same in JSON and in TOML.
     lines = [f"{key} = {json.dumps(value, ensure_ascii=False)}" for key, value in rows.items()]
-    tables = [("group", each.name, "methods", each.methods) for each in plan.groups]
-    tables += [("ladder", each.name, "steps", each.steps) for each in plan.ladders]
-    for table, name, key, methods in tables:
-        lines += ["", f"[[{table}]]", f"name = {json.dumps(name, ensure_ascii=False)}"]
-        lines += [f"{key} = {json.dumps(list(methods), ensure_ascii=False)}"]
+    for ladder in plan.ladders:
+        lines += ["", "[[ladder]]", f"name = {json.dumps(ladder.name, ensure_ascii=False)}"]
+        lines += [f"steps = {json.dumps(list(ladder.steps), ensure_ascii=False)}"]
     with atomic_path(path) as temporary:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
 

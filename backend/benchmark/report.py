@@ -5,29 +5,55 @@ import csv
 import io
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ...bridge.atomic import atomic_path
-from ..evaluate.comparison import DEFAULT_METRICS, NONE, ComparedRun, column, comparison_table
+from ..evaluate.comparison import NONE, ComparedRun, column, comparison_table
 from .facts import machine_lines, scene_facts, scene_line
-from .margins import PAPER_MARGINS, Margin, margin
-from .plan import CPU_SECONDS, TUNE, Budget, Ladder
+from .margins import CONFIDENCE, JUDGED, Margin, margin
+from .plan import CPU_SECONDS, ITERATIONS, TUNE, Budget, Ladder, Plan
 from .roles import role_lines
 from .runs import Record, Run, has_gaussians
 from .schedule import Schedule
 from .search import TOLERANCE
 
 REPORT_FILE = "report.md"
+#: Tables of the section Methods: by heading, their columns.
+QUALITY = (
+    *(f"{part}.{name}" for part in ("LDR-OE", "LDR-NE", "HDR") for name in ("psnr", "ssim")),
+    *("HDR-aligned.psnr", "scale", "response"),
+)
+PERCEIVED = tuple(f"{part}.{name}" for part in ("LDR-OE", "LDR-NE", "HDR") for name in ("lpips", "lpips_01"))
+RELIGHTING = ("relit.psnr", "relit.gain")
 COSTS = ("cost.cpu_seconds", "cost.seconds", "cost.iterations", "cost.gaussians", "cost.memory_MB")
-MAIN_METRICS = (*DEFAULT_METRICS, "HDR-aligned.psnr", "relit.psnr", "relit.gain", *COSTS)
-SCENE_METRICS = (*PAPER_MARGINS, "HDR-aligned.psnr", "scale", "relit.psnr", "cost.cpu_seconds")
-SCENE_METRICS += ("cost.iterations", "cost.gaussians")
+TABLES = {"": QUALITY, "LPIPS": PERCEIVED, "Relighting": RELIGHTING, "Cost": COSTS}
+SCENE_METRICS = (
+    "LDR-OE.psnr",
+    "LDR-NE.psnr",
+    "HDR.psnr",
+    "HDR-aligned.psnr",
+    "LDR-OE.lpips",
+    "scale",
+    "response",
+)
+SCENE_METRICS += ("relit.psnr", "cost.cpu_seconds", "cost.iterations", "cost.gaussians")
+#: What a training of another length changes, where a plan has several of one kind.
+OF_LENGTH = (
+    "LDR-OE.psnr",
+    "LDR-NE.psnr",
+    "HDR.psnr",
+    "HDR-aligned.psnr",
+    "LDR-OE.lpips",
+    "scale",
+    "response",
+)
+OF_LENGTH += ("cost.cpu_seconds", "cost.gaussians")
 #: What stands in a row of CSV beside what names the run.
 CSV_METRICS = (
     *(f"{part}.{name}" for part in ("LDR-OE", "LDR-NE", "HDR", "HDR-aligned") for name in ("psnr", "ssim")),
     *(f"{part}.{name}" for part in ("LDR-OE", "LDR-NE", "HDR") for name in ("lpips", "lpips_01")),
-    *("scale", "relit.psnr", "relit.gain"),
+    *("scale", "response", "relit.psnr", "relit.gain"),
 )
 LOG_LINES = 6
 #: Where the code lies.
@@ -113,8 +139,8 @@ def to_markdown(schedule: Schedule, finished: Sequence[Finished], command: str, 
     parts += ["## Conditions", _listed(_conditions(schedule, finished))]
     groups = [(budget, setting) for budget in plan.budgets for setting in plan.settings]
     sections: list[tuple[str, Callable[[Schedule, list[ComparedRun]], str]]] = [
-        ("Methods", lambda _, entries: comparison_table(entries, metrics=MAIN_METRICS).markdown()),
-        ("Margins", _margins),
+        ("Methods", lambda _, entries: _tables(entries)),
+        *([("Margins", _margins)] if len(plan.methods) > 1 else []),
         *((f"Ladder: {ladder.name}", _ladder_section(ladder)) for ladder in plan.ladders),
         (
             "Scenes",
@@ -122,8 +148,6 @@ def to_markdown(schedule: Schedule, finished: Sequence[Finished], command: str, 
         ),
     ]
     for title, section in sections:
-        if title == "Margins" and len(plan.methods) < 2:
-            continue
         parts.append(f"## {title}")
         if title == "Margins":
             parts.append(_what_margins_are(_leaders(schedule)))
@@ -135,6 +159,7 @@ def to_markdown(schedule: Schedule, finished: Sequence[Finished], command: str, 
                 parts.append(missing)
             if chosen:
                 parts.append(section(schedule, [each.entry for each in chosen]).rstrip())
+    parts += _lengths(plan, finished)
     if failures := _failures(schedule):
         parts += ["## Runs that failed", failures]
     return without_places("\n\n".join(parts) + "\n", schedule)
@@ -253,12 +278,23 @@ def _leaders(schedule: Schedule) -> tuple[str, ...]:
     return plan.margins_of or (plan.methods[0].name,)
 
 
+def _tables(entries: list[ComparedRun]) -> str:
+    """A table for each kind of figure that was measured; the notes of all stand below the first."""
+    parts = []
+    for title, metrics in TABLES.items():
+        table = comparison_table(entries, metrics=metrics, title=title)
+        if table.columns:
+            parts.append((replace(table, notes=()) if parts else table).markdown().rstrip())
+    return "\n\n".join(parts)
+
+
 def _what_margins_are(leaders: Sequence[str]) -> str:
     return (
-        f"PSNR of {' and of '.join(f'`{name}`' for name in leaders)} minus that of each other method, in dB: "
-        "the mean of the differences of runs on the same scene with the same seed ± their standard deviation "
-        "over the seeds (within the scenes, pooled), and the least of them. *Ahead*: whether the mean is "
-        "above 0 by more than that standard deviation."
+        f"{' and '.join(f'`{name}`' for name in leaders)} minus each other method, of runs on the same scene "
+        "with the same seed (dB; of LPIPS less is better): the mean over scenes of the mean over seeds, in "
+        f"brackets Student's interval of it ({CONFIDENCE:.0%}) by the scenes (of one scene by its seeds), "
+        "and ± the standard deviation over the seeds of a scene. *Ahead* or *behind*: 0 is not in the "
+        "interval."
     )
 
 
@@ -268,73 +304,92 @@ def _margins(schedule: Schedule, entries: list[ComparedRun]) -> str:
 
 def _margins_of(leader: str, schedule: Schedule, entries: list[ComparedRun]) -> str:
     plan = schedule.store.plan
+    keys = [key for key in JUDGED if any(column(key).value(entry) is not None for entry in entries)]
     rivals = {
-        other.name: {key: margin(entries, leader, other.name, key) for key in PAPER_MARGINS}
-        for other in plan.methods
-        if other.name not in _leaders(schedule)
+        name: {key: margin(entries, leader, name, key) for key in keys}
+        for name in dict.fromkeys(entry.method for entry in entries)
+        if name not in _leaders(schedule)
     }
     if not rivals:
-        return f"`{leader}`: the plan has no other method that it could be ahead of."
+        return f"`{leader}`: there is no other method that it could be ahead of."
     headings = [f"{leader} over", "pairs"]
-    for key in PAPER_MARGINS:
-        headings += [column(key).heading.removesuffix(" PSNR"), "least", "ahead"]
+    for key in keys:
+        headings += [_part(key), "seeds", "standing"]
     rows = []
     for name, found in rivals.items():
         cells = [name, str(max(each.pairs if each else 0 for each in found.values()))]
-        rows.append([*cells, *(cell for each in found.values() for cell in _margin_cells(each))])
-    parts = [_table(headings, rows)]
-
-    judged = {name: found for name, found in rivals.items() if name not in plan.controls}
-    if not judged:
-        return parts[0]
+        rows.append([*cells, *(cell for key, each in found.items() for cell in _margin_cells(key, each))])
     wanted = len(plan.scenes) * len(plan.seeds)
-    least = ", ".join(f"{_signed(value)}" for value in PAPER_MARGINS.values())
-    parts.append(
-        f"`{leader}` is ahead of every method above on LDR-OE, LDR-NE and HDR by more than the spread and by "
-        f"more than the paper's margins over GaussHDR ({least} dB)"
-        f"{_but_for(plan.controls)}: **{_verdict(judged, wanted)}**."
-    )
-    for group in plan.groups:
-        among = {name: found for name, found in judged.items() if name in group.methods}
-        if leader in group.methods and among:
-            names = ", ".join(f"`{name}`" for name in among)
-            parts.append(
-                f"The same over those of {group.name} alone ({names}): **{_verdict(among, wanted)}**."
-            )
-    return "\n\n".join(parts)
+    return "\n\n".join([_table(headings, rows), _listed([_verdict(key, rivals, wanted) for key in keys])])
 
 
-def _verdict(rivals: dict[str, dict[str, Margin | None]], wanted: int) -> str:
-    """Whether a method is ahead of ``rivals``, by its margins over each, of ``wanted`` pairs."""
-    short, missing, undecided = [], [], False
+def _part(key: str) -> str:
+    return column(key).heading.removesuffix(" PSNR")
+
+
+def _verdict(key: str, rivals: dict[str, dict[str, Margin | None]], wanted: int) -> str:
+    """Over which of ``rivals`` a method is ahead in a column, by its margins of ``wanted`` pairs each."""
+    of_standing: dict[str, list[str]] = {"ahead": [], "not told apart": [], "behind": [], "one run": []}
+    missing = []
     for name, found in rivals.items():
-        pairs = {key.partition(".")[0]: each.pairs if each else 0 for key, each in found.items()}
-        if lacking := [part for part, count in pairs.items() if count < wanted]:
-            where = "" if len(lacking) == len(pairs) else f" on {', '.join(lacking)}"
-            missing.append(f"{name}{where} ({min(pairs.values())} of {wanted})")
-        for key, each in found.items():
-            if each and (each.is_ahead is False or each.mean <= PAPER_MARGINS[key]):
-                short.append(f"{name} on {key.partition('.')[0]} ({_signed(each.mean)})")
-            elif each and each.is_ahead is None:
-                undecided = True
-    said = f"no: {', '.join(short)}" if short else "not known" if missing else "yes"
+        each = found[key]
+        pairs = each.pairs if each else 0
+        if pairs < wanted:
+            missing.append(f"`{name}` ({pairs} of {wanted})")
+        if each is not None:
+            of_standing[each.standing].append(f"`{name}`")
+    words = {
+        "ahead": "ahead of",
+        "not told apart": "not told apart from",
+        "behind": "behind",
+        "one run": "of one run only, over",
+    }
+    said = [f"{words[standing]} {', '.join(names)}" for standing, names in of_standing.items() if names]
     if missing:
-        said += f"; pairs are missing: {', '.join(missing)}"
-    if undecided:
-        said += f"{', but' if said == 'yes' else ';'} the spread of one seed is not known"
-    return said
+        said.append(f"pairs are missing: {', '.join(missing)}")
+    return f"{_part(key)}: {'; '.join(said)}"
 
 
-def _but_for(controls: Sequence[str]) -> str:
-    return f", but for the controls ({', '.join(f'`{name}`' for name in controls)})" if controls else ""
-
-
-def _margin_cells(each: Margin | None) -> list[str]:
+def _margin_cells(key: str, each: Margin | None) -> list[str]:
     if each is None:
         return [NONE, NONE, NONE]
-    spread = "" if each.spread is None else f" ± {each.spread:.2f}"
-    ahead = {True: "yes", False: "no", None: "one seed"}[each.is_ahead]
-    return [f"{_signed(each.mean)}{spread}", _signed(each.least), ahead]
+    digits = column(key).digits
+    mean = f"{each.mean:+.{digits}f}"
+    if each.interval is not None:
+        mean += f" [{each.interval[0]:+.{digits}f}, {each.interval[1]:+.{digits}f}]"
+    return [mean, NONE if each.spread is None else f"± {each.spread:.{digits}f}", each.standing]
+
+
+def _lengths(plan: Plan, finished: Sequence[Finished]) -> list[str]:
+    """Every method over the budgets of one kind, where the plan has three or more of it."""
+    parts: list[str] = []
+    for kind, name in ((ITERATIONS, "iterations"), (CPU_SECONDS, "CPU seconds")):
+        budgets = sorted((each for each in plan.budgets if each.kind == kind), key=lambda each: each.amount)
+        if len(budgets) < 3:
+            continue
+        parts.append(f"## Over {name}")
+        for setting in plan.settings:
+            parts.append(f"### {setting}")
+            parts += [_over_budgets(key, budgets, setting, finished) for key in OF_LENGTH]
+    return [part for part in parts if part]
+
+
+def _over_budgets(key: str, budgets: Sequence[Budget], setting: str, finished: Sequence[Finished]) -> str:
+    """A column of the tables, a row a method; empty where nothing was measured."""
+    rows = []
+    for method in dict.fromkeys(each.run.method.name for each in finished):
+        cells = []
+        for budget in budgets:
+            runs = [
+                each.entry
+                for each in finished
+                if (each.run.method.name, each.run.budget, each.run.setting) == (method, budget, setting)
+            ]
+            cells.append(_mean_cell(runs, key))
+        rows.append([method, *cells])
+    if all(cell == NONE for row in rows for cell in row[1:]):
+        return ""
+    return _table([column(key).heading, *(f"{each.amount:,.15g}" for each in budgets)], rows)
 
 
 def _ladder_section(ladder: Ladder) -> Callable[[Schedule, list[ComparedRun]], str]:
@@ -353,17 +408,18 @@ def _ladder_section(ladder: Ladder) -> Callable[[Schedule, list[ComparedRun]], s
 
 def _steps(ladder: Ladder, entries: list[ComparedRun]) -> str:
     headings = ["step", "pairs"]
-    for key in PAPER_MARGINS:
-        headings += [column(key).heading, "gain", "least", "more than the spread"]
+    keys = [key for key in JUDGED if any(column(key).value(entry) is not None for entry in entries)]
+    for key in keys:
+        headings += [column(key).heading, "gain", "seeds", "standing"]
     size = column("cost.gaussians")
     rows = []
     for i, step in enumerate(ladder.steps):
         cells, pairs = [], 0
         runs = [entry for entry in entries if entry.method == step]
-        for key in PAPER_MARGINS:
+        for key in keys:
             gain = margin(entries, step, ladder.steps[i - 1], key) if i else None
             pairs = max(pairs, gain.pairs if gain else 0)
-            cells += [_mean_cell(runs, key), *_margin_cells(gain)]
+            cells += [_mean_cell(runs, key), *_margin_cells(key, gain)]
         rows.append([step, str(pairs) if i else NONE, *cells, _mean_cell(runs, size.key)])
     return _table([*headings, size.heading], rows)
 
@@ -420,10 +476,6 @@ def _count(items: Sequence[object], name: str) -> str:
 
 def _listed(lines: Sequence[str]) -> str:
     return "\n".join(f"- {line}" for line in lines)
-
-
-def _signed(value: float) -> str:
-    return f"{value:+.2f}"
 
 
 def _table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

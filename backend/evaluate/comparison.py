@@ -96,7 +96,7 @@ SHORT_METRICS = ("LDR-OE.psnr", "LDR-NE.psnr", "HDR.psnr", "scale")
 
 @dataclass(frozen=True)
 class Column:
-    """A column: ``LDR-OE.psnr``, ``scale``, ``relit.psnr``, ``relit.gain`` or ``cost.NAME``."""
+    """A column: ``LDR-OE.psnr``, ``scale``, ``response``, ``relit.psnr``, ``relit.gain`` or ``cost.NAME``."""
 
     key: str
     heading: str
@@ -108,6 +108,8 @@ class Column:
         part, _, metric = self.key.partition(".")
         if self.key == "scale":
             value = entry.evaluation.get("scale_ratio")
+        elif self.key == "response":
+            value = (entry.evaluation.get("response") or {}).get("rms_error")
         elif part == "cost":
             value = entry.cost.get(metric)
         elif part == "relit":
@@ -139,6 +141,8 @@ def column(key: str) -> Column:
         return Column(key, f"{part} {heading}", digits, better)
     if key == "scale":
         return Column(key, "HDR scale", 3, "one")
+    if key == "response":
+        return Column(key, "response error, 1/255", 2, "lower")
     if key == "relit.psnr":
         return Column(key, "relit PSNR", 2, "higher")
     if key == "relit.gain":
@@ -148,7 +152,7 @@ def column(key: str) -> Column:
     raise BadValueError(
         f"there is no column '{key}' in a comparison",
         f"PART.METRIC, of {', '.join(PARTS)} and {', '.join(METRICS)}; "
-        "scale, relit.psnr, relit.gain or cost.NAME.",
+        "scale, response, relit.psnr, relit.gain or cost.NAME.",
     )
 
 

@@ -186,8 +186,8 @@ def default_scaffold(iterations: int = 2500) -> TrainConfig:
 
 
 #: Scaffold-GS as published, and with the paper's s_a = σ(|L_a − L̂_a|) + 1 on the gradients.
-PUBLISHED_ANCHORS = AnchorsConfig()
-PAPER_ANCHORS = AnchorsConfig(growth=AnchorGrowthConfig(scaling_strength=1.0))
+PUBLISHED_ANCHORS = AnchorsConfig(base_radiance=False)
+PAPER_ANCHORS = dataclasses.replace(PUBLISHED_ANCHORS, growth=AnchorGrowthConfig(scaling_strength=1.0))
 SHORT_PAPER_ANCHORS = dataclasses.replace(
     SHORT_TRAINING, growth=dataclasses.replace(SHORT_TRAINING.growth, scaling_strength=1.0)
 )

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.stats import ttest_1samp
 
 from physhdr.backend.benchmark import report
 from physhdr.backend.benchmark.live import progress_table
@@ -403,61 +404,60 @@ def test_without_a_completed_run_a_pilot_comes_first_and_does_not_count(bench):
     assert not list(folder.glob("trial_*")) and (folder / "evaluation.json").exists()
 
 
-@pytest.mark.parametrize("lead", [1.0, 0.2])
-def test_one_seed_decides_no_lead_but_refutes_one(bench, lead):
-    """The verdict: margins that are too small are named, what only more seeds could tell is said."""
-    bench.content |= {"methods": ["quick", "other"], "seeds": [0]}
-    schedule = bench.run(jobs=2)
-    for run in schedule.runs:
-        path = bench.root / "out" / run.folder / "evaluation.json"
-        content = json.loads(path.read_text())
-        for part in ("LDR-OE", "LDR-NE", "HDR"):
-            content["means"][part]["psnr"] = 35.0 + (lead if run.method.name == "quick" else 0.0)
-        path.write_text(json.dumps(content))
-    text = write_report(schedule, bench.root / "report.md", "physhdr benchmark")[0].read_text()
-    verdict = next(line for line in text.splitlines() if line.startswith("`quick` is ahead"))
-    row = next(line for line in text.splitlines() if line.startswith("| other | 1 |"))
-    assert row.count("| one seed |") == 3
-    if lead > 0.5:
-        assert "**yes, but the spread of one seed is not known**" in verdict
-    else:  # more than the paper's margin in HDR alone
-        assert "**no: other on LDR-OE (+0.20), other on LDR-NE (+0.20); the spread" in verdict
-
-
 def verdicts(bench, schedule):
     text = write_report(schedule, bench.root / "report.md", "physhdr benchmark")[0].read_text()
-    return [line for line in text.splitlines() if line.startswith(("`quick`", "The same over"))]
+    return [line for line in text.splitlines() if line.startswith("- LDR-OE: ")]
 
 
-def test_no_lead_is_told_over_a_method_whose_runs_are_missing(bench):
-    bench.content |= {"methods": ["quick", "other", "v := other --strength 1"], "seeds": [0, 1]}
-    schedule = bench.run()
+def set_psnr(bench, schedule, psnr):
+    """``psnr(run)`` of every part of every run's evaluation."""
     for run in schedule.runs:
         path = bench.root / "out" / run.folder / "evaluation.json"
         content = json.loads(path.read_text())
         for part in ("LDR-OE", "LDR-NE", "HDR"):
-            content["means"][part] = {"psnr": 35.0 + (run.method.name == "quick")}
-        if run.method.name == "other":
-            content["means"]["HDR"] = None
+            content["means"][part] = {"psnr": psnr(run)}
         path.write_text(json.dumps(content))
-    (bench.root / "out" / schedule.runs[-1].folder / "evaluation.json").unlink()
-    (verdict,) = verdicts(bench, bench.schedule())
-    assert "**not known; pairs are missing: other on HDR (0 of 2), v (1 of 2); the spread" in verdict
-    bench.content["controls"] = ["v"]
-    (verdict,) = verdicts(bench, bench.schedule())
-    assert "but for the controls (`v`): **not known; pairs are missing: other on HDR (0 of 2)**" in verdict
-    bench.content["group"] = [{"name": "one kind", "methods": ["quick", "other"]}]
-    bench.content["group"] += [{"name": "another", "methods": ["v", "other"]}]  # not of the leader's
-    (_, verdict) = verdicts(bench, bench.schedule())
-    assert "over those of one kind alone (`other`): **not known; pairs are missing: other on HDR" in verdict
-    bench.content["controls"] = ["other", "v"]
-    assert not verdicts(bench, bench.schedule())
-    del bench.content["controls"], bench.content["group"]
+
+
+def test_one_run_decides_no_lead(bench):
+    bench.content |= {"methods": ["quick", "other"], "seeds": [0]}
+    schedule = bench.run(jobs=2)
+    set_psnr(bench, schedule, lambda run: 35.0 + (run.method.name == "quick"))
+    assert verdicts(bench, schedule) == ["- LDR-OE: of one run only, over `other`"]
+
+
+def test_a_lead_is_told_by_name_with_the_pairs_that_are_missing(bench):
+    methods = ["quick", "other", "v := other --strength 1", "w := other --strength 2"]
+    bench.content |= {"methods": methods, "seeds": [0, 1, 2]}
+    schedule = bench.run(jobs=4)
+    level = {"quick": 35.0, "other": 34.0, "v": 36.0, "w": 35.0}
+    set_psnr(
+        bench, schedule, lambda run: level[run.method.name] + 0.01 * (run.seed * len(run.method.name) % 3)
+    )
+    assert verdicts(bench, schedule) == ["- LDR-OE: ahead of `other`; not told apart from `w`; behind `v`"]
+    gone = next(run for run in schedule.runs if run.method.name == "other" and run.seed == 2)
+    (bench.root / "out" / gone.folder / "evaluation.json").unlink()
+    (said,) = verdicts(bench, bench.schedule())
+    assert said.endswith("; pairs are missing: `other` (2 of 3)")
     bench.content["methods"] = ["quick"]
     assert not verdicts(bench, bench.schedule())  # nothing to compare it with
     bench.content |= {"methods": ["quick", "other"], "margins_of": ["quick", "other"]}
-    (said,) = verdicts(bench, bench.schedule())
-    assert "no other method" in said and "yes" not in said
+    text = write_report(bench.schedule(), bench.root / "report.md", "physhdr benchmark")[0].read_text()
+    assert "`quick`: there is no other method that it could be ahead of." in text
+
+
+def test_three_budgets_of_a_kind_are_told_side_by_side(bench):
+    bench.content |= {"methods": ["quick", "other"], "seeds": [0, 1]}
+    bench.content["budgets"] = ["iterations=20", "iterations=10", "iterations=30"]
+    schedule = bench.run(jobs=4)
+    set_psnr(bench, schedule, lambda run: run.budget.amount + run.seed + 0.25 * (run.method.name == "other"))
+    text = write_report(schedule, bench.root / "report.md", "physhdr benchmark")[0].read_text()
+    lines = text[text.index("## Over iterations") :].splitlines()
+    assert lines[4] == "| LDR-OE PSNR | 10 | 20 | 30 |"
+    assert lines[6:8] == ["| quick | 10.50 | 20.50 | 30.50 |", "| other | 10.75 | 20.75 | 30.75 |"]
+    bench.content["budgets"] = ["iterations=20", "iterations=10"]
+    text = write_report(bench.schedule(), bench.root / "report.md", "physhdr benchmark")[0].read_text()
+    assert "## Over" not in text
 
 
 def test_a_method_without_gaussians_shows_none(bench):
@@ -497,26 +497,28 @@ def test_the_report_tells_margins_and_gains_as_numpy_computes_them(bench):
 
     assert "\n- all was dark\n- longest_name: it has seen the truth\n" in text
 
-    def differences(method, other):
-        runs = sorted(key[1:] for key in values if key[0] == method)
-        return np.array([values[(method, *run)] - values[(other, *run)] for run in runs])
+    def differences(method, other):  # [scene, seed, part]
+        scenes = [[(scene, seed) for seed in (0, 1, 2)] for scene in ("day", "night")]
+        return np.array([[values[(method, *k)] - values[(other, *k)] for k in runs] for runs in scenes])
 
-    def spread(values):  # over the seeds of each scene, whose runs are consecutive
-        return math.sqrt(np.mean([scene.var(ddof=1) for scene in np.split(values, 2)]))
+    def cells(values):  # [scene, seed]
+        low, high = ttest_1samp(values.mean(1), 0.0).confidence_interval(0.95)
+        spread = math.sqrt(values.var(1, ddof=1).mean())
+        return f"{values.mean():+.2f} [{low:+.2f}, {high:+.2f}] | ± {spread:.2f} |"
 
     d = differences("longest_name", "quick")
     row = next(line for line in text.splitlines() if line.startswith("| quick | 6 |"))
     for k in range(3):
-        assert f"| {d[:, k].mean():+.2f} ± {spread(d[:, k]):.2f} | {d[:, k].min():+.2f} |" in row
-    assert row.count("yes") == sum(d[:, k].mean() > spread(d[:, k]) for k in range(3))
-    gain = differences("other", "quick")[:, 2]
+        assert cells(d[:, :, k]) in row
+    gain = differences("other", "quick")[:, :, 2]
     step = next(
-        line for line in text.splitlines() if line.startswith("| other | 6 |") and line.count("|") > 12
+        line for line in text.splitlines() if line.startswith("| other | 6 |") and line.count("|") > 14
     )
-    assert f"{gain.mean():+.2f} ± {spread(gain):.2f} | {gain.min():+.2f}" in step
+    assert cells(gain) in step
     by_scene = [line for line in text.splitlines() if line.startswith("| other | 3 |")]
-    for line, d in zip(by_scene, np.split(gain, 2), strict=True):  # a table for each scene
-        assert f"{d.mean():+.2f} ± {d.std(ddof=1):.2f} | {d.min():+.2f}" in line
+    for line, d in zip(by_scene, gain, strict=True):  # a table for each scene
+        low, high = ttest_1samp(d, 0.0).confidence_interval(0.95)
+        assert f"{d.mean():+.2f} [{low:+.2f}, {high:+.2f}] | ± {d.std(ddof=1):.2f} |" in line
     of_seed = [np.mean([values["other", s, k][2] for s in ("day", "night")]) for k in (0, 1, 2)]
     main = next(line for line in text.splitlines() if line.startswith("| other | "))
     assert f"{np.mean(of_seed):.2f}" in main and f"± {np.std(of_seed, ddof=1):.2f}" in main
