@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...bridge import data_set
+from ...bridge import colmap, data_set
 from ...bridge.affine import matrices_of
 from ...bridge.axes import camera_to_world_opengl
 from ...bridge.errors import BadValueError
@@ -25,15 +25,6 @@ COPY_AGAIN = "Copy the data set again, or make it again."
 LARGEST_MODEL = 1 << 34
 _COUNT, _IMAGE, _OBSERVATION = struct.Struct("<Q"), struct.Struct("<i7di"), 24
 _CAMERA = struct.Struct("<iiQQ")
-#: Models by their numbers in binary files: name, numbers, how many of them are focal lengths.
-_MODELS = (
-    *(("SIMPLE_PINHOLE", 3, 1), ("PINHOLE", 4, 2), ("SIMPLE_RADIAL", 4, 1), ("RADIAL", 5, 1)),
-    *(("OPENCV", 8, 2), ("OPENCV_FISHEYE", 8, 2), ("FULL_OPENCV", 12, 2), ("FOV", 5, 2)),
-    *(("SIMPLE_RADIAL_FISHEYE", 4, 1), ("RADIAL_FISHEYE", 5, 1), ("THIN_PRISM_FISHEYE", 12, 2)),
-    *(("RAD_TAN_THIN_PRISM_FISHEYE", 16, 2), ("SIMPLE_DIVISION", 4, 1), ("DIVISION", 5, 2)),
-    *(("SIMPLE_FISHEYE", 3, 1), ("FISHEYE", 4, 2), ("EUCM", 6, 2), ("EQUIRECTANGULAR", 2, 0)),
-)
-_BY_NAME = {name: (numbers, focal_lengths) for name, numbers, focal_lengths in _MODELS}
 #: Those whose lines are straight where all numbers are told.
 _PINHOLES = ("SIMPLE_PINHOLE", "PINHOLE")
 
@@ -139,7 +130,7 @@ def _cameras_binary(path: Path) -> Iterator[tuple[int, Lens]]:
         at = _COUNT.size
         for _ in range(count):
             number, model, width, height = _CAMERA.unpack_from(content, at)
-            name, numbers, _ = _MODELS[model]
+            name, numbers, _ = colmap.MODELS[model]
             values = struct.unpack_from(f"<{numbers}d", content, at + _CAMERA.size)
             at += _CAMERA.size + 8 * numbers
             yield number, _lens(path, number, name, width, height, values)
@@ -155,7 +146,7 @@ def _cameras_text(path: Path) -> Iterator[tuple[int, Lens]]:
 
 
 def _lens(path: Path, number: int | str, model: str, width: int, height: int, values: tuple) -> Lens:
-    numbers, focal_lengths = _BY_NAME[model]
+    _, numbers, focal_lengths = colmap.BY_NAME[model]
     if len(values) != numbers or not (0 < width <= LARGEST_SIDE and 0 < height <= LARGEST_SIDE):
         raise ValueError(f"camera {number} is {width}×{height} with {len(values)} numbers")
     if not focal_lengths:

@@ -15,40 +15,15 @@ import numpy as np
 
 from ...bridge.affine import matrices_of
 from ...bridge.axes import camera_to_world_opengl
+from ...bridge.colmap import BY_NAME, MODELS
 from ...bridge.errors import DataMismatchError, FileDamagedError
 from ...bridge.limits import FOCAL_LENGTH, LARGEST_SIDE, PRINCIPAL_POINT, check_position
 from ...bridge.regular import read_bytes, read_text, regular_file
 from .camera import Camera
-from .lens import ALL_AROUND, RealCamera, panorama
+from .lens import RealCamera, panorama
 from .points import STRUCTURE_FROM_MOTION, check_points
 from .scene import Points
 
-#: COLMAP's camera models: name, number of parameters, by the number that the binary form has.
-MODELS = {
-    0: ("SIMPLE_PINHOLE", 3),
-    1: ("PINHOLE", 4),
-    2: ("SIMPLE_RADIAL", 4),
-    3: ("RADIAL", 5),
-    4: ("OPENCV", 8),
-    5: ("OPENCV_FISHEYE", 8),
-    6: ("FULL_OPENCV", 12),
-    7: ("FOV", 5),
-    8: ("SIMPLE_RADIAL_FISHEYE", 4),
-    9: ("RADIAL_FISHEYE", 5),
-    10: ("THIN_PRISM_FISHEYE", 12),
-    11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
-    12: ("SIMPLE_DIVISION", 4),
-    13: ("DIVISION", 5),
-    14: ("SIMPLE_FISHEYE", 3),
-    15: ("FISHEYE", 4),
-    16: ("EUCM", 6),
-    17: ("EQUIRECTANGULAR", 2),
-}
-#: Models with one focal length for both axes; the others have two, and the principal point comes after them.
-ONE_FOCAL_LENGTH = (
-    *("SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"),
-    *("SIMPLE_DIVISION", "SIMPLE_FISHEYE"),
-)
 #: Bytes of a file; images.bin of ten thousand pictures with ten thousand keypoints each has 2.4e9.
 LARGEST_FILE = 1 << 34
 RUN_AGAIN = "Copy the model again, or run COLMAP again."
@@ -132,9 +107,9 @@ def read_model(folder: Path) -> SparseModel:
 
 def _intrinsics(folder: Path, number: int, camera: RealCamera) -> tuple[float, float, float, float]:
     """``fx, fy, cx, cy`` in pixels; raises ``BadValueError`` where they are absurd, or there are none."""
-    if camera.model == ALL_AROUND:
+    focal_lengths = BY_NAME[camera.model].focal_lengths
+    if not focal_lengths:
         raise panorama(f"{folder}: camera {number}")
-    focal_lengths = 1 if camera.model in ONE_FOCAL_LENGTH else 2
     fx, fy = camera.params[0], camera.params[focal_lengths - 1]
     cx, cy = camera.params[focal_lengths : focal_lengths + 2]
     for focal in (fx, fy):
@@ -247,8 +222,8 @@ def _cameras_bin(path: Path) -> dict[int, RealCamera]:
         number, model, width, height = file.take(_CAMERA)
         if model not in MODELS:
             file.damaged(f"camera {number} is of model number {model}, which is unknown")
-        name, length = MODELS[model]
-        params = file.take(struct.Struct(f"<{length}d"))
+        name, numbers, _ = MODELS[model]
+        params = file.take(struct.Struct(f"<{numbers}d"))
         cameras[number] = _camera_of(path, f"camera {number}", name, width, height, params)
     file.end()
     return cameras
@@ -298,7 +273,6 @@ def _bad_line(path: Path, line_number: int, line: str) -> FileDamagedError:
 
 
 def _cameras_txt(path: Path) -> dict[int, RealCamera]:
-    lengths = dict(MODELS.values())
     cameras = {}
     for k, line in _lines(path):
         if not line:
@@ -306,7 +280,7 @@ def _cameras_txt(path: Path) -> dict[int, RealCamera]:
         try:
             number, model, width, height, *params = line.split()
             values = [float(value) for value in params]
-            if lengths.get(model) != len(values):
+            if model not in BY_NAME or len(values) != BY_NAME[model].numbers:
                 raise ValueError
             cameras[int(number)] = _camera_of(path, f"line {k}", model, int(width), int(height), values)
         except ValueError as error:
