@@ -2,6 +2,7 @@
 """Where things are: the extension's own code, and the folder for what it writes (never beside its code)."""
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import bpy
@@ -27,6 +28,23 @@ def absolute(chosen: str) -> str:
 def is_nowhere(chosen: str) -> bool:
     """Whether a path is relative to the .blend (``//…``), and that is not saved."""
     return chosen.startswith("//") and not bpy.data.filepath
+
+
+def is_free(path: Path) -> bool:
+    """Whether there is nothing, or an empty folder. Panels ask: where nobody may look it says no."""
+    try:
+        return not path.exists() or (path.is_dir() and not any(path.iterdir()))
+    except OSError:
+        return False
+
+
+def first_free(path: Path, suffix: str = "", fits: Callable[[Path], bool] = is_free) -> Path:
+    """The path, or the same with a number before its ``suffix``: the first that ``fits``."""
+    candidate, number = path, 2
+    while not fits(candidate):
+        candidate = path.with_name(f"{path.name.removesuffix(suffix)}_{number}{suffix}")
+        number += 1
+    return candidate
 
 
 def version() -> str:

@@ -8,7 +8,7 @@ import bpy
 
 from ...bridge.data_set import INFO_FILE, PARTIAL_FILE
 from ...bridge.errors import BadValueError, OutputError
-from ..paths import user_folder
+from ..paths import first_free, user_folder
 from .dataset_settings import PHYSHDR_DatasetSettings
 
 SUFFIX = "_dataset"
@@ -26,25 +26,8 @@ def proposed() -> str:
     """A folder that is not there yet: beside the file, else in the user's documents."""
     file = Path(bpy.data.filepath)
     if bpy.data.filepath and os.access(file.parent, os.W_OK):
-        return f"//{_free(file.parent, file.stem)}"
-    parent = _documents() / "PhysHDR"
-    return str(parent / _free(parent, file.stem or "untitled"))
-
-
-def _free(parent: Path, stem: str) -> str:
-    """``kitchen_dataset``, else ``kitchen_dataset_2`` …: the first name of which there is nothing yet."""
-    name, count = f"{stem}{SUFFIX}", 2
-    while _held(parent / name):
-        name, count = f"{stem}{SUFFIX}_{count}", count + 1
-    return name
-
-
-def _held(path: Path) -> bool:
-    """Whether there is anything at a path that is not to be mixed with what is new."""
-    try:
-        return path.exists() and not (path.is_dir() and not any(path.iterdir()))
-    except OSError:
-        return True
+        return f"//{first_free(file.parent / f'{file.stem}{SUFFIX}').name}"
+    return str(first_free(_documents() / "PhysHDR" / f"{file.stem or 'untitled'}{SUFFIX}"))
 
 
 def _documents() -> Path:

@@ -11,7 +11,7 @@ import bpy
 from ...bridge.errors import PhysHDRError
 from ...bridge.run_folder import CHECKPOINT_FILE, data_of, may_be_of, same_folder
 from ..model.look import is_model
-from ..paths import absolute, is_nowhere
+from ..paths import absolute, first_free, is_free, is_nowhere
 from ..runtime import session
 from ..session.advice import Choices, why_not
 from ..settings import RUN, PHYSHDR_Settings
@@ -71,19 +71,7 @@ def _free_run(data: str) -> str:
 
 def _own_or_free(folder: Path, data: str) -> Path:
     """The folder, or the same with a number where it holds something that is no run of ``data``."""
-    candidate, number = folder, 2
-    while not (is_free(candidate) or is_run_of(candidate, data)):
-        candidate = folder.with_name(f"{folder.name}_{number}")
-        number += 1
-    return candidate
-
-
-def is_free(folder: Path) -> bool:
-    """Whether there is nothing, or an empty folder. Panels ask: where nobody may look it says no."""
-    try:
-        return not folder.exists() or (folder.is_dir() and not any(folder.iterdir()))
-    except OSError:
-        return False
+    return first_free(folder, fits=lambda each: is_free(each) or is_run_of(each, data))
 
 
 def is_run_of(folder: Path, data: str) -> bool:

@@ -14,13 +14,13 @@ import bpy
 
 from ...bridge.data_set import CAPTURE_FILE
 from ...bridge.errors import BadValueError, FileMissingError, OutputError
-from ..paths import absolute, is_nowhere
+from ..paths import absolute, first_free, is_nowhere
 from ..runtime import session
 from ..session.photos import PhotoOptions, prepare_command
 from ..session.state import LOOK, PHOTOS, PhotosChosen
 from ..settings import LENSES, SETTINGS, PHYSHDR_Settings, photo_options
 from .afterwards import take_when_ended
-from .base import PhysHDROperator, has_run, is_free, is_run_of, proposed_run, report_task
+from .base import PhysHDROperator, has_run, is_run_of, proposed_run, report_task
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import PropertyFlagItems
@@ -189,19 +189,10 @@ def proposed_folder(photos: Path) -> str:
     """
     name = f"{photos.name or 'photos'}_dataset"
     if bpy.data.filepath:
-        return f"//{_unused(Path(bpy.path.abspath('//')) / name).name}"
+        return f"//{first_free(Path(bpy.path.abspath('//')) / name).name}"
     beside = photos.parent
     is_beside = beside != photos and os.access(beside, os.W_OK)  # a whole card (D:\) has nothing beside it
-    return str(_unused((beside if is_beside else Path.home()) / name))
-
-
-def _unused(folder: Path) -> Path:
-    """The folder, or where that holds something the same with a number."""
-    candidate, number = folder, 2
-    while not is_free(candidate):
-        candidate = folder.with_name(f"{folder.name}_{number}")
-        number += 1
-    return candidate
+    return str(first_free((beside if is_beside else Path.home()) / name))
 
 
 def _choose_when_done(name: str) -> None:

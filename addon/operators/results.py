@@ -18,7 +18,7 @@ from ...bridge.shots import write_shots
 from ..blender import layout_of
 from ..capture import placement
 from ..model.look import is_of_run
-from ..paths import absolute, is_nowhere
+from ..paths import absolute, first_free, is_nowhere
 from ..rendering.shots import shots_of
 from ..runtime import session
 from ..session.results import (
@@ -238,7 +238,7 @@ class PHYSHDR_OT_results_video(_OnRun):
             # Another format's ending is replaced; what else follows a dot belongs to the name.
             is_other = ending in SUFFIXES.values() and ending != ""
             return given.with_name(f"{given.stem if is_other else given.name}{suffix}")
-        return _unused(Path(run) / f"video{suffix}")
+        return first_free(Path(run) / f"video{suffix}", suffix)
 
     def _options(self, context: bpy.types.Context, run: str) -> VideoOptions:
         if self.path != "CAMERA":
@@ -316,15 +316,6 @@ def _whole(given: str) -> str:
             f"{given} is relative to a file that is not saved yet", "Save it, or choose a whole path."
         )
     return absolute(given)
-
-
-def _unused(path: Path) -> Path:
-    """The path, or where something is there the same with a number."""
-    candidate, number = path, 2
-    while candidate.exists():
-        candidate = path.with_name(f"{path.stem}_{number}{path.suffix}")
-        number += 1
-    return candidate
 
 
 _CLASSES = (PHYSHDR_OT_results_evaluate, PHYSHDR_OT_results_video)
