@@ -38,7 +38,7 @@ benchmark: setup ## Speed of the kernels against their alternatives, in one run;
 	@$(BACKEND) benchmarks/run.py $(WITH)
 
 # What make report runs, each plan in a folder of its own.
-PLANS := held_out exp1 published faults length ladder
+PLANS := held_out exp1 published relighting faults length ladder
 report: setup ## The comparison, faults, lengths, the paper's steps: docs/tables (days); PLANS=… LPIPS=weights.npz
 	@$(BACKEND) tools/benchmark_data.py --plans $(PLANS:%=benchmarks/%.toml)
 	@for plan in $(PLANS); do .venvs/backend/bin/physhdr benchmark --plan benchmarks/$$plan.toml --jobs 2 \

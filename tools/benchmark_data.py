@@ -5,10 +5,10 @@
     .venvs/backend/bin/python tools/benchmark_data.py dog dog-iso1600     these alone
     .venvs/backend/bin/python tools/benchmark_data.py --plans benchmarks/exp1.toml   what plans ask for
 
-200×200, 35 poses, no lit views: every method trains on the same pictures. Training views are rendered (2 to 5
-minutes of two cores a scene); the truth of test and validation views is taken from benchmarks/data. A name
-SCENE-CAMERA is the scene as another camera takes it, from the same renders (CAMERAS). Beside the exact points
-of the renders each folder has those of structure from motion (``physhdr triangulate``).
+200×200, 35 poses, no lit views (SCENE-lit has them): every method trains on the same pictures. Training views
+are rendered (2 to 5 minutes of two cores a scene); the truth of test and validation views is taken from
+benchmarks/data. A name SCENE-CAMERA is the scene as another camera takes it, from the same renders (CAMERAS).
+Beside the exact points of the renders each folder has those of structure from motion (``physhdr triangulate``).
 """
 
 import argparse
@@ -21,7 +21,11 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 FOLDER = ROOT / "data" / "benchmark"
 KEPT = ROOT / "benchmarks" / "data"
-COMMON = ("--resolution", "200", "--lit-views", "0", "--relit-views", "0", "--workers", "2")
+COMMON = ("--resolution", "200", "--workers", "2")
+PLAIN = ("--lit-views", "0", "--relit-views", "0")
+#: SCENE-lit: training views under other light as well, and truth at levels that none of them has. Test views
+#: are as noisy as training views, for the truth that is kept is of one light.
+LIT, LIT_VIEWS = "lit", ("--lit-views", "12", "--relit-views", "8")
 #: Scene → samples of its training views.
 SAMPLES = {
     "interior": 64,
@@ -59,8 +63,9 @@ CAMERAS = {
 
 
 def main() -> int:
-    known = {*SAMPLES, *(f"{scene}-{camera}" for scene in SAMPLES for camera in CAMERAS)}
-    told = ", ".join([*SAMPLES, *(f"SCENE-{camera}" for camera in CAMERAS)])
+    variants = (*CAMERAS, LIT)
+    known = {*SAMPLES, *(f"{scene}-{variant}" for scene in SAMPLES for variant in variants)}
+    told = ", ".join([*SAMPLES, *(f"SCENE-{variant}" for variant in variants)])
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("names", nargs="*", default=USUAL, metavar="NAME", help=f"of: {told}")
     parser.add_argument("--plans", nargs="+", type=Path, metavar="FILE", help="what these plans ask for")
@@ -71,7 +76,7 @@ def main() -> int:
             parser.error(f"there is no data set '{name}'; there are {told}")
     for name in names:
         scene, _, camera = name.partition("-")
-        parts = (scene, name) if camera else (name,)  # a camera's set needs the scene's renders
+        parts = (scene, name) if camera in CAMERAS else (name,)  # a camera's set needs the scene's renders
         if status := next((status for each in parts if (status := _make(each))), 0):
             return status
     return 0
@@ -95,9 +100,9 @@ def _make(name: str) -> int:
         "--samples",
         str(SAMPLES[scene]),
         *COMMON,
-        *_truth(scene),
+        *(LIT_VIEWS if camera == LIT else (*PLAIN, *_truth(scene))),
     ]
-    if camera:
+    if camera in CAMERAS:
         words += [*CAMERAS[camera], "--renders-of", str(FOLDER / scene)]
     commands = [[ROOT / ".venvs" / "run-blender", ROOT / "synth" / "make_scene.py", "--", *words]]
     if not (folder / "points3d_sfm.ply").exists():

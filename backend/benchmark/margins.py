@@ -17,7 +17,7 @@ from scipy.stats import t as student
 from ..evaluate.comparison import Column, ComparedRun, column
 
 #: What a method is judged by.
-JUDGED = ("LDR-OE.psnr", "LDR-NE.psnr", "HDR.psnr", "HDR-aligned.psnr", "LDR-OE.lpips")
+JUDGED = ("LDR-OE.psnr", "LDR-NE.psnr", "HDR.psnr", "HDR-aligned.psnr", "LDR-OE.lpips", "relit.psnr")
 #: Of the intervals: the probability with which one holds the mean difference.
 CONFIDENCE = 0.95
 
