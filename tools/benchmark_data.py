@@ -8,7 +8,8 @@
 200×200, 35 poses, no lit views (SCENE-lit has them): every method trains on the same pictures. Training views
 are rendered (2 to 5 minutes of two cores a scene); the truth of test and validation views is taken from
 benchmarks/data. A name SCENE-CAMERA is the scene as another camera takes it, from the same renders (CAMERAS).
-Beside the exact points of the renders each folder has those of structure from motion (``physhdr triangulate``).
+Beside the exact points of the renders each folder has those of structure from motion (``physhdr
+triangulate``).
 """
 
 import argparse
