@@ -3,6 +3,7 @@
 
 import math
 import re
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
@@ -87,33 +88,38 @@ def _arguments(chosen: SimpleNamespace, scene: bpy.types.Scene, out: Path) -> li
             "no light varies in the views under other light",
             "Tick one of the lights, or set Views Under Other Light to 0.",
         )
-    size = f"{chosen.resolution_x}x{chosen.resolution_y}" if chosen.resolution_y else str(chosen.resolution_x)
     given: dict[str, object] = {
         "out": out,
         "scene-name": scene.name,
-        "camera-rig": chosen.rig.lower(),
-        "views": chosen.views,
         "exposures": ",".join(repr(2.0**ev) for ev in parse_evs(chosen.exposures)),
         "crf": response,
-        "resolution": size,
         "samples": chosen.samples,
         "seed": chosen.seed,
         "device": chosen.device,
-        "lit-views": chosen.lit_views,
         "lit-levels": chosen.lit_levels,
         "lit-lights": ",".join(chosen.lights or (AMBIENT,)),
         "relit-views": min(chosen.relit_views, chosen.views // 2),
         "ambient-levels": chosen.ambient_levels,
     }
-    given |= _rig(chosen)
+    given |= _cameras(chosen)
     lights = [f"--light={choice}" for choice in chosen.light_choices]
     denoise = "--denoise" if chosen.denoise else "--no-denoise"
-    return [*(f"--{name}={value}" for name, value in given.items()), *lights, denoise, "--progress-json"]
+    return [*_written(given), *lights, denoise, "--progress-json"]
 
 
-def _rig(chosen: SimpleNamespace) -> dict[str, object]:
-    """The options of where cameras stand, as far as they are not found by themselves."""
-    given: dict[str, object] = {}
+def _written(given: dict[str, object]) -> list[str]:
+    return [f"--{name}={value}" for name, value in given.items()]
+
+
+def _cameras(chosen: SimpleNamespace) -> dict[str, object]:
+    """The options of how many cameras there are, of which size, and where, as far as that is not found by
+    itself; ``BadValueError`` where they cannot be."""
+    given: dict[str, object] = {
+        "camera-rig": chosen.rig.lower(),
+        "views": chosen.views,
+        "lit-views": chosen.lit_views,
+        "resolution": "x".join(str(side) for side in (chosen.resolution_x, chosen.resolution_y) if side),
+    }
     if chosen.rig != "PATH" and chosen.rig_distance:
         given["rig-distance"] = chosen.rig_distance
     if chosen.rig == "GRID" and (chosen.rig_width or chosen.rig_height):
@@ -127,18 +133,8 @@ def _rig(chosen: SimpleNamespace) -> dict[str, object]:
 
 def camera_options(chosen: SimpleNamespace, scene: bpy.types.Scene) -> Options:
     """Of synth's options those that say where cameras stand; ``BadValueError`` where they cannot be."""
-    given = _rig(chosen)
-    extent = (chosen.rig_width, chosen.rig_height) if "rig-extent" in given else None
-    return Options(
-        from_file=CURRENT,
-        camera_rig=chosen.rig.lower(),
-        views=chosen.views,
-        lit_views=chosen.lit_views,
-        resolution=size(chosen, scene),
-        rig_distance=chosen.rig_distance if "rig-distance" in given else None,
-        rig_extent=extent,
-        rig_arc=math.degrees(chosen.rig_arc) if "rig-arc" in given else None,
-    )
+    meant = options(["--out=nowhere", *_written(_cameras(chosen))])
+    return replace(meant, resolution=user_camera.resolution(scene, meant.resolution))
 
 
 def combinations(chosen: SimpleNamespace) -> int:
