@@ -27,6 +27,26 @@ def cloud_of(target: bpy.types.Object) -> bpy.types.PointCloud:
     return target.data
 
 
+def curve_of(target: bpy.types.Object, path: str) -> Any:
+    """The driver of an object's property, or its keyframes (not the NLA's); None where it has neither."""
+    data = target.animation_data
+    if data is None:
+        return None
+    drivers = (curve for curve in data.drivers if curve.data_path == path)
+    return next(drivers, None) or _keyframes(data, path)
+
+
+def _keyframes(data: bpy.types.AnimData, path: str) -> Any:
+    """The curve of the object's action that has this path, if any."""
+    action, slot = data.action, data.action_slot
+    if action is None or slot is None:
+        return None
+    strips: list[Any] = [strip for layer in action.layers for strip in layer.strips]
+    bags = (strip.channelbag(slot) for strip in strips)
+    curves = (curve for bag in bags if bag is not None for curve in bag.fcurves)
+    return next((curve for curve in curves if curve.data_path == path), None)
+
+
 def render_size(scene: bpy.types.Scene, percentage: float = 100.0) -> tuple[int, int]:
     """Width and height of a render of the scene, pixels; ``percentage`` of it where that is asked for."""
     render = scene.render

@@ -13,12 +13,15 @@ from bpy.app.handlers import persistent
 
 from ...synth.in_render import in_layer
 from ...synth.objects import SURFACES
+from ..blender import curve_of
 from ..model.look import is_model
 from .placement import capture_of, key_of, settings_of
 
 #: The property of a scene that holds its ``PHYSHDR_Originals``.
 ORIGINALS = "physhdr_originals"
 LIGHT = "LIGHT"
+#: The properties of an object that hide it.
+SWITCHES = ("hide_viewport", "hide_render")
 
 
 class PHYSHDR_Original(bpy.types.PropertyGroup):
@@ -130,6 +133,17 @@ def show(scene: bpy.types.Scene) -> int:
             count += 1
     hidden.clear()
     return count
+
+
+def shown_by_animation(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """Those that were hidden and whose own keyframes or drivers say anew in each frame whether they are."""
+    targets = (entry.target for entry in originals_of(scene).hidden if entry.target is not None)
+    return [each for each in targets if any(_is_animated(each, path) for path in SWITCHES)]
+
+
+def _is_animated(item: bpy.types.Object, path: str) -> bool:
+    curve = curve_of(item, path)
+    return curve is not None and not curve.mute
 
 
 @contextmanager

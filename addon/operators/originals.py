@@ -8,6 +8,7 @@ import bpy
 from ..blender import layout_of
 from ..capture import originals
 from ..capture.originals import are_hidden
+from ..rendering.render_setup import names_of
 
 ACTIONS = [
     ("TOGGLE", "Toggle", "Hide them, or show them where they are hidden"),
@@ -58,6 +59,10 @@ class PHYSHDR_OT_originals_hide(bpy.types.Operator):
         count = originals.hide(scene, self.lights)
         told = "Hidden, with their lights" if self.lights else "Hidden, but for their lights"
         self.report({"INFO"}, f"{told}: {_objects(count)}; the same button shows them again")
+        if animated := originals.shown_by_animation(scene):
+            names = names_of(animated)
+            told = f"{names}: shown again by keyframes or drivers of their visibility. Mute those"
+            self.report({"WARNING"}, told)
         return {"FINISHED"}
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import bpy
 
 from ...synth.in_render import in_collection, in_layer, instanced_by
-from ..blender import render_size, settings_of_cycles
+from ..blender import curve_of, render_size, settings_of_cycles
 from ..model import nodes
 from ..model.look import is_model
 from ..model.material import materials_in
@@ -142,22 +142,7 @@ def follows_render_width(target: bpy.types.Object) -> bool:
 
 def _curve(target: bpy.types.Object, modifier: bpy.types.NodesModifier) -> Any:
     """The driver or the keyframes of the model's image width; None where it has neither."""
-    path, data = nodes.input_data_path(modifier, nodes.IMAGE_WIDTH), target.animation_data
-    if data is None:
-        return None
-    drivers = (curve for curve in data.drivers if curve.data_path == path)
-    return next(drivers, None) or _keyframes(data, path)
-
-
-def _keyframes(data: bpy.types.AnimData, path: str) -> Any:
-    """The curve of the object's action that has this path, if any."""
-    action, slot = data.action, data.action_slot
-    if action is None or slot is None:
-        return None
-    strips: list[Any] = [strip for layer in action.layers for strip in layer.strips]
-    bags = (strip.channelbag(slot) for strip in strips)
-    curves = (curve for bag in bags if bag is not None for curve in bag.fcurves)
-    return next((curve for curve in curves if curve.data_path == path), None)
+    return curve_of(target, nodes.input_data_path(modifier, nodes.IMAGE_WIDTH))
 
 
 def _input(target: bpy.types.Object, name: str) -> Any:

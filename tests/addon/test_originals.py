@@ -10,6 +10,7 @@ import pytest
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
 from physhdr.addon.capture import originals  # noqa: E402
+from physhdr.addon.rendering import render  # noqa: E402
 from physhdr.bridge.blend_file import MODEL_IDENTITY  # noqa: E402
 
 DATA = "/data/kitchen"
@@ -181,6 +182,28 @@ def test_each_data_set_has_its_own(room):
     add_model("/data/second")
     bpy.ops.physhdr.originals_hide()
     assert chair.hide_render
+
+
+@pytest.mark.parametrize("how", ["keyframes", "driver", "none", "muted"])
+def test_what_its_animation_shows_again_is_told(room, how, tmp_path, capsys):
+    """Against a render by Cycles, in which there is nothing but the shelf or nothing at all."""
+    add_model().hide_render = True
+    shelf = bpy.data.objects["shelf"]
+    shelf.data.from_pydata([(-9, -9, -1), (9, -9, -1), (9, 9, -1), (-9, 9, -1)], [], [(0, 1, 2, 3)])
+    if how == "driver":
+        shelf.driver_add("hide_render").driver.expression = "0"
+    elif how != "none":
+        shelf.keyframe_insert("hide_render", frame=1)
+        (bag,) = (bag for layer in shelf.animation_data.action.layers for bag in layer.strips[0].channelbags)
+        bag.fcurves[0].mute = how == "muted"
+    bpy.ops.physhdr.originals_hide()
+    render.set_resolution(room, 8, 8)
+    room.render.engine, room.cycles.samples, room.render.film_transparent = "CYCLES", 1, True
+    render.render_exr(room, tmp_path / "picture.exr")
+    is_seen = render.read_exr(tmp_path / "picture.exr")[..., 3].max() > 0.0
+    assert is_seen == (how in ("keyframes", "driver"))
+    assert originals.shown_by_animation(room) == ([shelf] if is_seen else [])
+    assert ("shelf: shown again by keyframes" in capsys.readouterr().out) == is_seen
 
 
 def test_nothing_remembered_greys_the_button(registered):
