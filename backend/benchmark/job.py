@@ -19,6 +19,7 @@ from ..jobs.pools import Outcome
 from ..jobs.process import StoppedError, run_to_end
 from ..runs.log import LOG_FILE
 from ..train.config import CONFIG_FILE
+from .external import read_cost
 from .runs import (
     FAILED_FILE,
     RUN_FILE,
@@ -52,6 +53,7 @@ class Job:
     ``train``: words for ``physhdr train`` but for folder and iterations; ``config`` what they must come to.
     ``iterations``: None where they are to be found for ``seconds`` of CPU time, from ``known`` if not None.
     ``record``: the run's record but for what training tells. ``only_evaluate``: ``final`` is trained.
+    ``pictures``: what another program made is evaluated, and nothing trained.
     """
 
     final: Path
@@ -65,6 +67,7 @@ class Job:
     known: Measurement | None = None
     record: Record
     only_evaluate: bool = False
+    pictures: Path | None = None
     program: tuple[str, ...] = PROGRAM
 
 
@@ -116,6 +119,11 @@ def _failed(job: Job, error: _FailedError) -> Outcome:
 
 
 def _done(job: Job, should_stop: Callable[[], bool]) -> Outcome:
+    if job.pictures is not None:
+        _measure(job, job.pictures, should_stop)
+        (job.work / USAGE_FILE).unlink(missing_ok=True)  # what evaluating them needed is none of their cost
+        put_in_place(job.work, job.final)
+        return Outcome("done")
     if job.only_evaluate:
         _physhdr(job, ["evaluate", job.final, "--out", job.work, *job.evaluate], should_stop)
         for path in [path for path in job.work.iterdir() if path.name != USAGE_FILE]:
@@ -135,6 +143,17 @@ def _done(job: Job, should_stop: Callable[[], bool]) -> Outcome:
     return Outcome("done")
 
 
+def _measure(job: Job, pictures: Path, should_stop: Callable[[], bool]) -> None:
+    """Evaluate another program's pictures; what they cost is as the file beside them says."""
+    try:
+        cost = read_cost(pictures)
+    except PhysHDRError as error:
+        raise _FailedError("evaluate", 1, error.message) from error
+    write_json(job.work / RUN_FILE, replace(job.record, **cost))
+    words = ["evaluate", "--pictures", pictures, "--data", job.data, "--out", job.work, *job.evaluate]
+    _physhdr(job, words, should_stop)
+
+
 def _trained(job: Job, should_stop: Callable[[], bool]) -> tuple[Record, Search | None]:
     """Train as often as the budget asks for; the training that was nearest to it stays in ``job.work``."""
     if job.iterations is not None:
@@ -146,20 +165,22 @@ def _trained(job: Job, should_stop: Callable[[], bool]) -> tuple[Record, Search 
     while (iterations := next_trial(job.seconds, known, list(tried))) is not None:
         folder = job.work / f"{TRIAL}{len(measurements)}"
         record = _train(job, folder, iterations, should_stop)
+        assert record.cpu_seconds is not None
         measured = Measurement(iterations, record.cpu_seconds)
         measurements.append({"iterations": iterations, "cpu_seconds": record.cpu_seconds})
         if known is None:
             known = measured  # the pilot
         else:
             tried[measured] = folder, record
-    folder, record = tried[nearest(job.seconds, list(tried))]
+    best = nearest(job.seconds, list(tried))
+    folder, record = tried[best]
     for path in list(folder.iterdir()):
         os.replace(path, job.work / path.name)
     for folder in job.work.glob(f"{TRIAL}*"):
         shutil.rmtree(folder)
-    note = note_on(record.iterations)
+    note = note_on(best.iterations)
     search = Search(
-        iterations=record.iterations,
+        iterations=best.iterations,
         training=record.training,
         threads=record.threads,
         device=job.record.device,

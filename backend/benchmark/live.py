@@ -19,6 +19,7 @@ STYLES = {
     "done": "green",
     "failed": "bold red",
     "blocked": "red",
+    "absent": "dim",
 }
 
 
@@ -60,5 +61,5 @@ def _item(status: Status) -> Text:
     elif status.kind == "done":
         text = "done" if status.psnr is None else f"{status.psnr:.2f}"
     else:
-        text = {"waiting": "·", "elsewhere": "elsewhere", "failed": "failed", "blocked": "–"}[status.kind]
+        text = {"waiting": "·", "blocked": "–", "absent": "–"}.get(status.kind, status.kind)
     return Text(text, style=STYLES[status.kind])

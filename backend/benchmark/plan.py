@@ -14,15 +14,19 @@ open_sealed = true                                        # a report may have se
 [[ladder]]
 name = "ablation"
 steps = ["baseline", "dim", "default"]
+[[external]]                                              # a method of which only pictures are there
+name = "theirs"
+folder = "../results/theirs/{scene}/{setting}/seed_{seed}"  # of each run; {budget}, too
 """
 
 import json
 import math
+import os
 import re
 import shlex
 import tomllib
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,6 +42,8 @@ SETTINGS = ("exp1", "exp3")
 TUNE, REPORT = "tune", "report"
 KINDS = (TUNE, REPORT)
 ITERATIONS, CPU_SECONDS = "iterations", "cpu-seconds"
+#: What stands for a run in the name of an external method's folder; a budget as its own folder is called.
+PLACEHOLDERS = ("scene", "setting", "seed", "budget")
 #: Names become folders.
 NAME = re.compile(r"[A-Za-z0-9†+_][A-Za-z0-9†+_.-]*")
 #: Options that the benchmark itself sets for each run.
@@ -46,11 +52,15 @@ OURS = ("--iterations", "--seed", "--exposure-mode", "--preset", "--out", "--dat
 
 @dataclass(frozen=True)
 class Method:
-    """A preset under a name, with options of ``physhdr train`` on top."""
+    """A preset under a name, with options of ``physhdr train`` on top; or pictures of another program.
+
+    ``pictures``: the folder of each run's, with ``PLACEHOLDERS`` in its name; empty where we train it.
+    """
 
     name: str
     preset: str
     options: tuple[str, ...] = ()
+    pictures: str = ""
 
     @classmethod
     def parsed(cls, text: str) -> "Method":
@@ -72,8 +82,39 @@ class Method:
                 )
         return cls(name, preset, tuple(options))
 
+    @classmethod
+    def external(cls, content: Any, beside: Path) -> "Method":
+        """``{"name": …, "folder": …}`` of a plan file; a relative folder lies in ``beside``."""
+        match content:
+            case {"name": str(name), "folder": str(folder), **rest} if not rest and folder:
+                pass
+            case _:
+                raise BadValueError(
+                    f"an external method is a name and a folder, got {content!r:.200}",
+                    'For example name = "theirs", folder = "results/theirs/{scene}/{setting}/seed_{seed}".',
+                )
+        for word in re.findall(r"\{(\w*)\}", folder):
+            if word not in PLACEHOLDERS:
+                raise BadValueError(
+                    f"the folder of '{name}' has {{{word}}}, which a plan does not know",
+                    f"Choose from {', '.join(f'{{{each}}}' for each in PLACEHOLDERS)}.",
+                )
+        return cls(_name(name, "method"), "", pictures=os.path.abspath(beside / Path(folder).expanduser()))
+
+    @property
+    def place(self) -> Path | None:
+        """The folder in which all of an external method's lie; None of a method that we train."""
+        return Path(os.path.dirname(self.pictures.partition("{")[0])) if self.pictures else None
+
+    def pictures_of(self, values: Mapping[str, object]) -> Path:
+        """The folder of an external method's run; ``values``: one for each of ``PLACEHOLDERS``."""
+        folder = self.pictures
+        for name in PLACEHOLDERS:
+            folder = folder.replace(f"{{{name}}}", str(values[name]))
+        return Path(folder)
+
     def __str__(self) -> str:
-        if not self.options and self.name == self.preset:
+        if self.pictures or (not self.options and self.name == self.preset):
             return self.name
         return f"{self.name} := {shlex.join([self.preset, *self.options])}"
 
@@ -184,6 +225,26 @@ class Plan:
         for ladder in self.ladders:
             if len(ladder.steps) < 2:
                 raise BadValueError(f"the ladder '{ladder.name}' has fewer than two steps")
+        several = {"scene": self.scenes, "setting": self.settings, "seed": self.seeds}
+        for method in self.methods:
+            # Else one result would count as many, and as many seeds without any spread.
+            for word, values in several.items() if method.pictures else ():
+                if len(values) > 1 and f"{{{word}}}" not in method.pictures:
+                    raise BadValueError(
+                        f"the plan has {len(values)} {word}s, the folder of '{method.name}' no {{{word}}}",
+                        "Put it into the folder's name; of folders that are not there the report tells.",
+                    )
+
+    @property
+    def trained(self) -> tuple[Method, ...]:
+        """The methods but for those of which only pictures are there."""
+        return tuple(method for method in self.methods if not method.pictures)
+
+    @property
+    def words_of_pictures(self) -> tuple[str, ...]:
+        """What ``physhdr evaluate --pictures`` is told so that it evaluates at the size of all runs."""
+        each = [option_words(text) for text in self.assignments]
+        return tuple(word for words in each if words[0] in ("--downscale", "--color-space") for word in words)
 
     @property
     def split(self) -> str:
@@ -233,6 +294,7 @@ _KEYS: dict[str, tuple[str, Callable[[Any, Path], Any]]] = {
     "margins_of": ("margins_of", lambda value, _: tuple(_texts(value))),
     "note": ("note", lambda value, _: str(value)),
     "open_sealed": ("open_sealed", lambda value, _: _yes_or_no(value)),
+    "external": ("external", lambda value, at: tuple(Method.external(each, at) for each in value)),
     "ladder": ("ladders", lambda value, _: tuple(Ladder(str(x["name"]), tuple(x["steps"])) for x in value)),
 }
 
@@ -253,6 +315,7 @@ def make_plan(content: dict[str, Any], beside: Path) -> Plan:
             raise BadValueError(
                 f"the plan's '{key}' cannot be read: {value!r:.200}", "See plan.py."
             ) from error
+    fields["methods"] = (*fields.get("methods", ()), *fields.pop("external", ()))
     for key in ("methods", "scenes", "budgets"):
         if not fields.get(key):
             raise BadValueError(f"the plan names no {key}", f"Give --{key.replace('budgets', 'budget')}.")
@@ -271,6 +334,9 @@ def read_plan(path: Path) -> dict[str, Any]:
     at = path.parent.resolve()
     if isinstance(content.get("scenes"), list):
         content["scenes"] = [str(SceneFolder.parsed(str(text), at)) for text in content["scenes"]]
+    if isinstance(content.get("external"), list):
+        each = [Method.external(one, at) for one in content["external"]]
+        content["external"] = [{"name": one.name, "folder": one.pictures} for one in each]
     if content.get("lpips_weights"):
         content["lpips_weights"] = str(at / str(content["lpips_weights"]))
     return content
@@ -280,7 +346,7 @@ def write_plan(plan: Plan, path: Path) -> None:
     """``plan.toml`` of which ``read_plan`` and ``make_plan`` make the same plan; raises ``OutputError``."""
     rows: dict[str, Any] = {
         "kind": plan.kind,
-        "methods": [str(method) for method in plan.methods],
+        "methods": [str(method) for method in plan.trained],
         "scenes": [str(scene) for scene in plan.scenes],
         "settings": list(plan.settings),
         "seeds": list(plan.seeds),
@@ -302,6 +368,10 @@ def write_plan(plan: Plan, path: Path) -> None:
     for ladder in plan.ladders:
         lines += ["", "[[ladder]]", f"name = {json.dumps(ladder.name, ensure_ascii=False)}"]
         lines += [f"steps = {json.dumps(list(ladder.steps), ensure_ascii=False)}"]
+    for method in plan.methods:
+        if method.pictures:
+            lines += ["", "[[external]]", f"name = {json.dumps(method.name, ensure_ascii=False)}"]
+            lines += [f"folder = {json.dumps(method.pictures, ensure_ascii=False)}"]
     with atomic_path(path) as temporary:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
 

@@ -14,7 +14,7 @@ from .facts import machine_lines, scene_facts, scene_line
 from .margins import CONFIDENCE, JUDGED, Margin, margin
 from .plan import CPU_SECONDS, ITERATIONS, TUNE, Budget, Ladder, Plan
 from .roles import role_lines
-from .runs import Record, Run, has_gaussians
+from .runs import Record, Run
 from .schedule import Schedule
 from .search import TOLERANCE
 
@@ -62,7 +62,9 @@ PACKAGE = Path(__file__).resolve().parents[2]
 
 @dataclass(frozen=True)
 class Finished:
-    """A run that is done, and what the tables take of it. ``gaussians``: None of a method without."""
+    """A run that is done, and what the tables take of it. ``gaussians``: None of a method without, and where
+    nobody has told.
+    """
 
     run: Run
     record: Record
@@ -79,15 +81,14 @@ def finished_runs(schedule: Schedule) -> list[Finished]:
         evaluation = schedule.store.evaluation(run)
         if schedule.status[run].kind != "done" or record is None or evaluation is None:
             continue
-        # Early records of methods without Gaussians hold another number.
-        gaussians = record.gaussians if has_gaussians(schedule.store.configs[run.method.name]) else None
-        cost = {
+        gaussians = schedule.store.gaussians(run)
+        told = {
             "cpu_seconds": record.cpu_seconds,
             "seconds": record.seconds,
-            "iterations": float(record.iterations),
+            "iterations": record.iterations,
+            "gaussians": gaussians,
         }
-        if gaussians is not None:
-            cost["gaussians"] = float(gaussians)
+        cost = {name: float(value) for name, value in told.items() if value is not None}
         if record.peak_memory:
             cost["memory_MB"] = record.peak_memory / 1e6
         entry = ComparedRun(run.method.name, run.scene.name, run.setting, run.seed, evaluation, cost)
@@ -123,9 +124,10 @@ def to_csv(finished: Sequence[Finished]) -> str:
         line: list[object] = [run.budget, run.setting, run.scene.name, run.method.name, run.method.preset]
         line += [" ".join(run.method.options), run.seed, each.entry.evaluation["conditions"]["split"]]
         line += ["" if (value := one.value(each.entry)) is None else value for one in columns]
-        line += [record.cpu_seconds, record.seconds, record.iterations]
-        line += ["" if each.gaussians is None else each.gaussians]
-        line += [record.peak_memory or "", record.threads, record.machine.get("host", "")]
+        costs = [record.cpu_seconds, record.seconds, record.iterations, each.gaussians]
+        line += ["" if value is None else value for value in costs]
+        threads = "" if run.pictures else record.threads
+        line += [record.peak_memory or "", threads, record.machine.get("host", "")]
         line += [record.machine.get("versions", {}).get("physhdr", "")]
         writer.writerow(line)
     return stream.getvalue()
@@ -161,7 +163,7 @@ def to_markdown(schedule: Schedule, finished: Sequence[Finished], command: str, 
                 parts.append(section(schedule, [each.entry for each in chosen]).rstrip())
     parts += _lengths(plan, finished)
     if failures := _failures(schedule):
-        parts += ["## Runs that failed", failures]
+        parts += ["## Runs without a result", failures]
     return without_places("\n\n".join(parts) + "\n", schedule)
 
 
@@ -174,6 +176,7 @@ def without_places(text: str, schedule: Schedule) -> str:
     names = {scene.data: scene.name for scene in schedule.store.plan.scenes}
     names |= {schedule.store.data_folder(scene): scene.name for scene in schedule.store.plan.scenes}
     names |= {schedule.store.out.resolve(): "OUT", schedule.store.out.absolute(): "OUT", PACKAGE: "physhdr"}
+    names |= {method.place: method.place.name for method in schedule.store.plan.methods if method.place}
     names |= {Path.home(): "~"}
     for place in sorted(names, key=lambda each: len(str(each)), reverse=True):  # the innermost first
         if place != Path(place.anchor):
@@ -232,6 +235,12 @@ def _conditions(schedule: Schedule, finished: Sequence[Finished]) -> list[str]:
     if plan.assignments:
         lines.append(f"for every method: `{' '.join(plan.assignments)}`")
     lines += [f"method {method.name}: `{method}`" for method in plan.methods if str(method) != method.name]
+    lines += [
+        f"method {method.name}: pictures of another program, which were evaluated here; no budget bound it, "
+        "and what it cost is as its own files tell"
+        for method in plan.methods
+        if method.pictures
+    ]
     for scene in plan.scenes:
         folder = schedule.store.data_folder(scene)
         facts = scene_facts(schedule.store.out, scene.name, folder, schedule.store.data[scene.name])
@@ -262,8 +271,8 @@ def _misses(budget: Budget, finished: Sequence[Finished]) -> list[str]:
         for where, note in notes.items():
             if note:
                 lines.append(f"{name} on {where} is {note}")
-        shares = [each.record.cpu_seconds / budget.amount for each in runs]
-        if max(abs(share - 1.0) for share in shares) > TOLERANCE:
+        shares = [each.record.cpu_seconds / budget.amount for each in runs if each.record.cpu_seconds]
+        if max((abs(share - 1.0) for share in shares), default=0.0) > TOLERANCE:
             lines.append(
                 f"{name} took {min(shares):.0%} to {max(shares):.0%} of the {budget.amount:.15g} CPU seconds"
             )
@@ -452,7 +461,7 @@ def _failures(schedule: Schedule) -> str:
     parts = []
     for run in schedule.runs:
         status = schedule.status[run]
-        if status.kind == "blocked":
+        if status.kind in ("blocked", "absent"):
             parts.append(f"- `{run.folder}`: not run: {status.text}")
         elif status.kind == "failed":
             failure = schedule.store.failure(run)

@@ -22,6 +22,7 @@ from ...bridge.atomic import atomic_path
 from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
 from ..evaluate.comparison import load_evaluation
 from ..train.config import CONFIG_FILE, method_of
+from .external import pictures_digest
 from .plan import CPU_SECONDS, REPORT, TUNE, Budget, Method, Plan, SceneFolder
 from .without_test import link_without_test, names_without_test
 
@@ -59,6 +60,14 @@ class Run:
         return self.group / f"seed_{self.seed}"
 
     @property
+    def pictures(self) -> Path | None:
+        """Where another program is to put the pictures of this run; None of a method that we train."""
+        if not self.method.pictures:
+            return None
+        names = {"scene": self.scene.name, "setting": self.setting, "seed": self.seed}
+        return self.method.pictures_of(names | {"budget": self.budget.folder})
+
+    @property
     def claim(self) -> str:
         """The folder as one name, another for every run: ``a__b`` / ``c`` is not ``a`` / ``b__c``."""
         return "__".join(re.sub("^_|_(?=_|$)", "~", part) for part in self.folder.parts)
@@ -69,14 +78,15 @@ class Record:
     """What ``run.json`` holds of a run that is done: what it was, and what training alone cost.
 
     ``cpu_seconds``: user and system time of the training, first points included; ``seconds``: on the clock.
-    ``gaussians``: at the end (0 for a method without). ``peak_memory``: bytes, of the training process.
+    ``gaussians``: at the end (0 for a method without). ``peak_memory``: bytes, of the training process. What
+    nobody has told of another program's pictures is None.
     ``training``, ``evaluation``: fingerprints of all that decides the result. ``note``: for the report.
     """
 
-    iterations: int
-    cpu_seconds: float
-    seconds: float
-    gaussians: int
+    iterations: int | None
+    cpu_seconds: float | None
+    seconds: float | None
+    gaussians: int | None
     peak_memory: int | None
     training: str
     evaluation: str
@@ -117,7 +127,7 @@ def has_gaussians(config: dict[str, Any]) -> bool:
     return method_of(config.get("method", {})).traits.splats
 
 
-State = Literal["done", "evaluate", "failed", "todo"]
+State = Literal["done", "evaluate", "failed", "todo", "absent"]
 
 
 def runs_of(plan: Plan) -> list[Run]:
@@ -137,7 +147,8 @@ def runs_of(plan: Plan) -> list[Run]:
 class Store:
     """What is in the benchmark's folder, held against what the plan wants.
 
-    ``configs``: by method, its whole configuration as JSON; ``data``: by scene, the data's fingerprint.
+    ``configs``: by method that is trained, its whole configuration as JSON; ``data``: by scene, the data's
+    fingerprint.
     """
 
     out: Path
@@ -155,7 +166,12 @@ class Store:
     def training_fingerprint(self, run: Run) -> str:
         """Of the configuration, but for what differs between a method's runs, of the data, and of a file of
         points, which may lie elsewhere; without one it is what it was before there was that setting.
+
+        Of pictures of another program: of these, of the data, and of the size at which they are compared.
         """
+        if run.pictures is not None:
+            told = [self._digest_of(run.pictures), *self.plan.words_of_pictures]
+            return fingerprint(["pictures", told, self.data[run.scene.name]])
         config = self.configs[run.method.name]
         shared = {key: value for key, value in config.items() if key not in PER_RUN}
         content = [shared, self.data[run.scene.name]]
@@ -168,6 +184,12 @@ class Store:
         if path not in self._points:
             self._points[path] = hashlib.sha256(path.read_bytes()).hexdigest() if path.is_file() else ""
         return self._points[path]
+
+    def _digest_of(self, pictures: Path) -> str:
+        """As ``_digest``, of a folder."""
+        if pictures not in self._points:
+            self._points[pictures] = pictures_digest(pictures, self.plan.kind)
+        return self._points[pictures]
 
     @property
     def evaluation_fingerprint(self) -> str:
@@ -186,6 +208,13 @@ class Store:
     def record(self, run: Run) -> Record | None:
         """The record of a run that is done, whichever the plan it was done for."""
         return _read(Record, self.out / run.folder / RUN_FILE)
+
+    def gaussians(self, run: Run) -> int | None:
+        """Of a run that is done; None of a method without, and where nobody has told."""
+        record = self.record(run)
+        if record is None or (run.pictures is None and not has_gaussians(self.configs[run.method.name])):
+            return None  # early records of methods without Gaussians hold another number
+        return record.gaussians
 
     def failure(self, run: Run) -> Failure | None:
         """How it failed, if it did as it would be done now."""
@@ -218,11 +247,14 @@ class Store:
     def is_trained(self, run: Run) -> bool:
         """Whether its training is there as it would be done now."""
         record = self.record(run)
-        wanted = (self.training_fingerprint(run), self.iterations(run))
-        return record is not None and (record.training, record.iterations) == wanted
+        if record is None or record.training != self.training_fingerprint(run):
+            return False
+        return run.pictures is not None or record.iterations == self.iterations(run)
 
     def state(self, run: Run) -> State:
-        """``evaluate``: trained, but not evaluated as it would be now."""
+        """``evaluate``: trained, but not evaluated as it would be now. ``absent``: no pictures are there."""
+        if run.pictures is not None and not run.pictures.is_dir():
+            return "absent"
         if self.failure(run):
             return "failed"
         record = self.record(run)
@@ -235,14 +267,16 @@ class Store:
     def changes(self, run: Run) -> list[str]:
         """Why a run that is there has to be done again; [] where there is none, or nothing changed."""
         record = self.record(run)
-        if record is None or self.is_trained(run):
+        if record is None or (run.pictures and not run.pictures.is_dir()) or self.is_trained(run):
             return []
+        if run.pictures is not None:
+            return ["its pictures, their costs or the data set"]
         try:
             config = json.loads((self.out / run.folder / CONFIG_FILE).read_text(encoding="utf-8"))["config"]
         except (OSError, ValueError, KeyError, TypeError):
             return ["its configuration is gone"]
         iterations = self.iterations(run)
-        wanted = self.config(run, iterations or record.iterations)
+        wanted = self.config(run, iterations or record.iterations or 0)
         found = differences(config, wanted)
         if not found and record.training != self.training_fingerprint(run):
             found = ["the data set" if wanted.get(POINTS_SETTING) is None else "the data set or its points"]

@@ -27,13 +27,16 @@ LOOK_EVERY, LOOK_AROUND_EVERY = 0.25, 2.0
 #: Bytes from a log's end in which its last event lies.
 TAIL = 4096
 
-StatusKind = Literal["waiting", "running", "elsewhere", "done", "failed", "blocked"]
-SETTLED = ("done", "failed", "blocked")
+StatusKind = Literal["waiting", "running", "elsewhere", "done", "failed", "blocked", "absent"]
+SETTLED = ("done", "failed", "blocked", "absent")
 
 
 @dataclass(frozen=True)
 class Status:
-    """What a user is told of a run. ``text``: why it failed or waits; ``psnr``: LDR-OE in dB when done."""
+    """What a user is told of a run. ``text``: why it failed or waits; ``psnr``: LDR-OE in dB when done.
+
+    ``absent``: another program's pictures are not there.
+    """
 
     kind: StatusKind
     text: str = ""
@@ -74,6 +77,8 @@ class Schedule:
 
     def _on_disk(self, run: Run) -> Status:
         state = self.store.state(run)
+        if state == "absent":
+            return Status("absent", f"{run.pictures} is not there")
         if state == "done" and run not in self._evaluate_again:
             evaluation = self.store.evaluation(run)
             if evaluation is not None:
@@ -132,7 +137,7 @@ class Schedule:
 
     def _may_begin(self, run: Run) -> bool:
         """Whether what it needs is there; sets it to blocked where that will never be."""
-        if run.budget.kind != CPU_SECONDS or self.store.search(run):
+        if run.pictures or run.budget.kind != CPU_SECONDS or self.store.search(run):
             return True
         searcher = replace(run, seed=self.store.plan.seeds[0])
         if run == searcher:  # a run at equal iterations, where there is to be one, says what they cost
@@ -175,8 +180,8 @@ class Schedule:
         record = self.store.record(run)
         if outcome.kind == "done" and status.kind == "done" and record:
             psnr = "" if status.psnr is None else f", LDR-OE {status.psnr:.2f} dB"
-            cost = f"{record.iterations} iterations in {record.cpu_seconds:.1f} CPU seconds"
-            self.tell(f"{run.folder}: done, {cost}{psnr}")
+            cost = f"{record.iterations} iterations in {record.cpu_seconds or 0.0:.1f} CPU seconds"
+            self.tell(f"{run.folder}: done, {'evaluated' if run.pictures else cost}{psnr}")
         else:
             self.status[run] = Status("failed", outcome.message or "its results are not what was asked for")
             self.tell(f"{run.folder}: {outcome.kind}: {self.status[run].text}")
@@ -189,14 +194,18 @@ class Schedule:
         final = store.out / run.folder
         for left in final.parent.glob(f".{final.name}-*") if alone else ():
             shutil.rmtree(left, ignore_errors=True)
-        done = store.record(run) if store.is_trained(run) else None
-        iterations = store.iterations(run)
-        search = store.search(run)
+        evaluate = (
+            *("--device", plan.device),
+            *(("--split", plan.split) if plan.kind == TUNE else ()),
+            *(("--lpips-weights", str(plan.lpips_weights)) if plan.lpips_weights else ()),
+        )
+        done = store.record(run) if store.is_trained(run) and not run.pictures else None
+        search = None if run.pictures else store.search(run)
         blank = Record(
-            iterations=0,
-            cpu_seconds=0.0,
-            seconds=0.0,
-            gaussians=0,
+            iterations=None,
+            cpu_seconds=None,
+            seconds=None,
+            gaussians=None,
             peak_memory=None,
             training=store.training_fingerprint(run),
             evaluation=store.evaluation_fingerprint,
@@ -205,20 +214,31 @@ class Schedule:
             note=search.note if search and run.budget.kind == CPU_SECONDS else "",
         )
         record = replace(done, evaluation=store.evaluation_fingerprint) if done else blank
+        work, data = final.with_name(f".{final.name}-{secrets.token_hex(4)}"), store.data_folder(run.scene)
+        if run.pictures is not None:
+            return Job(
+                final=final,
+                work=work,
+                data=data,
+                train=(),
+                evaluate=("--exposure-mode", run.setting, *plan.words_of_pictures, *evaluate),
+                config={},
+                iterations=None,
+                record=record,
+                pictures=run.pictures,
+                program=self.program,
+            )
+        iterations = store.iterations(run)
         return Job(
             final=final,
-            work=final.with_name(f".{final.name}-{secrets.token_hex(4)}"),
-            data=store.data_folder(run.scene),
+            work=work,
+            data=data,
             train=(
                 *plan.words_of(run.method),
                 *("--seed", str(run.seed), "--exposure-mode", run.setting),
                 *("--threads", str(plan.threads_per_job), "--device", plan.device),
             ),
-            evaluate=(
-                *("--device", plan.device),
-                *(("--split", plan.split) if plan.kind == TUNE else ()),
-                *(("--lpips-weights", str(plan.lpips_weights)) if plan.lpips_weights else ()),
-            ),
+            evaluate=evaluate,
             config=store.config(run, iterations or 0),
             iterations=iterations,
             seconds=run.budget.amount if run.budget.kind == CPU_SECONDS else 0.0,
@@ -235,13 +255,13 @@ class Schedule:
             if (other.scene, other.method) != (run.scene, run.method) or self.status[other].kind != "done":
                 continue
             record = self.store.record(other)
-            if record and record.threads == self.store.plan.threads_per_job and record.cpu_seconds > 0:
+            if record is None or record.threads != self.store.plan.threads_per_job:
+                continue
+            if record.iterations and record.cpu_seconds:
                 apart = abs(math.log(record.cpu_seconds / run.budget.amount))
-                found.append((other.setting != run.setting, apart, record))
-        if not found:
-            return None
-        record = min(found, key=lambda each: each[:2])[2]
-        return Measurement(record.iterations, record.cpu_seconds)
+                known = Measurement(record.iterations, record.cpu_seconds)
+                found.append((other.setting != run.setting, apart, known))
+        return min(found, key=lambda each: each[:2])[2] if found else None
 
 
 def _logs(work: Path) -> list[Path]:

@@ -47,6 +47,8 @@ class Benchmark:
     kind: Literal["tune", "report"] | None = None
     #: Presets, with commas or spaces between; or 'NAME := PRESET --option value', one an argument.
     methods: tuple[str, ...] = ()
+    #: Pictures that another program made: NAME=FOLDER, with {scene} and so on (docs/compare.md).
+    external: tuple[str, ...] = ()
     #: Folders of data sets; NAME=FOLDER to name one.
     scenes: tuple[str, ...] = ()
     #: How training chooses exposures: exp1, exp3.
@@ -81,7 +83,7 @@ class Benchmark:
     def run(self) -> int:
         plan = self._plan()
         require_allowed(plan)
-        configs = {method.name: configuration(plan, method.name) for method in plan.methods}
+        configs = {method.name: configuration(plan, method.name) for method in plan.trained}
         console.print(f"reading {len(plan.scenes)} data sets to know them again")
         data = {scene.name: data_fingerprint(scene.data, plan.kind) for scene in plan.scenes}
         out = writable_folder(self.out)
@@ -102,6 +104,9 @@ class Benchmark:
             raise
         finally:  # also after CTRL-C: what is done is reported
             self._write_report(schedule)
+        if absent := [run for run in schedule.runs if schedule.status[run].kind == "absent"]:
+            first = schedule.status[absent[0]].text
+            console.print(f"{len(absent)} of {len(schedule.runs)} runs left out: {first}", soft_wrap=True)
         bad = [run for run in schedule.runs if schedule.status[run].kind in ("failed", "blocked")]
         if bad:
             console.print(f"{len(bad)} of {len(schedule.runs)} runs failed: the report lists them; --retry")
@@ -112,12 +117,13 @@ class Benchmark:
         stored = self.out / PLAN_FILE
         if self.plan is not None and not self.plan.is_file():
             raise FileMissingError(f"there is no plan {self.plan}", "Name a TOML file.")
-        fresh = self.methods and self.scenes and self.budget
+        fresh = (self.methods or self.external) and self.scenes and self.budget
         source = self.plan or (stored if stored.is_file() and not fresh else None)
         content = read_plan(source) if source else {}
         flags: dict[str, Any] = {
             "kind": self.kind,
             "methods": _split(self.methods),
+            "external": [_external(text) for text in self.external],
             "scenes": [word for text in self.scenes for word in _scenes(text)],
             "settings": _split(self.settings),
             "seeds": [_number(word) for word in _split(self.seeds)],
@@ -203,6 +209,11 @@ def _split(words: tuple[str, ...]) -> list[str]:
 
 def _scenes(text: str) -> list[str]:
     return [text] if Path(text).is_dir() else _split((text,))
+
+
+def _external(text: str) -> dict[str, str]:
+    name, _, folder = text.partition("=")
+    return {"name": name.strip(), "folder": folder.strip()}
 
 
 def _number(word: str) -> int:

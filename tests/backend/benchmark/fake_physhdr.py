@@ -21,7 +21,7 @@ def train(words: list[str]) -> int:
     parser.add_argument("data", type=Path)
     parser.add_argument("--out", type=Path)
     parser.add_argument("--overwrite", action="store_true")
-    for name in ("preset", "exposure-mode", "device", "strength"):
+    for name in ("preset", "exposure-mode", "device", "strength", "downscale"):
         parser.add_argument(f"--{name}", default="")
     for name in ("iterations", "seed", "threads"):
         parser.add_argument(f"--{name}", type=int)
@@ -54,13 +54,34 @@ def train(words: list[str]) -> int:
 
 def evaluate(words: list[str]) -> int:
     parser = argparse.ArgumentParser()
-    parser.add_argument("folder", type=Path)
-    for name in ("out", "device", "lpips-weights"):
+    parser.add_argument("folder", type=Path, nargs="?")
+    for name in ("out", "device", "lpips-weights", "exposure-mode", "downscale"):
         parser.add_argument(f"--{name}")
+    for name in ("pictures", "data"):
+        parser.add_argument(f"--{name}", type=Path)
     parser.add_argument("--split", default="test")
     given = parser.parse_args(words)
+    if given.pictures:
+        return evaluate_pictures(given)
     config = json.loads((given.folder / "config.json").read_text())["config"]
-    base = 30.0 + len((given.folder / "preset").read_text()) + 0.1 * config["seed"]
+    write_evaluation(given, 30.0 + len((given.folder / "preset").read_text()) + 0.1 * config["seed"])
+    return 0
+
+
+def evaluate_pictures(given) -> int:
+    """The one picture is its PSNR."""
+    with open(given.data.parent / "calls.txt", "a") as calls:
+        told = (given.pictures.name, given.data.name, given.exposure_mode, given.downscale)
+        calls.write(f"evaluate {' '.join(map(str, told))}\n")
+    picture = given.pictures / given.split / "r_0_0.png"
+    if not picture.exists():
+        print(f"error: {picture} is missing")
+        return 1
+    write_evaluation(given, float(picture.read_text()))
+    return 0
+
+
+def write_evaluation(given, base: float) -> None:
     means = {part: {"psnr": base, "ssim": 0.9} for part in ("LDR-OE", "LDR-NE", "HDR")}
     content = {"format": "physhdr-evaluation", "version": 1, "means": means}
     content["conditions"] = {"split": given.split}
@@ -68,7 +89,6 @@ def evaluate(words: list[str]) -> int:
     if base >= 40.0:  # the longest name
         content["messages"].append("it has seen the truth")
     (Path(given.out or given.folder) / "evaluation.json").write_text(json.dumps(content))
-    return 0
 
 
 if __name__ == "__main__":

@@ -42,12 +42,15 @@ def spoil(data: Path) -> None:
                 file.write_bytes(b"no such thing")
 
 
-def benchmark(place: Path, data: Path, kind: str) -> tuple[int, str, set[Path]]:
-    """Status and output of the command in processes of its own, and every path they opened."""
+def benchmark(place: Path, data: Path, kind: str, *what: str) -> tuple[int, str, set[Path]]:
+    """Status and output of the command in processes of its own, and every path they opened.
+
+    ``what``: which methods; by default a training of the baseline.
+    """
     watch = place / "watch"
     watch.mkdir(parents=True)
     (watch / "sitecustomize.py").write_text(WATCH.format(log=str(place / "opened")))
-    words = ["benchmark", "--kind", kind, "--methods", "baseline", "--scenes", f"tiny={data}"]
+    words = ["benchmark", "--kind", kind, *(what or ("--methods", "baseline")), "--scenes", f"tiny={data}"]
     words += ["--budget", "iterations=12", "--out", place / "out"]
     command = [sys.executable, "-c", "import sys; from physhdr.backend.cli import main; sys.exit(main())"]
     path = os.pathsep.join([str(watch), *filter(None, [os.environ.get("PYTHONPATH")])])
@@ -101,6 +104,26 @@ def test_a_report_does_open_them(validation_data: Path, tmp_path: Path) -> None:
     status, _, opened = benchmark(tmp_path, data, "report")
     assert status == 1 and "transforms_test.json" in (tmp_path / "out" / "report.md").read_text()
     assert Path("transforms_test.json") in of_the_test(data, opened)
+
+
+def test_of_another_programs_pictures_no_test_view_is_opened_either(
+    validation_data: Path, tmp_path: Path
+) -> None:
+    data = shutil.copytree(validation_data, tmp_path / "tiny")
+    theirs = tmp_path / "theirs" / "seed_0"
+    for name in ("val", "val_hdr", "test", "test_hdr", "relit"):
+        shutil.copytree(data / name, theirs / name)
+    spoil(data)
+    what = ("--external", f"theirs={tmp_path}/theirs/seed_{{seed}}")
+    status, said, opened = benchmark(tmp_path, data, "tune", *what)
+    assert status == 0, said
+    assert not of_the_test(data, opened) and not of_the_test(theirs, opened)
+    for name in ("val/r_1_3.png", "val_hdr/hdr_002.exr"):
+        assert data.resolve() / name in opened and theirs.resolve() / name in opened
+    run = tmp_path / "out" / "tune" / "iterations-12" / "exp3" / "tiny" / "theirs" / "seed_0"
+    evaluation = json.loads((run / "evaluation.json").read_text())
+    assert evaluation["conditions"]["split"] == "val" and evaluation["means"]["HDR"]["psnr"] == 100.0
+    assert "| theirs | 100.00 |" in (tmp_path / "out" / "report.md").read_text()
 
 
 def test_the_folder_of_links_follows_the_data(validation_data: Path, tmp_path: Path) -> None:
