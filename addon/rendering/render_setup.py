@@ -22,7 +22,8 @@ from .render import CERTAIN_BOUNCES, TRANSPARENT_BOUNCES, let_rays_pass, sample_
 CYCLES, EEVEE = "CYCLES", "BLENDER_EEVEE"
 #: How EEVEE draws camera splats: blended by the depth of their centres, without grain, 54 dB from our
 #: rasteriser (the demo's room, sRGB, 100×100, one sample). What is blended has no depth of its own: depth of
-#: field takes it for what lies behind it.
+#: field takes it for what lies behind it. A wall of splats 3 m away, another wall at 9 m, f/0.2, 64 samples:
+#: 19 dB from Cycles blended, wherever the focus is, and 31 (focus at 3 m) to 34 (at 9 m) by lot.
 BLENDED, BY_LOT = "BLENDED", "DITHERED"
 #: By lot each Gaussian is drawn in a share of the samples: with 256 the demo's room is 32 dB from our
 #: rasteriser, 29 with 16: grain. Ellipsoids are always drawn so.
@@ -285,7 +286,7 @@ def _depth_of_field(scene: bpy.types.Scene, models: Models) -> Iterator[Problem]
         return
     blended = [each for each in models if BLENDED in _methods(each)]
     if blended:
-        told = f"{names_of(blended)}: EEVEE's depth of field may take it for what lies behind it"
+        told = f"{names_of(blended)}: EEVEE's depth of field takes it for what lies behind it"
         yield Problem("DEPTH", told, mended=_editable(_materials(blended)))
 
 
