@@ -19,9 +19,9 @@ from typing import Any, Literal
 
 from ...bridge import data_set
 from ...bridge.atomic import atomic_path
-from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
+from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError, PhysHDRError
 from ..evaluate.comparison import load_evaluation
-from ..train.config import CONFIG_FILE, method_of
+from ..train.config import CONFIG_FILE, completed, method_of
 from .external import pictures_digest
 from .plan import CPU_SECONDS, REPORT, TUNE, Budget, Method, Plan, SceneFolder
 from .without_test import link_without_test, names_without_test
@@ -172,12 +172,29 @@ class Store:
         if run.pictures is not None:
             told = [self._digest_of(run.pictures), *self.plan.words_of_pictures]
             return fingerprint(["pictures", told, self.data[run.scene.name]])
-        config = self.configs[run.method.name]
-        shared = {key: value for key, value in config.items() if key not in PER_RUN}
+        return self._fingerprint(self.configs[run.method.name], run)
+
+    def _fingerprint(self, config: dict[str, Any], run: Run) -> str:
+        shared = _shared(config)
         content = [shared, self.data[run.scene.name]]
         if (name := shared.pop(POINTS_SETTING, None)) is not None:
             content.append({POINTS_SETTING: name, "sha256": self._digest(run.scene.data / name)})
         return fingerprint(content)
+
+    def _is_this_training(self, training: str, run: Run) -> bool:
+        """Whether a fingerprint is of this training, perhaps as it was before some setting was added."""
+        if training == self.training_fingerprint(run):
+            return True
+        if run.pictures is not None:
+            return False
+        folders = [self.out / run.folder, *sorted((self.out / run.group).glob("seed_*"))]
+        written = (_written_config(folder) for folder in dict.fromkeys(folders))
+        return any(
+            training == self._fingerprint(config, run)
+            and _completed(config) == _shared(self.configs[run.method.name])
+            for config in written
+            if config is not None
+        )
 
     def _digest(self, path: Path) -> str:
         """Of a file as it was when this was first asked; "" where there is none: its training will say so."""
@@ -219,8 +236,9 @@ class Store:
     def failure(self, run: Run) -> Failure | None:
         """How it failed, if it did as it would be done now."""
         failure = _read(Failure, self.out / run.folder / FAILED_FILE)
-        wanted = (self.training_fingerprint(run), self.evaluation_fingerprint)
-        return failure if failure and (failure.training, failure.evaluation) == wanted else None
+        if failure is None or failure.evaluation != self.evaluation_fingerprint:
+            return None
+        return failure if self._is_this_training(failure.training, run) else None
 
     def evaluation(self, run: Run) -> dict[str, Any] | None:
         """What ``physhdr evaluate`` wrote of it; None where that is not there, damaged or of other views."""
@@ -234,8 +252,10 @@ class Store:
     def search(self, run: Run) -> Search | None:
         """The search for the budget of ``run``, if it was done for the same method, data and threads."""
         found = _read(Search, self.out / run.group / SEARCH_FILE)
-        wanted = (self.training_fingerprint(run), self.plan.threads_per_job, self.plan.device)
-        return found if found and (found.training, found.threads, found.device) == wanted else None
+        wanted = (self.plan.threads_per_job, self.plan.device)
+        if found is None or (found.threads, found.device) != wanted:
+            return None
+        return found if self._is_this_training(found.training, run) else None
 
     def iterations(self, run: Run) -> int | None:
         """How many the run must have; None where they have to be found first."""
@@ -247,7 +267,7 @@ class Store:
     def is_trained(self, run: Run) -> bool:
         """Whether its training is there as it would be done now."""
         record = self.record(run)
-        if record is None or record.training != self.training_fingerprint(run):
+        if record is None or not self._is_this_training(record.training, run):
             return False
         return run.pictures is not None or record.iterations == self.iterations(run)
 
@@ -271,14 +291,13 @@ class Store:
             return []
         if run.pictures is not None:
             return ["its pictures, their costs or the data set"]
-        try:
-            config = json.loads((self.out / run.folder / CONFIG_FILE).read_text(encoding="utf-8"))["config"]
-        except (OSError, ValueError, KeyError, TypeError):
+        config = _written_config(self.out / run.folder)
+        if config is None:
             return ["its configuration is gone"]
         iterations = self.iterations(run)
         wanted = self.config(run, iterations or record.iterations or 0)
-        found = differences(config, wanted)
-        if not found and record.training != self.training_fingerprint(run):
+        found = differences(_completed(config) or _shared(config), _shared(wanted))
+        if not found and not self._is_this_training(record.training, run):
             found = ["the data set" if wanted.get(POINTS_SETTING) is None else "the data set or its points"]
         return found or ["the search for its iterations"]
 
@@ -312,6 +331,28 @@ def _read(cls: type, path: Path) -> Any:
             return None
         return cls(**content)
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None
+
+
+def _written_config(folder: Path) -> dict[str, Any] | None:
+    """What ``config.json`` of a run says, as it is written; None where it says nothing."""
+    try:
+        config = json.loads((folder / CONFIG_FILE).read_text(encoding="utf-8"))["config"]
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return config if isinstance(config, dict) else None
+
+
+def _shared(config: dict[str, Any]) -> dict[str, Any]:
+    """What is the same in all runs of a method."""
+    return {key: value for key, value in config.items() if key not in PER_RUN}
+
+
+def _completed(config: dict[str, Any]) -> dict[str, Any] | None:
+    """``_shared`` with what was added since then at its default; None of what is no configuration."""
+    try:
+        return _shared(completed(config))
+    except (ValueError, PhysHDRError):
         return None
 
 

@@ -236,6 +236,15 @@ def fingerprint_of(values: Any) -> str:
     return hashlib.sha256(json.dumps(_renamed(values), sort_keys=True).encode()).hexdigest()
 
 
+def completed(values: Any) -> dict[str, Any]:
+    """A configuration as ``config.json`` holds it, with what was added since then at its default.
+
+    A setting that is added means at its default what was before it. Raises ``ValueError`` or
+    ``BadValueError`` for what is no configuration.
+    """
+    return json.loads(json.dumps(_values(_from_json(TrainConfig, values, "config"))))
+
+
 def _renamed(values: Any) -> Any:
     """Settings by the names they have today."""
     if not isinstance(values, dict):

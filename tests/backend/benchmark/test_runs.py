@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Runs of an earlier PhysHDR stand for those of today where only settings came since."""
+
+import json
+
+import pytest
+
+from physhdr.backend.benchmark.plan import make_plan
+from physhdr.backend.benchmark.runs import (
+    Record,
+    Search,
+    Store,
+    data_fingerprint,
+    fingerprint,
+    runs_of,
+    write_json,
+)
+from physhdr.backend.cli.benchmark import configuration
+
+#: Settings that the earlier program had not.
+SINCE = {"schedule_for": 0, "far_shell": "auto"}
+
+
+@pytest.fixture
+def store(tiny_data, tmp_path):
+    """Of two seeds at equal seconds; seed 0 is done by the earlier program, with its search."""
+    content = {
+        "methods": ["default"],
+        "scenes": [str(tiny_data)],
+        "budgets": ["cpu-seconds=3"],
+        "seeds": [0, 1],
+    }
+    plan = make_plan(content, tmp_path)
+    configs = {"default": configuration(plan, "default")}
+    data = {scene.name: data_fingerprint(scene.data) for scene in plan.scenes}
+    store = Store(tmp_path / "out", plan, configs, data)
+    run = runs_of(plan)[0]
+    earlier = {key: value for key, value in configs["default"].items() if key not in SINCE}
+    shared = {
+        key: value
+        for key, value in earlier.items()
+        if key not in ("iterations", "seed", "exposure_mode", "points_file")
+    }
+    training = fingerprint([shared, data[run.scene.name]])
+    costs = {"cpu_seconds": 3.0, "seconds": 3.0, "gaussians": 60, "peak_memory": None}
+    where = {"threads": 1, "device": "auto", "training": training}
+    folder = store.out / run.folder
+    folder.mkdir(parents=True)
+    own = {"iterations": 90, "seed": 0, "exposure_mode": "exp3"}
+    (folder / "config.json").write_text(json.dumps({"config": earlier | own}))
+    write_json(folder / "run.json", Record(iterations=90, evaluation="", **costs, **where))
+    write_json(store.out / run.group / "search.json", Search(iterations=90, measurements=[], **where))
+    return store
+
+
+def test_settings_that_came_since_leave_runs_done(store):
+    first, second = runs_of(store.plan)
+    assert store.training_fingerprint(first) != store.record(first).training
+    assert store.is_trained(first) and store.changes(first) == []
+    assert store.iterations(first) == store.iterations(second) == 90  # the search need not be repeated
+
+
+@pytest.mark.parametrize("name", [*SINCE, "initial_opacity"])
+def test_a_setting_with_another_value_does_not(store, name):
+    first, second = runs_of(store.plan)
+    store.configs["default"][name] = {"schedule_for": 2500, "far_shell": "on", "initial_opacity": 0.1}[name]
+    assert not store.is_trained(first) and store.iterations(second) is None
+    (said,) = store.changes(first)
+    assert name in said
+
+
+def test_nor_other_data(store):
+    first, second = runs_of(store.plan)
+    store.data[first.scene.name] = "other"
+    assert not store.is_trained(first) and store.iterations(second) is None
