@@ -81,7 +81,11 @@ class Evaluate:
         paths = write_report(evaluation, out)  # before anything else that can fail: the numbers took long
         console.print(to_terminal(evaluation))
         sheet = out / SHEET_FILE
-        write_png(sheet, comparison_sheet(subject.renderer, subject.scene, split=self.split, **subject.parts))
+        name = "ours" if self.folder else subject.names[0]
+        picture = comparison_sheet(
+            subject.renderer, subject.scene, split=self.split, name=name, **subject.parts
+        )
+        write_png(sheet, picture)
         paths = [*paths, sheet, *_draw_response(subject, out / RESPONSE_FILE, self.split)]
         if self.against:
             others = [_of_run(self._open(folder)) for folder in self.against]

@@ -136,12 +136,14 @@ def comparison_sheet(
     split: str = TEST,
     hdr: bool = True,
     shows: Callable[[truth.RelitTruth], bool] | None = None,
+    name: str = "ours",
 ) -> np.ndarray:
     """Truth | ours | residual for some views of ``split``: LDR rows, HDR rows (μ-law), relit rows; uint8.
 
     ``poses``: pose numbers; None takes one that has relit truth, or the middle one. Exposures that a view
     lacks and parts without truth have no rows; relit truth is of test views. ``hdr`` and ``shows`` as for
-    ``evaluate``. Raises ``BadValueError`` for an unknown pose, and what readers raise.
+    ``evaluate``; ``name``: whose pictures they are. Raises ``BadValueError`` for an unknown pose, and what
+    readers raise.
     """
     can_show = shows or (lambda item: item.can_be_shown(renderer.lights))
     relit = _relit(scene, split)
@@ -150,16 +152,16 @@ def comparison_sheet(
         view = scene.find(split, pose)
         for k in _positions(view, exposure_indices):
             label = f"{view.name}, {view.exposures[k]:.4g} s"
-            rows.append(_row(label, _ldr(renderer, view, k), gain))
+            rows.append(_row(label, name, _ldr(renderer, view, k), gain))
         if hdr and truth.has_hdr_truth(scene.root, split):
             reference = truth.hdr_truth(scene.root, split, pose)
-            rows.append(_row(f"{view.name} HDR", _hdr(renderer, view, 1.0, reference), gain))
+            rows.append(_row(f"{view.name} HDR", name, _hdr(renderer, view, 1.0, reference), gain))
         for item in relit:
             if hdr and item.index == pose and can_show(item):
                 shown = _hdr(renderer, view, item.levels_of(renderer.lights), item.radiance())
-                rows.append(_row(f"{view.name} {item.condition}", shown, gain))
+                rows.append(_row(f"{view.name} {item.condition}", name, shown, gain))
     return labelled_grid(
-        [*rows, [legend(SMALLEST_CELL, gain)]], f"{_title(scene, split)}: truth, ours, residual", _note()
+        [*rows, [legend(SMALLEST_CELL, gain)]], f"{_title(scene, split)}: truth, {name}, residual", _note()
     )
 
 
@@ -248,10 +250,10 @@ def display_white(radiance: torch.Tensor) -> float:
     return max(float(torch.quantile(flat[:: max(1, flat.numel() // 1_000_000)], WHITE_QUANTILE)), 1e-6)
 
 
-def _row(label: str, shown: Shown, gain: float) -> list[Cell]:
+def _row(label: str, name: str, shown: Shown, gain: float) -> list[Cell]:
     return [
         (f"{label}: truth", as_picture(shown.reference)),
-        (f"ours, {_numbers(shown)}", as_picture(shown.picture)),
+        (f"{name}, {_numbers(shown)}", as_picture(shown.picture)),
         (f"residual × {gain:g}", residual(shown.picture, shown.reference, gain)),
     ]
 
