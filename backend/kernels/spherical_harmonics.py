@@ -2,8 +2,12 @@
 """View-dependent values from real spherical harmonics, degree 0 to 3, and their gradient.
 
 value = Σ_b Y_b(d) k_b with d the direction from the viewpoint to the Gaussian; constants and signs as in
-3DGS. Linear in the coefficients, so the backward pass is ∂L/∂k_b = Y_b(d) ∂L/∂value. The direction is
-taken as constant: no gradient reaches the means through it.
+3DGS. Linear in the coefficients, so the backward pass is ∂L/∂k_b = Y_b(d) ∂L/∂value.
+
+The direction is taken as constant, so that no gradient reaches the means through it, unless
+``direction_gradient`` asks for that (3DGS's own program passes it). Of v = mean − viewpoint and d = v / |v|,
+
+    ∂L/∂mean = (g − (g·d) d) / |v|,   g = Σ_b (k_b · ∂L/∂value) ∂Y_b/∂d
 """
 
 from typing import Any
@@ -22,26 +26,37 @@ Y3 = (0.5900435899266435, 2.890611442640554, 0.4570457994644658, 0.3731763325901
 
 
 def evaluate_sh(
-    dc: torch.Tensor, rest: torch.Tensor, means: torch.Tensor, viewpoint: torch.Tensor, degree: int
+    dc: torch.Tensor,
+    rest: torch.Tensor,
+    means: torch.Tensor,
+    viewpoint: torch.Tensor,
+    degree: int,
+    direction_gradient: bool = False,
 ) -> torch.Tensor:
     """``dc`` ``[N, 3]`` (or ``[N, 1, 3]``), ``rest`` ``[N, ≥ (degree + 1)² − 1, 3]``, → ``[N, 3]``.
 
     ``means`` ``[N, 3]``, ``viewpoint`` ``[3]``: metres, in the world. Float32 on the CPU is fused; anything
-    else goes to ``evaluate_sh_reference``.
+    else goes to ``evaluate_sh_reference``. ``direction_gradient``: ``means`` receive a gradient.
     """
     dc = dc.reshape(-1, 3)
     if degree == 0:
         return Y0 * dc
     if not can_fuse(dc):
-        return evaluate_sh_reference(dc, rest, means, viewpoint, degree)
-    return _Evaluate.apply(dc, rest, means, viewpoint, degree)
+        return evaluate_sh_reference(dc, rest, means, viewpoint, degree, direction_gradient)
+    return _Evaluate.apply(dc, rest, means if direction_gradient else means.detach(), viewpoint, degree)
 
 
 def evaluate_sh_reference(
-    dc: torch.Tensor, rest: torch.Tensor, means: torch.Tensor, viewpoint: torch.Tensor, degree: int
+    dc: torch.Tensor,
+    rest: torch.Tensor,
+    means: torch.Tensor,
+    viewpoint: torch.Tensor,
+    degree: int,
+    direction_gradient: bool = False,
 ) -> torch.Tensor:
     """The same in plain torch, for any dtype and device."""
-    x, y, z = torch.nn.functional.normalize(means.detach() - viewpoint, dim=1).unbind(1)
+    means = means if direction_gradient else means.detach()
+    x, y, z = torch.nn.functional.normalize(means - viewpoint, dim=1).unbind(1)
     basis = [-Y1 * y, Y1 * z, -Y1 * x]
     if degree > 1:
         basis += [Y2[0] * x * y, -Y2[0] * y * z, Y2[1] * (2 * z * z - x * x - y * y)]
@@ -76,27 +91,24 @@ class _Evaluate(torch.autograd.Function):
             result.numpy(),
         )
         ctx.directions = (means, viewpoint, kept, rest.shape)
+        # The coefficients are read again for the gradient of the direction alone.
+        ctx.coefficients = flat if ctx.needs_input_grad[2] else np.empty((0, 0, 3), np.float32)
         return result
 
     @staticmethod
     def backward(ctx: Any, *grads: Any):
         (grad,) = grads
         means, viewpoint, kept, shape = ctx.directions
-        grad_rest = None
-        if ctx.needs_input_grad[1]:
-            grad_rest = torch.empty(shape)
-            run_ranges(
-                *(
-                    _evaluate_backward,
-                    shape[0],
-                    grad.contiguous().numpy(),
-                    means,
-                    viewpoint,
-                    kept,
-                    grad_rest.numpy(),
-                )
-            )
-        return Y0 * grad, grad_rest, None, None, None
+        _, rest_wanted, means_wanted, *_ = ctx.needs_input_grad
+        grad_rest = torch.empty(shape if rest_wanted else (0, 0, 3))
+        grad_means = torch.empty(shape[0] if means_wanted else 0, 3)
+        if rest_wanted or means_wanted:
+            arrays = grad.contiguous().numpy(), ctx.coefficients, means, viewpoint, kept
+            run_ranges(_evaluate_backward, shape[0], *arrays, grad_rest.numpy(), grad_means.numpy())
+        return (
+            *(Y0 * grad, grad_rest if rest_wanted else None, grad_means if means_wanted else None),
+            *(None, None),
+        )
 
 
 @njit(error_model="numpy")
@@ -116,6 +128,25 @@ def _basis(means, viewpoint, i, basis):
     basis[13], basis[14] = f(Y3[4]) * z * (xx - yy), -f(Y3[0]) * x * (xx - f(3) * yy)
 
 
+@njit(error_model="numpy")
+def _direction_gradient(x, y, z, w):
+    """Σ_b w_b ∂Y_b/∂(x, y, z) of the fifteen polynomials of ``_basis``, as if x, y and z were free."""
+    f = np.float32
+    xx, yy, zz = x * x, y * y, z * z
+    a, b, c, d, e = f(Y3[0]), f(Y3[1]), f(Y3[2]), f(Y3[3]), f(Y3[4])
+    p, q, r = f(Y2[0]), f(Y2[1]), f(Y2[2])
+    gx = -f(Y1) * w[2] + p * (y * w[3] - z * w[6]) + f(2) * x * (r * w[7] - q * w[5])
+    gy = -f(Y1) * w[0] + p * (x * w[3] - z * w[4]) - f(2) * y * (r * w[7] + q * w[5])
+    gz = f(Y1) * w[1] - p * (y * w[4] + x * w[6]) + f(4) * q * z * w[5]
+    gx += f(2) * x * (c * y * w[10] - f(3) * (a * y * w[8] + d * z * w[11]) + e * z * w[13])
+    gx += b * y * z * w[9] - c * (f(4) * zz - f(3) * xx - yy) * w[12] - f(3) * a * (xx - yy) * w[14]
+    gy += f(2) * y * (c * x * w[12] + f(3) * (a * x * w[14] - d * z * w[11]) - e * z * w[13])
+    gy += b * x * z * w[9] - c * (f(4) * zz - xx - f(3) * yy) * w[10] - f(3) * a * (xx - yy) * w[8]
+    gz += b * x * y * w[9] - f(8) * c * z * (y * w[10] + x * w[12])
+    gz += f(3) * d * (f(2) * zz - xx - yy) * w[11] + e * (xx - yy) * w[13]
+    return gx, gy, gz
+
+
 @kernel
 def _evaluate(first, last, dc, rest, means, viewpoint, kept, result):
     basis = np.empty(15, np.float32)
@@ -130,11 +161,30 @@ def _evaluate(first, last, dc, rest, means, viewpoint, kept, result):
 
 
 @kernel
-def _evaluate_backward(first, last, grad, means, viewpoint, kept, grad_rest):
+def _evaluate_backward(first, last, grad, rest, means, viewpoint, kept, grad_rest, grad_means):
+    """Of ``grad_rest`` and ``grad_means`` those that have rows."""
     basis = np.empty(15, np.float32)
-    for i in range(first, last):
-        _basis(means, viewpoint, i, basis)
-        for k in range(kept):
-            for c in range(3):
-                grad_rest[i, k, c] = basis[k] * grad[i, c]
-        grad_rest[i, kept:] = 0.0
+    if grad_rest.shape[0]:
+        for i in range(first, last):
+            _basis(means, viewpoint, i, basis)
+            for k in range(kept):
+                for c in range(3):
+                    grad_rest[i, k, c] = basis[k] * grad[i, c]
+            grad_rest[i, kept:] = 0.0
+    if grad_means.shape[0]:
+        weights = np.zeros(15, np.float32)
+        for i in range(first, last):
+            for k in range(kept):
+                weights[k] = (
+                    rest[i, k, 0] * grad[i, 0] + rest[i, k, 1] * grad[i, 1] + rest[i, k, 2] * grad[i, 2]
+                )
+            x, y, z = means[i, 0] - viewpoint[0], means[i, 1] - viewpoint[1], means[i, 2] - viewpoint[2]
+            length = np.sqrt(x * x + y * y + z * z)
+            # At the viewpoint there is no direction; nothing is drawn there.
+            scale = np.float32(1.0) / length if length > np.float32(1e-12) else np.float32(0.0)
+            x, y, z = x * scale, y * scale, z * scale
+            gx, gy, gz = _direction_gradient(x, y, z, weights)
+            along = gx * x + gy * y + gz * z
+            grad_means[i, 0] = (gx - along * x) * scale
+            grad_means[i, 1] = (gy - along * y) * scale
+            grad_means[i, 2] = (gz - along * z) * scale

@@ -206,6 +206,21 @@ def test_spherical_harmonics_in_odd_places():
         torch.testing.assert_close(output[0], 0.28209479 * random(57, 3, seed=1)[0], rtol=1e-6, atol=0)
 
 
+def test_the_direction_has_a_finite_gradient_in_odd_places():
+    """At the viewpoint there is no direction, and so no gradient."""
+    viewpoint = torch.tensor([1.0, 2.0, 3.0])
+    directions = torch.cat([torch.eye(3), -torch.eye(3), random(50, 3)])
+    tensors = random(56, 3, seed=1), random(56, 15, 3, seed=2)
+    for distance in (1e-3, 1.0, 1e6):
+        means = (viewpoint.double() + distance * directions.double()).float()
+        compare(
+            lambda dc, rest, m: kernels.evaluate_sh(dc, rest, m, viewpoint.to(dc), 3, True), [*tensors, means]
+        )
+    means = viewpoint.repeat(56, 1).requires_grad_()
+    kernels.evaluate_sh(*tensors, means, viewpoint, 3, True).sum().backward()
+    assert means.grad is not None and not means.grad.any()
+
+
 def test_unused_coefficients_get_no_gradient():
     means = random(40, 3)
     leaf = random(40, 15, 3, seed=2).requires_grad_()
@@ -219,6 +234,9 @@ def test_spherical_harmonics_have_the_same_bits_for_any_number_of_threads(count)
     tensors = [random(count, 3, seed=1), random(count, 15, 3, seed=2)]
     same_bits_for_threads(
         lambda: with_gradients(lambda *t: kernels.evaluate_sh(*t, means, viewpoint, 3), *tensors)
+    )
+    same_bits_for_threads(
+        lambda: with_gradients(lambda *t: kernels.evaluate_sh(*t, viewpoint, 3, True), *tensors, means)
     )
 
 

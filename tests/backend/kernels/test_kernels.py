@@ -233,6 +233,30 @@ def test_spherical_harmonics(degree):
     )
 
 
+@pytest.mark.parametrize("degree", [1, 2, 3])
+@pytest.mark.parametrize("count", [1, 500, 5001])
+def test_the_direction_of_spherical_harmonics_has_a_gradient(degree, count):
+    """By hand in the kernel, by autograd through the polynomials in float64."""
+    viewpoint = torch.tensor([0.3, -2.0, 1.0])
+    tensors = [random(count, 3, seed=1), random(count, 15, 3, seed=2), random(count, 3)]
+    assert_same(
+        lambda dc, rest, means: kernels.evaluate_sh(dc, rest, means, viewpoint, degree, True),
+        lambda dc, rest, means: kernels.evaluate_sh_reference(
+            dc, rest, means, viewpoint.double(), degree, True
+        ),
+        tensors,
+    )
+    dc, rest, means = (t.detach().clone().requires_grad_() for t in tensors)
+    kernels.evaluate_sh(dc, rest, means, viewpoint, degree, True).square().sum().backward()
+    # Along the ray nothing changes; a clear part is across it.
+    ray = torch.nn.functional.normalize(means.detach() - viewpoint, dim=1)
+    assert (means.grad * ray).sum(1).abs().max() < 1e-4 * means.grad.norm(dim=1).max()
+    # Without being asked, the direction is a constant.
+    means.grad = None
+    kernels.evaluate_sh(dc, rest, means, viewpoint, degree).sum().backward()
+    assert means.grad is None
+
+
 def test_spherical_harmonics_are_orthonormal():
     """∫ Y_a Y_b over the sphere is δ_ab: by quadrature, Gauss-Legendre in z and even in azimuth."""
     z, weight = np.polynomial.legendre.leggauss(8)
