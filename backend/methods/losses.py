@@ -25,6 +25,8 @@ class LossConfig:
     consistency_weight: float = 0.0
     #: Compare radiance, or ln(1 + radiance): the linear form drags the absolute scale (docs/notebook.md).
     consistency_domain: Literal["linear", "log"] = "log"
+    #: The branch that L_cons takes as it is, so that the other alone follows; none: both move.
+    consistency_stop_gradient: Literal["none", "image-exposure", "illumination"] = "none"
     #: The blur 𝒢 of L_cons: width in pixels (odd) and σ.
     blur_size: int = 11
     blur_sigma: float = 3.0
@@ -62,7 +64,14 @@ def compared(image: torch.Tensor, mask: torch.Tensor | None) -> torch.Tensor:
 
 
 def consistency_loss(exposed: torch.Tensor, relit: torch.Tensor, config: LossConfig) -> torch.Tensor:
-    """L_cons (eq. 16): mean |𝒢(I_HDR · t) − 𝒢(Î_HDR)|, both branches receive a gradient."""
+    """L_cons (eq. 16): mean |𝒢(I_HDR · t) − 𝒢(Î_HDR)|.
+
+    Both branches receive a gradient, but for the one that ``consistency_stop_gradient`` names.
+    """
+    if config.consistency_stop_gradient == "image-exposure":
+        exposed = exposed.detach()
+    elif config.consistency_stop_gradient == "illumination":
+        relit = relit.detach()
     pair = torch.cat([exposed, relit])
     if config.consistency_domain == "log":
         pair = pair.clamp_min(0.0).log1p()

@@ -17,7 +17,7 @@ from ..model.backbone import Splats
 from ..rasterize import Rasterization
 from ..scene.camera import Camera
 from .base import Drawn, Exposed, Recording, exposed_by, is_standard
-from .physhdr_common import Developed, PhysHDRMethod, illumination_deviation
+from .physhdr_common import Developed, PhysHDRMethod
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +46,7 @@ class PhysHDR(PhysHDRMethod[DrawnRadiance]):
         log_illumination, deviation = splats.log_illumination, None
         if self.can_relight:
             log_illumination = self.log_modulated_illumination(splats, levels)  # L̂_a, eq. 10
-            deviation = illumination_deviation(splats, log_illumination)
+            deviation = self.illumination_deviation(splats, log_illumination)
         channels = [self.composer(log_illumination, splats.log_reflectance)]
         if self.config.tone_mapper.local:
             assert splats.context is not None

@@ -52,7 +52,17 @@ class PhysHDRConfig(MethodConfig):
     #: φ: additive (each light has a share of each Gaussian's), or a network (the paper).
     modulator: Literal["additive", "learned"] = "additive"
     composer_hidden: int = 64
+    #: L_a: one number a Gaussian, or one a colour channel.
+    illumination_channels: Literal[1, 3] = 1
     sh_degree: int = 3
+    #: Positions learn from how H_r changes with the viewing direction, as in 3DGS's own program.
+    direction_gradient: bool = False
+    #: Of |L_a − L̂_a|, by which growth is scaled (a mean over the channels): as it stands, or of logarithms,
+    #: which no factor common to all L_a changes.
+    deviation_domain: Literal["linear", "log"] = "linear"
+    #: Whose gradient to the screen positions growth reads: of all that is drawn, or of I_HDR alone, which is
+    #: then a pass of its own in training (needs both branches).
+    growth_gradient: Literal["all", "image-exposure"] = "all"
     #: f_mix stays at its start (a plain mean) for this share of the training (the paper: 10 k of 30 k).
     mix_frozen_until: float = 1.0 / 3.0
     #: I_LDR: the mean of the two fused images, or their sum as eq. 14 has it (which cannot fit; method.md).
@@ -83,10 +93,17 @@ class PhysHDRConfig(MethodConfig):
         if not 0 <= self.sh_degree <= 3:
             raise BadValueError(f"the SH degree must be 0 to 3, got {self.sh_degree}")
 
-        # φ would have to give g one ln L̂_a a Gaussian; the additive one gives one a colour channel.
+        if self.growth_gradient == "image-exposure" and self.branches != "both":
+            raise BadValueError(
+                "one branch alone is drawn, and its gradient is all that growth can read",
+                "Leave out --method.growth-gradient, or set --method.branches both.",
+            )
+        # Its g reads one ln L̂_a a Gaussian; and where it reads three, no exported file could keep what g
+        # makes of each light's share.
         if self.composer == "learned" and self.has_light_share:
             raise BadValueError(
-                "the learned composer reads one illumination a Gaussian, the additive modulator gives three",
+                "the learned composer cannot follow the additive modulator, which lights each colour channel "
+                "by itself",
                 "Set --method.modulator learned, or --method.composer product.",
             )
 
@@ -102,7 +119,7 @@ class PhysHDRConfig(MethodConfig):
 
     @property
     def channels(self) -> int:
-        """How many channels one pass draws."""
+        """How many channels are drawn, all in one pass where ``growth_gradient`` does not say otherwise."""
         context = self.tone_mapper.context_size if self.tone_mapper.local else 0
         return (6 if self.branches == "both" else 3) + context
 
@@ -116,6 +133,8 @@ class PhysHDRConfig(MethodConfig):
             sh_degree=self.sh_degree,
             context_size=self.tone_mapper.context_size if self.tone_mapper.local else 0,
             lights=len(lights) if self.has_light_share else 0,
+            illumination_channels=self.illumination_channels,
+            direction_gradient=self.direction_gradient,
         )
 
     @property
@@ -124,14 +143,18 @@ class PhysHDRConfig(MethodConfig):
         return self.modulator == "additive" and self.can_relight
 
     def kernels_needed(self) -> Needs:
-        wanted = {
-            COMPOSER: self.composer == "learned",
-            MODULATOR: self.modulator == "learned" and self.can_relight,
-            FUSION: self.tone_mapper.mix,
-        }
+        more = self.illumination_channels - 1  # of L_a, than the one that these are named for
+        wanted = [
+            ((COMPOSER[0] + more, COMPOSER[1]), self.composer == "learned"),
+            ((MODULATOR[0] + more, MODULATOR[1] + more), self.modulator == "learned" and self.can_relight),
+            (FUSION, self.tone_mapper.mix),
+        ]
+        drawn = {3, self.channels}  # three: the view that is shown
+        if self.growth_gradient == "image-exposure":
+            drawn.add(self.channels - 3)
         return Needs(
-            channels=tuple(sorted({3, self.channels})),  # three: the view that is shown
-            networks=tuple(shape for shape, is_wanted in wanted.items() if is_wanted),
+            channels=tuple(sorted(drawn)),
+            networks=tuple(shape for shape, is_wanted in wanted if is_wanted),
             activations=(self.tone_mapper.activation,),
             local_branches=(2 if self.branches == "both" else 1,) if self.tone_mapper.local else (),
             blur=self.branches == "both" and self.loss.consistency_weight > 0,
@@ -164,9 +187,9 @@ class PhysHDRMethod(SplattingMethod, Generic[D]):
     def __init__(self, config: PhysHDRConfig, backbone: Backbone, facts: Facts) -> None:
         super().__init__(config, backbone, facts)
         self.config = config
-        hidden = config.composer_hidden
-        self.composer = ProductComposer() if config.composer == "product" else LearnedComposer(hidden)
-        self.modulator = AdditiveModulator() if config.modulator == "additive" else LearnedModulator(hidden)
+        sizes = config.composer_hidden, config.illumination_channels
+        self.composer = ProductComposer() if config.composer == "product" else LearnedComposer(*sizes)
+        self.modulator = AdditiveModulator() if config.modulator == "additive" else LearnedModulator(*sizes)
         if config.branches == "both" or config.tone_mapper.local:
             facts.refuse_known("PhysHDR with both branches or local curves")
         known = facts.responses == "known"
@@ -199,6 +222,14 @@ class PhysHDRMethod(SplattingMethod, Generic[D]):
         if levels is not None:
             log_illumination = self.log_modulated_illumination(splats, levels)
         return self.composer(log_illumination, splats.log_reflectance)
+
+    @torch.no_grad()
+    def illumination_deviation(self, splats: Splats, log_relit: torch.Tensor) -> torch.Tensor:
+        """|L_a − L̂_a| ``[M]``, which scales growth (eq. 17), from ln L̂_a."""
+        before, after = splats.log_illumination, log_relit
+        if self.config.deviation_domain == "linear":
+            before, after = before.exp(), after.exp()
+        return (before - after).abs().mean(dim=1)
 
     # -- training --------------------------------------------------------------------------------------
 
@@ -266,9 +297,3 @@ class PhysHDRMethod(SplattingMethod, Generic[D]):
         if loss.unit_weight and isinstance(self.tone_mapper, ToneMapper) and self.tone_mapper.anchor:
             terms["unit"] = loss.unit_weight * self.tone_mapper.unit_exposure_error()
         return terms
-
-
-@torch.no_grad()
-def illumination_deviation(splats: Splats, log_relit: torch.Tensor) -> torch.Tensor:
-    """|L_a − L̂_a| ``[M]``, which scales growth (eq. 17)."""
-    return (splats.log_illumination.exp() - log_relit.exp()).abs().mean(dim=1)

@@ -15,12 +15,12 @@ import torch
 from ..rasterize import Rasterization
 from ..scene.camera import Camera
 from .base import Drawn, Exposed, exposed_by, is_standard
-from .physhdr_common import Developed, PhysHDRMethod, illumination_deviation
+from .physhdr_common import Developed, PhysHDRMethod
 
 
 @dataclass(frozen=True, kw_only=True)
 class DrawnBranches(Drawn):
-    """One pass: I_HDR and Î_HDR ``[3, H, W]``, the context feature ``[K, H, W]`` for local curves.
+    """I_HDR and Î_HDR ``[3, H, W]``, the context feature ``[K, H, W]`` for local curves.
 
     ``levels``: of the lights, as the view has them.
     """
@@ -58,16 +58,23 @@ class PaperPhysHDR(PhysHDRMethod[DrawnBranches]):
         if self.config.tone_mapper.local:
             assert splats.context is not None
             channels.append(splats.context)
-        # One pass for everything: both branches share the geometry.
         offsets = self.watched(splats) if watch else None
-        drawn = self.rasterize(splats, torch.cat(channels, dim=1), camera, screen_offsets=offsets)
+        sizes = [colours.shape[1] for colours in channels]
         # Split, not sliced: the gradient of a slice is a whole picture of zeros with the slice in it.
-        exposed, relit, *context = drawn.image.split([colours.shape[1] for colours in channels])
+        if watch and self.config.growth_gradient == "image-exposure":
+            # Two passes, of which growth watches the first alone; all else learns from both.
+            drawn = self.rasterize(splats, channels[0], camera, screen_offsets=offsets)
+            others = self.rasterize(splats, torch.cat(channels[1:], dim=1), camera).image
+            exposed, relit, *context = (drawn.image, *others.split(sizes[1:]))
+        else:
+            # One pass for everything: both branches share the geometry.
+            drawn = self.rasterize(splats, torch.cat(channels, dim=1), camera, screen_offsets=offsets)
+            exposed, relit, *context = drawn.image.split(sizes)
         return DrawnBranches(
             splats,
             drawn,
             offsets,
-            illumination_deviation(splats, log_relit),
+            self.illumination_deviation(splats, log_relit),
             image_exposure=exposed,
             illumination=relit,
             context=context[0] if context else None,

@@ -66,6 +66,8 @@ class AnchorGrowthConfig:
     prune_opacity: float = 0.005
     #: s of s_a = s·σ(|L_a − L̂_a|) + 1 (the paper's eq. 17), times the gradient; 0: off.
     scaling_strength: float = 0.0
+    #: s_a = s·(2σ − 1) + 1 instead, which begins at 1 where nothing deviates.
+    scaling_centred: bool = False
     #: Never more Gaussians (anchors × offsets) than this; the largest gradients come first. 0: no bound.
     budget: int = 0
 
@@ -166,6 +168,11 @@ class Anchors(Backbone):
     """
 
     def __init__(self, config: AnchorsConfig, attributes: Attributes) -> None:
+        if attributes.direction_gradient:
+            raise BadValueError(
+                "anchors never move, so that nothing could follow the gradient of the direction to them",
+                "Leave out --method.direction-gradient, or take a preset without '-scaffold'.",
+            )
         self.config, self.attributes = config, attributes
         self.parameters: dict[str, torch.Tensor] = {}
         #: ε, metres; known once anchors are placed.
@@ -177,7 +184,9 @@ class Anchors(Backbone):
                 "opacity": Head(seen_from, hidden, k),
                 "covariance": Head(seen_from, hidden, 7 * k),
                 "colour": Head(seen_from, hidden, 3 * k, starts_at_zero=config.base_radiance),
-                "illumination": Head(feature, hidden, k, starts_at_zero=True),
+                "illumination": Head(
+                    feature, hidden, attributes.illumination_channels * k, starts_at_zero=True
+                ),
             }
         )
         if attributes.lights:
@@ -261,7 +270,7 @@ class Anchors(Backbone):
         """What the networks say of the anchors ``seen`` ``[V]`` from ``directions`` ``[V, 3]`` (of length 1).
 
         ``opacity`` ``[V·k]`` in (−1, 1), ``covariance`` ``[V·k, 7]``, ``colour`` ``[V·k, 3]``,
-        ``illumination`` ``[V·k, 1]``, ``light_share`` ``[V·k, C·3]``, and ``context`` ``[V, K]``.
+        ``illumination`` ``[V·k, 1 or 3]``, ``light_share`` ``[V·k, C·3]``, and ``context`` ``[V, K]``.
         """
         features = self.parameters["features"].index_select(0, seen)
         heads = {name: head for name, head in self.networks.items() if isinstance(head, Head)}

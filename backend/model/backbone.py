@@ -22,10 +22,13 @@ class Attributes:
     """What each splat carries beside geometry and reflectance, as the method asks for it.
 
     ``context_size``: channels of the feature that local tone mapping reads, 0 for none. ``lights``: how many
-    lights have a share of its radiance, 0 for none.
+    lights have a share of its radiance, 0 for none. ``illumination_channels``: of L_a, 1 or 3.
+    ``direction_gradient``: whether positions learn from how reflectance changes with the viewing direction.
     """
 
     sh_degree: int = 3
+    illumination_channels: int = 1
+    direction_gradient: bool = False
     context_size: int = 0
     lights: int = 0
 
@@ -49,7 +52,7 @@ class Splats:
     """M Gaussians as one view sees them, before light is composed into colour.
 
     ``means`` ``[M, 3]`` metres; ``quaternions`` ``[M, 4]`` wxyz; ``scales`` ``[M, 3]`` metres; ``opacities``
-    ``[M]``; ``log_reflectance`` ``[M, 3]``: ln H_r toward the camera; ``log_illumination`` ``[M, 1]``;
+    ``[M]``; ``log_reflectance`` ``[M, 3]``: ln H_r toward the camera; ``log_illumination`` ``[M, 1 or 3]``;
     ``light_share`` ``[M, C, 3]`` and ``context`` ``[M, K]`` where ``Attributes`` asks for them.
     """
 

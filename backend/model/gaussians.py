@@ -30,7 +30,7 @@ class Gaussians(Backbone):
     ``opacity_logits``        [N]
     ``reflectance_dc``        [N, 1, 3]   ln H_r(ω) = SH: the constant coefficient …
     ``reflectance_rest``      [N, K−1, 3] … and the others
-    ``log_illumination``      [N, 1]      ln L_a, ambient illumination (eq. 5: no direction)
+    ``log_illumination``      [N, 1]      ln L_a, ambient illumination (eq. 5: no direction); or [N, 3]
     ``light_share_logits``    [N, C, 3]   only with the additive modulator: s of each of C lights
     ``context``               [N, 4]      only with a local tone mapper: what is rendered as its context
     ========================  ==========  ==============================================================
@@ -62,7 +62,7 @@ class Gaussians(Backbone):
             "opacity_logits": (),
             "reflectance_dc": (1, 3),
             "reflectance_rest": ((wanted.sh_degree + 1) ** 2 - 1, 3),
-            "log_illumination": (1,),
+            "log_illumination": (wanted.illumination_channels,),
         }
         if wanted.lights:
             shapes["light_share_logits"] = (wanted.lights, 3)
@@ -83,6 +83,7 @@ class Gaussians(Backbone):
             context_size=wanted.context_size,
             seed=start.seed,
             lights=max(wanted.lights, 1),
+            illumination_channels=wanted.illumination_channels,
         ).parameters
 
     def splats(self, camera: Camera, sh_degree: int) -> Splats:
@@ -125,11 +126,14 @@ class Gaussians(Backbone):
 
     def log_reflectance(self, viewpoint: torch.Tensor, degree: int) -> torch.Tensor:
         """ln H_r(ω_o) ``[N, 3]`` as seen from ``viewpoint`` (``[3]``, metres), SH up to ``degree``."""
+        arguments = self.reflectance_dc, self.reflectance_rest, self.means, viewpoint, degree
+        if self.attributes.direction_gradient:
+            return evaluate_sh(*arguments, direction_gradient=True)
         if self.means.is_cuda and degree > 0 and len(self) > 0:
             from ..rasterize.cuda import evaluate_sh as evaluate  # imports gsplat
         else:
             evaluate = evaluate_sh
-        return evaluate(self.reflectance_dc, self.reflectance_rest, self.means, viewpoint, degree)
+        return evaluate(*arguments)
 
 
 def initial_gaussians(
@@ -143,6 +147,7 @@ def initial_gaussians(
     context_size: int,
     seed: int,
     lights: int = 1,
+    illumination_channels: int = 1,
 ) -> Gaussians:
     """Isotropic Gaussians at ``positions`` with the same radiance exp(``log_radiance``) in every direction.
 
@@ -170,7 +175,7 @@ def initial_gaussians(
         "opacity_logits": torch.full((count,), float(np.log(opacity / (1.0 - opacity)))),
         "reflectance_dc": torch.tensor(log_radiance / SH_C0, dtype=torch.float32)[:, None, :],
         "reflectance_rest": torch.zeros(count, coefficients - 1, 3),
-        "log_illumination": torch.zeros(count, 1),
+        "log_illumination": torch.zeros(count, illumination_channels),
     }
     if ambient_share is not None:
         logit = float(np.log(ambient_share / (1.0 - ambient_share))) if lights == 1 else 0.0

@@ -41,14 +41,14 @@ class ProductComposer(nn.Module):
 
 
 class LearnedComposer(nn.Module):
-    """The paper's g: ln c = ln L_a + ln H_r + MLP(ln L_a, ln H_r)."""
+    """The paper's g: ln c = ln L_a + ln H_r + MLP(ln L_a, ln H_r). ``channels``: of L_a."""
 
-    def __init__(self, hidden: int) -> None:
+    def __init__(self, hidden: int, channels: int = 1) -> None:
         super().__init__()
-        self.network = SmallNetwork(4, hidden, 3)
+        self.network = SmallNetwork(channels + 3, hidden, 3)
 
     def forward(self, log_illumination: torch.Tensor, log_reflectance: torch.Tensor) -> torch.Tensor:
-        """ln L_a ``[N, 1]``, ln H_r ``[N, 3]`` → radiance c ``[N, 3]``."""
+        """ln L_a ``[N, channels]``, ln H_r ``[N, 3]`` → radiance c ``[N, 3]``."""
         inputs = torch.cat([log_illumination, log_reflectance], dim=1)
         residual = self.network(inputs.T.contiguous()).T
         return (log_illumination + log_reflectance + residual).clamp(*LOG_RADIANCE_RANGE).exp()
@@ -64,7 +64,7 @@ class AdditiveModulator(nn.Module):
     def forward(
         self, log_illumination: torch.Tensor, lighting_levels: Sequence[float], light_share: torch.Tensor
     ) -> torch.Tensor:
-        """ln L_a ``[N, 1]``, C levels l, s ``[N, C, 3]`` → ln L̂_a ``[N, 3]``."""
+        """ln L_a ``[N, 1 or 3]``, C levels l, s ``[N, C, 3]`` → ln L̂_a ``[N, 3]``."""
         # Numbers, light by light: a tensor of the levels would have to be copied to a card, which waits.
         shares = light_share.unbind(1) if len(lighting_levels) > 1 else (light_share.squeeze(1),)
         change = shares[0] * (lighting_levels[0] - 1.0)
@@ -75,15 +75,19 @@ class AdditiveModulator(nn.Module):
 
 
 class LearnedModulator(nn.Module):
-    """The paper's φ: ln L̂_a = ln L_a + ln l + MLP(ln L_a, ln l). Starts as a plain scaling by l."""
+    """The paper's φ: ln L̂_a = ln L_a + ln l + MLP(ln L_a, ln l). Starts as a plain scaling by l.
 
-    def __init__(self, hidden: int) -> None:
+    ``channels``: of L_a, which the network sees together.
+    """
+
+    def __init__(self, hidden: int, channels: int = 1) -> None:
         super().__init__()
-        self.network = SmallNetwork(2, hidden, 1)
+        self.network = SmallNetwork(channels + 1, hidden, channels)
 
     def forward(self, log_illumination: torch.Tensor, lighting_level: float) -> torch.Tensor:
-        """ln L_a ``[N, 1]`` → ln L̂_a ``[N, 1]``; a level of 0 is taken as ``DARKEST``."""
+        """ln L_a → ln L̂_a, both ``[N, channels]``; a level of 0 is taken as ``DARKEST``."""
         # In float32 as the Gaussians are, but on the host: a copy to the card would make it wait.
         log_level = torch.tensor(max(lighting_level, DARKEST)).log().item()
-        inputs = torch.cat([log_illumination, torch.full_like(log_illumination, log_level)], dim=1)
+        levels = torch.full_like(log_illumination[:, :1], log_level)
+        inputs = torch.cat([log_illumination, levels], dim=1)
         return log_illumination + log_level + self.network(inputs.T.contiguous()).T

@@ -41,6 +41,8 @@ class DensifyConfig:
     threshold: float = 1e-4
     #: s of s_a = s·σ(|L_a − L̂_a|) + 1 (eq. 17); 0 switches the scaling off.
     scaling_strength: float = 0.0
+    #: s_a = s·(2σ − 1) + 1 instead, which begins at 1 where nothing deviates.
+    scaling_centred: bool = False
     #: Clone up to this size, split above (share of the scene's extent).
     clone_below: float = 0.01
     prune_opacity: float = 0.005
@@ -71,9 +73,10 @@ class DensifyState:
         return cls(zeros, zeros.clone())
 
 
-def gradient_scaling(deviation: torch.Tensor, strength: float) -> torch.Tensor:
-    """s_a = s · σ(|L_a − L̂_a|) + 1 (eq. 17), ``[N]``."""
-    return strength * deviation.sigmoid() + 1.0
+def gradient_scaling(deviation: torch.Tensor, strength: float, centred: bool = False) -> torch.Tensor:
+    """s_a = s · σ(|L_a − L̂_a|) + 1 (eq. 17), ``[N]``; ``centred``: s · (2σ − 1) + 1, from 1 on."""
+    share = deviation.sigmoid()
+    return strength * (2.0 * share - 1.0 if centred else share) + 1.0
 
 
 def observe(
@@ -87,7 +90,8 @@ def observe(
     to_ndc = camera_tensors(camera, screen_gradient).half_size
     norm = torch.linalg.vector_norm(screen_gradient * to_ndc, dim=1)
     if config.scaling_strength and drawn.illumination_deviation is not None:
-        norm = norm * gradient_scaling(drawn.illumination_deviation, config.scaling_strength)
+        strength, centred = config.scaling_strength, config.scaling_centred
+        norm = norm * gradient_scaling(drawn.illumination_deviation, strength, centred)
     visible = drawn.rasterization.radii > 0
     state.gradient_sum += torch.where(visible, norm, torch.zeros_like(norm))
     state.visits += visible

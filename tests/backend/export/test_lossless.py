@@ -36,6 +36,7 @@ def write(path: Path, config: PhysHDRConfig, lights: tuple[str, ...] = ("ambient
         context_size=0,
         seed=0,
         lights=len(lights),
+        illumination_channels=config.illumination_channels,
     )
     for tensor in gaussians.parameters.values():
         tensor.data += 0.2 * torch.randn_like(tensor)
@@ -59,8 +60,9 @@ def write(path: Path, config: PhysHDRConfig, lights: tuple[str, ...] = ("ambient
         (PhysHDRConfig(branches="image-exposure", lighting_level="exposure"), ("ambient",)),
         (PhysHDRConfig(), ("ambient", "desk lamp", "screen")),
         (PhysHDRConfig(), ("pendant",)),
+        (PhysHDRConfig(illumination_channels=3), ("ambient", "desk lamp")),
     ],
-    ids=["default", "degree 0", "baseline", "three lights", "a lamp alone"],
+    ids=["default", "degree 0", "baseline", "three lights", "a lamp alone", "illumination in colour"],
 )
 def test_without_networks_in_the_radiance_it_is_the_model_file(
     tmp_path: Path, lossless: ModuleType, config: PhysHDRConfig, lights: tuple[str, ...]

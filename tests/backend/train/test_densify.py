@@ -5,17 +5,21 @@ import dataclasses
 import math
 
 import numpy as np
+import pytest
 import torch
 
-from physhdr.backend.methods.base import Facts
+from physhdr.backend.methods.base import Drawn, Facts
 from physhdr.backend.methods.physhdr import PhysHDR
 from physhdr.backend.model.gaussians import initial_gaussians
 from physhdr.backend.model.morton import morton_order
+from physhdr.backend.rasterize import Rasterization
+from physhdr.backend.scene.camera import Camera
 from physhdr.backend.train.densify import (
     DensifyConfig,
     DensifyState,
     densify,
     gradient_scaling,
+    observe,
     reset_opacity,
 )
 from physhdr.backend.train.optimisers import Optimiser
@@ -107,6 +111,28 @@ def test_gradient_scaling_is_equation_17():
     expected = torch.tensor([1.5, 1.0 + 1.0 / (1.0 + math.exp(-1.0)), 2.0])
     assert torch.allclose(gradient_scaling(deviation, 1.0), expected)
     assert torch.equal(gradient_scaling(deviation, 0.0), torch.ones(3))
+    # Centred it begins at 1, as 2σ(d) − 1 = tanh(d/2).
+    expected = torch.tensor([1.0, 1.0 + 0.5 * math.tanh(0.5), 1.5])
+    assert torch.allclose(gradient_scaling(deviation, 0.5, centred=True), expected)
+
+
+def test_a_views_gradient_counts_as_much_as_its_light_deviates():
+    """Half the width is 20 pixels, half the height 10: |(6, 8)| = 10. The last one is not on the screen."""
+    method, _ = make(count=4)
+    image = Rasterization(torch.zeros(3, 20, 40), torch.zeros(20, 40), torch.tensor([4.0, 4.0, 4.0, 0.0]))
+    deviation = torch.tensor([0.0, math.log(3.0), 100.0, 0.0])  # σ: 1/2, 3/4, 1
+    drawn = Drawn(splats=None, rasterization=image, illumination_deviation=deviation)
+    camera = Camera.from_field_of_view(np.eye(4), 40, 20, 0.9)
+    gradient = torch.tensor([[0.3, 0.8]]).repeat(4, 1)
+    for changes, wanted in [
+        ({}, [10.0, 10.0, 10.0, 0.0]),
+        ({"scaling_strength": 2.0}, [20.0, 25.0, 30.0, 0.0]),
+        ({"scaling_strength": 2.0, "scaling_centred": True}, [10.0, 20.0, 30.0, 0.0]),
+    ]:
+        state = DensifyState.empty(method.gaussians)
+        observe(state, gradient, drawn, camera, DensifyConfig(**changes))
+        assert state.gradient_sum.tolist() == pytest.approx(wanted)
+        assert state.visits.tolist() == [1.0, 1.0, 1.0, 0.0]
 
 
 def test_an_opacity_reset_lowers_and_never_raises():
