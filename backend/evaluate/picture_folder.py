@@ -212,9 +212,10 @@ def write_pictures(
     """Write what ``PictureFolder`` reads of every view of ``split``; returns the number of files.
 
     A camera's pictures as PNG of 16 bits, radiance as OpenEXR, and that under every light of the relit truth
-    which the model has a level for. What is there already under these names is replaced. ``progress`` is
-    called with (views done, all, what is next). Raises ``BadValueError`` where ``folder`` is the data set
-    itself or the model renders NaN, and ``OutputError``.
+    which the model has a level for; what training found of a lens's vignetting is in none of them. What is
+    there already under these names is replaced. ``progress`` is called with (views done, all, what is next).
+    Raises ``BadValueError`` where ``folder`` is the data set itself or the model renders NaN, and
+    ``OutputError``.
     """
     if folder.resolve() == scene.root.resolve():
         raise BadValueError(
