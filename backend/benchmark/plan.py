@@ -99,7 +99,7 @@ class Method:
                     f"the folder of '{name}' has {{{word}}}, which a plan does not know",
                     f"Choose from {', '.join(f'{{{each}}}' for each in PLACEHOLDERS)}.",
                 )
-        return cls(_name(name, "method"), "", pictures=os.path.abspath(beside / Path(folder).expanduser()))
+        return cls(_name(name, "method"), "", pictures=os.path.abspath(beside / os.path.expanduser(folder)))
 
     @property
     def place(self) -> Path | None:
