@@ -412,7 +412,7 @@ def test_script_works_from_a_folder_of_any_name_without_installation(
 ):
     """A bare clone, run by a Python whose installed ``physhdr`` is out of sight."""
     clone = tmp_path / "clone-1"
-    for part in ("addon", "bridge"):
+    for part in ("addon", "bridge", "synth"):
         shutil.copytree(ROOT / part, clone / part)
     shutil.copy(ROOT / "__init__.py", clone)
     code = """
