@@ -25,6 +25,7 @@ from ..model.look import cleaning_of, is_model
 from ..runtime import session
 from ..session.advice import why_not
 from ..session.light import LIGHT, panorama_command
+from ..session.state import NotTaken, Problem
 from .afterwards import take_when_ended
 
 if TYPE_CHECKING:
@@ -360,7 +361,8 @@ def _apply_when_done(after: After, tasks: Sequence[Task]) -> None:
             return False
         try:
             after.apply(tasks)
-        except PhysHDRError:
+        except PhysHDRError as error:
+            session().dispatch(NotTaken(Problem(error.message, error.hint)))
             return False
         return True
 

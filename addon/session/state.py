@@ -273,6 +273,13 @@ class PhotosChosen:
 
 
 @dataclass(frozen=True)
+class NotTaken:
+    """What a task has made could not be taken into the scene."""
+
+    problem: Problem
+
+
+@dataclass(frozen=True)
 class FileOpened:
     """Another .blend is open now, or a new one: what was said of the former one is past."""
 
@@ -300,6 +307,7 @@ Event = (
     | Refused
     | DatasetChosen
     | PhotosChosen
+    | NotTaken
     | FileOpened
     | Dismissed
 )

@@ -45,6 +45,7 @@ from .state import (
     KillBackend,
     Link,
     LinkLost,
+    NotTaken,
     Photos,
     PhotosChosen,
     Prepared,
@@ -119,6 +120,8 @@ def transition(state: State, event: Event) -> Result:
             return replace(state, problem=problem), ()
         case DatasetChosen(dataset):
             return replace(state, dataset=dataset), ()
+        case NotTaken(problem):
+            return replace(state, problem=problem), ()
         case PhotosChosen(folder, options):
             return replace(state, photos=Photos(folder, options)), ()
         case FileOpened():

@@ -132,7 +132,7 @@ class SceneFolder:
         name, equals, folder = text.partition("=")
         if not equals or (beside / text).exists():
             name, folder = "", text
-        data = (beside / Path(folder).expanduser()).resolve()
+        data = (beside / os.path.expanduser(folder)).resolve()
         if not data.is_dir():
             raise FileMissingError(f"there is no data set {data}", "Name the folder of a data set.")
         return cls(_name(name or data.name, "scene"), data)

@@ -28,27 +28,13 @@ PERCEIVED = tuple(f"{part}.{name}" for part in ("LDR-OE", "LDR-NE", "HDR") for n
 RELIGHTING = ("relit.psnr", "relit.gain")
 COSTS = ("cost.cpu_seconds", "cost.seconds", "cost.iterations", "cost.gaussians", "cost.memory_MB")
 TABLES = {"": QUALITY, "LPIPS": PERCEIVED, "Relighting": RELIGHTING, "Cost": COSTS}
-SCENE_METRICS = (
-    "LDR-OE.psnr",
-    "LDR-NE.psnr",
-    "HDR.psnr",
-    "HDR-aligned.psnr",
-    "LDR-OE.lpips",
-    "scale",
-    "response",
+#: What is told again for each scene, and for each length of training where a plan has several.
+MOST = (
+    *("LDR-OE.psnr", "LDR-NE.psnr", "HDR.psnr", "HDR-aligned.psnr", "LDR-OE.lpips"),
+    *("scale", "response", "relit.psnr"),
 )
-SCENE_METRICS += ("relit.psnr", "cost.cpu_seconds", "cost.iterations", "cost.gaussians")
-#: What a training of another length changes, where a plan has several of one kind.
-OF_LENGTH = (
-    "LDR-OE.psnr",
-    "LDR-NE.psnr",
-    "HDR.psnr",
-    "HDR-aligned.psnr",
-    "LDR-OE.lpips",
-    "scale",
-    "response",
-)
-OF_LENGTH += ("cost.cpu_seconds", "cost.gaussians")
+SCENE_METRICS = (*MOST, "cost.cpu_seconds", "cost.iterations", "cost.gaussians")
+OF_LENGTH = (*MOST, "cost.cpu_seconds", "cost.gaussians")
 #: What stands in a row of CSV beside what names the run.
 CSV_METRICS = (
     *(f"{part}.{name}" for part in ("LDR-OE", "LDR-NE", "HDR", "HDR-aligned") for name in ("psnr", "ssim")),
@@ -288,7 +274,7 @@ def _leaders(schedule: Schedule) -> tuple[str, ...]:
 
 
 def _tables(entries: list[ComparedRun]) -> str:
-    """A table for each kind of figure that was measured; the notes of all stand below the first."""
+    """A table for each kind of figure that was measured; the notes stand below the first."""
     parts = []
     for title, metrics in TABLES.items():
         table = comparison_table(entries, metrics=metrics, title=title)

@@ -136,6 +136,22 @@ class Benchmark:
         }
         return make_plan(content | {key: value for key, value in flags.items() if value}, Path.cwd())
 
+    def _over_the_plan(self) -> list[str]:
+        """The flags that were given instead of what the plan file says, as words."""
+        given: dict[str, tuple[str, ...]] = {
+            "--kind": (self.kind,) if self.kind else (),
+            "--methods": self.methods,
+            "--external": self.external,
+            "--scenes": self.scenes,
+            "--settings": self.settings,
+            "--seeds": self.seeds,
+            "--budget": self.budget,
+            "--set": self.set,
+            "--margins-of": self.margins_of,
+            "--lpips-weights": (self.lpips_weights.name,) if self.lpips_weights else (),
+        }
+        return [word for flag, values in given.items() if values for word in (flag, *values)]
+
     def _work_off(self, schedule: Schedule, plan: Plan) -> None:
         pool: Pool = RayPool(self.ray, plan.threads_per_job) if self.ray else LocalPool(self.jobs)
         waiting = len(schedule.unsettled())
@@ -154,6 +170,7 @@ class Benchmark:
     def _write_report(self, schedule: Schedule) -> None:
         given = [self.report] if self.report else []
         words = ["--plan", str(self.plan)] if self.plan else []
+        words += self._over_the_plan()
         words += ["--out", str(self.out), *(word for path in given for word in ("--report", str(path)))]
         command = shlex.join(["physhdr", "benchmark", *words])
         paths = []

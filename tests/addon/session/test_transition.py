@@ -18,6 +18,7 @@ from physhdr.addon.session.state import (
     KeepReport,
     KillBackend,
     LinkLost,
+    NotTaken,
     Photos,
     PhotosChosen,
     Prepared,
@@ -284,6 +285,13 @@ def test_a_refused_start_is_shown_and_the_former_job_asked_for():
     assert problem_of(state).message == "/data does not exist" and effects == [Send(StatusGet())]
     state, _ = after(state, Received(JobStatus(state="idle", in_control=True)))
     assert not state.active and why_not(state, "start", CHOICES) == ""
+
+
+def test_what_could_not_be_taken_into_the_scene_is_shown_until_it_is_read():
+    problem = Problem("the model is no longer in the scene", "Use Light From Here again.")
+    state, effects = after(State(), NotTaken(problem))
+    assert problem_of(state) == problem and effects == []
+    assert problem_of(after(state, Dismissed())[0]) is None
 
 
 def test_a_second_stop_ends_the_process():

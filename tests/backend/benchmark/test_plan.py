@@ -58,6 +58,7 @@ def test_assignments_become_the_words_of_the_command():
         ('"default", ', '"bold", ', "2 times the method 'bold'"),
         ('"default", ', '"x := default --seed 3", ', "the method 'x' sets --seed"),
         ('"rooms/bath"', '"rooms/nowhere"', "there is no data set"),
+        ('"rooms/bath"', '"~nobody-of-this-name/bath"', "there is no data set"),
         ('"rooms/bath"', '"night=rooms"', "2 times the scene 'night'"),
         ('"exp1"', '"exp2"', "no setting 'exp2'"),
         ("[0, 1]", "[0, -1]", "'seeds' cannot be read"),
@@ -114,7 +115,10 @@ set = ["downscale=2"]
 """
     (out / "plan.toml").write_text(written)
     assert main(["benchmark", "--out", str(out), "--report-only", "--methods", "paper"]) == 0
-    assert "paper (1 of 1)" in (out / "report.md").read_text()
+    text = (out / "report.md").read_text()
+    assert "paper (1 of 1)" in text
+    # What was given instead of the plan's stands in the command that makes the report again.
+    assert "`physhdr benchmark --methods paper --out OUT`" in text
     monkeypatch.setattr(Benchmark, "_work_off", lambda *_: None)
     assert main(["benchmark", "--out", str(out)]) == 0
     assert (out / "plan.toml").read_text() == written
