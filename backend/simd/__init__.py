@@ -6,12 +6,13 @@ Numba's auto-vectoriser is unreliable, so the kernels say what they mean: ``vect
 Array arguments are one-dimensional and contiguous.
 
 ``vector`` the types · ``operators`` · ``memory`` loads and stores · ``maths`` · ``powers`` exponentials and
-logarithms · ``tuples`` · ``bits`` · ``compiling`` · ``threads`` · ``heap``.
+logarithms · ``tuples`` · ``bits`` · ``compiling`` · ``threads`` · ``denormals`` · ``heap``.
 """
 
 from . import operators as operators  # registers + − < … with Numba
 from .bits import lowest_bit, span_bits, take_ticket
 from .compiling import kernel
+from .denormals import flush_denormals, restore_denormals
 from .heap import give_back_freed_memory, keep_freed_memory
 from .maths import (
     absolute,
@@ -63,6 +64,7 @@ __all__ = [
     "exp2_of_8",
     "exp_of_negative",
     "floor",
+    "flush_denormals",
     "fma",
     "fma_each",
     "give_back_freed_memory",
@@ -83,6 +85,7 @@ __all__ = [
     "prefetch",
     "ranges",
     "repeat_each",
+    "restore_denormals",
     "run_parallel",
     "run_ranges",
     "select",

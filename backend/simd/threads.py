@@ -2,7 +2,8 @@
 """The threads that run Numba's ``nogil`` kernels.
 
 Kernels never depend on how the work was split: they write disjoint outputs, and sums over jobs are
-taken afterwards in a fixed order. So results are bit-identical for any number of threads.
+taken afterwards in a fixed order. So results are bit-identical for any number of threads. All of them flush
+denormals (``denormals``); the caller's thread is afterwards as it was.
 """
 
 import os
@@ -13,6 +14,7 @@ from typing import TypeVar
 import numpy as np
 
 from ...bridge.errors import BadValueError
+from .denormals import flush_denormals, restore_denormals
 
 T = TypeVar("T")
 
@@ -22,14 +24,18 @@ class _Pool:
 
     def __init__(self, count: int) -> None:
         self.count = count
-        self._helpers = ThreadPoolExecutor(count - 1, "physhdr") if count > 1 else None
+        self._helpers = (
+            ThreadPoolExecutor(count - 1, "physhdr", initializer=flush_denormals) if count > 1 else None
+        )
 
     def run(self, job: Callable[[int], T]) -> list[T]:
         """Call ``job(0) … job(count − 1)`` at the same time, wait for all of them, return what they did."""
+        before = flush_denormals()
         waiting = [self._helpers.submit(job, i) for i in range(1, self.count)] if self._helpers else []
         try:
             mine = job(0)
         finally:
+            restore_denormals(before)
             others = [future.result() for future in waiting]
         return [mine, *others]
 
@@ -72,7 +78,11 @@ def ranges(count: int) -> np.ndarray:
 def run_ranges(kernel: Callable[..., object], count: int, *arguments: object, minimum: int = 1024) -> None:
     """Call ``kernel(first, last, *arguments)`` on contiguous ranges that cover ``range(count)``."""
     if count < minimum or _pool.count == 1:
-        kernel(0, count, *arguments)
+        before = flush_denormals()
+        try:
+            kernel(0, count, *arguments)
+        finally:
+            restore_denormals(before)
         return
     edges = ranges(count)
     _pool.run(lambda i: kernel(edges[i], edges[i + 1], *arguments))

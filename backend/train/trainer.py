@@ -47,6 +47,11 @@ from .nuisances import Nuisances
 from .optimisers import ADAM, Optimiser
 from .views import responses_of, training_exposures, training_lights, training_views
 
+# Tiny gradients, and Adam's moments of them (backend/simd/denormals.py). Before torch's first operation on
+# many numbers: its OpenMP threads keep what the thread has that starts them, and a resumed training must find
+# the same. ``step`` says it again, for a thread that did not import this.
+torch.set_flush_denormal(True)
+
 #: Prefix of the backbone's parameters in a checkpoint, of either backbone.
 PRIMITIVES = "gaussians."
 #: Prefix of the networks of method and backbone.
@@ -295,6 +300,7 @@ class Trainer:
 
     def step(self) -> dict[str, torch.Tensor]:
         """One iteration; returns the weighted loss terms (detached)."""
+        torch.set_flush_denormal(True)
         iteration = self.iteration
         batch = self.batch(iteration)
         self._follow_schedule(iteration)

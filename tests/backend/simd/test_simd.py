@@ -2,15 +2,18 @@
 """The vectors' own functions against numpy, the heap setting against the system's count of page faults."""
 
 import resource
+import subprocess
 import sys
 
 import numpy as np
 import pytest
+import torch
 from numba import njit
 
 from physhdr.backend import simd
 from physhdr.backend.simd import (
     LANES,
+    denormals,
     exp2_of_8,
     exp_of_negative,
     load,
@@ -117,3 +120,63 @@ def test_freed_memory_is_kept():
     pages = (40 << 20) // resource.getpagesize()
     faults(40)
     assert min(faults(40) for _ in range(5)) < pages / 10
+
+
+TINY = np.float32(1e-30), np.float32(1e-10)  # their product is a denormal number
+
+
+@simd.kernel
+def products(first, last, x, y):
+    for i in range(first, last):
+        y[i] = x[i] * TINY[1]
+
+
+def flushed_by_kernels(threads):
+    before = simd.thread_count()
+    simd.set_threads(threads)
+    try:
+        x = np.full(1 << 16, TINY[0])
+        y = np.ones_like(x)
+        simd.run_ranges(products, x.size, x, y)
+        few = np.ones(8, np.float32)
+        simd.run_ranges(products, few.size, x, few)
+        # One result a thread, whichever thread takes a job.
+        jobs = simd.run_parallel(lambda i: TINY[0] * TINY[1])
+        return not (y.any() or few.any() or any(jobs))
+    finally:
+        simd.set_threads(before)
+
+
+@pytest.mark.skipif(not denormals.FLUSHING, reason="a processor whose setting is not known here")
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_every_kernel_thread_flushes_denormals_and_the_callers_is_as_before(threads):
+    kept = torch.set_flush_denormal(False)
+    assert kept and TINY[0] * TINY[1] > 0.0
+    assert flushed_by_kernels(threads)
+    assert TINY[0] * TINY[1] > 0.0
+    before = simd.flush_denormals()
+    assert TINY[0] * TINY[1] == 0.0 and flushed_by_kernels(threads)
+    assert TINY[0] * TINY[1] == 0.0  # a thread that flushed goes on doing so
+    simd.restore_denormals(before)
+
+
+@pytest.mark.skipif(not denormals.FLUSHING, reason="a processor whose setting is not known here")
+def test_a_failing_job_leaves_the_callers_thread_as_it_was():
+    torch.set_flush_denormal(False)
+
+    def fail(_):
+        raise KeyError("no work")
+
+    with pytest.raises(KeyError):
+        simd.run_parallel(fail)
+    assert TINY[0] * TINY[1] > 0.0
+
+
+def test_torchs_own_threads_flush_in_a_process_that_trains():
+    """All of them, however many: half of a tensor that is flushed would depend on how it was shared out."""
+    script = (
+        "import torch; import physhdr.backend.train.trainer; torch.set_num_threads(3); "
+        "print(int((torch.full((1 << 22,), 1e-30) * 1e-10).count_nonzero()))"
+    )
+    told = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert told.stdout.strip() == "0"
