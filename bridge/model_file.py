@@ -54,8 +54,11 @@ SHAPES: dict[str, tuple[str | int, ...]] = {
     "level_log_gain": ("L", "N", 3),
     "tone_curve_log_exposure": ("M",),
     "tone_curve": ("M", 3),
+    "confidence": ("N",),
 }
 REQUIRED = ("position", "rotation", "scale", "opacity", "log_radiance_sh")
+#: What a file may have after its light.
+_BESIDE_LIGHT = ("tone_curve_log_exposure", "tone_curve", "confidence")
 #: The tensor in a file that only the modulator it belongs to has. Where the ambient light is the only one
 #: its share is written without the axis C, as it was before there were others.
 LIGHT_TENSORS = {
@@ -104,6 +107,8 @@ class Model:
     metadata: Mapping[str, str] = field(default_factory=lambda: MappingProxyType({}))
     #: Names of the C lights that have levels, in the order of ``light_share``.
     lights: tuple[str, ...] = (AMBIENT,)
+    #: ``[N]`` in [0, 1]: how likely each radiance is right (``bridge.confidence``); None: nobody knows.
+    confidence: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         _check_shapes({name: array.shape for name, array in self.tensors().items()}, "the model")
@@ -322,7 +327,7 @@ def write_model(path: str | os.PathLike[str], model: Model) -> None:
         tensors = {
             **{name: array for name, array in tensors.items() if name in REQUIRED},
             "ambient_share": tensors["light_share"][:, 0],
-            **{name: array for name, array in tensors.items() if name.startswith("tone_curve")},
+            **{name: array for name, array in tensors.items() if name in _BESIDE_LIGHT},
         }
     arrays = {name: np.ascontiguousarray(array, "<f4") for name, array in tensors.items()}
     header: dict[str, Any] = {"__metadata__": metadata}
@@ -513,6 +518,8 @@ def _check_values(model: Model) -> None:
         )
     if (model.opacity < 0.0).any() or (model.opacity > 1.0).any():
         raise BadValueError("opacity has a value outside [0, 1]", "It must be activated, not a logit.")
+    if model.confidence is not None and ((model.confidence < 0.0).any() or (model.confidence > 1.0).any()):
+        raise BadValueError("confidence has a value outside [0, 1]", "It is a probability.")
     lights = check_lights(model.lights, "the model")
     if (model.light_share is None) == (model.level_log_gain is None):
         raise DataMismatchError("exactly one of light_share and level_log_gain must be there")

@@ -43,6 +43,8 @@ COMMENT_WIDTH = 400
 ABSURD = 1e15
 #: Columns of ln reflectance: 3 of SH degree 0, and 3 (K − 1) of the others, coefficient by coefficient.
 REFLECTANCE_DC, REFLECTANCE_REST = "phys_reflectance_dc", "phys_reflectance_rest"
+#: Column of the confidence (``bridge.confidence``), of exports that had the training pictures.
+CONFIDENCE = "phys_confidence"
 #: Columns of ln illumination: one, or one a channel.
 LOG_ILLUMINATION = "phys_log_illumination"
 #: Columns that say how a lossless PLY's radiance is made; without all of them it is a standard PLY.
@@ -102,6 +104,8 @@ def read_ply_model(path: Path, color_space: ColorSpace = "SRGB") -> PlyModel:
     light: dict[str, Any] = {"light_share": np.ones((len(sh), 1, 3), np.float32)}
     if is_lossless:
         light = _lossless_light(path, columns, ply.comments)
+        if CONFIDENCE in columns:
+            light["confidence"] = columns[CONFIDENCE]
     try:
         model = Model(**_shape(columns), log_radiance_sh=sh, **light, metadata=_provenance(ply.comments))
     except (DataMismatchError, BadValueError) as error:  # which know arrays, and not where they are from

@@ -25,6 +25,7 @@ from ..runs.run import Run, open_run
 from ..runs.terminal import console
 from ..scene import Scene, read_scene
 from ..scene.pictures import write_png
+from .confidence import CALIBRATION_FILES, write_calibration
 from .told import answered, progress
 
 
@@ -45,6 +46,8 @@ class Evaluate:
     out: Path | None = None
     #: LPIPS weights (an .npz of AlexNet and the linear heads, see docs/formats.md); without: skipped.
     lpips_weights: Path | None = None
+    #: Of a run: its confidence against the true radiance as well (docs/confidence.md).
+    confidence: bool = False
     #: Folders of other runs on the same data, evaluated before: one table and one sheet of all of them.
     against: tuple[Path, ...] = ()
     #: The data set: of a run, where it has moved since training; of --pictures always.
@@ -87,6 +90,11 @@ class Evaluate:
         )
         write_png(sheet, picture)
         paths = [*paths, sheet, *_draw_response(subject, out / RESPONSE_FILE, self.split)]
+        if self.confidence:
+            assert subject.run is not None  # pictures have none: _subject refused
+            table = write_calibration(subject.run, self.split, out)
+            console.print(table.rich(f"{subject.scene.name}, {VIEWS_OF[self.split]}"))
+            paths += [out / name for name in CALIBRATION_FILES]
         if self.against:
             others = [_of_run(self._open(folder)) for folder in self.against]
             compared = [(subject, out), *((other, other.folder) for other in others)]
@@ -111,6 +119,8 @@ class Evaluate:
                 )
             return _of_run(self._open(self.folder))
         assert self.pictures is not None
+        if self.confidence:
+            raise BadValueError("pictures have no confidence: a run's Gaussians have", "Leave it out.")
         if self.data is None:
             raise BadValueError("--pictures needs the data set that they are of", "Name it: --data DATA")
         if self.out is None and self.pictures.resolve() == self.data.resolve():
@@ -127,6 +137,7 @@ class _Subject:
     """What is evaluated. ``names``: what a table may call it, the shortest first; the last is its alone.
 
     ``training``: what ``evaluate`` is told of that; ``parts``: what it and the sheet are told is there.
+    ``run``: where it is one.
     """
 
     folder: Path
@@ -137,6 +148,7 @@ class _Subject:
     seed: int | None = None
     training: dict[str, Any] = field(default_factory=dict)
     parts: dict[str, Any] = field(default_factory=dict)
+    run: Run | None = None
 
 
 def _of_run(run: Run) -> _Subject:
@@ -148,7 +160,7 @@ def _of_run(run: Run) -> _Subject:
     }
     names = (run.preset, run.folder.name, str(run.folder.resolve()))
     mode, seed = run.config.exposure_mode, run.config.seed
-    return _Subject(run.folder, names, run.scene, run.method, mode, seed, training)
+    return _Subject(run.folder, names, run.scene, run.method, mode, seed, training, run=run)
 
 
 def _of_pictures(pictures: PictureFolder, scene: Scene, exposure_mode: str | None) -> _Subject:

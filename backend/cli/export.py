@@ -12,12 +12,16 @@ from ...bridge.gaussian_ply import standard_columns, write_lossless_ply, write_s
 from ...bridge.limits import EV_MAX
 from ...bridge.model_file import write_model
 from ..export import BAKED_FILE, LOSSLESS_FILE, MODEL_FILE
-from ..export.baked import network_comments, parameter_columns
+from ..export.baked import confidence_column, network_comments, parameter_columns
 from ..model.gaussians import Gaussians
 from ..runs.files import writable_folder
 from ..runs.run import open_run
 from ..runs.terminal import console
 from .lighting import levels_asked
+from .told import progress
+
+#: Said of a model whose training pictures have gone.
+NO_CONFIDENCE = "without confidence, for the training pictures are not there (--data)"
 
 
 @dataclass(frozen=True)
@@ -47,9 +51,11 @@ class Export:
         levels = levels_asked(self.lighting_level, self.lighting_levels, run.method.lights)
         out = writable_folder(self.out or self.folder)
         method = run.on_gaussians()
-        model = run.model()
+        with progress("confidence", "view", as_json=False) as show:
+            model = run.model(show)
         write_model(out / MODEL_FILE, model)
-        console.print(f"wrote {out / MODEL_FILE}: {method.size} Gaussians, for Blender")
+        without = "" if model.confidence is not None else f"; {NO_CONFIDENCE}"
+        console.print(f"wrote {out / MODEL_FILE}: {method.size} Gaussians, for Blender{without}")
 
         look = look_words(self.exposure_ev, levels, model.lights)
         standard = {
@@ -71,7 +77,7 @@ class Export:
         write_lossless_ply(
             out / LOSSLESS_FILE,
             standard_columns(**standard),
-            parameter_columns(method.gaussians, method.lights),
+            parameter_columns(method.gaussians, method.lights) | confidence_column(model),
             comments + network_comments(method, model),
         )
         console.print(f"wrote {out / LOSSLESS_FILE}: every parameter")

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 import tyro
 
+from ...bridge.confidence import MEANING
 from ...bridge.errors import BadValueError
 from ..device import DeviceName
 from ..evaluate.picture_folder import write_pictures
@@ -17,6 +18,7 @@ from ..runs.run import open_run
 from ..runs.terminal import console
 from ..scene import Camera, Scene
 from ..scene.pictures import write_exr, write_png
+from .confidence import write_confidence
 from .lighting import levels_asked
 from .told import progress
 
@@ -58,6 +60,9 @@ class Render:
     lighting_levels: tuple[str, ...] = ()
     #: Width in pixels (the height follows); default: the data set's.
     width: int | None = None
+    #: How likely the radiance is right, instead of the radiance: --out and its like as .exr (0 to 1) and .png
+    #: (in colours, with a legend). docs/confidence.md
+    confidence: bool = False
     #: The data set, where it has moved since training.
     data: Path | None = None
     rasteriser: Implementation = "auto"
@@ -73,11 +78,22 @@ class Render:
             raise BadValueError(f"--lighting-level must be 0 or more, got {self.lighting_level}")
         if self.exposure is not None and not self.exposure > 0.0:
             raise BadValueError(f"--exposure must be above 0 seconds, got {self.exposure}")
+        if self.confidence:
+            defaults = {each.name: each.default for each in fields(self)}
+            asked = ("exposure", "lighting_level", "lighting_levels")
+            if given := [name for name in asked if getattr(self, name) != defaults[name]]:
+                raise BadValueError(
+                    f"--{given[0].replace('_', '-')} changes nothing about --confidence", "Leave it out."
+                )
         run = open_run(self.folder, self.data, self.rasteriser, self.device, pictures=False)
         levels = levels_asked(self.lighting_level, self.lighting_levels, run.method.lights)
         camera = camera_named(run.scene, self.view)
         if self.width is not None:
             camera = camera.resized(self.width)
+        if self.confidence:
+            written = write_confidence(run, camera, self.out)
+            console.print(f"wrote {' and '.join(map(str, written))}: {MEANING}", soft_wrap=True)
+            return 0
         if kind == ".exr":
             write_exr(self.out, _planes_last(run.method.hdr(camera, levels).cpu().numpy()))
         else:
@@ -89,7 +105,7 @@ class Render:
         return 0
 
     def _all_of(self, split: str) -> int:
-        alone = ("view", "exposure", "lighting_level", "lighting_levels", "width")
+        alone = ("view", "exposure", "lighting_level", "lighting_levels", "width", "confidence")
         defaults = {each.name: each.default for each in fields(self)}
         if given := [name for name in alone if getattr(self, name) != defaults[name]]:
             raise BadValueError(

@@ -16,6 +16,7 @@ from ...bridge.lights import AMBIENT
 from ...bridge.model_file import ADDITIVE_LIGHTS, Model
 from ...bridge.ply_model import (
     AMBIENT_LOGITS,
+    CONFIDENCE,
     CURVE,
     FORM,
     LIGHT_LOGITS,
@@ -41,6 +42,11 @@ def parameter_columns(gaussians: Gaussians, lights: tuple[str, ...] = (AMBIENT,)
         for index in range(flat.shape[1]):
             columns[f"{prefix}_{index}"] = flat[:, index]
     return columns
+
+
+def confidence_column(model: Model) -> dict[str, np.ndarray]:
+    """How likely each radiance is right, as a column ``[N]``; none where the model does not know."""
+    return {} if model.confidence is None else {CONFIDENCE: model.confidence}
 
 
 def network_comments(method: SplattingMethod, model: Model) -> list[str]:

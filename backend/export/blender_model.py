@@ -81,11 +81,16 @@ def on_gaussians(method: SplattingMethod, cameras: Sequence[Camera]) -> Splattin
 
 @torch.no_grad()
 def to_model(
-    method: SplattingMethod, viewpoint: np.ndarray, exposures: tuple[float, ...], metadata: dict[str, str]
+    method: SplattingMethod,
+    viewpoint: np.ndarray,
+    exposures: tuple[float, ...],
+    metadata: dict[str, str],
+    confidence: np.ndarray | None = None,
 ) -> Model:
     """The file's content, of a method on plain Gaussians (``on_gaussians``).
 
-    ``viewpoint`` ``[3]``: where baked levels are taken from, the cameras' mean.
+    ``viewpoint`` ``[3]``: where baked levels are taken from, the cameras' mean. ``confidence`` ``[N]``
+    (``confidence.confidence_of``); None: the pictures that tell it are not there.
     """
     g = method.gaussians
     share = gain = None
@@ -113,4 +118,5 @@ def to_model(
         tone_curve=curve,
         exposures=exposures,
         metadata=metadata,
+        confidence=confidence,
     )

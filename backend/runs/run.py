@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A run as a whole: its data set, its configuration and its trained method."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,13 +12,15 @@ from ...bridge.model_file import Model
 from ...bridge.run_folder import VIEWS_FILE
 from ..device import DeviceName, choose_device
 from ..export.blender_model import on_gaussians, to_model
+from ..export.confidence import Seen, confidence_of
 from ..methods.base import Method, SplattingMethod
 from ..methods.registry import name_of
 from ..rasterize import Implementation
-from ..scene import Scene, read_scene
+from ..scene import Scene, View, read_scene
 from ..train.config import CONFIG_FILE, RunConfig, TrainConfig, read_config
 from ..train.learned_lens import LearnedLenses, lenses_of_run
-from ..train.trainer import load_method
+from ..train.trainer import STREAM_EXPOSURES, load_method
+from ..train.views import training_exposures, training_views
 from .terminal import console
 from .views import read_views, require_same_views
 
@@ -62,11 +64,34 @@ class Run:
         """The method on plain Gaussians on the CPU, as files hold it."""
         return on_gaussians(self.splatting, [view.camera for view in self.scene.train])
 
-    def model(self) -> Model:
-        """The model file's content, for Blender: the method as it is now."""
+    def seen(self) -> list[Seen] | None:
+        """The pictures that training saw, as ``confidence_of`` wants them; None where they are not there."""
+        views = training_views(self.scene, self.config)
+        positions = seen_exposures(views, self.config)
+        named = (view.sources[k].path for view, which in zip(views, positions, strict=True) for k in which)
+        if not all(path.is_file() for path in named):
+            return None
+        photos, lenses = self.scene.photographs, self.lenses
+        effects = (None if lenses is None else lenses.falloff(view.camera) for view in views)
+        each = zip(views, positions, effects, strict=True)
+        return [Seen(view, which, effect, photos) for view, which, effect in each]
+
+    def confidence(
+        self, method: SplattingMethod, show: Callable[[int, int, str], None] | None = None
+    ) -> np.ndarray | None:
+        """``[N]`` of ``on_gaussians()``; None where the training pictures are not there to tell it."""
+        seen = self.seen()
+        return None if seen is None else confidence_of(method, seen, show)
+
+    def model(self, show: Callable[[int, int, str], None] | None = None) -> Model:
+        """The model file's content, for Blender: the method as it is now.
+
+        With its confidence where the training pictures are there, which takes a while: ``show`` is told.
+        """
         viewpoint = np.mean([view.camera.position for view in self.scene.train], axis=0)
         exposures = self.scene.train[0].exposures
-        return to_model(self.on_gaussians(), viewpoint, exposures, self.provenance)
+        method = self.on_gaussians()
+        return to_model(method, viewpoint, exposures, self.provenance, self.confidence(method, show))
 
 
 def open_run(
@@ -97,6 +122,15 @@ def open_run(
     )
     lenses = lenses_of_run(folder, [view.camera for view in scene.train])
     return Run(folder, written.preset, config, scene, method, iteration, lenses)
+
+
+def seen_exposures(views: Sequence[View], config: TrainConfig) -> list[tuple[int, ...]]:
+    """For each of the training's views, positions in its bracket that it saw: as ``Trainer`` draws them."""
+    found = [training_exposures(view, config) for view in views]
+    if config.exposure_mode != "exp1":
+        return found
+    random = (np.random.default_rng([config.seed, STREAM_EXPOSURES, index]) for index in range(len(views)))
+    return [(int(rng.choice(allowed)),) for rng, allowed in zip(random, found, strict=True)]
 
 
 def _scene(

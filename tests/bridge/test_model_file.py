@@ -99,6 +99,35 @@ def test_round_trip_is_exact(tmp_path: Path, modulator: str, lights: tuple[str, 
     assert os.listdir(tmp_path) == ["m.safetensors"]
 
 
+@pytest.mark.parametrize(
+    ("modulator", "lights"),
+    [("additive", ("ambient",)), ("additive", ("ambient", "lamp")), ("baked-levels", ("ambient",))],
+)
+def test_confidence_comes_back_and_may_be_missing(tmp_path: Path, modulator: str, lights: tuple[str, ...]):
+    model, path = make_model(modulator=modulator, lights=lights), tmp_path / "m.safetensors"
+    write_model(path, model)
+    assert read_model(path).confidence is None  # as every file of before there was any
+    without = path.read_bytes()
+    assert b"confidence" not in without
+    sure = np.linspace(0.0, 1.0, model.count, dtype=np.float32)
+    write_model(path, dataclasses.replace(model, confidence=sure))
+    np.testing.assert_array_equal(read_model(path).confidence, sure)
+    # All that a program of before there was any reads is as it was.
+    rewrite(path, lambda header, data: header.pop("confidence") and None)
+    assert read_model(path).tensors().keys() == model.tensors().keys()
+
+
+@pytest.mark.parametrize("wrong", [-0.01, 1.01, float("nan")])
+def test_a_confidence_is_a_probability(wrong: float):
+    model = make_model()
+    sure = np.full(model.count, 0.5, np.float32)
+    sure[3] = wrong
+    with pytest.raises(BadValueError, match="confidence"):
+        dataclasses.replace(model, confidence=sure)
+    with pytest.raises(DataMismatchError, match="confidence"):
+        dataclasses.replace(model, confidence=np.full(model.count + 1, 0.5, np.float32))
+
+
 def test_safetensors_library_reads_what_we_write(path: Path):
     safetensors = pytest.importorskip("safetensors")
     from safetensors.numpy import load_file

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A run's confidence drawn, and held against truth: parts of ``physhdr render`` and ``physhdr evaluate``."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from ...bridge.atomic import atomic_path
+from ...bridge.confidence import MEANING, colours
+from ...bridge.errors import BadValueError, FileMissingError
+from ..evaluate import truth
+from ..evaluate.confidence import Calibration, calibration, log_error
+from ..evaluate.results import VIEWS_OF
+from ..export.confidence import confidence_picture
+from ..methods.base import SplattingMethod
+from ..runs.run import Run
+from ..scene import Camera
+from ..scene.pictures import write_exr, write_png
+from .told import progress
+
+#: What ``physhdr evaluate --confidence`` writes.
+CALIBRATION_FILES = ("confidence.json", "confidence.md")
+#: Rows of the legend below a picture, and of black above it.
+LEGEND, GAP = 12, 4
+
+
+def on_gaussians_and_sure(run: Run) -> tuple[SplattingMethod, np.ndarray]:
+    """The method on plain Gaussians and their confidence ``[N]``.
+
+    Raises ``FileMissingError`` where the training pictures are not there to tell it.
+    """
+    method = run.on_gaussians()
+    with progress("confidence", "view", as_json=False) as show:
+        found = run.confidence(method, show)
+    if found is None:
+        raise FileMissingError(
+            f"the pictures that {run.folder} was trained on are not there: {run.scene.root}",
+            "Name the data set where it is now: --data DATA",
+        )
+    return method, found
+
+
+def write_confidence(run: Run, camera: Camera, out: Path) -> list[Path]:
+    """Draw the confidence that ``camera`` sees: numbers as .exr, colours with a legend as .png.
+
+    ``out``: either of the two; the other lies beside it. Raises as ``on_gaussians_and_sure``.
+    """
+    method, found = on_gaussians_and_sure(run)
+    picture = confidence_picture(method, found, camera).image.numpy().transpose(1, 2, 0)
+    paths = [out.with_suffix(".exr"), out.with_suffix(".png")]
+    write_exr(paths[0], picture, {"physhdr": f"confidence: {MEANING}"})
+    write_png(paths[1], with_legend(picture[..., 0]))
+    return paths
+
+
+def with_legend(confidence: np.ndarray) -> np.ndarray:
+    """``[H + GAP + LEGEND, W, 3]`` uint8: ``[H, W]`` in colours, below it the colours of 0 to 1."""
+    width = confidence.shape[1]
+    bar = np.broadcast_to(colours(np.linspace(0.0, 1.0, width)), (LEGEND, width, 3))
+    shown = np.concatenate([colours(confidence), np.zeros((GAP, width, 3)), bar])
+    return np.round(255.0 * shown).astype(np.uint8)
+
+
+def write_calibration(run: Run, split: str, out: Path) -> Calibration:
+    """Confidence against the true radiance of a split's views; writes ``CALIBRATION_FILES`` into ``out``.
+
+    Raises ``BadValueError`` where there are no such views, or no truth of them.
+    """
+    views = run.scene.splits[split]
+    if not views or not truth.has_hdr_truth(run.scene.root, split):
+        raise BadValueError(
+            f"{run.scene.root} has no true radiance of {VIEWS_OF[split]}, with which confidence is compared",
+            "Leave out --confidence, or choose the other --split.",
+        )
+    method, found = on_gaussians_and_sure(run)
+    sure, drawn, true = [], [], []
+    for view in views:
+        sure.append(confidence_picture(method, found, view.camera).image[0].numpy().reshape(-1))
+        drawn.append(method.hdr(view.camera).numpy())
+        true.append(truth.hdr_truth(run.scene.root, split, view.index).numpy())
+        if drawn[-1].shape != true[-1].shape:
+            raise BadValueError(
+                f"the true radiance of {view.name} is not of the size that was trained",
+                "Train without --downscale to compare confidence with it.",
+            )
+    table = calibration(np.concatenate(sure), log_error(drawn, true))
+    texts = (json.dumps({"split": split, **table.described()}, indent=1) + "\n", table.markdown())
+    for name, text in zip(CALIBRATION_FILES, texts, strict=True):
+        with atomic_path(out / name) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    return table

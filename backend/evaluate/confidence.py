@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Confidence against truth: are the pixels that a model is surest of those whose radiance is right?
+
+A pixel's error is the mean over the channels of |ln(radiance / truth)|, after one factor for all pixels (the
+median), since photographs tell no absolute scale. Pixels are sorted by confidence into ten equal parts.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from rich import box
+from rich.table import Table
+
+from ...bridge.confidence import MEANING, STOPS, TOLERANCE
+
+FORMAT, VERSION = "physhdr-confidence", 1
+#: Added to both radiances, of the truth's median: where it is black logarithms mean nothing.
+FLOOR = 1e-4
+PARTS = 10
+HEADINGS = ("pixels", "confidence", f"within {STOPS:g} stops", "median |ln error|")
+
+
+@dataclass(frozen=True)
+class Part:
+    """A tenth of the pixels: their mean ``confidence``, which ``share`` is right, the median |ln error|."""
+
+    confidence: float
+    share: float
+    median_error: float
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """``parts``: the surest first; ``pixels``: of all views."""
+
+    parts: tuple[Part, ...]
+    pixels: int
+
+    @property
+    def ratio(self) -> float:
+        """Median error of the surest tenth / that of the least sure."""
+        return self.parts[0].median_error / self.parts[-1].median_error
+
+    @property
+    def deviation(self) -> float:
+        """Root mean square over the parts of confidence − share: 0: it means what it says."""
+        return float(np.sqrt(np.mean([(part.confidence - part.share) ** 2 for part in self.parts])))
+
+    def described(self) -> dict[str, Any]:
+        """As files have it."""
+        return {
+            "format": FORMAT,
+            "version": VERSION,
+            "meaning": MEANING,
+            "pixels": self.pixels,
+            "ratio": self.ratio,
+            "deviation": self.deviation,
+            "parts": [asdict(part) for part in self.parts],
+        }
+
+    @property
+    def summary(self) -> str:
+        """The table in a sentence."""
+        return (
+            f"The surest tenth's median error is {self.ratio:.3f} of the least sure tenth's; confidence and "
+            f"share differ by {self.deviation:.3f} (root mean square)."
+        )
+
+    def rows(self) -> list[tuple[str, str, str, str]]:
+        """The cells below ``HEADINGS``."""
+        names = {0: "surest tenth", PARTS - 1: "least sure tenth"}
+        return [
+            (
+                names.get(index, str(index + 1)),
+                f"{part.confidence:.2f}",
+                f"{part.share:.2f}",
+                f"{part.median_error:.4f}",
+            )
+            for index, part in enumerate(self.parts)
+        ]
+
+    def markdown(self) -> str:
+        lines = [
+            "| " + " | ".join(heading.replace("|", "\\|") for heading in HEADINGS) + " |",
+            "|---|---:|---:|---:|",
+            *("| " + " | ".join(row) + " |" for row in self.rows()),
+        ]
+        return "\n".join(lines) + f"\n\n{self.summary}\n"
+
+    def rich(self, title: str) -> Table:
+        """For ``rich.console.Console.print``."""
+        table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
+        table.caption, table.caption_justify = self.summary, "left"
+        for number, heading in enumerate(HEADINGS):
+            table.add_column(heading, justify="right" if number else "left")
+        for row in self.rows():
+            table.add_row(*row)
+        return table
+
+
+def log_error(drawn: Sequence[np.ndarray], truth: Sequence[np.ndarray]) -> np.ndarray:
+    """``[P]`` of all pixels of some views, drawn and true radiance ``[3, H, W]`` each."""
+    floor = FLOOR * float(np.median(np.concatenate([each.reshape(-1) for each in truth])))
+    parts = [
+        np.log((np.maximum(a, 0.0) + floor) / (np.maximum(b, 0.0) + floor)).reshape(3, -1)
+        for a, b in zip(drawn, truth, strict=True)
+    ]
+    ratio = np.concatenate(parts, axis=1)
+    return np.abs(ratio - np.median(ratio)).mean(axis=0)
+
+
+def calibration(confidence: np.ndarray, error: np.ndarray) -> Calibration:
+    """The table of pixels' ``confidence`` ``[P]`` and ``error`` ``[P]`` (``log_error``)."""
+    order = np.argsort(-confidence, kind="stable")
+    parts = tuple(
+        Part(
+            float(confidence[which].mean()),
+            float((error[which] <= TOLERANCE).mean()),
+            float(np.median(error[which])),
+        )
+        for which in np.array_split(order, PARTS)
+    )
+    return Calibration(parts, len(error))

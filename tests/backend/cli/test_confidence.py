@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Confidence as a user gets it: in the exported model, as a picture, and as a table against truth."""
+
+import json
+import shutil
+
+import numpy as np
+import OpenEXR
+import pytest
+from PIL import Image
+
+from physhdr.backend.cli import main
+from physhdr.backend.cli.confidence import GAP, LEGEND
+from physhdr.bridge.confidence import MEANING, RAMP
+from physhdr.bridge.model_file import read_model
+from physhdr.bridge.ply_model import read_ply_model
+
+
+@pytest.fixture(scope="module")
+def run(tiny_data, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs") / "fast"
+    words = ["--preset", "fast", "--iterations", "60", "--sh-degree-every", "10"]
+    assert main(["train", str(tiny_data), "--out", str(folder), *words]) == 0
+    return folder
+
+
+def test_the_exported_model_has_it(run, capsys):
+    assert main(["export", str(run)]) == 0
+    assert "without confidence" not in capsys.readouterr().out
+    confidence = read_model(run / "model.safetensors").confidence
+    assert confidence is not None and confidence.shape == (read_model(run / "model.safetensors").count,)
+    assert 0.0 <= confidence.min() < confidence.max() <= 1.0
+
+
+def test_without_the_training_pictures_there_is_none(run, tiny_data, tmp_path, capsys):
+    moved = tmp_path / "run"
+    shutil.copytree(run, moved)
+    written = json.loads((moved / "config.json").read_text())
+    assert str(tiny_data) in json.dumps(written)
+    text = json.dumps(written).replace(str(tiny_data), str(tmp_path / "gone"))
+    (moved / "config.json").write_text(text)
+    assert main(["export", str(moved)]) == 0
+    assert "without confidence" in " ".join(capsys.readouterr().out.split())
+    assert read_model(moved / "model.safetensors").confidence is None
+    assert main(["render", str(moved), "--out", str(tmp_path / "c.png"), "--confidence"]) == 1
+    assert "--data" in capsys.readouterr().err
+    # Named where they are, they tell it.
+    out = tmp_path / "c.png"
+    assert main(["render", str(moved), "--out", str(out), "--confidence", "--data", str(tiny_data)]) == 0
+
+
+def test_it_is_drawn_in_numbers_and_in_colours(run, tmp_path):
+    assert main(["render", str(run), "--out", str(tmp_path / "sure.exr"), "--confidence"]) == 0
+    file = OpenEXR.File(str(tmp_path / "sure.exr"))
+    numbers = file.channels()["RGB"].pixels
+    assert file.header()["physhdr"] == f"confidence: {MEANING}"
+    assert numbers.min() >= 0.0 and 0.1 < numbers.max() <= 1.0
+    np.testing.assert_array_equal(numbers[..., 0], numbers[..., 2])
+    shown = np.array(Image.open(tmp_path / "sure.png"))
+    height, width = numbers.shape[:2]
+    assert shown.shape == (height + GAP + LEGEND, width, 3)
+    np.testing.assert_array_equal(shown[-1, [0, -1]], np.round(255.0 * RAMP[[0, -1]]))
+    # A pixel's colour is the legend's at its number.
+    place = np.round(numbers[..., 0] * (width - 1)).astype(int)
+    difference = shown[:height].astype(int) - shown[-1][place].astype(int)
+    assert np.abs(difference).max() <= 10
+
+
+@pytest.mark.parametrize("words", [["--exposure", "2"], ["--lighting-level", "2"], ["--split", "test"]])
+def test_what_means_nothing_beside_it_is_refused(run, tmp_path, capsys, words):
+    assert main(["render", str(run), "--out", str(tmp_path / "c.png"), "--confidence", *words]) == 1
+    assert "error: --" in capsys.readouterr().err
+
+
+def test_it_is_compared_with_truth(run, tmp_path, capsys):
+    assert main(["evaluate", str(run), "--confidence", "--out", str(tmp_path)]) == 0
+    assert "least sure tenth" in capsys.readouterr().out
+    found = json.loads((tmp_path / "confidence.json").read_text())
+    assert (found["format"], found["split"], len(found["parts"])) == ("physhdr-confidence", "test", 10)
+    sure = [part["confidence"] for part in found["parts"]]
+    assert sure == sorted(sure, reverse=True)
+    assert "| surest tenth |" in (tmp_path / "confidence.md").read_text()
+
+
+def test_the_lossless_ply_has_it(run):
+    assert main(["export", str(run)]) == 0
+    kept = read_ply_model(run / "lossless.ply").model.confidence
+    np.testing.assert_array_equal(kept, read_model(run / "model.safetensors").confidence)
+    assert read_ply_model(run / "baked.ply").model.confidence is None

@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The table of confidence against truth, on errors that are drawn from what the confidence says."""
+
+import numpy as np
+import pytest
+
+from physhdr.backend.evaluate.confidence import calibration, log_error
+from physhdr.bridge.confidence import TOLERANCE
+
+
+def test_errors_drawn_as_confidence_says_are_calibrated():
+    """Weibull errors of shape 1.75 about b: within the tolerance with the probability that is claimed."""
+    rng = np.random.default_rng(0)
+    b = np.exp(rng.uniform(-4.5, 0.0, 200_000))
+    error = b * rng.weibull(1.75, b.size)
+    confidence = 1.0 - np.exp(-((TOLERANCE / b) ** 1.75))
+    table = calibration(confidence, error)
+    assert table.deviation < 0.006 and table.pixels == b.size
+    # Medians of b over the outermost tenths of a log-uniform distribution: 4.05 apart in logarithms.
+    assert table.ratio == pytest.approx(np.exp(-4.05), rel=0.05)
+    # A confidence of something else says so.
+    shuffled = calibration(rng.permutation(confidence), error)
+    assert shuffled.ratio == pytest.approx(1.0, abs=0.1) and shuffled.deviation > 0.2
+
+
+def test_the_error_is_a_mean_of_logarithms_without_a_common_factor():
+    truth = np.full((3, 4, 4), 2.0)
+    drawn = 3.0 * truth
+    drawn[:, 0, 0] *= np.array([np.e, 1.0, 1.0 / np.e])
+    error = log_error([drawn], [truth])
+    assert error.shape == (16,)
+    np.testing.assert_allclose(error, [2.0 / 3.0, *([0.0] * 15)], atol=1e-3)
+    assert np.isfinite(log_error([np.zeros((3, 4, 4))], [truth])).all()
