@@ -8,7 +8,7 @@ PYTHON ?= python3
 WITH_TORCH := $(if $(wildcard $(BACKEND)),$(BACKEND),$(PYTHON))
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-long fuzz torture benchmark report gpu-check gui-test extension dist lock lint clean
+.PHONY: help setup demo test test-long fuzz torture benchmark report gpu-check gui-test web-test extension dist lock lint clean
 
 help: ## Show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -49,6 +49,9 @@ gpu-check: ## Is the CUDA path right, and how fast? Says so and ends where there
 
 gui-test: setup ## The extension in a real Blender window; says so and ends where there can be none
 	@$(BACKEND) tools/gui_test.py
+
+web-test: setup ## Web pages in a headless Chromium, against physhdr render; skips, and says why, where there is none
+	@$(BACKEND) -m pytest tests/web -rs $(WITH)
 
 extension: setup ## Validate and build the Blender extension and its repository: dist/physhdr-*.zip, index.json
 	@$(BACKEND) tools/build_extension.py

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""``physhdr export``: the model file for Blender and the two PLY files."""
+"""``physhdr export``: the model file for Blender and the two PLY files, or a web page."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import tyro
@@ -19,6 +19,7 @@ from ..runs.run import open_run
 from ..runs.terminal import console
 from .lighting import levels_asked
 from .told import progress
+from .web import export_web
 
 #: Said of a model whose training pictures have gone.
 NO_CONFIDENCE = "without confidence, for the training pictures are not there (--data)"
@@ -26,10 +27,17 @@ NO_CONFIDENCE = "without confidence, for the training pictures are not there (--
 
 @dataclass(frozen=True)
 class Export:
-    """Write RUN/model.safetensors (for Blender), a standard 3DGS PLY; of Gaussians also the lossless PLY."""
+    """Write RUN/model.safetensors (for Blender), a standard 3DGS PLY; of Gaussians also the lossless PLY.
 
-    #: Folder of the run.
+    With --web a web page instead, which opens from disk or from any server.
+    """
+
+    #: Folder of the run; with --web also a model file that was exported (.safetensors, .ply).
     folder: tyro.conf.Positional[Path]
+    #: Folder of the web page to write, or with --single-file its HTML file. docs/web.md
+    web: Path | None = None
+    #: One HTML file with everything in it.
+    single_file: bool = False
     #: Folder to write into; default: the run's own.
     out: Path | None = None
     #: Exposure in EV (log2 of seconds) at which the standard PLY is baked.
@@ -40,8 +48,16 @@ class Export:
     lighting_levels: tuple[str, ...] = ()
     #: The data set, where it has moved since training.
     data: Path | None = None
+    #: Of --web: say how far it is, and the result or the error, as JSON, an object a line.
+    json: bool = False
 
     def run(self) -> int:
+        if self.web is not None:
+            return self._web(self.web)
+        if self.single_file or self.json:
+            raise BadValueError(
+                f"--{'single-file' if self.single_file else 'json'} is of a web page", "Add --web OUT."
+            )
         if not self.lighting_level >= 0.0 or not abs(self.exposure_ev) <= EV_MAX:
             raise BadValueError(
                 f"cannot bake at EV {self.exposure_ev} and lighting level {self.lighting_level}",
@@ -82,3 +98,13 @@ class Export:
         )
         console.print(f"wrote {out / LOSSLESS_FILE}: every parameter")
         return 0
+
+    def _web(self, out: Path) -> int:
+        alone = ("out", "exposure_ev", "lighting_level", "lighting_levels")
+        defaults = {each.name: each.default for each in fields(self)}
+        if given := [name for name in alone if getattr(self, name) != defaults[name]]:
+            raise BadValueError(
+                f"--{given[0].replace('_', '-')} is of the PLY files: a web page has sliders",
+                "Leave it out, or leave --web out.",
+            )
+        return export_web(self.folder, out, self.single_file, self.data, self.json)

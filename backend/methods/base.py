@@ -50,6 +50,8 @@ class Traits:
     initial_radiance: Literal["merged", "points"] = "merged"
     #: It obeys a recording's ``effect``, what one picture's camera did to the exposed radiance of each pixel.
     effects: bool = False
+    #: Its splats have developed colours, so that a picture is not the response of blended radiance.
+    develops_splats: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

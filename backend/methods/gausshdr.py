@@ -79,7 +79,8 @@ class GaussHDRConfig(MethodConfig):
 
     @property
     def traits(self) -> Traits:
-        return Traits(brackets_at_once=False)  # the splats have another colour at each exposure
+        # The splats have another colour at each exposure.
+        return Traits(brackets_at_once=False, develops_splats=True)
 
     @property
     def channels(self) -> int:

@@ -79,7 +79,11 @@ class HDRGSConfig(MethodConfig):
     @property
     def traits(self) -> Traits:
         # Of a view at half its size the true HDR picture is not known.
-        return Traits(half_sizes=not self.hdr_supervision, initial_radiance=self.initial_radiance)
+        return Traits(
+            half_sizes=not self.hdr_supervision,
+            initial_radiance=self.initial_radiance,
+            develops_splats=True,
+        )
 
     def attributes(self, lights: tuple[str, ...]) -> Attributes:
         return Attributes(sh_degree=self.sh_degree)

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""``physhdr export --web``: a trained run, or a model file, as a web page."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from ...bridge.errors import BadValueError
+from ...bridge.model_file import Model, read_model
+from ...bridge.ply_model import read_ply_model
+from ..evaluate.sheets import as_picture
+from ..export.web_page import WebPage, WebView, check_out, write_web_page
+from ..runs.run import Run, open_run
+from ..runs.terminal import console
+from .told import Told, answered, progress
+
+#: Pixels across of the picture that is seen while the page loads.
+POSTER_WIDTH = 960
+#: In how many steps the work is told, of which writing the data is all but the first.
+STEPS = 10
+
+
+def export_web(source: Path, out: Path, single_file: bool, data: Path | None, as_json: bool) -> int:
+    """Write the page of ``source``, a run's folder or a model file; the exit status.
+
+    Raises what opening raises, and ``BadValueError`` and ``OutputError`` where ``out`` cannot be written.
+    """
+
+    def work() -> dict[str, Any]:
+        check_out(out, single_file)
+        with progress("web page", "step", as_json) as show:
+            say = _nothing if as_json else console.print
+            return _written(source, out, single_file, data, show, say)
+
+    return answered(work, as_json)
+
+
+def _written(
+    source: Path, out: Path, single_file: bool, data: Path | None, show: Told, say: Callable[[str], None]
+) -> dict[str, Any]:
+    if source.is_dir():
+        run = open_run(source, data, report=say, pictures=False)
+        model, page = run.model(), page_of(run)
+    else:
+        if data is not None:
+            raise BadValueError("--data is of a run, and this is a model file", "Leave it out.")
+        model = _read(source)
+        page = WebPage(title=source.stem)
+    show(1, STEPS, "")
+    written = write_web_page(
+        out, model, page, single_file, lambda done: show(1 + round(done * (STEPS - 1)), STEPS, "")
+    )
+    hidden = f", {written.left_out} too faint to be seen left out" if written.left_out else ""
+    say(
+        f"wrote {written.page}: {written.gaussians} Gaussians{hidden}, "
+        f"{written.data_bytes / 1e6:.1f} MB of data, {written.page_bytes / 1e6:.1f} MB in all"
+    )
+    for note in (page.response[1], *page.notes[1:]):
+        if note:
+            say(note)
+    return {"out": str(written.page), "gaussians": written.gaussians, "bytes": written.page_bytes}
+
+
+def page_of(run: Run) -> WebPage:
+    """What the page of a run shows beside its model: the data set's cameras, a picture, what is different."""
+    method = run.splatting
+    scene = run.scene
+    views = [
+        WebView(f"{split}/{view.index}", view.camera)
+        for split in ("test", "train", "val", "lit")
+        for view in scene.splits[split]
+    ]
+    exposures = scene.train[0].exposures
+    exposure = exposures[len(exposures) // 2]
+    camera = views[0].camera.resized(POSTER_WIDTH)
+    with torch.no_grad():
+        poster = as_picture(method.ldr(camera, exposure))
+    notes = (f"{run.provenance['method']}, iteration {run.iteration}.", *method.remarks)
+    return WebPage(scene.name, views, notes, poster, response_words(run), exposure)
+
+
+def response_words(run: Run) -> tuple[str, str]:
+    """The title of a run's response, and how the page's picture differs from the method's own, or ""."""
+    method = run.splatting
+    if not method.learns_response:
+        return "sRGB (known response)", ""
+    if method.curves.config.local or method.curves.config.mix:
+        return (
+            "Learned response (global)",
+            "This model also has local curves, which need its networks: the page shows its global curve "
+            "alone. physhdr render and the live preview in Blender show all of it.",
+        )
+    if run.config.method.traits.develops_splats:
+        return (
+            "Learned response",
+            "This method develops each Gaussian before blending, the page what was blended: physhdr render "
+            "shows the method's own picture.",
+        )
+    return "Learned response", ""
+
+
+def _nothing(line: str) -> None:
+    """What a program that reads JSON is told by words."""
+
+
+def _read(path: Path) -> Model:
+    return read_ply_model(path).model if path.suffix.lower() == ".ply" else read_model(path)

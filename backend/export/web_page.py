@@ -1,0 +1,333 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A model as a web page that needs no server, no build and no network (docs/web.md).
+
+The page is what lies in ``web/``: a template, a style, and classic scripts that are joined into one.
+Browsers refuse modules and ``fetch`` from ``file://``, so the data come as base64 in classic scripts, too:
+files beside the page, or in it.
+"""
+
+import base64
+import io
+import json
+import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from ...bridge import confidence, splatting
+from ...bridge import spherical_harmonics as sh
+from ...bridge.atomic import atomic_path
+from ...bridge.errors import BadValueError, OutputError
+from ...bridge.limits import EV_MAX
+from ...bridge.model_file import Model
+from ..project import version
+from ..scene.camera import Camera
+from .quantised import Quantised, quantised
+
+ASSETS = Path(__file__).parent / "web"
+#: In the order in which they need each other.
+SCRIPTS = ("data.js", "sorter.js", "splats.js", "tone.js", "camera.js", "screen.js", "page.js")
+PAGE_FILE, VIEWER_FILE, PART_FILE = "index.html", "viewer.js", "model-{:03d}.js"
+#: What a folder that holds such a page has in its index.html: another one is not replaced.
+MARK = "PhysHDR web page"
+#: Bytes of a part before base64, a multiple of 3. Each is one step of the page's progress bar.
+PART_BYTES = 3_000_000
+#: Cameras in the page's list; of more, so many evenly chosen ones.
+MOST_CAMERAS = 400
+#: Even steps of ln exposure at which a page has the learned response.
+CURVE_POINTS = 1024
+#: Stops that the exposure's slider goes beyond the data set's exposures, and from 1 s where there are none.
+STOPS_BEYOND, STOPS = 4.0, 8.0
+#: A mean up direction nearer to +Z than this cosine is +Z.
+IS_UPRIGHT = np.cos(np.radians(15.0))
+POSTER_QUALITY = 80
+
+
+@dataclass(frozen=True)
+class WebView:
+    """A camera of the page's list, by its name there."""
+
+    name: str
+    camera: Camera
+
+
+@dataclass(frozen=True, eq=False)
+class WebPage:
+    """What a page shows beside the model.
+
+    ``notes``: sentences about it. ``poster``: ``[H, W, 3]`` uint8, seen while the page loads. ``response``:
+    title of the learned response, and a note on it or "". ``exposure``: seconds at first, None: the middle
+    one of the model's.
+    """
+
+    title: str
+    views: Sequence[WebView] = ()
+    notes: Sequence[str] = ()
+    poster: np.ndarray | None = None
+    response: tuple[str, str] = ("Learned response", "")
+    exposure: float | None = None
+
+
+@dataclass(frozen=True)
+class Written:
+    """The page to open, and what it came to: ``data_bytes`` before base64, ``page_bytes`` in all files."""
+
+    page: Path
+    gaussians: int
+    left_out: int
+    data_bytes: int
+    page_bytes: int
+
+
+def write_web_page(
+    out: Path,
+    model: Model,
+    page: WebPage,
+    single_file: bool = False,
+    report: Callable[[float], None] | None = None,
+) -> Written:
+    """Write the page into the folder ``out``, or with ``single_file`` as the HTML file ``out``.
+
+    ``report`` is told how much is done, 0 to 1. Raises ``BadValueError`` (nothing to be seen) and
+    ``OutputError``, also where something else has the name of a file that would be written.
+    """
+    target = out if single_file else out / PAGE_FILE
+    refuse_what_is_not_ours(target)
+    report = report or (lambda done: None)
+    packed = quantised(model)
+    report(0.2)
+    raw = packed.raw()
+    data = zlib.compress(raw, 9)
+    report(0.8)
+    parts = [data[at : at + PART_BYTES] for at in range(0, len(data), PART_BYTES)]
+    facts = page_facts(model, page, packed)
+    facts["bytes"] = len(raw)
+    names = ["" if single_file else PART_FILE.format(index) for index in range(len(parts))]
+    facts["parts"] = [{"file": name, "size": len(part)} for name, part in zip(names, parts, strict=True)]
+    scripts = [_script_of_part(index, part) for index, part in enumerate(parts)]
+    told = f"window.MODEL_FACTS = {_in_script(facts)};"
+    if single_file:
+        html = _html(page.title, [told, viewer(), *scripts])
+        sizes = [_write(target, html)]
+    else:
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise OutputError(
+                f"cannot make {out}: {error.strerror or error}", "Choose another --web."
+            ) from error
+        # The page last: until then an older one has its own parts, as far as they have the same names.
+        sizes = [_write(out / name, text) for name, text in zip(names, scripts, strict=True)]
+        sizes += [
+            _write(out / VIEWER_FILE, viewer()),
+            _write(target, _html(page.title, [told], [VIEWER_FILE])),
+        ]
+        _remove_older_parts(out, len(parts))
+    report(1.0)
+    return Written(target, packed.header["count"], packed.left_out, len(data), sum(sizes))
+
+
+def viewer() -> str:
+    """All scripts as one classic one, in a scope of its own."""
+    joined = "\n".join((ASSETS / name).read_text(encoding="utf-8") for name in SCRIPTS)
+    return f'(() => {{\n"use strict";\n{joined}}})();\n'
+
+
+def page_facts(model: Model, page: WebPage, packed: Quantised) -> dict[str, Any]:
+    """What the page's script is told, as plain JSON, but for where the data are."""
+    views = list(page.views) or [WebView("overview", overview(model))]
+    if len(views) > MOST_CAMERAS:
+        views = [views[round(at)] for at in np.linspace(0, len(views) - 1, MOST_CAMERAS)]
+    up = _up_of([view.camera for view in views])
+    count = f"{packed.header['count']:,} Gaussians."
+    return {
+        **packed.header,
+        "title": page.title,
+        "about": [count, *page.notes, f"Made with PhysHDR {version()}."],
+        "contract": contract(),
+        "cameras": [_row(view) for view in views],
+        "up": up.tolist(),
+        "size": _size_of(model, [view.camera for view in views]),
+        "exposure": _exposure(model, page.exposure),
+        "curve": _curve(model, *page.response),
+        "poster": "" if page.poster is None else _data_uri(page.poster),
+        "confidence": _confidence(model),
+    }
+
+
+def contract() -> dict[str, float]:
+    """The numbers on which all that draws agrees, by the names that the page's shaders have for them."""
+    names = ("LOW_PASS", "ALPHA_MAX", "ALPHA_MIN", "JACOBIAN_MARGIN", "NEAR_PLANE")
+    harmonics = {
+        f"C{degree}_{k}": value for degree, row in ((2, sh.C2), (3, sh.C3)) for k, value in enumerate(row)
+    }
+    return {name: getattr(splatting, name) for name in names} | {"C0": sh.C0, "C1": sh.C1} | harmonics
+
+
+def overview(model: Model) -> Camera:
+    """A camera that sees the middle nine tenths of the Gaussians from the front and a little above."""
+    low, high = np.percentile(model.position.astype(np.float64), [5.0, 95.0], axis=0)
+    middle, radius = 0.5 * (low + high), max(0.5 * float(np.linalg.norm(high - low)), 1e-3)
+    backward = np.array([0.0, -np.cos(0.35), np.sin(0.35)])
+    right = np.array([1.0, 0.0, 0.0])
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([right, np.cross(backward, right), backward], axis=1)
+    pose[:3, 3] = middle + 2.2 * radius * backward
+    return Camera.from_field_of_view(pose, 1600, 900, np.radians(60.0))
+
+
+def refuse_what_is_not_ours(target: Path) -> None:
+    """Raises ``OutputError`` where the page's file is there and is no such page, or cannot be looked at."""
+    try:
+        if not target.is_dir():
+            with target.open("rb") as file:
+                is_ours = MARK.encode() in file.read(4096)
+        else:
+            is_ours = False
+    except (FileNotFoundError, NotADirectoryError):
+        return
+    except OSError as error:
+        raise OutputError(
+            f"cannot look at {target}: {error.strerror or error}", "Choose another --web."
+        ) from error
+    if not is_ours:
+        raise OutputError(
+            f"{target} is there, and PhysHDR did not write it", "Choose another --web, or move it away."
+        )
+
+
+def _remove_older_parts(folder: Path, count: int) -> None:
+    """Remove parts of a longer model that a page in this folder had before."""
+    index = count
+    while (path := folder / PART_FILE.format(index)).is_file():
+        path.unlink()
+        index += 1
+
+
+def _write(path: Path, text: str) -> int:
+    content = text.encode()
+    with atomic_path(path, remedy="Choose another --web, or make room.") as temporary:
+        temporary.write_bytes(content)
+    return len(content)
+
+
+def _html(title: str, inline: Sequence[str], files: Sequence[str] = ()) -> str:
+    """The template with everything in its place; a title that looks like one of its marks stays a title."""
+    scripts = [f"<script>\n{text}\n</script>" for text in inline]
+    scripts += [f'<script src="{name}"></script>' for name in files]
+    escaped = title
+    for mark, entity in (("&", "&amp;"), ("<", "&lt;"), (">", "&gt;"), ('"', "&quot;")):
+        escaped = escaped.replace(mark, entity)
+    before, after = (ASSETS / "page.html").read_text(encoding="utf-8").split("@SCRIPTS@")
+    style = (ASSETS / "page.css").read_text(encoding="utf-8")
+    before = before.replace("@GENERATOR@", f"{MARK} {version()}").replace("@CSS@", style)
+    return before.replace("@TITLE@", escaped) + "\n".join(scripts) + after
+
+
+def _in_script(content: Any) -> str:
+    """JSON that ends no script, whatever its texts are."""
+    return json.dumps(content, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
+
+
+def _script_of_part(index: int, part: bytes) -> str:
+    return f'MODEL_PART({index},"{base64.b64encode(part).decode()}");'
+
+
+def _data_uri(picture: np.ndarray) -> str:
+    file = io.BytesIO()
+    Image.fromarray(picture).save(file, "JPEG", quality=POSTER_QUALITY, optimize=True)
+    return f"data:image/jpeg;base64,{base64.b64encode(file.getvalue()).decode()}"
+
+
+def _row(view: WebView) -> dict[str, Any]:
+    camera = view.camera
+    w, h = camera.width, camera.height
+    return {
+        "name": view.name,
+        "eye": [float(f"{value:.8g}") for value in camera.position],
+        "turn": [round(float(value), 8) for value in _quaternion(camera.camera_to_world[:3, :3])],
+        "lens": [camera.fx / w, camera.fy / h, camera.cx / w, camera.cy / h, w / h],
+    }
+
+
+def _quaternion(rotation: np.ndarray) -> np.ndarray:
+    """wxyz of a rotation matrix: the eigenvector of Bar-Itzhack's matrix, which needs no cases."""
+    (a, b, c), (d, e, f), (g, h, i) = rotation
+    K = np.array(
+        [
+            [a + e + i, h - f, c - g, d - b],
+            [h - f, a - e - i, b + d, c + g],
+            [c - g, b + d, e - a - i, f + h],
+            [d - b, c + g, f + h, i - a - e],
+        ]
+    )
+    return np.linalg.eigh(K)[1][:, -1]
+
+
+def _up_of(cameras: Sequence[Camera]) -> np.ndarray:
+    """What is up: +Z, or where the cameras agree on something else, their mean up."""
+    z = np.array([0.0, 0.0, 1.0])
+    mean = np.sum([camera.camera_to_world[:3, 1] for camera in cameras], axis=0)
+    length = np.linalg.norm(mean)
+    if length < 0.3 * len(cameras) or mean @ z > IS_UPRIGHT * length:
+        return z
+    return mean / length
+
+
+def _size_of(model: Model, cameras: Sequence[Camera]) -> float:
+    """How far one goes in a step: the cameras' median distance from their middle, or from the Gaussians'."""
+    positions = np.array([camera.position for camera in cameras])
+    spread = float(np.median(np.linalg.norm(positions - positions.mean(axis=0), axis=1)))
+    if spread > 1e-3:
+        return spread
+    middle = np.median(model.position, axis=0)
+    return max(float(np.linalg.norm(positions[0] - middle)), 1e-3)
+
+
+def _exposure(model: Model, first: float | None) -> dict[str, Any]:
+    """The slider of exposure, in EV (log2 of seconds)."""
+    known = sorted(model.exposures)
+    start = first or (known[len(known) // 2] if known else 1.0)
+    beyond = STOPS_BEYOND if known else STOPS
+    evs = np.log2([*known, start])
+    low, high = max(evs.min() - beyond, -EV_MAX), min(evs.max() + beyond, EV_MAX)
+    # The slider has steps of 0.01 from its lowest value.
+    low, high = float(np.floor(low)), float(np.ceil(high))
+    return {"start": round(float(np.log2(start)), 2), "range": [low, high]}
+
+
+def _curve(model: Model, title: str, note: str) -> dict[str, Any] | None:
+    """The learned response at even steps of ln exposure, constant outside; None where there is none."""
+    x, y = model.tone_curve_log_exposure, model.tone_curve
+    if x is None or y is None:
+        return None
+    even = np.linspace(x[0], x[-1], CURVE_POINTS)
+    rows = np.stack([np.interp(even, x, y[:, channel]) for channel in range(3)], axis=1)
+    return {
+        "title": title,
+        "note": note,
+        "span": [float(x[0]), float(x[-1])],
+        "rows": np.round(rows, 6).tolist(),
+    }
+
+
+def _confidence(model: Model) -> dict[str, Any] | None:
+    """What the colours of the confidence are and mean, of a model that has one."""
+    if model.confidence is None:
+        return None
+    return {"ramp": np.round(confidence.RAMP, 4).tolist(), "meaning": confidence.MEANING}
+
+
+def check_out(out: Path, single_file: bool) -> None:
+    """Raises ``BadValueError`` where the name does not fit what is to be written."""
+    is_html = out.suffix.lower() in (".html", ".htm")
+    if single_file and not is_html:
+        raise BadValueError(
+            f"--web {out} is no HTML file", "With --single-file give a name such as scene.html."
+        )
+    if not single_file and is_html:
+        raise BadValueError(f"--web {out} would be a folder", "Add --single-file, or give a folder's name.")
