@@ -16,6 +16,7 @@ import torch
 from ..rasterize import rasterize
 from ..scene.camera import Camera
 from . import curve_mlp, evaluate_sh, gaussian_blur, local_curves, small_mlp, ssim
+from .activations import lit_colours
 from .mlp import Activation
 from .pointwise import blend, corrected, log_of_exposure
 from .ssim import _ssim_rows
@@ -88,6 +89,7 @@ def _jobs(needs: Needs) -> dict[str, Callable[[], None]]:
         jobs[f"local curves, {branches} at once"] = partial(_local_curves, branches)
     jobs["spherical harmonics"] = _spherical_harmonics
     jobs["pointwise"] = _pointwise
+    jobs["activations"] = _activations
     if needs.blur:
         jobs["blur"] = _blur
     return jobs
@@ -133,6 +135,11 @@ def _spherical_harmonics() -> None:
 def _pointwise() -> None:
     x = torch.zeros(20, requires_grad=True)
     blend(corrected(log_of_exposure(x, 1.0), x), x, x).sum().backward()
+
+
+def _activations() -> None:
+    triples, ones = torch.zeros(8, 3, requires_grad=True), torch.zeros(8, 1)
+    lit_colours(triples, ones, triples[:, None], (2.0,))[0].sum().backward()
 
 
 def _network(inputs: int, outputs: int) -> None:

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import torch
 
+from ..kernels.activations import lit_colours
 from ..model.backbone import Splats
 from ..rasterize import Rasterization
 from ..scene.camera import Camera
@@ -39,15 +40,27 @@ class PhysHDR(PhysHDRMethod[DrawnRadiance]):
 
     # -- training --------------------------------------------------------------------------------------
 
-    def draw(
-        self, camera: Camera, levels: tuple[float, ...], exposure: float = 1.0, watch: bool = False
-    ) -> DrawnRadiance:
-        splats = self.backbone.splats(camera, self.active_sh_degree)
+    def lit(self, splats: Splats, levels: tuple[float, ...]) -> tuple[torch.Tensor, torch.Tensor | None]:
+        """What is drawn in training, ĉ (or c) ``[M, 3]``, and |L_a − L̂_a| ``[M]`` where light is a factor."""
+        config = self.config
+        if self.composes_by_product and (config.has_light_share or not self.can_relight):
+            share = splats.light_share if self.can_relight else None
+            of_logarithms = config.deviation_domain == "log"
+            arguments = splats.log_reflectance, splats.log_illumination, share, levels, of_logarithms
+            colours, deviation = lit_colours(*arguments)
+            return colours, deviation if self.can_relight else None
         log_illumination, deviation = splats.log_illumination, None
         if self.can_relight:
             log_illumination = self.log_modulated_illumination(splats, levels)  # L̂_a, eq. 10
             deviation = self.illumination_deviation(splats, log_illumination)
-        channels = [self.composer(log_illumination, splats.log_reflectance)]
+        return self.composer(log_illumination, splats.log_reflectance), deviation
+
+    def draw(
+        self, camera: Camera, levels: tuple[float, ...], exposure: float = 1.0, watch: bool = False
+    ) -> DrawnRadiance:
+        splats = self.backbone.splats(camera, self.active_sh_degree)
+        colours, deviation = self.lit(splats, levels)
+        channels = [colours]
         if self.config.tone_mapper.local:
             assert splats.context is not None
             channels.append(splats.context)

@@ -15,6 +15,7 @@ from typing import Generic, Literal, TypeVar
 import torch
 
 from ...bridge.errors import BadValueError
+from ..kernels.activations import illumination_deviation as deviation_of
 from ..kernels.ahead import COMPOSER, FUSION, MODULATOR, Needs
 from ..kernels.plain import can_fuse
 from ..kernels.ssim import SsimTarget
@@ -226,10 +227,7 @@ class PhysHDRMethod(SplattingMethod, Generic[D]):
     @torch.no_grad()
     def illumination_deviation(self, splats: Splats, log_relit: torch.Tensor) -> torch.Tensor:
         """|L_a − L̂_a| ``[M]``, which scales growth (eq. 17), from ln L̂_a."""
-        before, after = splats.log_illumination, log_relit
-        if self.config.deviation_domain == "linear":
-            before, after = before.exp(), after.exp()
-        return (before - after).abs().mean(dim=1)
+        return deviation_of(splats.log_illumination, log_relit, self.config.deviation_domain == "log")
 
     # -- training --------------------------------------------------------------------------------------
 

@@ -8,13 +8,11 @@ import torch
 from torch import nn
 
 from ...bridge.errors import BadValueError
+from ..kernels.activations import LOG_RADIANCE_RANGE as LOG_RADIANCE_RANGE
 from ..kernels.spherical_harmonics import evaluate_sh
 from ..scene.camera import Camera
 from ..scene.resident import camera_tensors
 from .backbone import Attributes, Backbone, Splats, Start
-
-#: Bounds of ln radiance: 6e-6 … 8e3. Keeps exp() and its gradient finite.
-LOG_RADIANCE_RANGE = (-12.0, 9.0)
 
 #: SH of degree 0: a constant function of the direction.
 SH_C0 = 0.28209479177387814

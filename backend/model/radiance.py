@@ -10,11 +10,8 @@ from collections.abc import Sequence
 import torch
 from torch import nn
 
+from ..kernels.activations import DARKEST, modulated_illumination, radiance_of_logarithm
 from ..kernels.mlp import small_mlp
-from .gaussians import LOG_RADIANCE_RANGE
-
-#: The least that modulation leaves of an illumination.
-DARKEST = 1e-6
 
 
 class SmallNetwork(nn.Module):
@@ -37,7 +34,7 @@ class ProductComposer(nn.Module):
 
     def forward(self, log_illumination: torch.Tensor, log_reflectance: torch.Tensor) -> torch.Tensor:
         """ln L_a ``[N, 1 or 3]``, ln H_r ``[N, 3]`` → radiance c ``[N, 3]``."""
-        return (log_illumination + log_reflectance).clamp(*LOG_RADIANCE_RANGE).exp()
+        return radiance_of_logarithm(log_illumination + log_reflectance)
 
 
 class LearnedComposer(nn.Module):
@@ -51,7 +48,7 @@ class LearnedComposer(nn.Module):
         """ln L_a ``[N, channels]``, ln H_r ``[N, 3]`` → radiance c ``[N, 3]``."""
         inputs = torch.cat([log_illumination, log_reflectance], dim=1)
         residual = self.network(inputs.T.contiguous()).T
-        return (log_illumination + log_reflectance + residual).clamp(*LOG_RADIANCE_RANGE).exp()
+        return radiance_of_logarithm(log_illumination + log_reflectance + residual)
 
 
 class AdditiveModulator(nn.Module):
@@ -65,13 +62,7 @@ class AdditiveModulator(nn.Module):
         self, log_illumination: torch.Tensor, lighting_levels: Sequence[float], light_share: torch.Tensor
     ) -> torch.Tensor:
         """ln L_a ``[N, 1 or 3]``, C levels l, s ``[N, C, 3]`` → ln L̂_a ``[N, 3]``."""
-        # Numbers, light by light: a tensor of the levels would have to be copied to a card, which waits.
-        shares = light_share.unbind(1) if len(lighting_levels) > 1 else (light_share.squeeze(1),)
-        change = shares[0] * (lighting_levels[0] - 1.0)
-        for share, level in zip(shares[1:], lighting_levels[1:], strict=True):
-            change = change + share * (level - 1.0)
-        # At l = 0 and s = 1 nothing is left, and its logarithm would have no gradient.
-        return log_illumination + torch.log1p(change.clamp_min(DARKEST - 1.0))
+        return modulated_illumination(log_illumination, lighting_levels, light_share)
 
 
 class LearnedModulator(nn.Module):

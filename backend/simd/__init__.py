@@ -38,18 +38,20 @@ from .memory import (
     store_halves,
     store_strided,
 )
-from .powers import exp2_of_8, exp_of_negative, log1p_of_fraction, log2_of_positive
+from .powers import exp, exp2_of_8, exp_of_negative, log1p_of_fraction, log2_of_positive
 from .threads import ranges, run_parallel, run_ranges, set_threads, thread_count
 from .tuples import (
     dot_each,
     fma_each,
     load_each,
+    load_triples,
     positive_each,
     repeat_each,
     splat_each,
     store_each,
     store_totals,
     store_transposed,
+    store_triples,
     where_positive_each,
     zero_each,
 )
@@ -61,6 +63,7 @@ __all__ = [
     "any_lane",
     "ceil",
     "dot_each",
+    "exp",
     "exp2_of_8",
     "exp_of_negative",
     "floor",
@@ -75,6 +78,7 @@ __all__ = [
     "load_each",
     "load_halves",
     "load_strided",
+    "load_triples",
     "log1p_of_fraction",
     "log2_of_positive",
     "lowest_bit",
@@ -100,6 +104,7 @@ __all__ = [
     "store_strided",
     "store_totals",
     "store_transposed",
+    "store_triples",
     "take_ticket",
     "thread_count",
     "total",

@@ -61,6 +61,32 @@ def exp_of_negative(typing, x):
     return vector(vector), generate
 
 
+#: ln 2 in two parts, of which the first has ten bits: its product with an exponent is exact.
+_LN2_HIGH, _LN2_LOW = 0.693359375, -2.1219444005e-4
+#: Beyond these e ** x would be no normal number.
+_EXP_RANGE = (-87.0, 88.0)
+
+
+@intrinsic
+def exp(typing, x):
+    """``e ** x``, relative error below 3e-7; of what is beyond −87 and 88, and of NaN, a bound's."""
+
+    def generate(context, builder, sig, args):
+        low, high = (constant(bound) for bound in _EXP_RANGE)
+        x = builder.select(builder.fcmp_ordered(">", args[0], low), args[0], low)
+        x = builder.select(builder.fcmp_ordered("<", x, high), x, high)
+        whole = call_llvm(
+            builder, f"llvm.rint.v{LANES}f32", VECTOR, builder.fmul(x, constant(1.4426950408889634))
+        )
+        rest = fma_llvm(builder, whole, constant(-_LN2_HIGH), x)
+        rest = fma_llvm(builder, whole, constant(-_LN2_LOW), rest)
+        value = _polynomial(builder, _EXP2_CENTRED, builder.fmul(rest, constant(1.4426950408889634)))
+        shifted = builder.shl(builder.fptosi(whole, IVECTOR), ir.Constant(IVECTOR, [23] * LANES))
+        return builder.bitcast(builder.add(builder.bitcast(value, IVECTOR), shifted), VECTOR)
+
+    return vector(vector), generate
+
+
 @intrinsic
 def log1p_of_fraction(typing, e):
     """``ln(1 + e)`` for 0 ≤ e ≤ 1."""

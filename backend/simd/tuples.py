@@ -156,6 +156,49 @@ def store_transposed(typing, values, array, index, stride):
 
 
 @intrinsic
+def load_triples(typing, array, index):
+    """Three channels that lie side by side: ``array[index + 3 * lane + c]`` is lane of vector c."""
+    count = 3
+
+    def generate(context, builder, sig, args):
+        flat = []
+        for part in range(count):
+            at = builder.add(args[1], ir.Constant(I64, part * LANES))
+            flat.append(load_vector(context, builder, sig.args[0], args[0], at))
+        values = []
+        for channel in range(count):
+            places = [count * lane + channel for lane in range(LANES)]
+            early = [place if place < 2 * LANES else 0 for place in places]
+            late = [lane if p < 2 * LANES else p - LANES for lane, p in enumerate(places)]
+            value = builder.shuffle_vector(flat[0], flat[1], ir.Constant(IVECTOR, early))
+            values.append(builder.shuffle_vector(value, flat[2], ir.Constant(IVECTOR, late)))
+        return pack(builder, values)
+
+    return tuple_of(count)(array, types.intp), generate
+
+
+@intrinsic
+def store_triples(typing, values, array, index):
+    """As ``load_triples`` reads them."""
+    count = values.count
+    assert count == 3
+
+    def generate(context, builder, sig, args):
+        planes = unpack(builder, args[0], count)
+        for part in range(count):
+            places = [divmod(part * LANES + lane, count) for lane in range(LANES)]  # lane, channel
+            early = [lane + channel * LANES if channel < 2 else 0 for lane, channel in places]
+            late = [i if channel < 2 else LANES + lane for i, (lane, channel) in enumerate(places)]
+            value = builder.shuffle_vector(planes[0], planes[1], ir.Constant(IVECTOR, early))
+            value = builder.shuffle_vector(value, planes[2], ir.Constant(IVECTOR, late))
+            at = builder.add(args[2], ir.Constant(I64, part * LANES))
+            store_vector(context, builder, value, sig.args[1], args[1], at)
+        return context.get_dummy_value()
+
+    return types.void(values, array, types.intp), generate
+
+
+@intrinsic
 def fma_each(typing, weight, values, sums):
     """``weight * values[k] + sums[k]`` for every k."""
     count = values.count
