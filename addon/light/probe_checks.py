@@ -50,6 +50,8 @@ def _hidden(model: bpy.types.Object) -> str:
         cleaning.largest_distance,
         cleaning.clear_of_photos,
     )
+    if cleaning.smallest_confidence > 0.0:  # said only then: probes of before there was any stay valid
+        limits = (*limits, cleaning.smallest_confidence)
     # The box in the model's space: numbers that change when a finger moves it, not when the model is moved.
     box = [] if cleaning.crop is None else [round(number, 4) for number in cleaning.crop]
     return json.dumps([box, cleaning.keep_outside, *limits])

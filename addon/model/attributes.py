@@ -62,6 +62,8 @@ LIGHT_SHARE = Numbered("physhdr:light_share_", "FLOAT_VECTOR")
 OLD_SHARE = Attribute("physhdr:ambient_share", "FLOAT_VECTOR")
 #: ln of the gain at each of a baked-levels model's ``LEVELS``.
 LEVEL_LOG_GAIN = Numbered("physhdr:level_log_gain_", "FLOAT_VECTOR")
+#: How likely the radiance is right, 0 to 1 (``bridge.confidence``); of models whose file has it.
+CONFIDENCE = Attribute("physhdr:confidence", "FLOAT")
 #: Metres to the nearest camera of the data set, in the model's space; there once it was measured.
 CAMERA_DISTANCE = Attribute("physhdr:camera_distance", "FLOAT")
 
@@ -90,6 +92,10 @@ TONE_CURVE_LOG_EXPOSURE, TONE_CURVE = "physhdr_tone_curve_log_exposure", "physhd
 
 #: Property of an object, registered by ``viewport.splats``: how the 3D view draws it.
 DISPLAY = "physhdr_viewport"
+#: Its values: the shader draws radiance, or confidence; or the modifier's instances are shown.
+SPLATS, CONFIDENCE_SPLATS, NODES = "SPLATS", "CONFIDENCE", "NODES"
+#: Those of the shader.
+BY_SHADER = (SPLATS, CONFIDENCE_SPLATS)
 
 
 def light_part(index: int) -> Attribute:

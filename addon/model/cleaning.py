@@ -40,6 +40,9 @@ class Cleaning:
     #: Metres that the nearest camera of the data set is away at least, where the cloud has measured that.
     clear_of_photos: float = 0.0
 
+    #: How likely the radiance is right at least, where the cloud knows that.
+    smallest_confidence: float = 0.0
+
     #: By the camera that renders, and hidden from it alone. Metres that it is away at least and at most …
     clear_of_camera: float = 0.0
     farthest: float = 0.0
@@ -54,8 +57,11 @@ class Cleaning:
     @property
     def by_itself(self) -> bool:
         """Whether anything is hidden from every side."""
-        limits = self.largest_size, self.smallest_opacity, self.largest_elongation, self.largest_distance
-        return self.crop is not None or self.clear_of_photos > 0.0 or any(limit > 0.0 for limit in limits)
+        limits = (
+            *(self.largest_size, self.smallest_opacity, self.largest_elongation, self.largest_distance),
+            *(self.clear_of_photos, self.smallest_confidence),
+        )
+        return self.crop is not None or any(limit > 0.0 for limit in limits)
 
     @property
     def by_camera(self) -> bool:
@@ -102,13 +108,15 @@ def kept(
     opacity: np.ndarray,
     camera_distance: np.ndarray | None = None,
     camera: RenderCamera | None = None,
+    confidence: np.ndarray | None = None,
 ) -> np.ndarray:
     """Bool ``[N]``: which Gaussians are drawn.
 
     ``position`` and ``scale`` ``[N, 3]`` and ``opacity`` ``[N]`` as in a model, float32, in which all is
     reckoned, as in the nodes. ``camera_distance`` ``[N]``: metres to the nearest of the data set's cameras;
     ``None``: nobody measured it, and it hides nothing. ``camera``: the one that renders; ``None`` (the 3D
-    view, a bake): none does, and what only a camera would hide is kept.
+    view, a bake): none does, and what only a camera would hide is kept. ``confidence`` ``[N]``; ``None``: the
+    model does not know, and it hides nothing.
     """
     keep = np.ones(len(position), bool)
     if cleaning.crop is not None:
@@ -127,6 +135,8 @@ def kept(
         keep &= _length(position - _array(cleaning.centre)) <= np.float32(cleaning.largest_distance)
     if cleaning.clear_of_photos > 0.0 and camera_distance is not None:
         keep &= camera_distance >= np.float32(cleaning.clear_of_photos)
+    if cleaning.smallest_confidence > 0.0 and confidence is not None:
+        keep &= confidence >= np.float32(cleaning.smallest_confidence)
     if camera is not None and cleaning.by_camera:
         keep &= _kept_by_camera(cleaning, position, scale, camera)
     return keep

@@ -10,7 +10,7 @@ from typing import Any
 
 from ...bridge.splatting import JACOBIAN_MARGIN, NEAR_PLANE
 from . import nodes
-from .attributes import CAMERA_DISTANCE
+from .attributes import CAMERA_DISTANCE, CONFIDENCE, Attribute
 from .cleaning import ALL, EVEN, REACH
 from .node_builder import Field, GeometryBuilder
 from .splat_nodes import CameraFields
@@ -124,6 +124,18 @@ def declare_cleaning(interface: Any, has_directions: bool) -> None:
             max_value=3,
         )
 
+    # Made last: the inputs of trees before it keep their places, and with them their keyframes.
+    declare(
+        inside,
+        nodes.SMALLEST_CONFIDENCE,
+        "Float",
+        "Hide Gaussians whose radiance is less likely than this to be within a tenth of a stop of the true "
+        "one: what the photos clip, starve or hardly see. Models of older files do not know it",
+        subtype="FACTOR",
+        min_value=0.0,
+        max_value=1.0,
+    )
+
 
 def clean(
     make: GeometryBuilder,
@@ -153,7 +165,9 @@ def clean(
         offset = position - make.output(info, "Location")
         limits.at_most(nodes.LARGEST_DISTANCE, make.vector("LENGTH", offset))
     with make.frame("Distance from the data set's cameras, where it was measured"):
-        limits.clear_of_photos()
+        limits.known(nodes.CLEAR_OF_PHOTOS, CAMERA_DISTANCE)
+    with make.frame("Confidence, where the model knows it"):
+        limits.known(nodes.SMALLEST_CONFIDENCE, CONFIDENCE)
     with make.frame("Distance from the camera that renders"):
         distance = make.vector("LENGTH", camera.offset)
         limits.at_least(nodes.CLEAR_OF_CAMERA, distance, also=camera.exists)
@@ -216,16 +230,17 @@ class _Limits:
         inside = functools.reduce(lambda a, b: self.both("AND", a, b), within)
         self.add(on, self.both("XOR", inside, self.inputs[nodes.KEEP_OUTSIDE]))
 
-    def clear_of_photos(self) -> None:
-        make, name = self.make, nodes.CLEAR_OF_PHOTOS
+    def known(self, name: str, attribute: Attribute) -> None:
+        """The input ``name`` is the least of an attribute; where there is none it hides nothing."""
+        make = self.make
         node = make.node(
             "GeometryNodeInputNamedAttribute",
-            CAMERA_DISTANCE.name,
-            data_type=CAMERA_DISTANCE.type,
-            label=CAMERA_DISTANCE.name,
+            attribute.name,
+            data_type=attribute.type,
+            label=attribute.name,
         )
-        clear = self.compare("GREATER_EQUAL", make.output(node, "Attribute"), self.inputs[name])
-        self.add(self.above_0(name), self.both("OR", clear, self.inverted(make.output(node, "Exists"))))
+        enough = self.compare("GREATER_EQUAL", make.output(node, "Attribute"), self.inputs[name])
+        self.add(self.above_0(name), self.both("OR", enough, self.inverted(make.output(node, "Exists"))))
 
     def is_even(self) -> Field:
         """Whether the model has one scale: else its pictures' sides are elsewhere than reckoned here."""

@@ -20,7 +20,7 @@ from ...bridge.run_folder import same_folder
 from ...bridge.spherical_harmonics import MAX_DEGREE
 from ..blender import cloud_of
 from . import nodes
-from .attributes import BASE, CAMERA_DISTANCE, FILE, IDENTITY, POSITION, SCALE
+from .attributes import BASE, CAMERA_DISTANCE, CONFIDENCE, FILE, IDENTITY, POSITION, SCALE, Attribute
 from .cleaning import ALL, Cleaning, RenderCamera, kept
 from .point_cloud import lights_of, read_attribute
 
@@ -98,14 +98,18 @@ def kept_of(
     cloud: bpy.types.PointCloud, cleaning: Cleaning, camera: RenderCamera | None = None
 ) -> np.ndarray:
     """Bool ``[N]``: which Gaussians of a model's point cloud ``cleaning.kept`` keeps."""
-    measured = CAMERA_DISTANCE.name in cloud.attributes
+
+    def known(attribute: Attribute) -> np.ndarray | None:
+        return read_attribute(cloud, attribute.name) if attribute.name in cloud.attributes else None
+
     return kept(
         cleaning,
         read_attribute(cloud, POSITION.name),
         read_attribute(cloud, SCALE.name),
         read_attribute(cloud, BASE.name)[:, 3],
-        read_attribute(cloud, CAMERA_DISTANCE.name) if measured else None,
+        known(CAMERA_DISTANCE),
         camera,
+        known(CONFIDENCE),
     )
 
 
@@ -159,6 +163,7 @@ def _cleaning(
         largest_distance=value(nodes.LARGEST_DISTANCE),
         centre=(centre.translation.x, centre.translation.y, centre.translation.z) if centre else ALL.centre,
         clear_of_photos=value(nodes.CLEAR_OF_PHOTOS),
+        smallest_confidence=value(nodes.SMALLEST_CONFIDENCE),
         clear_of_camera=value(nodes.CLEAR_OF_CAMERA),
         farthest=value(nodes.FARTHEST),
         only_in_view=value(nodes.ONLY_IN_VIEW, False),

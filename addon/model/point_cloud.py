@@ -16,6 +16,7 @@ from ...bridge.lights import AMBIENT, check_lights
 from ...bridge.model_file import Model
 from .attributes import (
     BASE,
+    CONFIDENCE,
     EXPOSURES,
     IDENTITY,
     LEVEL_LOG_GAIN,
@@ -73,6 +74,8 @@ def attributes_of(
     if model.level_log_gain is not None:
         for index, gain in enumerate(model.level_log_gain):
             yield LEVEL_LOG_GAIN[index], gain
+    if model.confidence is not None:
+        yield CONFIDENCE, model.confidence
 
 
 def build_point_cloud(model: Model, name: str, colour_sh: np.ndarray | None = None) -> bpy.types.PointCloud:
@@ -180,6 +183,9 @@ def model_of(cloud: bpy.types.PointCloud) -> Model:
         ) from error
     if curve := read_tone_curve(cloud):
         light |= {"tone_curve_log_exposure": curve.log_exposure, "tone_curve": curve.values}
+    if CONFIDENCE.name in cloud.attributes:
+        # Whatever an edit made of it, it is a probability.
+        light["confidence"] = read_attribute(cloud, CONFIDENCE.name).clip(0.0, 1.0)
     metadata = {
         key: str(cloud[metadata_property(key)]) for key in METADATA if metadata_property(key) in cloud
     }

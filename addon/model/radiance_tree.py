@@ -47,7 +47,7 @@ from .tone_curve import ToneCurve
 #: Blender evaluates a curve of a node by linear interpolation in a table of so many steps.
 CURVE_STEPS = 256
 #: The version of this recipe, part of what marks a tree.
-_RECIPE = 5
+_RECIPE = 6
 
 
 def add_modifier(target: bpy.types.Object, model: Model) -> bpy.types.NodesModifier:

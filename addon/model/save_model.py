@@ -32,11 +32,8 @@ def subset(model: Model, keep: np.ndarray) -> Model:
         raise BadValueError(
             "everything of the model is hidden", "Widen the limits in Clean: a model needs a Gaussian."
         )
-    chosen = {
-        name: getattr(model, name)[keep]
-        for name in ("position", "rotation", "scale", "opacity", "log_radiance_sh", "light_share")
-        if getattr(model, name) is not None
-    }
+    of_each = ("position", "rotation", "scale", "opacity", "log_radiance_sh", "light_share", "confidence")
+    chosen = {name: getattr(model, name)[keep] for name in of_each if getattr(model, name) is not None}
     if model.level_log_gain is not None:
         chosen["level_log_gain"] = model.level_log_gain[:, keep]
     return dataclasses.replace(model, **chosen)

@@ -14,7 +14,7 @@ from ..blender import add_entry, cloud_of, layout_of, remove_entry
 from ..capture import placement, similarity
 from ..capture.captures import camera_places
 from ..model import nodes
-from ..model.attributes import BASE, CAMERA_DISTANCE, POSITION, SCALE
+from ..model.attributes import BASE, CAMERA_DISTANCE, CONFIDENCE, POSITION, SCALE
 from ..model.cleaning import ALL, elongation_of
 from ..model.floaters import floaters
 from ..model.look import cleaning_of, is_model, kept_of
@@ -59,6 +59,7 @@ class PHYSHDR_OT_cleaning_select(_OnModel):
             ("ELONGATION", "Elongation", "Needles: so many times longer than wide"),
             ("DISTANCE", "Distance", "Farther than the limit from the 3D cursor, metres"),
             ("PHOTOS", "Near Photos", "Nearer than the limit to a camera of the data set, metres"),
+            ("CONFIDENCE", "Confidence", "Less likely than the limit to have the right radiance, 0 to 1"),
             ("CROP", "Outside the Crop Box", "What the model's crop box hides, also while Crop is off"),
             ("HIDDEN", "Hidden", "All that the limits in Clean hide"),
             ("FLOATERS", "Floaters", "A suggestion: alone, and near a camera or large and faint"),
@@ -113,6 +114,13 @@ class PHYSHDR_OT_cleaning_select(_OnModel):
             return np.linalg.norm(offset, axis=1) > self.limit
         if self.by == "PHOTOS":
             return camera_distances(context, target) < self.limit
+        if self.by == "CONFIDENCE":
+            if CONFIDENCE.name not in cloud.attributes:
+                raise DataMismatchError(
+                    "this model's file does not know how sure its radiance is",
+                    "Export it again by this version (physhdr export), and import it.",
+                )
+            return read_attribute(cloud, CONFIDENCE.name) < self.limit
         if self.by == "FLOATERS":
             return find_floaters(context, target)
         cleaning = cleaning_of(target, context.evaluated_depsgraph_get())
@@ -323,8 +331,10 @@ def _reset(target: bpy.types.Object) -> list[str]:
         paths |= {curve.data_path for curve in nodes.curves_of(animation)}
     off = {nodes.CROP: False, nodes.KEEP_OUTSIDE: False, nodes.CROP_BOX: None, nodes.DISTANCE_FROM: None}
     for name in nodes.CLEANING:
-        nodes.set_input(modifier, name, off.get(name, 0.0))
-    return [name for name in nodes.CLEANING if nodes.input_data_path(modifier, name) in paths]
+        if nodes.has_input(modifier, name):  # an older tree lacks the newer ones
+            nodes.set_input(modifier, name, off.get(name, 0.0))
+    there = (name for name in nodes.CLEANING if nodes.has_input(modifier, name))
+    return [name for name in there if nodes.input_data_path(modifier, name) in paths]
 
 
 _CLASSES = (

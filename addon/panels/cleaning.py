@@ -8,7 +8,7 @@ import bpy
 from ...bridge.errors import PhysHDRError
 from ..blender import cloud_of, layout_of
 from ..model import nodes
-from ..model.attributes import CAMERA_DISTANCE
+from ..model.attributes import CAMERA_DISTANCE, CONFIDENCE
 from ..model.cleaning import Cleaning
 from ..model.look import cleaning_of, is_model, kept_of
 from ..viewport import overlay
@@ -112,6 +112,11 @@ class PHYSHDR_PT_cleaning(Subpanel, bpy.types.Panel):
             _draw(column, modifier, nodes.CLEAR_OF_PHOTOS)
         else:
             layout.operator("physhdr.cleaning_measure", icon="DRIVER_DISTANCE")
+        if CONFIDENCE.name in cloud.attributes:
+            if nodes.has_input(modifier, nodes.SMALLEST_CONFIDENCE):
+                _draw(column, modifier, nodes.SMALLEST_CONFIDENCE)
+            else:
+                layout.operator("physhdr.cleaning_update", icon="FILE_REFRESH")
         _draw_count(context, layout, target)
         _draw_find(layout)
         layout.operator("physhdr.model_save", text="Save Edited Model…", icon="FILE_TICK")

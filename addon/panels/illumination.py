@@ -7,8 +7,9 @@ from collections.abc import Sequence
 import bpy
 
 from ...bridge.lights import AMBIENT
-from ..blender import layout_of
+from ..blender import cloud_of, layout_of
 from ..dataset.dataset_dialog import draw_originals
+from ..model.attributes import CONFIDENCE, CONFIDENCE_SPLATS, DISPLAY
 from ..model.look import draw_look, slider_name
 from ..model.preview_look import followed
 from ..operators.base import choices
@@ -41,12 +42,23 @@ class PHYSHDR_PT_illumination(Subpanel, bpy.types.Panel):
             column = layout.column()
             column.use_property_split = True
             column.prop(target, "physhdr_viewport", text="3D View")
+            if told := confidence_told(target):
+                write(context, layout, told, "INFO")
             draw_native(layout, target)
             draw_originals(context.scene, layout)
         else:
             draw_own(layout, state, settings)
         for told in hints(context, state, settings, target, shown, reason):
             write(context, layout, told, "INFO")
+
+
+def confidence_told(target: bpy.types.Object) -> str:
+    """What the colours mean where the 3D view shows a model's confidence; else nothing."""
+    if getattr(target, DISPLAY) != CONFIDENCE_SPLATS:
+        return ""
+    if CONFIDENCE.name not in cloud_of(target).attributes:
+        return "This model does not know its confidence: export it again, by this version of the backend"
+    return "Chance that the radiance is right within a tenth of a stop: violet 0, green 0.6, yellow 1"
 
 
 def hints(

@@ -9,11 +9,14 @@ import bpy
 import gpu
 import numpy as np
 
+from ...bridge import confidence, srgb
 from ...bridge.errors import PhysHDRError
-from ...bridge.spherical_harmonics import degree_of
+from ...bridge.model_file import DARKEST
+from ...bridge.spherical_harmonics import C0, degree_of
 from ..model.attributes import (
     BASE,
     CAMERA_DISTANCE,
+    CONFIDENCE,
     IDENTITY,
     LEVEL_LOG_GAIN,
     LOG_SH,
@@ -91,6 +94,21 @@ def read_arrays(cloud: bpy.types.PointCloud) -> SplatArrays:
     )
 
 
+def confidence_arrays(cloud: bpy.types.PointCloud) -> SplatArrays:
+    """The Gaussians of a model that knows its confidence in the colours of that (``bridge.confidence``),
+    scene-linear, as if it were what they shine: the same from all sides and at every level."""
+    shown = srgb.to_linear(confidence.colours(read_attribute(cloud, CONFIDENCE.name)))
+    log_radiance = np.log(np.maximum(shown, DARKEST)).astype(np.float32)
+    return SplatArrays(
+        position=read_attribute(cloud, POSITION.name),
+        rotation=read_attribute(cloud, ROTATION.name),
+        scale=read_attribute(cloud, SCALE.name),
+        opacity=np.ascontiguousarray(read_attribute(cloud, BASE.name)[:, 3]),
+        log_sh=log_radiance[None] / np.float32(C0),
+        light=np.ones((1, *log_radiance.shape), np.float32),
+    )
+
+
 def identity(cloud: bpy.types.PointCloud) -> str:
     """What stays the same over undo and renaming; copies of a cloud share it, and their values."""
     return str(cloud.get(IDENTITY) or cloud.name_full)
@@ -102,7 +120,7 @@ def fingerprint(cloud: bpy.types.PointCloud) -> tuple[int, ...]:
     Sums of the bits of the attributes that such edits change. Blender reports a changed modifier input as a
     changed point cloud; uploading again at every step of a slider would be slow.
     """
-    names = [each.name for each in (POSITION, SCALE, BASE, CAMERA_DISTANCE)]
+    names = [each.name for each in (POSITION, SCALE, BASE, CAMERA_DISTANCE, CONFIDENCE)]
     values = (read_attribute(cloud, name) for name in names if name in cloud.attributes)
     return len(cloud.points), *(int(array.view(np.uint32).sum(dtype=np.uint64)) for array in values)
 

@@ -2,12 +2,14 @@
 """Imported Gaussians in the 3D view, drawn here by shaders, relit by their modifier's inputs; no backend.
 
 Which objects: point clouds with our attributes whose property *Viewport display* (``physhdr_viewport``) is
-``SPLATS``. A change is drawn at once, as small as is needed to keep up; when the view rests it is drawn
-sharp. Where the GPU is slow either happens in portions, between which Blender stays responsive.
+``SPLATS``, or ``CONFIDENCE``, which shows in colours how sure their radiance is. A change is drawn at once,
+as small as is needed to keep up; when the view rests it is drawn sharp. Where the GPU is slow either happens
+in portions, between which Blender stays responsive.
 """
 
 import time
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from typing import Any, NamedTuple, cast
 
 import bpy
@@ -15,7 +17,7 @@ import numpy as np
 
 from ...bridge import srgb
 from ..blender import cloud_of
-from ..model.attributes import DISPLAY
+from ..model.attributes import BY_SHADER, CONFIDENCE, CONFIDENCE_SPLATS, DISPLAY, NODES, SPLATS
 from ..model.cleaning import Cleaning
 from ..model.look import Look, is_model, kept_of, look_of
 from ..model.nodes import find_modifier
@@ -28,7 +30,15 @@ from .edit_points import EditPoints, checksum
 from .instances import InstanceFinder, is_visible
 from .overlay import Layer
 from .schedule import REST_SECONDS, STEP, ResolutionLadder
-from .splat_data import Marks, SplatTextures, fingerprint, identity, is_splats, read_arrays
+from .splat_data import (
+    Marks,
+    SplatTextures,
+    confidence_arrays,
+    fingerprint,
+    identity,
+    is_splats,
+    read_arrays,
+)
 from .splat_renderer import Drawing, Item, SplatRenderer, Target
 
 #: A redraw may spend about as long here.
@@ -50,6 +60,8 @@ class Shown(NamedTuple):
     look: Look
     #: Whether its points are being edited.
     is_edited: bool = False
+    #: Whether its confidence is shown, not its radiance.
+    confidence: bool = False
 
 
 def shown_objects(
@@ -63,34 +75,46 @@ def shown_objects(
             continue
         if target.visible_get(view_layer=view_layer, **({"viewport": space} if space else {})):
             matrix_world = np.array(target.evaluated_get(depsgraph).matrix_world)
-            yield Shown(cloud_of(target), matrix_world, look_of(target, depsgraph), target.mode == "EDIT")
+            look = look_of(target, depsgraph)
+            yield Shown(
+                cloud_of(target), matrix_world, look, target.mode == "EDIT", _shows_confidence(target)
+            )
     looks: dict[int, Look] = {}  # thousands of instances have the look of one object
     for instance in _runtime.finder.instances(view_layer, depsgraph, _is_drawn):
         if is_visible(instance, view_layer, space):
             target = instance.target
             if target.session_uid not in looks:
                 looks[target.session_uid] = look_of(target, depsgraph)
-            yield Shown(cloud_of(target), instance.matrix_world, looks[target.session_uid])
+            look, sure = looks[target.session_uid], _shows_confidence(target)
+            yield Shown(cloud_of(target), instance.matrix_world, look, confidence=sure)
 
 
 def _is_drawn(target: bpy.types.Object) -> bool:
     """Whether an object is a model that is drawn as splats wherever it is visible."""
-    if target.type != "POINTCLOUD" or getattr(target, DISPLAY) != "SPLATS":
+    if target.type != "POINTCLOUD" or getattr(target, DISPLAY) not in BY_SHADER:
         return False
     cloud = cloud_of(target)
     return identity(cloud) not in _runtime.hidden and is_splats(cloud)
 
 
+def _shows_confidence(target: bpy.types.Object) -> bool:
+    """Whether an object's confidence is wanted and known; else its radiance is drawn, as the panel says."""
+    wanted = getattr(target, DISPLAY) == CONFIDENCE_SPLATS
+    return wanted and CONFIDENCE.name in cloud_of(target).attributes
+
+
 def items_by_tone(shown: Iterable[Shown]) -> dict[bytes, tuple[ToneCurve | None, list[Item]]]:
     """What to draw, grouped by tone curve (``b""``: scene-linear); needs an active GPU context."""
     groups: dict[bytes, tuple[ToneCurve | None, list[Item]]] = {}
-    for cloud, matrix_world, look, is_edited in shown:
+    for cloud, matrix_world, look, is_edited, confidence in shown:
+        if confidence:  # neither exposure nor tones change what is known
+            look = replace(look, exposure_ev=0.0, lighting_levels=(), tone_mapper=False)
         tone = read_tone_curve(cloud) if look.tone_mapper else None
         _, items = groups.setdefault(tone.key if tone else b"", (tone, []))
         held = _held(cloud)
         items.append(
             Item(
-                held.textures,
+                held.confidence(cloud) if confidence else held.textures,
                 matrix_world,
                 look.lighting_levels,
                 look.exposure_ev,
@@ -217,9 +241,16 @@ class _Held:
     def __init__(self, cloud: bpy.types.PointCloud, print_now: tuple[int, ...]) -> None:
         self.fingerprint = print_now
         self.textures = SplatTextures(read_arrays(cloud))
+        self._confidence: SplatTextures | None = None
         self._kept: dict[Cleaning, Marks] = {}
         self._selected: tuple[int, Marks] | None = None
         self._points: tuple[int, EditPoints] | None = None
+
+    def confidence(self, cloud: bpy.types.PointCloud) -> SplatTextures:
+        """The Gaussians in the colours of their confidence; their texels are in the order of ``textures``."""
+        if self._confidence is None:
+            self._confidence = SplatTextures(confidence_arrays(cloud))
+        return self._confidence
 
     def kept(self, cloud: bpy.types.PointCloud, cleaning: Cleaning) -> Marks | None:
         """What a cleaned model keeps. Nothing is uploaded for it: what is hidden is left out of the order."""
@@ -375,7 +406,7 @@ def _show_points(*_: Any) -> None:
 def _models() -> list[bpy.types.Object]:
     # While extensions are enabled at Blender's start there are no data yet.
     objects: Iterable[bpy.types.Object] = getattr(bpy.data, "objects", ())
-    chosen = (each for each in objects if is_model(each) and getattr(each, DISPLAY) == "SPLATS")
+    chosen = (each for each in objects if is_model(each) and getattr(each, DISPLAY) in BY_SHADER)
     return [each for each in chosen if is_splats(cloud_of(each))]
 
 
@@ -383,7 +414,7 @@ def _apply_display(target: bpy.types.Object, context: bpy.types.Context | None) 
     """Either the shader draws the Gaussians or the modifier's instances do, never both."""
     if target.type != "POINTCLOUD" or (modifier := find_modifier(target)) is None:
         return
-    if getattr(target, DISPLAY) == "SPLATS":
+    if getattr(target, DISPLAY) in BY_SHADER:
         stand_in.hide(target)
     else:
         modifier.show_viewport = True
@@ -412,14 +443,15 @@ def register() -> None:
         name="Viewport display",
         description="How the Gaussians of a PhysHDR model are drawn in the 3D view. Renders are not affected",
         items=[
-            ("SPLATS", "Splats", "As the trainer draws them: fast, exact, scene-linear"),
+            (SPLATS, "Splats", "As the trainer draws them: fast, exact, scene-linear"),
+            (NODES, "Geometry nodes", "The instances that Cycles and EEVEE render: slow for many Gaussians"),
             (
-                "NODES",
-                "Geometry nodes",
-                "The instances that Cycles and EEVEE render: slow for many Gaussians",
+                CONFIDENCE_SPLATS,
+                "Confidence",
+                "How likely the radiance is right within a tenth of a stop: violet 0, green 0.6, yellow 1",
             ),
         ],
-        default="NODES",
+        default=NODES,
         update=_apply_display,
     )
     setattr(bpy.types.Object, DISPLAY, display)

@@ -20,6 +20,7 @@ def make_model() -> Callable[..., Model]:
         modulator: str = "additive",
         seed: int = 0,
         lights: tuple[str, ...] = ("ambient",),
+        confidence: bool = False,
     ) -> Model:
         rng = np.random.default_rng(seed)
 
@@ -45,6 +46,7 @@ def make_model() -> Callable[..., Model]:
             **light,
             exposures=(0.25, 1.0, 4.0),
             metadata={"scene": "test", "method": "physhdr", "iteration": "100"},
+            confidence=uniform(count, low=0.0, high=1.0) if confidence else None,
         )
 
     return make

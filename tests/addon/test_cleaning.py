@@ -87,11 +87,12 @@ def test_the_tree_with_nothing_hidden_gives_the_bits_of_the_one_before(add):
         (nodes.SMALLEST_OPACITY, "at", lambda m: m.opacity),
         (nodes.LARGEST_ELONGATION, 2.5, lambda m: -np.sort(m.scale)[:, 2] / np.sort(m.scale)[:, 1]),
         (nodes.LARGEST_DISTANCE, "at", lambda m: -np.linalg.norm(m.position, axis=1)),
+        (nodes.SMALLEST_CONFIDENCE, "at", lambda m: m.confidence),
     ],
 )
 def test_a_limit_keeps_what_is_on_its_right_side(add, name, value, values):
     """Also a Gaussian that lies on the limit, to the bit: it is kept."""
-    model, target, modifier, _ = add()
+    model, target, modifier, _ = add(confidence=True)
     measured = values(model).astype(np.float32)
     limit = float(np.sort(measured)[COUNT // 3]) if value == "at" else -value
     nodes.set_input(modifier, name, abs(limit))
@@ -102,6 +103,13 @@ def test_a_limit_keeps_what_is_on_its_right_side(add, name, value, values):
     assert 0.2 < keep.mean() < 0.9
     if value == "at" and name != nodes.LARGEST_DISTANCE:
         assert keep.sum() == COUNT - COUNT // 3 and near.sum() >= 1
+
+
+def test_a_model_of_an_older_file_has_no_confidence_and_keeps_everything(add):
+    _, target, modifier, _ = add()
+    assert attributes.CONFIDENCE.name not in target.data.attributes
+    nodes.set_input(modifier, nodes.SMALLEST_CONFIDENCE, 0.9)
+    assert agreed(target).all()
 
 
 @pytest.mark.parametrize("keep_outside", [False, True])
@@ -288,7 +296,7 @@ def test_an_sh_limit_is_the_model_without_the_higher_degrees(add, limit: int):
 
 def test_every_limit_at_once_is_all_of_them(add, scene):
     """Random clouds, random limits: nodes and numpy draw the same Gaussians."""
-    _, target, modifier, _ = add()
+    _, target, modifier, _ = add(confidence=True)
     rng = np.random.default_rng(3)
     point_cloud.write_attribute(target.data, attributes.CAMERA_DISTANCE, rng.uniform(0, 1, COUNT))
     crop, centre = box(scene), box(scene)
@@ -307,6 +315,7 @@ def test_every_limit_at_once_is_all_of_them(add, scene):
             nodes.LARGEST_ELONGATION: rng.uniform(2.0, 8.0),
             nodes.LARGEST_DISTANCE: rng.uniform(0.8, 1.2),
             nodes.CLEAR_OF_PHOTOS: rng.uniform(0.0, 0.2),
+            nodes.SMALLEST_CONFIDENCE: rng.uniform(0.0, 0.2),
             nodes.CLEAR_OF_CAMERA: rng.uniform(0.0, 2.0),
             nodes.FARTHEST: rng.uniform(4.0, 6.0),
         }

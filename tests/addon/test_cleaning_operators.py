@@ -69,6 +69,28 @@ def test_what_is_hidden_is_removed_and_comes_back_with_undo(add, edit_mode: bool
     assert look.cleaning_of(target).smallest_opacity == 0.5
 
 
+def test_the_unsure_are_selected_hidden_and_left_out_of_what_is_saved(add, tmp_path):
+    model, target, modifier = add(count=300, confidence=True)
+    assert bpy.ops.physhdr.cleaning_select(by="CONFIDENCE", limit=0.4) == {"FINISHED"}
+    np.testing.assert_array_equal(point_removal.selection_of(target.data), model.confidence < np.float32(0.4))
+    nodes.set_input(modifier, nodes.SMALLEST_CONFIDENCE, 0.4)
+    keep = model.confidence >= np.float32(0.4)
+    assert 50 < keep.sum() < 250
+    assert bpy.ops.physhdr.model_save(filepath=str(tmp_path / "sure.safetensors")) == {"FINISHED"}
+    saved = read_model(tmp_path / "sure.safetensors")
+    np.testing.assert_array_equal(saved.confidence, model.confidence[keep])
+    assert bpy.ops.physhdr.cleaning_apply() == {"FINISHED"}
+    np.testing.assert_array_equal(point_cloud.model_of(target.data).confidence, model.confidence[keep])
+    assert look.cleaning_of(target).smallest_confidence == 0.0
+
+
+def test_a_model_that_does_not_know_its_confidence_says_so(add):
+    _, target, _ = add()
+    with pytest.raises(RuntimeError, match=r"does not know how sure[\s\S]*physhdr export"):
+        bpy.ops.physhdr.cleaning_select(by="CONFIDENCE", limit=0.4)
+    assert point_cloud.model_of(target.data).confidence is None
+
+
 def test_limits_that_hide_everything_remove_nothing(add):
     _, target, modifier = add()
     nodes.set_input(modifier, nodes.LARGEST_SIZE, 1e-9)

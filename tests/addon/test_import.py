@@ -65,6 +65,14 @@ def test_every_attribute_arrives_exactly(scene, make_model, write, modulator: st
     assert types["physhdr:log_sh_0"] == "FLOAT_VECTOR"
 
 
+def test_confidence_arrives_exactly(scene, make_model, write):
+    model = make_model(confidence=True)
+    cloud = model_import.import_model(write(model)).data
+    found = point_cloud.read_attribute(cloud, attributes.CONFIDENCE.name)
+    np.testing.assert_array_equal(found, model.confidence)
+    np.testing.assert_array_equal(point_cloud.model_of(cloud).confidence, model.confidence)
+
+
 def test_provenance_is_kept(scene, make_model, write):
     path = write(make_model())
     cloud = model_import.import_model(path).data

@@ -13,12 +13,15 @@ import gpu  # noqa: E402
 
 from physhdr.addon import viewport  # noqa: E402
 from physhdr.addon.model import attributes, model_import, nodes, point_cloud  # noqa: E402
+from physhdr.addon.panels import illumination  # noqa: E402
 from physhdr.addon.viewport import splats  # noqa: E402
 from physhdr.addon.viewport.camera import ViewCamera  # noqa: E402
 from physhdr.addon.viewport.splat_data import LIGHTS_MAX, SplatArrays, SplatTextures, read_arrays  # noqa: E402
 from physhdr.addon.viewport.splat_renderer import Item, SplatRenderer, Target, level_place  # noqa: E402
+from physhdr.bridge import confidence  # noqa: E402
 from physhdr.bridge.errors import DataMismatchError  # noqa: E402
 from physhdr.bridge.spherical_harmonics import C0, C1  # noqa: E402
+from physhdr.bridge.srgb import to_linear  # noqa: E402
 
 SIZE, FOCAL = 65, 80.0
 CENTRE = SIZE // 2
@@ -245,6 +248,43 @@ def test_splats_or_nodes_never_both(target):
     target.physhdr_viewport = "NODES"
     assert modifier.show_viewport and target.display_type == "TEXTURED"
     assert not groups()
+
+
+def test_confidence_is_drawn_in_its_colours(registered, renderer, make_model, write):
+    """Whatever the exposure, the level and the light are; what is cleaned away is not drawn."""
+    model = make_model(count=3, degree=2)
+    sure = np.array([0.0, 0.6, 1.0], np.float32)
+    place = np.array([(-0.3, 0.0, -3.0), (0.0, 0.0, -3.0), (0.3, 0.0, -3.0)], np.float32)
+    scale = np.full((3, 3), 0.05, np.float32)
+    opacity = np.full(3, 0.9, np.float32)
+    model = dataclasses.replace(model, confidence=sure, position=place, scale=scale, opacity=opacity)
+    target = model_import.import_model(write(model))
+    target.physhdr_viewport = "CONFIDENCE"
+    modifier = nodes.find_modifier(target)
+    assert not modifier.show_viewport and modifier.show_render
+    nodes.set_input(modifier, nodes.EXPOSURE, 5.0)
+    nodes.set_input(modifier, nodes.LIGHTING_LEVEL, 0.1)
+    ((tone, items),) = groups().values()
+    picture = renderer.render(items, CAMERA).read()[0]
+    assert tone is None
+    for x, colour in zip((CENTRE - 8, CENTRE, CENTRE + 8), confidence.colours(sure), strict=True):
+        red, green, blue, alpha = picture[CENTRE, x]
+        np.testing.assert_allclose(
+            np.array([red, green, blue]) / alpha, to_linear(colour), rtol=2e-3, atol=2e-4
+        )
+    nodes.set_input(modifier, nodes.SMALLEST_CONFIDENCE, 0.5)
+    ((_, items),) = groups().values()
+    shown = renderer.render(items, CAMERA).read()[0][CENTRE, [CENTRE - 8, CENTRE, CENTRE + 8], 3]
+    assert shown[0] == 0.0 and (shown[1:] > 0.5).all()
+
+
+def test_a_model_without_confidence_is_drawn_as_it_shines(target):
+    ((_, (before,)),) = groups().values()
+    assert illumination.confidence_told(target) == ""
+    target.physhdr_viewport = "CONFIDENCE"
+    ((_, (after,)),) = groups().values()
+    assert after.splats is before.splats
+    assert "export it again" in illumination.confidence_told(target)
 
 
 def test_hidden_objects_are_not_drawn(target):
