@@ -13,7 +13,7 @@ from ..paths import ROOT
 from ..runtime import session
 from ..session.light import LIGHT
 from ..session.pythons import base_of, find_pythons, is_ours, working_python
-from ..session.results import EVALUATE, VIDEO
+from ..session.results import EVALUATE, VIDEO, WEB
 from ..session.state import CHECK, DATASET, INSTALL, LOOK, PHOTOS, Dismissed, PythonChosen
 from .base import PhysHDROperator, report_task
 
@@ -174,6 +174,7 @@ class PHYSHDR_OT_task_cancel(bpy.types.Operator):
             (PHOTOS, "Photos", "The preparation of photos"),
             (EVALUATE, "Evaluation", "The evaluation of a run"),
             (VIDEO, "Video", "The making of a video"),
+            (WEB, "Web Page", "The writing of a web page"),
             (LIGHT, "Light", "The drawing of a model's light"),
         ],
     )

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators for what a run is worth and what it shows: evaluate it, make a video of it.
+"""Operators for what a run is worth and what it shows: evaluate it, make a video or a web page of it.
 
-Both are the backend's work (``physhdr evaluate``, ``physhdr video``), in a process of its own: one goes on
-working beside it.
+All are the backend's work (``physhdr evaluate``, ``video``, ``export --web``), in a process of its own: one
+goes on working beside it.
 """
 
 import subprocess
+import time
+import webbrowser
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -24,14 +26,17 @@ from ..runtime import session
 from ..session.results import (
     EVALUATE,
     VIDEO,
+    WEB,
     VideoOptions,
     evaluate_command,
     evaluation_of,
     video_command,
+    web_command,
     why_not,
 )
 from ..session.session import Session
 from ..session.state import State
+from .afterwards import take_when_ended
 from .base import PhysHDROperator, choices, has_run, moved_data, report_task
 
 if TYPE_CHECKING:
@@ -63,8 +68,15 @@ FORMATS = [
     ("PNG", "Pictures", "Numbered PNG files, for any other program"),
 ]
 
+#: The web page in a run's folder: one file, or this folder.
+WEB_FILE, WEB_FOLDER, WEB_INDEX = "web.html", "web", "index.html"
+#: Seconds by which a file system's clock may be behind ours.
+CLOCK_SECONDS = 3.0
+
 #: The video, or folder of pictures, that this Blender asked for last, by run. Of this session alone.
 _made: dict[str, str] = {}
+#: The web page that it asked for last, by run.
+_pages: dict[str, str] = {}
 
 
 def shown_run(context: bpy.types.Context, state: State) -> str:
@@ -79,6 +91,12 @@ def made_of(run: str) -> str:
     """The video of a run that was made last in this session, if it is there; or empty."""
     path = _made.get(run, "")
     return path if path and Path(path).exists() else ""
+
+
+def page_of(run: str) -> str:
+    """The web page of a run that was written last in this session, else the one in its folder; or empty."""
+    paths = Path(_pages.get(run, "")), Path(run) / WEB_FILE, Path(run) / WEB_FOLDER / WEB_INDEX
+    return next((str(path) for path in paths if path.is_file()), "")
 
 
 class _OnRun(PhysHDROperator):
@@ -274,6 +292,72 @@ class PHYSHDR_OT_results_video(_OnRun):
         return VideoOptions(shots=str(file), width=self.width, exposure=self.exposure)
 
 
+class PHYSHDR_OT_results_web(_OnRun):
+    """Write the trained model as a web page that anybody can look at and relight in a browser, with nothing
+    installed and no server, and open it"""
+
+    bl_idname = "physhdr.results_web"
+    bl_label = "Export Web Page"
+    task = WEB
+
+    run_folder: bpy.props.StringProperty(name="Run", subtype="DIR_PATH", options={*FOLDER, "HIDDEN"})
+    single_file: bpy.props.BoolProperty(
+        name="One File",
+        default=True,
+        description="One HTML file with everything in it, to send; off: a folder, for a web server",
+    )
+    filepath: bpy.props.StringProperty(
+        name="File",
+        subtype="FILE_PATH",
+        options=FOLDER,
+        description="The page, or its folder; empty: in the run's folder",
+    )
+    show: bpy.props.BoolProperty(
+        name="Open in Browser", default=not bpy.app.background, description="Once it is written"
+    )
+    wait: bpy.props.BoolProperty(default=bpy.app.background, options={"HIDDEN", "SKIP_SAVE"})
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        manager = context.window_manager
+        return manager.invoke_props_dialog(self, width=360, title="Export Web Page", confirm_text="Export")
+
+    def draw(self, context: bpy.types.Context) -> None:
+        column = layout_of(self).column()
+        column.use_property_split = True
+        for name in ("single_file", "filepath", "show"):
+            column.prop(self, name)
+
+    def run(self, context: bpy.types.Context) -> set[str]:
+        session().pump()
+        run, data = self.chosen(context)
+        out = self._out(run)
+        page = out if self.single_file else out / WEB_INDEX
+        begun = time.time() - CLOCK_SECONDS
+        done = self.follow(web_command(run, str(out), data, self.single_file), f"Wrote {page}")
+        _pages[run] = str(page)
+        if self.show and done == {"FINISHED"}:
+
+            def open_page() -> bool:
+                if page.is_file() and page.stat().st_mtime >= begun:  # not where it failed
+                    webbrowser.open(page.as_uri())
+                return False
+
+            if self.wait:
+                open_page()
+            else:
+                take_when_ended(WEB, open_page, self.bl_label)
+        return done
+
+    def _out(self, run: str) -> Path:
+        if not self.filepath:
+            return Path(run).absolute() / (WEB_FILE if self.single_file else WEB_FOLDER)
+        given = Path(_whole(self.filepath)).absolute()
+        is_html = given.suffix.lower() in (".html", ".htm")
+        if self.single_file:
+            return given if is_html else given.with_name(f"{given.name}.html")
+        return given.with_suffix("") if is_html else given
+
+
 def filmed(context: bpy.types.Context, run: str, data: str) -> bpy.types.Object | None:
     """The imported model of a run whose look and place count: the active one if it is of this run, else the
     first of the scene; None where none is imported."""
@@ -318,5 +402,5 @@ def _whole(given: str) -> str:
     return absolute(given)
 
 
-_CLASSES = (PHYSHDR_OT_results_evaluate, PHYSHDR_OT_results_video)
+_CLASSES = (PHYSHDR_OT_results_evaluate, PHYSHDR_OT_results_video, PHYSHDR_OT_results_web)
 register, unregister = bpy.utils.register_classes_factory(_CLASSES)

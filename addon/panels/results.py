@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a trained run is worth, in words and figures, and videos of it."""
+"""What a trained run is worth, in words and figures, and videos and web pages of it."""
 
 import os
 from typing import TYPE_CHECKING
@@ -8,11 +8,12 @@ import bpy
 
 from ...bridge.run_folder import REPORT_FILE, SHEET_FILE
 from ..blender import layout_of
-from ..operators.results import made_of, shown_run
+from ..operators.results import made_of, page_of, shown_run
 from ..runtime import session
 from ..session.results import (
     EVALUATE,
     VIDEO,
+    WEB,
     Evaluation,
     evaluation_of,
     why_not,
@@ -22,10 +23,10 @@ from .parts import Subpanel, draw_task, write
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import IconItems
 
-#: Task, text and icon of a button.
-BUTTONS: "tuple[tuple[str, str, IconItems], ...]" = (
-    (EVALUATE, "Evaluate", "VIEWZOOM"),
-    (VIDEO, "Video…", "RENDER_ANIMATION"),
+#: Rows of buttons: each one's task, text and icon.
+BUTTONS: "tuple[tuple[tuple[str, str, IconItems], ...], ...]" = (
+    ((EVALUATE, "Evaluate", "VIEWZOOM"), (VIDEO, "Video…", "RENDER_ANIMATION")),
+    ((WEB, "Export Web Page…", "URL"),),
 )
 #: File of an evaluation, text and icon of the button that opens it.
 FILES: "tuple[tuple[str, str, IconItems], ...]" = (
@@ -48,13 +49,14 @@ class PHYSHDR_PT_results(Subpanel, bpy.types.Panel):
         found = evaluation_of(run)
         if found:
             draw_evaluation(context, layout, run, found)
-        row = layout.row(align=True)
-        for name, text, icon in BUTTONS:
-            cell = row.row(align=True)
-            cell.enabled = not why_not(state, name, run)
-            cell.operator(f"physhdr.results_{name}", text=text, icon=icon)
-        for name, _, _ in BUTTONS:
-            draw_task(layout, state, name)
+        for buttons in BUTTONS:
+            row = layout.row(align=True)
+            for name, text, icon in buttons:
+                cell = row.row(align=True)
+                cell.enabled = not why_not(state, name, run)
+                cell.operator(f"physhdr.results_{name}", text=text, icon=icon)
+            for name, _, _ in buttons:
+                draw_task(layout, state, name)
         reason = why_not(state, EVALUATE, run)
         if reason and not state.task(EVALUATE):
             write(context, layout, reason, "INFO")
@@ -63,6 +65,12 @@ class PHYSHDR_PT_results(Subpanel, bpy.types.Panel):
             row = layout.row(align=True)
             row.operator("wm.path_open", text=os.path.basename(video), icon="FILE_MOVIE").filepath = video
             folder = os.path.dirname(video)
+            row.operator("wm.path_open", text="", icon="FILE_FOLDER").filepath = folder
+        page = page_of(run)
+        if page and not state.task(WEB):
+            row = layout.row(align=True)
+            row.operator("wm.path_open", text="Open Web Page", icon="WINDOW").filepath = page
+            folder = os.path.dirname(page)
             row.operator("wm.path_open", text="", icon="FILE_FOLDER").filepath = folder
 
 

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A run's evaluation and videos, as the panel asks for them and says them. Pure but for reading the figures.
+"""A run's evaluation, videos and web page, as the panel asks for them and says them. Pure but for reading the
+figures.
 
-Both are the backend's work (``physhdr evaluate``, ``physhdr video``), in a process of its own.
+All are the backend's work (``physhdr evaluate``, ``video``, ``export --web``), in a process of its own.
 """
 
 import math
@@ -16,7 +17,7 @@ from ...bridge.run_folder import CHECKPOINT_FILE, EVALUATION_FILE, same_folder
 from .state import CHECK, INSTALL, State
 
 #: The tasks' names.
-EVALUATE, VIDEO = "evaluate", "video"
+EVALUATE, VIDEO, WEB = "evaluate", "video", "web"
 #: PSNR in dB at which a picture beside its photograph is …
 QUALITIES = (
     (38.0, "excellent"),
@@ -91,8 +92,15 @@ def video_command(
     return [*told, "--json"]
 
 
+def web_command(run: str, out: str, data: str = "", single_file: bool = True) -> list[str]:
+    """The arguments of the backend's command that writes a web page: ``out``, one file or a folder."""
+    alone = ["--single-file"] if single_file else []
+    return ["export", run, "--web", out, *alone, *_data(data), "--json"]
+
+
 def why_not(state: State, task: str, run: str = "given") -> str:
-    """Why a run's folder ``run`` (empty: none) cannot be evaluated or filmed now; empty where it can."""
+    """Why a run's folder ``run`` (empty: none) cannot be evaluated, filmed or exported now; empty where it
+    can."""
     busy = next((each for each in state.tasks if each.name in (INSTALL, CHECK)), None)
     if busy:
         return f"Wait for the {busy.name} to end"

@@ -18,8 +18,8 @@ from .told import Told, answered, progress
 
 #: Pixels across of the picture that is seen while the page loads.
 POSTER_WIDTH = 960
-#: In how many steps the work is told, of which writing the data is all but the first.
-STEPS = 10
+#: Percent of the work after which a run's model is known: its confidence takes long.
+OF_MODEL = 60
 
 
 def export_web(source: Path, out: Path, single_file: bool, data: Path | None, as_json: bool) -> int:
@@ -30,7 +30,7 @@ def export_web(source: Path, out: Path, single_file: bool, data: Path | None, as
 
     def work() -> dict[str, Any]:
         check_out(out, single_file)
-        with progress("web page", "step", as_json) as show:
+        with progress("web page", "percent", as_json) as show:
             say = _nothing if as_json else console.print
             return _written(source, out, single_file, data, show, say)
 
@@ -42,16 +42,19 @@ def _written(
 ) -> dict[str, Any]:
     if source.is_dir():
         run = open_run(source, data, report=say, pictures=False)
-        model, page = run.model(), page_of(run)
+        model = run.model(lambda done, views, name: show(OF_MODEL * done // max(views, 1), 100, name))
+        page = page_of(run)
     else:
         if data is not None:
             raise BadValueError("--data is of a run, and this is a model file", "Leave it out.")
         model = _read(source)
         page = WebPage(title=source.stem)
-    show(1, STEPS, "")
-    written = write_web_page(
-        out, model, page, single_file, lambda done: show(1 + round(done * (STEPS - 1)), STEPS, "")
-    )
+    show(OF_MODEL, 100, "")
+
+    def report(done: float) -> None:
+        show(OF_MODEL + round((100 - OF_MODEL) * done), 100, "")
+
+    written = write_web_page(out, model, page, single_file, report)
     hidden = f", {written.left_out} too faint to be seen left out" if written.left_out else ""
     say(
         f"wrote {written.page}: {written.gaussians} Gaussians{hidden}, "

@@ -40,6 +40,8 @@ STEP_CODES = 4
 THINNEST = 1e-3
 #: Lengths below this are one: a Gaussian of no size at all has no logarithm.
 SMALLEST = 1e-9
+#: Of a chunk whose values are all one: no denormal number, which processors take for 0.
+LEAST_EXTENT = np.float32(1e-30)
 ROTATION_BITS = 10
 _ROTATION_SCALE = ((1 << ROTATION_BITS) - 1) * math.sqrt(0.5)
 #: Lights, or baked levels, that a page can draw: layers of a texture, and numbers that a shader is given.
@@ -163,7 +165,7 @@ def _in_boxes(values: np.ndarray, chunks: int, most: int) -> tuple[np.ndarray, n
     """``[N, 3]`` numbers up to ``most``, and ``[chunks, 2, 3]`` float32: each chunk's least and extent."""
     boxes = _padded(values.astype(np.float64), chunks)
     low = boxes.min(axis=1).astype(np.float32)
-    extent = np.nextafter((boxes.max(axis=1) - low).astype(np.float32), np.float32(np.inf))
+    extent = np.nextafter((boxes.max(axis=1) - low).astype(np.float32), np.float32(np.inf)).clip(LEAST_EXTENT)
     codes = (boxes - low[:, None]) / extent[:, None].astype(np.float64) * most
     codes = np.rint(codes).clip(0, most).astype(np.int64).reshape(-1, 3)[: len(values)]
     return codes, np.stack([low, extent], axis=1)

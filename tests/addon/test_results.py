@@ -44,6 +44,12 @@ if words[0] == "evaluate":
     content = json.loads(here.with_name("evaluation.json").read_text())
     (pathlib.Path(words[1]) / "evaluation.json").write_text(json.dumps(content))
     say(result={"folder": words[1], "split": "test"})
+elif words[0] == "export":
+    out = pathlib.Path(words[3])
+    out = out if "--single-file" in words else out / "index.html"
+    out.parent.mkdir(exist_ok=True)
+    out.write_text("page")
+    say(result={"out": str(out)})
 else:
     out = pathlib.Path(words[3])
     out.write_bytes(b"") if out.suffix else out.mkdir()
@@ -326,3 +332,58 @@ def test_without_an_encoder_it_says_what_to_take(extension, run, monkeypatch):
         bpy.ops.physhdr.results_video(path="ORBIT")
     with pytest.raises(RuntimeError, match="nothing moves"):
         bpy.ops.physhdr.results_video(path="STILL", format="WEBP")
+
+
+# ---- web pages -------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def opened(monkeypatch) -> list[str]:
+    """The addresses that a browser was asked for."""
+    addresses: list[str] = []
+    monkeypatch.setattr(operators.webbrowser, "open", addresses.append)
+    return addresses
+
+
+def test_a_web_page_is_written_and_opens(extension, run, tmp_path, opened):
+    assert operators.page_of(str(run)) == ""
+    assert bpy.ops.physhdr.results_web() == {"FINISHED"}
+    assert calls(tmp_path) == [
+        ["export", str(run), "--web", str(run / "web.html"), "--single-file", "--json"]
+    ]
+    assert operators.page_of(str(run)) == str(run / "web.html")
+    assert opened == [], "a script has no use for a browser"
+    assert bpy.ops.physhdr.results_web(single_file=False, show=True) == {"FINISHED"}
+    assert calls(tmp_path)[-1] == ["export", str(run), "--web", str(run / "web"), "--json"]
+    assert opened == [(run / "web" / "index.html").as_uri()]
+    assert operators.page_of(str(run)) == str(run / "web" / "index.html")
+
+
+def test_a_web_page_that_failed_does_not_open(extension, run, tmp_path, opened):
+    (run / "web.html").write_text("an older one")
+    os.utime(run / "web.html", (time.time() - 60.0,) * 2)
+    (tmp_path / "broken").touch()
+    with pytest.raises(RuntimeError, match="no test views"):
+        bpy.ops.physhdr.results_web(show=True)
+    assert opened == []
+
+
+def test_a_web_page_opens_once_it_is_there(extension, run, tmp_path, opened, monkeypatch):
+    looks = []
+    monkeypatch.setattr(operators, "take_when_ended", lambda task, take, message: looks.append((task, take)))
+    assert bpy.ops.physhdr.results_web(wait=False, show=True) == {"FINISHED"}
+    assert extension.wait(lambda state: state.task("web") is None, 30.0)
+    [(task, take)] = looks
+    assert task == "web" and opened == []
+    assert take() is False, "nothing in the scene is to be undone"
+    assert opened == [(run / "web.html").as_uri()]
+
+
+@pytest.mark.parametrize(
+    ("single", "given", "written"),
+    [(True, "a.b", "a.b.html"), (True, "a.HTM", "a.HTM"), (False, "site", "site"), (False, "a.html", "a")],
+)
+def test_a_web_page_is_written_where_it_was_said(extension, run, tmp_path, single, given, written):
+    done = bpy.ops.physhdr.results_web(single_file=single, filepath=str(tmp_path / given))
+    assert done == {"FINISHED"}
+    assert calls(tmp_path)[-1][3] == str(tmp_path / written)

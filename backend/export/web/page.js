@@ -238,7 +238,10 @@ class Page {
   async setHdr(isOn) {
     const note = element("screen-note");
     if (isOn && !this.screen) {
-      try { this.screen = await HdrScreen.on(element("hdr")); }
+      try {
+        if (!this.drawing.canReadBack()) throw new PageError("this graphics driver does not give half floats back");
+        this.screen = await HdrScreen.on(element("hdr"));
+      }
       catch (error) {
         element("hdr-on").checked = false;
         note.textContent = `Standard range (SDR): ${error.message}.`;
@@ -300,19 +303,18 @@ class Page {
     let width = Math.max(1, Math.round(canvas.clientWidth * ratio)), height = Math.max(1, Math.round(canvas.clientHeight * ratio));
     const shrink = Math.min(1, Math.sqrt(MOST_PIXELS / (width * height)));
     [width, height] = [Math.max(1, Math.round(width * shrink)), Math.max(1, Math.round(height * shrink))];
-    const rows = this.hdr ? 2 * height : height;
-    if (canvas.width !== width || canvas.height !== rows) [canvas.width, canvas.height] = [width, rows];
+    if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
     const w = Math.max(1, Math.round(width * scale)), h = Math.max(1, Math.round(height * scale));
     const look = { exposure: 2 ** Number(element("exposure").value), levels: this.levels(), confidence: element("confidence").checked };
     const response = this.responses[look.confidence ? "confidence" : this.shown];
     // Linear needs no curve, which would end at white.
     const tone = response === this.responses.linear && this.hdr ? { ...response, form: 2 } : response;
-    const of = JSON.stringify([this.walker.view, width, rows, w, h, look, this.shown, this.sorted]);
+    const of = JSON.stringify([this.walker.view, width, height, w, h, look, this.shown, this.sorted, Boolean(this.hdr)]);
     if (of === this.drawn) return;
     this.drawn = of;
     this.drawing.setCurve(response);
-    this.drawing.draw(projected(this.walker.view, w, h), w, h, look, tone, this.hdr ? HDR_WHITE : 0);
-    this.hdr?.show(canvas);
+    const halves = this.drawing.draw(projected(this.walker.view, w, h), w, h, look, tone, Boolean(this.hdr));
+    this.hdr?.show(halves, width, height);
   }
 }
 

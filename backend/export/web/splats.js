@@ -140,7 +140,7 @@ void main() {
   picture = vec4(colour.rgb * alpha, alpha);
 }`;
 
-/** The picture as it is shown: the response of what was blended; for an HDR screen as two halves of 16 bits. */
+/** The picture as it is shown: the response of what was blended. For an HDR screen its rows are upside down. */
 const DEVELOPED = `
 precision highp float;
 uniform highp sampler2D picture;
@@ -148,7 +148,7 @@ uniform highp sampler2D curve;
 uniform vec2 span;
 uniform vec2 canvas;
 uniform int form;
-uniform float hdr_white;
+uniform bool is_hdr;
 uniform mat3 inset;
 uniform mat3 outset;
 out vec4 shown;
@@ -176,8 +176,7 @@ vec3 developed(vec3 x) {
 
 void main() {
   vec2 at = gl_FragCoord.xy;
-  bool is_low = hdr_white > 0.0 && at.y < canvas.y;
-  if (hdr_white > 0.0 && !is_low) at.y -= canvas.y;
+  if (is_hdr) at.y = canvas.y - at.y;
   /* Drawn smaller while it moves: bilinear. */
   vec2 source = at / canvas * vec2(textureSize(picture, 0)) - 0.5;
   ivec2 low = ivec2(floor(source)), most = textureSize(picture, 0) - 1;
@@ -185,13 +184,7 @@ void main() {
   ivec2 a = clamp(low, ivec2(0), most), b = clamp(low + 1, ivec2(0), most);
   vec3 exposed = mix(mix(texelFetch(picture, a, 0).rgb, texelFetch(picture, ivec2(b.x, a.y), 0).rgb, part.x),
     mix(texelFetch(picture, ivec2(a.x, b.y), 0).rgb, texelFetch(picture, b, 0).rgb, part.x), part.y);
-  vec3 x = developed(exposed);
-  if (hdr_white > 0.0) {
-    vec3 code = floor(clamp(x / hdr_white, 0.0, 1.0) * 65535.0 + 0.5);
-    vec3 high = floor(code / 256.0);
-    x = (is_low ? code - 256.0 * high : high) / 255.0;
-  }
-  shown = vec4(x, 1.0);
+  shown = vec4(developed(exposed), 1.0);
 }`;
 
 class SplatDrawing {
@@ -228,7 +221,7 @@ ${defines({ ...facts.contract, REST_STEP: facts.rest_step, BASE_STEP: facts.base
     gl.vertexAttribIPointer(0, 1, gl.UNSIGNED_INT, 0, 0);
     gl.vertexAttribDivisor(0, 1);
     this.nothing = gl.createVertexArray();
-    this.picture = null;
+    this.picture = this.wide = this.halves = null;
     this.ordered = 0;
     this.curve = null;
     this.shineOf = "";
@@ -329,13 +322,13 @@ ${defines({ ...facts.contract, REST_STEP: facts.rest_step, BASE_STEP: facts.base
 
   /**
    * `view`: eye, rows of the rotation into the camera (x right, y down, z forward), lens in pixels of a picture of
-   * `width` × `height`; `look`: exposure (s), levels, confidence; `tone`: form and matrices. `hdrWhite`: 0, or how
-   * many times white an HDR screen may show: the canvas then has two halves.
+   * `width` × `height`; `look`: exposure (s), levels, confidence; `tone`: form and matrices. With `isHdr` the
+   * picture does not go onto the canvas but is returned, in half floats `[H, W, 4]` of the canvas's size.
    */
-  draw(view, width, height, look, tone, hdrWhite) {
+  draw(view, width, height, look, tone, isHdr) {
     const gl = this.gl;
     if (!this.picture || this.picture.width !== width || this.picture.height !== height) {
-      if (this.picture) { gl.deleteTexture(this.picture.texture); gl.deleteFramebuffer(this.picture.frame); }
+      this.forget(this.picture);
       this.picture = this.target(width, height);
     }
     this.drawRadiance(view, look);
@@ -355,17 +348,38 @@ ${defines({ ...facts.contract, REST_STEP: facts.rest_step, BASE_STEP: facts.base
     gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, this.ordered);
     gl.disable(gl.BLEND);
 
-    gl.bindFramebuffer(gl.FRAMEBUFFER, null);
-    gl.viewport(0, 0, this.canvas.width, this.canvas.height);
+    const { width: w, height: h } = this.canvas;
+    if (isHdr && (this.wide?.width !== w || this.wide.height !== h)) {
+      this.forget(this.wide);
+      this.wide = this.target(w, h);
+      this.halves = new Uint16Array(4 * w * h);
+    }
+    gl.bindFramebuffer(gl.FRAMEBUFFER, isHdr ? this.wide.frame : null);
+    gl.viewport(0, 0, w, h);
     this.bind(this.develop, { picture: this.picture, curve: this.curve });
     gl.uniform2f(this.develop.at("span"), ...this.curve.span);
-    gl.uniform2f(this.develop.at("canvas"), this.canvas.width, this.canvas.height / (hdrWhite ? 2 : 1));
+    gl.uniform2f(this.develop.at("canvas"), w, h);
     gl.uniform1i(this.develop.at("form"), tone.form);
-    gl.uniform1f(this.develop.at("hdr_white"), hdrWhite);
+    gl.uniform1i(this.develop.at("is_hdr"), isHdr ? 1 : 0);
     gl.uniformMatrix3fv(this.develop.at("inset"), true, tone.inset.flat());
     gl.uniformMatrix3fv(this.develop.at("outset"), true, tone.outset.flat());
     gl.bindVertexArray(this.nothing);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
+    if (isHdr) gl.readPixels(0, 0, w, h, gl.RGBA, gl.HALF_FLOAT, this.halves);
+    return this.halves;
+  }
+
+  /** Whether half floats can be read back, as an HDR screen needs; not all drivers do. */
+  canReadBack() {
+    const gl = this.gl;
+    gl.bindFramebuffer(gl.FRAMEBUFFER, this.shine.frame);
+    return gl.getParameter(gl.IMPLEMENTATION_COLOR_READ_TYPE) === gl.HALF_FLOAT;
+  }
+
+  forget(target) {
+    if (!target) return;
+    this.gl.deleteTexture(target.texture);
+    this.gl.deleteFramebuffer(target.frame);
   }
 
   /** Every Gaussian's radiance, where the eye, the exposure or a light are others than last time. */

@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The files of a web page: what they hold, what is refused, what is never overwritten."""
+
+import base64
+import importlib.util
+import json
+import re
+import shutil
+import subprocess
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from physhdr.backend.cli import main
+from physhdr.backend.cli.export import Export
+from physhdr.backend.export import web_page
+from physhdr.backend.export.quantised import quantised
+from physhdr.backend.export.web_page import WebPage, WebView, write_web_page
+from physhdr.backend.scene.camera import Camera
+from physhdr.bridge.errors import BadValueError, OutputError
+from physhdr.bridge.model_file import Model, write_model
+
+_spec = importlib.util.spec_from_file_location("of_quantised", Path(__file__).parent / "test_quantised.py")
+of_quantised = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(of_quantised)
+some_model = of_quantised.some_model
+
+
+def facts_of(html: str) -> dict:
+    """What the page's script is told."""
+    return json.loads(re.search(r"window\.MODEL_FACTS = (.*);\n</script>", html).group(1))
+
+
+def data_of(scripts: str) -> bytes:
+    """What the parts in some scripts unpack to."""
+    parts = re.findall(r'MODEL_PART\((\d+),"([A-Za-z0-9+/=]*)"\);', scripts)
+    assert [int(index) for index, _ in parts] == list(range(len(parts)))
+    return zlib.decompress(b"".join(base64.b64decode(text) for _, text in parts))
+
+
+def pose(rotation: np.ndarray) -> np.ndarray:
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation, (1.0, 2.0, 3.0)
+    return matrix
+
+
+@pytest.mark.parametrize("single", [False, True])
+def test_the_page_holds_the_model(tmp_path, monkeypatch, single):
+    monkeypatch.setattr(web_page, "PART_BYTES", 3000)  # several parts
+    model, seen = some_model(), []
+    out = tmp_path / ("scene.html" if single else "scene")
+    written = write_web_page(out, model, WebPage("A scene"), single, seen.append)
+    html = written.page.read_text()
+    facts = facts_of(html)
+    files = [entry["file"] for entry in facts["parts"]]
+    assert len(files) > 3
+    if single:
+        assert files == [""] * len(files) and [p.name for p in tmp_path.iterdir()] == ["scene.html"]
+        scripts = html
+    else:
+        assert {p.name for p in out.iterdir()} == {"index.html", "viewer.js", *files}
+        scripts = "".join((out / name).read_text() for name in files)
+    assert data_of(scripts) == quantised(model).raw()
+    assert facts["bytes"] == len(quantised(model).raw())
+    assert written.gaussians == facts["count"] == model.count
+    assert written.page_bytes == sum(p.stat().st_size for p in tmp_path.rglob("*") if p.is_file())
+    assert seen == sorted(seen) and seen[-1] == 1.0
+    # Nothing that a browser refuses from disk, and nothing from elsewhere.
+    assert 'type="module"' not in html and "fetch(" not in html + web_page.viewer()
+    assert not re.search(r"(src|href)=\"(https?:)?//", html)
+
+
+def test_names_cannot_become_markup(tmp_path):
+    name = '</script><script>alert(1)</script> & "@CSS@" <!--'
+    model = some_model(count=4, lights=1)
+    model = Model(**{**vars(model), "lights": (name,)})
+    html = write_web_page(tmp_path / "x", model, WebPage(name, notes=(name,))).page.read_text()
+    assert facts_of(html)["title"] == name and facts_of(html)["lights"] == [name]
+    assert html.count("<script") == 2 and "alert(1)</script>" not in html
+    assert "<title>&lt;/script&gt;&lt;script&gt;alert(1)&lt;/script&gt; &amp; &quot;@CSS@&quot;" in html
+
+
+def test_cameras_are_told_as_they_are():
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        rotation = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+        rotation *= np.linalg.det(rotation)
+        camera = Camera(pose(rotation), 640, 480, 500.0, 510.0, 300.0, 250.0)
+        facts = web_page.page_facts(*facts_input([WebView("test/0", camera)]))
+        (row,) = facts["cameras"]
+        w, x, y, z = row["turn"]
+        back = np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+                [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+                [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+        np.testing.assert_allclose(back, rotation, atol=1e-6)
+        assert row["lens"] == [500 / 640, 510 / 480, 300 / 640, 250 / 480, 640 / 480]
+
+
+def facts_input(views: list[WebView]) -> tuple:
+    model = some_model(count=3)
+    return model, WebPage("x", views), quantised(model)
+
+
+def test_up_is_z_unless_the_cameras_say_otherwise():
+    level = Camera.from_field_of_view(pose(np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]], float)), 10, 10, 1.0)
+    y_up = Camera.from_field_of_view(pose(np.eye(3)), 10, 10, 1.0)
+    upside = Camera.from_field_of_view(pose(np.diag([-1.0, -1.0, 1.0])), 10, 10, 1.0)
+    up = lambda *cameras: web_page.page_facts(*facts_input([WebView("", c) for c in cameras]))["up"]  # noqa: E731
+    assert up(level) == [0.0, 0.0, 1.0]
+    assert up(y_up) == [0.0, 1.0, 0.0]
+    assert up(y_up, upside) == [0.0, 0.0, 1.0]  # they agree on nothing
+
+
+def test_the_learned_response_is_told_as_it_is():
+    x = np.array([-3.0, -1.0, 0.0, 2.0], np.float32)
+    y = np.array([[0.0, 0.1, 0.0], [0.2, 0.2, 0.1], [0.5, 0.6, 0.7], [1.0, 0.9, 1.0]], np.float32)
+    model = some_model(count=3)
+    model = Model(
+        **{**vars(model), "tone_curve_log_exposure": x, "tone_curve": y, "exposures": (0.5, 2.0, 8.0)}
+    )
+    facts = web_page.page_facts(model, WebPage("x"), quantised(model))
+    rows = np.array(facts["curve"]["rows"])
+    even = np.linspace(-3.0, 2.0, len(rows))
+    for channel in range(3):
+        np.testing.assert_allclose(rows[:, channel], np.interp(even, x, y[:, channel]), atol=1e-6)
+    assert facts["exposure"] == {"start": 1.0, "range": [-5.0, 7.0]}  # 2 s; 1/32 to 128 s
+
+
+def test_another_page_is_not_replaced_and_ours_is(tmp_path):
+    folder = tmp_path / "site"
+    folder.mkdir()
+    (folder / "index.html").write_text("<h1>My home</h1>")
+    with pytest.raises(OutputError, match="did not write it"):
+        write_web_page(folder, some_model(count=4), WebPage("x"))
+    assert [p.name for p in folder.iterdir()] == ["index.html"]
+    (folder / "index.html").unlink()
+    for number in (3, 1):
+        (folder / web_page.PART_FILE.format(number)).write_text("")
+    write_web_page(folder, some_model(count=4), WebPage("x"))
+    write_web_page(folder, some_model(count=5), WebPage("y"))
+    assert facts_of((folder / "index.html").read_text())["count"] == 5
+    # An older page's second part is gone; what does not follow on it is nobody's business.
+    assert not (folder / "model-001.js").exists() and (folder / "model-003.js").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--web", "out.html"), "single-file"),
+        (("--web", "out", "--single-file"), "no HTML file"),
+        (("--single-file",), "Add --web"),
+        (("--web", "out", "--exposure-ev", "2"), "--exposure-ev"),
+        (("--web", "out", "--lighting-levels", "ambient=2"), "--lighting-levels"),
+        (("--web", "out", "--data", "x"), "--data"),
+    ],
+)
+def test_what_does_not_fit_together_is_refused(tmp_path, monkeypatch, capsys, words, message):
+    monkeypatch.chdir(tmp_path)
+    write_model(Path("m.safetensors"), some_model(count=4))
+    assert main(["export", "m.safetensors", *words]) == 1
+    assert message in capsys.readouterr().err
+    assert [p.name for p in tmp_path.iterdir()] == ["m.safetensors"]
+
+
+def test_damaged_models_are_refused(tmp_path, capsys):
+    file = tmp_path / "m.safetensors"
+    write_model(file, some_model(count=4))
+    content = bytearray(file.read_bytes())
+    content[-4:] = np.float32("nan").tobytes()
+    file.write_bytes(content)
+    assert main(["export", str(file), "--web", str(tmp_path / "out")]) == 1
+    assert "NaN" in capsys.readouterr().err
+    with pytest.raises(BadValueError, match="no Gaussians"):
+        some_model(count=0)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_program_is_told_json(tmp_path, capsys):
+    file = tmp_path / "m.safetensors"
+    write_model(file, some_model(count=4))
+    assert Export(file, web=tmp_path / "out", json=True).run() == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert lines[-1]["result"]["out"] == str(tmp_path / "out" / "index.html")
+    assert lines[-2]["progress"] == 1.0
+    assert Export(tmp_path / "no.safetensors", web=tmp_path / "out", json=True).run() == 1
+    assert json.loads(capsys.readouterr().out.splitlines()[-1])["error"]["code"] == "file_missing"
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="needs node, to read JavaScript")
+def test_the_script_is_one_classic_script(tmp_path):
+    script = tmp_path / "viewer.js"
+    script.write_text(web_page.viewer())
+    subprocess.run(["node", "--check", script], check=True)
