@@ -5,12 +5,17 @@ import json
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from ...bridge.atomic import atomic_path
 from ...bridge.confidence import MEANING, colours
 from ...bridge.errors import BadValueError, FileMissingError
+from ...bridge.limits import check_position
+from ...bridge.panorama import near_distance
+from ...bridge.probe import check_width
 from ..evaluate import truth
 from ..evaluate.confidence import Calibration, calibration, log_error
+from ..evaluate.panorama import LitSplats, surroundings
 from ..evaluate.results import VIEWS_OF
 from ..export.confidence import confidence_picture
 from ..methods.base import SplattingMethod
@@ -47,7 +52,33 @@ def write_confidence(run: Run, camera: Camera, out: Path) -> list[Path]:
     ``out``: either of the two; the other lies beside it. Raises as ``on_gaussians_and_sure``.
     """
     method, found = on_gaussians_and_sure(run)
-    picture = confidence_picture(method, found, camera).image.numpy().transpose(1, 2, 0)
+    return _write(confidence_picture(method, found, camera).image.numpy().transpose(1, 2, 0), out)
+
+
+def write_confidence_around(run: Run, at: tuple[float, float, float], width: int, out: Path) -> list[Path]:
+    """``write_confidence`` in all directions: what ``physhdr panorama`` draws there, pixel by pixel.
+
+    0 where nothing was ever seen, which the panorama fills. Raises as ``check_position`` and ``check_width``.
+    """
+    check_position(at, "--at")
+    check_width(width)
+    method, found = on_gaussians_and_sure(run)
+    sure = torch.from_numpy(found)[:, None].expand(-1, 3).contiguous()
+    near = near_distance(method.gaussians.positions.detach().numpy(), np.asarray(at))
+
+    def draw(camera: Camera) -> tuple[torch.Tensor, torch.Tensor]:
+        splats = method.backbone.splats(camera, method.active_sh_degree)
+        shape = (splats.means, splats.quaternions, splats.scales, splats.opacities)
+        parts, _ = LitSplats(*shape, sure[None]).beyond(at, near).drawn(camera, "auto")
+        # All of it counts as covered: confidence 0 is an answer, no hole to be filled.
+        return parts, torch.ones_like(parts[0, 0])
+
+    with torch.no_grad():
+        return _write(surroundings(draw, at, width).parts[0], out)
+
+
+def _write(picture: np.ndarray, out: Path) -> list[Path]:
+    """``[H, W, 3]`` as both files."""
     paths = [out.with_suffix(".exr"), out.with_suffix(".png")]
     write_exr(paths[0], picture, {"physhdr": f"confidence: {MEANING}"})
     write_png(paths[1], with_legend(picture[..., 0]))

@@ -10,6 +10,7 @@ import tyro
 
 from ...bridge.confidence import MEANING
 from ...bridge.errors import BadValueError
+from ...bridge.probe import WIDTH
 from ..device import DeviceName
 from ..evaluate.picture_folder import write_pictures
 from ..evaluate.results import VIEWS_OF
@@ -18,7 +19,7 @@ from ..runs.run import open_run
 from ..runs.terminal import console
 from ..scene import Camera, Scene
 from ..scene.pictures import write_exr, write_png
-from .confidence import write_confidence
+from .confidence import write_confidence, write_confidence_around
 from .lighting import levels_asked
 from .told import progress
 
@@ -63,6 +64,9 @@ class Render:
     #: How likely the radiance is right, instead of the radiance: --out and its like as .exr (0 to 1) and .png
     #: (in colours, with a legend). docs/confidence.md
     confidence: bool = False
+    #: With --confidence: in all directions from the place X Y Z, metres, as physhdr panorama draws the light
+    #: there; --width is a power of two.
+    at: tuple[float, float, float] | None = None
     #: The data set, where it has moved since training.
     data: Path | None = None
     rasteriser: Implementation = "auto"
@@ -80,18 +84,25 @@ class Render:
             raise BadValueError(f"--exposure must be above 0 seconds, got {self.exposure}")
         if self.confidence:
             defaults = {each.name: each.default for each in fields(self)}
-            asked = ("exposure", "lighting_level", "lighting_levels")
+            asked = ("exposure", "lighting_level", "lighting_levels", *(("view",) if self.at else ()))
             if given := [name for name in asked if getattr(self, name) != defaults[name]]:
                 raise BadValueError(
                     f"--{given[0].replace('_', '-')} changes nothing about --confidence", "Leave it out."
                 )
+        elif self.at is not None:
+            raise BadValueError(
+                "--at is of --confidence", "The light of a place is drawn by physhdr panorama RUN --at X Y Z."
+            )
         run = open_run(self.folder, self.data, self.rasteriser, self.device, pictures=False)
         levels = levels_asked(self.lighting_level, self.lighting_levels, run.method.lights)
         camera = camera_named(run.scene, self.view)
-        if self.width is not None:
+        if self.width is not None and self.at is None:
             camera = camera.resized(self.width)
         if self.confidence:
-            written = write_confidence(run, camera, self.out)
+            if self.at is None:
+                written = write_confidence(run, camera, self.out)
+            else:
+                written = write_confidence_around(run, self.at, self.width or WIDTH, self.out)
             console.print(f"wrote {' and '.join(map(str, written))}: {MEANING}", soft_wrap=True)
             return 0
         if kind == ".exr":
@@ -105,7 +116,7 @@ class Render:
         return 0
 
     def _all_of(self, split: str) -> int:
-        alone = ("view", "exposure", "lighting_level", "lighting_levels", "width", "confidence")
+        alone = ("view", "exposure", "lighting_level", "lighting_levels", "width", "confidence", "at")
         defaults = {each.name: each.default for each in fields(self)}
         if given := [name for name in alone if getattr(self, name) != defaults[name]]:
             raise BadValueError(

@@ -2,6 +2,7 @@
 """Confidence as a user gets it: in the exported model, as a picture, and as a table against truth."""
 
 import json
+import math
 import shutil
 
 import numpy as np
@@ -10,7 +11,10 @@ import pytest
 from PIL import Image
 
 from physhdr.backend.cli import main
-from physhdr.backend.cli.confidence import GAP, LEGEND
+from physhdr.backend.cli.confidence import GAP, LEGEND, on_gaussians_and_sure
+from physhdr.backend.export.confidence import confidence_picture
+from physhdr.backend.runs.run import open_run
+from physhdr.backend.scene.camera import Camera
 from physhdr.bridge.confidence import MEANING, RAMP
 from physhdr.bridge.model_file import read_model
 from physhdr.bridge.ply_model import read_ply_model
@@ -64,6 +68,27 @@ def test_it_is_drawn_in_numbers_and_in_colours(run, tmp_path):
     place = np.round(numbers[..., 0] * (width - 1)).astype(int)
     difference = shown[:height].astype(int) - shown[-1][place].astype(int)
     assert np.abs(difference).max() <= 10
+
+
+def test_in_all_directions_it_is_what_a_camera_sees(run, tmp_path):
+    """From ten metres before the scene: a camera that looks at +Y sees as much; behind there is nothing."""
+    at = ["--at", "0", "-10", "0"]
+    words = ["render", str(run), "--confidence", *at, "--width", "64", "--out", str(tmp_path / "sky.png")]
+    assert main(words) == 0
+    sure = OpenEXR.File(str(tmp_path / "sky.exr")).channels()["RGB"].pixels[..., 0]
+    assert sure.shape == (32, 64) and Image.open(tmp_path / "sky.png").size == (64, 32 + GAP + LEGEND)
+    assert (sure[:, 40:56] == 0.0).all()
+    opened = open_run(run, pictures=False)
+    method, found = on_gaussians_and_sure(opened)
+    pose = np.eye(4)
+    pose[:3, :3] = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])  # right +X, up +Z, looks at +Y
+    pose[:3, 3] = (0.0, -10.0, 0.0)
+    pixel = 2.0 * math.pi / 64
+    camera = Camera.from_field_of_view(pose, 128, 128, 2.0 * pixel)  # +Y is where four pixels meet
+    seen = confidence_picture(method, found, camera).image[0].numpy().mean()
+    assert seen > 0.05
+    assert sure[15:17, 15:17].mean() == pytest.approx(seen, rel=0.03)
+    assert main(["render", str(run), *at, "--out", str(tmp_path / "x.exr")]) == 1  # not without --confidence
 
 
 @pytest.mark.parametrize("words", [["--exposure", "2"], ["--lighting-level", "2"], ["--split", "test"]])
