@@ -21,6 +21,7 @@ from physhdr.backend.export.confidence import (
     confidence_of,
     confidence_picture,
     expected_error,
+    thinned,
     told_by,
 )
 from physhdr.backend.methods.base import Facts
@@ -226,6 +227,21 @@ def test_what_codes_tell_by_known_encodings():
     assert radiance.information[65535, 0] > 0.0 and radiance.information[0, 0] == 0.0
     expected = (1.0 / math.log(5001.0)) ** 2 / (1.0 / (12.0 * 32767.5**2) + NOISE**2)
     np.testing.assert_allclose(radiance.information[40000:, 0], expected, rtol=1e-2)
+
+
+def test_of_large_captures_evenly_spread_views_are_looked_at(method):
+    def views(count, width):
+        camera = Camera.from_field_of_view(np.eye(4), width, width, 0.3)
+        return [
+            Seen(View(str(index), camera, (1.0,), (Picture(None, SRGB),), index), (0,))
+            for index in range(count)
+        ]
+
+    assert thinned(few := views(200, 200)) is few
+    chosen = [each.view.index for each in thinned(views(400, 1000))]
+    assert len(chosen) == 100 and (chosen[0], chosen[-1]) == (0, 399)
+    assert set(np.diff(chosen)) <= {4, 5}
+    assert len(thinned(views(40, 4000))) == 32 and len(thinned(views(20, 4000))) == 20
 
 
 def test_confidence_is_a_probability_of_the_error():
