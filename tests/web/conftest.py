@@ -78,10 +78,12 @@ def chromium() -> Iterator[Any]:
 
 @pytest.fixture
 def visit(chromium) -> Iterator[Any]:
-    """``visit(width, height)`` gives an empty page of that size; other options are Playwright's."""
+    """``visit(width, height)`` gives an empty page of that size, of one who likes no motion: nothing fades or
+    flies. Other options are Playwright's."""
     contexts = []
 
     def visit(width: int, height: int, **options: Any) -> Page:
+        options = {"reduced_motion": "reduce"} | options
         contexts.append(chromium.new_context(viewport={"width": width, "height": height}, **options))
         return Page(contexts[-1].new_page())
 

@@ -186,6 +186,8 @@ class Walker {
     this.flight = null;
     this.keys.add(event.code);
     this.isFast = event.shiftKey;
+    // A tap may end before the next frame begins: it moves, too.
+    if (!event.repeat) this.move(1 / 30);
     this.changed();
   }
 
@@ -198,6 +200,12 @@ class Walker {
       return true;
     }
     if (!this.keys.size) return false;
+    this.move(seconds);
+    return true;
+  }
+
+  /** What the keys that are held do in so many seconds. */
+  move(seconds) {
     const speed = (this.isFast ? 3 : 1) * 0.35 * this.size * seconds;
     for (const code of this.keys) {
       if (code in MOVES) { this.shift(...times(MOVES[code], speed)); this.pivot = null; }
@@ -206,6 +214,5 @@ class Walker {
         this.turn(sign * TURNS[code][0] * 1.2 * seconds, sign * TURNS[code][1] * 1.2 * seconds, about);
       }
     }
-    return true;
   }
 }

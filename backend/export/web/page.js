@@ -9,7 +9,7 @@ const SLOW = 40, FAST = 18;
 /** Stops of a light's slider to each side. */
 const LIGHT_STOPS = 6;
 const KEYS = [
-  ["Drag, arrows", "turn"], ["Shift or right button, two fingers", "move sideways"], ["Wheel, pinch", "nearer, farther"],
+  ["Drag, arrows", "turn"], ["Shift-drag, right button, two fingers", "move sideways"], ["Wheel, pinch", "nearer, farther"],
   ["W A S D, Q E", "walk, down, up (Shift: faster)"], ["[ ] and 1 … 9", "cameras"], ["+ −", "exposure"], ["M", "orbit or walk"],
   ["H", "hide the panel"], ["F", "full screen"], ["R", "as at first"],
 ];
@@ -272,7 +272,7 @@ class Page {
     if (moves) {
       this.movedAt = now;
       this.frameTime = this.frameTime ? 0.8 * this.frameTime + 0.2 * elapsed : elapsed;
-      if (this.frameTime > SLOW) this.scale = Math.max(this.scale * 0.9, LEAST_SCALE);
+      if (this.frameTime > SLOW) this.scale = Math.max(this.scale * Math.max(Math.sqrt(SLOW / this.frameTime), 0.6), LEAST_SCALE);
       else if (this.frameTime < FAST) this.scale = Math.min(this.scale * 1.05, 1);
       document.documentElement.dataset.frameTime = this.frameTime.toFixed(1);
     } else this.frameTime = 0;
