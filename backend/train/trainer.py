@@ -22,6 +22,7 @@ from ..scene.resident import Pictures
 from ..scene.scene import Scene, View
 from ..start.far_shell import far_points
 from ..start.initialise import initial_points, merged_log_radiance, scene_extent, seen_points
+from ..start.merged_brackets import MergedBrackets
 from .anchor_growth import AnchorGrowth
 from .calibration import freeze_response, read_calibration, use_response
 from .checkpoint import (
@@ -46,11 +47,6 @@ from .half_size import halved
 from .nuisances import Nuisances
 from .optimisers import ADAM, Optimiser
 from .views import responses_of, training_exposures, training_lights, training_views
-
-# Tiny gradients, and Adam's moments of them (backend/simd/denormals.py). Before torch's first operation on
-# many numbers: its OpenMP threads keep what the thread has that starts them, and a resumed training must find
-# the same. ``step`` says it again, for a thread that did not import this.
-torch.set_flush_denormal(True)
 
 #: Prefix of the backbone's parameters in a checkpoint, of either backbone.
 PRIMITIVES = "gaussians."
@@ -112,6 +108,8 @@ class Trainer:
 
         torch.manual_seed(config.seed)  # initial values of the networks
         self.responses = responses_of(self.views, self.exposures)
+        #: Pictures with the light of their whole brackets; None where they stay as they were taken.
+        self.merged = self._new_merged()
         facts = Facts(scene.response_anchor, implementation, self.lights, self.responses)
         self.method = new_method(config.method, self.schedule.anchors, facts)
         state = self._restore(resumed) if resumed else {}
@@ -158,6 +156,14 @@ class Trainer:
         return GaussianGrowth(
             method, self.optimiser, config.densify, iterations, seed, cameras, self._clearance
         )
+
+    def _new_merged(self) -> MergedBrackets | None:
+        """As the configuration says; published methods see what the camera took."""
+        wanted = self.config.merged_brackets
+        if wanted == "off" or (wanted == "auto" and not self.config.method.traits.effects):
+            return None
+        merged = MergedBrackets(self.views, self.exposures)
+        return merged if wanted == "on" or merged.worth_it else None
 
     def _new_nuisances(self, state: Mapping[str, torch.Tensor], resumed: Path | None) -> Nuisances | None:
         """As the configuration says; a run that was begun without (by an older PhysHDR) goes on without."""
@@ -220,6 +226,8 @@ class Trainer:
             seed=config.seed,
         )
         self.start_message = points.message
+        if self.merged is not None:
+            self.start_message += f", brackets merged (noise of {self.merged.worst:.1f} codes of 255)"
         start = Start(
             opacity=config.initial_opacity,
             scale_factor=config.initial_scale,
@@ -263,7 +271,8 @@ class Trainer:
 
     def picture(self, view: View, k: int) -> torch.Tensor:
         """``[3, H, W]`` in [0, 1], on the device: what methods that sample all pictures ask for."""
-        return self.pictures.get(view, k)
+        merged = None if self.merged is None else self.merged.values(view, k)
+        return self.pictures.get(view, k) if merged is None else torch.from_numpy(merged).to(self.device)
 
     def first_points(self) -> np.ndarray:
         """``[P, 3]`` metres: what methods ask for that start elsewhere, but must know where the scene is."""
@@ -276,7 +285,7 @@ class Trainer:
         return Recording(
             exposure=view.exposures[k],
             encoding=view.encodings[k],
-            picture=self.pictures.get(view, k),
+            picture=self.picture(view, k),
             mask=self.pictures.mask(view, k),
         )
 
@@ -300,7 +309,6 @@ class Trainer:
 
     def step(self) -> dict[str, torch.Tensor]:
         """One iteration; returns the weighted loss terms (detached)."""
-        torch.set_flush_denormal(True)
         iteration = self.iteration
         batch = self.batch(iteration)
         self._follow_schedule(iteration)
