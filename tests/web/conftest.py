@@ -17,6 +17,10 @@ ARGUMENTS = ("--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--no-san
 PATIENCE = 120_000
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--shot", type=Path, help="also write the picture of the demo's page for README.md here")
+
+
 class Page:
     """One opened page: ``told`` is what it wrote on the console, and its errors."""
 

@@ -119,6 +119,17 @@ def two_lights(tmp_path_factory) -> tuple[Path, Path]:
     return folder, out / "index.html"
 
 
+def test_what_a_page_cannot_show_is_said(tmp_path, capsys):
+    """The paper's preset has local curves and baked levels; anchors are fixed as for every file."""
+    for name, remark in (("paper", "global curve alone"), ("default-scaffold", "")):
+        shutil.copytree(EARLIER / name, tmp_path / name)
+        words = ["export", str(tmp_path / name), "--web", str(tmp_path / f"{name}.html"), "--single-file"]
+        assert main([*words, "--data", str(EARLIER / "data")]) == 0
+        told = " ".join(capsys.readouterr().out.split())
+        assert (remark in told) if remark else ("curve" not in told)
+        assert remark in (tmp_path / f"{name}.html").read_text()
+
+
 @pytest.fixture(scope="session")
 def demo(tmp_path_factory) -> tuple[Path, Path]:
     """The demo's run, and its page as one file."""
@@ -477,6 +488,19 @@ def test_frames_are_timed(demo, visit):
     print(f"{time:.0f} ms a frame while it turns, drawn by the processor")
     assert 0.0 < time < 5000.0
     assert page.still() == "settled"
+
+
+def test_the_picture_for_the_readme(demo, visit, request):
+    """``make web-test WITH="-k readme --shot docs/images/web.jpg"``."""
+    out = request.config.getoption("--shot")
+    if out is None:
+        pytest.skip("--shot PATH writes it")
+    page = visit(1120, 700)
+    assert page.open(demo[1].as_uri()) == "settled"
+    page.slide("exposure", 2.0)
+    page.slide("light-0", -1.5)
+    page.still()
+    Image.fromarray(pixels(page.page.screenshot())).save(out, quality=84, optimize=True)
 
 
 # ---- loading ---------------------------------------------------------------------------------------------
