@@ -17,9 +17,10 @@ from ..rasterize import rasterize
 from ..scene.camera import Camera
 from . import curve_mlp, evaluate_sh, gaussian_blur, local_curves, small_mlp, ssim
 from .activations import lit_colours
+from .bracket import bracket_errors
 from .mlp import Activation
 from .pointwise import blend, corrected, log_of_exposure
-from .ssim import _ssim_rows
+from .ssim import SsimTarget, _ssim_rows
 from .stereo import matching_costs, semi_global
 
 #: (inputs, outputs) of the method's networks with one hidden layer: g, φ, f_mix.
@@ -90,6 +91,7 @@ def _jobs(needs: Needs) -> dict[str, Callable[[], None]]:
     jobs["spherical harmonics"] = _spherical_harmonics
     jobs["pointwise"] = _pointwise
     jobs["activations"] = _activations
+    jobs["brackets"] = _bracket
     if needs.blur:
         jobs["blur"] = _blur
     return jobs
@@ -140,6 +142,14 @@ def _pointwise() -> None:
 def _activations() -> None:
     triples, ones = torch.zeros(8, 3, requires_grad=True), torch.zeros(8, 1)
     lit_colours(triples, ones, triples[:, None], (2.0,))[0].sum().backward()
+
+
+def _bracket() -> None:
+    radiance, knots = torch.ones(3, 16, 16, requires_grad=True), torch.linspace(-1.0, 1.0, 257)
+    values = knots.expand(3, -1).contiguous()
+    target = SsimTarget(torch.rand(3, 16, 16))
+    errors = bracket_errors(radiance, [1.0], 1e-5, knots, values, values, [target], "l1")
+    (errors[0] + errors[1]).sum().backward()
 
 
 def _network(inputs: int, outputs: int) -> None:

@@ -41,8 +41,13 @@ _CUBIC = np.array(
 def knots_for(x: torch.Tensor) -> torch.Tensor | None:
     """Knots ``[K]`` that surround all of ``x``, or ``None`` if it has too few points for its range."""
     low, high = (float(v) for v in torch.aminmax(x.detach()))
+    return knots_between(low, high, x.shape[-1])
+
+
+def knots_between(low: float, high: float, points: int) -> torch.Tensor | None:
+    """Knots ``[K]`` for ``points`` points between ``low`` and ``high``, or ``None`` if these are too few."""
     # Written so that NaN and infinity fail it, too.
-    if not (high - low) * KNOTS_PER_UNIT * WORTH_WHILE + FEW < x.shape[-1]:
+    if not (high - low) * KNOTS_PER_UNIT * WORTH_WHILE + FEW < points:
         return None
     first, last = (int(np.floor(v * KNOTS_PER_UNIT)) for v in (low, high))
     return torch.arange(first - 1, last + 3, dtype=torch.float32) / KNOTS_PER_UNIT
@@ -55,7 +60,7 @@ def interpolate(
     return _Interpolate.apply(x, values, slopes, float(knots[0]))
 
 
-def _coefficients(values: torch.Tensor) -> np.ndarray:
+def coefficients_of(values: torch.Tensor) -> np.ndarray:
     """``[C, K]`` → ``[C, K, 4]``, for the interval to the right of every knot (zero at the ends)."""
     around = np.lib.stride_tricks.sliding_window_view(values.detach().numpy().astype(np.float64), 4, axis=1)
     result = np.zeros((*values.shape, 4), np.float32)
@@ -68,7 +73,7 @@ class _Interpolate(torch.autograd.Function):
     def forward(ctx: Any, x, values, slopes, start: float) -> torch.Tensor:
         x = x.detach().contiguous()
         y = torch.empty_like(x)
-        arrays = (x.numpy(), _coefficients(values), np.float32(start), y.numpy())
+        arrays = (x.numpy(), coefficients_of(values), np.float32(start), y.numpy())
         counter = np.zeros(1, np.int64)
         run_parallel(lambda _: _forward(counter, *arrays))
         ctx.saved = (x, slopes.detach(), start)
@@ -81,15 +86,21 @@ class _Interpolate(torch.autograd.Function):
         chunks = -(-x.shape[1] // CHUNK)
         partials = np.zeros((x.shape[0], chunks, slopes.shape[1], 4), np.float32)
         grad_x = torch.empty_like(x)
-        arrays = (x.numpy(), _coefficients(slopes), np.float32(start), grad.contiguous().numpy())
+        arrays = (x.numpy(), coefficients_of(slopes), np.float32(start), grad.contiguous().numpy())
         counter = np.zeros(1, np.int64)
         run_parallel(lambda _: _backward(counter, *arrays, grad_x.numpy(), partials))
-        by_value = partials.sum(1, dtype=np.float64) @ _CUBIC.T
-        grad_values = np.zeros(slopes.shape)
-        for offset in range(4):
-            # Interval k takes the values of knots k − 1 … k + 2.
-            grad_values[:, offset : offset + slopes.shape[1] - 3] += by_value[:, 1:-2, offset]
-        return grad_x, torch.from_numpy(grad_values.astype(np.float32)), None, None
+        return grad_x, gradient_of_values(partials), None, None
+
+
+def gradient_of_values(partials: np.ndarray) -> torch.Tensor:
+    """∂L/∂values ``[C, K]`` from ∂L/∂c₀ … ∂L/∂c₃ of every interval ``[C, chunks, K, 4]``."""
+    by_value = partials.sum(1, dtype=np.float64) @ _CUBIC.T
+    channels, knots = by_value.shape[:2]
+    result = np.zeros((channels, knots))
+    for offset in range(4):
+        # Interval k takes the values of knots k − 1 … k + 2.
+        result[:, offset : offset + knots - 3] += by_value[:, 1:-2, offset]
+    return torch.from_numpy(result.astype(np.float32))
 
 
 @kernel

@@ -81,9 +81,14 @@ def curve_mlp(
 
 def curve_knots(x: torch.Tensor, w1: torch.Tensor, activation: Activation) -> torch.Tensor | None:
     """Knots for a table of ``curve_mlp`` at ``x``; ``None`` where every point is better done for itself."""
-    if not can_fuse(x, w1) or activation == "relu" or not x.numel():
+    if not can_fuse(x) or not x.numel() or not can_tabulate(w1, activation):
         return None
-    return knots_for(x) if w1.detach().abs().max() <= MAX_WEIGHT else None
+    return knots_for(x)
+
+
+def can_tabulate(w1: torch.Tensor, activation: Activation) -> bool:
+    """Whether a curve with these weights is smooth enough for ``curve_table``, and our kernels compute it."""
+    return can_fuse(w1) and activation != "relu" and bool(w1.detach().abs().max() <= MAX_WEIGHT)
 
 
 def _curves(x, w1, b1, w2, b2, activation: Activation) -> torch.Tensor:

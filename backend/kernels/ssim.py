@@ -25,6 +25,7 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
+from numba import njit
 from torch.nn import functional
 
 from ..simd import (
@@ -34,6 +35,7 @@ from ..simd import (
     kernel,
     lane_numbers,
     load,
+    peek,
     run_ranges,
     select,
     splat,
@@ -66,7 +68,7 @@ class SsimTarget:
         plane, row = self.padded.shape[1:]
         run_ranges(
             *(_target_rows, channels * height, height, plane, row, self.padded.reshape(-1)),
-            *(_window(), self.mean.reshape(-1), self.variance.reshape(-1)),
+            *(ssim_window(), self.mean.reshape(-1), self.variance.reshape(-1)),
             minimum=32,
         )
 
@@ -74,7 +76,12 @@ class SsimTarget:
     def image(self) -> torch.Tensor:
         """The target itself, ``[C, H, W]``."""
         _, height, width = self.shape
-        return torch.from_numpy(self.padded[:, _R : _R + height, _R : _R + width])
+        return torch.from_numpy(inside(self.padded, height, width))
+
+    @property
+    def nbytes(self) -> int:
+        """What it takes in memory."""
+        return self.padded.nbytes + self.mean.nbytes + self.variance.nbytes
 
 
 def ssim(prediction: torch.Tensor, target: torch.Tensor | SsimTarget) -> torch.Tensor:
@@ -138,8 +145,8 @@ class _Ssim(torch.autograd.Function):
         channels, height, width = target.shape
         padded = _padded(prediction)
         nowhere = np.empty((0, 0, 0), np.float32)
-        partials = [np.zeros_like(padded) if ctx.needs_input_grad[0] else nowhere for _ in range(3)]
-        row_sums = _similarity(padded, target, error, partials, nowhere)
+        partials = [bordered(*target.shape) if ctx.needs_input_grad[0] else nowhere for _ in range(3)]
+        row_sums = similarities(padded, target, error, partials, nowhere)
         ctx.saved = (padded, target, partials, error)
         ctx.set_materialize_grads(False)
         similarity, pixel = row_sums.sum(axis=0) / (channels * height * width)
@@ -159,11 +166,11 @@ class _SsimMap(torch.autograd.Function):
         _, height, width = target.shape
         padded = _padded(prediction)
         nowhere = np.empty((0, 0, 0), np.float32)
-        partials = [np.zeros_like(padded) if ctx.needs_input_grad[0] else nowhere for _ in range(3)]
+        partials = [bordered(*target.shape) if ctx.needs_input_grad[0] else nowhere for _ in range(3)]
         similarity = np.empty_like(padded)
-        _similarity(padded, target, "l1", partials, similarity)
+        similarities(padded, target, "l1", partials, similarity)
         ctx.saved = (padded, target, partials)
-        return torch.from_numpy(similarity[:, _R : _R + height, _R : _R + width].copy())
+        return torch.from_numpy(inside(similarity, height, width).copy())
 
     @staticmethod
     def backward(ctx: Any, *grads: Any):
@@ -173,7 +180,7 @@ class _SsimMap(torch.autograd.Function):
         return _to_prediction(padded, target, weighted, "l1", np.float32(1.0), np.float32(0.0)), None
 
 
-def _similarity(
+def similarities(
     padded: np.ndarray,
     target: SsimTarget,
     error: PixelError,
@@ -186,7 +193,7 @@ def _similarity(
     run_ranges(
         *(_ssim_rows, channels * height, height, width, padded.shape[1], padded.shape[2]),
         *(padded.reshape(-1), target.padded.reshape(-1), target.mean.reshape(-1)),
-        *(target.variance.reshape(-1), _window(), error == "mse", row_sums),
+        *(target.variance.reshape(-1), ssim_window(), error == "mse", row_sums),
         *(p.reshape(-1) for p in partials),
         similarity.reshape(-1),
         minimum=32,
@@ -208,7 +215,7 @@ def _to_prediction(
     run_ranges(
         *(_ssim_backward_rows, channels * height, height, width, padded.shape[1], padded.shape[2]),
         *(padded.reshape(-1), target.padded.reshape(-1), *(p.reshape(-1) for p in partials)),
-        *(_window(), error == "mse", scale, error_scale, result.numpy().reshape(-1)),
+        *(ssim_window(), error == "mse", scale, error_scale, result.numpy().reshape(-1)),
         minimum=32,
     )
     return result
@@ -216,10 +223,24 @@ def _to_prediction(
 
 def _padded(image: torch.Tensor) -> np.ndarray:
     """``[C, H + 10, W′]`` with a border of zeros; W′ leaves room to read whole vectors beyond it."""
-    channels, height, width = image.shape
-    result = np.zeros((channels, height + 2 * _R, -(-width // LANES) * LANES + 2 * _R + LANES), np.float32)
-    result[:, _R : _R + height, _R : _R + width] = image.detach().numpy()
+    result = bordered(*image.shape)
+    inside(result, *image.shape[1:])[:] = image.detach().numpy()
     return result
+
+
+def bordered(*shape: int) -> np.ndarray:
+    """For ``[…, H, W]`` an array ``[…, H + 10, W′]``: zeros around what is not yet written."""
+    *channels, height, width = shape
+    row = -(-width // LANES) * LANES + 2 * _R + LANES
+    result = np.empty((*channels, height + 2 * _R, row), np.float32)
+    result[..., :_R, :] = result[..., _R + height :, :] = 0.0
+    result[..., _R : _R + height, :_R] = result[..., _R : _R + height, _R + width :] = 0.0
+    return result
+
+
+def inside(padded: np.ndarray, height: int, width: int) -> np.ndarray:
+    """The picture in a ``bordered`` array."""
+    return padded[..., _R : _R + height, _R : _R + width]
 
 
 @functools.cache
@@ -229,7 +250,7 @@ def _window_on(device: torch.device, dtype: torch.dtype) -> torch.Tensor:
 
 
 @functools.cache
-def _window() -> np.ndarray:
+def ssim_window() -> np.ndarray:
     return _WINDOW.astype(np.float32)
 
 
@@ -243,7 +264,7 @@ def _target_rows(first, last, height, plane, row, y, window, mean, variance):
         for x in range(0, row - LANES + 1, LANES):
             m, s = splat(0.0), splat(0.0)
             for k in range(TAPS):
-                value, weight = load(y, top + k * row + x), splat(window[k])
+                value, weight = load(y, top + k * row + x), splat(peek(window, k))
                 weighted = value * weight
                 m, s = m + weighted, fma(weighted, value, s)
             store(m, mean_column, x)
@@ -252,7 +273,7 @@ def _target_rows(first, last, height, plane, row, y, window, mean, variance):
         for x in range(0, row - 2 * _R - LANES + 1, LANES):
             m, s = splat(0.0), splat(0.0)
             for k in range(TAPS):
-                weight = splat(window[k])
+                weight = splat(peek(window, k))
                 m = fma(weight, load(mean_column, x + k), m)
                 s = fma(weight, load(square_column, x + k), s)
             store(m, mean, centre + x)
@@ -293,7 +314,7 @@ def _ssim_rows(
             for k in range(TAPS):
                 at = top + k * row + i
                 value = load(x_image, at)
-                weighted = value * window[k]
+                weighted = value * splat(peek(window, k))
                 sx, sxx, sxy = sx + weighted, fma(weighted, value, sxx), fma(weighted, load(y_image, at), sxy)
             store(sx, column_x, i)
             store(sxx, column_xx, i)
@@ -303,7 +324,7 @@ def _ssim_rows(
         for i in range(0, width, LANES):
             m1, xx, xy = splat(0.0), splat(0.0), splat(0.0)
             for k in range(TAPS):
-                weight = splat(window[k])
+                weight = splat(peek(window, k))
                 m1 = fma(weight, load(column_x, i + k), m1)
                 xx = fma(weight, load(column_xx, i + k), xx)
                 xy = fma(weight, load(column_xy, i + k), xy)
@@ -353,32 +374,43 @@ def _ssim_backward_rows(
     Rows ``first … last − 1``; ``result`` is not padded.
     """
     columns = np.zeros((3, row), np.float32)
-    column_p, column_q, column_r = columns[0], columns[1], columns[2]
     for line in range(first, last):
-        top = (line // height * plane + line % height) * row
-        for i in range(0, row - LANES + 1, LANES):
-            sp, sq, sr = splat(0.0), splat(0.0), splat(0.0)
-            for k in range(TAPS):
-                at, weight = top + k * row + i, splat(window[k])
-                sp, sq = fma(weight, load(p, at), sp), fma(weight, load(q, at), sq)
-                sr = fma(weight, load(r, at), sr)
-            store(sp, column_p, i)
-            store(sq, column_q, i)
-            store(sr, column_r, i)
-        centre = top + _R * row + _R
-        for i in range(0, width, LANES):
-            sp, sq, sr = splat(0.0), splat(0.0), splat(0.0)
-            for k in range(TAPS):
-                weight = splat(window[k])
-                sp = fma(weight, load(column_p, i + k), sp)
-                sq = fma(weight, load(column_q, i + k), sq)
-                sr = fma(weight, load(column_r, i + k), sr)
-            x, y = load(x_image, centre + i), load(y_image, centre + i)
-            difference = x - y
-            slope = 2.0 * difference if squared else select(difference > 0.0, splat(1.0), 0.0)
-            slope = slope if squared else select(difference < 0.0, splat(-1.0), slope)
-            value = fma(fma(y, sr, fma(2.0 * x, sq, sp)), scale, slope * error_scale)
-            if i + LANES <= width:
-                store(value, result, line * width + i)
-            else:
-                store_strided(value, result, line * width + i, 1, width - i)
+        at = (line // height * plane + line % height) * row
+        backward_line(
+            *(at, width, row, x_image, y_image, p, q, r, window, squared, scale, error_scale, columns),
+            *(result, line * width),
+        )
+
+
+@njit
+def backward_line(
+    top, width, row, x_image, y_image, p, q, r, window, squared, scale, error_scale, columns, result, to
+):
+    """One row of ``_ssim_backward_rows``, whose window begins at ``top``, to ``result[to:]``."""
+    column_p, column_q, column_r = columns[0], columns[1], columns[2]
+    for i in range(0, row - LANES + 1, LANES):
+        sp, sq, sr = splat(0.0), splat(0.0), splat(0.0)
+        for k in range(TAPS):
+            at, weight = top + k * row + i, splat(peek(window, k))
+            sp, sq = fma(weight, load(p, at), sp), fma(weight, load(q, at), sq)
+            sr = fma(weight, load(r, at), sr)
+        store(sp, column_p, i)
+        store(sq, column_q, i)
+        store(sr, column_r, i)
+    centre = top + _R * row + _R
+    for i in range(0, width, LANES):
+        sp, sq, sr = splat(0.0), splat(0.0), splat(0.0)
+        for k in range(TAPS):
+            weight = splat(peek(window, k))
+            sp = fma(weight, load(column_p, i + k), sp)
+            sq = fma(weight, load(column_q, i + k), sq)
+            sr = fma(weight, load(column_r, i + k), sr)
+        x, y = load(x_image, centre + i), load(y_image, centre + i)
+        difference = x - y
+        slope = 2.0 * difference if squared else select(difference > 0.0, splat(1.0), 0.0)
+        slope = slope if squared else select(difference < 0.0, splat(-1.0), slope)
+        value = fma(fma(y, sr, fma(2.0 * x, sq, sp)), scale, slope * error_scale)
+        if i + LANES <= width:
+            store(value, result, to + i)
+        else:
+            store_strided(value, result, to + i, 1, width - i)

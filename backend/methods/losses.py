@@ -49,7 +49,11 @@ def reconstruction_loss(
     ``ssim_target``: what SSIM needs of ``target``, where several predictions are compared with it. Of masked
     pictures both are given as ``compared`` makes them.
     """
-    similarity, pixel = ssim_and_error(prediction, ssim_target or target, config.pixel)
+    return weighted(*ssim_and_error(prediction, ssim_target or target, config.pixel), config)
+
+
+def weighted(similarity: torch.Tensor, pixel: torch.Tensor, config: LossConfig) -> torch.Tensor:
+    """``reconstruction_loss`` of what SSIM and the pixel term have found, of any shape."""
     return config.pixel_weight * pixel + config.dssim_weight * (1.0 - similarity)
 
 

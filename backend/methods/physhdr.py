@@ -14,10 +14,14 @@ from dataclasses import dataclass
 import torch
 
 from ..kernels.activations import lit_colours
+from ..kernels.bracket import can_compare_bracket
+from ..kernels.ssim import SsimTarget
 from ..model.backbone import Splats
+from ..model.tone_mapper import ToneMapper
 from ..rasterize import Rasterization
 from ..scene.camera import Camera
 from .base import Drawn, Exposed, Recording, exposed_by, is_standard
+from .losses import weighted
 from .physhdr_common import Developed, PhysHDRMethod
 
 
@@ -95,6 +99,26 @@ class PhysHDR(PhysHDRMethod[DrawnRadiance]):
                     ldr = each.encoding.developed(exposed[k])
                 found[k] = Developed(exposed[k], None, ldr, [ldr], ldr)
         return [found[k] for k in range(len(taken))]
+
+    def bracket_terms(
+        self, drawn: DrawnRadiance, recordings: Sequence[Recording]
+    ) -> dict[str, torch.Tensor] | None:
+        """By one kernel (``kernels.bracket``), where a learned global response alone develops."""
+        loss, response = self.config.loss, self.tone_mapper
+        if not isinstance(response, ToneMapper) or self.config.tone_mapper.local:
+            return None
+        if self.config.global_supervision or not can_compare_bracket(drawn.radiance):
+            return None
+        for each in recordings:
+            if each.encoding.is_known or each.effect is not None or each.mask is not None:
+                return None
+        targets = [SsimTarget(each.picture) for each in recordings]
+        exposures = [each.exposure for each in recordings]
+        errors = response.bracket_errors(drawn.radiance, exposures, targets, loss.pixel)
+        if errors is None:
+            return None
+        similarity, pixel = errors
+        return {"rec": weighted(similarity, pixel, loss).mean()} | self.unit_term()
 
     # -- use -------------------------------------------------------------------------------------------
 

@@ -30,6 +30,7 @@ from .base import (
     Facts,
     MethodConfig,
     Outcome,
+    Recording,
     SplattingMethod,
     Traits,
     mean_terms,
@@ -265,12 +266,19 @@ class PhysHDRMethod(SplattingMethod, Generic[D]):
 
     def training_outcome(self, batch: Batch) -> Outcome:
         drawn = self.draw(batch.camera, batch.levels, batch.recordings[0].exposure, watch=True)
-        developed = self.develop_bracket(drawn, batch.recordings)
-        each = [
-            self.losses(one, recording.picture, recording.mask)
-            for one, recording in zip(developed, batch.recordings, strict=True)
-        ]
-        return Outcome(mean_terms(each) | self.backbone_terms(drawn.splats), drawn)
+        terms = self.bracket_terms(drawn, batch.recordings)
+        if terms is None:
+            developed = self.develop_bracket(drawn, batch.recordings)
+            each = [
+                self.losses(one, recording.picture, recording.mask)
+                for one, recording in zip(developed, batch.recordings, strict=True)
+            ]
+            terms = mean_terms(each)
+        return Outcome(terms | self.backbone_terms(drawn.splats), drawn)
+
+    def bracket_terms(self, drawn: D, recordings: Sequence[Recording]) -> dict[str, torch.Tensor] | None:
+        """The mean of the ``losses`` of all recordings at once; None where they must be taken one by one."""
+        return None
 
     def losses(
         self, developed: Developed, picture: torch.Tensor, mask: torch.Tensor | None = None
@@ -292,6 +300,11 @@ class PhysHDRMethod(SplattingMethod, Generic[D]):
             terms["cons"] = loss.consistency_weight * consistency_loss(
                 developed.exposed, developed.relit, loss
             )
-        if loss.unit_weight and isinstance(self.tone_mapper, ToneMapper) and self.tone_mapper.anchor:
-            terms["unit"] = loss.unit_weight * self.tone_mapper.unit_exposure_error()
-        return terms
+        return terms | self.unit_term()
+
+    def unit_term(self) -> dict[str, torch.Tensor]:
+        """L_unit, weighted, where the loss has it."""
+        weight, response = self.config.loss.unit_weight, self.tone_mapper
+        if not (weight and isinstance(response, ToneMapper) and response.anchor):
+            return {}
+        return {"unit": weight * response.unit_exposure_error()}

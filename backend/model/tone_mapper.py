@@ -3,16 +3,19 @@
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from torch import nn
 
-from ..kernels.curve_table import interpolate
+from ..kernels.bracket import bracket_errors, can_compare_bracket, log_range
+from ..kernels.curve_table import interpolate, knots_between
 from ..kernels.local_curves import local_curves
-from ..kernels.mlp import Activation, curve_knots, curve_mlp, curve_slopes
+from ..kernels.mlp import Activation, can_tabulate, curve_knots, curve_mlp, curve_slopes
 from ..kernels.pointwise import blend, corrected, log_of_exposure
+from ..kernels.ssim import PixelError, SsimTarget
 from ..scene.encoding import SRGB
 from .radiance import SmallNetwork
 
@@ -159,20 +162,44 @@ class ToneMapper(Response):
 
         At very many points the whole of it, sigmoid and all, is read from a table (``kernels.curve_table``).
         """
-        weights = self.w1, self.b1, self.w2
         knots = curve_knots(log_exposure, self.w1, self.config.activation)
-        if knots is None:
+        table = None if knots is None else self._table(knots)
+        if knots is None or table is None:
             return self.curve_logits(log_exposure).sigmoid()
+        return interpolate(log_exposure, knots, *table)
+
+    def _table(self, knots: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor] | None:
+        """The response at knots ``[K]`` and its slopes there, ``[3, K]``; None where it is too steep."""
         at_knots = knots.expand(3, -1).contiguous()
         values = self.curve_logits(at_knots).sigmoid()
         with torch.no_grad():
-            slopes = curve_slopes(at_knots, *weights, self.config.activation)
+            slopes = curve_slopes(at_knots, self.w1, self.b1, self.w2, self.config.activation)
             if self.config.initial_slope is not None:
                 slopes = slopes + self.slope
             if not slopes.abs().max() <= STEEPEST:
-                return self.curve_logits(log_exposure).sigmoid()
-            slopes = slopes * values * (1.0 - values)
-        return interpolate(log_exposure, knots, values, slopes)
+                return None
+            return values, slopes * values * (1.0 - values)
+
+    def bracket_errors(
+        self,
+        radiance: torch.Tensor,
+        exposures: Sequence[float],
+        targets: Sequence[SsimTarget],
+        error: PixelError,
+    ) -> tuple[torch.Tensor, torch.Tensor] | None:
+        """SSIM and mean pixel difference ``[K]`` each of the global images of radiance ``[3, H, W]``.
+
+        At K ``exposures`` and against as many ``targets``, by the fused kernel; None where that cannot be.
+        """
+        smooth = can_tabulate(self.w1, self.config.activation)
+        if not (smooth and can_compare_bracket(radiance) and radiance.numel()):
+            return None
+        low, high = log_range(radiance, exposures, LOG_EPSILON)
+        knots = knots_between(low, high, len(exposures) * radiance[0].numel())
+        table = None if knots is None else self._table(knots)
+        if knots is None or table is None:
+            return None
+        return bracket_errors(radiance, exposures, LOG_EPSILON, knots, *table, targets, error)
 
     def tone_map(
         self, exposed: torch.Tensor, context: torch.Tensor | None

@@ -27,9 +27,11 @@ from .maths import (
     total,
 )
 from .memory import (
+    add_powers,
     lane_numbers,
     load,
     load_halves,
+    load_quads,
     load_strided,
     peek,
     prefetch,
@@ -60,6 +62,7 @@ from .vector import LANES
 __all__ = [
     "LANES",
     "absolute",
+    "add_powers",
     "any_lane",
     "ceil",
     "dot_each",
@@ -77,6 +80,7 @@ __all__ = [
     "load",
     "load_each",
     "load_halves",
+    "load_quads",
     "load_strided",
     "load_triples",
     "log1p_of_fraction",

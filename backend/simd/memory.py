@@ -133,6 +133,71 @@ def store_strided(typing, value, array, index, stride, count):
 
 
 @intrinsic
+def load_quads(typing, array, base, places):
+    """Four vectors: lane of vector c is ``array[base + 4 * places[lane] + c]``; ``places`` are whole numbers.
+
+    One load of four floats a lane, then every quad of lanes is transposed in its registers: a gather would
+    load them one by one.
+    """
+    four = ir.VectorType(FLOAT, 4)
+
+    def generate(context, builder, sig, args):
+        array, base, places = args
+        numbers = builder.fptosi(places, IVECTOR)
+        lanes = []
+        for lane in range(LANES):
+            number = builder.sext(builder.extract_element(numbers, ir.Constant(I32, lane)), I64)
+            at = builder.add(base, builder.shl(number, ir.Constant(I64, 2)))
+            pointer = address(context, builder, sig.args[0], array, at)
+            lanes.append(builder.load(builder.bitcast(pointer, four.as_pointer()), align=4))
+        # Vector j: the floats of lanes j, j + 4, j + 8 …
+        rows = []
+        for j in range(4):
+            parts, width = lanes[j::4], 4
+            while len(parts) > 1:
+                width *= 2
+                whole = ir.Constant(ir.VectorType(I32, width), list(range(width)))
+                parts = [
+                    builder.shuffle_vector(a, b, whole) for a, b in zip(parts[::2], parts[1::2], strict=True)
+                ]
+            rows.append(parts[0])
+
+        def within_quads(a, b, mask):
+            indices = [q + (i if i < 4 else LANES + i - 4) for q in range(0, LANES, 4) for i in mask]
+            return builder.shuffle_vector(a, b, ir.Constant(IVECTOR, indices))
+
+        low, high = (0, 4, 1, 5), (2, 6, 3, 7)
+        vectors = []
+        for mask in (low, high):
+            a, b = (within_quads(rows[k], rows[k + 1], mask) for k in (0, 2))
+            vectors += [within_quads(a, b, half) for half in ((0, 1, 4, 5), (2, 3, 6, 7))]
+        aggregate = ir.Constant(ir.ArrayType(VECTOR, 4), ir.Undefined)
+        for k, value in enumerate(vectors):
+            aggregate = builder.insert_value(aggregate, value, k)
+        return aggregate
+
+    return types.UniTuple(vector, 4)(array, types.intp, vector), generate
+
+
+@intrinsic
+def add_powers(typing, array, index, weight, x):
+    """``array[index + j] += weight * x ** j`` for j = 0 … 3, all of them at once."""
+    four = ir.VectorType(FLOAT, 4)
+
+    def generate(context, builder, sig, args):
+        pointer = address(context, builder, sig.args[0], args[0], args[1])
+        pointer = builder.bitcast(pointer, four.as_pointer())
+        added, value = ir.Constant(four, ir.Undefined), args[2]
+        for j in range(4):
+            added = builder.insert_element(added, value, ir.Constant(I32, j))
+            value = builder.fmul(value, args[3])
+        builder.store(builder.fadd(builder.load(pointer, align=4), added), pointer, align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, types.float32, types.float32), generate
+
+
+@intrinsic
 def prefetch(typing, array, index):
     """Ask for the cache line of ``array[index]``; never faults."""
 
