@@ -8,8 +8,8 @@ way from radiance to the picture.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
 import numpy as np
@@ -20,6 +20,7 @@ from ...bridge.errors import BadValueError
 from ...bridge.lights import AMBIENT, Levels, as_levels, check_lights
 from ..device import use_whole_float32
 from ..kernels.ahead import Needs
+from ..kernels.ssim import SsimTarget
 from ..model.backbone import Attributes, Backbone, Splats
 from ..model.gaussians import Gaussians
 from ..model.rates import Rate
@@ -124,6 +125,16 @@ class Recording(Exposed):
 
     picture: torch.Tensor
     mask: torch.Tensor | None = None
+    #: Where what SSIM needs of the picture is kept from one iteration to the next (``train.targets``).
+    kept_target: Callable[[], SsimTarget] | None = None
+
+    def ssim_target(self) -> SsimTarget:
+        """What SSIM needs of the picture, mask or none."""
+        return SsimTarget(self.picture) if self.kept_target is None else self.kept_target()
+
+    def with_target(self, kept: Callable[[], SsimTarget]) -> "Recording":
+        """The same, with a target that is kept."""
+        return replace(self, kept_target=kept)
 
 
 class Pool(Protocol):

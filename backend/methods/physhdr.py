@@ -15,7 +15,6 @@ import torch
 
 from ..kernels.activations import lit_colours
 from ..kernels.bracket import can_compare_bracket
-from ..kernels.ssim import SsimTarget
 from ..model.backbone import Splats
 from ..model.tone_mapper import ToneMapper
 from ..rasterize import Rasterization
@@ -112,7 +111,7 @@ class PhysHDR(PhysHDRMethod[DrawnRadiance]):
         for each in recordings:
             if each.encoding.is_known or each.effect is not None or each.mask is not None:
                 return None
-        targets = [SsimTarget(each.picture) for each in recordings]
+        targets = [each.ssim_target() for each in recordings]
         exposures = [each.exposure for each in recordings]
         errors = response.bracket_errors(drawn.radiance, exposures, targets, loss.pixel)
         if errors is None:

@@ -23,6 +23,7 @@ from ..scene.scene import CACHE_BYTES, Scene, View
 from ..start.initialise import MOST_STEREO_POINTS
 from ..start.stereo import MOST_DEPTHS, WORK_WIDTH
 from .config import TrainConfig, in_iterations
+from .targets import TARGET_BYTES, TARGET_PIXEL_BYTES
 from .views import training_lights, training_views
 
 FLOAT = 4
@@ -187,9 +188,11 @@ def estimate(sizes: Sizes) -> Estimate:
         volume = FLOAT * MOST_DEPTHS * min(sizes.pixels, WORK_WIDTH**2)
         start += cores() * COST_VOLUMES * volume
     iteration = sizes.pixel_bytes * sizes.pixels
+    # Of 8 bits a channel; what is kept of the pictures' statistics.
+    kept = min(sizes.picture_bytes * TARGET_PIXEL_BYTES // 3, TARGET_BYTES)
     return Estimate(
         PROGRAM_BYTES,
-        pictures,
+        pictures + kept,
         round(sizes.most * (sizes.row_bytes + sizes.splat_bytes)),
         max(start, iteration),
     )

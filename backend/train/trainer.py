@@ -46,6 +46,7 @@ from .growth import Growth, NoGrowth
 from .half_size import halved
 from .nuisances import Nuisances
 from .optimisers import ADAM, Optimiser
+from .targets import SsimTargets
 from .views import responses_of, training_exposures, training_lights, training_views
 
 #: Prefix of the backbone's parameters in a checkpoint, of either backbone.
@@ -96,6 +97,7 @@ class Trainer:
         self.schedule = in_iterations(config)
         self.configuration = configuration or fingerprint(config)
         self.pictures = Pictures(self.device)
+        self.targets = SsimTargets()
         self.iteration = 0
         #: What training took so far, the search for the first points included, in all its parts.
         self.seconds = self.cpu_seconds = 0.0
@@ -294,8 +296,13 @@ class Trainer:
         config = self.config
         view, indices = self.draw(iteration)
         camera, recordings = view.camera, [self.recording(view, k) for k in indices]
-        if iteration < config.half_size_until * config.iterations:
+        is_half = iteration < config.half_size_until * config.iterations
+        if is_half:
             camera, recordings = halved(camera, recordings)
+        recordings = [
+            self.targets.noted(view, k, recording, is_half)
+            for k, recording in zip(indices, recordings, strict=True)
+        ]
         if self.nuisances is not None:
             recordings = self.nuisances.applied(view, indices, camera, recordings)
         return Batch(
