@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 
 import torch
 from measure import Row, alternate
-from synthetic import steady_trainer
+from synthetic import steady_trainer, trained_trainer
 
 from physhdr.backend import kernels
 from physhdr.backend.methods.physhdr import PhysHDR
@@ -58,7 +58,7 @@ def iteration_rows(quick: bool) -> Iterator[Row]:
     """``Trainer.step`` of both presets."""
     for count in (50_000,) if quick else (50_000, 200_000):
         for preset in ("default", "paper"):
-            trainer = steady_trainer(preset, count)
+            trainer = trained_trainer(preset, count)
             ours, plain = alternate(
                 trainer.step, plain_step(trainer), rounds=1 if quick else 4, repeats=(9, 1)
             )

@@ -23,7 +23,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import torch
-from synthetic import SIZE, steady_trainer
+from synthetic import SIZE, trained_trainer
 
 from physhdr.backend import kernels
 from physhdr.backend.methods.physhdr_common import PhysHDRMethod
@@ -36,7 +36,9 @@ REST = "torch between kernels"
 OTHER = "pictures, schedules, rest"
 #: What the modules of backend/kernels are called here; a new one goes by its own name.
 PART_OF_MODULE = {
+    "activations": "colours",
     "blur": "blur",
+    "bracket": "developed and compared",
     "curve_table": "networks",
     "local_curves": "local curves",
     "mlp": "networks",
@@ -123,8 +125,8 @@ def stopwatch() -> Iterator[Stopwatch]:
 
 
 def shares(preset: str, count: int, steps: int = 15, size: int = SIZE) -> dict[str, dict[str, float]]:
-    """Median milliseconds of each part of an iteration, by direction, the costliest part first."""
-    trainer = steady_trainer(preset, count, size)
+    """Median milliseconds of each part of a trained state's iteration, by direction, the costliest first."""
+    trainer = trained_trainer(preset, count, size)
     samples: dict[tuple[str, str], list[float]] = defaultdict(list)
     with stopwatch() as watch:
         for _ in range(3):

@@ -9,11 +9,13 @@ import numpy as np
 import torch
 
 from physhdr.backend.model.morton import morton_order
+from physhdr.backend.rasterize import rasterize
 from physhdr.backend.scene.camera import Camera
+from physhdr.backend.scene.encoding import SRGB
 from physhdr.backend.scene.scene import PictureCache, Points, Scene, View
 from physhdr.backend.scene.source import Decoded, PictureSource, plain
 from physhdr.backend.train.config import TrainConfig
-from physhdr.backend.train.optimisers import OptimiserConfig
+from physhdr.backend.train.optimisers import Optimiser, OptimiserConfig
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import Trainer
 
@@ -105,6 +107,52 @@ def trainer(config: TrainConfig, count: int, views: int = 5, size: int = SIZE) -
         parameters["quaternions"].copy_(quaternions)
         parameters["log_scales"].copy_(scales.log())
         parameters["opacity_logits"].copy_(opacities.logit())
+    return result
+
+
+class DrawnPictures(PictureCache):
+    """Pictures of Gaussians that are not the training's first: what a training can learn to show.
+
+    They are developed by the sRGB curve at each view's exposures.
+    """
+
+    def __init__(self, truth: list[torch.Tensor], views: list[View]) -> None:
+        super().__init__()
+        self._views = {source.path: (view, k) for view in views for k, source in enumerate(view.sources)}
+        self._truth, self._made = truth, dict[Path, np.ndarray]()
+
+    def get(self, source: PictureSource) -> Decoded:
+        if source.path not in self._made:
+            view, k = self._views[source.path]
+            with torch.no_grad():
+                drawn = rasterize(*self._truth, view.camera, implementation="cpu").image
+                shown = SRGB.developed(drawn * view.exposures[k])
+            self._made[source.path] = (255.0 * shown).byte().permute(1, 2, 0).contiguous().numpy()
+        return Decoded(self._made[source.path])
+
+
+#: So many iterations a trained state has behind it.
+LEARNED = 300
+
+
+def trained_trainer(preset: str, count: int, size: int = SIZE, learned: int = LEARNED) -> Trainer:
+    """``steady_trainer`` after ``learned`` iterations with the preset's own rates, on pictures of Gaussians.
+
+    An untrained state is unlike any other: of `paper` most gradients are denormal. The number of Gaussians stays the same.
+    """
+    result = steady_trainer(preset, count, size)
+    truth, _ = gaussians(max(count // 10, 100), 3, size, seed=1)
+    pictures = DrawnPictures([t.detach() for t in truth], result.views)
+    for index, view in enumerate(result.views):
+        result.views[index] = dataclasses.replace(view, cache=pictures)
+    at_standstill = result.optimiser
+    rates = PRESETS[preset].optimiser
+    result.optimiser = Optimiser(result.method, rates, at_standstill.extent, result.config.iterations)
+    for _ in range(learned):
+        result.step()
+    at_standstill.adam = result.optimiser.adam  # a training's moments, and rates that move nothing
+    result.optimiser = at_standstill
+    result.iteration = int(PROGRESS * result.config.iterations)
     return result
 
 
