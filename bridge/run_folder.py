@@ -18,6 +18,8 @@ CHECKPOINT_FILE = "checkpoint.safetensors"
 MODEL_FILE = "model.safetensors"
 #: What an evaluation leaves there: figures for programs, the same for people, and pictures side by side.
 EVALUATION_FILE, REPORT_FILE, SHEET_FILE = "evaluation.json", "evaluation.md", "comparison.png"
+#: The web page of the model, where nobody says another place: one file, or the page in this folder.
+WEB_FILE, WEB_FOLDER, WEB_INDEX = "web.html", "web", "index.html"
 #: Cameras, exposures and lights of the data set, so that a run can be looked at without it.
 VIEWS_FILE = "views.json"
 VIEWS_FORMAT = "physhdr-views"

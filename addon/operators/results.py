@@ -15,7 +15,7 @@ import bpy
 
 from ...bridge.errors import BadValueError, FileMissingError
 from ...bridge.lights import AMBIENT
-from ...bridge.run_folder import data_of, same_folder
+from ...bridge.run_folder import WEB_FILE, WEB_FOLDER, WEB_INDEX, data_of, same_folder
 from ...bridge.shots import write_shots
 from ..blender import layout_of
 from ..capture import placement
@@ -68,8 +68,6 @@ FORMATS = [
     ("PNG", "Pictures", "Numbered PNG files, for any other program"),
 ]
 
-#: The web page in a run's folder: one file, or this folder.
-WEB_FILE, WEB_FOLDER, WEB_INDEX = "web.html", "web", "index.html"
 #: Seconds by which a file system's clock may be behind ours.
 CLOCK_SECONDS = 3.0
 

@@ -48,7 +48,9 @@ def _written(
         if data is not None:
             raise BadValueError("--data is of a run, and this is a model file", "Leave it out.")
         model = _read(source)
-        page = WebPage(title=source.stem)
+        method, iteration = (model.metadata.get(name, "") for name in ("method", "iteration"))
+        notes = (f"{method}, iteration {iteration}.",) if method and iteration else ()
+        page = WebPage(model.metadata.get("scene") or source.stem, notes=notes)
     show(OF_MODEL, 100, "")
 
     def report(done: float) -> None:

@@ -9,6 +9,8 @@ files beside the page, or in it.
 import base64
 import io
 import json
+import os
+import stat
 import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -24,6 +26,8 @@ from ...bridge.atomic import atomic_path
 from ...bridge.errors import BadValueError, OutputError
 from ...bridge.limits import EV_MAX
 from ...bridge.model_file import Model
+from ...bridge.regular import without_waiting
+from ...bridge.run_folder import WEB_INDEX
 from ..project import version
 from ..scene.camera import Camera
 from .quantised import Quantised, quantised
@@ -31,9 +35,11 @@ from .quantised import Quantised, quantised
 ASSETS = Path(__file__).parent / "web"
 #: In the order in which they need each other.
 SCRIPTS = ("data.js", "sorter.js", "splats.js", "tone.js", "camera.js", "screen.js", "page.js")
-PAGE_FILE, VIEWER_FILE, PART_FILE = "index.html", "viewer.js", "model-{:03d}.js"
+VIEWER_FILE, PART_FILE = "viewer.js", "model-{:03d}.js"
 #: What a folder that holds such a page has in its index.html: another one is not replaced.
 MARK = "PhysHDR web page"
+#: Bytes of the file that hold it.
+MARK_WITHIN = 4096
 #: Bytes of a part before base64, a multiple of 3. Each is one step of the page's progress bar.
 PART_BYTES = 3_000_000
 #: Cameras in the page's list; of more, so many evenly chosen ones.
@@ -95,7 +101,7 @@ def write_web_page(
     ``report`` is told how much is done, 0 to 1. Raises ``BadValueError`` (nothing to be seen) and
     ``OutputError``, also where something else has the name of a file that would be written.
     """
-    target = out if single_file else out / PAGE_FILE
+    target = out if single_file else out / WEB_INDEX
     refuse_what_is_not_ours(target)
     report = report or (lambda done: None)
     packed = quantised(model)
@@ -181,13 +187,15 @@ def overview(model: Model) -> Camera:
 
 
 def refuse_what_is_not_ours(target: Path) -> None:
-    """Raises ``OutputError`` where the page's file is there and is no such page, or cannot be looked at."""
+    """Raises ``OutputError`` where the page's file is there and is no such page, or cannot be looked at.
+
+    Links, folders, pipes and devices are never such a page, and none of them is opened.
+    """
     try:
-        if not target.is_dir():
-            with target.open("rb") as file:
-                is_ours = MARK.encode() in file.read(4096)
-        else:
-            is_ours = False
+        is_ours = False
+        if stat.S_ISREG(os.lstat(target).st_mode):
+            with open(target, "rb", opener=without_waiting) as file:
+                is_ours = MARK.encode() in file.read(MARK_WITHIN)
     except (FileNotFoundError, NotADirectoryError):
         return
     except OSError as error:

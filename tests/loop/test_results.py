@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Evaluation and video from Blender with the real backend: figures and frames are the trainer's own."""
+"""Evaluation, video and web page from Blender with the real backend: figures and frames are its own."""
 
 import importlib.util
 import json
@@ -68,3 +68,5 @@ def test_a_run_is_evaluated_and_filmed_from_blender(run, in_blender, tmp_path):
     assert psnr(wanted[0].float(), wanted[1].float()) < 30.0, "the frames are two pictures"
     with av.open(str(tmp_path / "video.mp4")) as video:
         assert [frame.width for frame in video.decode(video=0)] == [48, 48]
+    page = (tmp_path / "page.html").read_text()
+    assert f'"name":"test/{opened.scene.test[0].index}"' in page and "MODEL_PART(0," in page

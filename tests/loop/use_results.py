@@ -46,6 +46,7 @@ def main() -> None:
     for form in ("PNG", "MP4"):
         filepath = str(Path(out) / "video")
         assert bpy.ops.physhdr.results_video(format=form, filepath=filepath, exposure=2.0) == {"FINISHED"}
+    assert bpy.ops.physhdr.results_web(filepath=str(Path(out) / "page")) == {"FINISHED"}
     (Path(out) / "seen.json").write_text(json.dumps(seen))
 
 

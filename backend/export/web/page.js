@@ -114,7 +114,7 @@ class Page {
 
   setLevels(levels) {
     this.lights.forEach(({ on, slider }, k) => {
-      on.checked = !(levels[k] === 0);
+      on.checked = this.facts.levels.length > 0 || levels[k] !== 0;
       if (levels[k] > 0) slider.value = String(Math.log2(levels[k]));
     });
   }
@@ -335,6 +335,8 @@ async function start(facts) {
       element("loading-text").textContent = `Loading ${(done * bytes / 1e6).toFixed(1)} of ${megabytes} MB`;
     });
     element("loading-text").textContent = "Preparing…";
+    // What stood in scripts is no longer needed, and is large.
+    for (const script of [...document.scripts]) script.remove();
     await new Promise((resolve) => setTimeout(resolve, 0));
     new Page(facts, planes).fold(matchMedia("(max-width: 600px)").matches);
   } catch (error) {

@@ -4,6 +4,7 @@
 import base64
 import importlib.util
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -147,6 +148,19 @@ def test_another_page_is_not_replaced_and_ours_is(tmp_path):
     assert facts_of((folder / "index.html").read_text())["count"] == 5
     # An older page's second part is gone; what does not follow on it is nobody's business.
     assert not (folder / "model-001.js").exists() and (folder / "model-003.js").exists()
+
+
+@pytest.mark.parametrize("kind", ["link", "folder", "pipe"])
+def test_what_is_no_file_is_not_replaced(tmp_path, never_waits, kind):
+    target = tmp_path / "page.html"
+    ours = write_web_page(tmp_path / "ours.html", some_model(count=4), WebPage("x"), True).page
+    {"link": lambda: target.symlink_to(ours), "folder": target.mkdir, "pipe": lambda: os.mkfifo(target)}[
+        kind
+    ]()
+    before = ours.read_bytes()
+    with pytest.raises(OutputError, match="did not write it"):
+        write_web_page(target, some_model(count=5), WebPage("x"), True)
+    assert ours.read_bytes() == before and target.is_symlink() == (kind == "link")
 
 
 @pytest.mark.parametrize(
