@@ -78,6 +78,9 @@ class TrainConfig:
     #: Points far away, for the sky and what is behind windows, where first points leave pictures uncovered;
     #: auto: of photographs.
     far_shell: Literal["auto", "on", "off"] = "auto"
+    #: Each training picture has the light of its whole bracket, which has less noise; auto: where brackets
+    #: show noise.
+    merged_brackets: Literal["auto", "on", "off"] = "auto"
     #: Gaussians before a camera, nearer than anything it photographed, are removed; auto: of photographs.
     clear_cameras: Literal["auto", "on", "off"] = "auto"
     #: What is known of the camera, from physhdr calibrate: response and vignetting are used as they are.
@@ -184,6 +187,8 @@ def _flag(name: str) -> str:
     return "--" + name.replace("_", "-")
 
 
+#: Settings that were added, where what was before is not their default: what it was.
+FORMERLY: dict[str, Any] = {"config.merged_brackets": "off"}
 #: Settings by names they had before → as they are called now.
 RENAMED = {"ambient_share_logits": "light_share_logits"}
 
@@ -305,4 +310,7 @@ def _dataclass(cls: type, values: dict[str, Any], where: str) -> Any:
         if name not in hints:
             raise ValueError(f"there is no setting {where}.{written}")
         arguments[name] = _from_json(hints[name], value, f"{where}.{written}")
+    for name in hints.keys() - arguments.keys():
+        if f"{where}.{name}" in FORMERLY:
+            arguments[name] = FORMERLY[f"{where}.{name}"]
     return cls(**arguments)

@@ -43,7 +43,9 @@ SHORT_TRAINING = AnchorsConfig(
 
 def as_published(**settings: Any) -> TrainConfig:
     """Without what ``default`` alone does about its start and the pictures of an iteration."""
-    return TrainConfig(supervision="one", initial_points="auto", initial_opacity=0.1, **settings)
+    return TrainConfig(
+        supervision="one", initial_points="auto", initial_opacity=0.1, merged_brackets="off", **settings
+    )
 
 
 def paper(iterations: int = 30_000) -> TrainConfig:
