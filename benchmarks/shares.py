@@ -23,7 +23,7 @@ from contextlib import contextmanager
 from typing import Any
 
 import torch
-from synthetic import SIZE, trained_trainer
+from synthetic import LEARNED, SIZE, trained_trainer
 
 from physhdr.backend import kernels
 from physhdr.backend.methods.physhdr_common import PhysHDRMethod
@@ -124,9 +124,14 @@ def stopwatch() -> Iterator[Stopwatch]:
         watch.take_off()
 
 
-def shares(preset: str, count: int, steps: int = 15, size: int = SIZE) -> dict[str, dict[str, float]]:
-    """Median milliseconds of each part of a trained state's iteration, by direction, the costliest first."""
-    trainer = trained_trainer(preset, count, size)
+def shares(
+    preset: str, count: int, steps: int = 15, size: int = SIZE, learned: int = LEARNED
+) -> dict[str, dict[str, float]]:
+    """Median milliseconds of each part of an iteration, by direction, the costliest part first.
+
+    Of a state that has ``learned`` for so many iterations.
+    """
+    trainer = trained_trainer(preset, count, size, learned)
     samples: dict[tuple[str, str], list[float]] = defaultdict(list)
     with stopwatch() as watch:
         for _ in range(3):

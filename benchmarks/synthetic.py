@@ -138,7 +138,8 @@ LEARNED = 300
 def trained_trainer(preset: str, count: int, size: int = SIZE, learned: int = LEARNED) -> Trainer:
     """``steady_trainer`` after ``learned`` iterations with the preset's own rates, on pictures of Gaussians.
 
-    An untrained state is unlike any other: of `paper` most gradients are denormal. The number of Gaussians stays the same.
+    An untrained state is unlike any other: of `paper` most gradients are denormal. The number of Gaussians
+    stays the same.
     """
     result = steady_trainer(preset, count, size)
     truth, _ = gaussians(max(count // 10, 100), 3, size, seed=1)
