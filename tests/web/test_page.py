@@ -34,9 +34,9 @@ from physhdr.bridge.spherical_harmonics import C0
 ROOT = Path(__file__).resolve().parents[2]
 EARLIER = ROOT / "tests" / "fixtures" / "e7440a3"
 DEMO, DEMO_DATA = ROOT / "runs" / "demo", ROOT / "data" / "demo"
-#: What the page must keep to, against ``physhdr render``; and what 8 bits instead of floats may cost of a
-#: picture's likeness to the truth.
-DECIBELS, LOSS = 38.0, 0.5
+#: What the page must keep to, against ``physhdr render`` (52.5 dB is the least that was seen), and what bytes
+#: instead of floats may cost of a picture's likeness to the truth.
+DECIBELS, LOSS = 48.0, 0.5
 SIDE = 200
 
 
