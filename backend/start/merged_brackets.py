@@ -32,7 +32,7 @@ CODES = 256
 #: Exposures of a bracket that lie beyond this are not merged: tables are made of every pair.
 LARGEST_BRACKET = 16
 #: Pixels of which tables are made, at most, and bytes of merged pictures that are kept.
-SAMPLED_PIXELS, KEPT_BYTES = 1 << 22, 1 << 31
+SAMPLED_PIXELS, KEPT_BYTES = 1 << 20, 1 << 30
 #: A code of which fewer pixels are known has its neighbours' entry.
 LEAST_COUNT = 20
 #: Standard deviation, in codes, of the window in which tables are smoothed.
@@ -245,7 +245,7 @@ class MergedBrackets:
         for members in groups.values():
             pixels = sum(view.camera.width * view.camera.height for view, _ in members)
             step = math.ceil(pixels / SAMPLED_PIXELS)
-            tables = tables_of([self._codes(view, seen)[:, ::step] for view, seen in members])
+            tables = tables_of([self._codes(view, seen, step) for view, seen in members])
             if tables is not None:
                 self.worst = max(self.worst, tables.worst)
                 self._of |= {view: (seen, tables) for view, seen in members}
@@ -284,6 +284,8 @@ class MergedBrackets:
         return np.ascontiguousarray(pictures.transpose(0, 3, 1, 2))
 
     @staticmethod
-    def _codes(view: View, seen: Sequence[int]) -> np.ndarray:
-        """``[K, P, 3]`` float32, 0 … 255."""
-        return np.stack([(255.0 * view.values(k)).astype(np.float32).reshape(-1, 3) for k in seen])
+    def _codes(view: View, seen: Sequence[int], step: int = 1) -> np.ndarray:
+        """``[K, P, 3]`` float32, 0 … 255; of every ``step``-th pixel."""
+        every = (view.image(k).reshape(-1, 3)[::step] for k in seen)
+        scales = (255.0 / view.sources[k].encoding.unit(view.image(k).dtype) for k in seen)
+        return np.stack([codes * np.float32(scale) for codes, scale in zip(every, scales, strict=True)])

@@ -21,6 +21,7 @@ from ..scene.points import with_points_file
 from ..scene.resident import PICTURE_BYTES
 from ..scene.scene import CACHE_BYTES, Scene, View
 from ..start.initialise import MOST_STEREO_POINTS
+from ..start.merged_brackets import KEPT_BYTES
 from ..start.stereo import MOST_DEPTHS, WORK_WIDTH
 from .config import TrainConfig, in_iterations
 from .targets import TARGET_BYTES, TARGET_PIXEL_BYTES
@@ -62,7 +63,8 @@ class Sizes:
     ``pixels``: of the largest training view; ``picture_bytes``: all pictures that training sees, decoded;
     ``exposures``: the most of a view; ``compared``: how many pictures an iteration compares. ``first`` and
     ``most``: Gaussians at the start and at the end; ``row_bytes``: state of each, ``splat_bytes``: work.
-    ``pixel_bytes``: an iteration's for each pixel; ``seeks``: whether stereo seeks the first points.
+    ``pixel_bytes``: an iteration's for each pixel; ``seeks``: whether stereo seeks the first points;
+    ``merges``: whether brackets may be merged, which is known when they are read.
     """
 
     pixels: int
@@ -74,6 +76,7 @@ class Sizes:
     splat_bytes: int
     pixel_bytes: int
     seeks: bool
+    merges: bool = False
 
 
 @dataclass(frozen=True)
@@ -175,6 +178,11 @@ def sizes_of(scene: Scene, config: TrainConfig) -> Sizes:
         splat_bytes=work + CHANNEL_BYTES * channels + SORT_BYTES * cores(),
         pixel_bytes=DRAWN_PIXEL_BYTES + compared * branches * developed,
         seeks=seeks,
+        merges=sizes.exposures > 1
+        and (
+            config.merged_brackets == "on"
+            or (config.merged_brackets == "auto" and config.method.traits.effects)
+        ),
     )
 
 
@@ -190,6 +198,8 @@ def estimate(sizes: Sizes) -> Estimate:
     iteration = sizes.pixel_bytes * sizes.pixels
     # Of 8 bits a channel; what is kept of the pictures' statistics.
     kept = min(sizes.picture_bytes * TARGET_PIXEL_BYTES // 3, TARGET_BYTES)
+    if sizes.merges:  # of 16 bits
+        kept += min(2 * sizes.picture_bytes, KEPT_BYTES)
     return Estimate(
         PROGRAM_BYTES,
         pictures + kept,

@@ -47,7 +47,7 @@ from .half_size import halved
 from .nuisances import Nuisances
 from .optimisers import ADAM, Optimiser
 from .targets import SsimTargets
-from .views import responses_of, training_exposures, training_lights, training_views
+from .views import may_merge_brackets, responses_of, training_exposures, training_lights, training_views
 
 #: Prefix of the backbone's parameters in a checkpoint, of either backbone.
 PRIMITIVES = "gaussians."
@@ -160,12 +160,11 @@ class Trainer:
         )
 
     def _new_merged(self) -> MergedBrackets | None:
-        """As the configuration says; published methods see what the camera took."""
-        wanted = self.config.merged_brackets
-        if wanted == "off" or (wanted == "auto" and not self.config.method.traits.effects):
+        """As the configuration says, where brackets show noise."""
+        if not may_merge_brackets(self.config):
             return None
         merged = MergedBrackets(self.views, self.exposures)
-        return merged if wanted == "on" or merged.worth_it else None
+        return merged if self.config.merged_brackets == "on" or merged.worth_it else None
 
     def _new_nuisances(self, state: Mapping[str, torch.Tensor], resumed: Path | None) -> Nuisances | None:
         """As the configuration says; a run that was begun without (by an older PhysHDR) goes on without."""

@@ -27,6 +27,12 @@ def responses_of(views: Sequence[View], exposures: Sequence[tuple[int, ...]]) ->
     return "mixed" if len(known) > 1 else "known" if True in known else "learned"
 
 
+def may_merge_brackets(config: TrainConfig) -> bool:
+    """Whether training pictures may be merged with their brackets; a published method sees them as taken."""
+    wanted = config.merged_brackets
+    return wanted == "on" or (wanted == "auto" and config.method.traits.effects)
+
+
 def training_exposures(view: View, config: TrainConfig) -> tuple[int, ...]:
     """Positions in the view's bracket; ``config.training_exposures`` are places in the whole one.
 

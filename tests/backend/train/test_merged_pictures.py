@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which trainings see merged brackets. What such pictures are: ``tests/backend/start``."""
+
+import dataclasses
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from physhdr.backend.scene import read_scene
+from physhdr.backend.train.config import TrainConfig, read_config, write_config
+from physhdr.backend.train.presets import PRESETS
+from physhdr.backend.train.trainer import Trainer
+
+
+@pytest.fixture
+def noisy(tiny_data, tmp_path) -> Path:
+    """The small scene with noise in its training pictures, in codes."""
+    root = Path(shutil.copytree(tiny_data, tmp_path / "noisy"))
+    rng = np.random.default_rng(1)
+    for path in sorted((root / "train").glob("*.png")):
+        codes = np.asarray(Image.open(path)).astype(np.float64)
+        codes = np.clip(np.rint(codes + rng.normal(0.0, 8.0, codes.shape)), 0, 255).astype(np.uint8)
+        Image.fromarray(codes).save(path)
+    return root
+
+
+def trainer(root: Path, preset: str = "default", **settings) -> Trainer:
+    return Trainer(read_scene(root), dataclasses.replace(PRESETS[preset], iterations=20, **settings))
+
+
+def test_auto_merges_noisy_brackets_alone(tiny_data, noisy):
+    assert trainer(tiny_data).merged is None
+    merging = trainer(noisy)
+    assert merging.merged is not None and 4.0 < merging.merged.worst < 16.0
+    assert "brackets merged" in merging.start_message
+
+
+def test_published_methods_see_what_the_camera_took(noisy):
+    for preset in ("baseline", "gausshdr-short", "paper-short"):
+        assert trainer(noisy, preset).merged is None
+
+
+def test_one_exposure_a_view_is_no_bracket(noisy):
+    assert trainer(noisy, exposure_mode="exp1").merged is None
+
+
+def test_pictures_are_nearer_to_those_without_noise(tiny_data, noisy):
+    taken, merged, clean = (
+        trainer(noisy, merged_brackets="off"),
+        trainer(noisy, merged_brackets="on"),
+        trainer(tiny_data, merged_brackets="off"),
+    )
+
+    def errors(training: Trainer) -> float:
+        pairs = zip(training.views, clean.views, strict=True)
+        return float(
+            np.mean(
+                [
+                    (training.picture(a, k) - clean.picture(b, k)).square().mean().item()
+                    for a, b in pairs
+                    for k in (0, 2, 4)
+                ]
+            )
+        )
+
+    assert errors(merged) < 0.7 * errors(taken)
+    picture = merged.recording(merged.views[0], 2).picture
+    assert torch.equal(picture, merged.picture(merged.views[0], 2)) and picture.max() <= 1.0
+
+
+def test_runs_of_before_go_on_as_they_were(tmp_path):
+    path = tmp_path / "config.json"
+    write_config(path, TrainConfig(), tmp_path, "default")
+    assert read_config(path).config.merged_brackets == "auto"
+    content = json.loads(path.read_text())
+    del content["config"]["merged_brackets"]
+    path.write_text(json.dumps(content))
+    assert read_config(path).config.merged_brackets == "off"
