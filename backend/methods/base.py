@@ -129,7 +129,7 @@ class Recording(Exposed):
     kept_target: Callable[[], SsimTarget] | None = None
 
     def ssim_target(self) -> SsimTarget:
-        """What SSIM needs of the picture, mask or none."""
+        """What SSIM needs of the picture, of which nothing is masked."""
         return SsimTarget(self.picture) if self.kept_target is None else self.kept_target()
 
     def with_target(self, kept: Callable[[], SsimTarget]) -> "Recording":

@@ -104,6 +104,8 @@ class PhysHDR(PhysHDRMethod[DrawnRadiance]):
     ) -> dict[str, torch.Tensor] | None:
         """By one kernel (``kernels.bracket``), where a learned global response alone develops."""
         loss, response = self.config.loss, self.tone_mapper
+        if type(self).losses is not PhysHDRMethod.losses:
+            return None  # a method that is made of this one, with terms of its own
         if not isinstance(response, ToneMapper) or self.config.tone_mapper.local:
             return None
         if self.config.global_supervision or not can_compare_bracket(drawn.radiance):

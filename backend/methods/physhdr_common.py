@@ -8,7 +8,7 @@ of them (``paper``).
 """
 
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Generic, Literal, TypeVar
 
@@ -270,7 +270,7 @@ class PhysHDRMethod(SplattingMethod, Generic[D]):
         if terms is None:
             developed = self.develop_bracket(drawn, batch.recordings)
             each = [
-                self.losses(one, recording.picture, recording.mask, recording.kept_target)
+                self.losses(one, recording.picture, recording.mask)
                 for one, recording in zip(developed, batch.recordings, strict=True)
             ]
             terms = mean_terms(each)
@@ -281,21 +281,14 @@ class PhysHDRMethod(SplattingMethod, Generic[D]):
         return None
 
     def losses(
-        self,
-        developed: Developed,
-        picture: torch.Tensor,
-        mask: torch.Tensor | None = None,
-        kept_target: Callable[[], SsimTarget] | None = None,
+        self, developed: Developed, picture: torch.Tensor, mask: torch.Tensor | None = None
     ) -> dict[str, torch.Tensor]:
         """The weighted terms of L_total (eq. 19) for a picture's values ``[3, H, W]``; sum them.
 
-        ``mask``: which of its pixels are compared, ``[H, W]`` bool; None: all. ``kept_target``: as the
-        recording has it.
+        ``mask``: which of its pixels are compared, ``[H, W]`` bool; None: all.
         """
         loss, target = self.config.loss, compared(picture, mask)
-        ssim_target = None
-        if can_fuse(target):
-            ssim_target = SsimTarget(target) if kept_target is None else kept_target()
+        ssim_target = SsimTarget(target) if can_fuse(target) else None
 
         def difference(image: torch.Tensor) -> torch.Tensor:
             return reconstruction_loss(compared(image, mask), target, loss, ssim_target)

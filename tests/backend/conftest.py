@@ -30,6 +30,12 @@ def tiny_data(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="session")
+def larger_data(tmp_path_factory) -> Path:
+    """``tiny_data`` of 128×128, where kernels for whole pictures run; tests must not write into it."""
+    return tiny_scene.write_tiny_scene(tmp_path_factory.mktemp("larger") / "data", size=128)
+
+
+@pytest.fixture(scope="session")
 def validation_data(tmp_path_factory) -> Path:
     """``tiny_data`` with three validation views; tests must not write into it."""
     return tiny_scene.write_tiny_scene(tmp_path_factory.mktemp("validation") / "data", validation=3)

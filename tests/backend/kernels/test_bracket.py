@@ -136,6 +136,13 @@ def test_a_methods_terms_are_the_same_either_way():
     trained.config = replace(PRESETS["default"].method, global_supervision=0.5)
     assert trained.bracket_terms(drawn, recordings) is None
 
+    class Mine(PhysHDR):
+        def losses(self, developed, picture, mask=None):
+            return super().losses(developed, picture, mask) | {"mine": developed.ldr.mean()}
+
+    trained.config, trained.__class__ = PRESETS["default"].method, Mine
+    assert trained.bracket_terms(drawn, recordings) is None  # its own term would not be there
+
 
 def test_quads_and_powers():
     @njit
