@@ -169,9 +169,9 @@ class Benchmark:
 
     def _write_report(self, schedule: Schedule) -> None:
         given = [self.report] if self.report else []
-        words = ["--plan", str(self.plan)] if self.plan else []
+        words = ["--plan", _shown(self.plan)] if self.plan else []
         words += self._over_the_plan()
-        words += ["--out", str(self.out), *(word for path in given for word in ("--report", str(path)))]
+        words += ["--out", str(self.out), *(word for path in given for word in ("--report", _shown(path)))]
         command = shlex.join(["physhdr", "benchmark", *words])
         paths = []
         for path in [schedule.store.out / REPORT_FILE, *given]:
@@ -200,6 +200,11 @@ def configuration(plan: Plan, name: str) -> dict[str, Any]:
         path = Path(folder) / CONFIG_FILE
         write_config(path, train.config, Path(folder), method.preset)
         return json.loads(path.read_text(encoding="utf-8"))["config"]
+
+
+def _shown(path: Path) -> str:
+    """As it was given; of a whole path the name, for where a checkout lies is nobody else's business."""
+    return path.name if path.is_absolute() else str(path)
 
 
 def _is_in(path: Path, plan: Plan) -> bool:
