@@ -100,7 +100,8 @@ def scene(points: np.ndarray, views: int, size: int = SIZE) -> Scene:
 def trainer(config: TrainConfig, count: int, views: int = 5, size: int = SIZE) -> Trainer:
     """A training run of ``config`` whose Gaussians have the shapes and opacities of ``gaussians``."""
     (means, quaternions, scales, opacities, _), _ = gaussians(count, 3, size)
-    config = dataclasses.replace(config, initial_points="file")  # stereo would find more in the pictures
+    # Stereo would find more in the pictures, and their exposures have nothing to do with each other.
+    config = dataclasses.replace(config, initial_points="file", merged_brackets="off")
     result = Trainer(scene(means.detach().numpy(), views, size), config)
     parameters = result.method.gaussians.parameters
     with torch.no_grad():

@@ -107,10 +107,12 @@ def short(preset: str, iterations: int) -> TrainConfig:
 class TrainerOn(Trainer):
     """A trainer on a side that starts from plain grey Gaussians at the scene's points.
 
-    The trainer's own start looks for neighbours with SciPy, which may not be there.
+    The trainer's own start looks for neighbours with SciPy, which may not be there; nor are brackets merged,
+    which needs it, too.
     """
 
     def __init__(self, scene: Scene, config: TrainConfig, side: Side) -> None:
+        config = dataclasses.replace(config, merged_brackets="off")
         super().__init__(scene, config, side.implementation, side.device)
 
     def _place(self, method: SplattingMethod) -> None:
