@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A run as a whole: its data set, its configuration and its trained method."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,11 +16,11 @@ from ..export.confidence import Seen, confidence_of
 from ..methods.base import Method, SplattingMethod
 from ..methods.registry import name_of
 from ..rasterize import Implementation
-from ..scene import Scene, View, read_scene
+from ..scene import Scene, read_scene
 from ..train.config import CONFIG_FILE, RunConfig, TrainConfig, read_config
 from ..train.learned_lens import LearnedLenses, lenses_of_run
-from ..train.trainer import STREAM_EXPOSURES, load_method
-from ..train.views import training_exposures, training_views
+from ..train.trainer import load_method
+from ..train.views import seen_exposures, training_views
 from .terminal import console
 from .views import read_views, require_same_views
 
@@ -122,15 +122,6 @@ def open_run(
     )
     lenses = lenses_of_run(folder, [view.camera for view in scene.train])
     return Run(folder, written.preset, config, scene, method, iteration, lenses)
-
-
-def seen_exposures(views: Sequence[View], config: TrainConfig) -> list[tuple[int, ...]]:
-    """For each of the training's views, positions in its bracket that it saw: as ``Trainer`` draws them."""
-    found = [training_exposures(view, config) for view in views]
-    if config.exposure_mode != "exp1":
-        return found
-    random = (np.random.default_rng([config.seed, STREAM_EXPOSURES, index]) for index in range(len(views)))
-    return [(int(rng.choice(allowed)),) for rng, allowed in zip(random, found, strict=True)]
 
 
 def _scene(

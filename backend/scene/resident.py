@@ -7,6 +7,7 @@ at their first use and kept.
 """
 
 import weakref
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,11 +62,18 @@ def camera_tensors(camera: Camera, like: torch.Tensor) -> CameraTensors:
 class Pictures:
     """Training pictures as float images on ``device``, kept there as 8 or 16 bits a channel.
 
-    On the CPU nothing is kept: the scene's own cache already holds the decoded pictures.
+    On the CPU nothing is kept: the scene's own cache already holds the decoded pictures. ``instead``: codes
+    ``[3, H, W]`` uint16 that stand for those of a view's picture; None where it stays as it is.
     """
 
-    def __init__(self, device: torch.device, budget: int = PICTURE_BYTES) -> None:
+    def __init__(
+        self,
+        device: torch.device,
+        budget: int = PICTURE_BYTES,
+        instead: Callable[[View, int], np.ndarray | None] | None = None,
+    ) -> None:
         self.device = device
+        self.instead = instead
         self.budget = budget
         self.bytes_held = 0
         self._kept: dict[tuple[View, int], torch.Tensor] = {}
@@ -75,7 +83,11 @@ class Pictures:
         """The picture's values ``[3, H, W]``, in [0, 1] unless it is radiance; raises as ``View.image``."""
         codes = self._kept.get((view, exposure))
         if codes is None:
-            codes = torch.tensor(view.image(exposure), device=self.device).permute(2, 0, 1)
+            other = None if self.instead is None else self.instead(view, exposure)
+            if other is None:
+                codes = torch.tensor(view.image(exposure), device=self.device).permute(2, 0, 1)
+            else:
+                codes = torch.tensor(other, device=self.device)
             if self.device.type != "cpu":
                 codes = codes.contiguous()
                 if self.bytes_held + codes.nbytes <= self.budget:

@@ -5,9 +5,10 @@ Gradients of what is hardly seen underflow to such numbers, which carry nothing.
 hundred cycles for each: an untrained iteration of ``paper`` took 441 ms on an Intel machine, 350 of them in
 the networks' backward pass (docs/performance.md). It is a setting of each thread, and a new thread has its
 parent's on Linux only; so ``threads`` sets it in every thread that runs kernels, and the result is the same
-whichever thread did the work. Nobody else's arithmetic is changed: SciPy's KDTree, for one, takes the next
-number above 0 to split coinciding points, and recurses for ever where that is 0; and torch's OpenMP threads
-keep what the thread had that began them, so that they would flush or not by who came first.
+whichever thread did the work. Nobody else's arithmetic is changed: SciPy's KDTree, for one, crashed on
+points of which some coincide (it may split them at the next number above 0, which would then be 0); and
+torch's OpenMP threads keep what the thread had that began them, so that they would flush or not by who came
+first.
 
 On x86-64 the bits are FTZ (results) and DAZ (inputs) of MXCSR, on ARM FZ (both) of FPCR. Elsewhere nothing is
 set.

@@ -29,12 +29,14 @@ from ..simd import kernel, run_ranges
 
 #: Codes are told in steps of 8 bits.
 CODES = 256
-#: Exposures of a bracket that lie beyond this are not merged: tables are made of every pair.
+#: Brackets of more exposures are not merged: tables are made of every pair.
 LARGEST_BRACKET = 16
 #: Pixels of which tables are made, at most, and bytes of merged pictures that are kept.
 SAMPLED_PIXELS, KEPT_BYTES = 1 << 20, 1 << 30
-#: A code of which fewer pixels are known has its neighbours' entry.
-LEAST_COUNT = 20
+#: A code of which fewer pixels are known has its neighbours' entry; more than the most weigh no more.
+LEAST_COUNT, MOST_COUNT = 20, 5000
+#: Where a table is steeper, codes at j are too coarse to tell of the noise at k.
+STEEPEST = 3.0
 #: Standard deviation, in codes, of the window in which tables are smoothed.
 SMOOTH = 2
 #: σ² has so many knots over the codes; how much it may bend, over what the data say.
@@ -160,13 +162,13 @@ def _noise(mapping: np.ndarray, scatter: np.ndarray, known: np.ndarray) -> np.nd
 
     slope = np.gradient(mapping, axis=3)
     code = np.broadcast_to(np.arange(CODES, dtype=np.float64), mapping.shape)
-    tells = (known >= LEAST_COUNT) & np.isfinite(scatter) & (slope < 3.0)
+    tells = (known >= LEAST_COUNT) & np.isfinite(scatter) & (slope < STEEPEST)
     for each in (code, mapping):
         tells &= (each > 2.0 * CUT) & (each < CODES - 1 - 2.0 * CUT)
     if tells.sum() < KNOTS:
         return None
     to, by, of = _hats(mapping[tells]), slope[tells] ** 2, _hats(code[tells])
-    weight = np.sqrt(np.minimum(known[tells], 5000)) / (scatter[tells] + ROUNDING)
+    weight = np.sqrt(np.minimum(known[tells], MOST_COUNT)) / (scatter[tells] + ROUNDING)
     rows = weight[:, None] * (to + by[:, None] * of)
     bends = np.diff(np.eye(KNOTS), 2, axis=0) * (STIFFNESS * np.sqrt((rows**2).sum() / KNOTS))
     wanted = np.concatenate([weight * scatter[tells], np.zeros(len(bends))])
@@ -257,8 +259,8 @@ class MergedBrackets:
         """Whether there is noise that merging would take away."""
         return self.worst >= WORTH_IT
 
-    def values(self, view: View, k: int) -> np.ndarray | None:
-        """Values ``[3, H, W]`` in 0 … 1, float32, of the view's picture ``k``; None: it stays as it is."""
+    def codes(self, view: View, k: int) -> np.ndarray | None:
+        """``[3, H, W]`` uint16, of which 65,535 is white, of picture ``k``; None: it stays as it is."""
         if view not in self._of or k not in self._of[view][0]:
             return None
         kept = self._kept.get(view)
@@ -268,7 +270,7 @@ class MergedBrackets:
             while self._bytes > KEPT_BYTES and len(self._kept) > 1:
                 self._bytes -= self._kept.popitem(last=False)[1].nbytes
         self._kept.move_to_end(view)
-        return kept[self._of[view][0].index(k)].astype(np.float32) / np.float32(65535.0)
+        return kept[self._of[view][0].index(k)]
 
     def _merged(self, view: View) -> np.ndarray:
         """``[K, 3, H, W]`` uint16; where a picture is masked all keep their own codes."""

@@ -25,7 +25,7 @@ from ..start.merged_brackets import KEPT_BYTES
 from ..start.stereo import MOST_DEPTHS, WORK_WIDTH
 from .config import TrainConfig, in_iterations
 from .targets import TARGET_BYTES, TARGET_PIXEL_BYTES
-from .views import training_lights, training_views
+from .views import may_merge_brackets, training_lights, training_views
 
 FLOAT = 4
 
@@ -178,11 +178,7 @@ def sizes_of(scene: Scene, config: TrainConfig) -> Sizes:
         splat_bytes=work + CHANNEL_BYTES * channels + SORT_BYTES * cores(),
         pixel_bytes=DRAWN_PIXEL_BYTES + compared * branches * developed,
         seeks=seeks,
-        merges=sizes.exposures > 1
-        and (
-            config.merged_brackets == "on"
-            or (config.merged_brackets == "auto" and config.method.traits.effects)
-        ),
+        merges=sizes.exposures > 1 and may_merge_brackets(config),
     )
 
 

@@ -47,7 +47,17 @@ from .half_size import halved
 from .nuisances import Nuisances
 from .optimisers import ADAM, Optimiser
 from .targets import SsimTargets
-from .views import may_merge_brackets, responses_of, training_exposures, training_lights, training_views
+from .views import (
+    STREAM_BATCH,
+    STREAM_EXPOSURES,
+    STREAM_GROWTH,
+    STREAM_VIEWS,
+    may_merge_brackets,
+    responses_of,
+    seen_exposures,
+    training_lights,
+    training_views,
+)
 
 #: Prefix of the backbone's parameters in a checkpoint, of either backbone.
 PRIMITIVES = "gaussians."
@@ -61,9 +71,6 @@ NUISANCES = "nuisances."
 #: A checkpoint is written this often (seconds), but so that writing takes a fiftieth of the time at most.
 CHECKPOINT_SECONDS = 30.0
 CHECKPOINT_SHARE = 0.02
-
-#: Streams of random numbers, so that no two purposes draw the same ones.
-STREAM_VIEWS, STREAM_EXPOSURES, STREAM_GROWTH, STREAM_BATCH = range(4)
 
 #: Measures a fixed held-out view; given the method, returns named numbers.
 Monitor = Callable[[Method], dict[str, float]]
@@ -106,12 +113,13 @@ class Trainer:
         self.views = training_views(scene, config)
         if not self.views:
             raise BadValueError(f"{scene.root} has no training views")
-        self.exposures = [self._allowed_exposures(view, index) for index, view in enumerate(self.views)]
+        self.exposures = seen_exposures(self.views, config)
 
         torch.manual_seed(config.seed)  # initial values of the networks
         self.responses = responses_of(self.views, self.exposures)
         #: Pictures with the light of their whole brackets; None where they stay as they were taken.
         self.merged = self._new_merged()
+        self.pictures.instead = None if self.merged is None else self.merged.codes
         facts = Facts(scene.response_anchor, implementation, self.lights, self.responses)
         self.method = new_method(config.method, self.schedule.anchors, facts)
         state = self._restore(resumed) if resumed else {}
@@ -200,14 +208,6 @@ class Trainer:
         if self.nuisances is not None and calibration.vignetting is not None and calibration.reach:
             self.nuisances.know_lens(calibration.vignetting, calibration.reach)
 
-    def _allowed_exposures(self, view: View, index: int) -> tuple[int, ...]:
-        """Positions in the view's bracket: all that training may see, or the one drawn for this view."""
-        allowed = training_exposures(view, self.config)
-        if self.config.exposure_mode == "exp1":
-            rng = np.random.default_rng([self.config.seed, STREAM_EXPOSURES, index])
-            return (int(rng.choice(allowed)),)
-        return allowed
-
     def _place(self, method: SplattingMethod) -> None:
         """Put the backbone's first primitives where the scene is, as bright as the brackets say.
 
@@ -272,8 +272,7 @@ class Trainer:
 
     def picture(self, view: View, k: int) -> torch.Tensor:
         """``[3, H, W]`` in [0, 1], on the device: what methods that sample all pictures ask for."""
-        merged = None if self.merged is None else self.merged.values(view, k)
-        return self.pictures.get(view, k) if merged is None else torch.from_numpy(merged).to(self.device)
+        return self.pictures.get(view, k)
 
     def first_points(self) -> np.ndarray:
         """``[P, 3]`` metres: what methods ask for that start elsewhere, but must know where the scene is."""
@@ -286,7 +285,7 @@ class Trainer:
         return Recording(
             exposure=view.exposures[k],
             encoding=view.encodings[k],
-            picture=self.picture(view, k),
+            picture=self.pictures.get(view, k),
             mask=self.pictures.mask(view, k),
         )
 

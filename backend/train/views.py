@@ -3,11 +3,16 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from ...bridge.errors import DataMismatchError
 from ...bridge.lights import AMBIENT
 from ..methods.base import Responses
 from ..scene.scene import Scene, View
 from .config import TrainConfig
+
+#: Streams of random numbers, so that no two purposes draw the same ones.
+STREAM_VIEWS, STREAM_EXPOSURES, STREAM_GROWTH, STREAM_BATCH = range(4)
 
 
 def training_views(scene: Scene, config: TrainConfig) -> list[View]:
@@ -47,3 +52,15 @@ def training_exposures(view: View, config: TrainConfig) -> tuple[int, ...]:
             "Set --training-exposures to indices that the data set has.",
         )
     return allowed
+
+
+def seen_exposures(views: Sequence[View], config: TrainConfig) -> list[tuple[int, ...]]:
+    """For each of the training's views, positions in its bracket: all that it may see, or the one drawn.
+
+    Raises as ``training_exposures``.
+    """
+    allowed = [training_exposures(view, config) for view in views]
+    if config.exposure_mode != "exp1":
+        return allowed
+    random = (np.random.default_rng([config.seed, STREAM_EXPOSURES, index]) for index in range(len(views)))
+    return [(int(rng.choice(each)),) for rng, each in zip(random, allowed, strict=True)]

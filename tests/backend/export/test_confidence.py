@@ -30,7 +30,6 @@ from physhdr.backend.model.backbone import Splats
 from physhdr.backend.model.gaussians import SH_C0, initial_gaussians
 from physhdr.backend.model.tone_mapper import KnownResponse, ToneMapper, ToneMapperConfig
 from physhdr.backend.rasterize.reference import rasterize
-from physhdr.backend.runs.run import seen_exposures
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.camera import Camera
 from physhdr.backend.scene.encoding import CAMERA, SRGB, LogEncoding
@@ -38,6 +37,7 @@ from physhdr.backend.scene.scene import View
 from physhdr.backend.scene.source import Decoded
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import Trainer
+from physhdr.backend.train.views import seen_exposures
 from physhdr.bridge.confidence import TOLERANCE
 from physhdr.bridge.srgb import to_linear
 
@@ -257,3 +257,5 @@ def test_what_training_saw_is_what_the_trainer_drew(tiny_data, mode):
     config = dataclasses.replace(PRESETS["fast"], exposure_mode=mode, iterations=1, seed=3)
     trainer = Trainer(scene, config)
     assert seen_exposures(trainer.views, config) == trainer.exposures
+    drawn = [(np.random.default_rng([3, 1, i]).choice([0, 2, 4]),) for i in range(len(trainer.views))]
+    assert trainer.exposures == (drawn if mode == "exp1" else [(0, 2, 4)] * len(drawn))
