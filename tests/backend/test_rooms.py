@@ -49,7 +49,7 @@ BACKEND = (
     # Compiling ahead of time calls the rasteriser, too.
     ("kernels",),
     ("rasterize",),
-    ("simd", "scene"),
+    ("simd", "scene", "formats"),
     # Standard library alone: asked before anything else is there.
     ("memory", "project"),
 )
