@@ -7,10 +7,8 @@ logarithm, metres), ``rot_0…3`` (wxyz). Its colour 0.28209479·f_dc + 0.5 + �
 radiance must be baked at an exposure before it comes here.
 
 The lossless layout has the same columns first, so that viewers draw it, then the trained parameters as
-``phys_…`` columns, and comment lines that say what they mean. Reading it here loses nothing. What another
-program makes of it is another matter: splat-transform 3.7 kept all 125 columns of such a file and none of its
-comments, so that only the baked look can be imported afterwards (``ply_model``). It also writes opacities of
-exactly 1 as a logit of +∞. We write binary little endian; whatever plyfile reads, we read.
+``phys_…`` columns. What they mean stands in comment lines and, for programs that drop those, in the names of
+further columns (``lossless_form``). We write binary little endian; whatever plyfile reads, we read.
 """
 
 import re
@@ -24,6 +22,7 @@ import plyfile
 
 from .atomic import atomic_path
 from .errors import BadValueError, DataMismatchError, FileDamagedError
+from .lossless_form import form_columns
 from .regular import damaged_where_it_fails, regular_file
 
 #: The constant spherical harmonic Y_0, with the digits that 3DGS's viewers use.
@@ -32,12 +31,15 @@ SH_C0 = 0.28209479
 EXTRA_PREFIX = "phys_"
 #: Opacities are kept this far from 0 and 1, where the logit is infinite: ±15.9 in float32.
 OPACITY_MARGIN = 1.2e-7
+#: A flat Gaussian's scale of 0, whose logarithm is infinite, is written as this, float32's smallest.
+SMALLEST_SCALE = float(np.finfo(np.float32).tiny)
 COLOUR_COMMENT = "colour = 0.28209479 * f_dc + 0.5 + higher SH, display-referred, clamp to 0..1"
 SPACE_COMMENT = (
     "space: metres, Z up (Blender's world); rot_0..3 = w x y z; scale = ln(metres); opacity = logit"
 )
 #: f_rest columns of SH degree 0 to 3, and what they are together with f_dc.
 REST_COUNTS = (0, 9, 24, 45)
+REST_OF_DEGREE_4 = 72
 #: Gaussians at a time where rows become columns: a block stays in the CPU's cache.
 _BLOCK = 2048
 
@@ -72,8 +74,8 @@ def standard_columns(
     """The standard columns, each ``[N]`` float32, from natural values.
 
     ``positions`` ``[N, 3]`` metres; ``rotations`` ``[N, 4]`` wxyz; ``scales`` ``[N, 3]`` standard deviations,
-    metres; ``opacities`` ``[N]`` 0…1; ``colour_sh`` ``[N, K, 3]`` display-referred, colour = SH_C0·sh_0 +
-    0.5 + higher. Raises ``DataMismatchError`` for shapes, ``BadValueError`` for values.
+    metres, 0 where flat; ``opacities`` ``[N]`` 0…1; ``colour_sh`` ``[N, K, 3]`` display-referred, colour =
+    SH_C0·sh_0 + 0.5 + higher. Raises ``DataMismatchError`` for shapes, ``BadValueError`` for values.
     """
     count = len(positions)
     shapes = {
@@ -91,9 +93,9 @@ def standard_columns(
         raise BadValueError(
             f"PLY export: {colour_sh.shape[1]} SH coefficients", "Viewers read degrees 0 to 3: 1, 4, 9 or 16."
         )
-    if count and not (scales.min() > 0.0 and opacities.min() >= 0.0 and opacities.max() <= 1.0):
+    if count and not (scales.min() >= 0.0 and opacities.min() >= 0.0 and opacities.max() <= 1.0):
         raise BadValueError(
-            "PLY export: scales must be above 0 and opacities in 0…1 (natural values, not log and logit)",
+            "PLY export: scales must be 0 or more and opacities in 0…1 (natural values, not log and logit)",
             "Apply the activations before exporting; NaN means that training diverged.",
         )
     # float64, so that the logarithm and logit are the nearest float32
@@ -106,7 +108,7 @@ def standard_columns(
         colour_sh[:, 0],
         rest,
         np.log(opacity / (1.0 - opacity))[:, None],
-        np.log(scales.astype(np.float64)),
+        np.log(np.maximum(scales.astype(np.float64), SMALLEST_SCALE)),
         rotations,
     ]
     names = standard_names(colour_sh.shape[1])
@@ -140,7 +142,8 @@ def write_lossless_ply(
     """Write the standard ``columns`` (of ``standard_columns``), then ``extra`` ones, bit for bit, atomically.
 
     Each column is ``[N]``, float32; the names of ``extra`` begin with ``phys_``. ``comments`` say what
-    the extra columns mean. Raises ``BadValueError``, ``DataMismatchError`` or ``OutputError``.
+    the extra columns mean; what ``lossless_form`` knows of it is written as columns, too. Raises
+    ``BadValueError``, ``DataMismatchError`` or ``OutputError``.
     """
     expected = standard_names(1 + sum(name.startswith("f_rest_") for name in columns) // 3)
     if list(columns) != expected:
@@ -154,7 +157,8 @@ def write_lossless_ply(
                 f"PLY export: '{name}' cannot be the name of an extra column",
                 "Name it phys_… in letters and digits.",
             )
-    _write(path, {**columns, **extra}, [COLOUR_COMMENT, SPACE_COMMENT, *comments])
+    saying = form_columns(comments, len(columns["x"]))
+    _write(path, {**columns, **extra, **saying}, [COLOUR_COMMENT, SPACE_COMMENT, *comments])
 
 
 def _write(path: Path, columns: Mapping[str, np.ndarray], comments: Sequence[str]) -> None:
@@ -191,23 +195,48 @@ def read_ply(path: Path) -> GaussianPly:
 
     ASCII or binary of either byte order, columns of any number type, in any order, with or without normals
     and ``f_rest_*``; columns that we do not know are kept. Where a file has ``red green blue`` in place of
-    ``f_dc_*`` (nerfstudio without SH), those are made from them. Raises ``FileMissingError``;
+    ``f_dc_*`` (nerfstudio without SH), those are made from them; where it has no ``scale_2`` (2DGS), that is
+    ln 0; of SH degree 4 the highest band is left out. Raises ``FileMissingError``;
     ``FileDamagedError`` if it is no PLY, truncated, or holds no Gaussians.
     """
-    path = regular_file(Path(path), "Check the path, or choose another PLY.")
-    ply = open_ply(path, "PLY", "Copy or export it again: it may be cut off.")
+    return gaussians_in(Path(path), open_gaussians(Path(path)))
+
+
+def open_gaussians(path: Path) -> plyfile.PlyData:
+    """A PLY of Gaussians of any layout, compressed or not; raises what ``open_ply`` raises."""
+    regular_file(path, "Check the path, or choose another PLY.")
+    return open_ply(path, "PLY", "Copy or export it again: it may be cut off.")
+
+
+def is_compressed(ply: plyfile.PlyData) -> bool:
+    """Whether it is PlayCanvas' compressed layout, which ``splat_files.compressed_ply`` reads."""
+    return any(
+        element.name == "chunk" or any(p.name == "packed_position" for p in element.properties)
+        for element in ply.elements
+    )
+
+
+def gaussians_in(path: Path, ply: plyfile.PlyData) -> GaussianPly:
+    """The Gaussians of an opened PLY that is not compressed, as ``read_ply``; ``path`` is for messages."""
     elements = {element.name: element for element in ply.elements}
     if "vertex" not in elements:
         raise FileDamagedError(f"{path} is not a PLY of Gaussians: it has no vertex element", _GAUSSIANS_HINT)
+    if is_compressed(ply):
+        raise FileDamagedError(
+            f"{path} is a compressed PLY (PlayCanvas, SuperSplat): it has no columns of Gaussians",
+            "Convert it: physhdr convert IN OUT.ply",
+        )
     vertex = elements["vertex"]
     names = [p.name for p in vertex.properties if not isinstance(p, plyfile.PlyListProperty)]
-    _check_names(path, names, packed="chunk" in elements)
+    _check_names(path, names)
     with np.errstate(over="ignore"):  # a double beyond float32 becomes infinite: its Gaussian is of no use
         columns = _columns(vertex.data, names)
     if "f_dc_0" not in columns:
         for index, name in enumerate(("red", "green", "blue")):
             columns[f"f_dc_{index}"] = ((columns[name] / 255.0 - 0.5) / SH_C0).astype(np.float32)
-    return GaussianPly(columns, list(ply.comments))
+    if "scale_2" not in columns:
+        columns["scale_2"] = np.full(len(columns["x"]), -np.inf, np.float32)
+    return GaussianPly(_up_to_degree_3(columns), list(ply.comments))
 
 
 def open_ply(path: Path, kind: str, remedy: str) -> plyfile.PlyData:
@@ -251,16 +280,13 @@ _GAUSSIANS_HINT = (
 )
 
 
-def _check_names(path: Path, names: list[str], packed: bool) -> None:
+def _check_names(path: Path, names: list[str]) -> None:
     """Every column that a Gaussian needs is there."""
     have = set(names)
-    if packed or "packed_position" in have:
-        raise FileDamagedError(
-            f"{path} is a compressed PLY (PlayCanvas, SuperSplat), which is not supported",
-            "Save it as an uncompressed PLY in SuperSplat, or with splat-transform.",
-        )
     if {"red", "green", "blue"} <= have:
         have |= {"f_dc_0", "f_dc_1", "f_dc_2"}
+    if {"scale_0", "scale_1", "rot_3"} <= have:
+        have |= {"scale_2"}
     lacking = [n for n in standard_names(1) if n not in have and n not in ("nx", "ny", "nz")]
     if lacking:
         kind = ": is it a mesh or a plain point cloud?" if "opacity" in lacking else "."
@@ -268,11 +294,24 @@ def _check_names(path: Path, names: list[str], packed: bool) -> None:
             f"{path} is not a PLY of Gaussians: it has no {', '.join(lacking)}{kind}", _GAUSSIANS_HINT
         )
     rest = {name for name in names if re.fullmatch(r"f_rest_\d+", name)}
-    if len(rest) not in REST_COUNTS or rest != {f"f_rest_{index}" for index in range(len(rest))}:
+    if len(rest) not in (*REST_COUNTS, REST_OF_DEGREE_4) or rest != {
+        f"f_rest_{index}" for index in range(len(rest))
+    }:
         raise FileDamagedError(
             f"{path} is not a PLY of Gaussians of SH degree 0 to 3: it has {len(rest)} f_rest_ columns",
             "Those degrees have 0, 9, 24 or 45, numbered from 0.",
         )
+
+
+def _up_to_degree_3(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """``columns`` without the fourth band, channel by channel as they are."""
+    if f"f_rest_{REST_OF_DEGREE_4 - 1}" not in columns:
+        return columns
+    kept = {name: column for name, column in columns.items() if not re.fullmatch(r"f_rest_\d+", name)}
+    wide, narrow = REST_OF_DEGREE_4 // 3, REST_COUNTS[-1] // 3
+    for index in range(REST_COUNTS[-1]):
+        kept[f"f_rest_{index}"] = columns[f"f_rest_{wide * (index // narrow) + index % narrow}"]
+    return kept
 
 
 def _columns(table: np.ndarray[Any, Any], names: list[str]) -> dict[str, np.ndarray]:

@@ -13,17 +13,9 @@ import numpy as np
 
 from ...bridge.gaussian_ply import EXTRA_PREFIX
 from ...bridge.lights import AMBIENT
+from ...bridge.lossless_form import CURVE, FORM, LIGHTS, NETWORK, tensor_comments
 from ...bridge.model_file import ADDITIVE_LIGHTS, Model
-from ...bridge.ply_model import (
-    AMBIENT_LOGITS,
-    CONFIDENCE,
-    CURVE,
-    FORM,
-    LIGHT_LOGITS,
-    LIGHTS,
-    NETWORK,
-    tensor_comments,
-)
+from ...bridge.ply_model import AMBIENT_LOGITS, CONFIDENCE, LIGHT_LOGITS
 from ..methods.base import SplattingMethod
 from ..model.gaussians import Gaussians
 
@@ -50,7 +42,10 @@ def confidence_column(model: Model) -> dict[str, np.ndarray]:
 
 
 def network_comments(method: SplattingMethod, model: Model) -> list[str]:
-    """The networks, the sampled response and what the radiance is made of, as comment lines."""
+    """The networks, the sampled response and what the radiance is made of, as comment lines.
+
+    ``write_lossless_ply`` says the latter two in the names of columns, too.
+    """
     by_network = method.can_relight and not method.has_light_share
     form = "product" if method.composes_by_product else "learned", "learned" if by_network else "additive"
     lights: list[str] = []

@@ -1,18 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Readers and writers of other programs' files of Gaussians, in Python alone, so that Blender has them, too."""
+"""Other programs' files of Gaussians, read and written in Python alone, so that Blender has it, too."""
 
-from pathlib import Path
-
-from .cloud import UP, SplatCloud, Up, turned
+from .cloud import UP, SplatCloud, turned
+from .reading import FORMATS, SUFFIXES, Format, format_of, read_splat_file
 from .spz import write_spz
 
-__all__ = ["UP", "SplatCloud", "Up", "read_splat_file", "turned", "write_spz"]
-
-
-def read_splat_file(path: Path) -> SplatCloud:
-    """Read a file of Gaussians of any kind that Python alone can read, in its own axes.
-
-    Raises ``FileMissingError``, ``FileDamagedError`` and ``BadValueError``, also for the formats that need
-    the backend, with the way to convert them.
-    """
-    raise NotImplementedError
+__all__ = [
+    "FORMATS",
+    "SUFFIXES",
+    "UP",
+    "Format",
+    "SplatCloud",
+    "format_of",
+    "read_splat_file",
+    "turned",
+    "write_spz",
+]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Gaussians as other programs' files hold them: display-referred colours, no light, in the file's own axes."""
+"""Gaussians as other programs hold them: display-referred colours, no light, the axes of their file."""
 
 from dataclasses import dataclass, replace
 from typing import Literal

@@ -5,20 +5,15 @@ import numpy as np
 import torch
 
 from physhdr.backend.model.gaussians import Gaussians
-from physhdr.bridge.ply_model import (
-    AMBIENT_LOGITS,
-    CONFIDENCE,
-    LIGHT_LOGITS,
-    NETWORK,
-    tensors_from_comments,
-)
+from physhdr.bridge.lossless_form import NETWORK, SAYING, tensors_from_comments
+from physhdr.bridge.ply_model import AMBIENT_LOGITS, CONFIDENCE, LIGHT_LOGITS
 
 
 def parameters_from_columns(columns: dict[str, np.ndarray]) -> Gaussians:
     """The Gaussians that ``parameter_columns`` was given."""
     found: dict[str, dict[int, np.ndarray]] = {}
     for column, values in columns.items():
-        if column.startswith("phys_") and column != CONFIDENCE:
+        if column.startswith("phys_") and column != CONFIDENCE and not column.startswith(SAYING):
             prefix, _, index = column.rpartition("_")
             name = (LIGHT_LOGITS if prefix == AMBIENT_LOGITS else prefix).removeprefix("phys_")
             found.setdefault(name, {})[int(index)] = values

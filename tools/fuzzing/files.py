@@ -254,6 +254,7 @@ def write_plys(folder: Path) -> None:
     import plyfile
 
     from physhdr.bridge.gaussian_ply import standard_columns, write_lossless_ply, write_standard_ply
+    from physhdr.bridge.lossless_form import tensor_comments
 
     plys = tests_module("bridge/test_ply_model.py")
     for name, coefficients in (("degree-0", 1), ("degree-1", 4)):
@@ -275,7 +276,7 @@ def write_plys(folder: Path) -> None:
             "tone_curve": np.linspace(0, 1, 21, dtype=np.float32).reshape(7, 3),
         }
         form = "additive" if name == "lossless" else "additive-lights"
-        lines = [f"phys_form product {form}", *comments, *plys.tensor_comments("phys_curve", curve)]
+        lines = [f"phys_form product {form}", *comments, *tensor_comments("phys_curve", curve)]
         extra = {column: rng.normal(size=5).astype(np.float32) for column in (*names, *logits)}
         write_lossless_ply(_folder(folder, name) / "splats.ply", standard_columns(**given), extra, lines)
 

@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A model of any file of Gaussians: PhysHDR's own, a PLY of any kind, or another program's format."""
+
+from pathlib import Path
+
+from .display import ColorSpace
+from .model_file import read_model
+from .ply_model import PlyModel, model_of_cloud, read_ply_model
+from .splat_files.reading import format_of, read_any
+
+MODEL_SUFFIX = ".safetensors"
+
+
+def is_model_file(path: Path) -> bool:
+    """Whether ``path`` is named as a model of PhysHDR, which is in Blender's axes and scene-linear."""
+    return path.suffix.lower() == MODEL_SUFFIX
+
+
+def read_gaussians(path: Path, color_space: ColorSpace = "SRGB") -> PlyModel:
+    """Read a model file, a PLY or another program's file of Gaussians.
+
+    ``color_space`` says what the colours of other programs' files are. Raises what ``read_model``,
+    ``read_ply_model`` and ``splat_files.read_splat_file`` raise.
+    """
+    path = Path(path)
+    if is_model_file(path):
+        return PlyModel(read_model(path), None, 0, ())
+    if format_of(path).name == "PLY":
+        return read_ply_model(path, color_space)
+    return model_of_cloud(path, read_any(path), color_space)

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A standard 3DGS PLY as a ``SplatCloud``: natural values of its logarithms and logits."""
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ..gaussian_ply import EXTRA_PREFIX, GaussianPly
+from .cloud import UP, SplatCloud, Up
+
+#: Comment lines by which a PLY says that Z is up: ours, and nerfstudio's. (Brush writes "Vertical axis: y" of
+#: every scene, whichever way up it is.)
+_Z_UP = re.compile(r"space: .*\bZ up\b|vertical axis: z\b", re.IGNORECASE)
+
+
+def cloud_of_ply(ply: GaussianPly) -> SplatCloud:
+    """The Gaussians of a PLY as they are, damaged ones too; quaternions of any length.
+
+    A logit of ±∞ is an opacity of 1 or 0, a logarithm of −∞ a scale of 0.
+    """
+    return SplatCloud(**shape_of(ply.columns), colour_sh=_colour_sh(ply.columns), up=up_of(ply))
+
+
+def shape_of(columns: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """``position``, ``rotation``, ``scale`` and ``opacity`` of ``SplatCloud`` from the standard columns."""
+
+    def stack(name: str, count: int) -> np.ndarray:
+        return np.stack([columns[f"{name}_{index}"] for index in range(count)], axis=1)
+
+    with np.errstate(over="ignore"):  # what becomes infinite is left out
+        scale = np.exp(stack("scale", 3))
+    return {
+        "position": np.stack([columns[axis] for axis in "xyz"], axis=1),
+        "rotation": stack("rot", 4),
+        "scale": scale,
+        "opacity": sigmoid(columns["opacity"]),
+    }
+
+
+def up_of(ply: GaussianPly) -> Up:
+    """Which way is up, by what the PLY says of itself, or else by convention."""
+    ours = any(name.startswith(EXTRA_PREFIX) for name in ply.columns)
+    return "z" if ours or any(_Z_UP.search(line) for line in ply.comments) else UP["ply"]
+
+
+def sigmoid(logit: np.ndarray) -> np.ndarray:
+    """1 / (1 + exp(−``logit``)), float32; tanh neither overflows nor needs float64."""
+    return np.float32(0.5) * (np.float32(1.0) + np.tanh(np.float32(0.5) * logit))
+
+
+def _colour_sh(columns: Mapping[str, np.ndarray]) -> np.ndarray:
+    """``[N, K, 3]``: a view of planes ``[K, 3, N]``, so that working through it reads memory in order."""
+    rest = sum(name.startswith("f_rest_") for name in columns) // 3
+    planes = np.empty((rest + 1, 3, len(columns["x"])), np.float32)
+    for channel in range(3):
+        planes[0, channel] = columns[f"f_dc_{channel}"]
+        for k in range(rest):
+            planes[k + 1, channel] = columns[f"f_rest_{channel * rest + k}"]
+    return planes.transpose(2, 0, 1)
