@@ -7,7 +7,8 @@ from typing import Literal
 import torch
 
 from ..bridge.errors import BadValueError
-from .rasterize.cuda import is_built, unavailable_reason
+from .rasterize.card import INSTALL_WARP, unavailable_reason, way
+from .rasterize.cuda import is_built
 
 DeviceName = Literal["auto", "cpu", "cuda"]
 
@@ -26,10 +27,11 @@ def choose_device(name: DeviceName, report: Callable[[str], None] | None = None)
         report(BUILDING)
     reason = unavailable_reason()
     if reason is None:
-        return torch.device("cuda"), f"on {torch.cuda.get_device_name()}"
+        by = ", by Warp's kernels" if way() == "warp" else ""
+        return torch.device("cuda"), f"on {torch.cuda.get_device_name()}{by}"
     if name == "cuda":
         raise BadValueError(
-            f"cannot compute on CUDA: {reason}", "Choose --device cpu, or install gsplat and nvcc."
+            f"cannot compute on CUDA: {reason}", f"Choose --device cpu. {INSTALL_WARP} Or gsplat and nvcc."
         )
     return torch.device("cpu"), f"on the CPU ({reason})"
 

@@ -1,19 +1,22 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Draw Gaussians: one function, one contract (``contract.py``), three implementations.
+"""Draw Gaussians: one function, one contract (``contract.py``), four implementations.
 
-``reference`` is plain torch and the oracle of the tests; ``cpu`` is Numba; ``cuda`` is gsplat. Nothing
-outside this package knows which one runs.
+``reference`` is plain torch and the oracle of the tests; ``cpu`` is Numba; ``cuda`` is gsplat, for cards,
+whose kernels need a compiler; ``warp`` is NVIDIA Warp, for cards with nothing but their driver, and for
+tests on the CPU. Nothing outside this package knows which one runs.
 """
 
+from collections.abc import Callable
 from typing import Literal
 
 import torch
 
 from ...bridge.errors import BadValueError
 from ..scene.camera import Camera
+from .card import warp_rasterize, warp_takes
 from .contract import Rasterization
 
-Implementation = Literal["auto", "reference", "cpu", "cuda"]
+Implementation = Literal["auto", "reference", "cpu", "cuda", "warp"]
 
 __all__ = ["Implementation", "Rasterization", "rasterize"]
 
@@ -27,6 +30,7 @@ def rasterize(
     camera: Camera,
     *,
     screen_offsets: torch.Tensor | None = None,
+    absolute_offsets: torch.Tensor | None = None,
     with_depth: bool = False,
     implementation: Implementation = "auto",
 ) -> Rasterization:
@@ -35,7 +39,9 @@ def rasterize(
     ``means`` ``[N, 3]`` metres; ``quaternions`` ``[N, 4]`` wxyz, normalised here; ``scales`` ``[N, 3]``
     standard deviations in metres; ``opacities`` ``[N]`` in [0, 1]; ``colours`` ``[N, C]``, any values.
     ``screen_offsets`` ``[N, 2]``: added to the projected means, in pixels. Pass zeros that require a
-    gradient to read ∂L/∂(screen position) from their ``.grad`` (densification does).
+    gradient to read ∂L/∂(screen position) from their ``.grad`` (densification does). ``absolute_offsets``
+    ``[N, 2]``: zeros that change nothing; their ``.grad`` becomes Σ |∂L/∂(screen position)| over the pixels,
+    where ``screen_offsets``' is the sum with its signs. Only ``reference`` and ``warp`` know them.
     Raises ``BadValueError`` for wrong shapes.
     """
     count = means.shape[0]
@@ -55,7 +61,15 @@ def rasterize(
         depths = means.detach() @ view[2, :3] + view[2, 3]
         colours = torch.cat([colours, depths[:, None]], dim=1)
     draw = _implementation(implementation, means)
-    result = draw(means, quaternions, scales, opacities, colours, camera, screen_offsets)
+    arguments = (means, quaternions, scales, opacities, colours, camera, screen_offsets)
+    if absolute_offsets is None:
+        result = draw(*arguments)
+    elif draw.__module__.endswith((".reference", ".warp")):
+        result = draw(*arguments, absolute_offsets)
+    else:
+        raise BadValueError(
+            "this rasteriser has no absolute sums of screen gradients", "Choose 'reference' or 'warp'."
+        )
     if not with_depth:
         return result
     covered = result.alpha.detach() > 0
@@ -63,21 +77,26 @@ def rasterize(
     return Rasterization(result.image[:-1], result.alpha, result.radii, depth)
 
 
-def _implementation(name: Implementation, means: torch.Tensor):
+def _implementation(name: Implementation, means: torch.Tensor) -> Callable[..., Rasterization]:
     """The drawing function of that name; ``auto``: by where the tensors are, and their precision."""
     if name == "auto":
-        name = "cuda" if means.is_cuda else "reference" if means.dtype == torch.float64 else "cpu"
-    # Imported late: Numba and gsplat are heavy, and only one of them is needed.
+        if warp_takes(means):
+            name = "warp"
+        else:
+            name = "cuda" if means.is_cuda else "reference" if means.dtype == torch.float64 else "cpu"
+    # Imported late: Numba, gsplat and Warp are heavy, and only one of them is needed.
     if name == "cuda":
         if not means.is_cuda:
             raise BadValueError(
                 "the rasteriser 'cuda' cannot draw what is on the CPU", "Choose --device cuda as well."
             )
         from .cuda import rasterize as draw
+    elif name == "warp":
+        draw = warp_rasterize()
     elif name == "cpu":
         from .cpu import rasterize as draw
     elif name == "reference":
         from .reference import rasterize as draw
     else:
-        raise BadValueError(f"no rasteriser is called {name!r}", "Choose auto, reference, cpu or cuda.")
+        raise BadValueError(f"no rasteriser is called {name!r}", "Choose auto, reference, cpu, cuda or warp.")
     return draw

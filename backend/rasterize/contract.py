@@ -14,9 +14,12 @@ Conventions (gsplat's, so that the CUDA path draws the same picture):
 * black background.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
+
+from ...bridge.errors import BadValueError
 
 
 @dataclass(frozen=True)
@@ -33,3 +36,16 @@ class Rasterization:
     alpha: torch.Tensor
     radii: torch.Tensor
     depth: torch.Tensor | None = None
+
+
+def refuse_what_is_not_finite(tensors: Mapping[str, torch.Tensor | None]) -> None:
+    """Raise ``BadValueError`` with the name, row and value of the first NaN or infinity."""
+    for name, tensor in tensors.items():
+        # A sum of zeros unless something is NaN or infinite: one pass, no temporary of booleans.
+        if tensor is None or torch.isfinite(tensor.detach().sum()) or torch.isfinite(tensor).all():
+            continue
+        row = int((~torch.isfinite(tensor)).nonzero()[0, 0])
+        raise BadValueError(
+            f"{name}[{row}] of the Gaussians is not finite: {tensor[row].tolist()}",
+            "Training diverged or a model file is damaged: lower the learning rates, or load another.",
+        )

@@ -27,13 +27,13 @@ from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
 
-import numpy as np
 import torch
 
 from ...bridge.splatting import LOW_PASS, NEAR_PLANE
 from ..scene.camera import Camera
 from ..scene.resident import camera_tensors
 from .contract import Rasterization
+from .trial import first_line, try_out
 
 TILE = 16
 
@@ -53,13 +53,13 @@ def unavailable_reason() -> str | None:
     except ImportError as error:
         return f"gsplat cannot be imported: {error}"
     except Exception as error:  # noqa: BLE001 (a build can fail in any way; the reason is passed on)
-        return f"gsplat's kernels could not be built: {_first_line(error)}"
+        return f"gsplat's kernels could not be built: {first_line(error)}"
     if _C is None:
         return "gsplat's kernels could not be built: there is no nvcc (NVIDIA's CUDA toolkit)"
     try:
-        error = try_out(torch.device("cuda"))
+        error = try_out(rasterize, torch.device("cuda"))
     except Exception as exception:  # noqa: BLE001 (as above)
-        return f"gsplat's kernels do not run: {_first_line(exception)}"
+        return f"gsplat's kernels do not run: {first_line(exception)}"
     return None if error < 1e-3 else f"gsplat's kernels draw a Gaussian wrongly (by {error:g})"
 
 
@@ -75,31 +75,6 @@ def is_built() -> bool:
 
     build = Path(os.environ.get("TORCH_EXTENSIONS_DIR") or get_default_build_root())
     return any(file.suffix in (".so", ".pyd") for file in build.glob("**/gsplat_cuda/gsplat_cuda.*"))
-
-
-def try_out(device: torch.device) -> float:
-    """Draw one Gaussian, forward and backward; its largest error against the closed form."""
-    size, depth, spread, opacity = 16, 2.0, 0.5, 0.8
-    camera = Camera(np.eye(4), size, size, float(size), float(size), 0.5 * size, 0.5 * size)
-    means = torch.tensor([[0.0, 0.0, -depth]], device=device, requires_grad=True)  # Blender looks down −Z
-    quaternions = torch.tensor([[1.0, 0.0, 0.0, 0.0]], device=device)
-    scales = torch.full((1, 3), spread, device=device)
-    colour = torch.ones(1, 6, device=device)
-    drawn = rasterize(means, quaternions, scales, torch.full((1,), opacity, device=device), colour, camera)
-    variance = (size * spread / depth) ** 2 + LOW_PASS
-    x = torch.arange(size, device=device) + 0.5 - 0.5 * size
-    expected = opacity * torch.exp(-0.5 * (x[:, None] ** 2 + x**2) / variance)
-    error = max((drawn.alpha - expected).abs().max().item(), (drawn.image - expected).abs().max().item())
-    # ∂/∂(mean) of the sum over the right half, by the same closed form: fx/z Σ expected · x/σ².
-    drawn.image[0, :, size // 2 :].sum().backward()
-    half = slice(size // 2, None)
-    slope = size / depth * (expected[:, half] * x[half] / variance).sum().item()
-    assert means.grad is not None
-    return max(error, abs(means.grad[0, 0].item() - slope) / abs(slope))
-
-
-def _first_line(error: BaseException) -> str:
-    return (str(error).strip().splitlines() or [type(error).__name__])[0]
 
 
 def rasterize(

@@ -9,6 +9,7 @@ import torch
 
 from physhdr.backend import device as devices
 from physhdr.backend.device import BUILDING, choose_device
+from physhdr.backend.rasterize import card as cards
 from physhdr.backend.rasterize import cuda
 from physhdr.bridge.errors import BadValueError
 
@@ -18,7 +19,18 @@ def card(monkeypatch):
     """A machine that has a card, as far as torch says."""
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     monkeypatch.setattr(torch.cuda, "get_device_name", lambda: "a card")
-    monkeypatch.setattr(devices, "unavailable_reason", cuda.unavailable_reason.__wrapped__)
+    forget(monkeypatch)
+    # No Warp either: neither it nor ours that were imported with it.
+    for name in [name for name in sys.modules if name.startswith("physhdr.backend.rasterize.warp")]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "warp", None)
+
+
+def forget(monkeypatch) -> None:
+    """Find out anew what works at every call."""
+    monkeypatch.setattr(cuda, "unavailable_reason", cuda.unavailable_reason.__wrapped__)
+    monkeypatch.setattr(cards, "warp_unavailable_reason", cards.warp_unavailable_reason.__wrapped__)
+    monkeypatch.setattr(cards, "_working", cards._working.__wrapped__)
 
 
 def install_gsplat(monkeypatch, backend: types.ModuleType | Exception) -> None:
@@ -43,14 +55,26 @@ def backend_with(kernels: object) -> types.ModuleType:
 
 def test_without_a_card(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    monkeypatch.setattr(devices, "unavailable_reason", cuda.unavailable_reason.__wrapped__)
+    forget(monkeypatch)
     assert choose_device("auto") == (torch.device("cpu"), "on the CPU (torch sees no CUDA device)")
 
 
 def test_without_gsplat(card, monkeypatch):
     monkeypatch.setitem(sys.modules, "gsplat", None)
     device, why = choose_device("auto")
-    assert device.type == "cpu" and "gsplat cannot be imported" in why
+    assert device.type == "cpu" and "gsplat cannot be imported" in why and "warp-lang is not installed" in why
+
+
+def test_without_gsplat_warp_computes(card, monkeypatch):
+    monkeypatch.setitem(sys.modules, "gsplat", None)
+    monkeypatch.setattr(cards, "warp_rasterize", lambda: None)
+    monkeypatch.setattr(cards, "try_out", lambda draw, device: 1e-6)
+    assert choose_device("auto") == (torch.device("cuda"), "on a card, by Warp's kernels")
+    assert cards.way() == "warp"
+    monkeypatch.setattr(cards, "try_out", lambda draw, device: 0.1)
+    assert "Warp's kernels draw a Gaussian wrongly (by 0.1)" in choose_device("auto")[1]
+    monkeypatch.setattr(cards, "try_out", lambda draw, device: 1 / 0)
+    assert choose_device("auto")[1].endswith("; Warp's kernels do not run: division by zero)")
 
 
 @pytest.mark.parametrize(
@@ -73,9 +97,9 @@ def test_kernels_that_cannot_be_used(card, monkeypatch, backend, reason):
 def test_kernels_that_draw_wrongly_are_not_used(card, monkeypatch):
     install_gsplat(monkeypatch, backend_with(object()))
     monkeypatch.setattr(devices, "is_built", lambda: True)
-    monkeypatch.setattr(cuda, "try_out", lambda device: float("nan"))
+    monkeypatch.setattr(cuda, "try_out", lambda draw, device: float("nan"))
     assert "draw a Gaussian wrongly" in choose_device("auto")[1]
-    monkeypatch.setattr(cuda, "try_out", lambda device: 1e-6)
+    monkeypatch.setattr(cuda, "try_out", lambda draw, device: 1e-6)
     assert choose_device("auto") == (torch.device("cuda"), "on a card")
 
 

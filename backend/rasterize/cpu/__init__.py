@@ -14,12 +14,15 @@ from torch.nn import functional
 from ....bridge.errors import BadValueError
 from ...scene.camera import Camera
 from ...simd import LANES, ranges, run_parallel, run_ranges, set_threads, thread_count
-from ..contract import Rasterization
+from ..contract import Rasterization, refuse_what_is_not_finite
 from .binning import fill_lists
 from .projection import RECORD_HEAD, TILE_HEIGHT, TILE_WIDTH, camera_array, project, project_backward
 from .tiles import BLOCK_HEIGHT, BLOCK_WIDTH, MOMENTS, draw, draw_backward
 
 __all__ = ["rasterize", "set_threads", "thread_count"]
+
+#: What gradients are taken of, as ``_Rasterize`` takes them.
+NAMES = ("means", "quaternions", "scales", "opacities", "colours", "screen_offsets")
 
 
 def rasterize(
@@ -35,14 +38,8 @@ def rasterize(
 
     Raises ``BadValueError`` for other tensors, and where one has a NaN or an infinity in it.
     """
-    tensors = {
-        "means": means,
-        "quaternions": quaternions,
-        "scales": scales,
-        "opacities": opacities,
-        "colours": colours,
-        "screen_offsets": screen_offsets,
-    }
+    values = (means, quaternions, scales, opacities, colours, screen_offsets)
+    tensors = dict(zip(NAMES, values, strict=True))
     for name, tensor in tensors.items():
         if tensor is not None and (tensor.dtype != torch.float32 or tensor.device.type != "cpu"):
             raise BadValueError(
@@ -146,7 +143,7 @@ def _draw(camera: Camera, tensors: tuple[Any, ...], keep: bool):
     # Most Gaussians touch one or two tiles; where that is too few, the part is done again.
     parts = run_parallel(lambda i: project_part(i, np.empty(2 * (edges[i + 1] - edges[i]) + 64, np.int32)))
     if not finite[0] or not _all_finite(colours):
-        _refuse(tensors)
+        refuse_what_is_not_finite(dict(zip(NAMES, tensors, strict=True)))
     slot_tiles = np.concatenate([tiles_of_part for tiles_of_part, _ in parts])
     before = 0
     for (tiles_of_part, _), first, last in zip(parts, edges, edges[1:], strict=False):
@@ -211,15 +208,3 @@ def _draw_backward(drawing: _Drawing, image, alpha, grad_image, grad_alpha, geom
 def _all_finite(tensor: torch.Tensor) -> bool:
     # A sum of zeros unless something is NaN or infinite: one pass, no temporary of booleans.
     return bool(torch.isfinite(tensor.sum())) or bool(torch.isfinite(tensor).all())
-
-
-def _refuse(tensors: tuple[torch.Tensor | None, ...]) -> None:
-    """Say which tensor is not finite."""
-    names = ("means", "quaternions", "scales", "opacities", "colours", "screen_offsets")
-    for name, tensor in zip(names, tensors, strict=True):
-        if tensor is not None and not torch.isfinite(tensor).all():
-            row = int((~torch.isfinite(tensor)).nonzero()[0, 0])
-            raise BadValueError(
-                f"{name}[{row}] of the Gaussians is not finite: {tensor[row].tolist()}",
-                "Training diverged or a model file is damaged: lower the learning rates, or load another.",
-            )

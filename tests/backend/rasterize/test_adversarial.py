@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The CPU rasteriser where Gaussians are degenerate and pictures odd, against the reference in float64."""
+"""Float32 rasterisers where Gaussians are degenerate and pictures odd, against the reference in float64."""
 
 import math
 
@@ -47,9 +47,9 @@ def evaluate(implementation, tensors, view, dtype):
     return drawn, [t.grad for t in leaves]
 
 
-def compare(tensors, view, value=2e-6, gradient=1e-4):
+def compare(implementation, tensors, view, value=2e-6, gradient=1e-4):
     """Values and gradients, relative to the norm; every one of them finite."""
-    ours, our_gradients = evaluate("cpu", tensors, view, torch.float32)
+    ours, our_gradients = evaluate(implementation, tensors, view, torch.float32)
     truth, true_gradients = evaluate("reference", tensors, view, torch.float64)
     for name in ("image", "alpha"):
         a, b = getattr(ours, name), getattr(truth, name)
@@ -68,14 +68,14 @@ def compare(tensors, view, value=2e-6, gradient=1e-4):
 
 @pytest.mark.parametrize("scale", [1e-8, 1e-20, 0.0])
 @pytest.mark.parametrize("axes", [[0], [0, 1], [0, 1, 2]], ids=["discs", "needles", "points"])
-def test_vanishing_scales(axes, scale):
+def test_vanishing_scales(implementation, axes, scale):
     """The low-pass filter keeps what has no extent visible; 0 is the exp() of a very small logarithm."""
     tensors = gaussians(200)
     tensors[2][:, axes] = scale
-    assert compare(tensors, camera()).image.any()
+    assert compare(implementation, tensors, camera()).image.any()
 
 
-def test_discs_and_needles_seen_from_every_side():
+def test_discs_and_needles_seen_from_every_side(implementation):
     """Edge-on, end-on and everything between, 1 : 10⁶."""
     tensors = gaussians(180)
     angle = torch.linspace(0.0, math.pi, 180)
@@ -83,64 +83,66 @@ def test_discs_and_needles_seen_from_every_side():
     tensors[1] = torch.stack([(angle / 2).cos(), zero, (angle / 2).sin(), zero], dim=1)
     tensors[2] = torch.tensor([0.2, 0.2, 2e-7]).repeat(180, 1)
     tensors[2][::2] = torch.tensor([2e-7, 2e-7, 0.3])
-    compare(tensors, camera())
+    compare(implementation, tensors, camera())
 
 
 @pytest.mark.parametrize("length", [1e-6, 1e6])
-def test_quaternions_of_any_length(length):
+def test_quaternions_of_any_length(implementation, length):
     tensors = gaussians(200)
     tensors[1] *= length
-    compare(tensors, camera())
+    compare(implementation, tensors, camera())
 
 
-def test_far_larger_than_the_picture():
+def test_far_larger_than_the_picture(implementation):
     """Footprints of thousands of pixels that cover every tile."""
     tensors = gaussians(30)
     tensors[2] *= 1e3
     tensors[3] *= 0.1
-    compare(tensors, camera(), value=1e-5, gradient=1e-3)
+    compare(implementation, tensors, camera(), value=1e-5, gradient=1e-3)
 
 
 @pytest.mark.parametrize("scale", [1e8, 1e15, 1e19, 3e38])
-def test_covariances_that_overflow(scale):
+def test_covariances_that_overflow(implementation, scale):
     """Nothing can be right here; but no NaN may come of it, and the others are drawn as if alone."""
     tensors = gaussians(100)
     rest = [t[:50].clone() for t in tensors]
     tensors[2][50:] = scale
     tensors[3][50:] = 0.003  # below 1/255: nothing to be seen, whatever their size
-    drawn, gradients = evaluate("cpu", tensors, camera(), torch.float32)
-    alone, _ = evaluate("cpu", rest, camera(), torch.float32)
+    drawn, gradients = evaluate(implementation, tensors, camera(), torch.float32)
+    alone, _ = evaluate(implementation, rest, camera(), torch.float32)
     assert torch.equal(drawn.image, alone.image) and all(g.isfinite().all() for g in gradients)
     tensors[3][50:] = 0.5
-    drawn, gradients = evaluate("cpu", tensors, camera(), torch.float32)
+    drawn, gradients = evaluate(implementation, tensors, camera(), torch.float32)
     assert drawn.image.isfinite().all() and all(g.isfinite().all() for g in gradients)
 
 
 # ---- where Gaussians are ---------------------------------------------------------------------------
 
 
-def test_equal_depths_are_drawn_by_index():
+def test_equal_depths_are_drawn_by_index(implementation):
     """A wall of 300 Gaussians, all in one plane, in the order of their numbers."""
     tensors = gaussians(300)
     tensors[0][:, 2] = -2.0
     tensors[3][:] = 0.9
-    compare(tensors, camera(), value=1e-5, gradient=1e-3)
+    compare(implementation, tensors, camera(), value=1e-5, gradient=1e-3)
     backwards = [t.flip(0) for t in tensors]
-    first = rasterize(*tensors, camera(), implementation="cpu").image
-    assert not torch.allclose(first, rasterize(*backwards, camera(), implementation="cpu").image, atol=0.05)
+    first = rasterize(*tensors, camera(), implementation=implementation).image
+    assert not torch.allclose(
+        first, rasterize(*backwards, camera(), implementation=implementation).image, atol=0.05
+    )
 
 
 @pytest.mark.parametrize("opacity", [0.005, 0.3, 1.0])
-def test_thousands_on_one_pixel(opacity):
+def test_thousands_on_one_pixel(implementation, opacity):
     """Hardly visible, so that all of them count; or opaque, so that the first few hide the rest."""
     tensors = gaussians(5000, seed=2)
     tensors[0][:, :2] = 0.01
     tensors[2] = 1e-3 * ELLIPSOID.repeat(5000, 1)
     tensors[3][:] = opacity
-    compare(tensors, camera(9, 9, cx=4.3, cy=4.3), value=1e-4, gradient=2e-3)
+    compare(implementation, tensors, camera(9, 9, cx=4.3, cy=4.3), value=1e-4, gradient=2e-3)
 
 
-def test_on_the_borders_of_pixels_tiles_and_the_picture():
+def test_on_the_borders_of_pixels_tiles_and_the_picture(implementation):
     """Centres at whole and half pixels on a grid that has every border on it, outside ones included."""
     view = camera(64, 48, fx=64.0, fy=64.0)
     x, y = torch.meshgrid(torch.arange(-4.0, 69.0, 4.0), torch.arange(-4.0, 53.0, 4.0), indexing="ij")
@@ -151,10 +153,10 @@ def test_on_the_borders_of_pixels_tiles_and_the_picture():
         [(x.flatten() - 32.0) / 64.0, (24.0 - y.flatten()) / 64.0, -torch.ones(count)], 1
     )
     tensors[2][:] = 0.02 * ELLIPSOID
-    compare(tensors, view)
+    compare(implementation, tensors, view)
 
 
-def test_around_the_near_plane():
+def test_around_the_near_plane(implementation):
     """Just before it, on it, just behind it, and behind the camera."""
     tensors = gaussians(120)
     depths = torch.tensor([0.5, 0.999, 1.0, 1.001, 1.5, -1.0]).repeat(20) * NEAR_PLANE
@@ -163,58 +165,58 @@ def test_around_the_near_plane():
     tensors[2][:] = 4e-4 * ELLIPSOID
     # float32 and float64 may disagree about "on it".
     tensors[0][2::6, 2] = -1.0001 * NEAR_PLANE
-    drawn = compare(tensors, camera(), value=1e-5, gradient=1e-3)
+    drawn = compare(implementation, tensors, camera(), value=1e-5, gradient=1e-3)
     shown = (drawn.radii > 0).view(20, 6)
     assert not shown[:, [0, 1, 5]].any() and shown[:, [2, 3, 4]].any()
 
 
-def test_only_the_tails_reach_the_picture():
+def test_only_the_tails_reach_the_picture(implementation):
     """All centres outside, on all sides."""
     tensors = gaussians(200)
     angle = torch.linspace(0.0, 2.0 * math.pi, 200)
     tensors[0] = torch.stack([0.8 * angle.cos(), 0.7 * angle.sin(), -torch.ones(200)], dim=1)
     tensors[2][:] = 0.2 * ELLIPSOID
     # Most pixels have an alpha near 1/255, and rounding decides for a few whether they are drawn at all.
-    assert compare(tensors, camera(), value=1e-3, gradient=2e-3).image.any()
+    assert compare(implementation, tensors, camera(), value=1e-3, gradient=2e-3).image.any()
 
 
 # ---- colours and pictures --------------------------------------------------------------------------
 
 
-def test_extreme_radiance():
+def test_extreme_radiance(implementation):
     """From 6e-6 to 8e3 in one picture, and negative: nothing is clamped."""
     tensors = gaussians(300, 6)
     tensors[4] = torch.exp(torch.linspace(-12.0, 9.0, 300))[:, None] * torch.tensor([1.0, 1, 1, -1, 1e-6, 1])
-    compare(tensors, camera())
+    compare(implementation, tensors, camera())
 
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 90), (90, 1), (16, 16), (32, 32), (31, 33), (65, 15)])
 @pytest.mark.parametrize("channels", [3, 6])
-def test_picture_sizes(size, channels):
-    compare(gaussians(150, channels), camera(*size))
+def test_picture_sizes(implementation, size, channels):
+    compare(implementation, gaussians(150, channels), camera(*size))
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 7, 8, 9])
-def test_few_gaussians(count):
+def test_few_gaussians(implementation, count):
     """Around the width of a vector."""
-    compare(gaussians(count), camera())
+    compare(implementation, gaussians(count), camera())
 
 
-def test_principal_point_outside_the_picture():
+def test_principal_point_outside_the_picture(implementation):
     view = camera(cx=-25.0, cy=70.0)
     tensors = gaussians(300)
     tensors[0][:, 0] += 1.0
     tensors[0][:, 1] += 1.0
-    assert compare(tensors, view).image.any()
+    assert compare(implementation, tensors, view).image.any()
 
 
-def test_every_pixel_is_covered_many_times():
+def test_every_pixel_is_covered_many_times(implementation):
     """The colour of an opaque stack is the front's: 300 Gaussians of alpha 0.999, as large as the view."""
     tensors = gaussians(300)
     tensors[0][:, :2] = 0.0
     tensors[2][:] = 50.0
     tensors[3][:] = 1.0
-    drawn = rasterize(*tensors, camera(), implementation="cpu")
+    drawn = rasterize(*tensors, camera(), implementation=implementation)
     front = int(tensors[0][:, 2].argmax())
     assert (drawn.alpha > 0.998).all()
     assert (drawn.image - tensors[4][front][:, None, None]).abs().max() < 2e-3

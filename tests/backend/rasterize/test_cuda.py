@@ -15,6 +15,7 @@ import torch
 from physhdr.backend.kernels import compiled, evaluate_sh_reference
 from physhdr.backend.kernels.mlp import curve_mlp_reference
 from physhdr.backend.rasterize import cuda, reference
+from physhdr.backend.rasterize.trial import try_out
 from physhdr.backend.scene.camera import Camera
 
 # -- gsplat's interface in plain torch, as its source reads ------------------------------------------------
@@ -210,9 +211,9 @@ def test_spherical_harmonics_go_to_gsplat_in_its_layout(plain_gsplat):
 
 
 def test_trying_out_finds_kernels_that_draw_wrongly(plain_gsplat, monkeypatch):
-    assert cuda.try_out(torch.device("cpu")) < 1e-4
+    assert try_out(cuda.rasterize, torch.device("cpu")) < 1e-4
     monkeypatch.setattr(sys.modules["gsplat"], "rasterize_to_pixels", _dimmed)
-    assert cuda.try_out(torch.device("cpu")) > 1e-3
+    assert try_out(cuda.rasterize, torch.device("cpu")) > 1e-3
 
 
 def _dimmed(*arguments, **named):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The CPU rasteriser against float64 autograd of the reference."""
+"""Every rasteriser of float32 that runs on the CPU, against float64 autograd of the reference."""
 
 import math
 
@@ -62,8 +62,8 @@ def draw_with_gradients(implementation, tensors, view, dtype, seed=1):
     return result, [t.grad for t in tensors]
 
 
-def assert_matches_reference(tensors, view, image=2e-5, gradient=1e-4):
-    ours, our_gradients = draw_with_gradients("cpu", tensors, view, torch.float32)
+def assert_matches_reference(implementation, tensors, view, image=2e-5, gradient=1e-4):
+    ours, our_gradients = draw_with_gradients(implementation, tensors, view, torch.float32)
     truth, true_gradients = draw_with_gradients("reference", tensors, view, torch.float64)
     assert (ours.image - truth.image).abs().max() <= image
     assert (ours.alpha - truth.alpha).abs().max() <= image
@@ -75,22 +75,22 @@ def assert_matches_reference(tensors, view, image=2e-5, gradient=1e-4):
 
 
 @pytest.mark.parametrize("channels", [1, 3, 6, 10, 16])
-def test_random_scene(channels):
+def test_random_scene(implementation, channels):
     view = camera()
-    assert_matches_reference(random_gaussians(600, channels, view, seed=channels), view)
+    assert_matches_reference(implementation, random_gaussians(600, channels, view, seed=channels), view)
 
 
-def test_off_screen_and_behind():
+def test_off_screen_and_behind(implementation):
     view = camera()
     tensors = random_gaussians(500, 3, view, seed=2, spread=4.0)
     tensors[0][::3] *= -1.0  # a third of them behind the camera
-    ours, gradients = assert_matches_reference(tensors, view)
+    ours, gradients = assert_matches_reference(implementation, tensors, view)
     hidden = ours.radii == 0
     assert hidden.any()
     assert all((g[hidden] == 0).all() for g in gradients)
 
 
-def test_huge_tiny_and_anisotropic():
+def test_huge_tiny_and_anisotropic(implementation):
     view = camera()
     tensors = random_gaussians(400, 3, view, seed=3)
     tensors[2][:20] *= 30.0  # much larger than the picture
@@ -98,49 +98,49 @@ def test_huge_tiny_and_anisotropic():
     tensors[2][120:220, 0] *= 20.0  # needles
     tensors[2][220:300, 2] = 1e-7  # flat
     tensors[3][:20] *= 0.1
-    assert_matches_reference(tensors, view, gradient=5e-4)
+    assert_matches_reference(implementation, tensors, view, gradient=5e-4)
 
 
-def test_nearly_transparent_and_opaque():
+def test_nearly_transparent_and_opaque(implementation):
     view = camera()
     tensors = random_gaussians(500, 3, view, seed=4)
     tensors[3][:200] = torch.linspace(0.0, 0.01, 200)  # around the 1/255 below which nothing is drawn
     tensors[3][200:300] = 1.0  # alpha is clamped
-    assert_matches_reference(tensors, view)
+    assert_matches_reference(implementation, tensors, view)
 
 
-def test_close_to_the_camera():
+def test_close_to_the_camera(implementation):
     """Gaussians beside the near plane, where the projection's Jacobian is limited."""
     view = camera()
     tensors = random_gaussians(300, 3, view, seed=5, spread=6.0)
     position = torch.from_numpy(view.position).float()
     tensors[0] = position + (tensors[0] - position) * 0.08
     tensors[2] *= 0.05
-    assert_matches_reference(tensors, view)
+    assert_matches_reference(implementation, tensors, view)
 
 
-def test_thousands_on_one_pixel():
+def test_thousands_on_one_pixel(implementation):
     view = camera(8, 8, cx=4.0, cy=4.0)
     tensors = random_gaussians(4000, 3, view, seed=6, spread=0.05)
     tensors[3] = 0.004 + 0.01 * tensors[3]
-    assert_matches_reference(tensors, view)
+    assert_matches_reference(implementation, tensors, view)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (33, 17), (64, 32), (3, 70)])
-def test_image_sizes(size):
+def test_image_sizes(implementation, size):
     view = camera(*size)
-    assert_matches_reference(random_gaussians(200, 3, view, seed=7), view)
+    assert_matches_reference(implementation, random_gaussians(200, 3, view, seed=7), view)
 
 
-def test_no_gaussian():
+def test_no_gaussian(implementation):
     view = camera()
     tensors = [t[:0] for t in random_gaussians(2, 3, view)]
-    result, gradients = draw_with_gradients("cpu", tensors, view, torch.float32)
+    result, gradients = draw_with_gradients(implementation, tensors, view, torch.float32)
     assert result.image.shape == (3, 45, 67) and not result.image.any() and not result.alpha.any()
     assert all(g.shape[0] == 0 for g in gradients)
 
 
-def test_one_gaussian():
+def test_one_gaussian(implementation):
     """On the axis, in the centre of a pixel: its colour times its opacity, exactly."""
     view = Camera(np.eye(4), 9, 9, 20.0, 20.0, 4.5, 4.5)
     tensors = [
@@ -150,19 +150,19 @@ def test_one_gaussian():
         torch.tensor([0.5]),
         torch.tensor([[2.0, 4.0, 8.0]]),
     ]
-    result = rasterize(*tensors, view, implementation="cpu")
+    result = rasterize(*tensors, view, implementation=implementation)
     torch.testing.assert_close(result.image[:, 4, 4], torch.tensor([1.0, 2.0, 4.0]), rtol=1e-6, atol=0)
     variance = (20.0 * 0.1 / 2.0) ** 2 + 0.3  # of the projection, with the low-pass filter, px²
     falloff = math.exp(-0.5 * 4.0 / variance)  # two pixels aside
     torch.testing.assert_close(result.alpha[4, 6].item(), 0.5 * falloff, rtol=1e-5, atol=0)
-    assert_matches_reference(tensors, view)
+    assert_matches_reference(implementation, tensors, view)
 
 
-def test_all_off_screen():
+def test_all_off_screen(implementation):
     view = camera()
     tensors = random_gaussians(50, 3, view)
     tensors[0] = tensors[0] * torch.tensor([1.0, 1.0, -1.0]) + torch.tensor([0.0, 0.0, 5.0])
-    result, gradients = draw_with_gradients("cpu", tensors, view, torch.float32)
+    result, gradients = draw_with_gradients(implementation, tensors, view, torch.float32)
     assert not result.image.any() and not any(g.any() for g in gradients)
 
 
@@ -182,25 +182,25 @@ def test_same_bits_for_any_number_of_threads():
         assert all(torch.equal(a, b) for a, b in zip(results[0], other, strict=True))
 
 
-def test_without_gradients_the_picture_is_the_same():
+def test_without_gradients_the_picture_is_the_same(implementation):
     view = camera()
     tensors = random_gaussians(300, 3, view)
-    with_gradients, _ = draw_with_gradients("cpu", tensors, view, torch.float32)
-    assert torch.equal(with_gradients.image, rasterize(*tensors, view, implementation="cpu").image)
+    with_gradients, _ = draw_with_gradients(implementation, tensors, view, torch.float32)
+    assert torch.equal(with_gradients.image, rasterize(*tensors, view, implementation=implementation).image)
 
 
 @pytest.mark.parametrize("index", range(6))
 @pytest.mark.parametrize("value", [math.nan, math.inf])
-def test_refuses_what_is_not_finite(index, value):
+def test_refuses_what_is_not_finite(implementation, index, value):
     view = camera()
     tensors = [*random_gaussians(50, 3, view), torch.zeros(50, 2)]
     tensors[index].view(-1)[31] = value
     with pytest.raises(BadValueError, match=NAMES[index]):
-        rasterize(*tensors[:5], view, screen_offsets=tensors[5], implementation="cpu")
+        rasterize(*tensors[:5], view, screen_offsets=tensors[5], implementation=implementation)
 
 
-def test_refuses_other_types():
+def test_refuses_other_types(implementation):
     view = camera()
     tensors = [t.double() for t in random_gaussians(5, 3, view)]
     with pytest.raises(BadValueError, match="float32"):
-        rasterize(*tensors, view, implementation="cpu")
+        rasterize(*tensors, view, implementation=implementation)
