@@ -1,7 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 import importlib.util
+import os
+import shlex
+import shutil
 import signal
-from collections.abc import Iterator
+import subprocess
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -34,3 +38,21 @@ def never_waits() -> Iterator[None]:
     yield
     signal.alarm(0)
     signal.signal(signal.SIGALRM, before)
+
+
+@pytest.fixture(scope="session")
+def splat_transform() -> Callable[..., None]:
+    """Runs splat-transform (npm: @playcanvas/splat-transform) with paths and options, or skips.
+
+    It is the command in PHYSHDR_SPLAT_TRANSFORM, such as ``node …/splat-transform/bin/cli.mjs``, or the one
+    on PATH.
+    """
+    command = shlex.split(os.environ.get("PHYSHDR_SPLAT_TRANSFORM", "")) or ["splat-transform"]
+    if shutil.which(command[0]) is None:
+        pytest.skip("no splat-transform: neither PHYSHDR_SPLAT_TRANSFORM nor PATH has it")
+
+    def run(*words: object) -> None:
+        done = subprocess.run([*command, "-w", *map(str, words)], capture_output=True, text=True, timeout=120)
+        assert done.returncode == 0, done.stderr + done.stdout
+
+    return run

@@ -2,17 +2,13 @@
 """Gaussians as other programs hold them: display-referred colours, no light, the axes of their file."""
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
 from ..affine import multiply, quaternions_of
+from ..axes import Up
 from ..errors import BadValueError, DataMismatchError
 from ..spherical_harmonics import rotated
-
-#: Which way is up: Blender's Z; Y with Z backward, as glTF and most web viewers; or COLMAP's (Y down, Z
-#: forward), as 3DGS writes what was trained from COLMAP's cameras.
-Up = Literal["z", "y", "colmap"]
 
 #: What the files of each format are by convention, where they do not say it themselves.
 UP: dict[str, Up] = {

@@ -30,9 +30,10 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from ..atomic import atomic_path
+from ..axes import Up
 from ..errors import BadValueError, FileDamagedError
 from ..regular import regular_file
-from .cloud import UP, SplatCloud, Up
+from .cloud import UP, SplatCloud
 from .compressed_ply import with_largest
 
 MAGIC = b"NGSP"
@@ -65,6 +66,8 @@ _LARGEST_WORD = (1 << 9) - 1
 ALWAYS_UNPACKED, LARGEST_RATIO = 1 << 26, 50
 #: Bytes that may follow the blocks of versions 1 to 3: records of other makers.
 _LARGEST_TAIL = 1 << 20
+#: Of 1 to 22: a million Gaussians take seconds.
+_ZSTD_LEVEL = 12
 _REMEDY = "Copy or convert it again: it may be cut off."
 
 
@@ -363,7 +366,7 @@ def _of_python(module: Any) -> _Zstd:
         except (module.ZstdError, EOFError):
             return None
 
-    return _Zstd(module.compress, decompress)
+    return _Zstd(lambda raw: module.compress(raw, level=_ZSTD_LEVEL), decompress)
 
 
 def _of_package(module: Any) -> _Zstd:
@@ -374,7 +377,7 @@ def _of_package(module: Any) -> _Zstd:
         except module.ZstdError:
             return None
 
-    return _Zstd(module.ZstdCompressor().compress, decompress)
+    return _Zstd(module.ZstdCompressor(level=_ZSTD_LEVEL).compress, decompress)
 
 
 def _up_to(file: Any, most: int) -> bytes:

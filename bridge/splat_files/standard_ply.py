@@ -7,12 +7,15 @@ from typing import Any
 
 import numpy as np
 
+from ..axes import Up
 from ..gaussian_ply import EXTRA_PREFIX, GaussianPly
-from .cloud import UP, SplatCloud, Up
+from .cloud import UP, SplatCloud
 
 #: Comment lines by which a PLY says that Z is up: ours, and nerfstudio's. (Brush writes "Vertical axis: y" of
 #: every scene, whichever way up it is.)
 _Z_UP = re.compile(r"space: .*\bZ up\b|vertical axis: z\b", re.IGNORECASE)
+#: Ours, where another up was asked for (``gaussian_ply.UP_WORDS``).
+_Y_UP = re.compile(r"space: .*\bY up\b")
 
 
 def cloud_of_ply(ply: GaussianPly) -> SplatCloud:
@@ -41,6 +44,8 @@ def shape_of(columns: Mapping[str, np.ndarray]) -> dict[str, Any]:
 
 def up_of(ply: GaussianPly) -> Up:
     """Which way is up, by what the PLY says of itself, or else by convention."""
+    if any(_Y_UP.search(line) for line in ply.comments):
+        return "y"
     ours = any(name.startswith(EXTRA_PREFIX) for name in ply.columns)
     return "z" if ours or any(_Z_UP.search(line) for line in ply.comments) else UP["ply"]
 

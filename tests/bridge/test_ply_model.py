@@ -4,16 +4,18 @@
 import base64
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
+import plyfile
 import pytest
 
 from physhdr.bridge import display, srgb
 from physhdr.bridge.errors import BadValueError, FileDamagedError, PhysHDRError
 from physhdr.bridge.gaussian_ply import standard_columns, write_lossless_ply, write_standard_ply
-from physhdr.bridge.lossless_form import tensor_comments, tensors_from_comments
+from physhdr.bridge.lossless_form import form_columns, tensor_comments, tensors_from_comments, words_of
 from physhdr.bridge.model_file import Model
 from physhdr.bridge.ply_model import light_shares, read_ply_model
 from physhdr.bridge.spherical_harmonics import C0, basis
@@ -93,21 +95,20 @@ def test_baked_again_it_is_the_file(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("column", "value"), [("x", np.nan), ("f_rest_3", np.inf), ("opacity", np.nan), ("scale_1", np.inf), ("scale_1", 200.0)]
+    ("column", "value"),
+    [("x", np.nan), ("f_rest_3", np.inf), ("opacity", np.nan), ("scale_1", np.inf), ("scale_1", 200.0)],
 )
 def test_gaussians_that_nobody_can_draw_are_left_out(tmp_path: Path, column: str, value: float):
     given = gaussians(count=10, coefficients=4)
     write_standard_ply(tmp_path / "a.ply", **given)
-    spoil(tmp_path / "a.ply", column, [2, 7], value)
+    spoil_rows(tmp_path / "a.ply", column, [2, 7], value)
     found = read_ply_model(tmp_path / "a.ply")
     assert (found.left_out, found.model.count) == (2, 8)
     assert found.notes[0].startswith("2 Gaussians")
     np.testing.assert_array_equal(found.model.position, np.delete(given["positions"], [2, 7], axis=0))
 
 
-def spoil(path: Path, column: str, rows: list[int], value: float) -> None:
-    import plyfile
-
+def spoil_rows(path: Path, column: str, rows: list[int], value: float) -> None:
     ply = plyfile.PlyData.read(str(path), mmap=False)
     ply["vertex"].data[column][rows] = value
     ply.write(str(path))
@@ -115,7 +116,7 @@ def spoil(path: Path, column: str, rows: list[int], value: float) -> None:
 
 def test_only_unusable_gaussians_or_none(tmp_path: Path):
     write_standard_ply(tmp_path / "a.ply", **gaussians(count=3, coefficients=1))
-    spoil(tmp_path / "a.ply", "y", [0, 1, 2], np.nan)
+    spoil_rows(tmp_path / "a.ply", "y", [0, 1, 2], np.nan)
     with pytest.raises(BadValueError, match=r"a\.ply: every Gaussian"):
         read_ply_model(tmp_path / "a.ply")
     empty = {name: array[:0] for name, array in gaussians().items()}
@@ -223,6 +224,164 @@ def test_a_lossless_ply_that_lost_its_comments_is_the_baked_look(tmp_path: Path)
     found = read_ply_model(tmp_path / "a.ply")
     assert any("comments are gone" in note for note in found.notes)
     np.testing.assert_array_equal(found.colour_sh, gaussians(30)["colour_sh"])
+
+
+# ---- programs that keep columns and drop comments --------------------------------------------------------
+
+
+def without_comments(path: Path, rows: np.ndarray | slice = slice(None)) -> None:
+    """Rewrite a PLY as splat-transform does: every column of ``rows``, no comment."""
+    ply = plyfile.PlyData.read(str(path), mmap=False)
+    table = ply["vertex"].data[rows]
+    plyfile.PlyData([plyfile.PlyElement.describe(table, "vertex")], byte_order="<").write(str(path))
+    assert b"comment" not in path.read_bytes()
+
+
+def response(samples: int) -> dict[str, np.ndarray]:
+    """A response of which two samples are equal in value: only their exposures tell them apart."""
+    x = np.linspace(-9, 9, samples, dtype=np.float32)
+    curve = np.sort(np.random.default_rng(3).random((samples, 3), dtype=np.float32), axis=0)
+    curve[1] = curve[0]
+    return {"tone_curve_log_exposure": x, "tone_curve": curve}
+
+
+def test_without_comments_the_names_of_the_columns_say_it(tmp_path: Path):
+    """All of it: form, lights of any name, response; with the Gaussians in another order, and some gone."""
+    lights = ("ambient", "desk__lamp_2d", "Küche ☀")
+    curve = response(10)
+    comments = ["phys_form product additive-lights", f"phys_lights {json.dumps(lights)}"]
+    lossless(tmp_path / "a.ply", [*comments, *tensor_comments("phys_curve", curve)], lights)
+    expected = read_ply_model(tmp_path / "a.ply").model
+    rows = np.random.default_rng(5).permutation(30)
+    rows = rows[np.isin(rows, [*range(3, 16), 21, 22])]  # one of each sample is left, in no order
+    without_comments(tmp_path / "a.ply", rows)
+    found = read_ply_model(tmp_path / "a.ply")
+    assert found.notes == () and found.colour_sh is None and found.up == "z"
+    assert found.model.lights == lights
+    for name, array in expected.tensors().items():
+        wanted = array if name.startswith("tone") else array[rows]
+        np.testing.assert_array_equal(found.model.tensors()[name], wanted, err_msg=name)
+
+
+def test_names_of_columns_are_ascii_words():
+    columns = form_columns(["phys_form product additive", 'phys_lights ["a b", "_", "☀"]'], 2)
+    assert list(columns) == ["phys_form__product__additive", "phys_lights__a_20b___5f___e2_98_80"]
+    assert words_of("phys_lights", columns) == ["a b", "_", "☀"]
+    assert words_of("phys_lights", ["phys_lights___ff"]) is None  # no UTF-8
+
+
+@pytest.mark.parametrize("spoil", ["too few", "mixed"])
+def test_a_response_that_is_not_whole_is_none(tmp_path: Path, spoil: str):
+    """Fewer Gaussians than samples, or Gaussians that a program has merged."""
+    comments = [
+        "phys_form product additive",
+        *tensor_comments("phys_curve", response(31 if spoil == "too few" else 15)),
+    ]
+    lossless(tmp_path / "a.ply", comments)
+    assert read_ply_model(tmp_path / "a.ply").model.tone_curve is not None
+    without_comments(tmp_path / "a.ply")
+    if spoil == "mixed":
+        spoil_rows(tmp_path / "a.ply", "phys_curve__15__x", [3], 0.123)
+    found = read_ply_model(tmp_path / "a.ply")
+    assert found.model.tone_curve is None
+    assert ["learned response is lost" in note for note in found.notes] == [True]
+
+
+def test_learned_parts_are_named_without_comments_too(tmp_path: Path):
+    lossless(tmp_path / "a.ply", ["phys_form learned additive"])
+    without_comments(tmp_path / "a.ply")
+    with pytest.raises(BadValueError, match=r"composer learned[\s\S]*model\.safetensors"):
+        read_ply_model(tmp_path / "a.ply")
+
+
+def test_splat_transform_keeps_a_lossless_ply(tmp_path: Path, splat_transform: Callable[..., None]):
+    comments = ["phys_form product additive", *tensor_comments("phys_curve", response(12))]
+    expected = lossless(tmp_path / "a.ply", comments)
+    splat_transform(tmp_path / "a.ply", tmp_path / "b.ply")
+    assert b"phys_form product" not in (tmp_path / "b.ply").read_bytes(), "the comments are gone"
+    found = read_ply_model(tmp_path / "b.ply").model
+    order = np.linalg.norm(found.position[:, None] - expected.position, axis=2).argmin(axis=0)
+    directions = random_directions(expected.count)
+    for level in (0.25, 4.0):
+        back = np.empty_like(directions)
+        back[order] = directions
+        np.testing.assert_allclose(
+            found.radiance(back, level)[order], expected.radiance(directions, level), rtol=1e-5
+        )
+    np.testing.assert_array_equal(found.tone_curve, response(12)["tone_curve"])
+
+
+# ---- saturated values --------------------------------------------------------------------------------------
+
+
+def test_infinite_logits_and_logarithms_are_values(tmp_path: Path):
+    """splat-transform writes an opacity of 1 as +∞; a scale of −∞ is flat. NaN is damage in either."""
+    given = gaussians(count=6, coefficients=1)
+    write_standard_ply(tmp_path / "a.ply", **given)
+    for row, value in enumerate([np.inf, -np.inf, 3e38, -3e38, np.nan]):
+        spoil_rows(tmp_path / "a.ply", "opacity", [row], value)
+    for row, value in enumerate([-np.inf, -3e38, -90.0]):
+        spoil_rows(tmp_path / "a.ply", "scale_1", [row], value)
+    found = read_ply_model(tmp_path / "a.ply")
+    assert found.left_out == 1
+    np.testing.assert_array_equal(found.model.opacity[:4], [1.0, 0.0, 1.0, 0.0])
+    np.testing.assert_array_equal(found.model.scale[:2, 1], 0.0)
+    assert 0.0 < found.model.scale[2, 1] < 1e-38
+    np.testing.assert_array_equal(found.model.position, given["positions"][[0, 1, 2, 3, 5]])
+
+
+@pytest.mark.parametrize("form", ["product additive", ""])
+def test_only_columns_that_are_used_are_tested(tmp_path: Path, form: str):
+    """Of a lossless PLY the look is not used, of another one its normals and what nobody knows are not."""
+    lossless(tmp_path / "a.ply", [f"phys_form {form}"] if form else [])
+    others = ["nx", "phys_means_0"] if not form else ["nx", "f_dc_0", "f_rest_7", "phys_means_0"]
+    ply = plyfile.PlyData.read(str(tmp_path / "a.ply"), mmap=False)
+    names = [p.name for p in ply["vertex"].properties]
+    for row, name in enumerate(name for name in others if name in names):
+        spoil_rows(tmp_path / "a.ply", name, [row], np.nan)
+    found = read_ply_model(tmp_path / "a.ply")
+    assert (found.left_out, found.model.count) == (0, 30)
+
+
+def test_a_written_flat_gaussian_is_as_good_as_flat(tmp_path: Path):
+    given = gaussians(count=3, coefficients=1)
+    given["scales"][:, 2] = 0.0
+    write_standard_ply(tmp_path / "a.ply", **given)
+    assert (read_ply_model(tmp_path / "a.ply").model.scale[:, 2] < 1e-37).all()
+
+
+def test_2dgs_is_read_flat_and_degree_4_without_its_highest_band(tmp_path: Path):
+    columns = standard_columns(**gaussians(count=4, coefficients=16))
+    del columns["scale_2"]
+    wide = {f"f_rest_{i}": np.full(4, i, np.float32) for i in range(72)}
+    columns = {name: column for name, column in columns.items() if not name.startswith("f_rest")} | wide
+    table = np.rec.fromarrays(list(columns.values()), names=list(columns))
+    plyfile.PlyData([plyfile.PlyElement.describe(np.asarray(table), "vertex")]).write(str(tmp_path / "a.ply"))
+    found = read_ply_model(tmp_path / "a.ply")
+    np.testing.assert_array_equal(found.model.scale[:, 2], 0.0)
+    assert found.colour_sh is not None
+    for channel in range(3):
+        np.testing.assert_array_equal(found.colour_sh[0, 1:, channel], 24 * channel + np.arange(15))
+
+
+@pytest.mark.parametrize(
+    ("comment", "up"),
+    [
+        ("space: metres, Z up (Blender's world)", "z"),
+        ("Vertical Axis: z", "z"),
+        ("Vertical axis: y", "colmap"),
+        ("", "colmap"),
+    ],
+)
+def test_which_way_is_up_by_the_files_own_word(tmp_path: Path, comment: str, up: str):
+    columns = standard_columns(**gaussians(count=4, coefficients=1))
+    table = np.rec.fromarrays(list(columns.values()), names=list(columns))
+    element = plyfile.PlyElement.describe(np.asarray(table), "vertex")
+    plyfile.PlyData([element], comments=[comment] if comment else []).write(str(tmp_path / "a.ply"))
+    assert read_ply_model(tmp_path / "a.ply").up == up
+
+
+# ---- tensors in comments -----------------------------------------------------------------------------------
 
 
 def test_tensors_in_comments_survive_and_damaged_ones_are_left_out():

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The lossless PLY read without torch, as Blender reads it, against the model file of the same method."""
 
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
@@ -99,6 +100,22 @@ def test_the_model_file_of_several_lights_renders_as_the_method(tmp_path: Path) 
             splats = method.gaussians.splats(at_origin, method.active_sh_degree)
             expected = method.radiance_of(splats, levels).numpy()
         np.testing.assert_allclose(back.radiance(directions, levels), expected, rtol=1e-3)
+
+
+def test_splat_transform_keeps_the_model(tmp_path: Path, splat_transform: Callable[..., None]) -> None:
+    """The exporter's own file, which that rewrites without comments, at two levels of each light."""
+    lights = ("ambient", "desk lamp")
+    _, expected = write(tmp_path / "a.ply", PhysHDRConfig(), lights)
+    splat_transform(tmp_path / "a.ply", tmp_path / "b.ply")
+    assert b"phys_form product" not in (tmp_path / "b.ply").read_bytes()
+    found = read_ply_model(tmp_path / "b.ply").model
+    assert found.lights == lights
+    order = np.linalg.norm(found.position[:, None] - expected.position, axis=2).argmin(axis=0)
+    directions = np.tile(np.float32([0.0, 0.6, 0.8]), (expected.count, 1))
+    for levels in ((0.25, 4.0), (4.0, 0.25)):
+        np.testing.assert_allclose(
+            found.radiance(directions, levels)[order], expected.radiance(directions, levels), rtol=1e-4
+        )
 
 
 @pytest.mark.parametrize(("composer", "modulator"), [("learned", "learned"), ("product", "learned")])
