@@ -118,6 +118,7 @@ def _command(argv: list[str]) -> Any:
     from .evaluate import Evaluate
     from .export import Export
     from .inspect import Inspect
+    from .layout import LayOut
     from .panorama import Panorama
     from .prepare import Prepare
     from .render import Render
@@ -139,6 +140,7 @@ def _command(argv: list[str]) -> Any:
         | Annotated[Benchmark, tyro.conf.subcommand("benchmark")]
         | Annotated[Prepare, tyro.conf.subcommand("prepare")]
         | Annotated[Triangulate, tyro.conf.subcommand("triangulate")]
+        | Annotated[LayOut, tyro.conf.subcommand("layout")]
         | Annotated[Synthesise, tyro.conf.subcommand("synthesise")]
         | Annotated[Inspect, tyro.conf.subcommand("inspect")]
         | Annotated[Warmup, tyro.conf.subcommand("warmup")]

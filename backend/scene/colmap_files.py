@@ -6,6 +6,7 @@ A file's counts are believed only as far as the file is long: nothing is allocat
 
 import math
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -13,7 +14,8 @@ from typing import NoReturn
 
 import numpy as np
 
-from ...bridge.affine import matrices_of
+from ...bridge.affine import matrices_of, quaternions_of
+from ...bridge.atomic import atomic_path
 from ...bridge.axes import camera_to_world_opengl
 from ...bridge.colmap import BY_NAME, MODELS
 from ...bridge.errors import DataMismatchError, FileDamagedError
@@ -214,6 +216,16 @@ _OBSERVATION = np.dtype([("x", "<f8"), ("y", "<f8"), ("point", "<i8")])
 #: Number, position, colour, error, length of the track.
 _POINT = struct.Struct("<Q3d3BdQ")
 _TRACK_ELEMENT = 8
+#: The same as rows of a table, for points without tracks.
+_POINT_ROW = np.dtype(
+    [
+        ("number", "<u8"),
+        ("position", "<f8", 3),
+        ("colour", "u1", 3),
+        ("error", "<f8"),
+        ("track", "<u8"),
+    ]
+)
 
 
 def _cameras_bin(path: Path) -> dict[int, RealCamera]:
@@ -256,6 +268,34 @@ def _points_bin(path: Path) -> Points | None:
         file.skip(track * _TRACK_ELEMENT)
     file.end()
     return _points_of(path, positions, colours)
+
+
+def write_pinholes(folder: Path, cameras: Mapping[str, Camera], points: Points | None) -> None:
+    """Write a binary model of pinhole cameras by their pictures' names, numbered from 1 in that order.
+
+    Equal lenses are one camera. Points have no tracks: nothing tells which pictures show them. Raises
+    ``OutputError``.
+    """
+    lenses: dict[tuple[int, int, float, float, float, float], int] = {}
+    images = bytearray(_COUNT.pack(len(cameras)))
+    for number, (name, camera) in enumerate(cameras.items(), start=1):
+        lens = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+        pose = camera.world_to_camera
+        which = lenses.setdefault(lens, len(lenses) + 1)
+        images += _IMAGE.pack(number, *quaternions_of(pose[None, :3, :3])[0], *pose[:3, 3], which)
+        images += name.encode() + b"\0" + _COUNT.pack(0)
+    pinhole = next(number for number, model in MODELS.items() if model.name == "PINHOLE")
+    packed = bytearray(_COUNT.pack(len(lenses)))
+    for (width, height, *params), number in lenses.items():
+        packed += _CAMERA.pack(number, pinhole, width, height) + struct.pack("<4d", *params)
+    positions, colours = (np.zeros((0, 3)),) * 2 if points is None else (points.positions, points.colours)
+    table = np.zeros(len(positions), _POINT_ROW)
+    table["number"], table["error"] = np.arange(1, len(positions) + 1), 1.0
+    table["position"], table["colour"] = positions, np.rint(255.0 * colours)
+    files = {"cameras": packed, "images": images, "points3D": _COUNT.pack(len(table)) + table.tobytes()}
+    for name, content in files.items():
+        with atomic_path(folder / f"{name}.bin") as temporary:
+            temporary.write_bytes(content)
 
 
 # ---- text ----------------------------------------------------------------------------------------------

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The reader of ``transforms.json``, nerfstudio's and instant-ngp's: one exposure a view.
+"""The reader of ``transforms.json``, nerfstudio's and instant-ngp's: a frame is a view at one exposure.
+
+Frames of one camera that are named ``<pose>_<k>`` and have an ``exposure_time`` each, no two the same, are
+the bracket of one view.
 
 Poses are camera to world with OpenGL axes, kept as they are; intrinsics stand once or in each frame, with a
 lens's distortion as OpenCV numbers it. Sources: nerfstudio's documentation, "Data conventions"; instant-ngp's
@@ -9,8 +12,11 @@ lens's distortion as OpenCV numbers it. Sources: nerfstudio's documentation, "Da
 import math
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from ...bridge.data_set import plain_name, scene_name
 from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError
@@ -28,6 +34,7 @@ from .poses import (
     Pose,
     Views,
     at_size_of_pictures,
+    bracket_name,
     check_numbers,
     masks_in_words,
     numbered,
@@ -92,6 +99,8 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
         pictures = {0: PictureFile(file, time, mask)}
         pose = Pose(name, order, camera, pictures, lens=_lens(path, where, given, camera))
         poses.append(at_size_of_pictures(pose, sizes, path))
+    if all("exposure_time" in frame for _, frame in frames.values()):
+        poses = _bracketed(poses)
     train, test, rule = _split(root, path, content, numbered(root, poses))
     check_numbers(train, "training", path)
     check_numbers(test, "test", path)
@@ -297,8 +306,8 @@ def _split(
     if "train_filenames" not in lists:
         return split_somehow(poses)
     other = "test_filenames" if lists.get("test_filenames") else "val_filenames"
-    train = [pose for pose in poses if pose.pictures[0].path in lists["train_filenames"]]
-    test = [pose for pose in poses if pose.pictures[0].path in lists.get(other, set())]
+    train = [pose for pose in poses if _is_in(pose, lists["train_filenames"])]
+    test = [pose for pose in poses if _is_in(pose, lists.get(other, set()))]
     if not train:
         raise DataMismatchError(f"{path}: no frame is in 'train_filenames'", "Mend that list, or remove it.")
     both = {pose.name for pose in train} & {pose.name for pose in test}
@@ -309,6 +318,53 @@ def _split(
     rest = len(poses) - len(train) - len(test)
     rule = f"split as train_filenames and {other} say" + (f"; {rest} frames are in neither" if rest else "")
     return train, test, rule
+
+
+def _is_in(pose: Pose, listed: set[Path]) -> bool:
+    return any(picture.path in listed for picture in pose.pictures.values())
+
+
+def _bracketed(poses: Sequence[Pose]) -> list[Pose]:
+    """Poses of one picture each → brackets where names, cameras and exposures say so; else as they are."""
+    groups: dict[str, dict[int, Pose]] = {}
+    for pose in poses:
+        parts = bracket_name(pose.pictures[0].path.name)
+        if parts is None:
+            return list(poses)
+        base = f"{pose.name.rpartition('_')[0]}"
+        groups.setdefault(base, {})[parts[1]] = pose
+    if sum(map(len, groups.values())) < len(poses) or not all(
+        _is_bracket(list(group.values())) for group in groups.values()
+    ):
+        return list(poses)
+    if all(len(group) == 1 for group in groups.values()):
+        return list(poses)
+    first = min(min(group) for group in groups.values())
+    return [
+        replace(
+            next(iter(group.values())),
+            name=name,
+            pictures={k - first: group[k].pictures[0] for k in sorted(group)},
+        )
+        for name, group in groups.items()
+    ]
+
+
+def _is_bracket(poses: Sequence[Pose]) -> bool:
+    """Whether pictures are of one camera, at exposures of which no two are the same."""
+    first = poses[0]
+    seconds = {pose.pictures[0].seconds for pose in poses}
+    return len(seconds) == len(poses) and all(
+        np.array_equal(pose.camera.camera_to_world, first.camera.camera_to_world)
+        and _pinhole(pose.camera) == _pinhole(first.camera)
+        and pose.lens == first.lens
+        and pose.pictures[0].orientation == first.pictures[0].orientation
+        for pose in poses[1:]
+    )
+
+
+def _pinhole(camera: Camera) -> tuple[float, ...]:
+    return (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
 
 
 def _points(root: Path, path: Path, content: dict[str, Any]) -> Points | None:

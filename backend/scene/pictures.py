@@ -114,6 +114,16 @@ def is_deep(path: Path) -> bool:
     return _is_deep_png(path) if kind == "PNG" else kind == "TIFF" and _look(path, kind).format == "uint16"
 
 
+def has_alpha(path: Path) -> bool:
+    """Whether a PNG, JPEG or TIFF has an alpha channel or transparent colours; raises as ``kind_of``."""
+    kind = kind_of(path)
+    if kind in ("EXR", "HDR"):
+        return False
+    if kind == "TIFF" or (kind == "PNG" and _is_deep_png(path)):
+        return _look(path, kind).alpha >= 0
+    return _open_picture(path, READABLE, lambda picture: picture.has_transparency_data)
+
+
 def _is_deep_png(path: Path) -> bool:
     with damaged_where_it_fails(f"{path} cannot be read", _DELETE), open(path, "rb") as file:
         return file.read(PNG_DEPTH_AT + 1)[PNG_DEPTH_AT:] == b"\x10"

@@ -6,7 +6,9 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
+import plyfile
 
+from ...bridge.atomic import atomic_path
 from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
 from ...bridge.gaussian_ply import open_ply
 from ...bridge.limits import COORDINATE
@@ -50,6 +52,23 @@ def read_points(path: Path) -> Points:
         raise FileDamagedError(f"{path} holds NaN or infinity", remedy)
     check_points(path, positions)
     return Points(positions.astype(np.float32), np.clip(colours, 0.0, 1.0), _origin(ply.comments))
+
+
+def write_points(path: Path, points: Points) -> None:
+    """Write the PLY that ``read_points`` reads, colours as bytes; the kind is in a comment.
+
+    Normals are 0: loaders of the 3DGS lineage fail where there are none. Raises ``OutputError``.
+    """
+    columns = [(name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz")]
+    table = np.zeros(
+        len(points.positions), np.dtype([*columns, *((name, "u1") for name in ("red", "green", "blue"))])
+    )
+    table["x"], table["y"], table["z"] = points.positions.T
+    table["red"], table["green"], table["blue"] = np.rint(255.0 * points.colours).astype(np.uint8).T
+    comments = [mark for mark, kind in ORIGINS.items() if kind == points.origin]
+    element = plyfile.PlyElement.describe(table, "vertex")
+    with atomic_path(path) as temporary:
+        plyfile.PlyData([element], byte_order="<", comments=comments).write(str(temporary))
 
 
 def _origin(comments: Iterable[str]) -> str:
