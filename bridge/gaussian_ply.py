@@ -21,6 +21,7 @@ import numpy as np
 import plyfile
 
 from .atomic import atomic_path
+from .axes import Up
 from .errors import BadValueError, DataMismatchError, FileDamagedError
 from .lossless_form import form_columns
 from .regular import damaged_where_it_fails, regular_file
@@ -34,9 +35,13 @@ OPACITY_MARGIN = 1.2e-7
 #: A flat Gaussian's scale of 0, whose logarithm is infinite, is written as this, float32's smallest.
 SMALLEST_SCALE = float(np.finfo(np.float32).tiny)
 COLOUR_COMMENT = "colour = 0.28209479 * f_dc + 0.5 + higher SH, display-referred, clamp to 0..1"
-SPACE_COMMENT = (
-    "space: metres, Z up (Blender's world); rot_0..3 = w x y z; scale = ln(metres); opacity = logit"
-)
+#: What a header says of the axes, by which is up; ``splat_files.standard_ply`` knows these lines again.
+UP_WORDS: dict[Up, str] = {
+    "z": "Z up (Blender's world)",
+    "y": "Y up (glTF's axes)",
+    "colmap": "Y down, Z forward (COLMAP's axes)",
+}
+SPACE_COMMENT = "space: metres, {}; rot_0..3 = w x y z; scale = ln(metres); opacity = logit"
 #: f_rest columns of SH degree 0 to 3, and what they are together with f_dc.
 REST_COUNTS = (0, 9, 24, 45)
 REST_OF_DEGREE_4 = 72
@@ -124,13 +129,15 @@ def write_standard_ply(
     opacities: np.ndarray,
     colour_sh: np.ndarray,
     comments: Sequence[str] = (),
+    up: Up = "z",
 ) -> None:
     """Write the standard 3DGS PLY, atomically; arguments and errors as ``standard_columns``, ``OutputError``.
 
-    ``comments``: lines for the header, such as the exposure and lighting level that were baked.
+    ``comments``: lines for the header, such as the exposure and lighting level that were baked; ``up``: what
+    is said there of the axes.
     """
     columns = standard_columns(positions, rotations, scales, opacities, colour_sh)
-    _write(path, columns, [COLOUR_COMMENT, SPACE_COMMENT, *comments])
+    _write(path, columns, [COLOUR_COMMENT, SPACE_COMMENT.format(UP_WORDS[up]), *comments])
 
 
 def write_lossless_ply(
@@ -158,7 +165,9 @@ def write_lossless_ply(
                 "Name it phys_… in letters and digits.",
             )
     saying = form_columns(comments, len(columns["x"]))
-    _write(path, {**columns, **extra, **saying}, [COLOUR_COMMENT, SPACE_COMMENT, *comments])
+    _write(
+        path, {**columns, **extra, **saying}, [COLOUR_COMMENT, SPACE_COMMENT.format(UP_WORDS["z"]), *comments]
+    )
 
 
 def _write(path: Path, columns: Mapping[str, np.ndarray], comments: Sequence[str]) -> None:
