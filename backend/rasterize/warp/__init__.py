@@ -38,8 +38,8 @@ from .tiles import (
 
 __all__ = ["MOST_CHANNELS", "rasterize"]
 
-#: Channels of a pass: those of more are drawn in several. With more, backward has too few registers.
-MOST_CHANNELS = 16
+#: Channels of a pass; more are drawn in several. Each takes backward five registers (docs/cuda.md).
+MOST_CHANNELS = 32
 
 
 def rasterize(
