@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Single files: pictures, point clouds, model files, and the small ones that commands leave behind."""
 
+import gzip
 import json
 import math
 import tempfile
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,8 @@ from .cases import InsaneError, Target
 from .mutate import tests_module
 
 HEIGHT, WIDTH = 20, 24
+#: Gaussians as other programs write them.
+_SPLAT_FILES = Path(__file__).resolve().parents[2] / "tests" / "fixtures" / "splat_files.zip"
 
 
 def _require(right: bool, what: str) -> None:
@@ -298,6 +302,41 @@ def read_ply_model(folder: Path, file: str, _: bytes) -> None:
     _printable(" ".join((*found.notes, *found.model.metadata, *found.model.metadata.values())))
 
 
+def write_splat_files(folder: Path) -> None:
+    """What other programs wrote: each in a folder of its own."""
+    with zipfile.ZipFile(_SPLAT_FILES) as archive:
+        for name in archive.namelist():
+            if name not in ("made.txt", "source.ply"):
+                (_folder(folder, name) / name).write_bytes(archive.read(name))
+
+
+def read_splat_files(folder: Path, file: str, _: bytes) -> None:
+    from physhdr.bridge.gaussian_import import read_gaussians
+    from physhdr.bridge.splat_files import read_splat_file
+
+    found = read_gaussians(folder / file)
+    _check_model(found.model)
+    _printable(" ".join(found.notes))
+    cloud = read_splat_file(folder / file)
+    for name in ("position", "rotation", "scale", "opacity", "colour_sh"):
+        _finite(getattr(cloud, name), name)
+
+
+def write_unpacked_spz(folder: Path) -> None:
+    """What an SPZ of version 2 or 3 unpacks to: damage to the file itself seldom gets past its checksum."""
+    with zipfile.ZipFile(_SPLAT_FILES) as archive:
+        for version in (2, 3):
+            raw = gzip.decompress(archive.read(f"version-{version}.spz"))
+            (_folder(folder, f"version-{version}") / "unpacked.bin").write_bytes(raw)
+
+
+def read_unpacked_spz(folder: Path, file: str, _: bytes) -> None:
+    packed = folder / "packed.spz"
+    raw = (folder / file).read_bytes() if (folder / file).is_file() else b""
+    packed.write_bytes(gzip.compress(raw, 1))
+    read_splat_files(folder, packed.name, b"")
+
+
 def write_points(folder: Path) -> None:
     import plyfile
 
@@ -524,6 +563,8 @@ TARGETS = (
     Target("picture: EXIF", write_exif, read_exif, 2000),
     Target("PLY: Gaussians", write_plys, read_gaussians, 2000),
     Target("PLY: model", write_plys, read_ply_model, 2000),
+    Target("Gaussians of other programs", write_splat_files, read_splat_files, 3000),
+    Target("SPZ, unpacked", write_unpacked_spz, read_unpacked_spz, 1000, names_place=False),
     Target("PLY: first points", write_points, read_points, 1500),
     Target("model file", write_models, read_model, 3000),
     Target("benchmark plan", write_plan, read_plan, 1500, chosen=("plan.toml",), names_place=False),

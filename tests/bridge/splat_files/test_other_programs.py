@@ -7,7 +7,6 @@
 import importlib.util
 import shutil
 import sys
-import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,20 +22,10 @@ from physhdr.bridge.gaussian_ply import SH_C0
 from physhdr.bridge.splat_files import SplatCloud, read_splat_file, turned, write_spz
 from physhdr.bridge.splat_files.usable import taken
 
-FIXTURES = Path(__file__).resolve().parents[2] / "fixtures" / "splat_files.zip"
-
 needs_zstd = pytest.mark.skipif(
     sys.version_info < (3, 14) and importlib.util.find_spec("zstandard") is None,
     reason="SPZ 4 needs the package zstandard, or Python 3.14",
 )
-
-
-@pytest.fixture(scope="session")
-def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("splat_files")
-    with zipfile.ZipFile(FIXTURES) as archive:
-        archive.extractall(folder)
-    return folder
 
 
 @pytest.fixture(scope="session")
