@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Bring Gaussians into the scene: a trained model or any 3DGS PLY, by script, menu or drag and drop."""
+"""Bring Gaussians into the scene: a trained model or another program's, by script, menu or drag and drop."""
 
 import math
 from dataclasses import dataclass
@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import bpy
 from bpy_extras.io_utils import ImportHelper, poll_file_object_drop
 
+from ...bridge.axes import Up
 from ...bridge.display import ColorSpace
 from ...bridge.errors import PhysHDRError
-from ...bridge.model_file import read_model
-from ...bridge.ply_model import PlyModel, read_ply_model
+from ...bridge.gaussian_import import MODEL_SUFFIX, is_model_file, read_gaussians
+from ...bridge.splat_files import SUFFIXES
 from ..blender import add_entry, cloud_of, layout_of, remove_entry
 from ..capture.placement import capture_of_file, place
 from ..rendering.render_setup import render_problems, set_up_object
@@ -20,12 +21,15 @@ from .attributes import CAPTURE, COLOR_SPACE, DISPLAY, FILE
 from .point_cloud import build_point_cloud
 from .radiance_tree import add_modifier
 
-Orientation = Literal["AS_IS", "Y_UP", "COLMAP"]
+Orientation = Literal["AUTO", "AS_IS", "Y_UP", "COLMAP"]
 
+#: Which way is up in the file, where the user has said it.
+UPS: dict[Orientation, Up] = {"AS_IS": "z", "Y_UP": "y", "COLMAP": "colmap"}
 #: Turn about X, in radians, that makes the file's up the scene's Z. It is the object's rotation: the
 #: Gaussians and their spherical harmonics stay as they are in the file.
-TURNS: dict[Orientation, float] = {"AS_IS": 0.0, "Y_UP": 0.5 * math.pi, "COLMAP": -0.5 * math.pi}
-PLY_SUFFIX = ".ply"
+TURNS: dict[Up, float] = {"z": 0.0, "y": 0.5 * math.pi, "colmap": -0.5 * math.pi}
+#: Files that are offered. A .sog cannot be read here, but then a message says what to do with it.
+OFFERED = (MODEL_SUFFIX, *SUFFIXES, ".sog")
 SET_UP_NEXT = "Before you render: Set Up Render, in the panel Render."
 
 
@@ -40,10 +44,10 @@ class Imported:
 def import_model(
     path: str | Path, name: str = "", collection: bpy.types.Collection | None = None
 ) -> bpy.types.Object:
-    """Read a model file or a PLY and make it an object that relights and renders without a backend.
+    """Read a file of Gaussians and make it an object that relights and renders without a backend.
 
     ``name``: the file's name if empty; ``collection``: the scene's own if ``None``. Raises what
-    ``read_model`` and ``read_ply_model`` raise, before anything is made.
+    ``read_gaussians`` raises, before anything is made.
     """
     return import_file(path, name, collection).target
 
@@ -53,12 +57,12 @@ def import_file(
     name: str = "",
     collection: bpy.types.Collection | None = None,
     color_space: ColorSpace = "SRGB",
-    orientation: Orientation = "AS_IS",
+    orientation: Orientation = "AUTO",
 ) -> Imported:
-    """As ``import_model``; ``color_space`` and ``orientation`` count for PLYs only: a model has its own."""
+    """As ``import_model``; ``color_space`` and ``orientation`` do not count for model files, which are
+    scene-linear and in Blender's axes. ``AUTO``: as the file says, or its format has it by convention."""
     path = Path(path)
-    is_ply = path.suffix.lower() == PLY_SUFFIX
-    source = read_ply_model(path, color_space) if is_ply else PlyModel(read_model(path), None, 0, ())
+    source = read_gaussians(path, color_space)
     name = name or path.stem
     cloud = build_point_cloud(source.model, name, source.colour_sh)
     cloud[FILE] = str(path)
@@ -66,8 +70,8 @@ def import_file(
     if source.colour_sh is not None:
         cloud[COLOR_SPACE] = color_space
     target = bpy.data.objects.new(name, cloud)
-    if is_ply:
-        target.rotation_euler.x = TURNS[orientation]
+    if not is_model_file(path):
+        target.rotation_euler.x = TURNS[UPS.get(orientation, source.up)]
     add_modifier(target, source.model)
     set_up_object(target)
     (collection or bpy.context.scene.collection).objects.link(target)
@@ -75,7 +79,7 @@ def import_file(
 
 
 class PHYSHDR_OT_model_import(bpy.types.Operator, ImportHelper):
-    """Import trained PhysHDR models or any 3DGS PLY as point clouds that can be relit and rendered"""
+    """Import trained PhysHDR models or other programs' Gaussians as point clouds to relight and render"""
 
     bl_idname = "physhdr.model_import"
     bl_label = "Import Gaussians"
@@ -84,8 +88,10 @@ class PHYSHDR_OT_model_import(bpy.types.Operator, ImportHelper):
     if TYPE_CHECKING:
         filepath: str  # ImportHelper's
 
-    filename_ext = ".safetensors"
-    filter_glob: bpy.props.StringProperty(default="*.safetensors;*.ply", options={"HIDDEN"})
+    filename_ext = MODEL_SUFFIX
+    filter_glob: bpy.props.StringProperty(
+        default=";".join(f"*{suffix}" for suffix in OFFERED), options={"HIDDEN"}
+    )
     directory: bpy.props.StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
     files: bpy.props.CollectionProperty(
         type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"}
@@ -96,18 +102,19 @@ class PHYSHDR_OT_model_import(bpy.types.Operator, ImportHelper):
         options={"SKIP_SAVE"},
     )
     color_space: bpy.props.EnumProperty(
-        name="PLY colours",
-        description="What the colours of a PLY are. PhysHDR's own model files are always scene-linear",
+        name="Colours",
+        description="What the colours of other programs' files are. PhysHDR's own are always scene-linear",
         items=[
             ("SRGB", "sRGB", "Display-referred, as nearly every 3DGS trainer writes; they are linearised"),
             ("LINEAR", "Linear", "Scene-linear radiance"),
         ],
     )
     orientation: bpy.props.EnumProperty(
-        name="PLY orientation",
-        description="Which way is up in a PLY; the object is turned. Model files are in Blender's axes",
+        name="Orientation",
+        description="Which way is up in the file; the object is turned. Model files are in Blender's axes",
         items=[
-            ("AS_IS", "As it is", "Z up, as PhysHDR's own and nerfstudio's"),
+            ("AUTO", "By the file", "As the file says, or else as files of its format are by convention"),
+            ("AS_IS", "Z up", "As it is, as PhysHDR's own and nerfstudio's"),
             ("Y_UP", "Y up", "Y up, Z backward, as most web and game tools"),
             ("COLMAP", "COLMAP", "Y down, Z forward, as 3DGS writes what was trained from COLMAP's cameras"),
         ],
@@ -129,9 +136,9 @@ class PHYSHDR_OT_model_import(bpy.types.Operator, ImportHelper):
         return True
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        # Dropped files come with their paths; a PLY's axes and colours are worth a question.
+        # Dropped files come with their paths; another program's axes and colours are worth a question.
         dropped = self.properties.is_property_set("filepath")
-        if dropped and not any(path.suffix.lower() == PLY_SUFFIX for path in self._paths()):
+        if dropped and all(is_model_file(path) for path in self._paths()):
             return self.execute(context)
         return self.invoke_popup(context)
 
@@ -202,7 +209,7 @@ class PHYSHDR_FH_gaussians(bpy.types.FileHandler):
     bl_idname = "PHYSHDR_FH_gaussians"
     bl_label = "PhysHDR Gaussians"
     bl_import_operator = PHYSHDR_OT_model_import.bl_idname
-    bl_file_extensions = ".safetensors;.ply"
+    bl_file_extensions = ";".join(OFFERED)
 
     @classmethod
     def poll_drop(cls, context: bpy.types.Context) -> bool:
@@ -211,7 +218,7 @@ class PHYSHDR_FH_gaussians(bpy.types.FileHandler):
 
 def _draw_import_menu(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
     layout_of(menu).operator(
-        PHYSHDR_OT_model_import.bl_idname, text="PhysHDR model, Gaussians (.safetensors/.ply)"
+        PHYSHDR_OT_model_import.bl_idname, text=f"PhysHDR model, Gaussians ({'/'.join(OFFERED[:-1])})"
     )
 
 

@@ -1,19 +1,24 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Registering, importing, and what happens to files that cannot be imported."""
 
+import importlib.util
 import subprocess
 import sys
 import threading
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import plyfile
 import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
 import physhdr  # noqa: E402
 from physhdr.addon.model import attributes, model_import, point_cloud  # noqa: E402
+from physhdr.bridge.gaussian_ply import write_standard_ply  # noqa: E402
+from physhdr.bridge.splat_files import read_splat_file  # noqa: E402
 
 
 @pytest.fixture
@@ -108,6 +113,82 @@ def test_operator_reports_what_is_wrong_and_makes_nothing(registered, make_model
     with pytest.raises(RuntimeError, match="there is no model file"):
         bpy.ops.physhdr.model_import(filepath=str(tmp_path / "none.safetensors"))
     assert len(bpy.data.objects) == len(bpy.data.pointclouds) == 0
+
+
+# ---- other programs' formats -----------------------------------------------------------------------------
+
+
+@pytest.fixture
+def files(tmp_path) -> Path:
+    """What other programs wrote of the Gaussians in ``source.ply``."""
+    with zipfile.ZipFile(Path(__file__).parents[1] / "fixtures" / "splat_files.zip") as archive:
+        archive.extractall(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("name", "up"),
+    [
+        ("source.ply", (0, 0, 1)),  # which says it
+        ("chunks.compressed.ply", (0, -1, 0)),
+        ("version-2.spz", (0, 1, 0)),
+        ("version-3.spz", (0, 1, 0)),
+        ("gaussians.splat", (0, -1, 0)),
+        ("level-1.ksplat", (0, -1, 0)),
+    ],
+)
+def test_other_programs_files_stand_upright(registered, files, name, up):
+    """By the format's convention, unless the user says otherwise; the data stay as they are in the file."""
+    assert bpy.ops.physhdr.model_import(filepath=str(files / name)) == {"FINISHED"}
+    target = bpy.context.active_object
+    bpy.context.view_layer.update()
+    np.testing.assert_allclose(np.array(target.matrix_world)[:3, :3] @ up, (0, 0, 1), atol=1e-6)
+    assert len(target.data.points) == 270
+    cloud = read_splat_file(files / name)
+    np.testing.assert_array_equal(point_cloud.read_attribute(target.data, "position"), cloud.position)
+    np.testing.assert_array_equal(
+        point_cloud.read_attribute(target.data, "radiance:base")[:, :3], cloud.colour_sh[:, 0]
+    )
+    assert target.data["physhdr_color_space"] == "SRGB"
+    bpy.ops.physhdr.model_import(filepath=str(files / name), orientation="AS_IS")
+    assert bpy.context.active_object.rotation_euler.x == 0.0
+
+
+def test_a_format_that_is_not_read_here_says_how_to_convert_it(registered, tmp_path):
+    for name in ("a.sog", "a.glb", "a.usdc"):
+        (tmp_path / name).write_bytes(b"PK\3\4" if name == "a.sog" else b"{}")
+        with pytest.raises(RuntimeError, match=r"is not read here[\s\S]*physhdr convert IN OUT\.ply"):
+            bpy.ops.physhdr.model_import(filepath=str(tmp_path / name))
+    assert len(bpy.data.objects) == 0
+
+
+def test_spz_4_is_read_or_says_what_is_missing(registered, files):
+    """Blender's Python 3.13 has no zstd."""
+    path = str(files / "version-4.spz")
+    if sys.version_info >= (3, 14) or importlib.util.find_spec("zstandard"):
+        assert bpy.ops.physhdr.model_import(filepath=path) == {"FINISHED"}
+    else:
+        with pytest.raises(RuntimeError, match=r"zstd[\s\S]*physhdr convert"):
+            bpy.ops.physhdr.model_import(filepath=path)
+
+
+def test_saturated_gaussians_arrive_opaque(scene, tmp_path):
+    """splat-transform writes the opacity 1 as a logit of +∞, and a flat Gaussian may have ln 0."""
+    given = {
+        "positions": np.zeros((3, 3)),
+        "rotations": np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)),
+        "scales": np.full((3, 3), 0.1),
+        "opacities": np.full(3, 0.5),
+        "colour_sh": np.zeros((3, 1, 3)),
+    }
+    write_standard_ply(tmp_path / "a.ply", **{k: v.astype(np.float32) for k, v in given.items()})
+    ply = plyfile.PlyData.read(str(tmp_path / "a.ply"), mmap=False)
+    ply["vertex"].data["opacity"][:2] = np.inf, -np.inf
+    ply["vertex"].data["scale_2"][2] = -np.inf
+    ply.write(str(tmp_path / "a.ply"))
+    cloud = model_import.import_model(tmp_path / "a.ply").data
+    np.testing.assert_allclose(point_cloud.read_attribute(cloud, "radiance:base")[:, 3], [1.0, 0.0, 0.5])
+    assert np.isfinite(point_cloud.read_attribute(cloud, "scale")).all()
 
 
 def test_undo_and_redo_of_an_import(registered, make_model, write):

@@ -128,9 +128,10 @@ def test_left_out_gaussians_are_counted_in_the_report(registered, gaussians, tmp
     assert any("lighting level scales everything" in note for note in done.notes)
 
 
-def test_drag_and_drop_is_offered_for_both_kinds_of_file(registered):
+def test_drag_and_drop_is_offered_for_every_kind_of_file(registered):
     handler = bpy.types.PHYSHDR_FH_gaussians
-    assert handler.bl_file_extensions.split(";") == [".safetensors", ".ply"]
+    kinds = [".safetensors", ".ply", ".spz", ".ksplat", ".splat", ".sog"]
+    assert handler.bl_file_extensions.split(";") == kinds
     assert handler.bl_import_operator == "physhdr.model_import"
     assert not handler.poll_drop(bpy.context)  # no area is under the mouse here
 
