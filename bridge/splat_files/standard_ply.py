@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from ..axes import Up
-from ..gaussian_ply import EXTRA_PREFIX, GaussianPly
+from ..gaussian_ply import EXTRA_PREFIX, UP_WORDS, GaussianPly
 from .cloud import UP, SplatCloud
 
-#: Comment lines by which a PLY says that Z is up: ours, and nerfstudio's. (Brush writes "Vertical axis: y" of
-#: every scene, whichever way up it is.)
-_Z_UP = re.compile(r"space: .*\bZ up\b|vertical axis: z\b", re.IGNORECASE)
+#: nerfstudio's comment line by which a PLY says that Z is up. (Brush writes "Vertical axis: y" of every
+#: scene, whichever way up it is.)
+_Z_UP = re.compile(r"vertical axis: z\b", re.IGNORECASE)
 #: Ours, where another up was asked for (``gaussian_ply.UP_WORDS``).
 _Y_UP = re.compile(r"space: .*\bY up\b")
 
@@ -46,8 +46,14 @@ def up_of(ply: GaussianPly) -> Up:
     """Which way is up, by what the PLY says of itself, or else by convention."""
     if any(_Y_UP.search(line) for line in ply.comments):
         return "y"
-    ours = any(name.startswith(EXTRA_PREFIX) for name in ply.columns)
-    return "z" if ours or any(_Z_UP.search(line) for line in ply.comments) else UP["ply"]
+    for line in ply.comments:
+        if _Z_UP.search(line):
+            return "z"
+        for up, words in UP_WORDS.items():
+            if line.startswith(f"space: metres, {words}"):
+                return up
+    # Only a lossless PLY that lost its comments has nothing but its columns.
+    return "z" if any(name.startswith(EXTRA_PREFIX) for name in ply.columns) else UP["ply"]
 
 
 def sigmoid(logit: np.ndarray) -> np.ndarray:

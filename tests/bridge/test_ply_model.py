@@ -367,7 +367,9 @@ def test_2dgs_is_read_flat_and_degree_4_without_its_highest_band(tmp_path: Path)
 @pytest.mark.parametrize(
     ("comment", "up"),
     [
-        ("space: metres, Z up (Blender's world)", "z"),
+        ("space: metres, Z up (Blender's world); rot_0..3 = w x y z", "z"),
+        ("space: metres, Y up (glTF's axes); rot_0..3 = w x y z", "y"),
+        ("space: metres, Y down, Z forward (COLMAP's axes)", "colmap"),
         ("Vertical Axis: z", "z"),
         ("Vertical axis: y", "colmap"),
         ("", "colmap"),
