@@ -112,6 +112,10 @@ def _command(argv: list[str]) -> Any:
 
     if argv[:1] == ["synthesise"]:  # what comes after its two dashes is another program's
         return parsed(argv[1:])
+    from .convert import Convert
+
+    if argv[:1] == ["convert"]:  # without the others, which take seconds to import torch
+        return tyro.cli(Convert, prog="physhdr convert", args=argv[1:])
     from .benchmark import Benchmark
     from .calibrate import Calibrate
     from .check import Check
@@ -133,6 +137,7 @@ def _command(argv: list[str]) -> Any:
         Annotated[Train, tyro.conf.subcommand("train", default=train)]
         | Annotated[Evaluate, tyro.conf.subcommand("evaluate")]
         | Annotated[Export, tyro.conf.subcommand("export")]
+        | Annotated[Convert, tyro.conf.subcommand("convert")]
         | Annotated[Calibrate, tyro.conf.subcommand("calibrate")]
         | Annotated[Render, tyro.conf.subcommand("render")]
         | Annotated[Video, tyro.conf.subcommand("video")]

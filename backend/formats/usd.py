@@ -131,7 +131,7 @@ def read_usd(path: Path) -> UsdSplats:
     for prim in prims:
         with damaged_where_it_fails(f"{path}: {prim.GetPath()} cannot be read", REMEDY):
             cloud = replace(_field(pxr, path, prim), up=up)
-            spaces.add(str(pxr["Usd"].ColorSpaceAPI.ComputeColorSpaceName(prim)))
+            spaces.add(_color_space(prim))
             matrix = np.array(cache.GetLocalToWorldTransform(prim), np.float64).T
         clouds.append(moved(path, cloud, np.diag([metres, metres, metres, 1.0]) @ matrix))
     unknown = spaces - {*LINEAR_SPACES, *SRGB_SPACES}
@@ -150,6 +150,19 @@ def read_usd(path: Path) -> UsdSplats:
 _NAMES_NONE = (
     "It names no colour space: its colours were taken as sRGB, as converters of PLY files write them."
 )
+
+
+def _color_space(prim: Any) -> str:
+    """What the coefficients say of themselves, or else the nearest prim above them that says it; or ""."""
+    coefficients = prim.GetAttribute("radiance:sphericalHarmonicsCoefficients")
+    if coefficients.HasColorSpace():
+        return str(coefficients.GetColorSpace())
+    while prim:
+        name = prim.GetAttribute("colorSpace:name")
+        if name and name.HasAuthoredValue():
+            return str(name.Get())
+        prim = prim.GetParent()
+    return ""
 
 
 def _field(pxr: dict[str, Any], path: Path, prim: Any) -> SplatCloud:

@@ -1,0 +1,295 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""``physhdr convert``: a run, a model or another program's file of Gaussians as a file of another format."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import tyro
+
+from ...bridge.axes import Up, turn_of_up
+from ...bridge.display import TONE_WORDS, Tone, display_colour_sh, look_comment, look_words
+from ...bridge.errors import BadValueError
+from ...bridge.gaussian_ply import UP_WORDS, write_standard_ply
+from ...bridge.lights import Levels
+from ...bridge.limits import EV_MAX
+from ...bridge.model_file import SUFFIX, Model, read_model, write_model
+from ...bridge.ply_model import PROVENANCE, model_of_cloud, read_ply_model
+from ...bridge.regular import regular_file
+from ...bridge.run_folder import CONFIG_FILE
+from ...bridge.splat_files import SplatCloud, format_of, read_splat_file, turned, write_spz
+from ...bridge.splat_files.usable import left_out_note, only_usable
+from ..formats.colours import display_of_linear, exposed, linear_of_display, radiance_sh
+from ..formats.table import Target, target_of
+from ..project import version
+from ..runs.terminal import console
+from .lighting import levels_asked
+from .told import answered
+
+#: EV at which colours are developed, and at which radiance is written (its own value).
+DEVELOPED_EV, RADIANCE_EV = 1.0, 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """What was read: exactly one of ``model`` and ``cloud`` is there.
+
+    ``is_linear``: the cloud's colours are linear values and not sRGB codes. ``up``: which way is up in its
+    axes. ``facts``: where it comes from, as a PLY's header tells.
+    """
+
+    model: Model | None = None
+    cloud: SplatCloud | None = None
+    is_linear: bool = False
+    up: Up = "z"
+    notes: tuple[str, ...] = ()
+    facts: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class Look:
+    """At what light, exposure and response a model is written."""
+
+    exposure_ev: float
+    levels: Levels
+    tone: Tone
+
+
+@dataclass(frozen=True)
+class Convert:
+    """Write Gaussians in the format of another program; the second name's suffix decides. docs/convert.md
+
+    Reads a run's folder, .safetensors, .ply (compressed too), .spz, .splat, .ksplat, .sog (or its meta.json),
+    .glb, .gltf and USD; writes .ply, .spz, .glb, .gltf, .usdc, .usda, .usd, .usdz and .safetensors.
+    """
+
+    #: A run's folder, or a file of Gaussians.
+    source: tyro.conf.Positional[Path]
+    #: The file to write.
+    out: tyro.conf.Positional[Path]
+    #: Which way is up in the file; default: as its format has it (SPZ and glTF y, the others z).
+    up: Up | None = None
+    #: Which way is up in the source; default: as it says, or as its format has it (others' PLY: colmap).
+    from_up: Up | None = None
+    #: Exposure in EV (log2 of seconds) of a model's look (default 1), or of the radiance in USD (default 0:
+    #: it is written as it is).
+    exposure_ev: float | None = None
+    #: Level of the first light, the ambient one wherever that has levels.
+    lighting_level: float = 1.0
+    #: Lights by name: NAME=VALUE …; those not named are at 1.
+    lighting_levels: tuple[str, ...] = ()
+    #: A model's response: learned, or the sRGB curve; default: learned where it has one.
+    tone: Literal["learned", "srgb"] | None = None
+    #: What another program's colours are, where the file does not say.
+    color_space: Literal["srgb", "linear"] = "srgb"
+    #: glTF alone: linear colours (lin_rec709_display), which a viewer blends before the sRGB curve, as we do.
+    blend_linear: bool = False
+    #: Version of SPZ: 3 is read by more programs, 4 is smaller.
+    spz_version: Literal[3, 4] = 3
+    #: The data set of a run, where it has moved since training.
+    data: Path | None = None
+    #: Say the result or the error as JSON, an object a line.
+    json: bool = False
+
+    def run(self) -> int:
+        return answered(self._work, self.json)
+
+    def _work(self) -> dict[str, Any]:
+        target = target_of(self.out)
+        self._refuse_what_does_not_fit(target)
+        source = read_source(self.source, self.data, self.color_space == "linear")
+        source = replace(source, up=self.from_up or source.up)
+        up = self.up or target.up
+        if target.holds == "model":
+            model, told = _as_model(self.source, source)
+            write_model(self.out, model)
+            count = model.count
+        else:
+            linear = target.holds == "radiance" or self.blend_linear
+            cloud, told = self._coloured(source, linear)
+            cloud = turned(cloud, turn_of_up(source.up, up)) if up != source.up else cloud
+            cloud = replace(cloud, up=up)
+            facts = [f"{PROVENANCE}{key}: {value}" for key, value in source.facts]
+            self._write(target, cloud, [*facts, told])
+            count = cloud.count
+        lost = f"; {target.loses}" if source.model is not None and target.loses else ""
+        if not self.json:
+            for note in source.notes:
+                console.print(note, soft_wrap=True)
+            axes = f", from {UP_WORDS[source.up]} to {UP_WORDS[up]}" if up != source.up else ""
+            console.print(f"wrote {self.out}: {count} Gaussians, {told}{axes}{lost}", soft_wrap=True)
+        return {"out": str(self.out), "gaussians": count, "up": up, "told": told, "notes": list(source.notes)}
+
+    def _refuse_what_does_not_fit(self, target: Target) -> None:
+        """Raises ``BadValueError`` before anything is read."""
+        if self.up is not None and self.up not in target.ups:
+            raise BadValueError(
+                f"{target.name} has {UP_WORDS[target.ups[0]]}, not {UP_WORDS[self.up]}",
+                f"--up may be {' or '.join(target.ups)} there.",
+            )
+        if self.exposure_ev is not None and not abs(self.exposure_ev) <= EV_MAX:
+            raise BadValueError(f"--exposure-ev is {self.exposure_ev}", f"Give −{EV_MAX:g} to {EV_MAX:g}.")
+        if self.blend_linear and (target.name != "glTF" or self.tone == "learned"):
+            raise BadValueError(
+                "--blend-linear is of glTF, which then ends in the sRGB curve",
+                "Leave it out, or write .glb with --tone srgb.",
+            )
+        if target.holds == "model" and (self._asks_for_light() or self.exposure_ev is not None or self.tone):
+            raise BadValueError(
+                "a model keeps all of its light and exposures", "Leave out lighting, exposure and tone."
+            )
+        if target.holds == "radiance" and self.tone is not None:
+            raise BadValueError("USD holds radiance, before any response", "Leave --tone out.")
+
+    def _asks_for_light(self) -> bool:
+        return self.lighting_level != 1.0 or bool(self.lighting_levels)
+
+    def _coloured(self, source: Source, linear: bool) -> tuple[SplatCloud, str]:
+        """The source's Gaussians with colours for the file, linear or display-referred, and what they are."""
+        if source.model is not None:
+            return self._of_model(source.model, linear)
+        assert source.cloud is not None
+        if self._asks_for_light():
+            raise BadValueError(f"{self.source} has no light to be changed", "Leave the lighting out.")
+        if self.tone == "learned":
+            raise BadValueError(f"{self.source} has no learned response", "Leave --tone out.")
+        cloud, sh = source.cloud, source.cloud.colour_sh
+        ev = self.exposure_ev
+        if source.is_linear:
+            if linear:
+                ev = RADIANCE_EV if ev is None else ev
+                return replace(cloud, colour_sh=exposed(sh, 2.0**ev)), f"its linear colours at EV {ev:g}"
+            ev = 0.0 if ev is None else ev
+            told = f"display-referred colour through {TONE_WORDS['SRGB']}, EV {ev:g}"
+            return replace(cloud, colour_sh=display_of_linear(sh, 2.0**ev)), told
+        if ev is not None and not linear:
+            raise BadValueError(
+                f"{self.source} has colours that are developed already: no exposure changes them",
+                "Leave --exposure-ev out, or say --color-space linear.",
+            )
+        if not linear:
+            return cloud, "its own colours"
+        told = f"its colours linearised as sRGB, EV {ev or 0.0:g}"
+        return replace(cloud, colour_sh=exposed(linear_of_display(sh), 2.0 ** (ev or 0.0))), told
+
+    def _of_model(self, model: Model, linear: bool) -> tuple[SplatCloud, str]:
+        levels = levels_asked(self.lighting_level, self.lighting_levels, model.lights)
+        ev = self.exposure_ev
+        if linear:
+            ev = (DEVELOPED_EV if self.blend_linear else RADIANCE_EV) if ev is None else ev
+            told = f"scene-linear radiance × 2^EV, {look_words(ev, levels, model.lights)}"
+            return _cloud_of(model, radiance_sh(model, 2.0**ev, levels)), told
+        tone: Tone = "SRGB" if self.tone == "srgb" or model.tone_curve is None else "LEARNED"
+        look = Look(DEVELOPED_EV if ev is None else ev, levels, tone)
+        told = look_comment(look.exposure_ev, levels, tone, model.lights)
+        return _cloud_of(model, developed(model, look)), told
+
+    def _write(self, target: Target, cloud: SplatCloud, comments: Sequence[str]) -> None:
+        if target.name == "PLY":
+            arrays = (cloud.position, cloud.rotation, cloud.scale, cloud.opacity, cloud.colour_sh)
+            write_standard_ply(self.out, *arrays, comments=comments, up=cloud.up)
+        elif target.name == "SPZ":
+            write_spz(self.out, cloud, self.spz_version)
+        elif target.name == "glTF":
+            from ..formats.gltf import write_gltf
+
+            space = "lin_rec709_display" if self.blend_linear else "srgb_rec709_display"
+            write_gltf(self.out, cloud, space, f"PhysHDR {version()}")
+        else:
+            from ..formats.usd import write_usd
+
+            write_usd(self.out, cloud, cloud.up, "\n".join([f"PhysHDR {version()}", *comments]))
+
+
+def developed(model: Model, look: Look) -> np.ndarray:
+    """``[N, K, 3]``: SH of the display colours (colour = Σ sh·Y + ½) that a model's look becomes.
+
+    The one place where a model is developed for another program's file. Raises what ``display_colour_sh``
+    raises.
+    """
+    return display_colour_sh(model, 2.0**look.exposure_ev, look.levels, look.tone)
+
+
+def read_source(path: Path, data: Path | None = None, is_linear: bool = False) -> Source:
+    """Read a run's folder, or a file of Gaussians of any format that is known.
+
+    ``data``: the run's data set, where that has moved; ``is_linear``: what colours are, of a file that does
+    not say. Raises what reading raises, and ``BadValueError`` where no Gaussian is usable.
+    """
+    if path.is_dir() and (path / CONFIG_FILE).exists():
+        return _of_run(path, data)
+    if data is not None:
+        raise BadValueError("--data is of a run, and this is a file", "Leave it out.")
+    if path.is_dir():
+        if not (path / "meta.json").is_file():
+            raise BadValueError(f"{path} is neither a run nor a SOG", "Name a file of Gaussians.")
+        path = path / "meta.json"
+    regular_file(path, "Check the path.")
+    if path.name.lower().endswith(SUFFIX):
+        model = read_model(path)
+        return Source(model, facts=tuple(model.metadata.items()))
+    kind = format_of(path).name
+    if kind == "PLY":
+        read = read_ply_model(path, "LINEAR" if is_linear else "SRGB")
+        if read.colour_sh is None:
+            return Source(read.model, notes=read.notes, facts=tuple(read.model.metadata.items()))
+        return _of_cloud(path, read_splat_file(path), is_linear)
+    if kind == "SOG":
+        from ..formats.sog import read_sog
+
+        return _of_cloud(path, read_sog(path), is_linear)
+    if kind == "glTF":
+        from ..formats.gltf import read_gltf
+
+        splats = read_gltf(path)
+        return _of_cloud(path, splats.cloud, splats.color_space == "lin_rec709_display")
+    if kind == "USD":
+        from ..formats.usd import read_usd
+
+        stage = read_usd(path)
+        return _of_cloud(path, stage.cloud, stage.is_radiance)
+    return _of_cloud(path, read_splat_file(path), is_linear)
+
+
+def _of_run(folder: Path, data: Path | None) -> Source:
+    from ..export.blender_model import to_model
+    from ..runs.run import open_run
+
+    run = open_run(folder, data, pictures=False)
+    viewpoint = np.mean([view.camera.position for view in run.scene.train], axis=0)
+    exposures = run.scene.train[0].exposures
+    model = to_model(run.on_gaussians(), viewpoint, exposures, run.provenance)
+    return Source(model, facts=tuple(run.provenance.items()))
+
+
+def _of_cloud(path: Path, cloud: SplatCloud, is_linear: bool) -> Source:
+    cloud, left_out = only_usable(path, cloud)
+    notes = (left_out_note(left_out), *cloud.notes) if left_out else cloud.notes
+    return Source(cloud=cloud, is_linear=is_linear, up=cloud.up, notes=notes)
+
+
+def _as_model(path: Path, source: Source) -> tuple[Model, str]:
+    """The source as a model in Blender's world, and what it is."""
+    turn = turn_of_up(source.up, "z")
+    if source.model is not None:
+        model = source.model
+        if source.up != "z":
+            whole = turned(_cloud_of(model, model.log_radiance_sh), turn)
+            model = replace(
+                model,
+                position=whole.position,
+                rotation=whole.rotation,
+                log_radiance_sh=whole.colour_sh,
+            )
+        return model, "the model"
+    assert source.cloud is not None
+    read = model_of_cloud(path, turned(source.cloud, turn), "LINEAR" if source.is_linear else "SRGB")
+    told = "its linear colours as radiance" if source.is_linear else "its colours linearised as sRGB"
+    return read.model, f"{told}; nothing is known of its light"
+
+
+def _cloud_of(model: Model, colour_sh: np.ndarray) -> SplatCloud:
+    rotation = model.rotation / np.linalg.norm(model.rotation, axis=1, keepdims=True)
+    return SplatCloud(model.position, rotation, model.scale, model.opacity, colour_sh)
