@@ -74,6 +74,7 @@ def read_ply_model(path: Path, color_space: ColorSpace = "SRGB") -> PlyModel:
     if is_compressed(opened):
         return model_of_cloud(path, cloud_of_compressed(path, opened), color_space)
     ply = gaussians_in(path, opened)
+    del opened  # the file's pages count as memory
     notes: list[str] = []
     if all(name in ply.columns for name in _RADIANCE):
         form = form_of(ply.comments, ply.columns)
