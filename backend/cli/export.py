@@ -13,6 +13,7 @@ from ...bridge.limits import EV_MAX
 from ...bridge.model_file import write_model
 from ..export import BAKED_FILE, LOSSLESS_FILE, MODEL_FILE
 from ..export.baked import confidence_column, network_comments, parameter_columns
+from ..export.fitted_bake import FITTED_COMMENT, fitted_colour_sh, method_picture
 from ..model.gaussians import Gaussians
 from ..runs.files import writable_folder
 from ..runs.run import open_run
@@ -46,6 +47,9 @@ class Export:
     lighting_level: float = 1.0
     #: Lights by name for the standard PLY: NAME=VALUE …; those not named are at 1.
     lighting_levels: tuple[str, ...] = ()
+    #: Convert the standard PLY's colours one by one, at once, instead of fitting them to the run's pictures
+    #: from the training cameras: they then blend to other pictures, too dark ones mostly. docs/viewers.md
+    quick: bool = False
     #: The data set, where it has moved since training.
     data: Path | None = None
     #: Of --web: say how far it is, and the result or the error, as JSON, an object a line.
@@ -74,15 +78,23 @@ class Export:
         console.print(f"wrote {out / MODEL_FILE}: {method.size} Gaussians, for Blender{without}")
 
         look = look_words(self.exposure_ev, levels, model.lights)
+        exposure = 2.0**self.exposure_ev
+        colours = display_colour_sh(model, exposure, levels)
+        if not self.quick:
+            cameras = [view.camera for view in run.scene.train]
+            with progress("colours", "step", as_json=False) as show:
+                picture = method_picture(run.method, exposure, levels)
+                colours = fitted_colour_sh(model, colours, cameras, picture, show)
         standard = {
             "positions": model.position,
             "rotations": model.rotation,
             "scales": model.scale,
             "opacities": model.opacity,
-            "colour_sh": display_colour_sh(model, 2.0**self.exposure_ev, levels),
+            "colour_sh": colours,
         }
         comments = [f"PhysHDR {key}: {value}" for key, value in run.provenance.items()]
         comments.append(look_comment(self.exposure_ev, levels, "LEARNED", model.lights))
+        comments += [] if self.quick else [FITTED_COMMENT]
         write_standard_ply(out / BAKED_FILE, **standard, comments=comments)
         console.print(f"wrote {out / BAKED_FILE}: for any 3DGS viewer, baked at {look}")
 
@@ -100,7 +112,7 @@ class Export:
         return 0
 
     def _web(self, out: Path) -> int:
-        alone = ("out", "exposure_ev", "lighting_level", "lighting_levels")
+        alone = ("out", "exposure_ev", "lighting_level", "lighting_levels", "quick")
         defaults = {each.name: each.default for each in fields(self)}
         if given := [name for name in alone if getattr(self, name) != defaults[name]]:
             raise BadValueError(

@@ -26,6 +26,7 @@ from ...bridge.display import Tone
 from ...bridge.lights import Levels
 from ...bridge.model_file import Model
 from ...bridge.spherical_harmonics import basis
+from ..evaluate.renderer import Renderer
 from ..kernels.blending import blend, gather, gather_squares, spread, toward_camera
 from ..rasterize import rasterize
 from ..rasterize.cpu.weights import BlendWeights, blend_weights
@@ -44,9 +45,12 @@ RIDGE = 1e-3
 #: Conjugate gradients' steps after each choice of what is at the floor.
 STEPS = (15, 15)
 
+#: What a PLY's header says of such colours, beside what look they are of.
+FITTED_COMMENT = "colours fitted to pictures: their blend is the model's own picture, response after blending"
+
 Picture = Callable[[Camera], np.ndarray]
-#: Told (steps done, of how many).
-Show = Callable[[int, int], None]
+#: Told (steps done, of how many, what is done).
+Show = Callable[[int, int, str], None]
 
 
 def fitted_colour_sh(
@@ -76,6 +80,16 @@ def model_picture(model: Model, exposure: float, levels: Levels = 1.0, tone: Ton
         radiance = torch.from_numpy(model.radiance(_directions(model.position, camera), levels))
         exposed = exposure * rasterize(*shape, radiance, camera).image.numpy()
         return _responded(model, exposed, tone)
+
+    return draw
+
+
+def method_picture(method: Renderer, exposure: float, levels: Levels = 1.0) -> Picture:
+    """What a trained method's own picture is, with all of its networks."""
+
+    @torch.no_grad()
+    def draw(camera: Camera) -> np.ndarray:
+        return method.ldr(camera, exposure, levels).clamp(0.0, 1.0).cpu().numpy()
 
     return draw
 
@@ -219,7 +233,7 @@ class _Fit:
     def _told(self) -> None:
         self._done += 1
         if self._show is not None:
-            self._show(self._done, self._of)
+            self._show(self._done, self._of, "")
 
 
 def _view_of(

@@ -46,6 +46,7 @@ def blend_weights(
     count = means.shape[0]
     tensors = (means, quaternions, scales, opacities, torch.zeros(count, 1), None)
     *_, drawing = _draw(camera, tuple(None if t is None else t.detach().contiguous() for t in tensors), True)
+    assert drawing is not None  # it was asked to keep it
     tiles_x = -(-camera.width // TILE_WIDTH)
     y, x = np.divmod(pixels, camera.width)
     tile = y // TILE_HEIGHT * tiles_x + x // TILE_WIDTH
