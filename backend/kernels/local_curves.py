@@ -38,7 +38,7 @@ from ..simd import (
     where_positive_each,
     zero_each,
 )
-from .plain import can_fuse
+from .plain import can_fuse, card_takes
 
 #: Points of a job.
 CHUNK = 4096
@@ -55,8 +55,12 @@ def local_curves(
     """``x`` ``[C, B, P]`` log exposures of C channels in B branches, ``context`` ``[F, P]`` → ``[C, B, P]``.
 
     ``w1`` ``[C, H, 1 + F]`` (the exposure's weight first), ``b1``, ``w2`` ``[C, H]``, ``b2`` ``[C]``. Float32
-    on the CPU is fused; anything else goes to ``local_curves_reference``.
+    is fused, on the CPU and by Warp; anything else goes to ``local_curves_reference``.
     """
+    if card_takes(x, w1):
+        from .card.networks import local_curves as on_card
+
+        return on_card(x, context, w1, b1, w2, b2)
     if not can_fuse(x, w1):
         return local_curves_reference(x, context, w1, b1, w2, b2)
     return _LocalCurves.apply(x, context, w1, b1, w2, b2)

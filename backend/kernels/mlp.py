@@ -45,7 +45,7 @@ from ..simd import (
 )
 from .compiled import compiled_on_cuda
 from .curve_table import MAX_WEIGHT, interpolate, knots_for
-from .plain import can_fuse
+from .plain import can_fuse, card_takes
 
 Activation = Literal["relu", "softplus", "silu"]
 
@@ -69,6 +69,10 @@ def curve_mlp(
 
     ``x`` ``[C, P]``; ``w1``, ``b1``, ``w2`` ``[C, H]``; ``b2`` ``[C]``.
     """
+    if card_takes(x, w1):
+        from .card.networks import curve_mlp as on_card
+
+        return on_card(x, w1, b1, w2, b2, activation)
     if not can_fuse(x, w1):
         return curve_mlp_reference(x, w1, b1, w2, b2, activation)
     knots = curve_knots(x, w1, activation)
@@ -119,6 +123,10 @@ def small_mlp(
     activation: Activation,
 ) -> torch.Tensor:
     """``x`` ``[I, P]``, ``w1`` ``[H, I]``, ``b1`` ``[H]``, ``w2`` ``[O, H]``, ``b2`` ``[O]`` → ``[O, P]``."""
+    if card_takes(x, w1):
+        from .card.networks import small_mlp as on_card
+
+        return on_card(x, w1, b1, w2, b2, activation)
     if not can_fuse(x, w1):
         return small_mlp_reference(x, w1, b1, w2, b2, activation)
     return _Networks.apply(x[None], w1[None], b1[None], w2[None], b2[None], activation)[0]

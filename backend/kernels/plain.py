@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Fused kernel or plain torch: the one place that decides.
 
-Plain torch computes what the fused kernels cannot (float64, CUDA), and what they are measured against
-(``plain_torch``, for benchmarks and tests).
+Plain torch computes what the fused kernels cannot (float64; on a card whatever Warp's do not), and what they
+are measured against (``plain_torch``, for benchmarks and tests).
 """
 
 from collections.abc import Iterator
@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 
 import torch
+
+from ..rasterize.card import forced, warp_takes
 
 # A context variable, so that a preview that renders in another thread stays fused.
 _plain: ContextVar[bool] = ContextVar("plain_torch", default=False)
@@ -30,5 +32,13 @@ def plain_torch() -> Iterator[None]:
 
 
 def can_fuse(*tensors: torch.Tensor) -> bool:
-    """Whether a fused kernel may take these: all float32 on the CPU, and not inside ``plain_torch``."""
-    return not _plain.get() and all(t.dtype == torch.float32 and t.device.type == "cpu" for t in tensors)
+    """Whether the CPU's kernels may take these: all float32 on the CPU, and not inside ``plain_torch`` (nor
+    ``card.using("warp")``, where the CPU computes as a card would)."""
+    if _plain.get() or forced() == "warp":
+        return False
+    return all(t.dtype == torch.float32 and t.device.type == "cpu" for t in tensors)
+
+
+def card_takes(*tensors: torch.Tensor) -> bool:
+    """Whether Warp's kernels are to take these (``card.warp_takes``), and not inside ``plain_torch``."""
+    return not _plain.get() and warp_takes(*tensors)

@@ -17,12 +17,8 @@ import torch
 from numba import njit
 
 from ..simd import kernel, run_ranges
-from .plain import can_fuse
-
-Y0 = 0.28209479177387814
-Y1 = 0.4886025119029199
-Y2 = (1.0925484305920792, 0.31539156525252005, 0.5462742152960396)
-Y3 = (0.5900435899266435, 2.890611442640554, 0.4570457994644658, 0.3731763325901154, 1.445305721320277)
+from .constants import Y0, Y1, Y2, Y3
+from .plain import can_fuse, card_takes
 
 
 def evaluate_sh(
@@ -35,12 +31,17 @@ def evaluate_sh(
 ) -> torch.Tensor:
     """``dc`` ``[N, 3]`` (or ``[N, 1, 3]``), ``rest`` ``[N, ≥ (degree + 1)² − 1, 3]``, → ``[N, 3]``.
 
-    ``means`` ``[N, 3]``, ``viewpoint`` ``[3]``: metres, in the world. Float32 on the CPU is fused; anything
-    else goes to ``evaluate_sh_reference``. ``direction_gradient``: ``means`` receive a gradient.
+    ``means`` ``[N, 3]``, ``viewpoint`` ``[3]``: metres, in the world. Float32 is fused, on the CPU and by
+    Warp; anything else goes to ``evaluate_sh_reference``. ``direction_gradient``: ``means`` receive a
+    gradient.
     """
     dc = dc.reshape(-1, 3)
     if degree == 0:
         return Y0 * dc
+    if card_takes(dc, rest) and len(dc):
+        from .card.harmonics import evaluate_sh as on_card
+
+        return on_card(dc, rest, means, viewpoint, degree, direction_gradient)
     if not can_fuse(dc):
         return evaluate_sh_reference(dc, rest, means, viewpoint, degree, direction_gradient)
     return _Evaluate.apply(dc, rest, means if direction_gradient else means.detach(), viewpoint, degree)

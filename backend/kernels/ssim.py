@@ -43,18 +43,15 @@ from ..simd import (
     store_strided,
     total,
 )
-from .plain import can_fuse
+from .constants import SSIM_C1 as C1
+from .constants import SSIM_C2 as C2
+from .constants import SSIM_TAPS as TAPS
+from .constants import ssim_window as window_in_float64
+from .plain import can_fuse, card_takes
 
 PixelError = Literal["l1", "mse"]
 
-TAPS = 11
-SIGMA = 1.5
-C1 = 0.01**2
-C2 = 0.03**2
-
 _R = TAPS // 2
-_WINDOW = np.exp(-((np.arange(TAPS) - _R) ** 2) / (2.0 * SIGMA**2))
-_WINDOW /= _WINDOW.sum()
 
 
 class SsimTarget:
@@ -87,8 +84,8 @@ class SsimTarget:
 def ssim(prediction: torch.Tensor, target: torch.Tensor | SsimTarget) -> torch.Tensor:
     """Mean SSIM of two images ``[C, H, W]``, a scalar, differentiable in ``prediction``.
 
-    Float32 on the CPU is fused; anything else goes to ``ssim_reference``. The target gets no gradient
-    from the fused path.
+    Float32 is fused, on the CPU and by Warp; anything else goes to ``ssim_reference``. The target gets no
+    gradient from the fused path.
     """
     return ssim_and_error(prediction, target, "l1")[0]
 
@@ -105,7 +102,7 @@ def ssim_and_error(
         return _Ssim.apply(prediction, SsimTarget(target), error)
     difference = prediction - target
     pixel = difference.abs().mean() if error == "l1" else difference.square().mean()
-    return ssim_reference(prediction, target), pixel
+    return _not_fused(prediction, target).mean(), pixel
 
 
 def ssim_map(prediction: torch.Tensor, target: torch.Tensor | SsimTarget) -> torch.Tensor:
@@ -116,6 +113,15 @@ def ssim_map(prediction: torch.Tensor, target: torch.Tensor | SsimTarget) -> tor
         target = target.image.to(prediction)
     elif can_fuse(prediction, target) and not target.requires_grad:
         return _SsimMap.apply(prediction, SsimTarget(target))
+    return _not_fused(prediction, target)
+
+
+def _not_fused(prediction: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+    """``ssim_map`` where the CPU's kernels cannot compute it."""
+    if card_takes(prediction, target) and not target.requires_grad:
+        from .card.similarity import ssim_map as on_card
+
+        return on_card(prediction, target)
     return ssim_map_reference(prediction, target)
 
 
@@ -246,12 +252,12 @@ def inside(padded: np.ndarray, height: int, width: int) -> np.ndarray:
 @functools.cache
 def _window_on(device: torch.device, dtype: torch.dtype) -> torch.Tensor:
     """Kept, because a copy to a CUDA card makes the host wait for the card."""
-    return torch.from_numpy(_WINDOW).to(device, dtype)
+    return torch.from_numpy(window_in_float64()).to(device, dtype)
 
 
 @functools.cache
 def ssim_window() -> np.ndarray:
-    return _WINDOW.astype(np.float32)
+    return window_in_float64().astype(np.float32)
 
 
 @kernel

@@ -10,6 +10,7 @@ from torch import nn
 from ...bridge.errors import BadValueError
 from ..kernels.activations import LOG_RADIANCE_RANGE as LOG_RADIANCE_RANGE
 from ..kernels.spherical_harmonics import evaluate_sh
+from ..rasterize.card import way
 from ..scene.camera import Camera
 from ..scene.resident import camera_tensors
 from .backbone import Attributes, Backbone, Splats, Start
@@ -127,11 +128,11 @@ class Gaussians(Backbone):
         arguments = self.reflectance_dc, self.reflectance_rest, self.means, viewpoint, degree
         if self.attributes.direction_gradient:
             return evaluate_sh(*arguments, direction_gradient=True)
-        if self.means.is_cuda and degree > 0 and len(self) > 0:
-            from ..rasterize.cuda import evaluate_sh as evaluate  # imports gsplat
-        else:
-            evaluate = evaluate_sh
-        return evaluate(*arguments)
+        if self.means.is_cuda and degree > 0 and len(self) > 0 and way() == "cuda":
+            from ..rasterize.cuda import evaluate_sh as by_gsplat  # imports gsplat
+
+            return by_gsplat(*arguments)
+        return evaluate_sh(*arguments)
 
 
 def initial_gaussians(

@@ -36,7 +36,7 @@ def array(tensor: torch.Tensor, dtype: Any) -> Any:
 
 def launch(
     kernel: Any,
-    threads: int | tuple[int, int],
+    threads: int | tuple[int, ...],
     arguments: Sequence[Any],
     device: torch.device,
     block: int = BLOCK,
