@@ -22,7 +22,7 @@ from .lights import AMBIENT, check_lights
 from .limits import LOG_RADIANCE_MAX
 from .lossless_form import LIGHTS, curve_of, form_of, lights_of, says_curve
 from .model_file import ADDITIVE_LIGHTS, Model, largest_log_radiance
-from .spherical_harmonics import C0
+from .spherical_harmonics import C0, rotated
 from .splat_files.cloud import SplatCloud
 from .splat_files.compressed_ply import cloud_of_compressed
 from .splat_files.standard_ply import cloud_of_ply, shape_of, sigmoid
@@ -36,6 +36,10 @@ PROVENANCE = "PhysHDR "
 REFLECTANCE_DC, REFLECTANCE_REST = "phys_reflectance_dc", "phys_reflectance_rest"
 #: Column of the confidence (``bridge.confidence``), of exports that had the training pictures.
 CONFIDENCE = "phys_confidence"
+#: Columns of the position as it was trained, in metres.
+TRAINED = "phys_means"
+#: Positions that differ by this share of the scene's size were moved.
+_MOVED = 1e-4
 #: Columns of ln illumination: one, or one a channel.
 LOG_ILLUMINATION = "phys_log_illumination"
 #: Columns that say how a lossless PLY's radiance is made; without all of them it is a standard PLY.
@@ -162,11 +166,34 @@ def _lossless_model(path: Path, ply: GaussianPly) -> PlyModel:
         notes.append(
             "Its learned response is lost: its comments are gone, and its columns no longer have all of it."
         )
-    arrays = {**shape, "log_radiance_sh": _lossless_sh(path, used, len(share)), "light_share": share}
+    sh = _lossless_sh(path, used, len(share))
+    trained = [columns[f"{TRAINED}_{axis}"][fine] for axis in range(3) if f"{TRAINED}_{axis}" in columns]
+    if len(trained) == 3 and (turn := _turn_since(np.stack(trained, axis=1), shape["position"])) is not None:
+        sh = rotated(sh, turn)
+        notes.append("Another program has turned its Gaussians: their light was turned with them.")
+    arrays = {**shape, "log_radiance_sh": sh, "light_share": share}
     if CONFIDENCE in used:
         arrays["confidence"] = used[CONFIDENCE]
     others = {"lights": lights, **curve, "metadata": _provenance(ply.comments)}
     return _model(path, arrays, others, _Facts(None, left_out, tuple(notes), "z"))
+
+
+def _turn_since(before: np.ndarray, now: np.ndarray) -> np.ndarray | None:
+    """The rotation ``[3, 3]`` by which a program has turned Gaussians ``[N, 3]``, whose own columns of ours
+    stayed as they were; ``None`` where there is none, or Gaussians were not moved as one."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        before = before - before.mean(axis=0, dtype=np.float64)
+        now = now - now.mean(axis=0, dtype=np.float64)
+        close = _MOVED * float(np.abs(now).max())
+        if not np.isfinite(before).all() or np.abs(now - before).max() <= close:
+            return None
+        left, sizes, right = np.linalg.svd(now.T @ before)
+        if sizes[2] <= _MOVED * sizes[0] or np.linalg.det(left @ right) < 0.0:
+            return None  # all in one plane, or mirrored
+        turn = left @ right
+        size = sizes.sum() / np.square(before).sum()
+        together = np.abs(now - size * before @ turn.T).max() <= close
+    return turn if together and np.abs(turn - np.eye(3)).max() > _MOVED else None
 
 
 def _lossless_sh(path: Path, columns: Mapping[str, np.ndarray], count: int) -> np.ndarray:

@@ -118,6 +118,23 @@ def test_splat_transform_keeps_the_model(tmp_path: Path, splat_transform: Callab
         )
 
 
+def test_splat_transform_turns_the_model(tmp_path: Path, splat_transform: Callable[..., None]) -> None:
+    """It turns positions and its own colours; ours follow: seen from the turned side, all is as before."""
+    _, expected = write(tmp_path / "a.ply", PhysHDRConfig())
+    splat_transform(tmp_path / "a.ply", "-r", "30,-50,20", "-s", "2", "-t", "1,2,3", tmp_path / "b.ply")
+    found = read_ply_model(tmp_path / "b.ply")
+    assert any("turned" in note for note in found.notes)
+    moved, centre = found.model.position, found.model.position.mean(axis=0)
+    # The rotation, of the three first Gaussians' places alone.
+    before = (expected.position - expected.position.mean(axis=0))[:3].T.astype(np.float64)
+    turn = (moved - centre)[:3].T.astype(np.float64) @ np.linalg.inv(before) / 2.0
+    np.testing.assert_allclose(turn @ turn.T, np.eye(3), atol=1e-4)
+    direction = np.array([0.0, 0.6, 0.8])
+    here = np.tile(direction.astype(np.float32), (expected.count, 1))
+    there = np.tile((turn @ direction).astype(np.float32), (expected.count, 1))
+    np.testing.assert_allclose(found.model.radiance(there), expected.radiance(here), rtol=2e-3)
+
+
 @pytest.mark.parametrize(("composer", "modulator"), [("learned", "learned"), ("product", "learned")])
 def test_networks_in_the_radiance_need_the_model_file(tmp_path: Path, composer, modulator) -> None:
     write(tmp_path / "a.ply", PhysHDRConfig(composer=composer, modulator=modulator))
