@@ -24,10 +24,15 @@ from ...bridge.splat_files.usable import left_out_note, only_usable
 from ..formats.colours import display_of_linear, exposed, linear_of_display, radiance_sh
 from ..formats.table import Target, target_of
 from ..project import version
+from ..runs.run import Run
 from ..runs.terminal import console
+from ..runs.views import training_cameras
+from ..scene.camera import Camera
 from .lighting import levels_asked
-from .told import answered
+from .told import Told, answered, progress
 
+#: What is said of colours that were fitted.
+FITTED = "fitted so that their blend is the model's picture"
 #: EV at which colours are developed, and at which radiance is written (its own value).
 DEVELOPED_EV, RADIANCE_EV = 1.0, 0.0
 
@@ -37,7 +42,7 @@ class Source:
     """What was read: exactly one of ``model`` and ``cloud`` is there.
 
     ``is_linear``: the cloud's colours are linear values and not sRGB codes. ``up``: which way is up in its
-    axes. ``facts``: where it comes from, as a PLY's header tells.
+    axes. ``facts``: where it comes from, as a PLY's header tells. ``run``: whose model it is.
     """
 
     model: Model | None = None
@@ -46,6 +51,7 @@ class Source:
     up: Up = "z"
     notes: tuple[str, ...] = ()
     facts: tuple[tuple[str, str], ...] = ()
+    run: Run | None = None
 
 
 @dataclass(frozen=True)
@@ -86,6 +92,11 @@ class Convert:
     color_space: Literal["srgb", "linear"] = "srgb"
     #: glTF alone: linear colours (lin_rec709_display), which a viewer blends before the sRGB curve, as we do.
     blend_linear: bool = False
+    #: Of a model file: the run or data set whose cameras saw what it shows. Display colours are fitted to the
+    #: model's pictures from there, as those of a run always are. docs/viewers.md
+    cameras: Path | None = None
+    #: Convert colours one by one instead: at once, but their blend is another picture.
+    quick: bool = False
     #: Version of SPZ: 3 is read by more programs, 4 is smaller.
     spz_version: Literal[3, 4] = 3
     #: The data set of a run, where it has moved since training.
@@ -108,7 +119,8 @@ class Convert:
             count = model.count
         else:
             linear = target.holds == "radiance" or self.blend_linear
-            cloud, told = self._coloured(source, linear)
+            with progress("colours", "step", self.json) as show:
+                cloud, told = self._coloured(source, linear, show)
             cloud = turned(cloud, turn_of_up(source.up, up)) if up != source.up else cloud
             cloud = replace(cloud, up=up)
             facts = [f"{PROVENANCE}{key}: {value}" for key, value in source.facts]
@@ -136,6 +148,13 @@ class Convert:
                 "--blend-linear is of glTF, which then ends in the sRGB curve",
                 "Leave it out, or write .glb with --tone srgb.",
             )
+        if (self.cameras is not None or self.quick) and (target.holds != "display" or self.blend_linear):
+            raise BadValueError(
+                f"--{'quick' if self.quick else 'cameras'} is of display colours: {self.out.name} has none",
+                "Leave it out.",
+            )
+        if self.cameras is not None and self.quick:
+            raise BadValueError("--quick does not fit colours to --cameras", "Leave one of them out.")
         if target.holds == "model" and (self._asks_for_light() or self.exposure_ev is not None or self.tone):
             raise BadValueError(
                 "a model keeps all of its light and exposures", "Leave out lighting, exposure and tone."
@@ -146,11 +165,15 @@ class Convert:
     def _asks_for_light(self) -> bool:
         return self.lighting_level != 1.0 or bool(self.lighting_levels)
 
-    def _coloured(self, source: Source, linear: bool) -> tuple[SplatCloud, str]:
+    def _coloured(self, source: Source, linear: bool, show: Told) -> tuple[SplatCloud, str]:
         """The source's Gaussians with colours for the file, linear or display-referred, and what they are."""
         if source.model is not None:
-            return self._of_model(source.model, linear)
+            return self._of_model(source, source.model, linear, show)
         assert source.cloud is not None
+        if self.cameras is not None:
+            raise BadValueError(
+                f"{self.source} has colours of its own, which nothing is fitted to", "Leave --cameras out."
+            )
         if self._asks_for_light():
             raise BadValueError(f"{self.source} has no light to be changed", "Leave the lighting out.")
         if self.tone == "learned":
@@ -174,7 +197,7 @@ class Convert:
         told = f"its colours linearised as sRGB, EV {ev or 0.0:g}"
         return replace(cloud, colour_sh=exposed(linear_of_display(sh), 2.0 ** (ev or 0.0))), told
 
-    def _of_model(self, model: Model, linear: bool) -> tuple[SplatCloud, str]:
+    def _of_model(self, source: Source, model: Model, linear: bool, show: Told) -> tuple[SplatCloud, str]:
         levels = levels_asked(self.lighting_level, self.lighting_levels, model.lights)
         ev = self.exposure_ev
         if linear:
@@ -184,7 +207,19 @@ class Convert:
         tone: Tone = "SRGB" if self.tone == "srgb" or model.tone_curve is None else "LEARNED"
         look = Look(DEVELOPED_EV if ev is None else ev, levels, tone)
         told = look_comment(look.exposure_ev, levels, tone, model.lights)
-        return _cloud_of(model, developed(model, look)), told
+        colours = developed(model, look)
+        cameras = [] if self.quick else self._cameras(source)
+        if not cameras:
+            return _cloud_of(model, colours), f"{told}, each Gaussian by itself"
+        return _cloud_of(model, fitted(source, colours, look, cameras, show)), f"{told}, {FITTED}"
+
+    def _cameras(self, source: Source) -> list[Camera]:
+        """From where a model is seen; none where nobody says."""
+        if source.run is not None:
+            if self.cameras is not None:
+                raise BadValueError("a run has its own cameras", "Leave --cameras out.")
+            return [view.camera for view in source.run.scene.train]
+        return [] if self.cameras is None else training_cameras(self.cameras)
 
     def _write(self, target: Target, cloud: SplatCloud, comments: Sequence[str]) -> None:
         if target.name == "PLY":
@@ -204,12 +239,26 @@ class Convert:
 
 
 def developed(model: Model, look: Look) -> np.ndarray:
-    """``[N, K, 3]``: SH of the display colours (colour = Σ sh·Y + ½) that a model's look becomes.
+    """``[N, K, 3]``: SH of the display colours (colour = Σ sh·Y + ½) of a model's look, each by itself.
 
-    The one place where a model is developed for another program's file. Raises what ``display_colour_sh``
-    raises.
+    Raises what ``display_colour_sh`` raises.
     """
     return display_colour_sh(model, 2.0**look.exposure_ev, look.levels, look.tone)
+
+
+def fitted(
+    source: Source, colours: np.ndarray, look: Look, cameras: Sequence[Camera], show: Told
+) -> np.ndarray:
+    """``colours`` of ``developed`` fitted so that their blend is the picture of the model, or of the run."""
+    from ..export.fitted_bake import fitted_colour_sh, method_picture, model_picture
+
+    assert source.model is not None
+    exposure = 2.0**look.exposure_ev
+    if source.run is not None and look.tone == "LEARNED":
+        picture = method_picture(source.run.method, exposure, look.levels)
+    else:
+        picture = model_picture(source.model, exposure, look.levels, look.tone)
+    return fitted_colour_sh(source.model, colours, cameras, picture, show)
 
 
 def read_source(path: Path, data: Path | None = None, is_linear: bool = False) -> Source:
@@ -261,7 +310,7 @@ def _of_run(folder: Path, data: Path | None) -> Source:
     viewpoint = np.mean([view.camera.position for view in run.scene.train], axis=0)
     exposures = run.scene.train[0].exposures
     model = to_model(run.on_gaussians(), viewpoint, exposures, run.provenance)
-    return Source(model, facts=tuple(run.provenance.items()))
+    return Source(model, facts=tuple(run.provenance.items()), run=run)
 
 
 def _of_cloud(path: Path, cloud: SplatCloud, is_linear: bool) -> Source:

@@ -20,9 +20,10 @@ from ...bridge.lights import check_lights
 from ...bridge.limits import EXPOSURE, LEVEL, is_number
 from ...bridge.regular import read_json_object
 from ...bridge.run_folder import VIEWS_FILE, VIEWS_FORMAT, VIEWS_VERSION
-from ..scene import Camera, Scene, View
+from ..scene import Camera, Scene, View, read_scene
 from ..scene.scene import PictureCache
 from ..scene.source import plain
+from ..train.config import CONFIG_FILE, read_config
 
 RESTORE = "Restore a copy, or name the run's data set."
 
@@ -83,6 +84,18 @@ def read_views(folder: Path, root: Path) -> Scene:
         )
     except (KeyError, TypeError, ValueError, AttributeError, BadValueError, DataMismatchError) as error:
         raise FileDamagedError(f"{path} does not hold a data set's views: {error!s:.80}", RESTORE) from error
+
+
+def training_cameras(folder: Path) -> list[Camera]:
+    """The cameras of the training views of a run, or of a data set. Raises what reading either raises."""
+    if (folder / VIEWS_FILE).exists():
+        scene = read_views(folder, folder)
+    elif (folder / CONFIG_FILE).exists():
+        written = read_config(folder / CONFIG_FILE)
+        scene = read_scene(written.data, written.config.downscale, written.config.color_space)
+    else:
+        scene = read_scene(folder)
+    return [view.camera for view in scene.train]
 
 
 def require_same_views(folder: Path, scene: Scene) -> None:

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""``physhdr convert`` fits display colours: to a run's pictures, or to a model's from given cameras."""
+
+import json
+
+import numpy as np
+import pytest
+
+from physhdr.backend.cli import main
+from physhdr.bridge.gaussian_ply import read_ply
+
+
+@pytest.fixture(scope="module")
+def run(tiny_data, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs") / "run"
+    assert main(["train", str(tiny_data), "--out", str(folder), "--iterations", "30"]) == 0
+    assert main(["export", str(folder), "--exposure-ev", "0"]) == 0
+    return folder
+
+
+def colours(path):
+    columns = read_ply(path).columns
+    return np.stack([columns[name] for name in columns if name.startswith(("f_dc", "f_rest"))], axis=1)
+
+
+def test_a_run_a_model_with_its_cameras_and_the_export_agree(run, tiny_data, tmp_path):
+    """The preset's response is global: the model file's picture is the run's."""
+    model, ev = str(run / "model.safetensors"), ["--exposure-ev", "0"]
+    expected = colours(run / "baked.ply")
+    sources = [[str(run)], [model, "--cameras", str(run)], [model, "--cameras", str(tiny_data)]]
+    for index, (source, *cameras) in enumerate(sources):
+        out = tmp_path / f"{index}.ply"
+        assert main(["convert", source, str(out), *cameras, *ev]) == 0
+        np.testing.assert_allclose(colours(out), expected, atol=0.01)
+    quick = []
+    for index, (source, *words) in enumerate([[str(run), "--quick"], [model]]):
+        out = tmp_path / f"quick_{index}.ply"
+        assert main(["convert", source, str(out), *words, *ev]) == 0
+        quick.append(colours(out))
+    np.testing.assert_allclose(quick[0], quick[1], atol=1e-6)
+    assert np.abs(quick[0] - expected).max() > 0.05
+
+
+def test_a_program_is_told_how_far_it_is(run, tmp_path, capsys):
+    capsys.readouterr()
+    model = str(run / "model.safetensors")
+    out = tmp_path / "a.ply"
+    assert main(["convert", model, str(out), "--cameras", str(run), "--tone", "srgb", "--json"]) == 0
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert lines[-1]["result"]["gaussians"] > 60 and "fitted" in lines[-1]["result"]["told"]
+    assert lines[-2]["progress"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["a.ply", "--cameras", "nowhere"], "nowhere"),
+        (["a.ply", "--cameras", "RUN", "--quick"], "--quick does not fit"),
+        (["a.glb", "--cameras", "RUN", "--blend-linear", "--tone", "srgb"], "is of display colours"),
+        (["a.safetensors", "--quick"], "is of display colours"),
+    ],
+)
+def test_what_does_not_fit_is_refused(run, tmp_path, capsys, words, message):
+    out, *options = [str(run) if word == "RUN" else word for word in words]
+    assert main(["convert", str(run / "model.safetensors"), str(tmp_path / out), *options]) == 1
+    assert message in capsys.readouterr().err and not (tmp_path / out).exists()
+
+
+def test_a_run_has_its_own_cameras(run, tmp_path, capsys):
+    assert main(["convert", str(run), str(tmp_path / "a.ply"), "--cameras", str(run)]) == 1
+    assert "a run has its own cameras" in capsys.readouterr().err
