@@ -43,8 +43,10 @@ class Format:
     suffixes: tuple[str, ...]
     #: Whether a file that begins with these bytes is one.
     begins: Callable[[bytes], bool]
-    #: Reads it; ``None``: that needs the backend.
+    #: Reads it; ``None``: Python alone does not.
     read: Callable[[Path], SplatCloud] | None = None
+    #: What to do with what is not read.
+    remedy: str = CONVERT
 
 
 def _never(_: bytes) -> bool:
@@ -65,7 +67,18 @@ FORMATS = (
     ),
     Format("KSPLAT", (".ksplat",), _never, ksplat.read_ksplat),
     Format("splat", (".splat",), _never, read_splat),
-    Format("CSV", (".csv",), _never),
+    Format(
+        "LCC",
+        (".lcc", ".lcc2"),
+        _never,
+        remedy="Convert it with splat-transform (PlayCanvas): splat-transform IN.lcc OUT.ply",
+    ),
+    Format(
+        "CSV",
+        (".csv",),
+        _never,
+        remedy="It is a list for people, which no program reads back: take the file that it was made of.",
+    ),
 )
 #: Suffixes of what Python alone reads.
 SUFFIXES = tuple(suffix for each in FORMATS if each.read for suffix in each.suffixes)
@@ -93,7 +106,7 @@ def read_any(path: Path) -> SplatCloud:
     path = Path(path)
     found = format_of(path)
     if found.read is None:
-        raise BadValueError(f"{path}: {found.name} is not read here", CONVERT)
+        raise BadValueError(f"{path}: {found.name} is not read here", found.remedy)
     return found.read(path)
 
 

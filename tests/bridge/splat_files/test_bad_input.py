@@ -96,7 +96,6 @@ def test_a_picture_with_the_wrong_suffix(tmp_path: Path, name: str) -> None:
         ("a.gltf", b"{}", "glTF"),
         ("a.usdc", b"PXR-USDC", "USD"),
         ("a.usdz", b"PK\3\4", "USD"),
-        ("a.csv", b"x,y,z\n", "CSV"),
     ],
 )
 def test_what_needs_the_backend_says_how(tmp_path: Path, name: str, start: bytes, called: str) -> None:
@@ -104,6 +103,15 @@ def test_what_needs_the_backend_says_how(tmp_path: Path, name: str, start: bytes
     for read in (read_splat_file, read_gaussians):
         with pytest.raises(BadValueError, match=rf"{called} is not read here\n.*physhdr convert IN OUT.ply"):
             read(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"), [("a.csv", "made of"), ("a.lcc", "splat-transform IN.lcc OUT.ply")]
+)
+def test_what_the_backend_does_not_read_either(tmp_path: Path, name: str, words: str) -> None:
+    (tmp_path / name).write_text("x,y,z\n")
+    with pytest.raises(BadValueError, match=rf"is not read here\n.*{words}"):
+        read_splat_file(tmp_path / name)
 
 
 def test_what_nobody_knows(tmp_path: Path) -> None:
