@@ -4,7 +4,7 @@
 BACKEND := .venvs/backend/bin/python
 BLENDER := .venvs/run-blender
 PYTHON ?= python3
-# A machine with a card may have torch and gsplat in its own Python, and no .venvs/.
+# A machine with a card may have torch and warp-lang in its own Python, and no .venvs/.
 WITH_TORCH := $(if $(wildcard $(BACKEND)),$(BACKEND),$(PYTHON))
 
 .DEFAULT_GOAL := help
@@ -44,7 +44,7 @@ report: setup ## The comparison, faults, lengths, the paper's steps: docs/tables
 	@for plan in $(PLANS); do .venvs/backend/bin/physhdr benchmark --plan benchmarks/$$plan.toml --jobs 2 \
 		--out runs/report/$$plan --report docs/tables/$$plan.md $(if $(LPIPS),--lpips-weights $(LPIPS)) || exit; done
 
-gpu-check: ## Is the CUDA path right, and how fast? Says so and ends where there is no card
+gpu-check: ## Is what a card computes right, and how fast? Says so and ends where there is no card
 	@$(WITH_TORCH) tools/gpu_check.py
 
 gui-test: setup ## The extension in a real Blender window; says so and ends where there can be none

@@ -1,13 +1,16 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Is the CUDA path right, and how fast is it? Runs by itself on a machine with a card, torch and gsplat.
+"""Is what a card computes right, and how fast? Runs by itself on a machine with a card, torch and warp-lang.
 
     make gpu-check
     python3 tools/gpu_check.py --json gpu.json --profile
+    python3 tools/gpu_check.py --only warp
 
-Compares pictures, gradients, whole iterations and short trainings on the card with the CPU's, then measures.
-Ends with 0 where all comparisons hold, with 1 where one fails; where there is no card it says so and ends
-with 0. ``--rehearse`` runs every line of it on the CPU in small sizes, without a card.
+Two ways to compute on a card are checked, each where it is installed: Warp's kernels, which need nothing but
+the card's driver, and gsplat's, which need nvcc. Compares pictures, gradients, whole iterations and short
+trainings with the CPU's, then measures. Ends with 0 where all comparisons hold, with 1 where one fails or
+neither way works; where there is no card it says so and ends with 0. ``--rehearse`` runs every line of it on
+the CPU in small sizes, without a card.
 """
 
 import argparse
@@ -35,6 +38,12 @@ class Sizes:
     figure_picture: int = 400
     figure_views: int = 35
     repeats: int = 200
+    #: (Gaussians, pixels of a side): 1307² are as many pixels as 1600×1067.
+    grid: tuple[tuple[int, int], ...] = (
+        *((50_000, 400), (200_000, 400), (1_000_000, 400)),
+        *((50_000, 1307), (200_000, 1307), (1_000_000, 1307)),
+    )
+    grid_repeats: int = 30
 
 
 #: Without Numba the oracle is plain torch, which is slow.
@@ -50,6 +59,8 @@ REHEARSAL = Sizes(
     figure_picture=16,
     figure_views=2,
     repeats=2,
+    grid=((60, 16),),
+    grid_repeats=2,
 )
 PRESET_NAMES = ("default", "paper")
 
@@ -59,6 +70,7 @@ def main() -> int:
     parser.add_argument("--json", type=Path, help="also write everything to this file")
     parser.add_argument("--profile", action="store_true", help="also say which kernels take the time")
     parser.add_argument("--rehearse", action="store_true", help="everything on the CPU, in small sizes")
+    parser.add_argument("--only", choices=("cuda", "warp"), help="check this way alone (cuda: gsplat)")
     parser.add_argument("--bare", action="store_true", help="as if only torch and NumPy were installed")
     arguments = parser.parse_args()
 
@@ -75,14 +87,17 @@ def main() -> int:
     if absent:
         _say(f"not installed, not needed: {', '.join(absent)}")
     started = time.perf_counter()
-    unusable = None if arguments.rehearse else _unusable()
-    if unusable:
-        _say(f"FAILED: {unusable}")
+    sides = _rehearsed(arguments.only) if arguments.rehearse else _usable(arguments.only)
+    if not sides:
+        _say("FAILED: nothing can be computed on this card")
         return 1
     report: dict[str, Any] = {"machine": _machine(), "kernels_ready_s": time.perf_counter() - started}
     _say(f"{report['machine']}; kernels ready after {report['kernels_ready_s']:.0f} s")
 
-    passed = _check(arguments, "numba" not in absent, report)
+    passed = True
+    for side in sides:
+        report[side.name] = {}
+        passed &= _check(side, arguments, "numba" not in absent, report[side.name])
     if arguments.json:
         arguments.json.parent.mkdir(parents=True, exist_ok=True)
         arguments.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
@@ -90,18 +105,13 @@ def main() -> int:
     return 0 if passed else 1
 
 
-def _check(arguments: argparse.Namespace, has_numba: bool, report: dict[str, Any]) -> bool:
+def _check(side: Any, arguments: argparse.Namespace, has_numba: bool, report: dict[str, Any]) -> bool:
     """Compare, then measure; fills ``report`` and says whether every comparison holds."""
-    import torch
     from card import figures, parity
-    from card.side import Side, oracle
+    from card.side import oracle
 
     judge = oracle(has_numba)
-    if arguments.rehearse:
-        side, sizes = Side("rehearsal", torch.device("cpu"), "reference", plain=True), REHEARSAL
-    else:
-        side, sizes = Side("card", torch.device("cuda"), "cuda"), PLAIN if judge.plain else Sizes()
-
+    sizes = REHEARSAL if arguments.rehearse else PLAIN if judge.plain else Sizes()
     findings: list[parity.Finding] = []
 
     def found(finding: parity.Finding) -> None:
@@ -109,10 +119,12 @@ def _check(arguments: argparse.Namespace, has_numba: bool, report: dict[str, Any
         verdict = "ok" if finding.passed else "FAILED"
         _say(f"{finding.what:<72} {finding.error:9.2g} ≤ {finding.allowed:g} {finding.unit:<2} {verdict}")
 
-    _say(f"\nagainst {judge.name}: relative errors")
+    _say(f"\n{side.name} against {judge.name}: relative errors")
     for channels in sizes.channels:
         for finding in parity.rasteriser(side, judge, sizes.gaussians, channels):
             found(finding)
+    if side.way == "warp":
+        found(parity.same_bits(side, sizes.gaussians, 6))
     picture, count = sizes.picture, sizes.training_gaussians
     for name in PRESET_NAMES:
         for finding in parity.iteration(side, judge, name, picture, count):
@@ -122,14 +134,25 @@ def _check(arguments: argparse.Namespace, has_numba: bool, report: dict[str, Any
     report["parity"] = [asdict(f) | {"passed": f.passed} for f in findings]
 
     measured: list[figures.Figure] = []
+
+    def show(figure: figures.Figure) -> None:
+        measured.append(figure)
+        _say(f"{figure.what:<72} {figure.value:10.3g} {figure.unit:<6} {figure.target}")
+
     size = sizes.figure_picture
-    _say(f"\n{sizes.figure_gaussians} Gaussians, {size}×{size} pixels")
+    _say(f"\n{side.name}: {sizes.figure_gaussians} Gaussians, {size}×{size} pixels")
     for name in PRESET_NAMES:
         for figure in figures.preset(
             side, name, sizes.figure_gaussians, size, sizes.figure_views, sizes.repeats
         ):
-            measured.append(figure)
-            _say(f"{figure.what:<60} {figure.value:10.3g} {figure.unit:<6} {figure.target}")
+            show(figure)
+    _say(f"\n{side.name}: by size")
+    for gaussians, pixels in sizes.grid:
+        for figure in figures.rasteriser(side, gaussians, pixels, sizes.grid_repeats):
+            show(figure)
+        for name in PRESET_NAMES:
+            for figure in figures.iterations(side, name, gaussians, pixels, 2, sizes.grid_repeats):
+                show(figure)
     report["figures"] = [asdict(f) | {"target": f.target} for f in measured]
     if arguments.profile:
         report["profile"] = {}
@@ -140,27 +163,58 @@ def _check(arguments: argparse.Namespace, has_numba: bool, report: dict[str, Any
     return all(f.passed for f in findings)
 
 
-def _unusable() -> str | None:
-    """Make the kernels ready; why they cannot be used, or ``None``."""
-    from physhdr.backend.device import choose_device
-    from physhdr.bridge.errors import BadValueError
+def _usable(only: str | None) -> list[Any]:
+    """The ways that work on this card, made ready; says why another does not."""
+    import torch
+    from card.side import Side
 
-    try:
-        choose_device("cuda", report=_say)
-    except BadValueError as error:
-        return str(error)
-    return None
+    from physhdr.backend.device import BUILDING
+    from physhdr.backend.rasterize import card, cuda
+
+    sides, device = [], torch.device("cuda")
+    if only != "cuda":
+        reason = card.warp_unavailable_reason()
+        if reason is None:
+            sides.append(Side("Warp", device, "warp", way="warp"))
+        else:
+            _say(f"not by Warp: {reason}")
+    if only != "warp":
+        if not cuda.is_built():
+            _say(BUILDING)
+        reason = cuda.unavailable_reason()
+        if reason is None:
+            sides.append(Side("gsplat", device, "cuda", way="cuda"))
+        else:
+            _say(f"not by gsplat: {reason}")
+    return sides
+
+
+def _rehearsed(only: str | None) -> list[Any]:
+    """In place of a card the reference, and Warp's own kernels where it is installed."""
+    from importlib.util import find_spec
+
+    import torch
+    from card.side import Side
+
+    cpu = torch.device("cpu")
+    sides = [Side("rehearsal", cpu, "reference", plain=True)] if only != "warp" else []
+    if only != "cuda" and find_spec("warp"):
+        sides.append(Side("rehearsal by Warp", cpu, "warp", way="warp"))
+    return sides
 
 
 def _machine() -> str:
     import torch
 
-    try:
-        gsplat = metadata.version("gsplat")
-    except metadata.PackageNotFoundError:
-        gsplat = "none"
+    def version(package: str) -> str:
+        try:
+            return metadata.version(package)
+        except metadata.PackageNotFoundError:
+            return "none"
+
     card = torch.cuda.get_device_name() if torch.cuda.is_available() else "no card"
-    return f"{card}, torch {torch.__version__}, gsplat {gsplat}, Python {platform.python_version()}"
+    packages = f"warp-lang {version('warp-lang')}, gsplat {version('gsplat')}"
+    return f"{card}, torch {torch.__version__}, {packages}, Python {platform.python_version()}"
 
 
 def _skip(why: str) -> int:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import torch
 
+from physhdr.backend.rasterize import rasterize
 from physhdr.backend.train.config import TrainConfig
 from physhdr.backend.train.presets import PRESETS
 
@@ -98,6 +99,49 @@ def preset(side: Side, name: str, count: int, size: int, views: int, repeats: in
         yield Figure(f"{name}: HDR pictures", 1.0 / hdr, "/s")
 
 
+def rasteriser(side: Side, count: int, size: int, repeats: int, channels: int = 6) -> Iterator[Figure]:
+    """Milliseconds of drawing ``count`` Gaussians in ``size``² pixels and of the way back."""
+    leaves, camera = synthetic.gaussians(count, channels, size)
+    leaves = [t.detach().to(side.device).requires_grad_() for t in leaves]
+    grad = torch.rand(channels, size, size, generator=torch.Generator().manual_seed(0)).to(side.device)
+
+    def forward() -> torch.Tensor:
+        return rasterize(*leaves, camera, implementation=side.implementation).image
+
+    def both() -> None:
+        forward().backward(grad)
+
+    with side.computing():
+        side.seconds(both, max(2, repeats // 10))
+        name = f"{count} Gaussians, {size}×{size}, {channels} channels"
+        with torch.no_grad():
+            yield Figure(f"{name}: drawn", 1e3 * side.seconds(forward, repeats), "ms")
+        side.forget_peak()
+        yield Figure(f"{name}: drawn and back", 1e3 * side.seconds(both, repeats), "ms")
+        if allocated := side.peak_bytes()[0]:
+            yield Figure(f"{name}: peak memory", allocated / 1e9, "GB")
+        if side.way == "warp":
+            torch.use_deterministic_algorithms(True)
+            try:
+                side.seconds(both, max(2, repeats // 10))
+                yield Figure(f"{name}: with sorted accumulation", 1e3 * side.seconds(both, repeats), "ms")
+            finally:
+                torch.use_deterministic_algorithms(False)
+
+
+def iterations(side: Side, preset: str, count: int, size: int, views: int, repeats: int) -> Iterator[Figure]:
+    """Milliseconds of an iteration at one size, and the memory."""
+    with side.computing():
+        trainer = make_trainer(side, preset, count, size, views)
+        for _ in range(max(2, repeats // 10)):
+            trainer.step()
+        side.forget_peak()
+        name = f"{preset}, {count} Gaussians, {size}×{size}"
+        yield Figure(f"{name}: iteration", 1e3 * side.seconds(trainer.step, repeats), "ms")
+        if allocated := side.peak_bytes()[0]:
+            yield Figure(f"{name}: peak memory", allocated / 1e9, "GB")
+
+
 def _peak(side: Side, name: str) -> Iterator[Figure]:
     allocated, reserved = side.peak_bytes()
     if allocated:
@@ -106,7 +150,7 @@ def _peak(side: Side, name: str) -> Iterator[Figure]:
 
 
 def _waits(side: Side, trainer: truth.TrainerOn) -> float:
-    """How often a step makes the host wait for the card, as torch counts it. gsplat's own count is one."""
+    """How often a step makes the host wait for the card, as torch counts it; once for the pairs."""
     if side.device.type != "cuda":
         return 0.0
     side.wait()

@@ -81,6 +81,35 @@ def rasteriser(side: Side, oracle: Side, count: int, channels: int) -> Iterator[
         yield Finding(f"{name}: gradient of {key}", relative(gradients[key], expected), GRADIENT)
 
 
+def same_bits(side: Side, count: int, channels: int) -> Finding:
+    """With torch's deterministic algorithms: how many of a picture's and its gradients' numbers differ when
+    they are computed twice."""
+    torch.use_deterministic_algorithms(True)
+    try:
+        generator = torch.Generator().manual_seed(channels)
+        means = torch.randn(count, 3, generator=generator) - torch.tensor([0.0, 0.0, 3.0])
+        tensors = (
+            means,
+            torch.randn(count, 4, generator=generator),
+            count ** (-1 / 3) * (0.6 + torch.rand(count, 3, generator=generator)),
+            torch.rand(count, generator=generator),
+            torch.rand(count, channels, generator=generator),
+        )
+        camera = Camera(np.eye(4), 131, 93, 105.0, 111.0, 68.0, 44.0)
+
+        def numbers() -> list[torch.Tensor]:
+            leaves = [t.clone().to(side.device).requires_grad_() for t in tensors]
+            with side.computing():
+                drawn = rasterize(*leaves, camera, implementation=side.implementation)
+                drawn.image.square().sum().backward()
+            return [drawn.image.detach(), *(t.grad for t in leaves if t.grad is not None)]
+
+        different = sum(int((a != b).sum()) for a, b in zip(numbers(), numbers(), strict=True))
+    finally:
+        torch.use_deterministic_algorithms(False)
+    return Finding("sorted accumulation: numbers that differ the second time", float(different), 0.0)
+
+
 def iteration(side: Side, oracle: Side, preset: str, size: int, count: int) -> Iterator[Finding]:
     """One iteration: the loss and the gradient of every parameter, Gaussians' and networks'."""
 

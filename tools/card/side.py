@@ -11,21 +11,25 @@ import torch
 
 from physhdr.backend.kernels import plain_torch
 from physhdr.backend.rasterize import Implementation, rasterize
+from physhdr.backend.rasterize.card import Way, using
 from physhdr.backend.scene.camera import Camera
 
 
 @dataclass(frozen=True)
 class Side:
-    """Where something is computed, by which rasteriser, and whether by the plain-torch twins."""
+    """Where something is computed, by which rasteriser and whose other kernels (``way``), and whether by the
+    plain-torch twins."""
 
     name: str
     device: torch.device
     implementation: Implementation
     plain: bool = False
+    way: Way | None = None
 
     @contextlib.contextmanager
     def computing(self) -> Iterator[None]:
-        with plain_torch() if self.plain else contextlib.nullcontext():
+        plain = plain_torch() if self.plain else contextlib.nullcontext()
+        with plain, using(self.way) if self.way else contextlib.nullcontext():
             yield
 
     def wait(self) -> None:
