@@ -32,6 +32,9 @@ Tone = Literal["LEARNED", "SRGB"]
 #: What a baked PLY's header says of each.
 TONE_WORDS: dict[Tone, str] = {"LEARNED": "the learned response", "SRGB": "the sRGB curve"}
 
+#: What a PLY's header says of colours that were fitted, beside the look that they are of.
+FITTED_COMMENT = "colours fitted to pictures: their blend is the model's own picture, response after blending"
+
 #: Display colours below this (2.5 of 255) are lifted to it before their logarithm is taken: black has none,
 #: and a deeper floor makes the fit ring. The fitted colour of random degree 3 Gaussians is then off by 0.006
 #: of 1 (root mean square) where their coefficients vary by 0.05, tests/bridge/test_ply_model.py.
@@ -114,6 +117,20 @@ def display_colour_sh(
 
     function = learned if tone == "LEARNED" else through_srgb
     return refit(sh, function, basis(directions, degree), project)
+
+
+def turned_colour_sh(colour_sh: np.ndarray, to_world: np.ndarray) -> np.ndarray:
+    """``[N, K, 3]``: the display colours ``colour_sh`` as they are seen under ``to_world`` ``[3, 3]``.
+
+    ω in the world is seen from along ``to_world⁻¹ ω``. Exact for rotations and uniform scales, least squares
+    over all directions else.
+    """
+    degree = degree_of(colour_sh.shape[1])
+    directions = fibonacci_sphere(FIT_DIRECTIONS)
+    local = directions @ np.linalg.inv(to_world).T
+    local /= np.linalg.norm(local, axis=1, keepdims=True)
+    turn = np.linalg.pinv(basis(directions, degree)) @ basis(local, degree)
+    return np.einsum("jk,nkc->njc", turn.astype(np.float32), colour_sh)
 
 
 def look_comment(exposure_ev: float, level: Levels, tone: Tone, lights: Sequence[str] = (AMBIENT,)) -> str:

@@ -11,9 +11,16 @@ from types import ModuleType
 
 import pytest
 
-_spec = importlib.util.spec_from_file_location("fuzzing", Path(__file__).parent / "fuzzing.py")
-_fuzzing = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(_fuzzing)
+
+def _module(name: str) -> ModuleType:
+    """``NAME.py`` beside this file."""
+    spec = importlib.util.spec_from_file_location(name, Path(__file__).parent / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+_fuzzing = _module("fuzzing")
 
 #: Seconds that a read may take where a reader that opens a FIFO would wait for ever.
 PATIENCE = 20
@@ -23,6 +30,12 @@ PATIENCE = 20
 def fuzzing() -> ModuleType:
     """``tests/fuzzing.py``: ``mutations``, ``json_mutations`` and the values that they put in."""
     return _fuzzing
+
+
+@pytest.fixture(scope="session")
+def viewer() -> ModuleType:
+    """``tests/viewer.py``: what a viewer of standard PLYs draws. It needs torch."""
+    return _module("viewer")
 
 
 @pytest.fixture

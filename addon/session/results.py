@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A run's evaluation, videos and web page, as the panel asks for them and says them. Pure but for reading the
-figures.
+"""A run's evaluation, videos, web page and a model's bake, as the panel asks for them and says them. Pure but
+for reading the figures.
 
-All are the backend's work (``physhdr evaluate``, ``video``, ``export --web``), in a process of its own.
+All are the backend's work (``physhdr evaluate``, ``video``, ``export --web``, ``convert``), in a process of
+its own.
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -17,7 +19,7 @@ from ...bridge.run_folder import CHECKPOINT_FILE, EVALUATION_FILE, same_folder
 from .state import CHECK, INSTALL, State
 
 #: The tasks' names.
-EVALUATE, VIDEO, WEB = "evaluate", "video", "web"
+EVALUATE, VIDEO, WEB, BAKE = "evaluate", "video", "web", "bake"
 #: PSNR in dB at which a picture beside its photograph is …
 QUALITIES = (
     (38.0, "excellent"),
@@ -96,6 +98,18 @@ def web_command(run: str, out: str, data: str = "", single_file: bool = True) ->
     """The arguments of the backend's command that writes a web page: ``out``, one file or a folder."""
     alone = ["--single-file"] if single_file else []
     return ["export", run, "--web", out, *alone, *_data(data), "--json"]
+
+
+def bake_command(
+    model: str, out: str, cameras: str, exposure_ev: float, levels: Mapping[str, float], tone: str
+) -> list[str]:
+    """The arguments of the backend's command that fits a model's display colours: ``out``, a PLY.
+
+    ``cameras``: the run or data set from whose cameras; ``levels`` of the lights by name.
+    """
+    told = [f"{name}={level:.9g}" for name, level in levels.items()]
+    look = [f"--exposure-ev={exposure_ev:.9g}", "--tone", tone.lower(), "--lighting-levels", *told]
+    return ["convert", model, out, "--cameras", cameras, "--json", *look]
 
 
 def why_not(state: State, task: str, run: str = "given") -> str:

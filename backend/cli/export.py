@@ -3,17 +3,18 @@
 
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import tyro
 
-from ...bridge.display import display_colour_sh, look_comment, look_words
+from ...bridge.display import FITTED_COMMENT, display_colour_sh, look_comment, look_words
 from ...bridge.errors import BadValueError
 from ...bridge.gaussian_ply import standard_columns, write_lossless_ply, write_standard_ply
 from ...bridge.limits import EV_MAX
 from ...bridge.model_file import write_model
 from ..export import BAKED_FILE, LOSSLESS_FILE, MODEL_FILE
 from ..export.baked import confidence_column, network_comments, parameter_columns
-from ..export.fitted_bake import FITTED_COMMENT, fitted_colour_sh, method_picture
+from ..export.fitted_bake import fitted_colour_sh, method_picture
 from ..model.gaussians import Gaussians
 from ..runs.files import writable_folder
 from ..runs.run import open_run
@@ -85,7 +86,7 @@ class Export:
             with progress("colours", "step", as_json=False) as show:
                 picture = method_picture(run.method, exposure, levels)
                 colours = fitted_colour_sh(model, colours, cameras, picture, show)
-        standard = {
+        standard: dict[str, Any] = {
             "positions": model.position,
             "rotations": model.rotation,
             "scales": model.scale,

@@ -45,9 +45,6 @@ RIDGE = 1e-3
 #: Conjugate gradients' steps after each choice of what is at the floor.
 STEPS = (15, 15)
 
-#: What a PLY's header says of such colours, beside what look they are of.
-FITTED_COMMENT = "colours fitted to pictures: their blend is the model's own picture, response after blending"
-
 Picture = Callable[[Camera], np.ndarray]
 #: Told (steps done, of how many, what is done).
 Show = Callable[[int, int, str], None]

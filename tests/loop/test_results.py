@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Evaluation, video and web page from Blender with the real backend: figures and frames are its own."""
+"""Evaluation, video, web page and bake from Blender with the real backend: figures and frames are its own."""
 
 import importlib.util
 import json
@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from plyfile import PlyData
 
 from physhdr.backend.evaluate.metrics import psnr
 from physhdr.backend.runs.run import open_run
@@ -38,10 +39,12 @@ def run(tmp_path_factory) -> Path:
     data = tiny_scene().write_tiny_scene(folder / "data")
     command = [sys.executable, ROOT / "backend" / "launch.py", "train", data, "--out", folder / "run"]
     subprocess.run([*command, "--iterations", "60"], check=True, capture_output=True)
+    export = [sys.executable, ROOT / "backend" / "launch.py", "export", folder / "run", "--quick"]
+    subprocess.run(export, check=True, capture_output=True)
     return folder / "run"
 
 
-def test_a_run_is_evaluated_and_filmed_from_blender(run, in_blender, tmp_path):
+def test_a_run_is_evaluated_filmed_and_baked_from_blender(run, in_blender, viewer, tmp_path):
     in_blender("tests/loop/use_results.py", sys.executable, run, tmp_path)
     seen = json.loads((tmp_path / "seen.json").read_text())
     opened = open_run(run)
@@ -70,3 +73,26 @@ def test_a_run_is_evaluated_and_filmed_from_blender(run, in_blender, tmp_path):
         assert [frame.width for frame in video.decode(video=0)] == [48, 48]
     page = (tmp_path / "page.html").read_text()
     assert f'"name":"test/{opened.scene.test[0].index}"' in page and "MODEL_PART(0," in page
+    check_baked(opened, np.array(seen["matrix"]), tmp_path, viewer)
+
+
+def check_baked(opened, matrix, folder, viewer):
+    """What a standard viewer shows of the bakes, where the model stands, is the method's own picture."""
+    camera = opened.scene.test[0].camera
+    moved = Camera(
+        matrix @ camera.camera_to_world,
+        *(camera.width, camera.height),
+        camera.fx,
+        camera.fy,
+        camera.cx,
+        camera.cy,
+    )
+    with torch.no_grad():
+        own = opened.method.ldr(camera, 2.0**-0.5, (2.0,)).double()
+    far = []
+    for name in ("fitted.ply", "quick.ply"):
+        ply = PlyData.read(str(folder / name))
+        assert any("fitted to pictures" in line for line in ply.comments) == (name == "fitted.ply")
+        shown = viewer.viewed(ply["vertex"], moved).clamp(0.0, 1.0)
+        far.append(float((shown - own).square().mean().sqrt()))
+    assert far[0] < 0.5 * far[1], far

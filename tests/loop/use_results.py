@@ -10,6 +10,7 @@ import bpy
 
 import physhdr
 from physhdr.addon import runtime, settings
+from physhdr.addon.model import nodes
 from physhdr.addon.session.results import evaluation_of
 from physhdr.addon.session.state import PythonChosen
 
@@ -47,6 +48,21 @@ def main() -> None:
         filepath = str(Path(out) / "video")
         assert bpy.ops.physhdr.results_video(format=form, filepath=filepath, exposure=2.0) == {"FINISHED"}
     assert bpy.ops.physhdr.results_web(filepath=str(Path(out) / "page")) == {"FINISHED"}
+
+    # The model, turned and moved, as a standard PLY: fitted by the backend, whose word is waited for.
+    bpy.ops.physhdr.model_import(filepath=str(Path(run) / "model.safetensors"))
+    target = bpy.context.object
+    target.location, target.rotation_euler = (1.0, 2.0, 3.0), (0.3, -0.2, 0.5)
+    modifier = nodes.find_modifier(target)
+    nodes.set_input(modifier, nodes.EXPOSURE, -0.5)
+    nodes.set_input(modifier, nodes.LIGHTING_LEVEL, 2.0)
+    bpy.context.view_layer.update()
+    for name, quick in (("fitted.ply", False), ("quick.ply", True)):
+        filepath = str(Path(out) / name)
+        baked = bpy.ops.physhdr.model_bake(filepath=filepath, tone="LEARNED", quick=quick)
+        assert baked == {"FINISHED"}
+    assert not list(Path(bpy.app.tempdir).glob("physhdr_bake_*"))
+    seen["matrix"] = [list(row) for row in target.matrix_world]
     (Path(out) / "seen.json").write_text(json.dumps(seen))
 
 

@@ -21,12 +21,10 @@ from safetensors import safe_open
 
 from physhdr.backend.cli import main
 from physhdr.backend.methods.base import Facts
-from physhdr.backend.rasterize.reference import rasterize as reference
 from physhdr.backend.runs.run import open_run
 from physhdr.backend.train.checkpoint import load_checkpoint
 from physhdr.bridge.model_file import read_model
 from physhdr.bridge.ply_model import read_ply_model
-from physhdr.bridge.spherical_harmonics import basis
 
 SHORT = ["--iterations", "30", "--sh-degree-every", "5"]
 
@@ -119,7 +117,7 @@ def test_the_quick_standard_ply_is_each_gaussians_look(run):
     np.testing.assert_allclose(colour, total / 200, atol=0.03)
 
 
-def test_the_standard_ply_shows_our_picture(run):
+def test_the_standard_ply_shows_our_picture(run, viewer):
     """As 3DGS draws it: by the reference in float64, of a file that plyfile reads, from a test camera.
 
     These 60 Gaussians cover little; where nothing is, a viewer is black and the response of no light is not.
@@ -133,26 +131,9 @@ def test_the_standard_ply_shows_our_picture(run):
         assert main(["export", str(run), *words, "--exposure-ev", "3", "--lighting-level", "2"]) == 0
         ply = PlyData.read(str(run / "baked.ply"))
         assert any("fitted to pictures" in line for line in ply.comments) == (not words)
-        shown = viewed(ply["vertex"], camera)
+        shown = viewer.viewed(ply["vertex"], camera)
         far.append(float((shown.clamp(0.0, 1.0) - own).square().mean().sqrt()))
     assert far[0] < 0.35 * far[1], far
-
-
-def viewed(vertices, camera):
-    """What a viewer of standard PLYs draws: ``[3, H, W]``."""
-
-    def stacked(*names):
-        return torch.from_numpy(np.stack([vertices[name] for name in names], axis=1).astype(np.float64))
-
-    means = stacked(*"xyz")
-    rest = sum(p.name.startswith("f_rest_") for p in vertices.properties) // 3
-    sh = [stacked(*(f"f_dc_{c}" for c in range(3)))]
-    sh += [stacked(*(f"f_rest_{c * rest + k}" for c in range(3))) for k in range(rest)]
-    offset = means.numpy() - camera.position
-    y = basis(offset / np.linalg.norm(offset, axis=1, keepdims=True), int(np.sqrt(rest + 1)) - 1)
-    colours = (torch.einsum("nk,knc->nc", torch.from_numpy(y), torch.stack(sh)) + 0.5).clamp_min(0.0)
-    shape = stacked(*(f"rot_{k}" for k in range(4))), stacked(*(f"scale_{k}" for k in range(3))).exp()
-    return reference(means, *shape, stacked("opacity")[:, 0].sigmoid(), colours, camera, None).image
 
 
 def test_render_writes_radiance_and_pictures(run, tmp_path):
