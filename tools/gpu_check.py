@@ -72,13 +72,14 @@ def main() -> int:
     parser.add_argument("--rehearse", action="store_true", help="everything on the CPU, in small sizes")
     parser.add_argument("--only", choices=("cuda", "warp"), help="check this way alone (cuda: gsplat)")
     parser.add_argument("--bare", action="store_true", help="as if only torch and NumPy were installed")
+    parser.add_argument("--cubins", action="store_true", help="only print what Warp's CUBINs say; no card")
     arguments = parser.parse_args()
 
     try:
         import torch
     except ImportError:
         return _skip(f"this Python has no torch ({sys.executable})")
-    if not arguments.rehearse and not torch.cuda.is_available():
+    if not (arguments.rehearse or arguments.cubins) and not torch.cuda.is_available():
         return _skip("torch sees no CUDA device")
 
     from card.loading import DISPENSABLE, load_physhdr
@@ -86,6 +87,12 @@ def main() -> int:
     absent = load_physhdr(without=DISPENSABLE if arguments.bare else ())
     if absent:
         _say(f"not installed, not needed: {', '.join(absent)}")
+    if arguments.cubins:
+        from card import cubins
+
+        for line in cubins.table():
+            _say(line)
+        return 0
     started = time.perf_counter()
     sides = _rehearsed(arguments.only) if arguments.rehearse else _usable(arguments.only)
     if not sides:

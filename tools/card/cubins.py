@@ -6,11 +6,14 @@ CUBIN, an ELF file, in sections that NVIDIA's own tools print (``cuobjdump --dum
 not in the wheel, so they are read here.
 """
 
+import re
 import struct
-from collections.abc import Iterator
+import tempfile
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from physhdr.backend.kernels.card import harmonics, networks, similarity
 from physhdr.backend.rasterize.warp import arrays, projection, tiles
 
 wp = arrays.wp
@@ -77,13 +80,25 @@ def kernels_in(cubin: bytes) -> list[Kernel]:
     ]
 
 
+#: Networks of the presets: inputs, outputs, activation (response curves, fusion and composer, local curves).
+NETWORKS = ((1, 1, 1), (6, 3, 0), (5, 1, 0))
+
+
 def modules(channels: int) -> Iterator[tuple[str, int]]:
-    """The Warp modules of a training with so many channels, and the threads of a block of each."""
+    """The rasteriser's Warp modules for so many channels, and the threads of a block of each."""
     yield projection.project.module.name, arrays.BLOCK
     yield tiles.draw_kernel(channels).module.name, arrays.BLOCK
     backward = tiles.draw_backward_kernel(channels, False).module.name
     yield backward, tiles.WARP
     yield backward, tiles.TILE_PIXELS
+
+
+def other_modules() -> Iterator[tuple[str, int]]:
+    """Those of ``backend.kernels.card``."""
+    yield harmonics._evaluate.module.name, arrays.BLOCK
+    yield similarity._along_rows.module.name, arrays.BLOCK
+    for shape in NETWORKS:
+        yield networks._kernels(*shape)[0].module.name, arrays.BLOCK
 
 
 def compiled(module: str, block: int, architecture: int, folder: Path) -> list[Kernel]:
@@ -92,3 +107,26 @@ def compiled(module: str, block: int, architecture: int, folder: Path) -> list[K
     into = folder / f"{module}_{block}"
     (path, *_) = wp.compile_aot_module(module, arch=architecture, module_dir=str(into), use_ptx=False)
     return kernels_in(Path(path).read_bytes())
+
+
+def table(
+    architectures: Sequence[int] = ARCHITECTURES, channels: Sequence[int] = (3, 6, 13, 32)
+) -> Iterator[str]:
+    """Markdown: of every kernel the registers on each card, and the stack and shared memory at most."""
+    found: dict[tuple[str, int], list[Kernel]] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for architecture in architectures:
+            seen = list(dict.fromkeys(m for count in channels for m in modules(count))) + list(
+                other_modules()
+            )
+            for module, block in seen:
+                for kernel in compiled(module, block, architecture, Path(folder)):
+                    name = re.sub(r"_[0-9a-f]{8}_cuda_kernel_forward$", "", kernel.name).split("__")[-1]
+                    row = f"`{module.removeprefix('physhdr_')}`: {name}"
+                    found.setdefault((row, block), []).append(kernel)
+    yield "| module: kernel | block | " + " | ".join(f"sm_{a}" for a in architectures) + " | stack | shared |"
+    yield "|---|---|" + "---|" * len(architectures) + "---|---|"
+    for (row, block), kernels in found.items():
+        registers = " | ".join(str(kernel.registers) for kernel in kernels)
+        most = max(k.stack for k in kernels), max(k.shared for k in kernels)
+        yield f"| {row} | {block} | {registers} | {most[0]} | {most[1]} |"

@@ -444,3 +444,13 @@ def test_kernels_fit_into_the_registers_of_every_card(warp, architecture, channe
         assert kernel.stack == 0, kernel
         assert 16 <= kernel.registers <= REGISTERS[channels], kernel
         assert kernel.shared <= 4096, kernel
+
+
+def test_other_kernels_fit_as_well(warp, tmp_path, monkeypatch):
+    """Spherical harmonics, SSIM, networks; on the card with the fewest registers for a thread."""
+    monkeypatch.syspath_prepend(str(ROOT / "tools"))
+    from card import cubins
+
+    for module, block in cubins.other_modules():
+        for kernel in cubins.compiled(module, block, 75, tmp_path):
+            assert kernel.stack == 0 and kernel.registers <= 128, kernel
