@@ -69,8 +69,11 @@ def write_shots(path: Path, shots: Shots) -> None:
         temporary.write_text(json.dumps(content) + "\n", encoding="utf-8")
 
 
-def read_shots(path: Path) -> Shots:
-    """Read the file; raises ``FileMissingError``, ``FileDamagedError`` or ``BadValueError`` that names it."""
+def read_shots(path: Path, fewest: int = 2) -> Shots:
+    """Read the file, of ``fewest`` frames or more.
+
+    Raises ``FileMissingError``, ``FileDamagedError`` or ``BadValueError`` that names it.
+    """
     content = read_json_object(Path(path))
     if content.get("format") != FORMAT or content.get("version") != VERSION:
         raise FileDamagedError(
@@ -80,8 +83,8 @@ def read_shots(path: Path) -> Shots:
     if not (_is_size(width) and _is_size(height) and _is_number(fps) and 0.0 < fps <= 240.0):
         raise BadValueError(f"{path}: w, h and fps must be above 0, fps at most 240")
     frames = content.get("frames")
-    if not isinstance(frames, list) or not 2 <= len(frames) <= MOST_FRAMES:
-        raise BadValueError(f"{path}: a video has from 2 to {MOST_FRAMES} frames")
+    if not isinstance(frames, list) or not fewest <= len(frames) <= MOST_FRAMES:
+        raise BadValueError(f"{path}: it must have from {fewest} to {MOST_FRAMES} frames")
     return Shots(width, height, float(fps), [_shot(path, i, row) for i, row in enumerate(frames)])
 
 

@@ -6,22 +6,18 @@ the process needed at most.
 """
 
 import json
-import signal
 import sys
 from pathlib import Path
 from typing import Any
 
 import psutil
 
-PR_SET_PDEATHSIG = 1  # Linux, prctl(2)
+from ..jobs.process import end_with_parent
 
 
 def main(argv: list[str]) -> int:
     threads, usage, *command = argv
-    if sys.platform == "linux":
-        import ctypes
-
-        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
+    end_with_parent()
     import torch
 
     from ..cli import main as physhdr

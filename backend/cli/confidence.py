@@ -80,7 +80,8 @@ def write_confidence_around(run: Run, at: tuple[float, float, float], width: int
 def _write(picture: np.ndarray, out: Path) -> list[Path]:
     """``[H, W, 3]`` as both files."""
     paths = [out.with_suffix(".exr"), out.with_suffix(".png")]
-    write_exr(paths[0], picture, {"physhdr": f"confidence: {MEANING}"})
+    # No colours: whoever manages them is to leave these numbers alone.
+    write_exr(paths[0], picture, {"physhdr": f"confidence: {MEANING}", "colorInteropID": "data"})
     write_png(paths[1], with_legend(picture[..., 0]))
     return paths
 

@@ -19,7 +19,7 @@ from ...bridge.panorama import near_distance
 from ...bridge.ply_model import read_ply_model
 from ...bridge.probe import WIDTH, Probe, begin, check_width, finish
 from ..device import DeviceName
-from ..evaluate.panorama import SPLATS_WIDTH, Draw, LitSplats, Report, lit_model, parted, surroundings
+from ..evaluate.panorama import SPLATS_WIDTH, Draw, Report, lit_model, surroundings
 from ..methods.base import Method, SplattingMethod
 from ..project import version
 from ..rasterize import Implementation
@@ -27,6 +27,7 @@ from ..runs.run import open_run
 from ..runs.terminal import console
 from ..scene import Camera
 from ..scene.pictures import write_exr
+from .layers import lights_apart, lit_splats
 from .prepare import ended_politely
 
 #: What is told of a model that cannot tell its lights apart.
@@ -173,32 +174,19 @@ class _OfSplats:
 
     def __init__(self, method: SplattingMethod) -> None:
         self._method, self.left_out = method, 0
-        # Where nothing is known of the light, a level scales all of it: it is all the first light's.
-        self.lights = method.lights if method.has_light_share or not method.can_relight else ()
+        self.lights = lights_apart(method)
         self.positions = method.backbone.positions.detach().cpu().numpy()
 
     def draw(self, place: Sequence[float], near: float) -> Draw:
         self.left_out = 0
 
         def draw(camera: Camera) -> tuple[torch.Tensor, torch.Tensor]:
-            splats = self._lit(camera)
+            splats = lit_splats(self._method, camera)
             kept = splats.beyond(place, near)
             self.left_out = max(self.left_out, len(splats.means) - len(kept.means))
             return kept.drawn(camera, self._method.implementation)
 
         return draw
-
-    def _lit(self, camera: Camera) -> LitSplats:
-        method = self._method
-        splats = method.backbone.splats(camera, method.active_sh_degree)
-        radiance = method.radiance_of(splats, None)
-        if not self.lights:
-            parts = radiance[None]
-        elif splats.light_share is not None:
-            parts = parted(radiance, splats.light_share)
-        else:
-            parts = parted(radiance, torch.ones_like(radiance)[:, None])
-        return LitSplats(splats.means, splats.quaternions, splats.scales, splats.opacities, parts)
 
 
 class _OfPictures:

@@ -1,26 +1,43 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""``physhdr render``: one picture from a trained run, scene-linear EXR or LDR PNG; or those of all views."""
+"""``physhdr render``: pictures of a trained run, scene-linear EXR or LDR PNG: one, a sequence, all views."""
 
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
+import torch
 import tyro
 
 from ...bridge.confidence import MEANING
-from ...bridge.errors import BadValueError
+from ...bridge.errors import BadValueError, FileMissingError
+from ...bridge.lights import as_levels
 from ...bridge.probe import WIDTH
+from ...bridge.shots import Shots
 from ..device import DeviceName
+from ..evaluate.camera_file import read_camera_file
+from ..evaluate.camera_path import camera_of, levels_of
 from ..evaluate.picture_folder import write_pictures
 from ..evaluate.results import VIEWS_OF
 from ..rasterize import Implementation
-from ..runs.run import open_run
+from ..runs.files import writable_folder
+from ..runs.run import Run, open_run
 from ..runs.terminal import console
 from ..scene import Camera, Scene
-from ..scene.pictures import write_exr, write_png
-from .confidence import write_confidence, write_confidence_around
+from .confidence import on_gaussians_and_sure, write_confidence, write_confidence_around
+from .layers import Sure
 from .lighting import levels_asked
+from .sequence import (
+    Frame,
+    Opened,
+    begin,
+    draw,
+    draw_all,
+    draw_at_once,
+    model_digest,
+    numbered,
+    plan_file,
+    threads_each,
+)
 from .told import progress
 
 
@@ -42,31 +59,47 @@ def camera_named(scene: Scene, name: str | None) -> Camera:
 
 @dataclass(frozen=True)
 class Render:
-    """Render a camera of the data set at any exposure and lighting level, or all that are evaluated."""
+    """Render a camera of the data set at any exposure and lighting level, or all that are evaluated.
+
+    Or numbered frames along a path of cameras (--camera), with layers for compositing (--layers).
+    """
 
     #: Folder of the run.
     folder: tyro.conf.Positional[Path]
     #: The picture to write: .exr (scene-linear radiance) or .png (through the learned response); with --split
-    #: a folder.
+    #: a folder; with --camera one for each frame: frames/name_####.exr.
     out: Path
     #: Every view of a split at every exposure, and its radiance, as physhdr evaluate --pictures takes them.
     split: Literal["test", "val"] | None = None
     #: Which camera: SPLIT/POSE; default: the first test view.
     view: str | None = None
+    #: A file of cameras instead: Blender's panel's, a path of nerfstudio's viewer (JSON), or a USD camera.
+    camera: Path | None = None
+    #: Which of a USD file's cameras, by its path or name; it may have one alone.
+    camera_prim: str | None = None
+    #: dataparser_transforms.json of the nerfstudio training whose viewer made the path: its world is another.
+    camera_space: Path | None = None
     #: Seconds; for .png only. Default: the middle exposure of the data set.
     exposure: float | None = None
     #: The first light, which is the ambient one wherever that has levels, relative to the standard views.
     lighting_level: float = 1.0
     #: Lights by name: NAME=VALUE …; those not named are at 1.
     lighting_levels: tuple[str, ...] = ()
-    #: Width in pixels (the height follows); default: the data set's.
+    #: Width in pixels (the height follows); default: the data set's, or that of the file of cameras.
     width: int | None = None
+    #: One .exr of all that can be told: radiance with alpha, depth, what each light causes, confidence.
+    #: docs/formats.md
+    layers: bool = False
     #: How likely the radiance is right, instead of the radiance: --out and its like as .exr (0 to 1) and .png
     #: (in colours, with a legend). docs/confidence.md
     confidence: bool = False
     #: With --confidence: in all directions from the place X Y Z, metres, as physhdr panorama draws the light
     #: there; --width is a power of two.
     at: tuple[float, float, float] | None = None
+    #: Processes that draw the frames of --camera, each with a part of the threads and memory of its own.
+    workers: int = 1
+    #: Draw all frames of --camera anew; else those that are there already are kept.
+    overwrite: bool = False
     #: The data set, where it has moved since training.
     data: Path | None = None
     rasteriser: Implementation = "auto"
@@ -75,25 +108,10 @@ class Render:
     def run(self) -> int:
         if self.split is not None:
             return self._all_of(self.split)
-        kind = self.out.suffix.lower()
-        if kind not in (".exr", ".png"):
-            raise BadValueError(f"--out must end in .exr or .png, got {self.out.name}")
-        if not self.lighting_level >= 0.0:
-            raise BadValueError(f"--lighting-level must be 0 or more, got {self.lighting_level}")
-        if self.exposure is not None and not self.exposure > 0.0:
-            raise BadValueError(f"--exposure must be above 0 seconds, got {self.exposure}")
-        if self.confidence:
-            defaults = {each.name: each.default for each in fields(self)}
-            asked = ("exposure", "lighting_level", "lighting_levels", *(("view",) if self.at else ()))
-            if given := [name for name in asked if getattr(self, name) != defaults[name]]:
-                raise BadValueError(
-                    f"--{given[0].replace('_', '-')} changes nothing about --confidence", "Leave it out."
-                )
-        elif self.at is not None:
-            raise BadValueError(
-                "--at is of --confidence", "The light of a place is drawn by physhdr panorama RUN --at X Y Z."
-            )
-        run = open_run(self.folder, self.data, self.rasteriser, self.device, pictures=False)
+        self._check()
+        if self.camera is not None:
+            return self._along(self.camera)
+        run = self._opened()
         levels = levels_asked(self.lighting_level, self.lighting_levels, run.method.lights)
         camera = camera_named(run.scene, self.view)
         if self.width is not None and self.at is None:
@@ -105,23 +123,117 @@ class Render:
                 written = write_confidence_around(run, self.at, self.width or WIDTH, self.out)
             console.print(f"wrote {' and '.join(map(str, written))}: {MEANING}", soft_wrap=True)
             return 0
-        if kind == ".exr":
-            write_exr(self.out, _planes_last(run.method.hdr(camera, levels).cpu().numpy()))
-        else:
-            exposures = run.scene.train[0].exposures
-            exposure = self.exposure or exposures[len(exposures) // 2]
-            ldr = _planes_last(run.method.ldr(camera, exposure, levels).cpu().numpy())
-            write_png(self.out, np.round(255.0 * ldr.clip(0.0, 1.0)).astype(np.uint8))
+        exposure = self.exposure or middle_exposure(run.scene)
+        frame = Frame(self.out, camera, exposure, levels, self.layers)
+        draw(run, frame, self._sure(run))
         console.print(f"wrote {self.out}")
         return 0
 
+    def _check(self) -> None:
+        """Raises ``BadValueError`` where options mean nothing together."""
+        kind = self.out.suffix.lower()
+        if kind not in (".exr", ".png"):
+            raise BadValueError(f"--out must end in .exr or .png, got {self.out.name}")
+        if not self.lighting_level >= 0.0:
+            raise BadValueError(f"--lighting-level must be 0 or more, got {self.lighting_level}")
+        if self.exposure is not None and not self.exposure > 0.0:
+            raise BadValueError(f"--exposure must be above 0 seconds, got {self.exposure}")
+        if self.workers < 1:
+            raise BadValueError(f"--workers must be at least 1, got {self.workers}")
+        if self.confidence:
+            asked = ("exposure", "lighting_level", "lighting_levels", *(("view",) if self.at else ()))
+            if given := self._given(*asked, "camera", "layers"):
+                raise BadValueError(f"--{given[0]} changes nothing about --confidence", "Leave it out.")
+        elif self.at is not None:
+            raise BadValueError(
+                "--at is of --confidence", "The light of a place is drawn by physhdr panorama RUN --at X Y Z."
+            )
+        if self.layers and (kind != ".exr" or self.exposure is not None):
+            raise BadValueError(
+                "--layers are of radiance: one .exr, which has no exposure",
+                "Let --out end in .exr, and leave --exposure out.",
+            )
+        if self.camera is None and (
+            given := self._given("camera_prim", "camera_space", "workers", "overwrite")
+        ):
+            raise BadValueError(f"--{given[0]} is of --camera FILE", "Leave it out, or give a file.")
+        if self.camera is not None and self.view is not None:
+            raise BadValueError("--view is one camera, --camera a file of them", "Leave one of them out.")
+
+    def _given(self, *names: str) -> list[str]:
+        """Those of some options that are not as by default, as they are typed."""
+        defaults = {each.name: each.default for each in fields(self)}
+        return [name.replace("_", "-") for name in names if getattr(self, name) != defaults[name]]
+
+    def _opened(self) -> Run:
+        run = open_run(self.folder, self.data, self.rasteriser, self.device, pictures=False)
+        if self.layers:
+            _ = run.splatting  # what draws no splats has no depth, alpha or light of its own
+        return run
+
+    def _sure(self, run: Run) -> Sure | None:
+        """The confidence for --layers; None without, and, which is told, where no picture tells it."""
+        if not self.layers:
+            return None
+        try:
+            return Sure(*on_gaussians_and_sure(run))
+        except FileMissingError as error:
+            console.print(f"without the layer Confidence: {error.message}", soft_wrap=True)
+            return None
+
+    def _along(self, file: Path) -> int:
+        """The frames of a file of cameras."""
+        run = self._opened()
+        shots = read_camera_file(file, camera_named(run.scene, None), self.camera_prim, self.camera_space)
+        frames = self._frames(run, shots)
+        if len(frames) == 1 and "#" not in self.out.name:
+            draw(run, frames[0], self._sure(run))
+            console.print(f"wrote {self.out}")
+            return 0
+        writable_folder(self.out.parent)
+        plan = plan_file(self.out)
+        left = begin(frames, plan, model_digest(self.folder), self.overwrite)
+        sure = self._sure(run) if left else None
+        workers = min(self.workers, len(left))
+        with progress("render", "frame", as_json=False) as show:
+            if workers > 1:
+                opened = Opened(self.folder, self.data, self.rasteriser, self.device)
+                threads = threads_each(workers, torch.get_num_threads())
+                draw_at_once(opened, left, workers, threads, sure, show)
+            else:
+                draw_all(run, left, sure, show)
+        kept = f"; {len(frames) - len(left)} were there already" if len(left) < len(frames) else ""
+        console.print(f"wrote {len(left)} of {len(frames)} frames, {self.out}{kept}", soft_wrap=True)
+        return 0
+
+    def _frames(self, run: Run, shots: Shots) -> list[Frame]:
+        """What each frame shows, by the file and the options."""
+        lights = run.method.lights
+        levels = levels_asked(self.lighting_level, self.lighting_levels, lights)
+        if any(shot.levels for shot in shots.frames):
+            if given := self._given("lighting_level", "lighting_levels"):
+                raise BadValueError(f"--{given[0]}: the file of cameras has levels", "Leave it out.")
+            lit = [levels_of(shot, lights) for shot in shots.frames]
+        else:
+            lit = [levels] * len(shots.frames)
+        exposure = self.exposure or middle_exposure(run.scene)
+        paths = numbered(self.out, len(shots.frames))
+        return [
+            Frame(
+                path,
+                camera_of(shot, shots, self.width),
+                exposure * 2.0**shot.exposure_ev,
+                as_levels(at, lights),
+                self.layers,
+            )
+            for path, shot, at in zip(paths, shots.frames, lit, strict=True)
+        ]
+
     def _all_of(self, split: str) -> int:
         alone = ("view", "exposure", "lighting_level", "lighting_levels", "width", "confidence", "at")
-        defaults = {each.name: each.default for each in fields(self)}
-        if given := [name for name in alone if getattr(self, name) != defaults[name]]:
-            raise BadValueError(
-                f"--{given[0].replace('_', '-')} is of one picture, --split of all", "Leave one of them out."
-            )
+        alone += ("camera", "camera_prim", "camera_space", "layers", "workers", "overwrite")
+        if given := self._given(*alone):
+            raise BadValueError(f"--{given[0]} is of one picture, --split of all", "Leave one of them out.")
         run = open_run(self.folder, self.data, self.rasteriser, self.device)
         if not run.scene.splits[split]:
             raise BadValueError(f"{run.scene.root} has no {VIEWS_OF[split]}", "Choose the other --split.")
@@ -131,5 +243,7 @@ class Render:
         return 0
 
 
-def _planes_last(image: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(image.transpose(1, 2, 0))
+def middle_exposure(scene: Scene) -> float:
+    """Seconds: of the first training view's bracket."""
+    exposures = scene.train[0].exposures
+    return exposures[len(exposures) // 2]

@@ -12,9 +12,10 @@ import numpy as np
 import tyro
 
 from ...bridge.errors import BadValueError
-from ...bridge.shots import Shot, Shots, read_shots
+from ...bridge.shots import Shots
 from ..device import DeviceName
-from ..evaluate.camera_path import orbit_path, spline_path
+from ..evaluate.camera_file import read_camera_file
+from ..evaluate.camera_path import camera_of, levels_of, orbit_path, spline_path
 from ..evaluate.renderer import Renderer
 from ..evaluate.sheets import as_picture
 from ..evaluate.video import frames_writer, require_suffix, video_writer
@@ -58,6 +59,7 @@ class Video:
     path: Literal["spline", "orbit", "still"] | None = None
     #: A file with every frame's camera, stops of exposure and levels, as Blender's panel writes it
     #: (docs/formats.md), instead of a path and a sweep; its size and its frames a second are the video's.
+    #: Or a path of nerfstudio's viewer (JSON), or a USD camera.
     shots: Path | None = None
     #: What changes: exposure from the shortest to the longest and back, one light's level, or both: exposure
     #: in the first half, light in the second, each from where it stands to both ends and back.
@@ -90,7 +92,8 @@ class Video:
     def _work(self) -> dict[str, Any]:
         self._check()
         run = open_run(self.folder, self.data, self.rasteriser, self.device, pictures=False)
-        shots = None if self.shots is None else read_shots(self.shots)
+        like = camera_named(run.scene, None)
+        shots = None if self.shots is None else read_camera_file(self.shots, like, fewest=2)
         frames = self.plan(run.scene, run.method, shots)
         fps = self.fps if shots is None else max(1, round(shots.fps))
         with ExitStack() as stack:
@@ -146,12 +149,11 @@ class Video:
         exposures = sorted({seconds for view in scene.train for seconds in view.exposures})
         exposure = self.exposure or exposures[len(exposures) // 2]
         if shots is not None:
-            size = shots.width, shots.height
             return [
                 Frame(
-                    _camera(shot, size, self.width),
+                    camera_of(shot, shots, self.width),
                     exposure * 2.0**shot.exposure_ev,
-                    _levels(shot, method.lights),
+                    levels_of(shot, method.lights),
                 )
                 for shot in shots.frames
             ]
@@ -203,22 +205,6 @@ class Video:
                 f"there is no light '{self.light}' in this model", f"Names are: {', '.join(method.lights)}."
             )
         return method.lights.index(self.light)
-
-
-def _camera(shot: Shot, size: tuple[int, int], width: int | None) -> Camera:
-    """The camera of a frame, as wide as asked for."""
-    camera = Camera(shot.camera_to_world, *size, shot.fx, shot.fy, shot.cx, shot.cy)
-    return camera if width is None else camera.resized(width)
-
-
-def _levels(shot: Shot, lights: Sequence[str]) -> tuple[float, ...]:
-    """A level for each of the model's lights; raises ``BadValueError`` where a frame has more."""
-    if len(shot.levels) > len(lights):
-        raise BadValueError(
-            f"a frame has {len(shot.levels)} lights, the model has {len(lights)}: {', '.join(lights)}",
-            "Write the file again with this run's model selected.",
-        )
-    return (*shot.levels, *[1.0] * (len(lights) - len(shot.levels)))
 
 
 def pictures(method: Renderer, frames: list[Frame]) -> Iterator[np.ndarray]:

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Paths of cameras for videos: smoothly through the cameras of a data set, or round the middle of them."""
+"""Paths of cameras for videos: smoothly through the cameras of a data set, or round the middle of them.
+
+And what the frames of a file (``camera_file.py``) show.
+"""
 
 from collections.abc import Sequence
 
@@ -8,6 +11,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
 
 from ...bridge.errors import BadValueError
+from ...bridge.shots import Shot, Shots
 from ..scene.camera import Camera
 
 #: Two poses nearer than this share of the cameras' extent are one stop of a path.
@@ -69,6 +73,23 @@ def orbit_path(cameras: Sequence[Camera], frames: int) -> list[Camera]:
         position = centre + offset
         path.append(_posed(cameras[0], position, _looking(position, focus, up)))
     return path
+
+
+def camera_of(shot: Shot, shots: Shots, width: int | None = None) -> Camera:
+    """The camera of one of ``shots``' frames, as wide as asked for."""
+    size = shots.width, shots.height
+    camera = Camera(shot.camera_to_world, *size, shot.fx, shot.fy, shot.cx, shot.cy)
+    return camera if width is None else camera.resized(width)
+
+
+def levels_of(shot: Shot, lights: Sequence[str]) -> tuple[float, ...]:
+    """A level for each of the model's lights; raises ``BadValueError`` where a frame has more."""
+    if len(shot.levels) > len(lights):
+        raise BadValueError(
+            f"a frame has {len(shot.levels)} lights, the model has {len(lights)}: {', '.join(lights)}",
+            "Write the file again with this run's model selected.",
+        )
+    return (*shot.levels, *[1.0] * (len(lights) - len(shot.levels)))
 
 
 def focus_of(cameras: Sequence[Camera]) -> np.ndarray:

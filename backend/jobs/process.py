@@ -4,6 +4,7 @@
 import os
 import signal
 import subprocess
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -12,6 +13,7 @@ import psutil
 
 #: Seconds between looks at whether to go on; and those that a process has to end by itself.
 LOOK_EVERY, GRACE = 0.2, 5.0
+PR_SET_PDEATHSIG = 1  # Linux, prctl(2)
 
 
 class StoppedError(Exception):
@@ -67,6 +69,14 @@ def run_in_front(command: Sequence[str]) -> int:
     finally:
         if process.poll() is None:
             _end(process)
+
+
+def end_with_parent() -> None:
+    """From now on this process is ended politely when the one that started it dies (Linux)."""
+    if sys.platform == "linux":
+        import ctypes
+
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:

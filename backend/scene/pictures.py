@@ -6,11 +6,12 @@ reads PNG and JPEG of 8 bits, OpenEXR's own library its format, OpenImageIO all 
 colour of 16 bits.
 """
 
+import dataclasses
 import struct
 import sys
 import threading
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +26,7 @@ from ...bridge.atomic import atomic_path
 from ...bridge.errors import BadValueError, FileDamagedError, OutputError
 from ...bridge.limits import MAX_PIXELS, RADIANCE_MAX
 from ...bridge.regular import damaged_where_it_fails, regular_file
-from .color_space import Chromaticities
+from .color_space import SPACES, Chromaticities
 
 #: A file of N bytes can hold at most this many pixels per byte. RLE, the weakest of EXR's codecs, reaches 64
 #: on constant data and ZIP about 1000; a real render stays below 1. A 376-byte file that claims 16000×16000
@@ -491,17 +492,43 @@ def _damaged_exr(path: Path, why: str) -> FileDamagedError:
     return FileDamagedError(f"{path} is not a readable OpenEXR picture: {why}", _DELETE)
 
 
+#: What says to other programs how RGB is meant: primaries and white, the name that we and Blender give the
+#: space, and that of the ASWF's Color Interop Forum, by which OpenImageIO knows it.
+COLOR_HEADER: dict[str, Any] = {
+    "chromaticities": tuple(
+        float(value) for point in dataclasses.astuple(SPACES["rec709"]) for value in point
+    ),
+    "workingSpace": "Linear Rec.709",
+    "colorInteropID": "lin_rec709_scene",
+}
+
+
 def write_exr(path: Path, radiance: np.ndarray, attributes: dict[str, str] | None = None) -> None:
     """Write ``[H, W, 3]`` scene-linear radiance as 32-bit float RGB (ZIP), atomically.
 
-    ``attributes`` go into the header as strings. Raises ``OutputError`` or ``BadValueError``.
+    The header tells the colour space; ``attributes`` go into it as strings. Raises ``OutputError`` or
+    ``BadValueError``.
     """
     if radiance.ndim != 3 or radiance.shape[2] != 3:
         raise BadValueError(f"an EXR is written from [H, W, 3], got {radiance.shape}")
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **(attributes or {})}
-    pixels = np.ascontiguousarray(radiance, dtype=np.float32)
+    _write_exr(path, {"RGB": np.ascontiguousarray(radiance, dtype=np.float32)}, attributes)
+
+
+def write_exr_channels(
+    path: Path, channels: Mapping[str, np.ndarray], attributes: dict[str, str] | None = None
+) -> None:
+    """As ``write_exr``, of channels by name (``ViewLayer.Depth.Z``), each ``[H, W]``, in one part."""
+    shapes = {plane.shape for plane in channels.values()}
+    if len(shapes) != 1 or len(next(iter(shapes))) != 2:
+        raise BadValueError(f"the channels of an EXR have one size, [H, W], got {sorted(shapes)}")
+    planes = {name: np.ascontiguousarray(plane, dtype=np.float32) for name, plane in channels.items()}
+    _write_exr(path, planes, attributes)
+
+
+def _write_exr(path: Path, channels: dict[str, np.ndarray], attributes: dict[str, str] | None) -> None:
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **COLOR_HEADER}
     with atomic_path(path) as temporary:
         try:
-            OpenEXR.File(header, {"RGB": pixels}).write(str(temporary))
+            OpenEXR.File(header | (attributes or {}), channels).write(str(temporary))
         except RuntimeError as error:  # how the binding says that the disk is full
             raise OutputError(f"cannot write {path}: {error}", "Check the disk's free space.") from error

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A picture in layers for compositing: radiance with alpha, depth, confidence, and what each light causes.
+
+All colours are scene-linear and premultiplied with alpha, as rasterisers blend them and compositors want
+them. With the levels l that the picture is drawn at, fixed + Σ l · light = radiance, pixel by pixel.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from ..evaluate.panorama import LitSplats, parted
+from ..export.confidence import confidence_picture
+from ..methods.base import SplattingMethod
+from ..scene.camera import Camera
+from ..scene.pictures import write_exr_channels
+
+#: The layer that all passes are in, as Blender calls its first one; and a pass's channels after a further
+#: dot, by which Blender's compositor and oiiotool part them.
+LAYER = "ViewLayer"
+#: The depth where nothing is, metres: Blender's own.
+NOTHING = 1e10
+#: Blender cuts names of passes off after so many bytes.
+LONGEST_PASS = 60
+
+
+@dataclass(frozen=True, eq=False)
+class Sure:
+    """Each Gaussian's confidence ``[N]``, and the method on plain Gaussians whose they are."""
+
+    method: SplattingMethod
+    confidence: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Layers:
+    """``radiance`` ``[3, H, W]`` premultiplied, ``alpha`` ``[H, W]``.
+
+    ``depth`` ``[H, W]``: metres along the camera's axis, the mean of what covers the pixel, each by its share
+    of alpha; 0 where nothing does. ``fixed``: ``[3, H, W]`` of the radiance that no light turns, and
+    ``lights`` by name what each causes at level 1; None and empty where they are not known apart.
+    ``confidence`` ``[H, W]``, premultiplied; None where it is not known.
+    """
+
+    radiance: torch.Tensor
+    alpha: torch.Tensor
+    depth: torch.Tensor
+    fixed: torch.Tensor | None
+    lights: Mapping[str, torch.Tensor]
+    confidence: torch.Tensor | None
+
+
+def lights_apart(method: SplattingMethod) -> tuple[str, ...]:
+    """The lights that ``lit_splats`` has a part of each for; () where the method cannot tell them apart.
+
+    Where nothing is known of the light, a level scales all of it: it is all the first light's.
+    """
+    return method.lights if method.has_light_share or not method.can_relight else ()
+
+
+def lit_splats(method: SplattingMethod, camera: Camera) -> LitSplats:
+    """A method's splats as ``camera`` sees them, each light at level 1 (``lights_apart``)."""
+    splats = method.backbone.splats(camera, method.active_sh_degree)
+    radiance = method.radiance_of(splats, None)
+    if not lights_apart(method):
+        parts = radiance[None]
+    elif splats.light_share is not None:
+        parts = parted(radiance, splats.light_share)
+    else:
+        parts = parted(radiance, torch.ones_like(radiance)[:, None])
+    return LitSplats(splats.means, splats.quaternions, splats.scales, splats.opacities, parts)
+
+
+@torch.no_grad()
+def draw_layers(
+    method: SplattingMethod, camera: Camera, levels: tuple[float, ...], sure: Sure | None = None
+) -> Layers:
+    """What ``camera`` sees at one level a light."""
+    drawn = method.preview(camera, levels)
+    assert drawn.depth is not None, "a preview has it"
+    names = lights_apart(method)
+    fixed, lights = None, {}
+    if names:
+        parts, _ = lit_splats(method, camera).drawn(camera, method.implementation)
+        fixed, lights = parts[0], dict(zip(names, parts[1:], strict=True))
+    confidence = None
+    if sure is not None:
+        confidence = confidence_picture(sure.method, sure.confidence, camera).image[0]
+    return Layers(drawn.image, drawn.alpha, drawn.depth, fixed, lights, confidence)
+
+
+def write_layers(path: Path, layers: Layers, levels: Sequence[float] = ()) -> None:
+    """Write one OpenEXR file of all layers, 32 bits, atomically; raises ``OutputError``.
+
+    Passes: Combined (RGBA), Depth (Z), Fixed and ``Light NAME`` (RGB), Confidence (X). ``levels``: of the
+    lights in the picture, for the header.
+    """
+    planes = {
+        **_rgb("Combined", layers.radiance),
+        f"{LAYER}.Combined.A": layers.alpha,
+        f"{LAYER}.Depth.Z": torch.where(layers.depth > 0.0, layers.depth, NOTHING),
+    }
+    if layers.fixed is not None:
+        planes |= _rgb("Fixed", layers.fixed)
+    passes = pass_names(list(layers.lights))
+    for name, light in layers.lights.items():
+        planes |= _rgb(passes[name], light)
+    if layers.confidence is not None:
+        planes[f"{LAYER}.Confidence.X"] = layers.confidence
+    told = zip(layers.lights, levels, strict=False)
+    attributes = {"physhdr:levels": ", ".join(f"{name}={level:g}" for name, level in told)}
+    write_exr_channels(
+        path, {name: plane.detach().cpu().numpy() for name, plane in planes.items()}, attributes
+    )
+
+
+def pass_names(lights: Sequence[str]) -> dict[str, str]:
+    """The pass of each light: ``Light lamp``. Dots, which part names in the file, become underscores."""
+    passes: dict[str, str] = {}
+    for name in lights:
+        wanted = f"Light {name.replace('.', '_')}".encode()[:LONGEST_PASS].decode(errors="ignore")
+        unique, count = wanted, 2
+        while unique in passes.values():
+            unique, count = f"{wanted} {count}", count + 1
+        passes[name] = unique
+    return passes
+
+
+def _rgb(name: str, image: torch.Tensor) -> dict[str, torch.Tensor]:
+    return {f"{LAYER}.{name}.{channel}": image[k] for k, channel in enumerate("RGB")}

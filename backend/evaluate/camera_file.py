@@ -1,0 +1,229 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Paths of cameras from files: Blender's (``bridge/shots.py``), nerfstudio's viewer's, or a USD camera's.
+
+Sources: nerfstudio's documentation and its ``cameras/camera_paths.py`` ("camera_path", vertical field of view
+in degrees, poses as in ``transforms.json``); OpenUSD's ``UsdGeomCamera`` (aperture and focal length in one
+unit, looks down −Z with +Y up; the stage's ``upAxis`` and ``metersPerUnit``).
+"""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...bridge.errors import BadValueError, FileDamagedError
+from ...bridge.limits import FOCAL_LENGTH, LARGEST_SIDE
+from ...bridge.regular import damaged_where_it_fails, read_json_object, regular_file
+from ...bridge.shots import FORMAT, MOST_FRAMES, Shot, Shots, read_shots
+from ..scene.camera import Camera
+from ..scene.checks import is_rotation, number, rigid_pose
+from .optional import needed
+
+USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
+KINDS = (
+    f"It must be a file of Blender's panel ({FORMAT}), nerfstudio's camera path (JSON), or a USD stage with "
+    "a camera; an Alembic camera is imported in Blender first."
+)
+#: nerfstudio's camera paths without a word about it play so fast.
+NERFSTUDIO_FPS = 24.0
+#: A USD stage whose pieces are not rigid beyond this is not of a camera that can be drawn.
+SHEAR = 1e-4
+
+
+def read_camera_file(
+    path: Path, like: Camera, prim: str | None = None, space: Path | None = None, fewest: int = 1
+) -> Shots:
+    """The frames of a file of any of the kinds. ``like``: its width is that of files that tell none.
+
+    ``prim``: which of a stage's cameras, by its path or name. ``space``: nerfstudio's
+    ``dataparser_transforms.json`` of the training whose viewer made the path: what it did to the world is
+    taken back. Raises ``FileMissingError``, ``FileDamagedError`` or ``BadValueError`` that names the file,
+    ``PackageMissingError`` where a USD stage needs usd-core.
+    """
+    path = regular_file(Path(path), KINDS)
+    is_usd = path.suffix.lower() in USD_SUFFIXES
+    if prim is not None and not is_usd:
+        raise BadValueError(f"{path} has no prims: --camera-prim is for USD", "Leave it out.")
+    if is_usd:
+        if space is not None:
+            raise BadValueError("--camera-space is of nerfstudio's paths", "Leave it out.")
+        return _require_count(path, _usd(path, like, prim), fewest)
+    content = read_json_object(path, KINDS)
+    if content.get("format") == FORMAT:
+        if space is not None:
+            raise BadValueError("--camera-space is of nerfstudio's paths", "Leave it out.")
+        shots = read_shots(path, fewest)
+        for index, shot in enumerate(shots.frames):
+            rigid_pose(path, shot.camera_to_world, str(index))
+        return shots
+    if "camera_path" not in content:
+        raise FileDamagedError(f"{path} is no path of cameras that is known", KINDS)
+    return _require_count(path, _nerfstudio(path, content, _world_of(space)), fewest)
+
+
+def _require_count(path: Path, shots: Shots, fewest: int) -> Shots:
+    if not fewest <= len(shots.frames) <= MOST_FRAMES:
+        raise BadValueError(
+            f"{path} has {len(shots.frames)} frames: it must have from {fewest} to {MOST_FRAMES}"
+        )
+    return shots
+
+
+# ---- nerfstudio ----------------------------------------------------------------------------------------
+
+
+def _nerfstudio(path: Path, content: dict[str, Any], world: tuple[np.ndarray, float]) -> Shots:
+    """``camera_path`` of the viewer's *Export Camera Path* (``ns-render camera-path`` draws the same)."""
+    kind = content.get("camera_type", "perspective")
+    if kind != "perspective":
+        raise BadValueError(
+            f"{path} is of the camera type {kind!r:.40}, and only perspective ones are drawn",
+            "Make the path with a perspective camera; panoramas are drawn by physhdr panorama.",
+        )
+    sides = []
+    for key in ("render_width", "render_height"):
+        side = number(path, content.get(key), key)
+        if side != int(side) or not 0 < side <= LARGEST_SIDE:
+            raise BadValueError(
+                f"{path}: '{key}' is {side:g}", f"It must be from 1 to {LARGEST_SIDE} pixels."
+            )
+        sides.append(int(side))
+    width, height = sides
+    fps = number(path, content.get("fps", NERFSTUDIO_FPS), "fps")
+    if not 0.0 < fps <= 240.0:
+        raise BadValueError(f"{path}: 'fps' is {fps:g}", "It must be above 0 and at most 240.")
+    rows = content["camera_path"]
+    if not isinstance(rows, list):
+        raise FileDamagedError(f"{path}: 'camera_path' is no list of frames", KINDS)
+    linear, scale = world
+    frames = []
+    for index, row in enumerate(rows):
+        if not isinstance(row, dict):
+            raise FileDamagedError(f"{path}: frame {index} is no object", KINDS)
+        pose = rigid_pose(path, _square(row.get("camera_to_world")), str(index))
+        # x' = scale · (linear x): poses of the file are in that space.
+        pose[:3, 3] /= scale
+        pose = np.linalg.inv(linear) @ pose
+        angle = number(path, row.get("fov"), f"frame {index}: 'fov'")
+        if not 0.0 < angle < 180.0:
+            raise BadValueError(f"{path}: frame {index}: 'fov' is {angle:g}", "Degrees, between 0 and 180.")
+        focal = 0.5 * height / math.tan(math.radians(0.5 * angle))
+        FOCAL_LENGTH.check(focal, f"{path}: the focal length of frame {index}")
+        frames.append(Shot(pose, focal, focal, 0.5 * width, 0.5 * height))
+    return Shots(width, height, fps, frames)
+
+
+def _square(values: Any) -> Any:
+    """A 4×4 matrix where 16 numbers stand in a row, the first row first."""
+    if isinstance(values, list) and len(values) == 16:
+        return [values[at : at + 4] for at in range(0, 16, 4)]
+    return values
+
+
+def _world_of(space: Path | None) -> tuple[np.ndarray, float]:
+    """``[4, 4]`` and a factor: x' = factor · (matrix x), from our world to that of a nerfstudio training."""
+    if space is None:
+        return np.eye(4), 1.0
+    content = read_json_object(
+        Path(space), "nerfstudio writes dataparser_transforms.json beside config.yml of a training."
+    )
+    scale = number(space, content.get("scale"), "scale")
+    matrix = np.eye(4)
+    with damaged_where_it_fails(f"{space} has no 'transform' of 3×4 numbers"):
+        matrix[:3] = np.asarray(content["transform"], np.float64).reshape(3, 4)
+    if not (scale > 0.0 and np.isfinite(matrix).all() and is_rotation(matrix[:3, :3])):
+        raise BadValueError(
+            f"{space}: 'transform' is no rotation and translation, or 'scale' is not above 0",
+            "Take the file that nerfstudio wrote.",
+        )
+    return matrix, scale
+
+
+# ---- USD -----------------------------------------------------------------------------------------------
+
+
+def _usd(path: Path, like: Camera, prim: str | None) -> Shots:
+    """A stage's camera at each of its time codes; once where it says no range of them."""
+    stage_module = needed("pxr.Usd", "usd-core", "usd", f"{path.name}: a USD camera")
+    geometry = needed("pxr.UsdGeom", "usd-core", "usd", f"{path.name}: a USD camera")
+    tf = needed("pxr.Tf", "usd-core", "usd", f"{path.name}: a USD camera")
+    try:
+        stage = stage_module.Stage.Open(str(path))
+    except tf.ErrorException as error:
+        raise FileDamagedError(f"{path} is no USD stage that can be read", KINDS) from error
+    cameras = [each for each in stage.Traverse() if each.IsA(geometry.Camera)]
+    camera = geometry.Camera(_the_one(path, cameras, prim))
+    first, last = stage.GetStartTimeCode(), stage.GetEndTimeCode()
+    if not stage.HasAuthoredTimeCodeRange():
+        first = last = 0.0
+    if not (math.isfinite(first) and math.isfinite(last) and 0.0 <= last - first < MOST_FRAMES):
+        raise BadValueError(f"{path}: its time codes are from {first:g} to {last:g}")
+    to_world = _blender_world(path, geometry, stage)
+    times = first + np.arange(math.floor(last - first) + 1)
+    sampled = [camera.GetCamera(stage_module.TimeCode(float(time))) for time in times]
+    window = sampled[0].horizontalAperture, sampled[0].verticalAperture
+    if not all(math.isfinite(side) and side > 0.0 for side in window):
+        raise BadValueError(f"{path}: {camera.GetPath()} has an aperture of {window[0]:g}×{window[1]:g}")
+    width, height = like.width, max(1, round(like.width * window[1] / window[0]))
+    frames = [
+        _usd_shot(path, geometry, time, each, to_world, width, height)
+        for time, each in zip(times, sampled, strict=True)
+    ]
+    fps = stage.GetTimeCodesPerSecond()
+    return Shots(width, height, fps if 0.0 < fps <= 240.0 else NERFSTUDIO_FPS, frames)
+
+
+def _the_one(path: Path, cameras: list[Any], prim: str | None) -> Any:
+    """The camera that is asked for, or the only one."""
+    names = [str(each.GetPath()) for each in cameras]
+    if not cameras:
+        raise BadValueError(f"{path} has no camera", "Export one: in Blender, USD with Cameras ticked.")
+    if prim is None:
+        if len(cameras) > 1:
+            raise BadValueError(
+                f"{path} has {len(cameras)} cameras", f"Choose by --camera-prim: {', '.join(names):.400}."
+            )
+        return cameras[0]
+    found = [each for each, name in zip(cameras, names, strict=True) if prim in (name, each.GetName())]
+    if len(found) != 1:
+        raise BadValueError(
+            f"{path} has {'no' if not found else 'several'} cameras {prim!r:.80}",
+            f"There are: {', '.join(names):.400}.",
+        )
+    return found[0]
+
+
+def _blender_world(path: Path, geometry: Any, stage: Any) -> np.ndarray:
+    """``[4, 4]``: the stage's space → Blender's, metres and +Z up."""
+    metres = geometry.GetStageMetersPerUnit(stage)
+    if not (math.isfinite(metres) and metres > 0.0):
+        raise BadValueError(f"{path}: 'metersPerUnit' is {metres:g}", "It must be above 0.")
+    matrix = np.diag([metres, metres, metres, 1.0])
+    if geometry.GetStageUpAxis(stage) == geometry.Tokens.y:
+        matrix = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]]) @ matrix
+    return matrix
+
+
+def _usd_shot(
+    path: Path, geometry: Any, time: float, camera: Any, to_world: np.ndarray, width: int, height: int
+) -> Shot:
+    """One time's camera; ``camera``: a ``Gf.Camera``, whose matrices multiply rows from the left."""
+    if camera.projection != camera.Perspective:
+        raise BadValueError(f"{path}: the camera is orthographic at {time:g}", "Make it a perspective one.")
+    pose = to_world @ np.array(camera.transform, np.float64).T
+    lengths = np.linalg.norm(pose[:3, :3], axis=0)
+    if not (np.isfinite(pose).all() and lengths.min() > 0.0):
+        raise BadValueError(f"{path}: the camera's matrix at {time:g} is flat or not finite")
+    pose[:3, :3] /= lengths  # its own scale does nothing to what it sees
+    if np.ptp(lengths) > SHEAR * lengths.max() and not is_rotation(pose[:3, :3]):
+        raise BadValueError(f"{path}: the camera is sheared at {time:g}", "Unparent it, or apply the scale.")
+    pose = rigid_pose(path, pose, f"{time:g}")
+    wide, high = camera.horizontalAperture, camera.verticalAperture
+    fx, fy = width * camera.focalLength / wide, height * camera.focalLength / high
+    for focal in (fx, fy):
+        FOCAL_LENGTH.check(focal, f"{path}: the focal length at {time:g}")
+    # The window is moved by the offset, so the axis meets the picture on the other side of the middle.
+    cx = width * (0.5 - camera.horizontalApertureOffset / wide)
+    cy = height * (0.5 + camera.verticalApertureOffset / high)
+    return Shot(pose, fx, fy, cx, cy)
