@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A trained run in a real window: evaluated and filmed beside one's work, told in the panel."""
+"""A trained run in a real window: evaluated, filmed and baked beside one's work, told in the panel."""
 
 import math
 import sys
@@ -55,6 +55,26 @@ def test(window: Window) -> Iterator[float]:
     assert (run / "video.webp").stat().st_size > 1000
     yield from window.redrawn()
     window.screenshot("5_filmed")
+
+    yield from window.show_panels("cleaning")
+    baked = run / "baked_in_blender.ply"
+    before = window.grab()
+    with window.override():
+        bpy.ops.physhdr.model_bake("INVOKE_DEFAULT", filepath=str(baked))
+    yield from window.redrawn()
+    yield 1.0
+    window.screenshot("6_bake_dialogue")
+    window.key("Escape")
+    yield 1.0
+    with window.override():
+        assert bpy.ops.physhdr.model_bake(filepath=str(baked), tone="LEARNED") == {"FINISHED"}
+    yield from window.until(lambda: session.state.task("bake").fraction > 0.1, 200, "fitting")
+    yield from window.redrawn()
+    window.screenshot("7_baking")
+    yield from window.until(lambda: session.state.task("bake") is None, 300, "fitted")
+    yield from window.until(baked.is_file, 30, "written")
+    assert session.state.problem is None, session.state.problem
+    assert b"fitted to pictures" in baked.read_bytes()[:2000]
 
 
 drive(test)
