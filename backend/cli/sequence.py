@@ -158,7 +158,9 @@ def model_digest(folder: Path) -> str:
 def draw(run: Run, frame: Frame, sure: Sure | None = None) -> None:
     """Draw a frame into its file; raises ``OutputError``, ``BadValueError`` for NaN."""
     if frame.layers:
-        write_layers(frame.path, draw_layers(run.splatting, frame.camera, frame.levels, sure), frame.levels)
+        layers = draw_layers(run.splatting, frame.camera, frame.levels, sure)
+        finite(layers.radiance, frame.path.name)
+        write_layers(frame.path, layers, frame.levels)
     elif frame.path.suffix.lower() == ".exr":
         radiance = finite(run.method.hdr(frame.camera, frame.levels), frame.path.name)
         write_exr(frame.path, radiance.permute(1, 2, 0).numpy())

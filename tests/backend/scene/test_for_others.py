@@ -309,3 +309,31 @@ def test_nerfstudio_takes_each_picture_of_a_bracket_for_a_view(tiny_data: Path, 
     out = run(tiny_data, tmp_path / "out", "nerfstudio", "--brackets")
     found = parsed("nerfstudio", out, "as-is", tmp_path / "answer.json")
     assert found["train"]["files"] == [f"train_{i:03d}_{k}.png" for i in range(3) for k in range(5)]
+
+
+# ---- brackets in transforms.json -------------------------------------------------------------------------
+
+
+def frames_named_like_brackets(layouts, root: Path, seconds: tuple[float, ...], moved: bool = False) -> Scene:
+    """Nine frames of three poses, named ``shot_<pose>_<k>``; ``moved``: each has a camera of its own."""
+    data = layouts.write_nerfstudio(root)
+    content = json.loads((data / "transforms.json").read_text())
+    frames = sorted(content["frames"], key=lambda frame: frame["file_path"])
+    for number, frame in enumerate(frames):
+        name = f"images/shot_{number // 3}_{number % 3}.png"
+        (data / frame["file_path"]).rename(data / name)
+        frame["file_path"], frame["exposure_time"] = name, seconds[number % 3]
+        if not moved:
+            frame["transform_matrix"] = frames[number - number % 3]["transform_matrix"]
+    (data / "transforms.json").write_text(json.dumps(content))
+    return read_scene(data)
+
+
+def test_frames_are_brackets_only_where_all_says_so(tmp_path: Path, layouts) -> None:
+    def views(scene: Scene) -> list[tuple[float, ...]]:
+        return [view.exposures for view in [*scene.train, *scene.test]]
+
+    bracket = (0.5, 2.0, 8.0)
+    assert views(frames_named_like_brackets(layouts, tmp_path / "a", bracket)) == [bracket] * 3
+    assert len(views(frames_named_like_brackets(layouts, tmp_path / "b", bracket, moved=True))) == 9
+    assert len(views(frames_named_like_brackets(layouts, tmp_path / "c", (0.5, 2.0, 2.0)))) == 9

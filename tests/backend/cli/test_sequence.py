@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""``physhdr render --camera``: frames along a path, kept, drawn anew, and drawn by several processes."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from physhdr.backend.cli import main
+from physhdr.backend.cli.sequence import Frame, Opened, WorkerError, draw_at_once, numbered, plan_file
+from physhdr.backend.runs.run import open_run
+from physhdr.backend.scene import Scene
+from physhdr.backend.scene.pictures import read_exr
+from physhdr.bridge.errors import BadValueError
+from physhdr.bridge.shots import Shot, Shots, write_shots
+
+
+@pytest.fixture(scope="module")
+def run(two_lights_data: Path, tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("runs") / "two"
+    short = ["--iterations", "20", "--sh-degree-every", "5", "--preset", "fast"]
+    assert main(["train", str(two_lights_data), "--out", str(folder), *short]) == 0
+    return folder
+
+
+@pytest.fixture(scope="module")
+def scene(run: Path) -> Scene:
+    return open_run(run).scene
+
+
+def shots_of(scene: Scene, path: Path, count: int = 5, levels: bool = False) -> Path:
+    """The first training views one after the other, and a level that rises."""
+    frames = []
+    for k in range(count):
+        camera = scene.train[k % len(scene.train)].camera
+        lit = (1.0, 0.5 * k) if levels else ()
+        pinhole = (camera.fx, camera.fy, camera.cx, camera.cy)
+        frames.append(Shot(camera.camera_to_world, *pinhole, exposure_ev=float(k), levels=lit))
+    write_shots(path, Shots(scene.train[0].camera.width, scene.train[0].camera.height, 24.0, frames))
+    return path
+
+
+def render(run: Path, out: Path, *options: object) -> int:
+    return main(["render", str(run), "--out", str(out), *map(str, options)])
+
+
+def stamps(folder: Path) -> dict[str, int]:
+    return {path.name: path.stat().st_mtime_ns for path in folder.glob("a_*")}
+
+
+def test_frames_are_what_single_cameras_give(run: Path, scene: Scene, tmp_path: Path) -> None:
+    shots = shots_of(scene, tmp_path / "shots.json", levels=True)
+    assert render(run, tmp_path / "a_##.exr", "--camera", shots) == 0
+    assert render(run, tmp_path / "a_##.png", "--camera", shots, "--exposure", "0.5") == 0
+    for k in range(5):
+        one = ["--view", f"train/{scene.train[k % 3].index}", "--lighting-levels", f"pendant={0.5 * k}"]
+        assert render(run, tmp_path / "one.exr", *one) == 0
+        np.testing.assert_array_equal(read_exr(tmp_path / f"a_{k:02d}.exr"), read_exr(tmp_path / "one.exr"))
+        assert render(run, tmp_path / "one.png", *one, "--exposure", 0.5 * 2.0**k) == 0
+        frames = [np.array(Image.open(tmp_path / name)) for name in (f"a_{k:02d}.png", "one.png")]
+        np.testing.assert_array_equal(*frames)
+
+
+def test_a_sequence_goes_on(run: Path, scene: Scene, tmp_path: Path, capsys) -> None:
+    words = ["--camera", shots_of(scene, tmp_path / "shots.json")]
+    out = tmp_path / "a_####.exr"
+    assert render(run, out, *words) == 0
+    before = stamps(tmp_path)
+    assert len(before) == 5
+    (tmp_path / "a_0002.exr").unlink()
+    capsys.readouterr()
+    assert render(run, out, *words) == 0
+    assert "wrote 1 of 5 frames" in capsys.readouterr().out
+    after = stamps(tmp_path)
+    assert {name for name in after if after[name] == before[name]} == set(before) - {"a_0002.exr"}
+
+    assert render(run, out, *words, "--lighting-level", "2") == 1, "frames of something else"
+    told = capsys.readouterr().err
+    assert "a_0000.exr shows something else (5 such frames)" in told and "--overwrite" in told
+    assert stamps(tmp_path) == after
+    assert render(run, out, *words, "--lighting-level", "2", "--overwrite") == 0
+    assert not set(stamps(tmp_path).values()) & set(after.values())
+
+    shorter = shots_of(scene, tmp_path / "shorter.json", 3)
+    assert render(run, out, "--camera", shorter, "--lighting-level", "2") == 1, "two frames would be left"
+    assert render(run, out, "--camera", shorter, "--lighting-level", "2", "--overwrite") == 0
+    assert len(stamps(tmp_path)) == 3
+
+
+def test_frames_of_somebody_else_stay(run: Path, scene: Scene, tmp_path: Path, capsys) -> None:
+    (tmp_path / "a_0001.exr").write_text("mine")
+    words = ["--camera", shots_of(scene, tmp_path / "shots.json")]
+    assert render(run, tmp_path / "a_####.exr", *words) == 1
+    assert "nothing says what it shows" in capsys.readouterr().err
+    assert (tmp_path / "a_0001.exr").read_text() == "mine" and len(stamps(tmp_path)) == 1
+    plan = plan_file(tmp_path / "b_#.exr")
+    plan.write_text('{"format": "other"}')
+    assert render(run, tmp_path / "b_#.exr", *words) == 1
+    assert plan.name in capsys.readouterr().err
+
+
+def test_a_plan_names_nothing_outside_of_its_folder(run: Path, scene: Scene, tmp_path: Path) -> None:
+    (tmp_path / "mine.exr").write_text("mine")
+    out = tmp_path / "frames" / "a_#.exr"
+    out.parent.mkdir()
+    told = {"format": "physhdr-frames", "version": 1, "frames": {"../mine.exr": "0"}}
+    plan_file(out).write_text(json.dumps(told))
+    assert render(run, out, "--camera", shots_of(scene, tmp_path / "shots.json"), "--overwrite") == 0
+    assert (tmp_path / "mine.exr").read_text() == "mine"
+
+
+@pytest.mark.parametrize("layers", [False, True])
+def test_several_processes_draw_the_same(run: Path, scene: Scene, tmp_path: Path, layers: bool) -> None:
+    words = ["--camera", shots_of(scene, tmp_path / "shots.json", 4, levels=True)]
+    words += ["--layers"] if layers else []
+    assert render(run, tmp_path / "one" / "a_#.exr", *words) == 0
+    assert render(run, tmp_path / "two" / "a_#.exr", *words, "--workers", "2") == 0
+    for path in sorted((tmp_path / "one").iterdir()):
+        assert (tmp_path / "two" / path.name).read_bytes() == path.read_bytes(), path.name
+    assert len(list((tmp_path / "two").iterdir())) == 5, "frames and what they are"
+
+
+def test_a_worker_that_fails_is_heard(scene: Scene, tmp_path: Path) -> None:
+    opened = Opened(tmp_path / "no run", None, "auto", "cpu")
+    frames = [Frame(tmp_path / f"{k}.exr", scene.train[0].camera, 1.0, (1.0, 1.0)) for k in range(2)]
+    with pytest.raises(WorkerError, match=r"a worker failed: error: .*no run"):
+        draw_at_once(opened, frames, 2, 1, None, lambda done, total, what: None)
+
+
+def test_names_of_frames() -> None:
+    assert [path.name for path in numbered(Path("x/a_###.exr"), 2)] == ["a_000.exr", "a_001.exr"]
+    assert [path.name for path in numbered(Path("a#.png"), 11)][9:] == ["a9.png", "a10.png"]
+    assert numbered(Path("a.exr"), 1) == [Path("a.exr")]
+    for name in ("a.exr", "a_#_##.exr"):
+        with pytest.raises(BadValueError, match="one run of #"):
+            numbered(Path(name), 2)
+    assert plan_file(Path("x/a_###.exr")) == Path("x/a.exr.frames.json")
+    assert plan_file(Path("x/##.png")) == Path("x/all.png.frames.json")
+
+
+def test_one_frame_needs_no_number(run: Path, scene: Scene, tmp_path: Path) -> None:
+    shots = shots_of(scene, tmp_path / "shots.json", 1)
+    assert render(run, tmp_path / "one.exr", "--camera", shots, "--width", "16") == 0
+    assert read_exr(tmp_path / "one.exr").shape == (16, 16, 3)
+    assert not list(tmp_path.glob("*.frames.json"))
+
+
+def test_two_who_say_the_light(run: Path, scene: Scene, tmp_path: Path, capsys) -> None:
+    shots = shots_of(scene, tmp_path / "shots.json", levels=True)
+    assert render(run, tmp_path / "a_#.exr", "--camera", shots, "--lighting-level", "2") == 1
+    assert "--lighting-level: the file of cameras has levels" in capsys.readouterr().err
+
+
+def test_a_video_takes_the_same_files(run: Path, tmp_path: Path) -> None:
+    frames = [{"camera_to_world": np.eye(4).tolist(), "fov": 60.0} for _ in range(2)]
+    content = {"render_width": 24, "render_height": 16, "fps": 24, "camera_path": frames}
+    (tmp_path / "path.json").write_text(json.dumps(content))
+    words = ["--shots", str(tmp_path / "path.json"), "--frames", str(tmp_path / "video")]
+    assert main(["video", str(run), *words]) == 0
+    assert Image.open(tmp_path / "video" / "frame_0001.png").size == (24, 16)
