@@ -4,7 +4,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import tyro
@@ -24,12 +24,13 @@ from ...bridge.splat_files.usable import left_out_note, only_usable
 from ..formats.colours import display_of_linear, exposed, linear_of_display, radiance_sh
 from ..formats.table import Target, target_of
 from ..project import version
-from ..runs.run import Run
 from ..runs.terminal import console
-from ..runs.views import training_cameras
-from ..scene.camera import Camera
 from .lighting import levels_asked
 from .told import Told, answered, progress
+
+if TYPE_CHECKING:  # they load torch, which takes seconds and only a run needs
+    from ..runs.run import Run
+    from ..scene.camera import Camera
 
 #: What is said of colours that were fitted.
 FITTED = "fitted so that their blend is the model's picture"
@@ -51,7 +52,7 @@ class Source:
     up: Up = "z"
     notes: tuple[str, ...] = ()
     facts: tuple[tuple[str, str], ...] = ()
-    run: Run | None = None
+    run: "Run | None" = None
 
 
 @dataclass(frozen=True)
@@ -213,13 +214,17 @@ class Convert:
             return _cloud_of(model, colours), f"{told}, each Gaussian by itself"
         return _cloud_of(model, fitted(source, colours, look, cameras, show)), f"{told}, {FITTED}"
 
-    def _cameras(self, source: Source) -> list[Camera]:
+    def _cameras(self, source: Source) -> "list[Camera]":
         """From where a model is seen; none where nobody says."""
         if source.run is not None:
             if self.cameras is not None:
                 raise BadValueError("a run has its own cameras", "Leave --cameras out.")
             return [view.camera for view in source.run.scene.train]
-        return [] if self.cameras is None else training_cameras(self.cameras)
+        if self.cameras is None:
+            return []
+        from ..runs.views import training_cameras
+
+        return training_cameras(self.cameras)
 
     def _write(self, target: Target, cloud: SplatCloud, comments: Sequence[str]) -> None:
         if target.name == "PLY":
@@ -247,7 +252,7 @@ def developed(model: Model, look: Look) -> np.ndarray:
 
 
 def fitted(
-    source: Source, colours: np.ndarray, look: Look, cameras: Sequence[Camera], show: Told
+    source: Source, colours: np.ndarray, look: Look, cameras: "Sequence[Camera]", show: Told
 ) -> np.ndarray:
     """``colours`` of ``developed`` fitted so that their blend is the picture of the model, or of the run."""
     from ..export.fitted_bake import fitted_colour_sh, method_picture, model_picture
