@@ -18,7 +18,7 @@ def implementation(request) -> Iterator[str]:
     warp = pytest.importorskip("warp", reason="warp-lang is not installed")
     if mode and not hasattr(warp.config, "enable_cpu_blocks"):
         pytest.skip("before warp-lang 1.18 there are no blocks on the CPU")
-    before = getattr(warp.config, "enable_cpu_blocks", False)
-    warp.config.enable_cpu_blocks = bool(mode)
-    yield name
-    warp.config.enable_cpu_blocks = before
+    with pytest.MonkeyPatch.context() as patch:
+        if mode:
+            patch.setattr(warp.config, "enable_cpu_blocks", True)
+        yield name
