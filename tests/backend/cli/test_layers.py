@@ -3,6 +3,8 @@
 
 import json
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -166,6 +168,19 @@ def test_the_file_that_blenders_test_opens(tmp_path: Path) -> None:
     names = ("physhdr:levels", "workingSpace", "colorInteropID")
     told, told_again = ([each.get_string_attribute(name) for name in names] for each in (spec, spec_again))
     assert told == told_again
+
+
+def test_oiiotool_takes_a_light_out(tmp_path: Path) -> None:
+    """As docs/data-for-others.md has it."""
+    tool = shutil.which("oiiotool", path=str(Path(sys.executable).parent)) or shutil.which("oiiotool")
+    if tool is None:
+        pytest.skip("oiiotool is not installed")
+    channels = ",".join(f"{c}=ViewLayer.Light sun.{c}" for c in "RGB")
+    subprocess.run([tool, str(FIXTURE), "--ch", channels, "-o", str(tmp_path / "sun.exr")], check=True)
+    planes, spec = opened(tmp_path / "sun.exr")
+    require_rec709(spec)
+    light = np.stack([planes[channel] for channel in "RGB"], axis=-1)
+    np.testing.assert_array_equal(light, colour(opened(FIXTURE)[0], "Light sun"))
 
 
 @pytest.mark.parametrize(
