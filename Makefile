@@ -8,7 +8,7 @@ PYTHON ?= python3
 WITH_TORCH := $(if $(wildcard $(BACKEND)),$(BACKEND),$(PYTHON))
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-long fuzz torture benchmark report gpu-check gui-test web-test extension dist lock lint clean
+.PHONY: help setup demo test test-long fuzz torture benchmark report gpu-check gui-test web-test formats extension dist lock lint clean
 
 help: ## Show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -52,6 +52,9 @@ gui-test: setup ## The extension in a real Blender window; says so and ends wher
 
 web-test: setup ## Web pages in a headless Chromium, against physhdr render; skips, and says why, where there is none
 	@$(BACKEND) -m pytest tests/web -rs $(WITH)
+
+formats: setup ## What each format and program makes of the demo's model, into docs/viewers.md; skips what is not there
+	@$(BACKEND) tools/formats_table.py $(WITH)
 
 extension: setup ## Validate and build the Blender extension and its repository: dist/physhdr-*.zip, index.json
 	@$(BACKEND) tools/build_extension.py
