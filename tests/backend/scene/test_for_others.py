@@ -72,6 +72,24 @@ def test_our_own_readers_read_it_back(tiny_data: Path, tmp_path: Path, layout: s
     require_alike(read_scene(run(tiny_data, tmp_path / "all", layout, "--brackets")), true, all_of_it)
 
 
+@pytest.mark.parametrize("layout", ["nerfstudio", "colmap"])
+@pytest.mark.parametrize("source", ["syn", "real", "gausshdr", "hdr_gs", "colmap", "nerfstudio"])
+def test_every_layout_that_is_read_can_be_written(tmp_path: Path, layouts, source: str, layout: str) -> None:
+    data = getattr(layouts, f"write_{source}")(tmp_path / "data")
+    out = run(data, tmp_path / "out", layout, "--brackets")
+    true, found = read_scene(data), read_scene(out)
+    for split in ("train", "test"):
+        ours = sorted(true.splits[split], key=lambda view: view.index)
+        for view, back in zip(ours, in_order(found.splits[split]), strict=True):
+            np.testing.assert_allclose(
+                projected(back, layouts.POINTS[0]), projected(view, layouts.POINTS[0]), atol=1e-6
+            )
+            assert back.exposures == view.exposures
+            for k in range(len(view.exposures)):
+                np.testing.assert_array_equal(back.image(k), view.image(k))
+    assert found.response_anchor == true.response_anchor and found.photographs == true.photographs
+
+
 def test_validation_views_are_nerfstudios(validation_data: Path, tmp_path: Path) -> None:
     content = json.loads((run(validation_data, tmp_path / "n", "nerfstudio") / "transforms.json").read_text())
     assert content["val_filenames"] == [f"images/val_{index:03d}.png" for index in range(3)]
