@@ -35,10 +35,12 @@ from ..simd import run_parallel, run_ranges
 
 #: Views that are fitted to at most: training cameras, evenly spread, and places between them.
 MOST_VIEWS = 48
-#: Focal lengths there, of the cameras': what lies beside their pictures will be looked at, too. (The demo's
-#: test views lose 0.7 dB by it; from 0.7 m farther back the picture gains 3.9, turned by 25° 1.4.)
-WIDER = 0.8
-#: Weights that are held, 8 bytes each; where all pixels have more, so many of the pixels are fitted to.
+#: Focal lengths there, of the cameras': what lies beside their pictures will be looked at, too. And their
+#: pictures are finer, up to a screen's width: viewers show more pixels than the data set's pictures have,
+#: and colours that were fitted to those alone are speckled there. (docs/notebook.md, Colours for viewers)
+WIDER, FINER, SCREEN = 0.8, 3.0, 1600
+#: Weights that are held, 8 bytes each; where all pixels have more, so many of the pixels are fitted to, as
+#: many of each view.
 MOST_WEIGHTS = 60_000_000
 #: What holds a coefficient to where it starts, against the sum of w² Y² over all pixels that see it.
 RIDGE = 1e-3
@@ -168,16 +170,17 @@ class _Fit:
         self._of = len(cameras) + sum(STEPS)
         random = np.random.default_rng(0)
         self._views: list[_View] = []
-        share = 1.0
+        most = cameras[0].width * cameras[0].height
         for index, camera in enumerate(cameras):
-            view = _view_of(model, camera, picture, model.sh_degree, share, random)
+            view = _view_of(model, camera, picture, most, random)
             if index == 0:
-                share = min(1.0, MOST_WEIGHTS / max(1, view.weights.weights.size * len(cameras)))
-                if share < 1.0:
-                    view = _view_of(model, camera, picture, model.sh_degree, share, random)
+                each = max(1.0, view.weights.weights.size / most)
+                most, before = max(1, min(most, int(MOST_WEIGHTS / (each * len(cameras))))), most
+                if most < before:
+                    view = _view_of(model, camera, picture, most, random)
             self._views.append(view)
             self._told()
-        self._ridge = np.float32(RIDGE * share)
+        self._ridge = np.float32(RIDGE * most / (cameras[0].width * cameras[0].height))
         self._preconditioner = self._inverse_diagonal()
 
     def step(self, sh: np.ndarray, steps: int) -> np.ndarray:
@@ -233,20 +236,18 @@ class _Fit:
             self._show(self._done, self._of, "")
 
 
-def _view_of(
-    model: Model, camera: Camera, picture: Picture, degree: int, share: float, random: np.random.Generator
-) -> _View:
-    """A view by that ``share`` of its pixels, drawn by chance."""
+def _view_of(model: Model, camera: Camera, picture: Picture, most: int, random: np.random.Generator) -> _View:
+    """A view by at most so many of its pixels, drawn by chance."""
     pixels = np.arange(camera.width * camera.height)
-    if share < 1.0:
-        pixels = np.sort(random.choice(pixels, max(1, round(share * pixels.size)), replace=False))
+    if most < pixels.size:
+        pixels = np.sort(random.choice(pixels, most, replace=False))
     weights = blend_weights(*_shape(model), camera, pixels)
     seen, places = np.unique(weights.gaussians, return_inverse=True)
     wanted = picture(camera).reshape(3, -1)[:, pixels].T
     return _View(
         seen=seen.astype(np.int64),
         weights=BlendWeights(weights.starts, places.astype(np.int32), weights.weights),
-        basis=basis(_directions(model.position[seen], camera), degree).astype(np.float32),
+        basis=basis(_directions(model.position[seen], camera), model.sh_degree).astype(np.float32),
         wanted=np.ascontiguousarray(wanted, np.float32),
         free=np.empty((len(seen), 3), np.float32),
     )
@@ -288,9 +289,10 @@ def _with_places_between(cameras: Sequence[Camera]) -> Sequence[Camera]:
 
 
 def _half_way(one: Camera, other: Camera) -> Camera:
-    """Between two cameras, in place and turn; the size is the first one's, the lens ``WIDER``."""
+    """Between two cameras, in place and turn; the first one's lens and size, but ``WIDER`` and ``FINER``."""
     turns = Rotation.from_matrix([each.camera_to_world[:3, :3] for each in (one, other)])
     pose = np.eye(4)
     pose[:3, :3] = turns.mean().as_matrix()
     pose[:3, 3] = 0.5 * (one.position + other.position)
-    return Camera(pose, one.width, one.height, WIDER * one.fx, WIDER * one.fy, one.cx, one.cy)
+    between = Camera(pose, one.width, one.height, WIDER * one.fx, WIDER * one.fy, one.cx, one.cy)
+    return between.resized(max(one.width, min(round(FINER * one.width), SCREEN)))

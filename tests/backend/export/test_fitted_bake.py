@@ -197,5 +197,6 @@ def test_of_many_cameras_some(monkeypatch):
     assert len(chosen) == 9
     between = chosen[6]
     nearest = sorted(np.linalg.norm(between.position - each.position) for each in chosen[:6])[:2]
-    assert abs(nearest[0] - nearest[1]) < 1e-9 and between.fx < chosen[0].fx
+    assert abs(nearest[0] - nearest[1]) < 1e-9
+    assert between.width == 3 * SIZE and between.fx / between.width < chosen[0].fx / SIZE
     assert len(fitted_bake._with_places_between(cameras(1))) == 1
