@@ -246,6 +246,14 @@ def _worked(job: Path, threads: int, should_stop: Callable[[], bool]) -> Outcome
 def main(argv: list[str]) -> int:
     """Draw a job's frames; what another process calls."""
     end_with_parent()
+    try:
+        with interrupted_by_sigterm():
+            return _drawn(argv)
+    except KeyboardInterrupt:
+        return 130
+
+
+def _drawn(argv: list[str]) -> int:
     job = json.loads(Path(argv[0]).read_text(encoding="utf-8"))
     import torch
 
