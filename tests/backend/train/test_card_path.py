@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a card without a compiler trains by, on the CPU, against the CPU's own kernels: Warp's and plain torch.
+"""What a card without a compiler trains by (Warp and plain torch), on the CPU, against the CPU's own kernels.
 
 The gradients of an iteration, and whole short trainings.
 """
@@ -15,6 +15,15 @@ TOOLS = Path(__file__).resolve().parents[3] / "tools"
 SIZE, GAUSSIANS, ITERATIONS, SEEDS = 24, 80, 300, 3
 
 pytest.importorskip("warp", reason="warp-lang is not installed")
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    """Of torch's: pictures this small are done before a second thread has woken."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
 
 
 @pytest.fixture
