@@ -46,6 +46,14 @@ LOCKS = {
     "cuda": ("backend.txt", "torch-cuda.txt", "gsplat.txt"),
     "pip": ("backend.txt",),
 }
+#: What the build for CUDA 13 runs on: NVIDIA's driver R580 or newer, cards of the Turing generation or newer.
+OLDEST_DRIVER, OLDEST_CARD = 580, (7, 5)
+#: Where drivers leave their program that tells of cards, where it is not on the path (Windows, WSL).
+SMI = (
+    r"%SystemRoot%\System32\nvidia-smi.exe",
+    r"%ProgramFiles%\NVIDIA Corporation\NVSMI\nvidia-smi.exe",
+    "/usr/lib/wsl/lib/nvidia-smi",
+)
 TORCH_LOCK, CUDA_LOCK = "torch.txt", "torch-cuda.txt"
 #: A lock is all that is needed, torch apart: pip adds nothing, and runs no code of what it installs.
 LOCKED = ("--no-deps", "--only-binary=:all:")
@@ -149,6 +157,8 @@ def install(target: Path, launcher: Path, torch: str, fresh: bool) -> Path:
     if (folder / STAMP).exists() and not fresh:
         say(progress=COMPLETE, message="the environment is there already")
         return python
+    if torch == "cuda":
+        refuse_old_cards(cards_here())
     target.mkdir(parents=True, exist_ok=True)
     former = None if fresh else extensible(target, torch)
     free, needed = shutil.disk_usage(target).free, SPACE_ADDED if former else SPACE[torch]
@@ -175,6 +185,57 @@ def install(target: Path, launcher: Path, torch: str, fresh: bool) -> Path:
         if other != folder:
             shutil.rmtree(other, ignore_errors=True)
     return python
+
+
+def cards_here() -> list[tuple[str, str, str]]:
+    """Name, driver's version and compute capability of this machine's NVIDIA cards, as their driver says.
+
+    None where it says nothing: there is no driver, or none that can be asked.
+    """
+    found = shutil.which("nvidia-smi")
+    places = [found, *map(os.path.expandvars, SMI)] if found else list(map(os.path.expandvars, SMI))
+    query = ["--query-gpu=name,driver_version,compute_cap", "--format=csv,noheader"]
+    for program in places:
+        try:
+            done = subprocess.run(
+                [program, *query], capture_output=True, text=True, errors="replace", timeout=30, check=False
+            )
+        except (OSError, subprocess.TimeoutExpired):
+            continue
+        rows = [[field.strip() for field in line.split(",")] for line in done.stdout.splitlines()]
+        return [(row[0], row[1], row[2]) for row in rows if len(row) == 3 and done.returncode == 0]
+    return []
+
+
+def refuse_old_cards(cards: list[tuple[str, str, str]]) -> None:
+    """Raise ``InstallError`` where no card can run the build for CUDA 13, before gigabytes are fetched.
+
+    What the driver does not tell in numbers is not judged: the check at the end will find it out.
+    """
+    refusals = []
+    for name, driver, capability in cards:
+        version, card = numbers(driver), numbers(capability)
+        if version and version[0] < OLDEST_DRIVER:
+            message = f"the driver of {name} is {driver}; this build of torch needs {OLDEST_DRIVER} or newer"
+            hint = "Install a newer driver from NVIDIA, or choose the build for the processor."
+        elif card and card < OLDEST_CARD:
+            message = (
+                f"{name} is older than this build of torch knows (capability {capability}; 7.5 is needed)"
+            )
+            hint = "Choose the build for the processor."
+        else:
+            return
+        refusals.append(
+            InstallError(message, f"{hint} For CUDA 12 make an environment yourself and choose it.")
+        )
+    if refusals:
+        raise refusals[0]
+
+
+def numbers(text: str) -> tuple[int, ...]:
+    """``"581.29"`` as (581, 29); empty for what is not numbers."""
+    parts = text.split(".")
+    return tuple(map(int, parts)) if all(part.isdecimal() for part in parts) else ()
 
 
 def stamp_of(folder: Path) -> list[str]:

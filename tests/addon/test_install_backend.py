@@ -299,3 +299,91 @@ def test_an_extension_without_its_locks_says_to_install_it_again(place):
     status, said, _ = place.install()
     assert status == 1 and "torch.txt" in said[-1]["error"]["message"]
     assert said[-1]["error"]["hint"] == "Reinstall the extension."
+
+
+# ---- cards -----------------------------------------------------------------------------------------------
+
+NEW, OLD_DRIVER, OLD_CARD = (
+    ("NVIDIA GeForce RTX 4070", "581.29", "8.9"),
+    ("NVIDIA GeForce RTX 3060", "551.86", "8.6"),
+    ("NVIDIA GeForce GTX 1080", "580.82", "6.1"),
+)
+
+
+@pytest.fixture
+def installer(monkeypatch) -> dict:
+    """The script's names. A machine without any of the drivers' programs, until a test puts one there."""
+    module = runpy.run_path(str(SCRIPT))
+    monkeypatch.setattr("shutil.which", lambda name: None)
+    return module
+
+
+@pytest.mark.parametrize(
+    ("cards", "message"),
+    [
+        ([OLD_DRIVER], "the driver of NVIDIA GeForce RTX 3060 is 551.86; .* 580 or newer"),
+        ([OLD_CARD], "GTX 1080 is older than this build of torch knows"),
+        ([OLD_CARD, NEW], None),
+        ([NEW], None),
+        ([], None),
+        ([("A card", "[N/A]", "[N/A]")], None),
+    ],
+)
+def test_a_card_that_cannot_run_the_build_is_refused_before_the_download(installer, cards, message):
+    if message is None:
+        installer["refuse_old_cards"](cards)
+        return
+    with pytest.raises(installer["InstallError"], match=message) as raised:
+        installer["refuse_old_cards"](cards)
+    assert "the build for the processor" in raised.value.hint
+
+
+@pytest.mark.parametrize(
+    ("platform", "place"),
+    [
+        ("Linux", "/usr/bin/nvidia-smi"),
+        ("WSL", "/usr/lib/wsl/lib/nvidia-smi"),
+        ("Windows", r"C:\Windows\System32\nvidia-smi.exe"),
+        ("Windows, an old driver", r"C:\Program Files\NVIDIA Corporation\NVSMI\nvidia-smi.exe"),
+    ],
+)
+def test_the_drivers_program_is_found_where_each_system_has_it(installer, monkeypatch, platform, place):
+    """Whatever is not there cannot be started; Windows' own variables are set as Windows sets them."""
+    windows = platform.startswith("Windows")
+    variables = {"SystemRoot": r"C:\Windows", "ProgramFiles": r"C:\Program Files"} if windows else {}
+
+    def expanded(path: str) -> str:
+        for name, value in variables.items():
+            path = path.replace(f"%{name}%", value)
+        return path
+
+    def run(command, **_):
+        if command[0] != place:
+            raise FileNotFoundError(errno.ENOENT, "not there", command[0])
+        return subprocess.CompletedProcess(command, 0, "\n".join(map(", ".join, [NEW, OLD_CARD])) + "\n", "")
+
+    if platform == "Linux":
+        monkeypatch.setattr("shutil.which", lambda name: place)
+    monkeypatch.setattr("os.path.expandvars", expanded)
+    monkeypatch.setattr("subprocess.run", run)
+    assert installer["cards_here"]() == [NEW, OLD_CARD]
+
+
+@pytest.mark.parametrize(
+    ("status", "said"), [(9, "NVIDIA-SMI has failed, because it could not communicate"), (0, "a, b")]
+)
+def test_a_driver_that_says_nothing_of_use_is_as_none(installer, monkeypatch, status, said):
+    done = subprocess.CompletedProcess([], status, said, "")
+    monkeypatch.setattr("subprocess.run", lambda command, **_: done)
+    assert installer["cards_here"]() == []
+
+
+def test_nothing_is_fetched_for_a_card_that_cannot_run_it(place, tmp_path):
+    smi = tmp_path / "bin" / "nvidia-smi"
+    smi.parent.mkdir()
+    smi.write_text(f"#!/bin/sh\necho '{', '.join(OLD_DRIVER)}'\n")
+    smi.chmod(0o755)
+    place.lock("gsplat.txt")
+    status, said, _ = place.install("cuda", PATH=f"{smi.parent}{os.pathsep}{os.environ['PATH']}")
+    assert status == 1 and "551.86" in said[-1]["error"]["message"]
+    assert environments(place) == [] and not place.indexes["mine"].asked
