@@ -4,19 +4,17 @@
 For each point: ω, the direction from the active camera in the object's space; radiance at level 1,
 exp(Σ_k sh_k Y_k(ω)); relit by *Lighting level*, the first light's, and *Level of …*, one for each further
 light; times 2^*Exposure (EV)*; with *Learned tone mapper*, the scene-linear value that the *Standard* view
-shows as the learned response's code.
+shows as the learned response's code. That is before Gaussians are blended, and the camera responded after it:
+``rendering.develop`` does so to a picture.
 """
 
 import functools
 import itertools
-import math
 from collections.abc import Sequence
 from typing import Any
 
 import bpy
-import numpy as np
 
-from ...bridge import srgb
 from ...bridge.lights import AMBIENT
 from ...bridge.model_file import Model
 from ...bridge.spherical_harmonics import C0, C1, C2, C3, coefficient_count
@@ -41,11 +39,10 @@ from .nodes import (
     set_input,
 )
 from .point_cloud import model_of, read_tone_curve, write_attribute
+from .response_nodes import learned_response
 from .splat_nodes import camera_fields, draw
 from .tone_curve import ToneCurve
 
-#: Blender evaluates a curve of a node by linear interpolation in a table of so many steps.
-CURVE_STEPS = 256
 #: The version of this recipe, part of what marks a tree.
 _RECIPE = 6
 
@@ -146,8 +143,9 @@ def _declare_interface(tree: bpy.types.NodeTree, has_curve: bool, lights: tuple[
         declare(
             TONE_MAPPER,
             "Bool",
-            "Show what the camera that took the pictures would have recorded in 2^EV seconds, in Blender's "
-            "Standard view. Off: scene-linear radiance",
+            "Show each Gaussian as the camera of the photos would have recorded it in 2^EV seconds, in "
+            "Blender's Standard view. Renders blend these colours: near the camera's picture, not the same "
+            "(Develop as Photographed is). The 3D view is exact. Off: scene-linear radiance",
         )
     declare(
         VIEW_DEPENDENT,
@@ -304,28 +302,9 @@ class _Assembly:
 
     def _tone_map(self, exposed: Field, curve: ToneCurve) -> Field:
         """The response's code at exposed radiance, decoded from sRGB: what *Standard* encodes again."""
-        make = self.make
-        low, high = float(curve.log_exposure[0]), float(curve.log_exposure[-1])
-        with make.frame("Learned response over ln(radiance · 2^EV)"):
-            parts = make.node("ShaderNodeSeparateXYZ", exposed)
-            places = []
-            for axis in "XYZ":
-                positive = make.math("MAXIMUM", make.output(parts, axis), 1e-30)
-                places.append((make.math("LOGARITHM", positive, math.e) - low) / (high - low))
-            # A colour of our own making: this node and its sockets only carry numbers.
-            place = make.field("FunctionNodeCombineColor", *places)
-            node = make.node("ShaderNodeRGBCurve", 1.0, place, label="response")
-            assert isinstance(node, bpy.types.ShaderNodeRGBCurve) and node.mapping is not None
-            _set_curves(node.mapping, curve)
-            parts = make.node("FunctionNodeSeparateColor", make.output(node, "Color"))
-        with make.frame("Decode sRGB"):
-            decoded = []
-            for channel in ("Red", "Green", "Blue"):
-                code = make.output(parts, channel)
-                power = make.math("POWER", (code + srgb.OFFSET) * (1.0 / srgb.SCALE), srgb.POWER)
-                bright = make.math("GREATER_THAN", code, srgb.CODE_KNEE)
-                decoded.append(make.switch(bright, code * (1.0 / srgb.SLOPE), power))
-            return make.field("ShaderNodeCombineXYZ", *decoded)
+        parts = self.make.node("ShaderNodeSeparateXYZ", exposed)
+        decoded = learned_response(self.make, [self.make.output(parts, axis) for axis in "XYZ"], curve)
+        return self.make.field("ShaderNodeCombineXYZ", *decoded)
 
     def _exp(self, vector: Field) -> Field:
         """e to the power of each component: vector math has no exponential."""
@@ -352,22 +331,3 @@ class _Assembly:
             total = term if total is None else total + term
         assert total is not None
         return total
-
-
-def _set_curves(mapping: bpy.types.CurveMapping, curve: ToneCurve) -> None:
-    """Make a colour curve node's three curves the response, 0 … 1 over its range, flat beyond.
-
-    A point at every entry of the table that Blender makes of a curve, so that nothing is rounded twice.
-    """
-    mapping.extend = "HORIZONTAL"
-    places = np.linspace(0.0, 1.0, CURVE_STEPS + 1)
-    low, high = float(curve.log_exposure[0]), float(curve.log_exposure[-1])
-    for channel in range(3):
-        values = np.interp(low + places * (high - low), curve.log_exposure, curve.values[:, channel])
-        points = mapping.curves[channel].points
-        points[0].location, points[-1].location = (0.0, float(values[0])), (1.0, float(values[-1]))
-        for place, value in zip(places[1:-1], values[1:-1], strict=True):
-            points.new(float(place), float(value))
-        for point in points:
-            point.handle_type = "VECTOR"
-    mapping.update()

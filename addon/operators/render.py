@@ -11,6 +11,7 @@ from ..blender import layout_of
 from ..capture import placement
 from ..capture.dataset_cameras import first_of, import_cameras, take_size
 from ..model.look import is_model
+from ..rendering import develop
 from ..rendering.render_setup import (
     has_model,
     models_in_render,
@@ -114,6 +115,61 @@ class PHYSHDR_OT_render_setup(bpy.types.Operator):
         return camera
 
 
+def model_to_develop_by(context: bpy.types.Context) -> bpy.types.Object | None:
+    """The model whose learned response a picture gets: the one that is meant where it has a response, else
+    one with a response that the render shows."""
+    found = [model_for(context), *models_in_render(context.scene)]
+    return next((each for each in found if develop.response_of(each) is not None), None)
+
+
+class PHYSHDR_OT_develop_render(bpy.types.Operator):
+    """Let the compositor develop renders as the camera would have that took the pictures: by the active
+    model's learned response, applied to what was blended, other objects included. Learned Tones of the models
+    are switched off for it, and the view is set to Standard, which shows its codes"""
+
+    bl_idname = "physhdr.develop_render"
+    bl_label = develop.LABEL
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
+
+    remove: bpy.props.BoolProperty(
+        name="Remove",
+        description="Take it out of the compositor again, and give Learned Tones and the view back",
+        options={"SKIP_SAVE"},
+    )
+
+    @classmethod
+    def description(cls, context: bpy.types.Context, properties: Any) -> str:
+        if properties.remove:
+            return "Renders are developed: take that out of the compositor, and give tones and view back"
+        return " ".join((cls.__doc__ or "").split())
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if develop.node_of(context.scene) is None and model_to_develop_by(context) is None:
+            cls.poll_message_set("None of the models has a learned response: train with several exposures")
+            return False
+        return True
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        scene, models = context.scene, models_in_render(context.scene)
+        if self.remove:
+            develop.remove(scene, models)
+            self.report({"INFO"}, "Renders are scene-linear radiance again")
+            return {"FINISHED"}
+        target = model_to_develop_by(context)
+        if target is None:
+            self.report({"ERROR"}, "No model has a learned response: train one with several exposures")
+            return {"CANCELLED"}
+        try:
+            develop.develop(scene, target, models)
+        except PhysHDRError as error:
+            self.report({"ERROR"}, str(error))
+            return {"CANCELLED"}
+        told = f"Renders are developed by the response of {target.name!r}, and whatever else is in them"
+        self.report({"INFO"}, told)
+        return {"FINISHED"}
+
+
 class PHYSHDR_OT_cameras_import(bpy.types.Operator):
     """Bring in the cameras of the model's data set, in a collection of their own; those that are there
     already are put back to their places"""
@@ -173,5 +229,5 @@ class PHYSHDR_OT_cameras_import(bpy.types.Operator):
         return {"FINISHED"}
 
 
-_CLASSES = (PHYSHDR_OT_render_setup, PHYSHDR_OT_cameras_import)
+_CLASSES = (PHYSHDR_OT_render_setup, PHYSHDR_OT_develop_render, PHYSHDR_OT_cameras_import)
 register, unregister = bpy.utils.register_classes_factory(_CLASSES)

@@ -5,7 +5,10 @@ import bpy
 
 from ..blender import layout_of
 from ..capture.dataset_cameras import cameras_of, has_size, is_of_data_set, size_of
-from ..operators.render import model_for
+from ..model.nodes import EXPOSURE
+from ..model.response_nodes import OVER_BLACK
+from ..operators.render import model_for, model_to_develop_by
+from ..rendering import develop
 from ..rendering.render_setup import has_model, render_problems
 from .parts import Subpanel, write
 
@@ -27,7 +30,29 @@ class PHYSHDR_PT_render(Subpanel, bpy.types.Panel):
         row = layout.row()
         row.scale_y = 1.4 if any(problem.mended for problem in problems) else 1.0
         row.operator("physhdr.render_setup", icon="SCENE")
+        draw_developing(context, layout)
         draw_cameras(context, layout)
+
+
+def draw_developing(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:
+    """The button that develops renders and leaves off, and what the camera is set to."""
+    node, target = develop.node_of(context.scene), model_to_develop_by(context)
+    if node is None and target is None:
+        return
+    column = layout.column(align=True)
+    button = column.operator(
+        "physhdr.develop_render", text=develop.LABEL, icon="CAMERA_STEREO", depress=node is not None
+    )
+    button.remove = node is not None
+    if node is None:
+        return
+    if target is not None and not develop.has_response_of(node, target):
+        column.operator("physhdr.develop_render", text=f"By the Response of {target.name}").remove = False
+    if node.node_tree is not None:
+        inputs = layout.column()
+        inputs.use_property_split = inputs.use_property_decorate = True
+        for name in (EXPOSURE, OVER_BLACK):
+            inputs.prop(node.inputs[name], "default_value", text=name)
 
 
 def draw_cameras(context: bpy.types.Context, layout: bpy.types.UILayout) -> None:

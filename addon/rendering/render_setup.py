@@ -17,6 +17,7 @@ from ..blender import curve_of, render_size, settings_of_cycles
 from ..model import nodes
 from ..model.look import is_model
 from ..model.material import materials_in
+from . import develop
 from .render import CERTAIN_BOUNCES, TRANSPARENT_BOUNCES, let_rays_pass, sample_centres
 
 CYCLES, EEVEE = "CYCLES", "BLENDER_EEVEE"
@@ -311,12 +312,38 @@ def _materials(models: Models) -> list[bpy.types.Material]:
     return found
 
 
+def _tones(scene: bpy.types.Scene, models: Models) -> Iterator[Problem]:
+    toned = develop.toned(models)
+    if not toned:
+        return
+    if develop.node_of(scene) is None:
+        told = f"{names_of(toned)}: Learned Tones respond to each Gaussian before blending, as no camera does"
+        yield Problem("TONES", f"{told}. {develop.LABEL} is exact", mended=False)
+    else:
+        told = f"{names_of(toned)}: developed twice, by Learned Tones and in the compositor"
+        yield Problem("TONES", told, mended=all(map(develop.can_switch, toned)))
+
+
+def _developed(scene: bpy.types.Scene, models: Models) -> Iterator[Problem]:
+    """What spoils a picture that the compositor develops."""
+    if develop.node_of(scene) is None:
+        return
+    if develop.is_off(scene):
+        yield Problem("DEVELOP", "The picture is not developed: compositing or its node is switched off")
+    if develop.is_apart(scene):
+        told = f"The picture is not developed: its node has lost its links. {develop.LABEL} puts it back"
+        yield Problem("DEVELOP", told, mended=False)
+    if faults := develop.faults_of_view(scene):
+        told = f"The view changes the developed picture ({', '.join(faults)}): it is meant for Standard alone"
+        yield Problem("VIEW", told)
+
+
 def _editable(data: Sequence[bpy.types.ID]) -> bool:
     return all(each.library is None for each in data)
 
 
 _CHECKS: tuple[Callable[[bpy.types.Scene, Models], Iterator[Problem]], ...] = (
-    *(_camera, _modifier, _bounces, _samples, _depth_of_field, _shadows, _splats, _width),
+    *(_camera, _modifier, _bounces, _samples, _depth_of_field, _shadows, _splats, _width, _tones, _developed),
 )
 
 
@@ -341,6 +368,7 @@ def set_up(scene: bpy.types.Scene, wishes: Wishes | None = None) -> None:
     if any(BY_LOT in _methods(each) for each in models_in_render(scene)):
         eevee = settings_of_eevee(scene)
         eevee.taa_render_samples = max(eevee.taa_render_samples, EEVEE_SAMPLES)
+    develop.settle(scene, models_in_render(scene))
 
 
 def _set_up_model(scene: bpy.types.Scene, target: bpy.types.Object, wishes: Wishes) -> None:
