@@ -28,6 +28,7 @@ READ = {
     "locks/torch.txt",
     "locks/torch-cuda.txt",
     "locks/gsplat.txt",
+    "locks/warp.txt",
 }
 #: The hooks that any builder calls (PEP 517), without the environment that it would fetch for them.
 HOOK = "import sys; from setuptools import build_meta; build_meta.build_{}(sys.argv[1])"

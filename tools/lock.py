@@ -12,7 +12,7 @@ environment, itself locked by its hash.
     backend.txt     the trainer and the extra prepare, without torch
     develop.txt     the extras test and develop, on top of it
     torch.txt       torch itself; torch-cuda.txt: the libraries that its CUDA build for Linux asks for
-    gsplat.txt      the extra cuda
+    gsplat.txt      the extra cuda; warp.txt: the extra warp
     bpy.txt         the bpy wheel and what it asks for; blender.txt: what our side of Blender needs beside it
     uv.txt          uv
 
@@ -62,6 +62,7 @@ HEADERS = {
     "develop.txt": "The extras test and develop; goes with backend.txt.",
     "torch-cuda.txt": "What torch's CUDA build for Linux asks for, as PyPI has it.",
     "gsplat.txt": "The extra cuda; goes with backend.txt and torch-cuda.txt.",
+    "warp.txt": "The extra warp; goes with backend.txt.",
     "bpy.txt": "Blender as a Python module, for Python 3.13.",
     "blender.txt": "What our side of Blender needs beside bpy or a blender binary (the extra blender).",
     "uv.txt": "What tools/lock.py resolves with.",
@@ -117,12 +118,13 @@ def lock(scratch: Path, former: dict[str, str], keep: bool) -> dict[str, str]:
     resolver = Resolver(scratch, "\n".join(former.values()) if keep else "", former.get("uv.txt", ""))
     (scratch / "build.in").write_text("\n".join(project()["build-system"]["requires"]), encoding="utf-8")
     # Everything together first, so that what one part caps holds for all; then the parts, at those versions.
-    everything = resolver.pins(OLDEST, ["backend", "prepare", "cuda", "test", "develop"])
+    everything = resolver.pins(OLDEST, ["backend", "prepare", "cuda", "warp", "test", "develop"])
     limits = scratch / "everything.txt"
     limits.write_text("\n".join(pin.requirement for pin in everything), encoding="utf-8")
     backend = resolver.pins(OLDEST, ["backend", "prepare"], limits)
     develop = resolver.pins(OLDEST, ["backend", "prepare", "test", "develop"], limits)
     gsplat = resolver.pins(OLDEST, ["backend", "prepare", "cuda"], limits)
+    warp = resolver.pins(OLDEST, ["backend", "prepare", "warp"], limits)
     blender = resolver.pins(BLENDER, ["blender"])
     (scratch / "bpy.in").write_text("\n".join(p.requirement for p in blender if p.name == "bpy"))
     limits.write_text("\n".join(pin.requirement for pin in blender), encoding="utf-8")
@@ -134,6 +136,7 @@ def lock(scratch: Path, former: dict[str, str], keep: bool) -> dict[str, str]:
         "torch-cuda.txt": [p for p in backend if OF_CUDA.match(p.name)],
         "develop.txt": without(develop, backend),
         "gsplat.txt": without(gsplat, backend),
+        "warp.txt": without(warp, backend),
         "bpy.txt": bpy,
         "blender.txt": without(blender, bpy),
         "uv.txt": resolver.pins(OLDEST, [], None, [scratch / "uv.in"]),

@@ -43,7 +43,7 @@ TORCH_INDEX = {
 #: The locks that each build needs beside torch's, in the folder ``locks`` beside the launcher's.
 LOCKS = {
     "cpu": ("backend.txt",),
-    "cuda": ("backend.txt", "torch-cuda.txt", "gsplat.txt"),
+    "cuda": ("backend.txt", "torch-cuda.txt", "gsplat.txt", "warp.txt"),
     "pip": ("backend.txt",),
 }
 #: What the build for CUDA 13 runs on: NVIDIA's driver R580 or newer, cards of the Turing generation or newer.

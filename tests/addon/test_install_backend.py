@@ -384,6 +384,7 @@ def test_nothing_is_fetched_for_a_card_that_cannot_run_it(place, tmp_path):
     smi.write_text(f"#!/bin/sh\necho '{', '.join(OLD_DRIVER)}'\n")
     smi.chmod(0o755)
     place.lock("gsplat.txt")
+    place.lock("warp.txt")
     status, said, _ = place.install("cuda", PATH=f"{smi.parent}{os.pathsep}{os.environ['PATH']}")
     assert status == 1 and "551.86" in said[-1]["error"]["message"]
     assert environments(place) == [] and not place.indexes["mine"].asked

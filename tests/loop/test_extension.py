@@ -76,7 +76,7 @@ def test_the_zip_bundles_the_wheels_that_are_pinned_and_the_locks_of_the_trainer
         names = archive.namelist()
         digests = [hashlib.sha256(archive.read(n)).hexdigest() for n in names if n.endswith(".whl")]
     assert sorted(digests) == sorted(re.findall(r"--hash=sha256:(\S+)", pins))
-    locks = {"backend.txt", "torch.txt", "torch-cuda.txt", "gsplat.txt"}
+    locks = {"backend.txt", "torch.txt", "torch-cuda.txt", "gsplat.txt", "warp.txt"}
     assert {Path(name).name for name in names if name.startswith("locks/")} == locks
 
 

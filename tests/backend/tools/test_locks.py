@@ -21,7 +21,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 TOGETHER = {
     ("backend.txt", "torch.txt"): ["backend"],
     ("backend.txt", "torch.txt", "develop.txt"): ["backend", "test", "develop"],
-    ("backend.txt", "torch.txt", "torch-cuda.txt", "gsplat.txt"): ["backend", "cuda"],
+    ("backend.txt", "torch.txt", "torch-cuda.txt", "gsplat.txt", "warp.txt"): ["backend", "cuda", "warp"],
     ("bpy.txt", "blender.txt"): ["blender"],
 }
 SYSTEMS = [("linux", "x86_64"), ("linux", "aarch64"), ("win32", "AMD64"), ("darwin", "arm64")]
