@@ -77,7 +77,17 @@ def damaged_where_it_fails(what: str, remedy: str = "") -> Iterator[None]:
     except PhysHDRError:
         raise
     except Exception as error:
-        raise FileDamagedError(f"{what} ({str(error)[:200] or type(error).__name__})", remedy) from error
+        raise FileDamagedError(f"{what} ({_told(error)})", remedy) from error
+
+
+def _told(error: Exception) -> str:
+    """What an error says, or its kind where it says nothing; OpenUSD's cannot be said where a file's bytes
+    that it repeats are no UTF-8.
+    """
+    try:
+        return str(error)[:200] or type(error).__name__
+    except UnicodeError:
+        return type(error).__name__
 
 
 def without_waiting(path: str, flags: int) -> int:

@@ -6,7 +6,6 @@ terms of ``transforms.json``: ``transform_matrix`` is camera to world in the cap
 """
 
 import json
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,12 +15,13 @@ import numpy as np
 
 from .atomic import atomic_path
 from .errors import BadValueError, FileDamagedError
-from .limits import EV_MAX
+from .limits import EV_MAX, FOCAL_LENGTH, PRINCIPAL_POINT, is_number
 from .regular import read_json_object
 
 FORMAT, VERSION = "physhdr-shots", 1
 #: So many frames a file may have: an hour at 60 a second.
 MOST_FRAMES = 216_000
+AGAIN = "Let Blender's panel write it again (Video…)."
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,17 +74,15 @@ def read_shots(path: Path, fewest: int = 2) -> Shots:
 
     Raises ``FileMissingError``, ``FileDamagedError`` or ``BadValueError`` that names it.
     """
-    content = read_json_object(Path(path))
+    content = read_json_object(Path(path), AGAIN)
     if content.get("format") != FORMAT or content.get("version") != VERSION:
-        raise FileDamagedError(
-            f"{path} is no {FORMAT} file of version {VERSION}", "Let Blender's panel write it again (Video…)."
-        )
+        raise FileDamagedError(f"{path} is no {FORMAT} file of version {VERSION}", AGAIN)
     width, height, fps = content.get("w"), content.get("h"), content.get("fps")
-    if not (_is_size(width) and _is_size(height) and _is_number(fps) and 0.0 < fps <= 240.0):
-        raise BadValueError(f"{path}: w, h and fps must be above 0, fps at most 240")
+    if not (_is_size(width) and _is_size(height) and is_number(fps) and 0.0 < fps <= 240.0):
+        raise BadValueError(f"{path}: w, h and fps must be above 0, fps at most 240", AGAIN)
     frames = content.get("frames")
     if not isinstance(frames, list) or not fewest <= len(frames) <= MOST_FRAMES:
-        raise BadValueError(f"{path}: it must have from {fewest} to {MOST_FRAMES} frames")
+        raise BadValueError(f"{path}: it must have from {fewest} to {MOST_FRAMES} frames", AGAIN)
     return Shots(width, height, float(fps), [_shot(path, i, row) for i, row in enumerate(frames)])
 
 
@@ -105,22 +103,22 @@ def _shot(path: Path, index: int, row: Any) -> Shot:
         pose = np.array(row["transform_matrix"], np.float64)
         numbers = [row[name] for name in ("fl_x", "fl_y", "cx", "cy")]
         numbers += [row.get("exposure_ev", 0.0), *row.get("levels", [])]
-    except (KeyError, TypeError, ValueError, AttributeError):
-        raise BadValueError(f"{path}: frame {index} has no camera or is no frame at all") from None
-    if pose.shape != (4, 4) or not np.isfinite(pose).all() or not all(map(_is_number, numbers)):
-        raise BadValueError(f"{path}: frame {index} holds something that is no number")
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
+        raise BadValueError(f"{path}: frame {index} has no camera or is no frame at all", AGAIN) from None
+    if pose.shape != (4, 4) or not np.isfinite(pose).all() or not all(map(is_number, numbers)):
+        raise BadValueError(f"{path}: frame {index} holds something that is no number", AGAIN)
     fx, fy, cx, cy, exposure_ev, *levels = map(float, numbers)
-    if not (fx > 0.0 and fy > 0.0 and all(level >= 0.0 for level in levels)):
-        raise BadValueError(f"{path}: frame {index} has a focal length or a level below 0")
+    for focal in (fx, fy):
+        FOCAL_LENGTH.check(focal, f"{path}: the focal length of frame {index}")
+    for centre in (cx, cy):
+        PRINCIPAL_POINT.check(centre, f"{path}: the principal point of frame {index}")
+    if not all(level >= 0.0 for level in levels):
+        raise BadValueError(f"{path}: frame {index} has a level below 0", AGAIN)
     if abs(exposure_ev) > EV_MAX:
         raise BadValueError(
-            f"{path}: frame {index} has an exposure of {exposure_ev:g} EV: at most ±{EV_MAX:g}"
+            f"{path}: frame {index} has an exposure of {exposure_ev:g} EV: at most ±{EV_MAX:g}", AGAIN
         )
     return Shot(pose, fx, fy, cx, cy, exposure_ev, tuple(levels))
-
-
-def _is_number(value: Any) -> TypeGuard[float]:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _is_size(value: Any) -> TypeGuard[int]:

@@ -139,7 +139,7 @@ def _replay(paths: list[Path], targets: tuple[Target, ...], scratch: Path) -> in
             continue
         order = Order(finding.target, finding.seed, finding.number, finding.number + 1, 600.0, finding.case)
         worker.run(known[finding.target], order, tally)
-        told = ", ".join(tally.outcomes) or tally.broken
+        told = ", ".join(tally.outcomes) or tally.broken or f"skipped: {tally.skipped}"
         bad = bool(tally.findings or tally.broken)
         _say(f"{path.name}: {'FOUND' if bad else 'right'}: {told}")
         for found in tally.findings.values():

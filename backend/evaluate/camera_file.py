@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ...bridge.errors import BadValueError, FileDamagedError
-from ...bridge.limits import FOCAL_LENGTH, LARGEST_SIDE
+from ...bridge.limits import FOCAL_LENGTH, LARGEST_SIDE, PRINCIPAL_POINT, check_position
 from ...bridge.regular import damaged_where_it_fails, read_json_object, regular_file
 from ...bridge.shots import FORMAT, MOST_FRAMES, Shot, Shots, read_shots
 from ..scene.camera import Camera
@@ -25,6 +25,9 @@ KINDS = (
     f"It must be a file of Blender's panel ({FORMAT}), nerfstudio's camera path (JSON), or a USD stage with "
     "a camera; an Alembic camera is imported in Blender first."
 )
+#: What to do about a file that is not as it must be.
+SPACE = "nerfstudio writes dataparser_transforms.json beside config.yml of a training: take that file."
+APERTURE = "Mend that camera's sensor (its film's size), and export it again."
 #: nerfstudio's camera paths without a word about it play so fast.
 NERFSTUDIO_FPS = 24.0
 #: A USD stage whose pieces are not rigid beyond this is not of a camera that can be drawn.
@@ -65,7 +68,8 @@ def read_camera_file(
 def _require_count(path: Path, shots: Shots, fewest: int) -> Shots:
     if not fewest <= len(shots.frames) <= MOST_FRAMES:
         raise BadValueError(
-            f"{path} has {len(shots.frames)} frames: it must have from {fewest} to {MOST_FRAMES}"
+            f"{path} has {len(shots.frames)} frames: it must have from {fewest} to {MOST_FRAMES}",
+            "Make the path again with so many.",
         )
     return shots
 
@@ -103,8 +107,10 @@ def _nerfstudio(path: Path, content: dict[str, Any], world: tuple[np.ndarray, fl
             raise FileDamagedError(f"{path}: frame {index} is no object", KINDS)
         pose = rigid_pose(path, _square(row.get("camera_to_world")), str(index))
         # x' = scale · (linear x): poses of the file are in that space.
-        pose[:3, 3] /= scale
-        pose = np.linalg.inv(linear) @ pose
+        with np.errstate(over="ignore", invalid="ignore"):
+            pose[:3, 3] /= scale
+            pose = np.linalg.inv(linear) @ pose
+        check_position(pose[:3, 3], f"{path}: the camera of frame {index} in the world before training")
         angle = number(path, row.get("fov"), f"frame {index}: 'fov'")
         if not 0.0 < angle < 180.0:
             raise BadValueError(f"{path}: frame {index}: 'fov' is {angle:g}", "Degrees, between 0 and 180.")
@@ -125,17 +131,15 @@ def _world_of(space: Path | None) -> tuple[np.ndarray, float]:
     """``[4, 4]`` and a factor: x' = factor · (matrix x), from our world to that of a nerfstudio training."""
     if space is None:
         return np.eye(4), 1.0
-    content = read_json_object(
-        Path(space), "nerfstudio writes dataparser_transforms.json beside config.yml of a training."
-    )
+    content = read_json_object(Path(space), SPACE)
     scale = number(space, content.get("scale"), "scale")
     matrix = np.eye(4)
-    with damaged_where_it_fails(f"{space} has no 'transform' of 3×4 numbers"):
+    with damaged_where_it_fails(f"{space} has no 'transform' of 3×4 numbers", SPACE):
         matrix[:3] = np.asarray(content["transform"], np.float64).reshape(3, 4)
     if not (scale > 0.0 and np.isfinite(matrix).all() and is_rotation(matrix[:3, :3])):
         raise BadValueError(
             f"{space}: 'transform' is no rotation and translation, or 'scale' is not above 0",
-            "Take the file that nerfstudio wrote.",
+            SPACE,
         )
     return matrix, scale
 
@@ -147,25 +151,34 @@ def _usd(path: Path, like: Camera, prim: str | None) -> Shots:
     """A stage's camera at each of its time codes; once where it says no range of them."""
     stage_module = needed("pxr.Usd", "usd-core", "usd", f"{path.name}: a USD camera")
     geometry = needed("pxr.UsdGeom", "usd-core", "usd", f"{path.name}: a USD camera")
-    tf = needed("pxr.Tf", "usd-core", "usd", f"{path.name}: a USD camera")
-    try:
+    unreadable = f"{path} is no USD stage that can be read"
+    with damaged_where_it_fails(unreadable, KINDS):
         stage = stage_module.Stage.Open(str(path))
-    except tf.ErrorException as error:
-        raise FileDamagedError(f"{path} is no USD stage that can be read", KINDS) from error
-    cameras = [each for each in stage.Traverse() if each.IsA(geometry.Camera)]
+        cameras = [each for each in stage.Traverse() if each.IsA(geometry.Camera)]
     camera = geometry.Camera(_the_one(path, cameras, prim))
     first, last = stage.GetStartTimeCode(), stage.GetEndTimeCode()
     if not stage.HasAuthoredTimeCodeRange():
         first = last = 0.0
     if not (math.isfinite(first) and math.isfinite(last) and 0.0 <= last - first < MOST_FRAMES):
-        raise BadValueError(f"{path}: its time codes are from {first:g} to {last:g}")
+        raise BadValueError(
+            f"{path}: its time codes are from {first:g} to {last:g}",
+            f"Export from a first to a later frame, at most {MOST_FRAMES} of them.",
+        )
     to_world = _blender_world(path, geometry, stage)
     times = first + np.arange(math.floor(last - first) + 1)
-    sampled = [camera.GetCamera(stage_module.TimeCode(float(time))) for time in times]
-    window = sampled[0].horizontalAperture, sampled[0].verticalAperture
-    if not all(math.isfinite(side) and side > 0.0 for side in window):
-        raise BadValueError(f"{path}: {camera.GetPath()} has an aperture of {window[0]:g}×{window[1]:g}")
-    width, height = like.width, max(1, round(like.width * window[1] / window[0]))
+    with damaged_where_it_fails(unreadable, KINDS):
+        sampled = [camera.GetCamera(stage_module.TimeCode(float(time))) for time in times]
+    windows = [(each.horizontalAperture, each.verticalAperture) for each in sampled]
+    for wide, high in windows:
+        if not all(math.isfinite(side) and side > 0.0 for side in (wide, high)):
+            raise BadValueError(f"{path}: {camera.GetPath()} has an aperture of {wide:g}×{high:g}", APERTURE)
+    wide, high = windows[0]
+    width, height = like.width, max(1.0, like.width * high / wide)
+    if height > LARGEST_SIDE:
+        raise BadValueError(
+            f"{path}: an aperture of {wide:g}×{high:g} gives {height:g} rows of pixels", APERTURE
+        )
+    height = round(height)
     frames = [
         _usd_shot(path, geometry, time, each, to_world, width, height)
         for time, each in zip(times, sampled, strict=True)
@@ -214,7 +227,10 @@ def _usd_shot(
     pose = to_world @ np.array(camera.transform, np.float64).T
     lengths = np.linalg.norm(pose[:3, :3], axis=0)
     if not (np.isfinite(pose).all() and lengths.min() > 0.0):
-        raise BadValueError(f"{path}: the camera's matrix at {time:g} is flat or not finite")
+        raise BadValueError(
+            f"{path}: the camera's matrix at {time:g} is flat or not finite",
+            "Give it and what it is parented to a scale other than 0 along every axis.",
+        )
     pose[:3, :3] /= lengths  # its own scale does nothing to what it sees
     if np.ptp(lengths) > SHEAR * lengths.max() and not is_rotation(pose[:3, :3]):
         raise BadValueError(f"{path}: the camera is sheared at {time:g}", "Unparent it, or apply the scale.")
@@ -226,4 +242,6 @@ def _usd_shot(
     # The window is moved by the offset, so the axis meets the picture on the other side of the middle.
     cx = width * (0.5 - camera.horizontalApertureOffset / wide)
     cy = height * (0.5 + camera.verticalApertureOffset / high)
+    for centre in (cx, cy):
+        PRINCIPAL_POINT.check(centre, f"{path}: the principal point at {time:g}")
     return Shot(pose, fx, fy, cx, cy)

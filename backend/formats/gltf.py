@@ -314,9 +314,8 @@ class _Gltf:
             raise self.damaged(f"{EXTENSION} is no object")
         space, kernel = extension.get("colorSpace", SPACES[0]), extension.get("kernel", "ellipse")
         if extension.get("extensions"):
-            names = ", ".join(map(str, extension["extensions"]))
             raise BadValueError(
-                f"{self.path}: its Gaussians are compressed or changed by {names:.200}",
+                f"{self.path}: its Gaussians are compressed or changed by {_names(extension['extensions'])}",
                 "Export it without compression.",
             )
         if space not in SPACES or kernel != "ellipse":
@@ -348,16 +347,17 @@ class _Gltf:
             raise self.damaged(f"its Gaussians have no {name}")
         accessor = self._item("accessors", names[name])
         kind, component = accessor.get("type"), accessor.get("componentType")
-        if WIDTHS.get(str(kind)) != width or component not in COMPONENTS or "sparse" in accessor:
+        known = COMPONENTS.get(component) if type(component) is int else None
+        if WIDTHS.get(str(kind)) != width or known is None or "sparse" in accessor:
             raise self.damaged(f"{name} is {kind!r:.40} of type {component!r:.40}, or sparse")
         count = self._whole(accessor, "count")
         view = self._item("bufferViews", accessor.get("bufferView"))
         if view.get("extensions"):
             raise BadValueError(
-                f"{self.path}: {name} is compressed ({', '.join(map(str, view['extensions'])):.200})",
+                f"{self.path}: {name} is compressed ({_names(view['extensions'])})",
                 "Export it without compression.",
             )
-        dtype, whole = COMPONENTS[component]
+        dtype, whole = known
         size = dtype.itemsize * width
         stride = self._whole(view, "byteStride", size)
         start, length = self._whole(view, "byteOffset", 0), self._whole(view, "byteLength")
@@ -373,6 +373,11 @@ class _Gltf:
         if accessor.get("normalized") and dtype.kind in "iu":
             values = np.maximum(values / np.float32(whole), -1.0)
         return values
+
+
+def _names(extensions: Any) -> str:
+    """Extensions for a message; their names are the file's and may be anything."""
+    return f"{', '.join(map(ascii, extensions)) if isinstance(extensions, dict) else ascii(extensions):.200}"
 
 
 def _splat_primitives(mesh: dict[str, Any]) -> Iterator[tuple[dict[str, Any], Any]]:

@@ -11,6 +11,7 @@ from ...bridge.affine import transform_gaussians
 from ...bridge.errors import BadValueError, FileDamagedError
 from ...bridge.spherical_harmonics import rotated
 from ...bridge.splat_files import SplatCloud
+from ...bridge.splat_files.usable import ABSURD
 
 #: What is turned by less keeps its SH as they are.
 NO_TURN = 1e-7
@@ -23,14 +24,20 @@ FREE, MOST_TIMES = 1_000_000, 8
 def moved(path: Path, cloud: SplatCloud, matrix: np.ndarray) -> SplatCloud:
     """``cloud`` under a node's ``matrix`` ``[4, 4]``: places, ellipsoids and colours.
 
+    Ellipsoids that are none (their axes cannot be found) get NaN as their scale: they are left out later.
+
     Raises ``FileDamagedError`` where the matrix is flat or not finite, ``BadValueError`` where it shears or
     mirrors, under which colours are not known.
     """
     if np.array_equal(matrix, np.eye(4)):
         return cloud
     linear = np.asarray(matrix, np.float64)[:3, :3]
+    sane = (cloud.scale >= 0.0) & (cloud.scale <= ABSURD)
+    usable = np.asarray(np.isfinite(cloud.rotation).all(axis=1) & sane.all(axis=1))
+    size = np.where(usable[:, None], cloud.scale, np.float32(1.0))
     try:
-        placed = transform_gaussians(matrix, cloud.position, _unit(cloud.rotation), cloud.scale)
+        with np.errstate(over="ignore", invalid="ignore"):
+            placed = transform_gaussians(matrix, cloud.position, _unit(cloud.rotation), size)
     except BadValueError as error:
         raise FileDamagedError(
             f"{path}: a node's matrix is flat or not finite", "Give it a scale other than 0 along every axis."
@@ -41,6 +48,7 @@ def moved(path: Path, cloud: SplatCloud, matrix: np.ndarray) -> SplatCloud:
             f"{path}: a node shears or mirrors its Gaussians", "Apply its transformation before exporting."
         )
     position, rotation, scale = placed
+    scale[~usable] = np.nan
     sh = cloud.colour_sh
     if np.abs(turn - np.eye(3)).max() > NO_TURN:
         sh = rotated(sh, turn)
@@ -69,6 +77,7 @@ def joined(path: Path, clouds: Sequence[SplatCloud], stored: int) -> SplatCloud:
 
 def _unit(rotation: np.ndarray) -> np.ndarray:
     """Quaternions of length 1; one without a length turns nothing."""
-    length = np.linalg.norm(rotation, axis=1, keepdims=True)
+    rotation = rotation.astype(np.float64)  # in which no square of a float32 overflows
     with np.errstate(divide="ignore", invalid="ignore"):
+        length = np.linalg.norm(rotation, axis=1, keepdims=True)
         return np.where(length > 0.0, rotation / length, [1.0, 0.0, 0.0, 0.0])

@@ -280,4 +280,6 @@ def _bytes_beside(path: Path) -> int:
     try:
         return sum(entry.stat().st_size for entry in path.parent.iterdir() if entry.is_file())
     except OSError as error:
-        raise FileDamagedError(f"{path.parent} cannot be listed: {error.strerror or error}") from error
+        raise FileDamagedError(
+            f"{path.parent} cannot be listed: {error.strerror or error}", REMEDY
+        ) from error

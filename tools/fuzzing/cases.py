@@ -42,6 +42,7 @@ class Target:
     cases of a whole run; ``in_memory``: no file is written, ``attempt`` takes the bytes. ``chosen``: names of
     files that may be changed, as patterns. ``patience``: seconds that a case may take. ``names_place``: a
     refusal must name the file or its folder. ``whole_refused``: undamaged inputs may be refused, too.
+    ``needs``: a module without which the row is skipped.
     """
 
     name: str
@@ -54,6 +55,7 @@ class Target:
     patience: float = 10.0
     names_place: bool = True
     whole_refused: bool = False
+    needs: str = ""
 
     def may_change(self, file: str) -> bool:
         """Whether this file of a variant is one that cases change."""

@@ -21,13 +21,13 @@ HEIGHT, WIDTH = 20, 24
 _SPLAT_FILES = Path(__file__).resolve().parents[2] / "tests" / "fixtures" / "splat_files.zip"
 
 
-def _require(right: bool, what: str) -> None:
+def require(right: bool, what: str) -> None:
     if not right:
         raise InsaneError(f"accepted though wrong is {what}")
 
 
 def _finite(array: Any, what: str) -> None:
-    _require(bool(np.isfinite(np.asarray(array)).all()), f"{what}, which is not finite")
+    require(bool(np.isfinite(np.asarray(array)).all()), f"{what}, which is not finite")
 
 
 # ---- pictures ----------------------------------------------------------------------------------------------
@@ -43,7 +43,7 @@ def write_pngs(folder: Path) -> None:
     info.add_text("Software", "Blender", zip=True)
     info.add_itxt("Title", "küche")
     for mode, source in (("RGB", rgb), ("RGBA", rgb), ("P", rgb), ("L", smooth), ("LA", smooth), ("1", rgb)):
-        _folder(folder, f"png-{mode}")
+        folder_in(folder, f"png-{mode}")
         Image.fromarray(source).convert(mode).save(folder / f"png-{mode}" / "picture.png", pnginfo=info)
 
 
@@ -58,7 +58,7 @@ def write_jpegs(folder: Path) -> None:
         ("grey", "L", {}),
         ("optimised", "RGB", {"optimize": True, "subsampling": 2}),
     ):
-        Image.fromarray(rgb).convert(mode).save(_folder(folder, name) / "picture.jpg", **options)
+        Image.fromarray(rgb).convert(mode).save(folder_in(folder, name) / "picture.jpg", **options)
     layouts.save(folder / "exif" / "picture.jpg", rgb, exif=layouts.camera_exif(0.125))
 
 
@@ -75,13 +75,13 @@ def write_exrs(folder: Path) -> None:
             "note": "a text of the header",
         }
         pixels = rgb if name in ("NO", "ZIP") else rgb.astype(np.float16)
-        OpenEXR.File(header, {"RGB": pixels}).write(str(_folder(folder, name) / "picture.exr"))
+        OpenEXR.File(header, {"RGB": pixels}).write(str(folder_in(folder, name) / "picture.exr"))
     header = {
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.tiledimage,
         "tiles": _tiles("ONE_LEVEL"),
     }
-    OpenEXR.File(header, {"RGB": rgb}).write(str(_folder(folder, "tiles") / "picture.exr"))
+    OpenEXR.File(header, {"RGB": rgb}).write(str(folder_in(folder, "tiles") / "picture.exr"))
 
 
 def _tiles(mode: str) -> Any:
@@ -99,21 +99,21 @@ def write_odd_exrs(folder: Path) -> None:
 
     rgb = np.random.default_rng(0).uniform(0.0, 4.0, (HEIGHT, WIDTH, 3)).astype(np.float32)
     parts = [OpenEXR.Part({"type": OpenEXR.scanlineimage}, {"RGB": rgb}, name) for name in "ab"]
-    OpenEXR.File(parts).write(str(_folder(folder, "parts") / "picture.exr"))
+    OpenEXR.File(parts).write(str(folder_in(folder, "parts") / "picture.exr"))
     deep = np.empty((HEIGHT, WIDTH), dtype=object)
     for row, column in np.ndindex(deep.shape):
         deep[row, column] = np.array([row, column], np.float32)
     channels = {name: deep for name in "RGB"}
     header = {"compression": OpenEXR.ZIPS_COMPRESSION, "type": OpenEXR.deepscanline}
-    OpenEXR.File(header, channels).write(str(_folder(folder, "deep") / "picture.exr"))
+    OpenEXR.File(header, channels).write(str(folder_in(folder, "deep") / "picture.exr"))
     header = {"compression": OpenEXR.ZIPS_COMPRESSION, "type": OpenEXR.deeptile, "tiles": _tiles("ONE_LEVEL")}
-    OpenEXR.File(header, channels).write(str(_folder(folder, "deep-tiles") / "picture.exr"))
+    OpenEXR.File(header, channels).write(str(folder_in(folder, "deep-tiles") / "picture.exr"))
     header = {
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.tiledimage,
         "tiles": _tiles("MIPMAP_LEVELS"),
     }
-    OpenEXR.File(header, {"RGB": rgb}).write(str(_folder(folder, "levels") / "picture.exr"))
+    OpenEXR.File(header, {"RGB": rgb}).write(str(folder_in(folder, "levels") / "picture.exr"))
 
 
 def write_deep(folder: Path) -> None:
@@ -131,14 +131,14 @@ def write_deep(folder: Path) -> None:
         ("hdr", light, ""),
     )
     for suffix, pixels, compression in kinds:
-        place = _folder(folder, f"{suffix}-{pixels.dtype}-{compression}") / f"picture.{suffix}"
+        place = folder_in(folder, f"{suffix}-{pixels.dtype}-{compression}") / f"picture.{suffix}"
         spec = OpenImageIO.ImageSpec(
             WIDTH, HEIGHT, pixels.shape[2], pixels.dtype.name.replace("float32", "float")
         )
         if compression:
             spec.attribute("compression", compression)
         writer = OpenImageIO.ImageOutput.create(str(place))
-        _require(writer.open(str(place), spec) and writer.write_image(pixels), "a picture that is written")
+        require(writer.open(str(place), spec) and writer.write_image(pixels), "a picture that is written")
         writer.close()
 
 
@@ -150,8 +150,8 @@ def write_layers(folder: Path) -> None:
     names = ("ambient.R", "ambient.G", "ambient.B", "R", "G", "B", "depth.V", "index.V")
     planes = {name: rng.uniform(0.0, 4.0, (HEIGHT, WIDTH)).astype(np.float32) for name in names}
     content = exr.encode(planes, {"physhdr": json.dumps({"samples": 16})})
-    (_folder(folder, "layers") / "picture.exr").write_bytes(content)
-    (_folder(folder, "long") / "picture.exr").write_bytes(
+    (folder_in(folder, "layers") / "picture.exr").write_bytes(content)
+    (folder_in(folder, "long") / "picture.exr").write_bytes(
         exr.encode(planes | {f"{'long' * 12}.R": planes["R"]})
     )
 
@@ -161,7 +161,7 @@ def read_picture(folder: Path, file: str, _: bytes) -> None:
 
     size = picture_size(folder / file)
     picture = read_picture(folder / file)
-    _require(picture.dtype == np.uint8 and picture.shape == (size[1], size[0], 3), "a picture's size")
+    require(picture.dtype == np.uint8 and picture.shape == (size[1], size[0], 3), "a picture's size")
 
 
 def read_source(folder: Path, file: str, _: bytes) -> None:
@@ -172,16 +172,16 @@ def read_source(folder: Path, file: str, _: bytes) -> None:
     size = picture_size(folder / file)
     encoding = LogEncoding(4.0) if holds_radiance(folder / file) else CAMERA
     read = PictureSource(folder / file, encoding=encoding, alpha=True).read()
-    _require(read.codes.dtype in (np.uint8, np.uint16), "codes of 8 or 16 bits")
-    _require(read.codes.shape == (size[1], size[0], 3), "a picture's size")
-    _require(read.mask is None or read.mask.shape == read.codes.shape[:2], "a mask's size")
+    require(read.codes.dtype in (np.uint8, np.uint16), "codes of 8 or 16 bits")
+    require(read.codes.shape == (size[1], size[0], 3), "a picture's size")
+    require(read.mask is None or read.mask.shape == read.codes.shape[:2], "a mask's size")
 
 
 def read_exr(folder: Path, file: str, _: bytes) -> None:
     from physhdr.backend.scene.pictures import read_exr
 
     radiance = read_exr(folder / file)
-    _require(radiance.dtype == np.float32 and radiance.shape[2:] == (3,), "a picture's shape")
+    require(radiance.dtype == np.float32 and radiance.shape[2:] == (3,), "a picture's shape")
     _finite(radiance, "radiance")
 
 
@@ -189,8 +189,8 @@ def read_layers(folder: Path, file: str, _: bytes) -> None:
     from physhdr.backend.inspect.layers import read_layers
 
     planes = read_layers(folder / file)
-    _require(len({plane.shape for plane in planes.values()}) == 1, "layers of several sizes")
-    _require(all(plane.dtype == np.float32 for plane in planes.values()), "a layer's type")
+    require(len({plane.shape for plane in planes.values()}) == 1, "layers of several sizes")
+    require(all(plane.dtype == np.float32 for plane in planes.values()), "a layer's type")
 
 
 def read_odd_exr(folder: Path, file: str, content: bytes) -> None:
@@ -211,22 +211,22 @@ def read_synth_exr(folder: Path, file: str, _: bytes) -> None:
     radiance = exr.read(folder / file)
     _finite(radiance, "radiance")
     channels, texts = exr.read_channels(folder / file)
-    _require(all(plane.shape == radiance.shape[:2] for plane in channels.values()), "layers of several sizes")
-    _require(all(isinstance(text, str) for text in texts.values()), "the header's texts")
+    require(all(plane.shape == radiance.shape[:2] for plane in channels.values()), "layers of several sizes")
+    require(all(isinstance(text, str) for text in texts.values()), "the header's texts")
 
 
 def write_synth_png(folder: Path) -> None:
     from physhdr.synth import png
 
     rgb = np.random.default_rng(0).integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)
-    (_folder(folder, "png") / "picture.png").write_bytes(png.encode(rgb))
+    (folder_in(folder, "png") / "picture.png").write_bytes(png.encode(rgb))
 
 
 def read_synth_png(folder: Path, file: str, _: bytes) -> None:
     from physhdr.synth import png
 
     picture = png.read(folder / file)
-    _require(picture.dtype == np.uint8 and picture.ndim == 3 and picture.shape[2] == 3, "a picture's shape")
+    require(picture.dtype == np.uint8 and picture.ndim == 3 and picture.shape[2] == 3, "a picture's shape")
 
 
 def read_exif(folder: Path, file: str, _: bytes) -> None:
@@ -236,10 +236,10 @@ def read_exif(folder: Path, file: str, _: bytes) -> None:
 
     found = read_exif(folder / file)
     for value in (found.time, found.iso, found.f_number):
-        _require(value is None or (math.isfinite(value) and value > 0.0), "a number of EXIF")
+        require(value is None or (math.isfinite(value) and value > 0.0), "a number of EXIF")
     told = exposures_from_exif([folder / file])
     if told is not None:
-        _require(all(math.isfinite(x) and x > 0.0 for x in told[0]), "an exposure from EXIF")
+        require(all(math.isfinite(x) and x > 0.0 for x in told[0]), "an exposure from EXIF")
 
 
 def write_exif(folder: Path) -> None:
@@ -262,11 +262,11 @@ def write_plys(folder: Path) -> None:
 
     plys = tests_module("bridge/test_ply_model.py")
     for name, coefficients in (("degree-0", 1), ("degree-1", 4)):
-        write_standard_ply(_folder(folder, name) / "splats.ply", **plys.gaussians(5, coefficients))
+        write_standard_ply(folder_in(folder, name) / "splats.ply", **plys.gaussians(5, coefficients))
     for form, text, order in (("ascii", True, "="), ("big", False, ">")):
         ply = plyfile.PlyData.read(str(folder / "degree-0" / "splats.ply"))
         ply = plyfile.PlyData(ply.elements, text=text, byte_order=order, comments=["from elsewhere"])
-        ply.write(str(_folder(folder, form) / "splats.ply"))
+        ply.write(str(folder_in(folder, form) / "splats.ply"))
     given = plys.gaussians(5, 4)
     rng = np.random.default_rng(0)
     names = [f"phys_reflectance_dc_{c}" for c in range(3)] + [f"phys_reflectance_rest_{i}" for i in range(9)]
@@ -282,7 +282,7 @@ def write_plys(folder: Path) -> None:
         form = "additive" if name == "lossless" else "additive-lights"
         lines = [f"phys_form product {form}", *comments, *tensor_comments("phys_curve", curve)]
         extra = {column: rng.normal(size=5).astype(np.float32) for column in (*names, *logits)}
-        write_lossless_ply(_folder(folder, name) / "splats.ply", standard_columns(**given), extra, lines)
+        write_lossless_ply(folder_in(folder, name) / "splats.ply", standard_columns(**given), extra, lines)
 
 
 def read_gaussians(folder: Path, file: str, _: bytes) -> None:
@@ -290,16 +290,16 @@ def read_gaussians(folder: Path, file: str, _: bytes) -> None:
 
     ply = read_ply(folder / file)
     counts = {column.shape for column in ply.columns.values()}
-    _require(len(counts) == 1 and len(next(iter(counts))) == 1, "columns of several lengths")
-    _require(all(column.dtype == np.float32 for column in ply.columns.values()), "a column's type")
+    require(len(counts) == 1 and len(next(iter(counts))) == 1, "columns of several lengths")
+    require(all(column.dtype == np.float32 for column in ply.columns.values()), "a column's type")
 
 
 def read_ply_model(folder: Path, file: str, _: bytes) -> None:
     from physhdr.bridge.ply_model import read_ply_model
 
     found = read_ply_model(folder / file)
-    _check_model(found.model)
-    _printable(" ".join((*found.notes, *found.model.metadata, *found.model.metadata.values())))
+    check_model(found.model)
+    printable(" ".join((*found.notes, *found.model.metadata, *found.model.metadata.values())))
 
 
 def write_splat_files(folder: Path) -> None:
@@ -307,7 +307,7 @@ def write_splat_files(folder: Path) -> None:
     with zipfile.ZipFile(_SPLAT_FILES) as archive:
         for name in archive.namelist():
             if name not in ("made.txt", "source.ply"):
-                (_folder(folder, name) / name).write_bytes(archive.read(name))
+                (folder_in(folder, name) / name).write_bytes(archive.read(name))
 
 
 def read_splat_files(folder: Path, file: str, _: bytes) -> None:
@@ -315,8 +315,8 @@ def read_splat_files(folder: Path, file: str, _: bytes) -> None:
     from physhdr.bridge.splat_files import read_splat_file
 
     found = read_gaussians(folder / file)
-    _check_model(found.model)
-    _printable(" ".join(found.notes))
+    check_model(found.model)
+    printable(" ".join(found.notes))
     cloud = read_splat_file(folder / file)
     for name in ("position", "rotation", "scale", "opacity", "colour_sh"):
         _finite(getattr(cloud, name), name)
@@ -327,7 +327,7 @@ def write_unpacked_spz(folder: Path) -> None:
     with zipfile.ZipFile(_SPLAT_FILES) as archive:
         for version in (2, 3):
             raw = gzip.decompress(archive.read(f"version-{version}.spz"))
-            (_folder(folder, f"version-{version}") / "unpacked.bin").write_bytes(raw)
+            (folder_in(folder, f"version-{version}") / "unpacked.bin").write_bytes(raw)
 
 
 def read_unpacked_spz(folder: Path, file: str, _: bytes) -> None:
@@ -341,11 +341,11 @@ def write_points(folder: Path) -> None:
     import plyfile
 
     small = tests_module("backend/scene/small_data_set.py")
-    small.write_points(_folder(folder, "binary") / "points.ply")
+    small.write_points(folder_in(folder, "binary") / "points.ply")
     for form, text, order in (("ascii", True, "="), ("big", False, ">")):
         ply = plyfile.PlyData.read(str(folder / "binary" / "points.ply"))
         plyfile.PlyData(ply.elements, text=text, byte_order=order).write(
-            str(_folder(folder, form) / "points.ply")
+            str(folder_in(folder, form) / "points.ply")
         )
 
 
@@ -353,9 +353,9 @@ def read_points(folder: Path, file: str, _: bytes) -> None:
     from physhdr.backend.scene.points import read_points
 
     points = read_points(folder / file)
-    _require(points.positions.shape == points.colours.shape and points.positions.shape[1:] == (3,), "shapes")
+    require(points.positions.shape == points.colours.shape and points.positions.shape[1:] == (3,), "shapes")
     _finite(points.positions, "a position")
-    _require(bool((points.colours >= 0.0).all() and (points.colours <= 1.0).all()), "a colour outside 0…1")
+    require(bool((points.colours >= 0.0).all() and (points.colours <= 1.0).all()), "a colour outside 0…1")
 
 
 def write_models(folder: Path) -> None:
@@ -367,36 +367,36 @@ def write_models(folder: Path) -> None:
         ("baked", {"modulator": "baked-levels"}),
         ("lights", {"lights": ("ambient", "lamp")}),
     ):
-        write_model(_folder(folder, name) / "model.safetensors", models.make_model(count=4, **options))
+        write_model(folder_in(folder, name) / "model.safetensors", models.make_model(count=4, **options))
 
 
 def read_model(folder: Path, file: str, _: bytes) -> None:
     from physhdr.bridge.model_file import read_model, write_model
 
     model = read_model(folder / file)
-    _check_model(model)
-    _printable(" ".join((*model.metadata, *model.metadata.values(), *model.lights)))
+    check_model(model)
+    printable(" ".join((*model.metadata, *model.metadata.values(), *model.lights)))
     with tempfile.TemporaryDirectory(dir=folder) as again:
         path = Path(again) / "again.safetensors"
         write_model(path, model)
         second = read_model(path)
     for name, array in model.tensors().items():
-        _require(np.array_equal(array, second.tensors()[name]), f"{name}, written again")
+        require(np.array_equal(array, second.tensors()[name]), f"{name}, written again")
 
 
-def _check_model(model: Any) -> None:
+def check_model(model: Any) -> None:
     """All values in their ranges, and the radiance that they give is one."""
     for name, array in model.tensors().items():
         _finite(array, name)
-    _require(bool((model.opacity >= 0.0).all() and (model.opacity <= 1.0).all()), "an opacity")
-    _require(bool((model.scale >= 0.0).all()), "a scale")
+    require(bool((model.opacity >= 0.0).all() and (model.opacity <= 1.0).all()), "an opacity")
+    require(bool((model.scale >= 0.0).all()), "a scale")
     directions = np.broadcast_to(np.array([0.6, 0.0, 0.8], np.float32), model.position.shape)
     with np.errstate(all="ignore"):
         _finite(model.radiance(directions), "radiance")
         _finite(model.log_gain(2.0), "a level's gain")
 
 
-def _printable(text: str) -> None:
+def printable(text: str) -> None:
     try:
         text.encode("utf-8")
     except UnicodeEncodeError as error:
@@ -412,7 +412,7 @@ def write_plan(folder: Path) -> None:
     lines = [line for line in (plan.__doc__ or "").splitlines() if "=" in line or line.startswith("[[")]
     text = "\n".join(lines).replace("../data/demo", "demo").replace("../data/bathroom", "bathroom")
     for name in ("demo", "bathroom"):
-        _folder(folder, f"plan/{name}")
+        folder_in(folder, f"plan/{name}")
         (folder / "plan" / name / "a.json").write_text("{}")
     (folder / "plan" / "plan.toml").write_text(text + "\n", encoding="utf-8")
 
@@ -424,7 +424,7 @@ def read_plan(folder: Path, file: str, _: bytes) -> None:
     with tempfile.TemporaryDirectory(dir=folder) as again:
         path = Path(again) / "plan.toml"
         write_plan(plan, path)
-        _require(make_plan(read_plan(path), path.parent) == plan, "a plan, written again")
+        require(make_plan(read_plan(path), path.parent) == plan, "a plan, written again")
 
 
 def write_evaluation(folder: Path) -> None:
@@ -437,7 +437,7 @@ def write_evaluation(folder: Path) -> None:
         "scale_ratio": 1.01,
         "relit_means": {"all": {"ours": 30.0, "gain_over_scaled_truth": 3.0}},
     }
-    (_folder(folder, "evaluation") / "evaluation.json").write_text(json.dumps(content))
+    (folder_in(folder, "evaluation") / "evaluation.json").write_text(json.dumps(content))
 
 
 def read_evaluation(folder: Path, file: str, _: bytes) -> None:
@@ -449,9 +449,9 @@ def read_evaluation(folder: Path, file: str, _: bytes) -> None:
     for each in map(column, (*keys, "scale", "relit.psnr", "relit.gain")):
         value = each.value(entry)
         if value is not None:
-            _require(math.isfinite(value), "a number of a table")
+            require(math.isfinite(value), "a number of a table")
             each.merit(value)
-    _printable(entry.data_set)
+    printable(entry.data_set)
 
 
 def write_log(folder: Path) -> None:
@@ -459,7 +459,7 @@ def write_log(folder: Path) -> None:
     for i in range(1, 6):
         losses, monitor = {"pixel": 1.0 / i, "ssim": 0.5}, {"PSNR": 20.0 + i}
         lines.append({"event": "progress", "iteration": i, "losses": losses, "monitor": monitor})
-    (_folder(folder, "log") / "log.jsonl").write_text("\n".join(map(json.dumps, lines)) + "\n")
+    (folder_in(folder, "log") / "log.jsonl").write_text("\n".join(map(json.dumps, lines)) + "\n")
 
 
 def read_log(folder: Path, file: str, _: bytes) -> None:
@@ -470,22 +470,22 @@ def read_log(folder: Path, file: str, _: bytes) -> None:
     curves = Curves()
     curves.read(folder / file, 10**9)
     envelope = Envelope("reply", 1, curves.history())
-    _require(decode(encode(envelope)) == envelope, "a history, sent")
+    require(decode(encode(envelope)) == envelope, "a history, sent")
 
 
 def write_connection(folder: Path) -> None:
     from physhdr.bridge.connection import Connection, new_token, write_connection
 
-    write_connection(_folder(folder, "home"), Connection(2, 40000, new_token(), 12345, "0.1", "/tmp/log"))
+    write_connection(folder_in(folder, "home"), Connection(2, 40000, new_token(), 12345, "0.1", "/tmp/log"))
 
 
 def read_connection(folder: Path, _: str, __: bytes) -> None:
     from physhdr.bridge.connection import read_connection
 
     found = read_connection(folder)
-    _require(0 < found.port < 1 << 16, "a port")
-    _require(found.pid > 0, "a process's number")
-    _require(found.token.isascii() and found.token.isprintable(), "a token that no header can carry")
+    require(0 < found.port < 1 << 16, "a port")
+    require(found.pid > 0, "a process's number")
+    require(found.token.isascii() and found.token.isprintable(), "a token that no header can carry")
 
 
 def write_weights(folder: Path) -> None:
@@ -497,7 +497,7 @@ def write_weights(folder: Path) -> None:
         arrays[f"{name}.weight"] = np.full(shape, 0.01, np.float32)
         arrays[f"{name}.bias"] = np.zeros(shape[0], np.float32)
         arrays[f"lin{i}"] = np.ones((1, shape[0], 1, 1), np.float32)
-    np.savez_compressed(_folder(folder, "weights") / "lpips.npz", **arrays)  # type: ignore[arg-type]
+    np.savez_compressed(folder_in(folder, "weights") / "lpips.npz", **arrays)  # type: ignore[arg-type]
 
 
 def read_weights(folder: Path, file: str, _: bytes) -> None:
@@ -508,19 +508,19 @@ def read_weights(folder: Path, file: str, _: bytes) -> None:
     distance = Lpips.from_file(folder / file)
     picture = torch.linspace(0.0, 1.0, 3 * 32 * 32).reshape(3, 32, 32)
     both = distance.both(picture, 1.0 - picture)
-    _require(all(map(math.isfinite, both)), "weights: the distance is not finite")
+    require(all(map(math.isfinite, both)), "weights: the distance is not finite")
 
 
 def write_response(folder: Path) -> None:
-    (_folder(folder, "json") / "curve.json").write_text("[[0.01, 0.1], [0.5, 0.6], [2.0, 0.95]]")
-    (_folder(folder, "text") / "curve.txt").write_text("# x code\n0.01 0.1\n0.5, 0.6\n2.0 0.95\n")
+    (folder_in(folder, "json") / "curve.json").write_text("[[0.01, 0.1], [0.5, 0.6], [2.0, 0.95]]")
+    (folder_in(folder, "text") / "curve.txt").write_text("# x code\n0.01 0.1\n0.5, 0.6\n2.0 0.95\n")
 
 
 def read_response(folder: Path, file: str, _: bytes) -> None:
     from physhdr.synth.response import from_file
 
     codes = from_file(folder / file)(np.array([0.0, 0.1, 100.0]))
-    _require(bool((codes >= 0.0).all() and (codes <= 1.0).all()), "a code outside 0…1")
+    require(bool((codes >= 0.0).all() and (codes <= 1.0).all()), "a code outside 0…1")
 
 
 def write_state(folder: Path) -> None:
@@ -528,7 +528,7 @@ def write_state(folder: Path) -> None:
 
     state = {"format": data_set.FORMAT, "version": data_set.VERSION, "generator": {"name": "physhdr"}}
     state |= {"options": {"seed": 0, "scene": "demo"}, "frames": {}}
-    path = _folder(folder, "out") / data_set.PARTIAL_FILE
+    path = folder_in(folder, "out") / data_set.PARTIAL_FILE
     path.write_text(json.dumps(state))
 
 
@@ -536,10 +536,10 @@ def read_state(folder: Path, _: str, __: bytes) -> None:
     from physhdr.synth.folder import open_folder
 
     state = open_folder(folder, {"seed": 0, "scene": "demo"}, {"name": "physhdr"})
-    _require(isinstance(state, dict), "a state")
+    require(isinstance(state, dict), "a state")
 
 
-def _folder(folder: Path, name: str) -> Path:
+def folder_in(folder: Path, name: str) -> Path:
     (folder / name).mkdir(parents=True, exist_ok=True)
     return folder / name
 

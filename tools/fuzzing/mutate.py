@@ -7,12 +7,14 @@ Case ``number`` of a seed is the same on every machine, whichever cases were mad
 
 import functools
 import importlib.util
+import io
 import json
 import math
 import os
 import random
 import shutil
 import struct
+import zipfile
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -48,7 +50,7 @@ damage = tests_module("fuzzing.py")
 ODD_FORMS: tuple[Form, ...] = ("gone", "folder", "fifo", "loop")
 ODD_SHARE = 0.02
 #: Of a file's name: formats of text in which words may be exchanged.
-TEXTS = (".txt", ".toml", ".ply", ".jsonl", ".csv")
+TEXTS = (".txt", ".toml", ".ply", ".jsonl", ".csv", ".usda")
 #: Words in place of a word of a text.
 WORDS = (
     *("nan", "inf", "-inf", "1e400", "-1", "0", "-0.0", "1e300", "1e-320", "9" * 30, "9" * 5000, "0x10"),
@@ -94,8 +96,12 @@ def damaged(whole: bytes, suffix: str, generator: random.Random) -> bytes:
     blindly = generator.random() < 0.4
     if not blindly:
         match suffix:
-            case ".json":
+            case ".json" | ".gltf":
                 return _json(whole, generator)
+            case ".glb":
+                return _glb(whole, generator)
+            case ".sog":
+                return _sog(whole, generator)
             case ".frame":
                 return _frame(whole, generator)
             case ".safetensors":
@@ -225,6 +231,63 @@ def _safetensors(whole: bytes, generator: random.Random) -> bytes:
         text = b"{}"
     text += b" " * (-len(text) % 8)
     return len(text).to_bytes(8, "little") + text + bytes(data)
+
+
+def _glb(whole: bytes, generator: random.Random) -> bytes:
+    """Another JSON, or other numbers, in a container whose lengths are right."""
+    length = int.from_bytes(whole[12:16], "little")
+    text, data = whole[20 : 20 + length], bytearray(whole[28 + length :])
+    if generator.random() < 0.3:
+        for _ in range(generator.choice((1, 1, 5))):
+            struct.pack_into("<f", data, 4 * generator.randrange(len(data) // 4), generator.choice(FLOATS))
+    else:
+        text = _json(text, generator)
+    text += b" " * (-len(text) % 4)
+    total = 28 + len(text) + len(data)
+    head = b"glTF" + struct.pack("<III", 2, total, len(text)) + b"JSON"
+    return head + text + struct.pack("<I", len(data)) + b"BIN\0" + data
+
+
+def _sog(whole: bytes, generator: random.Random) -> bytes:
+    """One member of the zip is damaged, gone or has another name; the CRC of each is right."""
+    with zipfile.ZipFile(io.BytesIO(whole)) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    name = "meta.json" if generator.random() < 0.5 else generator.choice(sorted(members))
+    match generator.choice(("damage",) * 8 + ("drop", "rename", "exchange")):
+        case "damage" if name == "meta.json" and generator.random() < 0.8:
+            members[name] = _sog_meta(members[name], generator)
+        case "damage":
+            members[name] = damaged(members[name], Path(name).suffix, generator)
+        case "drop":
+            del members[name]
+        case "rename":
+            members[generator.choice((" ", "../x", "x" * 300, "é"))] = members.pop(name)
+        case "exchange":
+            members[name] = members[generator.choice(sorted(members))]
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w", generator.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))) as archive:
+        for name, raw in members.items():
+            archive.writestr(name, raw)
+    return file.getvalue()
+
+
+def _sog_meta(whole: bytes, generator: random.Random) -> bytes:
+    """Damaged elsewhere than in its codebooks, which are nearly all of its numbers."""
+    content = json.loads(whole)
+    books = {
+        name: part.pop("codebook")
+        for name, part in content.items()
+        if isinstance(part, dict) and "codebook" in part
+    }
+    changed = next(damage.json_mutations(content, 1, generator.getrandbits(32)))
+    if isinstance(changed, dict):
+        for name, book in books.items():
+            if isinstance(changed.get(name), dict):
+                changed[name]["codebook"] = book
+    try:
+        return damage.json_bytes(changed)
+    except (TypeError, ValueError):  # a number of more digits than Python writes
+        return b"{}"
 
 
 def _text(value: Any) -> str:

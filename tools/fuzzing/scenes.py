@@ -5,6 +5,7 @@ import contextlib
 import io
 import json
 import math
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -54,6 +55,19 @@ def nerfstudio(folder: Path) -> None:
     layouts.write_nerfstudio(folder / "data")
     root = layouts.write_nerfstudio(folder / "points", ply_file_path="points.ply")
     tests_module("backend/scene/small_data_set.py").write_points(root / "points.ply")
+    _brackets(folder)
+
+
+def _brackets(folder: Path) -> None:
+    """What ``physhdr layout --brackets`` writes."""
+    from physhdr.backend.scene import read_scene
+    from physhdr.backend.scene.for_others import How, lay_out
+
+    with tempfile.TemporaryDirectory() as scratch:
+        own(Path(scratch))
+        scene = read_scene(Path(scratch) / "one-light")
+        (folder / "brackets").mkdir()
+        lay_out(scene, folder / "brackets", How(layout="nerfstudio", brackets=True))
 
 
 def read(folder: Path, file: str, _: bytes) -> None:

@@ -6,6 +6,7 @@ The parent watches which case is being tried and since when (shared memory), and
 
 import dataclasses
 import faulthandler
+import importlib.util
 import multiprocessing
 import os
 import resource
@@ -59,6 +60,9 @@ class Worker:
 
     def run(self, target: Target, order: Order, tally: Tally) -> None:
         """Try what is ordered and fill ``tally``."""
+        if target.needs and importlib.util.find_spec(target.needs) is None:
+            tally.skipped = f"this Python lacks {target.needs}"
+            return
         begun = time.monotonic()
         start, deadly = order.start, set[int]()
         while start < order.stop:
