@@ -112,9 +112,10 @@ def _nerfstudio(path: Path, content: dict[str, Any], world: tuple[np.ndarray, fl
             pose = np.linalg.inv(linear) @ pose
         check_position(pose[:3, 3], f"{path}: the camera of frame {index} in the world before training")
         angle = number(path, row.get("fov"), f"frame {index}: 'fov'")
-        if not 0.0 < angle < 180.0:
+        slope = math.tan(math.radians(0.5 * angle))
+        if not (0.0 < angle < 180.0 and slope > 0.0):  # the least numbers halve to 0
             raise BadValueError(f"{path}: frame {index}: 'fov' is {angle:g}", "Degrees, between 0 and 180.")
-        focal = 0.5 * height / math.tan(math.radians(0.5 * angle))
+        focal = 0.5 * height / slope
         FOCAL_LENGTH.check(focal, f"{path}: the focal length of frame {index}")
         frames.append(Shot(pose, focal, focal, 0.5 * width, 0.5 * height))
     return Shots(width, height, fps, frames)
