@@ -25,9 +25,8 @@ from ...bridge import srgb
 from ...bridge.display import Tone
 from ...bridge.lights import Levels
 from ...bridge.model_file import Model
-from ...bridge.spherical_harmonics import basis
 from ..evaluate.renderer import Renderer
-from ..kernels.blending import blend, gather, gather_squares, spread, toward_camera
+from ..kernels.blending import blend, gather, gather_squares, spread, spread_squares, toward_camera
 from ..rasterize import rasterize
 from ..rasterize.cpu.weights import BlendWeights, blend_weights
 from ..scene.camera import Camera
@@ -42,6 +41,8 @@ WIDER, FINER, SCREEN = 0.8, 3.0, 1600
 #: Weights that are held, 8 bytes each; where all pixels have more, so many of the pixels are fitted to, as
 #: many of each view.
 MOST_WEIGHTS = 60_000_000
+#: Pixels of each view by which those are told beforehand.
+PROBED = 2000
 #: What holds a coefficient to where it starts, against the sum of w² Y² over all pixels that see it.
 RIDGE = 1e-3
 #: Conjugate gradients' steps after each choice of what is at the floor.
@@ -105,13 +106,13 @@ def _responded(model: Model, exposed: np.ndarray, tone: Tone) -> np.ndarray:
 class _View:
     """What a view says: the pixels' weights, of the Gaussians in them alone (``seen`` ``[n]``, rising).
 
-    ``basis`` ``[n, K]``: Y_k toward the camera. ``wanted`` ``[P, 3]``: the pixels. ``free`` ``[n, 3]``: 1
+    ``directions`` ``[n, 3]``: from the camera. ``wanted`` ``[P, 3]``: the pixels. ``free`` ``[n, 3]``: 1
     where a colour is above the floor, else 0.
     """
 
     seen: np.ndarray
     weights: BlendWeights
-    basis: np.ndarray
+    directions: np.ndarray
     wanted: np.ndarray
     free: np.ndarray
 
@@ -122,7 +123,7 @@ class _View:
     def colours(self, sh: np.ndarray) -> np.ndarray:
         """``[n, 3]``: Σ_k sh_k Y_k."""
         found = np.empty_like(self.free)
-        toward_camera(self.seen, self.basis, sh, found)
+        toward_camera(self.seen, self.directions, sh, found)
         return found
 
     def blended(self, colours: np.ndarray) -> np.ndarray:
@@ -169,18 +170,14 @@ class _Fit:
         self._show, self._done = show, 0
         self._of = len(cameras) + sum(STEPS)
         random = np.random.default_rng(0)
+        own = cameras[0].width * cameras[0].height
+        held = sum(_weights_a_pixel(model, camera, random) for camera in cameras)
+        most = max(1, min(own, int(MOST_WEIGHTS / held)))
         self._views: list[_View] = []
-        most = cameras[0].width * cameras[0].height
-        for index, camera in enumerate(cameras):
-            view = _view_of(model, camera, picture, most, random)
-            if index == 0:
-                each = max(1.0, view.weights.weights.size / most)
-                most, before = max(1, min(most, int(MOST_WEIGHTS / (each * len(cameras))))), most
-                if most < before:
-                    view = _view_of(model, camera, picture, most, random)
-            self._views.append(view)
+        for camera in cameras:
+            self._views.append(_view_of(model, camera, picture, most, random))
             self._told()
-        self._ridge = np.float32(RIDGE * most / (cameras[0].width * cameras[0].height))
+        self._ridge = np.float32(RIDGE * most / own)
         self._preconditioner = self._inverse_diagonal()
 
     def step(self, sh: np.ndarray, steps: int) -> np.ndarray:
@@ -218,7 +215,7 @@ class _Fit:
         run_parallel(work)
         total = np.zeros_like(self._start)
         for view, part in zip(self._views, given, strict=True):
-            run_ranges(spread, len(view.seen), view.seen, view.basis, part, total)
+            run_ranges(spread, len(view.seen), view.seen, view.directions, part, total)
         return total
 
     def _inverse_diagonal(self) -> np.ndarray:
@@ -227,13 +224,20 @@ class _Fit:
         for view in self._views:
             squares = np.zeros(len(view.seen), np.float32)
             gather_squares(*view.matrix[1:], squares)
-            diagonal[view.seen] += np.square(view.basis) * squares[:, None]
+            spread_squares(view.seen, view.directions, squares, diagonal)
         return 1.0 / diagonal[:, :, None]
 
     def _told(self) -> None:
         self._done += 1
         if self._show is not None:
             self._show(self._done, self._of, "")
+
+
+def _weights_a_pixel(model: Model, camera: Camera, random: np.random.Generator) -> float:
+    """How many Gaussians are in a pixel of that camera, by a sample of them; at least 1."""
+    count = camera.width * camera.height
+    pixels = np.sort(random.choice(count, min(count, PROBED), replace=False))
+    return max(1.0, blend_weights(*_shape(model), camera, pixels).weights.size / pixels.size)
 
 
 def _view_of(model: Model, camera: Camera, picture: Picture, most: int, random: np.random.Generator) -> _View:
@@ -247,7 +251,7 @@ def _view_of(model: Model, camera: Camera, picture: Picture, most: int, random: 
     return _View(
         seen=seen.astype(np.int64),
         weights=BlendWeights(weights.starts, places.astype(np.int32), weights.weights),
-        basis=basis(_directions(model.position[seen], camera), model.sh_degree).astype(np.float32),
+        directions=_directions(model.position[seen], camera).astype(np.float32),
         wanted=np.ascontiguousarray(wanted, np.float32),
         free=np.empty((len(seen), 3), np.float32),
     )

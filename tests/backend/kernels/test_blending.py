@@ -2,10 +2,19 @@
 """Products with blend weights against dense matrices in float64."""
 
 import numpy as np
+import pytest
 
-from physhdr.backend.kernels.blending import blend, gather, gather_squares, spread, toward_camera
+from physhdr.backend.kernels.blending import (
+    blend,
+    gather,
+    gather_squares,
+    spread,
+    spread_squares,
+    toward_camera,
+)
+from physhdr.bridge.spherical_harmonics import basis
 
-PIXELS, SEEN, ALL, COEFFICIENTS = 37, 11, 29, 9
+PIXELS, SEEN, ALL = 37, 11, 29
 
 
 def made(seed=0):
@@ -36,18 +45,26 @@ def test_squares():
     np.testing.assert_allclose(sums, np.square(dense).sum(axis=0), atol=1e-6)
 
 
-def test_toward_camera_and_its_transpose():
-    random = np.random.default_rng(2)
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_toward_camera_and_its_transpose(degree):
+    random = np.random.default_rng(degree)
+    coefficients = (degree + 1) ** 2
     seen = np.sort(random.choice(ALL, SEEN, replace=False))
-    basis = random.standard_normal((SEEN, COEFFICIENTS)).astype(np.float32)
-    sh = random.standard_normal((ALL, COEFFICIENTS, 3)).astype(np.float32)
+    directions = random.standard_normal((SEEN, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    single = directions.astype(np.float32)
+    harmonics = basis(directions, degree)
+    sh = random.standard_normal((ALL, coefficients, 3)).astype(np.float32)
     colours = np.empty((SEEN, 3), np.float32)
-    toward_camera(seen, basis, sh, colours)
-    np.testing.assert_allclose(
-        colours, np.einsum("nk,nkc->nc", basis.astype(np.float64), sh[seen]), atol=1e-5
-    )
+    toward_camera(seen, single, sh, colours)
+    np.testing.assert_allclose(colours, np.einsum("nk,nkc->nc", harmonics, sh[seen]), atol=1e-5)
     back, expected = sh.copy(), sh.astype(np.float64)
     for first, last in ((0, 4), (4, SEEN)):  # as threads share them
-        spread(first, last, seen, basis, colours, back)
-    expected[seen] += basis[:, :, None] * colours[:, None, :]
-    np.testing.assert_allclose(back, expected, atol=1e-5)
+        spread(first, last, seen, single, colours, back)
+    expected[seen] += harmonics[:, :, None] * colours[:, None, :]
+    np.testing.assert_allclose(back, expected, atol=2e-5)
+    squares = random.random(SEEN).astype(np.float32)
+    diagonal, expected = np.ones((ALL, coefficients), np.float32), np.ones((ALL, coefficients))
+    spread_squares(seen, single, squares, diagonal)
+    expected[seen] += np.square(harmonics) * squares[:, None]
+    np.testing.assert_allclose(diagonal, expected, atol=1e-5)
