@@ -23,9 +23,6 @@ from .look import Look, kept_of
 from .point_cloud import model_of
 from .save_model import subset
 
-#: A viewer takes the logarithm of a scale: none may be 0.
-SMALLEST_SCALE = 1e-12
-
 
 def baked_model(target: bpy.types.Object, look: Look) -> Model:
     """The model as it is baked, in its own space: what ``look`` hides is left out, and SH beyond its limit.
@@ -89,7 +86,7 @@ def _write(
         path,
         positions=shape[0],
         rotations=shape[1],
-        scales=np.maximum(shape[2], np.float32(SMALLEST_SCALE)),
+        scales=shape[2],
         opacities=opacity,
         colour_sh=colour_sh,
         comments=comments,

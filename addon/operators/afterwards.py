@@ -15,11 +15,12 @@ LOOK_SECONDS = 0.5
 MODAL_SECONDS = 20.0
 
 
-def take_when_ended(task: str, take: Callable[[], bool], message: str) -> None:
+def take_when_ended(task: str, take: Callable[[], bool], message: str, in_any_file: bool = False) -> None:
     """Call ``take`` once the session's ``task`` has ended; where it says that it took something, ``message``
     names the step of undo.
 
-    Blender removes the timer when a file is opened. Saving this one, by whatever name, changes nothing.
+    ``in_any_file``: also where another file has been opened by then, since ``take`` touches none. Else
+    Blender removes the timer when a file is opened; saving this one, by whatever name, changes nothing.
     """
     latest = 0.0  # when it is taken whatever one is in the middle of
 
@@ -38,7 +39,7 @@ def take_when_ended(task: str, take: Callable[[], bool], message: str) -> None:
             push_undo(message)
         return None
 
-    bpy.app.timers.register(look, first_interval=LOOK_SECONDS)
+    bpy.app.timers.register(look, first_interval=LOOK_SECONDS, persistent=in_any_file)
 
 
 def in_the_middle() -> bool:

@@ -172,10 +172,9 @@ class PHYSHDR_OT_model_bake(bpy.types.Operator, ExportHelper):
         if self.wait:
             try:
                 current.wait(lambda state: state.task(BAKE) is None, WAIT_SECONDS)
-                done = report_task(self, told)
-                if done == {"FINISHED"}:
+                if baking.fitted.is_file():
                     baking.take()
-                return done
+                return report_task(self, told)
             except KeyboardInterrupt:
                 current.cancel_task(BAKE)
                 raise
@@ -192,15 +191,16 @@ class PHYSHDR_OT_model_bake(bpy.types.Operator, ExportHelper):
                 baking.discard()
             return False
 
-        take_when_ended(BAKE, take, self.bl_label)
+        take_when_ended(BAKE, take, self.bl_label, in_any_file=True)
         self.report({"INFO"}, f"Fitting colours: {path} is written when that is done")
         return {"FINISHED"}
 
 
 def cameras_of(target: bpy.types.Object) -> str:
     """The run or data set whose cameras saw what a model shows; empty where nobody knows."""
-    run = Path(bpy.path.abspath(str(cloud_of(target).get(FILE, "")))).parent
-    return str(run if (run / VIEWS_FILE).is_file() else data_of(target) or "")
+    file = bpy.path.abspath(str(cloud_of(target).get(FILE, "")))
+    run = Path(file).parent
+    return str(run if file and (run / VIEWS_FILE).is_file() else data_of(target) or "")
 
 
 def why_not_fitted(target: bpy.types.Object) -> str:
