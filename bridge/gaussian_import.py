@@ -4,16 +4,14 @@
 from pathlib import Path
 
 from .display import ColorSpace
-from .model_file import read_model
+from .model_file import SUFFIX, read_model
 from .ply_model import PlyModel, model_of_cloud, read_ply_model
 from .splat_files.reading import format_of, read_any
-
-MODEL_SUFFIX = ".safetensors"
 
 
 def is_model_file(path: Path) -> bool:
     """Whether ``path`` is named as a model of PhysHDR, which is in Blender's axes and scene-linear."""
-    return path.suffix.lower() == MODEL_SUFFIX
+    return path.suffix.lower() == SUFFIX
 
 
 def read_gaussians(path: Path, color_space: ColorSpace = "SRGB") -> PlyModel:

@@ -12,7 +12,8 @@ from bpy_extras.io_utils import ImportHelper, poll_file_object_drop
 from ...bridge.axes import Up
 from ...bridge.display import ColorSpace
 from ...bridge.errors import PhysHDRError
-from ...bridge.gaussian_import import MODEL_SUFFIX, is_model_file, read_gaussians
+from ...bridge.gaussian_import import is_model_file, read_gaussians
+from ...bridge.model_file import SUFFIX
 from ...bridge.splat_files import SUFFIXES
 from ..blender import add_entry, cloud_of, layout_of, remove_entry
 from ..capture.placement import capture_of_file, place
@@ -29,7 +30,7 @@ UPS: dict[Orientation, Up] = {"AS_IS": "z", "Y_UP": "y", "COLMAP": "colmap"}
 #: Gaussians and their spherical harmonics stay as they are in the file.
 TURNS: dict[Up, float] = {"z": 0.0, "y": 0.5 * math.pi, "colmap": -0.5 * math.pi}
 #: Files that are offered. A .sog cannot be read here, but then a message says what to do with it.
-OFFERED = (MODEL_SUFFIX, *SUFFIXES, ".sog")
+OFFERED = (SUFFIX, *SUFFIXES, ".sog")
 SET_UP_NEXT = "Before you render: Set Up Render, in the panel Render."
 
 
@@ -88,7 +89,7 @@ class PHYSHDR_OT_model_import(bpy.types.Operator, ImportHelper):
     if TYPE_CHECKING:
         filepath: str  # ImportHelper's
 
-    filename_ext = MODEL_SUFFIX
+    filename_ext = SUFFIX
     filter_glob: bpy.props.StringProperty(
         default=";".join(f"*{suffix}" for suffix in OFFERED), options={"HIDDEN"}
     )
