@@ -31,6 +31,7 @@ from ...bridge.errors import FileDamagedError, FileMissingError
 from ...bridge.limits import MAX_PIXELS, is_number
 from ...bridge.regular import damaged_where_it_fails, read_bytes, regular_file
 from ...bridge.splat_files import UP, SplatCloud
+from ...bridge.splat_files.usable import ANTIALIASED_NOTE
 
 META = "meta.json"
 #: Bytes of the meta.json; three codebooks have 15,000.
@@ -83,7 +84,7 @@ class _Sog:
     def cloud(self) -> SplatCloud:
         notes = []
         if self.meta.get("antialias") or self.meta.get("model") == "antialiased":
-            notes.append("It was trained with compensation of opacity (antialiased), which we do not draw.")
+            notes.append(ANTIALIASED_NOTE)
         opacity, dc = self._colours()
         colour_sh = np.concatenate([dc[:, None], *self._rest()], axis=1)
         return SplatCloud(

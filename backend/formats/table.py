@@ -31,9 +31,10 @@ class Target:
 
 
 _LOOK = "HDR, lights, response and confidence are not in it: one look"
+_SPZ_STEPS = "in steps: colours of 1/136, opacity of 1/255, σ of 6 %, higher SH of 1/16 and 1/8"
 TARGETS = (
     Target("PLY", (".ply",), "display", "z", ("z", "y", "colmap"), _LOOK),
-    Target("SPZ", (".spz",), "display", "y", ("z", "y", "colmap"), f"{_LOOK}, in steps of 1/255 and less"),
+    Target("SPZ", (".spz",), "display", "y", ("z", "y", "colmap"), f"{_LOOK}, {_SPZ_STEPS}"),
     Target("glTF", (".glb", ".gltf"), "display", "y", ("z", "y", "colmap"), _LOOK),
     Target(
         "USD",

@@ -19,6 +19,7 @@ The format's axes are Y up (right, up, backward), whoever turned the Gaussians; 
 import gzip
 import importlib
 import io
+import math
 import struct
 import zlib
 from collections.abc import Callable, Iterator
@@ -35,6 +36,7 @@ from ..errors import BadValueError, FileDamagedError
 from ..regular import regular_file
 from .cloud import UP, SplatCloud
 from .compressed_ply import with_largest
+from .usable import ANTIALIASED_NOTE
 
 MAGIC = b"NGSP"
 GZIP = b"\x1f\x8b"
@@ -44,8 +46,8 @@ HEADER = struct.Struct("<4sIIBBBB")
 HEADER_4 = struct.Struct("<4sIIBBBBI12x")
 #: Sizes of a stream, compressed and not.
 _STREAM = struct.Struct("<QQ")
-#: Flag: records of other makers follow the header.
-_EXTENDED = 2
+#: Flags: it was trained with compensation of opacity; records of other makers follow the header.
+_ANTIALIASED, _EXTENDED = 1, 2
 #: Record (its number and size) that names the axes, by the numbers in ``_AXES``.
 _RECORD = struct.Struct("<II")
 _COORDINATE_SYSTEM = 0xADBE0003
@@ -56,8 +58,12 @@ _AXES: dict[int, Up] = {4: "y", 6: "colmap", 12: "z"}
 _HIGHER = (0, 3, 8, 15, 24)
 _KEPT = 15
 COLOUR_SCALE = 0.15
-#: Bits behind the point, as all writers have it: a quarter of a millimetre; 24 bits then reach 2 km.
-FRACTIONAL_BITS = 12
+#: Bits behind the point, at most: 24 bits then reach 1 m in steps of 0.12 µm. The other writers always have
+#: 12: steps of 0.24 mm, whatever the scene's size. All readers take them from the header.
+FRACTIONAL_BITS = 23
+#: ln σ of bytes 0 and 255, and the largest SH that bytes reach: of the colour, and of the others.
+_LOG_SCALES = (-10.0, 255.0 / 16.0 - 10.0)
+_LARGEST_SH = (0.5 / COLOUR_SCALE, 1.0)
 #: Steps of SH in a byte's 128 a unit: 5 bits in band 1, 4 in the others, as the format's own writer.
 _SH_STEPS = (8, 16)
 _LARGEST_WORD = (1 << 9) - 1
@@ -79,6 +85,7 @@ class _Facts:
     count: int
     degree: int
     fractional_bits: int
+    is_antialiased: bool
 
     @property
     def sizes(self) -> tuple[int, ...]:
@@ -102,12 +109,13 @@ def read_spz(path: Path) -> SplatCloud:
         return _read_streams(path, file, start)
 
 
-def write_spz(path: Path, cloud: SplatCloud, version: int) -> None:
+def write_spz(path: Path, cloud: SplatCloud, version: int) -> tuple[str, ...]:
     """Write ``cloud`` as SPZ of ``version`` 3 or 4, atomically, in the axes that it has.
 
     SPZ's own are Y up: turning is the caller's (``cloud.turned``). SH are kept in 5 bits (band 1) and 4 bits
-    of −1…1, as by the format's own writer. Raises ``BadValueError`` where the version is another, a position
-    is beyond what 24 bits hold or version 4 lacks zstd, and ``OutputError``.
+    of −1…1, as by the format's own writer, and positions in the finest steps that reach all of them. Returns
+    sentences for the user about what the bytes do not reach. Raises ``BadValueError`` where the version is
+    another, a position is beyond what 24 bits hold or version 4 lacks zstd, and ``OutputError``.
     """
     if version not in (3, 4):
         raise BadValueError(f"SPZ of version {version} is not written", "Versions 3 and 4 are.")
@@ -128,6 +136,7 @@ def write_spz(path: Path, cloud: SplatCloud, version: int) -> None:
         parts = [gzip.compress(b"".join([header, *blocks]), 6, mtime=0)]
     with atomic_path(path) as temporary:
         temporary.write_bytes(b"".join(parts))
+    return _clipped(cloud)
 
 
 @contextmanager
@@ -184,7 +193,7 @@ def _read_streams(path: Path, file: BinaryIO, start: bytes) -> SplatCloud:
 
 
 def _facts(path: Path, header: tuple[Any, ...], versions: tuple[int, ...]) -> _Facts:
-    magic, version, count, degree, bits, *_ = header
+    magic, version, count, degree, bits, flags, *_ = header
     if magic != MAGIC:
         raise FileDamagedError(f"{path} is not an SPZ: its header does not begin with NGSP", _REMEDY)
     if version not in versions:
@@ -194,7 +203,7 @@ def _facts(path: Path, header: tuple[Any, ...], versions: tuple[int, ...]) -> _F
     if degree >= len(_HIGHER) or bits > 23 or not count:
         what = "no Gaussians" if not count else f"SH degree {degree} and {bits} bits behind the point"
         raise FileDamagedError(f"{path} is an SPZ of {what}", _REMEDY)
-    return _Facts(version, count, degree, bits)
+    return _Facts(version, count, degree, bits, bool(flags & _ANTIALIASED))
 
 
 def _check_size(path: Path, facts: _Facts, size: int) -> None:
@@ -244,6 +253,8 @@ def _cloud(facts: _Facts, blocks: list[bytes], up: Up) -> SplatCloud:
     fixed = (fixed ^ 0x800000) - 0x800000  # the 24th bit is the sign
     higher = _HIGHER[facts.degree]
     kept = min(higher, _KEPT)
+    notes = ["Of its SH degree 4 the highest band was left out."] if higher > kept else []
+    notes += [ANTIALIASED_NOTE] if facts.is_antialiased else []
     planes = np.empty((kept + 1, 3, count), np.float32)
     planes[0] = (colour.reshape(count, 3).T / np.float32(255.0) - np.float32(0.5)) / np.float32(COLOUR_SCALE)
     coefficients = sh.reshape(count, higher, 3)
@@ -255,7 +266,7 @@ def _cloud(facts: _Facts, blocks: list[bytes], up: Up) -> SplatCloud:
         scale=np.exp(scale.reshape(count, 3) / np.float32(16.0) - np.float32(10.0)),
         opacity=opacity / np.float32(255.0),
         colour_sh=planes.transpose(2, 0, 1),
-        notes=("Of its SH degree 4 the highest band was left out.",) if higher > kept else (),
+        notes=tuple(notes),
         up=up,
     )
 
@@ -277,7 +288,7 @@ def _smallest_three(raw: np.ndarray) -> np.ndarray:
 
 
 def _bits_for(position: np.ndarray) -> int:
-    """Bits behind the point: 12, or fewer where positions are too far away for that."""
+    """Bits behind the point: as many as the farthest position leaves of 24 with a sign."""
     farthest = float(np.abs(position).max(initial=0.0))
     bits = FRACTIONAL_BITS
     while bits and farthest * (1 << bits) >= (1 << 23) - 1:
@@ -285,6 +296,18 @@ def _bits_for(position: np.ndarray) -> int:
     if not farthest < (1 << 23) - 1:
         raise BadValueError(f"SPZ: a position of {farthest:g} does not fit its 24 bits", "Move it nearer.")
     return bits
+
+
+def _clipped(cloud: SplatCloud) -> tuple[str, ...]:
+    """A sentence about Gaussians beyond what bytes hold by more than they are rounded; none where none is."""
+    low, high = (math.exp(end + side / 32.0) for end, side in zip(_LOG_SCALES, (-1.0, 1.0), strict=True))
+    scale = int(np.count_nonzero(((cloud.scale < low) | (cloud.scale > high)).any(axis=1)))
+    largest = np.abs(cloud.colour_sh).max(axis=2)
+    beyond = largest > np.where(np.arange(largest.shape[1]), _LARGEST_SH[1], _LARGEST_SH[0])
+    sh = int(np.count_nonzero(beyond.any(axis=1)))
+    told = [f"the σ of {scale} Gaussians (it holds 45 µm to 379 m)"] if scale else []
+    told += [f"the SH of {sh} (it holds colours of −0.44 to 1.44, and higher SH of −1 to 1)"] if sh else []
+    return (f"SPZ clipped {' and '.join(told)}.",) if told else ()
 
 
 def _blocks(cloud: SplatCloud, bits: int) -> list[bytes]:

@@ -56,7 +56,7 @@ def require_one(path: Path, fine: np.ndarray) -> None:
     if not fine.any():
         raise BadValueError(
             f"{path}: every Gaussian has NaN, infinite or absurd values",
-            "Training diverged: export an earlier checkpoint.",
+            "Export or convert it again; after a training that diverged, from an earlier checkpoint.",
         )
 
 
@@ -84,6 +84,10 @@ def taken(cloud: SplatCloud, which: np.ndarray) -> SplatCloud:
         opacity=cloud.opacity[which],
         colour_sh=cloud.colour_sh[which],
     )
+
+
+#: Of files that say that the compensation for a smallest size on the screen belongs to their opacity.
+ANTIALIASED_NOTE = "It was trained with compensation of opacity (antialiased), which we do not draw."
 
 
 def left_out_note(count: int) -> str:

@@ -7,6 +7,7 @@ import os
 import struct
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 
@@ -17,6 +18,7 @@ from physhdr.bridge.errors import BadValueError, FileDamagedError, FileMissingEr
 from physhdr.bridge.gaussian_import import read_gaussians
 from physhdr.bridge.gaussian_ply import standard_names
 from physhdr.bridge.splat_files import SplatCloud, read_splat_file, spz
+from physhdr.bridge.splat_files.usable import only_usable
 
 needs_zstd = pytest.mark.skipif(
     sys.version_info < (3, 14) and importlib.util.find_spec("zstandard") is None,
@@ -41,6 +43,13 @@ def check(cloud: SplatCloud) -> None:
         assert np.isfinite(getattr(cloud, name)).all(), name
     assert (cloud.scale >= 0.0).all() and (cloud.opacity >= 0.0).all() and (cloud.opacity <= 1.0).all()
     np.testing.assert_allclose(np.linalg.norm(cloud.rotation, axis=1), 1.0, atol=1e-5)
+
+
+def test_nan_alone_has_a_remedy_that_fits_any_program(files: Path) -> None:
+    cloud = read_splat_file(files / "gaussians.splat")
+    with pytest.raises(BadValueError, match="every Gaussian has NaN") as caught:
+        only_usable(files / "gaussians.splat", replace(cloud, opacity=cloud.opacity * np.nan))
+    assert caught.value.hint.startswith("Export or convert it again")
 
 
 @pytest.mark.parametrize("name", NAMES)

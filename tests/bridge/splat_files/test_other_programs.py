@@ -4,11 +4,12 @@
 ``tests/fixtures/splat_files.zip`` has the files, the PLY that they are of, and which program wrote which.
 """
 
+import gzip
 import importlib.util
 import shutil
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,7 @@ from physhdr.bridge.errors import BadValueError
 from physhdr.bridge.gaussian_import import read_gaussians
 from physhdr.bridge.gaussian_ply import SH_C0
 from physhdr.bridge.splat_files import SplatCloud, read_splat_file, turned, write_spz
-from physhdr.bridge.splat_files.usable import taken
+from physhdr.bridge.splat_files.usable import ANTIALIASED_NOTE, taken
 
 needs_zstd = pytest.mark.skipif(
     sys.version_info < (3, 14) and importlib.util.find_spec("zstandard") is None,
@@ -57,8 +58,9 @@ SPZ = Step(
     half(4096) * 1.01, half(16) * 1.001, 0.006, half(255) * 1.001, half(0.15 * 255) * SH_C0 * 1.01,
     (half(16) + 1 / 256, half(8) + 1 / 256, half(8) + 1 / 256),
 )  # fmt: skip
+#: Ours has as many bits behind the point as the scene leaves: 19 for one that reaches less than 16 m.
 OURS = Step(
-    SPZ.position, SPZ.log_scale, SPZ.turn, SPZ.opacity, SPZ.colour,
+    half(1 << 19) * 1.01, SPZ.log_scale, SPZ.turn, SPZ.opacity, SPZ.colour,
     (half(16) * 1.001, half(8) * 1.001, half(8) * 1.001),
 )  # fmt: skip
 #: Three bytes of a quaternion, whose w follows: near 0 it is known to no better than √(2/127.5).
@@ -189,6 +191,39 @@ def test_flat_and_saturated_gaussians_in_an_spz(tmp_path: Path, source: SplatClo
     found = read_splat_file(tmp_path / "a.spz")
     np.testing.assert_allclose(found.scale[:, 2], np.exp(-10.0), rtol=1e-5)
     assert (found.opacity[:10] == 1.0).all()
+
+
+@pytest.mark.parametrize("reach, bits", [(0.9, 23), (1.5, 22), (100.0, 16), (2000.0, 12), (9e5, 3)])
+def test_an_spz_has_the_finest_steps_that_reach_everything(
+    tmp_path: Path, source: SplatCloud, reach: float, bits: int
+) -> None:
+    position = source.position * np.float32(reach / np.abs(source.position).max())
+    cloud = replace(source, position=position)
+    assert write_spz(tmp_path / "a.spz", cloud, 3) == ()
+    assert gzip.decompress((tmp_path / "a.spz").read_bytes())[13] == bits
+    found = read_splat_file(tmp_path / "a.spz").position.astype(np.float64)
+    np.testing.assert_allclose(found, position, rtol=1e-7, atol=0.5 / 2.0**bits)
+
+
+def test_what_an_spz_clips_is_counted(tmp_path: Path, source: SplatCloud) -> None:
+    scale, sh = source.scale.copy(), source.colour_sh.copy()
+    scale[:3, 0], scale[3, 2], scale[4] = 1e-5, 1000.0, np.exp(-10.0)  # the last is the smallest that it has
+    sh[:, 1:] = sh[:, 1:].clip(-1.0, 1.0)
+    sh[:, 0] = sh[:, 0].clip(-3.3, 3.3)
+    sh[5, 7, 1], sh[6, 0, 2] = -1.2, 3.5
+    cloud = replace(source, scale=scale, colour_sh=sh)
+    [note] = write_spz(tmp_path / "a.spz", cloud, 3)
+    assert "σ of 4 Gaussians" in note and "SH of 2 " in note
+    found = read_splat_file(tmp_path / "a.spz")
+    np.testing.assert_allclose(found.scale[:3, 0], 45e-6, rtol=0.01)  # as the note has it
+    np.testing.assert_allclose(found.scale[3, 2], 379.0, rtol=0.01)
+
+
+def test_an_spz_of_a_training_with_compensated_opacity_says_so(files: Path, tmp_path: Path) -> None:
+    raw = bytearray(gzip.decompress((files / "version-3.spz").read_bytes()))
+    raw[14] |= 1
+    (tmp_path / "a.spz").write_bytes(gzip.compress(bytes(raw)))
+    assert read_splat_file(tmp_path / "a.spz").notes == (ANTIALIASED_NOTE,)
 
 
 def test_other_versions_are_not_written(tmp_path: Path, source: SplatCloud) -> None:
