@@ -16,6 +16,9 @@ from ..scene.camera import Camera
 from .card import warp_rasterize, warp_takes
 from .contract import Rasterization
 
+#: Those that take ``absolute_offsets``.
+WITH_ABSOLUTE_OFFSETS = ("reference", "warp")
+
 Implementation = Literal["auto", "reference", "cpu", "cuda", "warp"]
 
 __all__ = ["Implementation", "Rasterization", "rasterize"]
@@ -60,15 +63,17 @@ def rasterize(
         view = camera.view_matrix(means)
         depths = means.detach() @ view[2, :3] + view[2, 3]
         colours = torch.cat([colours, depths[:, None]], dim=1)
-    draw = _implementation(implementation, means)
+    name = _chosen(implementation, means)
+    draw = _implementation(name, means)
     arguments = (means, quaternions, scales, opacities, colours, camera, screen_offsets)
     if absolute_offsets is None:
         result = draw(*arguments)
-    elif draw.__module__.endswith((".reference", ".warp")):
+    elif name in WITH_ABSOLUTE_OFFSETS:
         result = draw(*arguments, absolute_offsets)
     else:
         raise BadValueError(
-            "this rasteriser has no absolute sums of screen gradients", "Choose 'reference' or 'warp'."
+            f"the rasteriser {name!r} has no absolute sums of screen gradients",
+            f"Choose {' or '.join(WITH_ABSOLUTE_OFFSETS)}.",
         )
     if not with_depth:
         return result
@@ -77,13 +82,17 @@ def rasterize(
     return Rasterization(result.image[:-1], result.alpha, result.radii, depth)
 
 
+def _chosen(name: Implementation, means: torch.Tensor) -> Implementation:
+    """What ``auto`` is: by where the tensors are, and their precision."""
+    if name != "auto":
+        return name
+    if warp_takes(means):
+        return "warp"
+    return "cuda" if means.is_cuda else "reference" if means.dtype == torch.float64 else "cpu"
+
+
 def _implementation(name: Implementation, means: torch.Tensor) -> Callable[..., Rasterization]:
-    """The drawing function of that name; ``auto``: by where the tensors are, and their precision."""
-    if name == "auto":
-        if warp_takes(means):
-            name = "warp"
-        else:
-            name = "cuda" if means.is_cuda else "reference" if means.dtype == torch.float64 else "cpu"
+    """The drawing function of that name."""
     # Imported late: Numba, gsplat and Warp are heavy, and only one of them is needed.
     if name == "cuda":
         if not means.is_cuda:
