@@ -8,7 +8,7 @@ opacities within 1.2e-7 of 0 and 1, which have no finite logit.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -73,24 +73,37 @@ def read_ply_model(path: Path, color_space: ColorSpace = "SRGB") -> PlyModel:
     none to guess. Raises what ``read_ply`` raises, and ``BadValueError`` where no Gaussian is usable or a
     lossless PLY's radiance needs networks.
     """
+    read, metadata = read_model_or_cloud(path)
+    if isinstance(read, PlyModel):
+        return read
+    return model_of_cloud(Path(path), read, color_space, metadata)
+
+
+def read_model_or_cloud(path: Path) -> tuple[PlyModel | SplatCloud, dict[str, str]]:
+    """A lossless PLY as the model that it is, any other as the Gaussians that it has, damaged ones too.
+
+    And its metadata. Raises what ``read_ply_model`` raises of a PLY's form, before any colour is converted.
+    """
     path = Path(path)
     opened = open_gaussians(path)
     if is_compressed(opened):
-        return model_of_cloud(path, cloud_of_compressed(path, opened), color_space)
+        return cloud_of_compressed(path, opened), {}
     ply = gaussians_in(path, opened)
     del opened  # the file's pages count as memory
-    notes: list[str] = []
+    metadata = _provenance(ply.comments)
+    notes: tuple[str, ...] = ()
     if all(name in ply.columns for name in _RADIANCE):
         form = form_of(ply.comments, ply.columns)
         if form in _WITHOUT_NETWORKS:
-            return _lossless_model(path, ply)
+            return _lossless_model(path, ply), metadata
         if form is not None:
             raise BadValueError(
                 f"{path}: its radiance needs networks (composer {form[0]:.80}, modulator {form[1]:.80})",
                 "Import the run's model.safetensors (physhdr export), or its baked.ply for one fixed look.",
             )
-        notes.append("Its phys_network comments are gone: imported as the look that was baked into it.")
-    return model_of_cloud(path, cloud_of_ply(ply), color_space, _provenance(ply.comments), notes)
+        notes = ("Its phys_network comments are gone: imported as the look that was baked into it.",)
+    cloud = cloud_of_ply(ply)
+    return replace(cloud, notes=(*cloud.notes, *notes)), metadata
 
 
 def model_of_cloud(
@@ -98,7 +111,6 @@ def model_of_cloud(
     cloud: SplatCloud,
     color_space: ColorSpace = "SRGB",
     metadata: Mapping[str, str] | None = None,
-    notes: Sequence[str] = (),
 ) -> PlyModel:
     """Display-referred Gaussians as a model: their colours, toward every direction, become radiance.
 
@@ -107,7 +119,7 @@ def model_of_cloud(
     """
     cloud, left_out = only_usable(path, cloud)
     sh = log_radiance_of(cloud.colour_sh, color_space)
-    told = [*cloud.notes, *notes]
+    told = [*cloud.notes]
     if color_space == "SRGB":
         told.append("Its colours are display-referred; they were linearised as sRGB.")
     told.append("Nothing is known of its light: the lighting level scales everything.")

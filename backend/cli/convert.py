@@ -10,16 +10,17 @@ import numpy as np
 import tyro
 
 from ...bridge.axes import Up, turn_of_up
-from ...bridge.display import TONE_WORDS, Tone, display_colour_sh, look_comment, look_words
+from ...bridge.display import FITTED_COMMENT, TONE_WORDS, Tone, display_colour_sh, look_comment, look_words
 from ...bridge.errors import BadValueError
 from ...bridge.gaussian_ply import UP_WORDS, write_standard_ply
 from ...bridge.lights import Levels
 from ...bridge.limits import EV_MAX
 from ...bridge.model_file import SUFFIX, Model, read_model, write_model
-from ...bridge.ply_model import PROVENANCE, model_of_cloud, read_ply_model
+from ...bridge.ply_model import PROVENANCE, PlyModel, model_of_cloud, read_model_or_cloud
 from ...bridge.regular import regular_file
 from ...bridge.run_folder import CONFIG_FILE
-from ...bridge.splat_files import SplatCloud, format_of, read_splat_file, turned, write_spz
+from ...bridge.splat_files import SplatCloud, format_of, turned, write_spz
+from ...bridge.splat_files.reading import read_any
 from ...bridge.splat_files.usable import left_out_note, only_usable
 from ..formats.colours import display_of_linear, exposed, linear_of_display, radiance_sh
 from ..formats.table import Target, target_of
@@ -32,10 +33,12 @@ if TYPE_CHECKING:  # they load torch, which takes seconds and only a run needs
     from ..runs.run import Run
     from ..scene.camera import Camera
 
-#: What is said of colours that were fitted.
-FITTED = "fitted so that their blend is the model's picture"
 #: EV at which colours are developed, and at which radiance is written (its own value).
 DEVELOPED_EV, RADIANCE_EV = 1.0, 0.0
+#: Version of SPZ, where nobody asks for another.
+SPZ_VERSION = 3
+
+ColorWords = Literal["srgb", "linear"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,13 +46,15 @@ class Source:
     """What was read: exactly one of ``model`` and ``cloud`` is there.
 
     ``is_linear``: the cloud's colours are linear values and not sRGB codes. ``up``: which way is up in its
-    axes. ``facts``: where it comes from, as a PLY's header tells. ``run``: whose model it is.
+    axes. ``left_out``: Gaussians that could not be drawn, of a cloud (a model's ``notes`` say it). ``facts``:
+    where it comes from, as a PLY's header tells. ``run``: whose model it is.
     """
 
     model: Model | None = None
     cloud: SplatCloud | None = None
     is_linear: bool = False
     up: Up = "z"
+    left_out: int = 0
     notes: tuple[str, ...] = ()
     facts: tuple[tuple[str, str], ...] = ()
     run: "Run | None" = None
@@ -89,8 +94,8 @@ class Convert:
     lighting_levels: tuple[str, ...] = ()
     #: A model's response: learned, or the sRGB curve; default: learned where it has one.
     tone: Literal["learned", "srgb"] | None = None
-    #: What another program's colours are, where the file does not say.
-    color_space: Literal["srgb", "linear"] = "srgb"
+    #: What another program's colours are, where the file does not say; default: srgb.
+    color_space: ColorWords | None = None
     #: glTF alone: linear colours (lin_rec709_display), which a viewer blends before the sRGB curve, as we do.
     blend_linear: bool = False
     #: Of a model file: the run or data set whose cameras saw what it shows. Display colours are fitted to the
@@ -98,8 +103,8 @@ class Convert:
     cameras: Path | None = None
     #: Convert colours one by one instead: at once, but their blend is another picture.
     quick: bool = False
-    #: Version of SPZ: 3 is read by more programs, 4 is smaller.
-    spz_version: Literal[3, 4] = 3
+    #: Version of SPZ: 3 (default) is read by more programs, 4 is smaller.
+    spz_version: Literal[3, 4] | None = None
     #: The data set of a run, where it has moved since training.
     data: Path | None = None
     #: Say the result or the error as JSON, an object a line.
@@ -111,11 +116,12 @@ class Convert:
     def _work(self) -> dict[str, Any]:
         target = target_of(self.out)
         self._refuse_what_does_not_fit(target)
-        source = read_source(self.source, self.data, self.color_space == "linear")
+        source = read_source(self.source, self.data, self.color_space)
         source = replace(source, up=self.from_up or source.up)
-        up = self.up or target.up
+        up, clipped = self.up or target.up, ()
         if target.holds == "model":
-            model, told = _as_model(self.source, source)
+            model, too_bright, told = _as_model(self.source, source)
+            source = replace(source, left_out=source.left_out + too_bright)
             write_model(self.out, model)
             count = model.count
         else:
@@ -125,15 +131,17 @@ class Convert:
             cloud = turned(cloud, turn_of_up(source.up, up)) if up != source.up else cloud
             cloud = replace(cloud, up=up)
             facts = [f"{PROVENANCE}{key}: {value}" for key, value in source.facts]
-            self._write(target, cloud, [*facts, told])
+            clipped = self._write(target, cloud, [*facts, told])
             count = cloud.count
+        left_out = [left_out_note(source.left_out)] if source.left_out else []
+        notes = [*left_out, *source.notes, *clipped]
         lost = f"; {target.loses}" if source.model is not None and target.loses else ""
         if not self.json:
-            for note in source.notes:
+            for note in notes:
                 console.print(note, soft_wrap=True)
             axes = f", from {UP_WORDS[source.up]} to {UP_WORDS[up]}" if up != source.up else ""
             console.print(f"wrote {self.out}: {count} Gaussians, {told}{axes}{lost}", soft_wrap=True)
-        return {"out": str(self.out), "gaussians": count, "up": up, "told": told, "notes": list(source.notes)}
+        return {"out": str(self.out), "gaussians": count, "up": up, "told": told, "notes": notes}
 
     def _refuse_what_does_not_fit(self, target: Target) -> None:
         """Raises ``BadValueError`` before anything is read."""
@@ -149,6 +157,8 @@ class Convert:
                 "--blend-linear is of glTF, which then ends in the sRGB curve",
                 "Leave it out, or write .glb with --tone srgb.",
             )
+        if self.spz_version is not None and target.name != "SPZ":
+            raise BadValueError(f"--spz-version is of SPZ, and {self.out.name} is none", "Leave it out.")
         if (self.cameras is not None or self.quick) and (target.holds != "display" or self.blend_linear):
             raise BadValueError(
                 f"--{'quick' if self.quick else 'cameras'} is of display colours: {self.out.name} has none",
@@ -179,6 +189,11 @@ class Convert:
             raise BadValueError(f"{self.source} has no light to be changed", "Leave the lighting out.")
         if self.tone == "learned":
             raise BadValueError(f"{self.source} has no learned response", "Leave --tone out.")
+        if self.tone is not None and not source.is_linear and not linear:
+            raise BadValueError(
+                f"{self.source} has colours that are developed already: no --tone changes them",
+                "Leave it out.",
+            )
         cloud, sh = source.cloud, source.cloud.colour_sh
         ev = self.exposure_ev
         if source.is_linear:
@@ -212,7 +227,7 @@ class Convert:
         cameras = [] if self.quick else self._cameras(source)
         if not cameras:
             return _cloud_of(model, colours), f"{told}, each Gaussian by itself"
-        return _cloud_of(model, fitted(source, colours, look, cameras, show)), f"{told}, {FITTED}"
+        return _cloud_of(model, fitted(source, colours, look, cameras, show)), f"{told}, {FITTED_COMMENT}"
 
     def _cameras(self, source: Source) -> "list[Camera]":
         """From where a model is seen; none where nobody says."""
@@ -226,12 +241,13 @@ class Convert:
 
         return training_cameras(self.cameras)
 
-    def _write(self, target: Target, cloud: SplatCloud, comments: Sequence[str]) -> None:
+    def _write(self, target: Target, cloud: SplatCloud, comments: Sequence[str]) -> tuple[str, ...]:
+        """Write it; sentences for the user about what the format did not hold."""
         if target.name == "PLY":
             arrays = (cloud.position, cloud.rotation, cloud.scale, cloud.opacity, cloud.colour_sh)
             write_standard_ply(self.out, *arrays, comments=comments, up=cloud.up)
         elif target.name == "SPZ":
-            write_spz(self.out, cloud, self.spz_version)
+            return write_spz(self.out, cloud, self.spz_version or SPZ_VERSION)
         elif target.name == "glTF":
             from ..formats.gltf import write_gltf
 
@@ -241,6 +257,7 @@ class Convert:
             from ..formats.usd import write_usd
 
             write_usd(self.out, cloud, cloud.up, "\n".join([f"PhysHDR {version()}", *comments]))
+        return ()
 
 
 def developed(model: Model, look: Look) -> np.ndarray:
@@ -266,13 +283,15 @@ def fitted(
     return fitted_colour_sh(source.model, colours, cameras, picture, show)
 
 
-def read_source(path: Path, data: Path | None = None, is_linear: bool = False) -> Source:
+def read_source(path: Path, data: Path | None = None, color_space: ColorWords | None = None) -> Source:
     """Read a run's folder, or a file of Gaussians of any format that is known.
 
-    ``data``: the run's data set, where that has moved; ``is_linear``: what colours are, of a file that does
-    not say. Raises what reading raises, and ``BadValueError`` where no Gaussian is usable.
+    ``data``: the run's data set, where that has moved; ``color_space``: what colours are, of a file that does
+    not say (sRGB where nobody says). Raises what reading raises, and ``BadValueError`` where no Gaussian is
+    usable, or where ``data`` or ``color_space`` is of no use.
     """
     if path.is_dir() and (path / CONFIG_FILE).exists():
+        _refuse_color_space(path, color_space)
         return _of_run(path, data)
     if data is not None:
         raise BadValueError("--data is of a run, and this is a file", "Leave it out.")
@@ -282,18 +301,22 @@ def read_source(path: Path, data: Path | None = None, is_linear: bool = False) -
         path = path / "meta.json"
     regular_file(path, "Check the path.")
     if path.name.lower().endswith(SUFFIX):
+        _refuse_color_space(path, color_space)
         model = read_model(path)
         return Source(model, facts=tuple(model.metadata.items()))
     kind = format_of(path).name
+    if kind in ("glTF", "USD"):
+        _refuse_color_space(path, color_space)
     if kind == "PLY":
-        read = read_ply_model(path, "LINEAR" if is_linear else "SRGB")
-        if read.colour_sh is None:
+        read, _ = read_model_or_cloud(path)
+        if isinstance(read, PlyModel):
+            _refuse_color_space(path, color_space)
             return Source(read.model, notes=read.notes, facts=tuple(read.model.metadata.items()))
-        return _of_cloud(path, read_splat_file(path), is_linear)
+        return _of_cloud(path, read, color_space == "linear")
     if kind == "SOG":
         from ..formats.sog import read_sog
 
-        return _of_cloud(path, read_sog(path), is_linear)
+        return _of_cloud(path, read_sog(path), color_space == "linear")
     if kind == "glTF":
         from ..formats.gltf import read_gltf
 
@@ -304,7 +327,16 @@ def read_source(path: Path, data: Path | None = None, is_linear: bool = False) -
 
         stage = read_usd(path)
         return _of_cloud(path, stage.cloud, stage.is_radiance)
-    return _of_cloud(path, read_splat_file(path), is_linear)
+    return _of_cloud(path, read_any(path), color_space == "linear")
+
+
+def _refuse_color_space(path: Path, color_space: ColorWords | None) -> None:
+    """Raises ``BadValueError`` where a color space was given to what is no choice."""
+    if color_space is not None:
+        raise BadValueError(
+            f"--color-space is of PLY and others that do not say what their colours are: {path} is none",
+            "Leave it out.",
+        )
 
 
 def _of_run(folder: Path, data: Path | None) -> Source:
@@ -320,12 +352,11 @@ def _of_run(folder: Path, data: Path | None) -> Source:
 
 def _of_cloud(path: Path, cloud: SplatCloud, is_linear: bool) -> Source:
     cloud, left_out = only_usable(path, cloud)
-    notes = (left_out_note(left_out), *cloud.notes) if left_out else cloud.notes
-    return Source(cloud=cloud, is_linear=is_linear, up=cloud.up, notes=notes)
+    return Source(cloud=cloud, is_linear=is_linear, up=cloud.up, left_out=left_out, notes=cloud.notes)
 
 
-def _as_model(path: Path, source: Source) -> tuple[Model, str]:
-    """The source as a model in Blender's world, and what it is."""
+def _as_model(path: Path, source: Source) -> tuple[Model, int, str]:
+    """The source as a model in Blender's world, how many Gaussians are too bright for one, and what it is."""
     turn = turn_of_up(source.up, "z")
     if source.model is not None:
         model = source.model
@@ -337,11 +368,11 @@ def _as_model(path: Path, source: Source) -> tuple[Model, str]:
                 rotation=whole.rotation,
                 log_radiance_sh=whole.colour_sh,
             )
-        return model, "the model"
+        return model, 0, "the model"
     assert source.cloud is not None
     read = model_of_cloud(path, turned(source.cloud, turn), "LINEAR" if source.is_linear else "SRGB")
     told = "its linear colours as radiance" if source.is_linear else "its colours linearised as sRGB"
-    return read.model, f"{told}; nothing is known of its light"
+    return read.model, read.left_out, f"{told}; nothing is known of its light"
 
 
 def _cloud_of(model: Model, colour_sh: np.ndarray) -> SplatCloud:

@@ -16,11 +16,11 @@ import pytest
 
 from physhdr.backend.cli import main
 from physhdr.backend.cli.convert import read_source
-from physhdr.bridge import srgb
-from physhdr.bridge.gaussian_ply import read_ply, write_standard_ply
+from physhdr.bridge import ply_model, srgb
+from physhdr.bridge.gaussian_ply import read_ply, standard_columns, standard_names, write_standard_ply
 from physhdr.bridge.model_file import Model, read_model, write_model
 from physhdr.bridge.spherical_harmonics import C0, basis, fibonacci_sphere
-from physhdr.bridge.splat_files import SplatCloud
+from physhdr.bridge.splat_files import SplatCloud, reading
 
 EARLIER = Path(__file__).resolve().parents[2] / "fixtures" / "e7440a3"
 #: Where Blender's X, Y and Z are in a file's axes, by words: right, forward, up.
@@ -243,6 +243,8 @@ def test_its_result_and_its_error_are_told_as_json(model: Path, capsys) -> None:
         ("a.safetensors", ["--lighting-level", "2"], "keeps all of its light"),
         ("a.safetensors", ["--up", "y"], "--up may be z"),
         ("a.ply", ["--data", "x"], "--data is of a run"),
+        ("a.ply", ["--spz-version", "3"], "--spz-version is of SPZ"),
+        ("a.ply", ["--color-space", "srgb"], "--color-space is of PLY and others"),
     ],
 )
 def test_what_does_not_fit_is_refused(model: Path, capsys, out: str, options, told: str) -> None:
@@ -251,7 +253,14 @@ def test_what_does_not_fit_is_refused(model: Path, capsys, out: str, options, to
 
 
 @pytest.mark.parametrize(
-    "options", [["--lighting-level", "2"], ["--tone", "learned"], ["--exposure-ev", "0"]]
+    "options",
+    [
+        ["--lighting-level", "2"],
+        ["--tone", "learned"],
+        ["--tone", "srgb"],
+        ["--exposure-ev", "0"],
+        ["--color-space", "linear"],
+    ],
 )
 def test_another_programs_file_has_no_light_to_change(model: Path, capsys, options) -> None:
     convert(model, model.with_name("a.glb"))
@@ -345,3 +354,45 @@ def test_damaged_gaussians_are_left_out_and_counted(tmp_path: Path, capsys) -> N
     convert(tmp_path / "a.ply", tmp_path / "b.glb")
     assert "1 Gaussians with NaN" in capsys.readouterr().out
     assert cloud_in(tmp_path / "b.glb").count == 39
+
+
+def test_what_is_too_bright_for_a_model_is_left_out_and_counted(tmp_path: Path, capsys) -> None:
+    m = a_model(3)
+    colours = np.abs(m.log_radiance_sh)
+    colours[3:5] = 1e14 * np.random.default_rng(0).choice([-1.0, 1.0], (2, 16, 3))  # their logarithm rings
+    position = m.position.copy()
+    position[0] = np.nan
+    header = "ply\nformat ascii 1.0\nelement vertex 40\n"
+    header += "".join(f"property float {name}\n" for name in standard_names(16)) + "end_header\n"
+    columns = standard_columns(m.position, m.rotation, m.scale, m.opacity, colours)
+    columns["x"] = position[:, 0]
+    rows = np.stack([columns[name] for name in standard_names(16)], axis=1)
+    text = "".join(" ".join(f"{value:.9g}" for value in row) + "\n" for row in rows)
+    (tmp_path / "a.ply").write_text(header + text)
+    convert(tmp_path / "a.ply", tmp_path / "b.safetensors", "--color-space", "linear", "--json")
+    result = json.loads(capsys.readouterr().out)["result"]
+    assert read_model(tmp_path / "b.safetensors").count == result["gaussians"] == 37
+    assert result["notes"] == ["3 Gaussians with NaN, infinite or absurd values were left out."]
+
+
+def test_a_standard_ply_is_opened_once_and_not_made_a_model(tmp_path: Path, monkeypatch) -> None:
+    m = a_model(3)
+    colours = np.repeat(m.log_radiance_sh[:, :1], 16, axis=1)
+    write_standard_ply(tmp_path / "a.ply", m.position, m.rotation, m.scale, m.opacity, colours)
+    opened = []
+    original = ply_model.open_gaussians
+    monkeypatch.setattr(ply_model, "open_gaussians", lambda path: opened.append(path) or original(path))
+    monkeypatch.setattr(reading, "open_gaussians", lambda path: opened.append(path) or original(path))
+    monkeypatch.setattr(ply_model, "log_radiance_of", lambda *_: pytest.fail("colours became a logarithm"))
+    np.testing.assert_array_equal(cloud_in(tmp_path / "a.ply").colour_sh, colours)
+    assert len(opened) == 1
+
+
+def test_what_an_spz_clips_is_told_in_a_line(tmp_path: Path, capsys) -> None:
+    scale = a_model(1).scale.copy()
+    scale[:7] = 1e-6
+    write_model(tmp_path / "m.safetensors", a_model(1, scale=scale))
+    convert(tmp_path / "m.safetensors", tmp_path / "a.spz")
+    told = capsys.readouterr().out
+    assert "SPZ clipped the σ of 7 Gaussians" in told and "σ of 6 %" in told
+    assert abs(math.exp(1 / 16) - 1.06) < 0.005 and abs(C0 / (0.15 * 255) - 1 / 136) < 1e-4  # as it is told
