@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Numbered frames along a path of cameras: which there are already, and who draws the others.
 
-Beside the frames stands ``NAME.exr.frames.json``: what each of them shows, as a digest of the model, the
+Beside the frames stands ``NAME_####.exr.frames.json``: what each of them shows, as a digest of the model, the
 camera and the light. A frame that is there is whole (it is written by a rename), and is kept where that file
 says that it is the one; so an interrupted sequence goes on. It is drawn here, or by several processes, which
 get their frames in a file and open the run themselves (``python -m … sequence JOB.json``).
@@ -98,9 +98,11 @@ def numbered(out: Path, count: int) -> list[Path]:
 
 
 def plan_file(out: Path) -> Path:
-    """What stands beside the frames: ``frames/name.exr.frames.json`` of ``frames/name_####.exr``."""
-    name = re.sub("[_.-]?#+", "", out.stem) or "all"
-    return out.with_name(f"{name}{out.suffix}.frames.json")
+    """What stands beside the frames: ``frames/name_####.exr.frames.json`` of ``frames/name_####.exr``.
+
+    With its #: what else is drawn here under a like name (``name_##.exr``) has its own.
+    """
+    return out.with_name(f"{out.name}.frames.json")
 
 
 # ---- what is there -------------------------------------------------------------------------------------
