@@ -36,6 +36,7 @@ from .sequence import (
     model_digest,
     numbered,
     plan_file,
+    require_model,
     threads_each,
 )
 from .told import progress
@@ -183,7 +184,9 @@ class Render:
 
     def _along(self, file: Path) -> int:
         """The frames of a file of cameras."""
+        model = model_digest(self.folder)
         run = self._opened()
+        require_model(self.folder, model)
         shots = read_camera_file(file, camera_named(run.scene, None), self.camera_prim, self.camera_space)
         frames = self._frames(run, shots)
         if len(frames) == 1 and "#" not in self.out.name:
@@ -192,12 +195,12 @@ class Render:
             return 0
         writable_folder(self.out.parent)
         plan = plan_file(self.out)
-        left = begin(frames, plan, model_digest(self.folder), self.overwrite)
+        left = begin(frames, plan, model, self.layers and run.seen() is not None, self.overwrite)
         sure = self._sure(run) if left else None
         workers = min(self.workers, len(left))
         with progress("render", "frame", as_json=False) as show:
             if workers > 1:
-                opened = Opened(self.folder, self.data, self.rasteriser, self.device)
+                opened = Opened(self.folder, self.data, self.rasteriser, self.device, model)
                 threads = threads_each(workers, torch.get_num_threads())
                 draw_at_once(opened, left, workers, threads, sure, show)
             else:

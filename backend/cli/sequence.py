@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from ...bridge.atomic import atomic_path
-from ...bridge.errors import BadValueError, OutputError, PhysHDRError
+from ...bridge.errors import BadValueError, DataMismatchError, OutputError, PhysHDRError
 from ...bridge.regular import read_json_object
 from ...bridge.run_folder import CHECKPOINT_FILE
 from ..benchmark.job import THREAD_VARIABLES
@@ -68,9 +68,12 @@ class Frame:
             "layers": self.layers,
         }
 
-    def digest(self, model: str) -> str:
-        """Of all that decides how the frame looks but for its name; ``model``: that of the run's weights."""
-        told = self.described() | {"path": self.path.suffix.lower(), "model": model}
+    def digest(self, model: str, confidence: bool) -> str:
+        """Of all that decides how the frame looks but for its name; ``model``: that of the run's weights.
+
+        ``confidence``: whether its layers have Confidence.
+        """
+        told = self.described() | {"path": self.path.suffix.lower(), "model": model, "confidence": confidence}
         if told["path"] == ".exr":
             told["exposure"] = None  # radiance has none
         return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:32]
@@ -108,12 +111,13 @@ def plan_file(out: Path) -> Path:
 # ---- what is there -------------------------------------------------------------------------------------
 
 
-def begin(frames: Sequence[Frame], plan: Path, model: str, overwrite: bool) -> list[Frame]:
+def begin(frames: Sequence[Frame], plan: Path, model: str, confidence: bool, overwrite: bool) -> list[Frame]:
     """The frames that are still to be drawn, after the plan was written.
 
+    ``model``, ``confidence``: as ``Frame.digest`` takes them.
     Raises ``OutputError`` where there are frames of something else, unless they are to be replaced.
     """
-    wanted = {frame.path.name: frame.digest(model) for frame in frames}
+    wanted = {frame.path.name: frame.digest(model, confidence) for frame in frames}
     there = _planned(plan) if plan.exists() else {}
     stale = {name for name, digest in there.items() if wanted.get(name) != digest}
     stale = {name for name in stale if plan.with_name(name).exists()}
@@ -149,9 +153,23 @@ def _planned(plan: Path) -> dict[str, str]:
 
 
 def model_digest(folder: Path) -> str:
-    """Of the run's weights."""
+    """Of the run's weights; empty where there are none, of which ``open_run`` tells."""
+    if not (folder / CHECKPOINT_FILE).is_file():
+        return ""
     with open(folder / CHECKPOINT_FILE, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def require_model(folder: Path, digest: str) -> None:
+    """Raises ``DataMismatchError`` where the run's weights are others than those of ``digest``.
+
+    Called after the run was opened, with a digest from before: then what was opened is those, too.
+    """
+    if model_digest(folder) != digest:
+        raise DataMismatchError(
+            f"the model in {folder} changed while its frames were drawn",
+            "Is it still being trained? Draw them when that has ended, with --overwrite.",
+        )
 
 
 # ---- drawing -------------------------------------------------------------------------------------------
@@ -180,12 +198,13 @@ def draw_all(run: Run, frames: Sequence[Frame], sure: Sure | None, show: Show) -
 
 @dataclass(frozen=True)
 class Opened:
-    """How another process opens the run, as ``open_run`` takes it."""
+    """How another process opens the run, as ``open_run`` takes it; ``model``: the digest of its weights."""
 
     folder: Path
     data: Path | None
     rasteriser: Implementation
     device: DeviceName
+    model: str
 
 
 class WorkerError(PhysHDRError):
@@ -212,6 +231,7 @@ def draw_at_once(
                     "data": None if opened.data is None else str(opened.data),
                     "rasteriser": opened.rasteriser,
                     "device": opened.device,
+                    "model": opened.model,
                     "confidence": None if sure is None else str(folder / "confidence.npy"),
                     "frames": [frame.described() for frame in frames[number::workers]],
                 }
@@ -266,6 +286,7 @@ def _drawn(argv: list[str]) -> int:
     try:
         data = None if job["data"] is None else Path(job["data"])
         run = open_run(Path(job["folder"]), data, job["rasteriser"], job["device"], pictures=False)
+        require_model(run.folder, job["model"])
         sure = None
         if job["confidence"] is not None:
             sure = Sure(run.on_gaussians(), np.load(job["confidence"], allow_pickle=False))

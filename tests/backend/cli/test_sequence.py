@@ -10,7 +10,7 @@ from PIL import Image
 
 from physhdr.backend.cli import main
 from physhdr.backend.cli.sequence import Frame, Opened, WorkerError, draw_at_once, numbered, plan_file
-from physhdr.backend.runs.run import open_run
+from physhdr.backend.runs.run import Run, open_run
 from physhdr.backend.scene import Scene
 from physhdr.backend.scene.pictures import read_exr
 from physhdr.bridge.errors import BadValueError
@@ -131,10 +131,27 @@ def test_several_processes_draw_the_same(run: Path, scene: Scene, tmp_path: Path
 
 
 def test_a_worker_that_fails_is_heard(scene: Scene, tmp_path: Path) -> None:
-    opened = Opened(tmp_path / "no run", None, "auto", "cpu")
+    opened = Opened(tmp_path / "no run", None, "auto", "cpu", "")
     frames = [Frame(tmp_path / f"{k}.exr", scene.train[0].camera, 1.0, (1.0, 1.0)) for k in range(2)]
     with pytest.raises(WorkerError, match=r"a worker failed: error: .*no run"):
         draw_at_once(opened, frames, 2, 1, None, lambda done, total, what: None)
+
+
+def test_a_worker_draws_no_other_model(run: Path, scene: Scene, tmp_path: Path) -> None:
+    opened = Opened(run, None, "auto", "cpu", "0" * 64)
+    frames = [Frame(tmp_path / f"{k}.exr", scene.train[0].camera, 1.0, (1.0, 1.0)) for k in range(2)]
+    with pytest.raises(WorkerError, match="changed while its frames were drawn"):
+        draw_at_once(opened, frames, 2, 1, None, lambda done, total, what: None)
+    assert not list(tmp_path.iterdir())
+
+
+def test_frames_without_confidence_are_others(run, scene, tmp_path: Path, capsys, monkeypatch) -> None:
+    words = ["--camera", shots_of(scene, tmp_path / "shots.json", 2), "--layers"]
+    assert render(run, tmp_path / "a_#.exr", *words) == 0
+    monkeypatch.setattr(Run, "seen", lambda self: None)  # as where the training pictures are missing
+    capsys.readouterr()
+    assert render(run, tmp_path / "a_#.exr", *words) == 1
+    assert "a_0.exr shows something else (2 such frames)" in capsys.readouterr().err
 
 
 def test_names_of_frames() -> None:
