@@ -79,7 +79,7 @@ def remove_results(folder: Path) -> None:
 
 def remove_unfinished(folder: Path) -> None:
     """Remove what trainings that were killed had begun to write; the caller holds the folder."""
-    for name in (CONFIG_FILE, CHECKPOINT_FILE):
+    for name in (CONFIG_FILE, CHECKPOINT_FILE, VIEWS_FILE):
         remove_leftovers(folder / name)
     for path in folder.iterdir():
         if UNFINISHED.fullmatch(path.name) and path.is_file():

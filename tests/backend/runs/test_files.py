@@ -156,6 +156,7 @@ def test_what_a_killed_training_had_begun_to_write_goes(run):
     for name in (
         ".checkpoint-ab12cd_f.safetensors",
         ".config-zzzzzzzz.json",
+        ".views-92f25f0b.tmp.json",
         "checkpoint.partial",
         ".tmpkGAOr4",
     ):
