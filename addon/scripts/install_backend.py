@@ -190,21 +190,33 @@ def install(target: Path, launcher: Path, torch: str, fresh: bool) -> Path:
 def cards_here() -> list[tuple[str, str, str]]:
     """Name, driver's version and compute capability of this machine's NVIDIA cards, as their driver says.
 
-    None where it says nothing: there is no driver, or none that can be asked.
+    None where it says nothing: there is no driver, or none that can be asked. Drivers before about R510 know
+    of no capability, and refuse the whole question: it is empty then.
     """
     found = shutil.which("nvidia-smi")
     places = [found, *map(os.path.expandvars, SMI)] if found else list(map(os.path.expandvars, SMI))
-    query = ["--query-gpu=name,driver_version,compute_cap", "--format=csv,noheader"]
     for program in places:
         try:
-            done = subprocess.run(
-                [program, *query], capture_output=True, text=True, errors="replace", timeout=30, check=False
-            )
+            rows = ask_driver(program, "name", "driver_version", "compute_cap")
+            if rows is None:
+                rows = [[*row, ""] for row in ask_driver(program, "name", "driver_version") or []]
         except (OSError, subprocess.TimeoutExpired):
             continue
-        rows = [[field.strip() for field in line.split(",")] for line in done.stdout.splitlines()]
-        return [(row[0], row[1], row[2]) for row in rows if len(row) == 3 and done.returncode == 0]
+        return [(row[0], row[1], row[2]) for row in rows]
     return []
+
+
+def ask_driver(program: str, *fields: str) -> list[list[str]] | None:
+    """The fields of each card, as the driver's program tells them; None where it fails.
+
+    Raises ``OSError`` or ``TimeoutExpired`` where it cannot be run.
+    """
+    command = [program, f"--query-gpu={','.join(fields)}", "--format=csv,noheader"]
+    done = subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=30, check=False)
+    if done.returncode:
+        return None
+    rows = [[field.strip() for field in line.split(",")] for line in done.stdout.splitlines()]
+    return [row for row in rows if len(row) == len(fields)]
 
 
 def refuse_old_cards(cards: list[tuple[str, str, str]]) -> None:

@@ -308,6 +308,8 @@ NEW, OLD_DRIVER, OLD_CARD = (
     ("NVIDIA GeForce RTX 3060", "551.86", "8.6"),
     ("NVIDIA GeForce GTX 1080", "580.82", "6.1"),
 )
+#: Its nvidia-smi knows no ``compute_cap``.
+OLDEST_DRIVER = ("Tesla T4", "470.256.02")
 
 
 @pytest.fixture
@@ -325,6 +327,7 @@ def installer(monkeypatch) -> dict:
         ([OLD_CARD], "GTX 1080 is older than this build of torch knows"),
         ([OLD_CARD, NEW], None),
         ([NEW], None),
+        ([(*OLDEST_DRIVER, "")], "the driver of Tesla T4 is 470.256.02; .* 580 or newer"),
         ([], None),
         ([("A card", "[N/A]", "[N/A]")], None),
     ],
@@ -367,6 +370,22 @@ def test_the_drivers_program_is_found_where_each_system_has_it(installer, monkey
     monkeypatch.setattr("os.path.expandvars", expanded)
     monkeypatch.setattr("subprocess.run", run)
     assert installer["cards_here"]() == [NEW, OLD_CARD]
+
+
+def test_a_driver_that_knows_no_capability_is_asked_for_the_rest(installer, monkeypatch):
+    """As nvidia-smi before R510: one unknown field, and it answers nothing else."""
+
+    def run(command, **_):
+        if "compute_cap" in command[1]:
+            refusal = 'Field "compute_cap" is not a valid field to query.\n\n'
+            return subprocess.CompletedProcess(command, 2, refusal, "")
+        return subprocess.CompletedProcess(command, 0, ", ".join(OLDEST_DRIVER) + "\n", "")
+
+    monkeypatch.setattr("subprocess.run", run)
+    cards = installer["cards_here"]()
+    assert cards == [(*OLDEST_DRIVER, "")]
+    with pytest.raises(installer["InstallError"], match="470"):
+        installer["refuse_old_cards"](cards)
 
 
 @pytest.mark.parametrize(
