@@ -88,6 +88,7 @@ class PHYSHDR_OT_render_setup(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         scene = context.scene
         try:
+            develop.check_developed(scene)  # before anything is set
             camera = self._camera(scene)
             if self.use_size:
                 if camera is None:

@@ -71,16 +71,19 @@ def develop(scene: bpy.types.Scene, target: bpy.types.Object, models: Iterable[b
     """Develop the scene's picture by the response of ``target``; where it is developed already, renew that.
 
     ``models``: those in the picture, whose own switches are turned off. Raises ``BadValueError`` where the
-    model has no response, or where no node can be put into the scene's compositor, and leaves all as it is.
+    model has no response, where no node can be put into the scene's compositor, or where there is no view to
+    show its codes, and leaves all as it is.
     """
     curve = response_of(target)
     if curve is None:
         told = f"{target.name!r} has no learned response"
         raise BadValueError(told, "Train with several exposures, or choose a model that has one.")
     tree: Any = scene.compositing_node_group
+    node = node_of(scene)
     if tree is not None:
-        _output(tree)
-    node = node_of(scene) or _new_node(scene)
+        _check_source(_output(tree), node)
+    _check_view(scene)
+    node = node or _new_node(scene)
     before = node.node_tree
     node.node_tree = response_nodes.response_tree(curve, target.name)  # values and links stay, by name
     node.label = f"Photographed as {target.name}"
@@ -92,7 +95,11 @@ def develop(scene: bpy.types.Scene, target: bpy.types.Object, models: Iterable[b
 
 
 def settle(scene: bpy.types.Scene, models: Iterable[bpy.types.Object]) -> None:
-    """Set what else a developed picture needs: the compositor on, the view neutral, no model toned twice."""
+    """Set what else a developed picture needs: the compositor on, the view neutral, no model toned twice.
+
+    Raises as ``check_developed``, and leaves all as it is.
+    """
+    check_developed(scene)
     node = node_of(scene)
     if node is None:
         return
@@ -110,6 +117,12 @@ def settle(scene: bpy.types.Scene, models: Iterable[bpy.types.Object]) -> None:
         if can_switch(each):
             _switch(each, False)
             each[SWITCHED_OFF] = True
+
+
+def check_developed(scene: bpy.types.Scene) -> None:
+    """Raise ``BadValueError`` where the scene has our node, and no view to show its codes."""
+    if node_of(scene) is not None:
+        _check_view(scene)
 
 
 def remove(scene: bpy.types.Scene, models: Iterable[bpy.types.Object]) -> None:
@@ -138,6 +151,8 @@ def _give_back(scene: bpy.types.Scene, node: Any) -> None:
     """The view as it was, as far as it is still as we set it, and the compositor's switch."""
     view, before = view_of(scene), node.get("view", {})
     for name in ("view_transform", *NEUTRAL):  # a look belongs to its transform
+        if isinstance(NEUTRAL[name], str) and not _is_offered(view, name, before.get(name, "")):
+            continue  # the configuration of colours is another by now
         if name in before and getattr(view, name) == NEUTRAL[name]:
             setattr(view, name, type(NEUTRAL[name])(before[name]))
     if node.get("compositing_was_off"):
@@ -196,13 +211,20 @@ def _output(tree: Any) -> Any:
     return output.inputs[0]
 
 
+def _check_source(output: Any, node: Any) -> None:
+    """Raise ``BadValueError`` where our node, if any, puts the picture out and takes none."""
+    if node is None or output.links[0].from_node != node:
+        return
+    image = node.inputs.get(response_nodes.IMAGE)
+    if image is None or not image.links:
+        told = f"the node {node.label!r} takes no picture"
+        raise BadValueError(told, "Link a picture to it, or remove it.")
+
+
 def _insert(tree: Any, node: Any) -> None:
     """Put our node, which has its group, between the output and what it takes the picture from."""
     socket = _output(tree)
     source = socket.links[0].from_socket
-    if source.node == node:  # it is there, and takes no picture
-        told = f"the node {node.label!r} takes no picture"
-        raise BadValueError(told, "Link a picture to it, or remove it.")
     node.location = socket.node.location
     _shift(socket.node, ROOM)
     tree.links.new(source, node.inputs[response_nodes.IMAGE])
@@ -250,6 +272,21 @@ def _bag_of(data: Any, curve: bpy.types.FCurve) -> Any:
 def view_of(scene: bpy.types.Scene) -> Any:
     """The scene's view settings; which transforms and looks there are says the configuration of colours."""
     return scene.view_settings
+
+
+def _is_offered(view: Any, name: str, value: str) -> bool:
+    """Whether the configuration of colours (OCIO) has such a transform or look: Blender takes no other."""
+    return bool(bpy.types.UILayout.enum_item_name(view, name, value))
+
+
+def _check_view(scene: bpy.types.Scene) -> None:
+    """Raise ``BadValueError`` where the configuration of colours has no view that shows codes as they are."""
+    wanted = NEUTRAL["view_transform"]
+    if not _is_offered(view_of(scene), "view_transform", wanted):
+        told = (
+            f"the configuration of colours (OCIO) has no view transform {wanted!r}, which shows the response"
+        )
+        raise BadValueError(told, "Start Blender with its own configuration: without the variable OCIO.")
 
 
 def toned(models: Iterable[bpy.types.Object]) -> list[bpy.types.Object]:

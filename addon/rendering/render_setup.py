@@ -353,8 +353,10 @@ _CHECKS: tuple[Callable[[bpy.types.Scene, Models], Iterator[Problem]], ...] = (
 def set_up(scene: bpy.types.Scene, wishes: Wishes | None = None) -> None:
     """Set what the scene and its models need, for Cycles and EEVEE alike, as little as that is.
 
-    Models that are linked from another file stay as they are there.
+    Models that are linked from another file stay as they are there. Raises as ``develop.check_developed``,
+    and leaves all as it is.
     """
+    develop.check_developed(scene)
     wishes = wishes or Wishes()
     if hasattr(scene, "cycles"):  # it can be switched off as an extension can
         let_rays_pass(scene)

@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 
 import numpy as np
 import pytest
 
 from physhdr.bridge import srgb
+from physhdr.bridge.errors import BadValueError
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
@@ -360,6 +362,62 @@ def test_a_compositor_that_puts_nothing_out_is_left_alone(room, registered):
     with pytest.raises(RuntimeError, match=r"'mine' put no picture out[\s\S]*Link a picture"):
         bpy.ops.physhdr.develop_render()
     assert (tree_of(registered), len(bpy.data.node_groups)) == (before, groups)
+
+
+def state_of(scene, target) -> list:
+    """What a refused development must leave: nodes, their labels and groups, the view, size and switches."""
+    tree, view = scene.compositing_node_group, develop.view_of(scene)
+    return [
+        tree_of(scene),
+        [] if tree is None else [(each.label, getattr(each, "node_tree", None)) for each in tree.nodes],
+        set(bpy.data.node_groups),
+        [getattr(view, name) for name in develop.NEUTRAL],
+        (scene.render.use_compositing, scene.render.film_transparent, scene.cycles.transparent_max_bounces),
+        toned(target),
+    ]
+
+
+def test_a_node_that_takes_no_picture_is_left_alone(room, registered, add):
+    other = add(shift=1.0)
+    bpy.context.view_layer.objects.active = room
+    bpy.ops.physhdr.develop_render()
+    inputs = inputs_of(registered)
+    registered.compositing_node_group.links.remove(inputs["Image"].links[0])
+    before = state_of(registered, room)
+    with pytest.raises(BadValueError, match="takes no picture"):
+        develop.develop(registered, other, [room, other])
+    assert state_of(registered, room) == before
+
+
+@pytest.mark.parametrize("developed", [False, True])
+def test_without_the_standard_view_nothing_is_changed_and_the_remedy_told(
+    room, registered, monkeypatch, developed
+):
+    """As in a configuration of colours without it: a name that Blender takes no more than any unknown."""
+    if developed:
+        bpy.ops.physhdr.develop_render()
+    registered.view_settings.view_transform, registered.render.use_compositing = "AgX", False
+    nodes.set_input(nodes.find_modifier(room), nodes.TONE_MAPPER, True)
+    registered.render.film_transparent, registered.cycles.transparent_max_bounces = False, 9
+    monkeypatch.setitem(develop.NEUTRAL, "view_transform", "Not There")
+    before = state_of(registered, room)
+    for operator in (bpy.ops.physhdr.develop_render, bpy.ops.physhdr.render_setup)[: 1 + developed]:
+        with pytest.raises(
+            RuntimeError, match=r"no view transform 'Not There'[\s\S]*without the variable OCIO"
+        ):
+            operator()
+        assert state_of(registered, room) == before
+    with pytest.raises(BadValueError) if developed else contextlib.nullcontext():
+        develop.settle(registered, [room])
+    assert state_of(registered, room) == before
+
+
+def test_a_view_that_is_there_no_more_is_not_given_back(room, registered):
+    bpy.ops.physhdr.develop_render()
+    develop.node_of(registered)["view"]["view_transform"] = "Not There"
+    bpy.ops.physhdr.develop_render(remove=True)
+    assert develop.node_of(registered) is None
+    assert registered.view_settings.view_transform == "Standard"
 
 
 # ---- beside the shadow of Put CG Here ----------------------------------------------------------------------
