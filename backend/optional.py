@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Packages that only some of evaluation needs, which the user may not have installed."""
+"""Packages that only some commands need, which the user may not have installed."""
 
 import importlib
 from types import ModuleType
 
-from ...bridge.errors import PhysHDRError
+from ..bridge.errors import PhysHDRError
 
 
 class PackageMissingError(PhysHDRError):

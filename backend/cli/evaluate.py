@@ -11,7 +11,6 @@ from ...bridge.atomic import atomic_path
 from ...bridge.errors import BadValueError
 from ..device import DeviceName
 from ..evaluate.comparison import SHORT_METRICS, ComparedRun, comparison_table, load_evaluation
-from ..evaluate.optional import PackageMissingError
 from ..evaluate.picture_folder import PictureFolder
 from ..evaluate.protocol import evaluate, lpips_from
 from ..evaluate.renderer import Renderer
@@ -19,6 +18,7 @@ from ..evaluate.report import METHODS_FILES, RESPONSE_FILE, SHEET_FILE, to_termi
 from ..evaluate.response import learned_response, write_response_figure
 from ..evaluate.results import VIEWS_OF
 from ..evaluate.sheets import comparison_sheet, method_sheet
+from ..optional import PackageMissingError
 from ..rasterize import Implementation
 from ..runs.files import writable_folder
 from ..runs.run import Run, open_run

@@ -16,9 +16,9 @@ from ...bridge.errors import BadValueError, FileDamagedError
 from ...bridge.limits import FOCAL_LENGTH, LARGEST_SIDE, PRINCIPAL_POINT, check_position
 from ...bridge.regular import damaged_where_it_fails, read_json_object, regular_file
 from ...bridge.shots import FORMAT, MOST_FRAMES, Shot, Shots, read_shots
+from ..optional import needed
 from ..scene.camera import Camera
 from ..scene.checks import is_rotation, number, rigid_pose
-from .optional import needed
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 KINDS = (

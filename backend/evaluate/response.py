@@ -18,11 +18,11 @@ from ...bridge.atomic import atomic_path
 from ...bridge.data_set import TEST
 from ...bridge.errors import BadValueError
 from ...bridge.srgb import to_srgb
+from ..optional import needed
 from ..scene.encoding import eight_bits
 from ..scene.scene import Scene
 from . import truth
 from .metrics import resize_to
-from .optional import needed
 from .results import VIEWS_OF, ResponseCheck
 
 #: Pixels are gathered in bins of this many stops between these ends; a bin counts with this many values.

@@ -15,8 +15,8 @@ from PIL import Image
 
 from ...bridge.atomic import atomic_path
 from ...bridge.errors import BadValueError, OutputError
+from ..optional import needed
 from ..scene.pictures import write_png
-from .optional import needed
 
 CONTAINERS = (".mp4", ".mov", ".mkv")
 #: An animated picture, which needs no package beside Pillow.

@@ -11,7 +11,6 @@ colours are display-referred sRGB, and are read as such.
 Needs usd-core (the extra ``usd``), which is imported only here.
 """
 
-import importlib
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,11 +21,12 @@ import numpy as np
 from ...bridge.affine import matrices_of
 from ...bridge.atomic import atomic_path
 from ...bridge.axes import Up
-from ...bridge.errors import BadValueError, FileDamagedError, PhysHDRError
+from ...bridge.errors import BadValueError, FileDamagedError
 from ...bridge.regular import damaged_where_it_fails, regular_file
 from ...bridge.spherical_harmonics import degree_of
 from ...bridge.splat_files import SplatCloud
-from .placed import joined, moved
+from ..optional import PackageMissingError, needed
+from .placed import FREE, MOST_TIMES, joined, moved
 
 #: OpenUSD's names of what is written, and of 3DGS's colours; then all that is read as the one or the other.
 RADIANCE, DISPLAY = "lin_rec709_scene", "srgb_rec709_scene"
@@ -34,14 +34,12 @@ LINEAR_SPACES = (RADIANCE, "lin_rec709", "raw", "identity")
 SRGB_SPACES = (DISPLAY, "srgb_rec709_display", "")
 #: So many standard deviations reach out of a Gaussian's middle in ``extent``, as the schema's kernel ends.
 SUPPORT = 3.0
+#: Prims of a stage that are looked at, those of instances too.
+MOST_PRIMS = 100_000
 #: Gaussians at a time where extents are worked out.
 _BLOCK = 1 << 16
 NEEDS = "Install it into the backend's Python: pip install 'physhdr[usd]' (usd-core 26.3 or newer)."
 REMEDY = "Export it again: it may be cut off."
-
-
-class PackageMissingError(PhysHDRError):
-    """A package that only this needs is not installed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +116,7 @@ def read_usd(path: Path) -> UsdSplats:
     pxr = _pxr("Usd", "UsdGeom", "UsdVol")
     with damaged_where_it_fails(f"{path} is not a readable USD file", REMEDY):
         stage = pxr["Usd"].Stage.Open(str(path))
-        prims = [p for p in stage.Traverse() if p.IsA(pxr["UsdVol"].ParticleField3DGaussianSplat)]
+        prims = _fields(pxr, path, stage)
         cache = pxr["UsdGeom"].XformCache(pxr["Usd"].TimeCode.EarliestTime())
         up: Up = "y" if pxr["UsdGeom"].GetStageUpAxis(stage) == pxr["UsdGeom"].Tokens.y else "z"
         metres = pxr["UsdGeom"].GetStageMetersPerUnit(stage)
@@ -127,10 +125,18 @@ def read_usd(path: Path) -> UsdSplats:
             f"{path} has no Gaussians (ParticleField3DGaussianSplat)",
             "For meshes use Blender's own File > Import > Universal Scene Description.",
         )
-    clouds, spaces = [], set()
+    clouds, spaces, fields = [], set(), dict[str, SplatCloud]()
+    total = stored = 0
     for prim in prims:
+        if total > max(FREE, MOST_TIMES * stored):
+            break  # joined() says why
+        original = str((prim.GetPrimInPrototype() if prim.IsInstanceProxy() else prim).GetPath())
         with damaged_where_it_fails(f"{path}: {prim.GetPath()} cannot be read", REMEDY):
-            cloud = replace(_field(pxr, path, prim), up=up)
+            if original not in fields:
+                fields[original] = replace(_field(pxr, path, prim), up=up)
+                stored += fields[original].count
+            cloud = fields[original]
+            total += cloud.count
             spaces.add(_color_space(prim))
             matrix = np.array(cache.GetLocalToWorldTransform(prim), np.float64).T
         clouds.append(moved(path, cloud, np.diag([metres, metres, metres, 1.0]) @ matrix))
@@ -141,7 +147,7 @@ def read_usd(path: Path) -> UsdSplats:
             f"{path}: its Gaussians' colours are {', '.join(sorted(spaces)):.200}",
             f"What is read: {RADIANCE} and {DISPLAY}, one of them in a file.",
         )
-    cloud = joined(path, clouds, sum(each.count for each in clouds))
+    cloud = joined(path, clouds, stored)
     if "" in spaces:
         cloud = replace(cloud, notes=(*cloud.notes, _NAMES_NONE))
     return UsdSplats(cloud, kinds.pop())
@@ -150,6 +156,18 @@ def read_usd(path: Path) -> UsdSplats:
 _NAMES_NONE = (
     "It names no colour space: its colours were taken as sRGB, as converters of PLY files write them."
 )
+
+
+def _fields(pxr: dict[str, Any], path: Path, stage: Any) -> list[Any]:
+    """All prims that are Gaussians, those of instances too, each as often as it is instanced."""
+    found = []
+    # Instances within instances: a few lines name more prims than could ever be visited.
+    for count, prim in enumerate(stage.Traverse(pxr["Usd"].TraverseInstanceProxies())):
+        if count >= MOST_PRIMS:
+            raise BadValueError(f"{path} has more than {MOST_PRIMS} prims", "Leave repetitions out.")
+        if prim.IsA(pxr["UsdVol"].ParticleField3DGaussianSplat):
+            found.append(prim)
+    return found
 
 
 def _color_space(prim: Any) -> str:
@@ -209,10 +227,7 @@ def _floats(values: np.ndarray) -> np.ndarray:
 
 def _pxr(*names: str) -> dict[str, Any]:
     """Modules of usd-core by name; raises ``PackageMissingError`` without them, or without the schema."""
-    try:
-        modules = {name: importlib.import_module(f"pxr.{name}") for name in names}
-    except ImportError as error:
-        raise PackageMissingError("USD files need the package usd-core", NEEDS) from error
+    modules = {name: needed(f"pxr.{name}", "usd-core", "usd", "a USD file") for name in names}
     if not hasattr(modules["UsdVol"], "ParticleField3DGaussianSplat"):
         raise PackageMissingError("this usd-core is older than Gaussians in USD", NEEDS)
     return modules

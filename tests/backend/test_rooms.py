@@ -50,8 +50,8 @@ BACKEND = (
     ("kernels",),
     ("rasterize",),
     ("simd", "scene", "formats"),
-    # Standard library alone: asked before anything else is there.
-    ("memory", "project"),
+    # Standard library alone (and the bridge's errors): asked before anything else is there.
+    ("memory", "project", "optional"),
 )
 
 

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from physhdr.backend.evaluate.camera_file import read_camera_file
 from physhdr.backend.evaluate.camera_path import camera_of
-from physhdr.backend.evaluate.optional import PackageMissingError
+from physhdr.backend.optional import PackageMissingError
 from physhdr.backend.scene.camera import Camera
 from physhdr.bridge.errors import BadValueError, FileDamagedError, FileMissingError, PhysHDRError
 from physhdr.bridge.shots import Shot, Shots, write_shots

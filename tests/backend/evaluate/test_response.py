@@ -12,7 +12,6 @@ import pytest
 import torch
 from PIL import Image
 
-from physhdr.backend.evaluate.optional import PackageMissingError
 from physhdr.backend.evaluate.response import (
     Curve,
     check_response,
@@ -22,6 +21,7 @@ from physhdr.backend.evaluate.response import (
     true_response,
     write_response_figure,
 )
+from physhdr.backend.optional import PackageMissingError
 from physhdr.backend.scene import read_scene
 from physhdr.bridge.errors import BadValueError
 

@@ -11,8 +11,8 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from physhdr.backend.evaluate.camera_path import focus_of, orbit_path, spline_path
-from physhdr.backend.evaluate.optional import PackageMissingError
 from physhdr.backend.evaluate.video import frames_writer, video_writer
+from physhdr.backend.optional import PackageMissingError
 from physhdr.backend.scene import Camera
 from physhdr.bridge.errors import BadValueError, OutputError
 

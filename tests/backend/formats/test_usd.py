@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from physhdr.backend.formats import usd
 from physhdr.backend.formats.usd import extent_of, read_usd, write_usd
+from physhdr.backend.optional import PackageMissingError
 from physhdr.bridge.affine import matrices_of
 from physhdr.bridge.errors import BadValueError, FileDamagedError, PhysHDRError
 from physhdr.bridge.splat_files import read_splat_file
@@ -115,6 +115,46 @@ def test_units_nodes_halves_and_absent_arrays_are_as_the_schema_has_them(tmp_pat
     assert read.is_radiance and cloud.up == "y"
 
 
+def test_instances_are_read_where_each_of_them_stands(cloud, tmp_path: Path) -> None:
+    write_usd(tmp_path / "one.usda", cloud)
+    stage = Usd.Stage.CreateNew(str(tmp_path / "a.usda"))
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    for index in range(3):
+        node = UsdGeom.Xform.Define(stage, f"/node{index}")
+        node.AddTranslateOp().Set(Gf.Vec3d(10.0 * index, 0.0, 0.0))
+        prototype = UsdGeom.Xform.Define(stage, f"/node{index}/splats").GetPrim()
+        prototype.GetReferences().AddReference("whole.usda")
+        prototype.SetInstanceable(True)
+    whole = Usd.Stage.CreateNew(str(tmp_path / "whole.usda"))
+    whole.SetDefaultPrim(UsdGeom.Xform.Define(whole, "/whole").GetPrim())
+    whole.DefinePrim("/whole/field").GetReferences().AddReference("one.usda")
+    whole.Save()
+    stage.Save()
+    read = read_usd(tmp_path / "a.usda").cloud
+    assert read.count == 3 * cloud.count
+    for index in range(3):
+        rows = slice(index * cloud.count, (index + 1) * cloud.count)
+        np.testing.assert_allclose(read.position[rows], cloud.position + [10.0 * index, 0, 0], atol=1e-5)
+
+
+def test_instances_within_instances_are_no_bomb(cloud, tmp_path: Path) -> None:
+    """Thirty files of two instances each name 2³⁰ fields, and 13 as many Gaussians as nobody draws."""
+    write_usd(tmp_path / "0.usda", cloud)
+    for depth in range(1, 31):
+        stage = Usd.Stage.CreateNew(str(tmp_path / f"{depth}.usda"))
+        stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, "/whole").GetPrim())
+        for name in "ab":
+            prim = stage.DefinePrim(f"/whole/{name}")
+            prim.GetReferences().AddReference(f"{depth - 1}.usda")
+            prim.SetInstanceable(True)
+        stage.Save()
+    with pytest.raises(BadValueError, match="more than 100000 prims"):
+        read_usd(tmp_path / "30.usda")
+    with pytest.raises(BadValueError, match=r"repeats its \d+ Gaussians"):
+        read_usd(tmp_path / "13.usda")
+
+
 # -- bad files -----------------------------------------------------------------------------------------------
 
 
@@ -153,7 +193,7 @@ def test_without_usd_core_the_extra_is_named(cloud, tmp_path: Path, monkeypatch)
     monkeypatch.setitem(sys.modules, "pxr", None)
     for name in ("Gf", "Sdf", "Usd", "UsdGeom", "UsdUtils", "UsdVol", "Vt"):
         monkeypatch.delitem(sys.modules, f"pxr.{name}", raising=False)
-    with pytest.raises(usd.PackageMissingError, match=r"pip install 'physhdr\[usd\]'"):
+    with pytest.raises(PackageMissingError, match=r"pip install 'physhdr\[usd\]'"):
         write_usd(tmp_path / "a.usda", cloud)
     assert not list(tmp_path.iterdir())
 
