@@ -2,7 +2,7 @@
 """Data sets as other programs know them: nerfstudio's ``transforms.json``, or a COLMAP folder (gsplat, 3DGS).
 
 Whatever a scene was read from, here it is pinhole cameras, pictures of a plain name each, first points and
-the split. A picture's file is taken as it is where that is the camera's own picture (an opaque
+the split. A picture's file is taken as it is where that is the camera's own picture (an opaque RGB
 PNG or JPEG, at its size); else what training sees is written as PNG: without distortion, upright, reduced.
 Radiance and linear pictures, which those programs cannot read, go through the sRGB curve, clipped at 1.
 
@@ -25,7 +25,7 @@ from ...bridge.errors import BadValueError, DataMismatchError
 from .camera import Camera
 from .colmap_files import write_pinholes
 from .encoding import SRGB
-from .pictures import has_alpha, holds_radiance, kind_of, read_codes, write_png
+from .pictures import has_alpha, holds_radiance, is_rgb, kind_of, read_codes, write_png
 from .points import write_points
 from .poses import MASKS
 from .scene import Scene, View
@@ -213,7 +213,9 @@ def _plain_suffix(view: View, k: int) -> str | None:
     if not is_whole or source.encoding.is_known:
         return None
     suffix = PLAIN.get(kind_of(source.path))
-    return suffix if suffix is not None and _is_opaque(source.path) else None
+    # Of grey and palettes those programs see one number a pixel, where they want three.
+    is_plain = suffix is not None and is_rgb(source.path) and _is_opaque(source.path)
+    return suffix if is_plain else None
 
 
 def _is_opaque(path: Path) -> bool:

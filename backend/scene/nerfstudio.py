@@ -101,8 +101,9 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
         poses.append(at_size_of_pictures(pose, sizes, path))
     if all("exposure_time" in frame for _, frame in frames.values()):
         poses = _bracketed(poses)
-    train, test, rule = _split(root, path, content, numbered(root, poses))
+    train, validation, test, rule = _split(root, path, content, numbered(root, poses))
     check_numbers(train, "training", path)
+    check_numbers(validation, "validation", path)
     check_numbers(test, "test", path)
     longest = max(max(pose.camera.width, pose.camera.height) for pose in poses)
     reduction = Reduction(_published_factor(longest) if downscale is None else downscale)
@@ -119,6 +120,7 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
         info=info,
         layout=NAME,
         messages=(rule, *skipped, *views.messages, told, *masks_in_words(poses)),
+        validation=views.of(validation),
     )
 
 
@@ -293,8 +295,12 @@ def _exposures(path: Path, frames: Sequence[tuple[Path, dict[str, Any]]]) -> tup
 
 def _split(
     root: Path, path: Path, content: dict[str, Any], poses: list[Pose]
-) -> tuple[list[Pose], list[Pose], str]:
-    """As ``train_filenames`` and ``test_filenames`` (or ``val_filenames``) say, else by name or order."""
+) -> tuple[list[Pose], list[Pose], list[Pose], str]:
+    """Training, validation and test as ``train_filenames``, ``val_filenames`` and ``test_filenames`` say.
+
+    Validation views that are trained from or are test views, which nerfstudio allows, are no such split.
+    Without a list of test views those of validation are the test; without any list, by name or order.
+    """
     lists = {}
     for key in ("train_filenames", "val_filenames", "test_filenames"):
         names = content.get(key)
@@ -304,7 +310,8 @@ def _split(
             raise BadValueError(f"{path}: '{key}' is no list of file names", "Mend it, or remove it.")
         lists[key] = {_picture(root, path, plain_name(name)) for name in names}
     if "train_filenames" not in lists:
-        return split_somehow(poses)
+        train, test, rule = split_somehow(poses)
+        return train, [], test, rule
     other = "test_filenames" if lists.get("test_filenames") else "val_filenames"
     train = [pose for pose in poses if _is_in(pose, lists["train_filenames"])]
     test = [pose for pose in poses if _is_in(pose, lists.get(other, set()))]
@@ -315,9 +322,16 @@ def _split(
         raise DataMismatchError(
             f"{path}: '{min(both)}' is in 'train_filenames' and in '{other}'", "Remove it from one of them."
         )
-    rest = len(poses) - len(train) - len(test)
-    rule = f"split as train_filenames and {other} say" + (f"; {rest} frames are in neither" if rest else "")
-    return train, test, rule
+    validation = []
+    if other == "test_filenames":
+        validation = [pose for pose in poses if _is_in(pose, lists.get("val_filenames", set()))]
+        if {pose.name for pose in validation} & {pose.name for pose in (*train, *test)}:
+            validation = []
+    lists_told = f"train_filenames{', val_filenames' if validation else ''} and {other}"
+    rest = len(poses) - len(train) - len(validation) - len(test)
+    none_of_them = "none of them" if validation else "neither"
+    rule = f"split as {lists_told} say" + (f"; {rest} frames are in {none_of_them}" if rest else "")
+    return train, validation, test, rule
 
 
 def _is_in(pose: Pose, listed: set[Path]) -> bool:

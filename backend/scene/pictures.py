@@ -125,6 +125,17 @@ def has_alpha(path: Path) -> bool:
     return _open_picture(path, READABLE, lambda picture: picture.has_transparency_data)
 
 
+def is_rgb(path: Path) -> bool:
+    """Whether a PNG or JPEG stores red, green and blue, with alpha or without; raises as ``kind_of``.
+
+    Not so: grey, a palette, the four inks of print.
+    """
+    kind = kind_of(path)
+    if kind == "PNG" and _is_deep_png(path):
+        return _look(path, kind).channels >= 3
+    return _open_picture(path, READABLE, lambda picture: picture.mode in ("RGB", "RGBA"))
+
+
 def _is_deep_png(path: Path) -> bool:
     with damaged_where_it_fails(f"{path} cannot be read", _DELETE), open(path, "rb") as file:
         return file.read(PNG_DEPTH_AT + 1)[PNG_DEPTH_AT:] == b"\x10"

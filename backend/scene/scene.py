@@ -212,7 +212,7 @@ class Scene:
     ``info``: ``dataset.json`` as read, or ``{}``. ``layout``: the name of the layout on disk. ``messages``:
     what the reader decided, in sentences (split, size, where exposures are from), for people to read.
     ``validation``: views that choices are made on, at poses of their own, never trained from; only our own
-    layout has any.
+    layout and ``transforms.json`` have any.
     """
 
     root: Path

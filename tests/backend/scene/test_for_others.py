@@ -43,8 +43,10 @@ def projected(view: View, point: np.ndarray) -> np.ndarray:
     return np.array([view.camera.fx * x / z + view.camera.cx, view.camera.fy * y / z + view.camera.cy])
 
 
-def require_alike(found: Scene, true: Scene, exposures: tuple[float, ...]) -> None:
-    for split in ("train", "test"):
+def require_alike(
+    found: Scene, true: Scene, exposures: tuple[float, ...], splits: tuple[str, ...] = ("train", "test")
+) -> None:
+    for split in splits:
         ours, theirs = true.splits[split], in_order(found.splits[split])
         assert len(theirs) == len(ours) > 0
         for view, back in zip(ours, theirs, strict=True):
@@ -91,12 +93,19 @@ def test_every_layout_that_is_read_can_be_written(tmp_path: Path, layouts, sourc
 
 
 def test_validation_views_are_nerfstudios(validation_data: Path, tmp_path: Path) -> None:
-    content = json.loads((run(validation_data, tmp_path / "n", "nerfstudio") / "transforms.json").read_text())
+    out = run(validation_data, tmp_path / "n", "nerfstudio")
+    content = json.loads((out / "transforms.json").read_text())
     assert content["val_filenames"] == [f"images/val_{index:03d}.png" for index in range(3)]
     lists = [content[f"{split}_filenames"] for split in ("train", "val", "test")]
     assert sorted(name for each in lists for name in each) == [
         frame["file_path"] for frame in content["frames"]
     ]
+    true, found = read_scene(validation_data), read_scene(out)
+    require_alike(found, true, true.train[0].exposures[2:3], ("train", "val", "test"))
+    content["val_filenames"] = [*content["val_filenames"], content["test_filenames"][0]]
+    (out / "transforms.json").write_text(json.dumps(content))
+    found = read_scene(out)
+    assert not found.validation and len(found.test) == len(true.test), "they must be other views"
     assert not list((run(validation_data, tmp_path / "c", "colmap") / "images").glob("val*"))
 
 
@@ -121,6 +130,29 @@ def test_pictures_are_linked_copied_or_made(tiny_data: Path, tmp_path: Path, lay
         view = views["images/train_000" if layout == "nerfstudio" else "train_000"]
         np.testing.assert_array_equal(view.image(0), see_through[..., :3])
         np.testing.assert_array_equal(view.mask(0), see_through[..., 3] > 0)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "mode"),
+    [("png", "L"), ("png", "P"), ("png", "1"), ("jpg", "L"), ("jpg", "RGB"), ("png", "RGB")],
+)
+def test_what_is_written_has_three_channels(tmp_path: Path, layouts, suffix: str, mode: str) -> None:
+    data = layouts.write_nerfstudio(tmp_path / "data")
+    for path in sorted((data / "images").iterdir()):
+        picture = Image.open(path).convert(mode)
+        path.unlink()
+        picture.save(path.with_suffix(f".{suffix}"))
+    transforms = data / "transforms.json"
+    transforms.write_text(transforms.read_text().replace(".png", f".{suffix}"))
+    out = run(data, tmp_path / "out", "nerfstudio")
+    written = {path.stem: path for path in (out / "images").iterdir()}
+    for view in read_scene(data).train:
+        path = written[f"train_{view.index:03d}"]
+        assert path.suffix == (f".{suffix}" if mode == "RGB" else ".png")
+        with Image.open(path) as picture:
+            assert picture.mode == "RGB"
+            if path.suffix == ".png":
+                np.testing.assert_array_equal(np.array(picture), view.image(0))
 
 
 def test_pycolmap_sees_a_point_where_our_cameras_do(tiny_data: Path, tmp_path: Path) -> None:
