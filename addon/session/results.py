@@ -107,7 +107,8 @@ def bake_command(
 
     ``cameras``: the run or data set from whose cameras; ``levels`` of the lights by name.
     """
-    told = [f"{name}={level:.9g}" for name, level in levels.items()]
+    # After a space no name is taken for an option, whatever it begins with.
+    told = [f"{' ' * name.startswith('-')}{name}={level:.9g}" for name, level in levels.items()]
     look = [f"--exposure-ev={exposure_ev:.9g}", "--tone", tone.lower(), "--lighting-levels", *told]
     return ["convert", model, out, "--cameras", cameras, "--json", *look]
 

@@ -10,13 +10,15 @@ from ...bridge.lights import as_levels, named_levels
 def levels_asked(level: float, named: Sequence[str], lights: Sequence[str]) -> tuple[float, ...]:
     """The level of each of ``lights``: ``level`` for the first one, ``named`` (``NAME=VALUE``) by name.
 
-    Those not named are at 1. Raises ``BadValueError``: no such light (naming those there are), a value that
-    is no level, a light named twice.
+    Those not named are at 1. A light named ``-key`` would be taken for an option: it is given with a space
+    before it, which no name has. Raises ``BadValueError``: no such light (naming those there are), a value
+    that is no level, a light named twice.
     """
     as_levels(level, lights)
     found: dict[str, float] = {} if level == 1.0 else {lights[0]: level}
     for text in named:
         name, equals, value = text.rpartition("=")
+        name = name.strip()
         try:
             if not equals:
                 raise ValueError

@@ -387,3 +387,8 @@ def test_a_web_page_is_written_where_it_was_said(extension, run, tmp_path, singl
     done = bpy.ops.physhdr.results_web(single_file=single, filepath=str(tmp_path / given))
     assert done == {"FINISHED"}
     assert calls(tmp_path)[-1][3] == str(tmp_path / written)
+
+
+def test_a_light_whose_name_begins_with_a_dash_is_not_taken_for_an_option() -> None:
+    words = results.bake_command("m", "o.ply", "run", 1.0, {"-key": 0.5, "lamp": 2.0}, "SRGB")
+    assert words[-3:] == ["--lighting-levels", " -key=0.5", "lamp=2"]

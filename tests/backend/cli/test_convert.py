@@ -9,6 +9,7 @@ import struct
 import subprocess
 import sys
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -155,6 +156,15 @@ def test_usd_has_the_radiance_itself(model: Path, suffix: str, options) -> None:
     default = 2.0 if options else 1.0  # glTF is display-referred: a picture's exposure, EV 1
     expected = default * m.radiance(ahead.astype(np.float64), (1.0, 1.0))
     np.testing.assert_allclose(plain(cloud_in(out)), expected, rtol=1e-4, atol=1e-6)
+
+
+def test_lights_whose_names_begin_with_a_dash_are_given_after_a_space(tmp_path: Path) -> None:
+    write_model(tmp_path / "m.safetensors", replace(a_model(0), lights=("-key", "--lamp")))
+    write_model(tmp_path / "n.safetensors", a_model(0))
+    convert(tmp_path / "m.safetensors", tmp_path / "m.ply", "--lighting-levels", " -key=0.5", " --lamp=3")
+    convert(tmp_path / "n.safetensors", tmp_path / "n.ply", "--lighting-levels", "ambient=0.5", "lamp=3")
+    one, other = cloud_in(tmp_path / "m.ply"), cloud_in(tmp_path / "n.ply")
+    np.testing.assert_array_equal(one.colour_sh, other.colour_sh)
 
 
 def test_another_programs_colours_pass_through(tmp_path: Path) -> None:
