@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from ...bridge.axes import turn_of_up
 from ...bridge.errors import BadValueError, FileDamagedError
 from ...bridge.limits import FOCAL_LENGTH, LARGEST_SIDE, PRINCIPAL_POINT, check_position
 from ...bridge.regular import damaged_where_it_fails, read_json_object, regular_file
@@ -215,7 +216,7 @@ def _blender_world(path: Path, geometry: Any, stage: Any) -> np.ndarray:
         raise BadValueError(f"{path}: 'metersPerUnit' is {metres:g}", "It must be above 0.")
     matrix = np.diag([metres, metres, metres, 1.0])
     if geometry.GetStageUpAxis(stage) == geometry.Tokens.y:
-        matrix = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]]) @ matrix
+        matrix[:3, :3] = turn_of_up("y", "z") * metres
     return matrix
 
 
