@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal
 import bpy
 from bpy_extras.io_utils import ImportHelper, poll_file_object_drop
 
-from ...bridge.axes import Up
+from ...bridge.axes import Up, turn_of_up
 from ...bridge.display import ColorSpace
 from ...bridge.errors import PhysHDRError
 from ...bridge.gaussian_import import is_model_file, read_gaussians
@@ -26,9 +26,6 @@ Orientation = Literal["AUTO", "AS_IS", "Y_UP", "COLMAP"]
 
 #: Which way is up in the file, where the user has said it.
 UPS: dict[Orientation, Up] = {"AS_IS": "z", "Y_UP": "y", "COLMAP": "colmap"}
-#: Turn about X, in radians, that makes the file's up the scene's Z. It is the object's rotation: the
-#: Gaussians and their spherical harmonics stay as they are in the file.
-TURNS: dict[Up, float] = {"z": 0.0, "y": 0.5 * math.pi, "colmap": -0.5 * math.pi}
 #: Files that are offered. A .sog cannot be read here, but then a message says what to do with it.
 OFFERED = (SUFFIX, *SUFFIXES, ".sog")
 SET_UP_NEXT = "Before you render: Set Up Render, in the panel Render."
@@ -72,11 +69,20 @@ def import_file(
         cloud[COLOR_SPACE] = color_space
     target = bpy.data.objects.new(name, cloud)
     if not is_model_file(path):
-        target.rotation_euler.x = TURNS[UPS.get(orientation, source.up)]
+        target.rotation_euler.x = _turn(UPS.get(orientation, source.up))
     add_modifier(target, source.model)
     set_up_object(target)
     (collection or bpy.context.scene.collection).objects.link(target)
     return Imported(target, source.notes)
+
+
+def _turn(up: Up) -> float:
+    """The turn about X, in radians, that makes the file's up the scene's Z.
+
+    It is the object's rotation: the Gaussians and their spherical harmonics stay as they are in the file.
+    """
+    turn = turn_of_up(up, "z")
+    return math.atan2(turn[2, 1], turn[1, 1])
 
 
 class PHYSHDR_OT_model_import(bpy.types.Operator, ImportHelper):
