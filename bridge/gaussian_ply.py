@@ -34,7 +34,7 @@ EXTRA_PREFIX = "phys_"
 OPACITY_MARGIN = 1.2e-7
 #: A flat Gaussian's scale of 0, whose logarithm is infinite, is written as this, float32's smallest.
 SMALLEST_SCALE = float(np.finfo(np.float32).tiny)
-COLOUR_COMMENT = "colour = 0.28209479 * f_dc + 0.5 + higher SH, display-referred, clamp to 0..1"
+COLOUR_COMMENT = "colour = 0.28209479 * f_dc + 0.5 + higher SH, display-referred, floor at 0"
 #: What a header says of the axes, by which is up; ``splat_files.standard_ply`` knows these lines again.
 UP_WORDS: dict[Up, str] = {
     "z": "Z up (Blender's world)",

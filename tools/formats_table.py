@@ -533,13 +533,15 @@ def shot(page: Any, address: str, file: str, camera: Camera, up: Up) -> np.ndarr
     pose[:3] = turn_of_up("z", up) @ camera.camera_to_world[:3]
     angle = math.degrees(2.0 * math.atan(0.5 * camera.height / camera.fy))
     page.set_viewport_size({"width": camera.width, "height": camera.height})
+    from playwright.sync_api import Error as PlaywrightError
+
     told: list[str] = []
     page.on("pageerror", lambda error: told.append(str(error)))
     view = json.dumps(pose.ravel().tolist())
     page.goto(f"{address}?file={file}&angle={angle}&view={view}")
     try:
         page.wait_for_function("window.done === true", timeout=20_000 if told else PATIENCE)
-    except Exception as error:
+    except PlaywrightError as error:
         raise MissingError(f"it did not show it ({' '.join((told or [str(error)])[:1]):.120})") from error
     return np.asarray(Image.open(io.BytesIO(page.screenshot())).convert("RGB"))
 

@@ -49,7 +49,7 @@ def bake(target: bpy.types.Object, path: Path, look: Look, tone: Tone, apply_tra
     """
     model = baked_model(target, look)
     to_world = np.array(target.matrix_world) if apply_transform else np.eye(4)
-    shape = _moved(model, to_world)  # refuses a map that flattens, before colours are looked at through it
+    shape = moved(model, to_world)  # refuses a map that flattens, before colours are looked at through it
     linear = None if np.array_equal(to_world, np.eye(4)) else to_world[:3, :3]
     colours = display_colour_sh(model, look.exposure, look.lighting_levels, tone, linear)
     _write(path, shape, model.opacity, colours, _comments(model, look, tone))
@@ -63,14 +63,14 @@ def write_fitted(
 
     Raises ``DataMismatchError`` where that flattens, and ``OutputError``.
     """
-    shape = _moved(model, to_world)
+    shape = moved(model, to_world)
     if not np.array_equal(to_world, np.eye(4)):
         colour_sh = turned_colour_sh(colour_sh, to_world[:3, :3])
     _write(path, shape, model.opacity, colour_sh, [*_comments(model, look, tone), FITTED_COMMENT])
 
 
-def _moved(model: Model, to_world: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Position, rotation and scale."""
+def moved(model: Model, to_world: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Position, rotation and scale under ``to_world``; raises ``DataMismatchError`` where that flattens."""
     shape = model.position, model.rotation, model.scale
     return shape if np.array_equal(to_world, np.eye(4)) else transform_gaussians(to_world, *shape)
 

@@ -20,7 +20,7 @@ from ...bridge.splat_files import read_splat_file
 from ..blender import add_entry, cloud_of, layout_of, remove_entry
 from ..capture.placement import data_of
 from ..model.attributes import FILE
-from ..model.bake import bake, baked_model, write_fitted
+from ..model.bake import bake, baked_model, moved, write_fitted
 from ..model.look import Look, is_model, look_of
 from ..model.point_cloud import lights_of
 from ..runtime import session
@@ -153,8 +153,9 @@ class PHYSHDR_OT_model_bake(bpy.types.Operator, ExportHelper):
         model = baked_model(target, look)
         if tone == "LEARNED" and model.tone_curve is None:
             raise BadValueError("the model has no learned tone mapper", "Bake it with the sRGB curve.")
-        folder = Path(tempfile.mkdtemp(prefix="physhdr_bake_", dir=bpy.app.tempdir))
         to_world = np.array(target.matrix_world) if self.apply_transform else np.eye(4)
+        moved(model, to_world)  # refuses what cannot be written before half a minute is spent on it
+        folder = Path(tempfile.mkdtemp(prefix="physhdr_bake_", dir=bpy.app.tempdir))
         baking = Baking(folder, model, look, tone, to_world, path)
         try:
             write_model(baking.source, model)
