@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Operators for the backend's Python and process: install, use, check, cancel, shut down, show its log."""
 
+import hashlib
 from pathlib import Path
 from typing import ClassVar
 
@@ -11,15 +12,16 @@ from .. import settings
 from ..blender import layout_of
 from ..paths import ROOT
 from ..runtime import session
-from ..session.light import LIGHT
 from ..session.pythons import base_of, find_pythons, is_ours, working_python
-from ..session.results import EVALUATE, VIDEO, WEB
-from ..session.state import CHECK, DATASET, INSTALL, LOOK, PHOTOS, Dismissed, PythonChosen
+from ..session.state import CHECK, INSTALL, Dismissed, PythonChosen
+from ..session.tasks import TASKS
 from .base import PhysHDROperator, report_task
 
 INSTALL_SCRIPT = ROOT / "addon" / "scripts" / "install_backend.py"
 #: Seconds that scripts wait for an installation or a check.
 INSTALL_SECONDS, CHECK_SECONDS = 3600.0, 3600.0
+#: Kept on a text: the log that it shows, and a hash of what it showed of it last.
+LOG, SHOWN = "physhdr_log", "physhdr_log_shown"
 
 
 class PHYSHDR_OT_backend_install(PhysHDROperator):
@@ -164,20 +166,7 @@ class PHYSHDR_OT_task_cancel(bpy.types.Operator):
     bl_label = "Cancel"
     bl_options: ClassVar[set[str]] = {"INTERNAL"}
 
-    name: bpy.props.EnumProperty(
-        name="What",
-        items=[
-            (INSTALL, "Installation", "The installation of the backend"),
-            (CHECK, "Check", "The check of the backend"),
-            (DATASET, "Data Set", "The rendering of a data set"),
-            (LOOK, "Look", "The look at a folder of photos"),
-            (PHOTOS, "Photos", "The preparation of photos"),
-            (EVALUATE, "Evaluation", "The evaluation of a run"),
-            (VIDEO, "Video", "The making of a video"),
-            (WEB, "Web Page", "The writing of a web page"),
-            (LIGHT, "Light", "The drawing of a model's light"),
-        ],
-    )
+    name: bpy.props.EnumProperty(name="What", items=TASKS)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         session().cancel_task(self.name)
@@ -221,8 +210,9 @@ class PHYSHDR_OT_log_open(bpy.types.Operator):
         if not path.is_file():
             self.report({"ERROR"}, f"there is no log {path}")
             return {"CANCELLED"}
-        text = bpy.data.texts.get(path.name) or bpy.data.texts.new(path.name)
+        text = _shown_before(path) or bpy.data.texts.new(path.name)
         text.from_string(path.read_text(encoding="utf-8", errors="replace"))
+        text[LOG], text[SHOWN] = str(path), _digest(text)
         if context.window and not bpy.app.background:
             bpy.ops.wm.window_new()
             area = context.window_manager.windows[-1].screen.areas[0]
@@ -230,6 +220,17 @@ class PHYSHDR_OT_log_open(bpy.types.Operator):
             area.spaces.active.text = text
         self.report({"INFO"}, f"{path} is text {text.name!r}")
         return {"FINISHED"}
+
+
+def _shown_before(path: Path) -> bpy.types.Text | None:
+    """The text that showed this log last. One of its name may be the user's own, and so is one that they
+    have written into."""
+    texts = (text for text in bpy.data.texts if text.get(LOG) == str(path) and text.library is None)
+    return next((text for text in texts if text.get(SHOWN) == _digest(text)), None)
+
+
+def _digest(text: bpy.types.Text) -> str:
+    return hashlib.sha256(text.as_string().encode()).hexdigest()
 
 
 class PHYSHDR_OT_problem_dismiss(bpy.types.Operator):
