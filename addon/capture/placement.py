@@ -95,9 +95,7 @@ def move(scene: bpy.types.Scene, target: bpy.types.Object, change: np.ndarray) -
     similarity.scale_of(now)
     kept = remembered(scene, capture, now)
     wanted = {each.name: change @ np.array(each.matrix_world) for each in models_of(scene, capture)}
-    cameras = _cameras_after(scene, capture, change)
-    _put(scene, wanted)
-    _put(scene, cameras)
+    _put(scene, wanted | _cameras_after(scene, capture, change))
     kept.matrix = (change @ now).reshape(-1)
     return kept
 
@@ -122,9 +120,8 @@ def forget(scene: bpy.types.Scene, target: bpy.types.Object) -> None:
     bpy.context.view_layer.update()
     original = np.array(captures[index].original, np.float64).reshape(4, 4)
     back = original @ np.linalg.inv(np.array(captures[index].matrix, np.float64).reshape(4, 4))
-    cameras = _cameras_after(scene, capture, back)
-    _put(scene, {each.name: original for each in models_of(scene, capture)})
-    _put(scene, cameras)
+    wanted = {each.name: original for each in models_of(scene, capture)}
+    _put(scene, wanted | _cameras_after(scene, capture, back))
     captures.remove(index)
 
 
@@ -142,7 +139,16 @@ def without_scale(matrix: np.ndarray) -> np.ndarray:
 
 
 def _put(scene: bpy.types.Scene, wanted: dict[str, np.ndarray]) -> None:
-    """Objects where they shall be, by name; those that hang on others come after these."""
-    for name, matrix in wanted.items():
-        scene.objects[name].matrix_world = to_matrix(matrix)
-    bpy.context.view_layer.update()
+    """Objects where they shall be, by name: parents first, since what hangs on them goes along."""
+    by_depth: dict[int, list[bpy.types.Object]] = {}
+    for each in [scene.objects[name] for name in wanted]:
+        by_depth.setdefault(_depth(each), []).append(each)
+    for depth in sorted(by_depth):
+        for each in by_depth[depth]:
+            each.matrix_world = to_matrix(wanted[each.name])
+        bpy.context.view_layer.update()
+
+
+def _depth(item: bpy.types.Object) -> int:
+    """How many objects an object hangs on, one on another."""
+    return 0 if item.parent is None else 1 + _depth(item.parent)

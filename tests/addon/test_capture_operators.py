@@ -294,6 +294,25 @@ def test_mistakes_change_nothing(registered, run, given, told):
         bpy.ops.physhdr.capture_floor()
 
 
+@pytest.mark.parametrize("between", [False, True])
+def test_a_model_that_hangs_on_a_later_one_is_scaled_once(registered, run, between):
+    """The scene has the child first; what hangs on the parent, an empty of the user's too, goes along."""
+    child, parent = load(run[0], "child"), load(run[0], "parent")
+    child.parent = parent
+    if between:
+        child.parent = empty = bpy.data.objects.new("between", None)
+        registered.collection.objects.link(empty)
+        empty.parent = parent
+    child.location = (1.0, 0.0, 0.0)
+    bpy.context.view_layer.update()
+    before = {each: np.array(each.matrix_world) for each in (child, parent)}
+    bpy.context.view_layer.objects.active = parent
+    bpy.ops.physhdr.capture_scale(first=(0, 0, 0), second=(1, 0, 0), distance=2.0)
+    bpy.context.view_layer.update()
+    for each, was in before.items():
+        np.testing.assert_allclose(each.matrix_world, np.diag([2.0, 2.0, 2.0, 1.0]) @ was, atol=CLOSE)
+
+
 def test_the_live_preview_is_drawn_where_the_model_is(registered, run):
     """A point of the capture, seen by the view's camera in the world and by the camera that is asked for."""
     from types import SimpleNamespace
