@@ -204,7 +204,9 @@ def model_of(cloud: bpy.types.PointCloud) -> Model:
 
 
 def _provenance(model: Model) -> dict[str, Any]:
-    properties: dict[str, Any] = {metadata_property(key): value for key, value in model.metadata.items()}
+    # Others' entries have names that properties cannot have, or that ours have.
+    there = (key for key in METADATA if key in model.metadata)
+    properties: dict[str, Any] = {metadata_property(key): model.metadata[key] for key in there}
     properties |= {
         IDENTITY: uuid.uuid4().hex,
         MODULATOR: model.modulator,

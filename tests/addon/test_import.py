@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Registering, importing, and what happens to files that cannot be imported."""
 
+import dataclasses
 import importlib.util
 import subprocess
 import sys
@@ -87,6 +88,17 @@ def test_provenance_is_kept(scene, make_model, write):
     assert list(cloud["physhdr_exposures"]) == [0.25, 1.0, 4.0]
     assert cloud["physhdr_file"] == str(path)
     assert len(cloud[attributes.IDENTITY]) == 32
+
+
+def test_of_a_files_metadata_only_ours_is_taken(registered, make_model, write):
+    """A long key is no name of a property, and one of our own properties' names would be another's word."""
+    metadata = {"scene": "test", "k" * 80: "v", "color_space": "SRGB", "capture": "elsewhere"}
+    path = write(dataclasses.replace(make_model(), metadata=metadata))
+    assert bpy.ops.physhdr.model_import(filepath=str(path)) == {"FINISHED"}
+    cloud = bpy.context.active_object.data
+    assert cloud["physhdr_scene"] == "test" and attributes.COLOR_SPACE not in cloud
+    assert cloud[attributes.CAPTURE] == str(path)
+    assert len(bpy.data.pointclouds) == 1
 
 
 def test_operator_imports_selects_and_names(registered, make_model, write):
