@@ -17,9 +17,12 @@ from pathlib import Path
 
 from .atomic import atomic_path
 from .errors import FileDamagedError, FileMissingError, OutputError
+from .lock import Lock, LocksRefusedError
 from .regular import without_waiting
 
 CONNECTION_FILE = "connection.json"
+#: Locked by the backend from before it writes the connection file until after it has removed it.
+LOCK_FILE = "backend.lock"
 HOST = "127.0.0.1"
 #: 256 bits, as 64 hexadecimal digits.
 TOKEN_BYTES = 32
@@ -140,6 +143,34 @@ def read_connection(folder: Path) -> Connection:
     ):
         raise FileDamagedError(f"{path} is not a connection file", "Delete it and start the backend.")
     return Connection(**content)
+
+
+def live_connection(folder: Path) -> Connection:
+    """As ``read_connection``, of a backend that lives: who holds the home's lock.
+
+    Raises ``FileMissingError`` also where the file was left behind, as by a power cut: its process number and
+    its port may be any other program's by now, which is to be neither ended nor told the token.
+    """
+    connection = read_connection(folder)
+    if not _is_served(folder):
+        raise FileMissingError(
+            f"no backend is running: {folder / CONNECTION_FILE} was left behind by one that is gone",
+            "Start one.",
+        )
+    return connection
+
+
+def _is_served(folder: Path) -> bool:
+    """Whether a process holds the home's lock. Where nothing can be locked, no backend serves."""
+    lock = Lock(folder / LOCK_FILE)
+    if not lock.path.exists():
+        return False
+    try:
+        is_free = lock.take()
+    except (LocksRefusedError, OutputError):
+        return False
+    lock.release()
+    return not is_free
 
 
 def remove_connection(folder: Path, token: str) -> None:

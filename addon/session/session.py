@@ -14,7 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from ...bridge.atomic import atomic_path
-from ...bridge.connection import is_of_another, private_home, read_connection
+from ...bridge.connection import is_of_another, live_connection, private_home
 from ...bridge.errors import FileDamagedError, FileMissingError, OutputError, PhysHDRError
 from ...bridge.messages import PreviewFrame, PreviewRequest, Request, WhenClosed
 from ..dataset.dataset_summary import summarise
@@ -250,7 +250,7 @@ class Session:
 
     def _connect(self) -> None:
         try:
-            connection = read_connection(self.home)
+            connection = live_connection(self.home)
         except PhysHDRError as error:
             self.dispatch(LinkLost(error.message))
             return
@@ -259,9 +259,9 @@ class Session:
         self._client = Client(connection, self.name, self.version)
 
     def _kill(self, pid: int) -> None:
-        """End the backend's process: only if it is still the one that its connection file names."""
+        """End the backend's process: only if it lives, and its connection file names it still."""
         with suppress(FileMissingError, FileDamagedError):
-            if read_connection(self.home).pid == pid:
+            if live_connection(self.home).pid == pid:
                 kill(pid)
 
     def _forget_client(self) -> None:
@@ -297,8 +297,8 @@ class Session:
 
     def _look(self) -> None:
         with suppress(FileMissingError, FileDamagedError):
-            connection = read_connection(self.home)
-            if is_alive(connection.pid):
+            connection = live_connection(self.home)
+            if is_alive(connection.pid):  # machines may share a home, and the backend be another one's
                 self.dispatch(Found(connection.log, connection.pid))
 
 

@@ -11,6 +11,7 @@ from filelock import FileLock, Timeout
 
 from ...bridge.connection import (
     CONNECTION_FILE,
+    LOCK_FILE,
     Connection,
     private_home,
     read_connection,
@@ -20,7 +21,8 @@ from ...bridge.connection import (
 from ...bridge.errors import OutputError, PhysHDRError
 from .failures import BusyError
 
-LOCK_FILE = "backend.lock"
+#: Seconds to wait for the lock: whoever looks whether a backend lives has it for a moment.
+LOOK_SECONDS = 0.5
 
 
 @contextmanager
@@ -35,7 +37,7 @@ def own_home(folder: Path) -> Iterator[None]:
     try:
         _tighten(path)
         # Nothing in a lock's stead where the disk knows none: that would outlive a process that is killed.
-        held = FileLock(path, mode=0o600, fallback_to_soft=False).acquire(timeout=0)
+        held = FileLock(path, mode=0o600, fallback_to_soft=False).acquire(LOOK_SECONDS)
     except Timeout:
         raise BusyError(
             f"a backend already serves {folder}{_who(folder)}",

@@ -10,7 +10,9 @@ import pytest
 
 from physhdr.bridge.connection import (
     CONNECTION_FILE,
+    LOCK_FILE,
     Connection,
+    live_connection,
     new_token,
     private_home,
     read_connection,
@@ -18,6 +20,7 @@ from physhdr.bridge.connection import (
     write_connection,
 )
 from physhdr.bridge.errors import FileDamagedError, FileMissingError, OutputError
+from physhdr.bridge.lock import Lock
 
 
 def connection(**changes):
@@ -149,6 +152,23 @@ def test_folders_that_are_not_a_backends_alone_are_left_as_they_are(tmp_path, mo
             private_home(folder)
         assert mode(folder) == found
     private_home(everybodys / "physhdr")  # as it says
+
+
+def test_a_file_that_was_left_behind_is_no_backend(tmp_path):
+    """The home's lock tells: the process that the file names may be any other by now, as this one here."""
+    written = connection(pid=os.getpid())
+    write_connection(tmp_path, written)
+    lock = Lock(tmp_path / LOCK_FILE, 0o600)
+    for _ in range(2):  # with no lock's file, and with one that is nobody's
+        with pytest.raises(FileMissingError, match=r"connection\.json was left behind"):
+            live_connection(tmp_path)
+        lock.path.touch()
+    assert lock.take()
+    assert live_connection(tmp_path) == written
+    lock.release()
+    with pytest.raises(FileMissingError, match="left behind"):
+        live_connection(tmp_path)
+    assert read_connection(tmp_path) == written
 
 
 def stranger(monkeypatch, wrote):

@@ -12,9 +12,16 @@ import pytest
 from physhdr.addon.session.advice import problem_of
 from physhdr.addon.session.session import CHOICE_FILE, LOG_FILE, Session, read_choice, write_choice
 from physhdr.addon.session.state import KeepReport, PythonChosen
-from physhdr.bridge.connection import Connection, new_token, private_home, write_connection
+from physhdr.bridge.connection import (
+    LOCK_FILE,
+    Connection,
+    new_token,
+    private_home,
+    write_connection,
+)
 from physhdr.bridge.errors import OutputError
-from physhdr.bridge.messages import PROTOCOL_VERSION, StatusGet
+from physhdr.bridge.lock import Lock
+from physhdr.bridge.messages import PROTOCOL_VERSION, Shutdown, StatusGet
 
 REPORT = {"versions": {"torch": "2.13.0"}}
 
@@ -64,6 +71,58 @@ def test_a_killed_backend_is_not_taken_for_one_that_runs(tmp_path, launcher):
     session.ask(StatusGet())
     assert session.wait(lambda state: state.link.status == "off", 30.0)
     assert "no torch" in problem_of(session.state).message  # what the new one said
+
+
+@pytest.fixture
+def bystander():
+    """Another program of the user's, that leads a group of processes as a backend does."""
+    with subprocess.Popen(
+        [sys.executable, "-c", "import time; time.sleep(60)"], start_new_session=True
+    ) as one:
+        yield one
+        one.kill()
+
+
+def test_a_program_that_has_the_number_of_a_backend_that_is_gone_is_none(tmp_path, launcher, bystander):
+    """After a power cut the connection file is there still, and its process number another program's."""
+    session = left_behind(tmp_path / "home", launcher, bystander.pid)
+    session.ask(StatusGet())
+    assert session.wait(lambda state: state.link.status == "off", 30.0)
+    assert "no torch" in problem_of(session.state).message  # one was started, which said so
+    assert session.state.link.pid == 0
+    session._looked = 0.0
+    session.pump()
+    assert session.state.link.status == "off"
+
+
+def test_only_a_backend_that_lives_is_ended(tmp_path, launcher, bystander):
+    """Found while it held the home's lock, which it does not any more when the user presses *End It*."""
+    home = tmp_path / "home"
+    session = left_behind(home, launcher, bystander.pid)
+    lock = Lock(home / LOCK_FILE)
+    assert lock.take()
+    session._look()
+    assert session.wait(lambda state: state.link.status == "off", 30.0)
+    assert session.state.link.pid == bystander.pid  # it does not answer
+    lock.release()
+    session.ask(Shutdown())
+    with pytest.raises(subprocess.TimeoutExpired):
+        bystander.wait(0.3)
+    # As long as it holds the lock, and is the one that its file names, it is ended.
+    assert lock.take()
+    session._kill(bystander.pid + 1)
+    session._kill(bystander.pid)
+    assert bystander.wait(10) == -9
+    lock.release()
+
+
+def left_behind(home, launcher, pid):
+    """A session that finds the connection file of a backend ``pid``, where nobody listens."""
+    private_home(home)
+    write_connection(home, Connection(PROTOCOL_VERSION, 9, new_token(), pid, "1", "log"))
+    session = Session(home, launcher)
+    session.dispatch(PythonChosen(sys.executable, REPORT))
+    return session
 
 
 @pytest.mark.parametrize("found", [None, 0o666])

@@ -7,13 +7,15 @@ import os
 import stat
 import subprocess
 import sys
+import threading
 
 import pytest
 
 from physhdr.backend.serve.failures import BusyError
-from physhdr.backend.serve.home import LOCK_FILE, own_home
-from physhdr.bridge.connection import CONNECTION_FILE
+from physhdr.backend.serve.home import own_home
+from physhdr.bridge.connection import CONNECTION_FILE, LOCK_FILE
 from physhdr.bridge.errors import OutputError
+from physhdr.bridge.lock import Lock
 
 #: Takes the lock as a backend of an earlier version did, and keeps it until its stdin ends.
 HOLDER = """
@@ -70,6 +72,15 @@ def test_it_keeps_out_and_is_kept_out_by_an_earlier_version(tmp_path):
             command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=60
         )
         assert refused.returncode == 1 and "BlockingIOError" in refused.stderr
+
+
+def test_who_looks_for_a_backend_does_not_keep_one_out(tmp_path):
+    """A Blender that looks whether a connection file was left behind has the lock for a moment."""
+    look = Lock(tmp_path / LOCK_FILE)
+    assert look.take()
+    threading.Timer(0.1, look.release).start()
+    with own_home(tmp_path):
+        assert not Lock(tmp_path / LOCK_FILE).take()
 
 
 def test_a_lock_that_leads_elsewhere_is_not_followed(tmp_path):
