@@ -27,7 +27,6 @@ from ...bridge.blend_file import CG
 from ...bridge.errors import DataMismatchError, FileMissingError
 from ..blender import cloud_of
 from ..capture.picking import surface_along_ray
-from ..capture.similarity import scale_of
 from ..model.attributes import BASE, POSITION, ROTATION, SCALE
 from ..model.look import is_model
 from ..model.point_cloud import read_attribute
@@ -58,6 +57,11 @@ def ground_of(scene: bpy.types.Scene) -> bpy.types.Object | None:
     return next((each for each in scene.objects if each.get(MARK) == GROUND), None)
 
 
+def top_of(ground: bpy.types.Object) -> bpy.types.Object | None:
+    """The plane a little above a ground plane, up to which splats belong to the ground."""
+    return next((each for each in ground.children if each.get(MARK) == FRONT), None)
+
+
 def models_of(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     """Objects that show models: themselves, or as instances of a collection with one in it."""
     return [each for each in scene.objects if shows_model(each)]
@@ -81,7 +85,8 @@ def hindrances(scene: bpy.types.Scene) -> list[str]:
     found = []
     if scene.render.engine != "CYCLES":
         found.append("Only Cycles draws the shadow: EEVEE has no shadow catcher")
-    if ground_of(scene) is None or not all(
+    ground = ground_of(scene)
+    if (ground is None or top_of(ground) is None or _strays(scene)) or not all(
         name in scene.view_layers and scene.view_layers[name].use for name in (SHADOW_LAYER, FRONT_LAYER)
     ):
         found.append("The ground or a view layer of it is missing or off: Put CG Here again")
@@ -175,10 +180,7 @@ def reset(scene: bpy.types.Scene) -> None:
                         parent.objects.link(item)
         elif kind in (GROUND, FRONT):
             for item in [each for each in collection.objects if each.get(MARK) == kind]:
-                mesh = item.data
-                bpy.data.objects.remove(item)
-                if isinstance(mesh, bpy.types.Mesh) and not mesh.users:
-                    bpy.data.meshes.remove(mesh)
+                _remove(item)
             for item in list(collection.objects):  # a user's, who put them there
                 scene.collection.objects.link(item)
         else:
@@ -186,6 +188,13 @@ def reset(scene: bpy.types.Scene) -> None:
         bpy.data.collections.remove(collection)
     if BEAUTY in scene:
         del scene[BEAUTY]
+
+
+def _remove(plane: bpy.types.Object) -> None:
+    mesh = plane.data
+    bpy.data.objects.remove(plane)
+    if isinstance(mesh, bpy.types.Mesh) and not mesh.users:
+        bpy.data.meshes.remove(mesh)
 
 
 def _beauty(scene: bpy.types.Scene) -> bpy.types.ViewLayer:
@@ -217,23 +226,42 @@ def _set_apart(scene: bpy.types.Scene, model: bpy.types.Object) -> None:
 
 
 def _lay_ground(scene: bpy.types.Scene, place: Vector, size: float, thickness: float) -> bpy.types.Object:
-    ground = ground_of(scene)
-    if ground is None:
-        ground = _plane("PhysHDR Ground", _collection(scene, GROUND, "PhysHDR Ground"), GROUND)
-        ground.is_shadow_catcher = True
-        ground.display_type = "WIRE"
-        front = _plane("PhysHDR Ground Top", _collection(scene, FRONT, "PhysHDR Ground Top"), FRONT)
-        front.parent = ground
-        front.is_holdout = True
-        front.hide_select = True
-        for ray in ("diffuse", "glossy", "transmission", "volume_scatter", "shadow"):
-            setattr(front, f"visible_{ray}", False)
+    """The ground and its top, each made where it is missing: either may have been deleted."""
+    ground = ground_of(scene) or _new_ground(scene)
+    top, strays = top_of(ground), _strays(scene)
+    if top is None:
+        top = strays.pop() if strays else _new_top(scene)
+        top.parent = ground
+        top.matrix_parent_inverse.identity()
+        top.rotation_euler = (0.0, 0.0, 0.0)
+    for each in strays:
+        _remove(each)
     ground.location = place
     ground.scale = (size / 2.0,) * 3
-    top = next(each for each in ground.children if each.get(MARK) == FRONT)
     top.location = (0.0, 0.0, thickness / (size / 2.0))
     top.scale = (FRONT_REACH, FRONT_REACH, 1.0)
     return ground
+
+
+def _strays(scene: bpy.types.Scene) -> list[bpy.types.Object]:
+    """Tops whose ground was deleted."""
+    return [each for each in scene.objects if each.get(MARK) == FRONT and each.parent is None]
+
+
+def _new_ground(scene: bpy.types.Scene) -> bpy.types.Object:
+    ground = _plane("PhysHDR Ground", _collection(scene, GROUND, "PhysHDR Ground"), GROUND)
+    ground.is_shadow_catcher = True
+    ground.display_type = "WIRE"
+    return ground
+
+
+def _new_top(scene: bpy.types.Scene) -> bpy.types.Object:
+    top = _plane("PhysHDR Ground Top", _collection(scene, FRONT, "PhysHDR Ground Top"), FRONT)
+    top.is_holdout = True
+    top.hide_select = True
+    for ray in ("diffuse", "glossy", "transmission", "volume_scatter", "shadow"):
+        setattr(top, f"visible_{ray}", False)
+    return top
 
 
 def _collection(scene: bpy.types.Scene, kind: str, name: str) -> bpy.types.Collection:
@@ -353,13 +381,12 @@ def floor_thickness(models: list[bpy.types.Object], place: Vector, radius: float
             continue
         position, rotation, deviations, opacity = _shape(model)
         to_world = np.array(model.matrix_world, np.float64)
-        scale = scale_of(to_world)
         offset = position @ to_world[:3, :3].T + to_world[:3, 3] - np.array(place)
         lying = np.abs(offset[:, 2]) <= THICKEST / 3.0
         chosen = lying & (np.hypot(offset[:, 0], offset[:, 1]) <= radius)
-        axes = matrices_of(rotation[chosen]) * deviations[chosen][:, None, :]
-        upward = np.linalg.norm(np.einsum("k,kj,njl->nl", [0.0, 0.0, 1.0], to_world[:3, :3], axes), axis=1)
-        largest = deviations[chosen].max(axis=1) * scale
+        axes = to_world[:3, :3] @ (matrices_of(rotation[chosen]) * deviations[chosen][:, None, :])
+        upward = np.linalg.norm(axes[:, 2], axis=1)
+        largest = np.linalg.norm(axes, axis=1).max(axis=1)
         sizes.append(np.maximum(largest * 0.5, upward) + np.maximum(offset[chosen, 2], 0.0))
         weights.append(opacity[chosen] * largest**2)
     size, weight = np.concatenate(sizes or [[]]), np.concatenate(weights or [[]])

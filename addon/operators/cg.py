@@ -80,15 +80,14 @@ class PHYSHDR_OT_cg_here(bpy.types.Operator):
             self.location = place
         try:
             context.view_layer.update()
-            cg.models_to_set_apart(scene)  # before anything is moved
             if self.floor == "BELOW":
                 below = cg.floor_below(scene, place)
                 place.z = place.z if below is None else below
-            moved = stood(context, place) if self.stand else 0
             cg.put(scene, context.view_layer, place, self.size, self.thickness or None)
         except PhysHDRError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
+        moved = stood(context, place) if self.stand else 0
         told = f"Ground at z = {place.z:.3g} m"
         if moved:
             told += f", {moved} object{'s' if moved > 1 else ''} put onto it"

@@ -18,9 +18,11 @@ bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, o
 from mathutils import Vector  # noqa: E402
 
 from physhdr.addon.light import cg  # noqa: E402
-from physhdr.addon.model import model_import, nodes  # noqa: E402
+from physhdr.addon.model import attributes, model_import, nodes  # noqa: E402
 from physhdr.addon.model.look import is_model  # noqa: E402
+from physhdr.addon.model.point_cloud import write_attribute  # noqa: E402
 from physhdr.addon.rendering import render  # noqa: E402
+from physhdr.bridge.errors import DataMismatchError  # noqa: E402
 from physhdr.bridge.model_file import Model  # noqa: E402
 from physhdr.bridge.panorama import directions as panorama_directions  # noqa: E402
 from physhdr.bridge.panorama import solid_angles  # noqa: E402
@@ -396,6 +398,91 @@ def test_what_would_hinder_the_shadow_is_told(extension, capture, write, make_mo
         scene.render.engine = "CYCLES"
         assert bpy.ops.physhdr.cg_here() == {"FINISHED"}
         assert cg.hindrances(scene) == []
+
+
+def planes_of(scene, kind: str) -> list:
+    return [each for each in scene.objects if each.get(cg.MARK) == kind]
+
+
+def where(top) -> np.ndarray:
+    """``[4, 4]``: a ground's top in the world; no layer that is looked at evaluates them."""
+    return np.array(top.parent.matrix_basis @ top.matrix_parent_inverse @ top.matrix_basis)
+
+
+@pytest.mark.parametrize("gone", [cg.GROUND, cg.FRONT, "both"])
+def test_what_was_deleted_of_the_ground_is_made_again(extension, capture, gone):
+    scene = capture
+    scene.render.engine = "CYCLES"
+    before = state_of(scene)
+    bpy.ops.physhdr.cg_here(location=(0.0, 0.0, 0.3), floor="PLACE", thickness=0.1)
+    for kind in (cg.GROUND, cg.FRONT):
+        if gone in (kind, "both"):
+            bpy.data.objects.remove(*planes_of(scene, kind))
+    assert any("missing or off" in each for each in cg.hindrances(scene))
+    bpy.ops.physhdr.cg_here(location=(0.5, 0.0, 0.2), floor="PLACE", thickness=0.1)
+    (ground,), (top,) = planes_of(scene, cg.GROUND), planes_of(scene, cg.FRONT)
+    assert ground.is_shadow_catcher and top.is_holdout and not top.visible_shadow
+    assert tuple(ground.location) == pytest.approx((0.5, 0.0, 0.2))
+    expected = ((8, 0, 0, 0.5), (0, 8, 0, 0), (0, 0, 2, 0.3), (0, 0, 0, 1))
+    np.testing.assert_allclose(where(top), expected, atol=1e-6)
+    assert cg.hindrances(scene) == []
+    bpy.ops.physhdr.cg_reset()
+    assert {**state_of(scene), "meshes": []} == {**before, "meshes": []}
+
+
+def test_a_top_that_an_older_version_left_behind_is_told_and_removed(extension, capture):
+    scene = capture
+    scene.render.engine = "CYCLES"
+    bpy.ops.physhdr.cg_here()
+    (top,) = planes_of(scene, cg.FRONT)
+    stray = top.copy()
+    stray.parent = None
+    top.users_collection[0].objects.link(stray)
+    assert any("Put CG Here again" in each for each in cg.hindrances(scene))
+    bpy.ops.physhdr.cg_here()
+    assert planes_of(scene, cg.FRONT) == [top] and cg.hindrances(scene) == []
+
+
+def test_a_ground_under_a_model_of_uneven_scale(extension, capture):
+    """Stretched upward its floor is as thick as it is there; nothing else of the shadow minds the scale."""
+    scene = capture
+    target = next(each for each in scene.objects if is_model(each))
+    cube = add_ball(scene)
+    scale = np.exp(np.random.default_rng(0).uniform(-9.0, -3.0, (200, 3)))
+    cloud = target.data
+    cloud.resize(200)
+    write_attribute(cloud, attributes.SCALE, scale)
+    write_attribute(cloud, attributes.POSITION, np.zeros((200, 3)))
+    write_attribute(cloud, attributes.ROTATION, np.tile([1.0, 0.0, 0.0, 0.0], (200, 1)))
+    write_attribute(cloud, attributes.BASE, np.ones((200, 4)))
+    target.scale = (1.0, 1.0, 3.0)
+    cube.select_set(True)
+    assert bpy.ops.physhdr.cg_here(location=(0.0, 0.0, 0.0), floor="PLACE") == {"FINISHED"}
+    stretched = scale * (1.0, 1.0, 3.0)
+    largest = stretched.max(axis=1)
+    size, weight = np.maximum(largest / 2.0, stretched[:, 2]), largest**2
+    order = np.argsort(size)
+    within = size[order][np.searchsorted(np.cumsum(weight[order]), 0.9 * weight.sum())]
+    assert cg.THINNEST < within < cg.THICKEST
+    (top,) = planes_of(scene, cg.FRONT)
+    assert where(top)[2, 3] == pytest.approx(within, rel=1e-4)
+    assert cube.matrix_world.translation.z == pytest.approx(RADIUS, abs=1e-4)
+
+
+def test_nothing_is_moved_where_no_ground_is_laid(extension, capture, monkeypatch):
+    """Whatever the reason: what fails pushes no undo, so it must leave all where it was."""
+    cube = add_ball(capture)
+    cube.select_set(True)
+    bpy.context.view_layer.update()
+    before = cube.matrix_world.copy()
+
+    def refuse(*_):
+        raise DataMismatchError("this floor has no thickness")
+
+    monkeypatch.setattr(cg, "floor_thickness", refuse)
+    with pytest.raises(RuntimeError, match="no thickness"):
+        bpy.ops.physhdr.cg_here(location=(0.0, 0.0, 0.0), floor="PLACE")
+    assert cube.matrix_world == before and not cg.is_there(capture)
 
 
 def test_selected_objects_stand_at_the_cursor(extension, capture):
