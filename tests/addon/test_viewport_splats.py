@@ -14,7 +14,7 @@ import gpu  # noqa: E402
 from physhdr.addon import viewport  # noqa: E402
 from physhdr.addon.model import attributes, model_import, nodes, point_cloud  # noqa: E402
 from physhdr.addon.panels import illumination  # noqa: E402
-from physhdr.addon.viewport import splats  # noqa: E402
+from physhdr.addon.viewport import splat_data, splats  # noqa: E402
 from physhdr.addon.viewport.camera import ViewCamera  # noqa: E402
 from physhdr.addon.viewport.splat_data import LIGHTS_MAX, SplatArrays, SplatTextures, read_arrays  # noqa: E402
 from physhdr.addon.viewport.splat_renderer import Item, SplatRenderer, Target, level_place  # noqa: E402
@@ -391,6 +391,30 @@ def test_textures_are_made_once_and_again_when_the_points_change(target):
     bpy.ops.ed.undo_push(message="test")
     bpy.ops.wm.read_factory_settings(use_empty=True)
     assert not splats._runtime.held, "nothing is kept over loading a file"
+
+
+@pytest.mark.parametrize("modulator", ["additive", "levels"])
+def test_an_edit_of_whatever_is_drawn_is_seen(scene, make_model, write, modulator):
+    """The last number of the last Gaussian, of every attribute that an upload holds; of others none."""
+    lights = ("ambient", "lamp") if modulator == "additive" else ("ambient",)
+    model = make_model(count=41, degree=1, modulator=modulator, lights=lights, confidence=True)
+    cloud = model_import.import_model(write(model)).data
+    drawn = {"position", "rotation", "scale", "radiance:base", "physhdr:confidence"}
+    drawn |= {f"physhdr:log_sh_{k}" for k in range(4)}
+    lit = "light_share" if modulator == "additive" else "level_log_gain"
+    drawn |= {f"physhdr:{lit}_{k}" for k in range(2 if modulator == "additive" else 4)}
+    assert drawn <= set(cloud.attributes.keys())
+    for name in [*drawn, "radius"]:
+        before = splat_data.fingerprint(cloud)
+        assert splat_data.fingerprint(cloud) == before
+        if name == "radius":
+            cloud.points[40].radius += 0.1
+        else:
+            values = point_cloud.read_attribute(cloud, name)
+            values.reshape(-1)[-1] *= np.float32(1.0 + 2e-7)
+            attribute = attributes.Attribute(name, cloud.attributes[name].data_type)
+            point_cloud.write_attribute(cloud, attribute, values)
+        assert (splat_data.fingerprint(cloud) != before) == (name in drawn), name
 
 
 def test_the_learned_tone_mapper_makes_a_group_of_its_own(registered, renderer, make_model, write):
