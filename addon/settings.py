@@ -54,7 +54,7 @@ WHEN_CLOSED = [
 ]
 TORCH_BUILDS = [
     ("cpu", "Processor", "The small build of torch, without CUDA: about 1.8 GB"),
-    ("cuda", "NVIDIA Card", "The build of torch with CUDA: about 7 GB"),
+    ("cuda", "NVIDIA Card", "Torch for CUDA 13, or for CUDA 12 for older drivers and cards: about 7 GB"),
     ("pip", "As pip Is Set Up", "From wherever pip looks on this machine"),
 ]
 

@@ -27,8 +27,10 @@ READ = {
     "locks/backend.txt",
     "locks/torch.txt",
     "locks/torch-cuda.txt",
+    "locks/torch-cuda12.txt",
     "locks/gsplat.txt",
     "locks/warp.txt",
+    "locks/warp12.txt",
 }
 #: The hooks that any builder calls (PEP 517), without the environment that it would fetch for them.
 HOOK = "import sys; from setuptools import build_meta; build_meta.build_{}(sys.argv[1])"

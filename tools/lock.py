@@ -13,15 +13,20 @@ environment, itself locked by its hash.
     develop.txt     the extras test and develop, on top of it
     torch.txt       torch itself; torch-cuda.txt: the libraries that its CUDA build for Linux asks for
     gsplat.txt      the extra cuda; warp.txt: the extra warp
+    torch-cuda12.txt, warp12.txt: instead of torch-cuda.txt and warp.txt where a driver or card is too old for
+                    CUDA 13: what torch's build for CUDA 12 asks for, and the last Warp on PyPI for it
     bpy.txt         the bpy wheel and what it asks for; blender.txt: what our side of Blender needs beside it
     uv.txt          uv
 
-torch is published by PyPI and, built for the processor alone, by PyTorch's own index: its lock has the hashes
-of both. The index is asked when it can be reached; where it cannot be, its rows for the same version stay.
-It could not be when they were first written. They are what public records of the index say: each is in two or
-more, but for four (cpu: Windows with Python 3.14; cu130: Linux x86-64 with 3.11, aarch64 with 3.13 and 3.14),
-which are in one. Cpu for Linux x86-64 with 3.11 was at hand and is as recorded; macOS's are those of PyPI.
-A row that is wrong refuses a file that is right; it cannot bring one that the index does not serve.
+torch is published by PyPI and, built for the processor alone and for other versions of CUDA, by PyTorch's own
+index: its lock has the hashes of both. What the build for CUDA 12 asks for stands nowhere but in that index.
+The index is asked when it can be reached; where it cannot be, its rows for the same version stay.
+
+It could not be when they were first written. They are what public records of the index say: each is in two
+or more, but for ten (cpu: Windows with Python 3.14; cu130: aarch64; cu126: aarch64 with 3.11, 3.13 and 3.14,
+Windows with 3.13 and 3.14), which are in one. Cpu for Linux x86-64 with 3.11 was at hand and is as recorded;
+macOS's are those of PyPI. What cu126 asks for is what PyTorch's build is told, and what others' locks found
+in it. A row that is wrong refuses a file that is right; it cannot bring one that the index does not serve.
 """
 
 import argparse
@@ -44,17 +49,21 @@ PYPROJECT = ROOT / "pyproject.toml"
 #: What the extension bundles is pinned by hand, with the manifest that names the files.
 BUNDLED = ROOT / "tools" / "wheels.txt"
 #: The pages of torch in PyTorch's own index, of the builds that addon/scripts/install_backend.py offers.
+CUDA12_PAGE = "https://download.pytorch.org/whl/cu126/torch/"
 PYTORCH_PAGES = (
     "https://download.pytorch.org/whl/cpu/torch/",
     "https://download.pytorch.org/whl/cu130/torch/",
+    CUDA12_PAGE,
 )
+#: The last Warp whose wheels on PyPI are for CUDA 12, within what pyproject.toml allows.
+WARP_OF_CUDA12 = "warp-lang>=1.17,<1.18"
 #: Which of their files are locked: what PyPI's torch is built for.
 PYTORCH_FILES = re.compile(
     r"-cp3(?:1[1-4])-cp3(?:1[1-4])-(?:manylinux.*_(?:x86_64|aarch64)|win_amd64|macosx.*)\.whl$"
 )
 PAGE_SECONDS = 20
-#: Packages that torch's CUDA build for Linux asks for and its other builds do not.
-OF_CUDA = re.compile(r"nvidia-|cuda-|triton$")
+#: Packages that torch's CUDA builds for Linux ask for and its other builds do not.
+OF_CUDA = re.compile(r"nvidia-|cuda-|triton\b")
 OLDEST, BLENDER = "3.11", "3.13"
 
 HEADERS = {
@@ -63,10 +72,12 @@ HEADERS = {
     "torch-cuda.txt": "What torch's CUDA build for Linux asks for, as PyPI has it.",
     "gsplat.txt": "The extra cuda; goes with backend.txt and torch-cuda.txt.",
     "warp.txt": "The extra warp; goes with backend.txt.",
+    "torch-cuda12.txt": "What torch's build for CUDA 12 for Linux asks for, as PyPI has it.",
+    "warp12.txt": "The extra warp for CUDA 12; goes with backend.txt, in place of warp.txt.",
     "bpy.txt": "Blender as a Python module, for Python 3.13.",
     "blender.txt": "What our side of Blender needs beside bpy or a blender binary (the extra blender).",
     "uv.txt": "What tools/lock.py resolves with.",
-    "torch.txt": "torch: the files that PyPI has, and of PyTorch's own index (cpu, cu130) those named here.",
+    "torch.txt": "torch: the files that PyPI has, and those of PyTorch's own index that are named here.",
 }
 WRITTEN = "# Written by tools/lock.py (make lock); not by hand.\n"
 
@@ -131,18 +142,28 @@ def lock(scratch: Path, former: dict[str, str], keep: bool) -> dict[str, str]:
     bpy = resolver.pins(BLENDER, [], limits, [scratch / "bpy.in"])
     (scratch / "uv.in").write_text("uv\n")
     [torch] = [pin for pin in backend if pin.name == "torch"]
+    asked = asked_by_cuda12(torch.version, former.get("torch-cuda12.txt", ""))
+    common = [pin for pin in backend if not OF_CUDA.match(pin.name)]
+    limits.write_text("\n".join(pin.requirement for pin in common), encoding="utf-8")
+    (scratch / "cuda12.in").write_text("\n".join(asked), encoding="utf-8")
+    cuda12 = resolver.pins(OLDEST, [], limits, [scratch / "cuda12.in"])
+    (scratch / "warp12.in").write_text(WARP_OF_CUDA12, encoding="utf-8")
+    warp12 = resolver.pins(OLDEST, [], limits, [scratch / "warp12.in"])
     parts = {
-        "backend.txt": [p for p in backend if p.name != "torch" and not OF_CUDA.match(p.name)],
+        "backend.txt": without(common, [torch]),
         "torch-cuda.txt": [p for p in backend if OF_CUDA.match(p.name)],
         "develop.txt": without(develop, backend),
         "gsplat.txt": without(gsplat, backend),
         "warp.txt": without(warp, backend),
+        "warp12.txt": without(warp12, common),
         "bpy.txt": bpy,
         "blender.txt": without(blender, bpy),
         "uv.txt": resolver.pins(OLDEST, [], None, [scratch / "uv.in"]),
     }
     files = {name: written(name, pins) for name, pins in parts.items()}
     files["torch.txt"] = torch_lock(torch, former.get("torch.txt", ""))
+    rows = "".join(f"# torch {torch.version}+cu126 asks for {each}\n" for each in asked)
+    files["torch-cuda12.txt"] = written("torch-cuda12.txt", without(cuda12, common), rows)
     return files
 
 
@@ -217,8 +238,7 @@ def torch_lock(pin: Pin, former: str) -> str:
     rows = {name: digest for digest, name in kept if belongs(name, pin.version)}
     for page in PYTORCH_PAGES:
         try:
-            with urllib.request.urlopen(page, timeout=PAGE_SECONDS) as answer:
-                rows |= published(answer.read().decode("utf-8"), pin.version)
+            rows |= published(fetched(page), pin.version)
         except (OSError, urllib.error.URLError) as error:
             print(f"{page} cannot be read ({error}): its rows stay as they were", file=sys.stderr)
     if not rows:
@@ -226,6 +246,32 @@ def torch_lock(pin: Pin, former: str) -> str:
     comments = "".join(f"# {digest}  {name}\n" for name, digest in sorted(rows.items()))
     hashes = tuple(sorted({*pin.hashes, *rows.values()}))
     return written("torch.txt", [Pin(f"torch=={pin.version}", hashes)], comments)
+
+
+def asked_by_cuda12(version: str, former: str) -> list[str]:
+    """What torch's build for CUDA 12 asks for on Linux: by its wheel's metadata, or by rows in ``former``.
+
+    Raises ``LockError`` where neither has ``version``: PyTorch builds no torch for CUDA 12 after 2.14.
+    """
+    kept = re.findall(r"^# torch (\S+)\+cu126 asks for (.+)$", former, re.MULTILINE)
+    rows = [asked for of, asked in kept if of == version]
+    try:
+        links = re.findall(r'href="([^"#]+x86_64\.whl)#', fetched(CUDA12_PAGE))
+        ours = [link for link in links if belongs(urllib.parse.unquote(link).rpartition("/")[2], version)]
+        if ours:
+            metadata = fetched(urllib.parse.urljoin(CUDA12_PAGE, ours[0]) + ".metadata")
+            found = re.findall(r"^Requires-Dist: (\S.*)$", metadata, re.MULTILINE)
+            rows = [each.strip() for each in found if OF_CUDA.match(each)]
+    except (OSError, urllib.error.URLError) as error:
+        print(f"{CUDA12_PAGE} cannot be read ({error}): what torch asks for stays", file=sys.stderr)
+    if not rows:
+        raise LockError(f"{CUDA12_PAGE} tells of no torch {version}, or not what it asks for")
+    return rows
+
+
+def fetched(address: str) -> str:
+    with urllib.request.urlopen(address, timeout=PAGE_SECONDS) as answer:
+        return answer.read().decode("utf-8")
 
 
 def published(page: str, version: str) -> dict[str, str]:

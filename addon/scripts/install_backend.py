@@ -13,48 +13,55 @@ refuses whatever has another SHA-256, and builds nothing. From where, is the use
 for torch: that comes from PyTorch's own index (or a folder that pip's find-links name), and nothing else
 does. With ``--torch pip`` it is the user's own build of the locked version, wherever pip finds it, and this
 one file is not compared with a hash.
+
+With ``--torch cuda`` it is the build that the card and its driver can run: for CUDA 13, else for CUDA 12,
+with the Warp of the same. Where they can run neither, it is the processor's, and the result says why.
 """
 
 import argparse
 import hashlib
 import json
 import os
+import platform
 import re
 import shutil
 import subprocess
 import sys
 import venv
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 MINIMUM = (3, 11)
 STAMP = "physhdr-complete.json"
 PREFIX = "environment-"
 #: Bytes that an environment needs, unpacking included: measured 1.8 GB with torch for the CPU.
-SPACE = {"cpu": 3 << 30, "cuda": 12 << 30, "pip": 3 << 30}
+SPACE = {"cpu": 3 << 30, "cuda": 12 << 30, "cuda12": 12 << 30, "pip": 3 << 30}
 #: Bytes for what is added to a copy.
 SPACE_ADDED = 1 << 30
+#: What a user chooses among; which of the builds for CUDA it is, the card and its driver say (``build_for``).
+CHOICES = ("cpu", "cuda", "pip")
 #: The index that torch alone is taken from; none for the user's own. The locked hashes are of these builds.
 TORCH_INDEX = {
     "cpu": "https://download.pytorch.org/whl/cpu",
     "cuda": "https://download.pytorch.org/whl/cu130",
+    "cuda12": "https://download.pytorch.org/whl/cu126",
     "pip": "",
 }
 #: The locks that each build needs beside torch's, in the folder ``locks`` beside the launcher's.
 LOCKS = {
     "cpu": ("backend.txt",),
     "cuda": ("backend.txt", "torch-cuda.txt", "gsplat.txt", "warp.txt"),
+    "cuda12": ("backend.txt", "torch-cuda12.txt", "gsplat.txt", "warp12.txt"),
     "pip": ("backend.txt",),
 }
-#: What the build for CUDA 13 runs on: NVIDIA's driver R580 or newer, cards of the Turing generation or newer.
-OLDEST_DRIVER, OLDEST_CARD = 580, (7, 5)
 #: Where drivers leave their program that tells of cards, where it is not on the path (Windows, WSL).
 SMI = (
     r"%SystemRoot%\System32\nvidia-smi.exe",
     r"%ProgramFiles%\NVIDIA Corporation\NVSMI\nvidia-smi.exe",
     "/usr/lib/wsl/lib/nvidia-smi",
 )
-TORCH_LOCK, CUDA_LOCK = "torch.txt", "torch-cuda.txt"
+TORCH_LOCK, CUDA_LOCKS = "torch.txt", ("torch-cuda.txt", "torch-cuda12.txt")
 #: A lock is all that is needed, torch apart: pip adds nothing, and runs no code of what it installs.
 LOCKED = ("--no-deps", "--only-binary=:all:")
 #: Where in the whole the downloads, and torch's among them, end.
@@ -93,6 +100,36 @@ class InstallError(Exception):
         self.message, self.hint = message, hint
 
 
+@dataclass(frozen=True)
+class Build:
+    """What a build of torch for CUDA, and the Warp beside it, run on.
+
+    ``torch``: its key in ``TORCH_INDEX``; ``driver``: the oldest of NVIDIA's; ``oldest`` and ``newest``: the
+    compute capabilities of cards, (major, minor). Capabilities that begin with the same number run each
+    other's code upwards, so what is newer within ``newest``'s is served.
+    """
+
+    torch: str
+    name: str
+    driver: tuple[int, ...]
+    oldest: tuple[int, int]
+    newest: tuple[int, int]
+
+
+def builds() -> tuple[Build, Build]:
+    """What this system's builds for CUDA run on, the one to be preferred first; sources: docs/cuda.md.
+
+    A program made with any CUDA 12 runs on drivers from CUDA 12.0's on, whose numbers differ between systems.
+    torch has code for cards of 5.0 to 9.0, on Windows of 6.1 to 9.0; Warp 1.17 of 5.2 on, on ARM of 7.5 on.
+    """
+    windows = os.name == "nt"
+    oldest = (6, 1) if windows else (7, 5) if platform.machine() == "aarch64" else (5, 2)
+    return (
+        Build("cuda", "CUDA 13", (580,), (7, 5), (99, 0)),
+        Build("cuda12", "CUDA 12", (528, 33) if windows else (525, 60), oldest, (9, 0)),
+    )
+
+
 def say(**content: object) -> None:
     sys.stdout.write(json.dumps(content) + "\n")
     sys.stdout.flush()
@@ -123,14 +160,20 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--target", type=Path, required=True)
     parser.add_argument("--launcher", type=Path, required=True)
-    parser.add_argument("--torch", choices=tuple(TORCH_INDEX), default="cpu")
+    parser.add_argument("--torch", choices=CHOICES, default="cpu")
     parser.add_argument("--fresh", action="store_true", help="make it anew even if it is complete")
     parser.add_argument("--extend", action="store_true", help="add what the environment that is there lacks")
     options = parser.parse_args()
     try:
-        torch = torch_there(options.target) if options.extend else options.torch
+        torch, why_not_card = options.torch, ""
+        if options.extend:
+            torch = torch_there(options.target)
+        elif torch == "cuda":
+            torch, why_not_card = build_for(cards_here())
+        if why_not_card:
+            say(progress=0.0, message=why_not_card)
         python = install(options.target, options.launcher, torch, options.fresh)
-        return check(python, options.launcher)
+        return check(python, options.launcher, [why_not_card] if why_not_card else [])
     except InstallError as error:
         say(error={"code": "install_failed", "message": error.message, "hint": error.hint})
         return 1
@@ -149,7 +192,7 @@ def install(target: Path, launcher: Path, torch: str, fresh: bool) -> Path:
             f"Python {sys.version.split()[0]} is too old for the backend", "Choose Python 3.11 or newer."
         )
     locks = launcher.parent.parent / "locks"
-    contents = "".join(read_lock(locks / name) for name in (*LOCKS[torch], TORCH_LOCK, CUDA_LOCK))
+    contents = "".join(read_lock(locks / name) for name in (*LOCKS[torch], TORCH_LOCK, *CUDA_LOCKS))
     locked = hashlib.sha256(contents.encode()).hexdigest()
     identity = json.dumps([locked, torch, sys.version, sys.base_prefix])
     folder = target / (PREFIX + hashlib.sha256(identity.encode()).hexdigest()[:12])
@@ -157,8 +200,6 @@ def install(target: Path, launcher: Path, torch: str, fresh: bool) -> Path:
     if (folder / STAMP).exists() and not fresh:
         say(progress=COMPLETE, message="the environment is there already")
         return python
-    if torch == "cuda":
-        refuse_old_cards(cards_here())
     target.mkdir(parents=True, exist_ok=True)
     former = None if fresh else extensible(target, torch)
     free, needed = shutil.disk_usage(target).free, SPACE_ADDED if former else SPACE[torch]
@@ -176,7 +217,7 @@ def install(target: Path, launcher: Path, torch: str, fresh: bool) -> Path:
             venv.EnvBuilder(with_pip=True, clear=True, symlinks=os.name != "nt").create(folder)
         pip_install(python, [locks / name for name in LOCKS[torch]], 0.03, PACKAGES_DONE)
         torch_install(python, locks / TORCH_LOCK, TORCH_INDEX[torch])
-        complete(python, locks / CUDA_LOCK)
+        complete(python, [locks / name for name in CUDA_LOCKS])
         (folder / STAMP).write_text(identity, encoding="utf-8")
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
@@ -219,29 +260,40 @@ def ask_driver(program: str, *fields: str) -> list[list[str]] | None:
     return [row for row in rows if len(row) == len(fields)]
 
 
-def refuse_old_cards(cards: list[tuple[str, str, str]]) -> None:
-    """Raise ``InstallError`` where no card can run the build for CUDA 13, before gigabytes are fetched.
+def build_for(cards: list[tuple[str, str, str]]) -> tuple[str, str]:
+    """The build of torch, as ``TORCH_INDEX`` has it, that one of ``cards`` can run, and "".
 
-    What the driver does not tell in numbers is not judged: the check at the end will find it out.
+    ``cpu`` and the reason with its remedy where none can run any, before gigabytes are fetched. What the
+    driver does not tell in numbers is not judged: the check at the end will find it out.
     """
-    refusals = []
-    for name, driver, capability in cards:
-        version, card = numbers(driver), numbers(capability)
-        if version and version[0] < OLDEST_DRIVER:
-            message = f"the driver of {name} is {driver}; this build of torch needs {OLDEST_DRIVER} or newer"
-            hint = "Install a newer driver from NVIDIA, or choose the build for the processor."
-        elif card and card < OLDEST_CARD:
-            message = (
-                f"{name} is older than this build of torch knows (capability {capability}; 7.5 is needed)"
-            )
-            hint = "Choose the build for the processor."
-        else:
-            return
-        refusals.append(
-            InstallError(message, f"{hint} For CUDA 12 make an environment yourself and choose it.")
+    refusals: list[str] = []
+    for build in builds():
+        refusals = [refusal(build, *card) for card in cards]
+        if not cards or not all(refusals):
+            return build.torch, ""
+    # Of the build that asks for least: what it says would help.
+    return "cpu", f"the card is not used: {refusals[0]}"
+
+
+def refusal(build: Build, name: str, driver: str, capability: str) -> str:
+    """Why a card of that driver and compute capability cannot run a build, and what helps; "" if it can."""
+    version, card = numbers(driver), numbers(capability)
+    if card and card < build.oldest:
+        least = ".".join(map(str, build.oldest))
+        return f"{name} is older than {build.name} builds know (capability {capability}; {least} is needed)"
+    if card and card[0] > build.newest[0]:
+        first = builds()[0]
+        return (
+            f"{name} needs the build for {first.name}, and that the driver {first.driver[0]} or newer; it is "
+            f"{driver}. Install a newer driver from NVIDIA, then install again"
         )
-    if refusals:
-        raise refusals[0]
+    if version and version < build.driver:
+        needed = ".".join(map(str, build.driver))
+        return (
+            f"the driver of {name} is {driver}; builds for {build.name} need {needed} or newer. "
+            "Install a newer driver from NVIDIA, then install again"
+        )
+    return ""
 
 
 def numbers(text: str) -> tuple[int, ...]:
@@ -344,12 +396,16 @@ def torch_install(python: Path, lock: Path, index: str) -> None:
     run_pip(python, arguments, 1, PACKAGES_DONE, TORCH_DONE, {"PIP_EXTRA_INDEX_URL": index})
 
 
-def complete(python: Path, cuda: Path) -> None:
-    """Nothing that a package asks for is missing; a user's own torch with CUDA gets its libraries."""
+def complete(python: Path, cuda: list[Path]) -> None:
+    """Nothing that a package asks for is missing; a user's own torch with CUDA gets its libraries.
+
+    They are of the first of the locks ``cuda`` that has all that is missing.
+    """
     missing = missing_packages(python)
-    if missing & {pin.partition("==")[0] for pin in pins(read_lock(cuda))}:
-        pip_install(python, [cuda], TORCH_DONE, COMPLETE)
-        missing = missing_packages(python)
+    for lock in cuda:
+        if missing and missing <= {pin.partition("==")[0] for pin in pins(read_lock(lock))}:
+            pip_install(python, [lock], TORCH_DONE, COMPLETE)
+            missing = missing_packages(python)
     if missing:
         raise InstallError(
             f"this build of torch asks for packages that were not tested: {', '.join(sorted(missing))}",
@@ -409,8 +465,11 @@ def failure(told: list[str]) -> InstallError:
     )
 
 
-def check(python: Path, launcher: Path) -> int:
-    """Run the backend's own check and pass its lines on, in the last fifth of the progress bar."""
+def check(python: Path, launcher: Path, warnings: list[str]) -> int:
+    """Run the backend's own check and pass its lines on, in the last fifth of the progress bar.
+
+    ``warnings`` come before those that it finds.
+    """
     lines = Lines([str(python), str(launcher), "check", "--json"])
     for line in lines:
         try:
@@ -420,7 +479,8 @@ def check(python: Path, launcher: Path) -> int:
         if "progress" in content:
             say(**{**content, "progress": round(COMPLETE + (1.0 - COMPLETE) * content["progress"], 4)})
         elif "result" in content:
-            say(result={**content["result"], "environment": str(python)})
+            told = {"warnings": [*warnings, *content["result"].get("warnings", [])]}
+            say(result={**content["result"], **told, "environment": str(python)})
         else:
             sys.stdout.write(line)
             sys.stdout.flush()

@@ -9,6 +9,7 @@ import hashlib
 import http.server
 import json
 import os
+import re
 import runpy
 import subprocess
 import sys
@@ -93,14 +94,25 @@ def place(tmp_path, empty):
     class Place:
         root = tmp_path
         extension, target = tmp_path / "extension", tmp_path / "environments"
-        indexes = {name: Index(tmp_path / name) for name in ("pytorch", "mine", "extra")}  # noqa: RUF012
+        names = ("pytorch", "cu130", "cu126", "mine", "extra")
+        indexes = {name: Index(tmp_path / name) for name in names}  # noqa: RUF012
         hashes: dict = {}  # noqa: RUF012
 
         def lock(self, name: str, **pins: str) -> None:
-            lines = [
-                f"{each.replace('_', '-')}==1.0 --hash=sha256:{digest}\n" for each, digest in pins.items()
-            ]
+            """A lock of packages, each 1.0; of several files of one, the hashes are apart by blanks."""
+            lines = []
+            for each, digests in pins.items():
+                hashes = [f"--hash=sha256:{digest}" for digest in digests.split()]
+                lines.append(" ".join([f"{each.replace('_', '-')}==1.0", *hashes]) + "\n")
             (self.extension / "locks" / name).write_text("# a lock\n" + "".join(lines))
+
+        def driver_says(self, *card: str) -> dict[str, str]:
+            """The environment of a machine whose driver's program tells of that card."""
+            smi = self.root / "bin" / "nvidia-smi"
+            smi.parent.mkdir(exist_ok=True)
+            smi.write_text(f"#!/bin/sh\necho '{', '.join(card)}'\n")
+            smi.chmod(0o755)
+            return {"PATH": f"{smi.parent}{os.pathsep}{os.environ['PATH']}"}
 
         def install(self, torch: str = "cpu", *more: str, **environment: str) -> tuple[int, list[dict], str]:
             """The status, the lines for the panel, and all that was written."""
@@ -109,7 +121,9 @@ def place(tmp_path, empty):
                 f"sys.argv[0] = {str(SCRIPT)!r}\n"
                 f"module = runpy.run_path({str(SCRIPT)!r})\n"
                 f"module['TORCH_INDEX']['cpu'] = {self.indexes['pytorch'].url!r}\n"
-                "module['SPACE'].update(cpu=1, cuda=1, pip=1)\n"
+                f"module['TORCH_INDEX']['cuda'] = {self.indexes['cu130'].url!r}\n"
+                f"module['TORCH_INDEX']['cuda12'] = {self.indexes['cu126'].url!r}\n"
+                "module['SPACE'].update(dict.fromkeys(module['SPACE'], 1))\n"
                 "import shutil, venv\n"
                 "copy = lambda self, folder: shutil.copytree(self.empty, folder, symlinks=True)\n"
                 f"venv.EnvBuilder.empty, venv.EnvBuilder.create = {str(empty)!r}, copy\n"
@@ -146,8 +160,14 @@ def place(tmp_path, empty):
     for name in ("torch", "first", "second"):  # what somebody else offers under these names is newer
         wheel(tmp_path / "extra", name, "9.0", "FROM = 'extra'")
     made.lock("backend.txt", first=first, second=second)
-    made.lock("torch.txt", torch=torch)
+    cu130 = wheel(tmp_path / "cu130", "torch", "1.0", "FROM = 'cu130'", ("first", "nvidia-thing"))
+    cu126 = wheel(tmp_path / "cu126", "torch", "1.0", "FROM = 'cu126'", ("first", "nvidia-thing-cu12"))
+    made.lock("torch.txt", torch=f"{torch} {cu130} {cu126}")
     made.lock("torch-cuda.txt", nvidia_thing=wheel(tmp_path / "mine", "nvidia-thing", "1.0"))
+    made.lock("torch-cuda12.txt", nvidia_thing_cu12=wheel(tmp_path / "mine", "nvidia-thing-cu12", "1.0"))
+    made.lock("gsplat.txt")
+    made.lock("warp.txt", warp_of_13=wheel(tmp_path / "mine", "warp-of-13", "1.0"))
+    made.lock("warp12.txt", warp_of_12=wheel(tmp_path / "mine", "warp-of-12", "1.0"))
     yield made
     for index in made.indexes.values():
         index.server.shutdown()
@@ -280,6 +300,14 @@ def test_the_users_own_torch_brings_its_libraries_by_the_lock(place):
     assert place.indexes["pytorch"].asked == set()
 
 
+def test_the_users_own_torch_for_cuda_12_gets_the_libraries_of_that(place):
+    wheel(place.root / "mine", "torch", "1.0", "FROM = 'mine'", ("first", "nvidia-thing-cu12"))
+    status, said, log = place.install("pip", PIP_EXTRA_INDEX_URL="")
+    assert status == 0, log
+    versions = said[-1]["result"]["versions"]
+    assert "nvidia-thing-cu12" in versions and "nvidia-thing" not in versions
+
+
 def test_a_torch_that_asks_for_what_was_never_locked_is_named(place):
     place.lock("torch-cuda.txt")
     status, said, _ = place.install("pip", PIP_EXTRA_INDEX_URL="")
@@ -305,8 +333,8 @@ def test_an_extension_without_its_locks_says_to_install_it_again(place):
 
 NEW, OLD_DRIVER, OLD_CARD = (
     ("NVIDIA GeForce RTX 4070", "581.29", "8.9"),
-    ("NVIDIA GeForce RTX 3060", "551.86", "8.6"),
-    ("NVIDIA GeForce GTX 1080", "580.82", "6.1"),
+    ("NVIDIA GeForce RTX 3060", "535.183.01", "8.6"),
+    ("NVIDIA GeForce GTX 1080", "580.82.07", "6.1"),
 )
 #: Its nvidia-smi knows no ``compute_cap``.
 OLDEST_DRIVER = ("Tesla T4", "470.256.02")
@@ -321,24 +349,54 @@ def installer(monkeypatch) -> dict:
 
 
 @pytest.mark.parametrize(
-    ("cards", "message"),
+    ("system", "driver", "capability", "build"),
     [
-        ([OLD_DRIVER], "the driver of NVIDIA GeForce RTX 3060 is 551.86; .* 580 or newer"),
-        ([OLD_CARD], "GTX 1080 is older than this build of torch knows"),
-        ([OLD_CARD, NEW], None),
-        ([NEW], None),
-        ([(*OLDEST_DRIVER, "")], "the driver of Tesla T4 is 470.256.02; .* 580 or newer"),
-        ([], None),
-        ([("A card", "[N/A]", "[N/A]")], None),
+        # Linux, x86-64: Ampere, Pascal, Turing, Maxwell; the oldest drivers of CUDA 12 and of CUDA 13.
+        ("linux", "535.183.01", "8.6", "cuda12"),
+        ("linux", "580.82.07", "6.1", "cuda12"),
+        ("linux", "580.65.06", "7.5", "cuda"),
+        ("linux", "575.57.08", "7.5", "cuda12"),
+        ("linux", "525.60.13", "7.0", "cuda12"),
+        ("linux", "525.53", "7.0", "driver .* is 525.53; .*525.60 or newer.* Install a newer driver"),
+        ("linux", "470.256.02", "", "driver .* is 470.256.02; .*525.60 or newer.* Install a newer driver"),
+        ("linux", "580.82.07", "5.2", "cuda12"),
+        ("linux", "580.82.07", "5.0", "older than CUDA 12 builds know .capability 5.0; 5.2 is needed"),
+        ("linux", "470.256.02", "3.5", "older than CUDA 12 builds know .capability 3.5; 5.2 is needed"),
+        # Blackwell: CUDA 12.6 knows no code for it.
+        ("linux", "580.82.07", "12.0", "cuda"),
+        ("linux", "570.86.15", "12.0", "build for CUDA 13, .*580 or newer; it is 570.86.15. Install a newer"),
+        # Windows has other numbers, and a torch without code for the oldest cards.
+        ("windows", "551.86", "8.6", "cuda12"),
+        ("windows", "528.33", "8.6", "cuda12"),
+        ("windows", "527.41", "8.6", "driver .* is 527.41; .*528.33 or newer"),
+        ("windows", "581.29", "7.5", "cuda"),
+        ("windows", "581.29", "6.1", "cuda12"),
+        ("windows", "581.29", "6.0", "older than .*; 6.1 is needed"),
+        # ARM: Warp has no code for cards before Turing.
+        ("aarch64", "535.183.01", "9.0", "cuda12"),
+        ("aarch64", "535.183.01", "7.0", "older than .*; 7.5 is needed"),
+        ("linux", "[N/A]", "[N/A]", "cuda"),
     ],
 )
-def test_a_card_that_cannot_run_the_build_is_refused_before_the_download(installer, cards, message):
-    if message is None:
-        installer["refuse_old_cards"](cards)
-        return
-    with pytest.raises(installer["InstallError"], match=message) as raised:
-        installer["refuse_old_cards"](cards)
-    assert "the build for the processor" in raised.value.hint
+def test_the_build_is_the_one_that_card_and_driver_can_run(
+    installer, monkeypatch, system, driver, capability, build
+):
+    monkeypatch.setattr("platform.machine", lambda: "aarch64" if system == "aarch64" else "x86_64")
+    with monkeypatch.context() as faked:
+        faked.setattr("os.name", "nt" if system == "windows" else "posix")
+        chosen, why = installer["build_for"]([("A card", driver, capability)])
+    if " " in build:
+        assert chosen == "cpu" and re.search(build, why), why
+    else:
+        assert (chosen, why) == (build, "")
+
+
+@pytest.mark.parametrize(
+    ("cards", "build"),
+    [([], "cuda"), ([OLD_CARD, NEW], "cuda"), ([(*OLDEST_DRIVER, ""), OLD_DRIVER], "cuda12")],
+)
+def test_of_several_cards_the_best_one_decides_and_of_none_the_check_will(installer, cards, build):
+    assert installer["build_for"](cards) == (build, "")
 
 
 @pytest.mark.parametrize(
@@ -384,8 +442,8 @@ def test_a_driver_that_knows_no_capability_is_asked_for_the_rest(installer, monk
     monkeypatch.setattr("subprocess.run", run)
     cards = installer["cards_here"]()
     assert cards == [(*OLDEST_DRIVER, "")]
-    with pytest.raises(installer["InstallError"], match="470"):
-        installer["refuse_old_cards"](cards)
+    chosen, why = installer["build_for"](cards)
+    assert chosen == "cpu" and "470.256.02" in why
 
 
 @pytest.mark.parametrize(
@@ -397,13 +455,46 @@ def test_a_driver_that_says_nothing_of_use_is_as_none(installer, monkeypatch, st
     assert installer["cards_here"]() == []
 
 
-def test_nothing_is_fetched_for_a_card_that_cannot_run_it(place, tmp_path):
-    smi = tmp_path / "bin" / "nvidia-smi"
-    smi.parent.mkdir()
-    smi.write_text(f"#!/bin/sh\necho '{', '.join(OLD_DRIVER)}'\n")
-    smi.chmod(0o755)
-    place.lock("gsplat.txt")
-    place.lock("warp.txt")
-    status, said, _ = place.install("cuda", PATH=f"{smi.parent}{os.pathsep}{os.environ['PATH']}")
-    assert status == 1 and "551.86" in said[-1]["error"]["message"]
-    assert environments(place) == [] and not place.indexes["mine"].asked
+@pytest.mark.parametrize(
+    ("card", "index", "library", "warp"),
+    [
+        (NEW, "cu130", "nvidia-thing", "warp-of-13"),
+        (OLD_DRIVER, "cu126", "nvidia-thing-cu12", "warp-of-12"),
+        (OLD_CARD, "cu126", "nvidia-thing-cu12", "warp-of-12"),
+    ],
+)
+def test_a_card_gets_torch_and_warp_of_the_cuda_that_it_can_run(place, card, index, library, warp):
+    status, said, log = place.install("cuda", PIP_EXTRA_INDEX_URL="", **place.driver_says(*card))
+    assert status == 0, log
+    result = said[-1]["result"]
+    assert result["torch"] == index and result["warnings"] == []
+    brought = {name for name in result["versions"] if name.startswith(("nvidia", "warp"))}
+    assert brought == {library, warp}
+    # What is added later is of the same build, whatever the driver says by then.
+    [former] = environments(place)
+    with open(place.extension / "locks" / "backend.txt", "a") as file:
+        file.write("# renewed\n")
+    status, said, log = place.install("cpu", "--extend", PIP_EXTRA_INDEX_URL="")
+    assert status == 0, log
+    assert environments(place) != [former] and said[-1]["result"]["torch"] == index
+
+
+def test_a_new_driver_makes_another_environment(place):
+    status, said, _ = place.install("cuda", PIP_EXTRA_INDEX_URL="", **place.driver_says(*OLD_DRIVER))
+    [former] = environments(place)
+    renewed = place.driver_says(OLD_DRIVER[0], "580.82.07", OLD_DRIVER[2])
+    status, said, log = place.install("cuda", PIP_EXTRA_INDEX_URL="", **renewed)
+    assert status == 0 and said[-1]["result"]["torch"] == "cu130", log
+    assert len(environments(place)) == 1 and environments(place) != [former]
+
+
+def test_a_card_that_can_run_no_build_gets_the_processors_and_the_reason(place):
+    card = place.driver_says(*OLDEST_DRIVER, "7.5")
+    status, said, log = place.install("cuda", PIP_EXTRA_INDEX_URL="", **card)
+    assert status == 0, log
+    [warning] = said[-1]["result"]["warnings"]
+    assert "470.256.02" in warning and "Install a newer driver" in warning
+    assert said[0] == {"progress": 0.0, "message": warning}  # before anything is fetched
+    assert said[-1]["result"]["torch"] == "pytorch"
+    assert not place.indexes["cu130"].asked | place.indexes["cu126"].asked
+    assert not any(name.startswith(("nvidia", "warp")) for name in said[-1]["result"]["versions"])

@@ -22,6 +22,7 @@ TOGETHER = {
     ("backend.txt", "torch.txt"): ["backend"],
     ("backend.txt", "torch.txt", "develop.txt"): ["backend", "test", "develop"],
     ("backend.txt", "torch.txt", "torch-cuda.txt", "gsplat.txt", "warp.txt"): ["backend", "cuda", "warp"],
+    ("backend.txt", "torch.txt", "torch-cuda12.txt", "gsplat.txt", "warp12.txt"): ["backend", "cuda", "warp"],
     ("bpy.txt", "blender.txt"): ["blender"],
 }
 SYSTEMS = [("linux", "x86_64"), ("linux", "aarch64"), ("win32", "AMD64"), ("darwin", "arm64")]
@@ -111,8 +112,41 @@ def test_torchs_lock_has_every_build_that_is_offered(lock):
             ("+cpu", "win_amd64"),
             ("", "macosx_14_0_arm64"),
             ("+cu130", "manylinux_2_28_x86_64"),
+            ("+cu130", "manylinux_2_28_aarch64"),
+            ("+cu130", "win_amd64"),
+            ("+cu126", "manylinux_2_28_x86_64"),
+            ("+cu126", "manylinux_2_28_aarch64"),
+            ("+cu126", "win_amd64"),
         ]:
             assert f"torch-{pin.version}{build}-cp{python}-cp{python}-{system}.whl" in rows
+
+
+def test_the_locks_for_cuda_12_are_of_the_locked_torch_and_of_cuda_12(lock):
+    """By names and versions: a library for CUDA 13 would be fetched, and never be loaded."""
+    [torch] = lock.parse((LOCKS / "torch.txt").read_text())
+    text = (LOCKS / "torch-cuda12.txt").read_text()
+    asked = re.findall(r"^# torch (\S+)\+cu126 asks for (.+)$", text, re.MULTILINE)
+    pins = pinned(lock, ["torch-cuda12.txt"], "3.12", ("linux", "x86_64"))
+    assert asked and {version for version, _ in asked} == {torch.version}
+    for requirement in map(Requirement, (each for _, each in asked)):
+        assert requirement.specifier.contains(pins[canonicalize_name(requirement.name)])
+    for name in (
+        "cublas",
+        "cuda-nvrtc",
+        "cuda-runtime",
+        "cudnn",
+        "cufft",
+        "cusolver",
+        "cusparse",
+        "nvjitlink",
+    ):
+        assert f"nvidia-{name}-cu12" in pins
+    of_13 = pinned(lock, ["torch-cuda.txt"], "3.12", ("linux", "x86_64"))
+    assert {name for name in pins if pins[name] == of_13.get(name)} <= {"cuda-pathfinder", "triton"}
+    assert (
+        pinned(lock, ["torch-cuda12.txt"], "3.12", ("win32", "AMD64")) == {}
+    )  # Windows' wheel has all in it
+    assert pinned(lock, ["warp12.txt"], "3.12", ("linux", "x86_64"))["warp-lang"].startswith("1.17.")
 
 
 def test_the_bundled_wheels_are_those_that_blenders_side_is_tested_with(lock):
@@ -175,6 +209,31 @@ def test_pytorchs_page_is_read_and_its_rows_stay_where_it_cannot_be(lock, tmp_pa
     assert "cannot be read" in capsys.readouterr().err
     [other] = lock.parse(lock.torch_lock(lock.Pin("torch==2.14.0", ("e" * 64,)), text))
     assert other.hashes == ("e" * 64,)  # another version's files are not carried over
+
+
+def test_what_torch_for_cuda_12_asks_for_is_read_from_the_index_and_kept(lock, tmp_path, monkeypatch, capsys):
+    """Of its wheel for Linux on x86-64 and of this version; of that, what no other build asks for."""
+    wheel = "torch-2.13.0%2Bcu126-cp312-cp312-manylinux_2_28_x86_64.whl"
+    digest = "a" * 64
+    page = tmp_path / "page.html"
+    names = [wheel.replace("x86_64", "aarch64"), wheel.replace("2.13.0", "2.13.1"), wheel]
+    page.write_text("".join(f'<a href="{name}#sha256={digest}">x</a>\n' for name in names))
+    (tmp_path / (wheel.replace("%2B", "+") + ".metadata")).write_text(
+        "Name: torch\nRequires-Dist: filelock\nRequires-Dist: triton==3.7.1; platform_system == 'Linux'\n"
+        "Requires-Dist: nvidia-cudnn-cu12==9.10.2.21; platform_system == 'Linux'\n"
+    )
+    monkeypatch.setattr(lock, "CUDA12_PAGE", page.as_uri())
+    asked = [
+        "triton==3.7.1; platform_system == 'Linux'",
+        "nvidia-cudnn-cu12==9.10.2.21; platform_system == 'Linux'",
+    ]
+    assert lock.asked_by_cuda12("2.13.0", "# torch 2.13.0+cu126 asks for nvidia-old\n") == asked
+    monkeypatch.setattr(lock, "CUDA12_PAGE", (tmp_path / "gone.html").as_uri())
+    former = "".join(f"# torch 2.13.0+cu126 asks for {each}\n" for each in asked)
+    assert lock.asked_by_cuda12("2.13.0", former) == asked
+    assert "cannot be read" in capsys.readouterr().err
+    with pytest.raises(lock.LockError, match=r"tells of no torch 2\.15\.0"):
+        lock.asked_by_cuda12("2.15.0", former)
 
 
 def test_where_it_cannot_resolve_nothing_is_changed(lock, tmp_path, monkeypatch, capsys):
