@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Starting, interrupting and killing other programs, on every system that Blender runs on. No bpy."""
+"""Starting and killing other programs, on every system that Blender runs on. No bpy."""
 
 import os
 import signal
@@ -24,18 +24,22 @@ def clean_environment(**extra: str) -> dict[str, str]:
     return {**kept, **ours, **extra}
 
 
-def spawn(command: list[str], output: int | IO[Any], environment: dict[str, str]) -> "subprocess.Popen[str]":
+def spawn(
+    command: list[str],
+    output: int | IO[Any],
+    environment: dict[str, str],
+    stdin: int = subprocess.DEVNULL,
+) -> "subprocess.Popen[str]":
     """Start a program in a process group of its own, so that CTRL-C in Blender's terminal is not its concern.
 
     Its stdout and stderr go to ``output``. Raises ``OSError``.
     """
     group: dict[str, Any] = {"start_new_session": True}
     if sys.platform == "win32":  # written out here and below, for pyright to see
-        flags = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.CREATE_NO_WINDOW
-        group = {"creationflags": flags}
+        group = {"creationflags": subprocess.CREATE_NO_WINDOW}  # a console of its own, that nobody sees
     return subprocess.Popen(
         command,
-        stdin=subprocess.DEVNULL,
+        stdin=stdin,
         stdout=output,
         stderr=subprocess.STDOUT,
         text=True,
@@ -57,15 +61,6 @@ def open_log(path: Path, mode: str) -> IO[str]:
     with suppress(OSError):  # a disk without modes
         path.chmod(0o600)
     return file
-
-
-def interrupt(pid: int) -> None:
-    """CTRL-C for a program that ``spawn`` started, and for its children."""
-    with suppress(OSError):
-        if sys.platform == "win32":
-            os.kill(pid, signal.CTRL_BREAK_EVENT)
-        else:
-            os.killpg(pid, signal.SIGINT)
 
 
 def kill(pid: int) -> None:

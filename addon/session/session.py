@@ -103,7 +103,6 @@ class Session:
         """Start a child process; one of a name at a time. Raises ``OutputError``."""
         if name in self._tasks:
             raise OutputError(f"{name} is under way already", "Wait for it to end, or cancel it.")
-        private_home(self.home)  # tasks write there: an environment, logs
         self._tasks[name] = ChildTask(name, command, log, environment)
         self.dispatch(TaskStarted(name, str(log)))
 

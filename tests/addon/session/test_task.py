@@ -1,8 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Child processes that tell how far they are: real ones, of this Python."""
 
+import os
+import signal
+import stat
+import subprocess
 import sys
+import threading
 import time
+from contextlib import contextmanager
 
 import pytest
 
@@ -59,20 +65,12 @@ time.sleep(60)
 """
     script = f"import subprocess, sys; subprocess.call([sys.executable, '-c', {grandchild!r}])"
     task = ChildTask("work", [sys.executable, "-c", script], tmp_path / "work.log")
-    deadline = time.monotonic() + 10
-    events = []
-    while not events and time.monotonic() < deadline:
-        events = task.poll()
-        time.sleep(0.01)
-    pid = int(events[0].message)
+    pid = int(first_word(task).message)
     task.cancel()
     task.wait(20)
     (ended,) = task.poll()
     assert ended.cancelled and not ended.ok
-    deadline = time.monotonic() + 5
-    while is_running(pid) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert not is_running(pid)
+    until(lambda: not is_running(pid))
 
 
 def is_running(pid):
@@ -104,5 +102,153 @@ def test_the_child_has_a_clean_environment(tmp_path, monkeypatch):
 
 
 def test_a_program_that_is_not_there_is_named(tmp_path):
+    task = ChildTask("work", ["/no/such/python"], tmp_path / "work.log")
+    task.wait(20)
+    (ended,) = task.poll()
+    assert not ended.ok and "/no/such/python" in ended.message and ended.hint == "Check the path."
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no such signals")
+def test_how_a_program_ended_is_told(tmp_path):
+    (ended,) = run(tmp_path, "import sys; sys.exit(7)")
+    assert "ended with status 7" in ended.message
+    (ended,) = run(tmp_path, "import os; os.kill(os.getpid(), 9)")
+    assert "ended by signal 9" in ended.message
+    (ended,) = run(tmp_path, "import os, signal; os.kill(os.getpid(), signal.SIGTERM)")
+    assert "ended by signal 15" in ended.message
+
+
+#: Says that it is there, and when it is interrupted, cleans up for a moment. CTRL-C comes to it alone.
+TIDY = """
+import pathlib, time
+print('{"progress": 0.1}', flush=True)
+try:
+    time.sleep(60)
+except KeyboardInterrupt:
+    time.sleep(0.3)
+    pathlib.Path("%s").write_text("tidied up")
+"""
+
+
+def test_a_cancelled_child_has_time_to_clean_up(tmp_path):
+    task = ChildTask("work", [sys.executable, "-c", TIDY % (tmp_path / "tidied")], tmp_path / "work.log")
+    first_word(task)
+    task.cancel()
+    task.cancel()
+    task.wait(20)
+    (ended,) = task.poll()
+    assert ended.cancelled and (tmp_path / "tidied").read_text() == "tidied up"
+
+
+def test_a_child_ends_with_the_blender_that_started_it(tmp_path):
+    """As when it crashes: the system closes its end of the pipe, whatever else it leaves undone."""
+    command = [sys.executable, "-c", TIDY % (tmp_path / "tidied")]
+    blender = f"""
+import time
+from pathlib import Path
+from physhdr.addon.session.task import ChildTask
+task = ChildTask("work", {command!r}, Path({str(tmp_path / "work.log")!r}))
+while not task.poll():
+    time.sleep(0.01)
+print("there", flush=True)
+time.sleep(60)
+"""
+    with subprocess.Popen([sys.executable, "-c", blender], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout.readline() == "there\n"
+        process.kill()
+    until((tmp_path / "tidied").exists)
+
+
+def test_a_child_that_does_not_heed_is_killed(tmp_path, monkeypatch):
+    monkeypatch.setattr("physhdr.addon.session.task.PATIENCE", 0.5)
+    deaf = "import signal, time; signal.signal(signal.SIGINT, signal.SIG_IGN)\n"
+    deaf += "print('{\"progress\": 0.1}', flush=True); time.sleep(60)"
+    task = ChildTask("work", [sys.executable, "-c", deaf], tmp_path / "work.log")
+    first_word(task)
+    begun = time.monotonic()
+    task.cancel()
+    task.wait(20)
+    (ended,) = task.poll()
+    assert ended.cancelled and 0.4 < time.monotonic() - begun < 5.0
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows limits no file's size")
+def test_a_full_disk_ends_the_log_and_not_the_task(tmp_path, small_disk):
+    """Here a limit of a file's size: nobody writes the log any more, and all that is said is still read."""
+    script = """
+for i in range(4000):
+    print("line", i, 30 * "x")
+print('{"error": {"message": "the disk is full", "hint": "Free some space."}}')
+raise SystemExit(1)
+"""
+    with small_disk(4096):
+        (ended,) = run(tmp_path, script)
+    assert not ended.ok and ended.message == "the disk is full" and ended.hint == "Free some space."
+    assert (tmp_path / "work.log").stat().st_size <= 4096
+
+
+def test_a_thread_that_fails_ends_the_task_and_its_child(tmp_path, monkeypatch):
+    """Whatever it is that nobody thought of: a task without an end would be shown for ever."""
+    monkeypatch.setattr("physhdr.addon.session.task._json_line", lambda line: 1 / 0)
+    monkeypatch.setattr(threading, "excepthook", lambda told: None)
+    task = ChildTask("work", [sys.executable, "-c", TIDY % (tmp_path / "tidied")], tmp_path / "work.log")
+    task.wait(20)
+    (ended,) = task.poll()
+    assert not ended.ok and "cannot be read" in ended.message
+    until((tmp_path / "tidied").exists)
+
+
+def test_a_task_that_cannot_start_leaves_nothing_open(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "executable", "/no/such/python")
+    before = os.listdir("/proc/self/fd")
     with pytest.raises(OutputError, match="/no/such/python"):
-        ChildTask("work", ["/no/such/python"], tmp_path / "work.log")
+        ChildTask("work", ["anything"], tmp_path / "work.log")
+    assert os.listdir("/proc/self/fd") == before
+    (tmp_path / "a folder").mkdir()
+    with pytest.raises(OutputError, match="cannot write"):
+        ChildTask("work", ["anything"], tmp_path / "a folder")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows' folders have no modes")
+def test_the_folder_of_its_log_is_its_owners_alone(tmp_path):
+    """It is the home, and whatever is done first may be what makes it."""
+    before = os.umask(0)
+    try:
+        task = ChildTask("work", [sys.executable, "-c", ""], tmp_path / "home" / "work.log")
+    finally:
+        os.umask(before)
+    task.wait(20)
+    assert stat.S_IMODE((tmp_path / "home").stat().st_mode) == 0o700
+
+
+@pytest.fixture
+def small_disk():
+    """``with small_disk(BYTES)``: no file of this process may become larger. Raised as a full disk is."""
+    import resource
+
+    @contextmanager
+    def limited(size):
+        before = resource.getrlimit(resource.RLIMIT_FSIZE)
+        ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+        try:
+            yield
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+            signal.signal(signal.SIGXFSZ, ignored)
+
+    return limited
+
+
+def first_word(task):
+    """Wait until the child tells something; what it tells."""
+    events = []
+    until(lambda: events.extend(task.poll()) or events)
+    return events[0]
+
+
+def until(condition, seconds=10.0):
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
