@@ -11,6 +11,7 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
@@ -63,13 +64,14 @@ def seconds_of_import(path: Path) -> float:
     """The operator, as the menu runs it, in an empty file."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     start = time.perf_counter()
-    bpy.ops.physhdr.model_import("EXEC_DEFAULT", True, filepath=str(path))
+    operators: Any = bpy.ops
+    operators.physhdr.model_import("EXEC_DEFAULT", True, filepath=str(path))
     return time.perf_counter() - start
 
 
 def main() -> None:
     after = sys.argv.index("--") + 1 if "--" in sys.argv else 1
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--count", type=int, default=1_000_000, help="Gaussians")
     parser.add_argument("--rounds", type=int, default=3)
     options = parser.parse_args(sys.argv[after:])

@@ -36,7 +36,7 @@ def room(count: int, degree: int = 3):
     spacing = float(np.sqrt(100.0 / count))
     scale = spacing * np.exp(rng.normal(0.0, 0.5, (count, 3)))
     scale[np.arange(count), axis] *= 0.1
-    rotation = np.tile(np.float32([1.0, 0.0, 0.0, 0.0]), (count, 1))
+    rotation = np.tile(np.array([1.0, 0.0, 0.0, 0.0], np.float32), (count, 1))
     return Model(
         position=position.astype(np.float32),
         rotation=rotation,
@@ -68,7 +68,7 @@ def milliseconds(work: Callable[[], object], rounds: int) -> float:
 
 def main() -> None:
     after = sys.argv.index("--") + 1 if "--" in sys.argv else 1
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--count", type=int, default=1_000_000, help="Gaussians")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--size", type=int, nargs=2, default=(960, 540), help="pixels of the view")

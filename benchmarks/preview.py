@@ -119,17 +119,18 @@ class Watcher:
     def watch(self, camera: PreviewCamera, tone: str, seconds: float) -> tuple[float, float, float]:
         """Frames per second, milliseconds of a rendering, training iterations per second meanwhile."""
         frames, rendering = 0, 0.0
-        begun, first = 0.0, 0
+        begun, first, last = 0.0, 0, 0
         while not begun or time.perf_counter() - begun < seconds:
             self._ask(PreviewRequest(sequence=frames, camera=camera, exposure_ev=1.0, tone=tone))
             while (frame := self._next()) is None:
                 pass
+            last = frame.header.iteration
             if not begun:  # the first one warms up and does not count
-                begun, first = time.perf_counter(), frame.header.iteration
+                begun, first = time.perf_counter(), last
                 continue
             frames, rendering = frames + 1, rendering + frame.header.milliseconds
         took = time.perf_counter() - begun
-        return frames / took, rendering / frames, (frame.header.iteration - first) / took
+        return frames / took, rendering / frames, (last - first) / took
 
     def pace(self, seconds: float) -> float:
         """Training iterations per second while nobody looks."""

@@ -35,7 +35,7 @@ CELL = 230
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folder", type=Path, help="a data set")
     parser.add_argument("--view", type=int, default=8, help="number of the test pose")
     parser.add_argument("--out", type=Path, default=Path("docs/images/camera.jpg"), help="the JPEG to write")

@@ -38,7 +38,7 @@ NEAR, FAR = 0.02, 0.98
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folders", nargs="+", type=Path, help="data sets, one a row")
     parser.add_argument("--out", type=Path, default=Path("docs/images/scenes.jpg"), help="the JPEG to write")
     parser.add_argument("--cell", type=int, default=176, help="pixels of a picture's height")
@@ -207,6 +207,7 @@ def save(path: Path, sheet: Image.Image) -> tuple[int, int]:
 
     Raises ``OutputError`` where none does, or the file cannot be written.
     """
+    packed = io.BytesIO()
     for quality in QUALITIES:
         packed = io.BytesIO()
         sheet.save(packed, "JPEG", quality=quality, optimize=True, progressive=True)

@@ -35,7 +35,7 @@ LEVELS = (0.125, 1.0, 8.0)
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--data", type=Path, default=ROOT / "data" / "demo")
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "demo")
     arguments = parser.parse_args()

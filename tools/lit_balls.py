@@ -266,8 +266,8 @@ def _render_in_capture(given: argparse.Namespace, about: dict) -> None:
         scene = bpy.context.scene
         model = model_import.import_model(str(given.model))
         bpy.context.view_layer.objects.active = model
-        operators: Any = bpy.ops.physhdr
-        operators.light_from_here(folder=str(given.probe.resolve()), model=model.name)
+        operators: Any = bpy.ops
+        operators.physhdr.light_from_here(folder=str(given.probe.resolve()), model=model.name)
         modifier = nodes.find_modifier(model)
         assert modifier is not None
         nodes.set_input(modifier, nodes.LIGHTING_LEVEL, level)

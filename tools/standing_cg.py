@@ -121,8 +121,8 @@ def _captured(given: argparse.Namespace, pose: np.ndarray) -> None:
     assert modifier is not None
     nodes.set_input(modifier, nodes.CAMERA_SPLATS, True)
     nodes.set_input(modifier, nodes.IMAGE_WIDTH, round(PIXELS * math.tan(ANGLE / 2) / math.tan(ACROSS / 2)))
-    operators: Any = bpy.ops.physhdr
-    operators.light_from_here(folder=str(given.probe.resolve()), model=model.name)
+    operators: Any = bpy.ops
+    operators.physhdr.light_from_here(folder=str(given.probe.resolve()), model=model.name)
     render.prepare_cycles(scene, given.picture_samples)
     cycles: Any = scene.cycles
     cycles.max_bounces, cycles.pixel_filter_type, cycles.filter_width = 3, "BLACKMAN_HARRIS", 1.5

@@ -144,7 +144,7 @@ def end_on_signals(work: Path, names: list[str]) -> None:
 
 def parser() -> argparse.ArgumentParser:
     made = argparse.ArgumentParser(
-        description=__doc__.splitlines()[0], formatter_class=argparse.ArgumentDefaultsHelpFormatter
+        description=(__doc__ or "").splitlines()[0], formatter_class=argparse.ArgumentDefaultsHelpFormatter
     )
     add = made.add_argument
     add("--only", nargs="+", metavar="NAME", help=f"of: {', '.join(ATTACKS)}; kill-* names several")

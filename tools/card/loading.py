@@ -29,7 +29,7 @@ class Absent(types.ModuleType):
 
     def __init__(self, name: str, *_: Any) -> None:
         super().__init__(name)
-        self.__path__: list[str] = []
+        vars(self)["__path__"] = []  # a package: what is below it may be imported, too
 
     def __getattr__(self, name: str) -> "Absent":
         if name.startswith("__"):

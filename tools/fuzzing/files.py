@@ -52,12 +52,13 @@ def write_jpegs(folder: Path) -> None:
 
     layouts = tests_module("backend/scene/layouts.py")
     rgb = np.random.default_rng(0).integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)
-    for name, mode, options in (
+    kinds: tuple[tuple[str, str, dict[str, Any]], ...] = (
         ("baseline", "RGB", {"quality": 90}),
         ("progressive", "RGB", {"progressive": True, "quality": 60}),
         ("grey", "L", {}),
         ("optimised", "RGB", {"optimize": True, "subsampling": 2}),
-    ):
+    )
+    for name, mode, options in kinds:
         Image.fromarray(rgb).convert(mode).save(folder_in(folder, name) / "picture.jpg", **options)
     layouts.save(folder / "exif" / "picture.jpg", rgb, exif=layouts.camera_exif(0.125))
 
@@ -138,6 +139,7 @@ def write_deep(folder: Path) -> None:
         if compression:
             spec.attribute("compression", compression)
         writer = OpenImageIO.ImageOutput.create(str(place))
+        assert writer is not None, f"OpenImageIO writes no .{suffix}"
         require(writer.open(str(place), spec) and writer.write_image(pixels), "a picture that is written")
         writer.close()
 

@@ -364,14 +364,16 @@ def _attack(attacks: Attack, share: float, scratch: Path) -> None:
     attacks.kind("fragments", times(20), first_frame(fragments, 1009, 1007, 0))
 
     def broken_frame(peer: Raw) -> None:
-        options: tuple[dict[str, Any], ...] = (
+        options: list[dict[str, Any]] = [
             {"opcode": 3},
             {"opcode": 15},
             {"masked": False},
             {"bits": 0x40},
             {"bits": 0x70},
-        )
-        options += ({"opcode": 0}, {"opcode": 9, "final": False}, {"opcode": 8, "final": False})
+            {"opcode": 0},
+            {"opcode": 9, "final": False},
+            {"opcode": 8, "final": False},
+        ]
         peer.send(b"x" * 20, **generator.choice(options))
 
     attacks.kind("broken frames", times(200), first_frame(broken_frame, 1002, 0))

@@ -220,10 +220,11 @@ def _at_rest(process: psutil.Process) -> tuple[int, int]:
 
 def _settled(process: psutil.Process, wanted: tuple[int, int]) -> tuple[int, int]:
     """The same at the end; a connection that was reset is noticed within seconds."""
-    for _ in range(10):
-        told = _at_rest(process)
+    told = _at_rest(process)
+    for _ in range(9):
         if told[0] <= wanted[0] and told[1] <= wanted[1]:
-            return told
+            break
+        told = _at_rest(process)
     return told
 
 

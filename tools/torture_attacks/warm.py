@@ -89,7 +89,7 @@ def _become(asked: dict[str, Any]) -> None:
     except BaseException:  # noqa: BLE001 (what the interpreter does with what nobody catches)
         traceback.print_exc()
     finally:
-        threading._shutdown()
+        threading._shutdown()  # pyright: ignore[reportAttributeAccessIssue] (it is no public name)
         atexit._run_exitfuncs()
         sys.stdout.flush()
         sys.stderr.flush()
