@@ -7,7 +7,6 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
 
 #: The trainer needs 3.11; preferred are versions for which torch and Numba have had wheels for long.
@@ -29,7 +28,6 @@ def find_pythons() -> list[Path]:
     return list(found)
 
 
-@cache
 def working_python(candidate: str) -> Path | None:
     """The interpreter behind ``candidate`` if it runs (pyenv's shims may not) and is new enough."""
     try:

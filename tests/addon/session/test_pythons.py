@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from physhdr.addon.session.pythons import base_of, is_ours
+from physhdr.addon.session.pythons import base_of, is_ours, working_python
 
 
 @pytest.fixture(scope="module")
@@ -24,6 +24,17 @@ def test_the_base_of_an_environment_is_the_python_that_made_it(environment):
     assert base is not None and base.exists() and environment not in base.parents
     assert os.path.samefile(base, os.path.realpath(sys.executable))
     assert base_of("") is base_of("/no/such/bin/python") is None
+
+
+@pytest.mark.skipif(os.name == "nt", reason="a script stands in for a Python")
+def test_a_python_that_was_mended_is_taken(tmp_path):
+    """As Debian's, when its package for environments has been installed meanwhile."""
+    python = tmp_path / "python3.12"
+    python.write_text("#!/bin/sh\nexit 1\n")
+    python.chmod(0o755)
+    assert working_python(str(python)) is None
+    python.write_text(f'#!/bin/sh\nexec "{sys.executable}" "$@"\n')
+    assert working_python(str(python)) == Path(sys.executable)
 
 
 def test_ours_are_in_the_backends_folder(environment):
