@@ -120,7 +120,8 @@ class Client:
                 proxy=None,
                 logger=_silent,
             ) as self._socket:
-                self._converse(self._socket)
+                if not self._closing.is_set():  # before this: nobody could be told to close it
+                    self._converse(self._socket)
         except InvalidStatus as error:
             self._lost(f"it refused the connection ({error.response.status_code})")
         except ConnectionClosed as error:
