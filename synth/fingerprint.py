@@ -1,42 +1,70 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A short name for the state of a user's scene, so that a resumed run does not mix two states in one folder.
 
-It is no proof of sameness (texture files and single vertices are not looked at), but it notices what one
-does between two runs: things moved, added, hidden, lit or coloured otherwise.
+Of all that is rendered it takes in what one does between two runs: things moved, added, hidden, bent or
+scattered otherwise; lights, materials and the world with their nodes; the light paths and the other settings
+that are the user's own; the cameras. It is no proof of sameness: what is in texture files, and single
+vertices within an object's bounds, are not looked at.
 """
 
 import hashlib
 import json
+from collections.abc import Collection, Sequence
+from functools import cache
 from typing import Any
 
 import bpy
 import numpy as np
 
-from .blender import evaluated, mesh_of
-from .user_light import lights, materials
+from .blender import cycles, evaluated, mesh_of
+from .settings import users_own
+from .user_light import lights, materials, photographed
 
+#: What the name begins with: another one took in other things, and cannot be compared with.
+KIND = "b-"
 DIGITS = 4  # significant; drivers and constraints need not give the last bits twice
+#: Who sees an object, and what light meets it.
+_SEEN = (
+    "visible_camera",
+    "visible_diffuse",
+    "visible_glossy",
+    "visible_transmission",
+    "visible_volume_scatter",
+    "visible_shadow",
+    "is_shadow_catcher",
+)
+#: Properties that no picture shows, or that are looked at by themselves: of all data, of all nodes …
+_OF_DATA = {each.identifier for each in bpy.types.ID.bl_rna.properties}
+_OF_DATA |= {"animation_data", "node_tree", "use_nodes"}
+_OF_NODES = {each.identifier for each in bpy.types.Node.bl_rna.properties} | {"image", "node_tree"}
+#: … and of anything.
+_OF_ALL = {"rna_type", "name", "select"}
 
 
 def fingerprint(
-    scene: bpy.types.Scene, layer: bpy.types.ViewLayer, poses: list[np.ndarray], angle_x: float
+    scene: bpy.types.Scene,
+    layer: bpy.types.ViewLayer,
+    poses: list[np.ndarray],
+    lens: Sequence[float],
 ) -> str:
-    """16 hexadecimal digits of objects, lights, materials and world at the current frame, and of the cameras.
+    """``KIND`` and 16 hexadecimal digits of what is rendered at the current frame, and of the cameras.
 
-    ``poses``: camera to world [4, 4]; ``angle_x``: their horizontal field of view in radians.
+    ``poses``: camera to world [4, 4]; ``lens``: their horizontal field of view in radians, and where they
+    begin and cease to see, metres.
     """
-    depsgraph = evaluated(layer)
     world = layer.world_override or scene.world
     state = [
         [[round(value, DIGITS) + 0.0 for value in pose.ravel().tolist()] for pose in poses],
-        _rounded([angle_x]),
-        [_object(item.evaluated_get(depsgraph)) for item in _sorted(scene.objects) if not item.hide_render],
+        _rounded(lens),
+        _objects(scene, layer),
         [_light(light) for light in _sorted(lights(scene, layer))],
-        [_tree(material.node_tree) for material in _sorted(materials(scene, layer))],
-        _tree(world.node_tree) if world else None,
+        [_material(material) for material in _sorted(materials(scene, layer))],
+        [_values(cycles(world)), _values(world.cycles_visibility), _tree(world.node_tree)] if world else None,
         [group.name for group in layer.lightgroups],
+        [_value(scene.path_resolve(path)) for path in users_own()],
+        bpy.data.colorspace.working_space,
     ]
-    return hashlib.sha256(json.dumps(state).encode()).hexdigest()[:16]
+    return KIND + hashlib.sha256(json.dumps(state).encode()).hexdigest()[:16]
 
 
 def _sorted(blocks: Any) -> list[Any]:
@@ -47,16 +75,83 @@ def _rounded(values: Any) -> list[float]:
     return [float(f"{value:.{DIGITS}g}") + 0.0 for value in values]
 
 
-def _object(item: bpy.types.Object) -> list[Any]:
+def _objects(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[Any]:
+    depsgraph, found = evaluated(layer), photographed(scene, layer)
+    rows = []
+    for item in _sorted(found):
+        shown_by = sorted([holder.name_full, count] for holder, count in found[item].items())
+        rows.append([*_object(item.evaluated_get(depsgraph), layer), shown_by])
+    return rows
+
+
+def _object(item: Any, layer: bpy.types.ViewLayer) -> list[Any]:
     size = len(mesh_of(item).vertices) if item.type == "MESH" else 0
     # The translation may be a small rest of large numbers: metres with as many digits behind the point.
-    matrix = [round(value, DIGITS) + 0.0 for row in item.matrix_world for value in row]
+    places = [*item.matrix_world, *item.bound_box]
     slots = [slot.name for slot in item.material_slots]
-    return [item.name_full, item.type, matrix, size, slots, item.lightgroup]
+    ours, linking = item.original, item.light_linking
+    return [
+        item.name_full,
+        item.type,
+        [round(value, DIGITS) + 0.0 for place in places for value in place],
+        size,
+        slots,
+        item.lightgroup,
+        [getattr(item, name) for name in _SEEN],
+        [ours.holdout_get(view_layer=layer), ours.indirect_only_get(view_layer=layer)],
+        [_value(linking.receiver_collection), _value(linking.blocker_collection)],
+        _rounded(item.color),
+        _values(cycles(item)),
+    ]
 
 
 def _light(light: Any) -> list[Any]:
-    return [light.name_full, light.type, _rounded([light.energy, *light.color])]
+    return [light.name_full, _values(light, _OF_DATA), _tree(light.node_tree)]
+
+
+def _material(material: bpy.types.Material) -> list[Any]:
+    return [material.displacement_method, _values(cycles(material)), _tree(material.node_tree)]
+
+
+def _image(image: Any) -> list[str]:
+    # The folder is another one in the copy of a file.
+    space = image.colorspace_settings.name
+    return [image.name_full, bpy.path.basename(image.filepath), space, image.alpha_mode]
+
+
+def _values(owner: Any, but: Collection[str] = ()) -> list[Any]:
+    """What the properties of a part of Blender's data are, those of its own parts too."""
+    return [
+        [name, bpy.path.basename(getattr(owner, name)) if is_path else _value(getattr(owner, name))]
+        for name, is_path in _properties(type(owner))
+        if name not in but
+    ]
+
+
+@cache
+def _properties(kind: Any) -> list[tuple[str, bool]]:
+    """The names of a type's properties that may matter, and whether they are paths."""
+    return [
+        (each.identifier, each.type == "STRING" and each.subtype in ("FILE_PATH", "DIR_PATH"))
+        for each in kind.bl_rna.properties
+        if each.identifier not in _OF_ALL and not each.identifier.startswith("show_")
+    ]
+
+
+def _value(value: Any) -> Any:
+    if value is None or isinstance(value, str | bool | int):
+        return value
+    if isinstance(value, float):
+        return _rounded([value])[0]
+    if isinstance(value, bpy.types.ID | bpy.types.Node):
+        return value.name_full if isinstance(value, bpy.types.ID) else value.name
+    if isinstance(value, set):
+        return sorted(value)
+    if isinstance(value, bpy.types.bpy_prop_collection):
+        return [_values(each) for each in value]
+    if isinstance(value, bpy.types.bpy_struct):
+        return _values(value)
+    return _rounded(np.ravel(value).tolist())
 
 
 def _tree(tree: bpy.types.NodeTree | None) -> list[Any]:
@@ -65,18 +160,15 @@ def _tree(tree: bpy.types.NodeTree | None) -> list[Any]:
     rows = []
     node: Any  # each kind of node and of socket has attributes of its own
     for node in tree.nodes:
-        inputs = []
-        for socket in node.inputs:
-            value = getattr(socket, "default_value", None)
-            if socket.is_linked:
-                inputs.append(
-                    [f"{link.from_node.name}.{link.from_socket.identifier}" for link in socket.links]
-                )
-            elif isinstance(value, float | int):
-                inputs.append(_rounded([value]))
-            elif hasattr(value, "__len__") and not isinstance(value, str):
-                inputs.append(_rounded(value))
-        image = getattr(getattr(node, "image", None), "name_full", "")
+        # Of a colour or a number alone it is the output that has it.
+        inputs = [_socket(socket) for socket in node.inputs or node.outputs]
+        image = _image(node.image) if getattr(node, "image", None) else []
         inside = _tree(node.node_tree) if node.type == "GROUP" else []
-        rows.append([node.name, node.bl_idname, node.mute, inputs, image, inside])
+        rows.append([node.name, node.bl_idname, node.mute, inputs, image, inside, _values(node, _OF_NODES)])
     return sorted(rows, key=lambda row: row[0])
+
+
+def _socket(socket: Any) -> Any:
+    if socket.is_linked and not socket.is_output:
+        return [f"{link.from_node.name}.{link.from_socket.identifier}" for link in socket.links]
+    return _value(getattr(socket, "default_value", None))

@@ -1,9 +1,46 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Which objects renders show, by Blender's switches on objects, collections and view layers."""
 
+from collections import Counter
 from collections.abc import Iterator
+from typing import Any
 
 import bpy
+
+from .blender import evaluated
+
+
+def rendered(
+    scene: bpy.types.Scene, layer: bpy.types.ViewLayer
+) -> dict[bpy.types.Object, Counter[bpy.types.Object]]:
+    """All that a layer renders → what shows it, and how often: the object itself, and those that instance it.
+
+    What is hidden in renders is among them where nodes or particles instance it, which show it all the same.
+    """
+    found: dict[bpy.types.Object, Counter[bpy.types.Object]]
+    found = {item: Counter([item]) for item in in_layer(layer.layer_collection)}
+    # The layer has what views show: of the scene's own objects only those above are rendered, too.
+    hidden = set(scene.objects) - set(found)
+    left_out: dict[bpy.types.Object, set[bpy.types.Object]] = {}
+    each: Any  # an instance's object and what brings it are there while it is looked at
+    for each in evaluated(layer).object_instances:
+        item = each.object.original
+        if not each.is_instance or each.parent is None:
+            if item not in hidden:
+                found.setdefault(item, Counter([item]))
+            continue
+        holder = each.parent.original
+        if holder not in left_out:
+            left_out[holder] = _left_out(holder)
+        if holder not in hidden and item not in left_out[holder]:
+            found.setdefault(item, Counter())[holder] += 1
+    return found
+
+
+def _left_out(holder: bpy.types.Object) -> set[bpy.types.Object]:
+    """What a collection has that its instance ``holder`` shows in views alone."""
+    collection = instanced_by(holder)
+    return set(collection.all_objects) - set(in_collection(collection)) if collection else set()
 
 
 def in_layer(part: bpy.types.LayerCollection) -> Iterator[bpy.types.Object]:

@@ -12,9 +12,9 @@ from typing import Any
 import bpy
 
 from ..bridge.lights import AMBIENT
-from .blender import cycles, evaluated, light_of
+from .blender import cycles, light_of
 from .errors import SceneError, UnknownNameError
-from .in_render import in_collection, in_layer, instanced_by
+from .in_render import rendered
 from .light_names import COLLECTION, GROUP, KINDS, LAMPS, LightChoice, layer_name
 
 STRENGTHS = ("Strength", "Emission Strength")
@@ -113,34 +113,12 @@ def _taken(
 def emitters(
     scene: bpy.types.Scene, layer: bpy.types.ViewLayer
 ) -> dict[bpy.types.Object, set[bpy.types.Object]]:
-    """What shines of all that is rendered → the objects that instance it."""
-    found: dict[bpy.types.Object, set[bpy.types.Object]] = {
-        item: set() for item in in_layer(layer.layer_collection)
-    }
-    # The layer has what views show: of the scene's own objects only those above are rendered, too.
-    hidden = set(scene.objects) - set(found)
-    left_out: dict[bpy.types.Object, set[bpy.types.Object]] = {}
-    each: Any  # an instance's object and what brings it are there while it is looked at
-    for each in evaluated(layer).object_instances:
-        item = each.object.original
-        if not each.is_instance or each.parent is None:
-            if item not in hidden:
-                found.setdefault(item, set())
-            continue
-        holder = each.parent.original
-        if holder not in left_out:
-            left_out[holder] = _left_out(holder)
-        if holder not in hidden and item not in left_out[holder]:
-            found.setdefault(item, set()).add(holder)
+    """What shines of all that is rendered → the objects that show it: itself, and those that instance it."""
     return {
-        item: by for item, by in found.items() if not item.hide_render and (is_lamp(item) or is_sun(item))
+        item: set(by)
+        for item, by in rendered(scene, layer).items()
+        if not item.hide_render and (is_lamp(item) or is_sun(item))
     }
-
-
-def _left_out(holder: bpy.types.Object) -> set[bpy.types.Object]:
-    """What a collection has that its instance ``holder`` shows in views alone."""
-    collection = instanced_by(holder)
-    return set(collection.all_objects) - set(in_collection(collection)) if collection else set()
 
 
 def is_sun(item: bpy.types.Object) -> bool:

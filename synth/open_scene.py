@@ -71,7 +71,7 @@ def opened(options: Options, report: Report) -> Iterator[tuple[Stage, Options]]:
         else:
             counts = options.views, options.lit_views, options.validation_views
             poses = rig.poses(options.camera_rig, hints, *counts)
-        mark = fingerprint(scene, layer, poses.all, hints.angle_x)
+        mark = fingerprint(scene, layer, poses.all, (hints.angle_x, *hints.clip))
         # What is ours goes last on the way out's list, that is first: before the user's is put back.
         undo.enter_context(_ours_removed())
         lights = undo.enter_context(user_light.grouped(scene, layer, options.light_choices))

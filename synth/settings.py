@@ -123,6 +123,32 @@ _USERS = (
     ("cycles.use_sample_subset", False),
 )
 
+#: What a picture of a user's scene depends on, besides the light paths, and is not set.
+_USERS_OWN = (
+    "cycles.min_light_bounces",
+    "cycles.min_transparent_bounces",
+    "cycles.volume_bounces",
+    "cycles.volume_step_rate",
+    "cycles.volume_max_steps",
+    "cycles.volume_biased",
+    "cycles.use_pixel_jitter",
+    "cycles.shading_system",
+    "cycles.dicing_rate",
+    "cycles.offscreen_dicing_scale",
+    "cycles.max_subdivisions",
+    "cycles.texture_limit_render",
+    "cycles.texture_resolution_render",
+    "render.use_simplify",
+    "render.simplify_subdivision_render",
+    "render.simplify_child_particles_render",
+    "render.simplify_volumes",
+)
+
+
+def users_own() -> list[str]:
+    """RNA paths, under the scene, of the settings that a user's scene keeps and its pictures depend on."""
+    return [*(path for path, _ in _LIGHT_PATHS), *_USERS_OWN]
+
 
 def _owner(scene: bpy.types.Scene, path: str) -> tuple[Any, str]:
     holder, _, attribute = path.rpartition(".")

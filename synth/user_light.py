@@ -6,6 +6,7 @@ user chose (``light_choice``) is in groups of ours, too; where nothing was chose
 are further lights, as far as anything in them shines. What is in no group is what remains of the picture.
 """
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
@@ -14,7 +15,8 @@ from typing import Any
 import bpy
 
 from ..bridge.lights import AMBIENT
-from .blender import instanced, light_of
+from .blender import light_of
+from .in_render import rendered
 from .left_out import is_ours
 from .light_choice import LAMPS, LightChoice, gives_light, is_lamp, is_sun, layer_name, shares, shines
 
@@ -98,23 +100,25 @@ def _linked(what: str) -> str:
 
 def _lit_groups(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, names: list[str]) -> list[str]:
     """Those light groups of the user's in which anything but the ambient light shines."""
-    lit = {item.lightgroup for item in _rendered(scene, layer) if item.lightgroup and is_lamp(item)}
+    lit = {item.lightgroup for item in photographed(scene, layer) if item.lightgroup and is_lamp(item)}
     return [name for name in names if name in lit]
 
 
 def _suns(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
-    return [item for item in _rendered(scene, layer) if is_sun(item)]
+    return [item for item in photographed(scene, layer) if is_sun(item)]
 
 
-def _rendered(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
-    """All objects that are rendered, those in instances of collections included, each once."""
-    found = [*scene.objects, *instanced(layer)]
-    return [item for item in dict.fromkeys(found) if not item.hide_render]
+def photographed(
+    scene: bpy.types.Scene, layer: bpy.types.ViewLayer
+) -> dict[bpy.types.Object, Counter[bpy.types.Object]]:
+    """What is rendered (``in_render.rendered``) and is not ours and put away."""
+    found = rendered(scene, layer)
+    return {item: by for item, by in found.items() if not (item.hide_render and is_ours(item))}
 
 
 def lights(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[Any]:
     """The data of all lights that are rendered, those in instances of collections included, each once."""
-    return list(dict.fromkeys(light_of(item) for item in _rendered(scene, layer) if item.type == "LIGHT"))
+    return list(dict.fromkeys(light_of(item) for item in photographed(scene, layer) if item.type == "LIGHT"))
 
 
 def any_light(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bool:
@@ -131,7 +135,5 @@ def any_light(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bool:
 
 def materials(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.types.Material]:
     """The materials of all objects that are rendered, each once."""
-    items = [item for item in scene.objects if not item.hide_render]
-    items += [item for item in instanced(layer) if not (item.hide_render and is_ours(item))]
-    found = [slot.material for item in dict.fromkeys(items) for slot in item.material_slots if slot.material]
-    return list(dict.fromkeys(found))
+    slots = [slot for item in photographed(scene, layer) for slot in item.material_slots]
+    return list(dict.fromkeys(slot.material for slot in slots if slot.material))

@@ -54,7 +54,7 @@ def test_a_scene_that_its_capture_lights_is_photographed_as_it_was(room, make_mo
     def look(name: str) -> tuple[str, np.ndarray]:
         layer.update()
         render.render_exr(room, tmp_path / name)
-        return fingerprint(room, layer, [np.eye(4)], 0.7), render.read_exr(tmp_path / name)
+        return fingerprint(room, layer, [np.eye(4)], (0.7,)), render.read_exr(tmp_path / name)
 
     before, picture = look("before.exr")
     put_ours(room, model_import.import_model(write(make_model(count=20, seed=5))))
