@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from ...bridge.messages import JobStatus
 from ...bridge.run_folder import same_folder
 from .state import CHECK, DATASET, INSTALL, LOOK, PHOTOS, Problem, State
+from .tasks import TASKS
 
 #: What the state of a job is called, for people.
 JOB_WORDS = {
@@ -148,9 +149,7 @@ def why_not(state: State, action: str, choices: Choices | None = None) -> str:
                 return f"Wait for the {busy} to end, or cancel it"
             if not choices.online:
                 return "Blender may not go online: Preferences, System, Network, Allow Online Access"
-            if state.task(LOOK) or state.task(PHOTOS):  # by the environment that would be removed
-                return "Photos are being worked on: wait for that to end, or cancel it"
-            return "Stop the training first" if state.active else ""
+            return _why_not_replace(state)
         case "extend":
             if not state.backend.python:
                 return "Install the backend first"
@@ -171,6 +170,8 @@ def why_not(state: State, action: str, choices: Choices | None = None) -> str:
         case "stop":
             return _why_not_steer(state) or ("" if state.active else "Nothing is training")
         case "open":
+            if busy:
+                return f"Wait for the {busy} to end"
             if not state.backend.ready:
                 return "Install the backend first"
             if state.active:
@@ -200,6 +201,24 @@ def why_not(state: State, action: str, choices: Choices | None = None) -> str:
         case "photos":
             return _why_not_photos(state, busy) or _why_not_prepare(state, choices)
     raise ValueError(f"there is no action {action!r}")
+
+
+def _why_not_replace(state: State) -> str:
+    """Why the backend's environment cannot give way to another one: because something works by it.
+
+    A backend that is idle is no hindrance, where it is ours to shut down (``transition``).
+    """
+    # All but Blender's own work.
+    at_work = next((words for name, words, _ in TASKS if name != DATASET and state.task(name)), "")
+    if at_work:
+        return f"The backend is at work ({at_work}): wait for that to end, or cancel it"
+    if state.active:
+        return "Stop the training first"
+    if state.link.status == "connected":
+        return _why_not_steer(state)
+    if state.link.status != "off":
+        return "The backend starts: wait until it has"
+    return "The backend does not answer: end it first" if state.link.pid else ""
 
 
 def _why_not_steer(state: State) -> str:

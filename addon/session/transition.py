@@ -80,7 +80,10 @@ def transition(state: State, event: Event) -> Result:
         case TaskStarted(name, log):
             tasks = (*_others(state, name), Running(name, log))
             made = Prepared() if name == PHOTOS else state.prepared
-            return replace(state, tasks=tasks, prepared=made, problem=None), ()
+            # An idle backend goes: the environment that it runs by is replaced.
+            must_end = name == INSTALL and state.link.status == "connected"
+            effects = (Send(Shutdown()),) if must_end else ()
+            return replace(state, tasks=tasks, prepared=made, problem=None), effects
         case TaskProgress(name, fraction, message, left):
             return _with_task(state, name, fraction=fraction, message=message, seconds_left=left), ()
         case TaskCancelled(name):

@@ -38,6 +38,7 @@ from physhdr.addon.session.state import (
     Vanished,
 )
 from physhdr.addon.session.task import TaskEnded, TaskProgress
+from physhdr.addon.session.tasks import TASKS
 from physhdr.addon.session.transition import transition
 from physhdr.bridge.messages import (
     Done,
@@ -199,11 +200,39 @@ def test_a_cancelled_look_is_not_begun_again():
     assert left.photos == Photos()
 
 
-def test_the_environment_at_work_on_photos_is_not_replaced():
-    for name in ("look", "photos"):
-        state, _ = transition(READY, TaskStarted(name, "/log"))
-        assert "wait for that" in why_not(state, "install") and "wait for that" in why_not(state, "extend")
-    assert why_not(READY, "install") == why_not(READY, "extend") == ""
+def test_the_environment_is_not_replaced_while_anything_works_by_it():
+    for name, words, _ in TASKS:
+        state, _ = after(READY, TaskStarted(name, "log"))
+        told = {why_not(state, "install"), why_not(state, "extend")}
+        if name in ("install", "check"):
+            assert told == {f"Wait for the {name} to end, or cancel it"}
+        elif name == "dataset":
+            assert told == {""}  # Blender's own work
+        else:
+            assert told == {f"The backend is at work ({words}): wait for that to end, or cancel it"}
+    assert why_not(training(), "install") == "Stop the training first"
+    starting, _ = after(READY, Asked(START), Started("log"))
+    assert "wait until it has" in why_not(replace(starting, job=JobStatus()), "install")
+    hangs, _ = after(connected(), LinkLost("it does not answer"))
+    assert "end it first" in why_not(hangs, "install")
+
+
+def test_an_idle_backend_is_shut_down_before_its_environment_is_replaced():
+    job = JobStatus(state="open", run="/run", has_model=True, in_control=True)
+    state, _ = after(connected(), Received(job))
+    assert why_not(state, "install") == ""
+    watching, _ = after(state, Received(replace(job, in_control=False, controller="Blender 2")))
+    assert "Blender 2 is in control" in why_not(watching, "install")
+    state, effects = after(state, TaskStarted("install", "log"))
+    assert effects == [Send(Shutdown())]
+    state, _ = after(state, LinkLost("Blender shut the backend down", clean=True))
+    # Nothing begins another one meanwhile.
+    choices = replace(CHOICES, out_has_run=True)
+    assert all(
+        "Wait for the install" in why_not(state, each, choices) for each in ("start", "resume", "open")
+    )
+    assert after(READY, TaskStarted("install", "log"))[1] == []
+    assert after(connected(), TaskStarted("check", "log"))[1] == []
 
 
 @pytest.mark.parametrize("value", [None, "x", 3, True, [1], {"a": 1}, [{"name": 1}], float("nan")])
