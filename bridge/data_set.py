@@ -73,6 +73,16 @@ def has_split(root: Path, split: str) -> bool:
     return any((root / name).exists() for name in (transforms_file(split), exposure_file(split)))
 
 
+def is_layout(root: Path) -> bool:
+    """Whether a folder has this layout: poses of training views, and exposures or a ``dataset.json``.
+
+    A ``transforms_train.json`` with neither is of NeRF's synthetic scenes, one picture a pose.
+    """
+    named = (INFO_FILE, PARTIAL_FILE, *map(exposure_file, SPLITS))
+    there = (root / transforms_file(TRAIN)).exists()
+    return there and any((root / name).exists() for name in named)
+
+
 def splits_there(root: Path) -> list[str]:
     """The splits that a folder of this layout has, or has half of.
 

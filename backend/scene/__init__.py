@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ...bridge.errors import FileMissingError
-from . import colmap, gausshdr, hdr_gs, hdr_nerf_real, hdr_nerf_syn, nerfstudio
+from . import colmap, gausshdr, hdr_gs, hdr_nerf_real, hdr_nerf_syn, nerf, nerfstudio
 from .camera import Camera
 from .meaning import with_meaning
 from .scene import Points, Scene, View
@@ -30,7 +30,7 @@ class Reader:
 #: Every layout that is understood, in the order in which they are tried. A new one is one file and one line.
 READERS = tuple(
     Reader(module.NAME, module.LOOKS_FOR, module.is_mine, module.read_scene)
-    for module in (hdr_nerf_syn, hdr_nerf_real, gausshdr, hdr_gs, colmap, nerfstudio)
+    for module in (hdr_nerf_syn, hdr_nerf_real, gausshdr, hdr_gs, colmap, nerf, nerfstudio)
 )
 
 

@@ -28,7 +28,7 @@ from .scene import Scene
 
 NAME = "HDR-NeRF-Syn"
 #: What a folder must hold to be taken for this layout.
-LOOKS_FOR = data_set.transforms_file(data_set.TRAIN)
+LOOKS_FOR = f"{data_set.transforms_file(data_set.TRAIN)} and {data_set.exposure_file(data_set.TRAIN)}"
 #: The name of the layout where a ``dataset.json`` says that the data are ours.
 OURS = "PhysHDR"
 #: HDR-NeRF's pictures as they are downloaded, and its ``half_res``.
@@ -36,8 +36,8 @@ ORIGINAL_SIZE, ORIGINAL_REDUCTION = (800, 800), 2.0
 
 
 def is_mine(root: Path) -> bool:
-    """Whether ``root`` looks like this layout."""
-    return (root / LOOKS_FOR).exists()
+    """Whether ``root`` looks like this layout: NeRF's synthetic scenes have such files, too (``nerf.py``)."""
+    return data_set.is_layout(root)
 
 
 def read_scene(root: Path, downscale: float | None = None) -> Scene:

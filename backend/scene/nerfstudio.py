@@ -82,7 +82,11 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
     ``DataMismatchError`` or ``BadValueError``, each naming the file, the entry and the remedy.
     """
     path = root / LOOKS_FOR
-    content = read_json(path)
+    return scene_of(root, path, read_json(path), downscale)
+
+
+def scene_of(root: Path, path: Path, content: dict[str, Any], downscale: float | None) -> Scene:
+    """As ``read_scene``, of what ``path`` holds; the first of the scene's messages tells its split."""
     listed = _frames(root, path, content)
     sizes, faults = sizes_of(file for file, _ in listed)
     skipped = skipped_in_words("frames", len(listed), faults, root, len(sizes) / len(listed))

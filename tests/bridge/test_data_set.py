@@ -70,6 +70,16 @@ def test_a_validation_split_without_exposures_is_one_only_in_data_of_ours(tmp_pa
     assert data_set.splits_there(tmp_path) == ["train", "lit", "val"]
 
 
+@pytest.mark.parametrize("beside", ["exposure_test.json", "dataset.json", "dataset.partial.json"])
+def test_poses_alone_are_nerfs(tmp_path: Path, beside: str) -> None:
+    (tmp_path / beside).touch()
+    assert not data_set.is_layout(tmp_path)
+    (tmp_path / "transforms_train.json").touch()
+    assert data_set.is_layout(tmp_path)
+    (tmp_path / beside).unlink()
+    assert not data_set.is_layout(tmp_path)
+
+
 def test_what_is_no_number_of_a_pose_is_none() -> None:
     assert [data_set.truth_number(name) for name in ("hdr_003.exr", "hdr_1234.exr")] == [3, 1234]
     for name in ("hdr_.exr", "hdr_x.exr", "hdr_003.png", "hdr_" + "9" * 5000 + ".exr"):

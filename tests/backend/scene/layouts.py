@@ -198,6 +198,25 @@ def write_syn(root: Path, scale: float = 1.0, exposures=EXPOSURES) -> Path:
     return root
 
 
+def write_nerf(root: Path, splits: Mapping[str, tuple[int, ...]] | None = None) -> Path:
+    """NeRF's synthetic scenes: a picture a pose, of RGBA, the left eighth of which is transparent."""
+    splits = splits or {"train": (0, 2, 4, 10), "val": (5,), "test": (1, 3)}
+    for split, poses in splits.items():
+        frames = []
+        for index in poses:
+            picture = draw(index, 0, 1.0, (FX, FX, WIDTH / 2, HEIGHT / 2))
+            alpha = np.full_like(picture[..., :1], 255)
+            alpha[:, : WIDTH // 8] = 0
+            path = root / split / f"r_{index}.png"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            Image.fromarray(np.dstack([picture, alpha])).save(path)
+            pose = camera_to_world_opengl(index).tolist()
+            frames.append({"file_path": f"./{split}/r_{index}", "rotation": 0.01, "transform_matrix": pose})
+        content = {"camera_angle_x": 2.0 * float(np.arctan(0.5 * WIDTH / FX)), "frames": frames}
+        (root / f"transforms_{split}.json").write_text(json.dumps(content))
+    return root
+
+
 def llff_row(index: int, seconds: float, scale: float = 1.0) -> np.ndarray:
     """A row of ``poses_bounds_exps.npy``: axes down, right, backwards; the principal point is the centre."""
     rotation, translation = world_to_camera(index)

@@ -114,7 +114,7 @@ def test_missing_folder(tmp_path: Path) -> None:
 
 
 def test_empty_folder(tmp_path: Path) -> None:
-    refusal(tmp_path, FileMissingError, str(tmp_path), "is empty", "transforms_train.json (HDR-NeRF-Syn)")
+    refusal(tmp_path, FileMissingError, str(tmp_path), "is empty", "exposure_train.json (HDR-NeRF-Syn)")
 
 
 def test_a_folder_of_something_else(tmp_path: Path) -> None:

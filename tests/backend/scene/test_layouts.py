@@ -31,6 +31,7 @@ from physhdr.bridge.errors import BadValueError
 HIT = 0.06
 
 WRITERS = ["write_syn", "write_real", "write_gausshdr", "write_hdr_gs", "write_colmap", "write_nerfstudio"]
+WRITERS += ["write_nerf"]
 
 
 def assert_points_are_on_their_spots(layouts: ModuleType, scene: Scene) -> None:
@@ -67,6 +68,7 @@ def test_points_project_onto_their_pictures(
         ("write_hdr_gs", "HDR-GS", [0, 10, 2, 4, 6, 8], [1, 11, 3, 5, 7, 9], (1.0, 0.73)),
         ("write_colmap", "COLMAP", [0, 1, 2, 3, 5, 6, 7, 8, 9], [4], None),
         ("write_nerfstudio", "nerfstudio", [0, 1, 2, 3, 5, 6, 7, 8], [4], None),
+        ("write_nerf", "NeRF-Synthetic", [0, 2, 4, 10], [1, 3], None),
     ],
 )
 def test_each_layout_has_its_split_and_anchor(
