@@ -14,7 +14,7 @@ from bpy.app.handlers import persistent
 from ...synth.in_render import in_layer
 from ...synth.objects import SURFACES
 from ..blender import curve_of
-from ..model.look import is_model
+from ..model.look import is_model, models_among
 from .placement import capture_of, key_of, settings_of
 
 #: The property of a scene that holds its ``PHYSHDR_Originals``.
@@ -77,7 +77,7 @@ def of_models(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     Where neither is of a data set of this scene, those of its data set chosen in the panel; each once.
     """
     datasets = originals_of(scene).datasets
-    shown = {capture_of(item) for item in scene.objects if is_model(item)}
+    shown = {capture_of(item) for item in models_among(scene.objects)}
     settings = settings_of(scene)
     chosen = key_of(bpy.path.abspath(settings.data)) if settings.data else ""
     if settings.preview or not any(entry.name in shown for entry in datasets):
@@ -104,7 +104,7 @@ def is_offered(scene: bpy.types.Scene) -> bool:
     settings = settings_of(scene)
     if settings.preview and settings.data and key_of(bpy.path.abspath(settings.data)) in datasets:
         return True
-    return any(is_model(item) and capture_of(item) in datasets for item in scene.objects)
+    return any(capture_of(item) in datasets for item in models_among(scene.objects))
 
 
 def hide(scene: bpy.types.Scene, lights: bool = True) -> int:

@@ -17,7 +17,7 @@ import numpy as np
 from ...bridge.run_folder import data_of as data_of_run
 from ..blender import cloud_of
 from ..model.attributes import CAPTURE, FILE
-from ..model.look import is_model
+from ..model.look import models_among
 from ..rendering.render import to_matrix
 from ..settings import SETTINGS
 from . import similarity
@@ -64,8 +64,8 @@ def matrix_of(scene: bpy.types.Scene, capture: str) -> np.ndarray:
 
 def models_of(scene: bpy.types.Scene, capture: str) -> Iterator[bpy.types.Object]:
     """The scene's models of a capture; not those that are linked from another file."""
-    for target in scene.objects:
-        if is_model(target) and target.library is None and capture_of(target) == capture:
+    for target in models_among(scene.objects):
+        if target.library is None and capture_of(target) == capture:
             yield target
 
 

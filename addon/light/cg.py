@@ -28,7 +28,7 @@ from ...bridge.errors import DataMismatchError, FileMissingError
 from ..blender import cloud_of
 from ..capture.picking import surface_along_ray
 from ..model.attributes import BASE, POSITION, ROTATION, SCALE
-from ..model.look import is_model
+from ..model.look import file_has_model, is_model
 from ..model.point_cloud import read_attribute
 from . import cg_compositor
 
@@ -64,7 +64,7 @@ def top_of(ground: bpy.types.Object) -> bpy.types.Object | None:
 
 def models_of(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     """Objects that show models: themselves, or as instances of a collection with one in it."""
-    return [each for each in scene.objects if shows_model(each)]
+    return [each for each in scene.objects if shows_model(each)] if file_has_model() else []
 
 
 def shows_model(target: bpy.types.Object) -> bool:

@@ -6,7 +6,7 @@ reads them from here.
 
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, TypeGuard
@@ -53,6 +53,18 @@ class Look:
 def is_model(target: bpy.types.Object | None) -> TypeGuard[bpy.types.Object]:
     """Whether an object is an imported model (or a copy of one)."""
     return target is not None and target.type == "POINTCLOUD" and IDENTITY in cloud_of(target)
+
+
+def file_has_model() -> bool:
+    """Whether there is a model anywhere in the file, linked ones included. Panels ask at every redraw, and
+    point clouds are few where objects are many."""
+    return any(IDENTITY in cloud for cloud in bpy.data.pointclouds)
+
+
+def models_among(objects: Iterable[bpy.types.Object]) -> Iterator[bpy.types.Object]:
+    """Those of some objects that are models (20,000 objects: 6 ms; none where the file has no model)."""
+    if file_has_model():
+        yield from (each for each in objects if each.type == "POINTCLOUD" and is_model(each))
 
 
 def is_of_run(target: bpy.types.Object | None, run: str) -> TypeGuard[bpy.types.Object]:

@@ -8,6 +8,7 @@ from mathutils import Vector
 
 from ...bridge.errors import PhysHDRError
 from ..light import cg
+from ..rendering.render_setup import has_model
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import PropertyFlagItems
@@ -67,7 +68,7 @@ class PHYSHDR_OT_cg_here(bpy.types.Operator):
         if context.mode != "OBJECT":
             cls.poll_message_set("Leave edit mode first (Tab)")
             return False
-        if not cg.models_of(context.scene):
+        if not has_model(context.scene):
             cls.poll_message_set("Import a trained model first")
             return False
         return True

@@ -10,7 +10,7 @@ from ...bridge.errors import BadValueError, FileMissingError, PhysHDRError
 from ..blender import layout_of
 from ..capture import placement
 from ..capture.dataset_cameras import first_of, import_cameras, take_size
-from ..model.look import is_model
+from ..model.look import models_among
 from ..rendering import develop
 from ..rendering.render_setup import (
     has_model,
@@ -26,7 +26,7 @@ def model_for(context: bpy.types.Context) -> bpy.types.Object | None:
     """The model that is meant: the active one, or the one whose instance is active, else one that the render
     shows, else any of the scene."""
     shown = models_of(context.object) or models_in_render(context.scene)
-    return shown[0] if shown else next((each for each in context.scene.objects if is_model(each)), None)
+    return shown[0] if shown else next(models_among(context.scene.objects), None)
 
 
 class PHYSHDR_OT_render_setup(bpy.types.Operator):

@@ -5,6 +5,7 @@ import bpy
 
 from ..blender import layout_of
 from ..light import cg
+from ..rendering.render_setup import has_model
 from .parts import Subpanel, write
 
 
@@ -14,7 +15,7 @@ class PHYSHDR_PT_cg(Subpanel, bpy.types.Panel):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return bool(cg.models_of(context.scene))
+        return has_model(context.scene)
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, scene = layout_of(self), context.scene

@@ -15,7 +15,7 @@ import bpy
 from ...synth.in_render import in_collection, in_layer, instanced_by
 from ..blender import curve_of, render_size, settings_of_cycles
 from ..model import nodes
-from ..model.look import is_model
+from ..model.look import file_has_model, is_model, models_among
 from ..model.material import materials_in
 from . import develop
 from .render import CERTAIN_BOUNCES, TRANSPARENT_BOUNCES, let_rays_pass, sample_centres
@@ -70,11 +70,14 @@ def models_in_render(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     """The models that a render of the scene shows, instances of collections included, each once."""
     found: dict[bpy.types.Object, None] = {}
     seen: set[str] = set()
+    if not file_has_model():
+        return []
     for layer in scene.view_layers:
         if layer.use:
             for each in in_layer(layer.layer_collection):
-                found |= dict.fromkeys(_with_instances(each, seen))
-    return [each for each in found if is_model(each)]
+                if each.type == "POINTCLOUD" or instanced_by(each) is not None:  # few, of many objects
+                    found |= dict.fromkeys(_with_instances(each, seen))
+    return list(models_among(found))
 
 
 def _with_instances(each: bpy.types.Object, seen: set[str]) -> Iterator[bpy.types.Object]:
@@ -98,7 +101,7 @@ def models_of(item: bpy.types.Object | None) -> list[bpy.types.Object]:
 
 def has_model(scene: bpy.types.Scene) -> bool:
     """Whether there is any model in the scene, shown or not."""
-    return any(is_model(each) for each in scene.objects) or bool(models_in_render(scene))
+    return file_has_model() and (any(models_among(scene.objects)) or bool(models_in_render(scene)))
 
 
 # ---- what belongs to an object -----------------------------------------------------------------------------

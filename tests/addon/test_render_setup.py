@@ -14,7 +14,8 @@ bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, o
 
 import physhdr  # noqa: E402
 from physhdr.addon.blender import render_size  # noqa: E402
-from physhdr.addon.model import material, model_import, nodes  # noqa: E402
+from physhdr.addon.light import cg  # noqa: E402
+from physhdr.addon.model import look, material, model_import, nodes  # noqa: E402
 from physhdr.addon.rendering import render, render_setup  # noqa: E402
 
 SIZE = 64
@@ -153,6 +154,33 @@ def test_each_instanced_collection_is_gone_through_once(room, registered, monkey
     monkeypatch.setattr(render_setup, "in_collection", counted)
     assert render_setup.models_in_render(registered) == [room]
     assert len(gone_through) == len(set(gone_through)) == 20
+
+
+def test_panels_look_at_no_object_where_the_file_has_no_model(scene, monkeypatch):
+    """They ask at every redraw, however many objects there are."""
+
+    def looked(*_):
+        raise AssertionError("an object was looked at")
+        yield
+
+    scene.collection.objects.link(bpy.data.objects.new("other", None))
+    monkeypatch.setattr(render_setup, "in_layer", looked)
+    monkeypatch.setattr(cg, "shows_model", looked)
+    assert not any(look.models_among(looked()))
+    assert not render_setup.has_model(scene) and not render_setup.models_in_render(scene)
+    assert not cg.models_of(scene)
+
+
+def test_of_many_objects_panels_look_closely_at_few(room, registered, monkeypatch):
+    mesh = bpy.data.meshes.new("mesh")
+    for _ in range(50):
+        registered.collection.objects.link(bpy.data.objects.new("other", mesh))
+    seen = []
+    is_model = look.is_model
+    monkeypatch.setattr(look, "is_model", lambda target: seen.append(target) or is_model(target))
+    assert render_setup.models_in_render(registered) == [room]
+    assert list(look.models_among(registered.objects)) == [room] and render_setup.has_model(registered)
+    assert set(seen) == {room}
 
 
 def test_set_up_lowers_nothing(room, registered):
