@@ -19,6 +19,10 @@ from ..settings import RUN, PHYSHDR_Settings
 #: Seconds for which a proposal stands before the disk is looked at again: panels ask at every redraw.
 PROPOSAL_SECONDS = 1.0
 
+#: A model of another file is left alone where what is set of it would not be saved.
+OVERRIDE = "Make a library override of it: Object, Library Override."
+LINKED = f"The model is linked from another file. {OVERRIDE}"
+
 _proposals: dict[tuple[str, str], tuple[float, str]] = {}
 
 

@@ -21,7 +21,7 @@ from ..capture.captures import camera_places
 from ..capture.picking import surface_along_ray
 from ..model.look import is_model
 from ..viewport.splat_data import is_splats, read_arrays
-from .base import OnModel
+from .base import LINKED, OnModel
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import PropertyFlagItems
@@ -54,6 +54,9 @@ class _OnCapture(OnModel):
             return False
         if not is_model(context.object):
             cls.poll_message_set("Select an imported model first")
+            return False
+        if context.object.library is not None:
+            cls.poll_message_set(LINKED)
             return False
         return True
 

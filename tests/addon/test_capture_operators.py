@@ -313,6 +313,26 @@ def test_a_model_that_hangs_on_a_later_one_is_scaled_once(registered, run, betwe
         np.testing.assert_allclose(each.matrix_world, np.diag([2.0, 2.0, 2.0, 1.0]) @ was, atol=CLOSE)
 
 
+def test_a_linked_model_has_no_scale_of_its_own_here(registered, run, tmp_path):
+    """Where it stands is the other file's, and is not saved here; a library override's is."""
+    load(run[0], "theirs")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "theirs.blend"))
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    with bpy.data.libraries.load(str(tmp_path / "theirs.blend"), link=True) as (_, wanted):
+        wanted.objects = ["theirs"]
+    (linked,) = wanted.objects
+    scene = bpy.context.scene
+    scene.collection.objects.link(linked)
+    bpy.context.view_layer.objects.active = linked
+    given = {"first": (0, 0, 0), "second": (1, 0, 0), "distance": 2.0}
+    with pytest.raises(RuntimeError, match="linked from another file"):
+        bpy.ops.physhdr.capture_scale(**given)
+    assert len(scene.physhdr.captures) == 0
+    bpy.context.view_layer.objects.active = override = linked.override_create(remap_local_usages=True)
+    assert bpy.ops.physhdr.capture_scale(**given) == {"FINISHED"}
+    assert tuple(override.scale) == pytest.approx((2.0,) * 3)
+
+
 def test_the_live_preview_is_drawn_where_the_model_is(registered, run):
     """A point of the capture, seen by the view's camera in the world and by the camera that is asked for."""
     from types import SimpleNamespace
