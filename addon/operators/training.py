@@ -24,7 +24,7 @@ from .. import settings
 from ..paths import absolute, is_nowhere
 from ..runtime import session
 from ..session.advice import problem_of
-from ..session.state import Problem, State, StopAsked
+from ..session.state import EndAsked, Problem, State, StopAsked
 from .base import PhysHDROperator, has_run, moved_data, proposed_run
 
 if TYPE_CHECKING:
@@ -264,7 +264,7 @@ class PHYSHDR_OT_train_continue(PhysHDROperator):
 
 
 class PHYSHDR_OT_train_stop(PhysHDROperator):
-    """Save a checkpoint and stop. Pressed again while it stops: end the backend's process at once"""
+    """Save a checkpoint and stop"""
 
     bl_idname = "physhdr.train_stop"
     bl_label = "Stop"
@@ -272,6 +272,19 @@ class PHYSHDR_OT_train_stop(PhysHDROperator):
 
     def run(self, context: bpy.types.Context) -> set[str]:
         session().dispatch(StopAsked())
+        return {"FINISHED"}
+
+
+class PHYSHDR_OT_train_end(PhysHDROperator):
+    """Do not wait until it has saved and stopped: end the backend's process at once. What was trained since
+    the last checkpoint is lost"""
+
+    bl_idname = "physhdr.train_end"
+    bl_label = "End Now"
+    action = "end"
+
+    def run(self, context: bpy.types.Context) -> set[str]:
+        session().dispatch(EndAsked())
         return {"FINISHED"}
 
 
@@ -409,6 +422,7 @@ _CLASSES = (
     PHYSHDR_OT_train_pause,
     PHYSHDR_OT_train_continue,
     PHYSHDR_OT_train_stop,
+    PHYSHDR_OT_train_end,
     PHYSHDR_OT_run_open,
     PHYSHDR_OT_result_import,
     PHYSHDR_OT_wait,

@@ -2,7 +2,7 @@
 """A training: what is trained, steering it, its curves and its result.
 
 Every button has its place for good, and is greyed where it can do nothing: what stands under the mouse must
-not change when it is pressed. What comes and goes (curves, reasons) is below.
+not change when it is pressed. What comes and goes (curves, reasons, the end of what takes long) is below.
 """
 
 import bpy
@@ -38,9 +38,10 @@ class PHYSHDR_PT_training(Subpanel, bpy.types.Panel):
         row = column.row(align=True)
         button(context, row, state, "pause", "physhdr.train_pause", "Pause", "NONE")
         button(context, row, state, "continue", "physhdr.train_continue", "Continue", "NONE")
-        text = "End Now" if state.stopping else "Stop"
-        button(context, row, state, "stop", "physhdr.train_stop", text, "NONE")
+        button(context, row, state, "stop", "physhdr.train_stop", "Stop", "NONE")
         draw_result(context, layout, state)
+        if state.stopping:
+            button(context, layout, state, "end", "physhdr.train_end", "End Now", "CANCEL")
         if not state.active:
             reasons(context, layout, state, "start")
         draw_curves(context, layout, state, settings)

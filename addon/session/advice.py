@@ -168,7 +168,10 @@ def why_not(state: State, action: str, choices: Choices | None = None) -> str:
         case "continue":
             return _why_not_steer(state) or ("" if state.job.state == "paused" else "Nothing is paused")
         case "stop":
-            return _why_not_steer(state) or ("" if state.active else "Nothing is training")
+            hindrance = "It is stopping" if state.stopping else ""
+            return _why_not_steer(state) or (hindrance if state.active else "Nothing is training")
+        case "end":
+            return _why_not_steer(state) or ("" if state.stopping else "Stop the training first")
         case "open":
             if busy:
                 return f"Wait for the {busy} to end"

@@ -137,7 +137,7 @@ class State:
 
     ``waiting``: requests to be sent once there is a connection. ``beginning``: the request for a new job that
     is not answered yet; until then what the backend says of its job is of the former one. ``stopping``:
-    whether the user has asked the training to stop; a second time ends the process. ``read``: the job's
+    whether the user has asked the training to stop, and may end the process now. ``read``: the job's
     failure that the user has dismissed; the backend goes on telling it.
     """
 
@@ -199,7 +199,12 @@ class Asked:
 
 @dataclass(frozen=True)
 class StopAsked:
-    """The user wants the training to end: a first time to save and stop, a second time at once."""
+    """The user wants the training to save and stop."""
+
+
+@dataclass(frozen=True)
+class EndAsked:
+    """The user does not wait until it has saved: the backend's process is to end at once."""
 
 
 @dataclass(frozen=True)
@@ -297,6 +302,7 @@ Event = (
     | TaskEnded
     | Asked
     | StopAsked
+    | EndAsked
     | Found
     | Started
     | Connected

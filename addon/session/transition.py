@@ -38,6 +38,7 @@ from .state import (
     DatasetChosen,
     Dismissed,
     Effect,
+    EndAsked,
     Event,
     FileOpened,
     Found,
@@ -93,7 +94,11 @@ def transition(state: State, event: Event) -> Result:
         case Asked(request):
             return _asked(state, request)
         case StopAsked():
-            return _stop_asked(state)
+            if state.link.status != "connected":
+                return state, ()
+            return replace(state, stopping=True), (Send(TrainStop()),)
+        case EndAsked():
+            return state, (KillBackend(state.link.pid),) if state.stopping and state.link.pid else ()
         case Found(log, pid):
             if state.link.status in ("connecting", "connected"):
                 return state, ()
@@ -216,14 +221,6 @@ def _asked(before: State, request: Request) -> Result:
         return state, (KillBackend(before.link.pid),) if before.link.pid else ()
     state = replace(state, waiting=(*state.waiting, request))
     return state, (StartBackend(),) if state.link.status == "off" else ()
-
-
-def _stop_asked(state: State) -> Result:
-    if state.link.status != "connected":
-        return state, ()
-    if state.stopping and state.link.welcome:
-        return state, (KillBackend(state.link.welcome.pid),)
-    return replace(state, stopping=True), (Send(TrainStop()),)
 
 
 def _connected(state: State, welcome: Welcome) -> Result:

@@ -406,7 +406,12 @@ def test_nothing_of_the_training_stands_elsewhere_while_it_goes_on(chosen):
     assert enabled["ready"] == {"train_start"}
     assert enabled["training"] == enabled["preparing"] == {"train_pause", "train_stop"}
     assert enabled["paused"] == {"train_continue", "train_stop"}
-    assert "train_start" in enabled["finished"]
+    assert "train_start" in enabled["finished"] and enabled["stopping"] == set()
+    # What ends the process is never where Stop was when it was pressed, and its room is below.
+    with_end = {name for name in names if ("operator", "physhdr.train_end") in places[name]}
+    assert with_end == {"stopping"} and places["stopping"]["operator", "physhdr.train_end"][1]
+    above = [places["stopping"]["operator", f"physhdr.{each}"][0] for each in (*wanted, "result_import")]
+    assert places["stopping"]["operator", "physhdr.train_end"][0] > max(above)
     # What stands above it keeps its height as well: the first panel, whose bar comes and goes.
     heights = {name: height(draw(PHYSHDR_PT_train, found[name]))[1] for name in (*names, "checking")}
     assert max(heights.values()) == pytest.approx(min(heights.values())), heights

@@ -13,6 +13,7 @@ from physhdr.addon.session.state import (
     Connected,
     Dataset,
     Dismissed,
+    EndAsked,
     FileOpened,
     Found,
     KeepReport,
@@ -323,12 +324,20 @@ def test_what_could_not_be_taken_into_the_scene_is_shown_until_it_is_read():
     assert problem_of(after(state, Dismissed())[0]) is None
 
 
-def test_a_second_stop_ends_the_process():
+def test_who_does_not_wait_for_a_stop_ends_the_process():
+    assert "Stop the training first" in why_not(training(), "end") and after(training(), EndAsked())[1] == []
     state, effects = after(training(), StopAsked())
     assert effects == [Send(TrainStop())] and headline(state) == "Saving and stopping"
     late = JobStatus(state="training", run="/run", iteration=41, iterations=100, in_control=True)
-    state, effects = after(state, Received(late), StopAsked())
-    assert effects == [KillBackend(4242)]
+    state, effects = after(state, Received(late))
+    assert why_not(state, "end") == ""
+    assert after(state, EndAsked())[1] == [KillBackend(4242)]
+
+
+def test_a_double_click_on_stop_stops_as_one_does():
+    state, effects = after(training(), StopAsked(), StopAsked())
+    assert KillBackend(4242) not in effects
+    assert why_not(state, "stop") == "It is stopping" and why_not(training(), "stop") == ""
 
 
 def test_a_stop_that_was_heeded_is_over():
