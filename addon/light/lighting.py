@@ -28,10 +28,11 @@ Mirrors = Literal["ENVIRONMENT", "SPLATS"]
 #: Custom properties of a world that is lit by a capture: the model, the former world (if there was one), and
 #: what is measured from for the weights of several probes.
 MODEL, FORMER, SUBJECT = LIGHT_MODEL, FORMER_WORLD, "physhdr_light_subject"
+#: And the visibility to rays that the model had before. Older versions kept it on the model: with a library
+#: override that is not saved.
+VISIBILITY = "physhdr_former_visibility"
 #: Custom property of our nodes in it.
 OURS = "physhdr_light"
-#: Custom property of a model: the visibility to rays that it had before.
-VISIBILITY = "physhdr_former_visibility"
 #: The rays that would see the model beside the environment; mirrors and glass may be let see it.
 LIGHTING_RAYS = ("visible_diffuse", "visible_volume_scatter", "visible_shadow")
 MIRROR_RAYS = ("visible_glossy", "visible_transmission")
@@ -67,13 +68,15 @@ def light(
             )
     images = [load_images(probe) for probe in probes]
     world = _lit_world(scene)
+    if world.get(MODEL) != model:
+        show_to_rays(world)
     world[MODEL] = model
     if subject is not None:
         world[SUBJECT] = subject
     elif SUBJECT in world:
         del world[SUBJECT]
     _Assembly(world, scene, model, lights).build(list(probes), images)
-    hide_from_rays(model, mirrors)
+    hide_from_rays(world, model, mirrors)
     _remove_unused()
     return world
 
@@ -83,33 +86,32 @@ def reset(scene: bpy.types.Scene) -> None:
     world = scene.world
     if world is None or MODEL not in world:
         return
-    model = world[MODEL]
     former = world.get(FORMER)
     scene.world = former if isinstance(former, bpy.types.World) else None
-    if isinstance(model, bpy.types.Object):
-        show_to_rays(model)
+    show_to_rays(world)
     if not world.users:
         bpy.data.worlds.remove(world)
 
 
-def hide_from_rays(model: bpy.types.Object, mirrors: Mirrors) -> None:
+def hide_from_rays(world: bpy.types.World, model: bpy.types.Object, mirrors: Mirrors) -> None:
     """Let CG get its light from the environment alone; ``mirrors`` see that, or the splats before it."""
-    if VISIBILITY not in model:
-        model[VISIBILITY] = json.dumps({name: getattr(model, name) for name in LIGHTING_RAYS + MIRROR_RAYS})
+    if VISIBILITY not in world and VISIBILITY not in model:
+        world[VISIBILITY] = json.dumps({name: getattr(model, name) for name in LIGHTING_RAYS + MIRROR_RAYS})
     for name in LIGHTING_RAYS:
         setattr(model, name, False)
     for name in MIRROR_RAYS:
         setattr(model, name, mirrors == "SPLATS")
 
 
-def show_to_rays(model: bpy.types.Object) -> None:
-    """Give a model the visibility back that it had before it lit the scene."""
-    if VISIBILITY not in model:
+def show_to_rays(world: bpy.types.World) -> None:
+    """Give the model that lights a world the visibility back that it had before."""
+    model, before = world.get(MODEL), world.pop(VISIBILITY, None)
+    if not isinstance(model, bpy.types.Object):
         return
-    for name, value in json.loads(model[VISIBILITY]).items():
+    before = model.pop(VISIBILITY, None) or before
+    for name, value in json.loads(before or "{}").items():
         if name in LIGHTING_RAYS + MIRROR_RAYS:
             setattr(model, name, bool(value))
-    del model[VISIBILITY]
 
 
 # ---- pictures ----------------------------------------------------------------------------------------------

@@ -6,7 +6,7 @@ is known of a probe's panoramas is kept as text (``bridge.probe``), so that pane
 """
 
 import json
-from collections.abc import Iterator
+import uuid
 from dataclasses import asdict
 from pathlib import Path
 from typing import TypeGuard
@@ -25,10 +25,10 @@ Place = tuple[float, float, float]
 
 #: Custom properties of an empty: its model, the folder of its panoramas, and what is in it.
 MODEL, FOLDER, KNOWN = "physhdr_probe_model", "physhdr_probe_folder", PROBE
-#: Beside the .blend: the folders of all probes.
+#: Beside the .blend: the folders of all probes, below the file's name.
 ROOT = "PhysHDR_light"
-#: How large a new one is drawn, metres.
-SIZE = 0.1
+#: What a new one is called, and how large it is drawn, metres.
+NEW, SIZE = "Light Probe", 0.1
 #: So far may a probe be from where its light was taken: metres, or shares of its distance to the model's
 #: origin where that is more.
 MOVED = 1e-4
@@ -92,7 +92,7 @@ def mark(probe: bpy.types.Object, model: bpy.types.Object, folder: str, found: P
 
 def new_probe(scene: bpy.types.Scene, model: bpy.types.Object, place: Place) -> bpy.types.Object:
     """An empty at a place of the world; it hangs on the model, and moves with the capture."""
-    probe = bpy.data.objects.new("Light Probe", None)
+    probe = bpy.data.objects.new(NEW, None)
     probe.empty_display_type, probe.empty_display_size = "SPHERE", SIZE
     collections = [each for each in model.users_collection if each.is_editable]
     (collections[0] if collections else scene.collection).objects.link(probe)
@@ -103,20 +103,13 @@ def new_probe(scene: bpy.types.Scene, model: bpy.types.Object, place: Place) -> 
     return probe
 
 
-def folder_for(name: str) -> str:
-    """The folder for a probe's panoramas: beside the .blend, ``//`` and all.
+def new_folder(name: str) -> str:
+    """A folder for panoramas that are about to be taken at a probe: beside the .blend, ``//`` and all.
 
-    Before that is saved, Blender's own for temporary files, from which they are packed into the file.
+    Never one of before, of which an undo, a copy of this file or a probe of the same name may still tell.
+    Before the .blend is saved, it is in Blender's own for temporary files, from which they are packed.
     """
-    safe = bpy.path.clean_name(name) or "probe"
+    own = f"{bpy.path.clean_name(name) or 'probe'}_{uuid.uuid4().hex[:12]}"
     if bpy.data.filepath:
-        return f"//{ROOT}/{safe}"
-    return str(Path(bpy.app.tempdir) / ROOT / safe)
-
-
-def free_name(taken: Iterator[str] | set[str], wanted: str = "Light Probe") -> str:
-    """``wanted``, with a number where another one has that name."""
-    names, number, name = set(taken), 1, wanted
-    while name in names:
-        name, number = f"{wanted}.{number:03d}", number + 1
-    return name
+        return f"//{ROOT}/{bpy.path.clean_name(Path(bpy.data.filepath).stem)}/{own}"
+    return str(Path(bpy.app.tempdir) / ROOT / own)

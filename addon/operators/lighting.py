@@ -21,12 +21,12 @@ from ..light.probe_checks import note
 from ..light.probe_render import render_probe
 from ..model import nodes
 from ..model.attributes import FILE
-from ..model.look import cleaning_of, is_model
+from ..model.look import cleaning_of, is_model, models_among
 from ..runtime import session
-from ..session.advice import why_not
 from ..session.light import LIGHT, panorama_command
-from ..session.state import NotTaken, Problem
+from ..session.state import CHECK, INSTALL, NotTaken, Problem
 from .afterwards import take_when_ended
+from .base import LINKED, OVERRIDE
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import PropertyFlagItems
@@ -118,8 +118,12 @@ class PHYSHDR_OT_light_from_here(bpy.types.Operator):
         if session().state.task(LIGHT):
             cls.poll_message_set("Light is being taken: wait for that to end, or cancel it")
             return False
-        if model_in(context) is None:
+        model = model_in(context)
+        if model is None:
             cls.poll_message_set("Select an imported model first")
+            return False
+        if model.library is not None:
+            cls.poll_message_set(LINKED)
             return False
         return True
 
@@ -181,6 +185,8 @@ class PHYSHDR_OT_light_from_here(bpy.types.Operator):
         model = _object(context.scene, self.model) if self.model else model_in(context)
         if not is_model(model):
             raise BadValueError(f"{self.model} is no model of ours", "Name an imported model.")
+        if model.library is not None:  # what its light needs of it would not be saved
+            raise DataMismatchError(f"{model.name} is linked from another file", OVERRIDE)
         if nodes.find_modifier(model) is None:
             raise DataMismatchError(f"{model.name} has lost its PhysHDR modifier", "Import it again.")
         return model
@@ -200,7 +206,7 @@ class PHYSHDR_OT_light_from_here(bpy.types.Operator):
             return [self._at(context, model, place)]
         places = [(each.name, _place(each.matrix_world.translation)) for each in empties]
         return [
-            Task(name, place, probes.into_model(model, place), probes.folder_for(name))
+            Task(name, place, probes.into_model(model, place), probes.new_folder(name))
             for name, place in places
         ]
 
@@ -211,9 +217,8 @@ class PHYSHDR_OT_light_from_here(bpy.types.Operator):
         there = probes.into_model(model, place)
         for each in probes.probes_of(context.scene, model):
             if probes.is_at(each, there):
-                return Task(each.name, place, there, folder or probes.folder_for(each.name))
-        name = probes.free_name(set(bpy.data.objects.keys()))
-        return Task("", place, there, folder or probes.folder_for(name))
+                return Task(each.name, place, there, folder or probes.new_folder(each.name))
+        return Task("", place, there, folder or probes.new_folder(probes.NEW))
 
     def _drawn_by(self, model: bpy.types.Object) -> Literal["BACKEND", "BLENDER"]:
         if self.by != "AUTO":
@@ -316,7 +321,7 @@ def model_in(context: bpy.types.Context) -> bpy.types.Object | None:
         return active
     if probes.is_probe(active) and is_model(model := active.get(probes.MODEL)):
         return model
-    models = [each for each in context.scene.objects if is_model(each)]
+    models = list(models_among(context.scene.objects))
     return models[0] if len(models) == 1 else None
 
 
@@ -331,7 +336,7 @@ def why_not_backend(model: bpy.types.Object) -> str:
     state = session().state
     if not state.backend.ready:
         return "there is no backend"
-    if why_not(state, "check"):
+    if state.task(INSTALL) or state.task(CHECK):
         return "the backend is being worked on"
     if not (source := source_of(model)):
         return "the file that it was imported from is not there"

@@ -11,7 +11,11 @@ import pytest
 from physhdr.addon.light import lighting, probes
 from physhdr.addon.model import nodes
 from physhdr.addon.model.model_import import import_model
+from physhdr.addon.operators import lighting as operators
 from physhdr.addon.rendering.render import add_camera, prepare_cycles, read_exr, render_exr, set_resolution
+from physhdr.addon.runtime import session
+from physhdr.addon.session.state import CHECK, INSTALL, Backend, Link, Running, State
+from physhdr.bridge.messages import JobStatus
 from physhdr.bridge.panorama import PANORAMIC_CAMERA_TURN, directions
 from physhdr.bridge.probe import Probe, begin, finish
 from physhdr.synth import exr
@@ -260,8 +264,7 @@ def test_pictures_are_packed_until_the_file_is_saved_and_relative_then(scene, mo
     light(write_probe(tmp_path / "elsewhere", (5.0,) * 3, (0,) * 3, (0,) * 3))
     assert all(image.packed_file for image in bpy.data.images)
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
-    beside = f"//{probes.ROOT}/Light_Probe"
-    assert probes.folder_for("Light Probe") == beside
+    beside = f"//{probes.ROOT}/Light_Probe"  # where versions put it that knew no other names
     write_probe(tmp_path / probes.ROOT / "Light_Probe", (6.0,) * 3, (0,) * 3, (0,) * 3)
     light(beside)
     found = [image for image in bpy.data.images if image.users]
@@ -285,3 +288,122 @@ def test_what_cannot_be_is_said(scene, model, tmp_path):
     with pytest.raises(RuntimeError, match="scaled differently"):
         bpy.ops.physhdr.light_from_here(at=(0.0, 0.0, 0.0), by="BLENDER", width=16)
     assert not lighting.is_lit(scene.world)
+
+
+def test_no_taking_writes_over_another(scene, model, tmp_path):
+    """Neither of a renamed probe, nor of its own before, nor of another .blend in the same folder."""
+    take = {"by": "BLENDER", "width": 16}
+
+    def pictures() -> dict[Path, bytes]:
+        return {path: path.read_bytes() for path in (tmp_path / probes.ROOT).rglob("*.exr")}
+
+    def of(probe) -> set[Path]:
+        folder = Path(bpy.path.abspath(probe[probes.FOLDER]))
+        return {folder / name for name in probes.known(probe).files}
+
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    assert bpy.ops.physhdr.light_from_here(at=(0.0, 0.0, -498.0), **take) == {"FINISHED"}
+    (kitchen,) = probes.probes_of(scene, model)
+    kitchen.name = "Kitchen"
+    before = pictures()
+    assert of(kitchen) == set(before)
+    bpy.ops.physhdr.light_from_here(at=(0.0, 3.0, -499.5), **take)
+    (other,) = set(probes.probes_of(scene, model)) - {kitchen}
+    assert not of(kitchen) & of(other)
+    shown = [node for node in scene.world.node_tree.nodes if node.type == "TEX_ENVIRONMENT"]
+    seen = {Path(bpy.path.abspath(node.image.filepath)) for node in shown}
+    assert seen == of(kitchen) | of(other)
+    # Taken again at the same place: what an undo brings back is still there.
+    with_other, old = pictures(), of(other)
+    bpy.ops.physhdr.light_from_here(at=(0.0, 3.0, -499.5), **take)
+    assert len(probes.probes_of(scene, model)) == 2 and not of(other) & old
+    # A copy of the file, in the same folder, and the same names.
+    again = pictures()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "copy.blend"))
+    bpy.ops.physhdr.light_from_here(at=(0.0, 0.0, -498.0), **take)
+    for kept in (before, with_other, again):
+        assert kept.items() <= pictures().items()
+    ours = [image.name for image in bpy.data.images if probes.KNOWN in image]
+    assert len(ours) == 2 * len(of(kitchen)), "what nobody shows is not kept in the file"
+
+
+def linked_from(folder: Path, model) -> bpy.types.Object:
+    """The model in a new scene, linked from another file."""
+    name = model.name
+    bpy.ops.wm.save_as_mainfile(filepath=str(folder / "theirs.blend"))
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    with bpy.data.libraries.load(str(folder / "theirs.blend"), link=True) as (_, wanted):
+        wanted.objects = [name]
+    (found,) = wanted.objects
+    bpy.context.scene.collection.objects.link(found)
+    bpy.context.view_layer.objects.active = found
+    return found
+
+
+def visibility(model) -> dict[str, bool]:
+    return {name: getattr(model, name) for name in lighting.LIGHTING_RAYS + lighting.MIRROR_RAYS}
+
+
+def test_a_linked_model_lights_nothing_until_it_is_overridden(scene, model, make_model, write, tmp_path):
+    """What its light needs of it would be gone when the file is opened again."""
+    before = visibility(model)
+    found = linked_from(tmp_path, model)
+    folder = write_probe(tmp_path / "probe", (5.0,) * 3, (0,) * 3, (0,) * 3)
+    with pytest.raises(RuntimeError, match="linked from another file"):
+        bpy.ops.physhdr.light_from_here(folder=str(folder))
+    bpy.context.view_layer.objects.active = own = import_model(write(make_model(lights=LIGHTS)), "own")
+    with pytest.raises(RuntimeError, match="linked from another file"):
+        bpy.ops.physhdr.light_from_here(folder=str(folder), model=found.name)
+    assert visibility(found) == before and not lighting.is_lit(bpy.context.scene.world)
+    bpy.data.objects.remove(own)
+    found = found.override_create(remap_local_usages=True)
+    bpy.context.view_layer.objects.active = found
+    light(folder)
+    path = str(tmp_path / "mine.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    bpy.ops.wm.open_mainfile(filepath=path)
+    (found,) = [each for each in bpy.context.scene.objects if each.type == "POINTCLOUD"]
+    assert lighting.is_lit(bpy.context.scene.world)
+    assert not any(getattr(found, name) for name in lighting.LIGHTING_RAYS)
+    bpy.ops.physhdr.light_reset()
+    assert visibility(found) == before
+
+
+def test_a_file_of_before_gives_the_model_its_visibility_back(scene, model, tmp_path):
+    """Older versions kept it on the model."""
+    before = visibility(model)
+    world = light(write_probe(tmp_path / "probe", (5.0,) * 3, (0,) * 3, (0,) * 3))
+    model[lighting.VISIBILITY] = world.pop(lighting.VISIBILITY)
+    light(write_probe(tmp_path / "probe", (6.0,) * 3, (0,) * 3, (0,) * 3))
+    assert not model.visible_diffuse
+    bpy.ops.physhdr.light_reset()
+    assert visibility(model) == before and lighting.VISIBILITY not in model
+
+
+def test_of_two_models_the_one_that_lights_no_more_is_seen_again(scene, model, make_model, write, tmp_path):
+    other = import_model(write(make_model(lights=LIGHTS)), "other")
+    folder = write_probe(tmp_path / "probe", (5.0,) * 3, (0,) * 3, (0,) * 3)
+    light(folder, model=model.name)
+    light(folder, model=other.name)
+    assert model.visible_diffuse and not other.visible_diffuse
+    bpy.data.objects.remove(other)
+    light(folder, model=model.name)
+    bpy.ops.physhdr.light_reset()
+    assert model.visible_diffuse
+
+
+@pytest.mark.parametrize(
+    ("now", "told"),
+    [
+        ({}, ""),
+        ({"link": Link(status="connected"), "job": JobStatus(state="training", run="run")}, ""),
+        ({"tasks": (Running(CHECK, ""),)}, "the backend is being worked on"),
+        ({"tasks": (Running(INSTALL, ""),)}, "the backend is being worked on"),
+    ],
+)
+def test_a_training_does_not_keep_the_backend_from_drawing(scene, model, monkeypatch, now, told):
+    """Automatic is the backend, in a process of its own, but while it is installed or checked."""
+    state = State(backend=Backend(python="python", report={"versions": {}}), **now)
+    assert state.backend.ready and state.active == ("job" in now)
+    monkeypatch.setattr(session(), "state", state)
+    assert operators.why_not_backend(model) == told

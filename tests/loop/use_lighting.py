@@ -40,7 +40,9 @@ def main() -> None:
         assert set(found) == {"left", "right"}
         kind = "backend" if report else "blender"
         seen[kind] = {name: json.loads(each[probes.KNOWN]) for name, each in found.items()}
-        (Path(out) / "PhysHDR_light").rename(Path(out) / kind)
+        (Path(out) / kind).mkdir()
+        for name, each in found.items():
+            Path(bpy.path.abspath(each[probes.FOLDER])).rename(Path(out) / kind / name)
     (Path(out) / "seen.json").write_text(json.dumps(seen))
 
 
