@@ -103,10 +103,16 @@ def is_of_others(state: State) -> bool:
 
 
 def warnings_of(report: dict) -> list[str]:
-    """What the check found odd; what photos lack is told beside its remedy."""
+    """What the check found odd; what photos lack is told beside its remedy.
+
+    A torch that is for a card, and computes on the processor, is odd, too.
+    """
     told = report.get("warnings")
     texts = [text for text in told if isinstance(text, str)] if isinstance(told, list) else []
-    return [text for text in texts if not text.startswith("photos cannot be prepared")]
+    texts = [text for text in texts if not text.startswith("photos cannot be prepared")]
+    if "+cu" in str(report.get("versions", {}).get("torch", "")) and report.get("device") == "cpu":
+        return [f"Torch is for a card, but it computes {report.get('why', 'on the CPU')}", *texts]
+    return texts
 
 
 def draw_extend(context: bpy.types.Context, layout: bpy.types.UILayout, state: State) -> None:

@@ -457,6 +457,20 @@ def test_what_the_check_found_odd_is_told(chosen):
     assert "was not tested" in " ".join(text for _, text, *_ in shown)
 
 
+@pytest.mark.parametrize(
+    ("torch", "device", "told"),
+    [("2.13.0+cu126", "cpu", True), ("2.13.0+cu126", "cuda", False), ("2.13.0+cpu", "cpu", False)],
+)
+def test_why_a_card_is_not_used_is_told_where_torch_is_for_one(chosen, torch, device, told):
+    state = states(chosen.data)["ready"]
+    why = "on the CPU (Warp's kernels draw a Gaussian wrongly (by 1))"
+    report = {**state.backend.report, "versions": {"torch": torch}, "device": device, "why": why}
+    shown = texts(
+        draw(PHYSHDR_PT_backend_ready, replace(state, backend=replace(state.backend, report=report)))
+    )
+    assert ("draw a Gaussian wrongly" in " ".join(text for _, text, *_ in shown)) == told
+
+
 def test_iterations_are_automatic_until_a_number_is_wanted(chosen):
     state = states(chosen.data)["ready"]
 
