@@ -15,7 +15,7 @@ from ..runtime import session
 from ..session.pythons import base_of, find_pythons, is_ours, working_python
 from ..session.state import CHECK, INSTALL, Dismissed, PythonChosen
 from ..session.tasks import TASKS
-from .base import PhysHDROperator, report_task
+from .base import PhysHDROperator, follow_task
 
 INSTALL_SCRIPT = ROOT / "addon" / "scripts" / "install_backend.py"
 #: Seconds that scripts wait for an installation or a check.
@@ -102,8 +102,7 @@ def install(operator: PhysHDROperator, python: Path, how: list[str], wait: bool,
     current.start_task(INSTALL, command, current.home / "install.log", current.environment())
     if not wait:
         return {"FINISHED"}
-    current.wait(lambda state: state.task(INSTALL) is None, INSTALL_SECONDS)
-    return report_task(operator, success)
+    return follow_task(operator, INSTALL, INSTALL_SECONDS, success)
 
 
 class PHYSHDR_OT_backend_use(PhysHDROperator):
@@ -153,10 +152,7 @@ def check(operator: PhysHDROperator, wait: bool) -> set[str]:
     current.start_task(CHECK, command, current.home / "check.log", current.environment())
     if not wait:
         return {"FINISHED"}
-    if not current.wait(lambda state: state.task(CHECK) is None, CHECK_SECONDS):
-        operator.report({"ERROR"}, "the check goes on: see its log for what takes so long")
-        return {"CANCELLED"}
-    return report_task(operator, "The backend works")
+    return follow_task(operator, CHECK, CHECK_SECONDS, "The backend works")
 
 
 class PHYSHDR_OT_task_cancel(bpy.types.Operator):

@@ -27,7 +27,7 @@ from ..runtime import session
 from ..session.results import BAKE, bake_command, why_not
 from ..session.state import NotTaken, Problem
 from .afterwards import take_when_ended
-from .base import report_task
+from .base import report_task, wait_for_task
 
 #: Seconds that scripts wait.
 WAIT_SECONDS = 24 * 3600.0
@@ -172,13 +172,12 @@ class PHYSHDR_OT_model_bake(bpy.types.Operator, ExportHelper):
         told = f"Wrote {model.count} Gaussians to {path}, fitted to the model's pictures"
         if self.wait:
             try:
-                current.wait(lambda state: state.task(BAKE) is None, WAIT_SECONDS)
+                if not wait_for_task(self, BAKE, WAIT_SECONDS):
+                    current.cancel_task(BAKE)  # nobody would take what it makes
+                    return {"CANCELLED"}
                 if baking.fitted.is_file():
                     baking.take()
                 return report_task(self, told)
-            except KeyboardInterrupt:
-                current.cancel_task(BAKE)
-                raise
             finally:
                 baking.discard()
 

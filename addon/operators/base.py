@@ -158,6 +158,23 @@ class OnModel(bpy.types.Operator):
         raise NotImplementedError
 
 
+def wait_for_task(operator: bpy.types.Operator, task: str, seconds: float) -> bool:
+    """For scripts: until a task has ended, or an interrupt, which cancels it.
+
+    False where it goes on after ``seconds``, which is reported as an error.
+    """
+    current = session()
+    try:
+        has_ended = current.wait(lambda state: state.task(task) is None, seconds)
+    except KeyboardInterrupt:
+        current.cancel_task(task)
+        raise
+    if not has_ended and (running := current.state.task(task)):
+        told = f"{task} has not ended within {seconds:.0f} s: see its log {running.log}"
+        operator.report({"ERROR"}, told)
+    return has_ended
+
+
 def report_task(operator: bpy.types.Operator, success: str) -> set[str]:
     """Report how a task ended that a script waited for."""
     state = session().state
@@ -167,3 +184,8 @@ def report_task(operator: bpy.types.Operator, success: str) -> set[str]:
         return {"FINISHED"}
     operator.report({"ERROR"}, " ".join(filter(None, (problem.message, problem.hint))))
     return {"CANCELLED"}
+
+
+def follow_task(operator: bpy.types.Operator, task: str, seconds: float, success: str) -> set[str]:
+    """For scripts: wait for a task, and report how it ended."""
+    return report_task(operator, success) if wait_for_task(operator, task, seconds) else {"CANCELLED"}

@@ -20,7 +20,7 @@ from ..session.photos import PhotoOptions, prepare_command
 from ..session.state import LOOK, PHOTOS, PhotosChosen
 from ..settings import LENSES, SETTINGS, PHYSHDR_Settings, photo_options
 from .afterwards import take_when_ended
-from .base import PhysHDROperator, has_run, is_run_of, proposed_run, report_task
+from .base import PhysHDROperator, has_run, is_run_of, proposed_run, report_task, wait_for_task
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import PropertyFlagItems
@@ -131,11 +131,8 @@ class PHYSHDR_OT_photos_prepare(PhysHDROperator):
         if not self.wait:
             _choose_when_done(context.scene.name)
             return {"FINISHED"}
-        try:
-            current.wait(lambda state: state.task(PHOTOS) is None, PREPARE_SECONDS)
-        except KeyboardInterrupt:
-            current.cancel_task(PHOTOS)
-            raise
+        if not wait_for_task(self, PHOTOS, PREPARE_SECONDS):
+            return {"CANCELLED"}
         made = current.state.prepared
         if current.state.problem is None and not made.folder:
             self.report({"ERROR"}, "the preparation was cancelled")

@@ -37,7 +37,7 @@ from ..session.results import (
 from ..session.session import Session
 from ..session.state import State
 from .afterwards import take_when_ended
-from .base import PhysHDROperator, choices, has_run, moved_data, report_task
+from .base import PhysHDROperator, choices, follow_task, has_run, moved_data
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import PropertyFlagItems
@@ -128,14 +128,7 @@ class _OnRun(PhysHDROperator):
         current = session()
         log = current.home / f"{self.task}.log"
         current.start_task(self.task, current.backend_command(*command), log, current.environment())
-        if not self.wait:
-            return {"FINISHED"}
-        try:
-            current.wait(lambda state: state.task(self.task) is None, WAIT_SECONDS)
-        except KeyboardInterrupt:
-            current.cancel_task(self.task)
-            raise
-        return report_task(self, success)
+        return follow_task(self, self.task, WAIT_SECONDS, success) if self.wait else {"FINISHED"}
 
 
 class PHYSHDR_OT_results_evaluate(_OnRun):

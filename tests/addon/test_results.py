@@ -19,10 +19,12 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
+from physhdr.addon.operators import backend, bake  # noqa: E402
 from physhdr.addon.operators import results as operators  # noqa: E402
 from physhdr.addon.session import results  # noqa: E402
 from physhdr.addon.session.state import PythonChosen, Received, State, TaskStarted  # noqa: E402
 from physhdr.bridge.messages import JobStatus  # noqa: E402
+from physhdr.bridge.run_folder import VIEWS_FILE  # noqa: E402
 from physhdr.bridge.shots import read_shots  # noqa: E402
 
 REPORT = {"versions": {"torch": "2.13.0"}, "missing": []}
@@ -155,6 +157,58 @@ def test_it_tells_how_far_it_is_and_can_be_cancelled(extension, run, tmp_path):
     assert bpy.ops.physhdr.task_cancel(name="evaluate") == {"FINISHED"}
     assert extension.wait(lambda state: state.task("evaluate") is None, 30.0)
     assert extension.state.problem is None and results.evaluation_of(str(run)) is None
+
+
+# ---- a script that waits, and for longer than it may -----------------------------------------------------
+
+SOONEST = 0.2
+
+
+@pytest.fixture
+def impatient(extension, tmp_path, monkeypatch):
+    """The stand-in takes a minute, whatever it is asked for, and scripts wait for an instant."""
+    (tmp_path / "slow").touch()
+    monkeypatch.setattr(operators, "WAIT_SECONDS", SOONEST)
+    monkeypatch.setattr(backend, "INSTALL_SECONDS", SOONEST)
+    monkeypatch.setattr(backend, "CHECK_SECONDS", SOONEST)
+    monkeypatch.setattr(bake, "WAIT_SECONDS", SOONEST)
+    monkeypatch.setattr(backend, "INSTALL_SCRIPT", tmp_path / "launch.py")
+    yield extension
+    for task in extension.state.tasks:
+        extension.cancel_task(task.name)
+    assert extension.wait(lambda state: not state.tasks, 30.0)
+
+
+def test_what_goes_on_is_not_told_as_done(impatient, run):
+    """Each of them for an hour at least, in truth; and it does go on."""
+    for task, call in {
+        "evaluate": lambda: bpy.ops.physhdr.results_evaluate(wait=True),
+        "video": lambda: bpy.ops.physhdr.results_video(path="SPLINE", wait=True),
+        "check": lambda: bpy.ops.physhdr.backend_check(wait=True),
+    }.items():
+        with pytest.raises(RuntimeError, match=f"{task} has not ended within 0 s: see its log .*{task}.log"):
+            call()
+        assert impatient.state.task(task) and impatient.state.problem is None
+
+
+def test_an_installation_that_goes_on_is_not_told_as_done(impatient):
+    told = []
+    operator = SimpleNamespace(report=lambda kind, text: told.append((kind, text)))
+    done = backend.install(operator, Path(sys.executable), [], True, "The backend is installed")
+    assert done == {"CANCELLED"} and impatient.state.task("install")
+    assert len(told) == 1 and told[0][0] == {"ERROR"} and "install has not ended" in told[0][1]
+
+
+def test_a_bake_that_takes_too_long_is_cancelled_with_its_files(impatient, run, make_model, write, tmp_path):
+    """What it makes would be taken by nobody, and what it reads is removed."""
+    bpy.ops.physhdr.model_import(filepath=str(write(make_model())))
+    bpy.context.object.data["physhdr_file"] = str(run / "model.safetensors")
+    (run / VIEWS_FILE).write_text("{}")
+    with pytest.raises(RuntimeError, match="bake has not ended"):
+        bpy.ops.physhdr.model_bake(filepath=str(tmp_path / "baked.ply"), wait=True)
+    assert impatient.state.task("bake").cancelling
+    assert impatient.wait(lambda state: not state.tasks, 30.0)
+    assert not (tmp_path / "baked.ply").exists() and not list(Path(bpy.app.tempdir).glob("physhdr_bake_*"))
 
 
 def test_what_another_version_wrote_is_passed_over(tmp_path):
