@@ -24,7 +24,7 @@ from .pictures import READABLE, picture_size
 from .resize import Reduction, is_shaped
 from .scene import PictureCache, View
 from .source import PictureSource
-from .test_choice import EVERY, FEWEST, test_places
+from .test_choice import EVERY, FEWEST, same_places, test_places
 from .undistorted import store_for
 
 #: Where any layout keeps true radiance (``evaluate/truth.py``), by the poses' numbers. Never opened here.
@@ -352,22 +352,36 @@ def split_somehow(poses: Sequence[Pose]) -> tuple[list[Pose], list[Pose], str]:
     named = split_by_name(poses)
     if named is not None and named[1]:
         return *named, "split by names: they say 'train' or 'test'"
-    if len(poses) < FEWEST:
-        return (
-            list(poses),
-            [],
-            f"no test views: there {'is one pose' if len(poses) == 1 else 'are two poses'} only",
-        )
-    places = np.stack([pose.camera.position for pose in poses])
+    positions = np.stack([pose.camera.position for pose in poses])
     directions = np.stack([-pose.camera.camera_to_world[:3, 2] for pose in poses])
-    chosen = set(test_places(places, directions))
+    places = same_places(positions, directions)
+    told = _siblings_in_words([[poses[k] for k in place] for place in places])
+    if len(places) < FEWEST:
+        what = "place" if told else "pose"
+        few = f"is one {what}" if len(places) == 1 else f"are two {what}s"
+        return list(poses), [], f"no test views: there {few} only{told}"
+    chosen = set(test_places(positions, directions))
     test = [pose for k, pose in enumerate(poses) if k in chosen]
     train = [pose for k, pose in enumerate(poses) if k not in chosen]
     rule = (
-        f"split by place: of each {EVERY} poses in the order of names one that others surround is for "
-        f"testing ({len(test)} of {len(poses)})"
+        f"split by place: of each {EVERY} {'places' if told else 'poses'} in the order of names one that "
+        f"others surround is for testing ({len(test)} of {len(poses)}{' poses' if told else ''}){told}"
     )
     return train, test, rule
+
+
+def _siblings_in_words(places: Sequence[Sequence[Pose]]) -> str:
+    """What is said of poses of which several are of one place; empty where none are."""
+    count = sum(map(len, places))
+    if len(places) == count:
+        return ""
+    told = f"; they are of {len(places)} places, each for testing or for training as a whole"
+    exposed = ({picture.seconds for pose in place for picture in pose.pictures.values()} for place in places)
+    if all(len(pose.pictures) == 1 for place in places for pose in place) and any(
+        len(seconds) > 1 for seconds in exposed
+    ):
+        told += ". Where these are exposure brackets, 'physhdr prepare' makes one view of each"
+    return told
 
 
 def bracket_name(name: str) -> tuple[str, int, str] | None:

@@ -310,3 +310,39 @@ def test_a_reduced_mask_is_true_where_all_of_a_pixel_is(factor: float) -> None:
             other = np.where(mask[..., None], photo, np.iinfo(kind).max - photo)
             changed = (reduction.picture(photo) != reduction.picture(other)).any(axis=2)
             assert not (changed & reduced).any() and changed[~reduced].mean() > 0.5
+
+
+# ---- brackets whose pictures are views by themselves ---------------------------------------------------
+
+
+@pytest.mark.parametrize("layout", ["COLMAP", "nerfstudio"])
+def test_no_picture_of_a_test_place_is_trained(layouts: ModuleType, tmp_path: Path, layout: str) -> None:
+    """Ten places by three exposures, DSC_0001 … DSC_0030, each with poses that are a little off."""
+    images = {}
+    for place in range(10):
+        for k, seconds in enumerate((0.1, 0.4, 1.6)):
+            name = f"DSC_{3 * place + k + 1:04d}.jpg"
+            images[name] = place + 2e-4 * k
+            layouts.save(
+                tmp_path / "images" / name, layouts.draw(place, k), exif=layouts.camera_exif(seconds)
+            )
+    if layout == "COLMAP":
+        layouts.write_sparse(tmp_path / "sparse" / "0", images)
+    else:
+        frames = [
+            {"file_path": f"images/{name}", "transform_matrix": layouts.camera_to_world_opengl(i).tolist()}
+            for name, i in images.items()
+        ]
+        content = {"w": layouts.WIDTH, "h": layouts.HEIGHT, "fl_x": layouts.FX, "frames": frames}
+        (tmp_path / "transforms.json").write_text(json.dumps(content))
+    scene = read_scene(tmp_path)
+    assert scene.layout == layout and [view.name[-8:] for view in scene.test] == [
+        "DSC_0013",
+        "DSC_0014",
+        "DSC_0015",
+    ]
+    trained = np.stack([view.camera.position for view in scene.train])
+    for view in scene.test:
+        assert np.linalg.norm(trained - view.camera.position, axis=1).min() > 0.5
+    assert "(3 of 30 poses); they are of 10 places" in scene.messages[0]
+    assert "'physhdr prepare' makes one view of each" in scene.messages[0]

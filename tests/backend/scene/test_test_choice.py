@@ -95,3 +95,62 @@ def test_where_none_is_between_others_the_nearest_to_it_is_chosen() -> None:
     """Three at the corners of a square's half: the one at its corner sees the others 90° apart."""
     positions = np.array([[0.0, 0, 0], [1.0, 0, 0], [1.0, 0, 1.0]])
     assert test_choice.test_places(positions, np.tile(FORWARD, (3, 1))) == [1]
+
+
+def bracketed(
+    positions: np.ndarray, directions: np.ndarray, exposures: int, error: float, seed: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Each place ``exposures`` times in a row, as it is found from each picture: ``error`` of the spread."""
+    rng = np.random.default_rng(seed)
+    spread = float(np.sqrt(((positions - positions.mean(0)) ** 2).sum(1).mean()))
+    places = np.repeat(positions, exposures, axis=0)
+    places = places + rng.normal(0.0, error * spread, places.shape)
+    looks = np.repeat(directions, exposures, axis=0) + rng.normal(0.0, error, places.shape)
+    return places, looks / np.linalg.norm(looks, axis=1, keepdims=True)
+
+
+@pytest.mark.parametrize("exposures", [2, 3, 5, 9])
+@pytest.mark.parametrize(("places", "error"), [(12, 0.0), (12, 3e-4), (12, 3e-3), (40, 3e-4), (200, 1e-4)])
+def test_the_pictures_of_a_bracket_are_tested_together(exposures: int, places: int, error: float) -> None:
+    """Frames of places 1 … N of an arc, whose poses differ by their errors (and by a hand's, 3e-3)."""
+    alone = arc(places, 120.0)
+    chosen = test_choice.test_places(*bracketed(*alone, exposures, error))
+    expected = test_choice.test_places(*alone)
+    assert chosen == [exposures * place + k for place in expected for k in range(exposures)]
+
+
+def test_brackets_in_folders_by_exposure_are_of_one_place_too() -> None:
+    """bright/001 … dark/001 …: pictures of one place are far apart in the order of names."""
+    positions, directions = bracketed(*arc(12, 120.0), 3, 3e-4)
+    order = np.arange(36).reshape(12, 3).T.ravel()
+    groups = test_choice.same_places(positions[order], directions[order])
+    assert groups == [[place, 12 + place, 24 + place] for place in range(12)]
+    assert test_choice.test_places(positions[order], directions[order]) == [4, 16, 28]
+
+
+def test_frames_of_a_film_are_places_of_their_own() -> None:
+    """Of 2000 frames on a path each is 5e-4 of the spread from the next, nearer than a bracket's are."""
+    positions, directions = arc(2000, 60.0)
+    assert all(len(group) == 1 for group in test_choice.same_places(positions, directions))
+    assert len(test_choice.test_places(positions, directions)) == 250
+
+
+def test_two_looks_from_one_place_are_two_places() -> None:
+    positions, directions = arc(12, 120.0)
+    turned = toward(positions, np.array([0.0, 0.0, 0.5]))
+    both = np.concatenate([positions, positions]), np.concatenate([directions, turned])
+    assert all(len(group) == 1 for group in test_choice.same_places(*both))
+
+
+@pytest.mark.parametrize("end", [0, -1])
+def test_a_picture_more_at_an_end_of_the_path_makes_no_test_of_it(end: int) -> None:
+    """Who comes back to where the path began, and takes one more there, has not made it a middle."""
+    positions, directions = arc(16, 120.0)
+    positions, directions = (np.concatenate([them, them[end][None]]) for them in (positions, directions))
+    chosen = test_choice.test_places(positions, directions)
+    assert chosen == [4, 12]
+
+
+def test_brackets_of_two_places_are_all_for_training() -> None:
+    positions, directions = bracketed(*arc(2, 10.0), 3, 1e-4)
+    assert test_choice.test_places(positions, directions) == []
