@@ -36,7 +36,7 @@ def main(grace: float, command: list[str]) -> int:
         return 1
     threading.Thread(target=end_with_stdin, args=(process, grace), daemon=True).start()
     status = process.wait()
-    if status < 0:
+    if sys.platform != "win32" and status < 0:
         if -status != signal.SIGKILL:
             signal.signal(-status, signal.SIG_DFL)
         os.kill(os.getpid(), -status)
