@@ -65,6 +65,12 @@ def _add_scene(made: argparse.ArgumentParser) -> None:
         metavar=f"FILE|{CURRENT}",
         help="your own scene instead: a .blend, or the one that is open",
     )
+    add(
+        "--allow-scripts",
+        action="store_true",
+        help="let the Python in that .blend run, drivers above all: only of a file that you trust. For one "
+        "that is open, Blender's -y before its name",
+    )
     add("--scene-name", default="", metavar="NAME", help="the scene in that file, if not its active one")
     add(
         "--light",
@@ -281,6 +287,7 @@ def options(given: argparse.Namespace) -> Options:
         camera=camera_model.from_arguments(given),
         assets=given.assets,
         from_file=given.from_file,
+        allow_scripts=given.allow_scripts,
         scene_name=given.scene_name,
         light_choices=tuple(parse_light(text) for text in given.light),
         rig_distance=given.rig_distance,

@@ -39,7 +39,7 @@ def opened(options: Options, report: Report) -> Iterator[tuple[Stage, Options]]:
         SceneError: no usable camera, no light, or none where one was chosen.
         UnknownNameError: no such light group or collection.
     """
-    _open_file(options.from_file)
+    _open_file(options.from_file, options.allow_scripts)
     scene = _scene(options.scene_name)
     with ExitStack() as undo:
         _set(undo, [(window, "scene", scene) for window in _windows() if window.scene != scene])
@@ -121,7 +121,7 @@ def _set(undo: ExitStack, wanted: list[tuple[Any, str, Any]]) -> None:
         setattr(owner, attribute, value)
 
 
-def _open_file(name: str | None) -> None:
+def _open_file(name: str | None, allow_scripts: bool) -> None:
     if name in (None, CURRENT):
         return
     path = Path(name)
@@ -129,7 +129,8 @@ def _open_file(name: str | None) -> None:
         raise SceneFileError(f"there is no file '{path}'", "give --from-file the path of a .blend file")
     try:
         with quiet():
-            bpy.ops.wm.open_mainfile(filepath=str(path.resolve()), load_ui=False)
+            allowed: Any = {"use_scripts": True} if allow_scripts else {}  # else as Blender was started
+            bpy.ops.wm.open_mainfile(filepath=str(path.resolve()), load_ui=False, **allowed)
     except RuntimeError as error:
         told = str(error).removeprefix("Error: ").strip()
         raise SceneFileError(
@@ -254,8 +255,8 @@ def _tell_what_is_missing(scene: bpy.types.Scene, report: Report) -> None:
         report.warn(f"missing files (File > External Data): {', '.join(sorted(set(lost)))}")
     if bpy.app.autoexec_fail:
         report.warn(
-            "Python in this file was not run (Preferences > Save & Load > Auto Run Python Scripts): what its "
-            "drivers steer may look otherwise"
+            "Python in this file was not run, for nobody allowed it (Trusted Source on opening it, -y, or "
+            "Preferences > Save & Load > Auto Run Python Scripts): what its drivers steer may look otherwise"
         )
     loose = [item.name for item in scene.objects if not item.hide_render and _unbaked(item)]
     if loose:

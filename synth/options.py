@@ -89,6 +89,8 @@ class Options:
     assets: str | None = None
     #: A .blend file, or ``CURRENT``: the data set is made of the user's scene in it instead of ``scene``.
     from_file: str | None = None
+    #: Whether that file's Python may run, drivers above all; as Blender was started if not.
+    allow_scripts: bool = False
     #: The scene in that file; its active one if empty.
     scene_name: str = ""
     #: The lights of that scene that are told apart, beside the ambient one; its light groups if empty.
@@ -238,7 +240,7 @@ class Options:
         """What a resumed run must have in common with the first; where the file lies is no part of it."""
         values = {key: list(v) if isinstance(v, tuple) else v for key, v in asdict(self).items()}
         values["camera"] = self.camera.describe()
-        for name in ("workers", "threads", "part", "renders_of", "test_truth"):
+        for name in ("workers", "threads", "part", "renders_of", "test_truth", "allow_scripts"):
             del values[name]
         if self.mixed_levels is not None:
             values["mixed_levels"] = [dict(levels) for levels in self.mixed_levels]

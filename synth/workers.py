@@ -14,6 +14,7 @@ from pathlib import Path
 
 import bpy
 
+from . import scripts
 from .errors import OptionError
 from .options import CURRENT
 from .progress import Report
@@ -68,7 +69,7 @@ def _command(from_file: str | None) -> list[str]:
     if not bpy.app.binary_path:  # the wheel: Python itself
         return [sys.executable, str(SCRIPT), "--"]
     opened = [bpy.data.filepath] if from_file == CURRENT else []
-    return [bpy.app.binary_path, "--background", *opened, "--python", str(SCRIPT), "--"]
+    return [bpy.app.binary_path, "--background", scripts.switch(), *opened, "--python", str(SCRIPT), "--"]
 
 
 class WorkerReport(Report):

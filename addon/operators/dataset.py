@@ -17,6 +17,7 @@ from bpy.app.handlers import persistent
 
 from ...bridge.data_set import INFO_FILE
 from ...bridge.errors import OutputError, PhysHDRError
+from ...synth import scripts
 from ..blender import layout_of
 from ..capture import originals, placement
 from ..dataset import (
@@ -111,7 +112,8 @@ class PHYSHDR_OT_dataset_render(RenderOptions, PhysHDROperator):
         current = session()
         with originals.shown(scene):
             with _copy_of_file() as copy:
-                current.start_task(DATASET, [*_blender(copy), *arguments], current.home / "dataset.log")
+                command = [*_blender(copy, bpy.app.binary_path), *arguments]
+                current.start_task(DATASET, command, current.home / "dataset.log")
             originals.remember(scene, context.view_layer, out)
         started = render_time.begun(chosen, scene, out)
         if not self.wait:
@@ -144,11 +146,15 @@ def _open_again() -> None:
         operators.dataset_render("INVOKE_DEFAULT")
 
 
-def _blender(copy: Path) -> list[str]:
-    """The command, up to make_scene.py's own arguments."""
-    if bpy.app.module:  # the wheel: there is no Blender to start
-        return [sys.executable, str(SCRIPT), "--", "--from-file", str(copy)]
-    return [bpy.app.binary_path, "-b", str(copy), "-P", str(SCRIPT), "--", "--from-file", "current"]
+def _blender(copy: Path, binary: str) -> list[str]:
+    """The command, up to make_scene.py's own arguments; ``binary``: Blender, empty where there is none.
+
+    The file's Python runs there where it may run here: in the preferences nobody has said so for the copy.
+    """
+    if not binary:  # the wheel
+        allowed = ["--allow-scripts"] if scripts.may_run() else []
+        return [sys.executable, str(SCRIPT), "--", "--from-file", str(copy), *allowed]
+    return [binary, "-b", scripts.switch(), str(copy), "-P", str(SCRIPT), "--", "--from-file", "current"]
 
 
 def _left_out(scene: bpy.types.Scene) -> list[str]:
@@ -236,7 +242,7 @@ class PHYSHDR_OT_dataset_time(PhysHDROperator):
         scene, trial, home = context.scene, time_trial.trial(), session().home
         chosen = dataset_settings.chosen(scene)
         with originals.shown(scene), _copy_of_file() as copy:
-            trial.start(_blender(copy), chosen, scene, copy.parent / "tried", home)
+            trial.start(_blender(copy, bpy.app.binary_path), chosen, scene, copy.parent / "tried", home)
         if not self.wait:
             bpy.app.timers.register(_look_at_trial, first_interval=time_trial.LOOK_SECONDS)
             return {"FINISHED"}

@@ -23,6 +23,7 @@ from physhdr.addon.dataset import (  # noqa: E402
 from physhdr.addon.operators import afterwards, dataset  # noqa: E402
 from physhdr.bridge.blend_file import MODEL_IDENTITY  # noqa: E402
 from physhdr.bridge.errors import BadValueError, OutputError  # noqa: E402
+from physhdr.synth import exr, scripts  # noqa: E402
 from physhdr.synth.light_choice import candidates  # noqa: E402
 from physhdr.synth.light_names import LightChoice  # noqa: E402
 
@@ -443,6 +444,63 @@ def test_a_trial_is_the_files_that_it_was_begun_in(room, extension, tmp_path):
     assert time_trial.trial().is_running and not bpy.ops.physhdr.dataset_time.poll()
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     assert not time_trial.trial().is_running and not time_trial.in_words()
+
+
+#: What a text of the file gives its drivers, once it may run; then a lamp shines, and else it is dark.
+SCRIPT = "import bpy\nbpy.app.driver_namespace['brightness'] = lambda: 3000.0\n"
+
+
+@pytest.fixture
+def scripted(room, tmp_path):
+    """A file whose lamp is steered by its own Python, to be opened with or without leave for that."""
+    text = bpy.data.texts.new("register.py")
+    text.from_string(SCRIPT)
+    text.use_module = True
+    bpy.data.lights["lamp"].driver_add("energy").driver.expression = "brightness()"
+    path = tmp_path / "scripted.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path))
+    bpy.app.driver_namespace.pop("brightness", None)
+    yield lambda allowed: bpy.ops.wm.open_mainfile(filepath=str(path), load_ui=False, use_scripts=allowed)
+    bpy.app.driver_namespace.pop("brightness", None)
+
+
+def test_the_files_python_runs_there_if_it_may_run_here(scripted, tmp_path):
+    """What the drivers steer is in the pictures as it is in the window from which they were asked for."""
+    light = {}
+    for allowed in (True, False):
+        scripted(allowed)
+        bpy.context.view_layer.update()
+        assert scripts.may_run() is allowed
+        assert bpy.data.lights["lamp"].energy == (3000.0 if allowed else 0.0)
+        out = tmp_path / f"allowed_{allowed}"
+        small = SMALL | {"views": 2, "lit_views": 0, "relit_views": 0}
+        assert bpy.ops.physhdr.dataset_render(out=str(out), **small) == {"FINISHED"}
+        passes, _ = exr.read_channels(out / "passes/train_000.exr")
+        light[allowed] = sum(float(plane.mean()) for name, plane in passes.items() if "lamps" in name)
+        bpy.app.driver_namespace.pop("brightness", None)
+    assert light[True] > 1.0 and light[False] == 0.0
+
+
+def test_whether_python_may_run_is_asked_without_a_trace(scripted):
+    """Neither what the preferences say nor that nothing was refused yet is a permission for this file."""
+    before = {name: len(getattr(bpy.data, name)) for name in ("scenes", "objects", "actions")}
+    for allowed in (False, True):
+        scripted(allowed)
+        scene, names = bpy.context.scene, set(bpy.app.driver_namespace)
+        assert scripts.may_run() is allowed and bpy.context.scene == scene and not bpy.data.is_dirty
+        assert set(bpy.app.driver_namespace) == names
+        assert {name: len(getattr(bpy.data, name)) for name in before} == before
+    # Nothing that is scripted: nothing was refused, and all the same nothing is allowed.
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    assert not bpy.app.autoexec_fail and not scripts.may_run()
+
+
+def test_blender_is_told_in_words_what_it_may_run(scripted):
+    """Never left to the preferences: the copy lies where they may allow what they exclude at its place."""
+    copy = Path("copy.blend")
+    for allowed, switch in ((True, "-y"), (False, "-Y")):
+        scripted(allowed)
+        assert dataset._blender(copy, "blender")[:4] == ["blender", "-b", switch, "copy.blend"]
 
 
 def test_a_data_set_is_chosen_though_an_operator_never_ends(room, extension, tmp_path, monkeypatch):

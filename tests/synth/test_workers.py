@@ -10,6 +10,7 @@ import time
 import zipfile
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import filelock
 import pytest
@@ -155,6 +156,15 @@ def test_parts_share_the_poses_and_the_last_step_has_nothing_to_render(tmp_path,
 def test_an_unsaved_scene_cannot_be_shared():
     with pytest.raises(OptionError, match="save the file first"), workers.helping(1, [], "current"):
         pass
+
+
+@pytest.mark.parametrize(("allowed", "switch"), [(True, "-y"), (False, "-Y")])
+def test_workers_run_the_files_python_if_this_process_may(monkeypatch, allowed, switch):
+    """Else their scene is another one, and none of them helps."""
+    app, data = SimpleNamespace(binary_path="blender"), SimpleNamespace(filepath="room.blend")
+    monkeypatch.setattr(workers, "bpy", SimpleNamespace(app=app, data=data))
+    monkeypatch.setattr(workers.scripts, "may_run", lambda: allowed)
+    assert workers._command("current")[:4] == ["blender", "--background", switch, "room.blend"]
 
 
 def test_cores_are_shared_out():
