@@ -17,8 +17,8 @@ from ...bridge.errors import BadValueError, FileMissingError
 from ...bridge.lights import AMBIENT, check_lights, in_words, named_levels
 from ...bridge.limits import check_level
 from ...bridge.regular import read_json_object
-from ..scene import gausshdr, hdr_gs
 from ..scene.pictures import read_exr
+from ..scene.truth_folders import GAUSSHDR, HDR_GS, holds_truth
 
 
 @dataclass(frozen=True)
@@ -35,14 +35,14 @@ class _Place:
 #: HDR-NeRF-Syn's and ours; GaussHDR's packaging; HDR-GS's, which has all poses in one folder.
 _PLACES = (
     _Place(data_set.truth_folder, lambda split, index: data_set.truth_file(index)),
-    _Place(lambda split: gausshdr.TRUTH_FOLDER, lambda split, index: f"{split}_hdr_{index:03d}.exr"),
-    _Place(lambda split: hdr_gs.TRUTH_FOLDER, lambda split, index: f"{index}.exr"),
+    _Place(lambda split: GAUSSHDR, lambda split, index: f"{split}_hdr_{index:03d}.exr"),
+    _Place(lambda split: HDR_GS, lambda split, index: f"{index}.exr"),
 )
 
 
 def _place(root: Path, split: str) -> _Place | None:
-    """The layout's place of truth; None where there is none. A folder that is there but empty counts."""
-    return next((place for place in _PLACES if (Path(root) / place.folder(split)).is_dir()), None)
+    """The layout's place of truth; None where there is none."""
+    return next((place for place in _PLACES if holds_truth(Path(root), place.folder(split))), None)
 
 
 def hdr_truth_path(root: Path, split: str, index: int) -> Path:

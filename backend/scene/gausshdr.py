@@ -34,6 +34,7 @@ from .poses import (
 )
 from .resize import Reduction, capped
 from .scene import Scene
+from .truth_folders import GAUSSHDR, holds_truth
 
 NAME = "GaussHDR"
 LOOKS_FOR = f"images/, sparse/0 and {EXPOSURE_FILE} with names of train and test"
@@ -41,9 +42,6 @@ LOOKS_FOR = f"images/, sparse/0 and {EXPOSURE_FILE} with names of train and test
 #: The resolutions of GaussHDR's paper, by the factor that gives them: HDR-NeRF-Syn, HDR-NeRF-Real and
 #: HDR-Plenoxels-Real. Pictures that no factor brings there are another's.
 PUBLISHED = {2: (400, 400), 4: (804, 534), 6: (992, 746)}
-#: The true radiance of synthetic scenes. That it is there says that the camera is HDR-NeRF-Syn's; it is never
-#: opened here.
-TRUTH_FOLDER = "images_hdr"
 
 
 def is_mine(root: Path) -> bool:
@@ -104,7 +102,7 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
         downscale = capped(widest(poses)) if own else published_factor(width, height)
     views = Views(root, poses, Reduction(downscale, "bicubic"))
     train, test = (views.of(poses_of_split) for poses_of_split in split)
-    is_synthetic = (root / TRUTH_FOLDER).is_dir()
+    is_synthetic = holds_truth(root, GAUSSHDR)  # it says that the camera is HDR-NeRF-Syn's
     messages = [
         "split by names: they say 'train' or 'test'",
         *views.messages,

@@ -9,20 +9,18 @@ added.
 from pathlib import Path
 
 from .colmap import read_poses, scene_of
-from .colmap_files import find_model
 from .info import ORIGINAL_ANCHOR
 from .poses import check_numbers
 from .scene import Scene
+from .truth_folders import HDR_GS, holds_truth
 
 NAME = "HDR-GS"
-#: The true radiance, of all poses in one folder. Never opened here.
-TRUTH_FOLDER = "exr"
-LOOKS_FOR = f"images/, sparse/0 and {TRUTH_FOLDER}/"
+LOOKS_FOR = f"images/ with 0_0.png and so on, sparse/0 and {HDR_GS}/0.exr"
 
 
 def is_mine(root: Path) -> bool:
-    """Whether ``root`` looks like this layout."""
-    return find_model(root) is not None and (root / TRUTH_FOLDER).is_dir() and (root / "images").is_dir()
+    """Whether ``root`` looks like this layout; an ``exr/`` of other names is the user's own."""
+    return holds_truth(root, HDR_GS)
 
 
 def read_scene(root: Path, downscale: float | None = None) -> Scene:

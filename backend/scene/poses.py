@@ -14,7 +14,6 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from ...bridge import data_set
 from ...bridge.errors import BadValueError, DataMismatchError, FileMissingError, PhysHDRError
 from ...bridge.regular import damaged_where_it_fails
 from .camera import Camera
@@ -25,10 +24,9 @@ from .resize import Reduction, is_shaped
 from .scene import PictureCache, View
 from .source import PictureSource
 from .test_choice import EVERY, FEWEST, same_places, test_places
+from .truth_folders import truth_there
 from .undistorted import store_for
 
-#: Where any layout keeps true radiance (``evaluate/truth.py``), by the poses' numbers. Never opened here.
-TRUTH_FOLDERS = (*map(data_set.truth_folder, (data_set.TRAIN, data_set.TEST)), "images_hdr", "exr")
 #: What the names of pictures end with, in lower case.
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".hdr")
 #: Beside a COLMAP model's pictures: ``masks/NAME.jpg.png`` of ``images/NAME.jpg``; black is not compared.
@@ -402,12 +400,19 @@ def pose_number(name: str) -> int | None:
 def numbered(root: Path, poses: Sequence[Pose]) -> list[Pose]:
     """The poses by the numbers of their names where the data set holds true radiance, which these name.
 
-    Elsewhere as they are. Raises ``DataMismatchError`` for a name without a number; ``check_numbers`` of each
-    split comes after it.
+    Elsewhere as they are. Raises ``DataMismatchError`` for a name without a number, and for a picture that is
+    true radiance itself; ``check_numbers`` of each split comes after it.
     """
-    truth = next((folder for folder in TRUTH_FOLDERS if (root / folder).is_dir()), None)
-    if truth is None:
+    folders = truth_there(root)
+    if not folders:
         return list(poses)
+    for path in (picture.path for pose in poses for picture in pose.pictures.values()):
+        if any(path.is_relative_to(root / folder) for folder in folders):
+            raise DataMismatchError(
+                f"{path} is true radiance by its name, which evaluation alone may see, and a view's picture",
+                "Put the pictures to be trained from into another folder, and name them there.",
+            )
+    truth = folders[0]
     found = []
     for pose in poses:
         number = pose_number(pose.name)

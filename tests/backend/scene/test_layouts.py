@@ -6,6 +6,7 @@ projected through the view's camera, must fall on the spot that was drawn for it
 """
 
 import json
+import re
 import shutil
 from collections.abc import Iterable
 from io import BytesIO
@@ -20,12 +21,14 @@ from PIL import Image
 from physhdr.backend.evaluate import truth
 from physhdr.backend.evaluate.protocol import evaluate
 from physhdr.backend.evaluate.renderer import Renderer
+from physhdr.backend.inspect import inspect
 from physhdr.backend.scene import Scene, View, read_scene
 from physhdr.backend.scene.capture.exposures import exposures_from_exif
 from physhdr.backend.scene.capture.photos import find_photos
 from physhdr.backend.scene.gausshdr import published_factor
-from physhdr.backend.scene.poses import TRUTH_FOLDERS
-from physhdr.bridge.errors import BadValueError
+from physhdr.backend.scene.truth_folders import FOLDERS
+from physhdr.bridge import data_set
+from physhdr.bridge.errors import BadValueError, DataMismatchError
 
 #: Pixels by which a spot's measured centre may be off: JPEG, 8 bits and, where reduced, resampling.
 HIT = 0.06
@@ -123,8 +126,63 @@ def test_nerfstudio_beside_true_radiance_counts_by_names(layouts: ModuleType, tm
 
 
 def test_readers_know_where_evaluation_looks_for_truth() -> None:
-    looked = {place.folder(split) for place in truth._PLACES for split in ("train", "test")}
-    assert looked == set(TRUTH_FOLDERS)
+    looked = {
+        place.folder(split): place.file(split, 3) for place in truth._PLACES for split in data_set.SPLITS
+    }
+    assert looked.keys() == FOLDERS.keys()
+    of_test = {place.folder("test"): place.file("test", 3) for place in truth._PLACES}
+    assert all(re.fullmatch(FOLDERS[folder], name) for folder, name in of_test.items())
+
+
+def test_a_folder_of_exrs_beside_photographs_is_neither_a_layout_nor_truth(
+    layouts: ModuleType, tmp_path: Path
+) -> None:
+    """Merged brackets, a shot's frames, a renderer's passes: names are those of the user's photographs."""
+    plain = read_scene(layouts.write_colmap(tmp_path / "plain"))
+    root = layouts.write_colmap(tmp_path / "photos")
+    for folder in ("exr", "images_hdr", "test_hdr"):
+        for index in range(10):
+            layouts.write_truth(root / folder / f"shot_{index:02d}.exr", 1.0)
+            layouts.write_truth(root / folder / f"{index}.exr", 1.0)
+    scene = read_scene(root)
+    assert (scene.layout, scene.response_anchor, scene.photographs) == ("COLMAP", None, True)
+    for split in ("train", "test"):
+        assert [view.name for view in scene.splits[split]] == [view.name for view in plain.splits[split]]
+        assert not truth.has_hdr_truth(root, split)
+    found = inspect(root)
+    assert found.errors == [] and found.layout == "COLMAP"
+
+
+def test_a_views_own_picture_is_not_its_truth(layouts: ModuleType, tmp_path: Path) -> None:
+    """``transforms.json`` of a shot names ``exr/shot_1001.exr``; of our own data's truth it is refused."""
+    root = layouts.write_nerfstudio(tmp_path / "shot")
+    content = json.loads((root / "transforms.json").read_text())
+    for index, frame in enumerate(content["frames"]):
+        frame["file_path"] = f"exr/shot_{1001 + index}.exr"
+        layouts.write_truth(root / frame["file_path"], 1.0 + index)
+    (root / "transforms.json").write_text(json.dumps(content))
+    scene = read_scene(root)
+    assert scene.layout == "nerfstudio" and len(scene.train) == 8
+    assert not truth.has_hdr_truth(root, "test") and inspect(root).errors == []
+    for index, frame in enumerate(content["frames"]):
+        frame["file_path"] = f"train_hdr/hdr_{index:03d}.exr"
+        layouts.write_truth(root / frame["file_path"], 1.0 + index)
+    (root / "transforms.json").write_text(json.dumps(content))
+    with pytest.raises(DataMismatchError, match=r"train_hdr/hdr_00\d\.exr is true radiance by its name"):
+        read_scene(root)
+
+
+@pytest.mark.parametrize("change", ["none is there", "one is missing", "others are there, too"])
+def test_hdr_gs_is_known_by_any_of_its_truth(layouts: ModuleType, tmp_path: Path, change: str) -> None:
+    root = layouts.write_hdr_gs(tmp_path / "dog")
+    for path in {"none is there": list(root.glob("exr/*")), "one is missing": [root / "exr/3.exr"]}.get(
+        change, []
+    ):
+        path.unlink()
+    if change == "others are there, too":
+        layouts.write_truth(root / "exr/99.exr", 1.0)
+        (root / "images/.DS_Store").touch()
+    assert read_scene(root).layout == "HDR-GS" and truth.has_hdr_truth(root, "test")
 
 
 @pytest.mark.parametrize("writer", ["write_real", "write_colmap", "write_nerfstudio"])
