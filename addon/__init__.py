@@ -16,6 +16,7 @@ _MODULES = (
     "settings",
     "dataset.dataset_settings",
     "capture.originals",
+    "model.pose",
     "model.model_import",
     "model.save_model",
     "operators.backend",

@@ -80,6 +80,8 @@ IDENTITY = MODEL_IDENTITY
 FILE = "physhdr_file"
 #: Custom property: the data set's folder of the model's run, else the model's file (``placement``).
 CAPTURE = "physhdr_capture"
+#: Custom property: some of the Gaussians, as they were when they were last known to be whole (``pose``).
+WITNESS = "physhdr_witness"
 #: Custom property: what the colours of another program's PLY were taken for.
 COLOR_SPACE = "physhdr_color_space"
 #: Custom property: the names of the lights, as JSON (Blender has no lists of texts).

@@ -18,6 +18,7 @@ from ...bridge.splat_files import SUFFIXES
 from ..blender import add_entry, cloud_of, layout_of, remove_entry
 from ..capture.placement import capture_of_file, place
 from ..rendering.render_setup import render_problems, set_up_object
+from . import pose
 from .attributes import CAPTURE, COLOR_SPACE, DISPLAY, FILE
 from .point_cloud import build_point_cloud
 from .radiance_tree import add_modifier
@@ -65,6 +66,7 @@ def import_file(
     cloud = build_point_cloud(source.model, name, source.colour_sh)
     cloud[FILE] = str(path)
     cloud[CAPTURE] = capture_of_file(path)
+    pose.remember(cloud)
     if source.colour_sh is not None:
         cloud[COLOR_SPACE] = color_space
     target = bpy.data.objects.new(name, cloud)
