@@ -2,7 +2,8 @@
 """The reader of plain COLMAP folders: ``images/`` and ``sparse/0``, of bracketed captures or of single ones.
 
 Pictures named ``<pose>_<k>`` are the brackets of poses, of which the model may hold one picture or all; other
-pictures are a view each. Exposures come from ``exposure.json`` or the pictures' EXIF (docs/formats.md).
+pictures are a view each, as are all where most are no brackets. Exposures come from ``exposure.json`` or the
+pictures' EXIF (docs/formats.md).
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,18 +14,16 @@ import numpy as np
 
 from ...bridge.data_set import EXPOSURE_FILE, scene_name
 from ...bridge.errors import DataMismatchError
-from .camera import Camera
 from .checks import path_inside
-from .colmap_files import SparseImage, SparseModel, find_model, read_model
+from .colmap_brackets import Group, alike, best_of, camera_of, grouped, placed, single, with_pictures
+from .colmap_files import find_model, read_model
 from .exposures import SAY_EXPOSURES, exposures_from_exif, read_exposure_file
 from .info import read_anchor, read_info
 from .poses import (
-    SUFFIXES,
     PictureFile,
     Pose,
     Views,
     at_size_of_pictures,
-    bracket_name,
     check_numbers,
     mask_beside,
     masks_in_words,
@@ -43,8 +42,6 @@ NAME = "COLMAP"
 LOOKS_FOR = "images/ and sparse/0"
 #: Cameras of one bracket that are farther apart than this share of the cameras' spread are worth a message.
 STEADY = 0.002
-#: Pictures whose cameras are farther apart than this share are no bracket: a hand does not move so far.
-FAR = 0.1
 
 
 def is_mine(root: Path) -> bool:
@@ -114,20 +111,11 @@ def read_poses(root: Path, pictures: Path) -> FoundPoses:
     model = read_model(folder)
     stated = read_exposure_file(root / EXPOSURE_FILE) if (root / EXPOSURE_FILE).exists() else None
     spread = float(np.ptp([model.camera(image).position for image in model.images], axis=0).max())
-    groups = _brackets_by_name(model.images, pictures) or _single(model.images)
-    messages = []
-    far = [group for group in groups if _camera(model, group)[1] > FAR * spread]
-    if far:
-        names = ", ".join(f"'{group.name}_…'" for group in far)
-        messages.append(
-            f"names like brackets, but the cameras of {names} are far apart: each of their pictures in the "
-            "model is a view of its own"
-        )
-        groups = [one for group in groups for one in (_single(group.registered) if group in far else [group])]
+    groups, alone, messages = grouped(model, pictures, spread)
     paths = {name: path_inside(pictures, name, folder) for group in groups for name in group.names.values()}
     sizes, faults = sizes_of(paths.values())
     usable = {name: path for name, path in paths.items() if path in sizes}
-    everything, groups = groups, _with_pictures(groups, usable)
+    everything, groups = groups, with_pictures(groups, usable)
     share = len(groups) / len(everything)
     messages += skipped_in_words("pictures of the model", len(paths), faults, pictures, share)
     for group in groups:
@@ -136,24 +124,25 @@ def read_poses(root: Path, pictures: Path) -> FoundPoses:
     seconds, told = _exposures(groups, pictures, usable, stated, must=bracketed)
     messages.append(told)
     groups = [_without_unknown(group, seconds, folder) for group in groups]
-    alike = _alike(groups, seconds) if bracketed else None
-    if alike:
+    groups = placed(groups, alone, seconds)
+    pair = alike(groups, seconds) if bracketed else None
+    if pair:
         messages.append(
-            f"names like brackets, but '{alike[0]}' and '{alike[1]}' have one exposure: each picture in the "
+            f"names like brackets, but '{pair[0]}' and '{pair[1]}' have one exposure: each picture in the "
             "model is a view of its own"
         )
-        groups = _with_pictures(_single(model.images), usable)
+        groups = with_pictures(single(model.images), usable)
         groups = [_without_unknown(group, seconds, folder) for group in groups]
     poses = []
     apart = 0.0
     for order, group in enumerate(groups):
-        camera, distance = _camera(model, group)
+        camera, distance = camera_of(model, group)
         apart = max(apart, distance)
         bracket = {
             k: PictureFile(usable[name], seconds[name], mask_beside(root, name))
             for k, name in group.names.items()
         }
-        pose = Pose(group.name, order, camera, bracket, lens=model.lens(_best(group)))
+        pose = Pose(group.name, order, camera, bracket, lens=model.lens(best_of(group)))
         poses.append(at_size_of_pictures(pose, sizes, folder))
     if all(len(pose.pictures) == 1 for pose in poses):
         messages.append("one exposure a view: 'physhdr prepare' groups photographs into brackets")
@@ -162,63 +151,13 @@ def read_poses(root: Path, pictures: Path) -> FoundPoses:
             f"cameras of one bracket are up to {apart:.2g} units apart ({apart / spread:.1%} of all cameras' "
             "spread): each view takes that of the picture with the most points"
         )
-    missing = missing_in_words(poses)
+    missing = missing_in_words([pose for pose in poses if pose.name not in alone])
     messages += masks_in_words(poses)
     return FoundPoses(root, numbered(root, poses), model.points, (*messages, *([missing] if missing else [])))
 
 
-@dataclass(frozen=True, eq=False)
-class _Group:
-    """A pose: picture names by place in the bracket, and those of them that the model has."""
-
-    name: str
-    names: dict[int, str]
-    registered: list[SparseImage]
-
-
-def _single(images: list[SparseImage]) -> list[_Group]:
-    """Each picture of the model as a pose of its own."""
-    return [_Group(image.name.rsplit(".", 1)[0], {0: image.name}, [image]) for image in images]
-
-
-def _with_pictures(groups: list[_Group], usable: Mapping[str, Path]) -> list[_Group]:
-    """The groups without the names that no picture belongs to, and without those that are left with none."""
-    left = (
-        _Group(group.name, {k: n for k, n in group.names.items() if n in usable}, group.registered)
-        for group in groups
-    )
-    return [group for group in left if group.names]
-
-
-def _brackets_by_name(images: list[SparseImage], pictures: Path) -> list[_Group] | None:
-    """The model's poses, each with all its pictures in the folder; None where names are not of brackets.
-
-    They are where every name in the model ends in ``_<k>`` and some pose has several pictures. The smallest
-    k becomes place 0.
-    """
-    in_model: dict[str, list[SparseImage]] = {}
-    for image in images:
-        parts = bracket_name(image.name)
-        if parts is None:
-            return None
-        in_model.setdefault(parts[0], []).append(image)
-    names: dict[str, dict[int, str]] = {}
-    there = sorted(path.relative_to(pictures).as_posix() for path in pictures.rglob("*_[0-9].*"))
-    for name in [*(image.name for image in images), *there]:  # of a_0.jpg and a_0.png, the one in the model
-        parts = bracket_name(name)
-        if parts is not None and parts[0] in in_model and name.lower().endswith(SUFFIXES):
-            names.setdefault(parts[0], {}).setdefault(parts[1], name)
-    first = min(min(bracket) for bracket in names.values()) if names else 0
-    groups = [
-        _Group(base, {k - first: names[base][k] for k in sorted(names[base])}, found)
-        for base, found in sorted(in_model.items())
-        if base in names
-    ]
-    return groups if any(len(group.names) > 1 for group in groups) else None
-
-
 def _exposures(
-    groups: list[_Group],
+    groups: list[Group],
     pictures: Path,
     paths: Mapping[str, Path],
     stated: dict[str, float] | None,
@@ -241,7 +180,7 @@ def _exposures(
     return dict.fromkeys(names, 1.0), "no exposures are known: taken as one exposure of 1 s for all pictures"
 
 
-def _without_unknown(group: _Group, seconds: dict[str, float], folder: Path) -> _Group:
+def _without_unknown(group: Group, seconds: dict[str, float], folder: Path) -> Group:
     """Without pictures that the exposure file leaves out; raises ``DataMismatchError`` if none is left."""
     names = {k: name for k, name in group.names.items() if name in seconds}
     if not names:
@@ -249,28 +188,4 @@ def _without_unknown(group: _Group, seconds: dict[str, float], folder: Path) -> 
             f"{EXPOSURE_FILE} has no exposure for '{next(iter(group.names.values()))}', which {folder} has",
             SAY_EXPOSURES,
         )
-    return _Group(group.name, names, group.registered)
-
-
-def _alike(groups: list[_Group], seconds: dict[str, float]) -> tuple[str, str] | None:
-    """Two pictures of one pose with one exposure: a bracket has none."""
-    for group in groups:
-        seen: dict[float, str] = {}
-        for name in group.names.values():
-            if seconds[name] in seen:
-                return seen[seconds[name]], name
-            seen[seconds[name]] = name
-    return None
-
-
-def _camera(model: SparseModel, group: _Group) -> tuple[Camera, float]:
-    """The camera of the group's picture with the most points; how far the others are from it, units."""
-    best = _best(group)
-    camera = model.camera(best)
-    others = (model.camera(image).position for image in group.registered if image is not best)
-    return camera, max((float(np.linalg.norm(other - camera.position)) for other in others), default=0.0)
-
-
-def _best(group: _Group) -> SparseImage:
-    """The group's picture with the most points."""
-    return max(group.registered, key=lambda image: image.observed)
+    return Group(group.name, names, group.registered)

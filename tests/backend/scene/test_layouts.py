@@ -475,6 +475,44 @@ def test_nine_places_are_no_bracket(layouts: ModuleType, tmp_path: Path, exif: b
     assert_points_are_on_their_spots(layouts, scene)
 
 
+def test_a_stray_picture_leaves_brackets_as_they_are(layouts: ModuleType, tmp_path: Path) -> None:
+    """shot_00_0 … shot_09_2, of which the model has the middle ones, and an overview, bright as place 2."""
+    root = layouts.write_colmap(tmp_path / "data")
+    layouts.save(root / "images/overview.jpg", layouts.draw(4.4, 2), exif=layouts.camera_exif(1.9))
+    images = {f"shot_{i:02d}_1.jpg": float(i) for i in range(10)} | {"overview.jpg": 4.4}
+    layouts.write_sparse(root / "sparse" / "0", images)
+    scene = read_scene(root)
+    views = {view.name: view.bracket for view in (*scene.train, *scene.test)}
+    assert views == {f"shot_{i:02d}": (0, 1, 2) for i in range(10)} | {"overview": (2,)}
+    assert (
+        "1 of 11 pictures of the model are of no bracket by their names: each is a view of its own "
+        "(first: overview.jpg)"
+    ) in scene.messages
+    assert not any("exposures are missing" in message for message in scene.messages)
+    assert_points_are_on_their_spots(layouts, scene)
+
+
+def test_numbers_of_one_and_of_two_digits_are_no_brackets(layouts: ModuleType, tmp_path: Path) -> None:
+    """img_1 … img_12 of a walk, of which COLMAP has placed one of the first nine; and a pair beside many."""
+    images = {f"img_{i}.jpg": 0.3 * i for i in range(1, 13)}
+    for i, name in enumerate(images):
+        layouts.save(tmp_path / "a" / "images" / name, layouts.draw(i, 0), exif=layouts.camera_exif(0.01 + i))
+    layouts.write_sparse(
+        tmp_path / "a" / "sparse/0", {n: i for n, i in images.items() if i > 2.5 or i == 0.6}
+    )
+    scene = read_scene(tmp_path / "a")
+    assert {view.name for view in (*scene.train, *scene.test)} == {
+        "img_2",
+        *(f"img_{i}" for i in range(9, 13)),
+    }
+    images = {f"DSC{i:04d}.jpg": float(i) for i in range(8)} | {"flash_1.jpg": 4.01, "flash_2.jpg": 4.02}
+    for i, name in enumerate(images):
+        layouts.save(tmp_path / "b" / "images" / name, layouts.draw(i, 0))
+    layouts.write_sparse(tmp_path / "b" / "sparse/0", images)
+    scene = read_scene(tmp_path / "b")
+    assert {len(view.exposures) for view in scene.train} == {1} and len(scene.train) + len(scene.test) == 10
+
+
 def test_pictures_of_one_exposure_are_no_bracket(layouts: ModuleType, tmp_path: Path) -> None:
     root = layouts.write_colmap(tmp_path / "data", poses=4)
     for path in sorted((root / "images").glob("*.jpg")):

@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which pictures of a COLMAP model belong to one pose: brackets by name, where names are of brackets."""
+
+import math
+import re
+import statistics
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from .camera import Camera
+from .colmap_files import SparseImage, SparseModel
+from .poses import SUFFIXES, bracket_name
+
+#: Pictures whose cameras are farther apart than this share of the cameras' spread are no bracket: a hand does
+#: not move so far.
+FAR = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """A pose: picture names by place in the bracket, and those of them that the model has."""
+
+    name: str
+    names: dict[int, str]
+    registered: list[SparseImage]
+
+
+def grouped(model: SparseModel, pictures: Path, spread: float) -> tuple[list[Group], set[str], list[str]]:
+    """The poses of a model in the order of names; the names of those beside brackets that are none; messages.
+
+    ``pictures``: the folder in which a bracket's other pictures are looked for. ``spread``: of all cameras.
+    """
+    groups, strays = _brackets_by_name(model.images, pictures)
+    messages = []
+    if strays:
+        messages.append(
+            f"{len(strays)} of {len(model.images)} pictures of the model are of no bracket by their names: "
+            f"each is a view of its own (first: {strays[0].registered[0].name:.200})"
+        )
+    groups, alone = sorted([*groups, *strays], key=lambda group: group.name), list(strays)
+    far = [group for group in groups if camera_of(model, group)[1] > FAR * spread]
+    if far:
+        names = ", ".join(f"'{group.name}_…'" for group in far)
+        messages.append(
+            f"names like brackets, but the cameras of {names} are far apart: each of their pictures in the "
+            "model is a view of its own"
+        )
+        groups = [one for group in groups for one in (single(group.registered) if group in far else [group])]
+        alone += [one for group in far for one in single(group.registered)]
+    return groups, {group.name for group in alone}, messages
+
+
+def single(images: list[SparseImage]) -> list[Group]:
+    """Each picture of the model as a pose of its own."""
+    return [Group(image.name.rsplit(".", 1)[0], {0: image.name}, [image]) for image in images]
+
+
+def with_pictures(groups: list[Group], usable: Mapping[str, Path]) -> list[Group]:
+    """The groups without the names that no picture belongs to, and without those that are left with none."""
+    left = (
+        Group(group.name, {k: n for k, n in group.names.items() if n in usable}, group.registered)
+        for group in groups
+    )
+    return [group for group in left if group.names]
+
+
+def _brackets_by_name(images: list[SparseImage], pictures: Path) -> tuple[list[Group], list[Group]]:
+    """The model's poses, each with all its pictures in the folder; and its pictures that are of no bracket.
+
+    Names are of brackets where all are ``<pose>_<k>`` and some pose has several pictures, or where at least
+    half of the model's pictures are of such poses. Else each picture is a pose, and none is apart. The
+    smallest k becomes place 0.
+    """
+    in_model: dict[str, list[SparseImage]] = {}
+    others = [image.name for image in images if bracket_name(image.name) is None]
+    series = {re.sub(r"_\d+\.[^./]+$", "", name) for name in others}  # img_10: img_1 … img_9 are numbers, too
+    for image in images:
+        parts = bracket_name(image.name)
+        if parts is not None and parts[0] not in series:
+            in_model.setdefault(parts[0], []).append(image)
+    names: dict[str, dict[int, str]] = {}
+    there = sorted(path.relative_to(pictures).as_posix() for path in pictures.rglob("*_[0-9].*"))
+    # Of a_0.jpg and a_0.png, the one in the model.
+    for name in [*(image.name for found in in_model.values() for image in found), *there]:
+        parts = bracket_name(name)
+        if parts is not None and parts[0] in in_model and name.lower().endswith(SUFFIXES):
+            names.setdefault(parts[0], {}).setdefault(parts[1], name)
+    named = {image.name for base in names for image in in_model[base]}
+    several = sum(len(in_model[base]) for base, bracket in names.items() if len(bracket) > 1)
+    if not several or (len(named) < len(images) and 2 * several < len(images)):
+        return single(images), []
+    first = min(min(bracket) for bracket in names.values())
+    groups = [
+        Group(base, {k - first: names[base][k] for k in sorted(names[base])}, in_model[base])
+        for base in sorted(names)
+    ]
+    strays = single([image for image in images if image.name not in named])
+    return groups, [
+        Group(stray.names[0], stray.names, stray.registered) if stray.name in names else stray
+        for stray in strays
+    ]
+
+
+def placed(groups: list[Group], alone: set[str], seconds: dict[str, float]) -> list[Group]:
+    """The groups, each single picture in ``alone`` at the brackets' place that is exposed most like it."""
+    logs: dict[int, list[float]] = {}
+    for group in groups:
+        if group.name not in alone:
+            for k, name in group.names.items():
+                logs.setdefault(k, []).append(math.log(seconds[name]))
+    usual = {k: statistics.median(values) for k, values in logs.items()}
+    if not usual:
+        return groups
+    found = []
+    for group in groups:
+        if group.name in alone:
+            ((_, name),) = group.names.items()
+            k = min(usual, key=lambda k, name=name: abs(usual[k] - math.log(seconds[name])))
+            group = Group(group.name, {k: name}, group.registered)
+        found.append(group)
+    return found
+
+
+def alike(groups: list[Group], seconds: dict[str, float]) -> tuple[str, str] | None:
+    """Two pictures of one pose with one exposure: a bracket has none."""
+    for group in groups:
+        seen: dict[float, str] = {}
+        for name in group.names.values():
+            if seconds[name] in seen:
+                return seen[seconds[name]], name
+            seen[seconds[name]] = name
+    return None
+
+
+def camera_of(model: SparseModel, group: Group) -> tuple[Camera, float]:
+    """The camera of the group's picture with the most points; how far the others are from it, units."""
+    best = best_of(group)
+    camera = model.camera(best)
+    others = (model.camera(image).position for image in group.registered if image is not best)
+    return camera, max((float(np.linalg.norm(other - camera.position)) for other in others), default=0.0)
+
+
+def best_of(group: Group) -> SparseImage:
+    """The group's picture with the most points."""
+    return max(group.registered, key=lambda image: image.observed)
