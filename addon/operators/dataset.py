@@ -15,7 +15,6 @@ from typing import Any, ClassVar
 import bpy
 from bpy.app.handlers import persistent
 
-from ...bridge.data_set import INFO_FILE
 from ...bridge.errors import OutputError, PhysHDRError
 from ...synth import scripts
 from ..blender import layout_of
@@ -36,6 +35,7 @@ from ..model.look import is_model
 from ..paths import ROOT
 from ..runtime import redraw, session
 from ..session.state import DATASET
+from ..session.task import TaskEnded
 from ..settings import RELATIVE
 from .afterwards import push_undo, take_when_ended
 from .base import PhysHDROperator
@@ -127,12 +127,9 @@ class PHYSHDR_OT_dataset_render(RenderOptions, PhysHDROperator):
             raise
         finally:
             _remove_copies()
-        problem = current.state.problem
-        if problem or not (out / INFO_FILE).is_file():
-            told = (problem.message, problem.hint) if problem else ("the rendering was cancelled",)
-            self.report({"ERROR"}, ": ".join(filter(None, told)))
+        if not _take(scene, started):
+            self.report({"ERROR"}, _why_not_taken(current.ended(DATASET)))
             return {"CANCELLED"}
-        _take(scene, started)
         for line in _left_out(scene):
             self.report({"INFO"}, line)
         self.report({"INFO"}, summarise(out).lines[0])
@@ -163,10 +160,25 @@ def _left_out(scene: bpy.types.Scene) -> list[str]:
     return [f"Left out of what is photographed, trained models: {', '.join(names)}"] if names else []
 
 
-def _take(scene: bpy.types.Scene, started: Started) -> None:
-    """A data set is complete: it is chosen for training, and its time remembered."""
+def _take(scene: bpy.types.Scene, started: Started) -> bool:
+    """Choose the data set for training, and remember its time, if it is this one that was completed.
+
+    That the folder holds a data set says nothing: it may be an older one, of which the new one was refused.
+    """
+    ended = session().ended(DATASET)
+    if ended is None or not ended.ok or ended.result.get("folder") != str(started.out):
+        return False
     placement.settings_of(scene).data = str(started.out)
     render_time.ended(started, scene, session().home)
+    return True
+
+
+def _why_not_taken(ended: TaskEnded | None) -> str:
+    if ended is None:
+        return "the rendering goes on: its log tells how far it is"
+    if ended.cancelled:
+        return "the rendering was cancelled"
+    return ": ".join(filter(None, (ended.message, ended.hint)))
 
 
 def _choose_when_done(name: str, started: Started) -> None:
@@ -174,10 +186,7 @@ def _choose_when_done(name: str, started: Started) -> None:
 
     def take() -> bool:
         scene = bpy.data.scenes.get(name)
-        if scene is None or not (started.out / INFO_FILE).is_file():
-            return False
-        _take(scene, started)
-        return True
+        return scene is not None and _take(scene, started)
 
     take_when_ended(DATASET, take, PHYSHDR_OT_dataset_render.bl_label)
 

@@ -76,6 +76,7 @@ class Session:
         self.changes = 0
         self.when_closed: WhenClosed = WhenClosed(training="keep")
         self._tasks: dict[str, ChildTask] = {}
+        self._ended: dict[str, TaskEnded] = {}
         self._client: Client | None = None
         self._process = None
         self._started = 0.0
@@ -104,7 +105,12 @@ class Session:
         if name in self._tasks:
             raise OutputError(f"{name} is under way already", "Wait for it to end, or cancel it.")
         self._tasks[name] = ChildTask(name, command, log, environment)
+        self._ended.pop(name, None)
         self.dispatch(TaskStarted(name, str(log)))
+
+    def ended(self, name: str) -> TaskEnded | None:
+        """How the task of a name ended that was started last; None while it goes on, or where none was."""
+        return self._ended.get(name)
 
     def cancel_task(self, name: str) -> None:
         if name in self._tasks:
@@ -274,6 +280,7 @@ class Session:
             for event in task.poll():
                 if isinstance(event, TaskEnded):
                     del self._tasks[name]
+                    self._ended[name] = event
                 self.dispatch(event)
 
     def _pump_process(self) -> None:

@@ -21,6 +21,8 @@ from physhdr.addon.dataset import (  # noqa: E402
     time_trial,
 )
 from physhdr.addon.operators import afterwards, dataset  # noqa: E402
+from physhdr.addon.session.state import DATASET  # noqa: E402
+from physhdr.addon.session.task import TaskEnded  # noqa: E402
 from physhdr.bridge.blend_file import MODEL_IDENTITY  # noqa: E402
 from physhdr.bridge.errors import BadValueError, OutputError  # noqa: E402
 from physhdr.synth import exr, scripts  # noqa: E402
@@ -167,8 +169,6 @@ def test_a_scene_without_a_camera_greys_the_button(room):
 
 def test_progress_cancel_and_resume_as_a_window_does(room, extension, tmp_path):
     """Not waiting, the operator returns at once; pumping shows progress; what is rendered is kept."""
-    from physhdr.addon.session.state import DATASET
-
     out = tmp_path / "data"
     slow = {**SMALL, "resolution_x": 128, "samples": 16, "views": 8}
     began = time.monotonic()
@@ -509,13 +509,38 @@ def test_a_data_set_is_chosen_though_an_operator_never_ends(room, extension, tmp
     monkeypatch.setattr(dataset.bpy.app.timers, "register", lambda look, **given: timers.append(look), False)
     monkeypatch.setattr(afterwards, "in_the_middle", lambda: True)
     monkeypatch.setattr(afterwards, "push_undo", pushed.append)
-    (tmp_path / dataset.INFO_FILE).write_text("{}")
+    done = TaskEnded(DATASET, ok=True, result={"folder": str(tmp_path)})
+    monkeypatch.setattr(extension, "ended", lambda name: done)
     dataset._choose_when_done(room.name, render_time.Started(tmp_path, 1, "CPU", 0, 0.0))
     [look] = timers
     assert look() == afterwards.LOOK_SECONDS and not room.physhdr.data
     now = time.monotonic()
     monkeypatch.setattr(afterwards.time, "monotonic", lambda: now + afterwards.MODAL_SECONDS + 1.0)
     assert look() is None and room.physhdr.data == str(tmp_path) and not pushed
+
+
+def test_what_failed_or_was_cancelled_is_not_chosen_though_the_folder_holds_an_older_one(
+    room, extension, tmp_path, monkeypatch
+):
+    out = tmp_path / "data"
+    small = {**SMALL, "views": 2, "lit_views": 0, "relit_views": 0}
+    assert bpy.ops.physhdr.dataset_render(out=str(out), **small) == {"FINISHED"}
+    timers, pushed = [], []
+    monkeypatch.setattr(dataset.bpy.app.timers, "register", lambda look, **given: timers.append(look), False)
+    for given, cancel in (({"seed": 5}, False), ({}, True)):
+        room.physhdr.data = ""
+        assert bpy.ops.physhdr.dataset_render(out=str(out), wait=False, **(small | given)) == {"FINISHED"}
+        monkeypatch.setattr(afterwards, "push_undo", pushed.append)
+        if cancel:
+            bpy.ops.physhdr.task_cancel(name=DATASET)
+        assert extension.wait(lambda state: state.task(DATASET) is None, 60.0)
+        assert timers.pop()() is None
+        assert room.physhdr.data == "" and not pushed and (out / "dataset.json").is_file()
+        with pytest.raises(RuntimeError, match="made with other options: seed is 0 there"):
+            bpy.ops.physhdr.dataset_render(out=str(out), **(small | {"seed": 5}))
+        assert room.physhdr.data == ""
+    assert not timers and bpy.ops.physhdr.dataset_render(out=str(out), **small) == {"FINISHED"}
+    assert room.physhdr.data == str(out)
 
 
 def test_a_folder_that_nobody_may_look_into_is_refused_in_words(extension, tmp_path, monkeypatch):
