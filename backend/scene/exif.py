@@ -12,9 +12,11 @@ from typing import Any
 from PIL import ExifTags, Image
 
 from ...bridge.errors import PhysHDRError
-from ...bridge.regular import damaged_where_it_fails, regular_file
-from .pictures import READABLE
+from ...bridge.regular import damaged_where_it_fails
+from .pictures import READABLE, kind_of
 
+#: How a picture is to be turned: values under which width and height change places.
+LYING = (5, 6, 7, 8)
 #: Above this ISO its old tag holds 65535, and the index tag the value (EXIF 2.3).
 LARGEST_ISO = 65534
 #: No APEX value of a time or an aperture is beyond.
@@ -75,11 +77,22 @@ def comparable(pictures: Sequence[Exif]) -> ComparableExposures:
 
 def read_exif(path: Path) -> Exif:
     """A picture's EXIF; all None where it has none, or what it has cannot be read."""
+    return exposure_of(tags_of_file(path))
+
+
+def tags_of_file(path: Path) -> Tags:
+    """The EXIF tags of a picture of any kind; {} where it has none, or they cannot be read."""
     try:
-        with damaged_where_it_fails(str(path)), Image.open(regular_file(path), formats=READABLE) as picture:
-            return exposure_of(tags_of(picture))
+        kind = kind_of(path)
+        with damaged_where_it_fails(str(path)):
+            if kind == "TIFF":
+                return tags_of_tiff(path)
+            if kind in READABLE:
+                with Image.open(path, formats=READABLE) as picture:
+                    return tags_of(picture)
     except PhysHDRError:
-        return Exif()  # the reader of pictures says what is wrong with the file
+        pass  # the reader of pictures says what is wrong with the file
+    return {}
 
 
 def tags_of(picture: Image.Image) -> Tags:
@@ -127,6 +140,12 @@ def exposure_of(tags: Tags) -> Exif:
         _stops(tags, ExifTags.Base.ExposureBiasValue),
         _stops(tags, ExifTags.Base.BrightnessValue),
     )
+
+
+def orientation_of(tags: Tags) -> int:
+    """How a picture is to be turned by what its camera wrote, 1 to 8; 1 where nothing is written."""
+    value = tags.get(ExifTags.Base.Orientation)
+    return value if isinstance(value, int) and 1 <= value <= 8 else 1
 
 
 def positive(tags: Tags, tag: int) -> float | None:

@@ -12,14 +12,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from ...bridge.errors import BadValueError, DataMismatchError, FileMissingError, PhysHDRError
-from ...bridge.regular import damaged_where_it_fails
 from .camera import Camera
-from .exif import tags_of
+from .exif import LYING, orientation_of, tags_of_file
 from .lens import Lens, RealCamera, Reduced, lenses_by_size
-from .pictures import READABLE, picture_size
+from .pictures import picture_size
 from .resize import Reduction, is_shaped
 from .scene import PictureCache, View
 from .source import PictureSource
@@ -31,8 +29,6 @@ from .undistorted import store_for
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr", ".hdr")
 #: Beside a COLMAP model's pictures: ``masks/NAME.jpg.png`` of ``images/NAME.jpg``; black is not compared.
 MASKS = "masks"
-#: EXIF's tag of how a picture is to be turned, and its values that swap width and height.
-ORIENTATION, LYING = 0x0112, (5, 6, 7, 8)
 #: A share of each photo beyond this that no picture shows is worth a word.
 MUCH = 0.05
 
@@ -258,18 +254,8 @@ def turn(path: Path, stored: tuple[int, int], stated: tuple[int, int]) -> int:
     """
     if is_shaped(stored, stated) or not is_shaped((stored[1], stored[0]), stated):
         return 1
-    orientation = exif_orientation(path)
+    orientation = orientation_of(tags_of_file(path))
     return orientation if orientation in LYING else 1
-
-
-def exif_orientation(path: Path) -> int:
-    """How a picture is to be turned by what its camera wrote, 1 to 8; 1 where nothing is written."""
-    try:
-        with damaged_where_it_fails(str(path)), Image.open(path, formats=READABLE) as picture:
-            value = tags_of(picture).get(ORIENTATION, 1)
-    except PhysHDRError:
-        return 1  # a kind without EXIF
-    return value if isinstance(value, int) and 1 <= value <= 8 else 1
 
 
 def at_size_of_pictures(pose: Pose, sizes: Mapping[Path, tuple[int, int]], told_by: Path) -> Pose:

@@ -12,6 +12,7 @@ import numpy as np
 from ...bridge.errors import DataMismatchError
 from .color_space import SPACES, Chromaticities, known, space_named
 from .encoding import CAMERA, LARGEST, Encoding
+from .exif import LYING
 from .pictures import Radiance, holds_radiance, read_codes, read_radiance
 from .resize import Reduction, is_shaped
 
@@ -206,7 +207,7 @@ def plain(paths: Iterable[Path]) -> tuple[PictureSource, ...]:
 
 def turned(picture: np.ndarray, orientation: int) -> np.ndarray:
     """``[H, W, …]`` turned upright as EXIF's orientation, 1 to 8, says (Exif 2.3, tag 0x0112)."""
-    if orientation in (5, 6, 7, 8):  # row 0 is at the left or the right of the scene
+    if orientation in LYING:  # row 0 is at the left or the right of the scene
         picture = picture.swapaxes(0, 1)
     if orientation in (2, 3, 6, 7):
         picture = picture[:, ::-1]

@@ -16,8 +16,9 @@ from PIL import ExifTags, Image, ImageOps, TiffImagePlugin
 from ....bridge.errors import DataMismatchError, FileDamagedError, FileMissingError
 from ....bridge.regular import damaged_where_it_fails
 from ....bridge.srgb import to_srgb
-from ..exif import Exif, Tags, exposure_of, positive, tags_of, tags_of_tiff
-from ..pictures import is_deep, kind_of, picture_size, read_codes
+from ..exif import LYING, Exif, Tags, exposure_of, orientation_of, positive, tags_of, tags_of_file
+from ..pictures import is_deep, picture_size, read_codes
+from ..source import turned
 from . import raw
 from .noise import Noise
 
@@ -28,8 +29,6 @@ VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mts", ".m2t
 COPY_AGAIN = "Copy it again, or move it away."
 #: Pillow's modes of 8 bits a channel that become RGB without loss; alpha is ignored, never composited.
 EIGHT_BIT_MODES = ("L", "LA", "P", "RGB", "RGBA", "RGBX")
-#: Orientation tags under which width and height change places.
-TURNED = (5, 6, 7, 8)
 #: The width of 35 mm film in millimetres, to which FocalLengthIn35mmFilm refers.
 FILM_WIDTH = 36.0
 #: A picture that is less wide does not show all around: it is a test's, or an icon.
@@ -149,7 +148,7 @@ class Photo:
 
     def _deep_codes(self) -> np.ndarray:
         with _remedy_of_photos():
-            return np.ascontiguousarray(_upright(read_codes(self.path)[0], self.orientation))
+            return turned(read_codes(self.path)[0], self.orientation)
 
     def keep(self) -> np.ndarray | None:
         """``[H, W]`` bool, True where the photo is to be looked at; None without a mask.
@@ -189,15 +188,6 @@ def _remedy_of_photos() -> Iterator[None]:
         yield
     except FileDamagedError as error:
         raise FileDamagedError(error.message, COPY_AGAIN) from error
-
-
-def _upright(stored: np.ndarray, orientation: int) -> np.ndarray:
-    """A picture ``[H, W, …]`` turned and mirrored as EXIF's tag (1 to 8) says that it is looked at."""
-    if orientation in TURNED:
-        stored = stored.swapaxes(0, 1)
-    if orientation in (3, 4, 7, 8):
-        stored = stored[::-1]
-    return stored[:, ::-1] if orientation in (2, 3, 6, 7) else stored
 
 
 def _shown(linear: np.ndarray) -> np.ndarray:
@@ -387,7 +377,7 @@ def _read_header(path: Path) -> Photo:
         width, height = _stored_size(picture)
         tags = tags_of(picture)
         xmp = picture.info.get("xmp", b"")
-    if tags.get(ExifTags.Base.Orientation) in TURNED:
+    if orientation_of(tags) in LYING:
         width, height = height, width
     around = isinstance(xmp, bytes) and b"GPano" in xmp and b"equirectangular" in xmp
     photo = _with_tags(Photo(path, width, height), tags, exposure_of(tags))
@@ -406,19 +396,12 @@ def _is_deep(path: Path) -> bool:
 def _read_deep_header(path: Path) -> Photo:
     """Of 16 bits a channel, as raw converters write them; Pillow knows no such colour, but the tags."""
     width, height = picture_size(path)
-    tags = tags_of_tiff(path) if kind_of(path) == "TIFF" else _tags_of_png(path)
-    told = tags.get(ExifTags.Base.Orientation)
-    orientation = told if isinstance(told, int) and 1 <= told <= 8 else 1
-    if orientation in TURNED:
+    tags = tags_of_file(path)
+    orientation = orientation_of(tags)
+    if orientation in LYING:
         width, height = height, width
     photo = Photo(path, width, height, deep=True, orientation=orientation)
     return _with_tags(photo, tags, exposure_of(tags))
-
-
-def _tags_of_png(path: Path) -> Tags:
-    unreadable = damaged_where_it_fails(f"{path} is not a readable photo", COPY_AGAIN)
-    with unreadable, _not_too_large(path), Image.open(path, formats=["PNG"]) as picture:
-        return tags_of(picture)
 
 
 @contextmanager

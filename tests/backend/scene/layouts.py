@@ -75,7 +75,7 @@ def save(path: Path, picture: np.ndarray, alpha: bool = False, exif: dict[int, o
     if exif is not None:
         tags = Image.Exif()
         tags.get_ifd(0x8769).update(exif)
-        options["exif"] = tags
+        options["exif"] = tags.tobytes()  # an Exif of inner tags alone counts as none for PNG and TIFF
     Image.fromarray(picture).save(path, **options)
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 from types import ModuleType
 
 import numpy as np
+import OpenImageIO
 import pytest
 import torch
 from PIL import Image
@@ -373,17 +374,41 @@ def test_points_of_colmap_say_of_what_kind_they_are(layouts: ModuleType, tmp_pat
     assert str(points) == f"{len(layouts.POINTS)} points of the data set (structure from motion)"
 
 
-def test_exposures_are_read_from_exif(layouts: ModuleType, tmp_path: Path) -> None:
+@pytest.mark.parametrize("suffix", ["jpg", "png", "tif"])
+def test_exposures_are_read_from_exif(layouts: ModuleType, tmp_path: Path, suffix: str) -> None:
     """Time × ISO / 100 × (F / f)², F the median: double ISO is double time, one stop down is half."""
-    root = layouts.write_colmap(tmp_path / "data", poses=2)
+    root = layouts.write_colmap(tmp_path / "data", poses=2, suffix=suffix)
     told = {0: (0.01, 100, 8.0), 1: (0.01, 400, 8.0), 2: (0.64, 100, 16.0)}
     for index in range(2):
         for k, tags in told.items():
             exif = layouts.camera_exif(*tags)
-            layouts.save(root / "images" / f"shot_{index:02d}_{k}.jpg", layouts.draw(index, k), exif=exif)
+            layouts.save(
+                root / "images" / f"shot_{index:02d}_{k}.{suffix}", layouts.draw(index, k), exif=exif
+            )
     scene = read_scene(root)
     assert scene.train[0].exposures == pytest.approx((0.01, 0.04, 0.16), rel=1e-3)
     assert "exposures from EXIF, seconds at ISO 100 and f/8" in scene.messages
+
+
+def test_times_of_tiffs_by_another_program_are_read(layouts: ModuleType, tmp_path: Path) -> None:
+    """Automatic exposure, of 16 bits, as raw converters write them: not "1 s for all pictures"."""
+    root = layouts.write_nerfstudio(tmp_path / "data", poses=4)
+    content = json.loads((root / "transforms.json").read_text())
+    for index, frame in enumerate(content["frames"]):
+        path = (root / frame["file_path"]).with_suffix(".tif")
+        codes = np.asarray(Image.open(path.with_suffix(".png"))).astype(np.uint16) * 257
+        spec = OpenImageIO.ImageSpec(codes.shape[1], codes.shape[0], 3, "uint16")
+        spec["ExposureTime"], spec["FNumber"] = 0.1 * 2**index, 8.0
+        writer = OpenImageIO.ImageOutput.create(str(path))
+        assert writer.open(str(path), spec) and writer.write_image(codes)
+        writer.close()
+        frame["file_path"] = f"images/{path.name}"
+    (root / "transforms.json").write_text(json.dumps(content))
+    scene = read_scene(root)
+    times = {view.name: view.exposures[0] for views in scene.splits.values() for view in views}
+    expected = [0.1 * 2**index for index in range(4)]
+    assert [times[frame["file_path"][:-4]] for frame in content["frames"]] == pytest.approx(expected)
+    assert any("exposures from EXIF" in message for message in scene.messages)
 
 
 def test_high_iso_and_apex_times_are_read_as_prepare_reads_them(layouts: ModuleType, tmp_path: Path) -> None:
