@@ -192,7 +192,17 @@ def _trained(job: Job, should_stop: Callable[[], bool]) -> tuple[Record, Search 
 
 def _train(job: Job, folder: Path, iterations: int, should_stop: Callable[[], bool]) -> Record:
     words = ["train", job.data, "--out", folder, "--overwrite", *job.train, "--iterations", iterations]
-    _physhdr(job, words, should_stop)
+    compared = False
+
+    def look() -> bool:
+        """What will be trained is compared as soon as it is written, not only when it has been."""
+        nonlocal compared
+        if not compared and _json(folder / CONFIG_FILE):
+            compared = True
+            _require_config(job, folder, iterations)
+        return should_stop()
+
+    _physhdr(job, words, look)
     finished, gaussians = _events(folder / LOG_FILE)
     if finished is None or finished["stopped"]:
         raise _FailedError("train", 0, "training ended before its last iteration")
@@ -213,7 +223,8 @@ def _require_config(job: Job, folder: Path, iterations: int) -> None:
     """The fingerprint stands for ``job.config``: what was trained must be that."""
     written = _json(folder / CONFIG_FILE).get("config", {})
     if found := differences(job.config | {"iterations": iterations}, written):
-        why = f"the code changed meanwhile: {CONFIG_FILE} is not what the plan came to: {'; '.join(found)}"
+        why = f"the code or the data changed meanwhile: {CONFIG_FILE} is not what the plan came to: "
+        why += "; ".join(found)
         raise _FailedError("train", 0, why)
 
 

@@ -147,13 +147,13 @@ def runs_of(plan: Plan) -> list[Run]:
 class Store:
     """What is in the benchmark's folder, held against what the plan wants.
 
-    ``configs``: by method that is trained, its whole configuration as JSON; ``data``: by scene, the data's
-    fingerprint.
+    ``configs``: by method that is trained and scene, their names, the whole configuration as JSON, at the
+    size that the data call for; ``data``: by scene, the data's fingerprint.
     """
 
     out: Path
     plan: Plan
-    configs: dict[str, dict[str, Any]]
+    configs: dict[tuple[str, str], dict[str, Any]]
     data: dict[str, str]
     weights: str = ""
     _points: dict[Path, str] = field(default_factory=dict, init=False)
@@ -161,7 +161,10 @@ class Store:
     def config(self, run: Run, iterations: int) -> dict[str, Any]:
         """The configuration that this run must have been trained with."""
         own = {"iterations": iterations, "seed": run.seed, "exposure_mode": run.setting}
-        return self.configs[run.method.name] | own
+        return self._config(run) | own
+
+    def _config(self, run: Run) -> dict[str, Any]:
+        return self.configs[run.method.name, run.scene.name]
 
     def training_fingerprint(self, run: Run) -> str:
         """Of the configuration, but for what differs between a method's runs, of the data, and of a file of
@@ -172,7 +175,7 @@ class Store:
         if run.pictures is not None:
             told = [self._digest_of(run.pictures), *self.plan.words_of_pictures]
             return fingerprint(["pictures", told, self.data[run.scene.name]])
-        return self._fingerprint(self.configs[run.method.name], run)
+        return self._fingerprint(self._config(run), run)
 
     def _fingerprint(self, config: dict[str, Any], run: Run) -> str:
         shared = _shared(config)
@@ -190,8 +193,7 @@ class Store:
         folders = [self.out / run.folder, *sorted((self.out / run.group).glob("seed_*"))]
         written = (_written_config(folder) for folder in dict.fromkeys(folders))
         return any(
-            training == self._fingerprint(config, run)
-            and _completed(config) == _shared(self.configs[run.method.name])
+            training == self._fingerprint(config, run) and _completed(config) == _shared(self._config(run))
             for config in written
             if config is not None
         )
@@ -213,12 +215,8 @@ class Store:
         return fingerprint(["evaluation", self.weights])
 
     def data_folder(self, scene: SceneFolder) -> Path:
-        """What runs and reports are told of a data set: of a plan that tunes a folder without test views,
-        made here. Raises ``OutputError`` where it cannot be.
-        """
-        if self.plan.kind != TUNE:
-            return scene.data
-        return link_without_test(scene.data, self.out / TUNE / WITHOUT_TEST / scene.name)
+        """As ``data_folder``, of this plan."""
+        return data_folder(self.out, self.plan, scene)
 
     # -- what is there -----------------------------------------------------------------------------------
 
@@ -229,7 +227,7 @@ class Store:
     def gaussians(self, run: Run) -> int | None:
         """Of a run that is done; None of a method without, and where nobody has told."""
         record = self.record(run)
-        if record is None or (run.pictures is None and not has_gaussians(self.configs[run.method.name])):
+        if record is None or (run.pictures is None and not has_gaussians(self._config(run))):
             return None  # early records of methods without Gaussians hold another number
         return record.gaussians
 
@@ -300,6 +298,15 @@ class Store:
         if not found and not self._is_this_training(record.training, run):
             found = ["the data set" if wanted.get(POINTS_SETTING) is None else "the data set or its points"]
         return found or ["the search for its iterations"]
+
+
+def data_folder(out: Path, plan: Plan, scene: SceneFolder) -> Path:
+    """What runs and reports are told of a data set: of a plan that tunes a folder without test views, which
+    is made in ``out``. Raises ``OutputError`` where it cannot be.
+    """
+    if plan.kind != TUNE:
+        return scene.data
+    return link_without_test(scene.data, out / TUNE / WITHOUT_TEST / scene.name)
 
 
 # ---- files -----------------------------------------------------------------------------------------------

@@ -21,15 +21,16 @@ from ..benchmark.live import progress_table
 from ..benchmark.plan import PLAN_FILE, Plan, make_plan, read_plan, write_plan
 from ..benchmark.report import REPORT_FILE, write_report
 from ..benchmark.roles import require_allowed
-from ..benchmark.runs import Store, data_fingerprint
+from ..benchmark.runs import PER_RUN, Store, data_fingerprint, data_folder
 from ..benchmark.schedule import Schedule
+from ..benchmark.sized import sized
 from ..device import DeviceName
 from ..jobs.pools import LocalPool, Pool, RayPool
 from ..jobs.process import interrupted_by_sigterm
 from ..runs.files import writable_folder
 from ..runs.terminal import console
-from ..train.config import CONFIG_FILE, write_config
-from .train import Train, preset_named
+from ..train.config import CONFIG_FILE, TrainConfig, write_config
+from .train import Train, options_in, preset_named
 
 
 @dataclass(frozen=True)
@@ -83,12 +84,13 @@ class Benchmark:
     def run(self) -> int:
         plan = self._plan()
         require_allowed(plan)
-        configs = {method.name: configuration(plan, method.name) for method in plan.trained}
+        presets = {method.name: configuration(plan, method.name) for method in plan.trained}
         console.print(f"reading {len(plan.scenes)} data sets to know them again")
         data = {scene.name: data_fingerprint(scene.data, plan.kind) for scene in plan.scenes}
         out = writable_folder(self.out)
         if not self.report_only and not _is_in(out / PLAN_FILE, plan):
             write_plan(plan, out / PLAN_FILE)
+        configs = configurations(plan, presets, out.resolve())
         schedule = Schedule(
             Store(out.resolve(), plan, configs, data, _weights(plan.lpips_weights)),
             tell=lambda line: console.print(line, soft_wrap=True, markup=False),
@@ -179,8 +181,25 @@ class Benchmark:
         console.print("wrote " + ", ".join(str(path) for path in paths), soft_wrap=True)
 
 
-def configuration(plan: Plan, name: str) -> dict[str, Any]:
-    """The whole configuration of a method, as in its config.json, by the options that training will be given.
+def configurations(
+    plan: Plan, presets: dict[str, TrainConfig], out: Path
+) -> dict[tuple[str, str], dict[str, Any]]:
+    """By method and scene, what ``config.json`` of its runs will say but for what is each run's own.
+
+    ``presets``: of each method its ``configuration``. Raises ``OutputError``.
+    """
+    # The names of options are those of settings; what differs between runs is typed, too.
+    typed = {method.name: (*options_in(list(plan.words_of(method))), *PER_RUN) for method in plan.trained}
+    found = {}
+    for scene in plan.scenes:
+        for name, config in sized(presets, typed, data_folder(out, plan, scene)).items():
+            found[name, scene.name] = _as_written(config)
+    return found
+
+
+def configuration(plan: Plan, name: str) -> TrainConfig:
+    """The whole configuration of a method by the options that training will be given, before its sizes are
+    found from the data.
 
     Raises ``BadValueError`` with what the parser says of an unknown preset, option or value.
     """
@@ -196,9 +215,14 @@ def configuration(plan: Plan, name: str) -> dict[str, Any]:
         raise BadValueError(
             f"the options of the method '{name}' are not understood: {text}", f"They are: {' '.join(words)}"
         ) from error
+    return train.config
+
+
+def _as_written(config: TrainConfig) -> dict[str, Any]:
+    """As in ``config.json``."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / CONFIG_FILE
-        write_config(path, train.config, Path(folder), method.preset)
+        write_config(path, config, Path(folder), "")
         return json.loads(path.read_text(encoding="utf-8"))["config"]
 
 

@@ -171,7 +171,8 @@ class Bench:
     def run(self, **options) -> Schedule:
         plan = make_plan(self.content, self.root)
         data = {scene.name: data_fingerprint(scene.data, plan.kind) for scene in plan.scenes}
-        configs = {method.name: {"strength": ""} for method in plan.trained}
+        trained = [(method.name, scene.name) for method in plan.trained for scene in plan.scenes]
+        configs = {each: {"strength": ""} for each in trained}
         store = Store(self.root / "out", plan, configs, data)
         self.told.clear()
         schedule = Schedule(

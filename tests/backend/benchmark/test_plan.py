@@ -142,4 +142,4 @@ def test_what_the_example_sets_acts_on_every_method(tiny_data):
     content = {"methods": ["default", "default-scaffold", "hdr-nerf", "gausshdr", "hdr-gs"]}
     content |= {"scenes": [str(tiny_data)], "budgets": ["iterations=5"], "set": ["downscale=2"]}
     plan = make_plan(content, tiny_data)
-    assert all(configuration(plan, method.name)["downscale"] == 2 for method in plan.methods)
+    assert all(configuration(plan, method.name).downscale == 2 for method in plan.methods)

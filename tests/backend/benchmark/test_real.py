@@ -9,6 +9,7 @@ import pytest
 from physhdr.backend.benchmark.plan import make_plan
 from physhdr.backend.cli import main
 from physhdr.backend.cli.benchmark import configuration
+from physhdr.backend.methods.physhdr_common import PhysHDRConfig
 
 
 def command(*words):
@@ -41,8 +42,9 @@ def test_the_configuration_is_what_the_words_come_to(tiny_data):
     content |= {"budgets": ["iterations=5"], "set": ["method.tone_mapper.mix=false"]}
     plan = make_plan(content, tiny_data)
     config = configuration(plan, "x")
-    assert config["densify"]["stop"] == 0.25 and config["method"]["tone_mapper"]["mix"] is False
-    assert configuration(plan, "default")["densify"] != config["densify"]
+    assert config.densify.stop == 0.25
+    assert isinstance(config.method, PhysHDRConfig) and config.method.tone_mapper.mix is False
+    assert configuration(plan, "default").densify != config.densify
 
 
 @pytest.mark.parametrize(

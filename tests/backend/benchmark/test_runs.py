@@ -15,7 +15,7 @@ from physhdr.backend.benchmark.runs import (
     runs_of,
     write_json,
 )
-from physhdr.backend.cli.benchmark import configuration
+from physhdr.backend.cli.benchmark import configuration, configurations
 
 #: Settings that the earlier program had not.
 SINCE = {"schedule_for": 0, "far_shell": "auto"}
@@ -31,11 +31,13 @@ def store(tiny_data, tmp_path):
         "seeds": [0, 1],
     }
     plan = make_plan(content, tmp_path)
-    configs = {"default": configuration(plan, "default")}
+    out = tmp_path / "out"
+    configs = configurations(plan, {"default": configuration(plan, "default")}, out)
     data = {scene.name: data_fingerprint(scene.data) for scene in plan.scenes}
-    store = Store(tmp_path / "out", plan, configs, data)
+    store = Store(out, plan, configs, data)
     run = runs_of(plan)[0]
-    earlier = {key: value for key, value in configs["default"].items() if key not in SINCE}
+    (whole,) = configs.values()
+    earlier = {key: value for key, value in whole.items() if key not in SINCE}
     shared = {
         key: value
         for key, value in earlier.items()
@@ -63,7 +65,11 @@ def test_settings_that_came_since_leave_runs_done(store):
 @pytest.mark.parametrize("name", [*SINCE, "initial_opacity"])
 def test_a_setting_with_another_value_does_not(store, name):
     first, second = runs_of(store.plan)
-    store.configs["default"][name] = {"schedule_for": 2500, "far_shell": "on", "initial_opacity": 0.1}[name]
+    store.configs["default", first.scene.name][name] = {
+        "schedule_for": 2500,
+        "far_shell": "on",
+        "initial_opacity": 0.1,
+    }[name]
     assert not store.is_trained(first) and store.iterations(second) is None
     (said,) = store.changes(first)
     assert name in said

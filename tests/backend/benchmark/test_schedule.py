@@ -3,6 +3,7 @@
 
 import csv
 import importlib.util
+import itertools
 import json
 import math
 import os
@@ -44,9 +45,12 @@ class Bench:
 
     def schedule(self, weights="", **options):
         plan = make_plan(self.content, self.root)
-        configs: dict[str, Any] = {m.name: {"strength": "".join(m.options[1:2])} for m in plan.methods}
-        if "hdr-nerf" in configs:
-            configs["hdr-nerf"]["method"] = {"name": "hdr-nerf"}
+        configs: dict[tuple[str, str], dict[str, Any]] = {}
+        for method, scene in itertools.product(plan.methods, plan.scenes):
+            config: dict[str, Any] = {"strength": "".join(method.options[1:2])}
+            if method.name == "hdr-nerf":
+                config["method"] = {"name": "hdr-nerf"}
+            configs[method.name, scene.name] = config
         data = {scene.name: data_fingerprint(scene.data, plan.kind) for scene in plan.scenes}
         store = Store(self.root / "out", plan, configs, data, weights)
         self.told.clear()
@@ -132,6 +136,15 @@ def test_other_weights_of_lpips_repeat_the_evaluation_alone(bench):
     assert json.loads((folder / "run.json").read_text())["cpu_seconds"] == 0.5 and not bench.left_over()
 
 
+def test_a_training_that_is_not_what_was_asked_for_is_ended_as_soon_as_it_says_so(bench):
+    bench.content["methods"] = ["hangs"]  # after its configuration, for longer than any test
+    schedule = bench.schedule()
+    schedule.store.configs["hangs", "day"]["strength"] = "9"
+    schedule.work_off(LocalPool(1))
+    (status,) = schedule.status.values()
+    assert status.kind == "failed" and status.text.endswith("strength 9 → ")
+
+
 def test_a_file_of_points_elsewhere_is_part_of_what_a_run_is(bench):
     """And a run from before there was that setting is the one that leaves it alone."""
     points = bench.root / "elsewhere.ply"
@@ -140,7 +153,7 @@ def test_a_file_of_points_elsewhere_is_part_of_what_a_run_is(bench):
     run = runs_of(store.plan)[0]
 
     def known(**setting):
-        configs = {"quick": store.configs["quick"] | setting}
+        configs = {("quick", "day"): store.configs["quick", "day"] | setting}
         return Store(store.out, store.plan, configs, store.data).training_fingerprint(run)
 
     before, first = known(), known(points_file=str(points))
