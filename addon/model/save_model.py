@@ -6,7 +6,7 @@ What is written is the model, not its look: exposure, levels and an SH limit are
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import bpy
 import numpy as np
@@ -82,10 +82,9 @@ class PHYSHDR_OT_model_save(bpy.types.Operator, ExportHelper):
     bl_label = "Save Edited Model"
     bl_options: ClassVar[set[str]] = {"REGISTER"}
 
-    if TYPE_CHECKING:
-        filepath: str  # ExportHelper's
-
     filename_ext = SUFFIX
+    # ExportHelper's own is remembered: the next model would be offered the file of the last one.
+    filepath: bpy.props.StringProperty(name="File Path", subtype="FILE_PATH", options={"SKIP_SAVE"})
     filter_glob: bpy.props.StringProperty(default=f"*{SUFFIX}", options={"HIDDEN"})
     leave_out: bpy.props.BoolProperty(
         name="Leave Out What Is Hidden",

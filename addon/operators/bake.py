@@ -6,7 +6,7 @@ import shutil
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import bpy
 import numpy as np
@@ -69,10 +69,9 @@ class PHYSHDR_OT_model_bake(bpy.types.Operator, ExportHelper):
     bl_label = "Bake to PLY"
     bl_options: ClassVar[set[str]] = {"REGISTER"}
 
-    if TYPE_CHECKING:
-        filepath: str  # ExportHelper's
-
     filename_ext = ".ply"
+    # ExportHelper's own is remembered: the next model would be offered the file of the last one.
+    filepath: bpy.props.StringProperty(name="File Path", subtype="FILE_PATH", options={"SKIP_SAVE"})
     filter_glob: bpy.props.StringProperty(default="*.ply", options={"HIDDEN"})
     tone: bpy.props.EnumProperty(
         name="Tone",

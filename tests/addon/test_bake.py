@@ -285,3 +285,10 @@ def test_looks_follow_keyframes_and_survive_without_the_modifier(scene, make_ton
     assert look.look_of(target, bpy.context.evaluated_depsgraph_get()) == look.Look()
     target.modifiers.clear()
     assert look.look_of(target) == look.Look()
+
+
+def test_another_model_is_not_offered_the_last_ones_file(registered):
+    """What has no such mark Blender fills in as it was the last time, before the file's name is proposed."""
+    for name in ("model_bake", "model_save"):
+        path = getattr(bpy.ops.physhdr, name).get_rna_type().properties["filepath"]
+        assert path.is_skip_save and path.subtype == "FILE_PATH"
