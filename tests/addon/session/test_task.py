@@ -121,8 +121,8 @@ def test_how_a_program_ended_is_told(tmp_path):
 #: Says that it is there, and when it is interrupted, cleans up for a moment. CTRL-C comes to it alone.
 TIDY = """
 import pathlib, time
-print('{"progress": 0.1}', flush=True)
 try:
+    print('{"progress": 0.1}', flush=True)
     time.sleep(60)
 except KeyboardInterrupt:
     time.sleep(0.3)
