@@ -6,7 +6,7 @@ pictures are a view each, as are all where most are no brackets. Exposures come 
 pictures' EXIF (docs/formats.md).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,9 +16,10 @@ from ...bridge.data_set import EXPOSURE_FILE, scene_name
 from ...bridge.errors import DataMismatchError
 from .checks import path_inside
 from .colmap_brackets import Group, alike, best_of, camera_of, grouped, placed, single, with_pictures
-from .colmap_files import find_model, read_model
+from .colmap_files import find_model, other_models_in_words, read_model
 from .exposures import SAY_EXPOSURES, exposures_from_exif, read_exposure_file
 from .info import read_anchor, read_info
+from .picture_files import pictures_in
 from .poses import (
     PictureFile,
     Pose,
@@ -111,7 +112,9 @@ def read_poses(root: Path, pictures: Path) -> FoundPoses:
     model = read_model(folder)
     stated = read_exposure_file(root / EXPOSURE_FILE) if (root / EXPOSURE_FILE).exists() else None
     spread = float(np.ptp([model.camera(image).position for image in model.images], axis=0).max())
-    groups, alone, messages = grouped(model, pictures, spread)
+    there = pictures_in(pictures)
+    groups, alone, messages = grouped(model, there, spread)
+    messages = [*other_models_in_words(folder), *messages]
     paths = {name: path_inside(pictures, name, folder) for group in groups for name in group.names.values()}
     sizes, faults = sizes_of(paths.values())
     usable = {name: path for name, path in paths.items() if path in sizes}
@@ -151,9 +154,23 @@ def read_poses(root: Path, pictures: Path) -> FoundPoses:
             f"cameras of one bracket are up to {apart:.2g} units apart ({apart / spread:.1%} of all cameras' "
             "spread): each view takes that of the picture with the most points"
         )
+    used = {name for group in groups for name in group.names.values()} | (set(paths) - set(usable))
+    messages += _unused_in_words(there, used, pictures)
     missing = missing_in_words([pose for pose in poses if pose.name not in alone])
     messages += masks_in_words(poses)
     return FoundPoses(root, numbered(root, poses), model.points, (*messages, *([missing] if missing else [])))
+
+
+def _unused_in_words(there: Sequence[str], used: Iterable[str], pictures: Path) -> tuple[str, ...]:
+    """How many of the pictures ``there`` no pose has, where any; most of all what COLMAP has not placed."""
+    known = {name.casefold() for name in used}  # as file systems compare that do not tell a.jpg from a.JPG
+    unused = [name for name in there if name.casefold() not in known]
+    if not unused:
+        return ()
+    return (
+        f"{len(unused)} of {len(there)} pictures in {pictures.name}/ are not used: the model does not have "
+        f"them (first: {unused[0]:.200})",
+    )
 
 
 def _exposures(

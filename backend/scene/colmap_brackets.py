@@ -4,7 +4,7 @@
 import math
 import re
 import statistics
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,12 +28,14 @@ class Group:
     registered: list[SparseImage]
 
 
-def grouped(model: SparseModel, pictures: Path, spread: float) -> tuple[list[Group], set[str], list[str]]:
+def grouped(
+    model: SparseModel, there: Sequence[str], spread: float
+) -> tuple[list[Group], set[str], list[str]]:
     """The poses of a model in the order of names; the names of those beside brackets that are none; messages.
 
-    ``pictures``: the folder in which a bracket's other pictures are looked for. ``spread``: of all cameras.
+    ``there``: names of pictures, among which a bracket's others are looked for. ``spread``: of all cameras.
     """
-    groups, strays = _brackets_by_name(model.images, pictures)
+    groups, strays = _brackets_by_name(model.images, there)
     messages = []
     if strays:
         messages.append(
@@ -67,8 +69,8 @@ def with_pictures(groups: list[Group], usable: Mapping[str, Path]) -> list[Group
     return [group for group in left if group.names]
 
 
-def _brackets_by_name(images: list[SparseImage], pictures: Path) -> tuple[list[Group], list[Group]]:
-    """The model's poses, each with all its pictures in the folder; and its pictures that are of no bracket.
+def _brackets_by_name(images: list[SparseImage], there: Sequence[str]) -> tuple[list[Group], list[Group]]:
+    """The model's poses, each with all its pictures that are there; and its pictures that are of no bracket.
 
     Names are of brackets where all are ``<pose>_<k>`` and some pose has several pictures, or where at least
     half of the model's pictures are of such poses. Else each picture is a pose, and none is apart. The
@@ -82,7 +84,6 @@ def _brackets_by_name(images: list[SparseImage], pictures: Path) -> tuple[list[G
         if parts is not None and parts[0] not in series:
             in_model.setdefault(parts[0], []).append(image)
     names: dict[str, dict[int, str]] = {}
-    there = sorted(path.relative_to(pictures).as_posix() for path in pictures.rglob("*_[0-9].*"))
     # Of a_0.jpg and a_0.png, the one in the model.
     for name in [*(image.name for found in in_model.values() for image in found), *there]:
         parts = bracket_name(name)

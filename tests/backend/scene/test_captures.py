@@ -2,6 +2,7 @@
 """Captures as people have them: missing pictures, pictures on their side, several cameras, masks."""
 
 import json
+import shutil
 from pathlib import Path
 from types import ModuleType
 
@@ -155,6 +156,43 @@ def test_pictures_of_a_model_that_are_missing_are_skipped(layouts: ModuleType, t
     assert "2 of 16 pictures of the model have no picture: skipped (first: shot_02_1.jpg)" in scene.messages
     views = {view.name: view.bracket for view in [*scene.train, *scene.test]}
     assert "shot_02" not in views and views["shot_04"] == (0, 2) and views["shot_05"] == (0, 1, 2)
+
+
+def test_pictures_that_the_model_does_not_have_are_counted(layouts: ModuleType, tmp_path: Path) -> None:
+    """COLMAP has placed four of seven poses; a thumbnail of macOS and a text are no pictures."""
+    root = layouts.write_colmap(tmp_path / "data", poses=4)
+    for i in range(4, 7):
+        for k in range(3):
+            layouts.save(root / f"images/more/shot_{i:02d}_{k}.jpg", layouts.draw(i, k))
+    (root / "images" / "._shot_00_0.jpg").write_bytes(b"")
+    (root / "images" / "notes.txt").write_text("clouds came")
+    scene = read_scene(root)
+    assert (
+        "9 of 21 pictures in images/ are not used: the model does not have them (first: more/shot_04_0.jpg)"
+    ) in scene.messages
+    assert not any(
+        "are not used" in told for told in read_scene(layouts.write_colmap(tmp_path / "b")).messages
+    )
+
+
+@pytest.mark.parametrize("form", ["bin", "txt"])
+def test_of_several_models_the_largest_is_read(layouts: ModuleType, tmp_path: Path, form: str) -> None:
+    root = layouts.write_colmap(tmp_path / "data", poses=9)
+    images = {f"shot_{i:02d}_1.jpg": i for i in range(9)}
+    for folder, some in (("0", list(images)[:3]), ("1", list(images)[3:]), ("10", list(images)[:3])):
+        shutil.rmtree(root / "sparse" / folder, ignore_errors=True)
+        layouts.write_sparse(root / "sparse" / folder, {name: images[name] for name in some}, form)
+    scene = read_scene(root)
+    names = [view.name for view in (*scene.train, *scene.test)]
+    assert sorted(names) == [f"shot_{i:02d}" for i in range(3, 9)]
+    (told,) = (message for message in scene.messages if "sparse/" in message)
+    assert told.startswith(
+        "sparse/1, which has the most pictures (6), is used, and not sparse/0 of 3, sparse/10 of 3"
+    )
+    shutil.rmtree(root / "sparse" / "1")
+    assert {view.name for view in read_scene(root).train} <= {f"shot_{i:02d}" for i in range(3)}
+    (root / "sparse" / "10" / f"images.{form}").write_bytes(b"\xff" * 6)  # what is damaged is not the largest
+    assert read_scene(root).train[0].name == "shot_00"
 
 
 # ---- pictures on their side --------------------------------------------------------------------------
