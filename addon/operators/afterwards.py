@@ -47,6 +47,12 @@ def in_the_middle() -> bool:
     return any(len(each.modal_operators) for each in bpy.context.window_manager.windows)
 
 
+def is_modal(operator: str) -> bool:
+    """Whether an operator of this class's name is under way in any window."""
+    windows = bpy.context.window_manager.windows
+    return any(each.bl_idname == operator for window in windows for each in window.modal_operators)
+
+
 def push_undo(message: str) -> None:
     """A step of undo: else undoing what comes next would take away what was taken into the scene."""
     windows = bpy.context.window_manager.windows

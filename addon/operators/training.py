@@ -25,6 +25,7 @@ from ..paths import absolute, is_nowhere
 from ..runtime import session
 from ..session.advice import problem_of
 from ..session.state import EndAsked, Problem, State, StopAsked
+from .afterwards import is_modal
 from .base import PhysHDROperator, has_run, moved_data, proposed_run
 
 if TYPE_CHECKING:
@@ -343,6 +344,13 @@ class PHYSHDR_OT_result_import(PhysHDROperator):
     _timer: bpy.types.Timer | None = None
     _began = 0.0
 
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if is_modal("PHYSHDR_OT_result_import"):  # a second one would import the same file once more
+            cls.poll_message_set("The backend writes the model: it is imported once it is there (ESC: not)")
+            return False
+        return super().poll(context)
+
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """In a window: ask for the file, and import it when it is there, without holding Blender up."""
         if not self._ask(context):
@@ -354,6 +362,7 @@ class PHYSHDR_OT_result_import(PhysHDROperator):
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         if event.type == "ESC":
+            self.report({"INFO"}, "Nothing is imported; the backend still writes the run's model file")
             return self._finish(context, {"CANCELLED"})
         state = session().state
         if event.type != "TIMER" or not (state.exported or state.problem or self._is_late()):

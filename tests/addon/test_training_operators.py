@@ -4,6 +4,7 @@ nobody has to choose, a data set that has moved; and what another file does to t
 
 import json
 import os
+from types import SimpleNamespace
 
 import pytest
 
@@ -11,12 +12,13 @@ bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, o
 
 import physhdr  # noqa: E402
 from physhdr.addon import runtime, settings  # noqa: E402
-from physhdr.addon.operators import base  # noqa: E402
+from physhdr.addon.operators import afterwards, base  # noqa: E402
 from physhdr.addon.operators.base import choices, proposed_run  # noqa: E402
 from physhdr.addon.session.advice import headline, next_step, why_not  # noqa: E402
 from physhdr.addon.session.state import Connected, Found, PythonChosen, Received  # noqa: E402
 from physhdr.bridge.messages import JobStatus, RunOpen, TrainResume, TrainStart, Welcome  # noqa: E402
 
+WELCOME = Welcome(protocol=2, version="", pid=1, log="", device="cpu", torch="2", presets=(), in_control=True)
 REPORT = {"versions": {"torch": "2.13.0"}, "missing": []}
 
 
@@ -174,14 +176,11 @@ def test_another_file_says_nothing_of_the_former_ones_run(asked, chosen, tmp_pat
     chosen.out, chosen.preview = str(tmp_path / "other_run"), True
     save(tmp_path / "second.blend")
     current = runtime.session()
-    welcome = Welcome(
-        protocol=2, version="", pid=1, log="", device="cpu", torch="2", presets=(), in_control=True
-    )
     job = JobStatus(
         state="open", run=str(tmp_path / "run"), data=str(data), has_model=True, iteration=3, in_control=True
     )
     current._connect = lambda: None
-    for event in (Found("log", 1), Connected(welcome), Received(job)):
+    for event in (Found("log", 1), Connected(WELCOME), Received(job)):
         current.dispatch(event)
     for name, shows in (("first", True), ("second", False)):
         bpy.ops.wm.open_mainfile(filepath=str(tmp_path / f"{name}.blend"))
@@ -193,3 +192,22 @@ def test_another_file_says_nothing_of_the_former_ones_run(asked, chosen, tmp_pat
     found = choices(bpy.context)
     assert headline(current.state, found) == "Ready" and "data set" in next_step(current.state, found)
     assert current.state.dataset.folder == ""
+
+
+def test_a_second_click_while_the_model_is_written_imports_nothing(asked, monkeypatch):
+    """Each import in flight would take the same file into the scene once more."""
+    current = runtime.session()
+    current._connect = lambda: None
+    job = JobStatus(state="open", run="/run", has_model=True, in_control=True)
+    for event in (Found("log", 1), Connected(WELCOME), Received(job)):
+        current.dispatch(event)
+    assert bpy.ops.physhdr.result_import.poll()
+    under_way = SimpleNamespace(bl_idname="PHYSHDR_OT_result_import")
+    window = SimpleNamespace(modal_operators=[SimpleNamespace(bl_idname="VIEW3D_OT_rotate")])
+    manager = SimpleNamespace(windows=[window])
+    monkeypatch.setattr(afterwards, "bpy", SimpleNamespace(context=SimpleNamespace(window_manager=manager)))
+    assert bpy.ops.physhdr.result_import.poll()
+    window.modal_operators.append(under_way)
+    with pytest.raises(RuntimeError, match="The backend writes the model: it is imported once it is there"):
+        bpy.ops.physhdr.result_import("INVOKE_DEFAULT")
+    assert asked == []

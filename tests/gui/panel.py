@@ -68,6 +68,7 @@ def test(window: Window) -> Iterator[float]:
     window.screenshot("7_stopped")
     with window.override():
         bpy.ops.physhdr.result_import("INVOKE_DEFAULT")
+        assert not bpy.ops.physhdr.result_import.poll()  # a double click is one import
     yield from window.until(lambda: bpy.context.object is not None, 60, "imported")
     assert not settings.preview  # the object shows itself
     yield from window.drawn()
