@@ -74,7 +74,7 @@ PRINCIPAL_POINT = Bounds(-1e6, 1e6, "pixels", "Give the principal point in pixel
 RADIANCE_MAX = 1e12
 
 #: ln radiance of a Gaussian, toward any direction: with the largest lighting level it is then below float32's
-#: end, ln 3.4e38 = 88.7 = 74.9 + ln 1e6. What training reaches is far below: it clamps to −12 … 9.
+#: end, ln 3.4e38 = 88.7 = 74.9 + ln 1e6. What training reaches is far below, ln RADIANCE_MAX = 27.6 at most.
 LOG_RADIANCE_MAX = 74.0
 
 #: Pixels of a side that a camera is told to have; the largest sensors and scanners have a tenth.

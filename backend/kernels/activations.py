@@ -2,7 +2,7 @@
 """The colours of Gaussians under given lights, and their gradients, in one pass over the Gaussians.
 
 Those of a product composer after an additive modulator (``model.radiance``). With Δ = Σ_k s_k (l_k − 1), not
-below ``DARKEST`` − 1, and x = ln L_a + ln H_r + ln(1 + Δ), within ``LOG_RADIANCE_RANGE``, ĉ = exp(x).
+below ``DARKEST`` − 1, and x = ln L_a + ln H_r + ln(1 + Δ), held within bounds, ĉ = exp(x).
 As single tensor operations this is twenty to thirty of them, each a pass over the memory. Backward
 recomputes x; where x or Δ is held at its bound, no gradient passes:
 
@@ -39,13 +39,13 @@ from ..simd import (
 )
 from .plain import can_fuse
 
-#: Bounds of ln radiance: 6e-6 … 8e3. Keeps exp() and its gradient finite.
+#: Bounds of ln radiance, 6e-6 … 8e3: they keep exp() and its gradient finite, and what is white in every
+#: picture from growing for ever. Of pictures that show more they are wider (``train.views``).
 LOG_RADIANCE_RANGE = (-12.0, 9.0)
 
 #: The least that modulation leaves of an illumination.
 DARKEST = 1e-6
 
-_LOW, _HIGH = (np.float32(bound) for bound in LOG_RADIANCE_RANGE)
 _LEAST_CHANGE = np.float32(DARKEST - 1.0)
 _LN2 = np.float32(np.log(2.0))
 _THIRD = np.float32(1.0 / 3.0)
@@ -57,17 +57,19 @@ def lit_colours(
     light_share: torch.Tensor | None,
     levels: Sequence[float],
     log_deviation: bool = False,
+    bounds: tuple[float, float] = LOG_RADIANCE_RANGE,
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """ĉ ``[N, 3]``, and |L_a − L̂_a| ``[N]``, which has no gradient.
 
     ln H_r ``[N, 3]``, ln L_a ``[N, 1 or 3]``, s ``[N, C, 3]`` and C ``levels``; without shares there is no
-    level to obey. ``log_deviation``: |ln L_a − ln L̂_a| instead. Float32 on the CPU is fused; anything else
-    goes to ``lit_colours_reference``.
+    level to obey. ``log_deviation``: |ln L_a − ln L̂_a| instead. ``bounds``: of ln ĉ. Float32 on the CPU is
+    fused; anything else goes to ``lit_colours_reference``.
     """
     tensors = [log_reflectance, log_illumination, *([] if light_share is None else [light_share])]
+    arguments = log_reflectance, log_illumination, light_share, tuple(levels), log_deviation, bounds
     if not can_fuse(*tensors) or log_reflectance.shape[0] < LANES:
-        return lit_colours_reference(log_reflectance, log_illumination, light_share, levels, log_deviation)
-    return _LitColours.apply(log_reflectance, log_illumination, light_share, tuple(levels), log_deviation)
+        return lit_colours_reference(*arguments)
+    return _LitColours.apply(*arguments)
 
 
 def modulated_illumination(
@@ -83,9 +85,9 @@ def modulated_illumination(
     return log_illumination + torch.log1p(change.clamp_min(DARKEST - 1.0))
 
 
-def radiance_of_logarithm(log_radiance: torch.Tensor) -> torch.Tensor:
-    """exp within ``LOG_RADIANCE_RANGE``, in plain torch."""
-    return log_radiance.clamp(*LOG_RADIANCE_RANGE).exp()
+def radiance_of_logarithm(log_radiance: torch.Tensor, bounds: tuple[float, float]) -> torch.Tensor:
+    """exp of what is held within ``bounds``, in plain torch."""
+    return log_radiance.clamp(*bounds).exp()
 
 
 def lit_colours_reference(
@@ -94,6 +96,7 @@ def lit_colours_reference(
     light_share: torch.Tensor | None,
     levels: Sequence[float],
     log_deviation: bool = False,
+    bounds: tuple[float, float] = LOG_RADIANCE_RANGE,
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """``lit_colours`` in plain torch, for any dtype and device."""
     relit = log_illumination
@@ -101,7 +104,7 @@ def lit_colours_reference(
         relit = modulated_illumination(log_illumination, levels, light_share)
     with torch.no_grad():
         deviation = illumination_deviation(log_illumination, relit, log_deviation)
-    return radiance_of_logarithm(relit + log_reflectance), deviation
+    return radiance_of_logarithm(relit + log_reflectance, bounds), deviation
 
 
 def illumination_deviation(before: torch.Tensor, after: torch.Tensor, of_logarithms: bool) -> torch.Tensor:
@@ -113,7 +116,7 @@ def illumination_deviation(before: torch.Tensor, after: torch.Tensor, of_logarit
 
 class _LitColours(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, log_reflectance, log_illumination, light_share, levels, log_deviation):
+    def forward(ctx: Any, log_reflectance, log_illumination, light_share, levels, log_deviation, bounds):
         share, offsets = torch.empty(0), np.array([level - 1.0 for level in levels], np.float32)
         if light_share is not None and offsets.any():
             share = light_share.detach().contiguous()
@@ -121,12 +124,13 @@ class _LitColours(torch.autograd.Function):
             offsets = offsets[:0]
         inputs = [log_reflectance.detach().contiguous(), log_illumination.detach().contiguous(), share]
         ctx.shares, ctx.offsets = None if light_share is None else light_share.shape, offsets
+        ctx.bounds = tuple(np.float32(bound) for bound in bounds)
         count = log_reflectance.shape[0]
         colours = torch.empty(count, 3)
         deviation = torch.empty(count) if offsets.size else torch.zeros(count)
         run_ranges(
             *(_colours, count, log_illumination.shape[1], *(_flat(t) for t in inputs), offsets),
-            *(log_deviation, _flat(colours), deviation.numpy()),
+            *(log_deviation, *ctx.bounds, _flat(colours), deviation.numpy()),
         )
         ctx.save_for_backward(*inputs, colours)
         ctx.mark_non_differentiable(deviation)
@@ -137,19 +141,19 @@ class _LitColours(torch.autograd.Function):
     def backward(ctx: Any, *grads: Any):
         grad = grads[0]
         if grad is None:
-            return (None,) * 5
+            return (None,) * 6
         *inputs, colours = ctx.saved_tensors
         reflectance, illumination, share = inputs
         grad_reflectance, grad_illumination = torch.empty_like(reflectance), torch.empty_like(illumination)
         grad_share = torch.empty_like(share)
         run_ranges(
             *(_colours_backward, colours.shape[0], illumination.shape[1], *(_flat(t) for t in inputs)),
-            *(ctx.offsets, _flat(colours), _flat(grad.contiguous())),
+            *(ctx.offsets, *ctx.bounds, _flat(colours), _flat(grad.contiguous())),
             *(_flat(t) for t in (grad_reflectance, grad_illumination, grad_share)),
         )
         if ctx.shares is not None and not ctx.offsets.size:
             grad_share = torch.zeros(ctx.shares)  # not None: Adam goes on by its moments
-        return grad_reflectance, grad_illumination, None if ctx.shares is None else grad_share, None, None
+        return grad_reflectance, grad_illumination, None if ctx.shares is None else grad_share, *[None] * 3
 
 
 def _flat(tensor: torch.Tensor) -> np.ndarray:
@@ -187,6 +191,8 @@ def _colours(
     share,
     offsets,
     log_deviation,
+    low,
+    high,
     colours,
     deviation,
 ):
@@ -212,19 +218,24 @@ def _colours(
                 )
             store(moved * _THIRD, deviation, at)
             l0, l1, l2 = l0 + f0, l1 + f1, l2 + f2
-        store_triples((_radiance(l0 + h0), _radiance(l1 + h1), _radiance(l2 + h2)), colours, 3 * at)
+        r0, r1, r2 = (
+            _radiance(l0 + h0, low, high),
+            _radiance(l1 + h1, low, high),
+            _radiance(l2 + h2, low, high),
+        )
+        store_triples((r0, r1, r2), colours, 3 * at)
 
 
 @njit
-def _radiance(x):
+def _radiance(x, low, high):
     # NaN stays NaN, which the rasteriser refuses.
-    return select(x >= x, exp(minimum(maximum(x, _LOW), _HIGH)), x)
+    return select(x >= x, exp(minimum(maximum(x, low), high)), x)
 
 
 @njit
-def _passed(x, colour, grad):
+def _passed(x, low, high, colour, grad):
     """∂L/∂x."""
-    return select((x >= _LOW) & (x <= _HIGH), grad * colour, 0.0)
+    return select((x >= low) & (x <= high), grad * colour, 0.0)
 
 
 @njit
@@ -245,6 +256,8 @@ def _colours_backward(
     illumination,
     share,
     offsets,
+    low,
+    high,
     colours,
     grad,
     grad_reflectance,
@@ -270,7 +283,8 @@ def _colours_backward(
             x2 = x2 + _logarithm(1.0 + maximum(d2, _LEAST_CHANGE))
         c0, c1, c2 = load_triples(colours, 3 * at)
         g0, g1, g2 = load_triples(grad, 3 * at)
-        g0, g1, g2 = _passed(x0, c0, g0), _passed(x1, c1, g1), _passed(x2, c2, g2)
+        g0, g1 = _passed(x0, low, high, c0, g0), _passed(x1, low, high, c1, g1)
+        g2 = _passed(x2, low, high, c2, g2)
         store_triples((g0, g1, g2), grad_reflectance, 3 * at)
         if channels == 1:
             store(g0 + g1 + g2, grad_illumination, at)

@@ -19,6 +19,7 @@ from torch import nn
 from ...bridge.errors import BadValueError
 from ...bridge.lights import AMBIENT, Levels, as_levels, check_lights
 from ..device import use_whole_float32
+from ..kernels.activations import LOG_RADIANCE_RANGE
 from ..kernels.ahead import Needs
 from ..kernels.ssim import SsimTarget
 from ..model.backbone import Attributes, Backbone, Splats
@@ -85,13 +86,15 @@ class Facts:
 
     ``anchor``: a known point of the response, (exposure × radiance, code value), or None. ``implementation``:
     of the rasteriser. ``lights``: names of those whose levels vary. ``responses``: of the training pictures'
-    encodings. Learned: all are a camera's; known: none is; mixed: some are.
+    encodings. Learned: all are a camera's; known: none is; mixed: some are. ``log_radiance_range``: bounds of
+    the ln radiance of what is drawn, wide enough for all that the training pictures show.
     """
 
     anchor: tuple[float, float] | None = None
     implementation: Implementation = "auto"
     lights: tuple[str, ...] = (AMBIENT,)
     responses: Responses = "learned"
+    log_radiance_range: tuple[float, float] = LOG_RADIANCE_RANGE
 
     def refuse_known(self, method: str) -> None:
         """Raises ``BadValueError`` where ``method`` would take pictures for a camera's that are none."""
@@ -334,6 +337,7 @@ class SplattingMethod(Method):
         #: The backbone's share of what a checkpoint holds.
         self.backbone_networks = backbone.networks
         self.implementation: Implementation = facts.implementation
+        self.log_radiance_range = facts.log_radiance_range
         #: SH coefficients above this degree are not used yet (3DGS's schedule raises it).
         self.active_sh_degree = self.attributes.sh_degree
 

@@ -22,7 +22,6 @@ from ..kernels.plain import can_fuse
 from ..kernels.pointwise import log_of_exposure
 from ..kernels.ssim import SsimTarget, ssim_and_error, ssim_map
 from ..model.backbone import Attributes, Backbone, Splats
-from ..model.gaussians import LOG_RADIANCE_RANGE
 from ..model.radiance import DARKEST, SmallNetwork
 from ..model.rates import Rate
 from ..model.tone_mapper import LOG_EPSILON, ToneMapper, ToneMapperConfig
@@ -178,7 +177,7 @@ class GaussHDR(SplattingMethod):
 
     def log_radiance(self, splats: Splats) -> torch.Tensor:
         """ln e ``[M, 3]``. What light makes of it is not known apart: ``log_illumination`` stays 0."""
-        return splats.log_reflectance.clamp(*LOG_RADIANCE_RANGE)
+        return splats.log_reflectance.clamp(*self.log_radiance_range)
 
     def radiance_of(self, splats: Splats, levels: tuple[float, ...] | None) -> torch.Tensor:
         return self.log_radiance(splats).exp()

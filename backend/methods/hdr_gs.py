@@ -24,7 +24,6 @@ from ...bridge.errors import BadValueError, FileMissingError
 from ..kernels.ahead import Needs
 from ..kernels.ssim import ssim_and_error
 from ..model.backbone import Attributes, Backbone, Splats
-from ..model.gaussians import LOG_RADIANCE_RANGE
 from ..model.radiance import DARKEST
 from ..model.rates import Rate
 from ..model.tone_mapper import ToneMapper, ToneMapperConfig
@@ -130,7 +129,7 @@ class HDRGS(SplattingMethod):
 
     def log_radiance(self, splats: Splats) -> torch.Tensor:
         """ln e ``[M, 3]``. What light makes of it is not known apart: ``log_illumination`` stays 0."""
-        return splats.log_reflectance.clamp(*LOG_RADIANCE_RANGE)
+        return splats.log_reflectance.clamp(*self.log_radiance_range)
 
     def radiance_of(self, splats: Splats, levels: tuple[float, ...] | None) -> torch.Tensor:
         return self.log_radiance(splats).exp()

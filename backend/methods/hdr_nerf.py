@@ -21,7 +21,6 @@ from ...bridge.errors import BadValueError
 from ..device import use_whole_float32
 from ..kernels.ahead import Needs
 from ..model.field import Field, FieldConfig, importance_samples, ray_weights, stratified
-from ..model.gaussians import LOG_RADIANCE_RANGE
 from ..model.rates import Rate
 from ..model.rays import Rays, RaySpace, pixel_directions
 from ..model.tone_mapper import Response, ToneMapper, ToneMapperConfig
@@ -145,6 +144,7 @@ class HDRNeRF(Method):
         super().__init__()
         self.config = config
         facts.refuse_known("HDR-NeRF")
+        self.log_radiance_range = facts.log_radiance_range
         self.coarse, self.fine = Field(config.field), Field(config.field)
         unit = facts.anchor or (1.0, UNIT_VALUE)
         self.coarse_curves = ToneMapper(config.tone_mapper, unit)
@@ -352,7 +352,7 @@ class HDRNeRF(Method):
     def _developed(self, marched: Marched, exposure: float | None) -> torch.Tensor:
         """The colours of samples ``[3, R, S]``: radiance, or what the fine curves make of an exposure."""
         if exposure is None:
-            return marched.log_radiance.clamp(*LOG_RADIANCE_RANGE).exp()
+            return marched.log_radiance.clamp(*self.log_radiance_range).exp()
         log_exposure = math.log(max(exposure, 1e-12))
         # Most samples are of nothing and weigh exactly 0 (ReLU), so their colour does not matter.
         seen = marched.weights > 0.0

@@ -50,7 +50,7 @@ class PhysHDR(PhysHDRMethod[DrawnRadiance]):
             share = splats.light_share if self.can_relight else None
             of_logarithms = config.deviation_domain == "log"
             arguments = splats.log_reflectance, splats.log_illumination, share, levels, of_logarithms
-            colours, deviation = lit_colours(*arguments)
+            colours, deviation = lit_colours(*arguments, self.log_radiance_range)
             return colours, deviation if self.can_relight else None
         log_illumination, deviation = splats.log_illumination, None
         if self.can_relight:

@@ -190,7 +190,10 @@ class PhysHDRMethod(SplattingMethod, Generic[D]):
         super().__init__(config, backbone, facts)
         self.config = config
         sizes = config.composer_hidden, config.illumination_channels
-        self.composer = ProductComposer() if config.composer == "product" else LearnedComposer(*sizes)
+        bounds = facts.log_radiance_range
+        self.composer = (
+            ProductComposer(bounds) if config.composer == "product" else LearnedComposer(*sizes, bounds)
+        )
         self.modulator = AdditiveModulator() if config.modulator == "additive" else LearnedModulator(*sizes)
         if config.branches == "both" or config.tone_mapper.local:
             facts.refuse_known("PhysHDR with both branches or local curves")

@@ -8,7 +8,6 @@ import torch
 from torch import nn
 
 from ...bridge.errors import BadValueError
-from ..kernels.activations import LOG_RADIANCE_RANGE as LOG_RADIANCE_RANGE
 from ..kernels.spherical_harmonics import evaluate_sh
 from ..rasterize.card import way
 from ..scene.camera import Camera

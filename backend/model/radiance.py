@@ -10,7 +10,12 @@ from collections.abc import Sequence
 import torch
 from torch import nn
 
-from ..kernels.activations import DARKEST, modulated_illumination, radiance_of_logarithm
+from ..kernels.activations import (
+    DARKEST,
+    LOG_RADIANCE_RANGE,
+    modulated_illumination,
+    radiance_of_logarithm,
+)
 from ..kernels.mlp import small_mlp
 
 
@@ -30,25 +35,38 @@ class SmallNetwork(nn.Module):
 
 
 class ProductComposer(nn.Module):
-    """c = L_a · H_r: eq. 5 with the emission absorbed. No parameters; exactly linear in light."""
+    """c = L_a · H_r: eq. 5 with the emission absorbed. No parameters; exactly linear in light.
+
+    ``bounds``: of ln c.
+    """
+
+    def __init__(self, bounds: tuple[float, float] = LOG_RADIANCE_RANGE) -> None:
+        super().__init__()
+        self.bounds = bounds
 
     def forward(self, log_illumination: torch.Tensor, log_reflectance: torch.Tensor) -> torch.Tensor:
         """ln L_a ``[N, 1 or 3]``, ln H_r ``[N, 3]`` → radiance c ``[N, 3]``."""
-        return radiance_of_logarithm(log_illumination + log_reflectance)
+        return radiance_of_logarithm(log_illumination + log_reflectance, self.bounds)
 
 
 class LearnedComposer(nn.Module):
-    """The paper's g: ln c = ln L_a + ln H_r + MLP(ln L_a, ln H_r). ``channels``: of L_a."""
+    """The paper's g: ln c = ln L_a + ln H_r + MLP(ln L_a, ln H_r).
 
-    def __init__(self, hidden: int, channels: int = 1) -> None:
+    ``channels``: of L_a; ``bounds``: of ln c.
+    """
+
+    def __init__(
+        self, hidden: int, channels: int = 1, bounds: tuple[float, float] = LOG_RADIANCE_RANGE
+    ) -> None:
         super().__init__()
+        self.bounds = bounds
         self.network = SmallNetwork(channels + 3, hidden, 3)
 
     def forward(self, log_illumination: torch.Tensor, log_reflectance: torch.Tensor) -> torch.Tensor:
         """ln L_a ``[N, channels]``, ln H_r ``[N, 3]`` → radiance c ``[N, 3]``."""
         inputs = torch.cat([log_illumination, log_reflectance], dim=1)
         residual = self.network(inputs.T.contiguous()).T
-        return radiance_of_logarithm(log_illumination + log_reflectance + residual)
+        return radiance_of_logarithm(log_illumination + log_reflectance + residual, self.bounds)
 
 
 class AdditiveModulator(nn.Module):

@@ -22,6 +22,9 @@ from ...bridge.errors import BadValueError
 LARGEST = {np.dtype(np.uint8): 255, np.dtype(np.uint16): 65535}
 #: μ of ``LogEncoding``: that of the HDR protocol's μ-law. The curve is nearly a logarithm above scale / μ.
 MU = 5000.0
+#: Exposure × radiance (white is about 1) below which nothing is told apart, and how much brighter than white
+#: the model may make what is white even in its shortest exposure.
+DARKEST_SEEN, BRIGHTEST_CLIPPED = 1.0 / 5000.0, 200.0
 #: The largest value that codes of ``LogEncoding`` hold: there x / scale is (1 + μ)² / μ, which is 12 stops.
 REACH = 2.0
 
@@ -44,6 +47,14 @@ class Encoding(ABC):
     def clips(self) -> bool:
         """Whether a largest code says no more than "at least so much"."""
         return True
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Least and greatest exposure × radiance that a training should be able to draw for such pictures.
+
+        Of what clips, no code says how bright it is: it is seen through another exposure, or stays unknown.
+        """
+        return DARKEST_SEEN, BRIGHTEST_CLIPPED
 
     def unit(self, dtype: np.dtype) -> float:
         """The code that stands for the value 1, where codes are uint8 or uint16."""
@@ -166,6 +177,10 @@ class LogEncoding(Encoding):
     @property
     def clips(self) -> bool:
         return False
+
+    @property
+    def span(self) -> tuple[float, float]:
+        return self.scale * DARKEST_SEEN, float(self.decode(np.array(REACH)))
 
     def unit(self, dtype: np.dtype) -> float:
         return super().unit(dtype) / REACH

@@ -9,7 +9,6 @@ import numpy as np
 import torch
 
 from ...bridge.errors import BadValueError
-from ..model.gaussians import LOG_RADIANCE_RANGE
 from ..model.morton import morton_order
 from ..model.tone_mapper import Response
 from ..scene.camera import Camera
@@ -188,9 +187,13 @@ def _pixels(points: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]
 
 
 def merged_log_radiance(
-    points: np.ndarray, views: list[View], exposures: list[tuple[int, ...]], response: Response
+    points: np.ndarray,
+    views: list[View],
+    exposures: list[tuple[int, ...]],
+    response: Response,
+    bounds: tuple[float, float],
 ) -> np.ndarray:
-    """ln radiance ``[P, 3]`` of points, merged from the pictures that training may see.
+    """ln radiance ``[P, 3]`` of points, merged from the pictures that training may see, within ``bounds``.
 
     ``exposures[i]`` are the indices allowed for ``views[i]``. Points that nobody sees get the mean.
     """
@@ -211,4 +214,4 @@ def merged_log_radiance(
     unseen = weight_sum[:, 0] < 1e-4
     if unseen.any() and not unseen.all():
         merged[unseen] = merged[~unseen].mean(axis=0)
-    return merged.clip(*LOG_RADIANCE_RANGE)
+    return merged.clip(*bounds)

@@ -20,6 +20,8 @@ from safetensors.torch import save_file
 from ...bridge.atomic import atomic_path
 from ...bridge.errors import DataMismatchError, FileDamagedError, FileMissingError, OutputError
 from ...bridge.lights import AMBIENT, check_lights
+from ...bridge.limits import LOG_RADIANCE_MAX
+from ..kernels.activations import LOG_RADIANCE_RANGE
 from ..methods.base import Responses
 
 FORMAT = "physhdr-checkpoint"
@@ -35,6 +37,8 @@ READS = 20
 CONFIGURATION, DIGEST = "configuration", "digest"
 #: Which responses its training pictures had (``methods.base.Responses``); without it all were learned.
 RESPONSES = "responses"
+#: Bounds of the ln radiance of what its model draws, as JSON; without it ``LOG_RADIANCE_RANGE``.
+RANGE = "log_radiance_range"
 
 
 @dataclass(frozen=True)
@@ -235,6 +239,19 @@ def responses_in(metadata: Mapping[str, str], path: Path) -> Responses:
             return responses
         case other:
             raise damaged(path, f"its responses are {other!r:.80}")
+
+
+def log_radiance_range_in(metadata: Mapping[str, str], path: Path) -> tuple[float, float]:
+    """Bounds of the ln radiance of a checkpoint's model, from its metadata; raises ``FileDamagedError``."""
+    if RANGE not in metadata:
+        return LOG_RADIANCE_RANGE
+    try:
+        low, high = (float(bound) for bound in json.loads(metadata[RANGE]))
+    except (ValueError, TypeError, RecursionError) as error:
+        raise damaged(path, f"its range of radiance is {metadata[RANGE]!r:.80}") from error
+    if not -LOG_RADIANCE_MAX <= low < high <= LOG_RADIANCE_MAX:  # NaN is refused, too
+        raise damaged(path, f"its range of radiance is {metadata[RANGE]!r:.80}")
+    return low, high
 
 
 def _is_share(name: str, tensor: torch.Tensor, axes: int) -> bool:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The training loop, top to bottom: it yields events and knows nothing of who listens."""
 
+import json
 import math
 import time
 from collections.abc import Callable, Generator, Mapping
@@ -12,6 +13,7 @@ import torch
 
 from ...bridge.errors import BadValueError, DataMismatchError, PhysHDRError
 from ...bridge.run_folder import CHECKPOINT_FILE
+from ..kernels.activations import LOG_RADIANCE_RANGE
 from ..methods.base import Batch, Facts, Method, Recording, SplattingMethod
 from ..methods.registry import name_of, new_method
 from ..model.anchors import Anchors
@@ -27,11 +29,13 @@ from .anchor_growth import AnchorGrowth
 from .calibration import freeze_response, read_calibration, use_response
 from .checkpoint import (
     CONFIGURATION,
+    RANGE,
     RESPONSES,
     check_tensors,
     damaged,
     lights_of,
     load_checkpoint,
+    log_radiance_range_in,
     progress_of,
     refuse_others,
     require_configuration,
@@ -52,6 +56,7 @@ from .views import (
     STREAM_EXPOSURES,
     STREAM_GROWTH,
     STREAM_VIEWS,
+    log_radiance_range,
     may_merge_brackets,
     responses_of,
     seen_exposures,
@@ -120,7 +125,9 @@ class Trainer:
         #: Pictures with the light of their whole brackets; None where they stay as they were taken.
         self.merged = self._new_merged()
         self.pictures.instead = None if self.merged is None else self.merged.codes
-        facts = Facts(scene.response_anchor, implementation, self.lights, self.responses)
+        #: Bounds of ln radiance.
+        self.range = log_radiance_range(self.views, self.exposures)
+        facts = Facts(scene.response_anchor, implementation, self.lights, self.responses, self.range)
         self.method = new_method(config.method, self.schedule.anchors, facts)
         state = self._restore(resumed) if resumed else {}
         #: What is learned of each photo; None where nothing is.
@@ -244,7 +251,7 @@ class Trainer:
             self.start_message += f", {len(far):,} far away where these leave pictures uncovered"
         radiance = points.colours if config.method.traits.initial_radiance == "points" else None
         if radiance is None:
-            radiance = merged_log_radiance(positions, views, exposures, response)
+            radiance = merged_log_radiance(positions, views, exposures, response, self.range)
         if self.nuisances is not None:
             radiance = radiance - self.nuisances.begin(positions, response)
         method.backbone.place(positions, radiance, start)
@@ -444,6 +451,8 @@ class Trainer:
         }
         if self.responses != "learned":
             metadata[RESPONSES] = self.responses
+        if self.range != LOG_RADIANCE_RANGE:
+            metadata[RANGE] = json.dumps(self.range)
         save_checkpoint(path, tensors, metadata, self.lights)
         return Saved(self.iteration, str(path))
 
@@ -546,7 +555,9 @@ def load_method(
     require_configuration(metadata, configuration or fingerprint(config), path)
     iteration = progress_of(metadata, config.iterations, path).iteration
     lights = lights_of(metadata, path)
-    facts = Facts(anchor, implementation, lights, responses_in(metadata, path))
+    facts = Facts(
+        anchor, implementation, lights, responses_in(metadata, path), log_radiance_range_in(metadata, path)
+    )
     method = new_method(config.method, config.anchors, facts)
     restore_method(method, tensors, path)
     method.to_device(torch.device(device))

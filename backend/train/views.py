@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What of a scene a training sees: which views, at which of their exposures, with levels of which lights."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from ...bridge.errors import DataMismatchError
 from ...bridge.lights import AMBIENT
+from ...bridge.limits import RADIANCE_MAX
+from ..kernels.activations import LOG_RADIANCE_RANGE
 from ..methods.base import Responses
 from ..scene.scene import Scene, View
 from .config import TrainConfig
@@ -30,6 +33,22 @@ def responses_of(views: Sequence[View], exposures: Sequence[tuple[int, ...]]) ->
     each = zip(views, exposures, strict=True)
     known = {view.encodings[k].is_known for view, allowed in each for k in allowed}
     return "mixed" if len(known) > 1 else "known" if True in known else "learned"
+
+
+def log_radiance_range(views: Sequence[View], exposures: Sequence[tuple[int, ...]]) -> tuple[float, float]:
+    """Bounds of ln radiance for what ``views`` show at those positions of their brackets that are trained.
+
+    ``LOG_RADIANCE_RANGE`` is enough for exposures of 1/40 to 32 s. Photos in the sun take 1/8000 s, where
+    white is a radiance of 8000; pictures of radiance may be in any unit.
+    """
+    low, high = LOG_RADIANCE_RANGE
+    most = math.log(RADIANCE_MAX)
+    for view, allowed in zip(views, exposures, strict=True):
+        for k in allowed:
+            darkest, brightest = view.encodings[k].span
+            low = min(low, math.log(darkest / view.exposures[k]))
+            high = max(high, math.log(brightest / view.exposures[k]))
+    return max(low, -most), min(high, most)
 
 
 def may_merge_brackets(config: TrainConfig) -> bool:

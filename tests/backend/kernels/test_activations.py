@@ -53,16 +53,18 @@ def test_lit_colours(count, channels, levels):
     assert (a - b).norm() <= 1e-6 * b.norm()
 
 
-def test_bounds_pass_no_gradient():
-    low, high = LOG_RADIANCE_RANGE
+@pytest.mark.parametrize("bounds", [LOG_RADIANCE_RANGE, (-14.5, 20.25)])
+def test_bounds_pass_no_gradient(bounds):
+    low, high = bounds
     reflectance = torch.tensor([[low - 1.0, 5.0, high + 1.0]]).repeat(LANES, 1).requires_grad_()
     illumination = torch.zeros(LANES, 1, requires_grad=True)
     share = torch.tensor([[0.5, 1.0, 0.5]]).repeat(LANES, 1, 1)  # of the second nothing would be left
     share.requires_grad_()
-    colours, _ = lit_colours(reflectance, illumination, share, (0.0,))
+    arguments = reflectance, illumination, share, (0.0,), False, bounds
+    colours, _ = lit_colours(*arguments)
     expected = torch.tensor([low, 5.0 + np.log(DARKEST), high], dtype=torch.float32).exp()
     assert torch.allclose(colours[0], expected, rtol=0.02)  # 1e-6 is a difference of float32's near 1
-    assert torch.allclose(colours, lit_colours_reference(reflectance, illumination, share, (0.0,))[0])
+    assert torch.allclose(colours, lit_colours_reference(*arguments)[0])
     colours.sum().backward()
     assert torch.equal(reflectance.grad[:, ::2], torch.zeros(LANES, 2))
     assert torch.allclose(reflectance.grad[:, 1], colours[:, 1])

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from physhdr.backend import kernels
-from physhdr.backend.model.gaussians import LOG_RADIANCE_RANGE
+from physhdr.backend.kernels.activations import LOG_RADIANCE_RANGE
 from physhdr.backend.model.tone_mapper import LOG_EPSILON, ToneMapper, ToneMapperConfig
 from physhdr.backend.rasterize import cpu
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from physhdr.backend.kernels.activations import LOG_RADIANCE_RANGE
 from physhdr.backend.model.tone_mapper import KnownResponse, ToneMapper, ToneMapperConfig
 from physhdr.backend.scene.camera import Camera
 from physhdr.backend.scene.encoding import SRGB, LogEncoding
@@ -83,7 +84,7 @@ def test_points_take_their_colour_from_what_is_seen(tmp_path):
     columns, rows = np.array([3, 15]), np.array([8, 8])
     x, y = (columns + 0.5 - camera.cx) / camera.fx, (rows + 0.5 - camera.cy) / camera.fy
     points = np.stack([x, -y, -np.ones(2)], axis=1) * 2.0
-    radiance = merged_log_radiance(points, [view], [(0, 1)], KnownResponse())
+    radiance = merged_log_radiance(points, [view], [(0, 1)], KnownResponse(), LOG_RADIANCE_RANGE)
     assert radiance[1] == pytest.approx(np.log(LIGHT[8, 15]), abs=1e-3)
     assert radiance[0] == pytest.approx(radiance[1]), "nobody sees it: the mean of the rest"
     assert math.isfinite(radiance.sum())

@@ -3,6 +3,7 @@
 
 import dataclasses
 import json
+import math
 import shutil
 import signal
 
@@ -14,10 +15,12 @@ from safetensors.torch import save_file
 from scipy.spatial import KDTree
 
 from physhdr.backend.evaluate.protocol import evaluate
+from physhdr.backend.kernels.activations import LOG_RADIANCE_RANGE
 from physhdr.backend.methods.hdr_nerf import HDRNeRFConfig
 from physhdr.backend.model.anchors import AnchorsConfig
 from physhdr.backend.runs.monitor import view_monitor
 from physhdr.backend.scene import read_scene
+from physhdr.backend.scene.encoding import LogEncoding
 from physhdr.backend.scene.pictures import read_exr, write_exr, write_png
 from physhdr.backend.scene.scene import Points
 from physhdr.backend.train.checkpoint import load_checkpoint
@@ -25,6 +28,7 @@ from physhdr.backend.train.config import fingerprint, in_iterations, read_config
 from physhdr.backend.train.densify import DensifyConfig
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import CHECKPOINT_FILE, Trainer, TrainingDivergedError, load_method
+from physhdr.backend.train.views import log_radiance_range
 from physhdr.bridge.errors import (
     BadValueError,
     DataMismatchError,
@@ -263,6 +267,62 @@ def test_the_saved_method_renders_as_the_trained_one(tiny_data, tmp_path):
     assert iteration == 40
     camera = scene.test[0].camera
     assert torch.equal(method.ldr(camera, 2.0), trainer.method.ldr(camera, 2.0))
+
+
+def with_exposures_times(scene, factor):
+    """The same pictures of a scene as much brighter; the response is not anchored, as of photographs."""
+
+    def changed(views):
+        scaled = lambda view: tuple(factor * exposure for exposure in view.exposures)  # noqa: E731
+        return [dataclasses.replace(view, exposures=scaled(view)) for view in views]
+
+    train, test = changed(scene.train), changed(scene.test)
+    return dataclasses.replace(scene, train=train, test=test, lit=[], response_anchor=None)
+
+
+def error_of(trainer):
+    """Mean absolute difference from the training pictures."""
+    errors = []
+    for view in trainer.scene.train:
+        for k, exposure in enumerate(view.exposures):
+            picture = torch.from_numpy(view.values(k)).permute(2, 0, 1)
+            errors.append((trainer.method.ldr(view.camera, exposure) - picture).abs().mean().item())
+    return np.mean(errors)
+
+
+@pytest.mark.parametrize("preset", ["default", "baseline", "paper"])
+def test_the_unit_of_light_is_nothing_to_a_training(preset, tiny_data, tmp_path):
+    """Photos in the sun take 1/8000 s, and white is a radiance of 8000, at ``LOG_RADIANCE_RANGE``'s end."""
+    scene = read_scene(tiny_data)
+    usual = train(with_exposures_times(scene, 1.0), short(preset), tmp_path / "usual")
+    sun = train(with_exposures_times(scene, 2.0**-14), short(preset), tmp_path / "sun")
+    assert error_of(sun) < 1.1 * error_of(usual)
+    camera = scene.test[0].camera
+    method, _ = load_method(tmp_path / "sun", short(preset), None)
+    assert torch.equal(method.hdr(camera), sun.method.hdr(camera)), "its bounds are in the checkpoint"
+    assert method.log_radiance_range[1] > LOG_RADIANCE_RANGE[1]
+
+
+def test_bounds_of_radiance_are_those_of_the_pictures(tiny_data):
+    views = read_scene(tiny_data).train
+    every = [tuple(range(len(view.exposures))) for view in views]
+    assert log_radiance_range(views, every) == LOG_RADIANCE_RANGE
+    with_one = [dataclasses.replace(views[0], exposures=(0.1, 1.0, 10.0, 100.0, 1000.0)), *views[1:]]
+    assert log_radiance_range(with_one, every) == (math.log(1 / 5000 / 1000.0), 9.0)
+    assert log_radiance_range(with_one, [(0, 1, 2), *every[1:]]) == LOG_RADIANCE_RANGE, (
+        "seen by training alone"
+    )
+    short_one = [dataclasses.replace(views[0], exposures=(1e-4, 1.0, 2.0, 3.0, 4.0)), *views[1:]]
+    assert log_radiance_range(short_one, every) == (-12.0, math.log(200 / 1e-4))
+
+
+def test_bounds_of_radiance_reach_as_far_as_pictures_of_radiance(tiny_data):
+    """The sun's disc is 2e7 W/m²/sr; codes hold 5002 times the scale."""
+    view = read_scene(tiny_data).train[0]
+    source = dataclasses.replace(view.sources[0], encoding=LogEncoding(1e4))
+    bright = dataclasses.replace(view, exposures=(1.0,), sources=(source,), bracket=())
+    low, high = log_radiance_range([bright], [(0,)])
+    assert (low, high) == (-12.0, pytest.approx(math.log(1e4 * 5001.0**2 / 5000.0)))
 
 
 def test_a_diverged_run_says_so_and_keeps_the_last_good_checkpoint(tiny_data, tmp_path):
@@ -630,3 +690,14 @@ def test_whatever_is_wrong_with_the_container_is_one_error(damage, tiny_data, tm
     assert path.read_bytes() != data
     with pytest.raises(FileDamagedError, match=CHECKPOINT_FILE):
         load_checkpoint(path)
+
+
+@pytest.mark.parametrize(
+    "bounds", ["", "9", "[9]", "[9, -12]", "[NaN, 9]", "[-12, 80]", '["a", 1]', "[[], 1]"]
+)
+def test_bounds_of_radiance_that_are_none_are_refused(bounds, tiny_data, tmp_path):
+    config = short("default", iterations=5)
+    train(read_scene(tiny_data), config, tmp_path)
+    renamed_to(tmp_path, log_radiance_range=bounds)
+    with pytest.raises(FileDamagedError, match="range of radiance"):
+        load_method(tmp_path, config, None)
