@@ -19,7 +19,7 @@ from .colmap_brackets import Group, alike, best_of, camera_of, grouped, placed, 
 from .colmap_files import find_model, other_models_in_words, read_model
 from .exposures import SAY_EXPOSURES, exposures_from_exif, read_exposure_file
 from .info import read_anchor, read_info
-from .picture_files import pictures_in
+from .picture_files import picture_there, pictures_in, reduced_folder
 from .poses import (
     PictureFile,
     Pose,
@@ -40,28 +40,41 @@ from .resize import Reduction, capped
 from .scene import Points, Scene
 
 NAME = "COLMAP"
-LOOKS_FOR = "images/ and sparse/0"
+#: The folder of pictures. Where it is not there, that of reduced ones: ``images_4``.
+PICTURES = "images"
+LOOKS_FOR = f"{PICTURES}/ and sparse/0"
 #: Cameras of one bracket that are farther apart than this share of the cameras' spread are worth a message.
 STEADY = 0.002
 
 
 def is_mine(root: Path) -> bool:
     """Whether ``root`` looks like this layout."""
-    return find_model(root) is not None and (root / "images").is_dir()
+    return find_model(root) is not None and _pictures(root) is not None
+
+
+def _pictures(root: Path) -> Path | None:
+    """The folder of pictures, of reduced ones where there are only these; None where there is none."""
+    folder = root / PICTURES
+    if folder.is_dir():
+        return folder
+    reduced = reduced_folder(folder)
+    return reduced[0] if reduced else None
 
 
 def read_scene(root: Path, downscale: float | None = None) -> Scene:
     """Read a COLMAP folder.
 
     ``downscale``: None is 3DGS's convention, the widest picture at most 1600 pixels wide and all others by
-    the same factor. Pictures of the model that are missing are left out and counted. Raises
-    ``FileMissingError``, ``FileDamagedError``, ``DataMismatchError`` or ``BadValueError``, each naming the
-    file and the remedy.
+    the same factor. It counts from the pictures that are there, which may be reduced ones (``images_4``).
+    Pictures of the model that are missing are left out and counted. Raises ``FileMissingError``,
+    ``FileDamagedError``, ``DataMismatchError`` or ``BadValueError``, each naming the file and the remedy.
     """
-    found = read_poses(root, root / "images")
+    pictures = _pictures(root)
+    assert pictures is not None, "is_mine has found it"
+    found = read_poses(root, pictures)
     train, test, rule = split_somehow(found.poses)
-    check_numbers(train, "training", root / "images")
-    check_numbers(test, "test", root / "images")
+    check_numbers(train, "training", pictures)
+    check_numbers(test, "test", pictures)
     return scene_of(found, (train, test, rule), layout=NAME, anchor=None, downscale=downscale)
 
 
@@ -115,7 +128,10 @@ def read_poses(root: Path, pictures: Path) -> FoundPoses:
     there = pictures_in(pictures)
     groups, alone, messages = grouped(model, there, spread)
     messages = [*other_models_in_words(folder), *messages]
-    paths = {name: path_inside(pictures, name, folder) for group in groups for name in group.names.values()}
+    if pictures.name != PICTURES:
+        messages.append(f"pictures from {pictures.name}/, for there is no {PICTURES}/")
+    names = (name for group in groups for name in group.names.values())
+    paths = {name: picture_there(path_inside(pictures, name, folder)) for name in names}
     sizes, faults = sizes_of(paths.values())
     usable = {name: path for name, path in paths.items() if path in sizes}
     everything, groups = groups, with_pictures(groups, usable)
@@ -184,7 +200,10 @@ def _exposures(
     """Seconds by picture name, and where they are from. ``must``: without any, there is no assuming 1 s."""
     names = [name for group in groups for name in group.names.values()]
     if stated is not None:
-        return {name: stated[name] for name in names if name in stated}, f"exposures from {EXPOSURE_FILE}"
+        by_suffix = {_small_suffix(name): seconds for name, seconds in stated.items()}
+        known = {name: stated.get(name, by_suffix.get(_small_suffix(name))) for name in names}
+        found = {name: seconds for name, seconds in known.items() if seconds is not None}
+        return found, f"exposures from {EXPOSURE_FILE}"
     from_exif = exposures_from_exif([paths[name] for name in names])
     if from_exif is not None:
         return dict(zip(names, from_exif[0], strict=True)), from_exif[1]
@@ -195,6 +214,12 @@ def _exposures(
             SAY_EXPOSURES,
         )
     return dict.fromkeys(names, 1.0), "no exposures are known: taken as one exposure of 1 s for all pictures"
+
+
+def _small_suffix(name: str) -> str:
+    """``a.JPG`` → ``a.jpg``: names that differ so are of one picture."""
+    stem, dot, suffix = name.rpartition(".")
+    return stem + dot + suffix.lower()
 
 
 def _without_unknown(group: Group, seconds: dict[str, float], folder: Path) -> Group:

@@ -27,6 +27,7 @@ from .checks import MAKE_AGAIN, exposure, number, path_inside, read_json, requir
 from .exposures import exposures_from_exif
 from .info import read_anchor, read_info
 from .lens import ALL_AROUND, NO_DISTORTION, RealCamera, panorama
+from .picture_files import picture_there, reduced_folder
 from .points import read_points
 from .poses import (
     SUFFIXES,
@@ -93,12 +94,15 @@ def scene_of(root: Path, path: Path, content: dict[str, Any], downscale: float |
     # Each keeps its place among all that are listed: a picture that turns up changes nobody's number.
     frames = {order: frame for order, frame in enumerate(listed) if frame[0] in sizes}
     seconds, told = _exposures(path, list(frames.values()))
+    reduced = {}
     poses = []
     for (order, (file, frame)), time in zip(frames.items(), seconds, strict=True):
         name = file.relative_to(root).as_posix().rsplit(".", 1)[0]
         where = f"frame '{name:.80}'"
         given = content | frame
-        camera = _camera(path, where, given, sizes[file])
+        instead, factor = _reduced(root, path, frame["file_path"])
+        reduced |= instead
+        camera = _camera(path, where, given, (factor * sizes[file][0], factor * sizes[file][1]))
         mask = _mask(root, path, where, frame)
         pictures = {0: PictureFile(file, time, mask)}
         pose = Pose(name, order, camera, pictures, lens=_lens(path, where, given, camera))
@@ -112,6 +116,7 @@ def scene_of(root: Path, path: Path, content: dict[str, Any], downscale: float |
     longest = max(max(pose.camera.width, pose.camera.height) for pose in poses)
     reduction = Reduction(_published_factor(longest) if downscale is None else downscale)
     views = Views(root, poses, reduction)
+    small = (f"pictures from {there}/, for there is no {folder}/" for folder, there in reduced.items())
     info = read_info(root)
     return Scene(
         root=root,
@@ -123,7 +128,7 @@ def scene_of(root: Path, path: Path, content: dict[str, Any], downscale: float |
         response_anchor=read_anchor(root, info, otherwise=None),
         info=info,
         layout=NAME,
-        messages=(rule, *skipped, *views.messages, told, *masks_in_words(poses)),
+        messages=(rule, *skipped, *small, *views.messages, told, *masks_in_words(poses)),
         validation=views.of(validation),
     )
 
@@ -179,11 +184,25 @@ def _inside(root: Path, path: Path, name: str) -> Path:
 
 
 def _picture(root: Path, path: Path, name: str) -> Path:
-    """A frame's picture, whose suffix may have been left out."""
+    """A frame's picture, whose suffix may have been left out, or be written otherwise: .JPG for .jpg.
+
+    Where its folder is not there, the one in the folder of reduced ones: ``images_4`` for ``images``.
+    """
     file = _inside(root, path, name)
-    candidates = (file.with_name(file.name + suffix) for suffix in LACKING)
+    folder, *rest = file.relative_to(root).parts
+    reduced = reduced_folder(root / folder) if rest else None
+    place = reduced[0].joinpath(*rest) if reduced else file
+    candidates = (place.with_name(place.name + suffix) for suffix in LACKING)
     # Path.is_file raises where a name is too long; the reader of pictures then says so.
-    return next((candidate for candidate in candidates if os.path.isfile(candidate)), file)
+    found = next((candidate for candidate in candidates if os.path.isfile(candidate)), picture_there(place))
+    return found if os.path.isfile(found) else file
+
+
+def _reduced(root: Path, path: Path, name: str) -> tuple[dict[str, str], int]:
+    """Where a frame's picture is one of reduced ones: the named folder and theirs, and how much smaller."""
+    folder, *rest = _inside(root, path, name).relative_to(root).parts
+    found = reduced_folder(root / folder) if rest else None
+    return ({folder: found[0].name}, found[1]) if found else ({}, 1)
 
 
 def _mask(root: Path, path: Path, where: str, frame: dict[str, Any]) -> Path | None:
@@ -200,7 +219,7 @@ def _mask(root: Path, path: Path, where: str, frame: dict[str, Any]) -> Path | N
 def _camera(path: Path, where: str, given: dict[str, Any], stored: tuple[int, int]) -> Camera:
     """The camera of a frame at the size that is stated; ``given``: the frame's entries over the file's.
 
-    ``stored``: the picture's size, where none is stated.
+    ``stored``: the picture's size as it was when the cameras were found, where none is stated.
     """
     matrix = require(path, given, "transform_matrix", f": {where}")
     pose = rigid_pose(path, matrix, where.removeprefix("frame "))

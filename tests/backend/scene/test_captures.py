@@ -195,6 +195,74 @@ def test_of_several_models_the_largest_is_read(layouts: ModuleType, tmp_path: Pa
     assert read_scene(root).train[0].name == "shot_00"
 
 
+# ---- pictures under other names than those that are told -----------------------------------------------
+
+
+def assert_spots(layouts: ModuleType, scene: Scene) -> None:
+    """Cameras and pictures belong together: the world's points are where their spots are."""
+    for view, k in scene.pictures():
+        camera = view.camera
+        x, y, z, _ = camera.world_to_camera @ np.c_[layouts.POINTS, np.ones(3)].T
+        expected = np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], axis=1)
+        np.testing.assert_allclose(layouts.spots(view.image(k), view.bracket[k]), expected, atol=0.06)
+
+
+def test_a_model_whose_pictures_are_kept_reduced_alone(layouts: ModuleType, tmp_path: Path) -> None:
+    """images_4/ of what COLMAP has seen four times as large, as Mip-NeRF 360 is often copied; and more."""
+    W, H = 4 * layouts.WIDTH, 4 * layouts.HEIGHT
+    params = tuple(4.0 * value for value in (layouts.FX, layouts.FY, layouts.CX, layouts.CY))
+    root = layouts.write_colmap(tmp_path / "data", params=params, size=(W, H))
+    (root / "images").rename(root / "images_4")
+    (root / "images_8").mkdir()
+    (root / "images_low").mkdir()
+    scene = read_scene(root)
+    assert len(scene.train) + len(scene.test) == 10 and scene.train[0].bracket == (0, 1, 2)
+    assert "pictures from images_4/, for there is no images/" in scene.messages
+    assert {(view.camera.width, view.camera.height) for view in scene.train} == {(W // 4, H // 4)}
+    assert_spots(layouts, scene)
+    assert read_scene(root, downscale=2.0).train[0].camera.width == W // 8
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_frames_whose_pictures_are_kept_reduced_alone(
+    layouts: ModuleType, tmp_path: Path, stated: bool
+) -> None:
+    """As DL3DV's 960P; where the file does not tell w and h, either."""
+    intrinsics = {"fl_x": layouts.FX, "fl_y": layouts.FY, "cx": layouts.CX, "cy": layouts.CY}
+    top = {key: 4.0 * value for key, value in intrinsics.items()}
+    top |= {"w": 4 * layouts.WIDTH, "h": 4 * layouts.HEIGHT} if stated else {}
+    root = layouts.write_nerfstudio(tmp_path, **top)
+    if not stated:
+        content = json.loads((root / "transforms.json").read_text())
+        del content["w"], content["h"]
+        (root / "transforms.json").write_text(json.dumps(content))
+    (root / "images").rename(root / "images_4")
+    scene = read_scene(root)
+    assert len(scene.train) + len(scene.test) == 9
+    assert "pictures from images_4/, for there is no images/" in scene.messages
+    assert_spots(layouts, scene)
+
+
+def test_suffixes_in_capitals(layouts: ModuleType, tmp_path: Path) -> None:
+    """The model, transforms.json and exposure.json say .jpg, and the camera wrote .JPG; or the reverse."""
+    root = layouts.write_colmap(tmp_path / "a", poses=4)
+    for path in sorted((root / "images").iterdir()):
+        path.rename(path.with_suffix(".JPG"))
+    scene = read_scene(root)
+    assert [view.bracket for view in scene.train] == [(0, 1, 2)] * 3 and len(scene.test) == 1
+    assert not any("not used" in told or "no picture" in told for told in scene.messages)
+    for suffix in ("jpg", "JPG"):
+        seconds = {f"shot_{i:02d}_{k}.{suffix}": 3.0**k for i in range(4) for k in range(3)}
+        (root / "exposure.json").write_text(json.dumps(seconds))
+        assert read_scene(root).train[0].exposures == (1.0, 3.0, 9.0)
+    root = layouts.write_nerfstudio(tmp_path / "b", poses=4)
+    content = json.loads((root / "transforms.json").read_text())
+    for frame in content["frames"]:
+        frame["file_path"] = frame["file_path"].replace(".png", ".PNG")
+    (root / "transforms.json").write_text(json.dumps(content))
+    assert len(read_scene(root).train) == 3
+
+
 # ---- pictures on their side --------------------------------------------------------------------------
 
 
