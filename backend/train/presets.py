@@ -159,8 +159,8 @@ def released_gausshdr() -> GaussHDRConfig:
 
 
 def fast(iterations: int = 1250) -> TrainConfig:
-    """``default`` for the impatient: half of its iterations, more of them at half resolution."""
-    return TrainConfig(iterations=iterations, half_size_until=0.2)
+    """``default`` for the impatient: half of its iterations."""
+    return TrainConfig(iterations=iterations)
 
 
 def high(iterations: int = 10_000) -> TrainConfig:
