@@ -74,11 +74,14 @@ def draw_report(context: bpy.types.Context, layout: bpy.types.UILayout, state: S
     if dataset.problem:
         write(context, layout, f"{dataset.problem.message}. {dataset.problem.hint}", "ERROR")
         return
+    if not dataset.lines:
+        layout.label(text="Looking at it", icon="SORTTIME")
+        return
     warnings = dict.fromkeys((*dataset.warnings, *made.warnings))
     # Two folds, so that each remembers for itself whether it is open.
     fold = "physhdr_report_warned" if warnings else "physhdr_report"
     head, body = layout.panel(fold, default_closed=not warnings)
-    head.label(text=first_line(context, dataset.lines[0].split(", ")[0] if dataset.lines else "Data set"))
+    head.label(text=first_line(context, dataset.lines[0].split(", ")[0]))
     if body is None:
         if warnings:
             many = f"{len(warnings)} warnings" if len(warnings) > 1 else "A warning"

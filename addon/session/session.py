@@ -17,8 +17,8 @@ from ...bridge.atomic import atomic_path
 from ...bridge.connection import is_of_another, live_connection, private_home
 from ...bridge.errors import FileDamagedError, FileMissingError, OutputError, PhysHDRError
 from ...bridge.messages import PreviewFrame, PreviewRequest, Request, WhenClosed
-from ..dataset.dataset_summary import summarise
 from .client import Client, PreviewRefused
+from .dataset_look import DatasetLook
 from .photos import look_command
 from .process import clean_environment, is_alive, kill, open_log, spawn
 from .state import (
@@ -35,7 +35,6 @@ from .state import (
     KillBackend,
     LinkLost,
     PhotosChosen,
-    Problem,
     ProcessEnded,
     PythonChosen,
     Send,
@@ -58,6 +57,8 @@ LOG_BYTES = 4 << 20
 START_SECONDS = 60.0
 #: Seconds between looks for a backend that another Blender started.
 LOOK_SECONDS = 2.0
+#: How long Blender waits for a look at a data set: on a local disk it is done by then.
+DATASET_SECONDS = 0.2
 #: How long a backend of ours whose connection is gone has to end before another one is started.
 ENDING_SECONDS = 0.5
 
@@ -77,6 +78,7 @@ class Session:
         self.when_closed: WhenClosed = WhenClosed(training="keep")
         self._tasks: dict[str, ChildTask] = {}
         self._ended: dict[str, TaskEnded] = {}
+        self._look_at_dataset: DatasetLook | None = None
         self._client: Client | None = None
         self._process = None
         self._started = 0.0
@@ -124,17 +126,12 @@ class Session:
             self._send(when_closed)
 
     def choose_dataset(self, folder: str) -> None:
-        """Look at a data set's folder, for the panel."""
-        try:
-            summary = summarise(Path(folder))
-        except PhysHDRError as error:
-            dataset = Dataset(folder, problem=Problem(error.message, error.hint))
-        except OSError as error:  # the system will not have the path, be it too long
-            problem = Problem(f"{folder}: {error.strerror or error}", "Choose another folder.")
-            dataset = Dataset(folder, problem=problem)
-        else:
-            dataset = Dataset(folder, tuple(summary.lines), tuple(summary.warnings))
-        self.dispatch(DatasetChosen(dataset))
+        """Look at a data set's folder, for the panel; what takes longer than a moment comes with ``pump``."""
+        self._look_at_dataset = look = DatasetLook(folder)
+        found = look.take(DATASET_SECONDS)
+        if found is not None:
+            self._look_at_dataset = None
+        self.dispatch(DatasetChosen(found or Dataset(folder)))
 
     def look_at_photos(self, folder: str, options: tuple[str, ...]) -> None:
         """Let the backend look at a folder of photos; what it understands comes into the state."""
@@ -161,12 +158,14 @@ class Session:
     @property
     def busy(self) -> bool:
         """Whether there is something that ``pump`` should look after often."""
-        return bool(self._tasks) or self.state.link.status != "off"
+        waits = bool(self._tasks) or self._look_at_dataset is not None
+        return waits or self.state.link.status != "off"
 
     def pump(self) -> bool:
         """Take in what has happened; returns whether the state has changed."""
         before = self.changes
         self._pump_tasks()
+        self._pump_dataset()
         if self._client:
             for event in self._client.take():
                 self.dispatch(event)
@@ -282,6 +281,14 @@ class Session:
                     del self._tasks[name]
                     self._ended[name] = event
                 self.dispatch(event)
+
+    def _pump_dataset(self) -> None:
+        look = self._look_at_dataset
+        if look is None or (found := look.take()) is None:
+            return
+        self._look_at_dataset = None
+        if self.state.dataset.folder == look.folder:  # else another file was opened meanwhile
+            self.dispatch(DatasetChosen(found))
 
     def _pump_process(self) -> None:
         """Follow a process that was started; look now and then for one that others started."""

@@ -92,7 +92,10 @@ class Link:
 
 @dataclass(frozen=True)
 class Dataset:
-    """The chosen data set: ``folder``, what it holds in a few ``lines``, warnings among them."""
+    """The chosen data set: ``folder``, what it holds in a few ``lines``, and what is wrong with that.
+
+    Neither lines nor a problem: it is being looked at.
+    """
 
     folder: str = ""
     lines: tuple[str, ...] = ()

@@ -438,6 +438,14 @@ def test_the_report_is_folded_and_its_warnings_are_not(chosen):
         assert any("no test split" in text for text in shown) == is_open
 
 
+def test_a_data_set_that_is_looked_at_says_so(chosen):
+    """On a slow drive nothing is known of it for a while."""
+    ready = states(chosen.data)["ready"]
+    looking = replace(ready, dataset=Dataset(ready.dataset.folder))
+    shown = [text for _, text, *_ in texts(draw(PHYSHDR_PT_dataset, looking))]
+    assert "Looking at it" in shown
+
+
 def test_the_backend_is_first_until_there_is_one_and_then_last_and_folded(chosen):
     found = states(chosen.data)
     for name, first in (("nothing", True), ("ready", False)):

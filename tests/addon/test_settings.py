@@ -14,6 +14,7 @@ from physhdr.bridge.presets import IN_PANEL  # noqa: E402
 @pytest.fixture
 def registered(scene, tmp_path, monkeypatch):
     monkeypatch.setattr(settings, "home_folder", lambda: tmp_path / "home")
+    monkeypatch.setattr("physhdr.addon.session.session.DATASET_SECONDS", 60.0)  # however busy the machine is
     physhdr.register()
     yield scene.physhdr
     physhdr.unregister()

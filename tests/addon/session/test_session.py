@@ -172,5 +172,6 @@ def test_a_path_that_the_system_refuses_is_a_problem_of_the_data_set(tmp_path, l
     session = Session(tmp_path, launcher)
     folder = str(tmp_path / ("x" * 300))
     session.choose_dataset(folder)
+    assert session.wait(lambda state: state.dataset.problem is not None, 60.0)
     problem = session.state.dataset.problem
     assert folder in problem.message and "too long" in problem.message and problem.hint
