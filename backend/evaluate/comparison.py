@@ -22,6 +22,7 @@ from ...bridge.limits import is_number
 from ...bridge.regular import read_json_object
 from ...bridge.run_folder import EVALUATION_FILE as EVALUATION_FILE
 from .published import published_means
+from .results import NOVEL_EXPOSURES
 
 FORMAT, VERSION = "physhdr-evaluation", 1
 #: What an empty cell of a table shows: not measured.
@@ -50,6 +51,14 @@ class ComparedRun:
     def data_set(self) -> str:
         """The published benchmark that the scene is of, else ``""``."""
         return str(self.evaluation.get("conditions", {}).get("data_set") or "")
+
+    @property
+    def saw_novel_exposures(self) -> bool:
+        """Whether its training, as far as its evaluation says, saw exposures that LDR-NE is of."""
+        match self.evaluation.get("conditions", {}):
+            case {"training_exposures": [*places]}:
+                return any(place in NOVEL_EXPOSURES for place in places)
+        return False
 
 
 def load_evaluation(path: Path | str) -> dict[str, Any]:
@@ -317,8 +326,12 @@ def comparison_table(
 
 
 def published_entries(entries: Iterable[ComparedRun]) -> list[ComparedRun]:
-    """The paper's numbers for each (data set, scene, setting) of ``entries``; [] where it has none."""
-    there = dict.fromkeys((entry.data_set, entry.scene, entry.setting) for entry in entries)
+    """The paper's numbers for each (data set, scene, setting) of ``entries``; [] where it has none.
+
+    None stand beside trainings alone that have seen what the paper's have not.
+    """
+    fair = [entry for entry in entries if not entry.saw_novel_exposures]
+    there = dict.fromkeys((entry.data_set, entry.scene, entry.setting) for entry in fair)
     found = []
     for data_set, scene, setting in there:
         for method, means in published_means(data_set, scene, setting).items():
@@ -444,6 +457,12 @@ def _notes(entries: list[ComparedRun], constant: list[str], rows: list[Row], ove
     if any(cell.partial for row in rows for cell in row.cells):
         notes.append("numbers over fewer scenes or seeds than others have are not ranked")
     notes += dict.fromkeys(line for entry in measured if (line := _interrupted(entry)))
+    notes += dict.fromkeys(
+        f"{entry.method} on {entry.scene} was trained on exposures that LDR-NE is of: the published figures "
+        "are not"
+        for entry in measured
+        if entry.data_set and entry.saw_novel_exposures
+    )
     return notes
 
 

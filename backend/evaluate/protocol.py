@@ -50,7 +50,7 @@ def evaluate(
     split: str = TEST,
     lpips: Lpips | None = None,
     exposure_mode: str = "unknown",
-    training_exposures: Sequence[int] = OBSERVED_EXPOSURES,
+    training_exposures: Sequence[int] | None = None,
     iteration: int | None = None,
     iterations: int | None = None,
     progress: Callable[[int, int, str], None] | None = None,
@@ -62,8 +62,9 @@ def evaluate(
 
     Nothing of the other split is opened; relit truth is of test views and is left out for others.
     ``exposure_mode``: how training chose exposures (exp1, exp3), stated beside the numbers.
-    ``training_exposures``: the exposure indices it chose from; a message says where LDR-OE and LDR-NE are not
-    what they are called. ``iteration`` of the ``iterations`` that were planned is evaluated; None: not known.
+    ``training_exposures``: the exposure indices it chose from, None: not known; a message says where LDR-OE
+    and LDR-NE are not what they are called. ``iteration`` of the ``iterations`` that were planned is
+    evaluated; None: not known.
     ``progress`` is called with (done, total, what is next). ``falloff``: the vignetting that training found
     of the lens, used where these pictures have it; their gain and white balance are fitted beside
     (``photos.py``).
@@ -119,6 +120,7 @@ def evaluate(
         scene=scene.name,
         split=split,
         exposure_mode=exposure_mode,
+        training_exposures=None if training_exposures is None else tuple(training_exposures),
         resolution=(camera.width, camera.height),
         ldr=ldr,
         hdr=hdr_rows,
@@ -198,13 +200,15 @@ def _what_is_left_out(
 
 
 def _what_training_was(
-    exposures: Sequence[int], there: set[int], iteration: int | None, iterations: int | None
+    exposures: Sequence[int] | None, there: set[int], iteration: int | None, iterations: int | None
 ) -> list[str]:
     """What has to be said where it was not the protocol's, or not all of what was planned.
 
     ``there``: the places in the bracket that the evaluated views have.
     """
     messages = []
+    if exposures is None:
+        exposures = OBSERVED_EXPOSURES
     given = f"(--training-exposures {' '.join(map(str, exposures))})"
     if seen := [str(k) for k in NOVEL_EXPOSURES if k in exposures and k in there]:
         messages.append(f"LDR-NE is not of novel exposures: training saw index {' and '.join(seen)} {given}.")

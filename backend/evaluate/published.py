@@ -10,6 +10,7 @@ import functools
 from dataclasses import dataclass
 from pathlib import Path
 
+from ...bridge.data_set import CAPTURE_FILE
 from ..scene.scene import Scene
 
 FIGURES_FILE = Path(__file__).with_name("published.csv")
@@ -65,6 +66,16 @@ def data_set_of(scene: Scene) -> str:
         if known and seen == (benchmark.resolution, benchmark.test_views):
             return name
     return ""
+
+
+def keeps_exposures_for_testing(scene: Scene) -> bool:
+    """Whether ``scene`` is laid out as a published benchmark: some of its exposures are for testing alone.
+
+    Whatever it is called and at whatever size it is read, or a benchmark at half its size would be none.
+    Not so what we have made ourselves, by rendering or by ``physhdr prepare``.
+    """
+    ours = bool(scene.info) or (scene.root / CAPTURE_FILE).is_file()
+    return not ours and any(scene.layout in benchmark.layouts for benchmark in BENCHMARKS.values())
 
 
 def published_means(data_set: str, scene: str, setting: str) -> dict[str, dict[str, dict[str, float]]]:

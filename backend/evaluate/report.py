@@ -44,6 +44,7 @@ def to_dict(evaluation: Evaluation) -> dict[str, Any]:
             "data_set": evaluation.data_set,
             "split": evaluation.split,
             "exposure_mode": evaluation.exposure_mode,
+            "training_exposures": evaluation.training_exposures and list(evaluation.training_exposures),
             "resolution": list(evaluation.resolution),
             "iteration": evaluation.iteration,
             "iterations": evaluation.iterations,

@@ -176,6 +176,7 @@ class Evaluation:
     ``data_set``: the published benchmark that the scene is of (``published.data_set_of``), else "".
     ``response``: of a method with a global response curve. ``iteration``: what was evaluated, of the
     ``iterations`` that were planned; None: not known. ``eight_bit``: whether all pictures went through 8 bit.
+    ``training_exposures``: the places in the bracket that training chose from; None: not known.
     """
 
     scene: str
@@ -193,6 +194,7 @@ class Evaluation:
     iteration: int | None = None
     iterations: int | None = None
     eight_bit: bool = True
+    training_exposures: tuple[int, ...] | None = None
 
     def ldr_mean(self, exposure_indices: tuple[int, ...]) -> Metrics | None:
         """Mean over the views for each exposure, then over ``exposure_indices``; None if there are none."""

@@ -13,6 +13,7 @@ import statistics
 from collections.abc import Collection
 from typing import Any
 
+from ..evaluate.published import keeps_exposures_for_testing
 from ..scene.scene import Scene, View
 from .config import TrainConfig
 from .views import training_views
@@ -33,15 +34,15 @@ HALF_SIZE_STEP, HALF_SIZE_MOST = 0.1, 0.4
 class Extent:
     """What sizes follow from: ``pixels`` of the view in the middle, training ``views``, given ``points``.
 
-    ``brackets``: places in the bracket of which any training view has a picture. ``photographs``: of a real
-    camera, whose brackets are as they were taken.
+    ``exposures``: places in the bracket that training is to see, of a real camera's brackets, which are as
+    they were taken; empty where the benchmark's convention stands: of renders, and of data that are laid out
+    as a published benchmark, which measures the exposures between.
     """
 
     pixels: int
     views: int
     points: int
-    brackets: tuple[int, ...]
-    photographs: bool
+    exposures: tuple[int, ...]
 
     @property
     def detail(self) -> float:
@@ -57,9 +58,18 @@ def extent_of(scene: Scene, config: TrainConfig) -> Extent:
         pixels=pixels,
         views=len(views),
         points=0 if scene.points is None else len(scene.points.positions),
-        brackets=tuple(sorted({k for view in views for k in view.bracket})),
-        photographs=scene.photographs,
+        exposures=_all_exposures(scene, views, config),
     )
+
+
+def _all_exposures(scene: Scene, views: list[View], config: TrainConfig) -> tuple[int, ...]:
+    """The places in the bracket of which any view has a picture; empty where it is not for us to choose."""
+    held_back = keeps_exposures_for_testing(scene) and all(
+        set(view.bracket).intersection(config.training_exposures) for view in views
+    )
+    if held_back or not scene.photographs:
+        return ()
+    return tuple(sorted({k for view in views for k in view.bracket}))
 
 
 def found_sizes(extent: Extent, config: TrainConfig, typed: Collection[str] = ()) -> TrainConfig:
@@ -69,8 +79,8 @@ def found_sizes(extent: Extent, config: TrainConfig, typed: Collection[str] = ()
     presets, whose number of Gaussians has no bound, and methods without Gaussians keep their schedule.
     """
     changes: dict[str, Any] = {}
-    if extent.photographs and extent.brackets:
-        changes["training_exposures"] = extent.brackets
+    if extent.exposures:
+        changes["training_exposures"] = extent.exposures
     if budget := budget_of(config):
         name = "densify.budget" if config.anchors is None else "anchors.growth.budget"
         changes[name] = _budget(extent, config, budget)

@@ -34,7 +34,7 @@ def write_large(root: Path) -> Path:
 DATA = {
     "larger than 200×200": (write_large, "densify.budget"),
     "photographs": (lambda root: layouts.write_colmap(root, poses=4), "training_exposures"),
-    "HDR-NeRF-Real": (lambda root: layouts.write_real(root, poses=4), "training_exposures"),
+    "HDR-NeRF-Real": (lambda root: layouts.write_real(root, poses=4), ""),
 }
 
 

@@ -75,6 +75,7 @@ def test_the_evaluation_says_what_the_training_was(opened, tmp_path: Path) -> No
     assert any("training saw index 1 and 3" in message for message in content["messages"])
     conditions = content["conditions"]
     assert (conditions["iteration"], conditions["iterations"]) == (500, 1000)
+    assert conditions["training_exposures"] == [0, 1, 2, 3, 4]
 
 
 def test_against_a_run_at_another_resolution_nothing_is_ranked(
@@ -111,8 +112,10 @@ def test_a_runs_own_pictures_are_measured_as_the_run_is(trained, tiny_data, tmp_
     for part in ("LDR-OE", "LDR-NE", "HDR", "HDR, scale aligned"):
         assert found["means"][part] == ours["means"][part], part
     assert found["relit_means"] == ours["relit_means"] and found["scale_ratio"] == ours["scale_ratio"]
-    told = {key: value for key, value in ours["conditions"].items() if not key.startswith("iteration")}
-    assert told.items() <= found["conditions"].items() and found["conditions"]["iteration"] is None
+    of_training = ("iteration", "iterations", "training_exposures")  # which nobody knows of pictures
+    told = {key: value for key, value in ours["conditions"].items() if key not in of_training}
+    assert told.items() <= found["conditions"].items()
+    assert all(found["conditions"][key] is None for key in of_training)
     assert not (theirs / "evaluation.json").exists() and (out / "comparison.png").exists()
     table = (out / "methods.md").read_text()
     assert "| theirs |" in table and "| default |" in table and "NOT COMPARABLE" not in table

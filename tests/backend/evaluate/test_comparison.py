@@ -272,6 +272,19 @@ def test_the_papers_numbers_stand_below_ours_unranked_in_italics() -> None:
     assert published_entries([entry("a", "box")]) == [], "ours, whatever the scene is called"
 
 
+def test_the_papers_numbers_do_not_stand_beside_what_was_trained_on_its_test_exposures() -> None:
+    said = {"conditions": {"training_exposures": [0, 1, 2, 3, 4]}, "data_set": "HDR-NeRF-Real"}
+    all_of_them = entry("all", "box", **said)
+    table = comparison_table([all_of_them])
+    assert not any(row.published for row in table.rows)
+    as_theirs = entry("theirs", "box", **said | {"conditions": {"training_exposures": [0, 2, 4]}})
+    table = comparison_table([all_of_them, as_theirs])
+    assert any(row.published for row in table.rows)
+    assert [note for note in table.notes if "that LDR-NE is of" in note] == [
+        "all on box was trained on exposures that LDR-NE is of: the published figures are not"
+    ]
+
+
 def scene_like(name: str, layout: str, size: tuple[int, int], views: int, like: Scene, info: dict) -> Scene:
     view = like.test[0]
     camera = Camera(view.camera.camera_to_world, *size, 100.0, 100.0, size[0] / 2, size[1] / 2)

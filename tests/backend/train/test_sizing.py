@@ -2,6 +2,7 @@
 """Sizes follow from the data by the rule that docs/sizes.md states; what is typed wins; renders stay."""
 
 import dataclasses
+import importlib.util
 import re
 from pathlib import Path
 
@@ -11,9 +12,14 @@ from physhdr.backend.cli.train import options_in
 from physhdr.backend.scene import read_scene
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.sizing import Extent, extent_of, found_sizes, sizes_in_words
+from physhdr.bridge.data_set import CAPTURE_FILE
+
+_SPEC = importlib.util.spec_from_file_location("layouts", Path(__file__).parents[1] / "scene" / "layouts.py")
+layouts = importlib.util.module_from_spec(_SPEC)
+_SPEC.loader.exec_module(layouts)
 
 DOCS = Path(__file__).parents[3] / "docs" / "sizes.md"
-RENDERS = Extent(pixels=200 * 200, views=30, points=17_599, brackets=(0, 1, 2, 3, 4), photographs=False)
+RENDERS = Extent(pixels=200 * 200, views=30, points=17_599, exposures=())
 LARGE = dataclasses.replace(RENDERS, pixels=1600 * 1067, views=50, points=0)
 
 
@@ -73,7 +79,7 @@ def test_published_schedules_stay_as_published(preset):
 
 
 def test_of_photographs_training_sees_every_exposure():
-    photographs = dataclasses.replace(RENDERS, brackets=(0, 1, 2), photographs=True)
+    photographs = dataclasses.replace(RENDERS, exposures=(0, 1, 2))
     assert found_sizes(photographs, PRESETS["paper"]).training_exposures == (0, 1, 2)
     typed = found_sizes(photographs, PRESETS["default"], ("training_exposures",))
     assert typed.training_exposures == (0, 2, 4)
@@ -118,4 +124,24 @@ def test_an_extent_is_what_training_sees(tiny_data):
     assert every.pixels == camera.width * camera.height and reduced.pixels == every.pixels // 4
     assert every.views == len(scene.train) + len(scene.lit)
     assert extent_of(scene, PRESETS["baseline"]).views == len(scene.train)  # it cannot use the lit ones
-    assert every.brackets == scene.train[0].bracket and not every.photographs
+    assert every.exposures == ()
+
+
+def test_exposures_that_a_published_benchmark_measures_are_not_trained_on(tmp_path):
+    """HDR-NeRF's and GaussHDR's photographs: training sees t1, t3 and t5 of five."""
+    real = read_scene(layouts.write_real(tmp_path / "flower"))
+    packed = read_scene(layouts.write_gausshdr(tmp_path / "coffee", suffix="jpg"))
+    own = read_scene(layouts.write_colmap(tmp_path / "garden"))
+    assert all(scene.photographs for scene in (real, packed, own))
+    for preset in ("default", "gausshdr", "paper"):
+        for scene in (real, packed):
+            found = found_sizes(extent_of(scene, PRESETS[preset]), PRESETS[preset])
+            assert found.training_exposures == (0, 2, 4)
+        assert extent_of(own, PRESETS[preset]).exposures == (0, 1, 2)
+    # Nothing is kept for testing of what physhdr prepare laid out so, or of a view that has nothing else.
+    (tmp_path / "coffee" / CAPTURE_FILE).write_text('{"format": "physhdr-capture", "version": 1}')
+    prepared = read_scene(tmp_path / "coffee")
+    assert extent_of(prepared, PRESETS["default"]).exposures == (0, 1, 2, 3, 4)
+    first, *rest = real.train
+    odd = dataclasses.replace(first, bracket=(1,), exposures=first.exposures[:1], sources=first.sources[:1])
+    assert extent_of(dataclasses.replace(real, train=[odd, *rest]), PRESETS["default"]).exposures == (0, 1, 2)
