@@ -195,11 +195,15 @@ def install(target: Path, launcher: Path, torch: str, fresh: bool) -> Path:
     contents = "".join(read_lock(locks / name) for name in (*LOCKS[torch], TORCH_LOCK, *CUDA_LOCKS))
     locked = hashlib.sha256(contents.encode()).hexdigest()
     identity = json.dumps([locked, torch, sys.version, sys.base_prefix])
-    folder = target / (PREFIX + hashlib.sha256(identity.encode()).hexdigest()[:12])
-    python = folder / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
-    if (folder / STAMP).exists() and not fresh:
+    named = target / (PREFIX + hashlib.sha256(identity.encode()).hexdigest()[:12])
+    # What is made anew has the other of two names: the one that is there serves until then, and if it fails.
+    other = named.with_name(f"{named.name}-anew")
+    there = next((folder for folder in (named, other) if (folder / STAMP).exists()), None)
+    if there and not fresh:
         say(progress=COMPLETE, message="the environment is there already")
-        return python
+        return interpreter_of(there)
+    folder = other if there == named else named
+    python = interpreter_of(folder)
     target.mkdir(parents=True, exist_ok=True)
     former = None if fresh else extensible(target, torch)
     free, needed = shutil.disk_usage(target).free, SPACE_ADDED if former else SPACE[torch]
@@ -222,17 +226,21 @@ def install(target: Path, launcher: Path, torch: str, fresh: bool) -> Path:
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise
-    for other in target.glob(PREFIX + "*"):
-        if other != folder:
-            shutil.rmtree(other, ignore_errors=True)
+    for old in target.glob(PREFIX + "*"):
+        if old != folder:
+            shutil.rmtree(old, ignore_errors=True)
     return python
+
+
+def interpreter_of(environment: Path) -> Path:
+    return environment / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 
 
 def cards_here() -> list[tuple[str, str, str]]:
     """Name, driver's version and compute capability of this machine's NVIDIA cards, as their driver says.
 
-    None where it says nothing: there is no driver, or none that can be asked. Drivers before about R510 know
-    of no capability, and refuse the whole question: it is empty then.
+    Empty where it says nothing: there is no driver, or none that can be asked. Drivers before about R510 know
+    of no capability, and refuse the whole question: it is "" then.
     """
     found = shutil.which("nvidia-smi")
     places = [found, *map(os.path.expandvars, SMI)] if found else list(map(os.path.expandvars, SMI))

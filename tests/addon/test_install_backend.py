@@ -243,6 +243,19 @@ def test_an_extension_that_fails_leaves_the_former_environment_as_it_was(place):
     assert before == {path: (path.stat().st_mtime_ns, path.stat().st_size) for path in former.rglob("*.py")}
 
 
+def test_an_installation_anew_that_fails_leaves_the_former_environment_as_it_was(place):
+    """And one that succeeds takes its place, again and again."""
+    assert place.install()[0] == 0
+    [former] = environments(place)
+    assert place.install("cpu", "--fresh", PIP_EXTRA_INDEX_URL="", PIP_INDEX_URL="file:///nowhere")[0] == 1
+    assert environments(place) == [former] and (former / "physhdr-complete.json").exists()
+    assert place.install()[1][-1]["result"]["environment"].startswith(str(former)), "it is still used"
+    assert place.install("cpu", "--fresh")[0] == 0
+    [anew] = environments(place)
+    assert anew != former and place.install()[0] == 0 and environments(place) == [anew]
+    assert place.install("cpu", "--fresh")[0] == 0 and environments(place) == [former]
+
+
 def test_a_disk_that_is_full_while_files_are_taken_over_is_named(tmp_path, monkeypatch):
     (tmp_path / "former" / "lib").mkdir(parents=True)
     (tmp_path / "former" / "lib" / "first.py").touch()
