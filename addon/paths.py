@@ -7,6 +7,8 @@ from pathlib import Path
 
 import bpy
 
+from ..bridge.errors import BadValueError
+
 ROOT = Path(__file__).resolve().parent.parent
 #: The package's full name: ``bl_ext.<repository>.physhdr`` where it is installed as an extension.
 PACKAGE = __name__.removesuffix(".addon.paths")
@@ -23,6 +25,19 @@ def user_folder() -> Path:
 def absolute(chosen: str) -> str:
     """A chosen path as a whole one; empty where none is chosen, or where it is nowhere."""
     return os.path.normpath(bpy.path.abspath(chosen)) if chosen and not is_nowhere(chosen) else ""
+
+
+def whole(chosen: str) -> str:
+    """A path that is to be read or written, from the root on; empty where none is chosen.
+
+    Raises ``BadValueError`` where it is nowhere.
+    """
+    if is_nowhere(chosen):
+        raise BadValueError(
+            f"{chosen} is relative to a .blend that is not saved yet",
+            "Save it first, or choose a whole path.",
+        )
+    return os.path.abspath(absolute(chosen)) if chosen.strip() else ""
 
 
 def is_nowhere(chosen: str) -> bool:

@@ -52,7 +52,7 @@ def of(chosen: SimpleNamespace, scene: bpy.types.Scene) -> list[str]:
     Raises:
         PhysHDRError: something cannot be, found without a look at the scene's objects; nothing was done.
     """
-    out = dataset_folder.whole(chosen.out)
+    out = dataset_folder.chosen_folder(chosen.out)
     if chosen.denoise:
         require_denoiser()
     made = _arguments(chosen, scene, out)

@@ -77,7 +77,7 @@ def time_in_words(values: SimpleNamespace, scene: bpy.types.Scene) -> str:
     """``48 pictures to render: about 12 min, as the last data set of this scene went``."""
     out = None
     if values.out:
-        out = dataset_folder.whole(values.out)
+        out = dataset_folder.chosen_folder(values.out)
     seconds, by = render_time.estimate(values, scene, session().home, out)
     pictures = f"{dataset_command.pictures(values)} pictures to render"
     return f"{pictures}. {by}" if seconds < 0.0 else f"{pictures}: about {about(seconds)}, {by}"
@@ -96,7 +96,7 @@ def _judged(values: SimpleNamespace, scene: bpy.types.Scene) -> tuple[PhysHDRErr
     """What is wrong, else what becomes of the folder."""
     try:
         dataset_command.of(values, scene)
-        return None, dataset_folder.check(Path(dataset_folder.whole(values.out)))
+        return None, dataset_folder.check(Path(dataset_folder.chosen_folder(values.out)))
     except PhysHDRError as error:
         return error, ""
 

@@ -8,7 +8,7 @@ import bpy
 
 from ...bridge.data_set import INFO_FILE, PARTIAL_FILE
 from ...bridge.errors import BadValueError, OutputError
-from ..paths import first_free, user_folder
+from ..paths import first_free, user_folder, whole
 from .dataset_settings import PHYSHDR_DatasetSettings
 
 SUFFIX = "_dataset"
@@ -39,15 +39,11 @@ def _documents() -> Path:
     return user_folder()
 
 
-def whole(given: str) -> Path:
-    """The path that was given, absolute; raises ``BadValueError`` where there is none."""
+def chosen_folder(given: str) -> Path:
+    """The folder that was given, from the root on; raises ``BadValueError`` where there is none."""
     if not given.strip():
         raise BadValueError("no folder is chosen for the data set", "Choose a new or empty one.")
-    if given.startswith("//") and not bpy.data.filepath:
-        raise BadValueError(
-            f"{given} is relative to a file that is not saved yet", "Save it, or choose a whole path."
-        )
-    return Path(bpy.path.abspath(given)).absolute()
+    return Path(whole(given))
 
 
 def _names(folder: Path) -> list[str]:

@@ -108,7 +108,7 @@ class PHYSHDR_OT_dataset_render(RenderOptions, PhysHDROperator):
         time_trial.trial().end()  # it reads the copy that is replaced now
         chosen = dataset_settings.chosen(scene, self, self.lights)
         arguments = dataset_command.of(chosen, scene)
-        out = dataset_folder.whole(chosen.out)
+        out = dataset_folder.chosen_folder(chosen.out)
         current = session()
         with originals.shown(scene):
             with _copy_of_file() as copy:
@@ -288,7 +288,7 @@ class PHYSHDR_OT_dataset_check(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         try:
-            summary = summarise(dataset_folder.whole(self.folder))
+            summary = summarise(dataset_folder.chosen_folder(self.folder))
         except PhysHDRError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}

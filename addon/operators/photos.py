@@ -14,7 +14,7 @@ import bpy
 
 from ...bridge.data_set import CAPTURE_FILE
 from ...bridge.errors import BadValueError, FileMissingError, OutputError
-from ..paths import absolute, first_free, is_nowhere
+from ..paths import absolute, first_free, whole
 from ..runtime import session
 from ..session.photos import PhotoOptions, prepare_command
 from ..session.state import LOOK, PHOTOS, PhotosChosen
@@ -208,11 +208,7 @@ def _choose_when_done(name: str) -> None:
 def _folder(given: str, what: str) -> Path:
     if not given.strip():
         raise BadValueError(f"no folder is chosen for {what}", "Choose one, or give it as an argument.")
-    if is_nowhere(given):
-        raise BadValueError(
-            f"{given} is relative to a file that is not saved yet", "Save it, or choose a whole path."
-        )
-    return Path(absolute(given)).absolute()
+    return Path(whole(given))
 
 
 _CLASSES = (PHYSHDR_OT_photos_look, PHYSHDR_OT_photos_prepare, PHYSHDR_OT_photos_forget)

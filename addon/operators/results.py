@@ -20,7 +20,7 @@ from ...bridge.shots import write_shots
 from ..blender import layout_of
 from ..capture import placement
 from ..model.look import is_of_run
-from ..paths import absolute, first_free, is_nowhere
+from ..paths import first_free, whole
 from ..rendering.shots import shots_of
 from ..runtime import session
 from ..session.results import (
@@ -115,7 +115,7 @@ class _OnRun(PhysHDROperator):
     def chosen(self, context: bpy.types.Context) -> tuple[str, str]:
         """The run's folder, and its data set where that is elsewhere now (else empty). Raises errors."""
         state = session().state
-        given = _whole(self.run_folder)
+        given = whole(self.run_folder)
         run = given or shown_run(context, state)
         if given and not has_run(given):
             raise FileMissingError(f"there is no trained run in {given}", "Choose the folder of a run.")
@@ -157,7 +157,7 @@ class PHYSHDR_OT_results_evaluate(_OnRun):
                 f"the run's data set is not there any more: {named}",
                 "Choose in Data Set where it is now: an evaluation compares with its pictures.",
             )
-        weights = _whole(self.lpips_weights)
+        weights = whole(self.lpips_weights)
         done = self.follow(evaluate_command(run, data, weights), f"Evaluated {run}")
         if done == {"FINISHED"} and self.wait and (found := evaluation_of(run)):
             for figure in found.figures:
@@ -240,7 +240,7 @@ class PHYSHDR_OT_results_video(_OnRun):
     def _out(self, run: str) -> Path:
         suffix = SUFFIXES[self.format]
         if self.filepath:
-            given = Path(_whole(self.filepath)).absolute()
+            given = Path(whole(self.filepath))
             ending = given.suffix.lower()
             if ending == suffix:
                 return given
@@ -342,7 +342,7 @@ class PHYSHDR_OT_results_web(_OnRun):
     def _out(self, run: str) -> Path:
         if not self.filepath:
             return Path(run).absolute() / (WEB_FILE if self.single_file else WEB_FOLDER)
-        given = Path(_whole(self.filepath)).absolute()
+        given = Path(whole(self.filepath))
         is_html = given.suffix.lower() in (".html", ".htm")
         if self.single_file:
             return given if is_html else given.with_name(f"{given.name}.html")
@@ -382,15 +382,6 @@ def encodes(current: Session) -> bool:
             return False
         _encoders[python] = True
     return True
-
-
-def _whole(given: str) -> str:
-    """An argument's path, absolute; ``BadValueError`` where it is beside a file that is not saved."""
-    if is_nowhere(given):
-        raise BadValueError(
-            f"{given} is relative to a file that is not saved yet", "Save it, or choose a whole path."
-        )
-    return absolute(given)
 
 
 _CLASSES = (PHYSHDR_OT_results_evaluate, PHYSHDR_OT_results_video, PHYSHDR_OT_results_web)

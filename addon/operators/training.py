@@ -21,7 +21,7 @@ from ...bridge.messages import (
 )
 from ...bridge.run_folder import MODEL_FILE
 from .. import settings
-from ..paths import absolute, is_nowhere
+from ..paths import absolute, whole
 from ..runtime import session
 from ..session.advice import problem_of
 from ..session.state import EndAsked, Problem, State, StopAsked
@@ -94,11 +94,9 @@ def _folder(operator: bpy.types.Operator, context: bpy.types.Context, name: str,
 
 
 def _whole(chosen: str, what: str, name: str) -> str:
-    if not chosen:
+    if not chosen.strip():
         raise FileMissingError(f"no {what} is chosen", f"Choose it in the panel, or give {name}=….")
-    if is_nowhere(chosen):
-        raise FileMissingError(f"{chosen} is relative to a .blend that is not saved", "Save it first.")
-    return absolute(chosen)
+    return whole(chosen)
 
 
 def _run_folder(operator: bpy.types.Operator, context: bpy.types.Context, data: str) -> str:
