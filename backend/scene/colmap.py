@@ -17,7 +17,7 @@ from ...bridge.errors import DataMismatchError
 from .checks import path_inside
 from .colmap_brackets import Group, alike, best_of, camera_of, grouped, placed, single, with_pictures
 from .colmap_files import find_model, other_models_in_words, read_model
-from .exposures import SAY_EXPOSURES, exposures_from_exif, read_exposure_file
+from .exposures import MOST_UNKNOWN, SAY_EXPOSURES, exposures_from_exif, read_exposure_file
 from .info import read_anchor, read_info
 from .picture_files import picture_there, pictures_in, reduced_folder
 from .poses import (
@@ -142,7 +142,8 @@ def read_poses(root: Path, pictures: Path) -> FoundPoses:
     bracketed = any(len(group.names) > 1 for group in groups)
     seconds, told = _exposures(groups, pictures, usable, stated, must=bracketed)
     messages.append(told)
-    groups = [_without_unknown(group, seconds, folder) for group in groups]
+    groups, unstated = _of_known(groups, seconds, folder, stated is not None)
+    messages += unstated
     groups = placed(groups, alone, seconds)
     pair = alike(groups, seconds) if bracketed else None
     if pair:
@@ -151,7 +152,7 @@ def read_poses(root: Path, pictures: Path) -> FoundPoses:
             "model is a view of its own"
         )
         groups = with_pictures(single(model.images), usable)
-        groups = [_without_unknown(group, seconds, folder) for group in groups]
+        groups, _ = _of_known(groups, seconds, folder, stated is not None)
     poses = []
     apart = 0.0
     for order, group in enumerate(groups):
@@ -170,7 +171,8 @@ def read_poses(root: Path, pictures: Path) -> FoundPoses:
             f"cameras of one bracket are up to {apart:.2g} units apart ({apart / spread:.1%} of all cameras' "
             "spread): each view takes that of the picture with the most points"
         )
-    used = {name for group in groups for name in group.names.values()} | (set(paths) - set(usable))
+    skipped = {name for name in paths if name not in usable or name not in seconds}
+    used = {name for group in groups for name in group.names.values()} | skipped
     messages += _unused_in_words(there, used, pictures)
     missing = missing_in_words([pose for pose in poses if pose.name not in alone])
     messages += masks_in_words(poses)
@@ -206,7 +208,8 @@ def _exposures(
         return found, f"exposures from {EXPOSURE_FILE}"
     from_exif = exposures_from_exif([paths[name] for name in names])
     if from_exif is not None:
-        return dict(zip(names, from_exif[0], strict=True)), from_exif[1]
+        known = zip(names, from_exif[0], strict=True)
+        return {name: seconds for name, seconds in known if seconds is not None}, from_exif[1]
     if must:
         raise DataMismatchError(
             f"{pictures}: the pictures are brackets by their names ({', '.join(names[:3])} …), but nothing "
@@ -222,12 +225,27 @@ def _small_suffix(name: str) -> str:
     return stem + dot + suffix.lower()
 
 
-def _without_unknown(group: Group, seconds: dict[str, float], folder: Path) -> Group:
-    """Without pictures that the exposure file leaves out; raises ``DataMismatchError`` if none is left."""
-    names = {k: name for k, name in group.names.items() if name in seconds}
-    if not names:
+def _of_known(
+    groups: list[Group], seconds: dict[str, float], folder: Path, are_stated: bool
+) -> tuple[list[Group], tuple[str, ...]]:
+    """The groups without pictures of unknown exposure, and without those that are left with none; messages.
+
+    ``are_stated``: by the exposure file; raises ``DataMismatchError`` where that leaves out too many poses.
+    """
+    left = [
+        Group(group.name, {k: name for k, name in group.names.items() if name in seconds}, group.registered)
+        for group in groups
+    ]
+    lost = [group for group, known in zip(groups, left, strict=True) if not known.names]
+    left = [group for group in left if group.names]
+    if not lost or not are_stated:
+        return left, ()
+    first = next(iter(lost[0].names.values()))
+    if len(lost) > MOST_UNKNOWN * len(groups):
         raise DataMismatchError(
-            f"{EXPOSURE_FILE} has no exposure for '{next(iter(group.names.values()))}', which {folder} has",
+            f"{EXPOSURE_FILE} has no exposure for '{first}', which {folder} has: so for {len(lost)} "
+            f"of {len(groups)} poses",
             SAY_EXPOSURES,
         )
-    return Group(group.name, names, group.registered)
+    told = f"{EXPOSURE_FILE} has no exposure for {len(lost)} of {len(groups)} poses"
+    return left, (f"{told}: skipped (first: {first:.200})",)

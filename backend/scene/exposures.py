@@ -1,16 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Exposures of pictures, in seconds: from a file that states them, or from what the camera wrote (EXIF)."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ...bridge.data_set import EXPOSURE_FILE, plain_name
 from ...bridge.errors import DataMismatchError
 from ...bridge.limits import EXPOSURE
 from .checks import exposure, read_json
-from .exif import comparable, read_exif
+from .exif import Exif, comparable, read_exif
 from .pictures import holds_radiance
 
+#: This share of the pictures may be of unknown exposure, and is left out. Of more it is for the user to say.
+MOST_UNKNOWN = 0.25
 #: What to do where an exposure is unknown.
 SAY_EXPOSURES = (
     f'Write {EXPOSURE_FILE} beside images/: {{"pose_0.jpg": 0.125, …}}, seconds for each picture; or use '
@@ -29,37 +31,55 @@ def read_exposure_file(path: Path) -> dict[str, float]:
     }
 
 
-def exposures_from_exif(paths: Sequence[Path], remedy: str = SAY_EXPOSURES) -> tuple[list[float], str] | None:
+def exposures_from_exif(
+    paths: Sequence[Path], remedy: str = SAY_EXPOSURES
+) -> tuple[list[float | None], str] | None:
     """Seconds for each picture, and in words where they are from; None where no picture says its time.
 
     Seconds at ISO 100 and at the pictures' median aperture (``exif.comparable``). ISO or aperture, where *no*
-    picture tells it, counts as constant. A picture that holds radiance counts as exposed for 1 s. Raises
-    ``DataMismatchError`` with ``remedy`` where some pictures say something that others do not,
-    ``BadValueError`` where an exposure comes out absurd.
+    picture tells it, counts as constant. A picture that holds radiance counts as exposed for 1 s. One that
+    does not tell what others tell is of unknown exposure (None) and counted in the words; raises
+    ``DataMismatchError`` with ``remedy`` where these are more than ``MOST_UNKNOWN``, ``BadValueError`` where
+    an exposure comes out absurd.
     """
-    everything, paths = paths, [path for path in paths if not holds_radiance(path)]
-    tags = [read_exif(path) for path in paths]
-    if all(tag.time is None for tag in tags):
+    tags = {path: read_exif(path) for path in paths if not holds_radiance(path)}
+    if all(tag.time is None for tag in tags.values()):
         return None
-    for what, name in (("time", "exposure time"), ("iso", "ISO"), ("f_number", "aperture")):
-        known = [getattr(tag, what) is not None for tag in tags]
-        if any(known) and not all(known):
-            raise DataMismatchError(
-                f"{paths[known.index(False)]} has no {name} in its EXIF data, {paths[known.index(True)]} has "
-                f"({sum(known)} of {len(paths)} pictures have)",
-                remedy,
-            )
-    exposures = comparable(tags)
-    for path, seconds in zip(paths, exposures.seconds, strict=True):
-        EXPOSURE.check(seconds, f"{path}: the exposure by its EXIF data")
+    lacking = _lacking(tags, remedy)
+    known = {path: tag for path, tag in tags.items() if path not in lacking}
+    exposures = comparable(list(known.values()))
+    seconds: dict[Path, float | None] = dict.fromkeys(paths, 1.0) | dict.fromkeys(lacking)
+    for path, value in zip(known, exposures.seconds, strict=True):
+        seconds[path] = EXPOSURE.check(value, f"{path}: the exposure by its EXIF data")
     told = "exposures from EXIF, seconds at ISO 100"
     if exposures.f_number is not None:
         told += f" and f/{exposures.f_number:g}"
-    if tags[0].iso is None:
+    if all(tag.iso is None for tag in known.values()):
         told += "; no picture tells its ISO: taken as constant"
     if exposures.f_number is None:
         told += "; no picture tells its aperture: taken as constant"
-    if len(paths) < len(everything):
+    if len(tags) < len(paths):
         told += "; pictures that hold radiance count as 1 s"
-    seconds = dict(zip(paths, exposures.seconds, strict=True))
-    return [seconds.get(path, 1.0) for path in everything], told
+    if lacking:
+        first, why = min(lacking.items())
+        told += (
+            f"; {len(lacking)} of {len(tags)} pictures do not tell theirs: skipped (first: {first} has {why})"
+        )
+    return [seconds[path] for path in paths], told
+
+
+def _lacking(tags: Mapping[Path, Exif], remedy: str) -> dict[Path, str]:
+    """The pictures that do not tell what others tell, and what that is; raises as ``exposures_from_exif``."""
+    lacking: dict[Path, str] = {}
+    for what, name in (("time", "exposure time"), ("iso", "ISO"), ("f_number", "aperture")):
+        known = [path for path, tag in tags.items() if getattr(tag, what) is not None]
+        without = [path for path, tag in tags.items() if known and getattr(tag, what) is None]
+        for path in without:
+            lacking.setdefault(path, f"no {name} in its EXIF data, {known[0]} has")
+        if len(lacking) > MOST_UNKNOWN * len(tags):
+            raise DataMismatchError(
+                f"{without[0]} has no {name} in its EXIF data, {known[0]} has ({len(known)} of {len(tags)} "
+                "pictures have)",
+                remedy,
+            )
+    return lacking

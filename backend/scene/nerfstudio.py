@@ -97,6 +97,8 @@ def scene_of(root: Path, path: Path, content: dict[str, Any], downscale: float |
     reduced = {}
     poses = []
     for (order, (file, frame)), time in zip(frames.items(), seconds, strict=True):
+        if time is None:
+            continue
         name = file.relative_to(root).as_posix().rsplit(".", 1)[0]
         where = f"frame '{name:.80}'"
         given = content | frame
@@ -299,8 +301,13 @@ def _focal(path: Path, where: str, given: dict[str, Any], axis: str, side: int) 
     )
 
 
-def _exposures(path: Path, frames: Sequence[tuple[Path, dict[str, Any]]]) -> tuple[list[float], str]:
-    """Seconds for each frame, and where they are from: ``exposure_time``, EXIF, or 1 s for all."""
+def _exposures(
+    path: Path, frames: Sequence[tuple[Path, dict[str, Any]]]
+) -> tuple[Sequence[float | None], str]:
+    """Seconds for each frame, and where they are from: ``exposure_time``, EXIF, or 1 s for all.
+
+    None: not known; the words count these.
+    """
     known = ["exposure_time" in frame for _, frame in frames]
     if any(known):
         if not all(known):

@@ -195,6 +195,49 @@ def test_of_several_models_the_largest_is_read(layouts: ModuleType, tmp_path: Pa
     assert read_scene(root).train[0].name == "shot_00"
 
 
+@pytest.mark.parametrize("lacks", ["exposure time", "ISO"])
+def test_pictures_of_unknown_exposure_are_skipped(layouts: ModuleType, tmp_path: Path, lacks: str) -> None:
+    """One of a bracket, and one that is all of its bracket; a messenger has taken away what they told."""
+    root = layouts.write_colmap(tmp_path / "data")
+    for k in (0, 2):
+        (root / f"images/shot_07_{k}.jpg").unlink()
+    exif = layouts.camera_exif(0.5, None) if lacks == "ISO" else None
+    for i, k in ((3, 2), (7, 1)):
+        layouts.save(root / f"images/shot_{i:02d}_{k}.jpg", layouts.draw(i, k), exif=exif)
+    scene = read_scene(root)
+    views = {view.name: view.bracket for view in (*scene.train, *scene.test)}
+    everything = {f"shot_{i:02d}": (0, 1, 2) for i in range(10) if i != 7}
+    assert views == everything | {"shot_03": (0, 1)}
+    (told,) = (message for message in scene.messages if message.startswith("exposures from EXIF"))
+    assert "2 of 28 pictures do not tell theirs: skipped (first: " in told
+    assert f"shot_03_2.jpg has no {lacks} in its EXIF data" in told
+    assert not any("not used" in message for message in scene.messages)
+
+
+def test_a_frame_of_unknown_exposure_is_skipped(layouts: ModuleType, tmp_path: Path) -> None:
+    root = layouts.write_nerfstudio(tmp_path, poses=8)
+    content = json.loads((root / "transforms.json").read_text())
+    for i, frame in enumerate(content["frames"]):
+        frame["file_path"] = f"images/{i}.jpg"
+        exif = None if i == 2 else layouts.camera_exif(0.1 + i)
+        layouts.save(root / frame["file_path"], layouts.draw(i, 0), exif=exif)
+    (root / "transforms.json").write_text(json.dumps(content))
+    scene = read_scene(root)
+    assert sorted(view.index for view in (*scene.train, *scene.test)) == [0, 1, 3, 4, 5, 6, 7]
+    assert any("1 of 8 pictures do not tell theirs: skipped" in message for message in scene.messages)
+
+
+def test_a_pose_that_the_exposure_file_leaves_out_is_skipped(layouts: ModuleType, tmp_path: Path) -> None:
+    root = layouts.write_colmap(tmp_path / "data", poses=5, exif=False)
+    seconds = {f"shot_{i:02d}_{k}.jpg": 3.0**k for i in range(5) for k in range(3) if i != 3}
+    (root / "exposure.json").write_text(json.dumps(seconds))
+    scene = read_scene(root)
+    assert {view.name[-2:] for view in (*scene.train, *scene.test)} == {"00", "01", "02", "04"}
+    assert (
+        "exposure.json has no exposure for 1 of 5 poses: skipped (first: shot_03_0.jpg)"
+    ) in scene.messages
+
+
 # ---- pictures under other names than those that are told -----------------------------------------------
 
 
