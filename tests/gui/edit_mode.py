@@ -44,6 +44,10 @@ def test(window: Window) -> Iterator[float]:
     with window.override():
         bpy.ops.object.mode_set(mode="OBJECT")
 
+    name = target.name
+    yield from applied(window, target)
+    target = bpy.data.objects[name]  # an undo makes it anew
+
     collection = bpy.data.collections.new("Set piece")
     for owner in target.users_collection:
         owner.objects.unlink(target)
@@ -64,6 +68,41 @@ def test(window: Window) -> Iterator[float]:
     yield from window.drawn()
     window.screenshot("local_view")
     assert drawn(window) == 1
+
+
+def applied(window: Window, target: bpy.types.Object) -> Iterator[float]:
+    """Ctrl+A, Scale, by keys as a user does it: the model keeps it, says so, and all can be undone."""
+    name, place = target.name, tuple(target.data.points[7].co)
+    with window.override():  # steps that what follows can be undone to
+        bpy.ops.ed.undo_push(message="before")
+        target.scale = (1.5, 1.5, 1.5)
+        bpy.ops.ed.undo_push(message="scaled")
+    yield from window.point(0.5, 0.5)
+    before = window.grab()
+    window.key("ctrl+a")
+    yield from window.closes(before)  # and the menu is there
+    window.screenshot("apply_menu")
+    window.key("s")
+    yield from window.still()
+    window.screenshot("applied")
+
+    def is_whole(scale: float) -> bool:
+        found = bpy.data.objects.get(name)
+        if found is None:
+            return False
+        near = max(abs(a - b) for a, b in zip(found.data.points[7].co, place, strict=True)) < 1e-5
+        return near and max(abs(each - scale) for each in found.scale) < 1e-5
+
+    assert is_whole(1.5), (tuple(target.scale), tuple(target.data.points[7].co), place)
+    window.key("Escape")  # the message goes
+    yield from window.still()
+    # Before Apply, before the scale; again the scale, and Apply.
+    for key, scale in (("ctrl+z", 1.5), ("ctrl+z", 1.0), ("ctrl+shift+z", 1.5), ("ctrl+shift+z", 1.5)):
+        window.key(key)
+        yield from window.still()
+        assert is_whole(scale), (key, scale, [tuple(each.scale) for each in bpy.data.objects])
+    window.screenshot("undone_and_redone")
+    bpy.data.objects[name].scale = (1.0, 1.0, 1.0)
 
 
 def drawn(window: Window) -> int:
