@@ -210,7 +210,7 @@ def _plain_suffix(view: View, k: int) -> str | None:
     """The suffix for a picture's file as it is; None where another has to be made of it."""
     source, reduction = view.sources[k], view.cache.reduction
     is_whole = reduction.factor == 1.0 and source.lens is None and source.orientation == 1
-    if not is_whole or source.encoding.is_known:
+    if not is_whole or source.encoding.is_known or source.profile is not None:
         return None
     suffix = PLAIN.get(kind_of(source.path))
     # Of grey and palettes those programs see one number a pixel, where they want three.

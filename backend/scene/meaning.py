@@ -19,6 +19,7 @@ from ...bridge.errors import BadValueError, PhysHDRError
 from ...bridge.regular import read_json_object
 from .color_space import space_named
 from .encoding import CAMERA, SRGB, Encoding, LogEncoding
+from .icc import Profile, profile_bytes, read_profile
 from .pictures import holds_radiance
 from .scene import Scene, View
 from .source import PictureSource, radiance_rec709
@@ -27,7 +28,7 @@ from .source import PictureSource, radiance_rec709
 SUFFIXES = (".exr", ".hdr", ".pic", ".rgbe", ".tif", ".tiff")
 #: The scale of radiance is this share of the values, of so many of the pictures, looked at so densely.
 SCALE_QUANTILE, SCALE_PICTURES, SCALE_PIXELS = 0.99, 24, 1 << 16
-#: Layouts whose published convention is to take no notice of alpha: their pictures are whole.
+#: Layouts whose published convention is to take no notice of alpha, nor of ICC profiles: codes as stored.
 WITHOUT_ALPHA = ("PhysHDR", "HDR-NeRF-Syn", "HDR-NeRF-Real", "GaussHDR", "HDR-GS")
 #: Training clamps radiance to e⁹ (``model/gaussians.py``): beyond this the bright part would have no room.
 LARGEST_SCALE = math.exp(9.0) / 16.0
@@ -60,6 +61,10 @@ def with_meaning(scene: Scene, color_space: str | None = None) -> Scene:
     if plain.is_known and len(radiance) < len(set(files)):
         messages.append("pictures are linear (developed raw files): the response is known, white is 1")
     alpha = scene.layout not in WITHOUT_ALPHA
+    profiles: dict[Path, Profile] = {}
+    if alpha and not plain.is_known:
+        profiles, told = _profiles([path for path in dict.fromkeys(files) if path not in radiance])
+        messages += told
 
     def meant(source: PictureSource) -> PictureSource:
         encoding = source.encoding
@@ -68,7 +73,8 @@ def with_meaning(scene: Scene, color_space: str | None = None) -> Scene:
         if encoding == source.encoding and not alpha:
             return source
         space = color_space or "" if source.path in radiance else ""
-        return replace(source, encoding=encoding, alpha=alpha, color_space=space)
+        profile = profiles.get(source.path)
+        return replace(source, encoding=encoding, alpha=alpha, color_space=space, profile=profile)
 
     def made(views: Sequence[View]) -> list[View]:
         return [replace(view, sources=tuple(map(meant, view.sources))) for view in views]
@@ -83,6 +89,23 @@ def with_meaning(scene: Scene, color_space: str | None = None) -> Scene:
         validation=made(scene.validation),
         messages=(*scene.messages, *messages),
     )
+
+
+def _profiles(files: Sequence[Path]) -> tuple[dict[Path, Profile], list[str]]:
+    """The ICC profiles of pictures that are not of sRGB's primaries, and what there is to say of them."""
+    raw = {path: found for path in files if (found := profile_bytes(path)) is not None}
+    profiles, messages = {}, []
+    for each, count in Counter(raw.values()).most_common():
+        have = f"{count} of {len(files)} pictures have the ICC profile"
+        try:
+            profile = read_profile(each)
+        except BadValueError as error:
+            messages.append(f"{error.message} ({count} of {len(files)} pictures): taken as sRGB")
+            continue
+        if not profile.is_srgb:
+            profiles |= {path: profile for path, found in raw.items() if found == each}
+            messages.append(f"{have} '{profile.name}': converted to sRGB's primaries")
+    return profiles, messages
 
 
 def _may_hold_radiance(path: Path) -> bool:

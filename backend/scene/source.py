@@ -13,6 +13,7 @@ from ...bridge.errors import DataMismatchError
 from .color_space import SPACES, Chromaticities, known, space_named
 from .encoding import CAMERA, LARGEST, Encoding
 from .exif import LYING
+from .icc import Profile
 from .pictures import Radiance, holds_radiance, read_codes, read_radiance
 from .resize import Reduction, is_shaped
 
@@ -67,7 +68,8 @@ class PictureSource:
     what takes the distortion out. ``mask_path``: a picture of the same size, whose black (below half) is not
     compared. ``orientation``: EXIF's, 1 to 8, which is obeyed (1: as it is stored). ``store``: where
     undistorted pictures are kept. ``alpha``: whether what its own alpha hides (below half) is not compared;
-    else alpha is not looked at. ``color_space``: of radiance, by name; empty: as the file says.
+    else alpha is not looked at. ``color_space``: of radiance, by name; empty: as the file says. ``profile``:
+    from whose primaries codes are converted to sRGB's.
     """
 
     path: Path
@@ -78,18 +80,22 @@ class PictureSource:
     store: PictureStore | None = None
     alpha: bool = False
     color_space: str = ""
+    profile: Profile | None = None
 
     @cached_property
     def key(self) -> Hashable:
         lens = None if self.lens is None else self.lens.key
         key = (self.path, self.encoding, lens, self.mask_path, self.orientation)
-        return (*key, self.alpha, self.color_space)
+        key = (*key, self.alpha, self.color_space)
+        # Pictures without distortion that were kept before there were profiles are still right.
+        return key if self.profile is None else (*key, self.profile.key)
 
     def read(self, reduction: Reduction | None = None) -> Decoded:
         """The picture, reduced; raises ``FileMissingError``, ``FileDamagedError``, ``DataMismatchError``.
 
-        ``BadValueError``, too, for radiance that is none. In this order: decoded (radiance becomes codes),
-        turned upright, freed of distortion, reduced; linear integers become codes at the end.
+        ``BadValueError``, too, for radiance that is none. In this order: decoded (radiance becomes codes, a
+        profile's codes sRGB's), turned upright, freed of distortion, reduced; linear integers become codes at
+        the end.
         """
         made = self._whole()
         if reduction is not None and not (reduction.factor == 1.0 or reduction.done):
@@ -137,7 +143,8 @@ class PictureSource:
                     f"{self.path} held radiance when the data set was opened, and does not now",
                     "Open the data set again.",
                 )
-            return read_codes(self.path, self.alpha)
+            codes, alpha = read_codes(self.path, self.alpha)
+            return codes if self.profile is None else self.profile.to_srgb(codes), alpha
         if not self.encoding.is_known:
             raise DataMismatchError(
                 f"{self.path} holds radiance, where a camera's picture was expected",

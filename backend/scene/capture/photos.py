@@ -17,6 +17,7 @@ from ....bridge.errors import DataMismatchError, FileDamagedError, FileMissingEr
 from ....bridge.regular import damaged_where_it_fails
 from ....bridge.srgb import to_srgb
 from ..exif import LYING, Exif, Tags, exposure_of, orientation_of, positive, tags_of, tags_of_file
+from ..icc import Profile, profile_of
 from ..pictures import is_deep, picture_size, read_codes
 from ..source import turned
 from . import raw
@@ -60,7 +61,8 @@ class Photo:
     taken by automatic bracketing. ``panorama``: that it shows all around. ``mask``: a picture that is black
     where it is not to be looked at. ``white_balance``: of a raw file, the factors of red, green and blue that
     it is developed with; None: a picture. ``noise``: what a raw file tells of it. ``deep``: of a picture,
-    that it has 16 bits a channel; it is stored as its ``orientation`` (EXIF's) says.
+    that it has 16 bits a channel; it is stored as its ``orientation`` (EXIF's) says. ``profile``: of a
+    picture, from whose primaries it is converted to sRGB's; None: it has these, or says nothing.
     """
 
     path: Path
@@ -82,6 +84,7 @@ class Photo:
     noise: Noise | None = None
     deep: bool = False
     orientation: int = 1
+    profile: Profile | None = None
 
     @property
     def name(self) -> str:
@@ -115,7 +118,10 @@ class Photo:
             return Image.fromarray(np.rint(self._deep_codes() / 257.0).astype(np.uint8))
         unreadable = damaged_where_it_fails(f"{self.path} is not a readable photo", COPY_AGAIN)
         with unreadable, Image.open(self.path, formats=["JPEG", "PNG", "TIFF"]) as picture:
-            return ImageOps.exif_transpose(picture).convert("RGB")
+            upright = ImageOps.exif_transpose(picture).convert("RGB")
+            if self.profile is None:
+                return upright
+            return Image.fromarray(self.profile.to_srgb(np.asarray(upright)))
 
     def developed(self, half: bool = False) -> raw.Developed:
         """Of a raw file; raises ``FileDamagedError``. ``half``: half the size, in a quarter of the time."""
@@ -148,7 +154,8 @@ class Photo:
 
     def _deep_codes(self) -> np.ndarray:
         with _remedy_of_photos():
-            return turned(read_codes(self.path)[0], self.orientation)
+            codes = turned(read_codes(self.path)[0], self.orientation)
+        return codes if self.profile is None else self.profile.to_srgb(codes)
 
     def keep(self) -> np.ndarray | None:
         """``[H, W]`` bool, True where the photo is to be looked at; None without a mask.
@@ -269,6 +276,11 @@ def find_photos(folder: Path, done: Callable[[int, int], None] = lambda photos, 
     if raws and photos[0].is_raw:
         photos, note = _one_white_balance(photos)
         notes.append(note)
+    named = Counter(photo.profile.name for photo in photos if photo.profile is not None)
+    notes += [
+        f"{count} of {len(photos)} photos have the ICC profile '{name}': converted to sRGB's primaries"
+        for name, count in named.most_common()
+    ]
     return Found(photos, skipped, notes, damaged)
 
 
@@ -380,7 +392,8 @@ def _read_header(path: Path) -> Photo:
     if orientation_of(tags) in LYING:
         width, height = height, width
     around = isinstance(xmp, bytes) and b"GPano" in xmp and b"equirectangular" in xmp
-    photo = _with_tags(Photo(path, width, height), tags, exposure_of(tags))
+    photo = Photo(path, width, height, profile=profile_of(path))
+    photo = _with_tags(photo, tags, exposure_of(tags))
     # Two to one exactly, from nothing that has a focal length.
     around = around or (width == 2 * height and photo.focal_35mm is None and photo.focal is None)
     return replace(photo, panorama=around and width > LEAST_AROUND)
@@ -400,7 +413,7 @@ def _read_deep_header(path: Path) -> Photo:
     orientation = orientation_of(tags)
     if orientation in LYING:
         width, height = height, width
-    photo = Photo(path, width, height, deep=True, orientation=orientation)
+    photo = Photo(path, width, height, deep=True, orientation=orientation, profile=profile_of(path))
     return _with_tags(photo, tags, exposure_of(tags))
 
 
