@@ -5,6 +5,7 @@ Asked before torch is imported, and when hardly anything can be allocated: stand
 """
 
 import errno
+import functools
 import os
 import sys
 from collections.abc import Iterator
@@ -24,6 +25,9 @@ ADDRESSES_A_CORE = 24_000_000
 #: Bytes of addresses that a training reserves and never touches, beside ``ADDRESSES_A_CORE``: libraries and
 #: heaps of threads. Measured on two cores: the peak of addresses less that of memory is 925 to 945 MB.
 UNTOUCHED_ADDRESSES = 900_000_000
+
+#: Bytes of pictures that are kept in any case: all of HDR-NeRF-Syn at 400×400 (84 MB) with room to spare.
+LEAST_OF_PICTURES = 1 << 30
 
 #: How libraries say, in errors of no class of their own, that there is no memory: torch, CUDA's libraries,
 #: the dynamic linker, Python's threads, C++.
@@ -125,6 +129,16 @@ def room() -> Room:
         untouched = max(process.vms - process.rss, UNTOUCHED_ADDRESSES + cores() * ADDRESSES_A_CORE)
         rooms.append(Room(max(limit - untouched, 0), "addresses"))
     return min(rooms, key=lambda each: each.bytes)
+
+
+@functools.cache
+def picture_room() -> int:
+    """Bytes that pictures of a kind (decoded ones; merged ones) are kept in: a quarter of the ``room``.
+
+    1 GiB at least, and what it was when it was first asked for: a training is told before how much it will
+    take.
+    """
+    return max(LEAST_OF_PICTURES, room().bytes // 4)
 
 
 def cgroup_left(

@@ -9,6 +9,7 @@ from ...bridge.errors import FileMissingError
 from . import colmap, gausshdr, hdr_gs, hdr_nerf_real, hdr_nerf_syn, nerf, nerfstudio
 from .camera import Camera
 from .meaning import with_meaning
+from .points import with_words_of_points
 from .scene import Points, Scene, View
 
 __all__ = ["READERS", "Camera", "Points", "Reader", "Scene", "View", "read_scene"]
@@ -52,7 +53,7 @@ def read_scene(root: Path | str, downscale: float | None = None, color_space: st
         raise FileMissingError(f"{root} is a file, not the folder of a data set", remedy)
     for reader in READERS:
         if reader.is_mine(root):
-            return with_meaning(reader.read_scene(root, downscale), color_space)
+            return with_words_of_points(with_meaning(reader.read_scene(root, downscale), color_space))
     looked_for = "; ".join(f"{reader.looks_for} ({reader.name})" for reader in READERS)
     state = "is empty" if not any(root.iterdir()) else "is not a data set"
     raise FileMissingError(f"{root} {state}: looked for {looked_for}", remedy)

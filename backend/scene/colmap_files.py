@@ -23,7 +23,7 @@ from ...bridge.limits import FOCAL_LENGTH, LARGEST_SIDE, PRINCIPAL_POINT, check_
 from ...bridge.regular import read_bytes, read_text, regular_file
 from .camera import Camera
 from .lens import RealCamera, panorama
-from .points import STRUCTURE_FROM_MOTION, check_points
+from .points import STRUCTURE_FROM_MOTION, are_near
 from .scene import Points
 
 #: Bytes of a file; images.bin of ten thousand pictures with ten thousand keypoints each has 2.4e9.
@@ -204,9 +204,10 @@ def _points_of(path: Path, positions: np.ndarray, colours: np.ndarray) -> Points
         return None
     if not np.isfinite(positions).all():
         raise FileDamagedError(f"{path} holds NaN or infinity", RUN_AGAIN)
-    check_points(path, positions)
-    shades = (colours / 255.0).astype(np.float32)
-    return Points(positions.astype(np.float32), shades, STRUCTURE_FROM_MOTION)
+    near = are_near(path, positions)
+    shades = (colours[near] / 255.0).astype(np.float32)
+    left_out = int(np.count_nonzero(~near))
+    return Points(positions[near].astype(np.float32), shades, STRUCTURE_FROM_MOTION, left_out=left_out)
 
 
 # ---- binary --------------------------------------------------------------------------------------------

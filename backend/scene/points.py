@@ -19,13 +19,15 @@ EXACT = "exact ray hits"
 STRUCTURE_FROM_MOTION = "structure from motion"
 #: What a comment of a PLY begins with → the kind of its points. The first is what ``synth/points.py`` writes.
 ORIGINS = {"surface points by ray casting": EXACT, STRUCTURE_FROM_MOTION: STRUCTURE_FROM_MOTION}
+#: Of so many points, a share, some may be beyond all bounds.
+STRAYS = 0.01
 
 
 def read_points(path: Path) -> Points:
     """The points of a PLY with ``x y z`` and ``red green blue`` (uchar, or float in 0…1), and their kind.
 
     Raises ``FileMissingError``, ``FileDamagedError`` (not a PLY, truncated, columns missing, no points, NaN),
-    ``BadValueError`` (a point too far away).
+    ``BadValueError`` (too many points too far away).
     """
     remedy = (
         "Make the data set again, write the points as docs/formats.md says, or delete the file: training "
@@ -50,8 +52,13 @@ def read_points(path: Path) -> Points:
         raise FileDamagedError(f"{path} holds no points", remedy)
     if not (np.isfinite(positions).all() and np.isfinite(colours).all()):
         raise FileDamagedError(f"{path} holds NaN or infinity", remedy)
-    check_points(path, positions)
-    return Points(positions.astype(np.float32), np.clip(colours, 0.0, 1.0), _origin(ply.comments))
+    near = are_near(path, positions)
+    return Points(
+        positions[near].astype(np.float32),
+        np.clip(colours[near], 0.0, 1.0),
+        _origin(ply.comments),
+        left_out=int(np.count_nonzero(~near)),
+    )
 
 
 def write_points(path: Path, points: Points) -> None:
@@ -91,19 +98,35 @@ def with_points_file(scene: Scene, name: str | None) -> Scene:
         if (here := Path(name)).is_file():
             remedy = f"Names are of files in the data set's folder; of others give all: {here.absolute()}"
         raise FileMissingError(f"there is no {path}, which --points-file names", remedy)
-    return dataclasses.replace(scene, points=dataclasses.replace(read_points(path), file=name))
+    points = dataclasses.replace(read_points(path), file=name)
+    return with_words_of_points(dataclasses.replace(scene, points=points))
 
 
-def check_points(path: Path, positions: np.ndarray) -> None:
-    """Raises ``BadValueError`` where some of ``positions`` ``[P, 3]``, finite, are too far away."""
-    far = np.flatnonzero(np.abs(positions).max(axis=1) > COORDINATE.high)
-    if len(far):
+def are_near(path: Path, positions: np.ndarray) -> np.ndarray:
+    """``[P]`` bool: which of ``positions`` ``[P, 3]``, finite, are within the bounds of coordinates.
+
+    Structure from motion leaves a few points that two rays hardly tell from infinity: they are left out.
+    Raises ``BadValueError`` where they are more than ``STRAYS``: then the world itself is too far away.
+    """
+    near = np.abs(positions).max(axis=1, initial=0.0) <= COORDINATE.high
+    far = np.flatnonzero(~near)
+    if len(far) > STRAYS * len(positions):
         x, y, z = positions[far[0]].tolist()
         raise BadValueError(
             f"{path}: {len(far)} of {len(positions)} points are too far away, the first, {far[0]}, at "
             f"({x:g}, {y:g}, {z:g}): coordinates must be {COORDINATE} metres",
             f"{COORDINATE.remedy} Single points that stray so far are mistakes: delete them.",
         )
+    return near
+
+
+def with_words_of_points(scene: Scene) -> Scene:
+    """The scene with what its messages are to say of its points: how many were left out."""
+    if scene.points is None or not scene.points.left_out:
+        return scene
+    far, all_of_them = scene.points.left_out, scene.points.left_out + len(scene.points.positions)
+    told = f"{far} of {all_of_them} points are too far away (farther than {COORDINATE.high:g}): left out"
+    return dataclasses.replace(scene, messages=(*scene.messages, told))
 
 
 def _unit_range(channel: np.ndarray) -> np.ndarray:

@@ -13,12 +13,17 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from ..memory import LEAST_OF_PICTURES
 from .camera import Camera
 from .scene import View
 
-#: Pictures beyond this many bytes are copied anew at each use: a card has to hold the Gaussians, too. All of
-#: HDR-NeRF-Syn at 400×400 (35 views × 5 exposures) takes 84 MB.
-PICTURE_BYTES = 1 << 30
+
+def picture_room_on(device: torch.device) -> int:
+    """Bytes of pictures that are kept on a card: a quarter of what is free there, 1 GiB at least.
+
+    What is beyond is copied anew at each use: a card has to hold the Gaussians, too.
+    """
+    return max(LEAST_OF_PICTURES, torch.cuda.mem_get_info(device)[0] // 4)
 
 
 @dataclass(frozen=True)
@@ -62,18 +67,21 @@ def camera_tensors(camera: Camera, like: torch.Tensor) -> CameraTensors:
 class Pictures:
     """Training pictures as float images on ``device``, kept there as 8 or 16 bits a channel.
 
-    On the CPU nothing is kept: the scene's own cache already holds the decoded pictures. ``instead``: codes
-    ``[3, H, W]`` uint16 that stand for those of a view's picture; None where it stays as it is.
+    On the CPU nothing is kept: the scene's own cache already holds the decoded pictures. ``budget`` None:
+    ``picture_room_on`` the card. ``instead``: codes ``[3, H, W]`` uint16 that stand for those of a view's
+    picture; None where it stays as it is.
     """
 
     def __init__(
         self,
         device: torch.device,
-        budget: int = PICTURE_BYTES,
+        budget: int | None = None,
         instead: Callable[[View, int], np.ndarray | None] | None = None,
     ) -> None:
         self.device = device
         self.instead = instead
+        if budget is None:
+            budget = picture_room_on(device) if device.type == "cuda" else LEAST_OF_PICTURES
         self.budget = budget
         self.bytes_held = 0
         self._kept: dict[tuple[View, int], torch.Tensor] = {}

@@ -19,23 +19,22 @@ from ...bridge import data_set
 from ...bridge.errors import BadValueError, DataMismatchError
 from ...bridge.lights import AMBIENT
 from ...bridge.regular import read_json_object
+from ..memory import picture_room
 from .camera import Camera
 from .encoding import Encoding
 from .resize import Reduction
 from .source import Decoded, PictureSource
 
-#: Decoded pictures are kept up to this many bytes: all of HDR-NeRF-Syn at 400×400 (84 MB) with room to spare.
-CACHE_BYTES = 1 << 30
-
 
 class PictureCache:
     """Decoded pictures and their masks, the least recently used forgotten first, at most ``budget`` bytes.
 
-    ``reduction``: how much smaller pictures become when they are decoded; only the small ones are kept.
+    ``budget`` None: ``memory.picture_room``. ``reduction``: how much smaller pictures become when they are
+    decoded; only the small ones are kept.
     """
 
-    def __init__(self, budget: int = CACHE_BYTES, reduction: Reduction | None = None) -> None:
-        self.budget = budget
+    def __init__(self, budget: int | None = None, reduction: Reduction | None = None) -> None:
+        self.budget = picture_room() if budget is None else budget
         self.reduction = reduction or Reduction()
         self.bytes_held = 0
         self._pictures: OrderedDict[Hashable, Decoded] = OrderedDict()
@@ -188,13 +187,15 @@ class Points:
     """The first points: ``positions`` ``[P, 3]`` float32, metres; ``colours`` ``[P, 3]`` float32, 0…1.
 
     ``origin``: what kind they are, in words, as their file says; empty where it does not. ``file``: the name
-    of a file that stands for the data set's own points; empty for those.
+    of a file that stands for the data set's own points; empty for those. ``left_out``: how many more it has
+    that are too far away.
     """
 
     positions: np.ndarray
     colours: np.ndarray
     origin: str = ""
     file: str = ""
+    left_out: int = 0
 
     def __str__(self) -> str:
         """``12,345 points of the data set (exact ray hits)``."""

@@ -24,6 +24,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..memory import picture_room
 from ..scene.scene import View
 from ..simd import kernel, run_ranges
 
@@ -31,8 +32,8 @@ from ..simd import kernel, run_ranges
 CODES = 256
 #: Brackets of more exposures are not merged: tables are made of every pair.
 LARGEST_BRACKET = 16
-#: Pixels of which tables are made, at most, and bytes of merged pictures that are kept.
-SAMPLED_PIXELS, KEPT_BYTES = 1 << 20, 1 << 30
+#: Pixels of which tables are made, at most.
+SAMPLED_PIXELS = 1 << 20
 #: A code of which fewer pixels are known has its neighbours' entry; more than the most weigh no more.
 LEAST_COUNT, MOST_COUNT = 20, 5000
 #: Where a table is steeper, codes at j are too coarse to tell of the noise at k.
@@ -267,7 +268,7 @@ class MergedBrackets:
         if kept is None:
             kept = self._kept[view] = self._merged(view)
             self._bytes += kept.nbytes
-            while self._bytes > KEPT_BYTES and len(self._kept) > 1:
+            while self._bytes > picture_room() and len(self._kept) > 1:
                 self._bytes -= self._kept.popitem(last=False)[1].nbytes
         self._kept.move_to_end(view)
         return kept[self._of[view][0].index(k)]

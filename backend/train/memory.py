@@ -14,14 +14,13 @@ from dataclasses import dataclass
 import torch
 
 from ..kernels.ahead import CONTEXT
-from ..memory import NotEnoughMemoryError, Room, cores, gigabytes, room
+from ..memory import NotEnoughMemoryError, Room, cores, gigabytes, picture_room, room
 from ..model.anchors import VOXELS_PER_SPACING, AnchorsConfig
 from ..scene.encoding import CAMERA
 from ..scene.points import with_points_file
-from ..scene.resident import PICTURE_BYTES
-from ..scene.scene import CACHE_BYTES, Scene, View
+from ..scene.resident import picture_room_on
+from ..scene.scene import Scene, View
 from ..start.initialise import MOST_STEREO_POINTS
-from ..start.merged_brackets import KEPT_BYTES
 from ..start.stereo import MOST_DEPTHS, WORK_WIDTH
 from .config import TrainConfig, in_iterations
 from .targets import TARGET_BYTES, TARGET_PIXEL_BYTES
@@ -115,10 +114,10 @@ def check_memory(
             raise _too_much(
                 needed.program + needed.pictures, "", there, ["Take smaller pictures: --downscale."]
             )
-        needed, there = _on_card(needed), _room_on_card(device)
+        needed, there = _on_card(needed, device), _room_on_card(device)
     parts = _parts(needed, sizes, config)
     if needed.total > there.bytes:
-        remedies = [] if resumed else _remedies(scene, config, sizes, there, on_card)
+        remedies = [] if resumed else _remedies(scene, config, sizes, there, device)
         raise _too_much(needed.total, f" ({parts})", there, remedies)
     report(f"training will take about {gigabytes(needed.total)}: {parts}; {there.in_words}")
     return needed
@@ -184,7 +183,7 @@ def sizes_of(scene: Scene, config: TrainConfig) -> Sizes:
 
 def estimate(sizes: Sizes) -> Estimate:
     """The peak of a training of these sizes on the CPU."""
-    pictures = min(sizes.picture_bytes, CACHE_BYTES)
+    pictures = min(sizes.picture_bytes, picture_room())
     if not sizes.most:  # the pixels of all pictures once more, as one array
         return Estimate(PROGRAM_BYTES, pictures + sizes.picture_bytes, 0, RAYS_BYTES)
     start = VOTE_BYTES * (2 * sizes.exposures + 2) * sizes.pixels
@@ -195,7 +194,7 @@ def estimate(sizes: Sizes) -> Estimate:
     # Of 8 bits a channel; what is kept of the pictures' statistics.
     kept = min(sizes.picture_bytes * TARGET_PIXEL_BYTES // 3, TARGET_BYTES)
     if sizes.merges:  # of 16 bits
-        kept += min(2 * sizes.picture_bytes, KEPT_BYTES)
+        kept += min(2 * sizes.picture_bytes, picture_room())
     return Estimate(
         PROGRAM_BYTES,
         pictures + kept,
@@ -266,12 +265,14 @@ def _too_much(needed: int, parts: str, there: Room, remedies: list[str]) -> NotE
     )
 
 
-def _remedies(scene: Scene, config: TrainConfig, sizes: Sizes, there: Room, on_card: bool) -> list[str]:
+def _remedies(
+    scene: Scene, config: TrainConfig, sizes: Sizes, there: Room, device: torch.device
+) -> list[str]:
     """Options of which each would make the training fit, a sentence each."""
 
     def total(changed: Sizes) -> int:
         needed = estimate(changed)
-        return (_on_card(needed) if on_card else needed).total
+        return (_on_card(needed, device) if device.type == "cuda" else needed).total
 
     found = []
     for factor in SMALLER:
@@ -297,9 +298,10 @@ def _remedies(scene: Scene, config: TrainConfig, sizes: Sizes, there: Room, on_c
 # -- cards ---------------------------------------------------------------------------------------------------
 
 
-def _on_card(needed: Estimate) -> Estimate:
+def _on_card(needed: Estimate, device: torch.device) -> Estimate:
     """The card's share: its context instead of the program, and the pictures that stay there."""
-    return dataclasses.replace(needed, program=CARD_BYTES, pictures=min(needed.pictures, PICTURE_BYTES))
+    pictures = min(needed.pictures, picture_room_on(device))
+    return dataclasses.replace(needed, program=CARD_BYTES, pictures=pictures)
 
 
 def _room_on_card(device: torch.device) -> Room:

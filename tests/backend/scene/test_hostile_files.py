@@ -349,6 +349,39 @@ def test_points_at_the_end_of_the_world(data_set: Path) -> None:
     refused(data_set, "points3d.ply: 1 of 4 points are too far away, the first, 1, at (3e+38, 0, 0.5)")
 
 
+@pytest.mark.parametrize("kind", ["ply", "bin", "txt"])
+def test_single_points_at_the_end_of_the_world_are_left_out(
+    layouts: ModuleType, data_set: Path, tmp_path: Path, kind: str
+) -> None:
+    """One of 300 at (3e6, 0, 9e6), the last: what two almost parallel rays make. Four are too many."""
+    rows = [(0.01 * i, 0.5, 0.25, i % 256, 2, 3) for i in range(299)]
+
+    def written(strays: int) -> Path:
+        table = [*rows[: 300 - strays], *[(3e6, 0.0, 9e6, 7, 8, 9)] * strays]
+        if kind == "ply":
+            lines = ["ply", "format ascii 1.0", f"element vertex {len(table)}"]
+            lines += [f"property float {axis}" for axis in "xyz"]
+            lines += [f"property uchar {name}" for name in ("red", "green", "blue")]
+            lines += ["end_header", *(" ".join(map(str, row)) for row in table)]
+            (data_set / "points3d.ply").write_text("\n".join(lines) + "\n")
+            return data_set
+        root = layouts.write_colmap(tmp_path / f"data{strays}", poses=4, form=kind)
+        points = root / "sparse" / "0" / f"points3D.{kind}"
+        if kind == "txt":
+            points.write_text("".join(f"{i} {' '.join(map(str, row))} 0.5\n" for i, row in enumerate(table)))
+        else:
+            packed = (struct.pack("<Q3d3BdQ", i, *row, 0.5, 0) for i, row in enumerate(table))
+            points.write_bytes(struct.pack("<Q", len(table)) + b"".join(packed))
+        return root
+
+    scene = read_scene(written(1))
+    assert scene.points is not None and len(scene.points.positions) == len(scene.points.colours) == 299
+    np.testing.assert_allclose(scene.points.positions[:, 0], [row[0] for row in rows], atol=1e-6)
+    np.testing.assert_allclose(scene.points.colours[:, 0], [row[3] / 255 for row in rows], atol=1e-6)
+    assert "1 of 300 points are too far away (farther than 1e+06): left out" in scene.messages
+    refused(written(4), "4 of 300 points are too far away, the first, 296, at (3e+06, 0, 9e+06)")
+
+
 def test_a_point_cloud_that_claims_more_than_it_has(data_set: Path) -> None:
     """plyfile takes 8 bytes for each list of each row before it looks for the first."""
     header = "ply\nformat ascii 1.0\nelement vertex 100000000000\nproperty list uchar int x\nend_header\n"

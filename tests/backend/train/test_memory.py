@@ -11,13 +11,16 @@ import pytest
 import torch
 import tyro
 
-from physhdr.backend.memory import NotEnoughMemoryError, Room
+from physhdr.backend import memory as rooms
+from physhdr.backend.memory import LEAST_OF_PICTURES, NotEnoughMemoryError, Room, picture_room
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.encoding import SRGB
+from physhdr.backend.scene.scene import PictureCache
 from physhdr.backend.train import memory
 from physhdr.backend.train.config import TrainConfig
 from physhdr.backend.train.memory import check_memory, estimate, sizes_of
 from physhdr.backend.train.presets import PRESETS
+from physhdr.backend.train.targets import TARGET_BYTES
 
 CPU = torch.device("cpu")
 #: As the command line reads a preset's options.
@@ -64,8 +67,19 @@ def scene(tiny_data):
     return read_scene(tiny_data)
 
 
+@pytest.fixture(autouse=True)
+def picture_room_of_this_machine():
+    """What a test has said of the room is asked anew after it."""
+    yield
+    rooms.picture_room.cache_clear()
+
+
 def with_room(monkeypatch, megabytes: float, bound: str = "machine") -> None:
-    monkeypatch.setattr(memory, "room", lambda: Room(int(megabytes * 1e6), bound))
+    """The estimates', and of pictures, which ask ``backend.memory`` itself."""
+    there = Room(int(megabytes * 1e6), bound)
+    monkeypatch.setattr(memory, "room", lambda: there)
+    monkeypatch.setattr(rooms, "room", lambda: there)
+    rooms.picture_room.cache_clear()
 
 
 def test_a_line_says_what_a_training_takes_and_what_is_free(monkeypatch, scene):
@@ -112,6 +126,19 @@ def test_large_pictures_are_refused_with_the_size_that_fits(monkeypatch, tiny_da
     with pytest.raises(NotEnoughMemoryError, match=r"the container's limit leaves 6\.0 GB") as refused:
         check_memory(scene, PRESETS["default"], CPU, lambda _: None)
     assert ["--downscale", "2"] in options_of(refused.value) and "container's memory" in refused.value.hint
+
+
+@pytest.mark.parametrize(
+    ("megabytes", "kept"), [(600, LEAST_OF_PICTURES), (4000, LEAST_OF_PICTURES), (64_000, 16_000_000_000)]
+)
+def test_pictures_are_kept_in_a_quarter_of_the_room(monkeypatch, megabytes, kept, tiny_data):
+    with_room(monkeypatch, megabytes)
+    assert picture_room() == kept == PictureCache().budget
+    sizes = dataclasses.replace(sizes_of(read_scene(tiny_data), PRESETS["default"]), picture_bytes=1 << 40)
+    assert estimate(dataclasses.replace(sizes, merges=False)).pictures == kept + TARGET_BYTES
+    assert estimate(dataclasses.replace(sizes, merges=True)).pictures == 2 * kept + TARGET_BYTES
+    monkeypatch.setattr(rooms, "room", lambda: Room(10**12, "machine"))
+    assert picture_room() == kept, "what was told before a training holds"
 
 
 def test_of_a_run_that_goes_on_no_option_is_named(monkeypatch, scene):
