@@ -96,6 +96,27 @@ def test_what_hangs_on_it_and_what_it_hangs_on_stay(target):
     np.testing.assert_allclose(np.array(child.matrix_world), hangs, atol=10 * CLOSE)
 
 
+@pytest.mark.parametrize("both", [False, True])
+def test_of_two_that_share_their_points_each_looks_the_same(target, both):
+    """Apply gives the one a copy, or is for both; a turn of the shared points turns both."""
+    other = target.copy()
+    bpy.context.scene.collection.objects.link(other)
+    other.location.x += 5.0
+    other.select_set(both)
+    settled()
+    before = shown(target), shown(other)
+    apply(isolate_users=True)
+    assert (target.data == other.data) == both
+    is_shown_as(target, before[0])
+    is_shown_as(other, before[1])
+    target.data = other.data
+    write_attribute(other.data, attributes.POSITION, read_attribute(other.data, "position") * 2.0)
+    other.data.update_tag()
+    settled()
+    for each in (target, other):
+        assert tuple(each.scale) == pytest.approx((6.0,) * 3, rel=1e-5)
+
+
 def test_an_origin_elsewhere_leaves_the_points_in_the_space_of_the_data_set(target):
     """Of a place alone Gaussians stay whole, but cameras and probes are told from that origin."""
     target.rotation_euler, target.scale = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
