@@ -24,7 +24,7 @@ from .files import holds_a_run, refuse_a_run, remove_results, remove_unfinished,
 from .lock import hold
 from .log import EventLog
 from .run import Run
-from .views import require_same_views, write_views
+from .views import as_trained, write_views
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,16 +109,16 @@ def start_run(
 def resume_run(folder: Path, data: Path | None, workshop: Workshop) -> Iterator[tuple[Trainer, Run]]:
     """A run from its checkpoint; nobody else trains there while this is active.
 
-    ``data`` stands in for its data set, where that has moved. Raises ``DataMismatchError``, before anything
-    is changed, where it is another: what was learned would be trained away.
+    ``data`` stands in for its data set, where that has moved. The views are those that it was begun with.
+    Raises ``DataMismatchError``, before anything is changed, where the data set is another, or another by
+    now: what was learned would be trained away.
     """
     read_config(folder / CONFIG_FILE)  # or there is no run, and nothing to hold
     with hold(writable_folder(folder), workshop.report):
         remove_unfinished(folder)
         written = read_config(folder / CONFIG_FILE)
         scene = read_scene(data or written.data, written.config.downscale, written.config.color_space)
-        if data is not None:
-            require_same_views(folder, scene)
+        scene = as_trained(folder, scene, workshop.report)
         trainer = workshop.trainer(scene, written.config, folder, written.fingerprint)
         if not (folder / VIEWS_FILE).exists():  # an earlier version's
             write_views(folder, scene)

@@ -2,12 +2,12 @@
 """A run as a whole: its data set, its configuration and its trained method."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from ...bridge.errors import BadValueError, FileMissingError
+from ...bridge.errors import BadValueError, DataMismatchError, FileMissingError
 from ...bridge.model_file import Model
 from ...bridge.run_folder import VIEWS_FILE
 from ..device import DeviceName, choose_device
@@ -22,7 +22,7 @@ from ..train.learned_lens import LearnedLenses, lenses_of_run
 from ..train.trainer import load_method
 from ..train.views import seen_exposures, training_views
 from .terminal import console
-from .views import read_views, require_same_views
+from .views import as_trained, read_views
 
 
 @dataclass(frozen=True)
@@ -105,9 +105,10 @@ def open_run(
     """Open a trained run; ``data`` stands in for the folder it was trained on, where that has moved.
 
     ``pictures``: whether those of the data set are wanted. Without them, for looking and exporting, it opens
-    by what it keeps of its data set (``views``) where that is not there; ``scene.root`` is where it was.
+    by what it keeps of its data set (``views``) where that is not there, or is another by now;
+    ``scene.root`` is where it was. Its training and test views are those that it had (``views.as_trained``).
 
-    Raises what reading raises, and ``DataMismatchError`` where ``data`` is not what it was trained on.
+    Raises what reading raises, and ``DataMismatchError`` where the data set is not what it was trained on.
     """
     written = read_config(folder / CONFIG_FILE)
     config = written.config
@@ -139,6 +140,11 @@ def _scene(
         report(f"{written.data} is not there: opened by what the run keeps of its cameras")
         return read_views(folder, written.data)
     scene = read_scene(data or written.data, config.downscale, config.color_space)
-    if data is not None:
-        require_same_views(folder, scene)
-    return scene
+    try:
+        return as_trained(folder, scene, report)
+    except DataMismatchError as error:
+        if data is not None or pictures:
+            raise
+        report(f"{error.message}; opened by what the run keeps of its cameras")
+        # None of the pictures that are there now is taken for one of its own.
+        return replace(read_views(folder, folder), root=written.data)

@@ -6,15 +6,19 @@ data set. With them a run can be looked at when the data set has moved or is gon
 is told that it is not there.
 """
 
+import itertools
 import json
 import os
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ...bridge.atomic import atomic_path
+from ...bridge.data_set import HELD_OUT, LIT, TEST, TRAIN, VALIDATION
 from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError
 from ...bridge.lights import check_lights
 from ...bridge.limits import EXPOSURE, LEVEL, is_number
@@ -25,7 +29,7 @@ from ..scene.scene import PictureCache
 from ..scene.source import plain
 from ..train.config import CONFIG_FILE, read_config
 
-RESTORE = "Restore a copy, or name the run's data set."
+RESTORE = "Restore a copy; or delete it, and the run is known by its data set alone."
 
 
 def write_views(folder: Path, scene: Scene) -> None:
@@ -98,24 +102,90 @@ def training_cameras(folder: Path) -> list[Camera]:
     return [view.camera for view in scene.train]
 
 
-def require_same_views(folder: Path, scene: Scene) -> None:
-    """Raises ``DataMismatchError`` where the run in ``folder`` was trained on other views than ``scene`` has.
+def as_trained(folder: Path, scene: Scene, report: Callable[[str], object] = lambda line: None) -> Scene:
+    """``scene``, which was read for the run in ``folder``, divided into training and test views as the run's.
 
+    A split may have been found, not given, and comes out otherwise where photographs were added or the rule
+    is another version's: what was trained on would be tested. So the run's own split stands, its views known
+    by name, and it is told to ``report``. Where training views are the same, test views are those that the
+    data set has now. Raises ``DataMismatchError`` where a view that was trained on is not there as it was.
     Of runs that kept nothing nothing can be said.
     """
     if not (folder / VIEWS_FILE).exists():
-        return
+        return scene
     kept = read_views(folder, scene.root)
-    same = len(kept.train) == len(scene.train) and all(
-        before.name == now.name
-        and np.allclose(before.camera.camera_to_world, now.camera.camera_to_world, atol=1e-5)
-        for before, now in zip(kept.train, scene.train, strict=True)
+    if _are_same(kept.train, scene.train) and _are_same(kept.lit, scene.lit):
+        return scene
+    there: dict[str, list[View]] = {}
+    for view in itertools.chain.from_iterable(scene.splits.values()):
+        there.setdefault(view.name, []).append(view)
+    for before in (*kept.train, *kept.lit):
+        _require_there(before, there.get(before.name, []), folder, scene.root)
+    known = {view.name for view in (*kept.train, *kept.lit)}
+    splits = {name: _found(views, there) for name, views in kept.splits.items()}
+    for name in HELD_OUT:
+        if not kept.splits[name]:  # there were none yet, or they were kept from a plan that tunes
+            splits[name] = [view for view in scene.splits[name] if view.name not in known]
+    known.update(view.name for views in splits.values() for view in views)
+    told = f"training and test views are those of the run: {scene.root} divides them otherwise now"
+    if unknown := len(there.keys() - known):
+        told += f", and has {unknown} more, which are left out"
+    report(told)
+    return replace(
+        scene,
+        train=splits[TRAIN],
+        test=splits[TEST],
+        lit=splits[LIT],
+        validation=splits[VALIDATION],
+        messages=(*scene.messages, told),
     )
-    if not same:
+
+
+def _are_same(before: Sequence[View], now: Sequence[View]) -> bool:
+    return len(before) == len(now) and all(
+        one.name == other.name and one.bracket == other.bracket and not _difference(one, other)
+        for one, other in zip(before, now, strict=True)
+    )
+
+
+def _found(kept: Sequence[View], there: Mapping[str, list[View]]) -> list[View]:
+    """Those of ``kept`` that are as they were, with their pictures, at the places that the run counts by."""
+    found = []
+    for before in kept:
+        same = (now for now in there.get(before.name, ()) if not _difference(before, now))
+        if (now := next(same, None)) is not None:
+            found.append(replace(now, bracket=before.bracket))
+    return found
+
+
+def _require_there(before: View, now: Sequence[View], folder: Path, root: Path) -> None:
+    """Raises ``DataMismatchError`` where none of the views ``now`` is the one that was trained on."""
+    different = [_difference(before, view) for view in now]
+    if "" not in different:
         raise DataMismatchError(
-            f"{scene.root} is not the data set that {folder} was trained on: its cameras stand elsewhere",
-            "Choose the one that it was trained on, or none: it can be looked at without.",
+            f"{root} is not the data set that {folder} was trained on: of view {before.name} "
+            f"{different[0] if different else 'it has nothing'}",
+            "Name the one that it was trained on, as it was then, or train again. Without pictures the run "
+            "can be looked at all the same.",
         )
+
+
+def _difference(before: View, now: View) -> str:
+    """What is not the same, in words; empty where a training would see no difference but in pictures."""
+    one, other = before.camera, now.camera
+    if not np.allclose(one.camera_to_world, other.camera_to_world, atol=1e-5):
+        return "the camera stands elsewhere"
+    if (one.width, one.height) != (other.width, other.height):
+        return f"the pictures were {one.width}×{one.height}, and are {other.width}×{other.height}"
+    lenses = [(camera.fx, camera.fy, camera.cx, camera.cy) for camera in (one, other)]
+    if not np.allclose(*lenses, rtol=1e-5, atol=1e-3):
+        return "the camera's focal length or principal point is another"
+    if len(before.exposures) != len(now.exposures) or not np.allclose(before.exposures, now.exposures):
+        return "the exposures are others"
+    # Another light of which these views have the standard level makes none of them another.
+    if not (before.is_standard and now.is_standard) and before.lighting_levels != now.lighting_levels:
+        return "the light is another"
+    return ""
 
 
 def _told(view: View, root: Path) -> dict[str, Any]:

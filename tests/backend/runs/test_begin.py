@@ -5,14 +5,18 @@ import dataclasses
 import json
 import math
 import shutil
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 from physhdr.backend.runs.begin import Workshop, resume_run, start_run
+from physhdr.backend.runs.run import open_run
 from physhdr.backend.train import duration, sizing
 from physhdr.backend.train.config import CONFIG_FILE, TrainConfig, read_config
 from physhdr.backend.train.trainer import CHECKPOINT_FILE
 from physhdr.bridge.errors import BadValueError, DataMismatchError
+from physhdr.bridge.run_folder import VIEWS_FILE
 
 PRESET = TrainConfig(initial_points="random", random_points=150)
 
@@ -57,14 +61,44 @@ def test_a_run_is_not_resumed_with_another_data_set(tiny_data, tmp_path, worksho
     shutil.copytree(tiny_data, moved)
     with resume_run(out, moved, workshop) as (resumed, _):
         assert resumed.config == run.config
-    cameras = moved / "transforms_train.json"
-    content = json.loads(cameras.read_text())
-    content["frames"][0]["transform_matrix"][0][3] += 0.1  # same names of pictures, taken from elsewhere
-    cameras.write_text(json.dumps(content))
+    take_from_elsewhere(moved)
     before = (out / CHECKPOINT_FILE).read_bytes()
-    with pytest.raises(DataMismatchError, match="cameras stand elsewhere"), resume_run(out, moved, workshop):
+    with pytest.raises(DataMismatchError, match="stands elsewhere"), resume_run(out, moved, workshop):
         pass
     assert (out / CHECKPOINT_FILE).read_bytes() == before
+
+
+def test_nor_with_its_own_where_that_has_become_another(tiny_data, tmp_path, workshop, told):
+    """The same folder, cameras found anew in it: nothing was asked of it, as nobody had typed it."""
+    out, data = tmp_path / "run", shutil.copytree(tiny_data, tmp_path / "data")
+    with begin(data, out, workshop) as (trainer, run):
+        trainer.save(run.folder)
+    with resume_run(out, None, workshop):
+        pass
+    take_from_elsewhere(data)
+    with pytest.raises(DataMismatchError, match="stands elsewhere"), resume_run(out, None, workshop):
+        pass
+    with pytest.raises(DataMismatchError, match="stands elsewhere"):
+        open_run(out)
+    # It can be looked at: from where its own cameras stood.
+    told.clear()
+    looked_at = open_run(out, report=told.append, pictures=False)
+    poses = [each.scene.train[0].camera.camera_to_world for each in (looked_at, run)]
+    assert np.array_equal(*poses) and looked_at.scene.root == data
+    assert looked_at.seen() is None  # the pictures that are there now are not the ones it was trained on
+    assert any("opened by what the run keeps" in str(line) for line in told)
+    # An earlier version's run, which has kept nothing of its data, goes on as it always did.
+    (out / VIEWS_FILE).unlink()
+    with resume_run(out, None, workshop):
+        pass
+
+
+def take_from_elsewhere(data: Path) -> None:
+    """The same names of pictures, one of them taken from elsewhere."""
+    cameras = data / "transforms_train.json"
+    content = json.loads(cameras.read_text())
+    content["frames"][0]["transform_matrix"][0][3] += 0.1
+    cameras.write_text(json.dumps(content))
 
 
 def test_what_is_typed_is_what_is_trained(tiny_data, tmp_path, workshop):

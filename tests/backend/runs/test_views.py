@@ -1,15 +1,27 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """``views.json``: what a run keeps of its data set, and what is made of a file that is damaged."""
 
+import importlib.util
 import json
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from physhdr.backend.runs.views import read_views, require_same_views, write_views
+from physhdr.backend.runs.views import as_trained, read_views, write_views
 from physhdr.backend.scene import read_scene
 from physhdr.bridge.errors import DataMismatchError, FileDamagedError, FileMissingError, PhysHDRError
 from physhdr.bridge.run_folder import VIEWS_FILE, may_be_of, picture_names
+
+
+@pytest.fixture
+def layouts():
+    place = Path(__file__).parents[1] / "scene" / "layouts.py"
+    spec = importlib.util.spec_from_file_location("layouts", place)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 @pytest.fixture
@@ -42,12 +54,72 @@ def test_a_data_set_is_known_by_its_pictures_names_and_its_cameras(scene, tiny_d
     write_views(run, scene)
     assert len(picture_names(run)) == sum(len(view.exposures) for view in scene.train)
     assert may_be_of(run, tiny_data) and not may_be_of(run, tmp_path)
-    require_same_views(run, scene)
+    assert as_trained(run, scene) is scene
     content = json.loads((run / VIEWS_FILE).read_text())
     content["splits"]["train"][0]["pose"][3] += 0.1
     (run / VIEWS_FILE).write_text(json.dumps(content))
     with pytest.raises(DataMismatchError, match="is not the data set"):
-        require_same_views(run, scene)
+        as_trained(run, scene)
+
+
+def names(views):
+    return [view.name for view in views]
+
+
+def test_photographs_that_are_added_do_not_change_what_a_run_is_tested_on(layouts, tmp_path):
+    """By the rule that chooses test views, some that were trained on would be tested from then on."""
+    run, told = tmp_path / "run", []
+    run.mkdir()
+    before = read_scene(layouts.write_colmap(tmp_path / "data", poses=10))
+    # Of the same capture fewer, as if the first four poses had been added.
+    fewer = [view for view in (*before.train, *before.test) if view.index >= 4]
+    test = [view for view in fewer if view.index == 7]
+    first = replace(before, train=[view for view in fewer if view not in test], test=test)
+    write_views(run, first)
+    leaking = names(first.train) and set(names(first.train)) & set(names(before.test))
+    assert leaking  # or this would show nothing
+    found = as_trained(run, before, told.append)
+    assert (names(found.train), names(found.test)) == (names(first.train), names(first.test))
+    (line,) = told
+    assert "divides them otherwise" in line and "4 more" in line and line in found.messages
+    assert found.test[0].image(0).shape == (72, 96, 3)  # with its pictures
+
+
+def test_a_view_keeps_its_places_in_the_bracket(scene, tmp_path):
+    """Photographs with shorter exposures were added: what was exposure 0 is 1 by now."""
+    write_views(tmp_path, scene)
+    now = replace(
+        scene, train=[replace(view, bracket=tuple(k + 1 for k in view.bracket)) for view in scene.train]
+    )
+    assert [view.bracket for view in as_trained(tmp_path, now).train] == [(0, 1, 2, 3, 4)] * len(scene.train)
+
+
+def test_of_a_run_without_test_views_those_that_the_data_have_are_tested(scene, tmp_path):
+    """A plan that tunes is shown none; and some may have been made later."""
+    write_views(tmp_path, replace(scene, test=[]))
+    assert as_trained(tmp_path, scene).test == scene.test
+    moved = replace(scene, train=scene.train[:-1], test=[*scene.test, scene.train[-1]])
+    assert names(as_trained(tmp_path, moved).test) == names(scene.test)
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"exposures": (0.1, 0.5, 2.0, 8.0, 32.0)}, "the exposures are others"),
+        ({"lighting_levels": (2.0,)}, "the light is another"),
+        ({"name": "train/another"}, "it has nothing"),
+        ({"camera": {"fx": 30.0}}, "focal length"),
+        ({"camera": {"width": 64}}, "the pictures were 32×32, and are 64×32"),
+    ],
+)
+def test_a_view_that_is_not_what_was_trained_on_is_named(scene, tmp_path, changed, said):
+    write_views(tmp_path, scene)
+    first, *rest = scene.train
+    if "camera" in changed:
+        changed = {"camera": replace(first.camera, **changed["camera"])}
+    with pytest.raises(DataMismatchError, match=said) as error:
+        as_trained(tmp_path, replace(scene, train=[replace(first, **changed), *rest]))
+    assert first.name in error.value.message
 
 
 VALUES = (None, "x", [], {}, -1, 0, 1.5, True, [1e999], "1" * 5000)
