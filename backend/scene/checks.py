@@ -2,6 +2,7 @@
 """What the readers of all layouts check alike: JSON, numbers, poses."""
 
 import math
+import re
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -47,9 +48,10 @@ def exposure(path: Path, value: Any, whose: str) -> float:
 
 
 def path_inside(root: Path, name: str, told_by: Path) -> Path:
-    """``root / name``; raises ``BadValueError`` where that would lead out of ``root``."""
+    """``root / name``; raises ``BadValueError`` where that would lead out of ``root``, on any system."""
     plain = PurePosixPath(plain_name(name))
-    if plain.is_absolute() or ".." in plain.parts or not plain.parts or ":" in plain.parts[0]:
+    drive = plain.parts and re.match("[A-Za-z]:", plain.parts[0])
+    if plain.is_absolute() or ".." in plain.parts or not plain.parts or drive:
         raise BadValueError(
             f"{told_by}: the file '{name:.80}' is not in {root}",
             "Name files relative to that folder, without '..'.",
@@ -58,12 +60,17 @@ def path_inside(root: Path, name: str, told_by: Path) -> Path:
 
 
 def rigid_pose(path: Path, matrix: Any, which: str) -> np.ndarray:
-    """``[4, 4]`` float64 camera to world, checked to be a rotation and a translation."""
+    """``[4, 4]`` float64 camera to world, checked to be a rotation and a translation.
+
+    ``matrix``: 4×4, or the first three rows of that.
+    """
     remedy = f"Mend 'transform_matrix' of that frame in {path.name}; scale and shear must be removed."
     try:
         pose = np.array(matrix, dtype=np.float64)
     except (TypeError, ValueError, OverflowError):
         pose = np.empty(0)
+    if pose.shape == (3, 4):
+        pose = np.vstack([pose, (0.0, 0.0, 0.0, 1.0)])
     if pose.shape != (4, 4):
         raise BadValueError(
             f"{path}: frame {which}: 'transform_matrix' is not a 4×4 matrix of numbers", remedy

@@ -2,6 +2,7 @@
 """Captures as people have them: missing pictures, pictures on their side, several cameras, masks."""
 
 import json
+import os
 import shutil
 from pathlib import Path
 from types import ModuleType
@@ -13,7 +14,7 @@ from PIL import Image
 
 from physhdr.backend.scene import Scene, read_scene
 from physhdr.backend.scene.resize import Reduction
-from physhdr.bridge.errors import DataMismatchError, FileMissingError
+from physhdr.bridge.errors import BadValueError, DataMismatchError, FileMissingError
 
 #: What a phone's camera was found to be by COLMAP, at a quarter of 1080×1920, and a picture of a board by it.
 WIDTH, HEIGHT, FX, FY, CX, CY = 270, 480, 343.9, 343.6, 138.6, 241.3
@@ -304,6 +305,35 @@ def test_suffixes_in_capitals(layouts: ModuleType, tmp_path: Path) -> None:
         frame["file_path"] = frame["file_path"].replace(".png", ".PNG")
     (root / "transforms.json").write_text(json.dumps(content))
     assert len(read_scene(root).train) == 3
+
+
+def test_times_as_names(layouts: ModuleType, tmp_path: Path) -> None:
+    """2024-05-01T12:30:00.jpg is a file's name but on Windows; a drive's letter leads out of the folder."""
+    if os.name == "nt":
+        pytest.skip("Windows has no such names")
+    names = [f"2024-05-01T12:30:{i:02d}.jpg" for i in range(5)]
+    for i, name in enumerate(names):
+        layouts.save(tmp_path / "images" / name, layouts.draw(i, 0))
+    layouts.write_sparse(tmp_path / "sparse" / "0", {name: i for i, name in enumerate(names)})
+    scene = read_scene(tmp_path)
+    assert len(scene.train) == 4
+    assert_spots(layouts, scene)
+    for drive in ("C:x.jpg", "C:/x.jpg", "c:\\x.jpg"):
+        layouts.write_sparse(tmp_path / "sparse" / "0", {drive: 0, names[0]: 1})
+        with pytest.raises(BadValueError, match="is not in"):
+            read_scene(tmp_path)
+
+
+def test_poses_of_three_rows(layouts: ModuleType, tmp_path: Path) -> None:
+    """As nerfstudio reads them, too."""
+    root = layouts.write_nerfstudio(tmp_path, poses=4)
+    content = json.loads((root / "transforms.json").read_text())
+    for frame in content["frames"][:3]:
+        frame["transform_matrix"] = frame["transform_matrix"][:3]
+    (root / "transforms.json").write_text(json.dumps(content))
+    scene = read_scene(root)
+    assert len(scene.train) == 3 and all(view.camera.camera_to_world.shape == (4, 4) for view in scene.train)
+    assert_spots(layouts, scene)
 
 
 # ---- pictures on their side --------------------------------------------------------------------------
