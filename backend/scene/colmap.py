@@ -71,7 +71,7 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
     """
     pictures = _pictures(root)
     assert pictures is not None, "is_mine has found it"
-    found = read_poses(root, pictures)
+    found = read_poses(root, pictures, MOST_UNKNOWN)
     train, test, rule = split_somehow(found.poses)
     check_numbers(train, "training", pictures)
     check_numbers(test, "test", pictures)
@@ -118,8 +118,12 @@ def scene_of(
     )
 
 
-def read_poses(root: Path, pictures: Path) -> FoundPoses:
-    """The model's poses with the brackets of each; raises as ``read_scene`` does."""
+def read_poses(root: Path, pictures: Path, most_unknown: float = 0.0) -> FoundPoses:
+    """The model's poses with the brackets of each; raises as ``read_scene`` does.
+
+    ``most_unknown``: the share of the poses that the exposure file may leave out. A layout whose split counts
+    poses has none to lose.
+    """
     folder = find_model(root)
     assert folder is not None, "is_mine has found it"
     model = read_model(folder)
@@ -142,7 +146,8 @@ def read_poses(root: Path, pictures: Path) -> FoundPoses:
     bracketed = any(len(group.names) > 1 for group in groups)
     seconds, told = _exposures(groups, pictures, usable, stated, must=bracketed)
     messages.append(told)
-    groups, unstated = _of_known(groups, seconds, folder, stated is not None)
+    most_lost = 1.0 if stated is None else most_unknown
+    groups, unstated = _of_known(groups, seconds, folder, most_lost)
     messages += unstated
     groups = placed(groups, alone, seconds)
     pair = alike(groups, seconds) if bracketed else None
@@ -152,7 +157,7 @@ def read_poses(root: Path, pictures: Path) -> FoundPoses:
             "model is a view of its own"
         )
         groups = with_pictures(single(model.images), usable)
-        groups, _ = _of_known(groups, seconds, folder, stated is not None)
+        groups, _ = _of_known(groups, seconds, folder, most_lost)
     poses = []
     apart = 0.0
     for order, group in enumerate(groups):
@@ -226,11 +231,11 @@ def _small_suffix(name: str) -> str:
 
 
 def _of_known(
-    groups: list[Group], seconds: dict[str, float], folder: Path, are_stated: bool
+    groups: list[Group], seconds: dict[str, float], folder: Path, most_lost: float
 ) -> tuple[list[Group], tuple[str, ...]]:
     """The groups without pictures of unknown exposure, and without those that are left with none; messages.
 
-    ``are_stated``: by the exposure file; raises ``DataMismatchError`` where that leaves out too many poses.
+    Raises ``DataMismatchError`` where these are more than a share ``most_lost``; 1: all is said already.
     """
     left = [
         Group(group.name, {k: name for k, name in group.names.items() if name in seconds}, group.registered)
@@ -238,10 +243,10 @@ def _of_known(
     ]
     lost = [group for group, known in zip(groups, left, strict=True) if not known.names]
     left = [group for group in left if group.names]
-    if not lost or not are_stated:
+    if not lost or most_lost == 1.0:
         return left, ()
     first = next(iter(lost[0].names.values()))
-    if len(lost) > MOST_UNKNOWN * len(groups):
+    if len(lost) > most_lost * len(groups):
         raise DataMismatchError(
             f"{EXPOSURE_FILE} has no exposure for '{first}', which {folder} has: so for {len(lost)} "
             f"of {len(groups)} poses",

@@ -237,6 +237,12 @@ def test_a_pose_that_the_exposure_file_leaves_out_is_skipped(layouts: ModuleType
     assert (
         "exposure.json has no exposure for 1 of 5 poses: skipped (first: shot_03_0.jpg)"
     ) in scene.messages
+    published = layouts.write_hdr_gs(tmp_path / "gs")  # whose split counts poses: one less would shift it
+    seconds = json.loads((published / "exposure.json").read_text())
+    left = {name: value for name, value in seconds.items() if not name.startswith("3_")}
+    (published / "exposure.json").write_text(json.dumps(left))
+    with pytest.raises(DataMismatchError, match="no exposure for '3_0.png'"):
+        read_scene(published)
 
 
 # ---- pictures under other names than those that are told -----------------------------------------------
