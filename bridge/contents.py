@@ -90,7 +90,12 @@ def dynamic_range(luminance: np.ndarray) -> tuple[float, float, float | None]:
     hundred is black.
     """
     low, high = float(np.percentile(luminance, 1)), float(luminance.max())
-    return low, high, round(math.log2(high / low), 2) if low > 0 else None
+    return low, high, stops_between(low, high)
+
+
+def stops_between(low: float, high: float) -> float | None:
+    """From the 1st percentile to the maximum; None where the former is black."""
+    return round(math.log2(high / low), 2) if low > 0 else None
 
 
 def lost_at_the_ends(white: float | None, black: float | None) -> Iterator[tuple[str, str]]:

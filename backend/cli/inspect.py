@@ -42,6 +42,8 @@ class Inspect:
     folders: tyro.conf.Positional[tuple[Path, ...]]
     #: How many times smaller pictures would be read; default: as the layout's authors do.
     downscale: float | None = None
+    #: Colour space of pictures that hold radiance, as --color-space of training; default: as each file says.
+    color_space: str | None = None
     #: One JSON object a folder on stdout, each on its line.
     json: bool = False
 
@@ -50,7 +52,7 @@ class Inspect:
             raise BadValueError("no data set is given", "For example: physhdr inspect data/demo")
         all_found = []
         for folder in self.folders:
-            found = inspect(folder, self.downscale)
+            found = inspect(folder, self.downscale, self.color_space)
             all_found.append(found)
             if self.json:
                 sys.stdout.write(json.dumps(dataclasses.asdict(found)) + "\n")
@@ -67,16 +69,17 @@ class Inspect:
 
 
 def _complain(all_found: list[Inspection]) -> None:
-    """Raise one error that counts them all and names the first."""
-    faults = [(found.folder, error) for found in all_found for error in found.errors]
+    """Raise one error that counts them all and names the first with its remedy."""
+    faults = [
+        (found.folder, *fault)
+        for found in all_found
+        for fault in zip(found.errors, found.remedies, strict=True)
+    ]
     if not faults:
         return
     many = f"{len(faults)} faults, the first: " if len(faults) > 1 else ""
-    folders = ", ".join(dict.fromkeys(folder for folder, _ in faults))
-    raise DataMismatchError(
-        f"{folders}: {many}{faults[0][1]}",
-        "Delete what is damaged, then make the data set again (only what is missing is made) or copy it.",
-    )
+    folders = ", ".join(dict.fromkeys(folder for folder, _, _ in faults))
+    raise DataMismatchError(f"{folders}: {many}{faults[0][1]}", faults[0][2])
 
 
 # ---- one data set ------------------------------------------------------------------------------------
@@ -177,8 +180,11 @@ def _exposure_table(exposures: list[Exposure]) -> Table:
 def _show_faults(found: Inspection, prefix: str = "") -> None:
     for warning in found.warnings:
         console.print(Text(f"warning: {prefix}{warning}", style="yellow"), soft_wrap=True)
-    for error in found.errors:
+    several = len(set(found.remedies)) > 1  # one alone is told at the end, with the first fault
+    for k, (error, remedy) in enumerate(zip(found.errors, found.remedies, strict=True)):
         console.print(Text(f"fault: {prefix}{error}", style="red"), soft_wrap=True)
+        if several and remedy and remedy not in found.remedies[k + 1 : k + 2]:
+            console.print(Text(f"  {remedy}", style="dim"), soft_wrap=True)
 
 
 # ---- several -----------------------------------------------------------------------------------------

@@ -16,30 +16,31 @@ from .own_layout import look_at_folder
 __all__ = ["inspect"]
 
 
-def inspect(root: Path, downscale: float | None = None) -> Inspection:
-    """Look at every file of a data set, in whichever layout; ``downscale`` as training would read it.
+def inspect(root: Path, downscale: float | None = None, color_space: str | None = None) -> Inspection:
+    """Look at every file of a data set, in whichever layout.
 
+    ``downscale``, ``color_space``: as training would read it (``read_scene``).
     Raises nothing that a damaged data set could cause.
     """
     root = Path(root)
     found = Inspection(str(root), scene=root.resolve().name)
     if hdr_nerf_syn.is_mine(root):
         faulty = look_at_folder(root, found)
-        _ask_the_reader(root, downscale, found, faulty)
-    elif scene := _ask_the_reader(root, downscale, found, set()):
+        _ask_the_reader(root, downscale, color_space, found, faulty)
+    elif scene := _ask_the_reader(root, downscale, color_space, found, set()):
         look_at_scene(scene, found)
     return found
 
 
 def _ask_the_reader(
-    root: Path, downscale: float | None, found: Inspection, faulty: set[Path]
+    root: Path, downscale: float | None, color_space: str | None, found: Inspection, faulty: set[Path]
 ) -> Scene | None:
     """What training would say, unless it has been said of one of the ``faulty`` files already."""
     try:
-        scene = read_scene(root, downscale)
+        scene = read_scene(root, downscale, color_space)
     except PhysHDRError as error:
         if not any(str(path) in error.message for path in faulty):
-            found.errors.append(error.message)
+            found.add_fault(error.message, error.hint)
         return None
     sizes = sorted(
         ((view.camera.width, view.camera.height) for view in scene.train), key=lambda size: size[0] * size[1]

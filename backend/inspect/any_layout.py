@@ -57,7 +57,7 @@ def _picture(view: View, i: int, found: Inspection) -> np.ndarray | None:
     try:
         return view.image(i)
     except PhysHDRError as error:
-        found.errors.append(error.message)
+        found.add_fault(error.message, error.hint)
         return None
 
 
@@ -68,7 +68,7 @@ def _look_at_truth(scene: Scene, found: Inspection, pixels: TrainingPixels) -> N
             try:
                 radiance = read_exr(truth.hdr_truth_path(scene.root, name, view.index))
             except PhysHDRError as error:
-                found.errors.append(error.message)
+                found.add_fault(error.message, error.hint)
                 continue
             split.hdr += 1
             if name == TRAIN:

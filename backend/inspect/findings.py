@@ -54,6 +54,7 @@ class DynamicRange:
 class Inspection:
     """Everything found in ``folder``; ``errors`` are faults that make the data unusable as they are.
 
+    ``remedies``: what to do about each of them, in their order.
     ``messages``: what the reader decided, in sentences. ``resolution``: of the view in the middle by size, as
     training sees it, pixels; ``resolutions``: how many different ones there are.
     """
@@ -89,6 +90,12 @@ class Inspection:
     messages: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     errors: list[str] = field(default_factory=list)
+    remedies: list[str] = field(default_factory=list)
+
+    def add_fault(self, message: str, remedy: str) -> None:
+        """A further one of the ``errors``."""
+        self.errors.append(message)
+        self.remedies.append(remedy)
 
 
 def samples_in_words(samples: Mapping[str, Sequence[float]]) -> str:

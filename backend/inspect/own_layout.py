@@ -20,6 +20,8 @@ from .findings import Inspection, Split, tell_exposures, warn_of_exposures
 from .layers import read_layers
 from .pixels import TrainingPixels
 
+#: What to do about a fault that tells nothing better.
+MAKE_AGAIN = "Delete what is damaged, then make the data set again (only what is missing is made) or copy it."
 #: dataset.json may differ from what is measured by its rounding.
 STOPS_TOLERANCE = 0.05
 
@@ -60,11 +62,11 @@ class _Walk:
         try:
             return read_json_object(path)
         except PhysHDRError as error:
-            return self._fault(path, error.message)
+            return self._fault(path, error.message, error.hint)
 
-    def _fault(self, path: Path, message: str) -> dict[str, Any]:
+    def _fault(self, path: Path, message: str, remedy: str = "") -> dict[str, Any]:
         self.faulty.add(path)
-        self.found.errors.append(message)
+        self.found.add_fault(message, remedy or MAKE_AGAIN)
         return {}
 
     def _split(self, name: str) -> SplitContents:
@@ -98,9 +100,10 @@ class _Walk:
         for name, count in _object(self.info.get("splits")).items():
             there = self.found.splits[name].poses if name in self.found.splits else 0
             if count != there:
-                self.found.errors.append(
+                self.found.add_fault(
                     f"{self.root / data_set.INFO_FILE} speaks of {count} {name} poses, "
-                    f"{data_set.transforms_file(name)} holds {there}"
+                    f"{data_set.transforms_file(name)} holds {there}",
+                    MAKE_AGAIN,
                 )
 
     # -- pictures ------------------------------------------------------------------------------------------
@@ -119,7 +122,7 @@ class _Walk:
         try:
             picture = read(path)
         except PhysHDRError as error:
-            self._fault(path, error.message)
+            self._fault(path, error.message, error.hint)
             return None
         height, width = picture.shape[:2]
         if self.found.resolution is None:

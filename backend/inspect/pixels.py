@@ -5,13 +5,41 @@ import math
 
 import numpy as np
 
-from ...bridge.contents import LUMINANCE, dynamic_range
+from ...bridge.contents import LUMINANCE, stops_between
 from ..scene.encoding import eight_bits
 from .findings import DynamicRange, Inspection
 
 #: The response that is assumed where radiance is estimated from pictures: (x / (1 + x))^(1 / 2.2), which is
 #: HDR-NeRF-Syn's camera.
 GAMMA = 2.2
+#: Luminance is counted by the first bits of a float32: its exponent, and twelve of the 23 that follow.
+LEFT_OUT_BITS = 11
+
+
+class LuminanceCounts:
+    """How many pixels have which luminance, to a part in 4096: pictures of any number need 8 MB."""
+
+    def __init__(self) -> None:
+        self._counts = np.zeros(1 << (31 - LEFT_OUT_BITS), np.int64)
+        self.maximum = 0.0
+
+    def add(self, luminance: np.ndarray) -> None:
+        """Finite values of any shape; those below 0 count as black."""
+        if not luminance.size:
+            return
+        self.maximum = max(self.maximum, float(luminance.max()))
+        bits = np.maximum(luminance, 0.0).astype(np.float32).ravel().view(np.uint32) >> LEFT_OUT_BITS
+        self._counts += np.bincount(bits, minlength=len(self._counts))
+
+    def percentile(self, share: float) -> float:
+        """As ``np.percentile``, of values that are rounded down; 0 without any."""
+        rising = np.cumsum(self._counts)
+        if not rising[-1]:
+            return 0.0
+        rank = 0.01 * share * (rising[-1] - 1)
+        bins = np.searchsorted(rising, [math.floor(rank), math.ceil(rank)], side="right")
+        low, high = (bins.astype(np.uint32) << LEFT_OUT_BITS).view(np.float32).astype(np.float64)
+        return float(low + (rank - math.floor(rank)) * (high - low))
 
 
 class TrainingPixels:
@@ -20,7 +48,7 @@ class TrainingPixels:
     def __init__(self) -> None:
         self._clipped: dict[int, list[tuple[float, float]]] = {}
         self._codes: dict[float, np.ndarray] = {}
-        self._luminance: list[np.ndarray] = []
+        self._luminance: LuminanceCounts | None = None
 
     def add_picture(
         self, picture: np.ndarray, place: int, seconds: float, mask: np.ndarray | None = None
@@ -44,11 +72,15 @@ class TrainingPixels:
     def add_radiance(self, exposed: np.ndarray, seconds: float) -> None:
         """A picture ``[…, 3]`` that holds exposure × radiance, where it is looked at."""
         if exposed.size:
-            self._luminance.append((exposed.astype(np.float64) @ LUMINANCE).ravel() / seconds)
+            self._add_luminance(exposed.astype(np.float64) @ LUMINANCE / seconds)
 
     def add_truth(self, radiance: np.ndarray) -> None:
         """``radiance`` ``[H, W, 3]``, scene-linear."""
-        self._luminance.append((radiance.astype(np.float64) @ LUMINANCE).ravel())
+        self._add_luminance(radiance.astype(np.float64) @ LUMINANCE)
+
+    def _add_luminance(self, luminance: np.ndarray) -> None:
+        self._luminance = self._luminance or LuminanceCounts()
+        self._luminance.add(luminance)
 
     def tell(self, found: Inspection) -> None:
         """The clipped shares of each exposure, and the dynamic range: of the truth, where there is any."""
@@ -56,8 +88,9 @@ class TrainingPixels:
             if exposure.place in self._clipped:
                 means = np.mean(self._clipped[exposure.place], axis=0)
                 exposure.white, exposure.black = (round(float(value), 5) for value in means)
-        if self._luminance:
-            found.dynamic_range = DynamicRange(*dynamic_range(np.concatenate(self._luminance)))
+        if self._luminance is not None:
+            low, high = self._luminance.percentile(1), self._luminance.maximum
+            found.dynamic_range = DynamicRange(low, high, stops_between(low, high))
         elif self._codes:
             found.dynamic_range = self._estimate()
 

@@ -366,6 +366,48 @@ def test_faults_of_other_layouts_are_all_named(layouts, tmp_path, capsys):
     assert len(found.errors) == 1 and "cameras.bin is damaged" in found.errors[0] and found.splits == {}
 
 
+def test_the_readers_remedy_is_told(layouts, tmp_path, capsys):
+    """Not "make the data set again", which nobody can of photographs."""
+    root = layouts.write_colmap(tmp_path / "scene", exif=False)
+    assert main(["inspect", str(root)]) == 1
+    told = capsys.readouterr().err
+    assert "nothing tells their exposures" in told and "Write exposure.json beside images/" in told
+    assert "make the data set again" not in told
+    assert main(["inspect", str(root), "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert len(found["errors"]) == len(found["remedies"]) == 1 and "exposure.json" in found["remedies"][0]
+
+
+def test_faults_of_different_kinds_have_their_own_remedies(layouts, tmp_path, capsys):
+    root = layouts.write_nerfstudio(tmp_path / "scene")
+    for k in (0, 1):
+        path = root / "images" / f"frame_0000{k}.png"
+        path.write_bytes(path.read_bytes()[:200])
+    edit(root / "transforms.json", lambda c: [frame.update(mask_path="mask.png") for frame in c["frames"]])
+    Image.new("RGB", (50, 20)).save(root / "mask.png")
+    assert main(["inspect", str(root)]) == 1
+    captured = capsys.readouterr()
+    assert captured.out.count("Make the mask at the picture's size") == 1, (
+        "once for all that follow each other"
+    )
+    assert captured.out.count("Delete it and make the data set again") == 1
+
+
+def test_radiance_is_inspected_in_the_colour_space_that_training_is_told(layouts, tmp_path):
+    root = layouts.write_nerfstudio(tmp_path / "shot")
+
+    def of_radiance(content):
+        for frame in content["frames"]:
+            frame["file_path"] = frame["file_path"].replace(".png", ".exr")
+            write_exr(root / frame["file_path"], np.full((72, 96, 3), (0.2, 0.5, 0.9)))
+
+    edit(root / "transforms.json", of_radiance)
+    found = inspect(root, color_space="rec2020")
+    assert any("rec2020, as --color-space says" in message for message in found.messages)
+    assert found.dynamic_range.maximum != pytest.approx(inspect(root).dynamic_range.maximum, rel=1e-3)
+    assert "Choose from" in inspect(root, color_space="mauve").remedies[0]
+
+
 def test_no_points_is_a_warning(layouts, tmp_path):
     found = inspect(layouts.write_nerfstudio(tmp_path / "scene"))
     (warning,) = [warning for warning in found.warnings if "no first points" in warning]
