@@ -241,7 +241,7 @@ def test_a_pose_that_the_exposure_file_leaves_out_is_skipped(layouts: ModuleType
     seconds = json.loads((published / "exposure.json").read_text())
     left = {name: value for name, value in seconds.items() if not name.startswith("3_")}
     (published / "exposure.json").write_text(json.dumps(left))
-    with pytest.raises(DataMismatchError, match="no exposure for '3_0.png'"):
+    with pytest.raises(DataMismatchError, match=r"no exposure for '3_0\.png'"):
         read_scene(published)
 
 
