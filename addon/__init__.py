@@ -9,6 +9,7 @@ A module that has classes to register is named in ``_MODULES``, in the order in 
 each other, and has a ``register`` and an ``unregister`` of its own.
 """
 
+from contextlib import ExitStack
 from importlib import import_module
 from types import ModuleType
 
@@ -55,8 +56,12 @@ def _modules() -> list[ModuleType]:
 
 
 def register() -> None:
-    for module in _modules():
-        module.register()
+    """Register all; where one module cannot be, none is left registered, so that it can be tried again."""
+    with ExitStack() as undo:
+        for module in _modules():
+            module.register()
+            undo.callback(module.unregister)
+        undo.pop_all()
 
 
 def unregister() -> None:
