@@ -20,9 +20,9 @@ from ...bridge.axes import camera_to_world_from_llff
 from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
 from ...bridge.limits import FOCAL_LENGTH, LARGEST_SIDE, PRINCIPAL_POINT, check_position, is_number
 from ...bridge.regular import damaged_where_it_fails, read_json_object
-from ..dataset.dataset_summary import picture_size
 from .captures import LOOKED_FOR, NERFSTUDIO_FILE, REAL_FILE, SUFFIXES, frames_of, real_rows, split_of
 from .colmap_file import COPY_AGAIN, Placed, model_folder, pose_of, read_lenses, read_placed
+from .picture_size import picture_size
 
 #: Where nothing says what a view is for: the trainer then chooses.
 VIEWS = "views"

@@ -19,10 +19,10 @@ from ...bridge.lights import AMBIENT
 from ...bridge.limits import LEVEL, is_number
 from ...bridge.regular import read_json_object, regular_file
 from ..capture.captures import LOOKED_FOR, Capture, read_capture
+from ..capture.picture_size import PNG_SIGNATURE, picture_size
 
 #: Of a number of points.
 MOST_DIGITS = 12
-PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 #: From one exposure no dynamic range can be learned.
 FEWEST_EXPOSURES = 2
 #: float32 has 277.
@@ -39,7 +39,6 @@ CHOOSE = "Choose a data set's folder, prepare photos, or render a data set from 
 ALL = "all"
 #: Of those that a capture may have, headers are read of so many pictures: enough to see whether sizes differ.
 HEADERS = 400
-JPEG_SIGNATURE = b"\xff\xd8\xff"
 
 
 @dataclass(frozen=True)
@@ -313,24 +312,6 @@ def _check_pictures(
         warnings.append(f"The pictures are not of one size: {told}. Training needs one.")
         return None
     return next(iter(sizes), None)
-
-
-def picture_size(path: Path) -> tuple[int, int] | None:
-    """Width and height by the header of a PNG or JPEG; None for others, of which only the trainer knows."""
-    try:
-        with open(regular_file(path), "rb") as file:
-            head = file.read(1 << 16)
-    except (OSError, PhysHDRError):
-        return None
-    if head[:8] == PNG_SIGNATURE and len(head) >= 24:
-        return struct.unpack(">II", head[16:24])
-    at = 2 if head[:3] == JPEG_SIGNATURE else len(head)
-    while at + 9 <= len(head) and head[at] == 0xFF:  # segment by segment, up to a start of frame
-        if 0xC0 <= head[at + 1] <= 0xCF and head[at + 1] not in (0xC4, 0xC8, 0xCC):
-            height, width = struct.unpack(">HH", head[at + 5 : at + 9])
-            return width, height
-        at += 2 + struct.unpack(">H", head[at + 2 : at + 4])[0]
-    return None
 
 
 def _check_exposures(train: SplitContents, warnings: list[str]) -> tuple[float, ...]:
