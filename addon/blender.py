@@ -32,19 +32,18 @@ def curve_of(target: bpy.types.Object, path: str) -> Any:
     data = target.animation_data
     if data is None:
         return None
-    drivers = (curve for curve in data.drivers if curve.data_path == path)
-    return next(drivers, None) or _keyframes(data, path)
-
-
-def _keyframes(data: bpy.types.AnimData, path: str) -> Any:
-    """The curve of the object's action that has this path, if any."""
-    action, slot = data.action, data.action_slot
-    if action is None or slot is None:
-        return None
-    strips: list[Any] = [strip for layer in action.layers for strip in layer.strips]
-    bags = (strip.channelbag(slot) for strip in strips)
-    curves = (curve for bag in bags if bag is not None for curve in bag.fcurves)
+    curves = (*data.drivers, *curves_of(data))
     return next((curve for curve in curves if curve.data_path == path), None)
+
+
+def curves_of(animation: bpy.types.AnimData) -> list[bpy.types.FCurve]:
+    """The keyframes' curves of an object, of its slot of a layered action."""
+    action, slot = animation.action, animation.action_slot
+    if action is None or slot is None:
+        return []
+    strips = (strip for layer in action.layers for strip in layer.strips)
+    bags = (cast(Any, strip).channelbag(slot) for strip in strips)
+    return [curve for bag in bags if bag is not None for curve in bag.fcurves]
 
 
 def render_size(scene: bpy.types.Scene, percentage: float = 100.0) -> tuple[int, int]:

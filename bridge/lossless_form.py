@@ -33,8 +33,6 @@ COMMENT_WIDTH = 400
 SEPARATOR = "__"
 #: Columns of the response: ln exposure, and its value in each channel.
 CURVE_PARTS = ("x", "r", "g", "b")
-#: What the names of the columns that say something begin with; all other ``phys_`` columns are parameters.
-SAYING = tuple(f"{each}{SEPARATOR}" for each in (FORM, LIGHTS, CURVE))
 
 
 def form_columns(comments: Sequence[str], count: int) -> dict[str, np.ndarray]:

@@ -9,6 +9,7 @@ from mathutils import Vector
 
 from .blender import camera_of, evaluated
 from .errors import OptionError, SceneError
+from .objects import SURFACES
 from .options import FOLLOW, LARGEST_ELEVATION, Options
 from .rays import Rays
 from .rig import PATH, between
@@ -27,8 +28,8 @@ ENOUGH = 0.1
 STEEP = 0.9
 GOLDEN = 0.6180339887498949
 STILL = 1e-6
-#: Objects that show a surface, whose bounds count.
-SURFACES = {"MESH", "CURVE", "SURFACE", "META", "FONT", "CURVES", "POINTCLOUD"}
+#: Objects whose bounds count: a volume's are those of the air that is around everything.
+BOUNDED = SURFACES - {"VOLUME"}
 
 
 def checked(scene: bpy.types.Scene) -> bpy.types.Object:
@@ -132,7 +133,7 @@ def _bounds(depsgraph: bpy.types.Depsgraph) -> tuple[np.ndarray, np.ndarray]:
     corners = [
         np.array([instance.matrix_world @ Vector(corner) for corner in instance.object.bound_box])
         for instance in depsgraph.object_instances
-        if instance.object and instance.object.type in SURFACES
+        if instance.object and instance.object.type in BOUNDED
     ]
     if not corners:
         raise SceneError("the scene has nothing to look at", "add objects, or give --rig-distance")

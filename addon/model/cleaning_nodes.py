@@ -6,6 +6,8 @@ one value for all points, and Blender computes no more than the side that it tak
 """
 
 import functools
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 from ...bridge.splatting import JACOBIAN_MARGIN, NEAR_PLANE
@@ -16,125 +18,121 @@ from .node_builder import Field, GeometryBuilder
 from .splat_nodes import CameraFields
 
 
+@dataclass(frozen=True)
+class Input:
+    """An input of the tree: its label, kind of socket, description and what else the socket is given."""
+
+    name: str
+    kind: str
+    description: str
+    properties: Mapping[str, Any] = field(default_factory=dict)
+
+
+_LENGTH = {"subtype": "DISTANCE", "min_value": 0.0}
+_SHARE = {"subtype": "FACTOR", "min_value": 0.0, "max_value": 1.0}
+#: What hides from every side …
+_HIDING = (
+    Input(nodes.CROP, "Bool", "Hide what is outside of the crop box"),
+    Input(
+        nodes.CROP_BOX,
+        "Object",
+        "An object whose cube from -1 to 1 along its own axes is the box: an empty shown as a cube of size "
+        "1, or Blender's cube. Move, turn and scale it",
+    ),
+    Input(nodes.KEEP_OUTSIDE, "Bool", "Hide what is in the box instead"),
+    Input(
+        nodes.LARGEST_SIZE,
+        "Float",
+        "Hide Gaussians whose largest standard deviation is above this. 0: no limit",
+        _LENGTH,
+    ),
+    Input(nodes.SMALLEST_OPACITY, "Float", "Hide Gaussians that are fainter than this", _SHARE),
+    Input(
+        nodes.LARGEST_ELONGATION,
+        "Float",
+        "Hide needles: Gaussians that are so many times longer than wide. 0: no limit",
+        {"min_value": 0.0},
+    ),
+    Input(
+        nodes.LARGEST_DISTANCE,
+        "Float",
+        "Hide what is farther than this from the object below, or from the model's origin. 0: no limit",
+        _LENGTH,
+    ),
+    Input(nodes.DISTANCE_FROM, "Object", "Where the largest distance is measured from: an empty, say"),
+    Input(
+        nodes.CLEAR_OF_PHOTOS,
+        "Float",
+        "Hide what is nearer than this to a camera of the data set: floaters. It counts once the distances "
+        "were measured",
+        _LENGTH,
+    ),
+)
+#: … what the camera that renders decides …
+_CULLING = (
+    Input(
+        nodes.CLEAR_OF_CAMERA,
+        "Float",
+        "Leave out what is nearer than this to the camera that renders",
+        _LENGTH,
+    ),
+    Input(
+        nodes.FARTHEST,
+        "Float",
+        "Leave out what is farther than this from the camera that renders. 0: no limit",
+        _LENGTH,
+    ),
+    Input(
+        nodes.ONLY_IN_VIEW,
+        "Bool",
+        "Leave out what the camera that renders does not see. Mirrors and shadows then lack it, too",
+    ),
+    Input(
+        nodes.VIEW_MARGIN,
+        "Float",
+        "How far beyond the picture's edge it still counts as seen, in halves of the picture",
+        {"default_value": ALL.view_margin, "min_value": 0.0},
+    ),
+)
+#: … and how finely, where a model has directions.
+_DIRECTIONS = Input(
+    nodes.SH_DEGREE,
+    "Int",
+    "How finely the radiance depends on the direction, at most: 0 not at all, 3 as trained. Less is faster",
+    {"default_value": 3, "min_value": 0, "max_value": 3},
+)
+#: Hides from every side. Made last: the inputs of trees before it keep their places, and with them their
+#: keyframes.
+_CONFIDENCE = Input(
+    nodes.SMALLEST_CONFIDENCE,
+    "Float",
+    "Hide Gaussians whose radiance is less likely than this to be within a tenth of a stop of the true "
+    "one: what the photos clip, starve or hardly see. Models of older files do not know it",
+    _SHARE,
+)
+
+
 def declare_cleaning(interface: Any, has_directions: bool) -> None:
     """The inputs, in two panels after those that are there. ``has_directions``: SH beyond degree 0."""
 
     def panel(name: str, description: str) -> Any:
         return interface.new_panel(name, description=description, default_closed=True)
 
-    def declare(parent: Any, name: str, kind: str, description: str, **properties: Any) -> None:
-        socket = interface.new_socket(name, in_out="INPUT", socket_type=f"NodeSocket{kind}", parent=parent)
-        socket.description = description
-        for key, value in properties.items():
-            setattr(socket, key, value)
+    def declare(parent: Any, wanted: Iterable[Input]) -> None:
+        for each in wanted:
+            socket = interface.new_socket(
+                each.name, in_out="INPUT", socket_type=f"NodeSocket{each.kind}", parent=parent
+            )
+            socket.description = each.description
+            for key, value in each.properties.items():
+                setattr(socket, key, value)
 
-    length: dict[str, Any] = {"subtype": "DISTANCE", "min_value": 0.0}
-    inside = panel(
-        nodes.CLEANING_PANEL, "What is hidden from every side. Lengths are those of the model's file"
-    )
-    declare(inside, nodes.CROP, "Bool", "Hide what is outside of the crop box")
-    declare(
-        inside,
-        nodes.CROP_BOX,
-        "Object",
-        "An object whose cube from -1 to 1 along its own axes is the box: an empty shown as a cube of size "
-        "1, or Blender's cube. Move, turn and scale it",
-    )
-    declare(inside, nodes.KEEP_OUTSIDE, "Bool", "Hide what is in the box instead")
-    declare(
-        inside,
-        nodes.LARGEST_SIZE,
-        "Float",
-        "Hide Gaussians whose largest standard deviation is above this. 0: no limit",
-        **length,
-    )
-    declare(
-        inside,
-        nodes.SMALLEST_OPACITY,
-        "Float",
-        "Hide Gaussians that are fainter than this",
-        subtype="FACTOR",
-        min_value=0.0,
-        max_value=1.0,
-    )
-    declare(
-        inside,
-        nodes.LARGEST_ELONGATION,
-        "Float",
-        "Hide needles: Gaussians that are so many times longer than wide. 0: no limit",
-        min_value=0.0,
-    )
-    declare(
-        inside,
-        nodes.LARGEST_DISTANCE,
-        "Float",
-        "Hide what is farther than this from the object below, or from the model's origin. 0: no limit",
-        **length,
-    )
-    declare(
-        inside, nodes.DISTANCE_FROM, "Object", "Where the largest distance is measured from: an empty, say"
-    )
-    declare(
-        inside,
-        nodes.CLEAR_OF_PHOTOS,
-        "Float",
-        "Hide what is nearer than this to a camera of the data set: floaters. It counts once the distances "
-        "were measured",
-        **length,
-    )
-
+    told = "What is hidden from every side. Lengths are those of the model's file"
+    inside = panel(nodes.CLEANING_PANEL, told)
+    declare(inside, _HIDING)
     renders = panel(nodes.CULLING_PANEL, "What is left out of the picture of the camera that renders")
-    declare(
-        renders,
-        nodes.CLEAR_OF_CAMERA,
-        "Float",
-        "Leave out what is nearer than this to the camera that renders",
-        **length,
-    )
-    declare(
-        renders,
-        nodes.FARTHEST,
-        "Float",
-        "Leave out what is farther than this from the camera that renders. 0: no limit",
-        **length,
-    )
-    declare(
-        renders,
-        nodes.ONLY_IN_VIEW,
-        "Bool",
-        "Leave out what the camera that renders does not see. Mirrors and shadows then lack it, too",
-    )
-    declare(
-        renders,
-        nodes.VIEW_MARGIN,
-        "Float",
-        "How far beyond the picture's edge it still counts as seen, in halves of the picture",
-        default_value=ALL.view_margin,
-        min_value=0.0,
-    )
-    if has_directions:
-        declare(
-            renders,
-            nodes.SH_DEGREE,
-            "Int",
-            "How finely the radiance depends on the direction, at most: 0 not at all, 3 as trained. Less is "
-            "faster",
-            default_value=3,
-            min_value=0,
-            max_value=3,
-        )
-
-    # Made last: the inputs of trees before it keep their places, and with them their keyframes.
-    declare(
-        inside,
-        nodes.SMALLEST_CONFIDENCE,
-        "Float",
-        "Hide Gaussians whose radiance is less likely than this to be within a tenth of a stop of the true "
-        "one: what the photos clip, starve or hardly see. Models of older files do not know it",
-        subtype="FACTOR",
-        min_value=0.0,
-        max_value=1.0,
-    )
+    declare(renders, (*_CULLING, _DIRECTIONS) if has_directions else _CULLING)
+    declare(inside, [_CONFIDENCE])
 
 
 def clean(

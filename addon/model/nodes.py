@@ -78,16 +78,6 @@ def get_input(modifier: bpy.types.Modifier, name: str) -> Any:
     return getattr(inputs_of(modifier), input_identifier(modifier, name)).value
 
 
-def curves_of(animation: bpy.types.AnimData) -> list[bpy.types.FCurve]:
-    """The keyframes' curves of an object, of its slot of a layered action."""
-    action, slot = animation.action, animation.action_slot
-    if action is None or slot is None:
-        return []
-    strips = (strip for layer in action.layers for strip in layer.strips)
-    bags = (cast(Any, strip).channelbag(slot) for strip in strips)
-    return [curve for bag in bags if bag is not None for curve in bag.fcurves]
-
-
 def input_data_path(modifier: bpy.types.Modifier, name: str) -> str:
     """The RNA path of an input on the object, for keyframes and drivers."""
     identifier = input_identifier(modifier, name)

@@ -18,7 +18,7 @@ import bpy
 from ...bridge.lights import AMBIENT
 from ...bridge.model_file import Model
 from ...bridge.spherical_harmonics import C0, C1, C2, C3, coefficient_count
-from ..blender import cloud_of
+from ..blender import cloud_of, curves_of
 from .attributes import BASE, FIXED_PART, LEVEL_LOG_GAIN, LIGHT_SHARE, LOG_SH, RADIANCE, SCALE, light_part
 from .cleaning_nodes import clean, declare_cleaning
 from .node_builder import Field, GeometryBuilder
@@ -32,7 +32,6 @@ from .nodes import (
     SH_DEGREE,
     TONE_MAPPER,
     VIEW_DEPENDENT,
-    curves_of,
     get_input,
     identifiers,
     level_input,

@@ -24,7 +24,7 @@ from ..model.bake import bake, baked_model, moved, write_fitted
 from ..model.look import Look, is_model, look_of
 from ..model.point_cloud import lights_of
 from ..runtime import session
-from ..session.results import BAKE, bake_command, why_not
+from ..session.results import BAKE, bake_command, why_not_on_run
 from ..session.state import NotTaken, Problem
 from .afterwards import take_when_ended
 from .base import report_task, wait_for_task
@@ -204,7 +204,7 @@ def cameras_of(target: bpy.types.Object) -> str:
 
 def why_not_fitted(target: bpy.types.Object) -> str:
     """Why a bake of a model can be a quick one alone; empty where its colours can be fitted."""
-    if reason := why_not(session().state, BAKE):
+    if reason := why_not_on_run(session().state, BAKE):
         return reason
     return "" if cameras_of(target) else "the cameras of its data set are not known any more"
 

@@ -10,7 +10,7 @@ import mathutils
 import numpy as np
 
 from ...bridge.errors import BadValueError, DataMismatchError, FileMissingError, PhysHDRError
-from ..blender import add_entry, cloud_of, layout_of, remove_entry
+from ..blender import add_entry, cloud_of, curves_of, layout_of, remove_entry
 from ..capture import placement, similarity
 from ..capture.captures import camera_places
 from ..model import nodes
@@ -328,7 +328,7 @@ def _reset(target: bpy.types.Object) -> list[str]:
     animation = target.animation_data
     paths = {curve.data_path for curve in animation.drivers} if animation else set()
     if animation and animation.action:
-        paths |= {curve.data_path for curve in nodes.curves_of(animation)}
+        paths |= {curve.data_path for curve in curves_of(animation)}
     off = {nodes.CROP: False, nodes.KEEP_OUTSIDE: False, nodes.CROP_BOX: None, nodes.DISTANCE_FROM: None}
     for name in nodes.CLEANING:
         if nodes.has_input(modifier, name):  # an older tree lacks the newer ones

@@ -32,7 +32,7 @@ from ..session.results import (
     evaluation_of,
     video_command,
     web_command,
-    why_not,
+    why_not_on_run,
 )
 from ..session.session import Session
 from ..session.state import State
@@ -107,7 +107,7 @@ class _OnRun(PhysHDROperator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        reason = why_not(session().state, cls.task)
+        reason = why_not_on_run(session().state, cls.task)
         if reason:
             cls.poll_message_set(reason)
         return not reason
@@ -119,7 +119,7 @@ class _OnRun(PhysHDROperator):
         run = given or shown_run(context, state)
         if given and not has_run(given):
             raise FileMissingError(f"there is no trained run in {given}", "Choose the folder of a run.")
-        if reason := why_not(state, self.task, run):
+        if reason := why_not_on_run(state, self.task, run):
             raise BadValueError(reason)
         return run, moved_data(run, choices(context).data)
 

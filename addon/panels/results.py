@@ -16,7 +16,7 @@ from ..session.results import (
     WEB,
     Evaluation,
     evaluation_of,
-    why_not,
+    why_not_on_run,
 )
 from .parts import Subpanel, draw_task, write
 
@@ -53,11 +53,11 @@ class PHYSHDR_PT_results(Subpanel, bpy.types.Panel):
             row = layout.row(align=True)
             for name, text, icon in buttons:
                 cell = row.row(align=True)
-                cell.enabled = not why_not(state, name, run)
+                cell.enabled = not why_not_on_run(state, name, run)
                 cell.operator(f"physhdr.results_{name}", text=text, icon=icon)
             for name, _, _ in buttons:
                 draw_task(layout, state, name)
-        reason = why_not(state, EVALUATE, run)
+        reason = why_not_on_run(state, EVALUATE, run)
         if reason and not state.task(EVALUATE):
             write(context, layout, reason, "INFO")
         video = made_of(run)

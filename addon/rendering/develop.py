@@ -14,11 +14,10 @@ from typing import Any
 import bpy
 
 from ...bridge.errors import BadValueError
-from ..blender import cloud_of, curve_of
+from ..blender import cloud_of, curve_of, curves_of
 from ..light import cg_compositor
 from ..model import nodes, response_nodes
 from ..model.look import is_model
-from ..model.nodes import curves_of
 from ..model.point_cloud import read_tone_curve
 from ..model.response_nodes import response_mark
 from ..model.tone_curve import ToneCurve

@@ -113,7 +113,7 @@ def bake_command(
     return ["convert", model, out, "--cameras", cameras, "--json", *look]
 
 
-def why_not(state: State, task: str, run: str = "given") -> str:
+def why_not_on_run(state: State, task: str, run: str = "given") -> str:
     """Why a run's folder ``run`` (empty: none) cannot be evaluated, filmed or exported now; empty where it
     can."""
     busy = next((each for each in state.tasks if each.name in (INSTALL, CHECK)), None)

@@ -225,19 +225,21 @@ def test_what_another_version_wrote_is_passed_over(tmp_path):
 
 def test_why_it_cannot_be_done(tmp_path):
     ready = State()
-    assert "Install the backend" in results.why_not(ready, "evaluate")
+    assert "Install the backend" in results.why_not_on_run(ready, "evaluate")
     from physhdr.addon.session.transition import transition
 
     ready, _ = transition(ready, PythonChosen(sys.executable, REPORT))
-    assert results.why_not(ready, "evaluate", str(tmp_path)) == ""
-    assert "choose the folder of a run" in results.why_not(ready, "video", "")
+    assert results.why_not_on_run(ready, "evaluate", str(tmp_path)) == ""
+    assert "choose the folder of a run" in results.why_not_on_run(ready, "video", "")
     busy, _ = transition(ready, TaskStarted("video", ""))
-    assert results.why_not(busy, "video") == "It is under way" and not results.why_not(busy, "evaluate")
+    assert results.why_not_on_run(busy, "video") == "It is under way" and not results.why_not_on_run(
+        busy, "evaluate"
+    )
     checking, _ = transition(ready, TaskStarted("check", ""))
-    assert results.why_not(checking, "video") == "Wait for the check to end"
+    assert results.why_not_on_run(checking, "video") == "Wait for the check to end"
     training, _ = transition(ready, Received(JobStatus(state="training", run=str(tmp_path))))
-    assert "being trained" in results.why_not(training, "evaluate", str(tmp_path))
-    assert results.why_not(training, "evaluate", str(tmp_path / "other")) == ""
+    assert "being trained" in results.why_not_on_run(training, "evaluate", str(tmp_path))
+    assert results.why_not_on_run(training, "evaluate", str(tmp_path / "other")) == ""
 
 
 def test_a_folder_without_a_run(extension, tmp_path):
