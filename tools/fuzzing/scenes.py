@@ -224,6 +224,7 @@ TARGETS = (
     Target("data set: HDR-NeRF-Real", layout("write_real", scale=1.0), read, 500),
     Target("data set: GaussHDR", layout("write_gausshdr"), read, 800),
     Target("data set: HDR-GS", layout("write_hdr_gs", poses=6), read, 600),
+    Target("data set: NeRF", layout("write_nerf"), read, 800),
     Target("data set: COLMAP", colmap, read, 1000),
     Target("data set: nerfstudio", nerfstudio, read, 1000),
     Target("camera file", own, pose, 600, chosen=("transforms_train.json",)),
