@@ -9,9 +9,9 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
+from physhdr.addon.blender import render_size  # noqa: E402
 from physhdr.addon.model import attributes, cleaning, look, model_import, nodes, point_cloud  # noqa: E402
-from physhdr.addon.model.cleaning import Cleaning  # noqa: E402
-from physhdr.addon.model.render_camera import render_camera  # noqa: E402
+from physhdr.addon.model.cleaning import EVEN, Cleaning, RenderCamera  # noqa: E402
 from physhdr.addon.rendering import render  # noqa: E402
 
 COUNT = 4000
@@ -51,6 +51,44 @@ def agreed(target, with_camera: bool = False) -> np.ndarray:
     keep = look.kept_of(target.data, wanted, camera)
     np.testing.assert_array_equal(drawn(target), np.flatnonzero(keep))
     return keep
+
+
+def render_camera(target, depsgraph) -> RenderCamera | None:
+    """The scene's active camera in the space of the model ``target``; None where the scene has none."""
+    scene = depsgraph.scene
+    if scene is None or scene.camera is None:
+        return None
+    camera = scene.camera.evaluated_get(depsgraph)
+    lens = camera.data
+    if not isinstance(lens, bpy.types.Camera):
+        return None
+    placed = target.evaluated_get(depsgraph).matrix_world
+    pose = placed.inverted_safe() @ camera.matrix_world
+    axes = pose.to_3x3().transposed()
+    right, up, back = (place_of(axis.normalized()) for axis in axes)
+    sides = sorted(abs(side) for side in placed.to_scale())
+    render, (width, height) = scene.render, render_size(scene)
+    projection = camera.calc_matrix_camera(
+        depsgraph,
+        x=width,
+        y=height,
+        scale_x=render.pixel_aspect_x,
+        scale_y=render.pixel_aspect_y,
+    )
+    return RenderCamera(
+        place=place_of(pose.translation),
+        right=right,
+        up=up,
+        back=back,
+        projection=tuple(np.array(projection).reshape(-1).tolist()),
+        is_orthographic=lens.type == "ORTHO",
+        unit=axes[0].length / camera.matrix_world.to_3x3().transposed()[0].length,
+        is_even=sides[2] <= sides[0] * EVEN,
+    )
+
+
+def place_of(vector) -> tuple[float, float, float]:
+    return vector.x, vector.y, vector.z
 
 
 def box(scene, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> "bpy.types.Object":
