@@ -4,7 +4,7 @@
 The views are those of one split: the test views, or the validation views.
 LDR: every view at every exposure, through 8 bit, in PSNR, SSIM and LPIPS (``pictures.py``, which tells of
 radiance and masks, too); averaged for each exposure, then LDR-OE over exposure indices 0, 2, 4 (those that
-training saw) and LDR-NE over 1, 3 (those it did not).
+training saw) and LDR-NE over 1, 3 (those it did not), and so on in longer brackets.
 HDR: ``metrics.hdr_pair``, once as it is and once after dividing by the median scale ratio.
 Relit: the μ-law PSNR under other light, beside what scaling a picture would give (``results.RelitRow``).
 The PSNR of a picture is at most ``metrics.PSNR_CAP``, 100 dB; a message says where that was so.
@@ -31,7 +31,8 @@ from .published import data_set_of
 from .renderer import Renderer
 from .response import check_response, learned_response, true_response
 from .results import (
-    NOVEL_EXPOSURES,
+    NOVEL,
+    OBSERVED,
     OBSERVED_EXPOSURES,
     VIEWS_OF,
     Evaluation,
@@ -39,6 +40,7 @@ from .results import (
     LdrRow,
     Metrics,
     RelitRow,
+    part_of,
 )
 
 
@@ -86,7 +88,7 @@ def evaluate(
     messages += _what_training_was(training_exposures, there, iteration, iterations)
     relit = [item for item in relit if item not in unknown]
     camera = views[0].camera
-    if min(camera.width, camera.height) < SMALLEST_SIDE:
+    if _smallest_side(views) < SMALLEST_SIDE:
         lpips = None
     step = _Steps((2 if falloff is None else 3) * len(views) + len(relit), progress)
 
@@ -152,6 +154,11 @@ def _views_of(scene: Scene, split: str) -> list[View]:
     return scene.splits[split]
 
 
+def _smallest_side(views: Sequence[View]) -> int:
+    """In pixels: a mean that some views are not in would be another's."""
+    return min(min(view.camera.width, view.camera.height) for view in views)
+
+
 class _Steps:
     """Counts what is done for the progress callback."""
 
@@ -178,11 +185,10 @@ def _what_is_left_out(
     why: str,
 ) -> list[str]:
     messages = []
-    camera = scene.splits[split][0].camera
     if lpips is None:
         messages.append("LPIPS left out: no weights were given.")
-    elif min(camera.width, camera.height) < SMALLEST_SIDE:
-        messages.append(f"LPIPS left out: pictures are smaller than {SMALLEST_SIDE}×{SMALLEST_SIDE}.")
+    elif _smallest_side(scene.splits[split]) < SMALLEST_SIDE:
+        messages.append(f"LPIPS left out: there are pictures smaller than {SMALLEST_SIDE}×{SMALLEST_SIDE}.")
     if not truth.has_hdr_truth(scene.root, split):
         messages.append(
             f"HDR and relit left out: {scene.root} has no true radiance of its {VIEWS_OF[split]}."
@@ -210,9 +216,9 @@ def _what_training_was(
     if exposures is None:
         exposures = OBSERVED_EXPOSURES
     given = f"(--training-exposures {' '.join(map(str, exposures))})"
-    if seen := [str(k) for k in NOVEL_EXPOSURES if k in exposures and k in there]:
+    if seen := [str(k) for k in sorted(there) if part_of(k) == NOVEL and k in exposures]:
         messages.append(f"LDR-NE is not of novel exposures: training saw index {' and '.join(seen)} {given}.")
-    if unseen := [str(k) for k in OBSERVED_EXPOSURES if k in there and k not in exposures]:
+    if unseen := [str(k) for k in sorted(there) if part_of(k) == OBSERVED and k not in exposures]:
         messages.append(
             f"LDR-OE is not of observed exposures: training did not see index {' and '.join(unseen)} {given}."
         )

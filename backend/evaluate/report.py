@@ -6,6 +6,7 @@ import dataclasses
 import io
 import json
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from rich.text import Text
 
 from ...bridge.atomic import atomic_path
 from ...bridge.run_folder import EVALUATION_FILE, REPORT_FILE, SHEET_FILE
-from .results import NOVEL_EXPOSURES, OBSERVED_EXPOSURES, VIEWS_OF, Evaluation, Metrics, RelitMeans
+from .results import NOVEL, OBSERVED, OBSERVED_EXPOSURES, VIEWS_OF, Evaluation, Metrics, RelitMeans
 
 #: What an empty cell of a table shows: not computed.
 NONE = "–"
@@ -51,8 +52,8 @@ def to_dict(evaluation: Evaluation) -> dict[str, Any]:
             "mu": evaluation.mu,
             "hdr_normaliser": "maximum of the full-resolution true picture, for each view",
             "hdr_normaliser_range": _normaliser_range(evaluation),
-            "ldr_oe_exposure_indices": list(OBSERVED_EXPOSURES),
-            "ldr_ne_exposure_indices": list(NOVEL_EXPOSURES),
+            "ldr_oe_exposure_indices": evaluation.parts[OBSERVED],
+            "ldr_ne_exposure_indices": evaluation.parts[NOVEL],
             "eight_bit": evaluation.eight_bit,
         },
         "scale_ratio": evaluation.scale_ratio,
@@ -165,14 +166,25 @@ def _bits(evaluation: Evaluation) -> str:
     return "HDR pictures through 8 bit, others as their files have them"
 
 
+def _exposures_seen(evaluation: Evaluation) -> str:
+    """How training chose exposures, and of which where these are not the protocol's."""
+    mode, seen = f"exposure mode {evaluation.exposure_mode}", evaluation.training_exposures
+    if seen is None or seen == OBSERVED_EXPOSURES:
+        return mode
+    if len(seen) == 1:  # of one both modes are the same
+        return f"trained on one exposure a view, index {seen[0]}"
+    return f"{mode}, of exposure indices {_listed(seen)}"
+
+
 def conditions(evaluation: Evaluation) -> list[str]:
     """What must stand beside the numbers: split, exposure mode, normaliser, μ, scale ratio."""
     width, height = evaluation.resolution
     views = len({row.view for row in evaluation.ldr})
+    parts = evaluation.parts
     lines = [
-        f"split {evaluation.split}: {views} views at {width}×{height}; exposure mode "
-        f"{evaluation.exposure_mode}; {_bits(evaluation)}",
-        f"LDR-OE: exposure indices {_listed(OBSERVED_EXPOSURES)}; LDR-NE: {_listed(NOVEL_EXPOSURES)}; SSIM "
+        f"split {evaluation.split}: {views} views at {width}×{height}; {_exposures_seen(evaluation)}; "
+        f"{_bits(evaluation)}",
+        f"LDR-OE: exposure indices {_listed(parts[OBSERVED])}; LDR-NE: {_listed(parts[NOVEL])}; SSIM "
         "11×11, σ 1.5, zero-padded; LPIPS: AlexNet v0.1, inputs in −1…1; LPIPS 01: "
         "inputs in 0…1, as in the paper",
     ]
@@ -268,7 +280,7 @@ def _cell(value: float | None, digits: int) -> str:
     return NONE if value is None else f"{value:.{digits}f}"
 
 
-def _listed(indices: tuple[int, ...]) -> str:
+def _listed(indices: Sequence[int]) -> str:
     return ", ".join(str(index) for index in indices)
 
 

@@ -12,6 +12,7 @@ from .metrics import MU
 #: Exposure indices of the paper's two columns: those that training sees, and those between.
 OBSERVED_EXPOSURES = (0, 2, 4)
 NOVEL_EXPOSURES = (1, 3)
+OBSERVED, NOVEL = "LDR-OE", "LDR-NE"
 #: The views of a split that is evaluated, in words.
 VIEWS_OF = {TEST: "test views", VALIDATION: "validation views"}
 
@@ -94,7 +95,7 @@ class RelitRow:
 
 @dataclass(frozen=True)
 class ExposureMeans:
-    """All views at one exposure index. ``exposure``: median, seconds. ``part``: LDR-OE, LDR-NE or ""."""
+    """All views at one exposure index. ``exposure``: median, seconds. ``part``: LDR-OE or LDR-NE."""
 
     exposure_index: int
     exposure: float
@@ -196,23 +197,25 @@ class Evaluation:
     eight_bit: bool = True
     training_exposures: tuple[int, ...] | None = None
 
-    def ldr_mean(self, exposure_indices: tuple[int, ...]) -> Metrics | None:
-        """Mean over the views for each exposure, then over ``exposure_indices``; None if there are none."""
-        each = [
-            mean_metrics([row.metrics for row in self.ldr if row.exposure_index == k])
-            for k in exposure_indices
-        ]
-        return mean_metrics([metrics for metrics in each if metrics is not None])
+    def ldr_mean(self, part: str) -> Metrics | None:
+        """Mean over the views for each exposure, then over those of ``part``; None if there are none."""
+        return mean_metrics([each.metrics for each in self.exposures if each.part == part])
+
+    @property
+    def parts(self) -> dict[str, list[int]]:
+        """The exposure indices of the two columns: the paper's, and what longer brackets have beyond."""
+        there = {*OBSERVED_EXPOSURES, *NOVEL_EXPOSURES, *(row.exposure_index for row in self.ldr)}
+        return {part: sorted(k for k in there if part_of(k) == part) for part in (OBSERVED, NOVEL)}
 
     @property
     def ldr_oe(self) -> Metrics | None:
         """LDR at the exposures that training saw."""
-        return self.ldr_mean(OBSERVED_EXPOSURES)
+        return self.ldr_mean(OBSERVED)
 
     @property
     def ldr_ne(self) -> Metrics | None:
         """LDR at novel exposures."""
-        return self.ldr_mean(NOVEL_EXPOSURES)
+        return self.ldr_mean(NOVEL)
 
     @property
     def exposures(self) -> list[ExposureMeans]:
@@ -220,11 +223,10 @@ class Evaluation:
         means = []
         for k in sorted({row.exposure_index for row in self.ldr}):
             rows = [row for row in self.ldr if row.exposure_index == k]
-            part = "LDR-OE" if k in OBSERVED_EXPOSURES else "LDR-NE" if k in NOVEL_EXPOSURES else ""
             metrics = mean_metrics([row.metrics for row in rows])
             assert metrics is not None
             exposure = float(np.median([row.exposure for row in rows]))
-            means.append(ExposureMeans(k, exposure, part, len(rows), metrics))
+            means.append(ExposureMeans(k, exposure, part_of(k), len(rows), metrics))
         return means
 
     @property
@@ -235,15 +237,15 @@ class Evaluation:
         for row in self.ldr:
             by_pose.setdefault(row.index, []).append(row)
 
-        def over(rows: list[LdrRow], exposure_indices: tuple[int, ...]) -> Metrics | None:
-            return mean_metrics([row.metrics for row in rows if row.exposure_index in exposure_indices])
+        def over(rows: list[LdrRow], part: str) -> Metrics | None:
+            return mean_metrics([row.metrics for row in rows if part_of(row.exposure_index) == part])
 
         return [
             ViewMeans(
                 rows[0].view,
                 index,
-                over(rows, OBSERVED_EXPOSURES),
-                over(rows, NOVEL_EXPOSURES),
+                over(rows, OBSERVED),
+                over(rows, NOVEL),
                 hdr[index].metrics if index in hdr else None,
                 hdr[index].scale_ratio if index in hdr else None,
             )
@@ -281,6 +283,11 @@ class Evaluation:
             _mean([row.scaled_ours for row in rows]),
             _mean([row.best_scaled_truth for row in rows]),
         )
+
+
+def part_of(place: int) -> str:
+    """To which of the two columns an exposure belongs: in brackets of more than five they go on in turn."""
+    return NOVEL if place % 2 else OBSERVED
 
 
 def mean_metrics(rows: list[Metrics]) -> Metrics | None:

@@ -17,7 +17,7 @@ from .metrics import MU, display, hdr_pair, psnr, quantise, resize_to, ssim
 from .pictures import pairs
 from .renderer import Renderer
 from .residuals import RESIDUAL_GAIN, legend, residual
-from .results import NOVEL_EXPOSURES, OBSERVED_EXPOSURES, VIEWS_OF
+from .results import OBSERVED_EXPOSURES, VIEWS_OF, part_of
 
 #: What is shown as white in HDR pictures. The metrics keep the protocol's own normaliser, the maximum.
 WHITE_QUANTILE = 0.999
@@ -219,8 +219,7 @@ def _positions(view: View, exposure_indices: Sequence[int]) -> list[int]:
 
 
 def _part(view: View, k: int) -> str:
-    index = view.bracket[k]
-    return "LDR-OE" if index in OBSERVED_EXPOSURES else "LDR-NE" if index in NOVEL_EXPOSURES else "LDR"
+    return part_of(view.bracket[k])
 
 
 def _ldr(renderer: Renderer, view: View, k: int) -> Shown:

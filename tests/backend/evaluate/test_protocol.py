@@ -8,12 +8,15 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
+from typing import cast
 
 import numpy as np
 import pytest
 import torch
 from rich.console import Console
 
+from physhdr.backend.evaluate import protocol
+from physhdr.backend.evaluate.lpips import SMALLEST_SIDE, Lpips
 from physhdr.backend.evaluate.protocol import evaluate, lpips_from
 from physhdr.backend.evaluate.renderer import Renderer
 from physhdr.backend.evaluate.report import to_dict, to_markdown, to_terminal, write_report
@@ -322,6 +325,45 @@ def test_means_of_exposures_and_views() -> None:
     assert "| 3: 8 s | LDR-NE | 30.50 | 0.3000 | – | – |" in text
     assert "| r_1 | 21.00 | 21.00 | 33.00 | 0.2000 | 0.2000 | 0.9000 | 1.250 |" in text
     assert content["exposures"][4]["metrics"]["psnr"] == 40.5 and content["views"][0]["hdr"] is None
+
+
+def test_of_longer_brackets_no_exposure_is_left_out() -> None:
+    """Seven, as a camera takes them: 0, 2, 4, 6 and 1, 3, 5."""
+    rows = [LdrRow("r_0", 0, k, 2.0**k, Metrics(10.0 * k, 0.1 * k)) for k in range(7)]
+    result = Evaluation("s", "test", "exp3", (8, 8), rows, [], [], training_exposures=tuple(range(7)))
+    assert result.ldr_oe is not None and result.ldr_oe.psnr == pytest.approx(10.0 * (0 + 2 + 4 + 6) / 4)
+    assert result.ldr_ne is not None and result.ldr_ne.psnr == pytest.approx(10.0 * (1 + 3 + 5) / 3)
+    (view,) = result.views
+    assert (view.ldr_oe, view.ldr_ne) == (result.ldr_oe, result.ldr_ne)
+    assert "LDR-OE: exposure indices 0, 2, 4, 6; LDR-NE: 1, 3, 5;" in to_markdown(result)
+    assert to_dict(result)["conditions"]["ldr_ne_exposure_indices"] == [1, 3, 5]
+
+
+@pytest.mark.parametrize(
+    ("seen", "said"),
+    [
+        (None, "exposure mode exp3"),
+        ((0, 2, 4), "exposure mode exp3"),
+        ((0, 1, 2), "exposure mode exp3, of exposure indices 0, 1, 2"),
+        ((0,), "trained on one exposure a view, index 0"),
+    ],
+)
+def test_which_exposures_were_trained_on_is_told(seen, said: str) -> None:
+    rows = [LdrRow("r_0", 0, 0, 1.0, Metrics(10.0, 0.1))]
+    result = Evaluation("s", "test", "exp3", (8, 8), rows, [], [], training_exposures=seen)
+    assert f"; {said}; every picture through 8 bit" in to_markdown(result)
+
+
+def test_lpips_is_left_out_where_any_picture_is_too_small(data_set: Path, small: ModuleType) -> None:
+    """Not by the size of the first view alone, whose network fails at a smaller one after it."""
+    scene = read_scene(data_set)
+    first, second = scene.test
+    tiny = replace(second, camera=replace(second.camera, width=SMALLEST_SIDE - 1))
+    assert min(first.camera.width, first.camera.height) >= SMALLEST_SIDE
+    given = cast(Lpips, object())
+    for views, left_out in (([first, second], False), ([first, tiny], True), ([tiny, first], True)):
+        said = protocol._what_is_left_out(replace(scene, test=views), "test", given, False, [], [], "")
+        assert any(line.startswith("LPIPS left out: there are") for line in said) == left_out
 
 
 def test_a_bracket_is_rendered_at_once_where_the_method_can(data_set: Path, small: ModuleType) -> None:
