@@ -154,6 +154,7 @@ def test_parts_share_the_poses_and_the_last_step_has_nothing_to_render(tmp_path,
 
 
 def test_an_unsaved_scene_cannot_be_shared():
+    workers.bpy.ops.wm.read_factory_settings(use_empty=True)  # another test may have left a file open
     with pytest.raises(OptionError, match="save the file first"), workers.helping(1, [], "current"):
         pass
 
