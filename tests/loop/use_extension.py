@@ -58,6 +58,7 @@ def main() -> None:
 
     run = options.out / "run"
     bpy.context.scene.physhdr.data = str(options.data)
+    session.wait(lambda state: bool(state.dataset.lines), 60.0)
     seen["dataset"] = list(session.state.dataset.lines)
     bpy.context.scene.physhdr.out = str(run)
     seen["missing_data"] = attempt(lambda: ops.train_start(data="/no/such/folder"))
