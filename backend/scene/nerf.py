@@ -55,6 +55,7 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
         test=_by_number(scene.test),
         validation=_by_number(scene.validation),
         layout=NAME,
+        of_renders=True,
         messages=(f"split as {', '.join(told)} say", *scene.messages[1:]),
     )
 

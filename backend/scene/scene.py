@@ -213,7 +213,7 @@ class Scene:
     ``info``: ``dataset.json`` as read, or ``{}``. ``layout``: the name of the layout on disk. ``messages``:
     what the reader decided, in sentences (split, size, where exposures are from), for people to read.
     ``validation``: views that choices are made on, at poses of their own, never trained from; only our own
-    layout and ``transforms.json`` have any.
+    layout, NeRF's and ``transforms.json`` have any. ``of_renders``: whether the layout is one of renders.
     """
 
     root: Path
@@ -228,6 +228,7 @@ class Scene:
     layout: str = ""
     messages: tuple[str, ...] = ()
     validation: list[View] = field(default_factory=list)
+    of_renders: bool = False
 
     @property
     def splits(self) -> dict[str, list[View]]:
@@ -243,8 +244,9 @@ class Scene:
     def photographs(self) -> bool:
         """Whether the pictures were taken by real cameras, which have faults that renders have not.
 
-        So are those that ``physhdr prepare`` made a data set of. Others are, unless they say that we rendered
-        them, or name a known point of the camera's response, which only renders can.
+        So are those that ``physhdr prepare`` made a data set of. Others are, unless their layout is one of
+        renders, they say that we rendered them, or name a known point of the camera's response, which only
+        renders can.
         """
         prepared = self.root / data_set.CAPTURE_FILE
         if prepared.is_file():
@@ -253,7 +255,7 @@ class Scene:
                 return True
         generator = self.info.get("generator")
         rendered = isinstance(generator, dict) and generator.get("name") == data_set.MAKER
-        return not rendered and self.response_anchor is None
+        return not (rendered or self.of_renders) and self.response_anchor is None
 
     def find(self, split: str, index: int) -> View:
         """The view of pose ``index`` in ``split``; raises ``BadValueError`` naming those there are."""

@@ -76,6 +76,10 @@ def test_without_test_views_those_of_validation_are_the_test(lego: Path) -> None
     assert [view.name for view in scene.test] == ["val/r_5"] and scene.validation == []
 
 
+def test_they_are_renders_whose_camera_has_no_faults(lego: Path) -> None:
+    assert not read_scene(lego).photographs
+
+
 def test_inspect_finds_no_fault(lego: Path) -> None:
     found = inspect(lego)
     assert found.errors == [] and found.layout == "NeRF-Synthetic"
