@@ -380,20 +380,28 @@ def _cell(each: Column, runs: list[ComparedRun]) -> Cell:
 
 def _different_pictures(runs: list[ComparedRun]) -> list[str]:
     """A line for each scene whose evaluations, as far as they say, are not of the same pictures."""
-    seen: dict[tuple[str, str], dict[str, list[str]]] = {}
+    sizes: dict[tuple[str, str], dict[str, list[str]]] = {}
+    views: dict[tuple[str, str], dict[frozenset[str], list[str]]] = {}
     for run in runs:
-        conditions = run.evaluation.get("conditions", {})
+        conditions, scene = run.evaluation.get("conditions", {}), (run.data_set, run.scene)
         match conditions:
             case {"resolution": [width, height]}:
                 pictures = f"{conditions.get('split', 'test')} at {width}×{height}"
-                methods = seen.setdefault((run.data_set, run.scene), {}).setdefault(pictures, [])
-                methods += [run.method] if run.method not in methods else []
-    return [
-        f"NOT COMPARABLE, not ranked: {scene} is evaluated on "
-        + ", on ".join(f"{pictures} ({', '.join(methods)})" for pictures, methods in found.items())
-        for (_, scene), found in seen.items()
-        if len(found) > 1
-    ]
+                sizes.setdefault(scene, {}).setdefault(pictures, []).append(run.method)
+        match run.evaluation.get("views"):
+            case [{"view": _}, *_] as told:
+                names = frozenset(str(row.get("view")) for row in told if isinstance(row, dict))
+                views.setdefault(scene, {}).setdefault(names, []).append(run.method)
+    differences = []
+    for scene in dict.fromkeys((*sizes, *views)):
+        which, many = sizes.get(scene, {}), views.get(scene, {})
+        said = list(which.items())
+        if len(said) < 2:  # of one size, but a run may have a split of its own
+            said = [(f"{len(names)} views of its own", methods) for names, methods in many.items()]
+        if len(said) > 1:
+            each = (f"{pictures} ({', '.join(dict.fromkeys(methods))})" for pictures, methods in said)
+            differences.append(f"NOT COMPARABLE, not ranked: {scene[1]} is evaluated on {', on '.join(each)}")
+    return differences
 
 
 def _ranked(columns: list[Column], rows: list[Row], comparable: bool) -> list[Row]:

@@ -110,6 +110,21 @@ def test_a_method_that_lacks_seeds_is_not_ranked() -> None:
     )
 
 
+def test_nor_are_those_of_other_views() -> None:
+    """Runs of one data set may have splits of their own, where photographs were added between them."""
+
+    def of(method: str, *names: str) -> ComparedRun:
+        found = entry(method, psnr=30.0 + len(names), conditions={"resolution": [400, 300]})
+        return replace(found, evaluation=found.evaluation | {"views": [{"view": name} for name in names]})
+
+    table = comparison_table([of("a", "1", "2"), of("b", "1", "3"), of("c", "2", "1")])
+    assert not any(cell.rank for cell in cells(table, "LDR-OE.psnr").values())
+    note = "room is evaluated on 2 views of its own (a, c), on 2 views of its own (b)"
+    assert f"NOT COMPARABLE, not ranked: {note}" in table.notes
+    table = comparison_table([of("a", "1", "2"), replace(of("b"), evaluation=entry("b").evaluation)])
+    assert not any("NOT COMPARABLE" in note for note in table.notes)
+
+
 def test_the_papers_numbers_lack_no_seeds() -> None:
     ours = [entry(m, "box", seed, data_set="HDR-NeRF-Real") for m in ("a", "b") for seed in (0, 1)]
     table = comparison_table(ours)
