@@ -15,7 +15,7 @@ import bpy
 from mathutils import Vector
 
 from ..bridge.lights import AMBIENT
-from . import left_out, plan, rig, user_camera, user_light
+from . import left_out, plan, rig, scripts, user_camera, user_light
 from .blender import camera_of, cycles, evaluated
 from .errors import SceneError, SceneFileError
 from .fingerprint import fingerprint
@@ -253,7 +253,7 @@ def _tell_what_is_missing(scene: bpy.types.Scene, report: Report) -> None:
                 lost.append(image.name)
     if lost:
         report.warn(f"missing files (File > External Data): {', '.join(sorted(set(lost)))}")
-    if bpy.app.autoexec_fail:
+    if scripts.was_refused():
         report.warn(
             "Python in this file was not run, for nobody allowed it (Trusted Source on opening it, -y, or "
             "Preferences > Save & Load > Auto Run Python Scripts): what its drivers steer may look otherwise"

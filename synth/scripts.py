@@ -18,6 +18,8 @@ def may_run() -> bool:
     Blender tells nobody: the preferences are not what was allowed for this file, and that nothing was refused
     yet (``bpy.app.autoexec_fail``) is no permission. So a driver of our own asks, in a scene that is nowhere.
     """
+    if was_refused():
+        return False
     answers: list[bool] = []
     bpy.app.driver_namespace[_NAME] = lambda: answers.append(True) or 0.0
     scene = bpy.data.scenes.new(_NAME)
@@ -31,6 +33,11 @@ def may_run() -> bool:
         bpy.data.scenes.remove(scene)
         del bpy.app.driver_namespace[_NAME]
     return bool(answers)
+
+
+def was_refused() -> bool:
+    """Whether Python of the file that is open was refused, other than our own question."""
+    return bpy.app.autoexec_fail and _QUESTION not in bpy.app.autoexec_fail_message
 
 
 def switch() -> str:

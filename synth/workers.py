@@ -41,7 +41,7 @@ def helping(count: int, arguments: Sequence[str], from_file: str | None) -> Iter
     """
     if count and from_file == CURRENT and (not bpy.data.filepath or bpy.data.is_dirty):
         raise OptionError("--workers: save the file first, the other processes must open it")
-    command = _command(from_file)
+    command = _command(from_file) if count else []
     started = [
         subprocess.Popen(
             [*command, *arguments, "--worker-of", str(os.getpid())],

@@ -493,6 +493,11 @@ def test_whether_python_may_run_is_asked_without_a_trace(scripted):
     # Nothing that is scripted: nothing was refused, and all the same nothing is allowed.
     bpy.ops.wm.read_factory_settings(use_empty=True)
     assert not bpy.app.autoexec_fail and not scripts.may_run()
+    assert not scripts.was_refused()  # but our own question, of which nobody is warned
+    scripted(False)
+    for _ in range(2):
+        bpy.context.view_layer.update()
+        assert scripts.was_refused() and not scripts.may_run()
 
 
 def test_blender_is_told_in_words_what_it_may_run(scripted):
