@@ -1,7 +1,19 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""COLMAP's camera models (its ``src/colmap/sensor/models.h``): what the numbers of a camera are."""
+"""COLMAP's camera models (its ``src/colmap/sensor/models.h``): what the numbers of a camera are; and which of
+the sparse models in a data set's folder is read.
+"""
 
+import struct
+from pathlib import Path
 from typing import NamedTuple
+
+from .errors import PhysHDRError
+from .regular import read_text, regular_file
+
+#: At the beginning of ``images.bin``: how many pictures; and what each takes at least.
+_COUNT, _IMAGE = struct.Struct("<Q"), struct.Struct("<i7di")
+#: Bytes of ``images.txt`` that are looked at; that of ten thousand pictures has some 1e9.
+_LARGEST = 1 << 34
 
 
 class CameraModel(NamedTuple):
@@ -40,3 +52,52 @@ MODELS = dict(
 )
 #: By the names that text files have.
 BY_NAME = {model.name: model for model in MODELS.values()}
+
+
+def find_model(root: Path) -> Path | None:
+    """The folder of COLMAP's files: of ``sparse/0``, ``sparse/1`` … that with the most pictures; or None.
+
+    COLMAP makes a model of each part of the pictures that hangs together, in any order. Without any it is
+    ``sparse`` itself, as ``image_undistorter`` has it.
+    """
+    found = models_in(root / "sparse")
+    if len(found) < 2:
+        return next(iter(found), None)
+    return max(found, key=picture_count)  # the first of equals
+
+
+def models_in(sparse: Path) -> list[Path]:
+    """The models in a folder by their numbers, or the folder itself where it is one and holds none."""
+    try:
+        numbers = sorted((int(path.name), path) for path in sparse.iterdir() if path.name.isdecimal())
+    except OSError:
+        return []
+    found = [path for _, path in numbers if _is_model(path)]
+    return found or [sparse] * _is_model(sparse)
+
+
+def _is_model(folder: Path) -> bool:
+    return any((folder / f"images.{kind}").exists() for kind in ("bin", "txt"))
+
+
+def picture_count(model: Path) -> int:
+    """How many pictures a model says that it has; 0 where it is damaged, which its reader then says."""
+    path = model / "images.bin"
+    try:
+        if not path.exists():
+            return _count_in_text(model / "images.txt")
+        with open(regular_file(path), "rb") as file:
+            (count,) = _COUNT.unpack(file.read(_COUNT.size))
+        return min(count, path.stat().st_size // _IMAGE.size)
+    except (PhysHDRError, OSError, struct.error):
+        return 0
+
+
+def _count_in_text(path: Path) -> int:
+    told = (line for line in read_text(path, "", _LARGEST).split("\n") if not line.lstrip().startswith("#"))
+    count = 0
+    for line in told:
+        if line.strip():
+            next(told, None)  # its observations, of which there may be none
+            count += 1
+    return count

@@ -17,11 +17,22 @@ import numpy as np
 
 from ...bridge import data_set
 from ...bridge.axes import camera_to_world_from_llff
+from ...bridge.colmap import find_model
 from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
 from ...bridge.limits import FOCAL_LENGTH, LARGEST_SIDE, PRINCIPAL_POINT, check_position, is_number
 from ...bridge.regular import damaged_where_it_fails, read_json_object
-from .captures import LOOKED_FOR, NERFSTUDIO_FILE, REAL_FILE, SUFFIXES, frames_of, real_rows, split_of
-from .colmap_file import COPY_AGAIN, Placed, model_folder, pose_of, read_lenses, read_placed
+from .captures import (
+    LOOKED_FOR,
+    NERF_FILE,
+    NERFSTUDIO_FILE,
+    REAL_FILE,
+    SUFFIXES,
+    frames_of,
+    nerf_files,
+    real_rows,
+    split_of,
+)
+from .colmap_file import COPY_AGAIN, Placed, pose_of, read_lenses, read_placed
 from .picture_size import picture_size
 
 #: Where nothing says what a view is for: the trainer then chooses.
@@ -96,18 +107,20 @@ def read_frames(root: Path) -> Frames:
     Raises ``FileMissingError`` where the folder has no layout that is known, or no camera; and
     ``FileDamagedError`` or ``BadValueError``, each with the file.
     """
-    model = model_folder(root)
-    if (root / data_set.transforms_file(data_set.TRAIN)).exists():
+    model = find_model(root)
+    if data_set.is_layout(root):
         found = Frames(tuple(_of_ours(root)))
     elif (root / REAL_FILE).exists() and model is None:
         found = Frames(tuple(_of_real(root)))
     elif model is not None:
         found = _of_colmap(root, model)
+    elif (root / NERF_FILE).exists():
+        found = _of_nerf(root)
     elif (root / NERFSTUDIO_FILE).exists():
         found = _of_nerfstudio(root)
     else:
         raise FileMissingError(
-            f"{root} is no data set: there is no {data_set.transforms_file(data_set.TRAIN)}, no {LOOKED_FOR}",
+            f"{root} is no data set: there is no {NERF_FILE}, no {LOOKED_FOR}",
             "Choose the folder that the model was trained from.",
         )
     if not found.frames:
@@ -134,14 +147,33 @@ def _of_ours(root: Path) -> Iterator[Frame]:
             yield _frame(path, stem, split, {"w": size[0], "h": size[1], **content, **entry})
 
 
-# ---- transforms.json of nerfstudio and instant-ngp ---------------------------------------------------------
+# ---- transforms.json of nerfstudio and instant-ngp, and NeRF's synthetic scenes ----------------------------
 
 
 def _of_nerfstudio(root: Path) -> Frames:
     path = root / NERFSTUDIO_FILE
     content = read_json_object(path, COPY_AGAIN)
-    entries = frames_of(path, content)
     splits = _stated_splits(content)
+    found = _listed_in(root, path, content, splits)
+    return found if splits else Frames(tuple(_split_by_name(found.frames)), found.notes)
+
+
+def _of_nerf(root: Path) -> Frames:
+    """A file for each split, as ``transforms.json`` is."""
+    every = []
+    for split, path in nerf_files(root).items():
+        content = read_json_object(path, COPY_AGAIN)
+        names = (str(entry.get("file_path", "")) for entry in frames_of(path, content))
+        every.append(_listed_in(root, path, content, {data_set.plain_name(name): split for name in names}))
+    return Frames(
+        tuple(frame for part in every for frame in part.frames),
+        tuple(note for part in every for note in part.notes),
+    )
+
+
+def _listed_in(root: Path, path: Path, content: dict[str, Any], splits: dict[str, str]) -> Frames:
+    """The cameras of one file. ``splits``: of pictures, by name; the others are for the trainer to split."""
+    entries = frames_of(path, content)
     frames, bent, sizeless = [], 0, 0
     for entry in entries:
         name = data_set.plain_name(str(entry.get("file_path", "")))
@@ -162,8 +194,6 @@ def _of_nerfstudio(root: Path) -> Frames:
         bent += any(not is_number(value) or abs(value) > _NO_DISTORTION for value in values)
         split = splits.get(name, VIEWS)
         frames.append(_frame(path, _without_suffix(name), split, given))
-    if not splits:
-        frames = _split_by_name(frames)
     return Frames(tuple(frames), (*_of_bent(bent, len(entries)), *_of_sizeless(sizeless)))
 
 

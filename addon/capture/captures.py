@@ -16,19 +16,23 @@ from typing import Any
 import numpy as np
 
 from ...bridge import data_set
+from ...bridge.colmap import find_model
 from ...bridge.errors import FileDamagedError, FileMissingError, PhysHDRError
 from ...bridge.limits import EXPOSURE, is_number
 from ...bridge.regular import damaged_where_it_fails, read_json_object, read_text, regular_file
-from .colmap_file import COPY_AGAIN, model_folder, pose_of, read_placed
+from .colmap_file import COPY_AGAIN, pose_of, read_placed
 
 #: What gives each layout away, and what ``physhdr prepare`` leaves beside the second.
 REAL_FILE, NERFSTUDIO_FILE, PICTURES = "poses_bounds_exps.npy", "transforms.json", "images"
 LOOKED_FOR = f"{NERFSTUDIO_FILE}, no {REAL_FILE}, no {PICTURES}/ with COLMAP's sparse/0"
 REAL_PICTURES = "input_images"
+#: Of our layout, and where nothing tells of exposures (``data_set.is_layout``) of NeRF's synthetic scenes.
+NERF_FILE = data_set.transforms_file(data_set.TRAIN)
 #: Numbers of a row of LLFF's poses: 3 × 5, two bounds, and HDR-NeRF's exposure.
 COLUMNS = 18
 #: What a frame's ``file_path`` may lack.
 SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".JPG", ".PNG")
+NERF = "NeRF's synthetic scenes"
 _COUNT = struct.Struct("<Q")
 
 
@@ -39,6 +43,7 @@ class Capture:
     ``poses``: a name and ``[3]`` float64, the camera's place, for each that was placed. ``pictures``: the
     exposure of each picture, seconds; where nothing states it (EXIF may, which only the trainer reads) None.
     ``missing``: pictures that are named and not there. ``points``: of structure from motion, if any.
+    ``stated``: poses of each split, where a file of its own lists them.
     """
 
     layout: str
@@ -47,10 +52,13 @@ class Capture:
     missing: tuple[str, ...] = ()
     points: int | None = None
     prepared: bool = False
+    stated: dict[str, int] | None = None
 
     @property
     def splits(self) -> dict[str, int] | None:
-        """Poses for training and for testing, where all names say so; else the trainer chooses."""
+        """Poses of each split, where files or all names say so; else the trainer chooses."""
+        if self.stated is not None:
+            return self.stated
         named = [split_of(name) for name in self.poses]
         if any(split is None for split in named):
             return None
@@ -64,11 +72,13 @@ class Capture:
 
 def read_capture(folder: Path) -> Capture | None:
     """The capture in a folder; None where it has none of the layouts. Raises the errors of ``bridge``."""
-    model = model_folder(folder)
+    model = find_model(folder)
     if (folder / REAL_FILE).exists():
         return _of_real(folder, model)
     if model is not None and (folder / PICTURES).is_dir():
         return _of_colmap(folder, model)
+    if (folder / NERF_FILE).exists():
+        return _of_nerf(folder)
     return _of_nerfstudio(folder) if (folder / NERFSTUDIO_FILE).exists() else None
 
 
@@ -77,7 +87,7 @@ def camera_places(folder: Path) -> np.ndarray:
 
     Raises ``FileMissingError`` where the folder has no cameras, and what reading them raises.
     """
-    if (folder / data_set.transforms_file(data_set.TRAIN)).exists():
+    if (folder / NERF_FILE).exists() and (data_set.is_layout(folder) or find_model(folder) is None):
         frames = [
             entry
             for split in (data_set.TRAIN, data_set.TEST)
@@ -135,11 +145,35 @@ def _point_count(model: Path) -> int | None:
     return sum(1 for line in lines if line and not line.startswith("#"))
 
 
-# ---- transforms.json of nerfstudio and instant-ngp ---------------------------------------------------------
+# ---- transforms.json of nerfstudio and instant-ngp, and NeRF's synthetic scenes ----------------------------
 
 
 def _of_nerfstudio(root: Path) -> Capture:
-    path = root / NERFSTUDIO_FILE
+    return _listed_in(root, root / NERFSTUDIO_FILE, "transforms.json")
+
+
+def _of_nerf(root: Path) -> Capture:
+    """A file for each split, as ``transforms.json`` is: test views, or where there are none validation's."""
+    parts = {split: _listed_in(root, path, NERF) for split, path in nerf_files(root).items()}
+    return Capture(
+        NERF,
+        {name: place for part in parts.values() for name, place in part.poses.items()},
+        {file: seconds for part in parts.values() for file, seconds in part.pictures.items()},
+        tuple(name for part in parts.values() for name in part.missing),
+        stated={data_set.TEST: 0} | {split: len(part.poses) for split, part in parts.items()},
+    )
+
+
+def nerf_files(root: Path) -> dict[str, Path]:
+    """The files of NeRF's synthetic scenes that are there, by the split that the trainer makes of them."""
+    every = (data_set.TRAIN, data_set.TEST, data_set.VALIDATION)
+    there = {split: path for split in every if (path := root / data_set.transforms_file(split)).exists()}
+    if data_set.TEST not in there and data_set.VALIDATION in there:
+        there[data_set.TEST] = there.pop(data_set.VALIDATION)
+    return there
+
+
+def _listed_in(root: Path, path: Path, layout: str) -> Capture:
     poses, pictures, missing = {}, {}, []
     for entry in frames_of(path, read_json_object(path, COPY_AGAIN)):
         name = data_set.plain_name(str(entry.get("file_path", "")))
@@ -149,7 +183,7 @@ def _of_nerfstudio(root: Path) -> Capture:
             continue
         poses[name] = _place(path, entry)
         pictures[file] = _known(entry.get("exposure_time"))
-    return Capture("transforms.json", poses, pictures, tuple(missing))
+    return Capture(layout, poses, pictures, tuple(missing))
 
 
 def frames_of(path: Path, content: dict[str, Any]) -> list[dict[str, Any]]:

@@ -58,14 +58,6 @@ class Placed:
         return self.camera_to_world[:3, 3]
 
 
-def model_folder(root: Path) -> Path | None:
-    """``sparse/0``, or ``sparse`` as COLMAP's undistorter has it; None where there is neither."""
-    for folder in (root / "sparse" / "0", root / "sparse"):
-        if any((folder / f"images.{kind}").exists() for kind in ("bin", "txt")):
-            return folder
-    return None
-
-
 def pose_of(name: str) -> str:
     """The pose of a bracket's picture: ``train_03_2.jpg`` → ``train_03``."""
     return re.sub(r"_\d+$", "", Path(name).stem)

@@ -18,7 +18,7 @@ from ...bridge.errors import FileDamagedError, FileMissingError, PhysHDRError
 from ...bridge.lights import AMBIENT
 from ...bridge.limits import LEVEL, is_number
 from ...bridge.regular import read_json_object, regular_file
-from ..capture.captures import LOOKED_FOR, Capture, read_capture
+from ..capture.captures import LOOKED_FOR, NERF, Capture, read_capture
 from ..capture.picture_size import PNG_SIGNATURE, picture_size
 
 #: Of a number of points.
@@ -34,6 +34,8 @@ MOST_NAMED = 8
 
 MAKE_AGAIN = "Render the data set again into the same folder: only what is missing is made."
 TRAINING = data_set.transforms_file(data_set.TRAIN)
+#: Captures of which the trainer leaves out what has no picture.
+LEAVE_OUT = ("transforms.json", NERF)
 CHOOSE = "Choose a data set's folder, prepare photos, or render a data set from this scene."
 #: In ``views``: poses of which the trainer chooses some for testing.
 ALL = "all"
@@ -135,7 +137,7 @@ def summarise(folder: Path | str) -> DatasetSummary:
         what = "is a file" if folder.exists() else "does not exist"
         raise FileMissingError(f"The data set folder {folder} {what}", CHOOSE)
     unfinished = data_set.is_unfinished(folder)
-    if not (folder / TRAINING).exists():
+    if not data_set.is_layout(folder):
         if unfinished:
             raise FileMissingError(f"The data set in {folder} has only just been begun", MAKE_AGAIN)
         capture = read_capture(folder)
@@ -192,7 +194,7 @@ def _of_capture(folder: Path, capture: Capture) -> DatasetSummary:
     info = data_set.read_info(folder, MAKE_AGAIN)
     warnings: list[str] = []
     if capture.missing:
-        kept = "; they are left out" if capture.layout == "transforms.json" else ""
+        kept = "; they are left out" if capture.layout in LEAVE_OUT else ""
         warnings.append(
             f"Pictures are missing ({len(capture.missing)}): {_some(list(capture.missing))}{kept}."
         )

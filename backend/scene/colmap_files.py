@@ -17,8 +17,8 @@ import numpy as np
 from ...bridge.affine import matrices_of, quaternions_of
 from ...bridge.atomic import atomic_path
 from ...bridge.axes import camera_to_world_opengl
-from ...bridge.colmap import BY_NAME, MODELS
-from ...bridge.errors import DataMismatchError, FileDamagedError, PhysHDRError
+from ...bridge.colmap import BY_NAME, MODELS, models_in, picture_count
+from ...bridge.errors import DataMismatchError, FileDamagedError
 from ...bridge.limits import FOCAL_LENGTH, LARGEST_SIDE, PRINCIPAL_POINT, check_position
 from ...bridge.regular import read_bytes, read_text, regular_file
 from .camera import Camera
@@ -74,65 +74,19 @@ class SparseModel:
         return self.cameras[image.camera]
 
 
-def find_model(root: Path) -> Path | None:
-    """The folder of COLMAP's files: of ``sparse/0``, ``sparse/1`` … that with the most pictures; or None.
-
-    COLMAP makes a model of each part of the pictures that hangs together, in any order. Without any it is
-    ``sparse`` itself, as ``image_undistorter`` has it.
-    """
-    found = _models(root / "sparse")
-    if len(found) < 2:
-        return next(iter(found), None)
-    return max(found, key=_count_of_pictures)  # the first of equals
-
-
 def other_models_in_words(model: Path) -> tuple[str, ...]:
     """What is said of the models beside the one that is read; () without any."""
-    others = [folder for folder in _models(model.parent) if folder != model] if model.name.isdecimal() else []
+    others = (
+        [folder for folder in models_in(model.parent) if folder != model] if model.name.isdecimal() else []
+    )
     if not others:
         return ()
     name = model.parent.name
-    told = ", ".join(f"{name}/{folder.name} of {_count_of_pictures(folder)}" for folder in others)
+    told = ", ".join(f"{name}/{folder.name} of {picture_count(folder)}" for folder in others)
     return (
-        f"{name}/{model.name}, which has the most pictures ({_count_of_pictures(model)}), is used, and not "
+        f"{name}/{model.name}, which has the most pictures ({picture_count(model)}), is used, and not "
         f"{told}: models of other parts of the pictures, which COLMAP could not put together",
     )
-
-
-def _models(sparse: Path) -> list[Path]:
-    """The models in a folder by their numbers, or the folder itself where it is one and holds none."""
-    try:
-        numbers = sorted((int(path.name), path) for path in sparse.iterdir() if path.name.isdecimal())
-    except OSError:
-        return []
-    found = [path for _, path in numbers if _is_model(path)]
-    return found or [sparse] * _is_model(sparse)
-
-
-def _is_model(folder: Path) -> bool:
-    return any((folder / f"images.{kind}").exists() for kind in ("bin", "txt"))
-
-
-def _count_of_pictures(folder: Path) -> int:
-    """How many pictures a model says that it has; 0 where it is damaged, which its reader then says."""
-    path = folder / "images.bin"
-    try:
-        if not path.exists():
-            return _count_in_text(folder / "images.txt")
-        with open(regular_file(path, RUN_AGAIN), "rb") as file:
-            (count,) = _COUNT.unpack(file.read(_COUNT.size))
-        return min(count, path.stat().st_size // _IMAGE.size)
-    except (PhysHDRError, OSError, struct.error):
-        return 0
-
-
-def _count_in_text(path: Path) -> int:
-    lines, count = iter(_lines(path)), 0
-    for _, line in lines:
-        if line:
-            next(lines, None)  # its observations, of which there may be none
-            count += 1
-    return count
 
 
 def read_model(folder: Path) -> SparseModel:

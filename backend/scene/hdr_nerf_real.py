@@ -13,13 +13,14 @@ from pathlib import Path
 import numpy as np
 
 from ...bridge.axes import camera_to_world_from_llff
+from ...bridge.colmap import find_model
 from ...bridge.data_set import scene_name
 from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError, FileMissingError
 from ...bridge.limits import EXPOSURE, FOCAL_LENGTH, LARGEST_SIDE, check_position
 from ...bridge.regular import damaged_where_it_fails, regular_file
 from .camera import Camera
 from .checks import is_rotation
-from .colmap_files import find_model, other_models_in_words, read_model
+from .colmap_files import other_models_in_words, read_model
 from .info import read_anchor, read_info
 from .poses import PictureFile, Pose, Views, bracket_name, check_numbers, fitted, missing_in_words, one_size
 from .resize import Reduction

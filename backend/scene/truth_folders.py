@@ -10,7 +10,7 @@ import re
 from pathlib import Path
 
 from ...bridge import data_set
-from .colmap_files import find_model
+from ...bridge.colmap import find_model
 
 #: GaussHDR's packaging; HDR-GS's, which has all poses in one folder.
 GAUSSHDR, HDR_GS = "images_hdr", "exr"

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from physhdr.addon.capture.camera_file import read_frames
 from physhdr.addon.capture.captures import camera_places, read_capture
 from physhdr.addon.dataset.dataset_summary import summarise
 from physhdr.bridge.errors import FileDamagedError, FileMissingError, PhysHDRError
@@ -135,6 +136,52 @@ def test_a_folder_of_colmap(tmp_path, binary):
     theirs = pycolmap.Reconstruction(str(tmp_path / "sparse" / "0"))
     by_name = {image.name: image.projection_center() for image in theirs.images.values()}
     np.testing.assert_allclose(camera_places(tmp_path), [by_name[name] for name in names], atol=1e-12)
+
+
+def test_of_several_models_the_largest_counts_as_for_the_trainer(tmp_path):
+    (tmp_path / "images").mkdir()
+    for k in range(4):
+        (tmp_path / f"images/view{k}.jpg").write_bytes(jpeg_head(60, 40))
+    sparse(tmp_path, ["view0.jpg", "view1.jpg"], binary=True)
+    (tmp_path / "sparse/0").rename(tmp_path / "sparse/7")
+    sparse(tmp_path, [f"view{k}.jpg" for k in range(4)], binary=False)
+    (tmp_path / "sparse/0").rename(tmp_path / "sparse/11")
+    assert summarise(tmp_path).views == {"all": 4}
+    assert [frame.name for frame in read_frames(tmp_path).frames] == [f"view{k}" for k in range(4)]
+
+
+@pytest.fixture
+def lego(tmp_path):
+    """NeRF's synthetic scenes: a file a split, names without a suffix, and one picture that is missing."""
+    for split, places in (("train", PLACES[:2]), ("test", PLACES[2:3]), ("val", PLACES[3:])):
+        (tmp_path / split).mkdir()
+        frames = []
+        for index, place in enumerate(places):
+            pose = np.eye(4)
+            pose[:3, :3], pose[:3, 3] = rotation(index)[1], place
+            frames.append({"file_path": f"./{split}/r_{index}", "transform_matrix": pose.tolist()})
+            (tmp_path / split / f"r_{index}.png").write_bytes(png(8, 6))
+        content = {"camera_angle_x": 0.9, "frames": frames}
+        (tmp_path / f"transforms_{split}.json").write_text(json.dumps(content))
+    return tmp_path
+
+
+def test_nerfs_synthetic_scenes(lego):
+    (lego / "transforms.json").write_text('{"frames": []}')  # the trainer does not look at it either
+    found = summarise(lego)
+    assert found.lines == [f"{lego.name}: 2 training views, 1 test, 1 validation, 8 × 6"]
+    assert not found.warnings
+    np.testing.assert_array_equal(camera_places(lego), PLACES[:3])
+    cameras = read_frames(lego).frames
+    assert [camera.split for camera in cameras] == ["train", "train", "test", "val"]
+    expected = 0.5 * 8 / math.tan(0.45)
+    for camera, place in zip(cameras, PLACES, strict=True):
+        assert camera.fx == pytest.approx(expected)
+        np.testing.assert_allclose(camera.camera_to_world[:3, 3], place)
+    (lego / "transforms_test.json").unlink()
+    assert summarise(lego).views == {"train": 2, "test": 1}, "validation's, as the trainer has it"
+    (lego / "train/r_1.png").unlink()
+    assert "Pictures are missing (1): train/r_1; they are left out." in summarise(lego).warnings
 
 
 def test_a_transforms_file_with_frames_that_have_no_picture(transforms):
