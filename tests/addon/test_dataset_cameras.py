@@ -76,6 +76,8 @@ def of_ours(data: Path, angle: float = 0.9) -> dict[str, np.ndarray]:
         ]
         content = {"camera_angle_x": angle, "frames": frames}
         (data / f"transforms_{split}.json").write_text(json.dumps(content))
+        exposures = {f"./{name}_0.png": 1.0 for name in names}
+        (data / f"exposure_{split}.json").write_text(json.dumps(exposures))
         for name in names:
             png(data / f"{name}_0.png", WIDTH, HEIGHT)
         expected |= dict(zip(names, matrices, strict=True))
