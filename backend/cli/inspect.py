@@ -31,7 +31,7 @@ from ..scene.hdr_nerf_syn import OURS
 NONE = "–"
 #: So many poses are listed one by one.
 FEW = 6
-USES = {"OE": "training (OE)", "NE": "evaluation (NE)", "unused": "not used"}
+USES = {"OE": "training (OE)", "NE": "evaluation (NE)"}
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Any
 from ...bridge.contents import lost_at_the_ends
 from ...bridge.data_set import TEST, TRAIN
 from ...bridge.limits import is_number
-from ..evaluate.results import NOVEL_EXPOSURES, OBSERVED_EXPOSURES
+from ..evaluate.results import OBSERVED, part_of
 
 
 @dataclass
@@ -128,11 +128,11 @@ def floor_in_words(floor: Mapping[str, Any]) -> str:
 
 
 def tell_exposures(
-    found: Inspection, brackets: dict[str, list[dict[int, float]]], photographs: bool = False
+    found: Inspection, brackets: dict[str, list[dict[int, float]]], sees_all: bool = False
 ) -> None:
     """The exposures by their place in the bracket, and how training may use them.
 
-    ``brackets``: of each split, one a view, place → seconds. ``photographs``: training sees all of them.
+    ``brackets``: of each split, one a view, place → seconds. ``sees_all``: training does.
     """
     every = [bracket for views in brackets.values() for bracket in views]
     places: dict[int, float] = {}
@@ -149,9 +149,9 @@ def tell_exposures(
         )
     elif differ:
         found.warnings.append("the exposures differ from view to view: the first view's are shown")
-    observed = tuple(places) if photographs else OBSERVED_EXPOSURES
+    observed = {k for k in places if sees_all or part_of(k) == OBSERVED}
     for k, seconds in sorted(places.items()):
-        use = "OE" if k in observed else "NE" if k in NOVEL_EXPOSURES else "unused"
+        use = "OE" if k in observed else "NE"
         found.exposures.append(Exposure(seconds, round(math.log2(seconds), 4), use, place=k))
     trained = {k for bracket in brackets.get(TRAIN, []) for k in bracket if k in observed}
     if found.exposures:

@@ -14,6 +14,7 @@ from collections.abc import Collection
 from typing import Any
 
 from ..evaluate.published import keeps_exposures_for_testing
+from ..evaluate.results import OBSERVED, OBSERVED_EXPOSURES, part_of
 from ..scene.scene import Scene, View
 from .config import TrainConfig
 from .views import training_views
@@ -34,9 +35,9 @@ HALF_SIZE_STEP, HALF_SIZE_MOST = 0.1, 0.4
 class Extent:
     """What sizes follow from: ``pixels`` of the view in the middle, training ``views``, given ``points``.
 
-    ``exposures``: places in the bracket that training is to see, of a real camera's brackets, which are as
-    they were taken; empty where the benchmark's convention stands: of renders, and of data that are laid out
-    as a published benchmark, which measures the exposures between.
+    ``exposures``: places in the bracket that training is to see: all of a real camera's brackets, which are
+    as they were taken. Empty where the benchmark's convention stands, of renders and of data that are laid
+    out as a published benchmark, which measures the exposures between; of more than five it goes on, 0 2 4 6.
     """
 
     pixels: int
@@ -58,18 +59,20 @@ def extent_of(scene: Scene, config: TrainConfig) -> Extent:
         pixels=pixels,
         views=len(views),
         points=0 if scene.points is None else len(scene.points.positions),
-        exposures=_all_exposures(scene, views, config),
+        exposures=_exposures(scene, views, config),
     )
 
 
-def _all_exposures(scene: Scene, views: list[View], config: TrainConfig) -> tuple[int, ...]:
-    """The places in the bracket of which any view has a picture; empty where it is not for us to choose."""
+def _exposures(scene: Scene, views: list[View], config: TrainConfig) -> tuple[int, ...]:
+    """The places in the bracket that training is to see; empty where it is not for us to choose."""
+    there = sorted({k for view in views for k in view.bracket})
     held_back = keeps_exposures_for_testing(scene) and all(
         set(view.bracket).intersection(config.training_exposures) for view in views
     )
-    if held_back or not scene.photographs:
-        return ()
-    return tuple(sorted({k for view in views for k in view.bracket}))
+    if scene.photographs and not held_back:
+        return tuple(there)
+    observed = tuple(k for k in there if part_of(k) == OBSERVED)
+    return observed if set(observed) > set(OBSERVED_EXPOSURES) else ()
 
 
 def found_sizes(extent: Extent, config: TrainConfig, typed: Collection[str] = ()) -> TrainConfig:
@@ -117,7 +120,9 @@ def sizes_in_words(extent: Extent, before: TrainConfig, found: TrainConfig) -> s
     if found.half_size_until != before.half_size_until:
         parts.append(f"the first {found.half_size_until:.0%} at half size")
     if found.training_exposures != before.training_exposures:
-        parts.append(f"all {len(found.training_exposures)} exposures")
+        every = found.training_exposures
+        is_all = every == tuple(range(len(every)))
+        parts.append(f"all {len(every)} exposures" if is_all else f"exposures {', '.join(map(str, every))}")
     if not parts:
         return ""
     return f"for {extent.views} views of {extent.pixels / 1e6:.2g} megapixels: {', '.join(parts)}"

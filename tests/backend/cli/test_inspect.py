@@ -454,5 +454,10 @@ def test_of_photographs_training_sees_all_exposures(layouts, tmp_path):
     assert {exposure.use for exposure in inspect(root).exposures} == {"OE"}
 
 
+def test_of_published_photographs_the_exposures_between_are_for_evaluation(layouts, tmp_path):
+    root = layouts.write_gausshdr(tmp_path / "photos")
+    assert [exposure.use for exposure in inspect(root).exposures] == ["OE", "NE", "OE", "NE", "OE"]
+
+
 def test_of_renders_training_sees_every_second_exposure(tiny_data):
     assert [exposure.use for exposure in inspect(tiny_data).exposures] == ["OE", "NE", "OE", "NE", "OE"]

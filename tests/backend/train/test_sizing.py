@@ -145,3 +145,26 @@ def test_exposures_that_a_published_benchmark_measures_are_not_trained_on(tmp_pa
     first, *rest = real.train
     odd = dataclasses.replace(first, bracket=(1,), exposures=first.exposures[:1], sources=first.sources[:1])
     assert extent_of(dataclasses.replace(real, train=[odd, *rest]), PRESETS["default"]).exposures == (0, 1, 2)
+
+
+def test_of_longer_brackets_every_second_exposure_is_trained_on(tiny_data):
+    scene = read_scene(tiny_data)
+
+    def longer(views):
+        return [
+            dataclasses.replace(
+                view,
+                exposures=(*view.exposures, 64.0, 128.0),
+                sources=(*view.sources, *view.sources[-2:]),
+                bracket=(),
+            )
+            for view in views
+        ]
+
+    seven = dataclasses.replace(scene, train=longer(scene.train), lit=[])
+    extent = extent_of(seven, PRESETS["default"])
+    found = found_sizes(extent, PRESETS["default"])
+    assert found.training_exposures == (0, 2, 4, 6)
+    assert "exposures 0, 2, 4, 6" in sizes_in_words(extent, PRESETS["default"], found)
+    typed = found_sizes(extent, PRESETS["default"], ("training_exposures",))
+    assert typed.training_exposures == (0, 2, 4)
