@@ -19,6 +19,7 @@ from . import left_out, plan, rig, scripts, user_camera, user_light
 from .blender import camera_of, cycles, evaluated
 from .errors import SceneError, SceneFileError
 from .fingerprint import fingerprint
+from .in_render import rendered
 from .options import CURRENT, Options
 from .progress import Report, quiet
 from .rays import Rays
@@ -62,7 +63,7 @@ def opened(options: Options, report: Report) -> Iterator[tuple[Stage, Options]]:
             )
         options = replace(options, resolution=user_camera.resolution(scene, options.resolution))
         options.check()
-        _tell_what_is_missing(scene, report)
+        _tell_what_is_missing(scene, layer, report)
         hints, source = _cameras(scene, layer, camera, options, report)
         if models:
             source["left_out"] = models
@@ -243,7 +244,7 @@ def _tell_of_obstacles(hints: CameraHints, rays: Rays, options: Options, report:
         )
 
 
-def _tell_what_is_missing(scene: bpy.types.Scene, report: Report) -> None:
+def _tell_what_is_missing(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, report: Report) -> None:
     """Warn of what the pictures would lack or show wrongly."""
     lost = [library.name for library in bpy.data.libraries if library.is_missing]
     for image in bpy.data.images:
@@ -258,7 +259,7 @@ def _tell_what_is_missing(scene: bpy.types.Scene, report: Report) -> None:
             "Python in this file was not run, for nobody allowed it (Trusted Source on opening it, -y, or "
             "Preferences > Save & Load > Auto Run Python Scripts): what its drivers steer may look otherwise"
         )
-    loose = [item.name for item in scene.objects if not item.hide_render and _unbaked(item)]
+    loose = [item.name for item in rendered(scene, layer) if _unbaked(item)]
     if loose:
         report.warn(f"simulations that are not baked may look otherwise: {', '.join(loose)}")
 

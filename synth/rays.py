@@ -5,6 +5,7 @@ import bpy
 from mathutils import Vector
 
 from .blender import evaluated
+from .in_render import rendered
 
 SKIPS = 32  # objects that are not rendered, passed through on the way
 PAST = 1e-5  # of the way so far, and at least as many metres: how far behind a surface the ray goes on
@@ -16,6 +17,7 @@ class Rays:
     def __init__(self, scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> None:
         layer.update()
         self.scene, self.depsgraph = scene, evaluated(layer)
+        self.rendered = set(rendered(scene, layer))
 
     def first(
         self, origin: Vector, direction: Vector, distance: float = 1e30
@@ -28,7 +30,7 @@ class Rays:
             )
             if not hit:
                 return None
-            if _rendered(item):
+            if item.original in self.rendered and _is_seen(item):
                 return place, normal
             step = (place - start).length
             step += PAST * max(1.0, step)
@@ -38,6 +40,6 @@ class Rays:
         return None
 
 
-def _rendered(item: bpy.types.Object) -> bool:
+def _is_seen(item: bpy.types.Object) -> bool:
     """Not what only helps to work: cutters, bounds of volumes, rigs' shapes."""
-    return not item.hide_render and item.visible_camera and item.display_type not in {"BOUNDS", "WIRE"}
+    return item.visible_camera and item.display_type not in {"BOUNDS", "WIRE"}
