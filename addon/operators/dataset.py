@@ -38,7 +38,7 @@ from ..session.state import DATASET
 from ..session.task import TaskEnded
 from ..settings import RELATIVE
 from .afterwards import push_undo, take_when_ended
-from .base import PhysHDROperator
+from .base import PhysHDROperator, wait_for_task
 
 SCRIPT = ROOT / "synth" / "make_scene.py"
 #: Seconds that scripts wait for a data set.
@@ -121,10 +121,8 @@ class PHYSHDR_OT_dataset_render(RenderOptions, PhysHDROperator):
             push_undo(self.bl_label)
             return {"FINISHED"}
         try:
-            current.wait(lambda state: state.task(DATASET) is None, RENDER_SECONDS)
-        except KeyboardInterrupt:
-            current.cancel_task(DATASET)
-            raise
+            if not wait_for_task(self, DATASET, RENDER_SECONDS):
+                return {"CANCELLED"}
         finally:
             _remove_copies()
         if not _take(scene, started):
@@ -174,9 +172,7 @@ def _take(scene: bpy.types.Scene, started: Started) -> bool:
 
 
 def _why_not_taken(ended: TaskEnded | None) -> str:
-    if ended is None:
-        return "the rendering goes on: its log tells how far it is"
-    if ended.cancelled:
+    if ended is None or ended.cancelled:
         return "the rendering was cancelled"
     return ": ".join(filter(None, (ended.message, ended.hint)))
 

@@ -26,7 +26,7 @@ from ..runtime import session
 from ..session.light import LIGHT, panorama_command
 from ..session.state import CHECK, INSTALL, NotTaken, Problem
 from .afterwards import take_when_ended
-from .base import LINKED, OVERRIDE
+from .base import LINKED, OVERRIDE, wait_for_task
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import PropertyFlagItems
@@ -169,11 +169,8 @@ class PHYSHDR_OT_light_from_here(bpy.types.Operator):
         if not self.wait:
             _apply_when_done(after, tasks)
             return {"FINISHED"}
-        try:
-            current.wait(lambda state: state.task(LIGHT) is None, LONGEST)
-        except KeyboardInterrupt:
-            current.cancel_task(LIGHT)
-            raise
+        if not wait_for_task(self, LIGHT, LONGEST):
+            return {"CANCELLED"}
         if problem := current.state.problem:
             raise DataMismatchError(problem.message, problem.hint)
         if not all_there(tasks):
