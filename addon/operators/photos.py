@@ -16,8 +16,8 @@ from ...bridge.data_set import CAPTURE_FILE
 from ...bridge.errors import BadValueError, FileMissingError, OutputError
 from ..paths import absolute, first_free, whole
 from ..runtime import session
-from ..session.photos import PhotoOptions, prepare_command
-from ..session.state import LOOK, PHOTOS, PhotosChosen
+from ..session.photos import PhotoOptions, prepare_command, prepared
+from ..session.state import LOOK, PHOTOS, PhotosChosen, Prepared
 from ..settings import LENSES, SETTINGS, PHYSHDR_Settings, photo_options
 from .afterwards import take_when_ended
 from .base import PhysHDROperator, has_run, is_run_of, proposed_run, report_task, wait_for_task
@@ -133,7 +133,7 @@ class PHYSHDR_OT_photos_prepare(PhysHDROperator):
             return {"FINISHED"}
         if not wait_for_task(self, PHOTOS, PREPARE_SECONDS):
             return {"CANCELLED"}
-        made = current.state.prepared
+        made = _made()
         if current.state.problem is None and not made.folder:
             self.report({"ERROR"}, "the preparation was cancelled")
             return {"CANCELLED"}
@@ -192,11 +192,20 @@ def proposed_folder(photos: Path) -> str:
     return str(first_free((beside if is_beside else Path.home()) / name))
 
 
+def _made() -> Prepared:
+    """What came of the photos that were prepared last; nothing where that failed or was cancelled.
+
+    The state's is of whatever was made last: a data set may be rendered at the same time.
+    """
+    ended = session().ended(PHOTOS)
+    return prepared(ended.result) if ended is not None and ended.ok else Prepared()
+
+
 def _choose_when_done(name: str) -> None:
     """Choose the data set for training once it is there, unless another file has been opened by then."""
 
     def take() -> bool:
-        scene, made = bpy.data.scenes.get(name), session().state.prepared
+        scene, made = bpy.data.scenes.get(name), _made()
         if scene is None or not made.folder:
             return False
         choose(getattr(scene, SETTINGS), made.folder)

@@ -19,7 +19,8 @@ from physhdr.addon.operators import afterwards  # noqa: E402
 from physhdr.addon.operators import photos as operators  # noqa: E402
 from physhdr.addon.operators.base import choices  # noqa: E402
 from physhdr.addon.session.advice import headline, next_step, problem_of, why_not  # noqa: E402
-from physhdr.addon.session.state import LOOK, PHOTOS, PythonChosen  # noqa: E402
+from physhdr.addon.session.state import DATASET, LOOK, PHOTOS, PythonChosen  # noqa: E402
+from physhdr.addon.session.task import TaskEnded  # noqa: E402
 
 REPORT = {"versions": {"torch": "2.13.0", "pycolmap": "4.2.1"}, "missing": []}
 #: Instead of backend/launch.py. What it does is written on a photo's name; what it was called with is kept.
@@ -247,6 +248,19 @@ def test_a_file_that_is_saved_meanwhile_still_gets_its_data_set(extension, photo
     assert [call() for call in timers] == [None]
     assert bpy.context.scene.physhdr.data == str(tmp_path / "church_dataset")
     assert pushed == ["Prepare Photos"]  # else undoing what comes next would leave the data set again
+
+
+def test_a_data_set_that_is_rendered_meanwhile_is_not_taken_for_the_photos(
+    extension, photos, tmp_path, monkeypatch
+):
+    timers = []
+    monkeypatch.setattr(operators.bpy.app.timers, "register", lambda call, **_: timers.append(call))
+    bpy.context.scene.physhdr.photos = str(photos)
+    bpy.ops.physhdr.photos_prepare(wait=False)
+    assert extension.wait(lambda state: state.task(PHOTOS) is None, 20.0)
+    extension.dispatch(TaskEnded(DATASET, True, result={"folder": str(tmp_path / "rendered")}))
+    assert [call() for call in timers] == [None]
+    assert bpy.context.scene.physhdr.data == str(tmp_path / "church_dataset")
 
 
 def test_without_a_backend_that_can_the_buttons_say_why(extension, photos):
