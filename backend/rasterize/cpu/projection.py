@@ -141,13 +141,37 @@ def _to_screen(view, x, y, z, w, qx, qy, qz, s0, s1, s2):
 
 @njit(error_model="numpy")
 def _covariance(A):
-    """Σ_xx, Σ_xy, Σ_yy with the low-pass filter, and 1/det Σ."""
+    """Σ_xx, Σ_xy, Σ_yy with the low-pass filter, 1/det Σ, and the cross product of A's rows."""
     a00, a01, a02, a10, a11, a12 = A
     norm_x, norm_y = _dot(a00, a01, a02, a00, a01, a02), _dot(a10, a11, a12, a10, a11, a12)
     c0, c1, c2 = a01 * a12 - a02 * a11, a02 * a10 - a00 * a12, a00 * a11 - a01 * a10
     determinant = _dot(c0, c1, c2, c0, c1, c2) + (norm_x + norm_y) * LOW_PASS + LOW_PASS * LOW_PASS
     xy = _dot(a00, a01, a02, a10, a11, a12)
-    return norm_x + LOW_PASS, xy, norm_y + LOW_PASS, 1.0 / determinant
+    return norm_x + LOW_PASS, xy, norm_y + LOW_PASS, 1.0 / determinant, (c0, c1, c2)
+
+
+@njit(error_model="numpy")
+def _conditioned(A, normal, inverse_determinant):
+    """P = K A: a₀ and a₁ the rows of A, (a₁ × (a₀ × a₁) + λ a₀) / det Σ and (a₀ × (a₁ × a₀) + λ a₁) / det Σ.
+
+    K times A by its numbers loses what a needle's long axis has across it: Σ_yy a₀ − Σ_xy a₁ are two numbers
+    of the length's cube, which are alike but for the width's share.
+    """
+    a00, a01, a02, a10, a11, a12 = A
+    c0, c1, c2 = normal
+    p00 = fma(LOW_PASS, a00, a11 * c2 - a12 * c1) * inverse_determinant
+    p01 = fma(LOW_PASS, a01, a12 * c0 - a10 * c2) * inverse_determinant
+    p02 = fma(LOW_PASS, a02, a10 * c1 - a11 * c0) * inverse_determinant
+    p10 = fma(LOW_PASS, a10, c1 * a02 - c2 * a01) * inverse_determinant
+    p11 = fma(LOW_PASS, a11, c2 * a00 - c0 * a02) * inverse_determinant
+    p12 = fma(LOW_PASS, a12, c0 * a01 - c1 * a00) * inverse_determinant
+    return p00, p01, p02, p10, p11, p12
+
+
+@njit(error_model="numpy")
+def _between(p, q, xx, xy, yy):
+    """(p, q) M (p, q)ᵀ of a symmetric M."""
+    return fma(p, fma(xx, p, 2.0 * xy * q), yy * q * q)
 
 
 @njit(error_model="numpy")
@@ -256,7 +280,7 @@ def project(
 
         P, A, _ = _to_screen(camera, x, y, z, w, qx, qy, qz, s0, s1, s2)
         depth, _, tan_x, tan_y, _, _, _, _ = P
-        xx, xy, yy, inverse_determinant = _covariance(A)
+        xx, xy, yy, inverse_determinant, _ = _covariance(A)
         l11 = square_root(KAPPA * yy * inverse_determinant)
         mean_x = fma(splat(camera[_FX]), tan_x, splat(camera[_CX]))
         mean_y = fma(splat(camera[_FY]), tan_y, splat(camera[_CY]))
@@ -387,18 +411,22 @@ def project_backward(
         x, y, z, w, qx, qy, qz, s0, s1, s2, unit = _load_gaussians(i, n, means, quaternions, scales)
         P, A, B = _to_screen(camera, x, y, z, w, qx, qy, qz, s0, s1, s2)
         _, inverse_z, tan_x, tan_y, limited_x, limited_y, jx, jy = P
-        a00, a01, a02, a10, a11, a12 = A
         b20, b21, b22 = B[6:]
-        xx, xy, yy, inverse_determinant = _covariance(A)
+        xx, xy, yy, inverse_determinant, normal = _covariance(A)
 
-        # K = Σ⁻¹; the screen mean; G = K M K (= 2 ∂L/∂Σ); ∂L/∂A = G A.
+        # K = Σ⁻¹; the screen mean; P = K A; ∂L/∂A = K (M P), with M the sum of d dᵀ ∂L/∂v over the pixels.
         ka, kb, kc = yy * inverse_determinant, -xy * inverse_determinant, xx * inverse_determinant
         grad_u, grad_v = ka * sum_x + kb * sum_y, kb * sum_x + kc * sum_y
-        m00, m01 = sum_xx * ka + sum_xy * kb, sum_xx * kb + sum_xy * kc
-        m10, m11 = sum_xy * ka + sum_yy * kb, sum_xy * kb + sum_yy * kc
-        g00, g01, g11 = ka * m00 + kb * m10, ka * m01 + kb * m11, kb * m01 + kc * m11
-        ga00, ga01, ga02 = g00 * a00 + g01 * a10, g00 * a01 + g01 * a11, g00 * a02 + g01 * a12
-        ga10, ga11, ga12 = g01 * a00 + g11 * a10, g01 * a01 + g11 * a11, g01 * a02 + g11 * a12
+        p00, p01, p02, p10, p11, p12 = _conditioned(A, normal, inverse_determinant)
+        q00, q10 = sum_xx * p00 + sum_xy * p10, sum_xy * p00 + sum_yy * p10
+        q01, q11 = sum_xx * p01 + sum_xy * p11, sum_xy * p01 + sum_yy * p11
+        q02, q12 = sum_xx * p02 + sum_xy * p12, sum_xy * p02 + sum_yy * p12
+        ga00, ga01, ga02 = ka * q00 + kb * q10, ka * q01 + kb * q11, ka * q02 + kb * q12
+        ga10, ga11, ga12 = kb * q00 + kc * q10, kb * q01 + kc * q11, kb * q02 + kc * q12
+        # ⟨∂L/∂A, A⟩ by columns, which is each scale's own gradient times it: with no K that is not in P.
+        by_s0 = _between(p00, p10, sum_xx, sum_xy, sum_yy)
+        by_s1 = _between(p01, p11, sum_xx, sum_xy, sum_yy)
+        by_s2 = _between(p02, p12, sum_xx, sum_xy, sum_yy)
 
         # A = J B with J = [[jx, 0, −jx · limited_x], [0, jy, −jy · limited_y]], jx = fx/z.
         gb00, gb01, gb02 = jx * ga00, jx * ga01, jx * ga02
@@ -407,7 +435,7 @@ def project_backward(
         gb21 = -(limited_x * gb01 + limited_y * gb11)
         gb22 = -(limited_x * gb02 + limited_y * gb12)
         # Rows of A are proportional to jx and jy, so jx · ∂L/∂jx = ⟨∂L/∂a₁, a₁⟩.
-        through_j = _dot(ga00, ga01, ga02, a00, a01, a02) + _dot(ga10, ga11, ga12, a10, a11, a12)
+        through_j = by_s0 + by_s1 + by_s2
         inside_x = (tan_x >= camera[_LOW_X]) & (tan_x <= camera[_HIGH_X])
         inside_y = (tan_y >= camera[_LOW_Y]) & (tan_y <= camera[_HIGH_Y])
         limit_x = select(inside_x, -_dot(gb00, gb01, gb02, b20, b21, b22), 0.0)
@@ -416,8 +444,7 @@ def project_backward(
         grad_px, grad_py = grad_tan_x * inverse_z, grad_tan_y * inverse_z
         grad_pz = -(through_j + grad_tan_x * tan_x + grad_tan_y * tan_y) * inverse_z
 
-        # B = V R S. With C = Vᵀ ∂L/∂B: ∂L/∂s_j = Σ_i R_ij C_ij and ∂L/∂R_ij = C_ij s_j.
-        r00, r01, r02, r10, r11, r12, r20, r21, r22 = _rotation(w, qx, qy, qz)
+        # B = V R S. With C = Vᵀ ∂L/∂B: ∂L/∂R_ij = C_ij s_j.
         c00, c10, c20 = (
             _dot(v0, v3, v6, gb00, gb10, gb20),
             _dot(v1, v4, v7, gb00, gb10, gb20),
@@ -433,9 +460,9 @@ def project_backward(
             _dot(v1, v4, v7, gb02, gb12, gb22),
             _dot(v2, v5, v8, gb02, gb12, gb22),
         )
-        grad_s0 = _dot(r00, r10, r20, c00, c10, c20)
-        grad_s1 = _dot(r01, r11, r21, c01, c11, c21)
-        grad_s2 = _dot(r02, r12, r22, c02, c12, c22)
+        grad_s0 = select(absolute(s0) > 0.0, by_s0 / s0, 0.0)
+        grad_s1 = select(absolute(s1) > 0.0, by_s1 / s1, 0.0)
+        grad_s2 = select(absolute(s2) > 0.0, by_s2 / s2, 0.0)
         c00, c10, c20 = c00 * s0, c10 * s0, c20 * s0
         c01, c11, c21 = c01 * s1, c11 * s1, c21 * s1
         c02, c12, c22 = c02 * s2, c12 * s2, c22 * s2

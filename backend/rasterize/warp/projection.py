@@ -352,20 +352,26 @@ def project_backward(
     rotation = rotation_of(n)
     p = to_screen(means[g], rotation, s, view)
 
-    # K = Σ⁻¹; G = K M K (= 2 ∂L/∂Σ); ∂L/∂A = G A.
+    # K = Σ⁻¹; P = K A without what cancels in it; ∂L/∂A = K (M P).
     inverse = 1.0 / p.determinant
     K = wp.mat22(p.yy * inverse, -p.xy * inverse, -p.xy * inverse, p.xx * inverse)
     grad_uv = K * wp.vec2(sums[g, 1], sums[g, 2])
-    G = K * wp.mat22(sums[g, 3], sums[g, 4], sums[g, 4], sums[g, 5]) * K
-    ga = G[0, 0] * p.a + G[0, 1] * p.b
-    gb = G[0, 1] * p.a + G[1, 1] * p.b
+    normal = wp.cross(p.a, p.b)
+    p0 = (wp.cross(p.b, normal) + LOW_PASS * p.a) * inverse
+    p1 = (wp.cross(normal, p.a) + LOW_PASS * p.b) * inverse
+    mp0 = sums[g, 3] * p0 + sums[g, 4] * p1
+    mp1 = sums[g, 4] * p0 + sums[g, 5] * p1
+    ga = K[0, 0] * mp0 + K[0, 1] * mp1
+    gb = K[1, 0] * mp0 + K[1, 1] * mp1
+    # ⟨∂L/∂A, A⟩ by columns, which is each scale's own gradient times it.
+    by_scale = wp.cw_mul(p0, mp0) + wp.cw_mul(p1, mp1)
 
     # A = J B with J = [[jx, 0, −jx · limited_x], [0, jy, −jy · limited_y]], jx = fx/z.
     gb0 = p.jx * ga
     gb1 = p.jy * gb
     gb2 = -(p.limited_x * gb0 + p.limited_y * gb1)
     # Rows of A are proportional to jx and jy, so jx · ∂L/∂jx = ⟨∂L/∂a, a⟩.
-    through_j = wp.dot(ga, p.a) + wp.dot(gb, p.b)
+    through_j = by_scale[0] + by_scale[1] + by_scale[2]
     grad_tan_x = view.fx * grad_uv[0]
     grad_tan_y = view.fy * grad_uv[1]
     # The clamp lets no gradient through where it acts.
@@ -377,13 +383,14 @@ def project_backward(
     to_world = wp.transpose(view.R)
     grad_means[g] = to_world * wp.vec3(grad_tan_x * p.inverse_z, grad_tan_y * p.inverse_z, grad_z)
 
-    # B = V R S. With C = Vᵀ ∂L/∂B: ∂L/∂s_j = Σ_i R_ij C_ij and ∂L/∂R_ij = C_ij s_j.
-    C = to_world * wp.matrix_from_rows(gb0, gb1, gb2)
     grad_scales[g] = wp.vec3(
-        rotation[0, 0] * C[0, 0] + rotation[1, 0] * C[1, 0] + rotation[2, 0] * C[2, 0],
-        rotation[0, 1] * C[0, 1] + rotation[1, 1] * C[1, 1] + rotation[2, 1] * C[2, 1],
-        rotation[0, 2] * C[0, 2] + rotation[1, 2] * C[1, 2] + rotation[2, 2] * C[2, 2],
+        wp.where(s[0] != 0.0, by_scale[0] / s[0], 0.0),
+        wp.where(s[1] != 0.0, by_scale[1] / s[1], 0.0),
+        wp.where(s[2] != 0.0, by_scale[2] / s[2], 0.0),
     )
+
+    # B = V R S. With C = Vᵀ ∂L/∂B: ∂L/∂R_ij = C_ij s_j.
+    C = to_world * wp.matrix_from_rows(gb0, gb1, gb2)
     D = C * wp.diag(s)
     w = n[0]
     x = n[1]

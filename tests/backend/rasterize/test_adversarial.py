@@ -86,6 +86,45 @@ def test_discs_and_needles_seen_from_every_side(implementation):
     compare(implementation, tensors, camera())
 
 
+@pytest.mark.parametrize("length", [0.2, 0.5], ids=["100 px", "250 px"])
+def test_gradients_of_each_long_needle(implementation, length):
+    """σ of 100 and 250 pixels by half a pixel, as cables and rims are.
+
+    By norm over all Gaussians an error in the long scale would not be seen: its gradient is the smallest.
+    """
+    generator = torch.Generator().manual_seed(0)
+    count, view = 40, Camera(np.eye(4), 256, 64, 1000.0, 1000.0, 128.0, 32.0)
+
+    def uniform(low, high, *shape):
+        return low + (high - low) * torch.rand(*shape, generator=generator, dtype=torch.float64)
+
+    means = torch.stack(
+        [uniform(-0.1, 0.1, count), uniform(-0.02, 0.02, count), uniform(-2.2, -1.8, count)], 1
+    )
+    angle, zero = uniform(0.0, math.pi, count), torch.zeros(count, dtype=torch.float64)
+    quaternions = torch.stack([(angle / 2).cos(), zero, zero, (angle / 2).sin()], 1)
+    quaternions += 0.05 * torch.randn(count, 4, generator=generator, dtype=torch.float64)
+    scales = torch.tensor([length, 1e-3, 1e-3], dtype=torch.float64).repeat(count, 1)
+    tensors = [means, quaternions, scales, uniform(0.1, 0.9, count), uniform(0.0, 1.0, count, 3)]
+    x, y = torch.arange(256.0), torch.arange(64.0)[:, None]
+    target = torch.stack(
+        [0.5 + 0.4 * (x / 30 + 0 * y).sin(), 0.5 + 0.4 * (y / 9 + 0 * x).cos(), 0 * x + 0 * y]
+    )
+
+    def gradients(which, dtype):
+        inputs = [tensor.to(dtype, copy=True).requires_grad_() for tensor in tensors]
+        image = rasterize(*inputs, view, implementation=which).image
+        (image - target.to(dtype)).square().mean().backward()
+        return [tensor.grad.double().reshape(count, -1) for tensor in inputs]
+
+    ours, truth = gradients(implementation, torch.float32), gradients("reference", torch.float64)
+    for name, a, b in zip(NAMES[:5], ours, truth, strict=True):
+        error = (a - b).norm(dim=1) / b.norm(dim=1)
+        assert error.median() < 1e-3 and error.max() < 0.1, name
+    along, along_truth = ours[2][:, 0], truth[2][:, 0]
+    assert ((along - along_truth).abs() / along_truth.abs()).median() < 1e-5
+
+
 @pytest.mark.parametrize("length", [1e-6, 1e6])
 def test_quaternions_of_any_length(implementation, length):
     tensors = gaussians(200)
