@@ -7,11 +7,12 @@ orthonormal on the sphere. Coefficients are ordered by degree, then by order −
 """
 
 import math
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
+
+from .cores import usable_cores
 
 MAX_DEGREE = 3
 
@@ -137,7 +138,7 @@ def refit(
         back = back.reshape(groups, len(project), 3, _GROUP).transpose(1, 0, 3, 2)
         fitted[:, start : start + len(chunk)] = back.reshape(len(project), -1, 3)[:, : len(chunk)]
 
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    with ThreadPoolExecutor(usable_cores()) as pool:
         list(pool.map(work, range(0, count, _GROUPS * _GROUP)))  # a list: an error comes back here
     return fitted.transpose(1, 0, 2)
 

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import bpy
 
+from ..bridge.cores import usable_cores
 from . import scripts
 from .errors import OptionError
 from .options import CURRENT
@@ -26,8 +27,7 @@ PATIENCE = 10.0
 
 def threads_each(workers: int) -> int:
     """Threads for each of ``workers`` processes on this machine."""
-    cores = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
-    return max(1, cores // workers)
+    return max(1, usable_cores() // workers)
 
 
 @contextmanager

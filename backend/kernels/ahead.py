@@ -2,7 +2,6 @@
 """Compile every kernel ahead of its first use; what is compiled stays on disk for the next start."""
 
 import multiprocessing
-import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from typing import Any, TypeVar
 import numpy as np
 import torch
 
+from ...bridge.cores import usable_cores
 from ..rasterize import rasterize
 from ..scene.camera import Camera
 from . import curve_mlp, evaluate_sh, gaussian_blur, local_curves, small_mlp, ssim
@@ -63,9 +63,10 @@ def compile_ahead(needs: Needs, report: Callable[[str, int, int], None] | None =
     where nothing is cached several processes share the work and leave the results on disk.
     """
     jobs = _jobs(needs)
-    if not _are_cached() and (os.cpu_count() or 1) > 1:
+    cores = usable_cores()
+    if not _are_cached() and cores > 1:
         context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(min(os.cpu_count() or 1, len(jobs)), context) as pool:
+        with ProcessPoolExecutor(min(cores, len(jobs)), context) as pool:
             names = {pool.submit(job): name for name, job in jobs.items()}
             for done, future in enumerate(as_completed(names), start=1):
                 future.result()

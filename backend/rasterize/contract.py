@@ -12,6 +12,10 @@ Conventions (gsplat's, so that the CUDA path draws the same picture):
 * the Jacobian of the projection is evaluated with x/z and y/z clamped to the image plus a margin of
   ``JACOBIAN_MARGIN`` times the half field of view on every side;
 * black background.
+
+A limit of the gradients: what a pixel's light behind a splat is, the backward pass takes from what is left of
+the pixel's sum. Behind something 10⁴ times as bright the digits of float32 leave 3 % of error in it, behind 10² times
+as bright 4e-4.
 """
 
 from collections.abc import Mapping

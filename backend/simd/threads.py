@@ -6,13 +6,13 @@ taken afterwards in a fixed order. So results are bit-identical for any number o
 denormals (``denormals``); the caller's thread is afterwards as it was.
 """
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
 import numpy as np
 
+from ...bridge.cores import usable_cores
 from ...bridge.errors import BadValueError
 from .denormals import flush_denormals, restore_denormals
 
@@ -44,7 +44,7 @@ class _Pool:
             self._helpers.shutdown()
 
 
-_pool = _Pool(max(1, os.cpu_count() or 1))
+_pool = _Pool(usable_cores())
 
 
 def set_threads(count: int) -> None:
