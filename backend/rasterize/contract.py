@@ -14,8 +14,8 @@ Conventions (gsplat's, so that the CUDA path draws the same picture):
 * black background.
 
 A limit of the gradients: what a pixel's light behind a splat is, the backward pass takes from what is left of
-the pixel's sum. Behind something 10⁴ times as bright the digits of float32 leave 3 % of error in it, behind 10² times
-as bright 4e-4.
+the pixel's sum. Behind something 10² times as bright the digits of float32 leave an error of 4e-4 in it,
+behind 10⁴ times as bright of 3 %.
 """
 
 from collections.abc import Mapping
