@@ -101,7 +101,8 @@ class Video:
             if self.out is not None:
                 sinks.append(stack.enter_context(video_writer(self.out, fps)))
             if self.frames is not None:
-                sinks.append(stack.enter_context(frames_writer(writable_folder(self.frames))))
+                sink = frames_writer(writable_folder(self.frames), len(frames))
+                sinks.append(stack.enter_context(sink))
             show = stack.enter_context(progress("video", "frame", self.json))
             for done, picture in enumerate(pictures(run.method, frames), 1):
                 for sink in sinks:

@@ -3,6 +3,8 @@
 web page loops, or PNG files.
 """
 
+import json
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from fractions import Fraction
@@ -15,6 +17,7 @@ from PIL import Image
 
 from ...bridge.atomic import atomic_path
 from ...bridge.errors import BadValueError, OutputError
+from ...bridge.regular import read_json_object
 from ..optional import needed
 from ..scene.pictures import write_png
 
@@ -31,6 +34,9 @@ WEBP_QUALITY, WEBP_EFFORT = 80, 6
 WEBP_SIDE = 16383
 #: Pillow takes all frames of an animation at once: so many bytes of them are held at most.
 WEBP_BYTES = 2**30
+#: Beside numbered frames: how many of them are ours.
+FRAMES_FILE = "video.frames.json"
+FRAMES_FORMAT, FRAMES_VERSION = "physhdr-video-frames", 1
 
 
 class FrameSink(Protocol):
@@ -166,23 +172,57 @@ def frame_name(number: int) -> str:
 
 
 @contextmanager
-def frames_writer(folder: Path) -> Iterator[FrameSink]:
-    """A sink that writes ``frame_0000.png`` … into ``folder``; raises ``OutputError``.
+def frames_writer(folder: Path, count: int) -> Iterator[FrameSink]:
+    """A sink that writes ``count`` frames, ``frame_0000.png`` …, into ``folder``.
 
+    ``FRAMES_FILE`` beside them says how many pictures of these names are a video's; no other is touched.
     Frames of a longer video that was there before are removed at the end, if the block ends without an error.
+    Raises ``OutputError`` where a picture that is no video's has a frame's name, before anything is written,
+    or where the folder cannot be written; ``FileDamagedError`` where ``FRAMES_FILE`` cannot be read.
     """
-    count = 0
+    folder = Path(folder)
+    ours = _frames_that_are_ours(folder)
+    for number in range(ours, count):
+        path = folder / frame_name(number)
+        if os.path.lexists(path):
+            raise OutputError(
+                f"{path} is there, and nothing says that it is a video's frame",
+                "Choose another folder for the frames, or move that picture away.",
+            )
+    # Before the first frame: an interrupted video knows its own, and those that it was to replace.
+    _keep_in_mind(folder, max(ours, count))
+    done = 0
 
     def write(frame: np.ndarray) -> None:
-        nonlocal count
-        write_png(Path(folder) / frame_name(count), frame)
-        count += 1
+        nonlocal done
+        write_png(folder / frame_name(done), frame)
+        done += 1
 
     yield write
-    for path in Path(folder).glob("frame_*.png"):
+    for path in folder.glob("frame_*.png"):
         digits = path.stem.removeprefix("frame_")
-        if digits.isdecimal() and int(digits) >= count and path.name == frame_name(int(digits)):
+        if digits.isdecimal() and count <= int(digits) < ours and path.name == frame_name(int(digits)):
             try:
                 path.unlink()
             except OSError as error:
                 raise OutputError(f"cannot remove {path}: {error.strerror}", "Remove it by hand.") from error
+    _keep_in_mind(folder, count)
+
+
+def _frames_that_are_ours(folder: Path) -> int:
+    """How many of the folder's numbered pictures are a video's, from ``frame_0000.png`` on."""
+    path = folder / FRAMES_FILE
+    if not path.exists():
+        return 0
+    remedy = "Choose another folder for the frames, or move that file away."
+    content = read_json_object(path, remedy)
+    count = content.get("frames")
+    if content.get("format") != FRAMES_FORMAT or type(count) is not int or count < 0:
+        raise OutputError(f"{path} is no {FRAMES_FORMAT} file", remedy)
+    return count
+
+
+def _keep_in_mind(folder: Path, count: int) -> None:
+    with atomic_path(folder / FRAMES_FILE) as temporary:
+        content = {"format": FRAMES_FORMAT, "version": FRAMES_VERSION, "frames": count}
+        temporary.write_text(json.dumps(content) + "\n", encoding="utf-8")

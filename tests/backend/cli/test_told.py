@@ -85,7 +85,7 @@ def test_a_video_of_shots_shows_each_frames_camera_exposure_and_lights(opened, t
     *steps, last = told(capsys)
     assert steps[-1]["progress"] == 1.0 and steps[-1]["message"] == "frame 4 of 4"
     assert last["result"] == {"out": str(tmp_path / "frames"), "frames": 4}
-    pictures = [np.asarray(Image.open(path)) for path in sorted((tmp_path / "frames").iterdir())]
+    pictures = [np.asarray(Image.open(path)) for path in sorted((tmp_path / "frames").glob("*.png"))]
     assert [picture.shape for picture in pictures] == [(16, 32, 3)] * 4
     found = [int(picture[0, 0, 0]) for picture in pictures]
     np.testing.assert_allclose(found, 255.0 * np.minimum(greys, 1.0), atol=0.51)

@@ -11,10 +11,10 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from physhdr.backend.evaluate.camera_path import focus_of, orbit_path, spline_path
-from physhdr.backend.evaluate.video import frames_writer, video_writer
+from physhdr.backend.evaluate.video import FRAMES_FILE, frames_writer, video_writer
 from physhdr.backend.optional import PackageMissingError
 from physhdr.backend.scene import Camera
-from physhdr.bridge.errors import BadValueError, OutputError
+from physhdr.bridge.errors import BadValueError, FileDamagedError, OutputError
 
 
 def looking_at(position, target) -> Camera:
@@ -204,32 +204,65 @@ def test_without_av_there_is_one_clear_message(tmp_path: Path, monkeypatch) -> N
         video_writer(tmp_path / "a.mp4", 5).__enter__()
     with video_writer(tmp_path / "a.webp", 5) as write:  # needs Pillow alone
         write(np.zeros((4, 6, 3), np.uint8))
-    with frames_writer(tmp_path / "frames") as write:
+    with frames_writer(tmp_path / "frames", 2) as write:
         for value in (10, 20):
             write(np.full((4, 6, 3), value, np.uint8))
     frames = tmp_path / "frames"
     names = sorted(path.name for path in frames.iterdir())
-    assert names == ["frame_0000.png", "frame_0001.png"]
+    assert names == ["frame_0000.png", "frame_0001.png", FRAMES_FILE]
     assert np.asarray(Image.open(frames / names[1]).convert("RGB"))[0, 0, 0] == 20
 
 
-def test_a_shorter_video_leaves_no_frames_of_the_longer_one(tmp_path: Path) -> None:
-    picture = np.zeros((4, 6, 3), np.uint8)
+PICTURE = np.zeros((4, 6, 3), np.uint8)
 
-    def write_frames(count: int) -> None:
-        with frames_writer(tmp_path) as write:
-            for _ in range(count):
-                write(picture)
-            if count == 1:
+
+def write_frames(folder: Path, count: int, interrupted: bool = False) -> None:
+    with frames_writer(folder, count) as write:
+        for _ in range(count):
+            write(PICTURE)
+            if interrupted:
                 raise KeyboardInterrupt
 
-    write_frames(4)
-    for name in ("frame_00003.png", "frame_last.png", "frame_0009.jpg"):  # not ours
+
+def test_a_shorter_video_leaves_no_frames_of_the_longer_one(tmp_path: Path) -> None:
+    write_frames(tmp_path, 4)
+    others = {"frame_00003.png", "frame_last.png", "frame_0009.jpg", "frame_0004.png"}
+    for name in others:  # not ours
         (tmp_path / name).touch()
     with pytest.raises(KeyboardInterrupt):
-        write_frames(1)
+        write_frames(tmp_path, 2, interrupted=True)
     assert (tmp_path / "frame_0003.png").is_file(), "removed only once the new ones are complete"
-    write_frames(2)
+    write_frames(tmp_path, 2)
     names = {path.name for path in tmp_path.iterdir()}
-    others = {"frame_00003.png", "frame_last.png", "frame_0009.jpg"}
-    assert names == {"frame_0000.png", "frame_0001.png"} | others
+    assert names == {"frame_0000.png", "frame_0001.png", FRAMES_FILE} | others
+    assert (tmp_path / "frame_0004.png").read_bytes() == b""
+
+
+def test_pictures_of_others_are_neither_overwritten_nor_removed(tmp_path: Path) -> None:
+    mine = {tmp_path / f"frame_{number:04d}.png": bytes([number]) for number in range(1, 5)}
+    for path, content in mine.items():
+        path.write_bytes(content)
+    write_frames(tmp_path, 1)
+    with pytest.raises(OutputError, match=r"frame_0001\.png is there, and nothing says[\s\S]*another folder"):
+        write_frames(tmp_path, 2)
+    assert {path: path.read_bytes() for path in mine} == mine
+    (tmp_path / "frame_0001.png").unlink()
+    write_frames(tmp_path, 2)
+    write_frames(tmp_path, 1)
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {"frame_0000.png", FRAMES_FILE} | {path.name for path in list(mine)[1:]}
+
+
+def test_an_interrupted_video_can_be_made_again(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        write_frames(tmp_path, 3, interrupted=True)
+    write_frames(tmp_path, 3)
+    assert len(list(tmp_path.glob("frame_*.png"))) == 3
+
+
+@pytest.mark.parametrize("content", ['{"format": "physhdr-frames", "frames": 3}', "{", '{"frames": true}'])
+def test_a_file_of_frames_that_is_none_is_told(tmp_path: Path, content: str) -> None:
+    (tmp_path / FRAMES_FILE).write_text(content)
+    with pytest.raises((OutputError, FileDamagedError), match=r"frames\.json[\s\S]*move that file away"):
+        write_frames(tmp_path, 1)
+    assert [path.name for path in tmp_path.iterdir()] == [FRAMES_FILE]
