@@ -11,6 +11,7 @@ import tyro
 from ...bridge.confidence import MEANING
 from ...bridge.errors import BadValueError, FileMissingError
 from ...bridge.lights import as_levels
+from ...bridge.limits import EXPOSURE
 from ...bridge.probe import WIDTH
 from ...bridge.shots import Shots
 from ..device import DeviceName
@@ -137,8 +138,8 @@ class Render:
             raise BadValueError(f"--out must end in .exr or .png, got {self.out.name}")
         if not self.lighting_level >= 0.0:
             raise BadValueError(f"--lighting-level must be 0 or more, got {self.lighting_level}")
-        if self.exposure is not None and not self.exposure > 0.0:
-            raise BadValueError(f"--exposure must be above 0 seconds, got {self.exposure}")
+        if self.exposure is not None:
+            EXPOSURE.check(self.exposure, "--exposure")
         if self.workers < 1:
             raise BadValueError(f"--workers must be at least 1, got {self.workers}")
         if self.confidence:

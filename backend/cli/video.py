@@ -12,6 +12,7 @@ import numpy as np
 import tyro
 
 from ...bridge.errors import BadValueError
+from ...bridge.limits import EXPOSURE, LEVEL
 from ...bridge.shots import Shots
 from ..device import DeviceName
 from ..evaluate.camera_file import read_camera_file
@@ -123,8 +124,13 @@ class Video:
             raise BadValueError(
                 f"--seconds {self.seconds:g} at --fps {self.fps}", "Seconds: up to an hour; fps: 1 to 240."
             )
-        if self.exposure is not None and not self.exposure > 0.0:
-            raise BadValueError(f"--exposure must be above 0 seconds, got {self.exposure}")
+        if self.shots is None and self._count < 2:
+            raise BadValueError(
+                f"--seconds {self.seconds:g} at --fps {self.fps} is no video: it needs 2 frames or more",
+                "Raise one of them.",
+            )
+        if self.exposure is not None:
+            EXPOSURE.check(self.exposure, "--exposure")
         if self.sweep_range is not None:
             wanted = {"none": 0, "both": 4}.get(self.sweep, 2)
             if len(self.sweep_range) != wanted or not min(self.sweep_range) > 0.0:
@@ -134,6 +140,9 @@ class Video:
                     "It needs --sweep exposure or lighting and two values above 0, or --sweep both and four: "
                     "the exposures, then the levels.",
                 )
+            for number, end in enumerate(self.sweep_range):
+                is_level = self.sweep == "lighting" or number >= 2
+                (LEVEL if is_level else EXPOSURE).check(end, "an end of --sweep-range")
         if self.shots is not None and (self.path is not None or self.sweep != "none" or self.lighting_levels):
             raise BadValueError(
                 "--shots has every frame's camera and light",
@@ -141,6 +150,11 @@ class Video:
             )
         if self.light is not None and self.sweep not in ("lighting", "both"):
             raise BadValueError("--light names what --sweep lighting turns", "Add --sweep lighting.")
+
+    @property
+    def _count(self) -> int:
+        """How many frames there are, but of shots."""
+        return round(self.seconds * self.fps)
 
     def plan(self, scene: Scene, method: Renderer, shots: Shots | None = None) -> list[Frame]:
         """Every frame, of ``shots`` where there are any.
@@ -158,7 +172,7 @@ class Video:
                 )
                 for shot in shots.frames
             ]
-        count = round(self.seconds * self.fps)
+        count = self._count
         path = self.path or ("spline" if self.sweep == "none" else "still")
         if path == "still":
             if self.sweep == "none":
