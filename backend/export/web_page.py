@@ -7,12 +7,15 @@ files beside the page, or in it.
 """
 
 import base64
+import contextlib
+import hashlib
 import io
 import json
 import os
+import re
 import stat
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -35,11 +38,22 @@ from .quantised import Quantised, quantised
 ASSETS = Path(__file__).parent / "web"
 #: In the order in which they need each other.
 SCRIPTS = ("data.js", "sorter.js", "splats.js", "tone.js", "camera.js", "screen.js", "page.js")
-VIEWER_FILE, PART_FILE = "viewer.js", "model-{:03d}.js"
+#: Files beside index.html; ``hash_of`` their content stands in their names, so that none of another page's is
+#: ever taken for this one's: neither by a browser that kept it, nor after an export that did not end.
+VIEWER_FILE, PART_FILE = "viewer-{hash}.js", "model-{index:03d}-{hash}.js"
+HASH_DIGITS = 12
+#: Those names, and what such files were called before 2026-11-23, without a hash.
+OUR_NAME = re.compile(rf"(viewer|model-\d{{3,}})(-[0-9a-f]{{{HASH_DIGITS}}})?\.js")
 #: What a folder that holds such a page has in its index.html: another one is not replaced.
 MARK = "PhysHDR web page"
 #: Bytes of the file that hold it.
 MARK_WITHIN = 4096
+#: What the page does where a script beside it is not there, and so cannot tell it; data.js says it of parts.
+MISSING = (
+    "document.getElementById('loading').className = document.documentElement.dataset.state = 'failed'; "
+    "document.getElementById('loading-text').textContent = '{} is missing. Load this page again; "
+    "if that does not help, copy the folder of index.html again, whole.'"
+)
 #: Bytes of a part before base64, a multiple of 3. Each is one step of the page's progress bar.
 PART_BYTES = 3_000_000
 #: Cameras in the page's list; of more, so many evenly chosen ones.
@@ -112,13 +126,16 @@ def write_web_page(
     parts = [data[at : at + PART_BYTES] for at in range(0, len(data), PART_BYTES)]
     facts = page_facts(model, page, packed)
     facts["bytes"] = len(raw)
-    names = ["" if single_file else PART_FILE.format(index) for index in range(len(parts))]
-    facts["parts"] = [{"file": name, "size": len(part)} for name, part in zip(names, parts, strict=True)]
     scripts = [_script_of_part(index, part) for index, part in enumerate(parts)]
+    names = [
+        "" if single_file else PART_FILE.format(index=index, hash=hash_of(text))
+        for index, text in enumerate(scripts)
+    ]
+    facts["parts"] = [{"file": name, "size": len(part)} for name, part in zip(names, parts, strict=True)]
     told = f"window.MODEL_FACTS = {_in_script(facts)};"
     if single_file:
         html = _html(page.title, [told, viewer(), *scripts])
-        sizes = [_write(target, html)]
+        sizes = [_write(target, html, refuse_what_is_not_ours)]
     else:
         try:
             out.mkdir(parents=True, exist_ok=True)
@@ -126,13 +143,9 @@ def write_web_page(
             raise OutputError(
                 f"cannot make {out}: {error.strerror or error}", "Choose another --web."
             ) from error
-        # The page last: until then an older one has its own parts, as far as they have the same names.
-        sizes = [_write(out / name, text) for name, text in zip(names, scripts, strict=True)]
-        sizes += [
-            _write(out / VIEWER_FILE, viewer()),
-            _write(target, _html(page.title, [told], [VIEWER_FILE])),
-        ]
-        _remove_older_parts(out, len(parts))
+        viewer_file = VIEWER_FILE.format(hash=hash_of(viewer()))
+        beside = dict(zip([*names, viewer_file], [*scripts, viewer()], strict=True))
+        sizes = _write_folder(target, _html(page.title, [told], [viewer_file]), beside)
     report(1.0)
     return Written(target, packed.header["count"], packed.left_out, len(data), sum(sizes))
 
@@ -208,17 +221,54 @@ def refuse_what_is_not_ours(target: Path) -> None:
         )
 
 
-def _remove_older_parts(folder: Path, count: int) -> None:
-    """Remove parts of a longer model that a page in this folder had before."""
-    index = count
-    while (path := folder / PART_FILE.format(index)).is_file():
-        path.unlink()
-        index += 1
+def hash_of(text: str) -> str:
+    """What stands for a file's content in its name."""
+    return hashlib.sha256(text.encode()).hexdigest()[:HASH_DIGITS]
 
 
-def _write(path: Path, text: str) -> int:
+def files_of(html: str) -> set[str]:
+    """The names of the files that a page of ours, also an earlier version's, has beside it."""
+    told = re.search(r"^window\.MODEL_FACTS = (.*);$", html, re.MULTILINE)
+    names = set(re.findall(r'<script src="([^"]*)"', html))
+    if told is not None:
+        # Edited by hand it may be anything: then its parts are nobody's, and stay.
+        with contextlib.suppress(ValueError, TypeError, KeyError):
+            names |= {part["file"] for part in json.loads(told.group(1))["parts"]}
+    return {name for name in names if OUR_NAME.fullmatch(name)}
+
+
+def _write_folder(target: Path, html: str, beside: dict[str, str]) -> list[int]:
+    """Write a page and what belongs beside it; each file's bytes.
+
+    The page comes last: until then an older one has all its own files. Then those are removed, by its own
+    list: what else lies in the folder is somebody's. Of a page that was not written nothing stays.
+    """
+    folder, new, sizes = target.parent, [], []
+    older = files_of(target.read_text("utf-8", errors="replace")) if target.is_file() else set()
+    try:
+        for name, text in beside.items():
+            if not os.path.lexists(folder / name):
+                new.append(folder / name)
+            sizes.append(_write(folder / name, text))
+        sizes.append(_write(target, html, refuse_what_is_not_ours))
+    except BaseException:
+        _remove(new)
+        raise
+    _remove(folder / name for name in older - beside.keys())
+    return sizes
+
+
+def _remove(paths: Iterable[Path]) -> None:
+    """Remove files as far as that can be done: what stays costs space, and nothing else."""
+    for path in paths:
+        with contextlib.suppress(OSError):
+            if stat.S_ISREG(os.lstat(path).st_mode):
+                path.unlink()
+
+
+def _write(path: Path, text: str, check: Callable[[Path], None] | None = None) -> int:
     content = text.encode()
-    with atomic_path(path, remedy="Choose another --web, or make room.") as temporary:
+    with atomic_path(path, remedy="Choose another --web, or make room.", check=check) as temporary:
         temporary.write_bytes(content)
     return len(content)
 
@@ -226,7 +276,7 @@ def _write(path: Path, text: str) -> int:
 def _html(title: str, inline: Sequence[str], files: Sequence[str] = ()) -> str:
     """The template with everything in its place; a title that looks like one of its marks stays a title."""
     scripts = [f"<script>\n{text}\n</script>" for text in inline]
-    scripts += [f'<script src="{name}"></script>' for name in files]
+    scripts += [f'<script src="{name}" onerror="{MISSING.format(name)}"></script>' for name in files]
     escaped = title
     for mark, entity in (("&", "&amp;"), ("<", "&lt;"), (">", "&gt;"), ('"', "&quot;")):
         escaped = escaped.replace(mark, entity)

@@ -42,7 +42,7 @@ function part(index, file) {
       if (parts.has(index)) take();
       else if (partArrived === take) reject(new PageError(`${file} is damaged. Copy the page's folder again, whole.`));
     };
-    script.onerror = () => reject(new PageError(`${file} is missing. It belongs beside index.html: copy the page's folder whole.`));
+    script.onerror = () => reject(new PageError(`${file} is missing. Load this page again; if that does not help, copy the folder of index.html again, whole.`));
     document.head.append(script);
   });
 }

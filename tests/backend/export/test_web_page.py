@@ -2,6 +2,7 @@
 """The files of a web page: what they hold, what is refused, what is never overwritten."""
 
 import base64
+import hashlib
 import importlib.util
 import json
 import os
@@ -61,7 +62,12 @@ def test_the_page_holds_the_model(tmp_path, monkeypatch, single):
         assert files == [""] * len(files) and [p.name for p in tmp_path.iterdir()] == ["scene.html"]
         scripts = html
     else:
-        assert {p.name for p in out.iterdir()} == {"index.html", "viewer.js", *files}
+        (viewer,) = re.findall(r'<script src="(.*?)"', html)
+        assert {p.name for p in out.iterdir()} == {"index.html", viewer, *files}
+        # Each name says what is in the file: sha256, as any program has it.
+        for name in (viewer, *files):
+            digest = hashlib.sha256((out / name).read_bytes()).hexdigest()
+            assert re.fullmatch(rf"(viewer|model-\d\d\d)-{digest[:12]}\.js", name)
         scripts = "".join((out / name).read_text() for name in files)
     assert data_of(scripts) == quantised(model).raw()
     assert facts["bytes"] == len(quantised(model).raw())
@@ -140,14 +146,99 @@ def test_another_page_is_not_replaced_and_ours_is(tmp_path):
     with pytest.raises(OutputError, match="did not write it"):
         write_web_page(folder, some_model(count=4), WebPage("x"))
     assert [p.name for p in folder.iterdir()] == ["index.html"]
-    (folder / "index.html").unlink()
-    for number in (3, 1):
-        (folder / web_page.PART_FILE.format(number)).write_text("")
+
+
+def contents(folder: Path) -> dict[str, str]:
+    return {path.name: path.read_text() for path in folder.iterdir()}
+
+
+def test_files_beside_the_page_that_are_not_ours_stay(tmp_path):
+    theirs = {name: f"my own {name}" for name in ("viewer.js", "model-000.js", "model-001.js", "notes.txt")}
+    for name, text in theirs.items():
+        (tmp_path / name).write_text(text)
+    for count in (4, 5, 6):
+        write_web_page(tmp_path, some_model(count=count), WebPage("x"))
+        assert contents(tmp_path).items() >= theirs.items()
+    assert facts_of((tmp_path / "index.html").read_text())["count"] == 6
+    # Of the two pages before nothing is left: a page, its viewer and its one part are there.
+    assert len(contents(tmp_path)) == len(theirs) + 3
+
+
+def as_before(folder: Path) -> None:
+    """Give the files of a page the names that they had at first, which said nothing of what is in them."""
+    html = (folder / "index.html").read_text()
+    for path in sorted(folder.glob("*.js")):
+        old = re.sub(r"-[0-9a-f]{12}\.js$", ".js", path.name)
+        html = html.replace(path.name, old)
+        path.rename(folder / old)
+    (folder / "index.html").write_text(html)
+
+
+def test_a_page_of_an_earlier_version_is_replaced(tmp_path, monkeypatch):
+    monkeypatch.setattr(web_page, "PART_BYTES", 3000)
+    write_web_page(tmp_path, some_model(), WebPage("x"))
+    as_before(tmp_path)
+    assert {"viewer.js", "model-000.js", "model-001.js"} <= contents(tmp_path).keys()
+    monkeypatch.setattr(web_page, "PART_BYTES", 3_000_000)
+    for name in ("model-099.js", "viewer-mine.js"):
+        (tmp_path / name).write_text("mine")
+    write_web_page(tmp_path, some_model(count=4), WebPage("y"))
+    files = [entry["file"] for entry in facts_of((tmp_path / "index.html").read_text())["parts"]]
+    assert len(files) == 1
+    assert {name for name in contents(tmp_path) if not name.startswith("viewer-")} == {
+        "index.html",
+        *files,
+        "model-099.js",
+    }
+    assert len(list(tmp_path.glob("viewer*.js"))) == 2 and (tmp_path / "viewer-mine.js").exists()
+
+
+def test_what_a_page_says_of_others_files_removes_none(tmp_path):
+    """An index.html of ours that somebody edited."""
+    folder = tmp_path / "site"
     write_web_page(folder, some_model(count=4), WebPage("x"))
-    write_web_page(folder, some_model(count=5), WebPage("y"))
-    assert facts_of((folder / "index.html").read_text())["count"] == 5
-    # An older page's second part is gone; what does not follow on it is nobody's business.
-    assert not (folder / "model-001.js").exists() and (folder / "model-003.js").exists()
+    html = (folder / "index.html").read_text()
+    (name,) = [entry["file"] for entry in facts_of(html)["parts"]]
+    theirs = tmp_path / "model-000.js"
+    for path in (theirs, folder / "mine.js"):
+        path.write_text("mine")
+    for edited in (
+        html.replace(name, "../model-000.js").replace(
+            "<script src", '<script src="mine.js"></script><script src'
+        ),
+        html.replace('"parts":[', '"parts":[7,'),
+        html.replace("window.MODEL_FACTS = {", "window.MODEL_FACTS = {,"),
+    ):
+        (folder / "index.html").write_text(edited)
+        write_web_page(folder, some_model(count=5), WebPage("x"))
+        assert theirs.exists() and (folder / "mine.js").exists()
+
+
+@pytest.mark.parametrize("at", [0, 2, "index.html"])
+def test_an_export_that_ends_early_leaves_the_page_before_whole(tmp_path, monkeypatch, at):
+    monkeypatch.setattr(web_page, "PART_BYTES", 3000)
+    write_web_page(tmp_path, some_model(), WebPage("x"))
+    before, write, written = contents(tmp_path), web_page._write, []
+
+    def full(path: Path, *others) -> int:
+        if path.name == at or len(written) == at:
+            raise OutputError("no space left", "Make room.")
+        written.append(path.name)
+        return write(path, *others)
+
+    monkeypatch.setattr(web_page, "_write", full)
+    with pytest.raises(OutputError, match="no space"):
+        write_web_page(tmp_path, some_model(count=300, seed=9), WebPage("y"))
+    assert contents(tmp_path) == before
+
+
+def test_a_page_that_appears_meanwhile_is_not_replaced(tmp_path):
+    def somebody(done: float) -> None:
+        tmp_path.joinpath("index.html").write_text("<h1>My home</h1>")
+
+    with pytest.raises(OutputError, match="did not write it"):
+        write_web_page(tmp_path, some_model(count=4), WebPage("x"), report=somebody)
+    assert contents(tmp_path) == {"index.html": "<h1>My home</h1>"}
 
 
 @pytest.mark.parametrize("kind", ["link", "folder", "pipe"])
