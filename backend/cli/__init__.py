@@ -1,16 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The command ``physhdr``: train, evaluate, benchmark, export, render, video, prepare, inspect, …"""
 
-import errno
 import sys
-from pathlib import Path
 from typing import Annotated, Any
 
-from ...bridge.errors import PhysHDRError
 from ...bridge.regular import require_text
-from ...bridge.run_folder import CHECKPOINT_FILE
-from ..memory import address_limit, gigabytes, is_out_of_memory, refuse_too_few_addresses
+from ..memory import refuse_too_few_addresses
 from ..project import version
+from .words import words_of
 
 __all__ = ["main"]
 
@@ -34,70 +31,11 @@ def main(argv: list[str] | None = None) -> int:
         sys.stderr.write("interrupted\n")
         return 130
     except Exception as error:
-        told = _in_words(error, argv)
+        told = words_of(error, argv)
         if told is None:
             raise
         sys.stderr.write(f"error: {told}\n")
         return 1
-
-
-def _in_words(error: Exception, argv: list[str]) -> str | None:
-    """What to tell of an error that a user can mend; None: it is a fault of ours."""
-    run = _run_in(argv)
-    if is_out_of_memory(error):
-        limit = address_limit()
-        allowed = "" if limit is None else f": ulimit -v leaves {gigabytes(limit)} of addresses"
-        return (
-            f"there is not enough memory{allowed}\n"
-            f"  {'Close other programs' if limit is None else 'Lift the limit: ulimit -v unlimited'}"
-            f"{_SMALLER if argv[:1] == ['train'] else ''}.{_resumption(run)}"
-        )
-    if isinstance(error, PhysHDRError):
-        return str(error)
-    if isinstance(error, ModuleNotFoundError):
-        return f"{error}\n  Install what is missing; physhdr check says what that is."
-    if isinstance(error, OSError):
-        return f"{_what_failed(error)}\n  {_what_helps(error, run)}"
-    return None
-
-
-#: What needs less memory in a training, after another remedy.
-_SMALLER = ", or train on smaller pictures (--downscale 2) or with fewer Gaussians (--densify.budget 20000)"
-
-
-def _what_failed(error: OSError) -> str:
-    """The file, where the error names one, and what the system says of it."""
-    said = error.strerror or str(error) or type(error).__name__
-    names = " → ".join(str(name) for name in (error.filename, error.filename2) if name is not None)
-    return f"{names}: {said}" if names else said
-
-
-def _what_helps(error: OSError, run: Path | None) -> str:
-    if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        where = "that disk" if error.filename is not None else f"the disk of {run or 'the output'}"
-        return f"Free some space on {where}, then call again.{_resumption(run)}"
-    if error.filename is not None:
-        return "Check that path, its permissions, and that the disk has space."
-    where = f" of {run}" if run else ""
-    return f"Check the permissions and the free space{where}, then call again."
-
-
-def _run_in(argv: list[str]) -> Path | None:
-    """The folder of the run that ``train`` was to write or to go on with, where the command names one."""
-    if argv[:1] != ["train"]:
-        return None
-    for option, value in zip(argv, [*argv[1:], ""], strict=True):
-        name, _, given = option.partition("=")
-        if name in ("--out", "--resume"):
-            return Path(given or value)
-    return None
-
-
-def _resumption(run: Path | None) -> str:
-    """How to go on with a run of which something was saved, as a further sentence."""
-    if run is None or not (run / CHECKPOINT_FILE).is_file():
-        return ""
-    return f" Go on with what was saved: physhdr train --resume {run}"
 
 
 def _command(argv: list[str]) -> Any:

@@ -1,8 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """``physhdr panorama``: the light at a place in a trained model, as panoramas that light a scene."""
 
-import json
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +10,7 @@ import numpy as np
 import torch
 import tyro
 
-from ...bridge.errors import BadValueError, PhysHDRError
+from ...bridge.errors import BadValueError
 from ...bridge.limits import check_position
 from ...bridge.model_file import Model, read_model
 from ...bridge.panorama import near_distance
@@ -29,6 +27,7 @@ from ..scene import Camera
 from ..scene.pictures import write_exr
 from .layers import lights_apart, lit_splats
 from .prepare import ended_politely
+from .told import answered, line
 
 #: What is told of a model that cannot tell its lights apart.
 NO_LIGHTS = "its lights are not known apart: fixed.exr is all of its light, and levels do not change it"
@@ -60,17 +59,11 @@ class Panorama:
     json: bool = False
 
     def run(self) -> int:
-        try:
-            with ended_politely(), torch.no_grad():
-                told = self._probes()
-        except PhysHDRError as error:
-            if not self.json:
-                raise
-            self._write({"error": {"code": error.code, "message": error.message, "hint": error.hint}})
-            return 1
-        if self.json:
-            self._write({"result": {"probes": told}})
-        return 0
+        return answered(self._work, self.json)
+
+    def _work(self) -> dict[str, Any]:
+        with ended_politely(), torch.no_grad():
+            return {"probes": self._probes()}
 
     def _probes(self) -> list[dict[str, Any]]:
         if len(self.at) != len(self.out):
@@ -88,7 +81,7 @@ class Panorama:
 
             def report(done: float, number: int = number, folder: Path = folder) -> None:
                 if self.json:
-                    self._write({"progress": (number + done) / len(self.at), "message": folder.name})
+                    line(progress=(number + done) / len(self.at), message=folder.name)
 
             probe = self._probe(model, place, folder, report)
             told.append({"folder": str(folder), "unseen": probe.unseen})
@@ -140,13 +133,9 @@ class Panorama:
         finish(folder, probe)
         return probe
 
-    def _say(self, line: str) -> None:
+    def _say(self, said: str) -> None:
         if not self.json:
-            console.print(line)
-
-    def _write(self, content: dict[str, Any]) -> None:
-        sys.stdout.write(json.dumps(content) + "\n")
-        sys.stdout.flush()
+            console.print(said)
 
 
 class _OfModel:

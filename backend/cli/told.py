@@ -9,12 +9,13 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import asdict
 from typing import Any
 
 from rich.progress import Progress
 
-from ...bridge.errors import PhysHDRError
 from ..runs.terminal import console
+from .words import words_of
 
 #: Called with how many are done, of how many, and what is worked on.
 Told = Callable[[int, int, str], None]
@@ -29,14 +30,20 @@ def line(**content: Any) -> None:
 
 
 def answered(work: Callable[[], dict[str, Any]], as_json: bool) -> int:
-    """Do the ``work``; the exit status. With ``as_json`` its result or its error is the last line."""
+    """Do the ``work``; the exit status. With ``as_json`` its result or its error is the last line.
+
+    A fault of ours is raised in any case.
+    """
     if not as_json:
         work()
         return 0
     try:
         line(result=work())
-    except PhysHDRError as error:
-        line(error={"code": error.code, "message": error.message, "hint": error.hint})
+    except Exception as error:
+        told = words_of(error)
+        if told is None:
+            raise
+        line(error=asdict(told))
         return 1
     return 0
 

@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """``physhdr evaluate --json`` and ``physhdr video --json``: what a program that started them is told."""
 
+import errno
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,14 +12,18 @@ import torch
 from PIL import Image
 
 from physhdr.backend.cli import evaluate as evaluate_command
-from physhdr.backend.cli import main
+from physhdr.backend.cli import main, words
 from physhdr.backend.cli import video as video_command
+from physhdr.backend.cli.told import answered
 from physhdr.backend.evaluate.renderer import Renderer
 from physhdr.backend.runs.run import Run
 from physhdr.backend.scene import read_scene
 from physhdr.backend.train.config import TrainConfig
 from physhdr.bridge.errors import FileMissingError
 from physhdr.bridge.shots import Shot, Shots, write_shots
+
+#: A file's name that no system takes, and a place.
+NAME, PLACE = "a" * 300 + ".spz", ["--at", "0", "0", "0", "--out", "probe"]
 
 
 class Grey(Renderer):
@@ -100,3 +106,59 @@ def test_shots_have_a_path_and_lights_of_their_own(opened, tmp_path, capsys) -> 
     out = ["--out", str(tmp_path / "a.webp")]
     assert main(["video", str(tmp_path), *out, "--shots", str(tmp_path / "three.json"), "--json"]) == 1
     assert "3 lights, the model has 2: ambient, lamp" in told(capsys)[0]["error"]["message"]
+
+
+def fails(error: Exception):
+    def work() -> dict:
+        raise error
+
+    return work
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "message", "hint"),
+    [
+        (
+            OSError(errno.ENAMETOOLONG, "File name too long", "a.spz"),
+            "path",
+            "a.spz: File name too long",
+            "path",
+        ),
+        (
+            OSError(errno.ENOSPC, "No space left on device"),
+            "path",
+            "No space left on device",
+            "Free some space",
+        ),
+        (MemoryError(), "out_of_memory", "there is not enough memory", "Close other programs"),
+        (
+            ModuleNotFoundError("No module named 'pxr'"),
+            "package_missing",
+            "No module named 'pxr'",
+            "physhdr check",
+        ),
+    ],
+)
+def test_what_the_system_refuses_is_told_to_programs_too(
+    capsys, monkeypatch, error, code, message, hint
+) -> None:
+    monkeypatch.setattr(words, "address_limit", lambda: None)
+    assert answered(fails(error), as_json=True) == 1
+    [line] = told(capsys)
+    assert (line["error"]["code"], line["error"]["message"]) == (code, message)
+    assert hint in line["error"]["hint"]
+
+
+def test_a_fault_of_ours_is_no_answer(capsys) -> None:
+    with pytest.raises(RuntimeError, match="shapes"):
+        answered(fails(RuntimeError("shapes do not match")), as_json=True)
+    assert told(capsys) == []
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="another message there")
+@pytest.mark.parametrize("command", [["convert", NAME, "o.spz"], ["panorama", NAME, *PLACE]])
+def test_a_name_that_is_too_long_is_told(capsys, tmp_path, monkeypatch, command) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main([*command, "--json"]) == 1
+    [line] = told(capsys)
+    assert line["error"]["code"] == "path" and "File name too long" in line["error"]["message"]

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a command says of an error that a user can mend: to people, and as data to programs (``--json``).
+
+Needed before any library is loaded, and when hardly anything can be allocated: standard library alone.
+"""
+
+import errno
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ...bridge.errors import PhysHDRError
+from ...bridge.run_folder import CHECKPOINT_FILE
+from ..memory import address_limit, gigabytes, is_out_of_memory
+
+
+@dataclass(frozen=True)
+class Words:
+    """``code``: the cause (docs/protocol.md); ``message``: what was wrong; ``hint``: what helps."""
+
+    code: str
+    message: str
+    hint: str
+
+    def __str__(self) -> str:
+        return f"{self.message}\n  {self.hint}" if self.hint else self.message
+
+
+def words_of(error: Exception, argv: Sequence[str] = ()) -> Words | None:
+    """What to tell of an error of the command ``argv``; None: it is a fault of ours."""
+    run = _run_in(argv)
+    if is_out_of_memory(error):
+        limit = address_limit()
+        allowed = "" if limit is None else f": ulimit -v leaves {gigabytes(limit)} of addresses"
+        return Words(
+            "out_of_memory",
+            f"there is not enough memory{allowed}",
+            f"{'Close other programs' if limit is None else 'Lift the limit: ulimit -v unlimited'}"
+            f"{_SMALLER if list(argv[:1]) == ['train'] else ''}.{_resumption(run)}",
+        )
+    if isinstance(error, PhysHDRError):
+        return Words(error.code, error.message, error.hint)
+    if isinstance(error, ModuleNotFoundError):
+        return Words(
+            "package_missing", str(error), "Install what is missing; physhdr check says what that is."
+        )
+    if isinstance(error, OSError):
+        return Words("path", _what_failed(error), _what_helps(error, run))
+    return None
+
+
+#: What needs less memory in a training, after another remedy.
+_SMALLER = ", or train on smaller pictures (--downscale 2) or with fewer Gaussians (--densify.budget 20000)"
+
+
+def _what_failed(error: OSError) -> str:
+    """The file, where the error names one, and what the system says of it."""
+    said = error.strerror or str(error) or type(error).__name__
+    names = " → ".join(str(name) for name in (error.filename, error.filename2) if name is not None)
+    return f"{names}: {said}" if names else said
+
+
+def _what_helps(error: OSError, run: Path | None) -> str:
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        where = "that disk" if error.filename is not None else f"the disk of {run or 'the output'}"
+        return f"Free some space on {where}, then call again.{_resumption(run)}"
+    if error.filename is not None:
+        return "Check that path, its permissions, and that the disk has space."
+    where = f" of {run}" if run else ""
+    return f"Check the permissions and the free space{where}, then call again."
+
+
+def _run_in(argv: Sequence[str]) -> Path | None:
+    """The folder of the run that ``train`` was to write or to go on with, where the command names one."""
+    if list(argv[:1]) != ["train"]:
+        return None
+    for option, value in zip(argv, [*argv[1:], ""], strict=True):
+        name, _, given = option.partition("=")
+        if name in ("--out", "--resume"):
+            return Path(given or value)
+    return None
+
+
+def _resumption(run: Path | None) -> str:
+    """How to go on with a run of which something was saved, as a further sentence."""
+    if run is None or not (run / CHECKPOINT_FILE).is_file():
+        return ""
+    return f" Go on with what was saved: physhdr train --resume {run}"
