@@ -65,14 +65,18 @@ async function loadPlanes(facts, progress) {
     }
   })();
   reading.catch(() => {});
+  // A write waits for what came before to be read: where reading has ended by an error, it would for ever.
+  const written = (writing) => Promise.race([writing, reading]);
   try {
     for (let k = 0; k < facts.parts.length; k++) {
-      await writer.write(await part(k, facts.parts[k].file));
+      await written(writer.write(await part(k, facts.parts[k].file)));
       progress((k + 1) / facts.parts.length);
     }
-    await writer.close();
+    await written(writer.close());
     await reading;
   } catch (error) {
+    // Nobody waits for the rest; that it cannot be had is told already.
+    for (const ending of [reader.cancel(), writer.abort()]) ending.catch(() => {});
     if (error instanceof PageError) throw error;
     throw new PageError("The model's data are damaged. Copy the page again, or export it again.");
   }

@@ -302,3 +302,46 @@ def test_the_script_is_one_classic_script(tmp_path):
     script = tmp_path / "viewer.js"
     script.write_text(web_page.viewer())
     subprocess.run(["node", "--check", script], check=True)
+
+
+#: Reads a page's facts and its parts' scripts from standard input, and writes how loading it ended.
+LOADING = """
+const [facts, scripts] = JSON.parse(require("fs").readFileSync(0, "utf8"));
+globalThis.window = globalThis;
+globalThis.document = { readyState: "complete" };
+process.on("unhandledRejection", (error) => { console.log("unhandled", error.message); process.exit(1); });
+const waited = setTimeout(() => { console.log("still loading"); process.exit(1); }, 10_000);
+const told = (text) => { console.log(text); clearTimeout(waited); };
+const run = (0, eval)(`(() => { ${process.argv[1]}; return { loadPlanes, PageError }; })()`);
+(0, eval)(scripts);
+run.loadPlanes(facts, () => {}).then(
+  (planes) => told(`planes ${Object.keys(planes)}`),
+  (error) => told(`${error instanceof run.PageError} ${error.message}`));
+"""
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="needs node, to run JavaScript")
+@pytest.mark.parametrize(
+    ("spoil", "told"),
+    [
+        (lambda facts, data: data, "planes all"),
+        # The facts of a smaller page: unpacked it is more than there is room for, and far from its end.
+        (lambda facts, data: facts.update(bytes=1000) or data, "true .* damaged: there are too many"),
+        (lambda facts, data: facts.update(bytes=facts["bytes"] + 1) or data, "true .* not whole"),
+        (lambda facts, data: data[: len(data) // 2], "true .* damaged"),
+        (lambda facts, data: bytes(len(data)), "true .* damaged"),
+    ],
+)
+def test_data_that_do_not_fit_the_page_are_told(spoil, told):
+    raw = np.random.default_rng(0).bytes(1_000_000)
+    facts = {"bytes": len(raw), "planes": [["all", len(raw)]]}
+    data = spoil(facts, zlib.compress(raw))
+    pieces = [data[at : at + 50_000] for at in range(0, len(data), 50_000)]
+    facts["parts"] = [{"file": "", "size": len(piece)} for piece in pieces]
+    scripts = "".join(web_page._script_of_part(index, piece) for index, piece in enumerate(pieces))
+    source = (web_page.ASSETS / "data.js").read_text()
+    ran = subprocess.run(
+        ["node", "-e", LOADING, source], input=json.dumps([facts, scripts]), capture_output=True, text=True
+    )
+    assert re.match(told, ran.stdout), ran.stdout + ran.stderr
+    assert ran.returncode == 0
