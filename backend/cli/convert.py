@@ -185,6 +185,10 @@ class Convert:
             raise BadValueError(
                 f"{self.source} has colours of its own, which nothing is fitted to", "Leave --cameras out."
             )
+        if self.quick:
+            raise BadValueError(
+                f"{self.source} has colours of its own, which nothing is fitted to", "Leave --quick out."
+            )
         if self._asks_for_light():
             raise BadValueError(f"{self.source} has no light to be changed", "Leave the lighting out.")
         if self.tone == "learned":

@@ -25,6 +25,7 @@ from ..runs.run import open_run
 from ..runs.terminal import console
 from ..scene import Camera
 from ..scene.pictures import write_exr
+from .given import given_of
 from .layers import lights_apart, lit_splats
 from .prepare import ended_politely
 from .told import answered, line
@@ -102,6 +103,8 @@ class Panorama:
                 self.source, self.data, self.rasteriser, self.device, self._say, pictures=False
             ).method
             return _OfSplats(method.splatting) if method.splatting else _OfPictures(method)
+        if given := given_of(self, "data", "device"):
+            raise BadValueError(f"--{given[0]} is of a run, and {self.source} is no folder", "Leave it out.")
         is_ply = self.source.suffix.lower() == ".ply"
         model = read_ply_model(self.source).model if is_ply else read_model(self.source)
         return _OfModel(model, self.rasteriser)

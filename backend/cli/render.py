@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """``physhdr render``: pictures of a trained run, scene-linear EXR or LDR PNG: one, a sequence, all views."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -25,6 +25,7 @@ from ..runs.run import Run, open_run
 from ..runs.terminal import console
 from ..scene import Camera, Scene
 from .confidence import on_gaussians_and_sure, write_confidence, write_confidence_around
+from .given import given_of
 from .layers import Sure
 from .lighting import levels_asked
 from .sequence import (
@@ -144,7 +145,7 @@ class Render:
             raise BadValueError(f"--workers must be at least 1, got {self.workers}")
         if self.confidence:
             asked = ("exposure", "lighting_level", "lighting_levels", *(("view",) if self.at else ()))
-            if given := self._given(*asked, "camera", "layers"):
+            if given := given_of(self, *asked, "camera", "layers"):
                 raise BadValueError(f"--{given[0]} changes nothing about --confidence", "Leave it out.")
         elif self.at is not None:
             raise BadValueError(
@@ -155,17 +156,17 @@ class Render:
                 "--layers are of radiance: one .exr, which has no exposure",
                 "Let --out end in .exr, and leave --exposure out.",
             )
+        if kind == ".exr" and not self.confidence and self.exposure is not None:
+            raise BadValueError(
+                f"--exposure changes nothing about {self.out.name}, which is radiance",
+                "Leave it out, or let --out end in .png.",
+            )
         if self.camera is None and (
-            given := self._given("camera_prim", "camera_space", "workers", "overwrite")
+            given := given_of(self, "camera_prim", "camera_space", "workers", "overwrite")
         ):
             raise BadValueError(f"--{given[0]} is of --camera FILE", "Leave it out, or give a file.")
         if self.camera is not None and self.view is not None:
             raise BadValueError("--view is one camera, --camera a file of them", "Leave one of them out.")
-
-    def _given(self, *names: str) -> list[str]:
-        """Those of some options that are not as by default, as they are typed."""
-        defaults = {each.name: each.default for each in fields(self)}
-        return [name.replace("_", "-") for name in names if getattr(self, name) != defaults[name]]
 
     def _opened(self) -> Run:
         run = open_run(self.folder, self.data, self.rasteriser, self.device, pictures=False)
@@ -215,7 +216,7 @@ class Render:
         lights = run.method.lights
         levels = levels_asked(self.lighting_level, self.lighting_levels, lights)
         if any(shot.levels for shot in shots.frames):
-            if given := self._given("lighting_level", "lighting_levels"):
+            if given := given_of(self, "lighting_level", "lighting_levels"):
                 raise BadValueError(f"--{given[0]}: the file of cameras has levels", "Leave it out.")
             lit = [levels_of(shot, lights) for shot in shots.frames]
         else:
@@ -236,7 +237,7 @@ class Render:
     def _all_of(self, split: str) -> int:
         alone = ("view", "exposure", "lighting_level", "lighting_levels", "width", "confidence", "at")
         alone += ("camera", "camera_prim", "camera_space", "layers", "workers", "overwrite")
-        if given := self._given(*alone):
+        if given := given_of(self, *alone):
             raise BadValueError(f"--{given[0]} is of one picture, --split of all", "Leave one of them out.")
         run = open_run(self.folder, self.data, self.rasteriser, self.device)
         if not run.scene.splits[split]:

@@ -25,6 +25,7 @@ from ..runs.files import writable_folder
 from ..runs.run import open_run
 from ..runs.terminal import console
 from ..scene import Camera, Scene
+from .given import given_of
 from .lighting import levels_asked
 from .render import camera_named
 from .told import answered, progress
@@ -148,8 +149,20 @@ class Video:
                 "--shots has every frame's camera and light",
                 "Leave --path, --sweep and --lighting-levels out.",
             )
+        if self.shots is not None and (given := given_of(self, "seconds", "fps")):
+            raise BadValueError(f"--{given[0]}: --shots has every frame and its time", "Leave it out.")
+        if self.view is not None and (self.shots is not None or self._path != "still"):
+            raise BadValueError(
+                "--view is where a still camera stands, and this one moves",
+                "Leave it out, or take --path still and a --sweep.",
+            )
         if self.light is not None and self.sweep not in ("lighting", "both"):
             raise BadValueError("--light names what --sweep lighting turns", "Add --sweep lighting.")
+
+    @property
+    def _path(self) -> Literal["spline", "orbit", "still"]:
+        """How the camera moves, but of shots."""
+        return self.path or ("spline" if self.sweep == "none" else "still")
 
     @property
     def _count(self) -> int:
@@ -173,14 +186,13 @@ class Video:
                 for shot in shots.frames
             ]
         count = self._count
-        path = self.path or ("spline" if self.sweep == "none" else "still")
-        if path == "still":
+        if self._path == "still":
             if self.sweep == "none":
                 raise BadValueError("a still camera shows nothing new", "Add --sweep exposure or lighting.")
             cameras = [camera_named(scene, self.view)] * count
         else:
             standing = [view.camera for view in scene.train]
-            cameras = (spline_path if path == "spline" else orbit_path)(standing, count)
+            cameras = (spline_path if self._path == "spline" else orbit_path)(standing, count)
         if self.width is not None:
             cameras = [camera.resized(self.width) for camera in cameras]
         levels = levels_asked(1.0, self.lighting_levels, method.lights)

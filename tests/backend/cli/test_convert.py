@@ -270,6 +270,7 @@ def test_what_does_not_fit_is_refused(model: Path, capsys, out: str, options, to
         ["--tone", "srgb"],
         ["--exposure-ev", "0"],
         ["--color-space", "linear"],
+        ["--quick"],
     ],
 )
 def test_another_programs_file_has_no_light_to_change(model: Path, capsys, options) -> None:

@@ -110,6 +110,13 @@ def test_what_cannot_be_drawn_is_refused_before_anything_is_written(run, tmp_pat
     assert told in capsys.readouterr().err and not out.exists()
 
 
+@pytest.mark.parametrize("option", [("--data", "x"), ("--device", "cpu")])
+def test_what_is_of_a_run_is_refused_of_a_model_file(tmp_path, capsys, option):
+    words = ["--at", "0", "0", "0", "--out", str(tmp_path / "probe"), *option]
+    assert main(["panorama", "m.safetensors", *words]) == 1
+    assert f"{option[0]} is of a run, and m.safetensors is no folder" in capsys.readouterr().err
+
+
 def test_a_folder_of_other_things_stays_as_it_is(run, tmp_path, capsys):
     (tmp_path / "holiday.exr").write_bytes(b"mine")
     assert main(["panorama", str(run), "--at", "0", "0", "0", "--out", str(tmp_path), "--json"]) == 1
