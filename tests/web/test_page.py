@@ -592,6 +592,34 @@ def test_a_browser_that_cannot_is_told_why(two_lights, visit, spoiled, told):
     assert told in page.page.inner_text("#loading-text")
 
 
+# ---- what is taken away ----------------------------------------------------------------------------------
+
+
+def test_a_graphics_card_that_is_taken_away_and_given_back(small):
+    page = small.page
+    page.locator("#next").click()
+    there = pixels(small.picture())
+    page.locator("#previous").click()
+    assert small.still() == "settled" and psnr(pixels(small.picture()), there) < 40.0
+    canvas = "document.getElementById('picture').getContext('webgl2')"
+    page.evaluate(f"window.card = {canvas}.getExtension('WEBGL_lose_context')")
+    for _ in range(2):
+        page.evaluate("card.loseContext()")
+        page.wait_for_selector("html[data-state=failed]", state="attached", timeout=5000)
+        # Neither time nor what the user does takes the words away.
+        page.locator("#camera").evaluate(
+            "(e) => { e.value = '1'; e.dispatchEvent(new Event('change', { bubbles: true })); }"
+        )
+        page.wait_for_timeout(600)
+        assert page.get_attribute("html", "data-state") == "failed"
+        assert "done" not in (page.get_attribute("#cover", "class") or "")
+        assert "graphics card was reset" in page.inner_text("#loading-text")
+        page.evaluate("card.restoreContext()")
+        page.wait_for_selector("html[data-state=settled]", state="attached", timeout=20_000)
+        assert "done" in page.get_attribute("#cover", "class")
+        assert psnr(pixels(small.picture()), there) >= 60.0
+
+
 # ---- HDR screens -----------------------------------------------------------------------------------------
 
 #: A screen of high range, and a WebGPU that keeps what it is handed: no screen can be looked at here.

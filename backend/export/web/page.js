@@ -17,6 +17,8 @@ const KEYS = [
 class Page {
   constructor(facts, planes) {
     this.facts = facts;
+    // Kept for a graphics card that forgets everything.
+    this.planes = planes;
     this.canvas = element("picture");
     this.drawing = new SplatDrawing(this.canvas, facts, planes);
     this.responses = responses(facts);
@@ -31,7 +33,7 @@ class Page {
     this.frameTime = 0;
     this.sorted = this.asked = 0;
     this.askedFor = "";
-    this.isAwake = false;
+    this.isAwake = this.isStopped = this.isLost = false;
     this.movedAt = -Infinity;
     this.build();
     this.reset();
@@ -39,7 +41,8 @@ class Page {
     addEventListener("hashchange", () => { this.follow(location.hash); });
     addEventListener("resize", () => this.wake());
     addEventListener("keydown", (event) => this.key(event));
-    this.canvas.addEventListener("webglcontextlost", () => fail("The graphics card was reset. Load this page again."));
+    this.canvas.addEventListener("webglcontextlost", (event) => this.lose(event));
+    this.canvas.addEventListener("webglcontextrestored", () => this.restore());
     this.wake();
   }
 
@@ -257,12 +260,13 @@ class Page {
   // ---- frames ----
 
   wake() {
+    if (this.isStopped) return;
     document.documentElement.dataset.state = "drawing";
     this.movedAt = performance.now();
     if (this.isAwake) return;
     this.isAwake = true;
     this.last = performance.now();
-    requestAnimationFrame((now) => this.frame(now));
+    this.nextFrame();
   }
 
   frame(now) {
@@ -285,7 +289,46 @@ class Page {
       element("cover").classList.add("done");
       return;
     }
-    requestAnimationFrame((then) => this.frame(then));
+    this.nextFrame();
+  }
+
+  nextFrame() { this.next = requestAnimationFrame((now) => this.frame(now)); }
+
+  // ---- what ends it ----
+
+  /** Draw no more, and say why. */
+  stop(message, isLost = false) {
+    cancelAnimationFrame(this.next);
+    this.isAwake = false;
+    this.isStopped = true;
+    this.isLost = isLost;
+    fail(message);
+  }
+
+  /** The browser has taken the graphics card away, as phones do with a page in the background. */
+  lose(event) {
+    // Otherwise it would never be given back.
+    event.preventDefault();
+    if (this.isStopped && !this.isLost) return;
+    this.stop("The graphics card was reset. The picture comes back when the browser may use it again; if it does not, load this page again.", true);
+  }
+
+  /** It is given back, and has forgotten everything. */
+  restore() {
+    if (!this.isLost) return;
+    try { this.drawing = new SplatDrawing(this.canvas, this.facts, this.planes); }
+    catch (error) {
+      // Taken away once more meanwhile, it is given back once more.
+      if (!this.drawing.gl.isContextLost()) this.stop(wordsOf(error));
+      return;
+    }
+    this.walker.position = this.drawing.position;
+    this.sorted = 0;
+    this.askedFor = this.drawn = "";
+    this.isStopped = this.isLost = false;
+    element("loading").classList.remove("failed");
+    element("loading-text").textContent = "Preparing…";
+    this.wake();
   }
 
   /** Ask for the order of this view, where it is another one than that asked for last. */
@@ -318,6 +361,8 @@ class Page {
   }
 }
 
+const wordsOf = (error) => error instanceof PageError ? error.message : `Something went wrong: ${error.message}`;
+
 /** Say why nothing is shown. */
 function fail(message) {
   element("cover").classList.remove("done");
@@ -340,7 +385,7 @@ async function start(facts) {
     await new Promise((resolve) => setTimeout(resolve, 0));
     new Page(facts, planes).fold(matchMedia("(max-width: 600px)").matches);
   } catch (error) {
-    fail(error instanceof PageError ? error.message : `Something went wrong: ${error.message}`);
+    fail(wordsOf(error));
     if (!(error instanceof PageError)) throw error;
   }
 }
