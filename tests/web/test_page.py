@@ -620,6 +620,27 @@ def test_a_graphics_card_that_is_taken_away_and_given_back(small):
         assert psnr(pixels(small.picture()), there) >= 60.0
 
 
+@pytest.mark.parametrize("when", ["at once", "later"])
+def test_a_worker_that_ends_is_told(two_lights, visit, when):
+    """As for want of memory: an array that it asks for is refused."""
+    page = visit(SIDE, SIDE)
+    end = "throw Error('ended');"
+    if when == "later":  # after the positions, and the first order
+        end = f"let rest = 2; const kept = onmessage; onmessage = (e) => {{ if (!rest--) {end} kept(e); }};"
+    page.page.add_init_script(
+        "const Whole = Blob; window.Blob = class extends Whole {"
+        f"constructor(texts, told) {{ super([...texts, {json.dumps(';' + end)}], told); }} }};"
+    )
+    reached = page.open(two_lights[1].as_uri())
+    if when == "later":
+        assert reached == "settled"
+        page.page.keyboard.press("]")
+        page.page.wait_for_selector("html[data-state=failed]", state="attached", timeout=5000)
+    page.page.wait_for_timeout(600)
+    assert page.page.get_attribute("html", "data-state") == "failed"
+    assert "could not be sorted" in page.page.inner_text("#loading-text")
+
+
 # ---- HDR screens -----------------------------------------------------------------------------------------
 
 #: A screen of high range, and a WebGPU that keeps what it is handed: no screen can be looked at here.

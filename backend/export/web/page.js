@@ -27,7 +27,7 @@ class Page {
       this.drawing.setOrder(order);
       this.sorted = serial;
       this.wake();
-    });
+    }, () => this.stop("The Gaussians could not be sorted, perhaps for want of memory. Close other pages, and load this one again."));
     this.hdr = null;
     this.scale = 1;
     this.frameTime = 0;

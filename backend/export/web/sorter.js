@@ -43,8 +43,11 @@ function sorting() {
 }
 
 class Sorter {
-  /** `arrived(order)` is called with the indices `[N]`; it gives the array back by `ask`. */
-  constructor(position, arrived) {
+  /**
+   * `arrived(order)` is called with the indices `[N]`; it gives the array back by `ask`. `failed()` is called where
+   * the worker has ended by an error: no order comes any more.
+   */
+  constructor(position, arrived, failed) {
     const url = URL.createObjectURL(new Blob([`(${sorting})()`], { type: "text/javascript" }));
     this.worker = new Worker(url);
     this.spare = null;
@@ -54,6 +57,7 @@ class Sorter {
       arrived(data.order, data.serial);
       this.spare = data.order;
     };
+    this.worker.onerror = this.worker.onmessageerror = () => failed();
     const copy = position.slice();
     this.worker.postMessage({ position: copy }, [copy.buffer]);
   }
