@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """``physhdr convert``: a run, a model or another program's file of Gaussians as a file of another format."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -27,7 +27,7 @@ from ..formats.table import Target, target_of
 from ..project import version
 from ..runs.terminal import console
 from .lighting import levels_asked
-from .told import Told, answered, progress
+from .told import Told, answered, progress, saying
 
 if TYPE_CHECKING:  # they load torch, which takes seconds and only a run needs
     from ..runs.run import Run
@@ -116,7 +116,8 @@ class Convert:
     def _work(self) -> dict[str, Any]:
         target = target_of(self.out)
         self._refuse_what_does_not_fit(target)
-        source = read_source(self.source, self.data, self.color_space)
+        say = saying(self.json)
+        source = read_source(self.source, self.data, self.color_space, say)
         source = replace(source, up=self.from_up or source.up)
         up, clipped = self.up or target.up, ()
         if target.holds == "model":
@@ -136,11 +137,10 @@ class Convert:
         left_out = [left_out_note(source.left_out)] if source.left_out else []
         notes = [*left_out, *source.notes, *clipped]
         lost = f"; {target.loses}" if source.model is not None and target.loses else ""
-        if not self.json:
-            for note in notes:
-                console.print(note, soft_wrap=True)
-            axes = f", from {UP_WORDS[source.up]} to {UP_WORDS[up]}" if up != source.up else ""
-            console.print(f"wrote {self.out}: {count} Gaussians, {told}{axes}{lost}", soft_wrap=True)
+        for note in notes:
+            say(note)
+        axes = f", from {UP_WORDS[source.up]} to {UP_WORDS[up]}" if up != source.up else ""
+        say(f"wrote {self.out}: {count} Gaussians, {told}{axes}{lost}")
         return {"out": str(self.out), "gaussians": count, "up": up, "told": told, "notes": notes}
 
     def _refuse_what_does_not_fit(self, target: Target) -> None:
@@ -287,16 +287,21 @@ def fitted(
     return fitted_colour_sh(source.model, colours, cameras, picture, show)
 
 
-def read_source(path: Path, data: Path | None = None, color_space: ColorWords | None = None) -> Source:
+def read_source(
+    path: Path,
+    data: Path | None = None,
+    color_space: ColorWords | None = None,
+    say: Callable[[str], None] = console.print,
+) -> Source:
     """Read a run's folder, or a file of Gaussians of any format that is known.
 
     ``data``: the run's data set, where that has moved; ``color_space``: what colours are, of a file that does
-    not say (sRGB where nobody says). Raises what reading raises, and ``BadValueError`` where no Gaussian is
-    usable, or where ``data`` or ``color_space`` is of no use.
+    not say (sRGB where nobody says); ``say`` is told what is noticed about a run. Raises what reading raises,
+    and ``BadValueError`` where no Gaussian is usable, or where ``data`` or ``color_space`` is of no use.
     """
     if path.is_dir() and (path / CONFIG_FILE).exists():
         _refuse_color_space(path, color_space)
-        return _of_run(path, data)
+        return _of_run(path, data, say)
     if data is not None:
         raise BadValueError("--data is of a run, and this is a file", "Leave it out.")
     if path.is_dir():
@@ -343,11 +348,11 @@ def _refuse_color_space(path: Path, color_space: ColorWords | None) -> None:
         )
 
 
-def _of_run(folder: Path, data: Path | None) -> Source:
+def _of_run(folder: Path, data: Path | None, say: Callable[[str], None]) -> Source:
     from ..export.blender_model import to_model
     from ..runs.run import open_run
 
-    run = open_run(folder, data, pictures=False)
+    run = open_run(folder, data, report=say, pictures=False)
     viewpoint = np.mean([view.camera.position for view in run.scene.train], axis=0)
     exposures = run.scene.train[0].exposures
     model = to_model(run.on_gaussians(), viewpoint, exposures, run.provenance)

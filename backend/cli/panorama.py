@@ -22,13 +22,12 @@ from ..methods.base import Method, SplattingMethod
 from ..project import version
 from ..rasterize import Implementation
 from ..runs.run import open_run
-from ..runs.terminal import console
 from ..scene import Camera
 from ..scene.pictures import write_exr
 from .given import given_of
 from .layers import lights_apart, lit_splats
 from .prepare import ended_politely
-from .told import answered, line
+from .told import answered, line, saying
 
 #: What is told of a model that cannot tell its lights apart.
 NO_LIGHTS = "its lights are not known apart: fixed.exr is all of its light, and levels do not change it"
@@ -77,7 +76,7 @@ class Panorama:
             raise BadValueError(f"--near must be 0 m or more, got {self.near}")
         check_width(self.width)
         model = self._opened()
-        told = []
+        told, say = [], saying(self.json)
         for number, (place, folder) in enumerate(zip(self.at, self.out, strict=True)):
 
             def report(done: float, number: int = number, folder: Path = folder) -> None:
@@ -86,21 +85,19 @@ class Panorama:
 
             probe = self._probe(model, place, folder, report)
             told.append({"folder": str(folder), "unseen": probe.unseen})
-            if not self.json:
-                console.print(
-                    f"wrote {folder}: {', '.join(probe.files)}; {probe.unseen:.1%} of the sphere was never "
-                    f"seen and is filled from its rim; {probe.left_out} Gaussians within {probe.near:.3g} m, "
-                    "or around the place, were left out",
-                    soft_wrap=True,
-                )
-                if not probe.lights:
-                    console.print(NO_LIGHTS, soft_wrap=True)
+            say(
+                f"wrote {folder}: {', '.join(probe.files)}; {probe.unseen:.1%} of the sphere was never "
+                f"seen and is filled from its rim; {probe.left_out} Gaussians within {probe.near:.3g} m, "
+                "or around the place, were left out"
+            )
+            if not probe.lights:
+                say(NO_LIGHTS)
         return told
 
     def _opened(self) -> "_OfModel | _OfSplats | _OfPictures":
         if self.source.is_dir():
             method = open_run(
-                self.source, self.data, self.rasteriser, self.device, self._say, pictures=False
+                self.source, self.data, self.rasteriser, self.device, saying(self.json), pictures=False
             ).method
             return _OfSplats(method.splatting) if method.splatting else _OfPictures(method)
         if given := given_of(self, "data", "device"):
@@ -135,10 +132,6 @@ class Panorama:
             write_exr(folder / name, part)
         finish(folder, probe)
         return probe
-
-    def _say(self, said: str) -> None:
-        if not self.json:
-            console.print(said)
 
 
 class _OfModel:

@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
+from functools import partial
 from typing import Any
 
 from rich.progress import Progress
@@ -46,6 +47,14 @@ def answered(work: Callable[[], dict[str, Any]], as_json: bool) -> int:
         line(error=asdict(told))
         return 1
     return 0
+
+
+def saying(as_json: bool) -> Callable[[str], None]:
+    """What prints a sentence for people; with ``as_json`` it is silent, for stdout is the program's."""
+    return _nothing if as_json else partial(console.print, soft_wrap=True)
+
+
+def _nothing(_: str) -> None: ...
 
 
 @contextmanager

@@ -23,12 +23,11 @@ from ..evaluate.video import frames_writer, require_suffix, video_writer
 from ..rasterize import Implementation
 from ..runs.files import writable_folder
 from ..runs.run import open_run
-from ..runs.terminal import console
 from ..scene import Camera, Scene
 from .given import given_of
 from .lighting import levels_asked
 from .render import camera_named
-from .told import answered, progress
+from .told import answered, progress, saying
 
 #: How far a lighting sweep goes where nobody says: from an eighth to eight times, as the relit truth does.
 LIGHT_RANGE = (0.125, 8.0)
@@ -93,7 +92,8 @@ class Video:
 
     def _work(self) -> dict[str, Any]:
         self._check()
-        run = open_run(self.folder, self.data, self.rasteriser, self.device, pictures=False)
+        say = saying(self.json)
+        run = open_run(self.folder, self.data, self.rasteriser, self.device, say, pictures=False)
         like = camera_named(run.scene, None)
         shots = None if self.shots is None else read_camera_file(self.shots, like, fewest=2)
         frames = self.plan(run.scene, run.method, shots)
@@ -111,7 +111,7 @@ class Video:
                     sink(picture)
                 show(done, len(frames), "")
         wrote = " and ".join(str(path) for path in (self.out, self.frames) if path is not None)
-        console.print(f"wrote {wrote}: {len(frames)} frames", soft_wrap=True)
+        say(f"wrote {wrote}: {len(frames)} frames")
         return {"out": str(self.out or self.frames), "frames": len(frames)}
 
     def _check(self) -> None:

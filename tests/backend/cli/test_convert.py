@@ -17,6 +17,7 @@ import pytest
 
 from physhdr.backend.cli import main
 from physhdr.backend.cli.convert import read_source
+from physhdr.backend.runs import run as opening
 from physhdr.bridge import ply_model, srgb
 from physhdr.bridge.gaussian_ply import read_ply, standard_columns, standard_names, write_standard_ply
 from physhdr.bridge.model_file import Model, read_model, write_model
@@ -210,6 +211,28 @@ def test_a_run_is_converted_as_its_model_file(tmp_path: Path) -> None:
     one, other = cloud_in(tmp_path / "a.ply"), cloud_in(tmp_path / "b.ply")
     np.testing.assert_array_equal(one.colour_sh, other.colour_sh)
     np.testing.assert_array_equal(one.position, other.position)
+
+
+def test_a_program_reads_nothing_but_json(tmp_path: Path, capsys, monkeypatch) -> None:
+    def noticing(*words, report, **options) -> opening.Run:
+        report("something was noticed")
+        return open_run(*words, report=report, **options)
+
+    open_run = opening.open_run
+    monkeypatch.setattr(opening, "open_run", noticing)
+    words = [
+        EARLIER / "default_two_lights",
+        tmp_path / "a.ply",
+        "--data",
+        EARLIER / "data_two_lights",
+        "--quick",
+    ]
+    convert(*words, "--json")
+    lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert lines[-1]["result"]["out"] == str(tmp_path / "a.ply")
+    convert(*words)
+    said = capsys.readouterr().out
+    assert "something was noticed" in said and f"wrote {tmp_path / 'a.ply'}: " in said
 
 
 def test_it_starts_without_torch() -> None:

@@ -42,9 +42,10 @@ class Grey(Renderer):
 
 @pytest.fixture
 def opened(tiny_data: Path, monkeypatch):
-    def open_run(folder: Path, *_, **__) -> Run:
+    def open_run(folder: Path, data=None, rasteriser="", device="", report=print, **_) -> Run:
         if not folder.is_dir():
             raise FileMissingError(f"there is no run in {folder}", "Choose another folder.")
+        report("something was noticed")
         return Run(folder, "default", TrainConfig(iterations=10), read_scene(tiny_data), Grey(), 10)
 
     for command in (evaluate_command, video_command):
@@ -88,9 +89,12 @@ def test_a_video_of_shots_shows_each_frames_camera_exposure_and_lights(opened, t
     write_shots(tmp_path / "shots.json", Shots(32, 16, 12.5, frames))
     arguments = ["--shots", str(tmp_path / "shots.json"), "--frames", str(tmp_path / "frames")]
     assert main(["video", str(tmp_path), *arguments, "--json"]) == 0
-    *steps, last = told(capsys)
+    *steps, last = [json.loads(line) for line in capsys.readouterr().out.splitlines()]  # nothing else is said
     assert steps[-1]["progress"] == 1.0 and steps[-1]["message"] == "frame 4 of 4"
     assert last["result"] == {"out": str(tmp_path / "frames"), "frames": 4}
+    assert main(["video", str(tmp_path), *arguments]) == 0
+    said = capsys.readouterr().out
+    assert "something was noticed" in said and f"wrote {tmp_path / 'frames'}: 4 frames" in said
     pictures = [np.asarray(Image.open(path)) for path in sorted((tmp_path / "frames").glob("*.png"))]
     assert [picture.shape for picture in pictures] == [(16, 32, 3)] * 4
     found = [int(picture[0, 0, 0]) for picture in pictures]
