@@ -448,7 +448,10 @@ def test_a_checkpoint_belongs_to_its_configuration(tiny_data, tmp_path):
     """Old weights beside a new configuration, as a kill in a bad moment once left them, are no run."""
     scene, config = read_scene(tiny_data), short("default", iterations=12)
     train(scene, config, tmp_path, stop_at=5)
-    for other in (short("default", iterations=12, half_size_until=0.2), short("default", iterations=12, seed=77)):
+    for other in (
+        short("default", iterations=12, half_size_until=0.2),
+        short("default", iterations=12, seed=77),
+    ):
         with pytest.raises(DataMismatchError, match="another configuration"):
             Trainer(scene, other, resumed=tmp_path)
         with pytest.raises(DataMismatchError, match="another configuration"):
