@@ -650,8 +650,16 @@ window.matchMedia = (query) => query.includes('dynamic-range') ? { matches: true
 window.GPUTextureUsage = { COPY_DST: 2, RENDER_ATTACHMENT: 16 };
 window.handed = {};
 const writeTexture = (to, data, layout, size) => Object.assign(handed, { data: [...data], layout, size });
-const adapter = { requestDevice: async () => ({ queue: { writeTexture } }) };
-Object.defineProperty(navigator, 'gpu', { value: { requestAdapter: async () => adapter } });
+window.ready = Promise.resolve();
+window.devices = 0;
+const adapter = {
+  requestDevice: async () => {
+    devices += 1;
+    return { queue: { writeTexture }, lost: new Promise((resolve) => { window.loseDevice = resolve; }) };
+  },
+};
+const requestAdapter = async () => { await ready; return adapter; };
+Object.defineProperty(navigator, 'gpu', { value: { requestAdapter } });
 const make = HTMLCanvasElement.prototype.getContext;
 HTMLCanvasElement.prototype.getContext = function (kind, ...others) {
   if (kind !== 'webgpu') return make.call(this, kind, ...others);
@@ -682,6 +690,47 @@ def test_an_hdr_screen_is_handed_radiance_beyond_white(visit, tmp_path):
     # Codes of sRGB go on above 1; back in linear light they are exposure × radiance.
     error = np.abs(srgb.to_linear(shown[..., :3]) - truth) / (0.05 + truth)
     assert np.quantile(error, 0.99) < 0.05 and error.mean() < 0.01
+
+
+@pytest.fixture
+def hdr(two_lights, visit) -> Any:
+    """The small run's page on a screen of high range, with its panel."""
+    page = visit(700, 500)
+    page.page.add_init_script(HDR)
+    assert page.open(two_lights[1].as_uri()) == "settled"
+    yield page
+    assert page.told == []
+
+
+def seen_of(page: Any) -> tuple[bool, bool, str]:
+    """Whether the box of the HDR screen is ticked, whether its picture is shown, and what is said of it."""
+    page.page.wait_for_timeout(300)
+    page.still()
+    box, canvas = page.page.locator("#hdr-on"), page.page.locator("#hdr")
+    return box.is_checked(), canvas.is_visible(), page.page.inner_text("#screen-note")
+
+
+@pytest.mark.parametrize("clicks", [2, 3])
+def test_the_hdr_screen_is_as_its_box_says_when_it_is_there(hdr, clicks):
+    hdr.page.evaluate("() => { window.ready = new Promise((resolve) => { window.go = resolve; }); }")
+    for _ in range(clicks):
+        hdr.page.locator("#hdr-on").click()
+    hdr.page.evaluate("go()")
+    is_on = clicks % 2 == 1
+    box, shown, words = seen_of(hdr)
+    assert (box, shown) == (is_on, is_on)
+    assert ("High range" in words) == is_on
+    assert hdr.page.evaluate("[devices, 'data' in handed]") == [1, is_on]
+
+
+def test_an_hdr_screen_whose_device_is_lost_is_off(hdr):
+    for devices in (1, 2):
+        hdr.page.locator("#hdr-on").click()
+        assert seen_of(hdr)[:2] == (True, True)
+        assert hdr.page.evaluate("devices") == devices
+        hdr.page.evaluate("loseDevice({ reason: 'unknown' })")
+        box, shown, words = seen_of(hdr)
+        assert (box, shown) == (False, False) and "card was reset" in words
 
 
 def test_a_plain_screen_says_what_it_is(small):

@@ -28,7 +28,7 @@ class Page {
       this.sorted = serial;
       this.wake();
     }, () => this.stop("The Gaussians could not be sorted, perhaps for want of memory. Close other pages, and load this one again."));
-    this.hdr = null;
+    this.hdr = this.screen = this.opening = null;
     this.scale = 1;
     this.frameTime = 0;
     this.sorted = this.asked = 0;
@@ -71,7 +71,7 @@ class Page {
     const support = hdrSupport();
     element("screen-note").textContent = support.words;
     element("hdr-row").hidden = !support.able;
-    element("hdr-on").addEventListener("change", (event) => this.setHdr(event.target.checked));
+    element("hdr-on").addEventListener("change", () => this.setHdr());
     element("share").addEventListener("click", () => this.share());
     element("full").addEventListener("click", () => this.fullScreen());
     element("full").hidden = !document.documentElement.requestFullscreen;
@@ -238,23 +238,33 @@ class Page {
 
   // ---- the HDR screen ----
 
-  async setHdr(isOn) {
-    const note = element("screen-note");
-    if (isOn && !this.screen) {
+  /** As the box says, also where it says another thing by the time that the screen is there. */
+  async setHdr() {
+    const box = element("hdr-on"), note = element("screen-note");
+    if (box.checked && !this.screen) {
       try {
         if (!this.drawing.canReadBack()) throw new PageError("this graphics driver does not give half floats back");
-        this.screen = await HdrScreen.on(element("hdr"));
+        this.opening ??= HdrScreen.on(element("hdr"), () => this.endHdr("the graphics card was reset"));
+        this.screen = await this.opening;
       }
       catch (error) {
-        element("hdr-on").checked = false;
-        note.textContent = `Standard range (SDR): ${error.message}.`;
+        this.endHdr(error.message);
         return;
       }
     }
+    const isOn = box.checked;
     this.hdr = isOn ? this.screen : null;
     element("hdr").hidden = !isOn;
     note.textContent = isOn ? "High range (HDR): Linear goes beyond white, as far as the screen can." : hdrSupport().words;
     this.wake();
+  }
+
+  /** No HDR screen any more, until it is switched on again. */
+  endHdr(why) {
+    this.screen = this.opening = null;
+    element("hdr-on").checked = false;
+    this.setHdr();
+    element("screen-note").textContent = `Standard range (SDR): ${why}.`;
   }
 
   // ---- frames ----

@@ -11,8 +11,8 @@ function hdrSupport() {
 }
 
 class HdrScreen {
-  /** Resolves to a screen; raises PageError where WebGPU or its canvas refuses. */
-  static async on(canvas) {
+  /** Resolves to a screen; raises PageError where WebGPU or its canvas refuses. `lost()`: its device is gone. */
+  static async on(canvas, lost) {
     const made = new HdrScreen();
     const adapter = await navigator.gpu.requestAdapter();
     if (!adapter) throw new PageError("WebGPU finds no graphics card");
@@ -23,6 +23,7 @@ class HdrScreen {
       device: made.device, format: "rgba16float", usage: GPUTextureUsage.COPY_DST | GPUTextureUsage.RENDER_ATTACHMENT,
       colorSpace: "srgb", toneMapping: { mode: "extended" }, alphaMode: "opaque",
     });
+    made.device.lost.then(lost);
     const told = made.context.getConfiguration?.();
     if (told && told.toneMapping?.mode !== "extended") throw new PageError("this browser's canvas has no extended range");
     return made;
