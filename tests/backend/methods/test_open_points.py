@@ -290,8 +290,9 @@ def test_every_switch_together_trains_goes_on_and_is_exported(preset, more, tiny
         np.testing.assert_allclose(model.radiance(directions, 1.0), expected, rtol=1e-2)
 
 
-#: The last loss of 24 iterations and the Gaussians then, before there was any of these switches (c48c846).
-BEFORE = {"paper": (2.0917389392852783, 479), "paper-short": (1.696897029876709, 479)}
+#: Losses of the 4th iteration, before anything grows, and of the 12th, after it has grown twice, and the Gaussians
+#: after 24, before there was any of these switches (c48c846).
+BEFORE = {"paper": (2.016715, 0.785076, 479), "paper-short": (2.310477, 0.811446, 479)}
 
 
 @pytest.mark.parametrize("preset", BEFORE)
@@ -300,9 +301,10 @@ def test_without_them_a_training_is_what_it_was(preset, tiny_data):
     config = dataclasses.replace(PRESETS[preset], iterations=24, sh_degree_every=4, densify=growth)
     trainer = Trainer(read_scene(tiny_data), config)
     losses = [torch.stack(list(trainer.step().values())).sum().item() for _ in range(24)]
-    loss, count = BEFORE[preset]
-    # The same bits on the processor that it was made on; others round differently.
-    assert losses[-1] == pytest.approx(loss, rel=1e-5)
+    early, grown, count = BEFORE[preset]
+    # Other rounding is all that may differ; what it makes doubles every few iterations.
+    assert losses[3] == pytest.approx(early, rel=1e-5)
+    assert losses[11] == pytest.approx(grown, rel=5e-3)
     assert trainer.method.size == pytest.approx(count, abs=2)
 
 
