@@ -290,8 +290,8 @@ def test_every_switch_together_trains_goes_on_and_is_exported(preset, more, tiny
         np.testing.assert_allclose(model.radiance(directions, 1.0), expected, rtol=1e-2)
 
 
-#: Losses of the 4th iteration, before anything grows, and of the 12th, after it has grown twice, and the Gaussians
-#: after 24, before there was any of these switches (c48c846).
+#: Losses of the 4th iteration, before anything grows, and of the 12th, after it has grown twice, and the
+#: Gaussians after 24, before there was any of these switches (c48c846).
 BEFORE = {"paper": (2.016715, 0.785076, 479), "paper-short": (2.310477, 0.811446, 479)}
 
 
