@@ -13,8 +13,7 @@ from ...bridge.ply_model import read_ply_model
 from ..evaluate.sheets import as_picture
 from ..export.web_page import WebPage, WebView, check_out, write_web_page
 from ..runs.run import Run, open_run
-from ..runs.terminal import console
-from .told import Told, answered, progress
+from .told import Told, answered, progress, saying
 
 #: Pixels across of the picture that is seen while the page loads.
 POSTER_WIDTH = 960
@@ -31,8 +30,7 @@ def export_web(source: Path, out: Path, single_file: bool, data: Path | None, as
     def work() -> dict[str, Any]:
         check_out(out, single_file)
         with progress("web page", "percent", as_json) as show:
-            say = _nothing if as_json else console.print
-            return _written(source, out, single_file, data, show, say)
+            return _written(source, out, single_file, data, show, saying(as_json))
 
     return answered(work, as_json)
 
@@ -104,10 +102,6 @@ def response_words(run: Run) -> tuple[str, str]:
             "shows the method's own picture.",
         )
     return "Learned response", ""
-
-
-def _nothing(line: str) -> None:
-    """What a program that reads JSON is told by words."""
 
 
 def _read(path: Path) -> Model:
