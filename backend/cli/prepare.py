@@ -2,11 +2,9 @@
 """``physhdr prepare``: from a folder of photos to a data set that can be trained on."""
 
 import dataclasses
-import json
 import math
 import signal
 import statistics
-import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,7 +17,7 @@ import tyro
 from rich.progress import BarColumn, Progress, TextColumn
 
 from ...bridge.data_set import CAPTURE_FORMAT
-from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError, OutputError, PhysHDRError
+from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError, OutputError
 from ..runs.terminal import console
 from ..scene.capture import raw
 from ..scene.capture.brackets import Grouping
@@ -42,18 +40,17 @@ from ..scene.capture.structure import (
 )
 from ..scene.capture.understanding import Understanding, understand
 from ..scene.lens import Lens, lenses_by_size
+from .told import answered, line
 
 #: Of each ISO so many raw files tell the noise, where they do not say it.
 NOISE_PHOTOS = 6
-#: What an interrupted process ends with.
-INTERRUPTED = 130
 
 
 @dataclass(frozen=True)
 class Prepare:
     """Make a data set from photos: exposures, cameras (COLMAP), pictures without distortion."""
 
-    #: Folder of the photos: JPEG, PNG, TIFF or raw files, with brackets or without.
+    #: Folder of the photos: JPEG, HEIC, PNG, TIFF or raw files, with brackets or without.
     photos: tyro.conf.Positional[Path]
     #: Folder of the data set to make; --out says the same.
     data: tyro.conf.Positional[Path | None] = None
@@ -99,21 +96,9 @@ class Prepare:
     threads: int = -1
 
     def run(self) -> int:
+        voice = Lines() if self.json else Terminal()
         with ended_politely():
-            if not self.json:
-                self._work(Terminal())
-                return 0
-            lines = Lines()
-            try:
-                lines.write({"result": self._work(lines)})
-            except KeyboardInterrupt:
-                lines.write({"error": {"code": "cancelled", "message": "interrupted", "hint": ""}})
-                return INTERRUPTED
-            except PhysHDRError as error:
-                told = {"code": error.code, "message": error.message, "hint": error.hint}
-                lines.write({"error": told})
-                return 1
-            return 0
+            return answered(lambda: self._work(voice), self.json)
 
     def _work(self, voice: "Voice") -> dict[str, Any]:
         folder = self._check()
@@ -126,10 +111,10 @@ class Prepare:
             self.handheld,
             lambda done, of: voice.progress(Report(0.0, f"reading headers: {done} of {of}")),
         )
-        for line in understood.lines:
-            voice.say(line)
-        for line in understood.warnings:
-            voice.warn(line)
+        for each in understood.lines:
+            voice.say(each)
+        for each in understood.warnings:
+            voice.warn(each)
         if self.look:
             return understood.described()
         assert folder is not None
@@ -431,13 +416,9 @@ class Voice:
 class Lines(Voice):
     """JSON on stdout, an object a line, as ``addon/session/task.py`` reads it."""
 
-    def write(self, content: dict[str, Any]) -> None:
-        sys.stdout.write(json.dumps(content) + "\n")
-        sys.stdout.flush()
-
     def progress(self, report: Report) -> None:
         left = {} if report.seconds_left is None else {"seconds_left": report.seconds_left}
-        self.write({"progress": report.fraction, "message": report.message, **left})
+        line(progress=report.fraction, message=report.message, **left)
 
 
 class Terminal(Voice):

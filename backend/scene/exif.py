@@ -103,6 +103,16 @@ def tags_of(picture: Image.Image) -> Tags:
         return {}
 
 
+def tags_of_exif(block: bytes) -> Tags:
+    """The tags of a block of EXIF, as other files than Pillow's hold one; {} where it is damaged or empty."""
+    exif = Image.Exif()
+    try:
+        exif.load(block)
+        return _all_of(exif)
+    except UNREADABLE:
+        return {}
+
+
 def tags_of_tiff(path: Path) -> Tags:
     """The tags of a file that is built like a TIFF, as most cameras' raw files are; {} of any other.
 

@@ -62,6 +62,9 @@ MAGIC: dict[bytes, Kind] = {
     b"#?RADIANCE": "HDR",
     b"#?RGBE": "HDR",
 }
+#: Brands of the files that phones write, behind ``ftyp``: photos for ``physhdr prepare``, no data set's.
+AVIF_BRANDS = {b"avif", b"avis"}
+HEIF_BRANDS = {b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"mif1", b"msf1", b"mif2"}
 #: The byte of a PNG that tells how many bits a channel has (PNG specification, 11.2.2).
 PNG_DEPTH_AT = 24
 
@@ -106,6 +109,11 @@ def kind_of(path: Path) -> Kind:
     for magic, kind in MAGIC.items():
         if start.startswith(magic):
             return kind
+    if start[4:8] == b"ftyp" and start[8:12] in AVIF_BRANDS | HEIF_BRANDS:
+        raise FileDamagedError(
+            f"{path} is a HEIC or an AVIF, which no data set holds",
+            "Make a data set of such photos with physhdr prepare, or save them as PNG or JPEG.",
+        )
     raise FileDamagedError(f"{path} is not a readable PNG or JPEG, nor TIFF, OpenEXR or .hdr", _DELETE)
 
 

@@ -253,6 +253,38 @@ def write_exif(folder: Path) -> None:
     layouts.save(folder / "png" / "picture.png", rgb, exif=layouts.camera_exif(1.0))
 
 
+def write_heics(folder: Path) -> None:
+    """As phones and cameras do: 8 and 10 bits, tiles, turned, with a profile, code points, EXIF; and AVIF."""
+    from PIL import Image, ImageCms
+
+    heic = tests_module("backend/scene/capture/heic.py")
+    layouts = tests_module("backend/scene/layouts.py")
+    rgb = np.random.default_rng(0).integers(0, 256, (HEIGHT, WIDTH, 3), dtype=np.uint8)
+    large = np.broadcast_to(np.arange(40, dtype=np.uint8)[:, None, None], (40, 40, 3)).copy()
+    layouts.save(folder_in(folder, "plain") / "turned.jpg", rgb, exif=layouts.camera_exif(0.125))
+    with Image.open(folder / "plain" / "turned.jpg") as picture:
+        exif = picture.getexif()
+        exif[0x0112] = 6
+    (folder / "plain" / "turned.jpg").unlink()
+    icc = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    heic.write_heic(folder / "plain" / "photo.heic", rgb, exif=exif.tobytes())
+    heic.write_heic(folder_in(folder, "tiles") / "photo.heic", large, tile_size=16, icc_profile=icc)
+    heic.write_heic(folder_in(folder, "deep") / "photo.hif", rgb * 4, 10, nclx=(9, 16))
+    heic.write_heic(folder_in(folder, "several") / "photo.heic", rgb, others=[rgb], xmp=b"<x>GPano</x>")
+    Image.fromarray(rgb).save(folder_in(folder, "avif") / "photo.avif", exif=exif)
+
+
+def read_photo(folder: Path, file: str, _: bytes) -> None:
+    from physhdr.backend.scene.capture.photos import find_photos
+
+    for photo in find_photos(folder).photos:
+        codes, _keep = photo.codes()
+        require(codes.dtype == (np.uint16 if photo.deep else np.uint8), "codes of 8 or 16 bits")
+        require(codes.shape == (photo.height, photo.width, 3), "a photo's size")
+        for value in (photo.shutter, photo.iso, photo.f_number):
+            require(value is None or (math.isfinite(value) and value > 0.0), "a number of EXIF")
+
+
 # ---- Gaussians and points ----------------------------------------------------------------------------------
 
 
@@ -563,6 +595,7 @@ TARGETS = (
     Target("picture: EXR, synth", write_layers, read_synth_exr, 1500, refusals=_synth_error()),
     Target("picture: PNG, synth", write_synth_png, read_synth_png, 1500, refusals=_synth_error()),
     Target("picture: EXIF", write_exif, read_exif, 2000),
+    Target("photo: HEIC, AVIF", write_heics, read_photo, 2000, needs="pillow_heif"),
     Target("PLY: Gaussians", write_plys, read_gaussians, 2000),
     Target("PLY: model", write_plys, read_ply_model, 2000),
     Target("Gaussians of other programs", write_splat_files, read_splat_files, 3000),

@@ -141,7 +141,7 @@ def inspect(folder: Path, _: str, __: bytes) -> None:
         if as_json:
             if not output.getvalue().startswith(b"{"):
                 raise InsaneError(f"inspect --json told no object but {output.getvalue()[:200]!r}: {refused}")
-            found = json.loads(output.getvalue())
+            found = json.loads(output.getvalue().splitlines()[0])["found"]
             _require(found["folder"] == str(folder), "the JSON of physhdr inspect")
     if refused is not None:
         raise refused

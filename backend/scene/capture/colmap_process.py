@@ -63,7 +63,7 @@ def recover(job: dict) -> None:
             break
     pieces.sort(key=lambda entry: (-entry[1].num_reg_images(), -entry[1].num_points3D()))
     placed_names = [sorted(piece.image(k).name for k in piece.reg_image_ids()) for _, piece in pieces]
-    (folder / "pieces.json").write_text(json.dumps(placed_names))
+    (folder / "pieces.json").write_text(json.dumps(placed_names), encoding="utf-8")
     if pieces:
         shutil.copytree(pieces[0][0], folder / "model")
 
@@ -105,7 +105,7 @@ def match(job: dict, database: Path, folder: Path) -> None:
     at_once = max(PAIRS_AT_ONCE, total // 20)
     for first in range(0, total, at_once):
         some = job["match"][first : first + at_once]
-        pairs.write_text("".join(f"{one} {other}\n" for one, other in some))
+        pairs.write_text("".join(f"{one} {other}\n" for one, other in some), encoding="utf-8", newline="\n")
         pairing = pycolmap.ImportedPairingOptions(match_list_path=str(pairs))
         pycolmap.match_image_pairs(database, matching, pairing, verification, pycolmap.Device.cpu)
         say("matching", min(1.0, (first + at_once) / total))
@@ -130,7 +130,9 @@ def triangulate(job: dict) -> None:
 
     say("matching")
     pairs = folder / "pairs.txt"
-    pairs.write_text("".join(f"{one} {other}\n" for one, other in job["pairs"]))
+    pairs.write_text(
+        "".join(f"{one} {other}\n" for one, other in job["pairs"]), encoding="utf-8", newline="\n"
+    )
     matching, verification = matching_options(job)
     pairing = pycolmap.ImportedPairingOptions(match_list_path=str(pairs))
     pycolmap.match_image_pairs(database, matching, pairing, verification, pycolmap.Device.cpu)
@@ -224,4 +226,4 @@ def end_with_stdin() -> None:
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # CTRL-C in a terminal is the other process's to act on
     threading.Thread(target=end_with_stdin, daemon=True).start()
-    main(json.loads(Path(sys.argv[1]).read_text()))
+    main(json.loads(Path(sys.argv[1]).read_text(encoding="utf-8")))

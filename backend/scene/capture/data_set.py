@@ -13,6 +13,7 @@ import struct
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from shutil import rmtree
 from tempfile import mkdtemp
@@ -22,6 +23,7 @@ import numpy as np
 from filelock import FileLock
 from PIL import Image
 
+from ....bridge.atomic import patiently
 from ....bridge.data_set import CAPTURE_FILE, EXPOSURE_FILE
 from ....bridge.errors import OutputError
 from ..lens import Lens
@@ -86,7 +88,7 @@ def new_folder(out: Path, overwrite: bool) -> Iterator[Path]:
         if out.exists():
             _replace(out, made, temporary / "replaced")
         else:
-            made.rename(out)
+            patiently(partial(made.rename, out))
         failed = False
     except OSError as error:
         raise _cannot_write(out, error) from error
@@ -122,11 +124,11 @@ def _replace(out: Path, made: Path, replaced: Path) -> None:
     moves += [(entry, out / entry.name) for entry in made.iterdir()]
     try:
         for source, target in moves:
-            source.rename(target)
+            patiently(partial(source.rename, target))
     except BaseException:
         for source, target in reversed(moves):
             if target.exists() and not source.exists():
-                target.rename(source)
+                patiently(partial(target.rename, source))
         replaced.rmdir()
         raise
 

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from PIL import ExifTags, Image, ImageOps, TiffImagePlugin
@@ -17,17 +18,18 @@ from ....bridge.errors import DataMismatchError, FileDamagedError, FileMissingEr
 from ....bridge.regular import damaged_where_it_fails
 from ....bridge.srgb import to_srgb
 from ..exif import LYING, Exif, Tags, exposure_of, orientation_of, positive, tags_of, tags_of_file
-from ..icc import Profile, profile_of
+from ..icc import Profile, profile_of, profile_of_bytes
 from ..pictures import is_deep, picture_size, read_codes
 from ..source import turned
-from . import raw
+from . import heif, raw
 from .noise import Noise
+from .remedies import COPY_AGAIN
 
-SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff")
-#: What phones write that Pillow does not open.
-HEIF_SUFFIXES = (".heic", ".heif", ".hif", ".avif")
+JPEG_SUFFIXES = (".jpg", ".jpeg")
+SUFFIXES = (*JPEG_SUFFIXES, ".png", ".tif", ".tiff", *heif.SUFFIXES)
+#: What Pillow opens for us, whatever a file is called.
+PILLOW = ("JPEG", "PNG", "TIFF", "AVIF")
 VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mts", ".m2ts", ".insv", ".360", ".lrv")
-COPY_AGAIN = "Copy it again, or move it away."
 #: Pillow's modes of 8 bits a channel that become RGB without loss; alpha is ignored, never composited.
 EIGHT_BIT_MODES = ("L", "LA", "P", "RGB", "RGBA", "RGBX")
 #: The width of 35 mm film in millimetres, to which FocalLengthIn35mmFilm refers.
@@ -43,7 +45,6 @@ FRAMES_OF_A_VIDEO = (
     "Take single frames of it, two a second: ffmpeg -i {video} -vf fps=2 -qscale:v 2 FOLDER/%04d.jpg, then "
     "physhdr prepare FOLDER --same-exposure."
 )
-HEIF = "Save them as JPEG, keeping EXIF (phones: Settings, Camera, Formats, Most Compatible; on macOS: sips)."
 FLAT_VIEWS = (
     "Cut 360° pictures into flat views first, four of 90° each: ffmpeg -i {photo} -vf "
     "v360=e:flat:h_fov=90:v_fov=90:yaw=0 NAME_0.jpg, with yaw 90, 180 and 270 for the others, and prepare "
@@ -61,8 +62,9 @@ class Photo:
     taken by automatic bracketing. ``panorama``: that it shows all around. ``mask``: a picture that is black
     where it is not to be looked at. ``white_balance``: of a raw file, the factors of red, green and blue that
     it is developed with; None: a picture. ``noise``: what a raw file tells of it. ``deep``: of a picture,
-    that it has 16 bits a channel; it is stored as its ``orientation`` (EXIF's) says. ``profile``: of a
-    picture, from whose primaries it is converted to sRGB's; None: it has these, or says nothing.
+    that it has more than 8 bits a channel; it is stored as its ``orientation`` (EXIF's) says. ``is_heic``:
+    that libheif decodes it. ``profile``: of a picture, from whose primaries it is converted to sRGB's; None:
+    it has these, or says nothing.
     """
 
     path: Path
@@ -84,6 +86,7 @@ class Photo:
     noise: Noise | None = None
     deep: bool = False
     orientation: int = 1
+    is_heic: bool = False
     profile: Profile | None = None
 
     @property
@@ -115,9 +118,11 @@ class Photo:
         if self.is_raw:
             return Image.fromarray(_shown(self.developed().picture))
         if self.deep:
-            return Image.fromarray(np.rint(self._deep_codes() / 257.0).astype(np.uint8))
+            return Image.fromarray(np.rint(self._read_codes() / 257.0).astype(np.uint8))
+        if self.is_heic:
+            return Image.fromarray(self._read_codes())
         unreadable = damaged_where_it_fails(f"{self.path} is not a readable photo", COPY_AGAIN)
-        with unreadable, Image.open(self.path, formats=["JPEG", "PNG", "TIFF"]) as picture:
+        with unreadable, Image.open(self.path, formats=PILLOW) as picture:
             upright = ImageOps.exif_transpose(picture).convert("RGB")
             if self.profile is None:
                 return upright
@@ -143,8 +148,8 @@ class Photo:
         raw file's colour is wrong.
         """
         keep = self.keep()
-        if self.deep:
-            return self._deep_codes(), keep
+        if self.deep or self.is_heic:
+            return self._read_codes(), keep
         if not self.is_raw:
             return np.asarray(self.decode()), keep
         developed = self.developed()
@@ -152,9 +157,15 @@ class Photo:
             keep = ~developed.partly if keep is None else keep & ~developed.partly
         return np.rint(developed.picture * np.float32(raw.FULL)).astype(np.uint16), keep
 
-    def _deep_codes(self) -> np.ndarray:
+    def _read_codes(self) -> np.ndarray:
+        """Of what Pillow does not decode; uint16 where the photo is ``deep``."""
         with _remedy_of_photos():
-            codes = turned(read_codes(self.path)[0], self.orientation)
+            if self.is_heic:
+                codes = heif.read_codes(self.path, self.width, self.height)
+            else:
+                codes = turned(read_codes(self.path)[0], self.orientation)
+        if self.deep and codes.dtype == np.uint8:
+            codes = codes * np.uint16(257)
         return codes if self.profile is None else self.profile.to_srgb(codes)
 
     def keep(self) -> np.ndarray | None:
@@ -165,7 +176,7 @@ class Photo:
         if self.mask is None:
             return None
         unreadable = damaged_where_it_fails(f"{self.mask} is not a readable mask", COPY_AGAIN)
-        with unreadable, Image.open(self.mask, formats=["JPEG", "PNG", "TIFF"]) as picture:
+        with unreadable, Image.open(self.mask, formats=PILLOW) as picture:
             mask = np.asarray(ImageOps.exif_transpose(picture).convert("L")) >= 128
         if mask.shape != (self.height, self.width):
             raise DataMismatchError(
@@ -231,11 +242,11 @@ def natural_order(name: str) -> list[tuple[int, int, str]]:
 def find_photos(folder: Path, done: Callable[[int, int], None] = lambda photos, of: None) -> Found:
     """Every photo in ``folder`` (not below it), in the order of names, with its EXIF. Headers only.
 
-    Of a raw file and a picture of the same stem the raw file is taken; damaged files, videos, 360° pictures
-    and other cameras' photos are skipped. ``done`` is told after every file.
+    Of several files of the same stem one is taken: the raw file, or the HEIC before the JPEG. Damaged files,
+    videos, 360° pictures and other cameras' photos are skipped. ``done`` is told after every file.
 
-    Raises ``FileMissingError`` (no folder, no photos in it, no rawpy for raw files), ``FileDamagedError``
-    (no file can be read), ``DataMismatchError`` (all are 360° pictures).
+    Raises ``FileMissingError`` (no folder, no photos in it, no library for raw files or HEIC),
+    ``FileDamagedError`` (no file can be read), ``DataMismatchError`` (all are 360° pictures).
     """
     if not folder.is_dir():
         raise FileMissingError(
@@ -247,71 +258,113 @@ def find_photos(folder: Path, done: Callable[[int, int], None] = lambda photos, 
     if not paths:
         raise FileMissingError(f"{folder} holds no photos{_what_else(folder, files)}", _remedy(files))
     notes: list[str] = []
-    raws = {path.stem for path in paths if path.suffix.lower() in raw.SUFFIXES}
-    pairs = [path for path in paths if path.stem in raws and path.suffix.lower() in SUFFIXES]
-    if pairs:
-        notes.append(f"{len(pairs)} photos are there as raw file and as picture: the raw files are used")
-    if raws:
-        raw.require_rawpy()
+    paths = _one_of_each(paths, notes)
+    _require_libraries(paths)
     photos: list[Photo] = []
     skipped: list[Skipped] = []
     errors: list[FileDamagedError] = []
     damaged: list[Photo] = []
-    paths = [path for path in paths if path not in pairs]
     for number, path in enumerate(paths):
         try:
             photos.append(_read_header(path))
         except FileDamagedError as error:
             errors.append(error)
             damaged.append(Photo(path, 0, 0))
-            skipped.append(Skipped(path.name, error.message.removeprefix(f"{path} ")))
+            skipped.append(Skipped(path.name, _why(error, path)))
         done(number + 1, len(paths))
     if not photos:
         raise errors[0]
-    skipped += _not_pictures(files, raws)
+    skipped += _videos(files, {path.stem for path in paths}, notes)
     photos = _flat(photos, skipped)
     photos = _of_one_kind(photos, skipped)
     photos = _of_one_camera(photos, skipped)
     photos = [replace(photo, mask=_mask_of(photo.path)) for photo in photos]
-    if raws and photos[0].is_raw:
+    if photos[0].is_raw:
         photos, note = _one_white_balance(photos)
         notes.append(note)
     named = Counter(photo.profile.name for photo in photos if photo.profile is not None)
     notes += [
-        f"{count} of {len(photos)} photos have the ICC profile '{name}': converted to sRGB's primaries"
+        f"{count} of {len(photos)} photos have the colour profile '{name}': converted to sRGB's primaries"
         for name, count in named.most_common()
     ]
     return Found(photos, skipped, notes, damaged)
 
 
+def _one_of_each(paths: list[Path], notes: list[str]) -> list[Path]:
+    """Without the copies that a camera or a program made of a photo.
+
+    A program makes an AVIF of a JPEG, a camera or a phone a JPEG of a HEIC.
+    """
+    stems: dict[str, set[str]] = {"raw": set(), "HEIC": set(), "JPEG": set()}
+    for path in paths:
+        stems.get(_family(path), set()).add(path.stem)
+    kept, copies = [], Counter[str]()
+    for path in paths:
+        family = _family(path)
+        if family != "raw" and path.stem in stems["raw"]:
+            copies["raw file and as picture: the raw files are used"] += 1
+        elif family == "JPEG" and path.stem in stems["HEIC"]:
+            copies["HEIC and as JPEG: the HEIC files are used"] += 1
+        elif family == "AVIF" and path.stem in stems["HEIC"] | stems["JPEG"]:
+            copies["AVIF and as HEIC or JPEG: the latter are used"] += 1
+        else:
+            kept.append(path)
+    notes += [f"{count} photos are there as {what}" for what, count in copies.items()]
+    return kept
+
+
+def _family(path: Path) -> str:
+    suffix = path.suffix.lower()
+    if suffix in raw.SUFFIXES:
+        return "raw"
+    if suffix in heif.SUFFIXES:
+        return "AVIF" if suffix == ".avif" else "HEIC"
+    return "JPEG" if suffix in JPEG_SUFFIXES else "picture"
+
+
+def _require_libraries(paths: list[Path]) -> None:
+    """Raises ``FileMissingError`` where one is not installed that a file needs, whatever it is called."""
+    if any(_family(path) == "raw" for path in paths):
+        raw.require_rawpy()
+    kinds = {heif.kind_of_heif(path) for path in paths if _family(path) != "raw"}
+    if "HEIC" in kinds:
+        heif.require_pillow_heif()
+    if "AVIF" in kinds:
+        heif.require_avif()
+
+
+def _why(error: FileDamagedError, path: Path) -> str:
+    """Why a photo is left out, with the remedy where there is another than to copy it again."""
+    why = error.message.removeprefix(f"{path} ")
+    return why if error.hint == COPY_AGAIN else f"{why}. {error.hint}"
+
+
 def _what_else(folder: Path, files: list[Path]) -> str:
-    for what, suffixes in (("HEIC files", HEIF_SUFFIXES), ("videos", VIDEO_SUFFIXES)):
-        count = sum(path.suffix.lower() in suffixes for path in files)
-        if count:
-            return f", but {count} {what}"
+    count = sum(path.suffix.lower() in VIDEO_SUFFIXES for path in files)
+    if count:
+        return f", but {count} videos"
     below = [sub.name for sub in sorted(folder.iterdir()) if sub.is_dir()]
     return f" itself, only folders ({', '.join(below[:3])}{' …' if len(below) > 3 else ''})" if below else ""
 
 
 def _remedy(files: list[Path]) -> str:
-    if any(path.suffix.lower() in HEIF_SUFFIXES for path in files):
-        return HEIF
     for path in files:
         if path.suffix.lower() in VIDEO_SUFFIXES:
             return FRAMES_OF_A_VIDEO.format(video=path.name)
-    return "Put all photos, JPEG, PNG, TIFF or a camera's raw files, into one folder and give that."
+    return "Put all photos, JPEG, HEIC, PNG, TIFF or a camera's raw files, into one folder and give that."
 
 
-def _not_pictures(files: Sequence[Path], raws: set[str]) -> list[Skipped]:
-    skipped = []
-    for path in files:
-        suffix = path.suffix.lower()
-        if suffix in VIDEO_SUFFIXES:
-            why = f"is a video. {FRAMES_OF_A_VIDEO.format(video=path.name)}"
-            skipped.append(Skipped(path.name, why))
-        elif suffix in HEIF_SUFFIXES and path.stem not in raws:
-            skipped.append(Skipped(path.name, f"is in HEIF. {HEIF}"))
-    return skipped
+def _videos(files: Sequence[Path], stems: set[str], notes: list[str]) -> list[Skipped]:
+    """The videos, but for those that a phone takes with each photo, under its name."""
+    videos = [path for path in files if path.suffix.lower() in VIDEO_SUFFIXES]
+    moving = [path for path in videos if path.stem in stems]
+    if moving:
+        notes.append(f"{len(moving)} videos have a photo's name (live photos): they are not looked at")
+    return [
+        Skipped(path.name, f"is a video. {FRAMES_OF_A_VIDEO.format(video=path.name)}")
+        for path in videos
+        if path.stem not in stems
+    ]
 
 
 def _flat(photos: list[Photo], skipped: list[Skipped]) -> list[Photo]:
@@ -376,11 +429,15 @@ def _mask_of(path: Path) -> Path | None:
 def _read_header(path: Path) -> Photo:
     if path.suffix.lower() in raw.SUFFIXES:
         return _read_raw_header(path)
-    if _is_deep(path):
+    kind = heif.kind_of_heif(path)
+    if kind == "HEIC":
+        return _read_heic_header(path)
+    if kind is None and _is_deep(path):
         with _remedy_of_photos():
             return _read_deep_header(path)
+    profile = heif.avif_profile(path) if kind == "AVIF" else profile_of(path)
     unreadable = damaged_where_it_fails(f"{path} is not a readable photo", COPY_AGAIN)
-    with unreadable, _not_too_large(path), Image.open(path, formats=["JPEG", "PNG", "TIFF"]) as picture:
+    with unreadable, _not_too_large(path), Image.open(path, formats=PILLOW) as picture:
         if picture.mode not in EIGHT_BIT_MODES:
             raise FileDamagedError(
                 f"{path} is not an RGB picture of 8 or 16 bits (Pillow's mode {picture.mode})",
@@ -389,14 +446,26 @@ def _read_header(path: Path) -> Photo:
         width, height = _stored_size(picture)
         tags = tags_of(picture)
         xmp = picture.info.get("xmp", b"")
+        if kind == "AVIF" and picture.info.get("icc_profile"):
+            profile = profile_of_bytes(picture.info["icc_profile"])
     if orientation_of(tags) in LYING:
         width, height = height, width
+    photo = Photo(path, width, height, profile=profile)
+    return _marked_around(_with_tags(photo, tags, exposure_of(tags)), xmp)
+
+
+def _read_heic_header(path: Path) -> Photo:
+    """The way up is the file's own (ISO/IEC 23008-12), by libheif: EXIF's orientation counts for nothing."""
+    header = heif.read_header(path)
+    photo = Photo(path, header.width, header.height, deep=header.deep, is_heic=True, profile=header.profile)
+    return _marked_around(_with_tags(photo, header.tags, exposure_of(header.tags)), header.xmp)
+
+
+def _marked_around(photo: Photo, xmp: Any) -> Photo:
+    """With ``panorama``, which XMP tells, or two to one exactly, from nothing that has a focal length."""
     around = isinstance(xmp, bytes) and b"GPano" in xmp and b"equirectangular" in xmp
-    photo = Photo(path, width, height, profile=profile_of(path))
-    photo = _with_tags(photo, tags, exposure_of(tags))
-    # Two to one exactly, from nothing that has a focal length.
-    around = around or (width == 2 * height and photo.focal_35mm is None and photo.focal is None)
-    return replace(photo, panorama=around and width > LEAST_AROUND)
+    around = around or (photo.width == 2 * photo.height and photo.focal_35mm is None and photo.focal is None)
+    return replace(photo, panorama=around and photo.width > LEAST_AROUND)
 
 
 def _is_deep(path: Path) -> bool:

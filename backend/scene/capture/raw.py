@@ -20,6 +20,7 @@ import numpy as np
 from ....bridge.errors import FileDamagedError, FileMissingError, PhysHDRError
 from ..exif import Exif, Tags, exposure_of, tags_of_tiff
 from .noise import Noise, planes_of_mosaic
+from .remedies import COPY_AGAIN
 
 #: What LibRaw opens, by suffix: https://www.libraw.org/supported-cameras
 SUFFIXES = (
@@ -31,7 +32,6 @@ SUFFIXES = (
 FULL = 65535
 #: DNG 1.4: (slope, offset) of the noise's variance, once for all channels or for each.
 NOISE_PROFILE = 51041
-COPY_AGAIN = "Copy it again, or move it away."
 
 
 def require_rawpy() -> ModuleType:

@@ -7,6 +7,7 @@ process that ``colmap_process.py`` is.
 
 import itertools
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -134,7 +135,7 @@ def recover(
         "threads": threads,
     }
     run_colmap(job, folder, at=at)
-    pieces = json.loads((folder / "pieces.json").read_text())
+    pieces = json.loads((folder / "pieces.json").read_text(encoding="utf-8"))
     if not pieces or len(pieces[0]) < FEWEST_POSES:
         most = len(pieces[0]) if pieces else 0
         raise StructureError(
@@ -236,13 +237,14 @@ def run_colmap(
     its last words in the message, or ``OutputError`` where the disk is full: what helps beside freeing space
     is ``full``.
     """
-    (folder / "job.json").write_text(json.dumps(job))
+    (folder / "job.json").write_text(json.dumps(job), encoding="utf-8")
     log = folder / "colmap.log"
     command = [sys.executable, str(Path(__file__).with_name("colmap_process.py")), str(folder / "job.json")]
+    utf8 = {**os.environ, "PYTHONIOENCODING": "utf-8:backslashreplace"}  # Windows' pipes have a code page
     with (
         open(log, "w", encoding="utf-8") as errors,
         subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, text=True
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, env=utf8, encoding="utf-8"
         ) as process,
     ):
         assert process.stdout is not None

@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -19,6 +20,7 @@ import pytest
 import tyro
 from PIL import Image
 
+from physhdr.backend.cli import main
 from physhdr.backend.cli.prepare import Prepare
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.capture import data_set, structure
@@ -47,6 +49,11 @@ def room():
 @pytest.fixture(scope="module")
 def dng():
     return of_captures("dng")
+
+
+@pytest.fixture(scope="module")
+def heic():
+    return of_captures("heic")
 
 
 @pytest.fixture(scope="module")
@@ -359,6 +366,41 @@ def test_raw_brackets_become_linear_pictures_that_clip_at_one(room, dng, capture
         assert np.median(found[clipped], initial=1.0) == 1.0 if clipped.any() else True
 
 
+def test_heic_and_jpeg_of_a_phone_are_one_capture(room, heic, capture, tmp_path, capsys):
+    """Each photo's HEIC is exact, a third of them are JPEG, one has both, one was not copied to its end."""
+    folder = tmp_path / "phone"
+    room.write_brackets(folder, capture)
+    names = sorted(path.name for path in folder.iterdir())
+    codes = {}
+    for k, path in enumerate(sorted(folder.iterdir())):
+        if k % 3 == 0:
+            continue
+        with Image.open(path) as picture:
+            codes[path.stem], exif = np.asarray(picture), picture.info["exif"]
+        heic.write_heic(path.with_suffix(".heic"), codes[path.stem], exif=exif, tile_size=128)
+        if k != 1:
+            path.unlink()
+    broken = folder / Path(names[-1]).with_suffix(".heic")  # of the first place: the counter ran over
+    broken.write_bytes(broken.read_bytes()[:-100])
+    out = tmp_path / "out"
+    assert prepare(folder, out, "--test-every", 0) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "1 photos are there as HEIC and as JPEG: the HEIC files are used" in said
+    assert f"left out: {broken.name} is not a readable photo (it ends after" in said
+    assert f"{POSES - 1} of {POSES - 1} poses placed" in said and "exposures EV -3.0, -1.0, +1.0" in said
+    origin = json.loads((out / "prepare.json").read_text())
+    suffixes = [Path(source).suffix for source in origin["sources"].values()]
+    assert suffixes.count(".heic") == 2 * suffixes.count(".jpg") == 2 * (POSES - 1)
+    scene = read_scene(out)  # PNG: nothing that needs a HEIC's reader
+    assert_poses(scene, replace(capture, poses=capture.poses[1:]), room)
+    assert all(view.exposures == pytest.approx(room.EXPOSURES) for view in scene.train)
+    for name, source in origin["sources"].items():
+        before = codes.get(Path(source).stem)
+        if before is not None:
+            with Image.open(out / "images" / name) as picture:
+                assert abs(np.asarray(picture).mean() - before.mean()) < 6.0  # but for the crop
+
+
 def test_automatic_exposure_both_ways_up_and_masks(room, tmp_path, capsys):
     """No brackets, a third of the photos turned by a quarter: each way up has its own lens and size."""
     capture, folder, rays = room.Capture(), tmp_path / "photos", room.rays_of_lens()
@@ -466,7 +508,7 @@ def test_a_look_at_automatic_exposure(room, tmp_path, capsys):
 
 
 def test_errors_are_json_too(room, tmp_path, capsys):
-    assert prepare(tmp_path / "nowhere", tmp_path / "out", "--json") == 1
+    assert main(["prepare", str(tmp_path / "nowhere"), str(tmp_path / "out"), "--json"]) == 1
     error = json.loads(capsys.readouterr().out.splitlines()[-1])["error"]
     assert error["code"] == "file_missing" and "nowhere" in error["message"] and error["hint"]
     photos = tiny(room, tmp_path / "photos")

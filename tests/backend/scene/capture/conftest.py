@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Fixtures: the room that is photographed, and DNGs."""
+"""Fixtures: the room that is photographed, DNGs and HEIC."""
 
 import importlib.util
 import sys
@@ -26,3 +26,8 @@ def room() -> ModuleType:
 @pytest.fixture(scope="session")
 def dng() -> ModuleType:
     return beside("dng")
+
+
+@pytest.fixture(scope="session")
+def heic() -> ModuleType:
+    return beside("heic")
