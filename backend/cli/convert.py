@@ -22,7 +22,13 @@ from ...bridge.run_folder import CONFIG_FILE
 from ...bridge.splat_files import SplatCloud, format_of, turned, write_spz
 from ...bridge.splat_files.reading import read_any
 from ...bridge.splat_files.usable import left_out_note, only_usable
-from ..formats.colours import display_of_linear, exposed, linear_of_display, radiance_sh
+from ..formats.colours import (
+    display_of_linear,
+    exposed,
+    linear_of_display,
+    lost_by_decoding,
+    radiance_sh,
+)
 from ..formats.table import Target, target_of
 from ..project import version
 from ..runs.terminal import console
@@ -35,6 +41,8 @@ if TYPE_CHECKING:  # they load torch, which takes seconds and only a run needs
 
 #: EV at which colours are developed, and at which radiance is written (its own value).
 DEVELOPED_EV, RADIANCE_EV = 1.0, 0.0
+#: What is lost of colours is told from half a code of 8 bits on.
+SEEN = 0.5 / 255.0
 #: Version of SPZ, where nobody asks for another.
 SPZ_VERSION = 3
 
@@ -98,6 +106,9 @@ class Convert:
     color_space: ColorWords | None = None
     #: glTF alone: linear colours (lin_rec709_display), which a viewer blends before the sRGB curve, as we do.
     blend_linear: bool = False
+    #: USD alone: another program's display colours stay what they are (srgb_rec709_scene) instead of becoming
+    #: radiance, which does not lead back to them.
+    display_colors: bool = False
     #: Of a model file: the run or data set whose cameras saw what it shows. Display colours are fitted to the
     #: model's pictures from there, as those of a run always are. docs/viewers.md
     cameras: Path | None = None
@@ -126,13 +137,14 @@ class Convert:
             write_model(self.out, model)
             count = model.count
         else:
-            linear = target.holds == "radiance" or self.blend_linear
+            linear = self._wants_linear(target)
             with progress("colours", "step", self.json) as show:
                 cloud, told = self._coloured(source, linear, show)
+            changed = self._changed(source, cloud) if linear else ()
             cloud = turned(cloud, turn_of_up(source.up, up)) if up != source.up else cloud
             cloud = replace(cloud, up=up)
             facts = [f"{PROVENANCE}{key}: {value}" for key, value in source.facts]
-            clipped = self._write(target, cloud, [*facts, told])
+            clipped = (*changed, *self._write(target, cloud, [*facts, told]))
             count = cloud.count
         left_out = [left_out_note(source.left_out)] if source.left_out else []
         notes = [*left_out, *source.notes, *clipped]
@@ -157,6 +169,8 @@ class Convert:
                 "--blend-linear is of glTF, which then ends in the sRGB curve",
                 "Leave it out, or write .glb with --tone srgb.",
             )
+        if self.display_colors and target.name != "USD":
+            raise BadValueError(f"--display-colors is of USD, and {self.out.name} is none", "Leave it out.")
         if self.spz_version is not None and target.name != "SPZ":
             raise BadValueError(f"--spz-version is of SPZ, and {self.out.name} is none", "Leave it out.")
         if (self.cameras is not None or self.quick) and (target.holds != "display" or self.blend_linear):
@@ -173,12 +187,18 @@ class Convert:
         if target.holds == "radiance" and self.tone is not None:
             raise BadValueError("USD holds radiance, before any response", "Leave --tone out.")
 
+    def _wants_linear(self, target: Target) -> bool:
+        """Whether linear colours are written, and not such as a screen shows."""
+        return self.blend_linear or (target.holds == "radiance" and not self.display_colors)
+
     def _asks_for_light(self) -> bool:
         return self.lighting_level != 1.0 or bool(self.lighting_levels)
 
     def _coloured(self, source: Source, linear: bool, show: Told) -> tuple[SplatCloud, str]:
         """The source's Gaussians with colours for the file, linear or display-referred, and what they are."""
         if source.model is not None:
+            if self.display_colors:
+                raise BadValueError(f"{self.source} has radiance itself", "Leave --display-colors out.")
             return self._of_model(source, source.model, linear, show)
         assert source.cloud is not None
         if self.cameras is not None:
@@ -216,6 +236,20 @@ class Convert:
             return cloud, "its own colours"
         told = f"its colours linearised as sRGB, EV {ev or 0.0:g}"
         return replace(cloud, colour_sh=exposed(linear_of_display(sh), 2.0 ** (ev or 0.0))), told
+
+    def _changed(self, source: Source, linear: SplatCloud) -> tuple[str, ...]:
+        """A sentence where display colours became linear ones that do not lead back to them."""
+        if source.cloud is None or source.is_linear:
+            return ()
+        sh = exposed(linear.colour_sh, 2.0 ** -(self.exposure_ev or 0.0))
+        lost = lost_by_decoding(source.cloud.colour_sh, sh)
+        if lost < SEEN:
+            return ()
+        instead = "Leave --blend-linear out" if self.blend_linear else "Say --display-colors"
+        return (
+            "Its display colours became linear ones, fitted anew to each Gaussian's directions: back on a "
+            f"screen they differ by {lost:.3f} (root mean square, white is 1). {instead} to keep them.",
+        )
 
     def _of_model(self, source: Source, model: Model, linear: bool, show: Told) -> tuple[SplatCloud, str]:
         levels = levels_asked(self.lighting_level, self.lighting_levels, model.lights)
@@ -258,9 +292,10 @@ class Convert:
             space = "lin_rec709_display" if self.blend_linear else "srgb_rec709_display"
             write_gltf(self.out, cloud, space, f"PhysHDR {version()}")
         else:
-            from ..formats.usd import write_usd
+            from ..formats.usd import DISPLAY, RADIANCE, write_usd
 
-            write_usd(self.out, cloud, cloud.up, "\n".join([f"PhysHDR {version()}", *comments]))
+            comment = "\n".join([f"PhysHDR {version()}", *comments])
+            write_usd(self.out, cloud, cloud.up, comment, DISPLAY if self.display_colors else RADIANCE)
         return ()
 
 

@@ -7,16 +7,19 @@ unit, looks down −Z with +Y up; the stage's ``upAxis`` and ``metersPerUnit``).
 """
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ...bridge.axes import turn_of_up
+from ...bridge.axes import Up, turn_of_up
 from ...bridge.errors import BadValueError, FileDamagedError
 from ...bridge.limits import FOCAL_LENGTH, LARGEST_SIDE, PRINCIPAL_POINT, check_position
 from ...bridge.regular import damaged_where_it_fails, read_json_object, regular_file
 from ...bridge.shots import FORMAT, MOST_FRAMES, Shot, Shots, read_shots
+from ..formats.apart import apart
+from ..formats.usd_stage import camera_of
 from ..optional import needed
 from ..scene.camera import Camera
 from ..scene.checks import is_rotation, number, rigid_pose
@@ -151,82 +154,44 @@ def _world_of(space: Path | None) -> tuple[np.ndarray, float]:
 
 def _usd(path: Path, like: Camera, prim: str | None) -> Shots:
     """A stage's camera at each of its time codes; once where it says no range of them."""
-    stage_module = needed("pxr.Usd", "usd-core", "usd", f"{path.name}: a USD camera")
-    geometry = needed("pxr.UsdGeom", "usd-core", "usd", f"{path.name}: a USD camera")
-    unreadable = f"{path} is no USD stage that can be read"
-    with damaged_where_it_fails(unreadable, KINDS):
-        stage = stage_module.Stage.Open(str(path))
-        cameras = [each for each in stage.Traverse() if each.IsA(geometry.Camera)]
-    camera = geometry.Camera(_the_one(path, cameras, prim))
-    first, last = stage.GetStartTimeCode(), stage.GetEndTimeCode()
-    if not stage.HasAuthoredTimeCodeRange():
-        first = last = 0.0
-    if not (math.isfinite(first) and math.isfinite(last) and 0.0 <= last - first < MOST_FRAMES):
-        raise BadValueError(
-            f"{path}: its time codes are from {first:g} to {last:g}",
-            f"Export from a first to a later frame, at most {MOST_FRAMES} of them.",
-        )
-    to_world = _blender_world(path, geometry, stage)
-    times = first + np.arange(math.floor(last - first) + 1)
-    with damaged_where_it_fails(unreadable, KINDS):
-        sampled = [camera.GetCamera(stage_module.TimeCode(float(time))) for time in times]
-    windows = [(each.horizontalAperture, each.verticalAperture) for each in sampled]
-    for wide, high in windows:
+    needed("pxr", "usd-core", "usd", f"{path.name}: a USD camera")
+    told, arrays = apart(path, camera_of, str(path), prim, MOST_FRAMES, KINDS)
+    to_world = _blender_world(path, told["up"], told["metres"])
+    for wide, high in arrays["lenses"][:, :2]:
         if not all(math.isfinite(side) and side > 0.0 for side in (wide, high)):
-            raise BadValueError(f"{path}: {camera.GetPath()} has an aperture of {wide:g}×{high:g}", APERTURE)
-    wide, high = windows[0]
+            raise BadValueError(f"{path}: {told['path']} has an aperture of {wide:g}×{high:g}", APERTURE)
+    wide, high = map(float, arrays["lenses"][0, :2])
     width, height = like.width, max(1.0, like.width * high / wide)
     if height > LARGEST_SIDE:
         raise BadValueError(
             f"{path}: an aperture of {wide:g}×{high:g} gives {height:g} rows of pixels", APERTURE
         )
-    height = round(height)
-    frames = [
-        _usd_shot(path, geometry, time, each, to_world, width, height)
-        for time, each in zip(times, sampled, strict=True)
-    ]
-    fps = stage.GetTimeCodesPerSecond()
-    return Shots(width, height, fps if 0.0 < fps <= 240.0 else NERFSTUDIO_FPS, frames)
-
-
-def _the_one(path: Path, cameras: list[Any], prim: str | None) -> Any:
-    """The camera that is asked for, or the only one."""
-    names = [str(each.GetPath()) for each in cameras]
-    if not cameras:
-        raise BadValueError(f"{path} has no camera", "Export one: in Blender, USD with Cameras ticked.")
-    if prim is None:
-        if len(cameras) > 1:
+    for time, perspective in zip(arrays["times"], told["perspective"], strict=True):
+        if not perspective:
             raise BadValueError(
-                f"{path} has {len(cameras)} cameras", f"Choose by --camera-prim: {', '.join(names):.400}."
+                f"{path}: the camera is orthographic at {time:g}", "Make it a perspective one."
             )
-        return cameras[0]
-    found = [each for each, name in zip(cameras, names, strict=True) if prim in (name, each.GetName())]
-    if len(found) != 1:
-        raise BadValueError(
-            f"{path} has {'no' if not found else 'several'} cameras {prim!r:.80}",
-            f"There are: {', '.join(names):.400}.",
-        )
-    return found[0]
+    frames = [
+        _usd_shot(path, float(time), to_world @ pose, lens.tolist(), width, round(height))
+        for time, pose, lens in zip(arrays["times"], arrays["poses"], arrays["lenses"], strict=True)
+    ]
+    fps = told["fps"]
+    return Shots(width, round(height), fps if 0.0 < fps <= 240.0 else NERFSTUDIO_FPS, frames)
 
 
-def _blender_world(path: Path, geometry: Any, stage: Any) -> np.ndarray:
+def _blender_world(path: Path, up: Up, metres: float) -> np.ndarray:
     """``[4, 4]``: the stage's space → Blender's, metres and +Z up."""
-    metres = geometry.GetStageMetersPerUnit(stage)
     if not (math.isfinite(metres) and metres > 0.0):
         raise BadValueError(f"{path}: 'metersPerUnit' is {metres:g}", "It must be above 0.")
     matrix = np.diag([metres, metres, metres, 1.0])
-    if geometry.GetStageUpAxis(stage) == geometry.Tokens.y:
-        matrix[:3, :3] = turn_of_up("y", "z") * metres
+    matrix[:3, :3] = turn_of_up(up, "z") * metres
     return matrix
 
 
 def _usd_shot(
-    path: Path, geometry: Any, time: float, camera: Any, to_world: np.ndarray, width: int, height: int
+    path: Path, time: float, pose: np.ndarray, lens: Sequence[float], width: int, height: int
 ) -> Shot:
-    """One time's camera; ``camera``: a ``Gf.Camera``, whose matrices multiply rows from the left."""
-    if camera.projection != camera.Perspective:
-        raise BadValueError(f"{path}: the camera is orthographic at {time:g}", "Make it a perspective one.")
-    pose = to_world @ np.array(camera.transform, np.float64).T
+    """One time's camera; ``pose``: to Blender's world, ``lens``: as ``camera_of`` has it."""
     lengths = np.linalg.norm(pose[:3, :3], axis=0)
     if not (np.isfinite(pose).all() and lengths.min() > 0.0):
         raise BadValueError(
@@ -237,13 +202,13 @@ def _usd_shot(
     if np.ptp(lengths) > SHEAR * lengths.max() and not is_rotation(pose[:3, :3]):
         raise BadValueError(f"{path}: the camera is sheared at {time:g}", "Unparent it, or apply the scale.")
     pose = rigid_pose(path, pose, f"{time:g}")
-    wide, high = camera.horizontalAperture, camera.verticalAperture
-    fx, fy = width * camera.focalLength / wide, height * camera.focalLength / high
+    wide, high, right, upward, focal_length = lens
+    fx, fy = width * focal_length / wide, height * focal_length / high
     for focal in (fx, fy):
         FOCAL_LENGTH.check(focal, f"{path}: the focal length at {time:g}")
     # The window is moved by the offset, so the axis meets the picture on the other side of the middle.
-    cx = width * (0.5 - camera.horizontalApertureOffset / wide)
-    cy = height * (0.5 + camera.verticalApertureOffset / high)
+    cx = width * (0.5 - right / wide)
+    cy = height * (0.5 + upward / high)
     for centre in (cx, cy):
         PRINCIPAL_POINT.check(centre, f"{path}: the principal point at {time:g}")
     return Shot(pose, fx, fy, cx, cy)

@@ -17,6 +17,7 @@ import pytest
 from physhdr.backend.evaluate.camera_file import read_camera_file
 from physhdr.backend.formats.gltf import EXTENSION, read_gltf, write_gltf
 from physhdr.backend.formats.placed import moved
+from physhdr.backend.formats.usd_stage import camera_of
 from physhdr.backend.scene.camera import Camera
 from physhdr.bridge.errors import BadValueError, FileDamagedError
 from physhdr.bridge.regular import damaged_where_it_fails
@@ -108,10 +109,11 @@ def test_a_camera_whose_values_openusd_cannot_unpack(tmp_path: Path, monkeypatch
         raise Tf.ErrorException("Attempted to unpack unsupported type enum value 0")
 
     monkeypatch.setattr(geometry.Camera, "GetCamera", damaged)
+    (tmp_path / "a.usda").write_text(STAGE)
     with pytest.raises(
         FileDamagedError, match=r"no USD stage that can be read[^.]*unsupported type"
     ) as caught:
-        cameras_of(tmp_path, STAGE)
+        camera_of(str(tmp_path / "a.usda"), None, 10, "Export it again.")  # in this process
     assert caught.value.hint
 
 

@@ -4,6 +4,7 @@
 import json
 import math
 import os
+import re
 import shutil
 import struct
 import subprocess
@@ -77,6 +78,11 @@ def fails(capsys, *words: object) -> str:
 def plain(cloud: SplatCloud) -> np.ndarray:
     """``[N, 3]``: Σ sh·Y + ½ of degree 0, float64."""
     return cloud.colour_sh[:, 0].astype(np.float64) * C0 + 0.5
+
+
+def words(capsys) -> str:
+    """What was said since the last time, in one line."""
+    return " ".join(capsys.readouterr().out.split())
 
 
 def cloud_in(path: Path) -> SplatCloud:
@@ -183,6 +189,46 @@ def test_another_programs_colours_pass_through(tmp_path: Path) -> None:
     np.testing.assert_allclose(back.position, m.position, atol=1e-6)
 
 
+def test_what_usds_radiance_changes_of_display_colours_is_told(tmp_path: Path, capsys) -> None:
+    """As much as codes differ that are worked out here, direction by direction; not a bit where they stay."""
+    pytest.importorskip("pxr.UsdVol", reason="needs usd-core: pip install 'physhdr[usd]'")
+    rng = np.random.default_rng(0)
+    m = a_model(3)
+    colours = (0.2 * rng.normal(size=(m.count, 16, 3))).astype(np.float32)
+    write_standard_ply(tmp_path / "a.ply", m.position, m.rotation, m.scale, m.opacity, colours, up="z")
+    convert(tmp_path / "a.ply", tmp_path / "b.usdc", "--exposure-ev", 2)
+    [told] = re.findall(
+        r"differ by (\S+) \(root mean square, white is 1\). Say --display-colors", words(capsys)
+    )
+    convert(tmp_path / "b.usdc", tmp_path / "c.ply", "--exposure-ev", -2)
+    directions = rng.normal(size=(4000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    shown = [
+        np.clip(np.einsum("qk,nkc->nqc", basis(directions, 3), sh) + 0.5, 0.0, 1.0)
+        for sh in (colours, cloud_in(tmp_path / "c.ply").colour_sh)
+    ]
+    rms = np.sqrt(np.square(shown[0] - shown[1]).mean())
+    assert rms > 0.01 and float(told) == pytest.approx(rms, rel=0.05)
+
+    convert(tmp_path / "a.ply", tmp_path / "d.usdc", "--display-colors")
+    assert "differ" not in words(capsys) and not read_source(tmp_path / "d.usdc").is_linear
+    convert(tmp_path / "d.usdc", tmp_path / "e.ply")
+    np.testing.assert_array_equal(cloud_in(tmp_path / "e.ply").colour_sh, colours)
+    assert "differ" not in words(capsys)
+
+
+def test_display_colours_of_one_degree_come_back_from_usd(tmp_path: Path, capsys) -> None:
+    """SH of degree 0 decode exactly: there is nothing to be told."""
+    pytest.importorskip("pxr.UsdVol", reason="needs usd-core: pip install 'physhdr[usd]'")
+    m = a_model(0)
+    colours = np.random.default_rng(0).uniform(-1.7, 1.7, (m.count, 1, 3)).astype(np.float32)
+    write_standard_ply(tmp_path / "a.ply", m.position, m.rotation, m.scale, m.opacity, colours, up="z")
+    convert(tmp_path / "a.ply", tmp_path / "b.usdc")
+    assert "differ" not in words(capsys)
+    convert(tmp_path / "b.usdc", tmp_path / "c.ply")
+    np.testing.assert_allclose(cloud_in(tmp_path / "c.ply").colour_sh, colours, atol=1e-5)
+
+
 def test_radiance_of_usd_is_exposed_for_a_screen_and_back(model: Path) -> None:
     pytest.importorskip("pxr.UsdVol", reason="needs usd-core: pip install 'physhdr[usd]'")
     convert(model, model.with_name("a.usdc"))
@@ -272,6 +318,8 @@ def test_its_result_and_its_error_are_told_as_json(model: Path, capsys) -> None:
         ("a.ply", ["--exposure-ev", "99"], "−30 to 30"),
         ("a.ply", ["--exposure-ev", "nan"], "−30 to 30"),
         ("a.ply", ["--blend-linear"], "is of glTF"),
+        ("a.ply", ["--display-colors"], "--display-colors is of USD"),
+        ("a.usdc", ["--display-colors"], "has radiance itself"),
         ("a.ply", ["--lighting-levels", "moon=1"], "ambient, lamp"),
         ("a.safetensors", ["--lighting-level", "2"], "keeps all of its light"),
         ("a.safetensors", ["--up", "y"], "--up may be z"),
