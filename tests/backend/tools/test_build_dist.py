@@ -102,3 +102,11 @@ def test_what_is_missing_is_named(dist, project, tmp_path, name, before, after, 
 def test_outside_a_checkout_it_says_so(dist, tmp_path):
     with pytest.raises(dist.BuildError, match="git lists no files"):
         dist.build(tmp_path, tmp_path / "out")
+
+
+def test_of_this_checkout_nothing_is_missing(dist, tmp_path):
+    try:
+        dist.tracked(ROOT)
+    except dist.BuildError:
+        pytest.skip("this is no checkout")
+    dist.build(ROOT, tmp_path / "out")
