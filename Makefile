@@ -8,7 +8,7 @@ PYTHON ?= python3
 WITH_TORCH := $(if $(wildcard $(BACKEND)),$(BACKEND),$(PYTHON))
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-long fuzz torture benchmark report gpu-check gui-test web-test formats extension dist lock lint clean
+.PHONY: help setup demo test test-long fuzz torture benchmark report gpu-check windows-semantics gui-test web-test formats extension dist lock lint clean
 
 help: ## Show this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -46,6 +46,12 @@ report: setup ## The comparison, faults, lengths, the paper's steps: docs/tables
 
 gpu-check: ## Is what a card computes right, and how fast? Says so and ends where there is no card
 	@$(WITH_TORCH) tools/gpu_check.py
+
+# What touches files and takes no training of its own.
+ON_WINDOWS := tests/bridge tests/addon/session tests/backend/serve/test_home.py tests/backend/export \
+	tests/backend/formats tests/backend/scene/capture tests/backend/runs/test_files.py tests/backend/runs/test_lock.py
+windows-semantics: setup ## Tests that touch files, as if Windows kept these; WITH="-k model" and other options
+	@$(BACKEND) -m pytest $(ON_WINDOWS) --as-on-windows $(WITH)
 
 gui-test: setup ## The extension in a real Blender window; says so and ends where there can be none
 	@$(BACKEND) tools/gui_test.py

@@ -22,6 +22,18 @@ def user_folder() -> Path:
     return Path(bpy.utils.user_resource("DATAFILES", path="physhdr", create=True))
 
 
+def backend_folder() -> Path:
+    """Where the backend's environment, connection file, log and caches are unless the user says otherwise.
+
+    In the extension's own folder; on Windows in one whose path is short and stays on this machine: torch has
+    files whose paths are 170 characters longer, and Windows takes 259 in all.
+    """
+    local = os.environ.get("LOCALAPPDATA")
+    if os.name == "nt" and local:
+        return Path(local) / "physhdr" / "{}.{}".format(*bpy.app.version)
+    return user_folder() / "backend"
+
+
 def absolute(chosen: str) -> str:
     """A chosen path as a whole one; empty where none is chosen, or where it is nowhere."""
     return os.path.normpath(bpy.path.abspath(chosen)) if chosen and not is_nowhere(chosen) else ""

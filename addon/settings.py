@@ -14,7 +14,7 @@ from ..bridge.presets import IN_PANEL
 from ..bridge.run_folder import data_of, same_folder
 from . import changes
 from .blender import layout_of
-from .paths import PACKAGE, absolute, user_folder
+from .paths import PACKAGE, absolute, backend_folder
 from .session.photos import PhotoOptions
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ class _Defaults:
 def home_folder() -> Path:
     """The backend's folder: its environment, connection file, log and caches."""
     chosen = preferences().home
-    return Path(absolute(chosen)) if absolute(chosen) else user_folder() / "backend"
+    return Path(absolute(chosen)) if absolute(chosen) else backend_folder()
 
 
 def when_closed() -> WhenClosed:
@@ -98,7 +98,8 @@ class PHYSHDR_Preferences(bpy.types.AddonPreferences):
     home: bpy.props.StringProperty(
         name="Backend's Folder",
         subtype="DIR_PATH",
-        description="For the backend's environment, log and caches; empty: Blender's folder for extensions",
+        description="For the backend's environment, log and caches; empty: Blender's folder for extensions, "
+        "on Windows the user's local one",
         update=_home_changed,
     )
     when_closed: bpy.props.EnumProperty(

@@ -8,6 +8,7 @@ import secrets
 import stat
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 from .errors import OutputError
@@ -18,6 +19,11 @@ ABANDONED_SECONDS = 3600.0
 MARK = ".tmp"
 #: Bytes of the longest name that a file may have, on most systems.
 LONGEST_NAME = 255
+#: How Windows says that somebody has a file open: access denied, a sharing violation, a lock's. Antivirus
+#: programs and indexers do so for moments with whatever is new, readers for as long as they read.
+HELD = (5, 32, 33)
+#: Seconds in which a file that is held may be given up. What would be lost otherwise took longer.
+HELD_SECONDS = 10.0
 REMEDY = "Check that the folder can be written and that the disk has space, or choose another path."
 
 
@@ -58,17 +64,41 @@ def atomic_path(
         sync(temporary)
         if check is not None:
             check(path)
-        temporary.replace(path)
+        patiently(partial(temporary.replace, path))
         temporary = None
         if sync_name:
             with contextlib.suppress(OSError):  # Windows cannot, and some disks refuse it
                 sync(path.parent)
     except OSError as error:
+        if _is_held(error) and os.path.exists(path):
+            remedy = f"Close the program that has it open, or choose another path. Else: {remedy}"
         raise OutputError(f"cannot write {path}: {error.strerror or error}", remedy) from error
     finally:
         if temporary is not None:
             with contextlib.suppress(OSError):
                 temporary.unlink(missing_ok=True)
+
+
+def patiently(move: Callable[[], object]) -> None:
+    """Rename or replace a file or a folder by ``move``, as soon as nobody has it, or what is in it, open.
+
+    Waits ``HELD_SECONDS`` at most, on Windows alone: elsewhere that hinders nobody. Raises ``OSError``.
+    """
+    until, pause = time.monotonic() + HELD_SECONDS, 0.01
+    while True:
+        try:
+            move()
+            return
+        except OSError as error:
+            if not _is_held(error) or time.monotonic() > until:
+                raise
+        time.sleep(pause)
+        pause = min(2.0 * pause, 0.5)
+
+
+def _is_held(error: OSError) -> bool:
+    """Whether the error is Windows' for a file that somebody has open; other systems replace such files."""
+    return getattr(error, "winerror", None) in HELD
 
 
 def temporary_name(path: Path) -> Path:

@@ -68,7 +68,12 @@ class Lock:
                 with suppress(OSError):
                     self.path.unlink()
             raise LocksRefusedError(error.strerror or str(error)) from error
-        self._lock, self._file = lock, self.path.stat()
+        try:
+            self._file = self.path.stat()
+        except FileNotFoundError:  # on Windows the library removes the file after it gave the lock back
+            lock.release()
+            return False
+        self._lock = lock
         return True
 
     def release(self) -> None:

@@ -376,11 +376,11 @@ def _map_file(path: Path) -> memoryview:
         raise FileMissingError(
             f"there is no model file {path}", "Export one with physhdr export, or choose another file."
         ) from None
-    except IsADirectoryError:
-        raise FileMissingError(
-            f"{path} is a folder, not a model file", "Choose a .safetensors file."
-        ) from None
     except OSError as error:
+        if os.path.isdir(path):  # Windows says that access is denied
+            raise FileMissingError(
+                f"{path} is a folder, not a model file", "Choose a .safetensors file."
+            ) from None
         raise FileDamagedError(
             f"cannot read {path}: {error.strerror or error}", "Check the file's permissions."
         ) from error

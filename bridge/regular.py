@@ -81,11 +81,11 @@ def damaged_where_it_fails(what: str, remedy: str = "") -> Iterator[None]:
 
 
 def _told(error: Exception) -> str:
-    """What an error says, or its kind where it says nothing; OpenUSD's cannot be said where a file's bytes
-    that it repeats are no UTF-8.
+    """What an error says, in one line, or its kind where it says nothing; OpenUSD's cannot be said where a
+    file's bytes that it repeats are no UTF-8.
     """
     try:
-        return str(error)[:200] or type(error).__name__
+        return " ".join(str(error).split())[:200] or type(error).__name__
     except UnicodeError:
         return type(error).__name__
 

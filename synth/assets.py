@@ -175,7 +175,7 @@ def _imported(model: _Model) -> list[bpy.types.Object]:
     former = set(bpy.data.objects), set(bpy.data.images)
     try:
         if model.member:
-            with tempfile.TemporaryDirectory() as scratch:
+            with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as scratch:
                 _import(_extracted(model, Path(scratch)))
                 _pack(set(bpy.data.images) - former[1])
         else:

@@ -92,7 +92,7 @@ def _compiled() -> str:
     """The shader's byte code."""
     import _cycles  # of Cycles, and not there at all in a Blender without it
 
-    with tempfile.TemporaryDirectory(prefix="physhdr-lens-") as made:
+    with tempfile.TemporaryDirectory(prefix="physhdr-lens-", ignore_cleanup_errors=True) as made:
         source, target = Path(made) / "lens.osl", Path(made) / "lens.oso"
         source.write_text(SOURCE, encoding="utf-8")
         with quiet():

@@ -22,6 +22,18 @@ def _module(name: str) -> ModuleType:
 
 _fuzzing = _module("fuzzing")
 
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--as-on-windows", action="store_true", help="files as on Windows (tests/windows_semantics.py)"
+    )
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if config.getoption("--as-on-windows"):
+        config.pluginmanager.register(_module("windows_semantics").Plugin())
+
+
 #: Seconds that a read may take where a reader that opens a FIFO would wait for ever.
 PATIENCE = 20
 

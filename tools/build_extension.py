@@ -20,7 +20,9 @@ import zipfile
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-PYTHON = ROOT / ".venvs" / "backend" / "bin" / "python"
+#: Whose pip fetches wheels: where make never ran, as on Windows, this very Python's.
+IN_ENVIRONMENT = ROOT / ".venvs" / "backend" / "bin" / "python"
+PYTHON = IN_ENVIRONMENT if IN_ENVIRONMENT.exists() else Path(sys.executable)
 SITE_PACKAGES = ROOT / ".venvs" / "blender" / "lib"
 #: What Blender asks for of a repository of extensions: what it holds, with sizes and hashes.
 INDEX_FILE = "index.json"
@@ -114,7 +116,9 @@ def build(root: Path, dist: Path) -> int:
             raise BuildError(f"pip did not bring {', '.join(missing)}", "Look at tools/wheels.txt.")
     tool = extension_tool()
     if tool is None:
-        raise BuildError("Blender's extension tool was not found", "Run make setup first.")
+        raise BuildError(
+            "Blender's extension tool was not found", "Run make setup first, or put blender's folder on PATH."
+        )
     dist.mkdir(parents=True, exist_ok=True)
     # Beside its place, and moved there when it has been looked at.
     with tempfile.TemporaryDirectory(dir=dist) as made:

@@ -23,6 +23,7 @@ from ..model.look import is_of_run
 from ..paths import first_free, whole
 from ..rendering.shots import shots_of
 from ..runtime import session
+from ..session.process import unseen
 from ..session.results import (
     EVALUATE,
     VIDEO,
@@ -375,6 +376,7 @@ def encodes(current: Session) -> bool:
                 capture_output=True,
                 timeout=ASK_SECONDS,
                 check=False,
+                **unseen(),
             )
         except (OSError, subprocess.TimeoutExpired):
             return False

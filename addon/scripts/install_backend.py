@@ -19,6 +19,7 @@ with the Warp of the same. Where they can run neither, it is the processor's, an
 """
 
 import argparse
+import contextlib
 import hashlib
 import json
 import os
@@ -34,7 +35,15 @@ from pathlib import Path
 
 MINIMUM = (3, 11)
 STAMP = "physhdr-complete.json"
-PREFIX = "environment-"
+#: What an environment is called: the beginning, digits of what is in it, and the end of the other name. On
+#: Windows as short as may be, for whole paths are limited there.
+PREFIX, DIGITS, OTHER = ("env-", 8, "-2") if os.name == "nt" else ("environment-", 12, "-anew")
+#: Characters of the longest path within the packages' folder: a licence in torch 2.13.0+cu130.
+LONGEST_PATH = 173
+#: Characters of the longest path on Windows, unless LongPathsEnabled is set in its registry.
+WINDOWS_PATH = 259
+#: In the place of a Python of Microsoft's Store (addon/session/pythons.py).
+STORE = "PythonSoftwareFoundation.Python"
 #: Bytes that an environment needs, unpacking included: measured 1.8 GB with torch for the CPU.
 SPACE = {"cpu": 3 << 30, "cuda": 12 << 30, "cuda12": 12 << 30, "pip": 3 << 30}
 #: Bytes for what is added to a copy.
@@ -195,9 +204,9 @@ def install(target: Path, launcher: Path, torch: str, fresh: bool) -> Path:
     contents = "".join(read_lock(locks / name) for name in (*LOCKS[torch], TORCH_LOCK, *CUDA_LOCKS))
     locked = hashlib.sha256(contents.encode()).hexdigest()
     identity = json.dumps([locked, torch, sys.version, sys.base_prefix])
-    named = target / (PREFIX + hashlib.sha256(identity.encode()).hexdigest()[:12])
+    named = target / (PREFIX + hashlib.sha256(identity.encode()).hexdigest()[:DIGITS])
     # What is made anew has the other of two names: the one that is there serves until then, and if it fails.
-    other = named.with_name(f"{named.name}-anew")
+    other = named.with_name(named.name + OTHER)
     there = next((folder for folder in (named, other) if (folder / STAMP).exists()), None)
     if there and not fresh:
         say(progress=COMPLETE, message="the environment is there already")
@@ -205,6 +214,8 @@ def install(target: Path, launcher: Path, torch: str, fresh: bool) -> Path:
     folder = other if there == named else named
     python = interpreter_of(folder)
     target.mkdir(parents=True, exist_ok=True)
+    if os.name == "nt":
+        refuse_what_windows_cannot(folder, sys.base_prefix)
     former = None if fresh else extensible(target, torch)
     free, needed = shutil.disk_usage(target).free, SPACE_ADDED if former else SPACE[torch]
     if free < needed:
@@ -218,18 +229,66 @@ def install(target: Path, launcher: Path, torch: str, fresh: bool) -> Path:
             take_over(former, folder)
         else:
             say(progress=0.01, message=f"making an environment with {sys.executable}")
-            venv.EnvBuilder(with_pip=True, clear=True, symlinks=os.name != "nt").create(folder)
+            make_environment(folder)
         pip_install(python, [locks / name for name in LOCKS[torch]], 0.03, PACKAGES_DONE)
         torch_install(python, locks / TORCH_LOCK, TORCH_INDEX[torch])
         complete(python, [locks / name for name in CUDA_LOCKS])
         (folder / STAMP).write_text(identity, encoding="utf-8")
     except BaseException:
-        shutil.rmtree(folder, ignore_errors=True)
+        remove(folder)
         raise
     for old in target.glob(PREFIX + "*"):
         if old != folder:
-            shutil.rmtree(old, ignore_errors=True)
+            remove(old)
     return python
+
+
+def make_environment(folder: Path) -> None:
+    """An environment of this Python with pip; raises ``InstallError`` where it can make none."""
+    try:
+        venv.EnvBuilder(with_pip=True, clear=True, symlinks=os.name != "nt").create(folder)
+    except subprocess.CalledProcessError as error:  # the new Python does not start, or its pip is not there
+        said = (error.output or b"").decode("utf-8", "replace").strip().splitlines()
+        raise InstallError(
+            f"{sys.executable} cannot make an environment" + (f": {said[-1]:.200}" if said else ""),
+            "Choose another Python, such as one from python.org.",
+        ) from error
+
+
+def remove(folder: Path) -> None:
+    """Remove an environment; where some of it is in use, which Windows keeps, it is complete no more."""
+    with contextlib.suppress(OSError):
+        (folder / STAMP).unlink(missing_ok=True)
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def refuse_what_windows_cannot(folder: Path, base: str) -> None:
+    """Raises ``InstallError`` where no environment can be in ``folder``, or ``base``'s Python makes none."""
+    if STORE in base:
+        raise InstallError(
+            "a Python of Microsoft's Store writes what it makes where Blender does not find it",
+            "Choose another: Blender's own, or install one from python.org.",
+        )
+    longest = len(str(folder / "Lib" / "site-packages")) + 1 + LONGEST_PATH
+    if longest > WINDOWS_PATH and not takes_long_paths(folder.parent):
+        raise InstallError(
+            f"files in {folder} would have paths of {longest} characters, and this Windows takes "
+            f"{WINDOWS_PATH}",
+            f"Set a folder in the extension's preferences that is {longest - WINDOWS_PATH} characters "
+            "shorter, such as C:\\physhdr, or allow long paths (LongPathsEnabled in Windows' registry).",
+        )
+
+
+def takes_long_paths(folder: Path) -> bool:
+    """Whether paths can be longer than ``WINDOWS_PATH``: by trying, for Python, too, must allow it."""
+    probe = folder / "long-paths"
+    try:
+        (probe / ("x" * 150) / ("x" * 150)).mkdir(parents=True, exist_ok=True)
+    except OSError:
+        return False
+    finally:
+        shutil.rmtree(probe, ignore_errors=True)
+    return True
 
 
 def interpreter_of(environment: Path) -> Path:
@@ -261,7 +320,9 @@ def ask_driver(program: str, *fields: str) -> list[list[str]] | None:
     Raises ``OSError`` or ``TimeoutExpired`` where it cannot be run.
     """
     command = [program, f"--query-gpu={','.join(fields)}", "--format=csv,noheader"]
-    done = subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=30, check=False)
+    done = subprocess.run(
+        command, capture_output=True, encoding="utf-8", errors="replace", timeout=30, check=False
+    )
     if done.returncode:
         return None
     rows = [[field.strip() for field in line.split(",")] for line in done.stdout.splitlines()]

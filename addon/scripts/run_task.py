@@ -9,6 +9,7 @@ where they have not ended GRACE seconds later. That must come from here: on Wind
 to ask a program to end, it reaches only what shares a console with the one who asks.
 """
 
+import contextlib
 import json
 import os
 import signal
@@ -48,7 +49,8 @@ def end_with_stdin(process: "subprocess.Popen[bytes]", grace: float) -> None:
     while os.read(0, 1024):
         pass
     if sys.platform == "win32":
-        os.kill(0, signal.CTRL_C_EVENT)  # 0: whatever shares this console
+        with contextlib.suppress(OSError):  # no console: what follows needs none
+            os.kill(0, signal.CTRL_C_EVENT)  # 0: whatever shares this console
     else:
         os.killpg(0, signal.SIGINT)
     time.sleep(grace)  # the process ends meanwhile if the program does

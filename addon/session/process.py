@@ -12,6 +12,10 @@ from typing import IO, Any
 #: What a child would inherit of Blender's Python, and what would break another one.
 FOREIGN_VARIABLES = ("PYTHONPATH", "PYTHONHOME", "PYTHONSTARTUP", "PYTHONUSERBASE", "VIRTUAL_ENV")
 
+#: Of Windows' kernel32: the right to wait for a process, the error of one that is another user's, and what
+#: waiting says of one that runs.
+SYNCHRONIZE, ERROR_ACCESS_DENIED, WAIT_TIMEOUT = 0x00100000, 5, 0x102
+
 
 def clean_environment(**extra: str) -> dict[str, str]:
     """This process's environment without what belongs to its own Python.
@@ -34,9 +38,7 @@ def spawn(
 
     Its stdout and stderr go to ``output``. Raises ``OSError``.
     """
-    group: dict[str, Any] = {"start_new_session": True}
-    if sys.platform == "win32":  # written out here and below, for pyright to see
-        group = {"creationflags": subprocess.CREATE_NO_WINDOW}  # a console of its own, that nobody sees
+    group: dict[str, Any] = {"start_new_session": True} if os.name != "nt" else {}
     return subprocess.Popen(
         command,
         stdin=stdin,
@@ -47,7 +49,15 @@ def spawn(
         errors="replace",
         env=environment,
         **group,
+        **unseen(),
     )
+
+
+def unseen() -> dict[str, Any]:
+    """For ``subprocess``: on Windows a child has a console of its own that nobody sees, beside Blender's."""
+    if sys.platform == "win32":  # written out here and below, for pyright to see
+        return {"creationflags": subprocess.CREATE_NO_WINDOW}
+    return {}
 
 
 def open_log(path: Path, mode: str) -> IO[str]:
@@ -67,7 +77,8 @@ def kill(pid: int) -> None:
     """End a program that ``spawn`` started, and its children, at once."""
     with suppress(OSError):
         if sys.platform == "win32":
-            subprocess.run(["taskkill", "/PID", str(pid), "/T", "/F"], capture_output=True, check=False)
+            command = ["taskkill", "/PID", str(pid), "/T", "/F"]
+            subprocess.run(command, capture_output=True, check=False, **unseen())
         else:
             os.killpg(pid, signal.SIGKILL)
 
@@ -75,8 +86,7 @@ def kill(pid: int) -> None:
 def is_alive(pid: int) -> bool:
     """Whether there is such a process (of anybody's; it may be another program by now)."""
     if sys.platform == "win32":
-        listed = subprocess.run(["tasklist", "/FI", f"PID eq {pid}"], capture_output=True, check=False)
-        return str(pid).encode() in listed.stdout
+        return _is_alive_on_windows(pid)
     try:
         os.kill(pid, 0)
     except PermissionError:
@@ -84,3 +94,26 @@ def is_alive(pid: int) -> bool:
     except (ProcessLookupError, OverflowError):
         return False
     return True
+
+
+def _is_alive_on_windows(pid: int) -> bool:
+    """By the process's handle, which costs nothing: ``os.kill`` would end it whatever the signal."""
+    import ctypes
+    from ctypes import wintypes
+
+    kernel = ctypes.WinDLL("kernel32", use_last_error=True)  # pyright: ignore[reportAttributeAccessIssue]
+    kernel.OpenProcess.argtypes = (wintypes.DWORD, wintypes.BOOL, wintypes.DWORD)
+    kernel.OpenProcess.restype = wintypes.HANDLE
+    kernel.WaitForSingleObject.argtypes = (wintypes.HANDLE, wintypes.DWORD)
+    kernel.WaitForSingleObject.restype = wintypes.DWORD
+    kernel.CloseHandle.argtypes = (wintypes.HANDLE,)
+    handle = kernel.OpenProcess(SYNCHRONIZE, False, pid)
+    if not handle:
+        error = ctypes.get_last_error()  # pyright: ignore[reportAttributeAccessIssue]
+        return error == ERROR_ACCESS_DENIED
+    try:
+        # Whoever holds a handle keeps what is left of a process that has ended: that it can be opened is not
+        # enough.
+        return kernel.WaitForSingleObject(handle, 0) == WAIT_TIMEOUT
+    finally:
+        kernel.CloseHandle(handle)

@@ -6,15 +6,27 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+
+from .process import unseen
 
 #: The trainer needs 3.11; preferred are versions for which torch and Numba have had wheels for long.
 PREFERRED = ("3.12", "3.11", "3.13", "3.14")
 MINIMUM = (3, 11)
-#: How the folder of an environment of ours begins (addon/scripts/install_backend.py).
-ENVIRONMENT = "environment-"
+#: How the folders of environments of ours begin, elsewhere and on Windows (addon/scripts/install_backend.py).
+ENVIRONMENT = ("environment-", "env-")
 _PROBE = "import sys, venv, ensurepip; print('%d.%d' % sys.version_info[:2], sys.executable)"
+#: In the path of a Python of Microsoft's Store. What such a one writes below AppData lands elsewhere, where
+#: Blender does not find it: it can make no environment for us.
+STORE = "PythonSoftwareFoundation.Python"
+
+#: Where python.org's installer and Homebrew put them.
+_ON_MACOS = (
+    "/Library/Frameworks/Python.framework/Versions/{}/bin",
+    "/opt/homebrew/bin",
+    "/usr/local/bin",
+)
 
 
 def find_pythons() -> list[Path]:
@@ -23,7 +35,7 @@ def find_pythons() -> list[Path]:
     for version in PREFERRED:
         for candidate in _candidates(version):
             path = working_python(candidate)
-            if path:
+            if path and STORE not in str(path):
                 found[path] = None
     return list(found)
 
@@ -31,8 +43,16 @@ def find_pythons() -> list[Path]:
 def working_python(candidate: str) -> Path | None:
     """The interpreter behind ``candidate`` if it runs (pyenv's shims may not) and is new enough."""
     try:
+        # UTF-8 from both sides: Windows' code page has not all letters of a user's name.
         done = subprocess.run(
-            [candidate, "-I", "-c", _PROBE], capture_output=True, text=True, timeout=20, check=False
+            [candidate, "-I", "-X", "utf8", "-c", _PROBE],
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            encoding="utf-8",
+            errors="replace",
+            timeout=20,
+            check=False,
+            **unseen(),
         )
     except (OSError, subprocess.TimeoutExpired):
         return None
@@ -40,7 +60,7 @@ def working_python(candidate: str) -> Path | None:
     if done.returncode or not executable:
         return None
     numbers = tuple(int(part) for part in version.split("."))
-    return Path(executable) if numbers >= MINIMUM else None
+    return Path(executable) if numbers >= MINIMUM and os.path.isfile(executable) else None
 
 
 def is_ours(home: Path, python: str) -> bool:
@@ -65,12 +85,30 @@ def _candidates(version: str) -> Iterator[str]:
     on_path = shutil.which(f"python{version}")
     if on_path:
         yield on_path
-    pyenv = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
-    for path in sorted(pyenv.glob(f"{version}.*/bin/python{version}"), reverse=True):
-        yield str(path)
-    local = os.environ.get("LOCALAPPDATA")
-    if local:  # the installer of python.org
-        yield str(Path(local) / "Programs" / "Python" / f"Python{version.replace('.', '')}" / "python.exe")
+    if os.name == "nt":
+        yield from map(str, _on_windows(version, os.environ))
+    else:
+        yield from map(str, _with_pyenv(version))
+    if sys.platform == "darwin":  # a program that was started by a click has none of these on its path
+        for folder in _ON_MACOS:
+            yield f"{folder.format(version)}/python{version}"
     # Blender brings its own, which can make an environment of its own like any other.
     if version == "{}.{}".format(*sys.version_info[:2]):
         yield sys.executable
+
+
+def _with_pyenv(version: str) -> list[Path]:
+    pyenv = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
+    return sorted(pyenv.glob(f"{version}.*/bin/python{version}"), reverse=True)
+
+
+def _on_windows(version: str, environment: Mapping[str, str]) -> Iterator[Path]:
+    """Where python.org's installers, its install manager and pyenv-win put them: mostly not on the path."""
+    digits = version.replace(".", "")
+    if local := environment.get("LOCALAPPDATA"):
+        yield Path(local, "Programs", "Python", f"Python{digits}", "python.exe")  # for one user
+        yield Path(local, "Python", f"pythoncore-{version}-64", "python.exe")
+    if programs := environment.get("ProgramFiles"):
+        yield Path(programs, f"Python{digits}", "python.exe")  # for all users
+    pyenv = environment.get("PYENV") or Path(environment.get("USERPROFILE", ""), ".pyenv", "pyenv-win")
+    yield from sorted(Path(pyenv, "versions").glob(f"{version}.*/python.exe"), reverse=True)

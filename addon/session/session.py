@@ -242,7 +242,8 @@ class Session:
         try:
             private_home(self.home)
             if log.exists() and log.stat().st_size > LOG_BYTES:
-                log.unlink()
+                with suppress(OSError):  # Windows removes none that another has open: it grows on
+                    log.unlink()
             # Another Blender may be starting one just now: its log must not be cut off.
             with open_log(log, "a") as output:
                 self._process = spawn(command, output, self.environment())

@@ -42,7 +42,10 @@ def _revision() -> str:
 
     def git(*words: str) -> str:
         command = ["git", "-C", str(PACKAGE), *words]
-        return subprocess.run(command, capture_output=True, text=True, check=True, timeout=20).stdout.strip()
+        done = subprocess.run(
+            command, capture_output=True, encoding="utf-8", errors="replace", check=True, timeout=20
+        )
+        return done.stdout.strip()
 
     try:
         if Path(git("rev-parse", "--show-toplevel")) != PACKAGE:

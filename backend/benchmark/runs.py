@@ -14,11 +14,12 @@ import os
 import re
 import shutil
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
 from ...bridge import data_set
-from ...bridge.atomic import atomic_path
+from ...bridge.atomic import atomic_path, patiently
 from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError, PhysHDRError
 from ..evaluate.comparison import load_evaluation
 from ..train.config import CONFIG_FILE, completed, method_of
@@ -325,8 +326,8 @@ def put_in_place(work: Path, final: Path) -> None:
     """Let a finished working folder become ``final``; what was there is gone afterwards."""
     old = work.with_name(f"{work.name}.old")
     if final.exists():
-        os.rename(final, old)
-    os.rename(work, final)
+        patiently(partial(os.rename, final, old))
+    patiently(partial(os.rename, work, final))
     shutil.rmtree(old, ignore_errors=True)
 
 

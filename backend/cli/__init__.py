@@ -1,20 +1,32 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The command ``physhdr``: train, evaluate, benchmark, export, render, video, prepare, inspect, …"""
 
+import io
+import json
 import sys
+from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Annotated, Any
 
 from ...bridge.regular import require_text
 from ..memory import refuse_too_few_addresses
 from ..project import version
-from .words import words_of
+from .words import Words, words_of
 
 __all__ = ["main"]
 
+#: What an interrupted command ends with, as shells have it.
+INTERRUPTED = 130
+
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command; returns the exit status. What a user can mend is one message, no traceback."""
+    """Run one command; returns the exit status. What a user can mend is one message, no traceback.
+
+    With ``--json`` that message is an object, the last line of stdout, whatever the command
+    (docs/protocol.md).
+    """
     argv = sys.argv[1:] if argv is None else argv
+    _speak_of_anything()
     try:
         refuse_too_few_addresses()  # before any library is loaded, which would end the process in its own way
         for word in argv:
@@ -28,14 +40,38 @@ def main(argv: list[str] | None = None) -> int:
             return 0
         return _command(argv).run()
     except KeyboardInterrupt:
-        sys.stderr.write("interrupted\n")
-        return 130
+        if not _tells_programs(argv, Words("cancelled", "interrupted", "")):
+            sys.stderr.write("interrupted\n")
+        return INTERRUPTED
     except Exception as error:
         told = words_of(error, argv)
         if told is None:
             raise
-        sys.stderr.write(f"error: {told}\n")
+        if not _tells_programs(argv, told):
+            sys.stderr.write(f"error: {told}\n")
         return 1
+
+
+def _speak_of_anything() -> None:
+    """What stdout cannot encode is escaped: no command fails at a user's file name, or at an arrow of ours.
+
+    On Windows a pipe or a file takes a code page, which lacks most letters.
+    """
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")
+
+
+def _tells_programs(argv: Sequence[str], told: Words) -> bool:
+    """Whether the command answers a program, which then has been told."""
+    ours = argv[: argv.index("--")] if "--" in argv else argv  # what follows is of another program
+    if "--json" not in ours:
+        return False
+    try:
+        sys.stdout.write(json.dumps({"error": asdict(told)}) + "\n")
+        sys.stdout.flush()
+    except OSError:  # nobody reads, or it is a file on the disk that is full
+        return False
+    return True
 
 
 def _command(argv: list[str]) -> Any:

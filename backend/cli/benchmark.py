@@ -220,7 +220,7 @@ def configuration(plan: Plan, name: str) -> TrainConfig:
 
 def _as_written(config: TrainConfig) -> dict[str, Any]:
     """As in ``config.json``."""
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         path = Path(folder) / CONFIG_FILE
         write_config(path, config, Path(folder), "")
         return json.loads(path.read_text(encoding="utf-8"))["config"]

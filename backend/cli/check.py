@@ -13,7 +13,6 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from ...bridge.errors import PhysHDRError
 from ..project import requirements, version, version_of
 from .findings import CheckFailedError, Findings, MissingModuleError
 
@@ -33,20 +32,9 @@ class Check:
     json: bool = False
 
     def run(self) -> int:
-        out = sys.stdout
-        try:
-            findings = check(self._tell)
-        except PhysHDRError as error:
-            if self.json:
-                told = {"code": error.code, "message": error.message, "hint": error.hint}
-                out.write(json.dumps({"error": told}) + "\n")
-            else:
-                sys.stderr.write(f"error: {error}\n")
-            return 1
-        if self.json:
-            out.write(json.dumps({"result": vars(findings)}) + "\n")
-        else:
-            out.write(_in_words(findings))
+        findings = check(self._tell)
+        told = json.dumps({"result": vars(findings)}) + "\n" if self.json else _in_words(findings)
+        sys.stdout.write(told)
         return 0
 
     def _tell(self, fraction: float, message: str) -> None:
@@ -57,7 +45,7 @@ class Check:
 
 def main(argv: list[str]) -> int:
     """The command line, without tyro: that it is missing would be a finding."""
-    parser = argparse.ArgumentParser(prog="physhdr check", description=Check.__doc__)
+    parser = argparse.ArgumentParser(prog="physhdr check", description=Check.__doc__, allow_abbrev=False)
     parser.add_argument("--json", action="store_true", help="one JSON object a line on stdout")
     return Check(**vars(parser.parse_args(argv))).run()
 

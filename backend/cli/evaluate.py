@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import tyro
+from rich.text import Text
 
 from ...bridge.atomic import atomic_path
 from ...bridge.errors import BadValueError
@@ -22,11 +23,10 @@ from ..optional import PackageMissingError
 from ..rasterize import Implementation
 from ..runs.files import writable_folder
 from ..runs.run import Run, open_run
-from ..runs.terminal import console
 from ..scene import Scene, read_scene
 from ..scene.pictures import write_png
 from .confidence import CALIBRATION_FILES, write_calibration
-from .told import answered, progress
+from .told import Say, answered, progress, saying
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,8 @@ class Evaluate:
         return answered(self._work, self.json)
 
     def _work(self) -> dict[str, Any]:
-        subject = self._subject()
+        say = saying(self.json)
+        subject = self._subject(say)
         out = writable_folder(self.out or subject.folder)
         lpips = lpips_from(self.lpips_weights)
         with progress("evaluate", "picture", self.json) as show:
@@ -82,30 +83,30 @@ class Evaluate:
                 **subject.parts,
             )
         paths = write_report(evaluation, out)  # before anything else that can fail: the numbers took long
-        console.print(to_terminal(evaluation))
+        say(to_terminal(evaluation))
         sheet = out / SHEET_FILE
         name = "ours" if self.folder else subject.names[0]
         picture = comparison_sheet(
             subject.renderer, subject.scene, split=self.split, name=name, **subject.parts
         )
         write_png(sheet, picture)
-        paths = [*paths, sheet, *_draw_response(subject, out / RESPONSE_FILE, self.split)]
+        paths = [*paths, sheet, *_draw_response(subject, out / RESPONSE_FILE, self.split, say)]
         if self.confidence:
             assert subject.run is not None  # pictures have none: _subject refused
             table = write_calibration(subject.run, self.split, out)
-            console.print(table.rich(f"{subject.scene.name}, {VIEWS_OF[self.split]}"))
+            say(table.rich(f"{subject.scene.name}, {VIEWS_OF[self.split]}"))
             paths += [out / name for name in CALIBRATION_FILES]
         if self.against:
-            others = [_of_run(self._open(folder)) for folder in self.against]
+            others = [_of_run(self._open(folder, say)) for folder in self.against]
             compared = [(subject, out), *((other, other.folder) for other in others)]
-            paths += _compare(compared, out, self.split)
-        console.print("wrote " + ", ".join(str(path) for path in paths), soft_wrap=True)
+            paths += _compare(compared, out, self.split, say)
+        say("wrote " + ", ".join(str(path) for path in paths))
         return {"folder": str(out), "split": self.split}
 
-    def _open(self, folder: Path) -> Run:
-        return open_run(folder, self.data, self.rasteriser, self.device)
+    def _open(self, folder: Path, say: Say) -> Run:
+        return open_run(folder, self.data, self.rasteriser, self.device, say)
 
-    def _subject(self) -> "_Subject":
+    def _subject(self, say: Say) -> "_Subject":
         if (self.folder is None) == (self.pictures is None):
             raise BadValueError(
                 "one of the two is wanted: the folder of a run, or --pictures",
@@ -117,7 +118,7 @@ class Evaluate:
                 raise BadValueError(
                     f"--{given[0].replace('_', '-')} is of --pictures: a run knows its own", "Leave it out."
                 )
-            return _of_run(self._open(self.folder))
+            return _of_run(self._open(self.folder, say))
         assert self.pictures is not None
         if self.confidence:
             raise BadValueError("pictures have no confidence: a run's Gaussians have", "Leave it out.")
@@ -170,7 +171,7 @@ def _of_pictures(pictures: PictureFolder, scene: Scene, exposure_mode: str | Non
     return _Subject(pictures.folder, names, scene, pictures, exposure_mode or "unknown", parts=parts)
 
 
-def _draw_response(subject: _Subject, path: Path, split: str) -> list[Path]:
+def _draw_response(subject: _Subject, path: Path, split: str, say: Say) -> list[Path]:
     """The figure, where there is a response curve and a package to draw it."""
     learned = learned_response(subject.renderer)
     if learned is None:
@@ -178,12 +179,12 @@ def _draw_response(subject: _Subject, path: Path, split: str) -> list[Path]:
     try:
         write_response_figure(path, learned, subject.scene, split)
     except PackageMissingError as error:
-        console.print(f"{path.name} left out: {error}", style="yellow")
+        say(Text(f"{path.name} left out: {error}", style="yellow"))
         return []
     return [path]
 
 
-def _compare(subjects: list[tuple[_Subject, Path]], out: Path, split: str) -> list[Path]:
+def _compare(subjects: list[tuple[_Subject, Path]], out: Path, split: str, say: Say) -> list[Path]:
     """Print and write the table of ``subjects``, each with the folder of its evaluation, and their sheet."""
     names = _names([subject for subject, _ in subjects])
     scene = subjects[0][0].scene
@@ -202,7 +203,7 @@ def _compare(subjects: list[tuple[_Subject, Path]], out: Path, split: str) -> li
     for path, text in zip(paths, (table.markdown(), table.csv()), strict=False):
         with atomic_path(path) as temporary:
             temporary.write_text(text, encoding="utf-8")
-    console.print(comparison_table(entries, metrics=SHORT_METRICS, title=title).rich())
+    say(comparison_table(entries, metrics=SHORT_METRICS, title=title).rich())
     renderers = {name: subject.renderer for name, (subject, _) in zip(names, subjects, strict=True)}
     without = [
         name for name, (subject, _) in zip(names, subjects, strict=True) if not subject.parts.get("hdr", True)

@@ -2,10 +2,9 @@
 """``physhdr inspect``: what is in a data set, and what is wrong with it."""
 
 import dataclasses
-import json
-import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import tyro
 from rich import box
@@ -26,6 +25,7 @@ from ..inspect.findings import (
 )
 from ..runs.terminal import console
 from ..scene.hdr_nerf_syn import OURS
+from .told import answered, line
 
 #: What an empty cell shows.
 NONE = "–"
@@ -44,10 +44,13 @@ class Inspect:
     downscale: float | None = None
     #: Colour space of pictures that hold radiance, as --color-space of training; default: as each file says.
     color_space: str | None = None
-    #: One JSON object a folder on stdout, each on its line.
+    #: Say what each folder has, and the result or the error, as JSON, an object a line.
     json: bool = False
 
     def run(self) -> int:
+        return answered(self._work, self.json)
+
+    def _work(self) -> dict[str, Any]:
         if not self.folders:
             raise BadValueError("no data set is given", "For example: physhdr inspect data/demo")
         all_found = []
@@ -55,8 +58,7 @@ class Inspect:
             found = inspect(folder, self.downscale, self.color_space)
             all_found.append(found)
             if self.json:
-                sys.stdout.write(json.dumps(dataclasses.asdict(found)) + "\n")
-                sys.stdout.flush()
+                line(found=dataclasses.asdict(found))
         if not self.json:
             if len(all_found) == 1:
                 _show(all_found[0])
@@ -65,7 +67,7 @@ class Inspect:
                 for found in all_found:
                     _show_faults(found, f"{found.folder}: ")
         _complain(all_found)
-        return 0
+        return {"folders": len(all_found)}
 
 
 def _complain(all_found: list[Inspection]) -> None:

@@ -218,7 +218,7 @@ def draw_at_once(
 
     Whatever is raised, they have ended.
     """
-    with tempfile.TemporaryDirectory(prefix="physhdr-frames-") as name:
+    with tempfile.TemporaryDirectory(prefix="physhdr-frames-", ignore_cleanup_errors=True) as name:
         folder = Path(name)
         if sure is not None:
             np.save(folder / "confidence.npy", sure.confidence)

@@ -138,7 +138,13 @@ def _started_by(blender: str) -> tuple[str, ...]:
     if program is None:
         raise BadValueError(f"there is no program '{blender}'", hint)
     try:
-        said = subprocess.run([program, "--version"], capture_output=True, text=True, timeout=ANSWERS_WITHIN)
+        said = subprocess.run(
+            [program, "--version"],
+            capture_output=True,
+            encoding="utf-8",
+            errors="replace",
+            timeout=ANSWERS_WITHIN,
+        )
     except (OSError, subprocess.TimeoutExpired) as error:
         raise BadValueError(f"{program} does not say what it is: {error}", hint) from error
     program = str(Path(program).absolute())

@@ -9,17 +9,16 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
-from functools import partial
 from typing import Any
 
 from rich.progress import Progress
 
 from ..runs.terminal import console
-from .words import words_of
 
 #: Called with how many are done, of how many, and what is worked on.
 Told = Callable[[int, int, str], None]
+#: Shows people a sentence, or a table of rich's.
+Say = Callable[[Any], None]
 #: Seconds between two lines.
 BETWEEN = 0.2
 
@@ -31,30 +30,26 @@ def line(**content: Any) -> None:
 
 
 def answered(work: Callable[[], dict[str, Any]], as_json: bool) -> int:
-    """Do the ``work``; the exit status. With ``as_json`` its result or its error is the last line.
+    """Do the ``work``; the exit status. With ``as_json`` its result is the last line.
 
-    A fault of ours is raised in any case.
+    What it raises is told by ``main``, by the same rule for every command.
     """
-    if not as_json:
-        work()
-        return 0
-    try:
-        line(result=work())
-    except Exception as error:
-        told = words_of(error)
-        if told is None:
-            raise
-        line(error=asdict(told))
-        return 1
+    result = work()
+    if as_json:
+        line(result=result)
     return 0
 
 
-def saying(as_json: bool) -> Callable[[str], None]:
-    """What prints a sentence for people; with ``as_json`` it is silent, for stdout is the program's."""
-    return _nothing if as_json else partial(console.print, soft_wrap=True)
+def saying(as_json: bool) -> Say:
+    """What people are told by; with ``as_json`` it is silent, for stdout is the program's."""
+    return _nothing if as_json else _show
 
 
-def _nothing(_: str) -> None: ...
+def _nothing(_: Any) -> None: ...
+
+
+def _show(what: Any) -> None:
+    console.print(what, soft_wrap=isinstance(what, str))  # a table keeps to the terminal's width
 
 
 @contextmanager

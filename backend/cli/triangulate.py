@@ -52,7 +52,10 @@ class Triangulate:
         else:
             seen = replace(seen, training_exposures=self.training_exposures)
         exposures = [training_exposures(view, seen) for view in scene.train]
-        with TemporaryDirectory(prefix="physhdr-triangulate-") as work, console.status("") as status:
+        with (
+            TemporaryDirectory(prefix="physhdr-triangulate-", ignore_cleanup_errors=True) as work,
+            console.status("") as status,
+        ):
 
             def say(step: str) -> None:
                 status.update(f"COLMAP: {step}")

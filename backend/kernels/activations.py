@@ -165,6 +165,15 @@ def _flat(tensor: torch.Tensor) -> np.ndarray:
 
 
 @njit
+def _illumination(illumination, at, channels):
+    """ln L_a of ``LANES`` Gaussians from ``at`` on, in each colour, of 1 or 3 ``channels``."""
+    if channels == 1:
+        l0 = load(illumination, at)
+        return l0, l0, l0
+    return load_triples(illumination, 3 * at)
+
+
+@njit
 def _change(share, offsets, at, channel):
     """Δ of ``LANES`` Gaussians from ``at`` on, in one channel, without its bound."""
     lights = offsets.size
@@ -199,11 +208,7 @@ def _colours(
     for i in range(first, last, LANES):
         at = min(i, last - LANES)
         h0, h1, h2 = load_triples(reflectance, 3 * at)
-        if channels == 1:
-            l0 = load(illumination, at)
-            l1, l2 = l0, l0
-        else:
-            l0, l1, l2 = load_triples(illumination, 3 * at)
+        l0, l1, l2 = _illumination(illumination, at, channels)
         if offsets.size:
             f0 = _logarithm(1.0 + maximum(_change(share, offsets, at, 0), _LEAST_CHANGE))
             f1 = _logarithm(1.0 + maximum(_change(share, offsets, at, 1), _LEAST_CHANGE))
@@ -267,11 +272,7 @@ def _colours_backward(
     for i in range(first, last, LANES):
         at = min(i, last - LANES)
         x0, x1, x2 = load_triples(reflectance, 3 * at)
-        if channels == 1:
-            l0 = load(illumination, at)
-            l1, l2 = l0, l0
-        else:
-            l0, l1, l2 = load_triples(illumination, 3 * at)
+        l0, l1, l2 = _illumination(illumination, at, channels)
         x0, x1, x2 = x0 + l0, x1 + l1, x2 + l2
         d0, d1, d2 = splat(0.0), splat(0.0), splat(0.0)
         if offsets.size:

@@ -71,22 +71,20 @@ def save_checkpoint(
     else:
         metadata["lights"] = json.dumps(list(lights))
     metadata[DIGEST] = _digest(tensors)
+    go_on = f"Free some space, then go on: physhdr train --resume {path.parent}."
     try:
-        with atomic_path(path) as temporary:
+        with atomic_path(path, remedy=f"{go_on} What was saved before is untouched.") as temporary:
             try:
                 save_file(tensors, temporary, metadata)
             except SafetensorError as error:  # how the library tells of a full disk
                 raise OSError(str(error)) from error
     except OutputError as error:
-        raise OutputError(
-            error.message.replace("cannot write", "cannot write the checkpoint", 1),
-            f"Free some space, then go on: physhdr train --resume {path.parent}. What was saved before is "
-            "untouched.",
-        ) from error
+        message = error.message.replace("cannot write", "cannot write the checkpoint", 1)
+        raise OutputError(message, error.hint) from error
 
 
 def load_checkpoint(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
-    """Tensors and metadata of a checkpoint; errors name the file and what to do.
+    """Tensors, in memory of their own, and metadata of a checkpoint; errors name the file and what to do.
 
     Raises ``FileMissingError``, ``FileDamagedError`` for whatever is wrong with the container, and
     ``DataMismatchError`` for another version. What the tensors hold is for ``check_tensors``.
@@ -124,7 +122,8 @@ def _read(path: Path) -> tuple[dict[str, torch.Tensor], dict[str, str]]:
         try:
             with safe_open(path, framework="pt") as file:
                 metadata = file.metadata() or {}
-                tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
+                # Copies: the library's are the mapped file, which Windows does not let anybody replace.
+                tensors = {name: file.get_tensor(name).clone() for name in file.keys()}  # noqa: SIM118 (no dict)
             if _identity(path) == before or attempt == READS - 1:
                 return tensors, metadata
         except MemoryError:

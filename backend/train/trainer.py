@@ -527,7 +527,7 @@ def restore_method(method: Method, tensors: dict[str, torch.Tensor], path: Path)
     refuse_others(networks | primitives, wanted, path)
     if splatting is not None:
         splatting.backbone.parameters = {
-            k.removeprefix(PRIMITIVES): v.clone().requires_grad_() for k, v in primitives.items()
+            k.removeprefix(PRIMITIVES): v.requires_grad_() for k, v in primitives.items()
         }
     method.load_state_dict({k.removeprefix(NETWORKS): v for k, v in networks.items()})
 

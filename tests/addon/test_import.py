@@ -42,6 +42,14 @@ def test_blender_side_never_imports_torch():
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
+@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="Linux tells which files are mapped")
+def test_the_file_of_an_imported_model_is_let_go(scene, make_model, write):
+    """Windows would let no training export to it again while this Blender runs."""
+    path = write(make_model())
+    target = model_import.import_model(path)
+    assert target.name == "model" and str(path) not in Path("/proc/self/maps").read_text(encoding="utf-8")
+
+
 @pytest.mark.parametrize("modulator", ["additive", "baked-levels"])
 @pytest.mark.parametrize("degree", [0, 2])
 def test_every_attribute_arrives_exactly(scene, make_model, write, modulator: str, degree: int):

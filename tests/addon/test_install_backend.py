@@ -7,6 +7,7 @@ The real pip; no network.
 import errno
 import hashlib
 import http.server
+import importlib.util
 import json
 import os
 import re
@@ -511,3 +512,88 @@ def test_a_card_that_can_run_no_build_gets_the_processors_and_the_reason(place):
     assert said[-1]["result"]["torch"] == "pytorch"
     assert not place.indexes["cu130"].asked | place.indexes["cu126"].asked
     assert not any(name.startswith(("nvidia", "warp")) for name in said[-1]["result"]["versions"])
+
+
+@pytest.fixture
+def script():
+    """The script as a module."""
+    spec = importlib.util.spec_from_file_location("install_backend", SCRIPT)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # its dataclass looks there
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules[spec.name]
+
+
+def below(length: int, of: str) -> Path:
+    """A folder whose path has so many characters, with what an environment's own name adds."""
+    return Path("C:" + "/x" * ((length - 2 - len(of)) // 2) + "y" * (length % 2 != len(of) % 2) + of)
+
+
+def test_where_windows_paths_would_be_too_long_the_remedy_comes_before_the_download(script, monkeypatch):
+    """Windows takes 259 characters, and pip has fetched everything before it meets the first longer one."""
+    refuse = script.refuse_what_windows_cannot
+    # The deepest file of torch 2.13.0+cu130.
+    deepest = (
+        "torch-2.13.0+cu130.dist-info/licenses/third_party/kineto/libkineto/third_party/dynolog/third_party/"
+        "prometheus-cpp/3rdparty/civetweb/src/third_party/duktape-1.8.0/LICENSE.txt"
+    )
+    assert len(deepest) == script.LONGEST_PATH
+    environment, packages = "/env-01234567", "/Lib/site-packages/"
+    fits = below(259 - len(packages) - len(deepest), environment)
+    assert len(f"{fits}{packages}{deepest}") == 259
+    monkeypatch.setattr(script, "takes_long_paths", lambda folder: False)
+    refuse(fits, "C:/Python312")
+    too_long = fits.with_name(fits.name + "8")
+    with pytest.raises(script.InstallError, match="paths of 260 characters") as caught:
+        refuse(too_long, "C:/Python312")
+    assert "1 characters shorter" in caught.value.hint and "LongPathsEnabled" in caught.value.hint
+    monkeypatch.setattr(script, "takes_long_paths", lambda folder: True)
+    refuse(too_long, "C:/Python312")
+
+
+def test_whether_paths_may_be_long_is_tried_and_nothing_stays(script, tmp_path, monkeypatch):
+    assert script.takes_long_paths(tmp_path) and not list(tmp_path.iterdir())
+    mkdir = os.mkdir
+
+    def short(path, *mode):
+        if len(str(path)) > 247:  # where Windows' own limit for folders is
+            raise FileNotFoundError(errno.ENOENT, "The system cannot find the path specified", str(path))
+        mkdir(path, *mode)
+
+    monkeypatch.setattr(os, "mkdir", short)
+    assert not script.takes_long_paths(tmp_path) and not list(tmp_path.iterdir())
+
+
+def test_a_python_of_the_store_is_refused(script, tmp_path):
+    """What it writes below AppData lands in a folder of the Store's, where Blender does not look."""
+    base = "C:/Program Files/WindowsApps/PythonSoftwareFoundation.Python.3.12_3.12.2800.0_x64__qbz5n2kfra8p0"
+    with pytest.raises(script.InstallError, match="Microsoft's Store") as caught:
+        script.refuse_what_windows_cannot(tmp_path / "env-01234567", base)
+    assert "python.org" in caught.value.hint
+
+
+def test_what_cannot_be_removed_whole_is_no_longer_complete(script, tmp_path, monkeypatch):
+    """Windows keeps the libraries that a backend has loaded."""
+    folder = tmp_path / "env-01234567"
+    folder.mkdir()
+    (folder / "torch.dll").write_text("")
+    (folder / script.STAMP).write_text("[]")
+    monkeypatch.setattr(script.shutil, "rmtree", lambda *words, **options: None)
+    script.remove(folder)
+    assert [path.name for path in folder.iterdir()] == ["torch.dll"]
+
+
+def test_a_python_that_can_make_no_environment_says_so(script, tmp_path, monkeypatch):
+    """One that another program brings along may lack what starts a new one."""
+
+    def fail(self, folder):
+        Path(folder).mkdir(parents=True)
+        raise subprocess.CalledProcessError(1, ["python.exe"], b"No Python at 'C:/nowhere'\r\n")
+
+    monkeypatch.setattr(script.venv.EnvBuilder, "create", fail)
+    monkeypatch.setattr(script, "SPACE", {"cpu": 1})
+    launcher = SCRIPT.parent.parent.parent / "backend" / "launch.py"
+    with pytest.raises(script.InstallError, match="cannot make an environment: No Python at") as caught:
+        script.install(tmp_path, launcher, "cpu", False)
+    assert "python.org" in caught.value.hint and not list(tmp_path.iterdir())

@@ -1,15 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A path that somebody chose, from the root on: beside the .blend, beside where a script runs, or nowhere."""
 
+import os
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
+from physhdr.addon import paths  # noqa: E402
 from physhdr.addon.dataset import dataset_folder  # noqa: E402
 from physhdr.addon.operators import photos, training  # noqa: E402
-from physhdr.addon.paths import whole  # noqa: E402
+from physhdr.addon.paths import backend_folder, user_folder, whole  # noqa: E402
 from physhdr.bridge.errors import BadValueError, PhysHDRError  # noqa: E402
 
 
@@ -40,3 +43,12 @@ def test_beside_a_file_that_is_not_saved_it_is_nowhere(scene):
     for way in (*ways[1:], lambda given: training._whole(given, "data set", "data")):
         with pytest.raises(PhysHDRError, match="is chosen"):
             way(" ")
+
+
+def test_the_backends_folder_has_a_short_path_on_windows(tmp_path, monkeypatch):
+    assert backend_folder() == user_folder() / "backend"
+    windows = SimpleNamespace(name="nt", environ={"LOCALAPPDATA": str(tmp_path)}, path=os.path)
+    monkeypatch.setattr(paths, "os", windows)
+    assert backend_folder() == tmp_path / "physhdr" / "{}.{}".format(*bpy.app.version)
+    windows.environ.clear()
+    assert backend_folder() == user_folder() / "backend"

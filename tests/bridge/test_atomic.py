@@ -190,6 +190,71 @@ def test_a_link_is_replaced_and_what_it_leads_to_stays(tmp_path):
     assert not (tmp_path / "a.json").is_symlink() and (tmp_path / "mine.json").read_text() == "mine"
 
 
+@pytest.fixture
+def held(monkeypatch):
+    """How often Windows refuses to replace a file that somebody has open."""
+    left = [0]
+    replace = Path.replace
+
+    def refusing(source, target):
+        if left[0]:
+            left[0] -= 1
+            error = PermissionError(errno.EACCES, "Access is denied")
+            error.winerror = 5
+            raise error
+        return replace(source, target)
+
+    monkeypatch.setattr(Path, "replace", refusing)
+    return left
+
+
+def test_a_file_that_is_held_for_a_moment_is_replaced_after_it(tmp_path, held):
+    """On Windows, where antivirus programs and indexers hold what is new, and readers what they read."""
+    (tmp_path / "a.json").write_text("before")
+    held[0] = 4
+    write(tmp_path / "a.json", "text")
+    assert (tmp_path / "a.json").read_text() == "text" and held == [0]
+
+
+def test_one_that_is_held_for_good_stays_and_the_error_says_why(tmp_path, held, monkeypatch):
+    (tmp_path / "a.json").write_text("before")
+    monkeypatch.setattr(atomic, "HELD_SECONDS", 0.05)
+    held[0] = 10**6
+    told = r"a\.json: Access is denied[\s\S]*Close the program that has it open"
+    with pytest.raises(OutputError, match=told):
+        write(tmp_path / "a.json", "text")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.json"]
+    assert (tmp_path / "a.json").read_text() == "before"
+
+
+def test_a_folder_is_renamed_once_nobody_has_open_what_is_in_it(tmp_path):
+    """As a benchmark's and a data set's new folder are, which an antivirus program has just begun to read."""
+    (tmp_path / "work").mkdir()
+    calls = []
+
+    def rename():
+        calls.append(1)
+        if len(calls) < 4:
+            error = PermissionError(errno.EACCES, "The process cannot access the file")
+            error.winerror = 32
+            raise error
+        os.rename(tmp_path / "work", tmp_path / "final")
+
+    atomic.patiently(rename)
+    assert len(calls) == 4 and [path.name for path in tmp_path.iterdir()] == ["final"]
+
+
+def test_another_refusal_is_not_waited_for(tmp_path, monkeypatch):
+    def refuse(source, target):
+        raise PermissionError(errno.EACCES, "no")
+
+    monkeypatch.setattr(Path, "replace", refuse)
+    begun = time.monotonic()
+    with pytest.raises(OutputError, match=r"a\.json: no\n  Check that the folder can be written"):
+        write(tmp_path / "a.json", "text")
+    assert time.monotonic() - begun < 5.0
+
+
 def test_the_last_look_may_refuse(tmp_path):
     """A user may save a file of that name in the seconds that a large one takes to write."""
 

@@ -9,7 +9,9 @@ import textwrap
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
+import filelock
 import pytest
 
 from physhdr.bridge.errors import OutputError
@@ -128,6 +130,21 @@ def test_those_who_begin_while_others_end_meet_no_missing_folder(folder):
     with ThreadPoolExecutor(8) as pool:
         list(pool.map(come_and_go, range(8)))
     assert not folder.exists()
+
+
+def test_a_lock_whose_file_was_removed_meanwhile_is_not_taken(tmp_path, monkeypatch):
+    """As by filelock on Windows, which unlocks first and then removes the file that another has locked."""
+
+    def acquire(lock, **_):
+        Path(lock.lock_file).unlink(missing_ok=True)
+
+    path = tmp_path / "a"
+    with monkeypatch.context() as removed:
+        removed.setattr(filelock.FileLock, "acquire", acquire)
+        assert not Lock(path).take()
+    lock = Lock(path)
+    assert lock.take() and path.exists()
+    lock.release()
 
 
 @pytest.fixture

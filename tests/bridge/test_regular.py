@@ -108,3 +108,9 @@ def test_a_library_may_fail_in_any_way(error: Exception) -> None:
         raise error
     with pytest.raises(FileMissingError, match="gone"), damaged_where_it_fails("a.bin is no array"):
         raise FileMissingError("gone")
+
+
+def test_what_a_library_says_in_several_lines_is_one() -> None:
+    damaged = pytest.raises(FileDamagedError, match=r"no picture \(ends early: at 12\)$")
+    with damaged, damaged_where_it_fails("a.bin is no picture"):
+        raise ValueError("ends early:\n  at 12\n")

@@ -4,9 +4,11 @@
 import dataclasses
 import hashlib
 import importlib.util
+import io
 import json
 import math
 import shutil
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -56,6 +58,17 @@ def test_everything_of_a_whole_data_set_is_told(tiny_data, capsys):
     assert ["(OE)" in row for row in rows] == [True, False, True, False, True]
 
 
+def test_what_a_code_page_lacks_is_escaped(tiny_data, tmp_path, monkeypatch):
+    """As in a pipe or a file on Windows: neither a user's letters nor our own arrows end the command."""
+    data = shutil.copytree(tiny_data, tmp_path / "Юрій → 🎬")
+    written = io.BytesIO()
+    monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(written, encoding="cp1252"))
+    assert main(["inspect", str(data)]) == 0
+    sys.stdout.flush()
+    told = written.getvalue().decode("cp1252")
+    assert "32×32" in told and "\\u042e\\u0440\\u0456\\u0439 \\u2192 \\U0001f3ac" in told
+
+
 def test_validation_views_and_both_floors_are_told(validation_data, tmp_path, capsys):
     data = shutil.copytree(validation_data, tmp_path / "data")
     floors = {
@@ -98,7 +111,9 @@ def test_validation_views_and_both_floors_are_told(validation_data, tmp_path, ca
 
 def test_json_is_for_programs_and_agrees_with_the_truth(tiny_data, capsys):
     assert main(["inspect", str(tiny_data), str(tiny_data), "--json"]) == 0
-    first, second = (json.loads(line) for line in capsys.readouterr().out.splitlines())
+    first, second, last = (json.loads(line) for line in capsys.readouterr().out.splitlines())
+    assert last == {"result": {"folders": 2}}
+    first, second = first["found"], second["found"]
     assert first == second and first["errors"] == [] and first["resolution"] == [32, 32]
     assert first["splits"]["lit"] == {"poses": 2, "levels": {"ambient": [0.25, 4.0]}, "hdr": 2}
     luminance = np.stack([read_exr(tiny_data / "train_hdr" / f"hdr_{k:03d}.exr") for k in range(3)])
@@ -213,10 +228,10 @@ def test_what_only_training_would_notice_is_told_too(data, damage, capsys):
             data / "transforms_test.json", lambda c: c["frames"][1]["transform_matrix"][0].__setitem__(0, 9.0)
         )
     assert main(["inspect", str(data), "--json"]) == 1
-    captured = capsys.readouterr()
-    (error,) = json.loads(captured.out)["errors"]
+    first, last = (json.loads(line) for line in capsys.readouterr().out.splitlines())
+    (error,) = first["found"]["errors"]
     assert ("r_1_0.png is 31×32" if damage == "31 wide" else "not a rotation") in error
-    assert error in captured.err
+    assert error in last["error"]["message"]
 
 
 def test_warnings_are_no_errors(data):
@@ -321,7 +336,7 @@ def layouts():
 def test_every_layout_is_told(layouts, tmp_path, capsys, writer, layout, splits, places, modes, truth):
     root = getattr(layouts, writer)(tmp_path / "scene")
     assert main(["inspect", str(root), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
+    told = json.loads(capsys.readouterr().out.splitlines()[0])["found"]
     assert told["layout"] == layout and told["resolution"] == [96, 72] and told["errors"] == []
     assert " ".join(str(split["poses"]) for split in told["splits"].values()) == splits
     assert [exposure["place"] for exposure in told["exposures"]] == places
@@ -374,7 +389,7 @@ def test_the_readers_remedy_is_told(layouts, tmp_path, capsys):
     assert "nothing tells their exposures" in told and "Write exposure.json beside images/" in told
     assert "make the data set again" not in told
     assert main(["inspect", str(root), "--json"]) == 1
-    found = json.loads(capsys.readouterr().out)
+    found = json.loads(capsys.readouterr().out.splitlines()[0])["found"]
     assert len(found["errors"]) == len(found["remedies"]) == 1 and "exposure.json" in found["remedies"][0]
 
 

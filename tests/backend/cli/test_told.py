@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""``physhdr evaluate --json`` and ``physhdr video --json``: what a program that started them is told."""
+"""``--json``: what a program that started a command is told."""
 
+import dataclasses
 import errno
+import importlib
 import json
+import pkgutil
 import sys
 from pathlib import Path
 
@@ -11,10 +14,10 @@ import pytest
 import torch
 from PIL import Image
 
+from physhdr.backend import cli
 from physhdr.backend.cli import evaluate as evaluate_command
 from physhdr.backend.cli import main, words
 from physhdr.backend.cli import video as video_command
-from physhdr.backend.cli.told import answered
 from physhdr.backend.evaluate.renderer import Renderer
 from physhdr.backend.runs.run import Run
 from physhdr.backend.scene import read_scene
@@ -53,8 +56,8 @@ def opened(tiny_data: Path, monkeypatch):
 
 
 def told(capsys) -> list[dict]:
-    lines = capsys.readouterr().out.splitlines()
-    return [json.loads(line) for line in lines if line.startswith("{")]
+    """All that stands on stdout."""
+    return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
 
 
 def test_an_evaluation_says_how_far_it_is_and_where_its_files_are(opened, tmp_path: Path, capsys) -> None:
@@ -112,51 +115,94 @@ def test_shots_have_a_path_and_lights_of_their_own(opened, tmp_path, capsys) -> 
     assert "3 lights, the model has 2: ambient, lamp" in told(capsys)[0]["error"]["message"]
 
 
-def fails(error: Exception):
-    def work() -> dict:
+#: Of each command with --json: how it is called, and where its work begins.
+COMMANDS = {
+    "check": (["check"], "check.check"),
+    "convert": (["convert", "a.ply", "b.spz"], "convert.Convert._work"),
+    "evaluate": (["evaluate", "run"], "evaluate.Evaluate._work"),
+    "export": (["export", "run", "--web", "a"], "web.check_out"),
+    "inspect": (["inspect", "data"], "inspect.inspect"),
+    "panorama": (["panorama", "run", *PLACE], "panorama.Panorama._work"),
+    "prepare": (["prepare", "photos", "data"], "prepare.understand"),
+    "video": (["video", "run", "--out", "a.webp"], "video.Video._work"),
+}
+#: What a work may fail with: the error, its code, its words and what helps.
+FAILURES = [
+    (FileMissingError("there is no a.ply", "Look."), "file_missing", "there is no a.ply", "Look."),
+    (OSError(errno.ENAMETOOLONG, "File name too long", "a.spz"), "path", "a.spz: File name too long", "path"),
+    (OSError(errno.ENOSPC, "No space left"), "path", "No space left", "Free some space"),
+    (MemoryError(), "out_of_memory", "there is not enough memory", "Close other programs"),
+    (RuntimeError("CUDA out of memory"), "out_of_memory", "there is not enough memory", "Close other"),
+    (ModuleNotFoundError("No module named 'a'"), "package_missing", "No module named 'a'", "physhdr check"),
+    (KeyboardInterrupt(), "cancelled", "interrupted", ""),
+]
+
+
+def failing(monkeypatch, command: str, error: BaseException) -> list[str]:
+    """How to call a command whose work raises ``error``."""
+
+    def fail(*_, **__):
         raise error
 
-    return work
-
-
-@pytest.mark.parametrize(
-    ("error", "code", "message", "hint"),
-    [
-        (
-            OSError(errno.ENAMETOOLONG, "File name too long", "a.spz"),
-            "path",
-            "a.spz: File name too long",
-            "path",
-        ),
-        (
-            OSError(errno.ENOSPC, "No space left on device"),
-            "path",
-            "No space left on device",
-            "Free some space",
-        ),
-        (MemoryError(), "out_of_memory", "there is not enough memory", "Close other programs"),
-        (
-            ModuleNotFoundError("No module named 'pxr'"),
-            "package_missing",
-            "No module named 'pxr'",
-            "physhdr check",
-        ),
-    ],
-)
-def test_what_the_system_refuses_is_told_to_programs_too(
-    capsys, monkeypatch, error, code, message, hint
-) -> None:
+    argv, where = COMMANDS[command]
+    monkeypatch.setattr(f"physhdr.backend.cli.{where}", fail)
     monkeypatch.setattr(words, "address_limit", lambda: None)
-    assert answered(fails(error), as_json=True) == 1
-    [line] = told(capsys)
-    assert (line["error"]["code"], line["error"]["message"]) == (code, message)
-    assert hint in line["error"]["hint"]
+    return argv
 
 
-def test_a_fault_of_ours_is_no_answer(capsys) -> None:
+def test_all_commands_that_tell_programs_are_tried() -> None:
+    found = set()
+    for each in pkgutil.iter_modules(cli.__path__):
+        module = importlib.import_module(f"{cli.__name__}.{each.name}")
+        found |= {
+            kind.__name__.lower()
+            for kind in vars(module).values()
+            if dataclasses.is_dataclass(kind) and "json" in {field.name for field in dataclasses.fields(kind)}
+        }
+    assert found == set(COMMANDS)
+
+
+@pytest.mark.parametrize("failure", FAILURES, ids=lambda each: type(each[0]).__name__)
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_failure_is_the_last_line_and_nothing_else_is_said(capsys, monkeypatch, command, failure) -> None:
+    error, code, message, hint = failure
+    argv = failing(monkeypatch, command, error)
+    assert main([*argv, "--json"]) == (130 if code == "cancelled" else 1)
+    said = capsys.readouterr()
+    found = json.loads(said.out)["error"]
+    assert (found["code"], found["message"]) == (code, message) and hint in found["hint"]
+    assert said.err == ""
+    assert main(argv) == (130 if code == "cancelled" else 1)
+    said = capsys.readouterr()
+    assert said.out == "" and message in said.err and hint in said.err
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_fault_of_ours_is_no_answer(capsys, monkeypatch, command) -> None:
+    argv = failing(monkeypatch, command, RuntimeError("shapes do not match"))
     with pytest.raises(RuntimeError, match="shapes"):
-        answered(fails(RuntimeError("shapes do not match")), as_json=True)
-    assert told(capsys) == []
+        main([*argv, "--json"])
+    assert capsys.readouterr().out == ""
+
+
+def test_where_nobody_reads_a_failure_is_told_in_words(capsys, monkeypatch) -> None:
+    argv = failing(monkeypatch, "inspect", FileMissingError("there is no data", "Look."))
+
+    class Closed:
+        def write(self, text: str) -> None:
+            raise BrokenPipeError(errno.EPIPE, "Broken pipe")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sys, "stdout", Closed())
+        assert main([*argv, "--json"]) == 1
+    assert "there is no data" in capsys.readouterr().err
+
+
+def test_what_another_program_is_told_is_not_for_us(capsys) -> None:
+    """What stands after two dashes belongs to the program that is started."""
+    assert main(["synthesise", "--", "--from-file", "current", "--json"]) == 1
+    said = capsys.readouterr()
+    assert said.out == "" and said.err.startswith("error: ")
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="another message there")

@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 
 from physhdr.backend.cli import main
-from physhdr.backend.cli.export import Export
 from physhdr.backend.export import web_page
 from physhdr.backend.export.quantised import quantised
 from physhdr.backend.export.web_page import WebPage, WebView, write_web_page
@@ -289,11 +288,11 @@ def test_damaged_models_are_refused(tmp_path, capsys):
 def test_a_program_is_told_json(tmp_path, capsys):
     file = tmp_path / "m.safetensors"
     write_model(file, some_model(count=4))
-    assert Export(file, web=tmp_path / "out", json=True).run() == 0
+    assert main(["export", str(file), "--web", str(tmp_path / "out"), "--json"]) == 0
     lines = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert lines[-1]["result"]["out"] == str(tmp_path / "out" / "index.html")
     assert lines[-2]["progress"] == 1.0
-    assert Export(tmp_path / "no.safetensors", web=tmp_path / "out", json=True).run() == 1
+    assert main(["export", str(tmp_path / "no.safetensors"), "--web", str(tmp_path / "out"), "--json"]) == 1
     assert json.loads(capsys.readouterr().out.splitlines()[-1])["error"]["code"] == "file_missing"
 
 

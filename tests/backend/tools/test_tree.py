@@ -18,7 +18,8 @@ TO_BE_MADE = re.compile(r"\bmy_|^DATA|preview\.png|^runs/|^data/|^dist/|^\.venvs
 #: What no file may name. Each pattern, and an example, which shows that it can be found.
 PRIVATE = {
     "a folder of somebody's machine": (
-        r"(?<![\w.}$-])/(?:work|root|opt|mnt|var/tmp|home/(?!me\b)\w+|Users/(?!me\b)\w+)/\w",
+        # Homebrew is where it is on every Mac.
+        r"(?<![\w.}$-])/(?:work|root|opt(?!/homebrew/)|mnt|var/tmp|home/(?!me\b)\w+|Users/(?!me\b)\w+)/\w",
         "/ro" + "ot/data",
     ),
     "what only we can open": (r"(?<![\w/])shared[/]", "shar" + "ed/data.md"),

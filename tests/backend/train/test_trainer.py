@@ -23,7 +23,7 @@ from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.encoding import LogEncoding
 from physhdr.backend.scene.pictures import read_exr, write_exr, write_png
 from physhdr.backend.scene.scene import Points
-from physhdr.backend.train.checkpoint import load_checkpoint
+from physhdr.backend.train.checkpoint import load_checkpoint, save_checkpoint
 from physhdr.backend.train.config import fingerprint, in_iterations, read_config, write_config
 from physhdr.backend.train.densify import DensifyConfig
 from physhdr.backend.train.presets import PRESETS
@@ -457,6 +457,16 @@ def test_a_checkpoint_belongs_to_its_configuration(tiny_data, tmp_path):
         with pytest.raises(DataMismatchError, match="another configuration"):
             load_method(tmp_path, other, scene.response_anchor)
     assert Trainer(scene, config, resumed=tmp_path).iteration == 5
+
+
+def test_what_was_read_of_a_checkpoint_is_no_longer_the_file(tmp_path):
+    """Windows lets nobody replace a file that is mapped: a resumed training could not have saved."""
+    path = tmp_path / CHECKPOINT_FILE
+    save_checkpoint(path, {"a": torch.arange(100_000, dtype=torch.float32)}, {})
+    tensors, _ = load_checkpoint(path)
+    with open(path, "r+b") as file:
+        file.write(bytes(path.stat().st_size))
+    assert torch.equal(tensors["a"], torch.arange(100_000, dtype=torch.float32))
 
 
 def test_a_checkpoint_of_before_it_named_its_configuration_resumes_with_a_word(tiny_data, tmp_path):
