@@ -11,13 +11,17 @@ from dataclasses import dataclass
 
 #: Without a completed run a pilot of this many iterations is trained first; it counts for nothing else.
 PILOT_ITERATIONS = 20
+#: What costs less than the first share of the budget says little of it (a pilot is all start, and has not
+#: grown): the training after it is a scout, which is to cost the second share: little beside one that misses.
+FAR, SCOUT = 1 / 20, 1 / 10
 #: A run that misses the budget by more is corrected.
 TOLERANCE = 0.05
-#: The first correction is a secant through what is known; a second one is for what a pilot could not tell.
+#: The first correction is a secant through what is known; a second one is for what a scout could not tell.
 CORRECTIONS = 2
-#: Cost is taken to grow with the iterations to the power of the secant, but within these: densification makes
-#: later iterations dearer, and two measurements that are near each other differ by noise.
-EXPONENTS = (0.8, 1.6)
+#: What another iteration costs is that of the secant, but within these multiples of what one cost on average:
+#: the start costs alike for all lengths, densification makes later iterations dearer, and two measurements
+#: that are near each other differ by noise.
+SLOPES = (0.75, 1.6)
 
 TOO_SLOW = "so slow that {iterations} iterations are all that fit"
 
@@ -36,14 +40,16 @@ def next_trial(seconds: float, known: Measurement | None, tried: Sequence[Measur
     ``known``: a run of the same method on the same scene, of any length; None asks for a pilot (it is what
     the next call gets as ``known``).
     """
-    if not tried:
-        return PILOT_ITERATIONS if known is None else _step(seconds, known, 1.0)
-    last = tried[-1]
-    enough = abs(last.cpu_seconds / seconds - 1.0) <= TOLERANCE or len(tried) > CORRECTIONS
-    if enough or last.iterations < PILOT_ITERATIONS:
-        return None
-    before = tried[-2] if len(tried) > 1 else known
-    step = _step(seconds, last, _exponent(before, last) if before else 1.0)
+    if known is None:
+        return PILOT_ITERATIONS
+    measured = [known, *tried]
+    last, before = measured[-1], measured[-2] if tried else None
+    scouts = sum(each.cpu_seconds < FAR * seconds for each in measured)
+    if tried:
+        enough = abs(last.cpu_seconds / seconds - 1.0) <= TOLERANCE or len(tried) > CORRECTIONS + scouts
+        if enough or last.iterations < PILOT_ITERATIONS:
+            return None
+    step = _step(SCOUT * seconds if last.cpu_seconds < FAR * seconds else seconds, last, before)
     return None if step in [each.iterations for each in tried] else step
 
 
@@ -52,19 +58,14 @@ def nearest(seconds: float, tried: Sequence[Measurement]) -> Measurement:
     return min(tried, key=lambda each: abs(math.log(max(each.cpu_seconds, 1e-9) / seconds)))
 
 
-def _step(seconds: float, known: Measurement, exponent: float) -> int:
-    """As many as fit, at least one, if cost goes with the iterations to the power of ``exponent``."""
-    share = seconds / max(known.cpu_seconds, 1e-9)
-    return max(1, math.floor(known.iterations * share ** (1.0 / exponent)))
-
-
-def _exponent(before: Measurement, last: Measurement) -> float:
-    """The slope of the secant through two measurements, both axes logarithmic, within ``EXPONENTS``."""
-    more = math.log(last.iterations / before.iterations)
-    if more == 0.0:
-        return 1.0
-    dearer = math.log(max(last.cpu_seconds, 1e-9) / max(before.cpu_seconds, 1e-9))
-    return min(max(dearer / more, EXPONENTS[0]), EXPONENTS[1])
+def _step(seconds: float, last: Measurement, before: Measurement | None) -> int:
+    """As many as fit, at least one, if each more or less costs what it did from ``before`` to ``last``."""
+    average = max(last.cpu_seconds, 1e-9) / last.iterations
+    slope = average
+    if before and before.iterations != last.iterations:
+        slope = (last.cpu_seconds - before.cpu_seconds) / (last.iterations - before.iterations)
+        slope = min(max(slope, SLOPES[0] * average), SLOPES[1] * average)
+    return max(1, math.floor(last.iterations + (seconds - last.cpu_seconds) / slope))
 
 
 def note_on(iterations: int) -> str:
