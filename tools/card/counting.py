@@ -37,8 +37,7 @@ def counting() -> Iterator[Count]:
     """Counts what is launched inside by this thread."""
     from physhdr.backend import kernels  # noqa: F401 (imports whatever replaces ``launch`` below by name)
     from physhdr.backend.kernels.card import harmonics, networks, similarity
-    from physhdr.backend.rasterize import warp
-    from physhdr.backend.rasterize.warp import arrays, lists
+    from physhdr.backend.rasterize.warp import arrays, lists, stages
 
     count = Count()
 
@@ -63,7 +62,7 @@ def counting() -> Iterator[Count]:
                 )
             return result
 
-    modules = (warp, lists, harmonics, networks, similarity)
+    modules = (stages, lists, harmonics, networks, similarity)
     for module in modules:
         module.launch = launch
     try:

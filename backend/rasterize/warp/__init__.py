@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The contract in NVIDIA Warp: CUDA cards with nothing but their driver, and the same kernels on the CPU.
 
-``projection`` (and its backward) → ``lists`` (torch's sorts) → ``tiles`` (and their backward), any number of
-channels. Warp compiles them at their first use, with what its wheel brings: LLVM for the CPU, NVRTC for
-cards. On the CPU it is an order slower than the Numba kernels: there it runs to be tested.
+``stages``: ``projection`` → ``lists`` (torch's sorts) → ``tiles``, and back; any number of channels. Warp
+compiles them at their first use, with what its wheel brings: LLVM for the CPU, NVRTC for cards. On the CPU
+it is an order slower than the Numba kernels: there it runs to be tested.
 
 Against ``contract.py``: nothing differs, but that a tensor with a NaN or an infinity is refused on the CPU
 only, where looking costs nothing; on a card such a Gaussian is not drawn. Gradients are added by atomics,
@@ -15,26 +15,14 @@ for one another.
 The host waits for a card once, for the number of (Gaussian, tile) pairs.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 
 from ....bridge.errors import BadValueError
 from ...scene.camera import Camera
 from ..contract import Rasterization, refuse_what_is_not_finite
-from .arrays import array, launch, wp
-from .lists import Lists, make_lists
-from .projection import RECORD_HEAD, TILE, View, add_pairs, project, project_backward, view_of
-from .tiles import (
-    MOMENTS,
-    TILE_PIXELS,
-    WARP,
-    draw_backward_kernel,
-    draw_kernel,
-    record_rows,
-    sums_of,
-    sums_type,
-)
+from .stages import draw, draw_backward, project, project_backward
 
 __all__ = ["MOST_CHANNELS", "rasterize"]
 
@@ -93,135 +81,33 @@ def rasterize(
     return Rasterization(image, alpha, radii)
 
 
-class _Drawing(NamedTuple):
-    """What the backward pass needs of a forward pass and is neither its input nor its output."""
-
-    view: View
-    lists: Lists
-    tiles_x: int
-    records: torch.Tensor
-    radii: torch.Tensor
-    ends: torch.Tensor
-
-
 class _Rasterize(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, camera: Camera, *tensors: torch.Tensor | None):
-        *inputs, _ = (None if t is None else t.detach().contiguous() for t in tensors)
-        image, alpha, drawing = _draw(camera, inputs)
+    def forward(ctx: Any, camera: Camera, *tensors: Any):
+        means, quaternions, scales, opacities, colours, offsets = (
+            t.detach().contiguous() for t in tensors[:6]
+        )
+        seen = project(camera, means, quaternions, scales, opacities, colours, offsets)
+        drawn = draw(camera, seen, colours.shape[1])
         # Not the same tensor: an output in ctx, but for what is saved, is a cycle that only gc frees.
-        radii = drawing.radii.clone()
+        radii = seen.radii.clone()
         ctx.mark_non_differentiable(radii)
         ctx.set_materialize_grads(False)
         if any(ctx.needs_input_grad):
-            ctx.drawing = drawing
-            ctx.save_for_backward(image, alpha, *inputs[:4])
-        return image, alpha, radii
+            ctx.camera, ctx.radii = camera, seen.radii
+            ctx.drawn = drawn._replace(image=None, alpha=None)
+            ctx.save_for_backward(drawn.image, drawn.alpha, means, quaternions, scales, opacities)
+        return drawn.image, drawn.alpha, radii
 
     @staticmethod
     def backward(ctx: Any, *grads: Any):
         grad_image, grad_alpha, _ = grads
-        image, alpha, *geometry = ctx.saved_tensors
+        image, alpha, means, quaternions, scales, opacities = ctx.saved_tensors
         grad_image = torch.zeros_like(image) if grad_image is None else grad_image.contiguous()
         grad_alpha = torch.zeros_like(alpha) if grad_alpha is None else grad_alpha.contiguous()
-        absolute = ctx.needs_input_grad[7]
-        gradients = _draw_backward(ctx.drawing, absolute, image, alpha, grad_image, grad_alpha, geometry)
+        drawn = ctx.drawn._replace(image=image, alpha=alpha)
+        sums = draw_backward(drawn, grad_image, grad_alpha, absolute=ctx.needs_input_grad[7])
+        geometry = (means, quaternions, scales, opacities)
+        gradients = project_backward(ctx.camera, *geometry, ctx.radii, sums, len(image))
         wanted = zip(gradients, ctx.needs_input_grad[1:], strict=True)
         return None, *(gradient if needed else None for gradient, needed in wanted)
-
-
-def _draw(camera: Camera, tensors: list[Any]) -> tuple[torch.Tensor, torch.Tensor, _Drawing]:
-    means, quaternions, scales, opacities, colours, offsets = tensors
-    count, channels = colours.shape
-    width, height, device = camera.width, camera.height, means.device
-    tiles_x, tiles_y = -(-width // TILE), -(-height // TILE)
-    tiles = tiles_x * tiles_y
-    view = view_of(camera)
-    rows = record_rows(channels)
-    records = means.new_empty(count, 4 * rows)
-    records[:, RECORD_HEAD : RECORD_HEAD + channels] = colours
-    depths, radii = means.new_empty(count), means.new_empty(count)
-    counts = means.new_empty(count, dtype=torch.int32)
-    launch(
-        project,
-        count,
-        [
-            *(array(means, wp.vec3), array(quaternions, wp.vec4), array(scales, wp.vec3)),
-            *(array(opacities, wp.float32), array(offsets, wp.vec2), view, array(records, wp.float32)),
-            *(array(depths, wp.float32), array(radii, wp.float32), array(counts, wp.int32)),
-        ],
-        device,
-    )
-    lists = make_lists(depths, counts, records, view, tiles_x, tiles)
-    image, alpha = means.new_empty(channels, height, width), means.new_empty(height, width)
-    ends = means.new_empty(height, width, dtype=torch.int32)
-    launch(
-        draw_kernel(channels),
-        tiles * TILE_PIXELS,
-        [
-            *(array(lists.tile_starts, wp.int32), array(lists.gaussians, wp.int32)),
-            *(array(records.view(-1, 4), wp.vec4), width, height, tiles_x),
-            *(array(image, wp.float32), array(alpha, wp.float32), array(ends, wp.int32)),
-        ],
-        device,
-    )
-    return image, alpha, _Drawing(view, lists, tiles_x, records, radii, ends)
-
-
-def _draw_backward(
-    drawing: _Drawing, absolute: bool, image, alpha, grad_image, grad_alpha, geometry
-) -> list[torch.Tensor | None]:
-    """Gradients of means, quaternions, scales, opacities, colours, screen offsets and absolute offsets."""
-    means, quaternions, scales, opacities = geometry
-    (channels, height, width), count, device = image.shape, len(means), means.device
-    lists = drawing.lists
-    ordered = torch.are_deterministic_algorithms_enabled()
-    size = sums_of(channels, absolute)
-    sums = means.new_zeros(count, size)
-    into = means.new_zeros(len(lists.gaussians), size) if ordered else sums
-    launch(
-        draw_backward_kernel(channels, absolute),
-        (len(lists.tile_starts) - 1) * TILE_PIXELS if len(lists.gaussians) else 0,
-        [
-            *(array(lists.tile_starts, wp.int32), array(lists.gaussians, wp.int32)),
-            array(lists.numbers if ordered else lists.gaussians, wp.int32),
-            *(array(drawing.records.view(-1, 4), wp.vec4), width, height, drawing.tiles_x),
-            *(array(image, wp.float32), array(alpha, wp.float32), array(drawing.ends, wp.int32)),
-            *(array(grad_image, wp.float32), array(grad_alpha, wp.float32)),
-            array(into, sums_type(channels, absolute)),
-        ],
-        device,
-        # A tile's pixels in one block: each pair has one author.
-        TILE_PIXELS if ordered else WARP,
-    )
-    if ordered:
-        _add_pairs(lists, into, sums)
-    gradients = [means.new_empty(count, *shape) for shape in ((3,), (4,), (3,), (), (2,))]
-    types = (wp.vec3, wp.vec4, wp.vec3, wp.float32, wp.vec2)
-    launch(
-        project_backward,
-        count,
-        [
-            *(array(means, wp.vec3), array(quaternions, wp.vec4), array(scales, wp.vec3)),
-            *(array(opacities, wp.float32), array(drawing.radii, wp.float32), drawing.view),
-            array(sums, wp.float32),
-            *(array(gradient, dtype) for gradient, dtype in zip(gradients, types, strict=True)),
-        ],
-        device,
-    )
-    *of_geometry, of_offsets = gradients
-    of_colours = sums[:, MOMENTS : MOMENTS + channels].contiguous()
-    of_absolute = sums[:, MOMENTS + channels :].contiguous() if absolute else None
-    return [*of_geometry, of_colours, of_offsets, of_absolute]
-
-
-def _add_pairs(lists: Lists, of_pairs: torch.Tensor, sums: torch.Tensor) -> None:
-    launch(
-        add_pairs,
-        (len(sums), sums.shape[1]),
-        [
-            *(array(lists.order, wp.int64), array(lists.counts, wp.int32), array(lists.ends, wp.int64)),
-            *(array(of_pairs, wp.float32), array(sums, wp.float32)),
-        ],
-        sums.device,
-    )

@@ -159,15 +159,14 @@ def test_too_many_pairs_are_refused_before_memory_is(warp, monkeypatch):
 
 def test_a_tile_is_listed_where_the_ellipse_reaches_a_pixel_of_it(warp):
     """Long slanted needles: nothing is missed, and hardly a tile is listed for nothing."""
-    from physhdr.backend.rasterize import warp as ours
+    from physhdr.backend.rasterize.warp import stages
 
     camera = Camera(np.eye(4), 320, 240, 250.0, 250.0, 160.0, 120.0)
     tensors = gaussians(300, 3, seed=5)
     tensors[2] = torch.tensor([0.5, 0.01, 0.01]).repeat(300, 1)
     tensors[0][:, :2] *= 1.5
-    inputs = [t.contiguous() for t in tensors]
-    _, _, drawing = ours._draw(camera, inputs)
-    starts, listed = drawing.lists.tile_starts.tolist(), drawing.lists.gaussians.tolist()
+    lists = stages.draw(camera, stages.project(camera, *(t.contiguous() for t in tensors)), 3).lists
+    starts, listed = lists.tile_starts.tolist(), lists.gaussians.tolist()
     found = {(g, t) for t in range(300) for g in listed[starts[t] : starts[t + 1]]}
 
     # Which tiles have a pixel with alpha ≥ 1/255, from the reference's projection, pixel by pixel.
@@ -190,15 +189,16 @@ def test_a_tile_is_listed_where_the_ellipse_reaches_a_pixel_of_it(warp):
 
 def test_pairs_that_were_counted_and_are_not_found_are_drawn_nowhere(warp, monkeypatch):
     """On a card the two kernels that find them may round otherwise."""
-    from physhdr.backend.rasterize import warp as ours
-    from physhdr.backend.rasterize.warp import lists
+    from physhdr.backend.rasterize.warp import lists, stages
 
     tensors = gaussians()
     expected, truth = gradients("warp", tensors)
     make = lists.make_lists
-    monkeypatch.setattr(
-        ours, "make_lists", lambda depths, counts, *rest: make(depths, counts + 3 * (counts > 0).int(), *rest)
-    )
+
+    def with_three_more(depths, counts, *rest):
+        return make(depths, counts + 3 * (counts > 0).int(), *rest)
+
+    monkeypatch.setattr(stages, "make_lists", with_three_more)
     drawn, found = gradients("warp", tensors)
     assert torch.equal(drawn.image, expected.image)
     assert_close(found, truth, 1e-6)
@@ -224,12 +224,12 @@ def test_sorted_accumulation_in_blocks(in_blocks, deterministic):
 
 def test_with_sorted_accumulation_nothing_depends_on_the_order_of_blocks(warp, deterministic, monkeypatch):
     """Tiles one by one, the last first, as a card may take them: the same bits, and without it other ones."""
-    from physhdr.backend.rasterize import warp as ours
+    from physhdr.backend.rasterize.warp import arrays, stages
 
     def bits():
         return gradients("warp", gaussians(400, 3))[1]
 
-    launch = ours.launch
+    launch = stages.launch
 
     def backwards(kernel, threads, arguments, device, block=256):
         if "draw_backward" not in kernel.key:
@@ -239,11 +239,11 @@ def test_with_sorted_accumulation_nothing_depends_on_the_order_of_blocks(warp, d
         for tile in reversed(range(len(starts) - 1)):
             alone = torch.full_like(starts, 1 << 30)  # all other tiles' lists end before they begin
             alone[tile] = starts[tile]
-            launch(kernel, threads, [ours.array(alone, ours.wp.int32), *arguments[1:]], device, block)
+            launch(kernel, threads, [arrays.array(alone, arrays.wp.int32), *arguments[1:]], device, block)
 
     forwards = bits()
     with monkeypatch.context() as patch:
-        patch.setattr(ours, "launch", backwards)
+        patch.setattr(stages, "launch", backwards)
         assert all(torch.equal(a, b) for a, b in zip(forwards, bits(), strict=True))
         torch.use_deterministic_algorithms(False)
         other = bits()
@@ -391,8 +391,8 @@ spec = importlib.util.spec_from_file_location(tiles.__name__, path)
 broken = importlib.util.module_from_spec(spec)
 sys.modules[tiles.__name__] = broken
 spec.loader.exec_module(broken)
-import physhdr.backend.rasterize.warp as ours
-ours.draw_backward_kernel = broken.draw_backward_kernel
+import physhdr.backend.rasterize.warp.stages as stages
+stages.draw_backward_kernel = broken.draw_backward_kernel
 tensors = tests.gaussians(60, 3)
 truth = tests.gradients("reference", tensors, torch.float64)[1]
 tests.assert_close(tests.gradients("warp", tensors)[1], truth)

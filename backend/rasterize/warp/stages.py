@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The four stages of a picture: ``project`` → ``draw`` → ``draw_backward`` → ``project_backward``.
+
+What goes from one to the next is numbers alone: to ``draw`` records, depths and counts of tiles, back a row
+of sums for each Gaussian. Only the outer two know what Gaussians are made of; who draws a view need not own
+them (docs/scale.md).
+"""
+
+from typing import NamedTuple
+
+import torch
+
+from ...scene.camera import Camera
+from . import projection
+from .arrays import array, launch, wp
+from .lists import Lists, make_lists
+from .projection import RECORD_HEAD, TILE, view_of
+from .tiles import (
+    MOMENTS,
+    TILE_PIXELS,
+    WARP,
+    draw_backward_kernel,
+    draw_kernel,
+    record_rows,
+    sums_of,
+    sums_type,
+)
+
+
+class Projected(NamedTuple):
+    """Gaussians on a camera's screen: ``records`` ``[N, 4 R]``, ``depths`` ``[N]`` (∞: not drawn), ``radii``
+    ``[N]`` in pixels, and how many tiles each touches, ``counts`` ``[N]`` int32."""
+
+    records: torch.Tensor
+    depths: torch.Tensor
+    radii: torch.Tensor
+    counts: torch.Tensor
+
+
+class Drawn(NamedTuple):
+    """A picture ``[C, H, W]``, its coverage ``[H, W]``, and what it was made of."""
+
+    image: torch.Tensor
+    alpha: torch.Tensor
+    lists: Lists
+    tiles_x: int
+    records: torch.Tensor
+    ends: torch.Tensor
+
+
+class Gradients(NamedTuple):
+    """Of every input of ``rasterize``; ``absolute`` is None unless it was asked for."""
+
+    means: torch.Tensor
+    quaternions: torch.Tensor
+    scales: torch.Tensor
+    opacities: torch.Tensor
+    colours: torch.Tensor
+    offsets: torch.Tensor
+    absolute: torch.Tensor | None
+
+
+def project(
+    camera: Camera,
+    means: torch.Tensor,
+    quaternions: torch.Tensor,
+    scales: torch.Tensor,
+    opacities: torch.Tensor,
+    colours: torch.Tensor,
+    offsets: torch.Tensor,
+) -> Projected:
+    """Gaussians as ``rasterize`` has them, contiguous; ``offsets`` ``[N, 2]`` on the screen in pixels."""
+    count, channels = colours.shape
+    records = means.new_empty(count, 4 * record_rows(channels))
+    records[:, RECORD_HEAD : RECORD_HEAD + channels] = colours
+    depths, radii = means.new_empty(count), means.new_empty(count)
+    counts = means.new_empty(count, dtype=torch.int32)
+    launch(
+        projection.project,
+        count,
+        [
+            *(array(means, wp.vec3), array(quaternions, wp.vec4), array(scales, wp.vec3)),
+            *(array(opacities, wp.float32), array(offsets, wp.vec2), view_of(camera)),
+            *(array(records, wp.float32), array(depths, wp.float32)),
+            *(array(radii, wp.float32), array(counts, wp.int32)),
+        ],
+        means.device,
+    )
+    return Projected(records, depths, radii, counts)
+
+
+def draw(camera: Camera, seen: Projected, channels: int) -> Drawn:
+    """The picture of what was projected. The host waits for the device once (``make_lists``)."""
+    records, depths, _, counts = seen
+    width, height, device = camera.width, camera.height, records.device
+    tiles_x, tiles_y = -(-width // TILE), -(-height // TILE)
+    tiles = tiles_x * tiles_y
+    lists = make_lists(depths, counts, records, view_of(camera), tiles_x, tiles)
+    image, alpha = records.new_empty(channels, height, width), records.new_empty(height, width)
+    ends = records.new_empty(height, width, dtype=torch.int32)
+    launch(
+        draw_kernel(channels),
+        tiles * TILE_PIXELS,
+        [
+            *(array(lists.tile_starts, wp.int32), array(lists.gaussians, wp.int32)),
+            *(array(records.view(-1, 4), wp.vec4), width, height, tiles_x),
+            *(array(image, wp.float32), array(alpha, wp.float32), array(ends, wp.int32)),
+        ],
+        device,
+    )
+    return Drawn(image, alpha, lists, tiles_x, records, ends)
+
+
+def draw_backward(
+    drawn: Drawn, grad_image: torch.Tensor, grad_alpha: torch.Tensor, absolute: bool = False
+) -> torch.Tensor:
+    """Moments and gradients of colours of each Gaussian that was projected, ``[N, sums_of(C, absolute)]``."""
+    image, alpha, lists, tiles_x, records, ends = drawn
+    channels, height, width = image.shape
+    ordered = torch.are_deterministic_algorithms_enabled()
+    size = sums_of(channels, absolute)
+    sums = records.new_zeros(len(records), size)
+    into = records.new_zeros(len(lists.gaussians), size) if ordered else sums
+    launch(
+        draw_backward_kernel(channels, absolute),
+        (len(lists.tile_starts) - 1) * TILE_PIXELS if len(lists.gaussians) else 0,
+        [
+            *(array(lists.tile_starts, wp.int32), array(lists.gaussians, wp.int32)),
+            array(lists.numbers if ordered else lists.gaussians, wp.int32),
+            *(array(records.view(-1, 4), wp.vec4), width, height, tiles_x),
+            *(array(image, wp.float32), array(alpha, wp.float32), array(ends, wp.int32)),
+            *(array(grad_image, wp.float32), array(grad_alpha, wp.float32)),
+            array(into, sums_type(channels, absolute)),
+        ],
+        records.device,
+        # A tile's pixels in one block: each pair has one author.
+        TILE_PIXELS if ordered else WARP,
+    )
+    if ordered:
+        launch(
+            projection.add_pairs,
+            (len(sums), size),
+            [
+                *(array(lists.order, wp.int64), array(lists.counts, wp.int32), array(lists.ends, wp.int64)),
+                *(array(into, wp.float32), array(sums, wp.float32)),
+            ],
+            sums.device,
+        )
+    return sums
+
+
+def project_backward(
+    camera: Camera,
+    means: torch.Tensor,
+    quaternions: torch.Tensor,
+    scales: torch.Tensor,
+    opacities: torch.Tensor,
+    radii: torch.Tensor,
+    sums: torch.Tensor,
+    channels: int,
+) -> Gradients:
+    """From ``draw_backward``'s sums to the inputs of ``project``."""
+    count = len(means)
+    made = [means.new_empty(count, *shape) for shape in ((3,), (4,), (3,), (), (2,))]
+    types = (wp.vec3, wp.vec4, wp.vec3, wp.float32, wp.vec2)
+    launch(
+        projection.project_backward,
+        count,
+        [
+            *(array(means, wp.vec3), array(quaternions, wp.vec4), array(scales, wp.vec3)),
+            *(array(opacities, wp.float32), array(radii, wp.float32), view_of(camera)),
+            array(sums, wp.float32),
+            *(array(gradient, dtype) for gradient, dtype in zip(made, types, strict=True)),
+        ],
+        means.device,
+    )
+    of_means, of_quaternions, of_scales, of_opacities, of_offsets = made
+    of_colours, rest = sums[:, MOMENTS:].split([channels, sums.shape[1] - MOMENTS - channels], dim=1)
+    return Gradients(
+        of_means,
+        of_quaternions,
+        of_scales,
+        of_opacities,
+        of_colours.contiguous(),
+        of_offsets,
+        rest.contiguous() if rest.shape[1] else None,
+    )
