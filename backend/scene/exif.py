@@ -5,6 +5,7 @@ import math
 import statistics
 import struct
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,8 @@ from .pictures import READABLE, kind_of
 
 #: How a picture is to be turned: values under which width and height change places.
 LYING = (5, 6, 7, 8)
+#: What DCF calls Adobe RGB where EXIF leaves the colour space open; some write 2 for that, too.
+ADOBE_RGB_INDEX, ADOBE_RGB_SPACE, SRGB_SPACE = "R03", 2, 1
 #: Above this ISO its old tag holds 65535, and the index tag the value (EXIF 2.3).
 LARGEST_ISO = 65534
 #: No APEX value of a time or an aperture is beyond.
@@ -138,7 +141,10 @@ def _numbers(value: Any) -> tuple[int, ...]:
 
 
 def _all_of(exif: Image.Exif) -> Tags:
-    return {**exif, **exif.get_ifd(ExifTags.IFD.Exif)}
+    tags = {**exif, **exif.get_ifd(ExifTags.IFD.Exif)}
+    with suppress(*UNREADABLE):  # an exposure is worth more than a colour space
+        tags |= exif.get_ifd(ExifTags.IFD.Interop)
+    return tags
 
 
 def exposure_of(tags: Tags) -> Exif:
@@ -156,6 +162,14 @@ def orientation_of(tags: Tags) -> int:
     """How a picture is to be turned by what its camera wrote, 1 to 8; 1 where nothing is written."""
     value = tags.get(ExifTags.Base.Orientation)
     return value if isinstance(value, int) and 1 <= value <= 8 else 1
+
+
+def is_adobe_rgb(tags: Tags) -> bool:
+    """Whether a camera was set to Adobe RGB: many embed no profile then (DCF 2.0; CIPA DC-008, annex E)."""
+    space = tags.get(ExifTags.Base.ColorSpace)
+    if space in (ADOBE_RGB_SPACE, SRGB_SPACE):
+        return space == ADOBE_RGB_SPACE
+    return str(tags.get(ExifTags.Base.InteropIndex, "")).strip(" \0") == ADOBE_RGB_INDEX
 
 
 def positive(tags: Tags, tag: int) -> float | None:

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """ICC profiles of pictures: from the primaries that they tell to those of sRGB, in which all is trained.
 
+Cameras that are set to Adobe RGB often say so in EXIF alone: that counts as its profile.
+
 Read are profiles of three primaries and a curve each, as cameras, phones and raw converters embed them
 (Display P3, Adobe RGB, ProPhoto; ICC.1:2022, 8.3, 10.6 and 10.18). Codes are decoded by the curves, taken to
 Rec.709's primaries, white to white, and encoded by the sRGB curve: which curve it is decides nothing, for a
@@ -11,7 +13,7 @@ camera's response is learned. From wider primaries what clipped still clips: eac
 import hashlib
 import struct
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from pathlib import Path
 
 import numpy as np
@@ -20,8 +22,8 @@ from PIL import Image
 from ...bridge.errors import BadValueError, PhysHDRError
 from ...bridge.regular import damaged_where_it_fails
 from ...bridge.srgb import to_srgb
-from .color_space import BRADFORD, SPACES
-from .exif import tags_of_tiff
+from .color_space import BRADFORD, D65, SPACES, Chromaticities
+from .exif import is_adobe_rgb, tags_of_file, tags_of_tiff
 from .pictures import READABLE, kind_of
 
 #: TIFF's tag of a profile.
@@ -136,7 +138,22 @@ _ENCODED = np.rint(to_srgb(np.linspace(0.0, 1.0, STEPS)) * 255.0).astype(np.uint
 def profile_of(path: Path) -> Profile | None:
     """The profile that a picture has to be converted by; None where it is sRGB, or cannot be converted."""
     raw = profile_bytes(path)
-    return None if raw is None else profile_of_bytes(raw)
+    return profile_by_exif(path) if raw is None else profile_of_bytes(raw)
+
+
+def profile_by_exif(path: Path) -> Profile | None:
+    """What a picture without a profile has to be converted by; None where it is sRGB or says nothing."""
+    return _adobe_rgb() if is_adobe_rgb(tags_of_file(path)) else None
+
+
+@cache
+def _adobe_rgb() -> Profile:
+    """Adobe RGB (1998), 4.3.1 and 4.3.4: its primaries, and the power 563/256."""
+    matrix = Chromaticities((0.64, 0.33), (0.21, 0.71), (0.15, 0.06), D65).to_rec709()
+    curve = Curve(None, 0, (563.0 / 256.0,))
+    return Profile(
+        "Adobe RGB (1998)", "Adobe RGB by EXIF", matrix / matrix.sum(axis=1)[:, None], (curve, curve, curve)
+    )
 
 
 def profile_of_bytes(raw: bytes) -> Profile | None:

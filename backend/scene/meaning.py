@@ -19,7 +19,7 @@ from ...bridge.errors import BadValueError, PhysHDRError
 from ...bridge.regular import read_json_object
 from .color_space import space_named
 from .encoding import CAMERA, SRGB, Encoding, LogEncoding
-from .icc import Profile, profile_bytes, read_profile
+from .icc import Profile, profile_by_exif, profile_bytes, read_profile
 from .pictures import holds_radiance
 from .scene import Scene, View
 from .source import PictureSource, radiance_rec709
@@ -92,7 +92,7 @@ def with_meaning(scene: Scene, color_space: str | None = None) -> Scene:
 
 
 def _profiles(files: Sequence[Path]) -> tuple[dict[Path, Profile], list[str]]:
-    """The ICC profiles of pictures that are not of sRGB's primaries, and what there is to say of them."""
+    """What pictures that are not of sRGB's primaries are converted by, and what there is to say of it."""
     raw = {path: found for path in files if (found := profile_bytes(path)) is not None}
     profiles, messages = {}, []
     for each, count in Counter(raw.values()).most_common():
@@ -105,7 +105,10 @@ def _profiles(files: Sequence[Path]) -> tuple[dict[Path, Profile], list[str]]:
         if not profile.is_srgb:
             profiles |= {path: profile for path, found in raw.items() if found == each}
             messages.append(f"{have} '{profile.name}': converted to sRGB's primaries")
-    return profiles, messages
+    by_exif = {path: found for path in files if path not in raw and (found := profile_by_exif(path))}
+    for name, count in Counter(profile.name for profile in by_exif.values()).items():
+        messages.append(f"{count} of {len(files)} pictures are in {name}, says EXIF: converted to sRGB's")
+    return profiles | by_exif, messages
 
 
 def _may_hold_radiance(path: Path) -> bool:

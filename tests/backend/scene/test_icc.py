@@ -7,7 +7,7 @@ import struct
 import numpy as np
 import OpenImageIO
 import pytest
-from PIL import Image, ImageCms
+from PIL import ExifTags, Image, ImageCms
 
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.capture.photos import find_photos
@@ -268,3 +268,79 @@ def test_photos_that_are_prepared_are_converted(tmp_path, name):
     np.testing.assert_allclose(photo.codes()[0][5, 5] / (257 if deep else 1), IN_SRGB, atol=1)
     np.testing.assert_allclose(np.asarray(photo.decode())[5, 5], IN_SRGB, atol=1)
     assert any("'Display P3': converted" in note for note in found.notes)
+
+
+# ---- what EXIF alone says --------------------------------------------------------------------------
+
+SAVING = {".jpg": {"quality": 100, "subsampling": 0}, ".png": {}, ".tif": {}}
+
+
+def said_by_exif(space, index):
+    """A camera's tags, as bytes: ColorSpace, and the interoperability index."""
+    tags = Image.Exif()
+    tags[ExifTags.IFD.Exif] = {
+        ExifTags.Base.ExposureTime: 0.5,
+        **({} if space is None else {ExifTags.Base.ColorSpace: space}),
+        **({} if index is None else {ExifTags.IFD.Interop: {ExifTags.Base.InteropIndex: index}}),
+    }
+    return tags.tobytes()
+
+
+def as_littlecms_has_it(codes):
+    """Adobe RGB (1998) by a profile of Adobe's colorants."""
+    adobe = ImageCms.ImageCmsProfile(io.BytesIO(profile("Adobe RGB (1998)", GAMMA)))
+    srgb = ImageCms.createProfile("sRGB")
+    return np.asarray(ImageCms.profileToProfile(Image.fromarray(codes), adobe, srgb))
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png", ".tif"])
+def test_adobe_rgb_without_a_profile_is_converted(tmp_path, suffix):
+    codes = np.random.default_rng(0).integers(0, 256, (24, 32, 3), np.uint8)
+    # Into a TIFF Pillow writes the place of the index as it was elsewhere.
+    exif = said_by_exif(2, None) if suffix == ".tif" else said_by_exif(65535, "R03")
+    Image.fromarray(codes).save(tmp_path / f"_a{suffix}", exif=exif, **SAVING[suffix])
+    with Image.open(tmp_path / f"_a{suffix}") as stored:
+        expected = as_littlecms_has_it(np.asarray(stored.convert("RGB"))).astype(int)
+    found = find_photos(tmp_path)
+    (photo,) = found.photos
+    assert np.abs(photo.codes()[0].astype(int) - expected).max() <= 1
+    assert photo.shutter == 0.5
+    assert any("'Adobe RGB (1998)': converted" in note for note in found.notes)
+
+
+@pytest.mark.parametrize(
+    ("space", "index", "is_adobe"),
+    [
+        (65535, "R03", True),
+        (None, "R03", True),
+        (2, None, True),  # not in the standard, but in pictures
+        (65535, "R98", False),
+        (65535, None, False),
+        (1, "R03", False),  # an editor converted it and left the index
+        (None, None, False),
+    ],
+)
+def test_only_what_says_adobe_rgb_is(tmp_path, space, index, is_adobe):
+    Image.fromarray(FLAT).save(tmp_path / "a.png", exif=said_by_exif(space, index))
+    assert (profile_of(tmp_path / "a.png") is not None) == is_adobe
+
+
+def test_a_profile_goes_before_exif(tmp_path):
+    exif = said_by_exif(65535, "R03")
+    Image.fromarray(FLAT).save(tmp_path / "a.png", exif=exif, icc_profile=profile("sRGB"))
+    assert profile_of(tmp_path / "a.png") is None
+    Image.fromarray(FLAT).save(tmp_path / "b.png", exif=exif, icc_profile=profile("Display P3"))
+    found = profile_of(tmp_path / "b.png")
+    assert found is not None and found.name == "Display P3"
+
+
+def test_a_data_set_in_adobe_rgb_says_so(layouts, tmp_path):
+    root = layouts.write_nerfstudio(tmp_path / "data", poses=4)
+    flat = np.broadcast_to(FLAT[:1, :1], (72, 96, 3)).copy()
+    for path in (root / "images").iterdir():
+        Image.fromarray(flat).save(path, exif=said_by_exif(65535, "R03"))
+    scene = read_scene(root)
+    codes = scene.train[0].image(0)[9, 9].astype(int)
+    assert np.abs(codes - as_littlecms_has_it(flat)[9, 9]).max() <= 1
+    told = [message for message in scene.messages if "says EXIF" in message]
+    assert told == ["4 of 4 pictures are in Adobe RGB (1998), says EXIF: converted to sRGB's"]
