@@ -5,6 +5,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import torch
@@ -23,13 +24,19 @@ from .radiance import SmallNetwork
 LOG_EPSILON = 1e-5
 
 #: A response whose logit rises faster per e-fold of exposure is not read from a table: |σ⁗| ≤ 1/8, so the
-#: table's error is below 0.024 h⁴ · 20⁴/8 = 2e-6 up to here, and 1e-8 at slopes below 5, as cameras have.
-STEEPEST = 20.0
+#: table's error is below 0.024 h⁴ · 40⁴/8 = 3e-5 up to here, where a response clips, and 1e-8 at slopes
+#: below 5, as cameras have elsewhere.
+STEEPEST = 40.0
 
 #: x ~ U(−3, 3) in batches of 1024, Adam at 5e-4: HDR-NeRF's and GaussHDR's warm start of the curves.
 WARM_START_RANGE = 3.0
 WARM_START_BATCH = 1024
 WARM_START_LEARNING_RATE = 5e-4
+
+#: A measured response is logits at so many ln exposures a unit, in this range.
+MEASURED_PER_UNIT, MEASURED_RANGE = 32, (-12, 8)
+#: Its place in ``state_dict``.
+MEASURED = "measured"
 
 #: The response as a table, for files and plots: so many ln exposures in this range.
 SAMPLES, SAMPLED_RANGE = 256, (-12.0, 8.0)
@@ -44,8 +51,11 @@ class ToneMapperConfig:
     #: Pass through the data set's anchor (a known exposure × radiance and its code value) by construction:
     #: the absolute scale of the radiance then cannot drift. Needs a data set that names an anchor.
     anchored: bool = True
-    #: Slope of logit(LDR) over ln(exposure) at the start; the network learns the rest, from zero.
-    #: ``None``: no such line, the network is warm-started instead (``warm_start_steps``).
+    #: The curve at the start, to which the network learns what is missing, from zero: what brackets tell of
+    #: it (``start.response``) where there are any, else a line.
+    initial_curve: Literal["measured", "line"] = "measured"
+    #: Slope of that line: of logit(LDR) over ln(exposure). ``None``: the network does not begin at zero with
+    #: either, it is warm-started instead (``warm_start_steps``).
     initial_slope: float | None = 0.6
     #: Local curves beside the global ones, which see a rendered context feature (GaussHDR).
     local: bool = False
@@ -128,6 +138,9 @@ class ToneMapper(Response):
         self.b2 = nn.Parameter(torch.zeros(3))
         if config.initial_slope is not None:
             self.slope = nn.Parameter(torch.full((3, 1), config.initial_slope))
+            # Not learned: what is learned is added to it. Zero until something is measured.
+            low, high = MEASURED_RANGE
+            self.register_buffer(MEASURED, torch.zeros(3, (high - low) * MEASURED_PER_UNIT + 1))
             nn.init.zeros_(self.w2)
             # One bend for each unit, at evenly spread exposures, so that early steps can shape the curve.
             with torch.no_grad():
@@ -144,18 +157,67 @@ class ToneMapper(Response):
 
     def curve_logits(self, log_exposure: torch.Tensor) -> torch.Tensor:
         """The global response before its sigmoid: ln(exposure × radiance) ``[3, P]`` → ``[3, P]``."""
-        logits = curve_mlp(log_exposure, self.w1, self.b1, self.w2, self.b2, self.config.activation)
-        if self.config.initial_slope is not None:
-            logits = logits + self.slope * log_exposure
+        logits = self._free_logits(log_exposure)
         if self.config.anchored and self.anchor is not None:
             # Shift each channel's curve so that it meets the anchor, whatever the network says.
             exposure, value = self.anchor
             at_anchor = log_exposure.new_full((3, 1), math.log(exposure))
-            offset = curve_mlp(at_anchor, self.w1, self.b1, self.w2, self.b2, self.config.activation)
-            if self.config.initial_slope is not None:
-                offset = offset + self.slope * at_anchor
-            logits = logits + (math.log(value / (1.0 - value)) - offset)
+            logits = logits + (math.log(value / (1.0 - value)) - self._free_logits(at_anchor))
         return logits
+
+    def _free_logits(self, log_exposure: torch.Tensor) -> torch.Tensor:
+        """``curve_logits`` wherever they pass the anchor."""
+        logits = curve_mlp(log_exposure, self.w1, self.b1, self.w2, self.b2, self.config.activation)
+        if self.config.initial_slope is None:
+            return logits
+        return logits + self.slope * log_exposure + self._measured_logits(log_exposure)[0]
+
+    def _measured_logits(self, log_exposure: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """The measured response's logits at ``[3, P]`` and their slopes, ``[3, P]`` each.
+
+        A cubic between two knots, whose slopes there are those between their neighbours; beyond the ends
+        straight on.
+        """
+        values = self.get_buffer(MEASURED)
+        last = values.shape[1] - 1
+        place = (log_exposure - MEASURED_RANGE[0]) * MEASURED_PER_UNIT
+        left = place.detach().floor().clamp(0, last - 1).long()
+        rises = values.diff(dim=1)
+        slopes = torch.cat([rises[:, :1], 0.5 * (rises[:, 1:] + rises[:, :-1]), rises[:, -1:]], dim=1)
+        before, after = values.gather(1, left), values.gather(1, left + 1)
+        here, there = slopes.gather(1, left), slopes.gather(1, left + 1)
+        s = (place - left).clamp(0.0, 1.0)
+        twice, thrice = 3.0 * (after - before) - 2.0 * here - there, 2.0 * (before - after) + here + there
+        within = before + s * (here + s * (twice + s * thrice))
+        slope = here + s * (2.0 * twice + 3.0 * s * thrice)
+        beyond = place - left - s
+        return within + beyond * slope.detach(), slope.detach() * MEASURED_PER_UNIT
+
+    @property
+    def measures_response(self) -> bool:
+        """Whether it is to begin with what brackets tell (``begin_with``)."""
+        return self.config.initial_curve == "measured" and self.config.initial_slope is not None
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether it began with what brackets tell."""
+        return self.config.initial_slope is not None and bool(self.get_buffer(MEASURED).any())
+
+    @torch.no_grad()
+    def begin_with(self, log_exposure: np.ndarray, logits: np.ndarray) -> None:
+        """Begin with the response through ``logits`` ``[3, N]`` at ln exposures ``[3, N]``, both rising.
+
+        Beyond their ends it goes straight on. It stays as it is; what is learned is added to it, and the
+        line's slope begins at zero.
+        """
+        assert self.config.initial_slope is not None, "a curve that is warm-started begins elsewhere"
+        values = self.get_buffer(MEASURED)
+        at = np.linspace(*MEASURED_RANGE, values.shape[1])
+        for channel, (x, y) in enumerate(zip(log_exposure, logits, strict=True)):
+            first, last = ((y[i + 1] - y[i]) / (x[i + 1] - x[i]) for i in (0, -2))
+            beyond = np.minimum(at - x[0], 0.0) * first + np.maximum(at - x[-1], 0.0) * last
+            values[channel] = torch.from_numpy(np.interp(at, x, y) + beyond).to(values)
+        self.slope.zero_()
 
     def response(self, log_exposure: torch.Tensor) -> torch.Tensor:
         """The global response: ln(exposure × radiance) ``[3, P]`` → LDR ``[3, P]`` in (0, 1).
@@ -175,7 +237,7 @@ class ToneMapper(Response):
         with torch.no_grad():
             slopes = curve_slopes(at_knots, self.w1, self.b1, self.w2, self.config.activation)
             if self.config.initial_slope is not None:
-                slopes = slopes + self.slope
+                slopes = slopes + self.slope + self._measured_logits(at_knots)[1]
             if not slopes.abs().max() <= STEEPEST:
                 return None
             return values, slopes * values * (1.0 - values)

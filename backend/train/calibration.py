@@ -18,7 +18,7 @@ from ...bridge.errors import DataMismatchError, FileDamagedError
 from ...bridge.regular import read_json_object
 from ..methods.base import SplattingMethod
 from ..model.camera_effects import COEFFICIENTS
-from ..model.tone_mapper import ToneMapper
+from ..model.tone_mapper import MEASURED, ToneMapper
 
 FORMAT, VERSION = "physhdr-calibration", 1
 #: Every so many of the sampled response's rows are written, for people and other programs.
@@ -134,14 +134,18 @@ def use_response(method: SplattingMethod, calibration: Calibration, path: str) -
             f"{path} is of pictures whose response is known; that of these is not",
             "Calibrate from pictures of the same kind, such as the camera's own JPEGs.",
         )
-    wanted: dict[str, Any] = {name: tuple(value.shape) for name, value in mapper.state_dict().items()}
-    given = {name: tuple(value.shape) for name, value in calibration.response.items()}
+    state = mapper.state_dict()
+    # Calibrations of before responses were measured are of curves that began as a line.
+    response = {name: torch.zeros_like(state[name]) for name in (MEASURED,) if name in state}
+    response |= calibration.response
+    wanted: dict[str, Any] = {name: tuple(value.shape) for name, value in state.items()}
+    given = {name: tuple(value.shape) for name, value in response.items()}
     if wanted != given:
         raise DataMismatchError(
             f"{path} is of another kind of response curve than this training has",
             "Train by the preset and the --method.tone-mapper options that it was calibrated with.",
         )
-    mapper.load_state_dict(calibration.response)
+    mapper.load_state_dict(response)
 
 
 def freeze_response(method: SplattingMethod) -> None:

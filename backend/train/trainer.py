@@ -18,6 +18,7 @@ from ..methods.base import Batch, Facts, Method, Recording, SplattingMethod
 from ..methods.registry import name_of, new_method
 from ..model.anchors import Anchors
 from ..model.backbone import Start
+from ..model.tone_mapper import MEASURED, Response, ToneMapper
 from ..rasterize import Implementation
 from ..scene.points import with_points_file
 from ..scene.resident import Pictures
@@ -25,6 +26,7 @@ from ..scene.scene import Scene, View
 from ..start.far_shell import far_points
 from ..start.initialise import initial_points, merged_log_radiance, scene_extent, seen_points
 from ..start.merged_brackets import MergedBrackets
+from ..start.response import bracket_response
 from .anchor_growth import AnchorGrowth
 from .calibration import freeze_response, read_calibration, use_response
 from .checkpoint import (
@@ -152,14 +154,28 @@ class Trainer:
     def _begin(self) -> None:
         """The state at iteration 0."""
         self.method.prepare(self.config.seed)
+        begun, begun_cpu = time.perf_counter(), time.process_time()
+        self.start_message = "random networks"
+        found = False
         if self.config.calibration is not None:
             self._calibrate(self.config.calibration)
-        self.start_message = "random networks"
-        begun, begun_cpu = time.perf_counter(), time.process_time()
+        elif self.method.splatting is not None:
+            found = self._find_response(self.method.splatting.tone_mapper)
         if self.method.splatting is not None:
             self._place(self.method.splatting)
+        if found:
+            self.start_message += ", the response as brackets tell it"
         self.seconds = time.perf_counter() - begun
         self.cpu_seconds = time.process_time() - begun_cpu
+
+    def _find_response(self, mapper: Response) -> bool:
+        """Begin with the response that brackets tell; whether there is one."""
+        if not (isinstance(mapper, ToneMapper) and mapper.measures_response):
+            return False
+        found = bracket_response(self.views, self.exposures, self.scene.response_anchor)
+        if found is not None:
+            mapper.begin_with(*found)
+        return found is not None
 
     def _new_growth(self) -> Growth:
         config, seed = self.schedule, (self.config.seed, STREAM_GROWTH)
@@ -523,7 +539,10 @@ def restore_method(method: Method, tensors: dict[str, torch.Tensor], path: Path)
         wanted |= {
             f"{PRIMITIVES}{name}": torch.empty(count, *shape, device="meta") for name, shape in shapes.items()
         }
-    check_tensors(tensors, wanted, path)
+    # Checkpoints of before responses were measured are of models whose response begins as a line.
+    unmeasured = {name: like for name, like in wanted.items() if name.endswith(f".{MEASURED}")}
+    networks = unmeasured | networks
+    check_tensors(networks | primitives, wanted, path)
     refuse_others(networks | primitives, wanted, path)
     if splatting is not None:
         splatting.backbone.parameters = {

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from ..model.anchors import Anchors
+from ..model.tone_mapper import ToneMapper
 from .config import TrainConfig
 from .nuisances import NuisanceConfig
 from .optimisers import OptimiserConfig
@@ -49,6 +50,12 @@ def _unread(trainer: Trainer) -> set[str]:
         unread |= photos
     if trainer.config.initial_points in ("stereo", "random"):
         unread.add("points_file")
+    mapper = method.tone_mapper
+    if isinstance(mapper, ToneMapper):
+        if mapper.config.initial_slope is None:
+            unread.add("method.tone_mapper.initial_curve")
+        elif mapper.is_measured:
+            unread.add("method.tone_mapper.initial_slope")
     rates = {each.name for each in dataclasses.fields(OptimiserConfig) if each.type is float}
     own = method.rates().keys()
     learning = {name for name in trainer.optimiser.rates if name not in own}

@@ -187,3 +187,60 @@ def test_a_response_too_steep_for_the_table_goes_the_direct_way():
     mapper = ToneMapper(ToneMapperConfig(initial_slope=50.0), ANCHOR)
     x = torch.randn(3, 20_000)
     assert torch.equal(mapper.response(x), mapper.curve_logits(x).sigmoid())
+
+
+def measured(slope=1.0):
+    """A tone mapper that begins with sRGB's curve through its anchor, and the curve."""
+    x = np.linspace(-5.0, -0.02, 200)
+    linear = np.exp(x)
+    values = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1.0 / 2.4) - 0.055)
+    logits = slope * np.log(values / (1.0 - values))
+    mapper = ToneMapper(ToneMapperConfig(), (float(linear[100]), float(1.0 / (1.0 + np.exp(-logits[100])))))
+    mapper.begin_with(np.tile(x, (3, 1)), np.tile(logits, (3, 1)))
+    return mapper, torch.from_numpy(x), torch.from_numpy(logits)
+
+
+def test_a_measured_response_is_what_training_begins_with():
+    mapper, x, logits = measured()
+    found = mapper.curve_logits(x.expand(3, -1).float())
+    assert (found.sigmoid() - logits.sigmoid()).abs().max() < 2e-3  # half a code
+    # Beyond what was measured it goes straight on, also beyond its table's ends.
+    last = (logits[-1] - logits[-2]) / (x[-1] - x[-2])
+    far = mapper.curve_logits(torch.full((3, 1), 2.0)) - mapper.curve_logits(torch.full((3, 1), 1.0))
+    assert torch.allclose(far.double(), last, rtol=1e-4)
+    first = (logits[1] - logits[0]) / (x[1] - x[0])
+    far = mapper.curve_logits(torch.full((3, 1), -14.0)) - mapper.curve_logits(torch.full((3, 1), -15.0))
+    assert torch.allclose(far.double(), first, rtol=1e-4)
+    # What is learned is added to it.
+    assert mapper.slope.abs().max() == 0.0 and mapper.measured not in set(mapper.parameters())
+
+
+def test_a_measured_response_has_the_slope_that_it_is_drawn_with():
+    mapper = randomised(measured()[0]).double()
+    x = torch.linspace(-13.0, 9.0, 300, dtype=torch.float64).expand(3, -1).contiguous() + 1e-4
+    assert torch.autograd.gradcheck(mapper.curve_logits, x.clone().requires_grad_())
+    _, slopes = mapper._measured_logits(x)
+    step = 1e-6
+    ahead, behind = (mapper._measured_logits(x + each)[0] for each in (step, -step))
+    assert torch.allclose(slopes, (ahead - behind) / (2.0 * step), atol=1e-5)
+    at_anchor = torch.full((3, 1), math.log(mapper.anchor[0]), dtype=torch.float64)
+    assert torch.allclose(mapper.curve_logits(at_anchor).sigmoid(), torch.tensor(mapper.anchor[1]).double())
+
+
+@pytest.mark.parametrize("steepness", [1.0, 8.0])
+def test_a_measured_response_by_table_is_the_response(steepness):
+    """As for one that begins as a line, but for what a bend where it was measured costs: 1/40 of a code."""
+    mapper = measured(steepness)[0]
+    torch.manual_seed(0)
+    with torch.no_grad():
+        mapper.w2.uniform_(-0.2, 0.2)
+    many = (2.0 * torch.randn(3, 20_000) - 2.0).clamp(-8.0, 6.0).requires_grad_()
+    exact = copy.deepcopy(mapper).double()
+    same = many.detach().double().requires_grad_()
+    values, truth = mapper.response(many), exact.curve_logits(same).sigmoid()
+    weights = torch.randn(values.shape)
+    (values * weights).sum().backward()
+    (truth * weights).sum().backward()
+    assert (values - truth).abs().max() < 1e-4
+    assert (many.grad - same.grad).norm() < 2e-3 * same.grad.norm()
+    assert (mapper.slope.grad - exact.slope.grad).norm() < 1e-3 * exact.slope.grad.norm()

@@ -58,7 +58,8 @@ def places(path):
 def test_every_method_of_gaussians_starts_from_the_file(preset, data):
     trainer, means = begun(data, short(preset, initial_points="file"))
     assert means == places(data / "other.ply") and len(means) == COUNT
-    assert trainer.start_message == f"{COUNT} points of other.ply (structure from motion)"
+    response = ", the response as brackets tell it" if preset == "default" else ""
+    assert trainer.start_message == f"{COUNT} points of other.ply (structure from motion){response}"
     _, means = begun(data, short(preset, initial_points="auto"))
     assert means == places(data / "other.ply")
     trainer, means = begun(data, short(preset, initial_points="both"))

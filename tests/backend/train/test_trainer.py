@@ -383,28 +383,38 @@ def test_stereo_adds_points_where_the_data_set_has_none(tiny_data, tmp_path):
     assert len(Trainer(lonely, short("default")).method.gaussians) == len(positions)
 
 
-def test_stereo_sees_only_what_training_may(tiny_data, tmp_path):
-    """Points by stereo stay the same when everything is noise that is not for training at this light."""
+def test_the_start_sees_only_what_training_may(tiny_data, tmp_path):
+    """Points by stereo stay the same when everything is noise that is not for training (at this light)."""
     clean, spoiled = tmp_path / "clean", tmp_path / "spoiled"
     shutil.copytree(tiny_data, clean)
     (clean / "points3d.ply").unlink()
     shutil.copytree(clean, spoiled)
     rng = np.random.default_rng(1)
+
+    def spoil(*patterns):
+        paths = [path for pattern in patterns for path in spoiled.glob(pattern)]
+        for path in paths:
+            write_png(path, rng.integers(0, 256, (32, 32, 3), dtype=np.uint8))
+        return len(paths)
+
+    def means(data, **changes):
+        config = short("default", initial_points="stereo")
+        tone_mapper = dataclasses.replace(config.method.tone_mapper, **changes)
+        method = dataclasses.replace(config.method, tone_mapper=tone_mapper)
+        return Trainer(read_scene(data), dataclasses.replace(config, method=method)).method.gaussians.means
+
     for path in [*spoiled.glob("*_hdr/*.exr"), *spoiled.glob("relit/*/*.exr")]:
         write_exr(path, rng.uniform(0, 100, read_exr(path).shape).astype(np.float32))
-    unseen = [*spoiled.glob("test/*.png"), *spoiled.glob("lit/*.png"), *spoiled.glob("train/r_?_[13].png")]
-    assert len(unseen) == 15 + 10 + 6
-    for path in unseen:
-        write_png(path, rng.integers(0, 256, (32, 32, 3), dtype=np.uint8))
-
-    def means(data):
-        return Trainer(read_scene(data), short("default", initial_points="stereo")).method.gaussians.means
-
+    assert spoil("test/*.png", "lit/r_?_[13].png", "train/r_?_[13].png") == 15 + 4 + 6
     assert len(means(clean)) > 100
     assert torch.equal(means(clean), means(spoiled))
-    for path in spoiled.glob("train/r_?_[024].png"):  # and what it may see, it does see
-        write_png(path, rng.integers(0, 256, (32, 32, 3), dtype=np.uint8))
+    # Pictures under other light tell of the camera's response, but nothing else of this light.
+    assert spoil("lit/*.png") == 10
+    line = {"initial_curve": "line"}
+    assert torch.equal(means(clean, **line), means(spoiled, **line))
     assert not torch.equal(means(clean)[:100], means(spoiled)[:100])
+    spoil("train/r_?_[024].png")  # and what it may see, it does see
+    assert not torch.equal(means(clean, **line)[:100], means(spoiled, **line)[:100])
 
 
 def test_exposures_that_the_data_do_not_have_are_refused(tiny_data):

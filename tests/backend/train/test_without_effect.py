@@ -11,6 +11,12 @@ from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import Trainer
 from physhdr.backend.train.without_effect import changed_without_effect
 
+
+def with_tone_mapper(config, **changes):
+    tone_mapper = dataclasses.replace(config.method.tone_mapper, **changes)
+    return dataclasses.replace(config, method=dataclasses.replace(config.method, tone_mapper=tone_mapper))
+
+
 CHANGES = {
     "--initial-opacity": lambda c: dataclasses.replace(c, initial_opacity=0.17),
     "--initial-scale": lambda c: dataclasses.replace(c, initial_scale=0.7),
@@ -24,18 +30,26 @@ CHANGES = {
     "--optimiser.means-final": lambda c: dataclasses.replace(
         c, optimiser=dataclasses.replace(c.optimiser, means_final=1e-3)
     ),
+    "--method.tone-mapper.initial-slope": lambda c: with_tone_mapper(c, initial_slope=0.9),
+    "--method.tone-mapper.initial-curve": lambda c: with_tone_mapper(c, initial_curve="line"),
     "--supervision": lambda c: dataclasses.replace(
         c, supervision="one" if c.supervision == "bracket" else "bracket"
     ),
 }
 #: What each preset reads and what it does not.
 CASES = {
-    "default": (tuple(CHANGES), ()),
+    "default": (
+        tuple(set(CHANGES) - {"--method.tone-mapper.initial-slope"}),
+        ("--method.tone-mapper.initial-slope",),  # brackets tell more
+    ),
     "default-scaffold": (
         ("--initial-scale", "--optimiser.tone-mapper", "--supervision"),
         ("--initial-opacity", "--densify.threshold", "--densify.budget", "--optimiser.means-final"),
     ),
-    "gausshdr-short": (("--densify.budget",), ("--optimiser.tone-mapper",)),
+    "gausshdr-short": (
+        ("--densify.budget",),
+        ("--optimiser.tone-mapper", "--method.tone-mapper.initial-curve"),
+    ),
     "hdr-nerf-small": ((), ("--supervision",)),
 }
 
