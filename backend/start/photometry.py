@@ -61,12 +61,19 @@ LN2 = math.log(2.0)
 class Photometry:
     """Natural logarithms: ``gain`` ``[P]`` of the photos, ``balance`` ``[V, 2]`` of the places' red and blue.
 
-    ``vignetting`` ``[L, 3]`` of the lenses (``model.camera_effects``), all ≥ 0.
+    ``vignetting`` ``[L, 3]`` of the lenses (``model.camera_effects``), all ≥ 0. ``inverse_response`` ``[3, D]``:
+    ln f⁻¹ of each channel, a polynomial of logit z (``inverse_at``); None where it was not looked for.
     """
 
     gain: np.ndarray
     balance: np.ndarray
     vignetting: np.ndarray
+    inverse_response: np.ndarray | None = None
+
+    def inverse_at(self, logits: np.ndarray) -> np.ndarray:
+        """ln(exposure × radiance) ``[3, N]`` of codes whose logits are ``[N]``, 0 at half of white."""
+        assert self.inverse_response is not None
+        return self.inverse_response @ _powers(logits).T
 
 
 @dataclass(frozen=True)
@@ -250,9 +257,8 @@ def _solved(
     rows = np.arange(count)
     if finds_response:
         asked = rows[~is_known]
-        for power in range(1, DEGREE + 1):
-            value = 3.0 * (logit[asked] / 3.0) ** power
-            parts.append((asked, seen.channel[asked] * DEGREE + power - 1, value))
+        for power, value in enumerate(_powers(logit[asked]).T):
+            parts.append((asked, seen.channel[asked] * DEGREE + power, value))
     parts.append((rows, polynomial + seen.photo, -np.ones(count)))
     coloured = rows[seen.channel != 1]
     side = (seen.channel[coloured] == 2).astype(int)
@@ -298,7 +304,13 @@ def _solved(
         return None
     gain, balance, lens = np.split(solution[polynomial:], [photos, photos + 2 * places])
     found = lens.reshape(-1, COEFFICIENTS) if vignetting is None else vignetting
-    return Photometry(gain, balance.reshape(-1, 2), found)
+    inverse = solution[:polynomial].reshape(3, DEGREE) if finds_response else None
+    return Photometry(gain, balance.reshape(-1, 2), found, inverse)
+
+
+def _powers(logit: np.ndarray) -> np.ndarray:
+    """``[N, D]`` of logits ``[N]``: what ln f⁻¹ is made of."""
+    return 3.0 * (logit[:, None] / 3.0) ** np.arange(1, DEGREE + 1)
 
 
 def _first_of(index: np.ndarray, value: np.ndarray, count: int) -> np.ndarray:

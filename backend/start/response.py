@@ -24,6 +24,7 @@ import numpy as np
 
 from ..scene.scene import View
 from .merged_brackets import SAMPLED_PIXELS
+from .photometry import TELLING, Photometry
 
 CODES = 256
 #: Exposures of a pair differ by so much at least: of nearly equal ones noise is all that differs.
@@ -82,9 +83,39 @@ def bracket_response(
     together = _joined(equations)
     if len(together.bright) < FEWEST_EQUATIONS:
         return None
-    at, value = (128.0, 0.0) if anchor is None else (255.0 * anchor[1], math.log(anchor[0]))
+    at, value = _gauge(anchor)
     common = _solved(together, at, value, 2.2 * _LOGIT, np.zeros(CODES))
     curves = [_solved(each, at, value, common, common) for each in equations]
+    return _cameras(curves, at, value)
+
+
+def point_response(
+    found: Photometry | None, anchor: tuple[float, float] | None
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """The same of what points tell, where views have one exposure each; None where they do not tell."""
+    if found is None or found.inverse_response is None:
+        return None
+    # Beyond the codes that were looked at a polynomial goes anywhere: straight on.
+    ends = np.log(np.divide(TELLING, np.subtract(1.0, TELLING)))
+    inside = np.clip(_LOGIT, *ends)
+    step = 0.5
+    first, last = (
+        np.diff(found.inverse_at(np.array(pair)))[:, 0] / step
+        for pair in ((ends[0], ends[0] + step), (ends[1] - step, ends[1]))
+    )
+    below, above = np.minimum(_LOGIT - inside, 0.0), np.maximum(_LOGIT - inside, 0.0)
+    curves = found.inverse_at(inside) + first[:, None] * below + last[:, None] * above
+    at, value = _gauge(anchor)
+    return _cameras(list(curves), at, value)
+
+
+def _gauge(anchor: tuple[float, float] | None) -> tuple[float, float]:
+    """A code and g there."""
+    return (128.0, 0.0) if anchor is None else (255.0 * anchor[1], math.log(anchor[0]))
+
+
+def _cameras(curves: Sequence[np.ndarray], at: float, value: float) -> tuple[np.ndarray, np.ndarray] | None:
+    """g of the channels as ln(exposure × radiance) and logits; None where no camera is like that."""
     rising = np.stack([_rising(curve, at, value) for curve in curves])
     span = np.diff([np.interp((0.05 * 255.0, 0.95 * 255.0), _CODE, curve) for curve in rising])
     if not ((span > SPAN[0]) & (span < SPAN[1])).all():

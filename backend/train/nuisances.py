@@ -30,7 +30,7 @@ from ..model.camera_effects import COEFFICIENTS, falloff, lenses, squared_tangen
 from ..model.tone_mapper import Response
 from ..scene.camera import Camera
 from ..scene.scene import View
-from ..start.photometry import photometry, point_effects
+from ..start.photometry import Photometry, photometry, point_effects
 
 #: Adam's, for values that are seen a few dozen times in a training.
 BETAS = (0.8, 0.95)
@@ -151,37 +151,39 @@ class Nuisances:
             self.reach.fill_(reach)
             self.lens_is_known.fill_(True)
 
-    def begin(self, points: np.ndarray, response: Response) -> np.ndarray:
-        """Start from what points ``[P, 3]`` (metres) tell; returns their mean ln effect ``[P, 3]``.
+    def told_by(self, points: np.ndarray, response: Response) -> Photometry | None:
+        """What points ``[P, 3]`` (metres) tell of the photos under the standard light.
 
-        ``response``: as it is when training starts.
+        ``response``: as it is when training starts, for where they do not tell of it.
         """
         views, exposures = [view for view, _ in self._standard], [indices for _, indices in self._standard]
-        lens = [self._lens[view] for view in views]
-        deviations = self.config.gain_stops, self.config.white_balance_stops
-        reach = self.reach.tolist()
-        found = photometry(
+        known = self.values["vignetting"].detach().cpu().double().numpy() if self.lens_is_known else None
+        return photometry(
             points,
             views,
             exposures,
-            lens,
-            reach,
+            [self._lens[view] for view in views],
+            self.reach.tolist(),
             response,
-            deviations,
+            (self.config.gain_stops, self.config.white_balance_stops),
             finds_response=not self._response_is_known,
-            vignetting=self.values["vignetting"].detach().cpu().double().numpy()
-            if self.lens_is_known
-            else None,
+            vignetting=known,
         )
+
+    def begin(self, points: np.ndarray, response: Response) -> np.ndarray:
+        """Start from what points tell (``told_by``); returns their mean ln effect ``[P, 3]``."""
+        found = self.told_by(points, response)
         if found is None:
             return np.zeros((len(points), 3))
+        views, exposures = [view for view, _ in self._standard], [indices for _, indices in self._standard]
         photos = [self._photo[view, k] for view, indices in self._standard for k in indices]
         places = [self._place[view] for view in views]
         with torch.no_grad():
             self.values["log_gain"][photos] = torch.from_numpy(found.gain).to(self.telling)
             self.values["log_balance"][places] = torch.from_numpy(found.balance).to(self.telling)
             self.values["vignetting"].copy_(torch.from_numpy(found.vignetting))
-        return point_effects(points, views, exposures, lens, reach, found)
+        lens = [self._lens[view] for view in views]
+        return point_effects(points, views, exposures, lens, self.reach.tolist(), found)
 
     # -- in an iteration -------------------------------------------------------------------------------
 

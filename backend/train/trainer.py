@@ -26,7 +26,7 @@ from ..scene.scene import Scene, View
 from ..start.far_shell import far_points
 from ..start.initialise import initial_points, merged_log_radiance, scene_extent, seen_points
 from ..start.merged_brackets import MergedBrackets
-from ..start.response import bracket_response
+from ..start.response import bracket_response, point_response
 from .anchor_growth import AnchorGrowth
 from .calibration import freeze_response, read_calibration, use_response
 from .checkpoint import (
@@ -156,26 +156,34 @@ class Trainer:
         self.method.prepare(self.config.seed)
         begun, begun_cpu = time.perf_counter(), time.process_time()
         self.start_message = "random networks"
-        found = False
+        response_by = ""
         if self.config.calibration is not None:
             self._calibrate(self.config.calibration)
         elif self.method.splatting is not None:
-            found = self._find_response(self.method.splatting.tone_mapper)
+            response_by = self._find_response(self.method.splatting.tone_mapper)
         if self.method.splatting is not None:
             self._place(self.method.splatting)
-        if found:
-            self.start_message += ", the response as brackets tell it"
+        if response_by:
+            self.start_message += f", the response as {response_by} tell it"
         self.seconds = time.perf_counter() - begun
         self.cpu_seconds = time.process_time() - begun_cpu
 
-    def _find_response(self, mapper: Response) -> bool:
-        """Begin with the response that brackets tell; whether there is one."""
+    def _find_response(self, mapper: Response) -> str:
+        """Begin with the response that brackets or points tell; which of them did, "" for none."""
         if not (isinstance(mapper, ToneMapper) and mapper.measures_response):
-            return False
-        found = bracket_response(self.views, self.exposures, self.scene.response_anchor)
-        if found is not None:
-            mapper.begin_with(*found)
-        return found is not None
+            return ""
+        anchor = self.scene.response_anchor
+        found, by = bracket_response(self.views, self.exposures, anchor), "brackets"
+        if found is None and self.scene.points is not None and self.responses == "learned":
+            faults = self.nuisances or Nuisances(
+                self.views, self.exposures, self.config.nuisances, torch.device("cpu")
+            )
+            told = faults.told_by(self.scene.points.positions, mapper)
+            found, by = point_response(told, anchor), "points"
+        if found is None:
+            return ""
+        mapper.begin_with(*found)
+        return by
 
     def _new_growth(self) -> Growth:
         config, seed = self.schedule, (self.config.seed, STREAM_GROWTH)

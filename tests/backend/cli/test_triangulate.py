@@ -151,7 +151,9 @@ def test_training_starts_from_them(with_points):
     scene = read_scene(with_points)
     trainer = Trainer(scene, TrainConfig(points_file=SFM, initial_points="file"))
     assert len(trainer.method.gaussians) == count
-    assert trainer.start_message == f"{count:,} points of {SFM} ({STRUCTURE_FROM_MOTION})"
+    points, response = trainer.start_message.split(", the response ")
+    assert points == f"{count:,} points of {SFM} ({STRUCTURE_FROM_MOTION})"
+    assert response == "as brackets tell it"
 
 
 def test_cameras_may_differ_from_picture_to_picture(room, tmp_path):

@@ -12,7 +12,7 @@ from numba import njit
 from physhdr.backend.kernels import SsimTarget, plain_torch, ssim_and_error
 from physhdr.backend.methods.base import Recording
 from physhdr.backend.methods.physhdr import DrawnRadiance, PhysHDR
-from physhdr.backend.model.tone_mapper import ToneMapper, ToneMapperConfig
+from physhdr.backend.model.tone_mapper import STEEPEST, ToneMapper, ToneMapperConfig
 from physhdr.backend.rasterize import cpu
 from physhdr.backend.scene.encoding import SRGB
 from physhdr.backend.simd import LANES, add_powers, load, load_quads, store
@@ -106,7 +106,7 @@ def test_what_no_table_holds_is_left_to_the_other_way(bad):
     few, some = pictures(8, 8)
     assert mapper.bracket_errors(few, EXPOSURES, [SsimTarget(t) for t in some], "l1") is None
     with torch.no_grad():
-        mapper.slope.fill_(30.0)
+        mapper.slope.fill_(2.0 * STEEPEST)
     assert mapper.bracket_errors(radiance, EXPOSURES, known, "l1") is None
     assert response(activation="relu").bracket_errors(radiance, EXPOSURES, known, "l1") is None
 

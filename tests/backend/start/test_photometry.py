@@ -13,6 +13,7 @@ from physhdr.backend.model.tone_mapper import KnownResponse, ToneMapper, ToneMap
 from physhdr.backend.scene.camera import Camera
 from physhdr.backend.scene.encoding import CAMERA, SRGB
 from physhdr.backend.start.photometry import photometry, point_effects
+from physhdr.backend.start.response import point_response
 
 WIDTH, HEIGHT, FOCAL = 96, 64, 70.0
 DEVIATIONS = 0.2, 0.1
@@ -126,6 +127,32 @@ def test_the_faults_of_a_camera_are_found(kind):
     assert -falloff_terms(rho) @ found.vignetting[0] == pytest.approx(
         -2.0 * np.log1p(CORNER * rho), abs=0.08 * STOP
     )
+
+
+def test_the_response_is_found_where_each_photo_has_its_own_exposure():
+    """Against the camera's in closed form, ln f⁻¹(z) = ln(z²·² / (1 − z²·²)), beside all its faults."""
+    rng = np.random.default_rng(3)
+    views, gains, _ = capture(
+        lambda r: (float(2.0 ** r.uniform(-2.0, 2.0)),), eight_bit, CAMERA, rng, views=30
+    )
+    found, _ = solve(views, ToneMapper(ToneMapperConfig(), None))
+    # As far as gains happen to follow the stated exposure, they are the response's steepness: the gauge.
+    times = np.log([view.exposures[0] for view in views])
+    steepness = 1.0 + np.polyfit(times, gains, 1)[0]
+    codes = np.linspace(0.12, 0.94, 100)
+    inverse = np.log(codes**2.2 / (1.0 - codes**2.2)) / steepness
+    half = np.interp(128.0 / 255.0, codes, inverse)
+    at_anchor = np.interp(0.6, codes, inverse)
+    for anchor, offset in (((0.3, 0.6), np.log(0.3) - at_anchor), (None, -half)):
+        log_exposure, logits = point_response(found, anchor)
+        assert log_exposure.shape == logits.shape == (3, 254)
+        assert (np.diff(log_exposure) > 0.0).all() and (np.diff(logits) > 0.0).all()
+        for x, y in zip(log_exposure, logits, strict=True):
+            told = np.interp(np.log(codes / (1.0 - codes)), y, x)
+            assert np.abs(told - (inverse + offset)).max() < 0.1 * STOP
+    alike, _, _ = capture((1.0,), eight_bit, CAMERA, np.random.default_rng(3), views=30)
+    assert point_response(solve(alike, ToneMapper(ToneMapperConfig(), None))[0], None) is None
+    assert point_response(None, None) is None
 
 
 def test_a_faultless_camera_stays_faultless():
