@@ -2,6 +2,8 @@
 """Gains, balances and a lens from points, on a painted plane whose pictures are known in closed form."""
 
 import math
+from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,8 +14,12 @@ from physhdr.backend.model.camera_effects import falloff_terms, lenses, widest
 from physhdr.backend.model.tone_mapper import KnownResponse, ToneMapper, ToneMapperConfig
 from physhdr.backend.scene.camera import Camera
 from physhdr.backend.scene.encoding import CAMERA, SRGB
+from physhdr.backend.scene.scene import PictureCache, Points, Scene, View
+from physhdr.backend.scene.source import Decoded, PictureSource
 from physhdr.backend.start.photometry import photometry, point_effects
 from physhdr.backend.start.response import point_response
+from physhdr.backend.train.presets import PRESETS
+from physhdr.backend.train.trainer import Trainer
 
 WIDTH, HEIGHT, FOCAL = 96, 64, 70.0
 DEVIATIONS = 0.2, 0.1
@@ -153,6 +159,50 @@ def test_the_response_is_found_where_each_photo_has_its_own_exposure():
     alike, _, _ = capture((1.0,), eight_bit, CAMERA, np.random.default_rng(3), views=30)
     assert point_response(solve(alike, ToneMapper(ToneMapperConfig(), None))[0], None) is None
     assert point_response(None, None) is None
+
+
+class Kept(PictureCache):
+    """Pictures by their path."""
+
+    def __init__(self, pictures):
+        super().__init__()
+        self.pictures = pictures
+
+    def get(self, source):
+        return self.pictures[source.path]
+
+
+@pytest.mark.parametrize("mode", ["off", "on"])
+def test_a_training_of_photos_with_an_exposure_each_begins_with_it(mode):
+    """Its curve before the first iteration, and a line, against the camera's in closed form."""
+    rng = np.random.default_rng(3)
+    made, _, _ = capture(lambda r: (float(2.0 ** r.uniform(-2.0, 2.0)),), eight_bit, CAMERA, rng, views=30)
+    cache = Kept({Path(str(index)): Decoded(view.image(0), None) for index, view in enumerate(made)})
+    views = [
+        View(f"train/{i}", view.camera, view.exposures, (PictureSource(Path(str(i))),), i, cache=cache)
+        for i, view in enumerate(made)
+    ]
+    positions = np.column_stack([rng.uniform(-2.0, 2.0, (700, 2)), np.zeros(700)]).astype(np.float32)
+    points = Points(positions, np.full((700, 3), 0.5, np.float32))
+    anchor = (0.3, float((0.3 / 1.3) ** (1.0 / 2.2)))
+    scene = Scene(Path(), "plane", views, [], [], points=points, response_anchor=anchor)
+    preset = PRESETS["default"]
+    config = replace(preset, initial_points="file", nuisances=replace(preset.nuisances, mode=mode))
+
+    def error(config):
+        trainer = Trainer(scene, config)
+        x, values = (table.detach().numpy() for table in trainer.method.splatting.tone_mapper.sampled())
+        light = np.exp(x)
+        codes = (light / (1.0 + light)) ** (1.0 / 2.2)
+        inside = (codes > 0.12) & (codes < 0.94)
+        return trainer.start_message, np.sqrt(np.mean((values - codes[:, None])[inside] ** 2))
+
+    message, told = error(config)
+    assert message == "700 points of the data set, the response as points tell it"
+    assert told < 0.02
+    line = replace(config.method.tone_mapper, initial_curve="line")
+    message, untold = error(replace(config, method=replace(config.method, tone_mapper=line)))
+    assert message == "700 points of the data set" and untold > 2.0 * told
 
 
 def test_a_faultless_camera_stays_faultless():
