@@ -51,8 +51,8 @@ class ToneMapperConfig:
     #: Pass through the data set's anchor (a known exposure × radiance and its code value) by construction:
     #: the absolute scale of the radiance then cannot drift. Needs a data set that names an anchor.
     anchored: bool = True
-    #: The curve at the start, to which the network learns what is missing, from zero: what brackets tell of
-    #: it (``start.response``) where there are any, else a line.
+    #: The curve at the start, to which the network learns what is missing, from zero: what brackets or points
+    #: tell of it, sRGB's where they do not (``start.response``), or a line.
     initial_curve: Literal["measured", "line"] = "measured"
     #: Slope of that line: of logit(LDR) over ln(exposure). ``None``: the network does not begin at zero with
     #: either, it is warm-started instead (``warm_start_steps``).
@@ -195,12 +195,12 @@ class ToneMapper(Response):
 
     @property
     def measures_response(self) -> bool:
-        """Whether it is to begin with what brackets tell (``begin_with``)."""
+        """Whether it is to begin with a response that is found (``begin_with``)."""
         return self.config.initial_curve == "measured" and self.config.initial_slope is not None
 
     @property
     def is_measured(self) -> bool:
-        """Whether it began with what brackets tell."""
+        """Whether it began with one."""
         return self.config.initial_slope is not None and bool(self.get_buffer(MEASURED).any())
 
     @torch.no_grad()

@@ -61,8 +61,8 @@ LN2 = math.log(2.0)
 class Photometry:
     """Natural logarithms: ``gain`` ``[P]`` of the photos, ``balance`` ``[V, 2]`` of the places' red and blue.
 
-    ``vignetting`` ``[L, 3]`` of the lenses (``model.camera_effects``), all ≥ 0. ``inverse_response`` ``[3, D]``:
-    ln f⁻¹ of each channel, a polynomial of logit z (``inverse_at``); None where it was not looked for.
+    ``vignetting`` ``[L, 3]`` of the lenses (``model.camera_effects``), all ≥ 0. ``inverse_response``
+    ``[3, D]``: ln f⁻¹ of each channel, a polynomial of logit z (``inverse_at``); None where nobody looked.
     """
 
     gain: np.ndarray

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The camera's response, from what its brackets alone tell.
+"""The camera's response at the start of a training: as brackets tell it, or points, or else sRGB's.
 
 A pixel has one radiance in all pictures of its bracket, so that two codes of it, at exposures t₁ < t₂, say
 
@@ -22,6 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...bridge import srgb
 from ..scene.scene import View
 from .merged_brackets import SAMPLED_PIXELS
 from .photometry import TELLING, Photometry
@@ -109,6 +110,14 @@ def point_response(
     return _cameras(list(curves), at, value)
 
 
+def display_response(anchor: tuple[float, float] | None) -> tuple[np.ndarray, np.ndarray]:
+    """The same where nothing tells: sRGB's curve. What a camera develops is meant to be seen on a display."""
+    codes = np.clip(_CODE, 0.5, 255.0) / 255.0
+    at, value = _gauge(anchor)
+    rising = _rising(np.log(srgb.to_linear(codes)), at, value)
+    return _as_logits(np.stack([rising] * 3))
+
+
 def _gauge(anchor: tuple[float, float] | None) -> tuple[float, float]:
     """A code and g there."""
     return (128.0, 0.0) if anchor is None else (255.0 * anchor[1], math.log(anchor[0]))
@@ -120,6 +129,10 @@ def _cameras(curves: Sequence[np.ndarray], at: float, value: float) -> tuple[np.
     span = np.diff([np.interp((0.05 * 255.0, 0.95 * 255.0), _CODE, curve) for curve in rising])
     if not ((span > SPAN[0]) & (span < SPAN[1])).all():
         return None
+    return _as_logits(rising)
+
+
+def _as_logits(rising: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     inner = slice(1, CODES - 1)  # black and white have no logit
     return rising[:, inner], np.broadcast_to(_LOGIT[inner], (3, CODES - 2)).copy()
 

@@ -170,20 +170,19 @@ class Nuisances:
             vignetting=known,
         )
 
-    def begin(self, points: np.ndarray, response: Response) -> np.ndarray:
-        """Start from what points tell (``told_by``); returns their mean ln effect ``[P, 3]``."""
-        found = self.told_by(points, response)
-        if found is None:
+    def begin(self, points: np.ndarray, told: Photometry | None) -> np.ndarray:
+        """Start from what points ``[P, 3]`` told (``told_by``); returns their mean ln effect ``[P, 3]``."""
+        if told is None:
             return np.zeros((len(points), 3))
         views, exposures = [view for view, _ in self._standard], [indices for _, indices in self._standard]
         photos = [self._photo[view, k] for view, indices in self._standard for k in indices]
         places = [self._place[view] for view in views]
         with torch.no_grad():
-            self.values["log_gain"][photos] = torch.from_numpy(found.gain).to(self.telling)
-            self.values["log_balance"][places] = torch.from_numpy(found.balance).to(self.telling)
-            self.values["vignetting"].copy_(torch.from_numpy(found.vignetting))
+            self.values["log_gain"][photos] = torch.from_numpy(told.gain).to(self.telling)
+            self.values["log_balance"][places] = torch.from_numpy(told.balance).to(self.telling)
+            self.values["vignetting"].copy_(torch.from_numpy(told.vignetting))
         lens = [self._lens[view] for view in views]
-        return point_effects(points, views, exposures, lens, self.reach.tolist(), found)
+        return point_effects(points, views, exposures, lens, self.reach.tolist(), told)
 
     # -- in an iteration -------------------------------------------------------------------------------
 

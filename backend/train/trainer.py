@@ -26,7 +26,8 @@ from ..scene.scene import Scene, View
 from ..start.far_shell import far_points
 from ..start.initialise import initial_points, merged_log_radiance, scene_extent, seen_points
 from ..start.merged_brackets import MergedBrackets
-from ..start.response import bracket_response, point_response
+from ..start.photometry import Photometry
+from ..start.response import bracket_response, display_response, point_response
 from .anchor_growth import AnchorGrowth
 from .calibration import freeze_response, read_calibration, use_response
 from .checkpoint import (
@@ -74,6 +75,9 @@ NETWORKS = "networks."
 STATISTICS = "statistics."
 #: Prefix of what is learned of each photo.
 NUISANCES = "nuisances."
+
+#: Who told of the response at the start, in words.
+BY_BRACKETS, BY_POINTS, BY_SRGB = "brackets tell it", "points tell it", "sRGB has it"
 
 #: A checkpoint is written this often (seconds), but so that writing takes a fiftieth of the time at most.
 CHECKPOINT_SECONDS = 30.0
@@ -156,34 +160,12 @@ class Trainer:
         self.method.prepare(self.config.seed)
         begun, begun_cpu = time.perf_counter(), time.process_time()
         self.start_message = "random networks"
-        response_by = ""
         if self.config.calibration is not None:
             self._calibrate(self.config.calibration)
-        elif self.method.splatting is not None:
-            response_by = self._find_response(self.method.splatting.tone_mapper)
         if self.method.splatting is not None:
             self._place(self.method.splatting)
-        if response_by:
-            self.start_message += f", the response as {response_by} tell it"
         self.seconds = time.perf_counter() - begun
         self.cpu_seconds = time.process_time() - begun_cpu
-
-    def _find_response(self, mapper: Response) -> str:
-        """Begin with the response that brackets or points tell; which of them did, "" for none."""
-        if not (isinstance(mapper, ToneMapper) and mapper.measures_response):
-            return ""
-        anchor = self.scene.response_anchor
-        found, by = bracket_response(self.views, self.exposures, anchor), "brackets"
-        if found is None and self.scene.points is not None and self.responses == "learned":
-            faults = self.nuisances or Nuisances(
-                self.views, self.exposures, self.config.nuisances, torch.device("cpu")
-            )
-            told = faults.told_by(self.scene.points.positions, mapper)
-            found, by = point_response(told, anchor), "points"
-        if found is None:
-            return ""
-        mapper.begin_with(*found)
-        return by
 
     def _new_growth(self) -> Growth:
         config, seed = self.schedule, (self.config.seed, STREAM_GROWTH)
@@ -240,7 +222,7 @@ class Trainer:
             self.nuisances.know_lens(calibration.vignetting, calibration.reach)
 
     def _place(self, method: SplattingMethod) -> None:
-        """Put the backbone's first primitives where the scene is, as bright as the brackets say.
+        """Put the backbone's first primitives where the scene is, as bright as the photos say.
 
         Where a method wants its ``initial_radiance`` of the points, ln radiance is their colour (HDR-GS).
         """
@@ -248,6 +230,8 @@ class Trainer:
         # Only views under the standard light say how bright a point is at level 1.
         standard = [(v, e) for v, e in zip(self.views, self.exposures, strict=True) if v.is_standard]
         views, exposures = [v for v, _ in standard], [e for _, e in standard]
+        # Before the points: stereo compares radiance.
+        response_by = self._response_without_points(method.tone_mapper)
         points = initial_points(
             self.scene,
             views,
@@ -273,12 +257,44 @@ class Trainer:
             far = far_points(positions, views)
             positions = np.concatenate([positions, far])
             self.start_message += f", {len(far):,} far away where these leave pictures uncovered"
+        told = self._told_by(positions, response, asks_response=response_by == BY_SRGB)
+        if response_by == BY_SRGB and self.responses == "learned":
+            response_by = self._response_by_points(method.tone_mapper, told)
+        if response_by:
+            self.start_message += f", the response as {response_by}"
         radiance = points.colours if config.method.traits.initial_radiance == "points" else None
         if radiance is None:
             radiance = merged_log_radiance(positions, views, exposures, response, self.range)
         if self.nuisances is not None:
-            radiance = radiance - self.nuisances.begin(positions, response)
+            radiance = radiance - self.nuisances.begin(positions, told)
         method.backbone.place(positions, radiance, start)
+
+    def _response_without_points(self, mapper: Response) -> str:
+        """Begin with the response that brackets tell, else sRGB's; which it is, "" where it is another."""
+        wants = isinstance(mapper, ToneMapper) and mapper.measures_response
+        if not wants or self.config.calibration is not None:
+            return ""
+        anchor = self.scene.response_anchor
+        found = bracket_response(self.views, self.exposures, anchor)
+        mapper.begin_with(*(found or display_response(anchor)))
+        return BY_SRGB if found is None else BY_BRACKETS
+
+    def _response_by_points(self, mapper: Response, told: Photometry | None) -> str:
+        """Begin with the response that points tell, where they do; which it is then."""
+        found = point_response(told, self.scene.response_anchor)
+        if found is None:
+            return BY_SRGB
+        assert isinstance(mapper, ToneMapper)
+        mapper.begin_with(*found)
+        return BY_POINTS
+
+    def _told_by(self, points: np.ndarray, response: Response, *, asks_response: bool) -> Photometry | None:
+        """What points ``[P, 3]`` (metres) tell of the photos, where anybody asks."""
+        nuisances = self.nuisances
+        if nuisances is None and asks_response:
+            device = torch.device("cpu")
+            nuisances = Nuisances(self.views, self.exposures, self.config.nuisances, device)
+        return None if nuisances is None else nuisances.told_by(points, response)
 
     def _wants(self, setting: Literal["auto", "on", "off"]) -> bool:
         """Whether what photographs need is done; published methods stay as they were published."""

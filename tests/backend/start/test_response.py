@@ -10,7 +10,7 @@ from physhdr.backend.scene.camera import Camera
 from physhdr.backend.scene.encoding import CAMERA, SRGB
 from physhdr.backend.scene.scene import PictureCache, View
 from physhdr.backend.scene.source import Decoded, PictureSource
-from physhdr.backend.start.response import bracket_response
+from physhdr.backend.start.response import bracket_response, display_response
 
 SIZE = (160, 120)
 STOPS = (0.05, 0.8, 12.8)  # sixteenfold, as HDR-NeRF's synthetic scenes
@@ -166,3 +166,14 @@ def test_nothing_is_found_where_nothing_can_be():
         for decoded in view.cache.pictures.values():
             decoded.codes[:] = 40
     assert bracket_response(views, all_of(views), anchor) is None  # all alike: no camera
+
+
+@pytest.mark.parametrize("anchor", [anchor_of(srgb), (0.3, 0.4), None], ids=["its own", "another's", "none"])
+def test_where_nothing_tells_it_is_srgbs(anchor):
+    """A common factor of all exposures aside, by which it passes the anchor, or half of white at 1."""
+    x, logits = display_response(anchor)
+    at, value = (1.0, 128.0 / 255.0) if anchor is None else anchor
+    factor = ((value + 0.055) / 1.055) ** 2.4 / at
+    assert error_of((x, logits), (lambda light: srgb(factor * light),) * 3).max() < 0.05
+    told = 1.0 / (1.0 + np.exp(-np.interp(np.log(at), x[1], logits[1])))
+    assert told == pytest.approx(value, abs=1e-4)
