@@ -40,6 +40,11 @@ DEGREE, RIDGE = 6, 1e-6
 #: The response is found where stated exposures differ by so much (standard deviation, stops); else it is
 #: taken as it is when training starts.
 LEAST_STOPS = 0.5
+#: What g″, g = ln f⁻¹, is expected to be over logit z, per square root of a unit: exposures that are powers of
+#: one ratio tie codes to each other only that far apart, and leave open what lies between.
+BENDING = 0.1
+#: Where ln exposure differs by less (standard deviation), photos count as of one exposure.
+ONE_EXPOSURE = 0.1 * math.log(2.0)
 #: Rounds of reweighting; a residual of so many standard deviations loses half its weight.
 ROUNDS, TOLERANCE = 12, 1.0
 #: Residuals are never taken to spread less (natural logarithm): nothing is put aside for so little.
@@ -109,7 +114,8 @@ def photometry(
     ``exposures[i]``: positions in the bracket of ``views[i]``, whose photos are counted in this order;
     ``lens[i]``: its lens, and ``reach`` where ρ is 1 for each. ``deviations``: expected of gain and balance,
     stops. ``finds_response``: else it is ``response``. ``vignetting`` ``[L, 3]``: where it is known.
-    In the gauge: gains have no mean and no slope over ln t, balances no mean.
+    In the gauge: neither gains nor balances have a mean, or a slope over ln t; with one, the response of red
+    and blue could be as steep as it likes.
     """
     photos = sum(len(indices) for indices in exposures)
     count = max(min(POINTS, OBSERVATIONS // photos), 1)
@@ -276,11 +282,21 @@ def _solved(
     pull[polynomial + photos : others] = (EXPECTED / (LN2 * deviations[1])) ** 2
     if vignetting is not None:
         pull[others:] = GAUGE * count  # there is nothing left to be found
-    gauge = np.zeros((4, size))
+    smooth = np.zeros((size, size))
+    for channel in range(3 if finds_response else 0):
+        block = slice(channel * DEGREE, (channel + 1) * DEGREE)
+        smooth[block, block] = (EXPECTED / BENDING) ** 2 * _bending()
+    gauge = np.zeros((6, size))
     gauge[0, polynomial : polynomial + photos] = 1.0
     gauge[1, polynomial : polynomial + photos] = times - times.mean()
+    tells = np.bincount(seen.place, minlength=places)
+    place_times = np.bincount(seen.place, seen.log_time, places) / tells.clip(1)
+    place_times = np.where(tells > 0, place_times - place_times[tells > 0].mean(), 0.0)
     for side in (0, 1):
-        gauge[2 + side, polynomial + photos + side : others : 2] = 1.0
+        balances = slice(polynomial + photos + side, others, 2)
+        gauge[2 + side, balances] = 1.0
+        if np.std(place_times) > ONE_EXPOSURE:
+            gauge[4 + side, balances] = place_times
 
     hat = np.where(is_known, 1.0, 2.0 * np.minimum(seen.code, 1.0 - seen.code).clip(0.0))
     weight = hat
@@ -293,7 +309,7 @@ def _solved(
         shares = sparse.diags(1.0 / total) @ between
         normal = np.asarray((design.T @ weighted - between.T @ shares).todense())
         right = np.asarray(weighted.T @ target - between.T @ mean).ravel()
-        normal += np.diag(pull) + GAUGE * gauge.T @ gauge
+        normal += np.diag(pull) + smooth + GAUGE * gauge.T @ gauge
         solution = _with_falling_lens(normal, right, others, nnls)
         radiance = target - design @ solution
         contrast = 1.4826 * float(np.median(np.abs(radiance - np.median(radiance))))
@@ -311,6 +327,15 @@ def _solved(
 def _powers(logit: np.ndarray) -> np.ndarray:
     """``[N, D]`` of logits ``[N]``: what ln f⁻¹ is made of."""
     return 3.0 * (logit[:, None] / 3.0) ** np.arange(1, DEGREE + 1)
+
+
+def _bending() -> np.ndarray:
+    """``[D, D]``: makes of a polynomial's coefficients ∫ g″² d logit z over the codes that tell."""
+    end = math.log(TELLING[1] / (1.0 - TELLING[1]))
+    at = np.linspace(-end, end, 1001)
+    power = np.arange(1, DEGREE + 1)
+    second = power * (power - 1) / 3.0 * (at[:, None] / 3.0) ** np.maximum(power - 2, 0)
+    return second.T @ second * (at[1] - at[0])
 
 
 def _first_of(index: np.ndarray, value: np.ndarray, count: int) -> np.ndarray:

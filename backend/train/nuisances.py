@@ -9,7 +9,7 @@ light that a photo's response sees is radiance × stated exposure × ``effect``,
 
 θ: the angle to the camera's axis. What is stated is right on the whole: that is the gauge. After every step
 gains have a mean of zero over the training photos and do not follow the stated exposure (else a steeper
-response with flatter radiance would look the same), and balances have a mean of zero over the places. So the
+response with flatter radiance would look the same); nor do balances have or do so over the places. So the
 scale and the colour of the radiance stay where the data put them. v is 1 on the axis and never rises.
 
 Each photo's rows are stepped when it is seen, by Adam with a count of its own, so that what is learned does
@@ -30,15 +30,13 @@ from ..model.camera_effects import COEFFICIENTS, falloff, lenses, squared_tangen
 from ..model.tone_mapper import Response
 from ..scene.camera import Camera
 from ..scene.scene import View
-from ..start.photometry import Photometry, photometry, point_effects
+from ..start.photometry import ONE_EXPOSURE, Photometry, photometry, point_effects
 
 #: Adam's, for values that are seen a few dozen times in a training.
 BETAS = (0.8, 0.95)
 ADAM_EPSILON = 1e-12
 #: Codes between these (of 0…1) tell how much light there was; others tell only that it was little or much.
 TELLING = (0.02, 0.98)
-#: Below this variance of ln exposure (0.1 stops, squared) photos count as of one exposure.
-LEAST_VARIANCE = (0.1 * math.log(2.0)) ** 2
 #: Stops to natural logarithms.
 LN2 = math.log(2.0)
 
@@ -113,6 +111,11 @@ class Nuisances:
         self.log_exposure = torch.tensor(
             [math.log(view.exposures[k]) for view, k in photos], dtype=torch.float64, device=device
         )
+        #: The place of each photo ``[P]``, and the mean over the photos of each place ``[V]``.
+        self._place_of = torch.tensor([self._place[view] for view, _ in photos], device=device)
+        self._log_exposure_there = self._at_places(self.log_exposure) / self._at_places(
+            torch.ones_like(self.log_exposure)
+        )
         shapes = {
             "log_gain": (len(photos),),
             "log_balance": (len(views), 2),
@@ -138,6 +141,11 @@ class Nuisances:
     @property
     def device(self) -> torch.device:
         return self.telling.device
+
+    def _at_places(self, of_photos: torch.Tensor) -> torch.Tensor:
+        """The sum over the photos of each place, ``[P]`` → ``[V]``."""
+        there = of_photos.new_zeros(len(self._place))
+        return there.index_add_(0, self._place_of, of_photos)
 
     def know_lens(self, vignetting: Sequence[float], reach: float) -> None:
         """The lens is as a calibration tells; raises ``DataMismatchError`` where there are several."""
@@ -258,18 +266,9 @@ class Nuisances:
     @torch.no_grad()
     def project(self) -> None:
         """Into the gauge (see the module's text), weighing each photo by what it tells."""
-        weight = self.telling.double()
-        weight = weight / weight.sum().clamp_min(1e-9)
-        gain = self.values["log_gain"].double()
-        gain -= weight @ gain
-        centred = self.log_exposure - weight @ self.log_exposure
-        variance = weight @ centred.square()
-        slope = (weight * gain) @ centred / variance.clamp_min(LEAST_VARIANCE)
-        gain -= torch.where(variance > LEAST_VARIANCE, slope, 0.0) * centred
-        self.values["log_gain"].copy_(gain)
-        seen = self.steps["log_balance"][:, None]
-        balance = self.values["log_balance"]
-        balance -= (balance * (seen > 0)).sum(0) / (seen > 0).sum().clamp_min(1)
+        gain, balance = self.values["log_gain"], self.values["log_balance"]
+        gain.copy_(_in_gauge(gain[:, None], self.log_exposure, self.telling)[:, 0])
+        balance.copy_(_in_gauge(balance, self._log_exposure_there, self._at_places(self.telling)))
         self.values["vignetting"].clamp_(min=0.0)
 
     # -- checkpoints -----------------------------------------------------------------------------------
@@ -288,3 +287,14 @@ class Nuisances:
         """Take back what ``tensors`` gave."""
         for name, mine in self.tensors().items():
             mine.copy_(tensors[name])
+
+
+def _in_gauge(values: torch.Tensor, log_exposure: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
+    """``values`` ``[P, C]`` without mean and, where exposures differ, without slope over them; float64."""
+    weight, values = weight.double(), values.double()
+    weight = weight / weight.sum().clamp_min(1e-9)
+    values = values - weight @ values
+    centred = log_exposure - weight @ log_exposure
+    variance = weight @ centred.square()
+    slope = (weight * centred) @ values / variance.clamp_min(ONE_EXPOSURE**2)
+    return values - torch.where(variance > ONE_EXPOSURE**2, slope, 0.0) * centred[:, None]

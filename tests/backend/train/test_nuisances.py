@@ -95,6 +95,24 @@ def test_what_is_stated_is_right_on_the_whole(tiny_data):
     assert nuisances.values["vignetting"].min() >= 0.0
 
 
+def test_balances_do_not_follow_the_exposure_where_places_differ(tiny_data):
+    """Else red's and blue's response could be as steep as it likes. What else they are stays."""
+    views = read_scene(tiny_data).train
+    nuisances = Nuisances(views, [(0,), (2,), (4,)], NuisanceConfig(), torch.device("cpu"))
+    time = torch.tensor([math.log(view.exposures[k]) for view, k in zip(views, (0, 2, 4), strict=True)])
+    basis = torch.stack([torch.ones(3), time], dim=1)
+    before = torch.tensor([[0.3, -0.1], [-0.2, 0.1], [0.5, 0.2]])
+    with torch.no_grad():
+        nuisances.telling.fill_(0.5)
+        nuisances.values["log_balance"].copy_(before)
+    nuisances.project()
+    after = nuisances.values["log_balance"].detach()
+    assert (basis.T @ after).abs().max() < 1e-5
+    removed = before - after
+    assert (removed - basis @ torch.linalg.lstsq(basis, removed).solution).abs().max() < 1e-5
+    assert after.abs().max() > 0.01
+
+
 def test_only_values_that_are_compared_and_neither_black_nor_white_tell_of_the_light():
     picture = torch.tensor([0.0, 0.5, 0.5, 1.0]).expand(3, 1, 4)
     assert telling_share(Recording(exposure=1.0, picture=picture)) == 0.5
