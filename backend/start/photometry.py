@@ -40,8 +40,8 @@ DEGREE, RIDGE = 6, 1e-6
 #: The response is found where stated exposures differ by so much (standard deviation, stops); else it is
 #: taken as it is when training starts.
 LEAST_STOPS = 0.5
-#: What g″, g = ln f⁻¹, is expected to be over logit z, per square root of a unit: exposures that are powers of
-#: one ratio tie codes to each other only that far apart, and leave open what lies between.
+#: What g″, g = ln f⁻¹, is expected to be over logit z, per square root of a unit: exposures that are powers
+#: of one ratio tie codes to each other only that far apart, and leave open what lies between.
 BENDING = 0.1
 #: Where ln exposure differs by less (standard deviation), photos count as of one exposure.
 ONE_EXPOSURE = 0.1 * math.log(2.0)
