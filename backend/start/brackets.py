@@ -53,7 +53,8 @@ class Votes:
                 places = np.maximum(np.arange(count), 0.5) / encoding.unit(dtype)
                 log_exposure = np.log(encoding.decode(places)).repeat(3).reshape(-1, 3)
             else:
-                codes = torch.arange(count) / float(count - 1)
+                # Half a code of 8 bits from the ends: white says "at least so much", black "at most".
+                codes = (torch.arange(count) / float(count - 1)).clamp(0.5 / 255.0, 254.5 / 255.0)
                 log_exposure = self._response.inverse(codes.expand(3, -1).contiguous()).numpy().T.copy()
             to_ends = np.minimum(np.arange(count), count - 1 - np.arange(count))
             weight = to_ends / (0.5 * (count - 1)) + 1e-3

@@ -17,7 +17,7 @@ its borders explains nearly the same, and it is what gradients find first (docs/
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -35,6 +35,8 @@ POINTS, OBSERVATIONS = 3000, 300_000
 POINTS_A_CELL, HIDDEN_FROM = 4.0, 1.1
 #: Codes between these tell how much light there was.
 TELLING = (0.03, 0.97)
+#: What is white in 8 bits. So many must be known to be white, and not to be, to tell from where on it is.
+WHITE, FEWEST_WHITE = 254.5 / 255.0, 100
 #: Degree of ln f⁻¹ as a polynomial of logit z, and the ridge that keeps it one.
 DEGREE, RIDGE = 6, 1e-6
 #: The response is found where stated exposures differ by so much (standard deviation, stops); else it is
@@ -68,12 +70,14 @@ class Photometry:
 
     ``vignetting`` ``[L, 3]`` of the lenses (``model.camera_effects``), all ≥ 0. ``inverse_response``
     ``[3, D]``: ln f⁻¹ of each channel, a polynomial of logit z (``inverse_at``); None where nobody looked.
+    ``white`` ``[3]``: its value from which a channel is white; NaN where photos do not tell.
     """
 
     gain: np.ndarray
     balance: np.ndarray
     vignetting: np.ndarray
     inverse_response: np.ndarray | None = None
+    white: np.ndarray | None = None
 
     def inverse_at(self, logits: np.ndarray) -> np.ndarray:
         """ln(exposure × radiance) ``[3, N]`` of codes whose logits are ``[N]``, 0 at half of white."""
@@ -124,11 +128,12 @@ def photometry(
         along = morton_order(torch.as_tensor(points)).numpy()
         chosen[:] = False
         chosen[along[np.linspace(0, len(along) - 1, count).astype(int)]] = True
-    seen = _equations(points, chosen, views, exposures, lens, reach)
+    seen, bright = _equations(points, chosen, views, exposures, lens, reach)
     unknowns = 3 * DEGREE + photos + 2 * len(views) + COEFFICIENTS * len(reach)
     if len(seen.code) < LEAST_EQUATIONS * unknowns:
         return None
-    return _solved(seen, photos, len(views), len(reach), response, deviations, finds_response, vignetting)
+    counts = photos, len(views), len(reach)
+    return _solved(seen, bright, counts, response, deviations, finds_response, vignetting)
 
 
 def point_effects(
@@ -190,8 +195,9 @@ def _equations(
     exposures: Sequence[tuple[int, ...]],
     lens: Sequence[int],
     reach: Sequence[float],
-) -> _Equations:
-    columns: list[tuple[np.ndarray, ...]] = []
+) -> tuple[_Equations, _Equations]:
+    """What tells how much light there was, and what is brighter, up to white."""
+    columns: tuple[list[tuple[np.ndarray, ...]], ...] = ([], [])
     photo = 0
     for place, (view, indices) in enumerate(zip(views, exposures, strict=True)):
         which, at, rho = _projected(points, view, reach[lens[place]])
@@ -212,27 +218,31 @@ def _equations(
                 tells &= code < TELLING[1]
             if mask is not None:
                 tells &= mask[top, left][:, None]
-            row, channel = np.nonzero(tells)
-            values = code[row, channel]
-            known = np.full(len(values), math.nan)
-            if encoding.is_known:
-                known = np.log(encoding.decode(values))
-            same = np.ones(len(values), dtype=int)
-            columns.append(
-                (
-                    *(which[row], same * photo, same * place, channel, same * lens[place]),
-                    *(rho[row], values, known, same * math.log(view.exposures[k])),
+            bright = (code >= TELLING[1]) & encoding.clips
+            if mask is not None:
+                bright &= mask[top, left][:, None]
+            for chosen_codes, column in zip((tells, bright), columns, strict=True):
+                row, channel = np.nonzero(chosen_codes)
+                values = code[row, channel]
+                known = encoding.decode(values) if encoding.is_known else np.full(len(values), math.nan)
+                same = np.ones(len(values), dtype=int)
+                column.append(
+                    (
+                        *(which[row], same * photo, same * place, channel, same * lens[place]),
+                        *(rho[row], values, np.log(known), same * math.log(view.exposures[k])),
+                    )
                 )
-            )
             photo += 1
-    return _Equations(*(np.concatenate(column) for column in zip(*columns, strict=True)))
+    telling, bright = (
+        _Equations(*(np.concatenate(each) for each in zip(*column, strict=True))) for column in columns
+    )
+    return telling, bright
 
 
 def _solved(
     seen: _Equations,
-    photos: int,
-    places: int,
-    lens_count: int,
+    bright: _Equations,
+    counts: tuple[int, int, int],
     response: Response,
     deviations: tuple[float, float],
     finds_response: bool,
@@ -241,6 +251,7 @@ def _solved(
     from scipy import sparse  # here, because only this needs it
     from scipy.optimize import nnls
 
+    photos, places, lens_count = counts
     count = len(seen.code)
     target = seen.log_time.copy()
     is_known = ~np.isnan(seen.known)
@@ -301,6 +312,7 @@ def _solved(
     hat = np.where(is_known, 1.0, 2.0 * np.minimum(seen.code, 1.0 - seen.code).clip(0.0))
     weight = hat
     solution, spread, contrast = np.zeros(size), 0.0, 0.0
+    mean_radiance = np.zeros(groups.shape[1])
     for _ in range(ROUNDS):
         weighted = design.multiply(weight[:, None]).tocsr()
         total = np.asarray(groups.T @ weight).ravel()
@@ -313,15 +325,57 @@ def _solved(
         solution = _with_falling_lens(normal, right, others, nnls)
         radiance = target - design @ solution
         contrast = 1.4826 * float(np.median(np.abs(radiance - np.median(radiance))))
-        residual = radiance - (np.asarray(groups.T @ (weight * radiance)).ravel() / total)[group]
+        mean_radiance = np.asarray(groups.T @ (weight * radiance)).ravel() / total
+        residual = radiance - mean_radiance[group]
         spread = max(1.4826 * float(np.median(np.abs(residual))), LEAST_SPREAD)
         weight = hat / (1.0 + (residual / (TOLERANCE * spread)) ** 2)
     if spread > LARGEST_SHARE * contrast:
         return None
     gain, balance, lens = np.split(solution[polynomial:], [photos, photos + 2 * places])
     found = lens.reshape(-1, COEFFICIENTS) if vignetting is None else vignetting
-    inverse = solution[:polynomial].reshape(3, DEGREE) if finds_response else None
-    return Photometry(gain, balance.reshape(-1, 2), found, inverse)
+    if not finds_response:
+        return Photometry(gain, balance.reshape(-1, 2), found)
+    inverse = solution[:polynomial].reshape(3, DEGREE)
+    solved = Photometry(gain, balance.reshape(-1, 2), found, inverse)
+    radiance_of = dict(
+        zip((seen.point * 3 + seen.channel).tolist(), (-mean_radiance[group]).tolist(), strict=True)
+    )
+    return replace(solved, white=_white_from(seen, bright, solved, radiance_of))
+
+
+def _white_from(
+    seen: _Equations, bright: _Equations, solved: Photometry, radiance_of: dict[int, float]
+) -> np.ndarray:
+    """ln(exposure × radiance) from which each channel is white, ``[3]``: where most are on the right side.
+
+    A point's radiance is what photos tell in which it is not white. NaN where few are known to be either.
+    """
+    light, channels, codes = (
+        np.concatenate(pair)
+        for pair in (
+            [_light(each, solved, radiance_of) for each in (seen, bright)],
+            (seen.channel, bright.channel),
+            (seen.code, bright.code),
+        )
+    )
+    found = np.full(3, math.nan)
+    for channel in range(3):
+        asked = (channels == channel) & (codes > 0.5) & ~np.isnan(light)
+        below, white = (np.sort(light[asked & side]) for side in (codes < WHITE, codes >= WHITE))
+        if min(len(below), len(white)) >= FEWEST_WHITE:
+            at = np.sort(np.concatenate([below, white]))
+            wrong = len(below) - np.searchsorted(below, at, "right") + np.searchsorted(white, at, "right")
+            found[channel] = np.median(at[wrong == wrong.min()])
+    return found
+
+
+def _light(seen: _Equations, solved: Photometry, radiance_of: dict[int, float]) -> np.ndarray:
+    """ln(exposure × radiance) ``[N]`` as each photo had it; NaN of a point whose radiance nobody told."""
+    radiance = np.array([radiance_of.get(key, math.nan) for key in (seen.point * 3 + seen.channel).tolist()])
+    red, blue = solved.balance[seen.place].T
+    balance = np.select([seen.channel == 0, seen.channel == 2], [red, blue], 0.0)
+    falling = (falloff_terms(seen.rho) * solved.vignetting[seen.lens]).sum(axis=1)
+    return radiance + seen.log_time + solved.gain[seen.photo] + balance - falling
 
 
 def _powers(logit: np.ndarray) -> np.ndarray:

@@ -96,7 +96,7 @@ def point_response(
     """The same of what points tell, where views have one exposure each; None where they do not tell."""
     if found is None or found.inverse_response is None:
         return None
-    # Beyond the codes that were looked at a polynomial goes anywhere: straight on.
+    # Beyond the codes that were looked at a polynomial goes anywhere: straight on, or to where white begins.
     ends = np.log(np.divide(TELLING, np.subtract(1.0, TELLING)))
     inside = np.clip(_LOGIT, *ends)
     step = 0.5
@@ -106,8 +106,20 @@ def point_response(
     )
     below, above = np.minimum(_LOGIT - inside, 0.0), np.maximum(_LOGIT - inside, 0.0)
     curves = found.inverse_at(inside) + first[:, None] * below + last[:, None] * above
+    if found.white is not None:
+        curves = np.stack([_up_to_white(*each) for each in zip(curves, found.white, strict=True)])
     at, value = _gauge(anchor)
     return _cameras(list(curves), at, value)
+
+
+def _up_to_white(curve: np.ndarray, white: float) -> np.ndarray:
+    """g ``[256]`` that is ``white`` at the last code and below it at all others; as it is if that is NaN."""
+    if math.isnan(white):
+        return curve
+    below = np.minimum(curve, white - (_LOGIT[-1] - _LOGIT) / STEEPEST)
+    last = math.log(TELLING[1] / (1.0 - TELLING[1]))
+    there = np.interp(last, _LOGIT, below)
+    return np.where(last < _LOGIT, np.interp(_LOGIT, (last, _LOGIT[-1]), (there, white)), below)
 
 
 def display_response(anchor: tuple[float, float] | None) -> tuple[np.ndarray, np.ndarray]:

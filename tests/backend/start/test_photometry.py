@@ -167,6 +167,34 @@ def test_the_response_is_found_where_each_photo_has_its_own_exposure(exposures):
     assert point_response(None, None) is None
 
 
+def test_where_white_begins_is_found():
+    """sRGB's curve ends with a corner, which no polynomial has: 0 is ln(exposure × radiance) of white."""
+
+    def srgb_codes(light):
+        clipped = np.clip(light, 0.0, 1.0)
+        power = 1.055 * np.maximum(clipped, 0.0031308) ** (1.0 / 2.4) - 0.055
+        return np.round(255.0 * np.where(clipped <= 0.0031308, 12.92 * clipped, power)).astype(np.uint8)
+
+    def exposures(r):
+        return (float(2.0 ** r.uniform(-2.0, 4.0)),)
+
+    views, gains, balances = capture(exposures, srgb_codes, CAMERA, np.random.default_rng(3), views=30)
+    found, _ = solve(views, ToneMapper(ToneMapperConfig(), None))
+    times = np.log([view.exposures[0] for view in views])
+    codes = np.linspace(0.3, 0.99, 100)
+    inverse = np.log(((codes + 0.055) / 1.055) ** 2.4)
+    half = np.interp(128.0 / 255.0, codes, inverse)
+    x, y = point_response(found, None)
+    for channel, balance in enumerate((balances[:, 0], 0.0, balances[:, 1])):
+        steepness = 1.0 + np.polyfit(times, gains + balance, 1)[0]
+        assert found.white[channel] == pytest.approx(-half / steepness, abs=0.03 * STOP)
+        told = np.interp((inverse - half) / steepness, x[channel], y[channel])
+        error = np.abs(1.0 / (1.0 + np.exp(-told)) - codes)
+        assert error.max() < 8.0 / 255.0 and error[-1] < 2.0 / 255.0
+    soft, _, _ = capture((0.25, 1.0), eight_bit, CAMERA, np.random.default_rng(3))
+    assert np.isnan(solve(soft, ToneMapper(ToneMapperConfig(), None))[0].white).all()  # nothing is white
+
+
 class Kept(PictureCache):
     """Pictures by their path."""
 
