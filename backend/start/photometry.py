@@ -47,6 +47,8 @@ LEAST_STOPS = 0.5
 BENDING = 0.1
 #: Where ln exposure differs by less (standard deviation), photos count as of one exposure.
 ONE_EXPOSURE = 0.1 * math.log(2.0)
+#: A deviation that is none (stops).
+NO_STOPS = 0.002
 #: Rounds of reweighting; a residual of so many standard deviations loses half its weight.
 ROUNDS, TOLERANCE = 12, 1.0
 #: Residuals are never taken to spread less (natural logarithm): nothing is put aside for so little.
@@ -133,7 +135,12 @@ def photometry(
     if len(seen.code) < LEAST_EQUATIONS * unknowns:
         return None
     counts = photos, len(views), len(reach)
-    return _solved(seen, bright, counts, response, deviations, finds_response, vignetting)
+    found = _solved(seen, bright, counts, response, deviations, finds_response, vignetting)
+    if found is None and finds_response:
+        # Gains that follow the exposure of most photos, and forget the others, leave nothing to a response.
+        held = NO_STOPS, NO_STOPS
+        found = _solved(seen, bright, counts, response, held, finds_response, vignetting)
+    return found
 
 
 def point_effects(

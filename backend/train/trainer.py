@@ -5,6 +5,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Generator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -26,7 +27,7 @@ from ..scene.scene import Scene, View
 from ..start.far_shell import far_points
 from ..start.initialise import initial_points, merged_log_radiance, scene_extent, seen_points
 from ..start.merged_brackets import MergedBrackets
-from ..start.photometry import Photometry
+from ..start.photometry import NO_STOPS, Photometry
 from ..start.response import bracket_response, display_response, point_response
 from .anchor_growth import AnchorGrowth
 from .calibration import freeze_response, read_calibration, use_response
@@ -292,8 +293,9 @@ class Trainer:
         """What points ``[P, 3]`` (metres) tell of the photos, where anybody asks."""
         nuisances = self.nuisances
         if nuisances is None and asks_response:
-            device = torch.device("cpu")
-            nuisances = Nuisances(self.views, self.exposures, self.config.nuisances, device)
+            # Where none are learned, none explain what photos disagree about.
+            none = replace(self.config.nuisances, gain_stops=NO_STOPS, white_balance_stops=NO_STOPS)
+            nuisances = Nuisances(self.views, self.exposures, none, torch.device("cpu"))
         return None if nuisances is None else nuisances.told_by(points, response)
 
     def _wants(self, setting: Literal["auto", "on", "off"]) -> bool:
