@@ -272,8 +272,7 @@ class Trainer:
 
     def _response_without_points(self, mapper: Response) -> str:
         """Begin with the response that brackets tell, else sRGB's; which it is, "" where it is another."""
-        wants = isinstance(mapper, ToneMapper) and mapper.measures_response
-        if not wants or self.config.calibration is not None:
+        if not (isinstance(mapper, ToneMapper) and mapper.measures_response) or self.config.calibration:
             return ""
         anchor = self.scene.response_anchor
         found = bracket_response(self.views, self.exposures, anchor)
