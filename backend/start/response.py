@@ -145,6 +145,7 @@ def _cameras(curves: Sequence[np.ndarray], at: float, value: float) -> tuple[np.
 
 
 def _as_logits(rising: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What is returned of g ``[3, 256]``: g and the codes' logits, ``[3, 254]`` each."""
     inner = slice(1, CODES - 1)  # black and white have no logit
     return rising[:, inner], np.broadcast_to(_LOGIT[inner], (3, CODES - 2)).copy()
 

@@ -9,7 +9,7 @@ light that a photo's response sees is radiance × stated exposure × ``effect``,
 
 θ: the angle to the camera's axis. What is stated is right on the whole: that is the gauge. After every step
 gains have a mean of zero over the training photos and do not follow the stated exposure (else a steeper
-response with flatter radiance would look the same); nor do balances have or do so over the places. So the
+response with flatter radiance would look the same), and so it is with balances over the places. So the
 scale and the colour of the radiance stay where the data put them. v is 1 on the axis and never rises.
 
 Each photo's rows are stepped when it is seen, by Adam with a count of its own, so that what is learned does

@@ -272,7 +272,9 @@ class Trainer:
 
     def _response_without_points(self, mapper: Response) -> str:
         """Begin with the response that brackets tell, else sRGB's; which it is, "" where it is another."""
-        if not (isinstance(mapper, ToneMapper) and mapper.measures_response) or self.config.calibration:
+        if self.config.calibration is not None:
+            return ""
+        if not (isinstance(mapper, ToneMapper) and mapper.measures_response):
             return ""
         anchor = self.scene.response_anchor
         found = bracket_response(self.views, self.exposures, anchor)
