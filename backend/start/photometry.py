@@ -11,6 +11,11 @@ Malik's equation, "Recovering high dynamic range radiance maps from photographs"
 shutter in it). All points' R are eliminated exactly; the rest is a few hundred numbers, solved with weights
 that forget what disagrees for other reasons: points that something hides, and highlights.
 
+It is z that errs, not t. Least squares with ln f⁻¹ at the codes that were seen would make it too flat, and
+the flatter, the less exposures differ, until gains explain all of them (regression dilution). So ln f⁻¹ is
+asked at the code ẑ that the rest of the solution expects, and how the observation differs from that is the
+residual, round by round.
+
 Gradient descent beside the scene does not find a lens: where cameras look inward, a scene that is darker at
 its borders explains nearly the same, and it is what gradients find first (docs/notebook.md).
 """
@@ -26,15 +31,11 @@ import torch
 from ..model.camera_effects import COEFFICIENTS, falloff_terms
 from ..model.morton import morton_order
 from ..model.tone_mapper import Response
-from ..scene.camera import Camera
 from ..scene.scene import View
+from .observations import TELLING, Observations, observations, projected
 
 #: At most this many points, and points times photos.
 POINTS, OBSERVATIONS = 3000, 300_000
-#: Points in a cell of the picture, by which others are hidden that are so much farther.
-POINTS_A_CELL, HIDDEN_FROM = 4.0, 1.1
-#: Codes between these tell how much light there was.
-TELLING = (0.03, 0.97)
 #: What is white in 8 bits. So many must be known to be white, and not to be, to tell from where on it is.
 WHITE, FEWEST_WHITE = 254.5 / 255.0, 100
 #: Degree of ln f⁻¹ as a polynomial of logit z, and the ridge that keeps it one.
@@ -43,18 +44,24 @@ DEGREE, RIDGE = 6, 1e-6
 #: taken as it is when training starts.
 LEAST_STOPS = 0.5
 #: What g″, g = ln f⁻¹, is expected to be over logit z, per square root of a unit: exposures that are powers
-#: of one ratio tie codes to each other only that far apart, and leave open what lies between.
-BENDING = 0.1
+#: of one ratio tie codes to each other only that far apart, and leave open what lies between. And what a
+#: channel's is expected to differ from the others'.
+BENDING, ALIKE = 0.1, 0.03
 #: Where ln exposure differs by less (standard deviation), photos count as of one exposure.
 ONE_EXPOSURE = 0.1 * math.log(2.0)
 #: A deviation that is none (stops).
 NO_STOPS = 0.002
-#: Rounds of reweighting; a residual of so many standard deviations loses half its weight.
-ROUNDS, TOLERANCE = 12, 1.0
+#: Rounds, and how many of them with codes as they were seen. A residual of so many standard deviations loses
+#: half its weight.
+ROUNDS, SETTLING, TOLERANCE = 12, 3, 1.0
 #: Residuals are never taken to spread less (natural logarithm): nothing is put aside for so little.
 LEAST_SPREAD = 0.02
 #: What residuals are expected to be (natural logarithm): how deviations that are expected weigh against them.
 EXPECTED = 0.1
+#: Logits of the codes that may be expected, and how finely they are told apart.
+EXPECTED_CODES, GRID = math.log(99.0), 401
+#: What is left of the weight of what was seen only because it errs inward: some, that no point is without any.
+UNEVEN = 1e-3
 #: So heavy that the gauge holds.
 GAUGE = 1e6
 #: Where photos disagree about points by more than this share of what points differ by, the points are none:
@@ -87,22 +94,6 @@ class Photometry:
         return self.inverse_response @ _powers(logits).T
 
 
-@dataclass(frozen=True)
-class _Equations:
-    """One a channel of a point in a photo, all ``[N]`` but ``rho``: which ones, and what was seen there."""
-
-    point: np.ndarray
-    photo: np.ndarray
-    place: np.ndarray
-    channel: np.ndarray
-    lens: np.ndarray
-    rho: np.ndarray
-    code: np.ndarray
-    #: ln(exposure × radiance), where the encoding is known, else NaN.
-    known: np.ndarray
-    log_time: np.ndarray
-
-
 def photometry(
     points: np.ndarray,
     views: Sequence[View],
@@ -130,17 +121,12 @@ def photometry(
         along = morton_order(torch.as_tensor(points)).numpy()
         chosen[:] = False
         chosen[along[np.linspace(0, len(along) - 1, count).astype(int)]] = True
-    seen, bright = _equations(points, chosen, views, exposures, lens, reach)
+    seen, bright = observations(points, chosen, views, exposures, lens, reach)
     unknowns = 3 * DEGREE + photos + 2 * len(views) + COEFFICIENTS * len(reach)
     if len(seen.code) < LEAST_EQUATIONS * unknowns:
         return None
     counts = photos, len(views), len(reach)
-    found = _solved(seen, bright, counts, response, deviations, finds_response, vignetting)
-    if found is None and finds_response:
-        # Gains that follow the exposure of most photos, and forget the others, leave nothing to a response.
-        held = NO_STOPS, NO_STOPS
-        found = _solved(seen, bright, counts, response, held, finds_response, vignetting)
-    return found
+    return _solved(seen, bright, counts, response, deviations, finds_response, vignetting)
 
 
 def point_effects(
@@ -155,7 +141,7 @@ def point_effects(
     total, times = np.zeros((len(points), 3)), np.zeros(len(points))
     photo = 0
     for place, (view, indices) in enumerate(zip(views, exposures, strict=True)):
-        which, _, rho = _projected(points, view, reach[lens[place]])
+        which, _, rho = projected(points, view, reach[lens[place]])
         red, blue = found.balance[place]
         effect = np.array([red, 0.0, blue]) + found.gain[photo : photo + len(indices)].mean()
         falling = falloff_terms(rho) @ found.vignetting[lens[place]]
@@ -165,90 +151,9 @@ def point_effects(
     return total / np.maximum(times, 1.0)[:, None]
 
 
-def _projected(points: np.ndarray, view: View, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Which points ``[P, 3]`` are in the frame ``[M]``, where ``[M, 2]`` (x, y in pixels' centres), their ρ.
-
-    What lies beyond the outermost centres of pixels is not in it: it could not be interpolated.
-    """
-    camera = view.camera
-    inside = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-    before = inside[:, 2] > 1e-6
-    tangent = inside[:, :2] / np.where(before, inside[:, 2], 1.0)[:, None]
-    at = tangent * [camera.fx, camera.fy] + [camera.cx - 0.5, camera.cy - 0.5]
-    which = np.flatnonzero(
-        before & (at >= 0).all(axis=1) & (at < [camera.width - 1, camera.height - 1]).all(1)
-    )
-    return which, at[which], np.square(tangent[which]).sum(axis=1) / reach
-
-
-def _unhidden(at: np.ndarray, depth: np.ndarray, camera: Camera) -> np.ndarray:
-    """Which of the points at ``at`` ``[M, 2]`` (pixels) have none much nearer beside them, ``[M]`` bool.
-
-    A surface is only known by its points: the picture is divided into cells that have a few each.
-    """
-    cell = math.sqrt(camera.width * camera.height * POINTS_A_CELL / max(len(at), 1))
-    column, row = (at // cell).astype(int).T
-    width, height = int(camera.width // cell) + 3, int(camera.height // cell) + 3
-    nearest = np.full((height, width), np.inf)  # with a border
-    np.minimum.at(nearest, (row + 1, column + 1), depth)
-    around = [nearest[1 + j : height - 1 + j, 1 + i : width - 1 + i] for j in (-1, 0, 1) for i in (-1, 0, 1)]
-    return depth < HIDDEN_FROM * np.min(around, axis=0)[row, column]
-
-
-def _equations(
-    points: np.ndarray,
-    chosen: np.ndarray,
-    views: Sequence[View],
-    exposures: Sequence[tuple[int, ...]],
-    lens: Sequence[int],
-    reach: Sequence[float],
-) -> tuple[_Equations, _Equations]:
-    """What tells how much light there was, and what is brighter, up to white."""
-    columns: tuple[list[tuple[np.ndarray, ...]], ...] = ([], [])
-    photo = 0
-    for place, (view, indices) in enumerate(zip(views, exposures, strict=True)):
-        which, at, rho = _projected(points, view, reach[lens[place]])
-        depth = points[which] @ view.camera.world_to_camera[2, :3] + view.camera.world_to_camera[2, 3]
-        used = chosen[which] & _unhidden(at, depth, view.camera)
-        which, at, rho = which[used], at[used], rho[used]
-        x, y = at.T
-        left, top = np.floor(x).astype(int), np.floor(y).astype(int)
-        right_share, bottom_share = (x - left)[:, None], (y - top)[:, None]
-        for k in indices:
-            picture, encoding, mask = view.image(k), view.encodings[k], view.mask(k)
-            corners = [picture[top + j, left + i] for j in (0, 1) for i in (0, 1)]
-            unit = encoding.unit(picture.dtype)
-            upper, lower = (a + (b * 1.0 - a) * right_share for a, b in (corners[:2], corners[2:]))
-            code = (upper + (lower - upper) * bottom_share) / unit
-            tells = code > TELLING[0]
-            if encoding.clips:
-                tells &= code < TELLING[1]
-            if mask is not None:
-                tells &= mask[top, left][:, None]
-            bright = (code >= TELLING[1]) & encoding.clips
-            if mask is not None:
-                bright &= mask[top, left][:, None]
-            for chosen_codes, column in zip((tells, bright), columns, strict=True):
-                row, channel = np.nonzero(chosen_codes)
-                values = code[row, channel]
-                known = encoding.decode(values) if encoding.is_known else np.full(len(values), math.nan)
-                same = np.ones(len(values), dtype=int)
-                column.append(
-                    (
-                        *(which[row], same * photo, same * place, channel, same * lens[place]),
-                        *(rho[row], values, np.log(known), same * math.log(view.exposures[k])),
-                    )
-                )
-            photo += 1
-    telling, bright = (
-        _Equations(*(np.concatenate(each) for each in zip(*column, strict=True))) for column in columns
-    )
-    return telling, bright
-
-
 def _solved(
-    seen: _Equations,
-    bright: _Equations,
+    seen: Observations,
+    bright: Observations,
     counts: tuple[int, int, int],
     response: Response,
     deviations: tuple[float, float],
@@ -256,102 +161,200 @@ def _solved(
     vignetting: np.ndarray | None,
 ) -> Photometry | None:
     from scipy import sparse  # here, because only this needs it
-    from scipy.optimize import nnls
 
-    photos, places, lens_count = counts
+    photos, places, lenses = counts
     count = len(seen.code)
-    target = seen.log_time.copy()
     is_known = ~np.isnan(seen.known)
-    target[is_known] -= seen.known[is_known]
-    terms = falloff_terms(seen.rho)
-    if vignetting is not None:
-        target -= (terms * vignetting[seen.lens]).sum(axis=1)
-    logit = np.where(is_known, 0.0, np.log(seen.code / np.maximum(1.0 - seen.code, 1e-9)))
     times = _first_of(seen.photo, seen.log_time, photos)
     finds_response &= bool((~is_known).any() and np.std(times) > LEAST_STOPS * LN2)
+    time = np.where(is_known, seen.log_time - seen.known, seen.log_time)
+    if vignetting is not None:
+        time -= (falloff_terms(seen.rho) * vignetting[seen.lens]).sum(axis=1)
     if not finds_response:
         codes = torch.from_numpy(np.broadcast_to(seen.code, (3, count)).copy())
         inverse = response.inverse(codes).numpy()[seen.channel, np.arange(count)]
-        target[~is_known] -= inverse[~is_known]
+        time[~is_known] -= inverse[~is_known]
 
-    # Columns: the response, gains, balances; those of the lenses last.
-    polynomial = 3 * DEGREE if finds_response else 0
-    others = polynomial + photos + 2 * places
-    parts: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
-    rows = np.arange(count)
-    if finds_response:
-        asked = rows[~is_known]
-        for power, value in enumerate(_powers(logit[asked]).T):
-            parts.append((asked, seen.channel[asked] * DEGREE + power, value))
-    parts.append((rows, polynomial + seen.photo, -np.ones(count)))
-    coloured = rows[seen.channel != 1]
-    side = (seen.channel[coloured] == 2).astype(int)
-    parts.append((coloured, polynomial + photos + 2 * seen.place[coloured] + side, -np.ones(len(coloured))))
-    for term, value in enumerate(terms.T):
-        parts.append((rows, others + COEFFICIENTS * seen.lens + term, value))
-    row, column, value = (np.concatenate(each) for each in zip(*parts, strict=True))
-    size = others + COEFFICIENTS * lens_count
-    design: Any = sparse.csr_matrix((value, (row, column)), shape=(count, size))
+    columns = _Columns(3 * DEGREE if finds_response else 0, photos, places, lenses)
+    prior = _prior(seen, times, columns, deviations, known_lens=vignetting is not None)
+    effects = _effects(seen, columns)
+    asked = np.flatnonzero(~is_known if finds_response else np.zeros(count, dtype=bool))
+    channel = seen.channel[asked]
+    observed = _inverse_responses(_logit(seen.code[asked]), channel, asked, effects.shape)
     group = np.unique(seen.point * 3 + seen.channel, return_inverse=True)[1]
-    groups: Any = sparse.csr_matrix((np.ones(count), (rows, group)), shape=(count, int(group.max()) + 1))
+    groups: Any = sparse.csr_matrix((np.ones(count), (np.arange(count), group)))
 
-    pull = np.full(size, RIDGE)
-    pull[polynomial : polynomial + photos] = (EXPECTED / (LN2 * deviations[0])) ** 2
-    pull[polynomial + photos : others] = (EXPECTED / (LN2 * deviations[1])) ** 2
-    if vignetting is not None:
-        pull[others:] = GAUGE * count  # there is nothing left to be found
-    smooth = np.zeros((size, size))
-    for channel in range(3 if finds_response else 0):
-        block = slice(channel * DEGREE, (channel + 1) * DEGREE)
-        smooth[block, block] = (EXPECTED / BENDING) ** 2 * _bending()
-    gauge = np.zeros((6, size))
-    gauge[0, polynomial : polynomial + photos] = 1.0
-    gauge[1, polynomial : polynomial + photos] = times - times.mean()
-    tells = np.bincount(seen.place, minlength=places)
-    place_times = np.bincount(seen.place, seen.log_time, places) / tells.clip(1)
-    place_times = np.where(tells > 0, place_times - place_times[tells > 0].mean(), 0.0)
-    for side in (0, 1):
-        balances = slice(polynomial + photos + side, others, 2)
-        gauge[2 + side, balances] = 1.0
-        if np.std(place_times) > ONE_EXPOSURE:
-            gauge[4 + side, balances] = place_times
-
-    hat = np.where(is_known, 1.0, 2.0 * np.minimum(seen.code, 1.0 - seen.code).clip(0.0))
-    weight = hat
-    solution, spread, contrast = np.zeros(size), 0.0, 0.0
-    mean_radiance = np.zeros(groups.shape[1])
-    for _ in range(ROUNDS):
-        weighted = design.multiply(weight[:, None]).tocsr()
-        total = np.asarray(groups.T @ weight).ravel()
-        between = (groups.T @ weighted).tocsr()  # [G, size]
-        mean = np.asarray(groups.T @ (weight * target)).ravel() / total
-        shares = sparse.diags(1.0 / total) @ between
-        normal = np.asarray((design.T @ weighted - between.T @ shares).todense())
-        right = np.asarray(weighted.T @ target - between.T @ mean).ravel()
-        normal += np.diag(pull) + smooth + GAUGE * gauge.T @ gauge
-        solution = _with_falling_lens(normal, right, others, nnls)
-        radiance = target - design @ solution
-        contrast = 1.4826 * float(np.median(np.abs(radiance - np.median(radiance))))
-        mean_radiance = np.asarray(groups.T @ (weight * radiance)).ravel() / total
-        residual = radiance - mean_radiance[group]
-        spread = max(1.4826 * float(np.median(np.abs(residual))), LEAST_SPREAD)
+    # As they were observed, until it is known what is to be expected.
+    expected, target, hat = observed, time, np.where(is_known, 1.0, _hat(seen.code))
+    weight, mean, spread, contrast = hat, np.zeros(count), 0.0, 0.0
+    solution = np.zeros(columns.lens.stop)
+    for turn in range(ROUNDS):
+        solution = _least_squares(expected + effects, target, weight, groups, prior, columns)
+        light = time - effects @ solution
+        radiance = light - observed @ solution  # −R, as each observation has it
+        mean = (groups.T @ (weight * radiance) / (groups.T @ weight))[group]
+        residual = radiance - mean
+        contrast = _deviation(radiance - np.median(radiance))
+        spread = max(_deviation(residual), LEAST_SPREAD)
+        if finds_response and turn >= SETTLING:
+            curves = solution[: columns.response].reshape(3, DEGREE)
+            logit = _codes_of((light - mean)[asked], channel, curves)
+            expected = _inverse_responses(logit, channel, asked, effects.shape)
+            target = time - (observed - expected) @ solution
+            hat[asked] = _hat(1.0 / (1.0 + np.exp(-logit)))
+            hat[asked] *= np.where(
+                _is_even((light - mean)[asked], residual[asked], channel, curves), 1.0, UNEVEN
+            )
         weight = hat / (1.0 + (residual / (TOLERANCE * spread)) ** 2)
     if spread > LARGEST_SHARE * contrast:
         return None
-    gain, balance, lens = np.split(solution[polynomial:], [photos, photos + 2 * places])
-    found = lens.reshape(-1, COEFFICIENTS) if vignetting is None else vignetting
+
+    lens = solution[columns.lens].reshape(-1, COEFFICIENTS) if vignetting is None else vignetting
+    found = Photometry(solution[columns.gain], solution[columns.balance].reshape(-1, 2), lens)
     if not finds_response:
-        return Photometry(gain, balance.reshape(-1, 2), found)
-    inverse = solution[:polynomial].reshape(3, DEGREE)
-    solved = Photometry(gain, balance.reshape(-1, 2), found, inverse)
-    radiance_of = dict(
-        zip((seen.point * 3 + seen.channel).tolist(), (-mean_radiance[group]).tolist(), strict=True)
-    )
-    return replace(solved, white=_white_from(seen, bright, solved, radiance_of))
+        return found
+    found = replace(found, inverse_response=solution[: columns.response].reshape(3, DEGREE))
+    radiance_of = dict(zip((seen.point * 3 + seen.channel).tolist(), (-mean).tolist(), strict=True))
+    return replace(found, white=_white_from(seen, bright, found, radiance_of))
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """Where each unknown is among all: ``response`` of them first, then gains, balances, and the lenses last."""
+
+    response: int
+    photos: int
+    places: int
+    lenses: int
+
+    @property
+    def gain(self) -> slice:
+        return slice(self.response, self.response + self.photos)
+
+    @property
+    def balance(self) -> slice:
+        return slice(self.gain.stop, self.gain.stop + 2 * self.places)
+
+    @property
+    def lens(self) -> slice:
+        return slice(self.balance.stop, self.balance.stop + COEFFICIENTS * self.lenses)
+
+
+def _prior(
+    seen: Observations,
+    times: np.ndarray,
+    columns: _Columns,
+    deviations: tuple[float, float],
+    *,
+    known_lens: bool,
+) -> np.ndarray:
+    """``[U, U]``: what is expected of the unknowns, and the gauge. ``times`` ``[P]``: ln exposure."""
+    pull = np.full(columns.lens.stop, RIDGE)
+    pull[columns.gain] = (EXPECTED / (LN2 * deviations[0])) ** 2
+    pull[columns.balance] = (EXPECTED / (LN2 * deviations[1])) ** 2
+    if known_lens:
+        pull[columns.lens] = GAUGE * len(seen.code)  # there is nothing left to be found
+    prior = np.diag(pull)
+    if columns.response:
+        of_channels = np.eye(3) / BENDING**2 + (np.eye(3) - 1.0 / 3.0) / ALIKE**2
+        prior[: columns.response, : columns.response] += EXPECTED**2 * np.kron(of_channels, _bending())
+    gauge = np.zeros((6, columns.lens.stop))
+    gauge[0, columns.gain] = 1.0
+    gauge[1, columns.gain] = times - times.mean()
+    tells = np.bincount(seen.place, minlength=columns.places)
+    place_times = np.bincount(seen.place, seen.log_time, columns.places) / tells.clip(1)
+    place_times = np.where(tells > 0, place_times - place_times[tells > 0].mean(), 0.0)
+    for side in (0, 1):
+        balances = slice(columns.balance.start + side, columns.balance.stop, 2)
+        gauge[2 + side, balances] = 1.0
+        if np.std(place_times) > ONE_EXPOSURE:
+            gauge[4 + side, balances] = place_times
+    return prior + GAUGE * gauge.T @ gauge
+
+
+def _effects(seen: Observations, columns: _Columns) -> Any:
+    """``[N, U]``, sparse: makes of the unknowns −ln effect of each observation."""
+    rows = np.arange(len(seen.code))
+    coloured = rows[seen.channel != 1]
+    side = (seen.channel[coloured] == 2).astype(int)
+    parts = [
+        (rows, columns.gain.start + seen.photo, -np.ones(len(rows))),
+        (coloured, columns.balance.start + 2 * seen.place[coloured] + side, -np.ones(len(coloured))),
+    ]
+    for term, value in enumerate(falloff_terms(seen.rho).T):
+        parts.append((rows, columns.lens.start + COEFFICIENTS * seen.lens + term, value))
+    return _sparse(parts, (len(rows), columns.lens.stop))
+
+
+def _inverse_responses(
+    logit: np.ndarray, channel: np.ndarray, asked: np.ndarray, shape: tuple[int, int]
+) -> Any:
+    """``shape``, sparse: makes of the unknowns ln f⁻¹ of the ``asked`` observations, at the codes ``logit``."""
+    powers = enumerate(_powers(logit).T)
+    return _sparse([(asked, channel * DEGREE + power, value) for power, value in powers], shape)
+
+
+def _sparse(parts: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], shape: tuple[int, int]) -> Any:
+    """Of rows, columns and values."""
+    from scipy import sparse
+
+    row, column, value = (np.concatenate(each) for each in zip(*parts, strict=True))
+    return sparse.csr_matrix((value, (row, column)), shape=shape)
+
+
+def _least_squares(
+    design: Any, target: np.ndarray, weight: np.ndarray, groups: Any, prior: np.ndarray, columns: _Columns
+) -> np.ndarray:
+    """The unknowns ``[U]`` by which ``design @ unknowns`` differs least from ``target`` within each group."""
+    from scipy import sparse
+
+    weighted = design.multiply(weight[:, None]).tocsr()
+    total = groups.T @ weight
+    between = (groups.T @ weighted).tocsr()  # [G, U]
+    mean = groups.T @ (weight * target) / total
+    shares = sparse.diags(1.0 / total) @ between
+    normal = (design.T @ weighted - between.T @ shares).toarray() + prior
+    right = weighted.T @ target - between.T @ mean
+    return _with_falling_lens(normal, right, columns.lens.start)
+
+
+def _codes_of(light: np.ndarray, channel: np.ndarray, curves: np.ndarray) -> np.ndarray:
+    """The logits of the codes that ln(exposure × radiance) ``[N]`` makes by the curves ``[3, D]``."""
+    grid = np.linspace(-EXPECTED_CODES, EXPECTED_CODES, GRID)
+    found = np.empty(len(light))
+    for k, curve in enumerate(curves @ _powers(grid).T):
+        rising = np.maximum.accumulate(curve)
+        which = channel == k
+        found[which] = np.interp(light[which], rising, grid)
+    return found
+
+
+def _is_even(light: np.ndarray, residual: np.ndarray, channel: np.ndarray, curves: np.ndarray) -> np.ndarray:
+    """Whether a residual of the other sign would have been seen as well: ``[N]`` bool.
+
+    Near the ends of what tells only those that lead inward are seen, and their mean is not 0 (Powell,
+    "Symmetrically trimmed least squares estimation for Tobit models", 1986).
+    """
+    low, high = (_powers(_logit(np.array(TELLING))) @ curves.T)[:, channel]
+    return (light - np.abs(residual) > low) & (light + np.abs(residual) < high)
+
+
+def _deviation(values: np.ndarray) -> float:
+    """The standard deviation of most, by the median."""
+    return 1.4826 * float(np.median(np.abs(values)))
+
+
+def _hat(code: np.ndarray) -> np.ndarray:
+    """How much a code counts: least near black and white."""
+    return 2.0 * np.minimum(code, 1.0 - code)
+
+
+def _logit(code: np.ndarray) -> np.ndarray:
+    return np.log(code / (1.0 - code))
 
 
 def _white_from(
-    seen: _Equations, bright: _Equations, solved: Photometry, radiance_of: dict[int, float]
+    seen: Observations, bright: Observations, solved: Photometry, radiance_of: dict[int, float]
 ) -> np.ndarray:
     """ln(exposure × radiance) from which each channel is white, ``[3]``: where most are on the right side.
 
@@ -376,7 +379,7 @@ def _white_from(
     return found
 
 
-def _light(seen: _Equations, solved: Photometry, radiance_of: dict[int, float]) -> np.ndarray:
+def _light(seen: Observations, solved: Photometry, radiance_of: dict[int, float]) -> np.ndarray:
     """ln(exposure × radiance) ``[N]`` as each photo had it; NaN of a point whose radiance nobody told."""
     radiance = np.array([radiance_of.get(key, math.nan) for key in (seen.point * 3 + seen.channel).tolist()])
     red, blue = solved.balance[seen.place].T
@@ -406,8 +409,10 @@ def _first_of(index: np.ndarray, value: np.ndarray, count: int) -> np.ndarray:
     return found
 
 
-def _with_falling_lens(normal: np.ndarray, right: np.ndarray, others: int, nnls: Any) -> np.ndarray:
+def _with_falling_lens(normal: np.ndarray, right: np.ndarray, others: int) -> np.ndarray:
     """The solution of the normal equations whose last unknowns, from ``others`` on, are ≥ 0."""
+    from scipy.optimize import nnls
+
     first, last = slice(0, others), slice(others, None)
     inverse = np.linalg.solve(normal[first, first], np.column_stack([normal[first, last], right[first]]))
     reduced = normal[last, last] - normal[last, first] @ inverse[:, :-1]

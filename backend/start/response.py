@@ -25,7 +25,8 @@ import numpy as np
 from ...bridge import srgb
 from ..scene.scene import View
 from .merged_brackets import SAMPLED_PIXELS
-from .photometry import TELLING, Photometry
+from .observations import TELLING
+from .photometry import Photometry
 
 CODES = 256
 #: Exposures of a pair differ by so much at least: of nearly equal ones noise is all that differs.
