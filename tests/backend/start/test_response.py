@@ -139,7 +139,7 @@ def test_channels_may_differ():
 def test_masked_pixels_and_pictures_that_may_not_be_seen_say_nothing():
     masks = [np.ones(SIZE[::-1], dtype=bool) for _ in EXPOSURES]
     for mask in masks[1:4]:
-        mask[:, :120] = False
+        mask[:, :140] = False
     views = views_of((srgb,) * 3, masks=masks, count=6)
     seen = all_of(views)
     found = bracket_response(views, seen, anchor_of(srgb))
