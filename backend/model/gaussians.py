@@ -77,6 +77,7 @@ class Gaussians(Backbone):
             sh_degree=wanted.sh_degree,
             opacity=start.opacity,
             scale_factor=start.scale_factor,
+            largest=start.largest,
             ambient_share=start.ambient_share if wanted.lights else None,
             context_size=wanted.context_size,
             seed=start.seed,
@@ -146,13 +147,15 @@ def initial_gaussians(
     seed: int,
     lights: int = 1,
     illumination_channels: int = 1,
+    largest: np.ndarray | None = None,
 ) -> Gaussians:
     """Isotropic Gaussians at ``positions`` with the same radiance exp(``log_radiance``) in every direction.
 
     ``positions`` ``[P, 3]`` metres, ``log_radiance`` ``[P, 3]``.
     Standard deviation: ``scale_factor`` × the root mean square distance to the three nearest neighbours
-    (3DGS's rule with factor 1). ``ambient_share=None`` and ``context_size=0`` leave those parameters out;
-    of several ``lights`` each starts with as much as what no light turns, 1 / (lights + 1).
+    (3DGS's rule with factor 1), at most ``largest`` ``[P]`` (metres). ``ambient_share=None`` and
+    ``context_size=0`` leave those parameters out; of several ``lights`` each starts with as much as what no
+    light turns, 1 / (lights + 1).
     """
     count = positions.shape[0]
     if count < 4:
@@ -163,12 +166,14 @@ def initial_gaussians(
     from scipy.spatial import KDTree  # here, because only this needs SciPy
 
     distances, _ = KDTree(positions).query(positions, k=4, workers=-1)
-    spacing = np.sqrt(np.mean(distances[:, 1:] ** 2, axis=1)).clip(1e-5)
+    scales = scale_factor * np.sqrt(np.mean(distances[:, 1:] ** 2, axis=1)).clip(1e-5)
+    if largest is not None:
+        scales = np.minimum(scales, largest)
     generator = torch.Generator().manual_seed(seed)
     coefficients = (sh_degree + 1) ** 2
     parameters = {
         "means": torch.tensor(positions, dtype=torch.float32),
-        "log_scales": torch.tensor(np.log(scale_factor * spacing), dtype=torch.float32)[:, None].repeat(1, 3),
+        "log_scales": torch.tensor(np.log(scales), dtype=torch.float32)[:, None].repeat(1, 3),
         "quaternions": torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
         "opacity_logits": torch.full((count,), float(np.log(opacity / (1.0 - opacity)))),
         "reflectance_dc": torch.tensor(log_radiance / SH_C0, dtype=torch.float32)[:, None, :],

@@ -2,6 +2,7 @@
 """Where Gaussians start, and how bright: points and colours, merged from the training brackets."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -184,6 +185,19 @@ def _pixels(points: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]
         & (row < camera.height)
     )
     return seen, np.stack([row, column], axis=1).clip(0, [camera.height - 1, camera.width - 1]).astype(int)
+
+
+def largest_sizes(points: np.ndarray, cameras: Sequence[Camera], share: float) -> np.ndarray:
+    """``[P]`` metres: what is ``share`` of the width of the picture that sees each of ``points`` nearest.
+
+    Infinite of those that are in no picture. Occlusion is not considered.
+    """
+    largest = np.full(len(points), np.inf)
+    for camera in cameras:
+        seen, _ = _pixels(points, camera)
+        depth = points[seen] @ camera.world_to_camera[2, :3] + camera.world_to_camera[2, 3]
+        largest[seen] = np.minimum(largest[seen], share * camera.width / camera.fx * depth)
+    return largest
 
 
 def merged_log_radiance(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What photos see of points: which codes, where in the picture, under how much light if the encoding is known."""
+"""What photos see of points: which codes, and where in the picture."""
 
 import math
 from collections.abc import Sequence

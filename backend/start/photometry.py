@@ -60,7 +60,7 @@ LEAST_SPREAD = 0.02
 EXPECTED = 0.1
 #: Logits of the codes that may be expected, and how finely they are told apart.
 EXPECTED_CODES, GRID = math.log(99.0), 401
-#: What is left of the weight of what was seen only because it errs inward: some, that no point is without any.
+#: What is left of the weight of what was seen only because it errs inward: no point may be without any.
 UNEVEN = 1e-3
 #: So heavy that the gauge holds.
 GAUGE = 1e6
@@ -220,7 +220,7 @@ def _solved(
 
 @dataclass(frozen=True)
 class _Columns:
-    """Where each unknown is among all: ``response`` of them first, then gains, balances, and the lenses last."""
+    """Where each unknown is: ``response`` of them first, then gains, balances, and the lenses last."""
 
     response: int
     photos: int
@@ -289,7 +289,7 @@ def _effects(seen: Observations, columns: _Columns) -> Any:
 def _inverse_responses(
     logit: np.ndarray, channel: np.ndarray, asked: np.ndarray, shape: tuple[int, int]
 ) -> Any:
-    """``shape``, sparse: makes of the unknowns ln f⁻¹ of the ``asked`` observations, at the codes ``logit``."""
+    """``shape``, sparse: makes of the unknowns ln f⁻¹ of the ``asked`` observations, at codes ``logit``."""
     powers = enumerate(_powers(logit).T)
     return _sparse([(asked, channel * DEGREE + power, value) for power, value in powers], shape)
 

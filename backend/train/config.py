@@ -90,6 +90,10 @@ class TrainConfig:
     initial_opacity: float = 0.3
     #: Initial size of a Gaussian over the distance to its neighbours (3DGS: 1).
     initial_scale: float = 1.0
+    #: None begins larger (standard deviation) than this share of the width of any picture that it is in: a
+    #: point of structure from motion that has no neighbours would be a fog before the cameras, or all of what
+    #: is behind a window. 0: no bound (3DGS).
+    initial_size_limit: float = 0.1
     #: Of a data set with one light; of several each starts with as much as what no light turns.
     initial_ambient_share: float = 0.5
     #: Share of the training at whose start views are seen at half their width and height.
@@ -122,6 +126,8 @@ class TrainConfig:
                 raise BadValueError(f"{_flag(name)} must be between 0 and 1, got {getattr(self, name)}")
         if not self.initial_scale > 0.0:
             raise BadValueError(f"--initial-scale must be above 0, got {self.initial_scale}")
+        if not self.initial_size_limit >= 0.0:
+            raise BadValueError(f"--initial-size-limit must be 0 or more, got {self.initial_size_limit}")
         _check_numbers(self, "")
         self._check_traits()
 
@@ -188,7 +194,7 @@ def _flag(name: str) -> str:
 
 
 #: Settings that were added, where what was before is not their default: what it was.
-FORMERLY: dict[str, Any] = {"config.merged_brackets": "off"}
+FORMERLY: dict[str, Any] = {"config.merged_brackets": "off", "config.initial_size_limit": 0.0}
 #: Settings by names they had before → as they are called now.
 RENAMED = {"ambient_share_logits": "light_share_logits"}
 

@@ -43,9 +43,14 @@ SHORT_TRAINING = AnchorsConfig(
 
 def as_published(**settings: Any) -> TrainConfig:
     """Without what ``default`` alone does about its start and the pictures of an iteration."""
-    return TrainConfig(
-        supervision="one", initial_points="auto", initial_opacity=0.1, merged_brackets="off", **settings
-    )
+    published: dict[str, Any] = {
+        "supervision": "one",
+        "initial_points": "auto",
+        "initial_opacity": 0.1,
+        "initial_size_limit": 0.0,
+        "merged_brackets": "off",
+    }
+    return TrainConfig(**published | settings)
 
 
 def paper(iterations: int = 30_000) -> TrainConfig:
@@ -88,6 +93,7 @@ def baseline(iterations: int = 2500) -> TrainConfig:
     """The yardstick: the image-exposure branch alone under one global tone mapper."""
     return as_published(
         iterations=iterations,
+        initial_size_limit=TrainConfig().initial_size_limit,
         method=PhysHDRConfig(
             branches="image-exposure",
             lighting_level="exposure",

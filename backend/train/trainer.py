@@ -25,7 +25,7 @@ from ..scene.points import with_points_file
 from ..scene.resident import Pictures
 from ..scene.scene import Scene, View
 from ..start.far_shell import far_points
-from ..start.initialise import initial_points, merged_log_radiance, scene_extent, seen_points
+from ..start.initialise import initial_points, largest_sizes, merged_log_radiance, scene_extent, seen_points
 from ..start.merged_brackets import MergedBrackets
 from ..start.photometry import NO_STOPS, Photometry
 from ..start.response import bracket_response, display_response, point_response
@@ -245,12 +245,6 @@ class Trainer:
         self.start_message = points.message
         if self.merged is not None:
             self.start_message += f", brackets merged (noise of {self.merged.worst:.1f} codes of 255)"
-        start = Start(
-            opacity=config.initial_opacity,
-            scale_factor=config.initial_scale,
-            ambient_share=config.initial_ambient_share,
-            seed=config.seed,
-        )
         positions = points.positions
         if self._wants(config.clear_cameras) and not isinstance(method.backbone, Anchors):
             self._clearance = clearances(positions, [view.camera for view in self.views])
@@ -268,6 +262,14 @@ class Trainer:
             radiance = merged_log_radiance(positions, views, exposures, response, self.range)
         if self.nuisances is not None:
             radiance = radiance - self.nuisances.begin(positions, told)
+        limit, cameras = config.initial_size_limit, [view.camera for view in views]
+        start = Start(
+            opacity=config.initial_opacity,
+            scale_factor=config.initial_scale,
+            largest=largest_sizes(positions, cameras, limit) if limit else None,
+            ambient_share=config.initial_ambient_share,
+            seed=config.seed,
+        )
         method.backbone.place(positions, radiance, start)
 
     def _response_without_points(self, mapper: Response) -> str:

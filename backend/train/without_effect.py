@@ -20,6 +20,7 @@ OF_SPLATS = (
     "initial_points",
     "initial_opacity",
     "initial_scale",
+    "initial_size_limit",
     "initial_ambient_share",
     "half_size_until",
     "sh_degree_every",
@@ -27,7 +28,7 @@ OF_SPLATS = (
     "supervision",
 )
 #: Of anchors a network says how opaque a Gaussian is and which light it has; they grow by anchors.growth.
-OF_3DGS = ("densify", "initial_opacity", "initial_ambient_share")
+OF_3DGS = ("densify", "initial_opacity", "initial_size_limit", "initial_ambient_share")
 
 
 def changed_without_effect(trainer: Trainer, preset: TrainConfig) -> list[str]:

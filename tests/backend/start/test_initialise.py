@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How large Gaussians begin."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from physhdr.backend.scene import read_scene
+from physhdr.backend.scene.camera import Camera
+from physhdr.backend.scene.scene import Points
+from physhdr.backend.start.initialise import largest_sizes
+from physhdr.backend.train.presets import PRESETS
+from physhdr.backend.train.trainer import Trainer
+
+
+def test_the_nearest_camera_that_sees_a_point_bounds_it():
+    """A tenth of the picture's width at the point's depth, in closed form; −Z is where a camera looks."""
+    near, far, wide = np.eye(4), np.eye(4), np.eye(4)
+    far[2, 3] = 5.0
+    cameras = [
+        Camera(near, 200, 100, 400.0, 400.0, 100.0, 50.0),
+        Camera(far, 200, 100, 400.0, 400.0, 100.0, 50.0),
+        Camera(wide, 100, 100, 50.0, 50.0, 50.0, 50.0),
+    ]
+    points = np.array([[0.0, 0.0, -2.0], [0.3, 0.0, -1.0], [0.0, 0.0, 7.0], [0.0, 1.0, -1.4]])
+    # In all; beside the first one's picture, and the wide one is nearer; behind all; in the wide one alone.
+    wanted = [0.1 * 0.5 * 2.0, 0.1 * 2.0 * 1.0, np.inf, 0.1 * 2.0 * 1.4]
+    assert largest_sizes(points, cameras, 0.1) == pytest.approx(wanted)
+    assert largest_sizes(points, cameras[:2], 0.2)[3] == np.inf
+
+
+@pytest.mark.parametrize(("limit", "largest"), [(0.1, 0.1), (0.0, 0.5)])
+def test_a_point_without_neighbours_does_not_begin_as_a_fog(tiny_data, limit, largest):
+    """One that structure from motion put before a camera; 0 is 3DGS's rule, which knows no bound."""
+    scene = read_scene(tiny_data)
+    camera = scene.train[0].camera
+    stray = camera.position - 0.6 * camera.camera_to_world[:3, 2]
+    assert scene.points is not None
+    positions = np.concatenate([scene.points.positions, stray[None]]).astype(np.float32)
+    scene = replace(scene, points=Points(positions, np.zeros((len(positions), 3), np.float32)))
+    config = replace(PRESETS["default"], initial_points="file", initial_size_limit=limit)
+    parameters = Trainer(scene, config).method.splatting.backbone.parameters
+    index = int(np.abs(parameters["means"].detach().numpy() - stray).sum(axis=1).argmin())
+    size = float(parameters["log_scales"].detach()[index].exp().max()) / 0.6 * camera.fx / camera.width
+    assert size == pytest.approx(largest, rel=1e-4) if limit else size > largest
+    assert PRESETS["baseline"].initial_size_limit == PRESETS["default"].initial_size_limit
+    assert PRESETS["paper"].initial_size_limit == 0.0
