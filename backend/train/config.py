@@ -90,9 +90,9 @@ class TrainConfig:
     initial_opacity: float = 0.3
     #: Initial size of a Gaussian over the distance to its neighbours (3DGS: 1).
     initial_scale: float = 1.0
-    #: None begins larger (standard deviation) than this share of the width of any picture that it is in: a
-    #: point of structure from motion that has no neighbours would be a fog before the cameras, or all of what
-    #: is behind a window. 0: no bound (3DGS).
+    #: Beside points of structure from motion none begins larger (standard deviation) than this share of the
+    #: width of any picture that it is in: one that has no neighbours would be a fog before the cameras, or
+    #: all of what is behind a window. 0: no bound (3DGS).
     initial_size_limit: float = 0.1
     #: Of a data set with one light; of several each starts with as much as what no light turns.
     initial_ambient_share: float = 0.5

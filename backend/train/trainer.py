@@ -21,7 +21,7 @@ from ..model.anchors import Anchors
 from ..model.backbone import Start
 from ..model.tone_mapper import MEASURED, Response, ToneMapper
 from ..rasterize import Implementation
-from ..scene.points import with_points_file
+from ..scene.points import STRUCTURE_FROM_MOTION, with_points_file
 from ..scene.resident import Pictures
 from ..scene.scene import Scene, View
 from ..start.far_shell import far_points
@@ -262,15 +262,23 @@ class Trainer:
             radiance = merged_log_radiance(positions, views, exposures, response, self.range)
         if self.nuisances is not None:
             radiance = radiance - self.nuisances.begin(positions, told)
-        limit, cameras = config.initial_size_limit, [view.camera for view in views]
         start = Start(
             opacity=config.initial_opacity,
             scale_factor=config.initial_scale,
-            largest=largest_sizes(positions, cameras, limit) if limit else None,
+            largest=self._largest_sizes(positions, views),
             ambient_share=config.initial_ambient_share,
             seed=config.seed,
         )
         method.backbone.place(positions, radiance, start)
+
+    def _largest_sizes(self, positions: np.ndarray, views: list[View]) -> np.ndarray | None:
+        """``[P]`` metres that no Gaussian begins larger than; None: no bound, for no point stands alone."""
+        config, given = self.config, self.scene.points
+        if not config.initial_size_limit or config.initial_points in ("stereo", "random"):
+            return None
+        if given is None or given.origin != STRUCTURE_FROM_MOTION:
+            return None
+        return largest_sizes(positions, [view.camera for view in views], config.initial_size_limit)
 
     def _response_without_points(self, mapper: Response) -> str:
         """Begin with the response that brackets tell, else sRGB's; which it is, "" where it is another."""

@@ -50,7 +50,7 @@ def _unread(trainer: Trainer) -> set[str]:
     if trainer.nuisances is None:
         unread |= photos
     if trainer.config.initial_points in ("stereo", "random"):
-        unread.add("points_file")
+        unread |= {"points_file", "initial_size_limit"}
     mapper = method.tone_mapper
     if isinstance(mapper, ToneMapper):
         if mapper.config.initial_slope is None:

@@ -8,6 +8,7 @@ import pytest
 
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.camera import Camera
+from physhdr.backend.scene.points import EXACT, STRUCTURE_FROM_MOTION
 from physhdr.backend.scene.scene import Points
 from physhdr.backend.start.initialise import largest_sizes
 from physhdr.backend.train.presets import PRESETS
@@ -30,19 +31,23 @@ def test_the_nearest_camera_that_sees_a_point_bounds_it():
     assert largest_sizes(points, cameras[:2], 0.2)[3] == np.inf
 
 
-@pytest.mark.parametrize(("limit", "largest"), [(0.1, 0.1), (0.0, 0.5)])
-def test_a_point_without_neighbours_does_not_begin_as_a_fog(tiny_data, limit, largest):
+@pytest.mark.parametrize(
+    ("limit", "origin", "is_bounded"),
+    [(0.1, STRUCTURE_FROM_MOTION, True), (0.0, STRUCTURE_FROM_MOTION, False), (0.1, EXACT, False)],
+)
+def test_a_point_without_neighbours_does_not_begin_as_a_fog(tiny_data, limit, origin, is_bounded):
     """One that structure from motion put before a camera; 0 is 3DGS's rule, which knows no bound."""
     scene = read_scene(tiny_data)
     camera = scene.train[0].camera
     stray = camera.position - 0.6 * camera.camera_to_world[:3, 2]
     assert scene.points is not None
     positions = np.concatenate([scene.points.positions, stray[None]]).astype(np.float32)
-    scene = replace(scene, points=Points(positions, np.zeros((len(positions), 3), np.float32)))
+    colours = np.zeros((len(positions), 3), np.float32)
+    scene = replace(scene, points=Points(positions, colours, origin))
     config = replace(PRESETS["default"], initial_points="file", initial_size_limit=limit)
     parameters = Trainer(scene, config).method.splatting.backbone.parameters
     index = int(np.abs(parameters["means"].detach().numpy() - stray).sum(axis=1).argmin())
     size = float(parameters["log_scales"].detach()[index].exp().max()) / 0.6 * camera.fx / camera.width
-    assert size == pytest.approx(largest, rel=1e-4) if limit else size > largest
+    assert size == pytest.approx(limit, rel=1e-4) if is_bounded else size > 0.5
     assert PRESETS["baseline"].initial_size_limit == PRESETS["default"].initial_size_limit
     assert PRESETS["paper"].initial_size_limit == 0.0
