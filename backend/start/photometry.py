@@ -198,13 +198,12 @@ def _solved(
         spread = max(_deviation(residual), LEAST_SPREAD)
         if finds_response and turn >= SETTLING:
             curves = solution[: columns.response].reshape(3, DEGREE)
-            logit = _codes_of((light - mean)[asked], channel, curves)
+            there = (light - mean)[asked]
+            logit = _codes_of(there, channel, curves)
             expected = _inverse_responses(logit, channel, asked, effects.shape)
             target = time - (observed - expected) @ solution
-            hat[asked] = _hat(1.0 / (1.0 + np.exp(-logit)))
-            hat[asked] *= np.where(
-                _is_even((light - mean)[asked], residual[asked], channel, curves), 1.0, UNEVEN
-            )
+            even = _is_even(there, residual[asked], channel, curves)
+            hat[asked] = _hat(1.0 / (1.0 + np.exp(-logit))) * np.where(even, 1.0, UNEVEN)
         weight = hat / (1.0 + (residual / (TOLERANCE * spread)) ** 2)
     if spread > LARGEST_SHARE * contrast:
         return None

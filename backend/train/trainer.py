@@ -271,14 +271,19 @@ class Trainer:
         )
         method.backbone.place(positions, radiance, start)
 
+    @property
+    def may_have_strays(self) -> bool:
+        """Whether it starts from points that may stand alone: those of structure from motion."""
+        given = self.scene.points
+        uses_given = self.config.initial_points in ("auto", "both", "file")
+        return uses_given and given is not None and given.origin == STRUCTURE_FROM_MOTION
+
     def _largest_sizes(self, positions: np.ndarray, views: list[View]) -> np.ndarray | None:
-        """``[P]`` metres that no Gaussian begins larger than; None: no bound, for no point stands alone."""
-        config, given = self.config, self.scene.points
-        if not config.initial_size_limit or config.initial_points in ("stereo", "random"):
+        """``[P]`` metres that no Gaussian begins larger than; None: no bound."""
+        share = self.config.initial_size_limit
+        if not (share and self.may_have_strays):
             return None
-        if given is None or given.origin != STRUCTURE_FROM_MOTION:
-            return None
-        return largest_sizes(positions, [view.camera for view in views], config.initial_size_limit)
+        return largest_sizes(positions, [view.camera for view in views], share)
 
     def _response_without_points(self, mapper: Response) -> str:
         """Begin with the response that brackets tell, else sRGB's; which it is, "" where it is another."""

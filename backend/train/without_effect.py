@@ -50,7 +50,9 @@ def _unread(trainer: Trainer) -> set[str]:
     if trainer.nuisances is None:
         unread |= photos
     if trainer.config.initial_points in ("stereo", "random"):
-        unread |= {"points_file", "initial_size_limit"}
+        unread.add("points_file")
+    if not trainer.may_have_strays:
+        unread.add("initial_size_limit")
     mapper = method.tone_mapper
     if isinstance(mapper, ToneMapper):
         if mapper.config.initial_slope is None:

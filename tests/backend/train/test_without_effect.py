@@ -20,6 +20,7 @@ def with_tone_mapper(config, **changes):
 CHANGES = {
     "--initial-opacity": lambda c: dataclasses.replace(c, initial_opacity=0.17),
     "--initial-scale": lambda c: dataclasses.replace(c, initial_scale=0.7),
+    "--initial-size-limit": lambda c: dataclasses.replace(c, initial_size_limit=0.001),
     "--densify.threshold": lambda c: dataclasses.replace(
         c, densify=dataclasses.replace(c.densify, threshold=1.0)
     ),
@@ -39,8 +40,9 @@ CHANGES = {
 #: What each preset reads and what it does not.
 CASES = {
     "default": (
-        tuple(set(CHANGES) - {"--method.tone-mapper.initial-slope"}),
-        ("--method.tone-mapper.initial-slope",),  # brackets tell more
+        tuple(set(CHANGES) - {"--method.tone-mapper.initial-slope", "--initial-size-limit"}),
+        # Brackets tell more; its points are not of structure from motion.
+        ("--method.tone-mapper.initial-slope", "--initial-size-limit"),
     ),
     "default-scaffold": (
         ("--initial-scale", "--optimiser.tone-mapper", "--supervision"),
