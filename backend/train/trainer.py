@@ -5,9 +5,7 @@ import json
 import math
 import time
 from collections.abc import Callable, Generator, Mapping
-from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import torch
@@ -15,21 +13,18 @@ import torch
 from ...bridge.errors import BadValueError, DataMismatchError, PhysHDRError
 from ...bridge.run_folder import CHECKPOINT_FILE
 from ..kernels.activations import LOG_RADIANCE_RANGE
-from ..methods.base import Batch, Facts, Method, Recording, SplattingMethod
+from ..methods.base import Batch, Facts, Method, Recording, Responses
 from ..methods.registry import name_of, new_method
 from ..model.anchors import Anchors
-from ..model.backbone import Start
-from ..model.tone_mapper import MEASURED, Response, ToneMapper
+from ..model.tone_mapper import MEASURED
 from ..rasterize import Implementation
-from ..scene.points import STRUCTURE_FROM_MOTION, with_points_file
+from ..scene.points import with_points_file
 from ..scene.resident import Pictures
 from ..scene.scene import Scene, View
-from ..start.far_shell import far_points
-from ..start.initialise import initial_points, largest_sizes, merged_log_radiance, scene_extent, seen_points
+from ..start.initialise import scene_extent, seen_points
 from ..start.merged_brackets import MergedBrackets
-from ..start.photometry import NO_STOPS, Photometry
-from ..start.response import bracket_response, display_response, point_response
 from .anchor_growth import AnchorGrowth
+from .beginning import Seen, begin
 from .calibration import freeze_response, read_calibration, use_response
 from .checkpoint import (
     CONFIGURATION,
@@ -46,7 +41,6 @@ from .checkpoint import (
     responses_in,
     save_checkpoint,
 )
-from .clearance import clearances
 from .config import TrainConfig, fingerprint, in_iterations
 from .densify import CLEARANCE, GaussianGrowth
 from .events import Event, Finished, Progress, Saved, Started
@@ -76,9 +70,6 @@ NETWORKS = "networks."
 STATISTICS = "statistics."
 #: Prefix of what is learned of each photo.
 NUISANCES = "nuisances."
-
-#: Who told of the response at the start, in words.
-BY_BRACKETS, BY_POINTS, BY_SRGB = "brackets tell it", "points tell it", "sRGB has it"
 
 #: A checkpoint is written this often (seconds), but so that writing takes a fiftieth of the time at most.
 CHECKPOINT_SECONDS = 30.0
@@ -128,7 +119,7 @@ class Trainer:
         self.exposures = seen_exposures(self.views, config)
 
         torch.manual_seed(config.seed)  # initial values of the networks
-        self.responses = responses_of(self.views, self.exposures)
+        self.responses: Responses = responses_of(self.views, self.exposures)
         #: Pictures with the light of their whole brackets; None where they stay as they were taken.
         self.merged = self._new_merged()
         self.pictures.instead = None if self.merged is None else self.merged.codes
@@ -164,7 +155,17 @@ class Trainer:
         if self.config.calibration is not None:
             self._calibrate(self.config.calibration)
         if self.method.splatting is not None:
-            self._place(self.method.splatting)
+            seen = Seen(
+                self.scene,
+                self.views,
+                self.exposures,
+                self.responses,
+                self.range,
+                self.merged,
+                self.nuisances,
+            )
+            first = begin(self.method.splatting, seen, self.config)
+            self.start_message, self._clearance = first.message, first.clearance
         self.seconds = time.perf_counter() - begun
         self.cpu_seconds = time.process_time() - begun_cpu
 
@@ -221,104 +222,6 @@ class Trainer:
         use_response(self.method.splatting, calibration, path)
         if self.nuisances is not None and calibration.vignetting is not None and calibration.reach:
             self.nuisances.know_lens(calibration.vignetting, calibration.reach)
-
-    def _place(self, method: SplattingMethod) -> None:
-        """Put the backbone's first primitives where the scene is, as bright as the photos say.
-
-        Where a method wants its ``initial_radiance`` of the points, ln radiance is their colour (HDR-GS).
-        """
-        config, response = self.config, method.first_response
-        # Only views under the standard light say how bright a point is at level 1.
-        standard = [(v, e) for v, e in zip(self.views, self.exposures, strict=True) if v.is_standard]
-        views, exposures = [v for v, _ in standard], [e for _, e in standard]
-        # Before the points: stereo compares radiance.
-        response_by = self._response_without_points(method.tone_mapper)
-        points = initial_points(
-            self.scene,
-            views,
-            exposures,
-            response,
-            source=config.initial_points,
-            random_count=config.random_points,
-            seed=config.seed,
-        )
-        self.start_message = points.message
-        if self.merged is not None:
-            self.start_message += f", brackets merged (noise of {self.merged.worst:.1f} codes of 255)"
-        positions = points.positions
-        if self._wants(config.clear_cameras) and not isinstance(method.backbone, Anchors):
-            self._clearance = clearances(positions, [view.camera for view in self.views])
-        if self._wants(config.far_shell) and config.method.traits.initial_radiance == "merged":
-            far = far_points(positions, views)
-            positions = np.concatenate([positions, far])
-            self.start_message += f", {len(far):,} far away where these leave pictures uncovered"
-        told = self._told_by(positions, response, asks_response=response_by == BY_SRGB)
-        if response_by == BY_SRGB and self.responses == "learned":
-            response_by = self._response_by_points(method.tone_mapper, told)
-        if response_by:
-            self.start_message += f", the response as {response_by}"
-        radiance = points.colours if config.method.traits.initial_radiance == "points" else None
-        if radiance is None:
-            radiance = merged_log_radiance(positions, views, exposures, response, self.range)
-        if self.nuisances is not None:
-            radiance = radiance - self.nuisances.begin(positions, told)
-        start = Start(
-            opacity=config.initial_opacity,
-            scale_factor=config.initial_scale,
-            largest=self._largest_sizes(positions, views),
-            ambient_share=config.initial_ambient_share,
-            seed=config.seed,
-        )
-        method.backbone.place(positions, radiance, start)
-
-    @property
-    def may_have_strays(self) -> bool:
-        """Whether it starts from points that may stand alone: those of structure from motion."""
-        given = self.scene.points
-        uses_given = self.config.initial_points in ("auto", "both", "file")
-        return uses_given and given is not None and given.origin == STRUCTURE_FROM_MOTION
-
-    def _largest_sizes(self, positions: np.ndarray, views: list[View]) -> np.ndarray | None:
-        """``[P]`` metres that no Gaussian begins larger than; None: no bound."""
-        share = self.config.initial_size_limit
-        if not (share and self.may_have_strays):
-            return None
-        return largest_sizes(positions, [view.camera for view in views], share)
-
-    def _response_without_points(self, mapper: Response) -> str:
-        """Begin with the response that brackets tell, else sRGB's; which it is, "" where it is another."""
-        if self.config.calibration is not None:
-            return ""
-        if not (isinstance(mapper, ToneMapper) and mapper.measures_response):
-            return ""
-        anchor = self.scene.response_anchor
-        found = bracket_response(self.views, self.exposures, anchor)
-        mapper.begin_with(*(found or display_response(anchor)))
-        return BY_SRGB if found is None else BY_BRACKETS
-
-    def _response_by_points(self, mapper: Response, told: Photometry | None) -> str:
-        """Begin with the response that points tell, where they do; which it is then."""
-        found = point_response(told, self.scene.response_anchor)
-        if found is None:
-            return BY_SRGB
-        assert isinstance(mapper, ToneMapper)
-        mapper.begin_with(*found)
-        return BY_POINTS
-
-    def _told_by(self, points: np.ndarray, response: Response, *, asks_response: bool) -> Photometry | None:
-        """What points ``[P, 3]`` (metres) tell of the photos, where anybody asks."""
-        nuisances = self.nuisances
-        if nuisances is None and asks_response:
-            # Where none are learned, none explain what photos disagree about.
-            none = replace(self.config.nuisances, gain_stops=NO_STOPS, white_balance_stops=NO_STOPS)
-            nuisances = Nuisances(self.views, self.exposures, none, torch.device("cpu"))
-        return None if nuisances is None else nuisances.told_by(points, response)
-
-    def _wants(self, setting: Literal["auto", "on", "off"]) -> bool:
-        """Whether what photographs need is done; published methods stay as they were published."""
-        return setting == "on" or (
-            setting == "auto" and self.scene.photographs and self.config.method.traits.effects
-        )
 
     # -- one iteration -----------------------------------------------------------------------------------
 

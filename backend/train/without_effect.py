@@ -7,6 +7,7 @@ from typing import Any
 
 from ..model.anchors import Anchors
 from ..model.tone_mapper import ToneMapper
+from .beginning import may_have_strays
 from .config import TrainConfig
 from .nuisances import NuisanceConfig
 from .optimisers import OptimiserConfig
@@ -51,7 +52,7 @@ def _unread(trainer: Trainer) -> set[str]:
         unread |= photos
     if trainer.config.initial_points in ("stereo", "random"):
         unread.add("points_file")
-    if not trainer.may_have_strays:
+    if not may_have_strays(trainer.scene, trainer.config):
         unread.add("initial_size_limit")
     mapper = method.tone_mapper
     if isinstance(mapper, ToneMapper):

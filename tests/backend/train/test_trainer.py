@@ -125,7 +125,7 @@ def test_a_resumed_training_searches_no_points_and_goes_on_counting_seconds(tiny
     scene, config = read_scene(tiny_data), short("default", iterations=12)
     stopped = train(scene, config, tmp_path, stop_at=5)
     spent = stopped.seconds, stopped.cpu_seconds
-    monkeypatch.delattr(f"{Trainer.__module__}.initial_points")
+    monkeypatch.delattr(f"{Trainer.__module__}.begin")
     resumed = Trainer(scene, config, resumed=tmp_path)
     assert (resumed.seconds, resumed.cpu_seconds) == pytest.approx(spent, abs=1e-3)
     *_, last = resumed.run(tmp_path)

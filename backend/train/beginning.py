@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The state before the first iteration: where primitives are, as bright as the photos say, and the response.
+
+One question leads to the next. Stereo compares radiance, so brackets tell of the response before; what
+points tell of the photos themselves (gains, balances, lens, and the response where no bracket did) is asked
+once they are there; and their radiance is read with all of that known.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import torch
+
+from ..methods.base import Responses, SplattingMethod
+from ..model.anchors import Anchors
+from ..model.backbone import Start
+from ..model.tone_mapper import Response, ToneMapper
+from ..scene.points import STRUCTURE_FROM_MOTION
+from ..scene.scene import Scene, View
+from ..start.far_shell import far_points
+from ..start.initialise import initial_points, largest_sizes, merged_log_radiance
+from ..start.merged_brackets import MergedBrackets
+from ..start.photometry import NO_STOPS, Photometry
+from ..start.response import bracket_response, display_response, point_response
+from .clearance import clearances
+from .config import TrainConfig
+from .nuisances import Nuisances
+
+#: Who told of the response at the start, in words.
+BY_BRACKETS, BY_POINTS, BY_SRGB = "brackets tell it", "points tell it", "sRGB has it"
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What a training may look at: ``views`` of ``scene``, at ``exposures``, their positions in each bracket.
+
+    ``responses``: what is known of them; ``range``: bounds of ln radiance; ``merged``: pictures with the
+    light of their brackets, where they are; ``nuisances``: what is learned of each photo, where anything is.
+    """
+
+    scene: Scene
+    views: list[View]
+    exposures: list[tuple[int, ...]]
+    responses: Responses
+    range: tuple[float, float]
+    merged: MergedBrackets | None
+    nuisances: Nuisances | None
+
+
+@dataclass(frozen=True)
+class Begun:
+    """``message``: whence, in words for the user. ``clearance`` ``[V]`` metres: before these depths of the
+    views nothing was photographed; None where Gaussians may be anywhere."""
+
+    message: str
+    clearance: torch.Tensor | None
+
+
+def begin(method: SplattingMethod, seen: Seen, config: TrainConfig) -> Begun:
+    """Put the backbone's first primitives where the scene is, and begin with the response that is told.
+
+    ``seen.nuisances`` begin, too. Where a method wants its ``initial_radiance`` of the points, ln radiance is
+    their colour (HDR-GS). Raises what ``initial_points`` raises.
+    """
+    # Only views under the standard light say how bright a point is at level 1.
+    standard = [(v, e) for v, e in zip(seen.views, seen.exposures, strict=True) if v.is_standard]
+    views, exposures = [v for v, _ in standard], [e for _, e in standard]
+    response, by = method.first_response, ""
+    if config.calibration is None:
+        by = _response_without_points(method.tone_mapper, seen)
+    points = initial_points(
+        seen.scene,
+        views,
+        exposures,
+        response,
+        source=config.initial_points,
+        random_count=config.random_points,
+        seed=config.seed,
+    )
+    message, positions = points.message, points.positions
+    if seen.merged is not None:
+        message += f", brackets merged (noise of {seen.merged.worst:.1f} codes of 255)"
+    clearance = None
+    if _wants(config.clear_cameras, seen, config) and not isinstance(method.backbone, Anchors):
+        clearance = clearances(positions, [view.camera for view in seen.views])
+    if _wants(config.far_shell, seen, config) and config.method.traits.initial_radiance == "merged":
+        far = far_points(positions, views)
+        positions = np.concatenate([positions, far])
+        message += f", {len(far):,} far away where these leave pictures uncovered"
+    told = _told_by(positions, response, seen, config, asks_response=by == BY_SRGB)
+    if by == BY_SRGB and seen.responses == "learned":
+        by = _response_by_points(method.tone_mapper, told, seen)
+    if by:
+        message += f", the response as {by}"
+    radiance = points.colours if config.method.traits.initial_radiance == "points" else None
+    if radiance is None:
+        radiance = merged_log_radiance(positions, views, exposures, response, seen.range)
+    if seen.nuisances is not None:
+        radiance = radiance - seen.nuisances.begin(positions, told)
+    start = Start(
+        opacity=config.initial_opacity,
+        scale_factor=config.initial_scale,
+        largest=_largest_sizes(positions, views, seen.scene, config),
+        ambient_share=config.initial_ambient_share,
+        seed=config.seed,
+    )
+    method.backbone.place(positions, radiance, start)
+    return Begun(message, clearance)
+
+
+def may_have_strays(scene: Scene, config: TrainConfig) -> bool:
+    """Whether ``scene`` is begun from points that may stand alone: those of structure from motion."""
+    given = scene.points
+    uses_given = config.initial_points in ("auto", "both", "file")
+    return uses_given and given is not None and given.origin == STRUCTURE_FROM_MOTION
+
+
+def _largest_sizes(
+    positions: np.ndarray, views: list[View], scene: Scene, config: TrainConfig
+) -> np.ndarray | None:
+    """``[P]`` metres that no Gaussian begins larger than; None: no bound."""
+    share = config.initial_size_limit
+    if not (share and may_have_strays(scene, config)):
+        return None
+    return largest_sizes(positions, [view.camera for view in views], share)
+
+
+def _response_without_points(mapper: Response, seen: Seen) -> str:
+    """Begin with the response that brackets tell, else sRGB's; which it is, "" where it is another."""
+    if not (isinstance(mapper, ToneMapper) and mapper.measures_response):
+        return ""
+    anchor = seen.scene.response_anchor
+    found = bracket_response(seen.views, seen.exposures, anchor)
+    mapper.begin_with(*(found or display_response(anchor)))
+    return BY_SRGB if found is None else BY_BRACKETS
+
+
+def _response_by_points(mapper: Response, told: Photometry | None, seen: Seen) -> str:
+    """Begin with the response that points tell, where they do; which it is then."""
+    found = point_response(told, seen.scene.response_anchor)
+    if found is None:
+        return BY_SRGB
+    assert isinstance(mapper, ToneMapper)
+    mapper.begin_with(*found)
+    return BY_POINTS
+
+
+def _told_by(
+    points: np.ndarray, response: Response, seen: Seen, config: TrainConfig, *, asks_response: bool
+) -> Photometry | None:
+    """What points ``[P, 3]`` (metres) tell of the photos, where anybody asks."""
+    nuisances = seen.nuisances
+    if nuisances is None and asks_response:
+        # Where none are learned, none explain what photos disagree about.
+        none = replace(config.nuisances, gain_stops=NO_STOPS, white_balance_stops=NO_STOPS)
+        nuisances = Nuisances(seen.views, seen.exposures, none, torch.device("cpu"))
+    return None if nuisances is None else nuisances.told_by(points, response)
+
+
+def _wants(setting: Literal["auto", "on", "off"], seen: Seen, config: TrainConfig) -> bool:
+    """Whether what photographs need is done; published methods stay as they were published."""
+    return setting == "on" or (setting == "auto" and seen.scene.photographs and config.method.traits.effects)
