@@ -25,8 +25,11 @@ Source = Literal["auto", "both", "file", "stereo", "random"]
 #: Random points lie between these depths of the training cameras, evenly in log depth, in units of the
 #: cameras' extent (``scene_extent``).
 RANDOM_DEPTH_RANGE = (0.5, 20.0)
-#: With fewer points than this, stereo has failed; more are thinned: densification knows better where.
-FEWEST_STEREO_POINTS, MOST_STEREO_POINTS = 100, 40_000
+#: With fewer points than this, stereo has failed.
+FEWEST_STEREO_POINTS = 100
+#: More are thinned, for densification knows better where Gaussians are needed: first points fill this share
+#: of their budget; stereo's may be as many as the second share in any case, and at most so many.
+FILLED, LEAST_STEREO, MOST_STEREO_POINTS = 0.5, 1.0 / 6.0, 40_000
 
 
 def scene_extent(views: list[View]) -> float:
@@ -71,16 +74,18 @@ def initial_points(
     *,
     source: Source,
     random_count: int,
+    budget: int,
     seed: int,
 ) -> FirstPoints:
     """The data set's points, or those of stereo, or random ones, as ``source`` says.
 
     ``auto``: the data set's if it has any, else stereo's; where views do not overlap, random ones. ``both``:
     as well as the data set's those that stereo finds where it has none. Stereo reads ``views`` (of one light)
-    at ``exposures``, their indices that training may see. Sorted by place (``morton``), as densification
-    keeps them. Raises ``BadValueError`` where ``source`` has none.
+    at ``exposures``, their indices that training may see; ``budget``: Gaussians that there may be at last
+    (0: any number), of which stereo leaves some to densification. Sorted by place (``morton``), as
+    densification keeps them. Raises ``BadValueError`` where ``source`` has none.
     """
-    points = _points(scene, views, exposures, response, source, random_count, seed)
+    points = _points(scene, views, exposures, response, source, random_count, budget, seed)
     order = morton_order(torch.as_tensor(points.positions)).numpy()
     colours = None if points.colours is None else points.colours[order]
     return FirstPoints(points.positions[order], points.message, colours)
@@ -93,6 +98,7 @@ def _points(
     response: Response,
     source: Source,
     random_count: int,
+    budget: int,
     seed: int,
 ) -> FirstPoints:
     given = _given_points(scene) if source in ("auto", "both", "file") else None
@@ -106,7 +112,8 @@ def _points(
         return given
     if source == "random":
         return _random(scene, random_count, seed, "as asked for")
-    seen = _thinned(seen_points(views, exposures, response))
+    most = most_of_stereo(budget, 0 if given is None else len(given.positions))
+    seen = _thinned(seen_points(views, exposures, response), most)
     if len(seen) >= FEWEST_STEREO_POINTS:
         if given is None:
             return FirstPoints(seen, f"{len(seen):,} points by stereo from the training views")
@@ -145,11 +152,19 @@ def seen_points(views: list[View], exposures: list[tuple[int, ...]], response: R
     )
 
 
-def _thinned(positions: np.ndarray) -> np.ndarray:
-    """At most ``MOST_STEREO_POINTS``, ``[P, 3]``."""
-    if len(positions) > MOST_STEREO_POINTS:
-        along = morton_order(torch.as_tensor(positions)).numpy()  # so that what stays is evenly spread
-        positions = positions[along[np.linspace(0, len(along) - 1, MOST_STEREO_POINTS).astype(int)]]
+def most_of_stereo(budget: int, given: int) -> int:
+    """How many points of stereo a training begins with at most, beside ``given`` ones of the data set."""
+    if not budget:
+        return MOST_STEREO_POINTS
+    room = max(FILLED * budget - given, LEAST_STEREO * budget, FEWEST_STEREO_POINTS)
+    return min(round(room), MOST_STEREO_POINTS)
+
+
+def _thinned(positions: np.ndarray, most: int) -> np.ndarray:
+    """At most so many of ``positions`` ``[P, 3]``, evenly spread."""
+    if len(positions) > most:
+        along = morton_order(torch.as_tensor(positions)).numpy()
+        positions = positions[along[np.linspace(0, len(along) - 1, most).astype(int)]]
     return positions
 
 

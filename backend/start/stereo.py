@@ -7,6 +7,9 @@ walls without texture), and only what neighbouring views agree on becomes a poin
 merged ln radiance, where an exposure, a lamp or a wrong response is nearly an offset, by correlation of
 patches, which is blind to offsets and gains.
 
+What has no texture and no edge of its own gets the depth of what surrounds it: the sky that of the window's
+frame. Views from elsewhere see through such points what lies behind, by which they are known and dropped.
+
 Everything metric comes from the cameras: neighbours, the range of depths and its steps. Correlation and
 matching are kernels (``kernels/stereo.py``, with their constants); each thread works on a view of its own.
 """
@@ -21,8 +24,9 @@ from ..kernels.stereo import matching_costs, semi_global
 from ..scene.camera import Camera
 from ..simd import run_parallel
 
-#: Pictures are shrunk to at most this many pixels across: points need not be denser, and cost is cubic.
-WORK_WIDTH = 100
+#: Pictures are shrunk to at most this many pixels across: how exact points are is a matter of it; cost is
+#: cubic.
+WORK_WIDTH = 200
 #: How many neighbours a view is compared with.
 NEIGHBOURS = 6
 #: Neighbours look in directions at most this far apart (degrees): beyond, patches no longer look alike.
@@ -30,9 +34,12 @@ LARGEST_ANGLE = 60.0
 #: A depth is considered where this share of the pixels is seen by at least two neighbours.
 SMALLEST_OVERLAP = 0.25
 #: At most this many depths; steps are about a pixel of parallax against the farthest neighbour.
-FEWEST_DEPTHS, MOST_DEPTHS = 24, 128
+FEWEST_DEPTHS, MOST_DEPTHS = 24, 256
 #: A pixel is kept if at least this many neighbours have the same depth there, to this many steps.
 AGREEING, AGREEMENT = 2, 1.0
+#: A view sees through a point where its own surface is farther by more than this many steps. A point goes if
+#: more than this share of the views that see a surface at it see through it.
+BEHIND, SEEN_THROUGH = 2.0, 0.25
 
 
 @dataclass(frozen=True)
@@ -82,7 +89,7 @@ def stereo_points(views: list[StereoView]) -> np.ndarray:
     kept: list[np.ndarray] = []
     for i in sorted(maps):
         depth_map = maps[i]
-        number = np.flatnonzero(depth_map.kept)
+        number = np.flatnonzero(depth_map.usable)
         points = depth_map.points()[number]
         agreeing = np.zeros(len(points), np.int64)
         for j in neighbours[i]:
@@ -96,22 +103,35 @@ def stereo_points(views: list[StereoView]) -> np.ndarray:
                 agrees, pixel = maps[j].agrees(points)
                 new = ~(agrees & maps[j].kept[pixel])
                 number, points = number[new], points[new]
-        depth_map.kept[:] = False
         depth_map.kept[number] = True
         kept.append(points)
-    return np.concatenate([*kept, np.zeros((0, 3))])
+    points = np.concatenate([*kept, np.zeros((0, 3))])
+    return points[~_seen_through(points, list(maps.values()))]
+
+
+def _seen_through(points: np.ndarray, maps: list["_DepthMap"]) -> np.ndarray:
+    """``[P]`` bool: which of ``points`` ``[P, 3]`` stand before what other views see behind them."""
+    there, through = np.zeros(len(points)), np.zeros(len(points))
+    for depth_map in maps:
+        nearer, pixel = depth_map.nearer(points)
+        usable = depth_map.usable[pixel]
+        with np.errstate(invalid="ignore"):  # NaN where points are not in the picture
+            there += usable & (np.abs(nearer) <= AGREEMENT)
+            through += usable & (nearer > BEHIND)
+    return through > SEEN_THROUGH * there
 
 
 @dataclass
 class _DepthMap:
     """A view's inverse depths ``[H, W]`` float32 (1/m along the optical axis) and their ``step``.
 
-    ``kept``: which pixels become points, ``[H·W]`` bool; before they are checked, which ones may.
+    ``usable`` and ``kept``, ``[H·W]`` bool: where it tells of a surface, and which pixels became points.
     """
 
     camera: Camera
     inverse_depth: np.ndarray
     step: float
+    usable: np.ndarray
     kept: np.ndarray
 
     def points(self) -> np.ndarray:
@@ -122,9 +142,15 @@ class _DepthMap:
             return (in_camera - translation) @ rotation  # the inverse of X_c = R X + t
 
     def agrees(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Whether this view sees a surface where the ``points`` ``[P, 3]`` are, ``[P]`` bool, and the pixels.
+        """Whether this view sees a surface at ``points`` ``[P, 3]``, ``[P]`` bool, and their pixels."""
+        nearer, pixel = self.nearer(points)
+        with np.errstate(invalid="ignore"):
+            return np.abs(nearer) <= AGREEMENT, pixel
 
-        The pixels' flat numbers ``[P]`` are 0 where points are not in the picture.
+    def nearer(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How many steps nearer ``points`` ``[P, 3]`` are than what this view sees there, and their pixels.
+
+        Both ``[P]``, NaN and flat number 0 where points are not in the picture.
         """
         rotation, translation = _pose(self.camera)
         in_camera = points @ rotation.T + translation
@@ -136,8 +162,8 @@ class _DepthMap:
         inside = (depth > 0.0) & (x >= 0.0) & (x < self.camera.width) & (y >= 0.0) & (y < self.camera.height)
         column, row = (np.where(inside, place, 0.0).astype(np.int64) for place in (x, y))
         pixel = row * self.camera.width + column
-        difference = np.abs(self.inverse_depth.reshape(-1)[pixel] - inverse_depth)
-        return inside & (difference <= AGREEMENT * self.step), pixel
+        steps = (inverse_depth - self.inverse_depth.reshape(-1)[pixel]) / self.step
+        return np.where(inside, steps, np.nan), pixel
 
 
 def _pose(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
@@ -253,5 +279,5 @@ def _depth_map(view: StereoView, others: list[StereoView]) -> _DepthMap | None:
     offset = np.clip(0.5 * (below - above) / curvature, -0.5, 0.5)
     step = float(inverse_depths[1] - inverse_depths[0])
     inverse_depth = (inverse_depths[0] + step * (best + offset)).astype(np.float32)
-    usable = (best > 0) & (best < last) & view.known
-    return _DepthMap(view.camera, inverse_depth, step, usable.reshape(-1))
+    usable = ((best > 0) & (best < last) & view.known).reshape(-1)
+    return _DepthMap(view.camera, inverse_depth, step, usable, np.zeros_like(usable))

@@ -26,6 +26,7 @@ from ..start.response import bracket_response, display_response, point_response
 from .clearance import clearances
 from .config import TrainConfig
 from .nuisances import Nuisances
+from .sizing import budget_of
 
 #: Who told of the response at the start, in words.
 BY_BRACKETS, BY_POINTS, BY_SRGB = "brackets tell it", "points tell it", "sRGB has it"
@@ -76,6 +77,7 @@ def begin(method: SplattingMethod, seen: Seen, config: TrainConfig) -> Begun:
         response,
         source=config.initial_points,
         random_count=config.random_points,
+        budget=budget_of(config),
         seed=config.seed,
     )
     message, positions = points.message, points.positions

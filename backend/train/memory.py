@@ -20,9 +20,10 @@ from ..scene.encoding import CAMERA
 from ..scene.points import with_points_file
 from ..scene.resident import picture_room_on
 from ..scene.scene import Scene, View
-from ..start.initialise import MOST_STEREO_POINTS
+from ..start.initialise import most_of_stereo
 from ..start.stereo import MOST_DEPTHS, WORK_WIDTH
 from .config import TrainConfig, in_iterations
+from .sizing import budget_of
 from .targets import TARGET_BYTES, TARGET_PIXEL_BYTES
 from .views import may_merge_brackets, training_lights, training_views
 
@@ -224,7 +225,7 @@ def _first_points(scene: Scene, config: TrainConfig, views: list[View]) -> tuple
         return config.random_points, False
     if source == "file" or (source == "auto" and given):
         return given, False
-    found = min(MOST_STEREO_POINTS, WORK_WIDTH**2 * len(views))
+    found = min(most_of_stereo(budget_of(config), given), WORK_WIDTH**2 * len(views))
     return given + max(found, 0 if given else config.random_points), True
 
 

@@ -55,9 +55,19 @@ def ball(camera):
     return o + d * depth[..., None]
 
 
+def window(camera):
+    """A wall at y = 3 with a window of 1.2 × 1.2: trees at y = 12, 0.9 high, and above them sky (infinite)."""
+    o, d = camera.position, rays(camera)
+    wall, trees = (o + d * ((y - o[1]) / d[..., 1])[..., None] for y in (3.0, 12.0))
+    open_there = np.abs(wall[..., [0, 2]]).max(axis=-1, keepdims=True) < 0.6
+    return np.where(open_there, np.where(trees[..., 2:] < 0.9, trees, np.inf), wall)
+
+
 def views_of(scene, cameras, offsets):
     for camera, offset in zip(cameras, offsets, strict=True):
-        picture = texture(scene(camera)) + offset
+        points = scene(camera)
+        sky = np.isposinf(points)  # brighter than all else, the same everywhere
+        picture = np.where(sky, 2.0, texture(np.where(sky, 0.0, points))) + offset
         known = ~np.isnan(picture[..., 0])
         yield stereo_view(camera, np.where(known[..., None], picture, -12.0), known)
 
@@ -113,6 +123,21 @@ def test_points_do_not_depend_on_the_number_of_threads(room_cameras, room_points
             assert np.array_equal(stereo_points(views), room_points)
     finally:
         set_threads(before)
+
+
+def test_a_sky_without_texture_is_not_where_the_window_is():
+    """It has its frame's depth, for nothing tells another; views from elsewhere see trees through it."""
+    cameras = [
+        look_at([x, 0.0, z], [0.3 * x, 4.0, 0.1 * z]) for x in (-0.5, 0.0, 0.5) for z in (-0.5, 0.0, 0.5)
+    ]
+    points = stereo_points(list(views_of(window, cameras, np.zeros(len(cameras)))))
+    in_the_air = (np.abs(points[:, [0, 2]]).max(axis=1) < 0.55) & (points[:, 1] > 2.0) & (points[:, 1] < 6.0)
+    trees, wall = (
+        np.abs(1.0 / points[:, 1] - 1.0 / 12.0) < 0.02,
+        np.abs(1.0 / points[:, 1] - 1.0 / 3.0) < 0.02,
+    )
+    assert in_the_air.sum() < 20  # hundreds, were they kept
+    assert trees.sum() > 500 and wall.sum() > 2000
 
 
 def test_cameras_around_an_object():
