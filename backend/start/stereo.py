@@ -29,6 +29,8 @@ from ..simd import run_parallel
 WORK_WIDTH = 200
 #: How many neighbours a view is compared with.
 NEIGHBOURS = 6
+#: Nearer ones than this share of the cameras' extent (their largest distance from their mean) are taken last.
+SMALLEST_BASELINE = 0.1
 #: Neighbours look in directions at most this far apart (degrees): beyond, patches no longer look alike.
 LARGEST_ANGLE = 60.0
 #: A depth is considered where this share of the pixels is seen by at least two neighbours.
@@ -183,17 +185,24 @@ def _rays(camera: Camera) -> np.ndarray:
 
 
 def _neighbours(index: int, cameras: list[Camera]) -> list[int]:
-    """The nearest other cameras that look in a similar direction from another place."""
+    """The other cameras that it is compared with: they look in a similar direction from another place.
+
+    The nearest that are not too near: of a video the frames beside one show no parallax. These come last, the
+    farthest of them first.
+    """
     me = cameras[index]
-    distance = [float(np.linalg.norm(other.position - me.position)) for other in cameras]
+    places = np.array([camera.position for camera in cameras])
+    distance = np.linalg.norm(places - me.position, axis=1)
+    extent = np.linalg.norm(places - places.mean(axis=0), axis=1).max()
     alike = math.cos(math.radians(LARGEST_ANGLE))
     able = [
-        i
-        for i, other in enumerate(cameras)
-        if distance[i] > 1e-6 * max(distance)
-        and me.camera_to_world[:3, 2] @ other.camera_to_world[:3, 2] > alike
+        int(i)
+        for i in np.argsort(distance, kind="stable")
+        if distance[i] > 1e-6 * distance.max()
+        and me.camera_to_world[:3, 2] @ cameras[i].camera_to_world[:3, 2] > alike
     ]
-    return sorted(able, key=lambda i: distance[i])[:NEIGHBOURS]
+    far = [i for i in able if distance[i] >= SMALLEST_BASELINE * extent]
+    return [*far, *reversed(able[: len(able) - len(far)])][:NEIGHBOURS]
 
 
 def _homogeneous(rays: np.ndarray, camera: Camera, other: Camera) -> tuple[np.ndarray, np.ndarray]:

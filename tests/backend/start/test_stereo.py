@@ -140,6 +140,14 @@ def test_a_sky_without_texture_is_not_where_the_window_is():
     assert trees.sum() > 500 and wall.sum() > 2000
 
 
+def test_frames_of_a_video_are_compared_with_frames_that_show_parallax():
+    """The six frames beside one are 0.06 away at most: points by them are off by two pixels of the others."""
+    along = np.linspace(-0.6, 0.6, 60)
+    cameras = [look_at([x, 0.1 * np.sin(9.0 * x), 0.1 * np.cos(7.0 * x)], [0.3 * x, 4.0, 0.0]) for x in along]
+    points = stereo_points(list(views_of(room, cameras, np.zeros(len(cameras)))))
+    assert len(points) > 5500 and np.median(parallax_error(points)) < 1.2
+
+
 def test_cameras_around_an_object():
     angles = np.linspace(0.0, 2.0 * np.pi, 16, endpoint=False)
     cameras = [
