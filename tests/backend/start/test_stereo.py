@@ -56,7 +56,7 @@ def ball(camera):
 
 
 def window(camera):
-    """A wall at y = 3 with a window of 1.2 × 1.2: trees at y = 12, 0.9 high, and above them sky (infinite)."""
+    """A wall at y = 3 with a window of 1.2 × 1.2: trees at y = 12, 0.9 high, and above them sky (inf)."""
     o, d = camera.position, rays(camera)
     wall, trees = (o + d * ((y - o[1]) / d[..., 1])[..., None] for y in (3.0, 12.0))
     open_there = np.abs(wall[..., [0, 2]]).max(axis=-1, keepdims=True) < 0.6
