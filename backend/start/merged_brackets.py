@@ -278,6 +278,9 @@ class MergedBrackets:
         seen, tables = self._of[view]
         codes = self._codes(view, seen)
         merged = tables.merged(codes)
+        if view.encodings[seen[0]].is_known:
+            # What clips is brighter by nobody knows how much: a code just below would say how bright it is.
+            merged = np.where(codes >= CODES - 1, codes, merged)
         masks = [view.mask(k) for k in seen]
         hidden = [~mask.reshape(-1) for mask in masks if mask is not None]
         if hidden:

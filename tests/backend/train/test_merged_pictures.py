@@ -12,6 +12,8 @@ import torch
 from PIL import Image
 
 from physhdr.backend.scene import read_scene
+from physhdr.backend.scene.encoding import CAMERA, SRGB, Encoding
+from physhdr.backend.start.merged_brackets import MergedBrackets
 from physhdr.backend.train.config import TrainConfig, read_config, write_config
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import Trainer
@@ -71,6 +73,30 @@ def test_pictures_are_nearer_to_those_without_noise(tiny_data, noisy):
     assert errors(merged) < 0.7 * errors(taken)
     picture = merged.recording(merged.views[0], 2).picture
     assert torch.equal(picture, merged.picture(merged.views[0], 2)) and picture.max() <= 1.0
+
+
+def test_what_clips_under_a_known_response_stays_white(noisy):
+    """A code just below white would say how bright it is, and be believed: skies of raw files turned blue."""
+    for path in sorted((noisy / "train").glob("*.png")):
+        Image.fromarray(np.clip(np.asarray(Image.open(path)) * 2.0, 0, 255).astype(np.uint8)).save(path)
+
+    def whites(encoding: Encoding) -> np.ndarray:
+        views = [
+            dataclasses.replace(
+                view, sources=tuple(dataclasses.replace(source, encoding=encoding) for source in view.sources)
+            )
+            for view in read_scene(noisy).train
+        ]
+        merged = MergedBrackets(views, [(0, 2, 4)] * len(views))
+        assert merged.worth_it
+        each = ((view, k, view.image(k).transpose(2, 0, 1)) for view in views for k in (0, 2, 4))
+        return np.concatenate(
+            [merged.codes(view, k)[codes == np.iinfo(codes.dtype).max] for view, k, codes in each]
+        )
+
+    known = whites(SRGB)
+    assert len(known) > 100 and (known == 65535).all()
+    assert (whites(CAMERA) < 65535).any()  # of noise, where the response is learned
 
 
 def test_runs_of_before_go_on_as_they_were(tmp_path):
