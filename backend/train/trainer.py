@@ -13,7 +13,7 @@ import torch
 from ...bridge.errors import BadValueError, DataMismatchError, PhysHDRError
 from ...bridge.run_folder import CHECKPOINT_FILE
 from ..kernels.activations import LOG_RADIANCE_RANGE
-from ..methods.base import Batch, Facts, Method, Recording, Responses
+from ..methods.base import Batch, Facts, Method, Recording, Responses, SplattingMethod
 from ..methods.registry import name_of, new_method
 from ..model.anchors import Anchors
 from ..model.tone_mapper import MEASURED
@@ -155,19 +155,23 @@ class Trainer:
         if self.config.calibration is not None:
             self._calibrate(self.config.calibration)
         if self.method.splatting is not None:
-            seen = Seen(
-                self.scene,
-                self.views,
-                self.exposures,
-                self.responses,
-                self.range,
-                self.merged,
-                self.nuisances,
-            )
-            first = begin(self.method.splatting, seen, self.config)
-            self.start_message, self._clearance = first.message, first.clearance
+            self._place(self.method.splatting)
         self.seconds = time.perf_counter() - begun
         self.cpu_seconds = time.process_time() - begun_cpu
+
+    def _place(self, method: SplattingMethod) -> None:
+        """Put the backbone's first primitives where the scene is (``beginning``)."""
+        seen = Seen(
+            self.scene,
+            self.views,
+            self.exposures,
+            self.responses,
+            self.range,
+            self.merged,
+            self.nuisances,
+        )
+        first = begin(method, seen, self.config)
+        self.start_message, self._clearance = first.message, first.clearance
 
     def _new_growth(self) -> Growth:
         config, seed = self.schedule, (self.config.seed, STREAM_GROWTH)
