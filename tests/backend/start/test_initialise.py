@@ -10,7 +10,7 @@ from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.camera import Camera
 from physhdr.backend.scene.points import EXACT, STRUCTURE_FROM_MOTION
 from physhdr.backend.scene.scene import Points
-from physhdr.backend.start.initialise import largest_sizes
+from physhdr.backend.start.initialise import largest_sizes, most_of_stereo
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import Trainer
 
@@ -51,3 +51,10 @@ def test_a_point_without_neighbours_does_not_begin_as_a_fog(tiny_data, limit, or
     assert size == pytest.approx(limit, rel=1e-4) if is_bounded else size > 0.5
     assert PRESETS["baseline"].initial_size_limit == PRESETS["default"].initial_size_limit
     assert PRESETS["paper"].initial_size_limit == 0.0
+
+
+def test_stereo_leaves_densification_room():
+    """Half of the budget with the data set's points; a sixth where these fill it; 40,000; any number of Gaussians."""
+    cases = {(60_000, 0): 30_000, (60_000, 17_600): 12_400, (150_000, 100_000): 25_000, (300_000, 0): 40_000}
+    assert {case: most_of_stereo(*case) for case in cases} == cases
+    assert most_of_stereo(0, 17_600) == 40_000
