@@ -54,7 +54,7 @@ def test_a_point_without_neighbours_does_not_begin_as_a_fog(tiny_data, limit, or
 
 
 def test_stereo_leaves_densification_room():
-    """Half of the budget with the data set's points, a sixth where these fill it, 40,000 where that is more."""
+    """Half of the budget with the data set's points, a sixth where these fill it; at most 40,000."""
     cases = {(60_000, 0): 30_000, (60_000, 17_600): 12_400, (150_000, 100_000): 25_000, (300_000, 0): 40_000}
     assert {case: most_of_stereo(*case) for case in cases} == cases
     assert most_of_stereo(0, 17_600) == 40_000
