@@ -51,7 +51,8 @@ class TrainingBar:
         elif isinstance(event, events.Finished):
             state = "stopped" if event.stopped else "finished"
             used = f"{event.seconds:.0f} s ({event.cpu_seconds:.0f} CPU seconds)"
-            console.print(f"{state} at iteration {event.iteration} after {used}")
+            message = f"; {event.message}" if event.message else ""
+            console.print(f"{state} at iteration {event.iteration} after {used}{message}", soft_wrap=True)
 
     def _show_progress(self, event: events.Progress) -> None:
         self._monitor |= event.monitor

@@ -52,16 +52,23 @@ def camera_tensors(camera: Camera, like: torch.Tensor) -> CameraTensors:
     key = (like.device, like.dtype)
     if key not in kept:
         K = [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]]
+        half_size = [0.5 * camera.width, 0.5 * camera.height]
         kept[key] = CameraTensors(
-            view=camera.view_matrix(like),
-            intrinsics=torch.tensor(K, dtype=like.dtype, device=like.device),
-            # .copy(): the position is a view into the pose, and as_tensor would share its memory.
-            position=torch.as_tensor(camera.position.copy(), dtype=like.dtype, device=like.device),
-            half_size=torch.tensor(
-                [0.5 * camera.width, 0.5 * camera.height], dtype=like.dtype, device=like.device
-            ),
+            view=_beside(camera.world_to_camera, like),
+            intrinsics=_beside(np.array(K), like),
+            position=_beside(camera.position, like),
+            half_size=_beside(np.array(half_size), like),
         )
     return kept[key]
+
+
+def _beside(values: np.ndarray, like: torch.Tensor) -> torch.Tensor:
+    """A copy with the device and dtype of ``like``; the host goes on while a card fetches it.
+
+    Where poses are learned each iteration has a camera of its own.
+    """
+    host = torch.from_numpy(values.copy()).to(like.dtype)
+    return host.pin_memory().to(like.device, non_blocking=True) if like.is_cuda else host.to(like.device)
 
 
 class Pictures:

@@ -21,6 +21,7 @@ from ..methods.registry import config_named, name_of
 from ..model.anchors import AnchorsConfig
 from ..start.initialise import Source
 from .densify import DensifyConfig
+from .learned_poses import PoseConfig
 from .nuisances import NuisanceConfig
 from .optimisers import OptimiserConfig
 
@@ -110,6 +111,7 @@ class TrainConfig:
     optimiser: OptimiserConfig = field(default_factory=OptimiserConfig)
     densify: DensifyConfig = field(default_factory=DensifyConfig)
     nuisances: NuisanceConfig = field(default_factory=NuisanceConfig)
+    poses: PoseConfig = field(default_factory=PoseConfig)
 
     def __post_init__(self) -> None:
         if not 1 <= self.iterations <= ITERATIONS_MAX:
@@ -194,7 +196,11 @@ def _flag(name: str) -> str:
 
 
 #: Settings that were added, where what was before is not their default: what it was.
-FORMERLY: dict[str, Any] = {"config.merged_brackets": "off", "config.initial_size_limit": 0.0}
+FORMERLY: dict[str, Any] = {
+    "config.merged_brackets": "off",
+    "config.initial_size_limit": 0.0,
+    "config.poses": PoseConfig(mode="off"),
+}
 #: Settings by names they had before → as they are called now.
 RENAMED = {"ambient_share_logits": "light_share_logits"}
 

@@ -43,13 +43,14 @@ class Finished:
     """Training ended: by itself, or because somebody asked (``stopped``).
 
     ``seconds`` on the clock; ``cpu_seconds`` of all cores together, without the monitor's pictures. Both
-    count the search for the first points.
+    count the search for the first points. ``message``: what was found of the cameras, in words.
     """
 
     iteration: int
     seconds: float
     cpu_seconds: float
     stopped: bool
+    message: str = ""
 
 
 Event = Started | Progress | Saved | Finished

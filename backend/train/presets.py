@@ -22,6 +22,7 @@ from ..model.field import FieldConfig
 from ..model.tone_mapper import ToneMapperConfig
 from .config import TrainConfig
 from .densify import DensifyConfig
+from .learned_poses import PoseConfig
 from .nuisances import NuisanceConfig
 from .optimisers import STOCK_3DGS, OptimiserConfig
 
@@ -49,6 +50,7 @@ def as_published(**settings: Any) -> TrainConfig:
         "initial_opacity": 0.1,
         "initial_size_limit": 0.0,
         "merged_brackets": "off",
+        "poses": PoseConfig(mode="off"),
     }
     return TrainConfig(**published | settings)
 
@@ -94,6 +96,7 @@ def baseline(iterations: int = 2500) -> TrainConfig:
     return as_published(
         iterations=iterations,
         initial_size_limit=TrainConfig().initial_size_limit,
+        poses=PoseConfig(),
         method=PhysHDRConfig(
             branches="image-exposure",
             lighting_level="exposure",

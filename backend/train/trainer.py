@@ -46,6 +46,7 @@ from .densify import CLEARANCE, GaussianGrowth
 from .events import Event, Finished, Progress, Saved, Started
 from .growth import Growth, NoGrowth
 from .half_size import halved
+from .learned_poses import LearnedPoses
 from .nuisances import Nuisances
 from .optimisers import ADAM, Optimiser
 from .targets import SsimTargets
@@ -70,6 +71,8 @@ NETWORKS = "networks."
 STATISTICS = "statistics."
 #: Prefix of what is learned of each photo.
 NUISANCES = "nuisances."
+#: Prefix of what is learned of where each view was taken from.
+POSES = "poses."
 
 #: A checkpoint is written this often (seconds), but so that writing takes a fiftieth of the time at most.
 CHECKPOINT_SECONDS = 30.0
@@ -132,6 +135,8 @@ class Trainer:
         self.nuisances = self._new_nuisances(state, resumed)
         #: Before these depths nothing was photographed; None where Gaussians may be anywhere.
         self._clearance = state.get(f"{STATISTICS}{CLEARANCE}")
+        #: Where the views were taken from, as it is learned; None where it is taken as stated.
+        self.poses: LearnedPoses | None = None
         if not resumed:
             self._begin()
         elif self._clearance is not None and self._clearance.shape != (len(self.views),):
@@ -156,6 +161,7 @@ class Trainer:
             self._calibrate(self.config.calibration)
         if self.method.splatting is not None:
             self._place(self.method.splatting)
+        self.poses = self._new_poses()
         self.seconds = time.perf_counter() - begun
         self.cpu_seconds = time.process_time() - begun_cpu
 
@@ -216,6 +222,17 @@ class Trainer:
             response_is_known=self.config.calibration is not None,
         )
 
+    def _new_poses(self) -> LearnedPoses | None:
+        """As the configuration says."""
+        mode, method = self.config.poses.mode, self.method.splatting
+        if method is None and mode == "on":
+            raise BadValueError(
+                f"{name_of(self.config.method)} cannot learn poses", "Leave out --poses.mode on."
+            )
+        if method is None or mode == "off" or (mode == "auto" and not self.scene.photographs):
+            return None
+        return LearnedPoses(self.views, self.config.poses, method.backbone.positions)
+
     def _calibrate(self, path: str) -> None:
         """Response and vignetting as the file at ``path`` has them."""
         if self.method.splatting is None:
@@ -273,6 +290,8 @@ class Trainer:
             self.targets.noted(view, k, recording, is_half)
             for k, recording in zip(indices, recordings, strict=True)
         ]
+        if self.poses is not None:
+            camera = self.poses.posed(view, camera, iteration / config.iterations)
         if self.nuisances is not None:
             recordings = self.nuisances.applied(view, indices, camera, recordings)
         return Batch(
@@ -294,10 +313,15 @@ class Trainer:
         if self.nuisances is not None:
             terms = terms | {"nuisances": self.nuisances.prior()}
         total = torch.stack(list(terms.values())).sum()
+        if self.poses is not None and outcome.drawn is not None:
+            self.poses.watch(outcome.drawn.splats)
         total.backward()
 
         if outcome.drawn is not None:
             self.growth.observe(outcome.drawn, batch.camera, iteration)
+            if self.poses is not None:
+                view, progress = self.draw(iteration)[0], iteration / self.config.iterations
+                self.poses.observe(view, batch.camera, outcome.drawn.splats, progress)
         self._sound = False
         self.optimiser.step(iteration)
         if self.nuisances is not None:
@@ -374,7 +398,9 @@ class Trainer:
             if self._sound:
                 self.save(folder)
         yield Saved(self.iteration, str(folder / CHECKPOINT_FILE))
-        yield Finished(self.iteration, self.seconds, self.cpu_seconds, stopped=self.iteration < total)
+        message = "" if self.poses is None else str(self.poses)
+        stopped = self.iteration < total
+        yield Finished(self.iteration, self.seconds, self.cpu_seconds, stopped, message)
 
     def _refuse_nan(self, losses: dict[str, float]) -> None:
         bad = [name for name, value in losses.items() if not math.isfinite(value)]
@@ -404,6 +430,8 @@ class Trainer:
         tensors |= self.optimiser.state_tensors()
         if self.nuisances is not None:
             tensors |= {f"{NUISANCES}{k}": v for k, v in self.nuisances.tensors().items()}
+        if self.poses is not None:
+            tensors |= {f"{POSES}{k}": v for k, v in self.poses.tensors().items()}
         for name, tensor in tensors.items():
             if tensor.is_floating_point() and not tensor.isfinite().all():
                 raise self._diverged(f"{name} has values that are not numbers")
@@ -465,6 +493,14 @@ class Trainer:
         refuse_others({k: v for k, v in tensors.items() if k.startswith(NUISANCES)}, wanted, path)
         if self.nuisances is not None:
             self.nuisances.restore({name: tensors[f"{NUISANCES}{name}"] for name in learned})
+        if any(name.startswith(POSES) for name in tensors):  # a run of an older PhysHDR goes on without
+            self.poses = self._new_poses()
+        posed = {} if self.poses is None else self.poses.tensors()
+        wanted = {f"{POSES}{name}": like for name, like in posed.items()}
+        check_tensors(tensors, wanted, path)
+        refuse_others({k: v for k, v in tensors.items() if k.startswith(POSES)}, wanted, path)
+        if self.poses is not None:
+            self.poses.restore({name: tensors[f"{POSES}{name}"] for name in posed}, self.views)
         self.optimiser.load_state_tensors({k: v.to(self.device) for k, v in moments.items()})
         self.growth.restore(
             {name.removeprefix(STATISTICS): v.to(self.device) for name, v in statistics.items()}
