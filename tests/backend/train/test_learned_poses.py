@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Learned poses: their gradient against differences, what the scene could follow, and errors that they find."""
+"""Learned poses: their gradient against differences, what a scene could follow, and errors that they find."""
 
 import dataclasses
 
