@@ -101,14 +101,18 @@ class LearnedPoses:
         self.steps = np.zeros(len(views))
         self.waiting = np.full(shape, np.nan)
         self._coming: dict[int, tuple[torch.Tensor, torch.cuda.Event]] = {}
-        cameras = [view.camera for view in views]
+        self._seen = 0  # the view that was drawn last
+        self._cameras = [view.camera for view in views]
         #: Radians and metres of a pixel, ``[V, 6]``.
-        self.pixel = _pixels(cameras, positions.detach().double().cpu().numpy())
-        self._together = _together(cameras, self.pixel)
+        self.pixel = _pixels(self._cameras, positions.detach().double().cpu().numpy())
+        self._together = _together(self._cameras, self.pixel)
 
     def posed(self, view: View, camera: Camera, progress: float) -> Camera:
-        """``camera``, which is the view's at any size, where it is now. ``progress``: of the training."""
-        row = self._row[view]
+        """``camera``, which is the view's at any size, where it is now. ``progress``: of the training.
+
+        From now on until ``observe`` this view is the one that was seen.
+        """
+        self._seen = row = self._row[view]
         if row in self._coming:
             buffer, arrived = self._coming.pop(row)
             arrived.synchronize()
@@ -125,11 +129,11 @@ class LearnedPoses:
             if tensor.requires_grad:
                 tensor.retain_grad()
 
-    def observe(self, view: View, camera: Camera, splats: Splats, progress: float) -> None:
-        """Take what a view's gradients say of its pose; ``camera``: as ``posed`` gave it."""
+    def observe(self, splats: Splats, camera: Camera, progress: float) -> None:
+        """Take what the gradients say of the pose that was seen; ``camera``: as ``posed`` gave it."""
         if progress < self.config.start or splats.means.grad is None:
             return
-        row, gradient = self._row[view], twist_gradient(splats, camera)
+        row, gradient = self._seen, twist_gradient(splats, camera)
         if not gradient.is_cuda:
             self.waiting[row] = gradient.double().numpy()
             return
@@ -178,14 +182,14 @@ class LearnedPoses:
             "pixel": torch.from_numpy(self.pixel),
         }
 
-    def restore(self, tensors: Mapping[str, torch.Tensor], views: Sequence[View]) -> None:
+    def restore(self, tensors: Mapping[str, torch.Tensor]) -> None:
         """Take back what ``tensors`` gave."""
         arrays = {name: tensor.cpu().numpy() for name, tensor in tensors.items()}
         self.twist[...], self.pixel[...] = arrays["twist"], arrays["pixel"]
         self.moments[0], self.moments[1] = arrays["exp_avg"], arrays["exp_avg_sq"]
         self.steps[...] = arrays["step"]
         self.waiting[...] = np.where(arrays["waits"][:, None] != 0, arrays["waiting"], np.nan)
-        self._together = _together([view.camera for view in views], self.pixel)
+        self._together = _together(self._cameras, self.pixel)
 
 
 def _pixels(cameras: Sequence[Camera], positions: np.ndarray) -> np.ndarray:

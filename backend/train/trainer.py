@@ -320,8 +320,7 @@ class Trainer:
         if outcome.drawn is not None:
             self.growth.observe(outcome.drawn, batch.camera, iteration)
             if self.poses is not None:
-                view, progress = self.draw(iteration)[0], iteration / self.config.iterations
-                self.poses.observe(view, batch.camera, outcome.drawn.splats, progress)
+                self.poses.observe(outcome.drawn.splats, batch.camera, iteration / self.config.iterations)
         self._sound = False
         self.optimiser.step(iteration)
         if self.nuisances is not None:
@@ -493,14 +492,13 @@ class Trainer:
         refuse_others({k: v for k, v in tensors.items() if k.startswith(NUISANCES)}, wanted, path)
         if self.nuisances is not None:
             self.nuisances.restore({name: tensors[f"{NUISANCES}{name}"] for name in learned})
-        if any(name.startswith(POSES) for name in tensors):  # a run of an older PhysHDR goes on without
-            self.poses = self._new_poses()
+        self.poses = self._new_poses()
         posed = {} if self.poses is None else self.poses.tensors()
         wanted = {f"{POSES}{name}": like for name, like in posed.items()}
         check_tensors(tensors, wanted, path)
         refuse_others({k: v for k, v in tensors.items() if k.startswith(POSES)}, wanted, path)
         if self.poses is not None:
-            self.poses.restore({name: tensors[f"{POSES}{name}"] for name in posed}, self.views)
+            self.poses.restore({name: tensors[f"{POSES}{name}"] for name in posed})
         self.optimiser.load_state_tensors({k: v.to(self.device) for k, v in moments.items()})
         self.growth.restore(
             {name.removeprefix(STATISTICS): v.to(self.device) for name, v in statistics.items()}

@@ -2,6 +2,7 @@
 """Learned poses: their gradient against differences, what a scene could follow, and errors that they find."""
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -11,10 +12,10 @@ from physhdr.backend.model.backbone import Splats
 from physhdr.backend.rasterize import rasterize
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.camera import Camera
-from physhdr.backend.train.checkpoint import load_checkpoint
+from physhdr.backend.train.config import CONFIG_FILE, read_config, write_config
 from physhdr.backend.train.learned_poses import LearnedPoses, PoseConfig, moved, twist_gradient
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import CHECKPOINT_FILE, POSES, Trainer
+from physhdr.backend.train.trainer import POSES, Trainer
 from physhdr.bridge.errors import BadValueError, FileDamagedError
 
 ON = PoseConfig(mode="on", start=0.0)
@@ -92,9 +93,10 @@ def test_that_all_cameras_move_turn_or_spread_together_is_never_learned(tiny_dat
         world = np.eye(4)
         world[:3, :3] = (1 + small) * rotation
         world[:3, 3] = small * np.array([0.3, -0.2, 0.5])
-        before, after = view.camera.world_to_camera, view.camera.world_to_camera @ world
-        after[:3] /= 1 + small  # a picture does not change with the scale of what is before the camera
-        motion = after @ np.linalg.inv(before)
+        sees = view.camera.world_to_camera
+        moves = sees @ world
+        moves[:3] /= 1 + small  # a picture does not change with the scale of what is before the camera
+        motion = moves @ np.linalg.inv(sees)
         spin = (motion[:3, :3] - motion[:3, :3].T) / 2
         common.append([spin[2, 1], spin[0, 2], spin[1, 0], *motion[:3, 3]])
     assert len(centres) > 2
@@ -142,19 +144,8 @@ def test_what_a_training_finds_of_wrong_poses_is_nearer_to_the_true_ones(larger_
     assert np.sqrt((left**2).mean()) < 0.5 * np.sqrt((shown(errors) ** 2).mean())
 
 
-def test_a_resumed_training_is_bit_identical(tiny_data, tmp_path):
-    scene, config = read_scene(tiny_data), short()
-    saved = []
-    for name, stops in (("whole", ()), ("parts", (7, 8))):
-        folder = tmp_path / name
-        folder.mkdir()
-        trainer = Trainer(scene, config)
-        for stop in (*stops, config.iterations):
-            for _ in trainer.run(folder, should_stop=lambda t=trainer, s=stop: t.iteration >= s):
-                pass
-            trainer = Trainer(scene, config, resumed=folder)
-        saved.append(load_checkpoint(folder / CHECKPOINT_FILE)[0])
-    whole, parts = saved
+def test_a_resumed_training_is_bit_identical(tiny_data, whole_and_in_parts):
+    whole, parts = whole_and_in_parts(read_scene(tiny_data), short(), (7, 8))
     assert whole.keys() == parts.keys() and whole[f"{POSES}twist"].abs().max() > 0.0
     assert all(torch.equal(whole[name], parts[name]) for name in whole)
 
@@ -179,13 +170,20 @@ def test_anchors_tell_of_poses_too(tiny_data):
 
 
 def test_a_training_that_was_begun_without_goes_on_without(tiny_data, tmp_path):
+    """As those of earlier versions were, whose configuration says nothing of it."""
     photographs = dataclasses.replace(read_scene(tiny_data), info={}, response_anchor=None)
     begun = Trainer(photographs, short("off"))
     begun.step()
     begun.save(tmp_path)
-    resumed = Trainer(photographs, short("auto"), resumed=tmp_path, configuration=begun.configuration)
+    write_config(tmp_path / CONFIG_FILE, begun.config, tiny_data, "default")
+    written = json.loads((tmp_path / CONFIG_FILE).read_text())
+    del written["config"]["poses"]
+    (tmp_path / CONFIG_FILE).write_text(json.dumps(written))
+    resumed = Trainer(photographs, read_config(tmp_path / CONFIG_FILE).config, resumed=tmp_path)
     assert resumed.poses is None
     resumed.step()
+    with pytest.raises(FileDamagedError, match=r"it has no poses\.twist"):
+        Trainer(photographs, short("auto"), resumed=tmp_path, configuration=begun.configuration)
 
 
 def test_what_cannot_be_is_refused(tiny_data, tmp_path):

@@ -11,11 +11,10 @@ import torch
 from physhdr.backend.methods.base import Recording
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.camera import Camera
-from physhdr.backend.train.checkpoint import load_checkpoint
 from physhdr.backend.train.half_size import half_sized
 from physhdr.backend.train.nuisances import NuisanceConfig, Nuisances, telling_share
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import CHECKPOINT_FILE, NUISANCES, Trainer
+from physhdr.backend.train.trainer import NUISANCES, Trainer
 from physhdr.bridge.errors import BadValueError, FileDamagedError
 
 ON = NuisanceConfig(mode="on")
@@ -120,19 +119,8 @@ def test_only_values_that_are_compared_and_neither_black_nor_white_tell_of_the_l
     assert telling_share(Recording(exposure=1.0, picture=picture, mask=mask)) == pytest.approx(2 / 3)
 
 
-def test_a_resumed_training_is_bit_identical(tiny_data, tmp_path):
-    scene, config = read_scene(tiny_data), short()
-    saved = []
-    for name, stops in (("whole", ()), ("parts", (7,))):
-        folder = tmp_path / name
-        folder.mkdir()
-        trainer = Trainer(scene, config)
-        for stop in (*stops, config.iterations):
-            for _ in trainer.run(folder, should_stop=lambda t=trainer, s=stop: t.iteration >= s):
-                pass
-            trainer = Trainer(scene, config, resumed=folder)
-        saved.append(load_checkpoint(folder / CHECKPOINT_FILE)[0])
-    whole, parts = saved
+def test_a_resumed_training_is_bit_identical(tiny_data, whole_and_in_parts):
+    whole, parts = whole_and_in_parts(read_scene(tiny_data), short(), (7,))
     assert whole.keys() == parts.keys() and any(name.startswith(NUISANCES) for name in whole)
     assert all(torch.equal(whole[name], parts[name]) for name in whole)
 
