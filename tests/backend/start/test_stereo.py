@@ -145,7 +145,32 @@ def test_frames_of_a_video_are_compared_with_frames_that_show_parallax():
     along = np.linspace(-0.6, 0.6, 60)
     cameras = [look_at([x, 0.1 * np.sin(9.0 * x), 0.1 * np.cos(7.0 * x)], [0.3 * x, 4.0, 0.0]) for x in along]
     points = stereo_points(list(views_of(room, cameras, np.zeros(len(cameras)))))
-    assert len(points) > 5500 and np.median(parallax_error(points)) < 1.2
+    assert len(points) > 6500 and np.median(parallax_error(points)) < 0.7
+
+
+def test_a_view_is_compared_with_those_that_see_its_other_side():
+    """Three places see the wall's right part; the eight nearest of each look at the middle."""
+    crowd = [look_at([x, 0.0, z], [0.0, 4.0, 0.0]) for x in (-0.2, 0.0, 0.2) for z in (-0.2, 0.0, 0.2)]
+    places = [1.4, 0.0, 1.0], [1.4, 0.0, -1.0], [2.9, -1.2, 0.0]
+    apart = [look_at(place, [3.0, 5.0, 0.0]) for place in places]
+    cameras = [*crowd, *apart]
+    points = stereo_points(list(views_of(room, cameras, np.zeros(len(cameras)))))
+    right = points[points[:, 0] > 2.5]
+    assert len(right) > 1000
+    assert (np.abs(1.0 / right[:, 1] - 1.0 / 5.0) < 0.01).mean() > 0.9
+
+
+def test_a_wall_that_faces_all_cameras():
+    """All of it at one depth: a range of depths that is hardly one."""
+
+    def wall(camera):
+        o, d = camera.position, rays(camera)
+        return o + d * ((5.0 - o[1]) / d[..., 1])[..., None]
+
+    cameras = [look_at([x, 0.0, z], [x, 5.0, z]) for x in (-0.4, 0.0, 0.4) for z in (-0.3, 0.3)]
+    points = stereo_points(list(views_of(wall, cameras, np.zeros(len(cameras)))))
+    assert len(points) > 4000
+    assert (parallax_error(points) < 0.5).mean() > 0.95
 
 
 def test_cameras_around_an_object():
