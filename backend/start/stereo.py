@@ -10,10 +10,13 @@ patches, which is blind to offsets and gains.
 What has no texture and no edge of its own gets the depth of what surrounds it: the sky that of the window's
 frame. Views from elsewhere see through such points what lies behind, by which they are known and dropped.
 
-Everything metric comes from the cameras: neighbours, the range of depths and its steps. What cameras could see
-in common reaches much nearer than what there is, so a rough sweep at half the size comes first: it tells over
-which depths the scene lies, for finer steps, and who sees what of it, for neighbours that together see all of
-a picture. Correlation and matching are kernels (``kernels/stereo.py``, with their constants); each thread works on a view of its own.
+Everything metric comes from the cameras: neighbours, the range of depths and its steps. What cameras could
+see in common reaches much nearer than what there is, so a rough sweep at half the size comes first: it tells
+over which depths the scene lies, for finer steps, and who sees what of it, for neighbours that together see
+all of a picture.
+
+Correlation and matching are kernels (``kernels/stereo.py``, with their constants); each thread works on a
+view of its own.
 """
 
 import math
