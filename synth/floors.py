@@ -2,9 +2,9 @@
 """How far the truth can be trusted, measured on the middle test view (dataset.json's two floors).
 
 ``noise_floor``: against a second render of it with other noise. Two denoised pictures may share one bias, so
-where the truth has samples of its own there is ``reference_floor``, too: against a render of many more
-samples without denoising. That one is made in chunks, files of their own, so that it can be interrupted and
-shared.
+where the truth has samples of its own there is ``reference_floor``, too: against two renders without
+denoising, whose own noise drops out of a mean of products (``noise.floor_of_limit``). These are made in
+chunks, files of their own, so that they can be interrupted and shared.
 """
 
 from dataclasses import dataclass
@@ -94,12 +94,11 @@ def reference_floor(
     response: Response,
     exposures: tuple[float, ...],
 ) -> dict[str, Any]:
-    """``truth`` [height, width, 3] against the mean of both halves of the reference, [height, width, 3] each.
+    """``truth`` [height, width, 3] against what both halves of the reference have in common.
 
-    ``own`` tells how good the reference is itself: what its halves, each of half of its samples, agree to.
+    ``own`` tells how noisy these are, [height, width, 3] each: what they agree to.
     """
     # Differences of passes are a rounding below 0 where a light does not reach.
-    pictures = (reference[0] + reference[1]) / 2.0, *reference
-    mean, first, second = (np.maximum(each, 0.0).astype(np.float32) for each in pictures)
-    entry = noise.floor(truth, mean, response, exposures)
+    first, second = (np.maximum(each, 0.0).astype(np.float32) for each in reference)
+    entry = noise.floor_of_limit(truth, (first, second), response, exposures)
     return {**entry, "own": noise.floor(first, second, response, exposures)}

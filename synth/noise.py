@@ -11,6 +11,8 @@ from .response import Response
 MU = 5000.0
 #: dB reported for identical pictures, whose PSNR is infinite (JSON has no infinity).
 CEILING = 99.0
+#: Pixels: noise is no wider, so that tiles of this size scatter by themselves.
+TILE = 10
 BY_DENOISER, BY_LAPLACIAN = "difference to the denoised picture", "Immerkær's Laplacian"
 
 
@@ -38,6 +40,52 @@ def floor(
     maximum = float(first.max()) or 1.0
     hdr = psnr(quantise(mu_law(first, maximum)), quantise(mu_law(second, maximum)))
     return {"psnr": [round(value, 3) for value in brackets], "hdr_psnr": round(hdr, 3)}
+
+
+def floor_of_limit(
+    truth: np.ndarray,
+    halves: tuple[np.ndarray, np.ndarray],
+    response: Response,
+    exposures: tuple[float, ...],
+) -> dict[str, object]:
+    """As ``floor``, between ``truth`` and what it would be without noise and without a denoiser's bias.
+
+    The two ``halves`` are the view again, with noise of their own and not denoised, [height, width, 3] as
+    ``truth``. What they have in common is the limit, so that the mean of (truth − first) × (truth − second)
+    is the squared error of the truth alone: their noise is not in it, however much they have. ``psnr_error``
+    and ``hdr_psnr_error``: how much their noise may still have moved that mean, dB (standard error, from the
+    scatter over tiles of the picture).
+    """
+    maximum = float(truth.max()) or 1.0
+
+    def developed(picture: np.ndarray, exposure: float | None) -> np.ndarray:
+        if exposure is None:
+            return mu_law(picture, maximum)
+        return response(picture.astype(np.float64) * exposure)
+
+    found = []
+    for exposure in (*exposures, None):
+        best, first, second = (developed(each, exposure) for each in (truth, *halves))
+        found.append(_mean_and_error((best - first) * (best - second)))
+    decibels = [round(_decibels(mean), 3) for mean, _ in found]
+    errors = [
+        round(10.0 / math.log(10.0) * error / mean, 3) if mean > 0.0 else CEILING for mean, error in found
+    ]
+    return {
+        **{"psnr": decibels[:-1], "psnr_error": errors[:-1]},
+        **{"hdr_psnr": decibels[-1], "hdr_psnr_error": errors[-1]},
+    }
+
+
+def _mean_and_error(picture: np.ndarray) -> tuple[float, float]:
+    """The mean of ``picture`` [height, width, 3] and its standard error, by tiles of ``TILE`` × ``TILE``."""
+    height, width = (max(TILE, size - size % TILE) for size in picture.shape[:2])
+    whole = picture[:height, :width]
+    if whole.shape[:2] != (height, width):  # smaller than a tile
+        return float(picture.mean()), 0.0
+    tiles = whole.reshape(height // TILE, TILE, width // TILE, TILE, 3).mean(axis=(1, 3, 4)).ravel()
+    error = float(tiles.std(ddof=1) / math.sqrt(tiles.size)) if tiles.size > 1 else 0.0
+    return float(picture.mean()), error
 
 
 def estimate(raw: np.ndarray, denoised: np.ndarray | None) -> float:

@@ -24,8 +24,8 @@ LARGEST_LEVEL = 1024.0
 LEAST_LEVEL = 1e-6
 #: Degrees: nearer to the zenith the direction of 'up' is lost.
 LARGEST_ELEVATION = 85.0
-#: Of the undenoised reference: how many times the samples of what it checks.
-REFERENCE_FACTOR = 16
+#: Of the undenoised reference: how many times the samples of what it checks. Its two halves need no more.
+REFERENCE_FACTOR = 2
 #: The height of a resolution that follows the aspect of the user's scene.
 FOLLOW = 0
 #: Options that are left out of what is remembered where they are not used.

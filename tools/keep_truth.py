@@ -8,8 +8,8 @@ A pass (synth/truth.py) has so many samples and is denoised by itself; the truth
 by their samples. Every test and validation view of a scene gets the first pass before any gets the second,
 and so does the middle test view once more with other noise (``again``). So it may be stopped at any time, by
 CTRL-C or a kill, and goes on where it stopped, even on another machine that has only what is kept. Several
-may work at the same time. ``--reference`` then renders the middle test view with 16 times the samples and
-without denoising. Both floors go into truth.json.
+may work at the same time. ``--reference`` then renders the middle test view twice without denoising, which
+together tell of its limit. Both floors go into truth.json.
 
 With ``--passes 1024,1024`` it is what ``make_scene.py --test-samples 2048`` makes, but for half floats.
 """

@@ -27,7 +27,7 @@ DATA = Path(__file__).resolve().parent.parent / "benchmarks" / "data"
 AMPLIFIED = 16
 EXPOSURES = (0, 2, 4)
 HEADER = (
-    "| scene | passes, samples | CPU h | views | former truth, two renders | truth, two renders | to 16 × |",
+    "| scene | passes | CPU h | views | former truth, two renders | truth, two renders | its limit |",
     "|---|---|---:|---:|---|---|---|",
 )
 GAP, HEAD, PAPER, INK = 4, 22, (255, 255, 255), (24, 24, 28)
