@@ -72,7 +72,7 @@ def draw_progress(
 
 
 def draw_training(context: bpy.types.Context, column: bpy.types.UILayout, state: State) -> None:
-    """Iterations, time left; quality, splats, loss, speed; while it is prepared what is being done."""
+    """Iterations, time left; quality, splats, loss, speed; before and after it what is or was done."""
     job = state.job
     text = f"{job.iteration} / {job.iterations}" if job.iterations else "Preparing"
     if job.state == "training" and job.seconds_left > 0.0:
@@ -88,7 +88,7 @@ def draw_training(context: bpy.types.Context, column: bpy.types.UILayout, state:
         speed = job.iterations_per_second
         told = f"Loss {sum(job.losses.values()):.4f}" + (f", {speed:.1f} iterations/s" if speed else "")
     else:
-        told = job.message if state.active else ""
+        told = job.message if state.active or job.state in ("finished", "stopped") else ""
     write(context, column, ", ".join(numbers), lines=1)
     write(context, column, told, lines=1)
 

@@ -56,6 +56,7 @@ class Training:
         self._desk, self._status, self._curves = desk, status, curves
         self._speed, self._tidying = Speed(), Tidying(trainer)
         self._paused = False
+        self._found = ""  # of the cameras, known at the end
         self._next_status = 0.0
 
     @property
@@ -113,9 +114,10 @@ class Training:
                 kept.show(event)
                 self._note(event)
         stopped = trainer.iteration < run.config.iterations
+        ended = f"{'stopped' if stopped else 'finished'} at iteration {trainer.iteration}"
         self._status.change(
             state="stopped" if stopped else "finished",
-            message=f"{'stopped' if stopped else 'finished'} at iteration {trainer.iteration}",
+            message="; ".join(part for part in (ended, self._found) if part),
             iteration=trainer.iteration,
             gaussians=run.method.size,
             iterations_per_second=0.0,
@@ -164,3 +166,5 @@ class Training:
             self._status.note(losses=losses, monitor=self._status.now.monitor | monitor)
         elif isinstance(event, events.Saved):
             self._status.change(saved_iteration=event.iteration)
+        elif isinstance(event, events.Finished):
+            self._found = event.message

@@ -4,6 +4,7 @@
 import dataclasses
 import json
 import math
+import re
 import shutil
 import signal
 import time
@@ -195,6 +196,23 @@ def test_a_checkpoint_is_written_as_time_passes(tiny_data, tmp_path, monkeypatch
     monkeypatch.setattr(time, "perf_counter", lambda: begun + 1000.0 * (real() - begun))
     engine._do(engine._job)
     assert {0, 60} < saved  # the tests above saw that without it there is one at the end only
+
+
+def test_a_training_that_learned_poses_says_how_far_they_moved(tiny_data, tmp_path, monkeypatch):
+    """The engine by itself; these data are renders, of which poses are learned only when asked."""
+    preset = PRESETS["default"]
+    learns = dataclasses.replace(preset, poses=dataclasses.replace(preset.poses, mode="on"))
+    monkeypatch.setitem(PRESETS, "default", learns)
+    told = []
+    server = SimpleNamespace(publish=told.append, answer=lambda *answered: None, show=lambda *shown: None)
+    engine = engine_module.Engine(Inbox(), server, Curves(), engine_module.Options(threads=1))
+    engine._attend(Command(1, "test", 1, start_of(tiny_data, tmp_path / "run", 30)))
+    engine._do(engine._job)
+    assert told[-1].state == "finished"
+    assert re.fullmatch(
+        r"finished at iteration 30; poses moved by \d\.\d\d pixels .*, \S+ by \d\.\d\d",
+        told[-1].message,
+    )
 
 
 @pytest.fixture(scope="module")
