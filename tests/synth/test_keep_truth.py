@@ -121,3 +121,15 @@ def test_benchmark_data_ask_for_the_validation_views_that_are_kept():
         spec.loader.exec_module(module)
         wanted.append(module.VALIDATION_VIEWS)
     assert wanted[0] == wanted[1]
+
+
+@pytest.mark.parametrize("scene", sorted(path.name for path in (ROOT / "benchmarks" / "data").glob("*/")))
+def test_what_is_kept_has_the_passes_that_it_says(scene):
+    """Of every view, in its own header: once views of a second pass were told of that had not come along."""
+    folder = ROOT / "benchmarks" / "data" / scene
+    told = json.loads((folder / kept.TRUTH_FILE).read_text())
+    facts = {path.name: kept.read(path)[1] for path in sorted(folder.glob("*.exr"))}
+    assert len(facts) == 17 + told["validation_views"]
+    assert min((each["passes"] for each in facts.values()), key=sum) == told["passes"]
+    assert told["samples"] == sum(told["passes"])
+    assert told["cpu_seconds"] == pytest.approx(sum(each["cpu_seconds"] for each in facts.values()), abs=1.0)
