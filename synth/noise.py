@@ -52,9 +52,10 @@ def floor_of_limit(
 
     The two ``halves`` are the view again, with noise of their own and not denoised, [height, width, 3] as
     ``truth``. What they have in common is the limit, so that the mean of (truth − first) × (truth − second)
-    is the squared error of the truth alone: their noise is not in it, however much they have. ``psnr_error``
-    and ``hdr_psnr_error``: how much their noise may still have moved that mean, dB (standard error, from the
-    scatter over tiles of the picture).
+    is the squared error of the truth alone: their noise is not in it, but for what the bend of the response
+    makes of it (second order). ``psnr_error`` and ``hdr_psnr_error``: how much their noise may still have
+    moved that mean, dB (standard error, from the scatter over tiles of the picture; ``CEILING`` where nothing
+    tells).
     """
     maximum = float(truth.max()) or 1.0
 
@@ -69,7 +70,8 @@ def floor_of_limit(
         found.append(_mean_and_error((best - first) * (best - second)))
     decibels = [round(_decibels(mean), 3) for mean, _ in found]
     errors = [
-        round(10.0 / math.log(10.0) * error / mean, 3) if mean > 0.0 else CEILING for mean, error in found
+        round(min(CEILING, 10.0 / math.log(10.0) * error / mean), 3) if mean > 0.0 else CEILING
+        for mean, error in found
     ]
     return {
         **{"psnr": decibels[:-1], "psnr_error": errors[:-1]},
@@ -78,14 +80,16 @@ def floor_of_limit(
 
 
 def _mean_and_error(picture: np.ndarray) -> tuple[float, float]:
-    """The mean of ``picture`` [height, width, 3] and its standard error, by tiles of ``TILE`` × ``TILE``."""
-    height, width = (max(TILE, size - size % TILE) for size in picture.shape[:2])
-    whole = picture[:height, :width]
-    if whole.shape[:2] != (height, width):  # smaller than a tile
-        return float(picture.mean()), 0.0
-    tiles = whole.reshape(height // TILE, TILE, width // TILE, TILE, 3).mean(axis=(1, 3, 4)).ravel()
-    error = float(tiles.std(ddof=1) / math.sqrt(tiles.size)) if tiles.size > 1 else 0.0
-    return float(picture.mean()), error
+    """The mean of ``picture`` [height, width, 3] and its standard error, by tiles of ``TILE`` × ``TILE``.
+
+    Infinite where there are no two tiles, which alone can scatter.
+    """
+    rows, columns = (size // TILE for size in picture.shape[:2])
+    if rows * columns < 2:
+        return float(picture.mean()), math.inf
+    whole = picture[: rows * TILE, : columns * TILE]
+    tiles = whole.reshape(rows, TILE, columns, TILE, 3).mean(axis=(1, 3, 4))
+    return float(picture.mean()), float(tiles.std(ddof=1) / math.sqrt(tiles.size))
 
 
 def estimate(raw: np.ndarray, denoised: np.ndarray | None) -> float:

@@ -62,3 +62,9 @@ def test_of_a_perfect_truth_the_floor_is_the_ceiling(limit):
     truth = limit.astype(np.float32)
     told = noise.floor_of_limit(truth, (truth, truth), by_name("srgb"), EXPOSURES)
     assert told["psnr"] == [noise.CEILING] * 3 and told["hdr_psnr"] == noise.CEILING
+
+
+def test_a_picture_too_small_to_scatter_states_no_error(limit):
+    truth, halves = limit[:12, :12].astype(np.float32), (noisy(limit[:12, :12], 0.3, 1),) * 2
+    told = noise.floor_of_limit(truth, halves, by_name("srgb"), EXPOSURES)
+    assert told["psnr_error"] == [noise.CEILING] * 3 and max(told["psnr"]) < noise.CEILING
