@@ -38,12 +38,14 @@ class Start:
     """How a backbone begins; docs/notebook.md says what was measured.
 
     ``opacity`` in (0, 1); ``scale_factor``: standard deviation over the distance to the neighbours;
+    ``thickness``: how much of it across the surface that neighbours make;
     ``largest`` ``[P]`` metres: no standard deviation is larger, None: no bound;
     ``ambient_share``: of a single light (of several each starts with 1 / (lights + 1)).
     """
 
     opacity: float = 0.1
     scale_factor: float = 1.0
+    thickness: float = 1.0
     largest: np.ndarray | None = None
     ambient_share: float = 0.5
     seed: int = 0

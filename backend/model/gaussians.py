@@ -16,6 +16,9 @@ from .backbone import Attributes, Backbone, Splats, Start
 
 #: SH of degree 0: a constant function of the direction.
 SH_C0 = 0.28209479177387814
+#: First Gaussians are as large as the distance to so many neighbours (3DGS), and lie along the surface that
+#: a point and so many neighbours make: of fewer it follows their noise, of more it rounds corners.
+NEAREST, NEIGHBOURS = 3, 9
 
 
 class Gaussians(Backbone):
@@ -69,7 +72,7 @@ class Gaussians(Backbone):
         return shapes
 
     def place(self, positions: np.ndarray, log_radiance: np.ndarray, start: Start) -> None:
-        """3DGS's beginning: isotropic, as large as the distance to the neighbours."""
+        """3DGS's beginning, as large as the distance to the neighbours; or flat, as ``start`` says."""
         wanted = self.attributes
         self.parameters = initial_gaussians(
             positions,
@@ -77,6 +80,7 @@ class Gaussians(Backbone):
             sh_degree=wanted.sh_degree,
             opacity=start.opacity,
             scale_factor=start.scale_factor,
+            thickness=start.thickness,
             largest=start.largest,
             ambient_share=start.ambient_share if wanted.lights else None,
             context_size=wanted.context_size,
@@ -142,6 +146,7 @@ def initial_gaussians(
     sh_degree: int,
     opacity: float,
     scale_factor: float,
+    thickness: float = 1.0,
     ambient_share: float | None,
     context_size: int,
     seed: int,
@@ -149,11 +154,12 @@ def initial_gaussians(
     illumination_channels: int = 1,
     largest: np.ndarray | None = None,
 ) -> Gaussians:
-    """Isotropic Gaussians at ``positions`` with the same radiance exp(``log_radiance``) in every direction.
+    """Gaussians at ``positions`` with the same radiance exp(``log_radiance``) in every direction.
 
     ``positions`` ``[P, 3]`` metres, ``log_radiance`` ``[P, 3]``.
     Standard deviation: ``scale_factor`` × the root mean square distance to the three nearest neighbours
-    (3DGS's rule with factor 1), at most ``largest`` ``[P]`` (metres). ``ambient_share=None`` and
+    (3DGS's rule with factor 1), at most ``largest`` ``[P]`` (metres); across the surface that neighbours
+    make, ``thickness`` of that (3DGS: 1, isotropic). ``ambient_share=None`` and
     ``context_size=0`` leave those parameters out; of several ``lights`` each starts with as much as what no
     light turns, 1 / (lights + 1).
     """
@@ -165,16 +171,21 @@ def initial_gaussians(
         )
     from scipy.spatial import KDTree  # here, because only this needs SciPy
 
-    distances, _ = KDTree(positions).query(positions, k=4, workers=-1)
-    scales = scale_factor * np.sqrt(np.mean(distances[:, 1:] ** 2, axis=1)).clip(1e-5)
+    distances, near = KDTree(positions).query(positions, k=min(NEIGHBOURS + 1, count), workers=-1)
+    scales = scale_factor * np.sqrt(np.mean(distances[:, 1 : NEAREST + 1] ** 2, axis=1)).clip(1e-5)
     if largest is not None:
         scales = np.minimum(scales, largest)
+    log_scales = np.log(scales)[:, None].repeat(3, axis=1)
+    quaternions = np.tile((1.0, 0.0, 0.0, 0.0), (count, 1))
+    if thickness != 1.0:
+        log_scales[:, 2] += np.log(thickness)
+        quaternions = _across_surfaces(positions, near)
     generator = torch.Generator().manual_seed(seed)
     coefficients = (sh_degree + 1) ** 2
     parameters = {
         "means": torch.tensor(positions, dtype=torch.float32),
-        "log_scales": torch.tensor(np.log(scales), dtype=torch.float32)[:, None].repeat(1, 3),
-        "quaternions": torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(count, 1),
+        "log_scales": torch.tensor(log_scales, dtype=torch.float32),
+        "quaternions": torch.tensor(quaternions, dtype=torch.float32),
         "opacity_logits": torch.full((count,), float(np.log(opacity / (1.0 - opacity)))),
         "reflectance_dc": torch.tensor(log_radiance / SH_C0, dtype=torch.float32)[:, None, :],
         "reflectance_rest": torch.zeros(count, coefficients - 1, 3),
@@ -186,3 +197,18 @@ def initial_gaussians(
     if context_size:
         parameters["context"] = 0.01 * torch.randn(count, context_size, generator=generator)
     return Gaussians({name: tensor.contiguous().requires_grad_() for name, tensor in parameters.items()})
+
+
+def _across_surfaces(positions: np.ndarray, near: np.ndarray) -> np.ndarray:
+    """``[P, 4]`` wxyz: turns the third axis to where ``positions`` ``[P, 3]`` spread least among ``near``.
+
+    ``near`` ``[P, K]``: indices of each one's neighbours, itself included.
+    """
+    from scipy.spatial.transform import Rotation  # here, because only this needs SciPy
+
+    around = positions[near]
+    around = around - around.mean(axis=1, keepdims=True)
+    _, axes = np.linalg.eigh(around.transpose(0, 2, 1) @ around)  # of rising spread, in columns
+    axes = axes[:, :, ::-1].copy()
+    axes[np.linalg.det(axes) < 0.0, :, 2] *= -1.0
+    return Rotation.from_matrix(axes).as_quat()[:, [3, 0, 1, 2]]

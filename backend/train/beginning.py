@@ -16,7 +16,7 @@ from ..methods.base import Responses, SplattingMethod
 from ..model.anchors import Anchors
 from ..model.backbone import Start
 from ..model.tone_mapper import Response, ToneMapper
-from ..scene.points import STRUCTURE_FROM_MOTION
+from ..scene.points import EXACT, STRUCTURE_FROM_MOTION
 from ..scene.scene import Scene, View
 from ..start.far_shell import far_points
 from ..start.initialise import initial_points, largest_sizes, merged_log_radiance
@@ -103,6 +103,7 @@ def begin(method: SplattingMethod, seen: Seen, config: TrainConfig) -> Begun:
     start = Start(
         opacity=config.initial_opacity,
         scale_factor=config.initial_scale,
+        thickness=config.initial_thickness if lie_on_surfaces(seen.scene, config) else 1.0,
         largest=_largest_sizes(positions, views, seen.scene, config),
         ambient_share=config.initial_ambient_share,
         seed=config.seed,
@@ -113,9 +114,18 @@ def begin(method: SplattingMethod, seen: Seen, config: TrainConfig) -> Begun:
 
 def may_have_strays(scene: Scene, config: TrainConfig) -> bool:
     """Whether ``scene`` is begun from points that may stand alone: those of structure from motion."""
-    given = scene.points
+    return _given_origin(scene, config) == STRUCTURE_FROM_MOTION
+
+
+def lie_on_surfaces(scene: Scene, config: TrainConfig) -> bool:
+    """Whether ``scene`` is begun from points whose neighbours tell how the surface lies: exact ones."""
+    return _given_origin(scene, config) == EXACT
+
+
+def _given_origin(scene: Scene, config: TrainConfig) -> str:
+    """What kind the data set's points are, where ``config`` begins with them; "" where not, or not known."""
     uses_given = config.initial_points in ("auto", "both", "file")
-    return uses_given and given is not None and given.origin == STRUCTURE_FROM_MOTION
+    return scene.points.origin if uses_given and scene.points is not None else ""
 
 
 def _largest_sizes(

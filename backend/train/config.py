@@ -91,6 +91,9 @@ class TrainConfig:
     initial_opacity: float = 0.3
     #: Initial size of a Gaussian over the distance to its neighbours (3DGS: 1).
     initial_scale: float = 1.0
+    #: From exact points: the same across the surface that the neighbours make, over that along it (3DGS: 1,
+    #: spheres). Neighbours that are beside their surface tell nothing of how it lies.
+    initial_thickness: float = 0.3
     #: Beside points of structure from motion none begins larger (standard deviation) than this share of the
     #: width of any picture that it is in: one that has no neighbours would be a fog before the cameras, or
     #: all of what is behind a window. 0: no bound (3DGS).
@@ -128,6 +131,10 @@ class TrainConfig:
                 raise BadValueError(f"{_flag(name)} must be between 0 and 1, got {getattr(self, name)}")
         if not self.initial_scale > 0.0:
             raise BadValueError(f"--initial-scale must be above 0, got {self.initial_scale}")
+        if not 0.0 < self.initial_thickness <= 1.0:
+            raise BadValueError(
+                f"--initial-thickness must be above 0 and at most 1, got {self.initial_thickness}"
+            )
         if not self.initial_size_limit >= 0.0:
             raise BadValueError(f"--initial-size-limit must be 0 or more, got {self.initial_size_limit}")
         _check_numbers(self, "")
@@ -199,6 +206,7 @@ def _flag(name: str) -> str:
 FORMERLY: dict[str, Any] = {
     "config.merged_brackets": "off",
     "config.initial_size_limit": 0.0,
+    "config.initial_thickness": 1.0,
     "config.poses": PoseConfig(mode="off"),
 }
 #: Settings by names they had before → as they are called now.

@@ -49,6 +49,7 @@ def as_published(**settings: Any) -> TrainConfig:
         "initial_points": "auto",
         "initial_opacity": 0.1,
         "initial_size_limit": 0.0,
+        "initial_thickness": 1.0,
         "merged_brackets": "off",
         "poses": PoseConfig(mode="off"),
     }

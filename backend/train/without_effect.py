@@ -7,7 +7,7 @@ from typing import Any
 
 from ..model.anchors import Anchors
 from ..model.tone_mapper import ToneMapper
-from .beginning import may_have_strays
+from .beginning import lie_on_surfaces, may_have_strays
 from .config import TrainConfig
 from .learned_poses import PoseConfig
 from .nuisances import NuisanceConfig
@@ -22,6 +22,7 @@ OF_SPLATS = (
     "initial_points",
     "initial_opacity",
     "initial_scale",
+    "initial_thickness",
     "initial_size_limit",
     "initial_ambient_share",
     "half_size_until",
@@ -30,7 +31,13 @@ OF_SPLATS = (
     "supervision",
 )
 #: Of anchors a network says how opaque a Gaussian is and which light it has; they grow by anchors.growth.
-OF_3DGS = ("densify", "initial_opacity", "initial_size_limit", "initial_ambient_share")
+OF_3DGS = (
+    "densify",
+    "initial_opacity",
+    "initial_thickness",
+    "initial_size_limit",
+    "initial_ambient_share",
+)
 
 
 def changed_without_effect(trainer: Trainer, preset: TrainConfig) -> list[str]:
@@ -56,6 +63,8 @@ def _unread(trainer: Trainer) -> set[str]:
         unread |= poses
     if trainer.config.initial_points in ("stereo", "random"):
         unread.add("points_file")
+    if not lie_on_surfaces(trainer.scene, trainer.config):
+        unread.add("initial_thickness")
     if not may_have_strays(trainer.scene, trainer.config):
         unread.add("initial_size_limit")
     mapper = method.tone_mapper

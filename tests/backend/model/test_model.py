@@ -16,6 +16,7 @@ from physhdr.backend.model.radiance import (
     ProductComposer,
 )
 from physhdr.backend.model.tone_mapper import ToneMapper, ToneMapperConfig
+from physhdr.backend.rasterize.reference import rotation_matrices
 from physhdr.bridge.ply_model import light_shares
 
 ANCHOR = (1.0, 0.5 ** (1.0 / 2.2))
@@ -111,6 +112,37 @@ def test_several_lights_start_with_equal_parts():
         gaussians = initial_gaussians(points, log_radiance, ambient_share=0.3, lights=lights, **options)
         assert gaussians.light_share.shape == (5, lights, 3)
         assert torch.allclose(gaussians.light_share, torch.tensor(expected))
+
+
+START = {"sh_degree": 0, "opacity": 0.5, "ambient_share": None, "context_size": 0, "seed": 0}
+
+
+def test_first_gaussians_lie_along_the_surface_that_their_neighbours_make():
+    """On a tilted plane and on a ball, where the normal is known; as wide as 3DGS's rule has it."""
+    rng = np.random.default_rng(0)
+    normal = np.array([0.36, -0.48, 0.8])
+    across = np.linalg.svd(normal[None])[2][1:]
+    plane = rng.uniform(-1.0, 1.0, (400, 2)) @ across + 1e-3 * rng.normal(size=(400, 3)) + 5.0
+    ball = rng.normal(size=(2000, 3))
+    ball /= np.linalg.norm(ball, axis=1, keepdims=True)
+    for points, normals in ((plane, np.tile(normal, (400, 1))), (ball, ball)):
+        flat = initial_gaussians(points, np.zeros_like(points), scale_factor=0.7, thickness=0.25, **START)
+        thin = rotation_matrices(flat.quaternions.detach())[:, :, 2].numpy()
+        cosines = np.abs((thin * normals).sum(axis=1))
+        assert np.quantile(cosines, 0.05) > 0.98 and np.median(cosines) > 0.998
+        nearest = np.sort(np.linalg.norm(points[:, None] - points[None], axis=2), axis=1)[:, 1:4]
+        width = 0.7 * np.sqrt((nearest**2).mean(axis=1))
+        wanted = width[:, None] * np.array([1.0, 1.0, 0.25])
+        assert flat.scales.detach().numpy() == pytest.approx(wanted, rel=1e-5)
+
+
+def test_first_gaussians_of_3dgs_are_spheres_whatever_lies_around():
+    points = np.random.default_rng(0).normal(size=(5, 3))
+    round_ones = initial_gaussians(points, points, scale_factor=1.0, **START)
+    assert torch.equal(round_ones.quaternions, torch.tensor([[1.0, 0.0, 0.0, 0.0]]).repeat(5, 1))
+    assert torch.equal(round_ones.log_scales, round_ones.log_scales[:, :1].repeat(1, 3))
+    flat = initial_gaussians(points[[0, 0, 1, 1]], points[:4], scale_factor=1.0, thickness=0.3, **START)
+    assert all(tensor.isfinite().all() for tensor in flat.parameters.values())  # points that coincide
 
 
 @pytest.mark.parametrize("slope", [None, 0.6])

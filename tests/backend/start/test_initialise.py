@@ -53,6 +53,27 @@ def test_a_point_without_neighbours_does_not_begin_as_a_fog(tiny_data, limit, or
     assert PRESETS["paper"].initial_size_limit == 0.0
 
 
+@pytest.mark.parametrize(
+    ("preset", "source", "origin", "thickness"),
+    [
+        ("default", "file", EXACT, 0.3),
+        ("default", "file", STRUCTURE_FROM_MOTION, 1.0),
+        ("default", "file", "", 1.0),
+        ("default", "random", EXACT, 1.0),
+        ("paper", "file", EXACT, 1.0),
+    ],
+)
+def test_gaussians_begin_flat_where_points_lie_on_surfaces(tiny_data, preset, source, origin, thickness):
+    """Those of structure from motion are beside theirs; published methods begin with spheres."""
+    scene = read_scene(tiny_data)
+    assert scene.points is not None
+    scene = replace(scene, points=replace(scene.points, origin=origin))
+    config = replace(PRESETS[preset], initial_points=source, random_points=200)
+    scales = Trainer(scene, config).method.splatting.backbone.parameters["log_scales"]
+    ratio = (scales[:, 2] - scales[:, 0]).exp().detach().numpy()
+    assert ratio == pytest.approx(np.full(len(ratio), thickness), rel=1e-5)
+
+
 def test_stereo_leaves_densification_room():
     """Half of the budget with the data set's points, a sixth where these fill it; at most 40,000."""
     cases = {(60_000, 0): 30_000, (60_000, 17_600): 12_400, (150_000, 100_000): 25_000, (300_000, 0): 40_000}

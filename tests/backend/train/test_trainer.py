@@ -600,6 +600,8 @@ def test_a_bit_that_tipped_over_is_noticed(tiny_data, tmp_path):
         {"initial_scale": 1e300},
         {"anchors": AnchorsConfig(feature_size=10**6)},
         {"initial_scale": 0.0},
+        {"initial_thickness": 0.0},
+        {"initial_thickness": 1.1},
         {"random_points": -1},
         {"anchors": AnchorsConfig(hidden=0)},
         {"method": HDRNeRFConfig(rays_per_iteration=0)},

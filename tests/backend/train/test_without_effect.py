@@ -20,6 +20,7 @@ def with_tone_mapper(config, **changes):
 CHANGES = {
     "--initial-opacity": lambda c: dataclasses.replace(c, initial_opacity=0.17),
     "--initial-scale": lambda c: dataclasses.replace(c, initial_scale=0.7),
+    "--initial-thickness": lambda c: dataclasses.replace(c, initial_thickness=0.71),
     "--initial-size-limit": lambda c: dataclasses.replace(c, initial_size_limit=0.001),
     "--densify.threshold": lambda c: dataclasses.replace(
         c, densify=dataclasses.replace(c.densify, threshold=1.0)
@@ -37,16 +38,17 @@ CHANGES = {
         c, supervision="one" if c.supervision == "bracket" else "bracket"
     ),
 }
+#: Brackets tell more than a slope; its points do not say what kind they are.
+NOT_HERE = ("--method.tone-mapper.initial-slope", "--initial-size-limit", "--initial-thickness")
 #: What each preset reads and what it does not.
 CASES = {
-    "default": (
-        tuple(set(CHANGES) - {"--method.tone-mapper.initial-slope", "--initial-size-limit"}),
-        # Brackets tell more; its points are not of structure from motion.
-        ("--method.tone-mapper.initial-slope", "--initial-size-limit"),
-    ),
+    "default": (tuple(set(CHANGES) - set(NOT_HERE)), NOT_HERE),
     "default-scaffold": (
         ("--initial-scale", "--optimiser.tone-mapper", "--supervision"),
-        ("--initial-opacity", "--densify.threshold", "--densify.budget", "--optimiser.means-final"),
+        (
+            *("--initial-opacity", "--initial-thickness", "--densify.threshold", "--densify.budget"),
+            "--optimiser.means-final",
+        ),
     ),
     "gausshdr-short": (
         ("--densify.budget",),
