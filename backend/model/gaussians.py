@@ -179,7 +179,7 @@ def initial_gaussians(
     quaternions = np.tile((1.0, 0.0, 0.0, 0.0), (count, 1))
     if thickness != 1.0:
         log_scales[:, 2] += np.log(thickness)
-        quaternions = _across_surfaces(positions, near)
+        quaternions = _across_surfaces(positions, np.asarray(near))
     generator = torch.Generator().manual_seed(seed)
     coefficients = (sh_degree + 1) ** 2
     parameters = {
