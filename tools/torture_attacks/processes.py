@@ -10,8 +10,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -99,6 +99,17 @@ class Program:
         while self.poll() is None and time.monotonic() < deadline:
             time.sleep(0.002)
         return ran and self.poll() == -signal.SIGKILL
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Within it, the program stands still (SIGSTOP); it keeps its files and locks."""
+        with suppress(ProcessLookupError):
+            os.killpg(self.pid, signal.SIGSTOP)
+        try:
+            yield
+        finally:
+            with suppress(ProcessLookupError):
+                os.killpg(self.pid, signal.SIGCONT)
 
     def interrupt(self) -> None:
         """CTRL-C."""

@@ -31,10 +31,22 @@ def _names(said: str, program: Program) -> list[str]:
 # ---- trainings -------------------------------------------------------------------------------------------
 
 
+def _hold_until_the_other_ends(first: Program, other: Program) -> None:
+    """Stop whichever of two trainings begins, so that the other finds the folder held however slow it is."""
+
+    def begun() -> list[Program]:
+        return [program for program in (first, other) if BEGUN in program.said()]
+
+    if first.until(lambda: bool(begun()) or other.poll() is not None, PATIENCE, 0.001):
+        for holder in begun()[:1]:
+            with holder.held():
+                (other if holder is first else first).wait(PATIENCE)
+
+
 def two_trainings(bench: Bench) -> Result:
     """One holds the folder, the other is refused and told by whom; the first ends as if alone."""
     data, threads = bench.material.data, ("--threads", 1)
-    # The first must still train when the other has loaded torch; in a short run that is loaded already.
+    # The first must still train when the other has loaded torch. In a short run it is held until then.
     count = 200 if bench.short else 3000
     # It saves often: there must be something to resume long before it ends.
     often = ("--checkpoint-seconds", 0.2)
@@ -57,6 +69,8 @@ def two_trainings(bench: Bench) -> Result:
         else:
             words = (*other_words, "--out", run, "--overwrite")
         other = bench.physhdr(*words, log=bench.folder / "other.log")
+        if bench.short:
+            _hold_until_the_other_ends(first, other)
         ended = [first.wait(PATIENCE), other.wait(PATIENCE)]
         result.tries += 1
         if how == "at the same time" and ended[0] != 0:  # then the other one had it first
