@@ -87,7 +87,12 @@ class Evaluate:
         sheet = out / SHEET_FILE
         name = "ours" if self.folder else subject.names[0]
         picture = comparison_sheet(
-            subject.renderer, subject.scene, split=self.split, name=name, **subject.parts
+            subject.renderer,
+            subject.scene,
+            split=self.split,
+            name=name,
+            scale=evaluation.scale_ratio,
+            **subject.parts,
         )
         write_png(sheet, picture)
         paths = [*paths, sheet, *_draw_response(subject, out / RESPONSE_FILE, self.split, say)]
@@ -208,7 +213,8 @@ def _compare(subjects: list[tuple[_Subject, Path]], out: Path, split: str, say: 
     without = [
         name for name, (subject, _) in zip(names, subjects, strict=True) if not subject.parts.get("hdr", True)
     ]
-    write_png(paths[-1], method_sheet(renderers, scene, split=split, without_hdr=without))
+    scales = {name: entry.evaluation.get("scale_ratio") for name, entry in zip(names, entries, strict=True)}
+    write_png(paths[-1], method_sheet(renderers, scene, split=split, without_hdr=without, scales=scales))
     return paths
 
 

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Pictures that show results: a labelled grid; truth | ours | residual; several methods on one sheet."""
 
+import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeGuard
 
 import numpy as np
 import torch
@@ -21,6 +23,8 @@ from .results import OBSERVED_EXPOSURES, VIEWS_OF, part_of
 
 #: What is shown as white in HDR pictures. The metrics keep the protocol's own normaliser, the maximum.
 WHITE_QUANTILE = 0.999
+#: From so far off on (natural logarithm), HDR is shown with its scale aligned, too.
+SCALE_OFF = 0.02
 #: Cells narrower than this (pixels) are enlarged by a whole factor, so that labels fit and faults show.
 SMALLEST_CELL = 240
 
@@ -137,12 +141,14 @@ def comparison_sheet(
     hdr: bool = True,
     shows: Callable[[truth.RelitTruth], bool] | None = None,
     name: str = "ours",
+    scale: float | None = None,
 ) -> np.ndarray:
     """Truth | ours | residual for some views of ``split``: LDR rows, HDR rows (μ-law), relit rows; uint8.
 
     ``poses``: pose numbers; None takes one that has relit truth, or the middle one. Exposures that a view
     lacks and parts without truth have no rows; relit truth is of test views. ``hdr`` and ``shows`` as for
-    ``evaluate``; ``name``: whose pictures they are. Raises ``BadValueError`` for an unknown pose, and what
+    ``evaluate``; ``name``: whose pictures they are; ``scale``: the evaluation's ``scale_ratio``: where that
+    is off, HDR stands there once more, divided by it. Raises ``BadValueError`` for an unknown pose, and what
     readers raise.
     """
     can_show = shows or (lambda item: item.can_be_shown(renderer.lights))
@@ -156,6 +162,9 @@ def comparison_sheet(
         if hdr and truth.has_hdr_truth(scene.root, split):
             reference = truth.hdr_truth(scene.root, split, pose)
             rows.append(_row(f"{view.name} HDR", name, _hdr(renderer, view, 1.0, reference), gain))
+            if _is_off(scale):
+                shown = _hdr(renderer, view, 1.0, reference, scale)
+                rows.append(_row(f"{view.name} HDR, scale aligned", f"{name} / {scale:.3g}", shown, gain))
         for item in relit:
             if hdr and item.index == pose and can_show(item):
                 shown = _hdr(renderer, view, item.levels_of(renderer.lights), item.radiance())
@@ -174,12 +183,14 @@ def method_sheet(
     gain: float = RESIDUAL_GAIN,
     split: str = TEST,
     without_hdr: Collection[str] = (),
+    scales: Mapping[str, float | None] | None = None,
 ) -> np.ndarray:
     """Several methods beside the truth: each condition is a row of pictures over a row of residuals; uint8.
 
     ``renderers``: by the name that stands in the captions. The conditions are the exposures (by default one
     that training saw and one between) and HDR where there is truth; ``poses`` and ``split`` as in
-    ``comparison_sheet``. ``without_hdr``: names of those that have no radiance.
+    ``comparison_sheet``. ``without_hdr``: names of those that have no radiance; ``scales``: of the others,
+    the evaluation's ``scale_ratio``: where one is off, HDR stands there once more, each divided by its own.
     Raises ``BadValueError`` without a method or for an unknown pose, and what readers raise.
     """
     if not renderers:
@@ -195,6 +206,13 @@ def method_sheet(
             radiant = {name: each for name, each in renderers.items() if name not in without_hdr}
             shown = {name: _hdr(renderer, view, 1.0, reference) for name, renderer in radiant.items()}
             rows += _method_rows(f"{view.name}, HDR", shown, gain)
+            if any(_is_off((scales or {}).get(name)) for name in radiant):
+                divided = {name: (scales or {}).get(name) or 1.0 for name in radiant}
+                shown = {
+                    f"{name} / {by:.3g}": _hdr(radiant[name], view, 1.0, reference, by)
+                    for name, by in divided.items()
+                }
+                rows += _method_rows(f"{view.name}, HDR, scale aligned", shown, gain)
     return labelled_grid(rows, f"{_title(scene, split)}: truth and {len(renderers)} methods", _note())
 
 
@@ -229,9 +247,15 @@ def _ldr(renderer: Renderer, view: View, k: int) -> Shown:
     return Shown(picture, reference, metrics.psnr, metrics.ssim)
 
 
-def _hdr(renderer: Renderer, view: View, level: Levels, reference: torch.Tensor) -> Shown:
+def _is_off(scale: float | None) -> TypeGuard[float]:
+    return scale is not None and 0.0 < scale < math.inf and abs(math.log(scale)) > SCALE_OFF
+
+
+def _hdr(
+    renderer: Renderer, view: View, level: Levels, reference: torch.Tensor, divided_by: float = 1.0
+) -> Shown:
     """Numbers as in the protocol; the pictures are brighter, see ``WHITE_QUANTILE``."""
-    radiance = renderer.hdr(view.camera, level).detach().cpu()
+    radiance = renderer.hdr(view.camera, level).detach().cpu() / divided_by
     pair = hdr_pair(radiance, reference)
     white = display_white(reference)
     shown = resize_to(display(reference, white), radiance.shape[1], radiance.shape[2])

@@ -11,7 +11,7 @@ import torch
 from skimage.color import rgb2lab
 
 from physhdr.backend.evaluate.residuals import HEAT, heat, legend, residual
-from physhdr.backend.evaluate.sheets import labelled_grid, method_sheet
+from physhdr.backend.evaluate.sheets import comparison_sheet, labelled_grid, method_sheet
 from physhdr.backend.scene import Camera, read_scene
 from physhdr.bridge.errors import BadValueError
 
@@ -105,6 +105,48 @@ def test_a_sheet_leaves_out_exposures_that_a_view_lacks(
     monkeypatch.setattr("physhdr.backend.evaluate.sheets.labelled_grid", lambda given, *_: rows.extend(given))
     method_sheet({"a": Shifted(small, 0.0)}, replace(scene, test=[some]), poses=[1], exposure_indices=(2, 3))
     assert [row[0][0] for row in rows[::2]] == ["test/r_1, LDR-OE, 2 s: truth", "test/r_1, HDR: truth"]
+
+
+class Brighter(Shifted):
+    """Right but for its scale of light, as a response without an anchor leaves it."""
+
+    def hdr(self, camera: Camera, lighting_level=1.0) -> torch.Tensor:
+        return 1.5 * super().hdr(camera)
+
+
+@pytest.mark.parametrize(("scale", "rows_of_hdr"), [(1.5, 2), (1.01, 1), (None, 1), (float("nan"), 1)])
+def test_sheets_show_hdr_with_its_scale_aligned(
+    data_set: Path, small: ModuleType, monkeypatch, scale, rows_of_hdr
+) -> None:
+    rows = []
+
+    def remember(given, title, note=""):
+        rows.extend(given)
+        return labelled_grid(given, title, note)
+
+    monkeypatch.setattr("physhdr.backend.evaluate.sheets.labelled_grid", remember)
+    methods, scales = {"exact": Shifted(small, 0.0), "bright": Brighter(small, 0.0)}, {"bright": scale}
+    method_sheet(methods, read_scene(data_set), poses=[1], exposure_indices=(), scales=scales)
+    assert len(rows) == 2 * rows_of_hdr
+    assert rows[1][2][1].any(), "as it is the bright one is off"
+    if rows_of_hdr == 2:
+        assert [label for label, _ in rows[2]] == [
+            "test/r_1, HDR, scale aligned: truth",
+            "exact / 1: 100.00 dB, SSIM 1.0000",
+            "bright / 1.5: 100.00 dB, SSIM 1.0000",
+        ]
+        assert not rows[3][1][1].any() and not rows[3][2][1].any()
+    rows.clear()
+    bright, scene = Brighter(small, 0.0), read_scene(data_set)
+    comparison_sheet(bright, scene, [1], (), shows=lambda _: False, name="bright", scale=scale)
+    assert len(rows) == rows_of_hdr + 1, "and the legend"
+    assert rows[0][2][1].any()
+    if rows_of_hdr == 2:
+        assert [label for label, _ in rows[1]][:2] == [
+            "test/r_1 HDR, scale aligned: truth",
+            "bright / 1.5, 100.00 dB, SSIM 1.0000",
+        ]
+        assert not rows[1][2][1].any()
 
 
 def test_a_sheet_of_no_methods(data_set: Path) -> None:
