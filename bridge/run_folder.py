@@ -16,6 +16,8 @@ from .regular import read_json_object
 CONFIG_FILE = "config.json"
 CHECKPOINT_FILE = "checkpoint.safetensors"
 MODEL_FILE = "model.safetensors"
+#: Beside an exported model: the cameras that it was trained from (``camera_list``).
+CAMERAS_FILE = "cameras.json"
 #: What an evaluation leaves there: figures for programs, the same for people, and pictures side by side.
 EVALUATION_FILE, REPORT_FILE, SHEET_FILE = "evaluation.json", "evaluation.md", "comparison.png"
 #: The web page of the model, where nobody says another place: one file, or the page in this folder.

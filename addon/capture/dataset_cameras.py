@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The cameras of a model's data set as Blender's cameras: its pictures' own views, to render and compare.
 
-Each stands where its picture was taken, seen from where the model stands now, and goes along when scale and
+Each stands where its picture was taken, by the pose that training has found (``cameras.json`` beside the
+model's file) or else by the data set's, seen from where the model stands now, and goes along when scale and
 ground of the capture are set (``placement``). A camera holds the focal length and the principal point of its
 picture for every width of the render; the render's size and the shape of its pixels are the scene's, and are
 set by ``take_size`` alone.
 """
 
+import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,9 +18,11 @@ import numpy as np
 
 from ...bridge import data_set
 from ...bridge.blend_file import SPLIT
+from ...bridge.camera_list import read_learned_poses
 from ...bridge.errors import DataMismatchError, FileMissingError
-from ..blender import render_size
-from ..model.attributes import CAPTURE
+from ...bridge.run_folder import CAMERAS_FILE
+from ..blender import cloud_of, render_size
+from ..model.attributes import CAPTURE, FILE
 from ..rendering.render import CLIP_END, CLIP_START, to_matrix
 from . import placement, similarity
 from .camera_file import VIEWS, Frame, read_frames
@@ -30,6 +34,8 @@ RESOLUTION, FOCAL_LENGTHS = "physhdr_resolution", "physhdr_focal_lengths"
 DRAWN = 0.03
 #: In this order one looks for a camera to look through: the first view that training has not seen.
 FIRST = (data_set.TEST, VIEWS, data_set.TRAIN)
+#: Said of cameras that stand where the run's ``cameras.json`` has them.
+LEARNED_NOTE = "{} of {} stand where training has found their pictures to be taken from."
 #: Pixels count as square where the focal lengths are as near to each other as this.
 SQUARE = 1e-6
 
@@ -49,18 +55,20 @@ def import_cameras(scene: bpy.types.Scene, target: bpy.types.Object, folder: Pat
 
     ``folder``: where the data set is now, if not where the model was trained from it. Raises
     ``FileMissingError`` where it is not there, ``DataMismatchError`` where the model is sheared or mirrored,
-    and what ``read_frames`` raises, before anything is made.
+    and what ``read_frames`` and ``read_learned_poses`` raise, before anything is made.
     """
     capture = placement.capture_of(target)
     found = read_frames(folder or _folder_of(target))
+    learned = _learned(target)
     bpy.context.view_layer.update()
     stands = np.array(target.matrix_world, np.float64)
     scale = similarity.scale_of(stands)
     there = {camera[FRAME]: camera for camera in reversed([*placement.cameras_of(scene, capture)])}
-    positions = np.array([frame.camera_to_world[:3, 3] for frame in found.frames])
+    frames = [_placed(frame, learned) for frame in found.frames]
+    positions = np.array([frame.camera_to_world[:3, 3] for frame in frames])
     size = DRAWN * scale * float(np.ptp(positions, axis=0).max() if len(positions) > 1 else 1.0)
     cameras = []
-    for frame in found.frames:
+    for frame in frames:
         camera = there.get(frame.name) or _new_camera(scene, capture, frame)
         _set_lens(camera, frame)
         lens = camera.data
@@ -70,7 +78,24 @@ def import_cameras(scene: bpy.types.Scene, target: bpy.types.Object, folder: Pat
         camera.matrix_world = to_matrix(placement.without_scale(stands @ frame.camera_to_world))
         cameras.append(camera)
     bpy.context.view_layer.update()
-    return Imported(tuple(cameras), sum(frame.name not in there for frame in found.frames), found.notes)
+    moved = sum(frame is not given for frame, given in zip(frames, found.frames, strict=True))
+    notes = (*found.notes, LEARNED_NOTE.format(moved, len(frames))) if moved else found.notes
+    return Imported(tuple(cameras), sum(frame.name not in there for frame in frames), notes)
+
+
+def _learned(target: bpy.types.Object) -> dict[str, np.ndarray]:
+    """Poses that the training of a model has found, by the frame's name; none where nobody knows its file."""
+    file = str(cloud_of(target).get(FILE, ""))
+    return read_learned_poses(Path(file).parent / CAMERAS_FILE) if file else {}
+
+
+def _placed(frame: Frame, learned: dict[str, np.ndarray]) -> Frame:
+    """The frame where training has found its picture to be taken from, if it has.
+
+    A data set may name the pictures of a bracket one by one, of which training makes one view.
+    """
+    pose = learned.get(frame.name, learned.get(frame.name.rpartition("_")[0]))
+    return frame if pose is None else dataclasses.replace(frame, camera_to_world=pose)
 
 
 def _folder_of(target: bpy.types.Object) -> Path:

@@ -7,12 +7,13 @@ from typing import Any
 
 import tyro
 
+from ...bridge.camera_list import refuse_others, write_camera_list
 from ...bridge.display import FITTED_COMMENT, display_colour_sh, look_comment, look_words
 from ...bridge.errors import BadValueError
 from ...bridge.gaussian_ply import standard_columns, write_lossless_ply, write_standard_ply
 from ...bridge.limits import EV_MAX
 from ...bridge.model_file import write_model
-from ..export import BAKED_FILE, LOSSLESS_FILE, MODEL_FILE
+from ..export import BAKED_FILE, CAMERAS_FILE, LOSSLESS_FILE, MODEL_FILE
 from ..export.baked import confidence_column, network_comments, parameter_columns
 from ..export.fitted_bake import fitted_colour_sh, method_picture
 from ..model.gaussians import Gaussians
@@ -29,7 +30,8 @@ NO_CONFIDENCE = "without confidence, for the training pictures are not there (--
 
 @dataclass(frozen=True)
 class Export:
-    """Write RUN/model.safetensors (for Blender), a standard 3DGS PLY; of Gaussians also the lossless PLY.
+    """Write RUN/model.safetensors (for Blender), cameras.json and a standard 3DGS PLY; of Gaussians also the
+    lossless PLY.
 
     With --web a web page instead, which opens from disk or from any server.
     """
@@ -71,12 +73,17 @@ class Export:
         run = open_run(self.folder, self.data, pictures=False)
         levels = levels_asked(self.lighting_level, self.lighting_levels, run.method.lights)
         out = writable_folder(self.out or self.folder)
+        refuse_others(out / CAMERAS_FILE)
         method = run.on_gaussians()
         with progress("confidence", "view", as_json=False) as show:
             model = run.model(show)
         write_model(out / MODEL_FILE, model)
         without = "" if model.confidence is not None else f"; {NO_CONFIDENCE}"
         console.print(f"wrote {out / MODEL_FILE}: {method.size} Gaussians, for Blender{without}")
+
+        write_camera_list(out / CAMERAS_FILE, run.camera_list())
+        learned = "" if run.twists is None else ", where training has found them to be"
+        console.print(f"wrote {out / CAMERAS_FILE}: its cameras{learned}")
 
         look = look_words(self.exposure_ev, levels, model.lights)
         exposure = 2.0**self.exposure_ev

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ...bridge.camera_list import ListedCamera
 from ...bridge.errors import BadValueError, DataMismatchError, FileMissingError
 from ...bridge.model_file import Model
 from ...bridge.run_folder import VIEWS_FILE
@@ -16,10 +17,11 @@ from ..export.confidence import Seen, confidence_of
 from ..methods.base import Method, SplattingMethod
 from ..methods.registry import name_of
 from ..rasterize import Implementation
-from ..scene import Scene, read_scene
+from ..scene import Scene, View, read_scene
 from ..train.config import CONFIG_FILE, RunConfig, TrainConfig, read_config
-from ..train.learned_lens import LearnedLenses, lenses_of_run
-from ..train.trainer import load_method
+from ..train.learned_lens import LearnedLenses, lenses_of, lenses_of_run
+from ..train.learned_poses import moved
+from ..train.trainer import Trainer, learned_twists, load_method
 from ..train.views import seen_exposures, training_views
 from .terminal import console
 from .views import as_trained, read_views
@@ -30,6 +32,7 @@ class Run:
     """What ``physhdr train --out`` left behind, or has under its hands.
 
     ``lenses``: what it has learned of the photographs' lenses; None where there was nothing to learn.
+    ``twists``: ``[V, 6]``, how it has moved its views' cameras (``LearnedPoses.twists``); None: not at all.
     """
 
     folder: Path
@@ -39,6 +42,7 @@ class Run:
     method: Method
     iteration: int
     lenses: LearnedLenses | None = None
+    twists: np.ndarray | None = None
 
     @property
     def provenance(self) -> dict[str, str]:
@@ -64,9 +68,27 @@ class Run:
         """The method on plain Gaussians on the CPU, as files hold it."""
         return on_gaussians(self.splatting, [view.camera for view in self.scene.train])
 
+    def trained_views(self) -> list[View]:
+        """The views of the training, their cameras where it has found them to be."""
+        views = training_views(self.scene, self.config)
+        if self.twists is None:
+            return views
+        each = zip(views, self.twists, strict=True)
+        return [replace(view, camera=moved(view.camera, twist)) for view, twist in each]
+
+    def camera_list(self) -> list[ListedCamera]:
+        """What ``cameras.json`` says: of the pictures as they were trained, in size and place."""
+        listed = []
+        for view in self.trained_views():
+            camera = view.camera
+            size, lens = (camera.width, camera.height), (camera.fx, camera.fy, camera.cx, camera.cy)
+            is_learned = self.twists is not None
+            listed.append(ListedCamera(view.name, camera.camera_to_world, *size, *lens, is_learned))
+        return listed
+
     def seen(self) -> list[Seen] | None:
         """The pictures that training saw, as ``confidence_of`` wants them; None where they are not there."""
-        views = training_views(self.scene, self.config)
+        views = self.trained_views()
         positions = seen_exposures(views, self.config)
         named = (view.sources[k].path for view, which in zip(views, positions, strict=True) for k in which)
         if not all(path.is_file() for path in named):
@@ -122,7 +144,19 @@ def open_run(
         written.fingerprint,
     )
     lenses = lenses_of_run(folder, [view.camera for view in scene.train])
-    return Run(folder, written.preset, config, scene, method, iteration, lenses)
+    return Run(folder, written.preset, config, scene, method, iteration, lenses, learned_twists(folder))
+
+
+def as_learned(run: Run, trainer: Trainer) -> Run:
+    """The run as its training is now, whatever it has learned of the photographs with it."""
+    learned = {} if trainer.nuisances is None else trainer.nuisances.tensors()
+    cameras = [view.camera for view in run.scene.train]
+    return replace(
+        run,
+        iteration=trainer.iteration,
+        lenses=lenses_of((learned.get("vignetting"), learned.get("reach")), cameras),
+        twists=None if trainer.poses is None else trainer.poses.twists,
+    )
 
 
 def _scene(

@@ -5,12 +5,12 @@ While it trains, it looks into the inbox between iterations: that is where previ
 pause is waited out and where a stop is noticed.
 """
 
-import dataclasses
 import logging
 import time
 from dataclasses import dataclass
 from typing import Any
 
+from ...bridge.camera_list import refuse_others, write_camera_list
 from ...bridge.errors import PhysHDRError
 from ...bridge.messages import (
     Done,
@@ -28,6 +28,7 @@ from ...bridge.messages import (
     TrainStop,
 )
 from ...bridge.model_file import refuse_what_is_not_ours, write_model
+from ...bridge.run_folder import CAMERAS_FILE, same_folder
 from ..device import DeviceName
 from ..kernels.ahead import Needs
 from ..memory import is_out_of_memory
@@ -317,9 +318,14 @@ class Engine:
         if self._run is None:
             raise NoModelError("there is no model to export yet", "Start a training, or open a run.")
         refuse_what_is_not_ours(path)  # before the model is made, which may take seconds
-        run = dataclasses.replace(self._run, iteration=self._iteration)
+        run = self._training.run if self._training else self._run
+        beside = path.with_name(CAMERAS_FILE) if same_folder(path.parent, run.folder) else None
+        if beside:
+            refuse_others(beside)
         model = run.model()
         write_model(path, model)
+        if beside:
+            write_camera_list(beside, run.camera_list())
         return Exported(path=str(path), gaussians=model.count, iteration=run.iteration)
 
     @property

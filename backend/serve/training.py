@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A training under way: what is told of it, and what is attended to between two of its iterations."""
 
-import dataclasses
 import time
 from contextlib import closing
 from typing import Any, Protocol
 
 from ..runs.log import LOG_FILE, EventLog
 from ..runs.monitor import view_monitor
-from ..runs.run import Run
+from ..runs.run import Run, as_learned
 from ..runs.tidy import Tidying
 from ..train import events
 from ..train.duration import Duration
@@ -63,6 +62,11 @@ class Training:
     def iteration(self) -> int:
         """The iteration reached."""
         return self._trainer.iteration
+
+    @property
+    def run(self) -> Run:
+        """The run as it is now."""
+        return as_learned(self._run, self._trainer)
 
     def pause(self, paused: bool) -> None:
         """Wait after this iteration, or go on."""
@@ -123,7 +127,7 @@ class Training:
             iterations_per_second=0.0,
             seconds_left=0.0,
         )
-        return dataclasses.replace(run, iteration=trainer.iteration)
+        return self.run
 
     def _between_iterations(self) -> float:
         """Look what is asked; returns the seconds of a pause."""

@@ -38,7 +38,14 @@ def lenses_of_run(folder: Path, cameras: Sequence[Camera]) -> LearnedLenses | No
 
     Raises what reading a checkpoint raises.
     """
-    vignetting, reach = learned_lenses(folder)
+    return lenses_of(learned_lenses(folder), cameras)
+
+
+def lenses_of(
+    learned: tuple[torch.Tensor | None, torch.Tensor | None], cameras: Sequence[Camera]
+) -> LearnedLenses | None:
+    """``learned``: vignetting and reach, as ``learned_lenses`` gives them."""
+    vignetting, reach = learned
     return None if vignetting is None or reach is None else LearnedLenses(cameras, vignetting, reach)
 
 

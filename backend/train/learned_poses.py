@@ -120,7 +120,7 @@ class LearnedPoses:
         if not np.isnan(self.waiting[row, 0]):
             self._step(row, self.waiting[row], 0.5 * (1.0 + math.cos(math.pi * progress)))
             self.waiting[row] = np.nan
-        return moved(camera, self.twist[row] * self.pixel[row])
+        return moved(camera, self.twists[row])
 
     @staticmethod
     def watch(splats: Splats) -> None:
@@ -154,6 +154,11 @@ class LearnedPoses:
         self.twist[row] -= self.config.rate * share * mean / (np.sqrt(square) + ADAM_EPSILON)
         flat = self.twist.reshape(-1)
         flat -= self._together @ (self._together.T @ flat)
+
+    @property
+    def twists(self) -> np.ndarray:
+        """How each view's camera has moved, ``[V, 6]``: ω in radians, τ in metres, as ``moved`` takes it."""
+        return self.twist * self.pixel
 
     def __str__(self) -> str:
         """How far poses have moved: what is in the middle of a view, at its median depth, in pixels."""

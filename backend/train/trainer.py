@@ -540,6 +540,13 @@ def learned_lenses(folder: Path) -> tuple[torch.Tensor | None, torch.Tensor | No
     return tensors.get(f"{NUISANCES}vignetting"), tensors.get(f"{NUISANCES}reach")
 
 
+def learned_twists(folder: Path) -> np.ndarray | None:
+    """How the run in ``folder`` has moved its views' cameras (``LearnedPoses.twists``), if it did."""
+    tensors, _ = load_checkpoint(folder / CHECKPOINT_FILE)
+    twist, pixel = (tensors.get(f"{POSES}{name}") for name in ("twist", "pixel"))
+    return None if twist is None or pixel is None else (twist * pixel).numpy()
+
+
 def load_method(
     folder: Path,
     config: TrainConfig,

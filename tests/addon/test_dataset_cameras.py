@@ -16,7 +16,8 @@ bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, o
 
 import physhdr  # noqa: E402
 from physhdr.addon.capture import camera_file, dataset_cameras, placement, similarity  # noqa: E402
-from physhdr.bridge.errors import FileMissingError, PhysHDRError  # noqa: E402
+from physhdr.bridge.camera_list import ListedCamera, write_camera_list  # noqa: E402
+from physhdr.bridge.errors import FileDamagedError, FileMissingError, PhysHDRError  # noqa: E402
 from physhdr.bridge.model_file import write_model  # noqa: E402
 
 WIDTH, HEIGHT = 120, 90
@@ -211,6 +212,45 @@ def quaternion(rotation: np.ndarray) -> np.ndarray:
     ]
     x, y, z, w = np.linalg.eigh(np.array(matrix) / 3.0)[1][:, -1]
     return np.array([w, x, y, z])
+
+
+def test_cameras_stand_where_training_has_found_them(registered, run):
+    """Those that ``cameras.json`` has so; the others, and all without it, where the data set says."""
+    expected = of_ours(run.parent / "data")
+    moved = dict(zip(("train/r_0", "train/r_1"), poses(2, seed=9), strict=True))
+    size = (WIDTH, HEIGHT, 100.0, 100.0, WIDTH / 2, HEIGHT / 2)
+    listed = [ListedCamera(name, pose, *size, is_learned=True) for name, pose in moved.items()]
+    listed.append(ListedCamera("test/r_0", poses(1, seed=3)[0], *size, is_learned=False))
+    write_camera_list(run / "cameras.json", listed)
+    target = load(run)
+    imported = dataset_cameras.import_cameras(registered, target)
+    assert imported.notes == (
+        f"2 of {len(expected)} stand where training has found their pictures to be taken from.",
+    )
+    for name, pose in {**expected, **moved}.items():
+        found = np.array(bpy.data.objects[name].matrix_world, float)
+        np.testing.assert_allclose(found, pose, atol=1e-5)
+    assert bpy.data.objects["train/r_1"].data.angle == pytest.approx(0.9)  # the data set's lens
+    write_camera_list(
+        run / "cameras.json", [ListedCamera("train/r", moved["train/r_0"], *size, is_learned=True)]
+    )
+    assert dataset_cameras.import_cameras(registered, target).notes[0].startswith("3 of"), (
+        "a bracket's pictures"
+    )
+    (run / "cameras.json").unlink()
+    assert dataset_cameras.import_cameras(registered, target).notes == ()
+    for name, pose in expected.items():
+        found = np.array(bpy.data.objects[name].matrix_world, float)
+        np.testing.assert_allclose(found, pose, atol=1e-5)
+
+
+def test_damaged_learned_cameras_make_nothing_and_say_what_to_do(registered, run):
+    of_ours(run.parent / "data")
+    (run / "cameras.json").write_text('[{"pose": "learned", "img_name": "train/r_0"}]')
+    target, before = load(run), len(bpy.data.objects)
+    with pytest.raises(FileDamagedError, match="camera train/r_0: position") as caught:
+        dataset_cameras.import_cameras(registered, target)
+    assert "delete the file" in caught.value.hint and len(bpy.data.objects) == before
 
 
 def test_importing_twice_puts_back_and_duplicates_nothing(registered, run):

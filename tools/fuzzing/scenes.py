@@ -167,6 +167,27 @@ def pose(folder: Path, file: str, _: bytes) -> None:
     _printable(found.name)
 
 
+def camera_list(folder: Path) -> None:
+    from physhdr.bridge.camera_list import ListedCamera, write_camera_list
+
+    listed = [
+        ListedCamera(f"train_{index:03d}", turned, 64, 48, 50.0, 51.0, 32.0, 24.0, is_learned=index % 2 == 0)
+        for index, turned in enumerate((np.eye(4), np.diag([1.0, -1.0, -1.0, 1.0]), np.eye(4)))
+    ]
+    (folder / "run").mkdir(parents=True)
+    write_camera_list(folder / "run" / "cameras.json", listed)
+
+
+def learned_poses(folder: Path, file: str, _: bytes) -> None:
+    """A run's cameras for Blender."""
+    from physhdr.bridge.camera_list import read_learned_poses
+
+    for name, found in read_learned_poses(folder / file).items():
+        _require(bool(np.isfinite(found).all()), "a pose is not finite")
+        _require(bool(np.linalg.det(found[:3, :3]) > 0.9), "a rotation is none")
+        _printable(name)
+
+
 def paths(_: Path, __: str, content: bytes) -> None:
     """Camera paths among any cameras that a reader would accept."""
     from scipy.spatial.transform import Rotation
@@ -228,5 +249,6 @@ TARGETS = (
     Target("data set: COLMAP", colmap, read, 1000),
     Target("data set: nerfstudio", nerfstudio, read, 1000),
     Target("camera file", own, pose, 600, chosen=("transforms_train.json",)),
+    Target("cameras of a run", camera_list, learned_poses, 600),
     Target("camera paths", _write_paths, paths, 400, in_memory=True, names_place=False),
 )

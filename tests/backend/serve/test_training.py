@@ -397,6 +397,25 @@ def test_no_file_of_the_users_is_replaced_by_an_export(backend, enter, refusal, 
     assert isinstance(watches.ask(ModelExport(path=str(model))), Exported)
 
 
+def test_an_export_into_the_run_says_where_its_cameras_are(backend, enter, refusal, runs, tmp_path):
+    """Blender's import asks for that; elsewhere no file is written that nobody asked for."""
+    run = shutil.copytree(runs["default"], tmp_path / "run")
+    cameras, peer = run / "cameras.json", enter(backend, "Blender")
+    cameras.unlink(missing_ok=True)
+    peer.ask(RunOpen(run=str(run)))
+    peer.ask(ModelExport(path=str(tmp_path / "elsewhere.safetensors")))
+    assert not (tmp_path / "cameras.json").exists() and not cameras.exists()
+    peer.ask(ModelExport(path=str(run / "model.safetensors")))
+    views = json.loads((run / "views.json").read_text())["splits"]
+    listed = {camera["img_name"] for camera in json.loads(cameras.read_text())}
+    assert {view["name"] for view in views["train"]} <= listed
+    cameras.write_text("another program's")
+    model = (run / "model.safetensors").read_bytes()
+    failure = refusal(peer, ModelExport(path=str(run / "model.safetensors")))
+    assert failure.code == "output" and str(cameras) in failure.message
+    assert cameras.read_text() == "another program's" and (run / "model.safetensors").read_bytes() == model
+
+
 def test_a_failed_training_is_a_state_and_the_backend_lives_on(backend, enter, refusal, tiny_data, tmp_path):
     peer = enter(backend)
     damaged = tmp_path / "damaged"
