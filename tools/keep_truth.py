@@ -97,6 +97,15 @@ class View:
         return facts
 
 
+    def keep(self) -> None:
+        """Catch up what is kept with the work folder: killed between the two it lags behind."""
+        mean, facts = self.state()
+        if self.target is None or mean is None:
+            return
+        if not self.target.exists() or kept.read(self.target)[1]["passes"] != facts["passes"]:
+            kept.write(self.target, mean, facts)
+
+
 class Scene:
     """The views of a scene: those that are kept, and those that tell how good these are."""
 
@@ -181,6 +190,8 @@ def work_on(name: str, passes: list[int], reference: bool, work: Path) -> None:
             for count in range(1, len(chunks) + 1):
                 for half in scene.halves:
                     _improve(scene, half, chunks[:count], camera, claims)
+            for view in scene.kept:
+                view.keep()
             if told := scene.describe():
                 folder.write_json(scene.target / kept.TRUTH_FILE, told)
                 print(f"{name}: {json.dumps(told['noise_floor'])} {json.dumps(told.get('reference_floor'))}")

@@ -71,6 +71,22 @@ def test_nothing_is_rendered_twice(tool, tmp_path, capsys):
     assert before == {path: path.read_bytes() for path in (tmp_path / "kept").rglob("*.exr")}
 
 
+def test_what_is_kept_catches_up_with_the_work_folder(tool, tmp_path):
+    """As a process leaves it that is killed between the two, or a checkout of an older state."""
+    file = tmp_path / "kept/ball/test_000.exr"
+    tool.work_on("ball", [PASS], False, tmp_path / "work")
+    first = file.read_bytes()
+    tool.work_on("ball", [PASS, PASS], False, tmp_path / "work")
+    second = file.read_bytes()
+    assert first != second
+    file.write_bytes(first)
+    tool.work_on("ball", [PASS, PASS], False, tmp_path / "work")
+    assert file.read_bytes() == second
+    file.unlink()
+    tool.work_on("ball", [PASS, PASS], False, tmp_path / "work")
+    assert file.read_bytes() == second
+
+
 def test_the_two_floors_are_those_of_pictures_made_by_hand(tool, tmp_path):
     """A second truth and a reference that are the first times a factor: the floors are that factor's."""
     tool.work_on("ball", [PASS], True, tmp_path / "work")
