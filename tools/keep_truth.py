@@ -96,7 +96,6 @@ class View:
             kept.write(self.target, mean, facts)
         return facts
 
-
     def keep(self) -> None:
         """Catch up what is kept with the work folder: killed between the two it lags behind."""
         mean, facts = self.state()
