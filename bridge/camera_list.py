@@ -23,7 +23,7 @@ from .limits import check_position
 from .regular import read_json
 
 GIVEN, LEARNED = "given", "learned"
-REMEDY = "Export the run again, or delete the file: the data set's own poses are then taken."
+REMEDY = "Delete it, and export the run again; without it the data set's own poses are taken."
 #: Of a rotation's columns: how far from unit and square they may be.
 RIGID = 1e-3
 

@@ -10,7 +10,7 @@ from ...bridge.errors import DataMismatchError
 from ..runs.run import open_run
 from ..runs.terminal import console
 from ..train.calibration import calibration_of, write_calibration
-from ..train.trainer import learned_lenses
+from ..train.trainer import learned_of_photographs
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Calibrate:
 
     def run(self) -> int:
         run = open_run(self.folder, self.data)
-        vignetting, reach = learned_lenses(self.folder)
+        (vignetting, reach), _ = learned_of_photographs(self.folder)
         calibration = calibration_of(run.splatting, vignetting, reach, run.scene.name)
         if calibration.response is None and calibration.vignetting is None:
             raise DataMismatchError(

@@ -190,7 +190,7 @@ def method_sheet(
     ``renderers``: by the name that stands in the captions. The conditions are the exposures (by default one
     that training saw and one between) and HDR where there is truth; ``poses`` and ``split`` as in
     ``comparison_sheet``. ``without_hdr``: names of those that have no radiance; ``scales``: of the others,
-    the evaluation's ``scale_ratio``: where one is off, HDR stands there once more, each divided by its own.
+    the evaluation's ``scale_ratio``: where one is off, HDR stands there once more, divided by it.
     Raises ``BadValueError`` without a method or for an unknown pose, and what readers raise.
     """
     if not renderers:
@@ -206,11 +206,13 @@ def method_sheet(
             radiant = {name: each for name, each in renderers.items() if name not in without_hdr}
             shown = {name: _hdr(renderer, view, 1.0, reference) for name, renderer in radiant.items()}
             rows += _method_rows(f"{view.name}, HDR", shown, gain)
-            if any(_is_off((scales or {}).get(name)) for name in radiant):
-                divided = {name: (scales or {}).get(name) or 1.0 for name in radiant}
+            off = {name: by for name, by in (scales or {}).items() if name in radiant and _is_off(by)}
+            if off:
                 shown = {
-                    f"{name} / {by:.3g}": _hdr(radiant[name], view, 1.0, reference, by)
-                    for name, by in divided.items()
+                    f"{name} / {off[name]:.3g}" if name in off else name: _hdr(
+                        renderer, view, 1.0, reference, off.get(name, 1.0)
+                    )
+                    for name, renderer in radiant.items()
                 }
                 rows += _method_rows(f"{view.name}, HDR, scale aligned", shown, gain)
     return labelled_grid(rows, f"{_title(scene, split)}: truth and {len(renderers)} methods", _note())

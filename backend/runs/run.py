@@ -19,9 +19,9 @@ from ..methods.registry import name_of
 from ..rasterize import Implementation
 from ..scene import Scene, View, read_scene
 from ..train.config import CONFIG_FILE, RunConfig, TrainConfig, read_config
-from ..train.learned_lens import LearnedLenses, lenses_of, lenses_of_run
+from ..train.learned_lens import LearnedLenses, lenses_of
 from ..train.learned_poses import moved
-from ..train.trainer import Trainer, learned_twists, load_method
+from ..train.trainer import Trainer, learned_of_photographs, load_method
 from ..train.views import seen_exposures, training_views
 from .terminal import console
 from .views import as_trained, read_views
@@ -143,8 +143,9 @@ def open_run(
         choose_device(device, report)[0],
         written.fingerprint,
     )
-    lenses = lenses_of_run(folder, [view.camera for view in scene.train])
-    return Run(folder, written.preset, config, scene, method, iteration, lenses, learned_twists(folder))
+    learned, twists = learned_of_photographs(folder)
+    lenses = lenses_of(learned, [view.camera for view in scene.train])
+    return Run(folder, written.preset, config, scene, method, iteration, lenses, twists)
 
 
 def as_learned(run: Run, trainer: Trainer) -> Run:

@@ -8,14 +8,12 @@ compared with it has to have them. What differs from photo to photo is another m
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 import torch
 
 from ..model.camera_effects import falloff, lenses, squared_tangent
 from ..scene.camera import Camera
-from .trainer import learned_lenses
 
 
 class LearnedLenses:
@@ -33,18 +31,11 @@ class LearnedLenses:
         return falloff(rho, self._vignetting[lens]).exp()[None]
 
 
-def lenses_of_run(folder: Path, cameras: Sequence[Camera]) -> LearnedLenses | None:
-    """What the run in ``folder`` learned; None where it learned of no lens. ``cameras``: its training views'.
-
-    Raises what reading a checkpoint raises.
-    """
-    return lenses_of(learned_lenses(folder), cameras)
-
-
 def lenses_of(
     learned: tuple[torch.Tensor | None, torch.Tensor | None], cameras: Sequence[Camera]
 ) -> LearnedLenses | None:
-    """``learned``: vignetting and reach, as ``learned_lenses`` gives them."""
+    """``learned``: vignetting and reach, of which there is none where no lens was learned; ``cameras``: of
+    the training views."""
     vignetting, reach = learned
     return None if vignetting is None or reach is None else LearnedLenses(cameras, vignetting, reach)
 

@@ -534,17 +534,18 @@ def restore_method(method: Method, tensors: dict[str, torch.Tensor], path: Path)
     method.load_state_dict({k.removeprefix(NETWORKS): v for k, v in networks.items()})
 
 
-def learned_lenses(folder: Path) -> tuple[torch.Tensor | None, torch.Tensor | None]:
-    """Vignetting ``[L, 3]`` and reach ``[L]`` (``model.camera_effects``) of the run in ``folder``, if any."""
-    tensors, _ = load_checkpoint(folder / CHECKPOINT_FILE)
-    return tensors.get(f"{NUISANCES}vignetting"), tensors.get(f"{NUISANCES}reach")
+def learned_of_photographs(
+    folder: Path,
+) -> tuple[tuple[torch.Tensor | None, torch.Tensor | None], np.ndarray | None]:
+    """What the run in ``folder`` has learned of its photographs beside the scene, if it did.
 
-
-def learned_twists(folder: Path) -> np.ndarray | None:
-    """How the run in ``folder`` has moved its views' cameras (``LearnedPoses.twists``), if it did."""
+    Of the lenses vignetting ``[L, 3]`` and reach ``[L]`` (``model.camera_effects``), and how its views'
+    cameras have moved (``LearnedPoses.twists``).
+    """
     tensors, _ = load_checkpoint(folder / CHECKPOINT_FILE)
+    vignetting, reach = (tensors.get(f"{NUISANCES}{name}") for name in ("vignetting", "reach"))
     twist, pixel = (tensors.get(f"{POSES}{name}") for name in ("twist", "pixel"))
-    return None if twist is None or pixel is None else (twist * pixel).numpy()
+    return (vignetting, reach), None if twist is None or pixel is None else (twist * pixel).numpy()
 
 
 def load_method(

@@ -250,7 +250,7 @@ def test_damaged_learned_cameras_make_nothing_and_say_what_to_do(registered, run
     target, before = load(run), len(bpy.data.objects)
     with pytest.raises(FileDamagedError, match="camera train/r_0: position") as caught:
         dataset_cameras.import_cameras(registered, target)
-    assert "delete the file" in caught.value.hint and len(bpy.data.objects) == before
+    assert "Delete it" in caught.value.hint and len(bpy.data.objects) == before
 
 
 def test_importing_twice_puts_back_and_duplicates_nothing(registered, run):

@@ -91,4 +91,4 @@ def test_a_damaged_entry_is_named(path, key, value, said):
     path.write_text(json.dumps(content))
     with pytest.raises(FileDamagedError, match=said) as caught:
         read_learned_poses(path)
-    assert str(path) in caught.value.message and "Export the run again" in caught.value.hint
+    assert str(path) in caught.value.message and "Delete it, and export the run again" in caught.value.hint

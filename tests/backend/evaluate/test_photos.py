@@ -16,10 +16,10 @@ from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.camera import Camera
 from physhdr.backend.scene.scene import PictureCache, Scene, View
 from physhdr.backend.scene.source import Decoded, PictureSource
-from physhdr.backend.train.learned_lens import LearnedLenses, lenses_of_run
+from physhdr.backend.train.learned_lens import LearnedLenses, lenses_of
 from physhdr.backend.train.nuisances import NuisanceConfig
 from physhdr.backend.train.presets import PRESETS
-from physhdr.backend.train.trainer import Trainer, load_method
+from physhdr.backend.train.trainer import Trainer, learned_of_photographs, load_method
 
 SIZE = (48, 32)
 CAMERA = Camera.from_field_of_view(np.eye(4), *SIZE, 1.1)
@@ -100,7 +100,7 @@ def test_a_trained_lens_is_on_the_pictures_that_are_compared(tiny_data, tmp_path
     with torch.no_grad():
         trainer.nuisances.values["vignetting"].copy_(torch.tensor([[0.0, 0.8, 0.0]]))
     trainer.save(tmp_path)
-    lenses = lenses_of_run(tmp_path, [view.camera for view in scene.train])
+    lenses = lenses_of(learned_of_photographs(tmp_path)[0], [view.camera for view in scene.train])
     method, _ = load_method(tmp_path, config, scene.response_anchor)
     view = scene.test[0]
     corner = math.exp(-0.8)  # about: half a pixel from it
