@@ -132,6 +132,24 @@ def test_those_who_begin_while_others_end_meet_no_missing_folder(folder):
     assert not folder.exists()
 
 
+def test_a_folder_that_was_gone_for_a_moment_is_not_a_disk_without_locks(folder, monkeypatch):
+    """One ends and removes the folder, another makes it again and, tidying up, the file of the same name."""
+    acquire = filelock.FileLock.acquire
+    calls = []
+
+    def gone_for_a_moment(lock, **arguments):
+        calls.append(lock)
+        if len(calls) > 1:
+            return acquire(lock, **arguments)
+        Path(lock.lock_file).touch()
+        raise FileNotFoundError(2, "No such file or directory")
+
+    monkeypatch.setattr(filelock.FileLock, "acquire", gone_for_a_moment)
+    with claims(folder) as mine:
+        assert mine.take("run") and len(calls) == 2
+        assert mine.keep_others_out and (folder / "run").exists()
+
+
 def test_a_lock_whose_file_was_removed_meanwhile_is_not_taken(tmp_path, monkeypatch):
     """As by filelock on Windows, which unlocks first and then removes the file that another has locked."""
 
