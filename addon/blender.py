@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Blender's things as what they are: what its types say may be missing, or do not know, is there."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, Protocol, cast
 
 import bpy
@@ -58,6 +59,29 @@ def render_size(scene: bpy.types.Scene, percentage: float = 100.0) -> tuple[int,
 def settings_of_cycles(of: bpy.types.Scene | bpy.types.Material) -> Any:
     """Cycles' settings of a scene or a material: Cycles registers them, as an extension does."""
     return cast(Any, of).cycles
+
+
+def is_no_lamp(material: bpy.types.Material) -> None:
+    """Let Cycles not sample what glows in the material as lamps: it is many small things.
+
+    Nothing where Cycles is switched off, or where Blender takes it away before it quits.
+    """
+    if hasattr(material, "cycles") and settings_of_cycles(material).emission_sampling != "NONE":
+        settings_of_cycles(material).emission_sampling = "NONE"
+
+
+@contextmanager
+def marked_when_whole(made: bpy.types.ID, key: str, mark: Any) -> Iterator[None]:
+    """What is built within becomes ``made``, which then gets the mark that it is found by.
+
+    Where building fails ``made`` is removed: a half of it, marked, would be taken for the whole ever after.
+    """
+    try:
+        yield
+    except BaseException:
+        bpy.data.batch_remove([made])
+        raise
+    made[key] = mark
 
 
 #: Draws an entry: a menu's ``draw``, which Blender's types believe to take the context alone.

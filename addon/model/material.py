@@ -11,7 +11,7 @@ from typing import Any, Literal
 import bpy
 
 from ...bridge.splatting import ALPHA_MAX, ALPHA_MIN
-from ..blender import settings_of_cycles
+from ..blender import is_no_lamp, marked_when_whole
 from .attributes import RADIANCE
 from .node_builder import Field, NodeBuilder
 
@@ -39,13 +39,13 @@ def splat_material(shape: Shape) -> bpy.types.Material:
         if material.get(_MARK) == mark and material.library is None:
             return material
     material = bpy.data.materials.new(_NAMES[shape])
-    material[_MARK] = mark
-    material.surface_render_method = _EEVEE[shape]
-    material.use_transparency_overlap = True  # else EEVEE blends the nearest alone
-    # Gaussians carry their light with them. Sampling each as a lamp would only cost time.
-    settings_of_cycles(material).emission_sampling = "NONE"
-    assert material.node_tree is not None  # every material has one since Blender 5
-    _build(material.node_tree, shape)
+    with marked_when_whole(material, _MARK, mark):
+        material.surface_render_method = _EEVEE[shape]
+        material.use_transparency_overlap = True  # else EEVEE blends the nearest alone
+        # Gaussians carry their light with them. Sampling each as a lamp would only cost time.
+        is_no_lamp(material)
+        assert material.node_tree is not None  # every material has one since Blender 5
+        _build(material.node_tree, shape)
     return material
 
 

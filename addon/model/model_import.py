@@ -70,11 +70,15 @@ def import_file(
     if source.colour_sh is not None:
         cloud[COLOR_SPACE] = color_space
     target = bpy.data.objects.new(name, cloud)
-    if not is_model_file(path):
-        target.rotation_euler.x = _turn(UPS.get(orientation, source.up))
-    add_modifier(target, source.model)
-    set_up_object(target)
-    (collection or bpy.context.scene.collection).objects.link(target)
+    try:
+        if not is_model_file(path):
+            target.rotation_euler.x = _turn(UPS.get(orientation, source.up))
+        add_modifier(target, source.model)
+        set_up_object(target)
+        (collection or bpy.context.scene.collection).objects.link(target)
+    except BaseException:
+        bpy.data.batch_remove([target, cloud])
+        raise
     return Imported(target, source.notes)
 
 

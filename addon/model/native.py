@@ -18,7 +18,7 @@ import numpy as np
 from ...bridge import native_splats
 from ...bridge.errors import DataMismatchError
 from ...bridge.splatting import ALPHA_MIN
-from ..blender import cloud_of, settings_of_cycles
+from ..blender import cloud_of, is_no_lamp, marked_when_whole
 from .attributes import BASE, COLOR_SPACE, DISPLAY, LOG_SH, RADIANCE, SCALE, SHOWN_SH
 from .node_builder import Field, GeometryBuilder, NodeBuilder
 from .nodes import CAMERA_SPLATS, MARK, find_modifier
@@ -131,9 +131,9 @@ def native_tree(tree: bpy.types.NodeTree) -> bpy.types.NodeTree:
     if found is not None:
         return found
     copy = tree.copy()
-    copy.name = f"{tree.name}, native"
-    copy[MARK] = mark + _NATIVE
-    _put_out_points(copy)
+    with marked_when_whole(copy, MARK, mark + _NATIVE):
+        copy.name = f"{tree.name}, native"
+        _put_out_points(copy)
     return copy
 
 
@@ -183,15 +183,17 @@ def native_material() -> bpy.types.Material:
         if material.get(_MATERIAL_MARK) == _MATERIAL_RECIPE and material.library is None:
             return material
     material = bpy.data.materials.new("PhysHDR Native Splats")
-    material[_MATERIAL_MARK] = _MATERIAL_RECIPE
-    settings_of_cycles(material).emission_sampling = "NONE"
-    assert material.node_tree is not None  # every material has one since Blender 5
-    material.node_tree.nodes.clear()
-    build = NodeBuilder(material.node_tree)
-    attribute = build.node("ShaderNodeAttribute", attribute_type="GEOMETRY", attribute_name=RADIANCE.name)
-    emission = build.field("ShaderNodeEmission", build.output(attribute, "Color"), 1.0)
-    build.node("ShaderNodeOutputMaterial", emission)
-    build.arrange()
+    with marked_when_whole(material, _MATERIAL_MARK, _MATERIAL_RECIPE):
+        is_no_lamp(material)
+        assert material.node_tree is not None  # every material has one since Blender 5
+        material.node_tree.nodes.clear()
+        build = NodeBuilder(material.node_tree)
+        attribute = build.node(
+            "ShaderNodeAttribute", attribute_type="GEOMETRY", attribute_name=RADIANCE.name
+        )
+        emission = build.field("ShaderNodeEmission", build.output(attribute, "Color"), 1.0)
+        build.node("ShaderNodeOutputMaterial", emission)
+        build.arrange()
     return material
 
 

@@ -18,7 +18,7 @@ import bpy
 from ...bridge.lights import AMBIENT
 from ...bridge.model_file import Model
 from ...bridge.spherical_harmonics import C0, C1, C2, C3, coefficient_count
-from ..blender import cloud_of, curves_of
+from ..blender import cloud_of, curves_of, marked_when_whole
 from .attributes import BASE, FIXED_PART, LEVEL_LOG_GAIN, LIGHT_SHARE, LOG_SH, RADIANCE, SCALE, light_part
 from .cleaning_nodes import clean, declare_cleaning
 from .node_builder import Field, GeometryBuilder
@@ -108,11 +108,11 @@ def radiance_tree(
         kind += f", {len(lights)} lights"
     tree = bpy.data.node_groups.new(f"PhysHDR radiance (degree {sh_degree}, {kind})", "GeometryNodeTree")
     assert isinstance(tree, bpy.types.GeometryNodeTree)
-    tree[MARK] = mark
-    tree.is_modifier = True
-    _declare_interface(tree, curve is not None, lights)
-    declare_cleaning(tree.interface, sh_degree > 0)
-    _Assembly(tree).build(sh_degree, levels, curve, lights)
+    with marked_when_whole(tree, MARK, mark):
+        tree.is_modifier = True
+        _declare_interface(tree, curve is not None, lights)
+        declare_cleaning(tree.interface, sh_degree > 0)
+        _Assembly(tree).build(sh_degree, levels, curve, lights)
     return tree
 
 

@@ -14,6 +14,7 @@ import bpy
 import numpy as np
 
 from ...bridge import srgb
+from ..blender import marked_when_whole
 from .node_builder import Field, GeometryBuilder, NodeBuilder
 from .nodes import EXPOSURE
 from .tone_curve import ToneCurve
@@ -105,9 +106,9 @@ def response_tree(curve: ToneCurve, name: str) -> bpy.types.NodeTree:
         if each.get(MARK) == response_mark(curve) and each.library is None:
             return each
     tree = bpy.data.node_groups.new(f"PhysHDR Response of {name}", "CompositorNodeTree")
-    tree[MARK] = response_mark(curve)
-    _declare(tree)
-    _build(CompositorBuilder(tree), curve)
+    with marked_when_whole(tree, MARK, response_mark(curve)):
+        _declare(tree)
+        _build(CompositorBuilder(tree), curve)
     return tree
 
 

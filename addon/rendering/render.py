@@ -62,6 +62,8 @@ def sample_centres(scene: bpy.types.Scene, filter_width: float = POINT_SAMPLING)
     ``filter_width``: pixels. Edges of other objects are jagged then.
     """
     scene.render.filter_size = filter_width
+    if not hasattr(scene, "cycles"):  # it can be switched off as an extension can
+        return
     cycles = settings_of_cycles(scene)
     cycles.pixel_filter_type = "BOX"
     cycles.filter_width = filter_width

@@ -14,7 +14,7 @@ import bpy
 import numpy as np
 
 from ...bridge.spherical_harmonics import C0
-from ..blender import cloud_of, settings_of_cycles
+from ..blender import cloud_of, is_no_lamp, marked_when_whole
 from ..model.attributes import BASE, KEPT_RADIUS, LOG_SH, RADIUS, SCALE
 from ..model.node_builder import NodeBuilder
 from ..model.nodes import find_modifier
@@ -47,11 +47,14 @@ def points_material() -> bpy.types.Material:
         if material.get(_MARK) == _RECIPE and material.library is None:
             return material
     material = bpy.data.materials.new("PhysHDR Points")
-    material[_MARK] = _RECIPE
-    if hasattr(material, "cycles"):  # Blender takes it away before it quits
-        settings_of_cycles(material).emission_sampling = "NONE"
-    assert material.node_tree is not None  # every material has one since Blender 5
-    tree = material.node_tree
+    with marked_when_whole(material, _MARK, _RECIPE):
+        is_no_lamp(material)
+        assert material.node_tree is not None  # every material has one since Blender 5
+        _build(material.node_tree)
+    return material
+
+
+def _build(tree: bpy.types.NodeTree) -> None:
     tree.nodes.clear()
     build = NodeBuilder(tree)
     with build.frame("exp(C0 · ln radiance)"):
@@ -64,7 +67,6 @@ def points_material() -> bpy.types.Material:
     with build.frame("Surface"):
         build.node("ShaderNodeOutputMaterial", build.field("ShaderNodeEmission", radiance, 1.0))
     build.arrange()
-    return material
 
 
 def is_shown(cloud: bpy.types.PointCloud) -> bool:

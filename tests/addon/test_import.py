@@ -16,8 +16,9 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
+import addon_utils  # noqa: E402
 import physhdr  # noqa: E402
-from physhdr.addon.model import attributes, model_import, point_cloud  # noqa: E402
+from physhdr.addon.model import attributes, material, model_import, point_cloud, radiance_tree  # noqa: E402
 from physhdr.bridge.gaussian_ply import write_standard_ply  # noqa: E402
 from physhdr.bridge.splat_files import read_splat_file  # noqa: E402
 
@@ -133,6 +134,51 @@ def test_operator_reports_what_is_wrong_and_makes_nothing(registered, make_model
     with pytest.raises(RuntimeError, match="there is no model file"):
         bpy.ops.physhdr.model_import(filepath=str(tmp_path / "none.safetensors"))
     assert len(bpy.data.objects) == len(bpy.data.pointclouds) == 0
+
+
+@pytest.fixture
+def without_cycles():
+    """Cycles is an extension, and may be switched off."""
+    addon_utils.disable("cycles")
+    yield
+    addon_utils.enable("cycles")
+
+
+def test_without_cycles_a_model_is_imported_whole(registered, make_model, write, without_cycles):
+    assert bpy.ops.physhdr.model_import(filepath=str(write(make_model()))) == {"FINISHED"}
+    [tree] = bpy.data.node_groups
+    assert any(node.bl_idname == "NodeGroupOutput" for node in tree.nodes)
+    for material in bpy.data.materials:
+        assert any(node.bl_idname == "ShaderNodeOutputMaterial" for node in material.node_tree.nodes)
+    assert bpy.ops.physhdr.render_setup() == {"FINISHED"}
+
+
+def test_what_was_imported_without_cycles_is_no_lamp_once_a_render_is_set_up(
+    registered, make_model, write, without_cycles
+):
+    bpy.ops.physhdr.model_import(filepath=str(write(make_model())))
+    addon_utils.enable("cycles")
+    splat = next(each for each in bpy.data.materials if "Splat" in each.name)
+    assert splat.cycles.emission_sampling == "AUTO"
+    bpy.ops.physhdr.render_setup()
+    assert splat.cycles.emission_sampling == "NONE"
+
+
+@pytest.mark.parametrize("broken", [(material, "_build"), (radiance_tree, "declare_cleaning")])
+def test_what_could_not_be_built_is_not_found_by_the_next_import(
+    registered, make_model, write, monkeypatch, broken
+):
+    """A half of a material or a node group, marked as ours, would be every later model's."""
+    path = str(write(make_model()))
+    with monkeypatch.context() as moment:
+        moment.setattr(*broken, lambda *_: 1 / 0)
+        with pytest.raises(RuntimeError, match="ZeroDivisionError"):
+            bpy.ops.physhdr.model_import(filepath=path)
+    assert not bpy.data.objects and not bpy.data.pointclouds
+    assert all(each.get("physhdr_material") for each in bpy.data.materials) and not bpy.data.node_groups
+    assert bpy.ops.physhdr.model_import(filepath=path) == {"FINISHED"}
+    for each in bpy.data.materials:
+        assert any(node.bl_idname == "ShaderNodeOutputMaterial" for node in each.node_tree.nodes)
 
 
 # ---- other programs' formats -----------------------------------------------------------------------------
