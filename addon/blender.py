@@ -28,6 +28,11 @@ def cloud_of(target: bpy.types.Object) -> bpy.types.PointCloud:
     return target.data
 
 
+def takes_objects(collection: bpy.types.Collection) -> bool:
+    """Whether objects can be linked into a collection: not into another file's, nor into an override of one."""
+    return collection.is_editable and collection.override_library is None
+
+
 def curve_of(target: bpy.types.Object, path: str) -> Any:
     """The driver of an object's property, or its keyframes (not the NLA's); None where it has neither."""
     data = target.animation_data

@@ -67,6 +67,8 @@ LIGHT_TENSORS = {
     "baked-levels": "level_log_gain",
 }
 FILE_SHAPES = {**SHAPES, "ambient_share": ("N", 3)}
+#: Metadata of a model that is where it stood in a scene of Blender, not where its data set has it.
+SPACE, WORLD = "space", "world"
 #: Metadata that has a field or a fixed value of its own; anything else lands in ``Model.metadata``.
 RESERVED_METADATA = (
     *("format", "version", "modulator", "lights", "levels", "sh_degree", "working_space", "exposures"),

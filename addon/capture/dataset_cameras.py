@@ -21,7 +21,7 @@ from ...bridge.blend_file import SPLIT
 from ...bridge.camera_list import read_learned_poses
 from ...bridge.errors import DataMismatchError, FileMissingError
 from ...bridge.run_folder import CAMERAS_FILE
-from ..blender import cloud_of, render_size
+from ..blender import cloud_of, render_size, takes_objects
 from ..model.attributes import CAPTURE, FILE
 from ..rendering.render import CLIP_END, CLIP_START, to_matrix
 from . import placement, similarity
@@ -125,7 +125,7 @@ def _child(parent: bpy.types.Collection, name: str, marks: dict[str, str]) -> bp
     """The collection with these custom properties, wherever the user moved it; made in ``parent``."""
     keys = (CAPTURE, SPLIT)
     for child in parent.children_recursive:
-        if child.is_editable and all(child.get(key) == marks.get(key) for key in keys):
+        if takes_objects(child) and all(child.get(key) == marks.get(key) for key in keys):
             return child
     made = bpy.data.collections.new(name)
     for key, value in marks.items():

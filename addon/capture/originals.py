@@ -20,6 +20,8 @@ from .placement import capture_of, key_of, settings_of
 #: The property of a scene that holds its ``PHYSHDR_Originals``.
 ORIGINALS = "physhdr_originals"
 LIGHT = "LIGHT"
+#: How objects of other files were before this session hid them, by ``_key``.
+_linked: dict[tuple[str, str], tuple[bool, bool]] = {}
 #: The properties of an object that hide it.
 SWITCHES = ("hide_viewport", "hide_render")
 
@@ -118,7 +120,10 @@ def hide(scene: bpy.types.Scene, lights: bool = True) -> int:
             continue
         entry = hidden.add()
         entry.target = item
-        entry.was_hidden_in_viewports, entry.was_hidden_in_renders = item.hide_viewport, item.hide_render
+        before = item.hide_viewport, item.hide_render
+        if item.library is not None:
+            before = _linked.setdefault(_key(item), before)
+        entry.was_hidden_in_viewports, entry.was_hidden_in_renders = before
         _set(item, True, True)
     return len(hidden)
 
@@ -168,13 +173,36 @@ def _set(item: bpy.types.Object, in_viewports: bool, in_renders: bool) -> None:
     item.hide_viewport, item.hide_render = in_viewports, in_renders
 
 
+def _key(item: bpy.types.Object) -> tuple[str, str]:
+    """What a linked object is known by: undo makes another Python object of it."""
+    assert item.library is not None
+    return item.library.filepath, item.name
+
+
+def _hidden_linked() -> dict[tuple[str, str], bpy.types.Object]:
+    """The objects of other files that some scene of this one hides."""
+    targets = (entry.target for scene in bpy.data.scenes for entry in originals_of(scene).hidden)
+    return {_key(each): each for each in targets if each is not None and each.library is not None}
+
+
 @persistent
 def _hide_linked_again(*_: object) -> None:
     """Objects of other files come from there as they are there."""
-    for scene in bpy.data.scenes:
-        for entry in originals_of(scene).hidden:
-            if entry.target is not None and entry.target.library is not None:
-                _set(entry.target, True, True)
+    _linked.clear()
+    for key, item in _hidden_linked().items():
+        _linked[key] = item.hide_viewport, item.hide_render
+        _set(item, True, True)
+
+
+@persistent
+def _follow_undo(*_: object) -> None:
+    """Objects of other files are not part of Blender's undo, what this scene remembers of them is."""
+    if not _linked:
+        return
+    hidden = _hidden_linked()
+    for item in bpy.data.objects:
+        if item.library is not None and (before := _linked.get(_key(item))) is not None:
+            _set(item, *((True, True) if _key(item) in hidden else before))
 
 
 @persistent
@@ -200,9 +228,13 @@ def register() -> None:
     setattr(bpy.types.Scene, ORIGINALS, bpy.props.PointerProperty(type=PHYSHDR_Originals))
     bpy.app.handlers.save_pre.append(_forget_deleted)
     bpy.app.handlers.load_post.append(_hide_linked_again)
+    for handlers in (bpy.app.handlers.undo_post, bpy.app.handlers.redo_post):
+        handlers.append(_follow_undo)
 
 
 def unregister() -> None:
+    for handlers in (bpy.app.handlers.undo_post, bpy.app.handlers.redo_post):
+        handlers.remove(_follow_undo)
     bpy.app.handlers.load_post.remove(_hide_linked_again)
     bpy.app.handlers.save_pre.remove(_forget_deleted)
     delattr(bpy.types.Scene, ORIGINALS)

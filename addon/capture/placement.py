@@ -78,9 +78,12 @@ def cameras_of(scene: bpy.types.Scene, capture: str) -> Iterator[bpy.types.Objec
 
 
 def place(scene: bpy.types.Scene, target: bpy.types.Object) -> None:
-    """Put a model that was just imported where its capture stands, if the scene remembers that."""
+    """Put a model that was just imported where its capture stands, if the scene remembers that.
+
+    The turn that its file's axes want comes first.
+    """
     if settings_of(scene).captures.get(capture := capture_of(target)):
-        target.matrix_world = to_matrix(matrix_of(scene, capture))
+        target.matrix_world = to_matrix(matrix_of(scene, capture) @ np.array(target.matrix_basis, np.float64))
 
 
 def move(scene: bpy.types.Scene, target: bpy.types.Object, change: np.ndarray) -> "PHYSHDR_Capture":
@@ -94,8 +97,8 @@ def move(scene: bpy.types.Scene, target: bpy.types.Object, change: np.ndarray) -
     capture, now = capture_of(target), np.array(target.matrix_world, np.float64)
     similarity.scale_of(now)
     kept = remembered(scene, capture, now)
-    wanted = {each.name: change @ np.array(each.matrix_world) for each in models_of(scene, capture)}
-    _put(scene, wanted | _cameras_after(scene, capture, change))
+    wanted = {each: change @ np.array(each.matrix_world) for each in models_of(scene, capture)}
+    _put(wanted | _cameras_after(scene, capture, change))
     kept.matrix = (change @ now).reshape(-1)
     return kept
 
@@ -120,15 +123,17 @@ def forget(scene: bpy.types.Scene, target: bpy.types.Object) -> None:
     bpy.context.view_layer.update()
     original = np.array(captures[index].original, np.float64).reshape(4, 4)
     back = original @ np.linalg.inv(np.array(captures[index].matrix, np.float64).reshape(4, 4))
-    wanted = {each.name: original for each in models_of(scene, capture)}
-    _put(scene, wanted | _cameras_after(scene, capture, back))
+    wanted = {each: original for each in models_of(scene, capture)}
+    _put(wanted | _cameras_after(scene, capture, back))
     captures.remove(index)
 
 
-def _cameras_after(scene: bpy.types.Scene, capture: str, change: np.ndarray) -> dict[str, np.ndarray]:
-    """``[4, 4]`` by name: where the cameras of a capture are after ``change``."""
+def _cameras_after(
+    scene: bpy.types.Scene, capture: str, change: np.ndarray
+) -> dict[bpy.types.Object, np.ndarray]:
+    """``[4, 4]``: where the cameras of a capture are after ``change``."""
     cameras = cameras_of(scene, capture)
-    return {each.name: without_scale(change @ np.array(each.matrix_world, np.float64)) for each in cameras}
+    return {each: without_scale(change @ np.array(each.matrix_world, np.float64)) for each in cameras}
 
 
 def without_scale(matrix: np.ndarray) -> np.ndarray:
@@ -138,14 +143,14 @@ def without_scale(matrix: np.ndarray) -> np.ndarray:
     return rigid
 
 
-def _put(scene: bpy.types.Scene, wanted: dict[str, np.ndarray]) -> None:
-    """Objects where they shall be, by name: parents first, since what hangs on them goes along."""
+def _put(wanted: dict[bpy.types.Object, np.ndarray]) -> None:
+    """Objects where they shall be: parents first, since what hangs on them goes along."""
     by_depth: dict[int, list[bpy.types.Object]] = {}
-    for each in [scene.objects[name] for name in wanted]:
+    for each in wanted:
         by_depth.setdefault(_depth(each), []).append(each)
     for depth in sorted(by_depth):
         for each in by_depth[depth]:
-            each.matrix_world = to_matrix(wanted[each.name])
+            each.matrix_world = to_matrix(wanted[each])
         bpy.context.view_layer.update()
 
 

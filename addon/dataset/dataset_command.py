@@ -164,8 +164,9 @@ def parse_evs(text: str) -> list[float]:
             start, step, count = (float(part) for part in text.split(":"))
             if not (step > 0.0 and count == int(count) and 1 <= count <= MOST_EXPOSURES):
                 raise ValueError
-            return [start + step * k for k in range(int(count))]
-        evs = [float(part) for part in text.replace(",", " ").split()]
+            evs = [start + step * k for k in range(int(count))]
+        else:
+            evs = [float(part) for part in text.replace(",", " ").split()]
     except (ValueError, OverflowError) as error:
         raise BadValueError(f"the exposures {text!r} are not understood", remedy) from error
     rising = all(a < b for a, b in pairwise(evs))

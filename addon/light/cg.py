@@ -25,7 +25,7 @@ from mathutils import Vector
 from ...bridge.affine import matrices_of
 from ...bridge.blend_file import CG
 from ...bridge.errors import DataMismatchError, FileMissingError
-from ..blender import cloud_of
+from ..blender import cloud_of, takes_objects
 from ..capture.picking import surface_along_ray
 from ..model.attributes import BASE, POSITION, ROTATION, SCALE
 from ..model.look import file_has_model, is_model
@@ -151,10 +151,11 @@ def models_to_set_apart(scene: bpy.types.Scene) -> list[bpy.types.Object]:
         raise DataMismatchError("there is no model in this scene", "Import a trained model first.")
     for each in models:
         for collection in _collections_in(scene, each):
-            if not collection.is_editable:
+            if not takes_objects(collection):
                 raise FileMissingError(
                     f"{each.name} is in the collection {collection.name} of another file",
-                    "Make a library override of the collection, or append the model.",
+                    "Append the model instead of linking it: what is in a linked or overridden collection "
+                    "cannot be moved into another.",
                 )
     return models
 
@@ -172,11 +173,11 @@ def reset(scene: bpy.types.Scene) -> None:
             parents = [
                 each
                 for each in (scene.collection, *scene.collection.children_recursive)
-                if collection.name in each.children
+                if collection in each.children.values()
             ]
             for item in list(collection.objects):
                 for parent in parents:
-                    if item.name not in parent.objects:
+                    if item not in parent.objects.values():  # a linked one may have the same name
                         parent.objects.link(item)
         elif kind in (GROUND, FRONT):
             for item in [each for each in collection.objects if each.get(MARK) == kind]:
@@ -220,7 +221,7 @@ def _set_apart(scene: bpy.types.Scene, model: bpy.types.Object) -> None:
             own = bpy.data.collections.new("PhysHDR Capture")
             own[MARK] = CAPTURE
             parent.children.link(own)
-        if model.name not in own.objects:
+        if model not in own.objects.values():  # a linked one may have the same name
             own.objects.link(model)
         parent.objects.unlink(model)
 

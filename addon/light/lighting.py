@@ -137,7 +137,10 @@ def load_images(probe: bpy.types.Object) -> list[bpy.types.Image]:
             image.reload()
             if not path.startswith("//"):
                 image.pack()
-        elif image is None or not image.packed_file:
+        elif image is None or not (
+            # The .blend was saved elsewhere: Blender has led its own path back to the folder of before.
+            image.packed_file or Path(bpy.path.abspath(image.filepath)).is_file()
+        ):
             raise FileMissingError(f"{on_disk} is missing", f"Take the light at {probe.name} again.")
         image.name = f"{probe.name} {name.removesuffix('.exr')}"
         settings: Any = image.colorspace_settings  # which spaces there are says the configuration of colours

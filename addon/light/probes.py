@@ -16,6 +16,7 @@ import numpy as np
 
 from ...bridge.blend_file import PROBE
 from ...bridge.probe import Probe
+from ..blender import takes_objects
 from ..capture.similarity import scale_of
 from ..model.look import is_model
 from ..rendering.render import to_matrix
@@ -80,8 +81,10 @@ def has_moved(probe: bpy.types.Object) -> bool:
     model = probe.get(MODEL)
     if not isinstance(model, bpy.types.Object) or not is_model(model):
         return False
-    here = np.linalg.inv(np.array(model.matrix_world)) @ np.array([*probe.matrix_world.translation, 1.0])
-    x, y, z = here[:3]
+    to_world = np.array(model.matrix_world)
+    if not np.linalg.det(to_world):  # flat: a place of the world is at none of the model's
+        return False
+    x, y, z = (np.linalg.inv(to_world) @ np.array([*probe.matrix_world.translation, 1.0]))[:3]
     return not is_at(probe, (x, y, z))
 
 
@@ -94,7 +97,7 @@ def new_probe(scene: bpy.types.Scene, model: bpy.types.Object, place: Place) -> 
     """An empty at a place of the world; it hangs on the model, and moves with the capture."""
     probe = bpy.data.objects.new(NEW, None)
     probe.empty_display_type, probe.empty_display_size = "SPHERE", SIZE
-    collections = [each for each in model.users_collection if each.is_editable]
+    collections = [each for each in model.users_collection if takes_objects(each)]
     (collections[0] if collections else scene.collection).objects.link(probe)
     probe.parent = model
     scale = scale_of(np.array(model.matrix_world))

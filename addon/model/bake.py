@@ -16,7 +16,7 @@ import numpy as np
 from ...bridge.affine import transform_gaussians
 from ...bridge.display import FITTED_COMMENT, Tone, display_colour_sh, look_comment, turned_colour_sh
 from ...bridge.gaussian_ply import write_standard_ply
-from ...bridge.model_file import Model
+from ...bridge.model_file import SPACE, WORLD, Model
 from ...bridge.spherical_harmonics import coefficient_count
 from ..blender import cloud_of
 from .look import Look, kept_of
@@ -52,7 +52,7 @@ def bake(target: bpy.types.Object, path: Path, look: Look, tone: Tone, apply_tra
     shape = moved(model, to_world)  # refuses a map that flattens, before colours are looked at through it
     linear = None if np.array_equal(to_world, np.eye(4)) else to_world[:3, :3]
     colours = display_colour_sh(model, look.exposure, look.lighting_levels, tone, linear)
-    _write(path, shape, model.opacity, colours, _comments(model, look, tone))
+    _write(path, shape, model.opacity, colours, _comments(model, look, tone, to_world))
     return model.count
 
 
@@ -66,7 +66,7 @@ def write_fitted(
     shape = moved(model, to_world)
     if not np.array_equal(to_world, np.eye(4)):
         colour_sh = turned_colour_sh(colour_sh, to_world[:3, :3])
-    _write(path, shape, model.opacity, colour_sh, [*_comments(model, look, tone), FITTED_COMMENT])
+    _write(path, shape, model.opacity, colour_sh, [*_comments(model, look, tone, to_world), FITTED_COMMENT])
 
 
 def moved(model: Model, to_world: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -93,6 +93,7 @@ def _write(
     )
 
 
-def _comments(model: Model, look: Look, tone: Tone) -> list[str]:
-    facts = [f"PhysHDR {key}: {value}" for key, value in model.metadata.items()]
+def _comments(model: Model, look: Look, tone: Tone, to_world: np.ndarray) -> list[str]:
+    space = {} if np.array_equal(to_world, np.eye(4)) else {SPACE: WORLD}
+    facts = [f"PhysHDR {key}: {value}" for key, value in {**model.metadata, **space}.items()]
     return [*facts, look_comment(look.exposure_ev, look.lighting_levels, tone, model.lights)]

@@ -13,10 +13,10 @@ from ...bridge.axes import Up, turn_of_up
 from ...bridge.display import ColorSpace
 from ...bridge.errors import PhysHDRError
 from ...bridge.gaussian_import import is_model_file, read_gaussians
-from ...bridge.model_file import SUFFIX
+from ...bridge.model_file import SPACE, SUFFIX, WORLD
 from ...bridge.splat_files import SUFFIXES
-from ..blender import add_entry, cloud_of, layout_of, remove_entry
-from ..capture.placement import capture_of_file, place
+from ..blender import add_entry, cloud_of, layout_of, remove_entry, takes_objects
+from ..capture.placement import capture_of_file, key_of, place
 from ..rendering.render_setup import render_problems, set_up_object
 from . import pose
 from .attributes import CAPTURE, COLOR_SPACE, DISPLAY, FILE
@@ -65,7 +65,9 @@ def import_file(
     name = name or path.stem
     cloud = build_point_cloud(source.model, name, source.colour_sh)
     cloud[FILE] = str(path)
-    cloud[CAPTURE] = capture_of_file(path)
+    # What was written where it stood is of no data set any more: its cameras are not where they were.
+    is_of_world = source.model.metadata.get(SPACE) == WORLD
+    cloud[CAPTURE] = key_of(str(path)) if is_of_world else capture_of_file(path)
     pose.remember(cloud)
     if source.colour_sh is not None:
         cloud[COLOR_SPACE] = color_space
@@ -197,8 +199,7 @@ class PHYSHDR_OT_model_import(bpy.types.Operator, ImportHelper):
         return [Path(bpy.path.abspath(self.filepath))]
 
     def _import(self, context: bpy.types.Context, path: Path, name: str) -> Imported:
-        # A collection linked from another file takes no objects.
-        collection = context.collection if context.collection.is_editable else None
+        collection = context.collection if takes_objects(context.collection) else None
         done = import_file(path, name, collection, self.color_space, self.orientation)
         place(context.scene, done.target)
         if hasattr(done.target, DISPLAY):  # absent where the 3D view's drawing is not registered

@@ -188,9 +188,7 @@ def native_material() -> bpy.types.Material:
         assert material.node_tree is not None  # every material has one since Blender 5
         material.node_tree.nodes.clear()
         build = NodeBuilder(material.node_tree)
-        attribute = build.node(
-            "ShaderNodeAttribute", attribute_type="GEOMETRY", attribute_name=RADIANCE.name
-        )
+        attribute = build.node("ShaderNodeAttribute", attribute_type="GEOMETRY", attribute_name=RADIANCE.name)
         emission = build.field("ShaderNodeEmission", build.output(attribute, "Color"), 1.0)
         build.node("ShaderNodeOutputMaterial", emission)
         build.arrange()

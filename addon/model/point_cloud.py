@@ -13,7 +13,7 @@ import numpy as np
 from ...bridge import native_splats
 from ...bridge.errors import BadValueError, DataMismatchError
 from ...bridge.lights import AMBIENT, check_lights
-from ...bridge.model_file import Model
+from ...bridge.model_file import SPACE, Model
 from .attributes import (
     BASE,
     CONFIDENCE,
@@ -43,7 +43,7 @@ from .tone_curve import ToneCurve
 #: Quaternions of this length but for rounding are unit: they stay to the bit when imported again.
 UNIT_TOLERANCE = 1e-6
 #: Where a model is from; kept as custom properties.
-METADATA = ("scene", "method", "iteration", "edited")
+METADATA = ("scene", "method", "iteration", "edited", SPACE)
 
 
 def attributes_of(

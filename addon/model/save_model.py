@@ -14,7 +14,7 @@ from bpy_extras.io_utils import ExportHelper
 
 from ...bridge.affine import transform_gaussians
 from ...bridge.errors import BadValueError, PhysHDRError
-from ...bridge.model_file import SUFFIX, Model, write_model
+from ...bridge.model_file import SPACE, SUFFIX, WORLD, Model, write_model
 from ...bridge.spherical_harmonics import rotated
 from ..blender import add_entry, cloud_of, layout_of, remove_entry
 from ..capture.similarity import scale_of
@@ -67,11 +67,13 @@ def edited_model(
         if hidden := len(keep) - int(keep.sum()):
             told.append(f"{hidden} of {len(keep)} Gaussians left out")
     matrix = np.array(target.matrix_world, np.float64)
+    metadata = dict(model.metadata)
     if apply_transform and not np.array_equal(matrix, np.eye(4)):
         model = transformed(model, matrix)
+        metadata[SPACE] = WORLD
         told.append("in the world of the scene")
-    words = f"Blender {bpy.app.version_string}" + "".join(f", {each}" for each in told)
-    return dataclasses.replace(model, metadata={**model.metadata, "edited": words})
+    metadata["edited"] = f"Blender {bpy.app.version_string}" + "".join(f", {each}" for each in told)
+    return dataclasses.replace(model, metadata=metadata)
 
 
 class PHYSHDR_OT_model_save(bpy.types.Operator, ExportHelper):

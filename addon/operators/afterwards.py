@@ -42,6 +42,11 @@ def take_when_ended(task: str, take: Callable[[], bool], message: str, in_any_fi
     bpy.app.timers.register(look, first_interval=LOOK_SECONDS, persistent=in_any_file)
 
 
+def scene_of(uid: int) -> bpy.types.Scene | None:
+    """The scene of that ``session_uid``, whatever its name is by now; None where it is gone."""
+    return next((each for each in bpy.data.scenes if each.session_uid == uid), None)
+
+
 def in_the_middle() -> bool:
     """Whether an operator is under way in any window."""
     return any(len(each.modal_operators) for each in bpy.context.window_manager.windows)

@@ -10,7 +10,7 @@ import mathutils
 import numpy as np
 
 from ...bridge.errors import BadValueError, DataMismatchError, FileMissingError, PhysHDRError
-from ..blender import add_entry, cloud_of, curves_of, layout_of, remove_entry
+from ..blender import add_entry, cloud_of, curves_of, layout_of, remove_entry, takes_objects
 from ..capture import placement, similarity
 from ..capture.captures import camera_places
 from ..model import nodes
@@ -41,6 +41,9 @@ class _OnModel(OnModel):
             return False
         if target.library is not None or (cls.edits_points and not cloud_of(target).is_editable):
             cls.poll_message_set("The model is linked from another file: clean it there")
+            return False
+        if not len(cloud_of(target).points):
+            cls.poll_message_set("The model has no Gaussians: all were deleted")
             return False
         return True
 
@@ -214,7 +217,8 @@ class PHYSHDR_OT_cleaning_box(_OnModel):
         low, high = np.quantile(position, [OUTLIERS, 1.0 - OUTLIERS], axis=0)
         box = bpy.data.objects.new(f"{target.name} crop", None)
         box.empty_display_type, box.empty_display_size = "CUBE", 1.0
-        (target.users_collection or (context.scene.collection,))[0].objects.link(box)
+        own = [each for each in target.users_collection if takes_objects(each)]
+        (own[0] if own else context.scene.collection).objects.link(box)
         inside = mathutils.Matrix.Translation((low + high) / 2.0)
         inside @= mathutils.Matrix.Diagonal((*np.maximum((high - low) / 2.0, 1e-3), 1.0))
         box.matrix_world = target.matrix_world @ inside

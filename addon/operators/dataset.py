@@ -37,7 +37,7 @@ from ..runtime import redraw, session
 from ..session.state import DATASET
 from ..session.task import TaskEnded
 from ..settings import RELATIVE
-from .afterwards import push_undo, take_when_ended
+from .afterwards import push_undo, scene_of, take_when_ended
 from .base import PhysHDROperator, wait_for_task
 
 SCRIPT = ROOT / "synth" / "make_scene.py"
@@ -117,7 +117,7 @@ class PHYSHDR_OT_dataset_render(RenderOptions, PhysHDROperator):
             originals.remember(scene, context.view_layer, out)
         started = render_time.begun(chosen, scene, out)
         if not self.wait:
-            _choose_when_done(scene.name, started)
+            _choose_when_done(scene.session_uid, started)
             push_undo(self.bl_label)
             return {"FINISHED"}
         try:
@@ -177,11 +177,11 @@ def _why_not_taken(ended: TaskEnded | None) -> str:
     return ": ".join(filter(None, (ended.message, ended.hint)))
 
 
-def _choose_when_done(name: str, started: Started) -> None:
+def _choose_when_done(uid: int, started: Started) -> None:
     """Choose the data set for training once it is complete, unless another file has been opened by then."""
 
     def take() -> bool:
-        scene = bpy.data.scenes.get(name)
+        scene = scene_of(uid)
         return scene is not None and _take(scene, started)
 
     take_when_ended(DATASET, take, PHYSHDR_OT_dataset_render.bl_label)

@@ -296,18 +296,23 @@ class After:
         model = scene.objects.get(self.model) if scene else None
         if scene is None or not is_model(model):
             raise DataMismatchError(f"{self.model} is no longer in the scene", "Use Light From Here again.")
-        made = []
-        for task in tasks:
-            found = read_probe(_absolute(task.folder))
-            empty = scene.objects.get(task.empty) if task.empty else None
-            if empty is None:
-                empty = probes.new_probe(scene, model, task.place)
-            probes.mark(empty, model, task.folder, found)
-            note(empty, model)
-            made.append(found)
-        bpy.context.view_layer.update()
-        subject = scene.objects.get(self.subject) if self.subject else None
-        lighting.light(scene, model, probes.probes_of(scene, model), self.mirrors, subject)
+        made, new = [], []
+        try:
+            for task in tasks:
+                found = read_probe(_absolute(task.folder))
+                empty = scene.objects.get(task.empty) if task.empty else None
+                if empty is None:
+                    empty = probes.new_probe(scene, model, task.place)
+                    new.append(empty)
+                probes.mark(empty, model, task.folder, found)
+                note(empty, model)
+                made.append(found)
+            bpy.context.view_layer.update()
+            subject = scene.objects.get(self.subject) if self.subject else None
+            lighting.light(scene, model, probes.probes_of(scene, model), self.mirrors, subject)
+        except PhysHDRError:
+            bpy.data.batch_remove(new)
+            raise
         return made
 
 

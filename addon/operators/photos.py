@@ -8,7 +8,7 @@ scene's settings, so that an error loses nothing that was typed.
 import os
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import bpy
 
@@ -19,7 +19,7 @@ from ..runtime import session
 from ..session.photos import PhotoOptions, prepare_command, prepared
 from ..session.state import LOOK, PHOTOS, PhotosChosen, Prepared
 from ..settings import LENSES, SETTINGS, PHYSHDR_Settings, photo_options
-from .afterwards import take_when_ended
+from .afterwards import scene_of, take_when_ended
 from .base import PhysHDROperator, has_run, is_run_of, proposed_run, report_task, wait_for_task
 
 if TYPE_CHECKING:
@@ -39,6 +39,7 @@ class PHYSHDR_OT_photos_look(PhysHDROperator):
 
     bl_idname = "physhdr.photos_look"
     bl_label = "Prepare Photos"
+    bl_options: ClassVar[set[str]] = {"REGISTER", "UNDO"}
     action = "look"
 
     directory: bpy.props.StringProperty(name="Photos", subtype="DIR_PATH", options=FOLDER)
@@ -129,7 +130,7 @@ class PHYSHDR_OT_photos_prepare(PhysHDROperator):
         command = current.backend_command(*arguments)
         current.start_task(PHOTOS, command, current.home / "photos.log", current.environment())
         if not self.wait:
-            _choose_when_done(context.scene.name)
+            _choose_when_done(context.scene.session_uid)
             return {"FINISHED"}
         if not wait_for_task(self, PHOTOS, PREPARE_SECONDS):
             return {"CANCELLED"}
@@ -155,7 +156,7 @@ class PHYSHDR_OT_photos_forget(bpy.types.Operator):
 
     bl_idname = "physhdr.photos_forget"
     bl_label = "Leave These Photos"
-    bl_options = {"REGISTER", "INTERNAL"}  # noqa: RUF012 (Blender's name for it)
+    bl_options: ClassVar[set[str]] = {"REGISTER", "INTERNAL", "UNDO"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         session().cancel_task(LOOK)
@@ -201,11 +202,11 @@ def _made() -> Prepared:
     return prepared(ended.result) if ended is not None and ended.ok else Prepared()
 
 
-def _choose_when_done(name: str) -> None:
+def _choose_when_done(uid: int) -> None:
     """Choose the data set for training once it is there, unless another file has been opened by then."""
 
     def take() -> bool:
-        scene, made = bpy.data.scenes.get(name), _made()
+        scene, made = scene_of(uid), _made()
         if scene is None or not made.folder:
             return False
         choose(getattr(scene, SETTINGS), made.folder)

@@ -94,5 +94,6 @@ def _shot(
         to_world = np.array(target.evaluated_get(depsgraph).matrix_world, np.float64)
         look = look_of(target, depsgraph)
         ev, levels = look.exposure_ev, look.lighting_levels
+    similarity.scale_of(to_world)  # in a mirrored or sheared capture no camera sees what this one sees
     pose = similarity.into_capture(to_world, pinhole.camera_to_world)
     return Shot(pose, pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy, float(ev), tuple(map(float, levels)))

@@ -56,11 +56,12 @@ def working_python(candidate: str) -> Path | None:
         )
     except (OSError, subprocess.TimeoutExpired):
         return None
-    version, _, executable = done.stdout.strip().partition(" ")
-    if done.returncode or not executable:
+    # The last line: a wrapper may have greeted. Any other program may have said anything.
+    told = re.fullmatch(r"(\d+)\.(\d+) (.+)", (done.stdout.strip().splitlines() or [""])[-1])
+    if done.returncode or told is None:
         return None
-    numbers = tuple(int(part) for part in version.split("."))
-    return Path(executable) if numbers >= MINIMUM and os.path.isfile(executable) else None
+    recent = (int(told[1]), int(told[2])) >= MINIMUM
+    return Path(told[3]) if recent and os.path.isfile(told[3]) else None
 
 
 def is_ours(home: Path, python: str) -> bool:

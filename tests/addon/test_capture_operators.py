@@ -424,3 +424,55 @@ def test_picking_that_blender_ends_leaves_nothing_drawn(registered, run, monkeyp
     picking._end = lambda context: operators.PHYSHDR_OT_points_pick._end(picking, context)
     operators.PHYSHDR_OT_points_pick.cancel(picking, SimpleNamespace(workspace=None, area=None))
     assert removed == [("handler", "WINDOW")]
+
+
+def test_what_was_saved_in_the_world_is_not_moved_a_second_time(registered, run):
+    """A model or a PLY that was written where it stood, into the run's own folder, as both are offered."""
+    folder, _ = run
+    target = load(folder)
+    set_floor(target)
+    set_scale(target)
+    stands = where(target)
+    model, ply = folder / "edited.safetensors", folder / "baked.ply"
+    assert bpy.ops.physhdr.model_save(filepath=str(model), apply_transform=True) == {"FINISHED"}
+    assert bpy.ops.physhdr.model_bake(filepath=str(ply), quick=True) == {"FINISHED"}
+    own = folder / "own.safetensors"
+    assert bpy.ops.physhdr.model_save(filepath=str(own), apply_transform=False) == {"FINISHED"}
+    for path in (model, ply, own):
+        bpy.ops.physhdr.model_import(filepath=str(path))
+        np.testing.assert_allclose(where(bpy.context.active_object), stands, atol=CLOSE)
+    # And once more from there: where such a model stands is all that its file knows.
+    bpy.context.view_layer.objects.active = bpy.data.objects["edited"]
+    assert bpy.ops.physhdr.model_save(filepath=str(own), apply_transform=False) == {"FINISHED"}
+    bpy.ops.physhdr.model_import(filepath=str(own), name="again")
+    np.testing.assert_allclose(where(bpy.data.objects["again"]), stands, atol=CLOSE)
+
+
+def test_the_axes_that_the_user_names_are_turned_before_the_capture_is_placed(registered, run):
+    folder, _ = run
+    target = load(folder)
+    set_scale(target)
+    assert bpy.ops.physhdr.model_bake(filepath=str(folder / "a.ply"), quick=True, apply_transform=False) == {
+        "FINISHED"
+    }
+    bpy.ops.physhdr.model_import(filepath=str(folder / "a.ply"), orientation="COLMAP")
+    x, y, z = where(target).T
+    np.testing.assert_allclose(where(bpy.context.active_object), np.stack([x, z, -y], 1), atol=CLOSE)
+
+
+def test_a_linked_model_of_the_same_name_is_not_moved(registered, run, tmp_path):
+    folder, _ = run
+    load(folder)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (_, wanted):
+        wanted.objects = ["room"]
+    [theirs] = wanted.objects
+    bpy.context.scene.collection.objects.link(theirs)
+    bpy.ops.physhdr.model_import(filepath=str(folder / "model.safetensors"), name="room")
+    own = bpy.context.active_object
+    assert own.name == theirs.name
+    bpy.ops.physhdr.capture_scale(first=(0, 0, 0), second=(1, 0, 0), distance=2.0)
+    bpy.context.view_layer.update()
+    assert own.matrix_world.to_scale()[0] == pytest.approx(2.0)
+    assert theirs.matrix_world.to_scale()[0] == pytest.approx(1.0)

@@ -526,3 +526,52 @@ def test_where_a_model_cannot_be_set_apart_nothing_is_moved(extension, capture, 
     with pytest.raises(RuntimeError, match="of another file"):
         bpy.ops.physhdr.cg_here(location=(0.0, 0.0, 0.0))
     assert tuple(cube.matrix_world.translation) == pytest.approx((0.1, 0.2, 3.0)) and not cg.is_there(capture)
+
+
+@pytest.fixture
+def library(extension, make_model, write, tmp_path):
+    """A file with a collection that holds one model."""
+    holder = bpy.data.collections.new("Capture")
+    extension.collection.children.link(holder)
+    model_import.import_model(str(write(make_model())), "room", holder)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    return str(tmp_path / "library.blend"), str(tmp_path / "model.safetensors")
+
+
+def test_a_linked_model_of_the_same_name_stays_in_the_scene(library):
+    path, model = library
+    own = model_import.import_model(model, "room")
+    with bpy.data.libraries.load(path, link=True) as (_, wanted):
+        wanted.objects = ["room"]
+    [theirs] = wanted.objects
+    scene = bpy.context.scene
+    scene.collection.objects.link(theirs)
+    assert bpy.ops.physhdr.cg_here(location=(0, 0, -1), stand=False) == {"FINISHED"}
+    assert {own, theirs} <= set(scene.objects)
+    assert bpy.ops.physhdr.cg_reset() == {"FINISHED"}
+    assert {own, theirs} == set(scene.objects)
+
+
+def test_in_an_overridden_collection_nothing_is_put(library):
+    """Blender lets no object be linked into one: each finds another place, or says what to do."""
+    path, model = library
+    with bpy.data.libraries.load(path, link=True) as (_, wanted):
+        wanted.collections = ["Capture"]
+    scene, layer = bpy.context.scene, bpy.context.view_layer
+    wanted.collections[0].override_hierarchy_create(scene, layer, do_fully_editable=True)
+    for each in [each for each in scene.collection.children if each.library]:
+        scene.collection.children.unlink(each)
+    layer.update()
+    target = next(each for each in scene.objects if is_model(each))
+    assert target.users_collection[0].override_library
+    layer.objects.active = target
+    assert bpy.ops.physhdr.cleaning_box() == {"FINISHED"}
+    layer.active_layer_collection = layer.layer_collection.children[0]
+    assert bpy.ops.physhdr.model_import(filepath=model, name="second") == {"FINISHED"}
+    assert all(each in set(scene.objects) for each in bpy.data.objects if each.library is None)
+    assert scene.collection in bpy.data.objects["second"].users_collection
+    with pytest.raises(
+        RuntimeError, match=r"is in the collection Capture of another file\s+Append the model"
+    ):
+        bpy.ops.physhdr.cg_here(location=(0, 0, -1), stand=False)

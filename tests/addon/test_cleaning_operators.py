@@ -99,6 +99,14 @@ def test_limits_that_hide_everything_remove_nothing(add):
     assert len(target.data.points) == 40
 
 
+def test_of_a_model_without_gaussians_nothing_is_asked(add):
+    """All of them can be deleted in Edit Mode."""
+    add()[1].data.resize(0)
+    for operator in (bpy.ops.physhdr.cleaning_select, bpy.ops.physhdr.cleaning_box):
+        with pytest.raises(RuntimeError, match="has no Gaussians: all were deleted"):
+            operator()
+
+
 def test_animated_limits_are_named(add):
     _, target, modifier = add()
     target.keyframe_insert(nodes.input_data_path(modifier, nodes.LARGEST_SIZE), frame=1)

@@ -198,7 +198,7 @@ def test_exposures_as_people_write_them():
     assert dataset_command.parse_evs("-3, -1 1") == [-3.0, -1.0, 1.0]
     assert dataset_command.parse_evs("-3:2:5") == [-3.0, -1.0, 1.0, 3.0, 5.0]
     assert dataset_command.parse_evs("-1:0.5:3") == [-1.0, -0.5, 0.0]
-    for text in ("", "1 1", "2 1", "nan", "1:2", "1:0:3", "1:1:0", "1:1:2.5", "40"):
+    for text in ("", "1 1", "2 1", "nan", "1:2", "1:0:3", "1:1:0", "1:1:2.5", "40", "1:2000:2"):
         with pytest.raises(BadValueError, match="exposures"):
             dataset_command.parse_evs(text)
 
@@ -516,7 +516,7 @@ def test_a_data_set_is_chosen_though_an_operator_never_ends(room, extension, tmp
     monkeypatch.setattr(afterwards, "push_undo", pushed.append)
     done = TaskEnded(DATASET, ok=True, result={"folder": str(tmp_path)})
     monkeypatch.setattr(extension, "ended", lambda name: done)
-    dataset._choose_when_done(room.name, render_time.Started(tmp_path, 1, "CPU", 0, 0.0))
+    dataset._choose_when_done(room.session_uid, render_time.Started(tmp_path, 1, "CPU", 0, 0.0))
     [look] = timers
     assert look() == afterwards.LOOK_SECONDS and not room.physhdr.data
     now = time.monotonic()

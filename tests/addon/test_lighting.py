@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The world that a capture lights: what Cycles makes of it, against numbers known beforehand."""
 
+import shutil
 from pathlib import Path
 
 import bpy
@@ -407,3 +408,38 @@ def test_a_training_does_not_keep_the_backend_from_drawing(scene, model, monkeyp
     assert state.backend.ready and state.active == ("job" in now)
     monkeypatch.setattr(session(), "state", state)
     assert operators.why_not_backend(model) == told
+
+
+def test_a_second_probe_after_the_file_was_saved_elsewhere(model, tmp_path):
+    """Blender leads an image's path back to the folder of before; the probe's own cannot know that."""
+    for name in ("here", "there"):
+        (tmp_path / name).mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "here/a.blend"))
+    first = probes.new_folder("first")
+    write_probe(Path(bpy.path.abspath(first)), 1.0, 1.0, 1.0)
+    light(first)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "there/a.blend"))
+    second = probes.new_folder("second")
+    write_probe(Path(bpy.path.abspath(second)), 1.0, 1.0, 1.0, at=(1.0, 0.0, 500.0))
+    light(second)
+    images = [each for each in bpy.data.images if each.get(probes.KNOWN)]
+    assert len(images) == 6 and all(Path(bpy.path.abspath(each.filepath)).is_file() for each in images)
+
+
+def test_a_probe_that_cannot_light_leaves_no_empty(model, tmp_path):
+    light(write_probe(tmp_path / "first", 1.0, 1.0, 1.0))
+    [image, *_] = [each for each in bpy.data.images if each.get(probes.KNOWN)]
+    bpy.data.images.remove(image)  # a tidy user, and the panoramas with it
+    shutil.rmtree(tmp_path / "first")
+    before = set(bpy.data.objects)
+    with pytest.raises(RuntimeError, match=r"is missing\s+Take the light at Light Probe again"):
+        light(write_probe(tmp_path / "second", 1.0, 1.0, 1.0, at=(1.0, 0.0, 500.0)))
+    assert set(bpy.data.objects) == before
+
+
+def test_of_a_flattened_model_no_probe_has_moved(model, tmp_path):
+    light(write_probe(tmp_path / "probe", 1.0, 1.0, 1.0))
+    [probe] = probes.probes_of(bpy.context.scene, model)
+    model.scale = (1.0, 1.0, 0.0)
+    bpy.context.view_layer.update()
+    assert not probes.has_moved(probe)

@@ -230,3 +230,53 @@ def test_what_is_linked_is_hidden_too(room, tmp_path):
     assert bpy.data.objects["shelf"].library and hidden("hide_render") == PHOTOGRAPHED | {"cutter"}
     bpy.ops.physhdr.originals_hide()
     assert hidden("hide_viewport") == {"ghost"} and hidden("hide_render") == {"cutter"}
+
+
+@pytest.fixture
+def linked(registered, tmp_path):
+    """A chair of another file, photographed, and hidden in that file's viewports."""
+    link("chair", bpy.data.meshes.new("chair")).hide_viewport = True
+    library = str(tmp_path / "library.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=library)
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    with bpy.data.libraries.load(library, link=True) as (_, wanted):
+        wanted.objects = ["chair"]
+    scene = bpy.context.scene
+    scene.collection.objects.link(bpy.data.objects["chair"])
+    originals.remember(scene, bpy.context.view_layer, Path(DATA))
+    scene.physhdr.data, scene.physhdr.preview = DATA, True
+    bpy.ops.ed.undo_push(message="before")
+
+
+def chair():
+    item = bpy.data.objects["chair"]
+    return item.hide_viewport, item.hide_render
+
+
+def test_what_is_linked_follows_undo_and_redo(linked):
+    """Blender's undo leaves other files' objects as they are, and takes back what we remember of them."""
+    bpy.ops.physhdr.originals_hide(action="HIDE")
+    bpy.ops.ed.undo_push(message="hidden")
+    bpy.ops.ed.undo()
+    assert chair() == (True, False) and not originals.are_hidden(bpy.context.scene)
+    bpy.ops.ed.redo()
+    assert chair() == (True, True) and originals.are_hidden(bpy.context.scene)
+    bpy.ops.physhdr.originals_hide(action="SHOW")
+    bpy.ops.ed.undo_push(message="shown")
+    assert chair() == (True, False)
+    bpy.ops.ed.undo()
+    assert chair() == (True, True)
+
+
+def test_what_is_linked_is_shown_as_it_was_in_another_session(linked, tmp_path):
+    for _ in range(2):  # the second time after an undo
+        bpy.ops.physhdr.originals_hide(action="HIDE")
+        bpy.ops.ed.undo_push(message="hidden")
+        bpy.ops.ed.undo()
+    bpy.ops.physhdr.originals_hide(action="HIDE")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "a.blend"))
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
+    assert chair() == (True, True)
+    bpy.ops.physhdr.originals_hide(action="SHOW")
+    assert chair() == (True, False)

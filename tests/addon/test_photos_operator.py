@@ -225,6 +225,12 @@ def test_another_option_is_looked_at_anew_by_the_timer(extension, photos, tmp_pa
     assert calls(tmp_path)[-1] == ["prepare", str(photos), "--handheld", "--look", "--json"]
 
 
+def test_choosing_and_leaving_photos_are_steps_of_undo(extension, photos):
+    """Else undoing what comes next takes the choice away, or brings back what was left."""
+    for operator in ("photos_look", "photos_forget"):
+        assert "UNDO" in getattr(bpy.ops.physhdr, operator).bl_options
+
+
 def test_a_look_that_is_cancelled_stays_so(extension, photos, tmp_path):
     from physhdr.addon import runtime
 
@@ -243,6 +249,7 @@ def test_a_file_that_is_saved_meanwhile_still_gets_its_data_set(extension, photo
     monkeypatch.setattr(afterwards, "push_undo", pushed.append)
     bpy.context.scene.physhdr.photos = str(photos)
     bpy.ops.physhdr.photos_prepare(wait=False)
+    bpy.context.scene.name = "Renamed meanwhile"
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "mine.blend"))
     assert extension.wait(lambda state: state.task(PHOTOS) is None, 20.0)
     assert [call() for call in timers] == [None]

@@ -342,6 +342,19 @@ def test_where_the_model_stands_is_taken_out_of_the_camera(extension, run, tmp_p
     assert operators.filmed(bpy.context, str(tmp_path), "") is None
 
 
+@pytest.mark.parametrize("scale", [(-1.0, 1.0, 1.0), (1.0, 3.0, 1.0), (0.0, 0.0, 0.0)])
+def test_a_model_that_no_camera_sees_alike_is_not_filmed(extension, run, tmp_path, make_model, scale):
+    """A mirrored one would be filmed the other way round, a sheared one not at all."""
+    from physhdr.addon.model.model_import import import_model
+    from physhdr.bridge.model_file import write_model
+
+    write_model(run / "model.safetensors", make_model())
+    import_model(run / "model.safetensors").scale = scale
+    camera_that_moves()
+    with pytest.raises(RuntimeError, match="the model is (mirrored or flat|scaled differently)"):
+        bpy.ops.physhdr.results_video(format="PNG")
+
+
 def test_the_videos_dialog_says_what_0_means():
     drawn = {}
     column = SimpleNamespace(prop=lambda _, name, text="": drawn.update({name: text}))

@@ -38,6 +38,17 @@ def test_a_python_that_was_mended_is_taken(tmp_path):
     assert working_python(str(python)) == Path(sys.executable)
 
 
+@pytest.mark.skipif(os.name == "nt", reason="a script stands in for a Python")
+def test_a_python_that_greets_is_one_and_what_is_none_is_no_error(tmp_path):
+    """On clusters a module's wrapper says what it loads; and any program may have been chosen."""
+    python = tmp_path / "python3.12"
+    python.write_text(f'#!/bin/sh\necho "Loading python/3.12"\nexec "{sys.executable}" "$@"\n')
+    python.chmod(0o755)
+    assert working_python(str(python)) == Path(sys.executable)
+    python.write_text('#!/bin/sh\necho "$@"\n')
+    assert working_python(str(python)) is None
+
+
 def test_ours_are_in_the_backends_folder(environment):
     python = str(environment / "bin" / "python")
     assert is_ours(environment.parent, python)
