@@ -29,7 +29,7 @@ def cloud_of(target: bpy.types.Object) -> bpy.types.PointCloud:
 
 
 def takes_objects(collection: bpy.types.Collection) -> bool:
-    """Whether objects can be linked into a collection: not into another file's, nor into an override of one."""
+    """Whether objects can be linked into it: not if it is another file's, nor if it is an override of one."""
     return collection.is_editable and collection.override_library is None
 
 

@@ -59,7 +59,7 @@ class Lock:
         except Timeout:
             return False
         except OSError as error:
-            # It could not even be made. Where its folder was gone for a moment, another may have made both since.
+            # It could not even be made. Its folder was gone for a moment: another may have made both since.
             if isinstance(error, FileNotFoundError) or not self.path.exists():
                 raise OutputError(
                     f"cannot write to {self.path.parent}: {error.strerror or error}",

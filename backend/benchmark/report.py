@@ -371,17 +371,18 @@ def _lengths(plan: Plan, finished: Sequence[Finished]) -> list[str]:
 
 def _over_budgets(key: str, budgets: Sequence[Budget], setting: str, finished: Sequence[Finished]) -> str:
     """A column of the tables, a row a method; empty where nothing was measured."""
-    rows = []
+    found: dict[str, list[list[ComparedRun]]] = {}
     for method in dict.fromkeys(each.run.method.name for each in finished):
-        cells = []
-        for budget in budgets:
-            runs = [
+        found[method] = [
+            [
                 each.entry
                 for each in finished
                 if (each.run.method.name, each.run.budget, each.run.setting) == (method, budget, setting)
             ]
-            cells.append(_mean_cell(runs, key))
-        rows.append([method, *cells])
+            for budget in budgets
+        ]
+    most = max((len(runs) for row in found.values() for runs in row), default=0)
+    rows = [[method, *(_mean_cell(runs, key, most) for runs in row)] for method, row in found.items()]
     if all(cell == NONE for row in rows for cell in row[1:]):
         return ""
     return _table([column(key).heading, *(f"{each.amount:,.15g}" for each in budgets)], rows)
@@ -408,23 +409,28 @@ def _steps(ladder: Ladder, entries: list[ComparedRun]) -> str:
         headings += [column(key).heading, "gain", "seeds", "standing"]
     size = column("cost.gaussians")
     rows = []
-    for i, step in enumerate(ladder.steps):
+    of_step = {step: [entry for entry in entries if entry.method == step] for step in ladder.steps}
+    most = max(map(len, of_step.values()))
+    for i, (step, runs) in enumerate(of_step.items()):
         cells, pairs = [], 0
-        runs = [entry for entry in entries if entry.method == step]
         for key in keys:
             gain = margin(entries, step, ladder.steps[i - 1], key) if i else None
             pairs = max(pairs, gain.pairs if gain else 0)
-            cells += [_mean_cell(runs, key), *_margin_cells(key, gain)]
-        rows.append([step, str(pairs) if i else NONE, *cells, _mean_cell(runs, size.key)])
+            cells += [_mean_cell(runs, key, most), *_margin_cells(key, gain)]
+        rows.append([step, str(pairs) if i else NONE, *cells, _mean_cell(runs, size.key, most)])
     return _table([*headings, size.heading], rows)
 
 
-def _mean_cell(runs: list[ComparedRun], key: str) -> str:
+def _mean_cell(runs: list[ComparedRun], key: str, most: int) -> str:
+    """The mean over the scenes of all data sets; of fewer runs than ``most``, it says of how many."""
     if not runs:
         return NONE
-    table = comparison_table(runs, metrics=[key], keep_empty=True)
-    mean = next(row for row in table.rows if not row.published).cells[0].mean
-    return NONE if mean is None else column(key).text(mean)
+    table = comparison_table(runs, metrics=[key], group=("setting",), published=False, keep_empty=True)
+    [cell] = table.rows[0].cells
+    if cell.mean is None:
+        return NONE
+    partly = f" ({cell.runs} of {most} runs)" if cell.runs < most else ""
+    return f"{column(key).text(cell.mean)}{partly}"
 
 
 # ---- what is not there -------------------------------------------------------------------------------------

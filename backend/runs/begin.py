@@ -33,7 +33,8 @@ class Workshop:
 
     ``report``: what happens, in words. ``expect``: how long it will take, where that was found out.
     ``compile_kernels``: makes sure that the CPU's kernels are there. ``between``: called while it is
-    timed, so that a stop need not wait for that; what it raises ends it.
+    timed, so that a stop need not wait for that, and before a run that was there goes; what it raises
+    ends it.
     """
 
     report: Callable[[str], None]
@@ -95,6 +96,7 @@ def start_run(
         trainer = workshop.trainer(scene, config)
         if preset in PRESETS and (options := changed_without_effect(trainer, PRESETS[preset])):
             workshop.report(f"this method, on its backbone, does not read {', '.join(options)}")
+        workshop.between()  # the last moment at which the run that was there can stay
         # In this order: old weights must never lie beside a new configuration, whenever this is killed.
         if holds_a_run(folder):
             remove_results(folder)

@@ -17,8 +17,10 @@ import pytest
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
 import addon_utils  # noqa: E402
+
 import physhdr  # noqa: E402
-from physhdr.addon.model import attributes, material, model_import, point_cloud, radiance_tree  # noqa: E402
+from physhdr.addon.model import attributes, model_import, point_cloud, radiance_tree  # noqa: E402
+from physhdr.addon.model import material as materials  # noqa: E402
 from physhdr.bridge.gaussian_ply import write_standard_ply  # noqa: E402
 from physhdr.bridge.splat_files import read_splat_file  # noqa: E402
 
@@ -164,7 +166,7 @@ def test_what_was_imported_without_cycles_is_no_lamp_once_a_render_is_set_up(
     assert splat.cycles.emission_sampling == "NONE"
 
 
-@pytest.mark.parametrize("broken", [(material, "_build"), (radiance_tree, "declare_cleaning")])
+@pytest.mark.parametrize("broken", [(materials, "_build"), (radiance_tree, "declare_cleaning")])
 def test_what_could_not_be_built_is_not_found_by_the_next_import(
     registered, make_model, write, monkeypatch, broken
 ):

@@ -351,7 +351,7 @@ def test_a_model_that_no_camera_sees_alike_is_not_filmed(extension, run, tmp_pat
     write_model(run / "model.safetensors", make_model())
     import_model(run / "model.safetensors").scale = scale
     camera_that_moves()
-    with pytest.raises(RuntimeError, match="the model is (mirrored or flat|scaled differently)"):
+    with pytest.raises(RuntimeError, match=r"the model is (mirrored or flat|scaled differently)"):
         bpy.ops.physhdr.results_video(format="PNG")
 
 

@@ -473,6 +473,37 @@ def test_three_budgets_of_a_kind_are_told_side_by_side(bench):
     assert "## Over" not in text
 
 
+def test_a_mean_of_fewer_runs_than_others_says_of_how_many(bench):
+    """One scene of two failed: what is left, the hard one, is no fall of the method."""
+    bench.content["budgets"] = ["iterations=10", "iterations=20", "iterations=30"]
+    bench.content["scenes"].append(str(bench.root / "night"))
+    schedule = bench.run(jobs=4)
+    set_psnr(bench, schedule, lambda run: run.budget.amount + 10.0 * (run.scene.name == "day"))
+    lost = next(run for run in schedule.runs if run.scene.name == "day" and run.budget.amount == 30)
+    shutil.rmtree(bench.root / "out" / lost.folder)
+    text = write_report(bench.schedule(), bench.root / "report.md", "physhdr benchmark")[0].read_text()
+    lines = text[text.index("## Over iterations") :].splitlines()
+    assert lines[6] == "| quick | 15.00 | 25.00 | 30.00 (1 of 2 runs) |"
+
+
+def test_a_mean_over_scenes_is_over_those_of_all_data_sets(bench):
+    """A published one beside scenes of one's own: the gain beside the mean is over both."""
+    bench.content |= {"methods": ["quick", "other"], "ladder": [{"name": "up", "steps": ["quick", "other"]}]}
+    bench.content["scenes"].append(str(bench.root / "night"))
+    schedule = bench.run(jobs=4)
+    set_psnr(
+        bench, schedule, lambda run: 40.0 - 20.0 * (run.scene.name == "night") + (run.method.name == "other")
+    )
+    for run in schedule.runs:
+        path = bench.root / "out" / run.folder / "evaluation.json"
+        content = json.loads(path.read_text())
+        content["conditions"]["data_set"] = "HDR-NeRF-Syn" if run.scene.name == "day" else ""
+        path.write_text(json.dumps(content))
+    text = write_report(schedule, bench.root / "report.md", "physhdr benchmark")[0].read_text()
+    steps = text[text.index("**all scenes**") :].splitlines()
+    assert steps[4].startswith("| quick | – | 30.00 |") and steps[5].startswith("| other | 2 | 31.00 | +1.00")
+
+
 def test_a_method_without_gaussians_shows_none(bench):
     """Its training tells the parameters of its networks, and early records hold them."""
     bench.content |= {"methods": ["quick", "hdr-nerf"], "budgets": ["iterations=1234567"]}

@@ -12,6 +12,7 @@ import pytest
 
 from physhdr.backend.runs.begin import Workshop, resume_run, start_run
 from physhdr.backend.runs.run import open_run
+from physhdr.backend.serve.engine import CancelledError
 from physhdr.backend.train import duration, sizing
 from physhdr.backend.train.config import CONFIG_FILE, TrainConfig, read_config
 from physhdr.backend.train.trainer import CHECKPOINT_FILE
@@ -52,6 +53,26 @@ def test_what_is_found_is_told_and_written_and_is_what_a_resume_has(tiny_data, t
     with resume_run(tmp_path / "run", None, workshop) as (resumed, _):
         assert resumed.config == written
     assert not any("megapixels" in str(line) for line in told)  # nothing is found anew
+
+
+def test_what_is_stopped_before_it_can_begin_leaves_the_run_that_was_there(tiny_data, tmp_path, workshop):
+    """The trainer was being made meanwhile, for seconds, and too short a training is not timed."""
+    out = tmp_path / "run"
+    with begin(tiny_data, out, workshop) as (trainer, run):
+        trainer.save(run.folder)
+    before = {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()}
+
+    def stop():
+        raise CancelledError("stopped")
+
+    stopped = dataclasses.replace(workshop, between=stop)
+    short = dataclasses.replace(PRESET, iterations=20, seed=1)
+    with (
+        pytest.raises(CancelledError),
+        start_run(tiny_data, out, short, "default", typed=["iterations"], overwrite=True, workshop=stopped),
+    ):
+        pass
+    assert {path.name: path.read_bytes() for path in out.iterdir() if path.is_file()} == before
 
 
 def test_a_run_is_not_resumed_with_another_data_set(tiny_data, tmp_path, workshop):
