@@ -67,7 +67,7 @@ def _attend() -> float:
         redraw()
     if current.state.history is not before:
         plot.update(current.state.history)
-    _follow_lights(current)
+    _follow_model(current)
     if _live.tick(current):
         return PICTURES
     return BUSY if current.busy else QUIET
@@ -90,11 +90,14 @@ def _follow_photos(current: Session) -> None:
         current.look_at_photos(folder, options)
 
 
-def _follow_lights(current: Session) -> None:
-    """Let the scenes that are shown have a slider for each light of the backend's model."""
+def _follow_model(current: Session) -> None:
+    """Let the scenes that are shown have a slider for each light of the backend's model, and its exposure."""
+    job = current.state.job
     for window in bpy.context.window_manager.windows:
         if window.scene.is_editable:  # not linked from another file
-            settings.follow_lights(window.scene.physhdr, current.state.job.lights)
+            settings.follow_lights(window.scene.physhdr, job.lights)
+            if job.has_model:
+                settings.follow_exposure(window.scene.physhdr, job.photographed_ev)
 
 
 @persistent

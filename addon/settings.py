@@ -261,6 +261,8 @@ class PHYSHDR_Settings(bpy.types.PropertyGroup):
     exposure_ev: bpy.props.FloatProperty(
         name="Exposure (EV)", soft_min=-10.0, soft_max=10.0, description="Radiance times 2 to this power"
     )
+    #: The part of it that the photographs say; see ``follow_exposure``.
+    photographed_ev: bpy.props.FloatProperty(options={"HIDDEN"})
     lighting_level: bpy.props.FloatProperty(
         name="Lighting Level",
         default=1.0,
@@ -292,6 +294,17 @@ def follow_lights(chosen: PHYSHDR_Settings, lights: Sequence[str]) -> None:
     for name in lights[1:]:
         if name not in chosen.further_levels:
             chosen.further_levels.add().name = name
+
+
+def follow_exposure(chosen: PHYSHDR_Settings, photographed_ev: float) -> None:
+    """Let the slider of exposure begin where the backend's model looks as its photographs.
+
+    What the user has added to that stays added where the next model's is another.
+    """
+    change = photographed_ev - chosen.photographed_ev
+    if abs(change) > 1e-3:  # Blender keeps a float32
+        chosen.exposure_ev += change
+        chosen.photographed_ev = photographed_ev
 
 
 def preview_levels(chosen: PHYSHDR_Settings, lights: Sequence[str]) -> tuple[float, ...]:

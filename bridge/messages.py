@@ -28,7 +28,7 @@ import numpy as np
 from .errors import PhysHDRError
 
 #: Both sides must speak the same version; it changes whenever a message does.
-PROTOCOL_VERSION = 2
+PROTOCOL_VERSION = 3
 #: Text frames larger than this are refused: requests are small.
 TEXT_BYTES_MAX = 1 << 20
 #: A picture of 4096 × 2160 with its depth, and its header.
@@ -262,6 +262,7 @@ class JobStatus:
     terms; ``monitor``: measured on a fixed held-out view, ``PSNR``. ``saved_iteration``: of the newest
     checkpoint, 0 if there is none. ``can_relight`` and ``has_model``: what previews may ask for.
     ``lights``: names of the lights that the model has levels for, empty where there is no model.
+    ``photographed_ev``: the EV at which previews of photographs look as these do (0: of renders).
     ``controller``: the name of the client that steers.
     """
 
@@ -282,6 +283,7 @@ class JobStatus:
     has_model: bool = False
     can_relight: bool = False
     lights: tuple[str, ...] = ()
+    photographed_ev: float = 0.0
     failure: Failure | None = None
     controller: str = ""
     in_control: bool = False

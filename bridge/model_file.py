@@ -22,7 +22,7 @@ from . import spherical_harmonics
 from .atomic import atomic_path
 from .errors import BadValueError, DataMismatchError, FileDamagedError, FileMissingError, OutputError
 from .lights import AMBIENT, Levels, as_levels, check_lights
-from .limits import EXPOSURE, FARTHEST, LEVEL, LOG_RADIANCE_MAX, check_position
+from .limits import EV_MAX, EXPOSURE, FARTHEST, LEVEL, LOG_RADIANCE_MAX, check_position
 from .regular import without_waiting
 
 FORMAT = "physhdr-model"
@@ -69,6 +69,9 @@ LIGHT_TENSORS = {
 FILE_SHAPES = {**SHAPES, "ambient_share": ("N", 3)}
 #: Metadata of a model that is where it stood in a scene of Blender, not where its data set has it.
 SPACE, WORLD = "space", "world"
+#: Metadata of a model of photographs: the EV (log2 of seconds) at which its radiance looks as they do, that of
+#: their middle exposure. Without it that is 0: radiance is shown as it is.
+PHOTOGRAPHED_EV = "photographed_ev"
 #: Metadata that has a field or a fixed value of its own; anything else lands in ``Model.metadata``.
 RESERVED_METADATA = (
     *("format", "version", "modulator", "lights", "levels", "sh_degree", "working_space", "exposures"),
@@ -129,6 +132,14 @@ class Model:
     def modulator(self) -> Modulator:
         return "baked-levels" if self.level_log_gain is not None else "additive"
 
+    @property
+    def developed_ev(self) -> float:
+        """The EV (log2 of seconds) of pictures of it where nobody says another: of the middle exposure."""
+        if PHOTOGRAPHED_EV in self.metadata:
+            return photographed_ev(self.metadata)
+        known = sorted(self.exposures)
+        return math.log2(known[len(known) // 2]) if known else 0.0
+
     def tensors(self) -> dict[str, np.ndarray]:
         """The arrays that are there, by the file's tensor names."""
         arrays = {name: getattr(self, name) for name in SHAPES}
@@ -179,6 +190,15 @@ def level_weights(levels: tuple[float, ...], level: float) -> np.ndarray:
     log_levels = np.log2(levels)
     at = math.log2(min(max(level, levels[0]), levels[-1]))
     return np.array([np.interp(at, log_levels, row) for row in np.eye(len(levels))])
+
+
+def photographed_ev(metadata: Mapping[str, str]) -> float:
+    """What a model's metadata say of ``PHOTOGRAPHED_EV``; 0 where they do not, or it is no exposure."""
+    try:
+        ev = float(metadata.get(PHOTOGRAPHED_EV, 0.0))
+    except ValueError:
+        return 0.0
+    return ev if abs(ev) <= EV_MAX else 0.0
 
 
 def largest_log_radiance(log_radiance_sh: np.ndarray) -> np.ndarray:

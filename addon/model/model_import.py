@@ -13,13 +13,14 @@ from ...bridge.axes import Up, turn_of_up
 from ...bridge.display import ColorSpace
 from ...bridge.errors import PhysHDRError
 from ...bridge.gaussian_import import is_model_file, read_gaussians
-from ...bridge.model_file import SPACE, SUFFIX, WORLD
+from ...bridge.model_file import PHOTOGRAPHED_EV, SPACE, SUFFIX, WORLD, photographed_ev
 from ...bridge.splat_files import SUFFIXES
 from ..blender import add_entry, cloud_of, layout_of, remove_entry, takes_objects
 from ..capture.placement import capture_of_file, key_of, place
 from ..rendering.render_setup import render_problems, set_up_object
 from . import pose
-from .attributes import CAPTURE, COLOR_SPACE, DISPLAY, FILE
+from .attributes import CAPTURE, COLOR_SPACE, DISPLAY, FILE, metadata_property
+from .nodes import EXPOSURE, set_input
 from .point_cloud import build_point_cloud
 from .radiance_tree import add_modifier
 
@@ -69,13 +70,17 @@ def import_file(
     is_of_world = source.model.metadata.get(SPACE) == WORLD
     cloud[CAPTURE] = key_of(str(path)) if is_of_world else capture_of_file(path)
     pose.remember(cloud)
+    ev = photographed_ev(source.model.metadata)
     if source.colour_sh is not None:
         cloud[COLOR_SPACE] = color_space
+        cloud.pop(metadata_property(PHOTOGRAPHED_EV), None)  # display colours have their exposure in them
+        ev = 0.0
     target = bpy.data.objects.new(name, cloud)
     try:
         if not is_model_file(path):
             target.rotation_euler.x = _turn(UPS.get(orientation, source.up))
-        add_modifier(target, source.model)
+        modifier = add_modifier(target, source.model)
+        set_input(modifier, EXPOSURE, ev)
         set_up_object(target)
         (collection or bpy.context.scene.collection).objects.link(target)
     except BaseException:

@@ -13,7 +13,8 @@ import numpy as np
 from ...bridge import native_splats
 from ...bridge.errors import BadValueError, DataMismatchError
 from ...bridge.lights import AMBIENT, check_lights
-from ...bridge.model_file import SPACE, Model
+from ...bridge.model_file import PHOTOGRAPHED_EV, SPACE, Model, photographed_ev
+from ..blender import cloud_of
 from .attributes import (
     BASE,
     CONFIDENCE,
@@ -43,7 +44,7 @@ from .tone_curve import ToneCurve
 #: Quaternions of this length but for rounding are unit: they stay to the bit when imported again.
 UNIT_TOLERANCE = 1e-6
 #: Where a model is from; kept as custom properties.
-METADATA = ("scene", "method", "iteration", "edited", SPACE)
+METADATA = ("scene", "method", "iteration", "edited", SPACE, PHOTOGRAPHED_EV)
 
 
 def attributes_of(
@@ -201,6 +202,12 @@ def model_of(cloud: bpy.types.PointCloud) -> Model:
         exposures=tuple(float(seconds) for seconds in cloud.get(EXPOSURES, ())),
         metadata=metadata,
     )
+
+
+def photographed_ev_of(target: bpy.types.Object) -> float:
+    """The EV at which a model looks as its photographs; 0 where it is of none."""
+    told = cloud_of(target).get(metadata_property(PHOTOGRAPHED_EV), "")
+    return photographed_ev({PHOTOGRAPHED_EV: str(told)})
 
 
 def _provenance(model: Model) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from ...bridge.shots import Shot, Shots
 from ..blender import render_size
 from ..capture import placement, similarity
 from ..model.look import look_of
+from ..model.point_cloud import photographed_ev_of
 from ..settings import preview_levels
 from ..viewport.camera import from_matrices
 
@@ -89,11 +90,11 @@ def _shot(
     if target is None:
         settings = placement.settings_of(scene)
         to_world = placement.matrix_of(scene, capture)
-        ev, levels = settings.exposure_ev, preview_levels(settings, lights)
+        ev, levels = settings.exposure_ev - settings.photographed_ev, preview_levels(settings, lights)
     else:
         to_world = np.array(target.evaluated_get(depsgraph).matrix_world, np.float64)
         look = look_of(target, depsgraph)
-        ev, levels = look.exposure_ev, look.lighting_levels
+        ev, levels = look.exposure_ev - photographed_ev_of(target), look.lighting_levels
     similarity.scale_of(to_world)  # in a mirrored or sheared capture no camera sees what this one sees
     pose = similarity.into_capture(to_world, pinhole.camera_to_world)
     return Shot(pose, pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy, float(ev), tuple(map(float, levels)))

@@ -39,8 +39,8 @@ if TYPE_CHECKING:  # they load torch, which takes seconds and only a run needs
     from ..runs.run import Run
     from ..scene.camera import Camera
 
-#: EV at which colours are developed, and at which radiance is written (its own value).
-DEVELOPED_EV, RADIANCE_EV = 1.0, 0.0
+#: EV at which radiance is written: its own value.
+RADIANCE_EV = 0.0
 #: What is lost of colours is told from half a code of 8 bits on.
 SEEN = 0.5 / 255.0
 #: Version of SPZ, where nobody asks for another.
@@ -93,8 +93,8 @@ class Convert:
     up: Up | None = None
     #: Which way is up in the source; default: as it says, or as its format has it (others' PLY: colmap).
     from_up: Up | None = None
-    #: Exposure in EV (log2 of seconds) of a model's look (default 1), or of the radiance in USD (default 0:
-    #: it is written as it is).
+    #: Exposure in EV (log2 of seconds) of a model's look (default: of the middle exposure), or of the radiance
+    #: in USD (default 0: it is written as it is).
     exposure_ev: float | None = None
     #: Level of the first light, the ambient one wherever that has levels.
     lighting_level: float = 1.0
@@ -255,11 +255,11 @@ class Convert:
         levels = levels_asked(self.lighting_level, self.lighting_levels, model.lights)
         ev = self.exposure_ev
         if linear:
-            ev = (DEVELOPED_EV if self.blend_linear else RADIANCE_EV) if ev is None else ev
+            ev = (model.developed_ev if self.blend_linear else RADIANCE_EV) if ev is None else ev
             told = f"scene-linear radiance × 2^EV, {look_words(ev, levels, model.lights)}"
             return _cloud_of(model, radiance_sh(model, 2.0**ev, levels)), told
         tone: Tone = "SRGB" if self.tone == "srgb" or model.tone_curve is None else "LEARNED"
-        look = Look(DEVELOPED_EV if ev is None else ev, levels, tone)
+        look = Look(model.developed_ev if ev is None else ev, levels, tone)
         told = look_comment(look.exposure_ev, levels, tone, model.lights)
         colours = developed(model, look)
         cameras = [] if self.quick else self._cameras(source)

@@ -44,8 +44,8 @@ class Export:
     single_file: bool = False
     #: Folder to write into; default: the run's own.
     out: Path | None = None
-    #: Exposure in EV (log2 of seconds) at which the standard PLY is baked.
-    exposure_ev: float = 1.0
+    #: Exposure in EV (log2 of seconds) at which the standard PLY is baked; default: of the middle exposure.
+    exposure_ev: float | None = None
     #: Level of the first light, the ambient one wherever that has levels, at which the standard PLY is baked.
     lighting_level: float = 1.0
     #: Lights by name for the standard PLY: NAME=VALUE …; those not named are at 1.
@@ -65,9 +65,9 @@ class Export:
             raise BadValueError(
                 f"--{'single-file' if self.single_file else 'json'} is of a web page", "Add --web OUT."
             )
-        if not self.lighting_level >= 0.0 or not abs(self.exposure_ev) <= EV_MAX:
+        if not self.lighting_level >= 0.0 or not abs(self.exposure_ev or 0.0) <= EV_MAX:
             raise BadValueError(
-                f"cannot bake at EV {self.exposure_ev} and lighting level {self.lighting_level}",
+                f"cannot bake at EV {self.exposure_ev or 0.0} and lighting level {self.lighting_level}",
                 f"Give an EV of −{EV_MAX:g} to {EV_MAX:g} and a lighting level of 0 or more.",
             )
         run = open_run(self.folder, self.data, pictures=False)
@@ -85,8 +85,8 @@ class Export:
         learned = "" if run.twists is None else ", where training has found them to be"
         console.print(f"wrote {out / CAMERAS_FILE}: its cameras{learned}")
 
-        look = look_words(self.exposure_ev, levels, model.lights)
-        exposure = 2.0**self.exposure_ev
+        ev = model.developed_ev if self.exposure_ev is None else self.exposure_ev
+        look, exposure = look_words(ev, levels, model.lights), 2.0**ev
         colours = display_colour_sh(model, exposure, levels)
         if not self.quick:
             cameras = [view.camera for view in run.scene.train]
@@ -101,7 +101,7 @@ class Export:
             "colour_sh": colours,
         }
         comments = [f"PhysHDR {key}: {value}" for key, value in run.provenance.items()]
-        comments.append(look_comment(self.exposure_ev, levels, "LEARNED", model.lights))
+        comments.append(look_comment(ev, levels, "LEARNED", model.lights))
         comments += [] if self.quick else [FITTED_COMMENT]
         write_standard_ply(out / BAKED_FILE, **standard, comments=comments)
         console.print(f"wrote {out / BAKED_FILE}: for any 3DGS viewer, baked at {look}")

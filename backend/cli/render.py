@@ -126,7 +126,7 @@ class Render:
                 written = write_confidence_around(run, self.at, self.width or WIDTH, self.out)
             console.print(f"wrote {' and '.join(map(str, written))}: {MEANING}", soft_wrap=True)
             return 0
-        exposure = self.exposure or middle_exposure(run.scene)
+        exposure = self.exposure or run.scene.middle_exposure
         frame = Frame(self.out, camera, exposure, levels, self.layers)
         draw(run, frame, self._sure(run))
         console.print(f"wrote {self.out}")
@@ -221,7 +221,7 @@ class Render:
             lit = [levels_of(shot, lights) for shot in shots.frames]
         else:
             lit = [levels] * len(shots.frames)
-        exposure = self.exposure or middle_exposure(run.scene)
+        exposure = self.exposure or run.scene.middle_exposure
         paths = numbered(self.out, len(shots.frames))
         return [
             Frame(
@@ -246,9 +246,3 @@ class Render:
             count = write_pictures(run.method, run.scene, self.out, split, show)
         console.print(f"wrote {count} pictures into {self.out}", soft_wrap=True)
         return 0
-
-
-def middle_exposure(scene: Scene) -> float:
-    """Seconds: of the first training view's bracket."""
-    exposures = scene.train[0].exposures
-    return exposures[len(exposures) // 2]

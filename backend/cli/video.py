@@ -175,7 +175,7 @@ class Video:
         Raises ``BadValueError`` where the scene or the method cannot do what is asked.
         """
         exposures = sorted({seconds for view in scene.train for seconds in view.exposures})
-        exposure = self.exposure or exposures[len(exposures) // 2]
+        exposure = self.exposure or scene.middle_exposure
         if shots is not None:
             return [
                 Frame(

@@ -75,8 +75,7 @@ def page_of(run: Run) -> WebPage:
         for split in ("test", "train", "val", "lit")
         for view in scene.splits[split]
     ]
-    exposures = scene.train[0].exposures
-    exposure = exposures[len(exposures) // 2]
+    exposure = scene.middle_exposure
     camera = views[0].camera.resized(POSTER_WIDTH)
     with torch.no_grad():
         poster = as_picture(method.ldr(camera, exposure))

@@ -349,7 +349,7 @@ def _size_of(model: Model, cameras: Sequence[Camera]) -> float:
 def _exposure(model: Model, first: float | None) -> dict[str, Any]:
     """The slider of exposure, in EV (log2 of seconds)."""
     known = sorted(model.exposures)
-    start = first or (known[len(known) // 2] if known else 1.0)
+    start = first or 2.0**model.developed_ev
     beyond = STOPS_BEYOND if known else STOPS
     evs = np.log2([*known, start])
     low, high = max(evs.min() - beyond, -EV_MAX), min(evs.max() + beyond, EV_MAX)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A run as a whole: its data set, its configuration and its trained method."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -9,7 +10,7 @@ import numpy as np
 
 from ...bridge.camera_list import ListedCamera
 from ...bridge.errors import BadValueError, DataMismatchError, FileMissingError
-from ...bridge.model_file import Model
+from ...bridge.model_file import PHOTOGRAPHED_EV, Model
 from ...bridge.run_folder import VIEWS_FILE
 from ..device import DeviceName, choose_device
 from ..export.blender_model import on_gaussians, to_model
@@ -47,11 +48,22 @@ class Run:
     @property
     def provenance(self) -> dict[str, str]:
         """Where an exported file comes from, for its metadata."""
-        return {
+        told = {
             "scene": self.scene.name,
             "method": f"{name_of(self.config.method)}, preset {self.preset}",
             "iteration": str(self.iteration),
         }
+        if ev := self.photographed_ev:
+            told[PHOTOGRAPHED_EV] = f"{ev:.4f}"
+        return told
+
+    @property
+    def photographed_ev(self) -> float:
+        """At which EV (log2 of seconds) radiance looks as photographs do, 0 for renders: theirs is a scene's.
+
+        Photographs of a hundredth of a second are of radiance about a hundred, which is white as it is.
+        """
+        return math.log2(self.scene.middle_exposure) if self.scene.photographs else 0.0
 
     @property
     def splatting(self) -> SplattingMethod:

@@ -241,6 +241,12 @@ class Scene:
         }
 
     @cached_property
+    def middle_exposure(self) -> float:
+        """Seconds: the middle one of all training pictures' exposures."""
+        exposures = sorted(seconds for view in self.train for seconds in view.exposures)
+        return exposures[len(exposures) // 2]
+
+    @cached_property
     def photographs(self) -> bool:
         """Whether the pictures were taken by real cameras, which have faults that renders have not.
 

@@ -272,6 +272,7 @@ class Engine:
                 has_model=before.has_model,
                 can_relight=before.can_relight,
                 lights=before.lights,
+                photographed_ev=before.photographed_ev,
                 device=before.device,
             )
         )
@@ -310,6 +311,7 @@ class Engine:
                 has_model=True,
                 can_relight=run.method.can_relight,
                 lights=run.method.lights,
+                photographed_ev=run.photographed_ev,
             )
         )
 

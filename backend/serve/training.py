@@ -103,6 +103,7 @@ class Training:
             has_model=True,
             can_relight=run.method.can_relight,
             lights=run.method.lights,
+            photographed_ev=run.photographed_ev,
         )
         if paused:
             self.pause(True)

@@ -19,7 +19,7 @@ bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, o
 import addon_utils  # noqa: E402
 
 import physhdr  # noqa: E402
-from physhdr.addon.model import attributes, model_import, point_cloud, radiance_tree  # noqa: E402
+from physhdr.addon.model import attributes, model_import, nodes, point_cloud, radiance_tree  # noqa: E402
 from physhdr.addon.model import material as materials  # noqa: E402
 from physhdr.bridge.gaussian_ply import write_standard_ply  # noqa: E402
 from physhdr.bridge.splat_files import read_splat_file  # noqa: E402
@@ -110,6 +110,34 @@ def test_of_a_files_metadata_only_ours_is_taken(registered, make_model, write):
     assert cloud["physhdr_scene"] == "test" and attributes.COLOR_SPACE not in cloud
     assert cloud[attributes.CAPTURE] == str(path)
     assert len(bpy.data.pointclouds) == 1
+
+
+def test_a_model_of_photographs_is_as_bright_as_they_are(registered, make_model, write, tmp_path):
+    """Its radiance is per second: at EV 0 what a hundredth of one has shown is white."""
+    from physhdr.addon.rendering import shots
+
+    path = write(dataclasses.replace(make_model(), metadata={"photographed_ev": "-6.6439"}))
+    assert bpy.ops.physhdr.model_import(filepath=str(path)) == {"FINISHED"}
+    target = bpy.context.active_object
+    modifier = nodes.find_modifier(target)
+    assert nodes.get_input(modifier, nodes.EXPOSURE) == pytest.approx(-6.6439)
+    assert point_cloud.model_of(target.data).developed_ev == pytest.approx(-6.6439)
+    assert shots.photographed_ev_of(target) == pytest.approx(-6.6439)  # stops of a video are from there
+    # Colours for a screen have their exposure in them already.
+    assert bpy.ops.physhdr.model_bake(filepath=str(tmp_path / "a.ply"), quick=True) == {"FINISHED"}
+    bpy.ops.physhdr.model_import(filepath=str(tmp_path / "a.ply"))
+    baked = bpy.context.active_object
+    assert (
+        nodes.get_input(nodes.find_modifier(baked), nodes.EXPOSURE) == shots.photographed_ev_of(baked) == 0.0
+    )
+
+
+@pytest.mark.parametrize("told", ["nan", "inf", "1e9", "bright", ""])
+def test_an_exposure_that_is_none_is_not_taken(registered, make_model, write, told):
+    path = write(dataclasses.replace(make_model(), metadata={"photographed_ev": told}))
+    assert bpy.ops.physhdr.model_import(filepath=str(path)) == {"FINISHED"}
+    modifier = nodes.find_modifier(bpy.context.active_object)
+    assert nodes.get_input(modifier, nodes.EXPOSURE) == 0.0
 
 
 def test_operator_imports_selects_and_names(registered, make_model, write):

@@ -11,7 +11,7 @@ bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, o
 import physhdr  # noqa: E402
 from physhdr.addon.model import nodes  # noqa: E402
 from physhdr.addon.model.preview_look import followed, preview_look  # noqa: E402
-from physhdr.addon.settings import follow_lights, preview_levels  # noqa: E402
+from physhdr.addon.settings import follow_exposure, follow_lights, preview_levels  # noqa: E402
 from physhdr.addon.viewport import live  # noqa: E402
 from physhdr.addon.viewport.camera import ViewCamera  # noqa: E402
 from physhdr.addon.viewport.schedule import PreviewSchedule, View  # noqa: E402
@@ -111,3 +111,15 @@ def test_the_preview_follows_the_model_of_its_run_that_is_in_the_scene(settings,
         assert followed(scene, layer, gone) is None
     here = replace(job, run=str(tmp_path / "third"), lights=LIGHTS)
     assert preview_look(scene, layer, here) == own
+
+
+def test_the_exposure_begins_where_photographs_look_as_they_did(settings):
+    """And what is added to it stays added, whatever model comes next."""
+    for _ in range(3):  # the timer looks again and again
+        follow_exposure(settings, -6.907)
+    assert settings.exposure_ev == pytest.approx(-6.907)
+    settings.exposure_ev += 1.0
+    follow_exposure(settings, -6.907)
+    assert settings.exposure_ev == pytest.approx(-5.907)
+    follow_exposure(settings, 0.0)
+    assert settings.exposure_ev == pytest.approx(1.0, abs=1e-5)

@@ -1,15 +1,75 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""``physhdr export``: what is refused before anything is read or written."""
+"""``physhdr export``: what is refused before anything is read or written, and how bright its files are."""
 
+import importlib.util
+import json
+import math
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from physhdr.backend.cli import main
 from physhdr.backend.cli.export import Export
 from physhdr.bridge.errors import BadValueError
+from physhdr.bridge.model_file import photographed_ev, read_model
+from physhdr.bridge.splat_files import read_splat_file
+
+
+@pytest.fixture(scope="session")
+def layouts():
+    spec = importlib.util.spec_from_file_location(
+        "layouts", Path(__file__).parents[1] / "scene" / "layouts.py"
+    )
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 @pytest.mark.parametrize("exposure_ev", [2000.0, -31.0, float("inf"), float("nan")])
 def test_an_exposure_beyond_all_pictures_is_refused(tmp_path: Path, exposure_ev: float) -> None:
     with pytest.raises(BadValueError, match=r"EV[\s\S]*−30 to 30"):
         Export(tmp_path, exposure_ev=exposure_ev).run()
+
+
+@pytest.fixture
+def photographs(tmp_path, layouts):
+    """A run of 20 iterations on photographs of 1/250, 1/60 and 1/15 s."""
+    data = layouts.write_colmap(tmp_path / "data", exif=False)
+    names = sorted((data / "images").iterdir())
+    seconds = (1 / 250, 1 / 60, 1 / 15)
+    (data / "exposure.json").write_text(
+        json.dumps({each.name: seconds[int(each.stem[-1])] for each in names})
+    )
+    options = [
+        "--iterations",
+        "20",
+        "--preset",
+        "fast",
+        "--initial-points",
+        "random",
+        "--random-points",
+        "200",
+    ]
+    assert main(["train", str(data), "--out", str(tmp_path / "run"), *options]) == 0
+    return tmp_path / "run"
+
+
+def colours(path: Path) -> np.ndarray:
+    return read_splat_file(path).colour_sh[:, 0]
+
+
+def test_files_for_viewers_are_as_bright_as_the_photographs(photographs: Path, tmp_path: Path) -> None:
+    """Of their middle exposure: at the seconds that suit a render all would be white."""
+    out, ev = tmp_path / "out", math.log2(1 / 60)
+    assert main(["export", str(photographs), "--quick", "--out", str(out)]) == 0
+    model = read_model(out / "model.safetensors")
+    assert model.developed_ev == photographed_ev(model.metadata) == pytest.approx(ev, abs=1e-3)
+    for name, given in (("asked.ply", []), ("stated.ply", ["--exposure-ev", str(ev)])):
+        assert main(["convert", str(photographs), str(tmp_path / name), "--quick", *given]) == 0
+    assert main(["convert", str(out / "model.safetensors"), str(tmp_path / "file.ply")]) == 0
+    expected = colours(tmp_path / "stated.ply")
+    for path in (out / "baked.ply", out / "lossless.ply", tmp_path / "asked.ply", tmp_path / "file.ply"):
+        np.testing.assert_allclose(colours(path), expected, atol=2e-3)
+    assert main(["convert", str(photographs), str(tmp_path / "2s.ply"), "--quick", "--exposure-ev", "1"]) == 0
+    assert np.abs(colours(tmp_path / "2s.ply") - expected).mean() > 0.1
