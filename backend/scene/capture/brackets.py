@@ -142,6 +142,12 @@ def _bracket(photos: Sequence[Photo], seconds: Mapping[str, float], name: str = 
 
 def _checked(groups: list[list[Photo]], seconds: Mapping[str, float], how: str) -> Brackets:
     whole = [group for group in groups if all(photo.name in seconds for photo in group)]
+    if not whole:
+        damaged = [photo.name for group in groups for photo in group if photo.name not in seconds]
+        raise DataMismatchError(
+            f"each pose ({how}) has a damaged photo: {some_names(damaged)}",
+            "Copy them again, or take other photos.",
+        )
     poses = tuple(_bracket(group, seconds) for group in whole)
     for pose in poses:
         if len({(photo.width, photo.height) for photo in pose.photos}) > 1:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PIL import ExifTags, Image, ImageOps, TiffImagePlugin
+from PIL import ExifTags, Image, TiffImagePlugin
 
 from ....bridge.errors import DataMismatchError, FileDamagedError, FileMissingError
 from ....bridge.regular import damaged_where_it_fails
@@ -20,7 +20,7 @@ from ....bridge.srgb import to_srgb
 from ..exif import LYING, Exif, Tags, exposure_of, orientation_of, positive, tags_of, tags_of_file
 from ..icc import Profile, profile_of, profile_of_bytes
 from ..pictures import is_deep, picture_size, read_codes
-from ..source import turned
+from ..source import is_white, turned
 from . import heif, raw
 from .noise import Noise
 from .remedies import COPY_AGAIN
@@ -58,13 +58,14 @@ class Photo:
 
     ``width, height``: pixels, turned upright. ``taken``: when. ``shutter``: seconds. ``iso``: as is.
     ``f_number``: focal length / aperture. ``focal_35mm``: millimetres on 35 mm film; ``focal``: the lens's.
-    ``bias``, ``brightness``: as ``exif.Exif``. ``camera``: maker and model. ``auto_bracket``: that it was
-    taken by automatic bracketing. ``panorama``: that it shows all around. ``mask``: a picture that is black
-    where it is not to be looked at. ``white_balance``: of a raw file, the factors of red, green and blue that
-    it is developed with; None: a picture. ``noise``: what a raw file tells of it. ``deep``: of a picture,
-    that it has more than 8 bits a channel; it is stored as its ``orientation`` (EXIF's) says. ``is_heic``:
-    that libheif decodes it. ``profile``: of a picture, from whose primaries it is converted to sRGB's; None:
-    it has these, or says nothing.
+    ``digital_zoom``: how many times a crop was enlarged (1: not). ``bias``, ``brightness``: as ``exif.Exif``.
+    ``camera``: maker and model. ``auto_bracket``: that it was taken by automatic bracketing. ``panorama``:
+    that it shows all around. ``mask``: a picture that is black where it is not to be looked at.
+    ``white_balance``: of a raw file, the factors of red, green and blue that it is developed with; None: a
+    picture. ``noise``: what a raw file tells of it. ``deep``: of a picture, that it has more than 8 bits a
+    channel. ``orientation``: how the file stores it, 1 to 8 as in EXIF (1: upright; so is every HEIC).
+    ``is_heic``: that libheif decodes it. ``profile``: of a picture, from whose primaries it is converted to
+    sRGB's; None: it has these, or says nothing.
     """
 
     path: Path
@@ -76,6 +77,7 @@ class Photo:
     f_number: float | None = None
     focal_35mm: float | None = None
     focal: float | None = None
+    digital_zoom: float = 1.0
     bias: float | None = None
     brightness: float | None = None
     camera: str | None = None
@@ -102,9 +104,15 @@ class Photo:
         return Exif(self.shutter, self.iso, self.f_number, self.bias, self.brightness)
 
     @property
-    def lens(self) -> tuple[int, int, float | None]:
-        """Photos of one value were taken through the same lens the same way up: size, focal length."""
-        return self.width, self.height, None if self.focal is None else round(self.focal, 1)
+    def lens(self) -> tuple[int, int, float | None, float | None, float]:
+        """Photos of one value were taken through the same lens the same way up.
+
+        Width and height, ``focal``, ``focal_35mm``, ``digital_zoom``. A phone crops for its digital zoom and
+        enlarges to the same size, with the same ``focal``: some tell it by ``focal_35mm`` alone, others by
+        ``digital_zoom`` alone.
+        """
+        focal = None if self.focal is None else round(self.focal, 1)
+        return self.width, self.height, focal, self.focal_35mm, round(self.digital_zoom, 2)
 
     @property
     def focal_pixels(self) -> float | None:
@@ -123,10 +131,8 @@ class Photo:
             return Image.fromarray(self._read_codes())
         unreadable = damaged_where_it_fails(f"{self.path} is not a readable photo", COPY_AGAIN)
         with unreadable, Image.open(self.path, formats=PILLOW) as picture:
-            upright = ImageOps.exif_transpose(picture).convert("RGB")
-            if self.profile is None:
-                return upright
-            return Image.fromarray(self.profile.to_srgb(np.asarray(upright)))
+            codes = _upright(picture, "RGB", self.orientation)
+        return Image.fromarray(codes if self.profile is None else self.profile.to_srgb(codes))
 
     def developed(self, half: bool = False) -> raw.Developed:
         """Of a raw file; raises ``FileDamagedError``. ``half``: half the size, in a quarter of the time."""
@@ -177,7 +183,7 @@ class Photo:
             return None
         unreadable = damaged_where_it_fails(f"{self.mask} is not a readable mask", COPY_AGAIN)
         with unreadable, Image.open(self.mask, formats=PILLOW) as picture:
-            mask = np.asarray(ImageOps.exif_transpose(picture).convert("L")) >= 128
+            mask = is_white(_upright(picture, "L", orientation_of(tags_of(picture))), 255)
         if mask.shape != (self.height, self.width):
             raise DataMismatchError(
                 f"the mask {self.mask} is {mask.shape[1]}×{mask.shape[0]}, its photo {self.name} is "
@@ -208,6 +214,15 @@ def _remedy_of_photos() -> Iterator[None]:
         raise FileDamagedError(error.message, COPY_AGAIN) from error
 
 
+def _upright(picture: Image.Image, mode: str, orientation: int) -> np.ndarray:
+    """The pixels in Pillow's ``mode``, turned as EXIF's ``orientation`` says; a TIFF's Pillow turns itself.
+
+    ``ImageOps.exif_transpose`` would write all of EXIF again, which fails where a tag is of an unusual type.
+    """
+    pixels = np.asarray(picture.convert(mode))
+    return pixels if isinstance(picture, TiffImagePlugin.TiffImageFile) else turned(pixels, orientation)
+
+
 def _shown(linear: np.ndarray) -> np.ndarray:
     return np.rint(to_srgb(linear) * 255.0).astype(np.uint8)
 
@@ -236,7 +251,7 @@ class Found:
 def natural_order(name: str) -> list[tuple[int, int, str]]:
     """A sort key under which ``img_9`` comes before ``img_10``."""
     parts = re.findall(r"\d+|\D+", name.lower())
-    return [(0, int(part), "") if part.isdigit() else (1, 0, part) for part in parts]
+    return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts]
 
 
 def find_photos(folder: Path, done: Callable[[int, int], None] = lambda photos, of: None) -> Found:
@@ -448,9 +463,10 @@ def _read_header(path: Path) -> Photo:
         xmp = picture.info.get("xmp", b"")
         if kind == "AVIF" and picture.info.get("icc_profile"):
             profile = profile_of_bytes(picture.info["icc_profile"])
-    if orientation_of(tags) in LYING:
+    orientation = orientation_of(tags)
+    if orientation in LYING:
         width, height = height, width
-    photo = Photo(path, width, height, profile=profile)
+    photo = Photo(path, width, height, orientation=orientation, profile=profile)
     return _marked_around(_with_tags(photo, tags, exposure_of(tags)), xmp)
 
 
@@ -507,7 +523,8 @@ def _stored_size(picture: Image.Image) -> tuple[int, int]:
 
 def _read_raw_header(path: Path) -> Photo:
     header = raw.read_header(path)
-    photo = Photo(path, header.width, header.height, white_balance=header.white_balance, noise=header.noise)
+    photo = Photo(path, header.width, header.height, orientation=header.orientation)
+    photo = replace(photo, white_balance=header.white_balance, noise=header.noise)
     photo = _with_tags(photo, header.tags, header.exif)
     return replace(photo, taken=photo.taken or header.taken, focal=photo.focal or header.focal)
 
@@ -524,6 +541,7 @@ def _with_tags(photo: Photo, tags: Tags, exposure: Exif) -> Photo:
         brightness=exposure.brightness,
         focal_35mm=positive(tags, ExifTags.Base.FocalLengthIn35mmFilm),
         focal=positive(tags, ExifTags.Base.FocalLength),
+        digital_zoom=positive(tags, ExifTags.Base.DigitalZoomRatio) or 1.0,  # 0: it was not used
         camera=" ".join(name for name in named if name) or None,
         auto_bracket=tags.get(ExifTags.Base.ExposureMode) == AUTO_BRACKET,
     )
@@ -537,4 +555,4 @@ def _moment(tags: Tags) -> datetime | None:
     except (KeyError, ValueError):
         return None
     fraction = str(tags.get(ExifTags.Base.SubsecTimeOriginal, "")).strip(" \0")
-    return moment + timedelta(seconds=float(f"0.{fraction}")) if fraction.isdigit() else moment
+    return moment + timedelta(seconds=float(f"0.{fraction}")) if fraction.isdecimal() else moment

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ....bridge.errors import FileDamagedError, FileMissingError, PhysHDRError
-from ..exif import Exif, Tags, exposure_of, tags_of_tiff
+from ..exif import LYING, Exif, Tags, exposure_of, tags_of_tiff
 from .noise import Noise, planes_of_mosaic
 from .remedies import COPY_AGAIN
 
@@ -30,6 +30,8 @@ SUFFIXES = (
 )
 #: The code of 16 bits at which the sensor is full.
 FULL = 65535
+#: EXIF's orientation by LibRaw's: 180°, 90° against and with the clock; any other is upright.
+ORIENTATIONS = {3: 3, 5: 8, 6: 6}
 #: DNG 1.4: (slope, offset) of the noise's variance, once for all channels or for each.
 NOISE_PROFILE = 51041
 
@@ -50,12 +52,13 @@ def require_rawpy() -> ModuleType:
 class RawHeader:
     """What a raw file tells without its pixels. ``width, height``: upright. ``focal``: length, millimetres.
 
-    ``white_balance``: factors of red, green and blue, the smallest 1. ``noise``: where the file
-    tells it.
+    ``orientation``: how it is stored, as in EXIF. ``white_balance``: factors of red, green and blue, the
+    smallest 1. ``noise``: where the file tells it.
     """
 
     width: int
     height: int
+    orientation: int
     exif: Exif
     tags: Tags
     taken: datetime | None
@@ -97,7 +100,8 @@ def read_header(path: Path) -> RawHeader:
             )
         sizes, other = raw.sizes, raw.other
         width, height = sizes.width, sizes.height
-        if sizes.flip in (5, 6):
+        orientation = ORIENTATIONS.get(sizes.flip, 1)
+        if orientation in LYING:
             width, height = height, width
         tags = tags_of_tiff(path)
         told = exposure_of(tags)
@@ -111,7 +115,8 @@ def read_header(path: Path) -> RawHeader:
         taken = other.timestamp if other.timestamp.year > 1990 else None
         focal = float(other.focal_length)
         focal = focal if math.isfinite(focal) and focal > 0.0 else None
-        return RawHeader(width, height, exif, tags, taken, focal, _white_balance(raw), _noise_profile(tags))
+        white_balance, noise = _white_balance(raw), _noise_profile(tags)
+        return RawHeader(width, height, orientation, exif, tags, taken, focal, white_balance, noise)
 
 
 def _white_balance(raw: Any) -> tuple[float, float, float]:

@@ -21,6 +21,7 @@ import numpy as np
 from PIL import Image
 
 from ....bridge.errors import DataMismatchError, FileDamagedError, FileMissingError, OutputError, PhysHDRError
+from ..exif import LYING
 from ..lens import require_pycolmap
 from .brackets import Bracket
 from .exposures import some_names
@@ -39,6 +40,10 @@ FEWEST_POSES = 3
 CAPTURE_REMEDY = (
     "Neighbouring photos must show the same things from places a step apart (not only turned), sharp and "
     "with texture: docs/captures.md says how to shoot. --camera SIMPLE_RADIAL helps where photos are few."
+)
+NOT_OBEYED = (
+    "COLMAP does not obey EXIF's orientation: give the pictures as COLMAP saw them, without that tag, or "
+    "leave --poses out."
 )
 
 
@@ -106,7 +111,7 @@ def recover(
 ) -> Structure:
     """Structure from motion on one photo for each pose number.
 
-    Photos of one size and focal length share a camera. ``folder``: an empty one for what COLMAP writes.
+    Photos of one ``lens`` share a camera. ``folder``: an empty one for what COLMAP writes.
     ``at`` is told each step and which share of it is done. ``pairs``: which are matched, by number; None:
     all, or neighbours in time where they are many. Photos of several exposures are matched as they are:
     SIFT's descriptors know no brightness, and CLAHE placed 27, 23 and 18 of 27 photos of hand-held brackets
@@ -275,7 +280,7 @@ def existing(folder: Path, poses: Sequence[Bracket]) -> Structure:
 
     A picture of it belongs to the pose that has a photo of the same file name, or else of the same stem.
     Raises ``FileMissingError``, ``FileDamagedError``, ``DataMismatchError`` (no picture, or too few, belong
-    to the photos; another shape of picture).
+    to the photos; another shape of picture; photos of which it is unknown which way up it saw them).
     """
     candidates = (folder / "sparse" / "0", folder / "sparse", folder)
     model = next((path for path in candidates if (path / "cameras.bin").is_file()), None)
@@ -299,8 +304,24 @@ def existing(folder: Path, poses: Sequence[Bracket]) -> Structure:
             f"{some_names([photo.name for photo in poses[0].photos])}",
             "Its pictures must have the photos' file names.",
         )
+    _require_one_way_up([photo for number in structure.registered for photo in poses[number].photos])
     sizes = {number: (pose.photos[0].width, pose.photos[0].height) for number, pose in enumerate(poses)}
     return _at_size(structure, sizes)
+
+
+def _require_one_way_up(photos: Sequence[Photo]) -> None:
+    """No photo is one that EXIF turns without a change of its size, by which ``_at_size`` would find out."""
+    odd = [
+        photo
+        for photo in photos
+        if photo.orientation != 1 and (photo.orientation not in LYING or photo.width == photo.height)
+    ]
+    if odd:
+        raise DataMismatchError(
+            f"EXIF turns {len(odd)} of {len(photos)} photos, which the reconstruction may have seen as they "
+            f"are stored: {some_names([photo.name for photo in odd])}",
+            NOT_OBEYED,
+        )
 
 
 # ---- reading ------------------------------------------------------------------------------------------
@@ -359,7 +380,7 @@ def _at_size(structure: Structure, sizes: Mapping[int, tuple[int, int]]) -> Stru
                 f"the reconstruction is of pictures of {camera.width}×{camera.height}, the photos are "
                 f"{width}×{height}",
                 "It must be of these photos, not cropped and not turned."
-                + (" COLMAP does not obey EXIF's orientation: leave --poses out." if turned else ""),
+                + (f" {NOT_OBEYED}" if turned else ""),
             )
         scale = np.array([factor, height / camera.height])
         for place in of_camera:

@@ -248,8 +248,10 @@ def _warnings(brackets: Brackets, found: Found, same_exposure: bool) -> list[str
     lenses = Counter(photo.lens for photo in brackets.photos)
     for lens, count in lenses.items():
         if len(lenses) > 1 and count < 3 * brackets.length:
-            width, height, focal = lens
+            width, height, focal, focal_35mm, zoom = lens
             at = f" at {focal:g} mm" if focal is not None else ""
+            at += f" ({focal_35mm:g} mm on 35 mm film)" if focal_35mm is not None else ""
+            at += f", zoomed digitally {zoom:g} times" if zoom != 1.0 else ""
             names = some_names([photo.name for photo in brackets.photos if photo.lens == lens])
             warnings.append(f"few photos are {width}×{height}{at}, which tells little of their lens: {names}")
     if found.skipped:

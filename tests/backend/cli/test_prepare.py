@@ -507,6 +507,29 @@ def test_a_look_at_automatic_exposure(room, tmp_path, capsys):
     assert any("span 1.3 stops" in line for line in found["lines"])
 
 
+def test_a_look_names_the_few_photos_of_a_digital_zoom(room, tmp_path, capsys):
+    folder, pixels = tmp_path / "photos", np.full((12, 16, 3), 90, np.uint8)
+    folder.mkdir()
+    for k in range(6):
+        zoom = (
+            {"FocalLengthIn35mmFilm": 48, "DigitalZoomRatio": 2} if k > 3 else {"FocalLengthIn35mmFilm": 24}
+        )
+        room.write_photo(folder / f"{k}.jpg", pixels, 0.01, FocalLength=6.8, **zoom)
+    few = [line for line in look(capsys, folder)["warnings"] if "little of their lens" in line]
+    words = "few photos are 16×12 at 6.8 mm (48 mm on 35 mm film), zoomed digitally 2 times"
+    assert len(few) == 1 and few[0].startswith(words) and few[0].endswith("4.jpg, 5.jpg")
+
+
+def test_where_each_place_has_a_damaged_photo_they_are_named(room, tmp_path):
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    for place in "abc":
+        for k in range(2):
+            room.write_photo(photos / f"{place}_{k}.jpg", np.full((12, 16, 3), 90, np.uint8), 2.0**k)
+        (photos / f"{place}_1.jpg").write_bytes(b"no picture")
+    assert "a damaged photo: a_1.jpg, b_1.jpg, c_1.jpg" in refused(photos, "--look")
+
+
 def test_errors_are_json_too(room, tmp_path, capsys):
     assert main(["prepare", str(tmp_path / "nowhere"), str(tmp_path / "out"), "--json"]) == 1
     error = json.loads(capsys.readouterr().out.splitlines()[-1])["error"]

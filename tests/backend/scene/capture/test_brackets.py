@@ -137,6 +137,14 @@ def test_a_damaged_photo_keeps_its_place_and_costs_its_bracket():
     assert poses(find_brackets(photos, seconds)) == [["a_0", "a_1"], ["c_0", "c_1"]]
 
 
+def test_where_each_bracket_has_a_damaged_photo_they_are_named():
+    photos, seconds = shots([0, 2] * 3, [f"{pose}_{k}.png" for pose in "abc" for k in range(2)])
+    for name in ("a_1.png", "b_0.png", "c_1.png"):
+        del seconds[name]
+    message = refused(photos, seconds)
+    assert "a damaged photo: a_1.png, b_0.png, c_1.png" in message and "Copy them again" in message
+
+
 def test_hand_held_brackets_are_photos_by_themselves_that_know_their_place():
     found = find_brackets(*shots([0, -2, 2] * 3)).apart()
     assert found.length == 1 and found.place_of == (0, 0, 0, 1, 1, 1, 2, 2, 2)

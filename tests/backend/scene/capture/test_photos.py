@@ -2,6 +2,7 @@
 """What EXIF says, exposures from it and from files, and one clear message for what is missing."""
 
 import json
+import struct
 from datetime import datetime
 
 import numpy as np
@@ -72,6 +73,43 @@ def test_a_photo_lies_upright_as_its_tag_says(room, tmp_path, suffix):
     assert (upright[:, -1, 0] == 255).all() and (upright[:, 0, 0] == 90).all()
 
 
+@pytest.mark.parametrize("orientation", range(1, 9))
+@pytest.mark.parametrize("suffix", ["jpg", "png", "tif"])
+def test_photos_and_masks_lie_upright_as_pillow_turns_them(room, tmp_path, suffix, orientation):
+    """A TIFF once: Pillow turns it on its own."""
+    random = np.random.default_rng(orientation)
+    (tmp_path / "masks").mkdir()
+    for path in (tmp_path / f"a.{suffix}", tmp_path / "masks" / "a.png"):
+        pixels = random.integers(0, 256, (4, 6, 3), np.uint8)
+        room.write_photo(path, pixels, Orientation=orientation)
+    photo = find_photos(tmp_path).photos[0]
+    with Image.open(photo.path) as picture:
+        upright = ImageOps.exif_transpose(picture)
+        np.testing.assert_array_equal(photo.decode(), upright)
+    assert (photo.width, photo.height) == upright.size and photo.orientation == orientation
+    with Image.open(tmp_path / "masks" / "a.png") as picture:
+        np.testing.assert_array_equal(
+            photo.keep(), np.asarray(ImageOps.exif_transpose(picture.convert("L"))) >= 128
+        )
+
+
+def test_a_photo_whose_tags_cannot_be_written_again_is_sound(tmp_path):
+    """A resolution in letters, as Pillow reads it and cannot write it: EXIF made by hand."""
+    entries = [(0x0112, 3, 1, struct.pack("<HH", 6, 0)), (0x011A, 2, 3, b"72\0\0")]
+    directory = b"".join(struct.pack("<HHI", *entry[:3]) + entry[3] for entry in entries)
+    exif = b"Exif\0\0II*\0" + struct.pack("<IH", 8, len(entries)) + directory + bytes(4)
+    pixels = np.repeat(np.repeat(GREY[:2, :3], 8, axis=0), 8, axis=1)
+    pixels[:8] = 250  # the top as stored: at the right, when it is turned by 90° clockwise
+    (tmp_path / "masks").mkdir()
+    for path in (tmp_path / "a.jpg", tmp_path / "masks" / "a.png"):
+        Image.fromarray(pixels).save(path, exif=exif)
+    photo = find_photos(tmp_path).photos[0]
+    wanted = np.full((24, 16), 90)
+    wanted[:, 8:] = 250
+    np.testing.assert_allclose(np.asarray(photo.decode())[..., 1], wanted, atol=2)
+    np.testing.assert_array_equal(photo.keep(), wanted > 128)
+
+
 def write_deep(path, codes, orientation):
     """A photo of 16 bits a channel by another program's writer, half a second long, as raw converters do."""
     spec = OpenImageIO.ImageSpec(codes.shape[1], codes.shape[0], 3, "uint16")
@@ -109,6 +147,32 @@ def test_sixteen_bits_of_a_png_are_kept_and_a_damaged_one_is_named(tmp_path):
 
 def test_names_in_natural_order():
     assert sorted(["p10", "p9", "P1", "p"], key=natural_order) == ["p", "P1", "p9", "p10"]
+    assert sorted(["5²1", "5", "10"], key=natural_order) == ["5", "5²1", "10"]  # ² is a digit, but no number
+
+
+def test_a_fraction_of_a_second_that_is_no_number_is_left_aside(room, tmp_path):
+    path = tmp_path / "a.jpg"
+    room.write_photo(path, GREY, 1.0, NOON, SubsecTimeOriginal="@7")
+    whole = path.read_bytes()
+    assert whole.count(b"@7") == 1
+    path.write_bytes(whole.replace(b"@7", b"\xb27"))  # Latin-1's ²
+    assert find_photos(tmp_path).photos[0].taken == NOON
+
+
+def test_digital_zoom_is_another_lens(room, tmp_path):
+    """Phones tell it by the focal length on film, by the ratio (0: not used), or by both."""
+    tags = {
+        "a": {"FocalLengthIn35mmFilm": 24},
+        "b": {"FocalLengthIn35mmFilm": 24, "DigitalZoomRatio": 0},
+        "c": {"FocalLengthIn35mmFilm": 24, "DigitalZoomRatio": 1},
+        "d": {"FocalLengthIn35mmFilm": 48},
+        "e": {"FocalLengthIn35mmFilm": 24, "DigitalZoomRatio": 2},
+        "f": {"FocalLengthIn35mmFilm": 48, "DigitalZoomRatio": 2},
+    }
+    for name, more in tags.items():
+        room.write_photo(tmp_path / f"{name}.jpg", GREY, 1.0, FocalLength=6.8, **more)
+    a, b, c, *zoomed = [photo.lens for photo in find_photos(tmp_path).photos]
+    assert a == b == c and len({a, *zoomed}) == 4
 
 
 def test_exposures_from_files(room, tmp_path):

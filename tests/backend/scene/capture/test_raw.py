@@ -32,7 +32,7 @@ def test_a_linear_dng_comes_out_within_one_code_everywhere(dng, tmp_path, orient
     dng.write_dng(tmp_path / "a.dng", codes, BLACK, WHITE, orientation=orientation)
     upright = np.rot90(wanted(codes.astype(float)), {1: 0, 3: 2, 6: 3, 8: 1}[orientation])
     photo = find_photos(tmp_path).photos[0]
-    assert (photo.width, photo.height) == upright.shape[1::-1]
+    assert (photo.width, photo.height) == upright.shape[1::-1] and photo.orientation == orientation
     assert np.abs(developed(tmp_path) - upright).max() <= 1.0
 
 
