@@ -7,6 +7,8 @@ colour of 16 bits.
 """
 
 import dataclasses
+import math
+import re
 import struct
 import sys
 import threading
@@ -47,6 +49,8 @@ READABLE = ("PNG", "JPEG")
 MAX_TIFF_RATIO = 4096
 #: .hdr packs a run of 127 values into two bytes.
 MAX_HDR_RATIO = 64
+#: Bytes of a .hdr that are looked through for the end of its header.
+HDR_HEADER = 65_536
 #: A PNG's first bytes, its number for RGB, and for rows that are written as differences to those above.
 PNG_SIGNATURE, PNG_RGB, PNG_UP = b"\x89PNG\r\n\x1a\n", 2, 2
 #: How files of each kind begin.
@@ -225,7 +229,23 @@ def read_radiance(path: Path) -> Radiance:
     if not header.is_float:
         raise FileDamagedError(f"{path} holds no radiance: it is a TIFF of integers", "Save it as floats.")
     pixels, alpha = _colours(_read_pixels(path, header), header)
+    if kind == "HDR":
+        pixels = pixels / np.float32(_exposure_of_hdr(path))
     return Radiance(_sound(path, pixels.astype(np.float32)), alpha, None)
+
+
+def _exposure_of_hdr(path: Path) -> float:
+    """What a .hdr's pixels have been multiplied by, by all ``EXPOSURE=`` lines of its header together.
+
+    OpenImageIO does not undo it. (Ward, "Real Pixels", Graphics Gems II, 1991; Radiance's filefmts.)
+    """
+    with path.open("rb") as file:
+        header = file.read(HDR_HEADER).replace(b"\r\n", b"\n").partition(b"\n\n")[0]
+    with damaged_where_it_fails(f"{path} is not a readable HDR: its EXPOSURE", _DELETE):
+        exposure = math.prod(float(each) for each in re.findall(rb"^EXPOSURE=(.*)$", header, re.MULTILINE))
+        if not 1e-30 < exposure < 1e30:
+            raise ValueError(f"it is {exposure:g}")
+    return exposure
 
 
 @dataclass(frozen=True)
@@ -421,9 +441,10 @@ def _sound(path: Path, radiance: np.ndarray) -> np.ndarray:
 def read_exr_channels(
     path: Path, remedy: str, wanted: Sequence[str] = (), optional: Sequence[str] = ()
 ) -> dict[str, np.ndarray]:
-    """Channels of an OpenEXR file by name, each ``[H, W]`` float32, as they are.
+    """Channels of an OpenEXR file by name, each ``[H, W]`` float32, as they are, in its display window.
 
-    ``wanted``: of its first part, and those of the ``optional`` that it has; without them all channels of its
+    What a renderer left out as empty, or rendered as a region, is a smaller window of data in that one: around
+    it there is 0. ``wanted``: of its first part, and those of the ``optional`` that it has; without them all channels of its
     only part. ``remedy``: the hint where the file is not there. Raises ``FileMissingError``;
     ``FileDamagedError`` if it is no OpenEXR, truncated, deep, claims more than the file can hold, or lacks a
     channel.
@@ -446,7 +467,41 @@ def read_exr_channels(
         if planes[name].shape != (height, width):
             shape = planes[name].shape
             raise _damaged_exr(path, f"channel {name} is {shape}, the header says {(height, width)}")
-    return planes
+    frame = _exr_frame(path, headers[0].header)
+    return {name: frame.around(plane) for name, plane in planes.items()}
+
+
+@dataclass(frozen=True)
+class _ExrFrame:
+    """The display window: its size in pixels, and where in it the data begin (less than 0: before it)."""
+
+    width: int
+    height: int
+    left: int
+    top: int
+
+    def around(self, plane: np.ndarray) -> np.ndarray:
+        """A channel's data ``[h, w]`` in the window: 0 where there are none, and nothing outside of it."""
+        height, width = plane.shape
+        if (self.left, self.top, width, height) == (0, 0, self.width, self.height):
+            return plane
+        whole = np.zeros((self.height, self.width), plane.dtype)
+        top, bottom = max(self.top, 0), min(self.top + height, self.height)
+        left, right = max(self.left, 0), min(self.left + width, self.width)
+        if top < bottom and left < right:
+            there = plane[top - self.top : bottom - self.top, left - self.left : right - self.left]
+            whole[top:bottom, left:right] = there
+        return whole
+
+
+def _exr_frame(path: Path, header: dict[str, Any]) -> _ExrFrame:
+    with damaged_where_it_fails(f"{path} is not a readable OpenEXR picture: its windows", _DELETE):
+        (x0, y0), (x1, y1) = (np.asarray(corner).tolist() for corner in header["displayWindow"])
+        left, top = np.asarray(header["dataWindow"][0]).tolist()
+    frame = _ExrFrame(x1 - x0 + 1, y1 - y0 + 1, left - x0, top - y0)
+    if frame.width < 1 or frame.height < 1 or frame.width * frame.height > MAX_PIXELS:
+        raise _damaged_exr(path, f"its display window has {frame.width}×{frame.height} pixels")
+    return frame
 
 
 def _exr_parts(path: Path, header_only: bool) -> list[Any]:
@@ -479,8 +534,9 @@ def _exr_size(path: Path) -> tuple[int, int]:
     headers = _exr_parts(path, header_only=True)
     if not headers:
         raise _damaged_exr(path, "it holds no picture")
-    width, height, _ = _exr_claims(path, headers)[0]
-    return width, height
+    _exr_claims(path, headers)
+    frame = _exr_frame(path, headers[0].header)
+    return frame.width, frame.height
 
 
 def _exr_chromaticities(path: Path) -> Chromaticities | None:

@@ -159,7 +159,7 @@ class PictureSource:
         """``[H, W]`` bool of ``mask_path``; raises ``DataMismatchError`` where it is of another size."""
         assert self.mask_path is not None
         shades = turned(read_codes(self.mask_path)[0], self.orientation).max(axis=2)
-        mask = shades >= (LARGEST[shades.dtype] + 1) // 2
+        mask = is_white(shades, LARGEST[shades.dtype])
         size = codes.shape[1], codes.shape[0]
         if is_shaped(size, (mask.shape[1], mask.shape[0])):
             return _nearest(mask, *size)
@@ -170,6 +170,14 @@ class PictureSource:
                 "Make the mask at the picture's size, or remove it.",
             )
         return mask
+
+
+def is_white(shades: np.ndarray, largest: int) -> np.ndarray:
+    """Which pixels of a mask are white: ``largest``, what its files can hold, is halved for that.
+
+    Programs that mean yes and no write 1 and 0: where nothing is above 1, that is white.
+    """
+    return shades >= (1 if shades.max(initial=0) <= 1 else (largest + 1) // 2)
 
 
 def _nearest(mask: np.ndarray, width: int, height: int) -> np.ndarray:

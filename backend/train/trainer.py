@@ -120,6 +120,7 @@ class Trainer:
         if not self.views:
             raise BadValueError(f"{scene.root} has no training views")
         self.exposures = seen_exposures(self.views, config)
+        self._require_something_seen()
 
         torch.manual_seed(config.seed)  # initial values of the networks
         self.responses: Responses = responses_of(self.views, self.exposures)
@@ -151,6 +152,18 @@ class Trainer:
         if resumed:
             self._restore_state(state, resumed / CHECKPOINT_FILE)
             self._follow_schedule(self.iteration)
+
+    def _require_something_seen(self) -> None:
+        """Raises ``DataMismatchError`` where masks or alpha hide all of all pictures: nothing is compared."""
+        for view, indices in zip(self.views, self.exposures, strict=True):
+            for k in indices:
+                mask = self.pictures.mask(view, k)
+                if mask is None or bool(mask.any()):
+                    return
+        raise DataMismatchError(
+            f"{self.scene.root}: masks or alpha hide all pixels of all training pictures",
+            "Masks are white where a picture is to be looked at, alpha is not 0 there; or remove them.",
+        )
 
     def _begin(self) -> None:
         """The state at iteration 0."""

@@ -14,7 +14,14 @@ import pytest
 from PIL import Image
 
 from physhdr.backend.inspect.layers import read_layers
-from physhdr.backend.scene.pictures import picture_size, read_exr, read_png, write_exr, write_png
+from physhdr.backend.scene.pictures import (
+    picture_size,
+    read_exr,
+    read_png,
+    read_radiance,
+    write_exr,
+    write_png,
+)
 from physhdr.bridge.errors import BadValueError, FileDamagedError, FileMissingError, OutputError, PhysHDRError
 
 
@@ -92,6 +99,62 @@ def test_exr_that_claims_to_be_huge(tmp_path: Path, radiance: np.ndarray) -> Non
     path.write_bytes(raw.replace(window, struct.pack("<4i", 0, 0, 15999, 15999)))
     with pytest.raises(FileDamagedError, match="claims 16000×16000 pixels"):
         read_exr(path)
+
+
+@pytest.mark.parametrize(
+    "window", [(0, 0, 29, 19), (3, 4, 20, 15), (-5, -3, 40, 30), (-5, 4, 10, 30), (40, 40, 99, 99)]
+)
+def test_an_exr_of_another_window_is_where_it_is_shown(tmp_path: Path, window) -> None:
+    """A renderer writes what is not empty, a region alone, or more than is shown."""
+    x0, y0, x1, y1 = window
+    pixels = np.random.default_rng(0).random((y1 - y0 + 1, x1 - x0 + 1, 3)).astype(np.float32)
+    corners = {
+        "dataWindow": (np.int32([x0, y0]), np.int32([x1, y1])),
+        "displayWindow": (np.int32([0, 0]), np.int32([29, 19])),
+    }
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **corners}
+    OpenEXR.File(header, {"RGB": pixels}).write(str(tmp_path / "a.exr"))
+    expected = np.zeros((20, 30, 3), np.float32)
+    for y in range(max(y0, 0), min(y1 + 1, 20)):
+        for x in range(max(x0, 0), min(x1 + 1, 30)):
+            expected[y, x] = pixels[y - y0, x - x0]
+    np.testing.assert_array_equal(read_exr(tmp_path / "a.exr"), expected)
+    assert picture_size(tmp_path / "a.exr") == (30, 20)
+
+
+def test_an_exr_that_is_shown_in_a_huge_window(tmp_path: Path, radiance: np.ndarray) -> None:
+    corner = {"displayWindow": (np.int32([0, 0]), np.int32([99_999, 99_999]))}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **corner}
+    OpenEXR.File(header, {"RGB": radiance}).write(str(tmp_path / "a.exr"))
+    with pytest.raises(FileDamagedError, match="display window has 100000×100000 pixels"):
+        read_exr(tmp_path / "a.exr")
+
+
+def hdr(path: Path, header: bytes) -> None:
+    """4×2 pixels of radiance 1, by the format's own words: bytes of RGB, and an exponent above 128."""
+    row = bytes([128, 128, 128, 129]) * 4
+    path.write_bytes(b"#?RADIANCE\n" + header + b"FORMAT=32-bit_rle_rgbe\n\n-Y 2 +X 4\n" + 2 * row)
+
+
+@pytest.mark.parametrize(
+    "header, expected",
+    [
+        (b"", 1.0),
+        (b"EXPOSURE=4.0\n", 0.25),
+        (b"EXPOSURE= 8\nVIEW= -vp 0 0 0\nEXPOSURE=0.5\n", 0.25),
+        (b"# EXPOSURE=4\n", 1.0),
+    ],
+)
+def test_what_an_hdr_was_exposed_by_is_taken_back(tmp_path: Path, header, expected) -> None:
+    hdr(tmp_path / "a.hdr", header)
+    np.testing.assert_allclose(read_radiance(tmp_path / "a.hdr").pixels, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("told", [b"0", b"nan", b"bright", b"1e99", b"-1"])
+def test_an_exposure_that_is_none_is_damage(tmp_path: Path, told) -> None:
+    hdr(tmp_path / "a.hdr", b"EXPOSURE=" + told + b"\n")
+    with pytest.raises(FileDamagedError, match="its EXPOSURE"):
+        read_radiance(tmp_path / "a.hdr")
 
 
 def test_exr_without_colour(tmp_path: Path) -> None:

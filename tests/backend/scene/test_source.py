@@ -146,6 +146,16 @@ def test_a_mask_beside_and_alpha_both_hide_and_are_reduced(tmp_path):
         source.read()
 
 
+@pytest.mark.parametrize("white", [1, 255, 200])
+def test_white_is_what_programs_write_for_yes(tmp_path, white):
+    rng = np.random.default_rng(3)
+    keep = rng.random((6, 8)) < 0.5
+    png(tmp_path / "a.png", rng.integers(0, 256, (6, 8, 3), np.uint8))
+    png(tmp_path / "m.png", (white * keep).astype(np.uint8))
+    read = PictureSource(tmp_path / "a.png", mask_path=tmp_path / "m.png").read()
+    assert np.array_equal(read.mask, keep)
+
+
 def test_a_mask_at_half_the_size_hides_as_much(tmp_path):
     Image.fromarray(FLAT).save(tmp_path / "a.png")
     half = np.full((6, 8), 255, np.uint8)

@@ -130,10 +130,16 @@ def test_progress_is_watched_on_a_validation_view(with_validation: Path) -> None
     view = scene.find("val", 6)
     error = view.image(2).astype(np.float64) / 255.0 - 0.5
     assert told["PSNR"] == pytest.approx(-10 * np.log10(np.mean(error**2)), abs=1e-4) and "HDR scale" in told
-    watched_on_test = view_monitor(replace(scene, validation=[]))
-    assert watched_on_test is not None
-    with pytest.raises(FileMissingError, match=r"test/r_"):
-        watched_on_test(Flat())
+
+
+def test_a_view_that_cannot_be_watched_is_told_once_and_ends_no_training(with_validation: Path) -> None:
+    scene, said = replace(read_scene(with_validation), validation=[]), []
+    remove_test(with_validation)
+    measure = view_monitor(scene, said.append)
+    assert measure is not None
+    assert [measure(Flat()) for _ in range(3)] == [{}, {}, {}]
+    (line,) = said
+    assert "training goes on" in line and "view test/r_3 " in line and "is missing" in line
 
 
 # ---- evaluating --------------------------------------------------------------------------------------------
