@@ -172,10 +172,13 @@ def _inside(root: Path, path: Path, name: str) -> Path:
 
     Raises ``BadValueError`` where they end elsewhere: only what lies in the data set's folder is opened.
     """
-    base = os.path.abspath(root)
-    whole = os.path.normpath(os.path.join(base, plain_name(name)))
-    if os.path.normcase(whole).startswith(os.path.normcase(os.path.join(base, ""))):
-        name = os.path.relpath(whole, base)
+    whole = os.path.normpath(os.path.join(os.path.abspath(root), plain_name(name)))
+    behind_links = os.path.join(os.path.realpath(os.path.dirname(whole)), os.path.basename(whole))
+    real = os.path.realpath(root)
+    for file, base in ((whole, os.path.abspath(root)), (whole, real), (behind_links, real)):
+        if os.path.normcase(file).startswith(os.path.normcase(os.path.join(base, ""))):
+            name = os.path.relpath(file, base)
+            break
     try:
         return path_inside(root, name, path)
     except BadValueError as error:

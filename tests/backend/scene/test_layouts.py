@@ -6,6 +6,7 @@ projected through the view's camera, must fall on the spot that was drawn for it
 """
 
 import json
+import os
 import re
 import shutil
 from collections.abc import Iterable
@@ -604,6 +605,20 @@ def test_nerfstudio_with_names_that_go_out_of_the_folder_and_back(
     scene = read_scene(root)
     assert len(scene.train) + len(scene.test) == 9 and not any("skipped" in m for m in scene.messages)
     assert_points_are_on_their_spots(layouts, scene)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="links want a privilege there")
+def test_nerfstudio_with_absolute_names_through_a_link(layouts: ModuleType, tmp_path: Path) -> None:
+    """A data set on another disk, linked to: named as it was opened, or as it lies, and opened either way."""
+    root = layouts.write_nerfstudio(tmp_path / "disk" / "data")
+    (tmp_path / "link").symlink_to(root)
+    content = json.loads((root / "transforms.json").read_text())
+    for k, frame in enumerate(content["frames"]):
+        frame["file_path"] = str((root, tmp_path / "link")[k % 2] / frame["file_path"])
+    (root / "transforms.json").write_text(json.dumps(content))
+    for opened in (root, tmp_path / "link"):
+        scene = read_scene(opened)
+        assert len(scene.train) + len(scene.test) == 9
 
 
 def test_nerfstudio_with_fields_of_view_lists_and_points(layouts: ModuleType, tmp_path: Path) -> None:
