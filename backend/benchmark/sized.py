@@ -2,6 +2,7 @@
 """What the methods of a plan are trained with on one data set: a training finds its size from the data."""
 
 from collections.abc import Collection, Mapping
+from contextlib import suppress
 from pathlib import Path
 
 from ...bridge.errors import PhysHDRError
@@ -25,7 +26,8 @@ def sized(
         try:
             if how not in scenes:
                 scenes[how] = read_scene(data, *how)
-            found[name] = found_sizes(extent_of(scenes[how], config), config, typed[name])
         except PhysHDRError:
             return dict(configs)
+        with suppress(PhysHDRError):  # a method's file of points that is not there is that method's alone
+            found[name] = found_sizes(extent_of(scenes[how], config), config, typed[name])
     return found

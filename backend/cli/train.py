@@ -24,11 +24,14 @@ from ..runs.run import Run
 from ..runs.terminal import console
 from ..runs.tidy import Tidying
 from ..train import events
-from ..train.config import TrainConfig
+from ..train.config import CONFIG_FILE, TrainConfig
 from ..train.duration import Duration
 from ..train.presets import PRESETS
 from ..train.trainer import CHECKPOINT_SECONDS, Trainer
 from .warmup import compile_kernels
+
+#: Options, by their settings' names, that count where a run goes on: its configuration says all else.
+ON_RESUMING = ("resume", "rasteriser", "device", "threads", "checkpoint_seconds")
 
 
 def preset_named(argv: list[str]) -> TrainConfig:
@@ -60,7 +63,7 @@ class Train:
     data: tyro.conf.Positional[Path | None] = None
     #: Folder of the run: configuration, checkpoint, logs.
     out: Path | None = None
-    #: Go on with this run, bit-identically on the CPU; its own configuration is used.
+    #: Go on with this run, bit-identically on the CPU; its own configuration is used, no other is taken.
     resume: Path | None = None
     #: Start again where --out already holds a run, replacing it.
     overwrite: bool = False
@@ -112,6 +115,7 @@ class Train:
             rasteriser=self.rasteriser,
         )
         if self.resume:
+            self._refuse_settings(self.resume)
             return resume_run(self.resume, self.data, workshop)
         if self.data is None or self.out is None:
             raise BadValueError(
@@ -127,6 +131,23 @@ class Train:
             overwrite=self.overwrite,
             workshop=workshop,
         )
+
+    def _refuse_settings(self, run: Path) -> None:
+        """Raises ``BadValueError`` where something is typed that is not read where ``run`` goes on."""
+        # Two dashes alone, which end the options, name none.
+        unread = [name for name in self.typed if name and name not in ON_RESUMING]
+        if unread:
+            counting = ", ".join(_as_typed(name) for name in ON_RESUMING[1:])
+            raise BadValueError(
+                f"{_as_typed(unread[0])} has no effect on a run that goes on: it trains as its own "
+                f"{run / CONFIG_FILE} says",
+                f"Leave it out: of the options only {counting} count then. To train otherwise, begin a new "
+                "run: physhdr train DATA --out RUN",
+            )
+
+
+def _as_typed(setting: str) -> str:
+    return f"--{setting.replace('_', '-')}"
 
 
 def _with_time_left(event: events.Event, expected: list[Duration]) -> events.Event:

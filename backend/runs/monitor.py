@@ -1,6 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A fixed held-out view, measured while training. What it sees is shown and logged, never learned from."""
 
+from collections.abc import Callable
+from functools import partial
+
 from ...bridge.data_set import TEST, VALIDATION
 from ...bridge.errors import PhysHDRError
 from ..evaluate.metrics import scale_ratio
@@ -9,13 +12,18 @@ from ..evaluate.truth import hdr_truth
 from ..methods.base import Method
 from ..scene import Scene
 from ..train.trainer import Monitor
+from .terminal import console
+
+#: Whole lines; what stands in brackets in a path is no markup.
+_REPORT = partial(console.print, soft_wrap=True, markup=False)
 
 
-def view_monitor(scene: Scene) -> Monitor | None:
+def view_monitor(scene: Scene, report: Callable[[str], object] = _REPORT) -> Monitor | None:
     """PSNR of a middle view at its middle exposure and, where the truth is there, the HDR scale.
 
     It is a validation view where there are any, so that watching a training tells nothing of the test views,
-    else a test view. ``None`` where the data set has neither.
+    else a test view. ``None`` where the data set has neither. Where it cannot be measured, be its picture
+    damaged, ``report`` is told so once, and nothing is measured from then on: training does not need it.
     """
     split = VALIDATION if scene.validation else TEST
     views = scene.splits[split]
@@ -35,4 +43,17 @@ def view_monitor(scene: Scene) -> Monitor | None:
             measured["HDR scale"] = scale_ratio(method.hdr(view.camera, view.lighting_level).cpu(), truth)
         return measured
 
-    return measure
+    has_failed = False
+
+    def measure_while_possible(method: Method) -> dict[str, float]:
+        nonlocal has_failed
+        if has_failed:
+            return {}
+        try:
+            return measure(method)
+        except PhysHDRError as error:
+            has_failed = True
+            report(f"training goes on, but view {view.name} is not measured any more: {error}")
+            return {}
+
+    return measure_while_possible

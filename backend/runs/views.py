@@ -108,12 +108,13 @@ def as_trained(folder: Path, scene: Scene, report: Callable[[str], object] = lam
     A split may have been found, not given, and comes out otherwise where photographs were added or the rule
     is another version's: what was trained on would be tested. So the run's own split stands, its views known
     by name, and it is told to ``report``. Where training views are the same, test views are those that the
-    data set has now. Raises ``DataMismatchError`` where a view that was trained on is not there as it was.
-    Of runs that kept nothing nothing can be said.
+    data set has now. Raises ``DataMismatchError`` where a view that was trained on is not there as it was,
+    and where the known point of the response is another. Of runs that kept nothing nothing can be said.
     """
     if not (folder / VIEWS_FILE).exists():
         return scene
     kept = read_views(folder, scene.root)
+    _require_same_anchor(kept.response_anchor, scene.response_anchor, folder, scene.root)
     if _are_same(kept.train, scene.train) and _are_same(kept.lit, scene.lit):
         return scene
     there: dict[str, list[View]] = {}
@@ -141,6 +142,16 @@ def as_trained(folder: Path, scene: Scene, report: Callable[[str], object] = lam
     )
 
 
+def _require_same_anchor(
+    before: tuple[float, float] | None, now: tuple[float, float] | None, folder: Path, root: Path
+) -> None:
+    """Raises ``DataMismatchError`` where they are not the same: learned curves are shifted to pass it."""
+    if before == now or (before is not None and now is not None and np.allclose(before, now)):
+        return
+    one, other = ("none" if each is None else f"{each[1]:g} at {each[0]:g}" for each in (before, now))
+    raise _other_data(folder, root, f"the known point of the response was {one}, and is {other}")
+
+
 def _are_same(before: Sequence[View], now: Sequence[View]) -> bool:
     return len(before) == len(now) and all(
         one.name == other.name and one.bracket == other.bracket and not _difference(one, other)
@@ -162,12 +173,16 @@ def _require_there(before: View, now: Sequence[View], folder: Path, root: Path) 
     """Raises ``DataMismatchError`` where none of the views ``now`` is the one that was trained on."""
     different = [_difference(before, view) for view in now]
     if "" not in different:
-        raise DataMismatchError(
-            f"{root} is not the data set that {folder} was trained on: of view {before.name} "
-            f"{different[0] if different else 'it has nothing'}",
-            "Name the one that it was trained on, as it was then, or train again. Without pictures the run "
-            "can be looked at all the same.",
-        )
+        found = different[0] if different else "it has nothing"
+        raise _other_data(folder, root, f"of view {before.name} {found}")
+
+
+def _other_data(folder: Path, root: Path, difference: str) -> DataMismatchError:
+    return DataMismatchError(
+        f"{root} is not the data set that {folder} was trained on: {difference}",
+        "Name the one that it was trained on, as it was then, or train again. Without pictures the run "
+        "can be looked at all the same.",
+    )
 
 
 def _difference(before: View, now: View) -> str:

@@ -18,6 +18,7 @@ from ..model.morton import morton_order
 from ..scene.camera import Camera
 from ..scene.resident import camera_tensors
 from .densify import gradient_scaling
+from .growth import NoGaussiansLeftError
 from .optimisers import Optimiser
 
 
@@ -168,7 +169,10 @@ def grow_and_prune(
     config: AnchorGrowthConfig,
     generator: torch.Generator,
 ) -> AnchorStatistics:
-    """Both in one resampling, which also sorts by place (``morton``). Returns the statistics that go on."""
+    """Both in one resampling, which also sorts by place (``morton``). Returns the statistics that go on.
+
+    Raises ``NoGaussiansLeftError``, before anything is changed, where nothing would be left.
+    """
     k, count = anchors.config.offsets, len(anchors)
     judged = state.draws > config.every * config.seen_share * 0.5
     gradient = state.gradient_sum / state.draws.clamp_min(1.0)
@@ -182,6 +186,11 @@ def grow_and_prune(
 
     index = torch.arange(count, device=pruned.device)
     source = torch.cat([index[~pruned], new.parents])
+    if not len(source):
+        raise NoGaussiansLeftError(
+            f"pruning would remove all {count:,} anchors: what they draw is nearly transparent",
+            "Train again with a smaller --anchors.growth.prune-opacity. What was saved before is untouched.",
+        )
     positions = torch.cat([anchors.positions.detach()[~pruned], new.positions])
     order = morton_order(positions)
     source = source[order]

@@ -21,6 +21,7 @@ from ..rasterize.reference import rotation_matrices
 from ..scene.camera import Camera
 from ..scene.resident import camera_tensors
 from .clearance import floating
+from .growth import NoGaussiansLeftError
 from .optimisers import Optimiser
 
 #: What a checkpoint calls the distances before which nothing is.
@@ -123,7 +124,8 @@ def densify(
 ) -> DensifyState:
     """Clone, split and prune in one resampling, which also sorts by place (``morton``).
 
-    ``unwanted`` ``[N]`` bool: Gaussians that go whatever they are. Returns fresh statistics.
+    ``unwanted`` ``[N]`` bool: Gaussians that go whatever they are. Returns fresh statistics. Raises
+    ``NoGaussiansLeftError``, before anything is changed, where all of them would go.
     """
     gaussians, extent = method.gaussians, optimiser.extent
     count = len(gaussians)
@@ -141,13 +143,17 @@ def densify(
             kept = torch.where(grows, gradient, torch.full_like(gradient, -1.0)).topk(room).indices
             grows = torch.zeros_like(grows).index_fill_(0, kept, True)
     splits = grows & (largest > config.clone_below * extent)
+    oversized = torch.zeros_like(pruned)
     if config.reset_every and iteration > config.reset_every:  # what is split counts by its children's size
         size = torch.where(splits, largest / SPLIT_SHRINK, largest)
-        pruned |= size > config.prune_scale * extent
+        oversized = size > config.prune_scale * extent
+        pruned |= oversized
 
     index = torch.arange(count, device=gaussians.means.device)
     stay, clone, split = (index[~pruned & chosen] for chosen in (~splits, grows & ~splits, splits))
     source = torch.cat([stay, clone, split, split])
+    if not len(source):
+        raise _none_left(iteration, count, int(oversized.sum()), config.prune_scale * extent)
     fresh = torch.arange(len(source), device=source.device) >= len(stay)
     is_child = torch.arange(len(source), device=source.device) >= len(stay) + len(clone)
 
@@ -163,6 +169,18 @@ def densify(
     gaussians.means.copy_(means[order])
     gaussians.log_scales[is_child[order]] -= math.log(SPLIT_SHRINK)
     return DensifyState.empty(gaussians)
+
+
+def _none_left(iteration: int, count: int, oversized: int, limit: float) -> NoGaussiansLeftError:
+    """``oversized`` of ``count`` Gaussians go because they are larger than ``limit`` (metres)."""
+    return NoGaussiansLeftError(
+        f"pruning after iteration {iteration} would remove all {count:,} Gaussians: {oversized:,} as larger "
+        f"than {limit:.2g} m, {count - oversized:,} as nearly transparent or where nothing was photographed",
+        "That size is a share of how far apart the cameras stand, next to nothing where they only turn: "
+        "train again with --densify.reset-every 0, as the preset default has it, or with a larger "
+        "--densify.prune-scale; where they are transparent, with a smaller --densify.prune-opacity. "
+        "What was saved before is untouched.",
+    )
 
 
 @torch.no_grad()

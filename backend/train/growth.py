@@ -5,8 +5,13 @@ from typing import Protocol
 
 import torch
 
+from ...bridge.errors import PhysHDRError
 from ..methods.base import Drawn
 from ..scene.camera import Camera
+
+
+class NoGaussiansLeftError(PhysHDRError):
+    """Pruning would remove all there are."""
 
 
 class Growth(Protocol):

@@ -15,6 +15,7 @@ from typing import Any
 
 from ..evaluate.published import keeps_exposures_for_testing
 from ..evaluate.results import OBSERVED, OBSERVED_EXPOSURES, part_of
+from ..scene.points import with_points_file
 from ..scene.scene import Scene, View
 from .config import TrainConfig
 from .views import training_views
@@ -52,7 +53,11 @@ class Extent:
 
 
 def extent_of(scene: Scene, config: TrainConfig) -> Extent:
-    """The extent of what ``config`` sees of ``scene``, without reading a picture."""
+    """The extent of what ``config`` sees of ``scene``, without reading a picture.
+
+    Points are those of its ``points_file``, where it names one; raises what reading that raises.
+    """
+    scene = with_points_file(scene, config.points_file)
     views: list[View] = training_views(scene, config)
     pixels = statistics.median_low(view.camera.width * view.camera.height for view in views) if views else 0
     return Extent(

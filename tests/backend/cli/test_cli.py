@@ -230,6 +230,23 @@ def test_an_interrupt_saves_and_resume_finishes(tiny_data, tmp_path):
     assert load_checkpoint(folder / "checkpoint.safetensors")[1]["iteration"] == "300"
 
 
+def test_an_option_that_a_resumed_run_would_not_read_is_refused(run, tiny_data, capsys):
+    """Its own configuration is used: whoever types another number of iterations would never know."""
+    for words in (
+        ["--iterations", "60"],
+        ["--densify.budget=9"],
+        ["--method.loss.unit-weight", "1"],
+        ["--preset", "paper"],
+        ["--out", str(run)],
+        ["--overwrite"],
+    ):
+        message = fails(capsys, "train", "--resume", run, "--threads", "1", *words)
+        option = words[0].partition("=")[0]
+        assert f"{option} has no effect" in message and "--checkpoint-seconds count" in message
+    read = ["--rasteriser", "cpu", "--device", "cpu", "--threads", "1", "--checkpoint_seconds", "9"]
+    assert main(["train", "--resume", str(run), *read, "--", str(tiny_data)]) == 0
+
+
 def test_a_run_is_not_overwritten_by_mistake(tiny_data, tmp_path, capsys):
     command = ["train", str(tiny_data), "--out", str(tmp_path), "--iterations", "3"]
     assert main(command) == 0

@@ -122,6 +122,18 @@ def test_a_view_that_is_not_what_was_trained_on_is_named(scene, tmp_path, change
     assert first.name in error.value.message
 
 
+@pytest.mark.parametrize("another", [(1.0, 0.4), (2.0, 0.73), None])
+def test_another_known_point_of_the_response_is_another_data_set(another, scene, tmp_path):
+    """With it the curves that were learned would be shifted, and all pictures be darker or brighter."""
+    stated = replace(scene, response_anchor=(1.0, 0.73))
+    moved = replace(scene, response_anchor=another)
+    for before, now in ((stated, moved), (moved, stated)):
+        write_views(tmp_path, before)
+        assert as_trained(tmp_path, before) is before
+        with pytest.raises(DataMismatchError, match=r"known point of the response was .*, and is "):
+            as_trained(tmp_path, now)
+
+
 VALUES = (None, "x", [], {}, -1, 0, 1.5, True, [1e999], "1" * 5000)
 
 

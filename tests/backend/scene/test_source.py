@@ -150,8 +150,8 @@ def test_a_mask_beside_and_alpha_both_hide_and_are_reduced(tmp_path):
 def test_white_is_what_programs_write_for_yes(tmp_path, white):
     rng = np.random.default_rng(3)
     keep = rng.random((6, 8)) < 0.5
-    png(tmp_path / "a.png", rng.integers(0, 256, (6, 8, 3), np.uint8))
-    png(tmp_path / "m.png", (white * keep).astype(np.uint8))
+    opencv(tmp_path / "a.png", rng.integers(0, 256, (6, 8, 3), np.uint8))
+    Image.fromarray((white * keep).astype(np.uint8)).save(tmp_path / "m.png")
     read = PictureSource(tmp_path / "a.png", mask_path=tmp_path / "m.png").read()
     assert np.array_equal(read.mask, keep)
 

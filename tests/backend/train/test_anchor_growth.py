@@ -17,6 +17,7 @@ from physhdr.backend.rasterize.contract import Rasterization
 from physhdr.backend.scene.camera import Camera
 from physhdr.backend.scene.hdr_nerf_syn import read_scene
 from physhdr.backend.train.anchor_growth import AnchorStatistics, grow_and_prune, grown, observe
+from physhdr.backend.train.growth import NoGaussiansLeftError
 from physhdr.backend.train.optimisers import Optimiser
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import Trainer
@@ -183,6 +184,16 @@ def test_new_anchors_pruned_ones_and_the_moments(everyone_passes):
     draws, sums = state.draws.reshape(4, K), state.gradient_sum.reshape(4, K)
     assert draws[third].tolist() == [30.0, 30.0] and sums[fourth].tolist() == [7.0, 7.0]
     assert draws[int(gone[:, 0].nonzero())].tolist() == [0.0, 0.0] and sums[new].sum() == 0
+
+
+def test_anchors_that_would_all_go_stay_and_it_is_said(everyone_passes):
+    anchors, optimiser = make()
+    before = {name: tensor.detach().clone() for name, tensor in anchors.parameters.items()}
+    state = gradients(anchors, 0.0)
+    state.visits += 90.0
+    with pytest.raises(NoGaussiansLeftError, match=f"all {len(anchors)} anchors"):
+        grow_and_prune(anchors, optimiser, state, GROWTH, DICE)
+    assert all(torch.equal(before[name], tensor) for name, tensor in anchors.parameters.items())
 
 
 def test_statistics_are_means_in_ndc_of_what_was_drawn():

@@ -22,6 +22,7 @@ from physhdr.backend.train.densify import (
     observe,
     reset_opacity,
 )
+from physhdr.backend.train.growth import NoGaussiansLeftError
 from physhdr.backend.train.optimisers import Optimiser
 from physhdr.backend.train.presets import PRESETS
 
@@ -93,6 +94,24 @@ def test_after_the_first_reset_the_oversized_go_and_those_split_count_by_their_c
     assert copies.sum(dim=0).tolist() == [0, 0, 0, 1, 1, 1, 1, 1]
     children = method.gaussians.scales[~copies.any(dim=1)]  # of 0.12 alone: 0.2 / 1.6 is too large
     assert torch.allclose(children, torch.full((2, 3), 0.12 / 1.6))
+
+
+def test_where_none_would_be_left_it_says_so_and_changes_nothing():
+    method, optimiser = make()  # extent 1: the limit is 0.1
+    with torch.no_grad():
+        method.gaussians.log_scales.fill_(np.log(0.5))
+        method.gaussians.opacity_logits[:3] = -10.0
+        method.gaussians.log_scales[:3] = np.log(0.01)
+    before = {name: tensor.detach().clone() for name, tensor in method.gaussians.parameters.items()}
+    with pytest.raises(
+        NoGaussiansLeftError, match=r"all 8 Gaussians: 5 as larger than 0\.1 m, 3 as "
+    ) as error:
+        control(method, optimiser, [0.0] * 8, reset_every=1, iteration=2)
+    assert "--densify.reset-every 0" in error.value.hint
+    for name, tensor in method.gaussians.parameters.items():
+        assert torch.equal(tensor, before[name])
+    control(method, optimiser, [0.0] * 8, reset_every=0, iteration=2)  # as the hint says
+    assert len(method.gaussians) == 5
 
 
 def test_the_budget_goes_to_the_largest_gradients():

@@ -10,11 +10,12 @@ import torch
 
 from physhdr.backend.cli import main
 from physhdr.backend.scene import read_scene
-from physhdr.backend.scene.points import read_points
+from physhdr.backend.scene.points import read_points, with_points_file
 from physhdr.backend.train.checkpoint import load_checkpoint
 from physhdr.backend.train.config import CONFIG_FILE, read_config
 from physhdr.backend.train.memory import sizes_of
 from physhdr.backend.train.presets import PRESETS
+from physhdr.backend.train.sizing import extent_of, found_sizes
 from physhdr.backend.train.trainer import CHECKPOINT_FILE, Trainer
 from physhdr.backend.train.without_effect import changed_without_effect
 from physhdr.bridge.errors import FileDamagedError, FileMissingError
@@ -95,6 +96,18 @@ def test_the_memory_that_is_told_is_of_the_file(data):
     assert sizes_of(scene, short(initial_points="file")).first == COUNT
     own = dataclasses.replace(short(initial_points="file"), points_file=None)
     assert sizes_of(scene, own).first == len(scene.points.positions) != COUNT
+
+
+def test_sizes_that_are_found_are_of_the_file(data):
+    """1.5 times its points have room, whatever the data set's own are."""
+    write_ply(data / "many.ply", np.random.default_rng(0).uniform(-1.0, 1.0, (50_000, 3)))
+    scene = read_scene(data)
+    for name, budget in (("many.ply", 75_000), ("other.ply", 60_000), (None, 60_000)):
+        config = dataclasses.replace(PRESETS["default"], points_file=name)
+        assert found_sizes(extent_of(scene, config), config).densify.budget == budget
+    many = with_points_file(scene, "many.ply")
+    config = dataclasses.replace(PRESETS["default"], points_file="other.ply")
+    assert found_sizes(extent_of(many, config), config) == config
 
 
 def test_a_resumed_run_keeps_the_file(data, tmp_path):

@@ -26,6 +26,7 @@ from physhdr.backend.scene.scene import Points
 from physhdr.backend.train.checkpoint import load_checkpoint, save_checkpoint
 from physhdr.backend.train.config import fingerprint, in_iterations, read_config, write_config
 from physhdr.backend.train.densify import DensifyConfig
+from physhdr.backend.train.growth import NoGaussiansLeftError
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import CHECKPOINT_FILE, Trainer, TrainingDivergedError, load_method
 from physhdr.backend.train.views import log_radiance_range
@@ -334,6 +335,26 @@ def test_a_diverged_run_says_so_and_keeps_the_last_good_checkpoint(tiny_data, tm
     with pytest.raises(TrainingDivergedError, match="diverged at iteration"):
         list(trainer.run(tmp_path))
     assert load_checkpoint(tmp_path / CHECKPOINT_FILE)[1]["iteration"] == str(good.iteration)
+
+
+def test_where_all_gaussians_would_go_training_ends_and_keeps_the_last_good_checkpoint(tiny_data, tmp_path):
+    """Of cameras that only turn 3DGS's pruning by size, a share of how far they stand apart, leaves none."""
+    scene = read_scene(tiny_data)
+
+    def turned(view):
+        pose = view.camera.camera_to_world.copy()
+        pose[:3, 3] = (0.0, -4.0, 0.0)
+        return dataclasses.replace(view, camera=dataclasses.replace(view.camera, camera_to_world=pose))
+
+    scene = dataclasses.replace(scene, train=[turned(view) for view in scene.train], lit=[])
+    config = short("hdr-gs", initial_points="file")
+    config = dataclasses.replace(config, densify=dataclasses.replace(config.densify, prune_scale=0.1))
+    trainer = Trainer(scene, config)
+    trainer.save(tmp_path)
+    with pytest.raises(NoGaussiansLeftError, match="after iteration 30 would remove all"):
+        list(trainer.run(tmp_path))
+    method, iteration = load_method(tmp_path, config, scene.response_anchor)
+    assert iteration == 0 and len(method.gaussians) == len(scene.points.positions)
 
 
 def first_message(trainer, folder):
