@@ -69,8 +69,8 @@ LIGHT_TENSORS = {
 FILE_SHAPES = {**SHAPES, "ambient_share": ("N", 3)}
 #: Metadata of a model that is where it stood in a scene of Blender, not where its data set has it.
 SPACE, WORLD = "space", "world"
-#: Metadata of a model of photographs: the EV (log2 of seconds) at which its radiance looks as they do, that of
-#: their middle exposure. Without it that is 0: radiance is shown as it is.
+#: Metadata of a model of photographs: the EV (log2 of seconds) at which its radiance looks as they do, that
+#: of their middle exposure. Without it that is 0: radiance is shown as it is.
 PHOTOGRAPHED_EV = "photographed_ev"
 #: Metadata that has a field or a fixed value of its own; anything else lands in ``Model.metadata``.
 RESERVED_METADATA = (

@@ -93,8 +93,8 @@ class Convert:
     up: Up | None = None
     #: Which way is up in the source; default: as it says, or as its format has it (others' PLY: colmap).
     from_up: Up | None = None
-    #: Exposure in EV (log2 of seconds) of a model's look (default: of the middle exposure), or of the radiance
-    #: in USD (default 0: it is written as it is).
+    #: Exposure in EV (log2 of seconds) of a model's look (default: of the middle exposure), or of the
+    #: radiance in USD (default 0: it is written as it is).
     exposure_ev: float | None = None
     #: Level of the first light, the ambient one wherever that has levels.
     lighting_level: float = 1.0

@@ -443,8 +443,8 @@ def read_exr_channels(
 ) -> dict[str, np.ndarray]:
     """Channels of an OpenEXR file by name, each ``[H, W]`` float32, as they are, in its display window.
 
-    What a renderer left out as empty, or rendered as a region, is a smaller window of data in that one: around
-    it there is 0. ``wanted``: of its first part, and those of the ``optional`` that it has; without them all channels of its
+    A renderer may have left out what is empty, or rendered a region: around these data there is 0.
+    ``wanted``: of its first part, and those of the ``optional`` that it has; without them all channels of its
     only part. ``remedy``: the hint where the file is not there. Raises ``FileMissingError``;
     ``FileDamagedError`` if it is no OpenEXR, truncated, deep, claims more than the file can hold, or lacks a
     channel.
