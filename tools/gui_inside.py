@@ -42,16 +42,21 @@ class Patience:
 
 
 def others() -> dict[int, str]:
-    """The command lines of all processes of this room but this one; zombies have none."""
+    """The command lines of all processes of this room but this one and zombies.
+
+    One that is just becoming another program has none for a moment: it is known by its name.
+    """
     found = {}
     for folder in Path("/proc").iterdir():
         if folder.name.isdigit() and int(folder.name) != os.getpid():
             try:
                 words = (folder / "cmdline").read_bytes().split(b"\0")
+                before, _, after = (folder / "stat").read_bytes().rpartition(b")")
             except OSError:  # it has ended meanwhile
                 continue
-            if words[0]:
-                found[int(folder.name)] = " ".join(os.fsdecode(word) for word in words).strip()
+            if after.split()[:1] not in ([b"Z"], [b"X"]):
+                line = " ".join(os.fsdecode(word) for word in words).strip()
+                found[int(folder.name)] = line or os.fsdecode(before.partition(b"(")[2])
     return found
 
 

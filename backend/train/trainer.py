@@ -120,8 +120,6 @@ class Trainer:
         if not self.views:
             raise BadValueError(f"{scene.root} has no training views")
         self.exposures = seen_exposures(self.views, config)
-        self._require_something_seen()
-
         torch.manual_seed(config.seed)  # initial values of the networks
         self.responses: Responses = responses_of(self.views, self.exposures)
         #: Pictures with the light of their whole brackets; None where they stay as they were taken.
@@ -167,6 +165,7 @@ class Trainer:
 
     def _begin(self) -> None:
         """The state at iteration 0."""
+        self._require_something_seen()
         self.method.prepare(self.config.seed)
         begun, begun_cpu = time.perf_counter(), time.process_time()
         self.start_message = "random networks"

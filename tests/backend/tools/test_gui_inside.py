@@ -72,6 +72,17 @@ def test_what_is_left_is_named_and_ended(inside, tmp_path, monkeypatch):
 
 
 @needs_rooms
+def test_what_has_no_name_for_a_moment_is_there(tmp_path):
+    """A process that is just becoming another program has an empty command line, as a zombie has."""
+    left, mark = tmp_path / "left.txt", str(73_000_000 + os.getpid())
+    starts = f"import subprocess; subprocess.Popen(['', '{mark}'], executable={shutil.which('sleep')!r})"
+    room = f"import sys; sys.path.insert(0, {str(SCRIPT.parent)!r}); import gui_inside as g"
+    room += f"; g.ENDING_SECONDS = 0.5; g.run(20, g.Path({str(left)!r}), [sys.executable, '-c', {starts!r}])"
+    assert subprocess.call([*ALONE[:-1], "-c", room]) == 0
+    assert left.read_text() == f"{mark}\n"
+
+
+@needs_rooms
 def test_a_room_ends_with_who_made_it(tmp_path):
     mark = str(72_000_000 + os.getpid())
     room = subprocess.Popen([*ALONE, "60", str(tmp_path / "left.txt"), "sleep", mark])
