@@ -11,6 +11,7 @@ The lossless layout has the same columns first, so that viewers draw it, then th
 further columns (``lossless_form``). We write binary little endian; whatever plyfile reads, we read.
 """
 
+import io
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -257,7 +258,25 @@ def open_ply(path: Path, kind: str, remedy: str) -> plyfile.PlyData:
     regular_file(path, remedy)
     with damaged_where_it_fails(f"{path} is not a readable {kind}", remedy):
         _check_room(path)
-        return plyfile.PlyData.read(str(path))
+        return plyfile.PlyData.read(_with_ascii_header(path))
+
+
+def _with_ascii_header(path: Path) -> str | io.BytesIO:
+    """The file's path; of one whose header has letters beyond ASCII, the file with these escaped.
+
+    plyfile refuses them. They stand in comments; as ``_write`` escapes them they mean the same.
+    """
+    with open(path, "rb") as file:
+        header = file.read(_LONGEST_HEADER).partition(b"end_header")[0]
+        if header.isascii():
+            return str(path)
+        file.seek(len(header))
+        rest = file.read()
+    try:
+        text = header.decode("utf-8")
+    except UnicodeDecodeError:  # a code page of Windows
+        text = header.decode("latin-1")
+    return io.BytesIO(text.encode("ascii", "backslashreplace") + rest)
 
 
 def _check_room(path: Path) -> None:

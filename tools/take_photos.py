@@ -80,8 +80,8 @@ def _take(given: argparse.Namespace) -> None:
         raise OptionError(f"--metering is {LEAST_SPOT} at least, and --every 1")
     capture, response = opened(given.capture), by_name(given.crf)
     evs = None if given.auto_exposure else _evs(given.bracket)
-    _enter(given, model, response)
     places = _places(given, capture)
+    _enter(given, model, response, capture, places)
     # Each place is read twice: once for its meter, once for its photos, so that memory holds one.
     meters = [photos.metered(capture.passes(place).radiance({}), given.metering) for place in places]
     planned = photos.plan(places, meters, evs, model, given.seed)
@@ -119,10 +119,17 @@ def _evs(text: str) -> list[float]:
     return evs
 
 
-def _enter(given: argparse.Namespace, model: CameraModel, response: Response) -> None:
-    """Raises ``ConflictError`` where photos with other options are there."""
+def _enter(
+    given: argparse.Namespace, model: CameraModel, response: Response, capture: Capture, places: list[Place]
+) -> None:
+    """Raises ``ConflictError`` where photos with other options are there, or of other places.
+
+    Photos are numbered through, and exposed about the middle of all: one place more changes all others.
+    """
     asked: dict[str, Any] = {
         "capture": given.capture.name,
+        "rendered": capture.options,
+        "places": [place.name for place in places],
         "bracket": None if given.auto_exposure else given.bracket,
         "camera": asdict(model),
         "response": response.describe(),
@@ -133,7 +140,8 @@ def _enter(given: argparse.Namespace, model: CameraModel, response: Response) ->
     if path.exists():
         if folder.read_json(path).get("options") != asked:
             raise ConflictError(
-                f"'{given.out}' has photos with other options", "choose another folder (--out)"
+                f"'{given.out}' has photos with other options, or of other places",
+                "choose another folder (--out), or delete it",
             )
         return
     folder.write_json(path, {"options": asked})

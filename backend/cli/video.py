@@ -4,6 +4,7 @@
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from fractions import Fraction
 from itertools import groupby, islice
 from pathlib import Path
 from typing import Any, Literal
@@ -33,6 +34,8 @@ from .told import answered, progress, saying
 LIGHT_RANGE = (0.125, 8.0)
 
 
+#: Seconds that a picture stands at most, and the finest that a time is kept.
+SLOWEST = 1001
 #: So many pictures of one view are held at once while their exposure changes.
 AT_ONCE = 16
 
@@ -97,7 +100,9 @@ class Video:
         like = camera_named(run.scene, None)
         shots = None if self.shots is None else read_camera_file(self.shots, like, fewest=2)
         frames = self.plan(run.scene, run.method, shots)
-        fps = self.fps if shots is None else max(1, round(shots.fps))
+        # As it is: 24 / 1.001 is no whole number, nor is what is left where Blender renders each tenth frame.
+        told = Fraction(self.fps if shots is None else shots.fps)
+        fps = max(told.limit_denominator(SLOWEST), Fraction(1, SLOWEST))
         with ExitStack() as stack:
             sinks = []
             if self.out is not None:

@@ -55,7 +55,7 @@ def require_suffix(path: Path) -> None:
 
 
 @contextmanager
-def video_writer(path: Path, fps: int) -> Iterator[FrameSink]:
+def video_writer(path: Path, fps: int | Fraction) -> Iterator[FrameSink]:
     """A sink that encodes frames into ``path``, which is there once the block has ended without an error.
 
     Its suffix says how: one of ``CONTAINERS`` is H.264, whose pixels are tagged as the sRGB codes that they
@@ -66,12 +66,13 @@ def video_writer(path: Path, fps: int) -> Iterator[FrameSink]:
     """
     path = Path(path)
     require_suffix(path)
-    with _webp_writer(path, fps) if path.suffix.lower() == ANIMATION else _h264_writer(path, fps) as sink:
+    writer = _webp_writer if path.suffix.lower() == ANIMATION else _h264_writer
+    with writer(path, Fraction(fps)) as sink:
         yield sink
 
 
 @contextmanager
-def _h264_writer(path: Path, fps: int) -> Iterator[FrameSink]:
+def _h264_writer(path: Path, fps: Fraction) -> Iterator[FrameSink]:
     av = needed("av", "av", "video", "writing a video")
     with atomic_path(path) as temporary:
         try:
@@ -86,7 +87,7 @@ def _h264_writer(path: Path, fps: int) -> Iterator[FrameSink]:
 
 
 @contextmanager
-def _webp_writer(path: Path, fps: int) -> Iterator[FrameSink]:
+def _webp_writer(path: Path, fps: Fraction) -> Iterator[FrameSink]:
     with atomic_path(path) as temporary:
         frames: list[Image.Image] = []
 
@@ -134,7 +135,7 @@ def _require_alike(frame: np.ndarray, number: int, shape: tuple[int, ...]) -> No
 class _Encoder:
     """The stream, made when the first frame tells its size."""
 
-    def __init__(self, av, container, fps: int) -> None:
+    def __init__(self, av, container, fps: Fraction) -> None:
         self._av, self._container, self._fps = av, container, fps
         self._stream, self._shape, self._count = None, (0, 0), 0
 
@@ -148,13 +149,13 @@ class _Encoder:
             context = self._stream.codec_context
             context.color_primaries, context.color_trc = PRIMARIES, TRANSFER
             context.colorspace, context.color_range = MATRIX, LIMITED_RANGE
-            context.time_base = Fraction(1, self._fps)
+            context.time_base = 1 / self._fps
         _require_alike(frame, self._count, self._shape)
         even = np.pad(frame, ((0, self._shape[0] % 2), (0, self._shape[1] % 2), (0, 0)), mode="edge")
         picture = self._av.VideoFrame.from_ndarray(even, format="rgb24").reformat(
             format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG"
         )
-        picture.pts, picture.time_base = self._count, Fraction(1, self._fps)
+        picture.pts, picture.time_base = self._count, 1 / self._fps
         picture.color_primaries, picture.color_trc = PRIMARIES, TRANSFER
         self._container.mux(self._stream.encode(picture))
         self._count += 1

@@ -129,6 +129,10 @@ class _Sog:
     def _numbers(self, part: str, key: str, count: int) -> np.ndarray:
         values = self._part(part).get(key)
         values = [values] if is_number(values) else values
+        if key == "codebook" and isinstance(values, list) and len(values) == count and values[0] is None:
+            _, *others = values  # some exporters leave the first one out: it is a step before the second
+            if all(map(is_number, others)):
+                values = [others[0] + (others[0] - others[-1]) / (count - 1), *others]
         if not isinstance(values, list) or len(values) != count or not all(map(is_number, values)):
             raise self.damaged(f"{part}.{key} is no list of {count} numbers")
         return np.array(values, np.float64)

@@ -274,3 +274,20 @@ def test_a_folder_in_the_way(gaussians: dict[str, np.ndarray], tmp_path: Path) -
     (tmp_path / "a.ply").mkdir()
     with pytest.raises(OutputError, match=r"a.ply: a folder is there\n.*another file name"):
         write_standard_ply(tmp_path / "a.ply", **gaussians)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "latin-1"])
+def test_other_programs_write_the_letters_of_a_users_folder(tmp_path: Path, gaussians, encoding: str) -> None:
+    """A header is ASCII by the format, and plyfile refuses what is not."""
+    plain = tmp_path / "plain.ply"
+    write_standard_ply(plain, **gaussians, comments=["made in C:/Users/Juergen"])
+    raw = plain.read_bytes()
+    named = tmp_path / "named.ply"
+    named.write_bytes(raw.replace(b"Juergen", "Jürgen".encode(encoding)))
+    read, expected = read_ply(named), read_ply(plain)
+    for name, column in expected.columns.items():
+        np.testing.assert_array_equal(read.columns[name], column)
+    assert read.comments[-1] == r"made in C:/Users/J\xfcrgen"
+    named.write_bytes(named.read_bytes()[:-10])
+    with pytest.raises(FileDamagedError):
+        read_ply(named)

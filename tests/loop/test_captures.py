@@ -2,6 +2,7 @@
 """Photos of a capture as other programs read them: Pillow, LibRaw and COLMAP. Nothing is rendered here."""
 
 import json
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -202,6 +203,20 @@ def test_the_same_command_goes_on_and_another_is_refused(capture, tmp_path):
     ]
     done = subprocess.run([*script, "--bracket=-2,0,2"], capture_output=True, text=True, timeout=120)
     assert done.returncode == 1 and "has photos with other options" in done.stderr
+
+
+def test_photos_of_other_places_are_not_mixed_with_those_that_are_there(capture, tmp_path):
+    """They are numbered through, so that with one place more each number would mean another."""
+    copied = tmp_path / "patches"
+    shutil.copytree(capture.root, copied)
+    late = opened(copied)
+    rendered = late.file(late.places[1])
+    rendered.rename(tmp_path / "later")
+    take(late, tmp_path / "out", "--auto-exposure", "--partial")
+    (tmp_path / "later").rename(rendered)
+    script = [sys.executable, str(TOOLS / "take_photos.py"), str(copied), "--out", str(tmp_path / "out")]
+    done = subprocess.run([*script, "--auto-exposure"], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 1 and "or of other places: choose another folder" in done.stderr
 
 
 def test_truth_is_bent_back_as_the_pictures_were(capture, tmp_path):

@@ -2,6 +2,7 @@
 """Paths of cameras, and videos decoded again."""
 
 import sys
+from fractions import Fraction
 from pathlib import Path
 
 import av
@@ -136,6 +137,30 @@ def test_a_video_shows_its_frames_and_says_what_its_codes_mean(tmp_path: Path) -
         y, cb, cr = frame[:34], frame[34:42], frame[43:]  # planes below each other, chroma two rows a line
         for plane, code in zip((y, cb, cr), bt709(patch), strict=True):
             assert np.abs(plane.astype(float) - code).max() < 4.0, patch
+
+
+@pytest.mark.parametrize(
+    ("fps", "seconds"),
+    [(Fraction(24000, 1001), 24 * 1.001 / 24), (Fraction(12, 5), 10.0), (Fraction(6, 25), 100.0)],
+)
+def test_a_video_lasts_as_long_as_its_frames_a_second_say(tmp_path: Path, fps, seconds) -> None:
+    """Television's 24 / 1.001, and what is left where each tenth or hundredth frame of 24 is rendered."""
+    for name in ("a.mp4", "a.webp"):
+        with video_writer(tmp_path / name, fps) as write:
+            for number in range(24):
+                write(np.full((16, 16, 3), 10 * number, np.uint8))
+    with av.open(str(tmp_path / "a.mp4")) as container:
+        stream = container.streams.video[0]
+        assert stream.average_rate == fps and float(stream.duration * stream.time_base) == pytest.approx(
+            seconds
+        )
+    with Image.open(tmp_path / "a.webp") as picture:
+        lasts = 0
+        for number in range(24):
+            picture.seek(number)
+            picture.load()
+            lasts += picture.info["duration"]
+    assert lasts == round(1000 * seconds)
 
 
 def test_frames_of_a_video_keep_their_place(tmp_path: Path) -> None:

@@ -87,6 +87,25 @@ def write(path: Path, files: dict[str, bytes], compression: int = zipfile.ZIP_ST
     return path
 
 
+def test_a_codebook_whose_first_number_was_left_out_goes_on_by_its_mean_step(tmp_path: Path) -> None:
+    files = a_set(2)
+    meta = json.loads(files["meta.json"])
+    even = np.linspace(-4.0, 1.1, 256).tolist()
+    meta["scales"]["codebook"] = even
+    whole = read_sog(write(tmp_path / "a.sog", files | {"meta.json": json.dumps(meta).encode()}))
+    meta["scales"]["codebook"] = [None, *even[1:]]
+    # The others' mean step, of 254 steps, over 255: the format's readers have it so.
+    first = even[1] + (even[1] - even[255]) / 255.0
+    read = read_sog(write(tmp_path / "b.sog", files | {"meta.json": json.dumps(meta).encode()}))
+    lost = SCALES == 0
+    assert lost.any()
+    np.testing.assert_allclose(read.scale[~lost], whole.scale[~lost], rtol=1e-6)
+    np.testing.assert_allclose(read.scale[lost], np.exp(first), rtol=1e-6)
+    meta["scales"]["codebook"] = [None, None, *even[2:]]
+    with pytest.raises(FileDamagedError, match="list of 256 numbers"):
+        read_sog(write(tmp_path / "c.sog", files | {"meta.json": json.dumps(meta).encode()}))
+
+
 @pytest.mark.parametrize("version", [1, 2])
 @pytest.mark.parametrize("name", ["a.sog", "folder"])
 def test_every_byte_is_what_the_format_says(tmp_path: Path, version: int, name: str) -> None:
