@@ -13,6 +13,7 @@ from typing import Any
 
 import bpy
 
+from . import animation
 from .blender import cycles
 from .settings import WORKING_SPACE
 from .stage import Stage
@@ -26,6 +27,17 @@ NORMAL = "Normal"
 #: How OIDN takes albedo and normal: noisy as they are and together with the picture, or denoised before it.
 TOGETHER, BEFORE = "Fast", "Accurate"
 
+#: What is set of the view layer, here and by ``open_scene``: keyframes and drivers must not win over it.
+_OF_LAYER = (
+    "samples",
+    "use_pass_z",
+    "use_pass_normal",
+    "use_pass_object_index",
+    "cycles.use_denoising",
+    "cycles.denoising_store_passes",
+    "cycles.pass_debug_sample_count",
+)
+
 
 @dataclass(frozen=True)
 class Outlet:
@@ -36,12 +48,18 @@ class Outlet:
 
     def aim(self, path: Path) -> None:
         """Let the file be ``path``, whose name ends in .exr."""
-        self.file.directory, self.file.file_name = str(path.parent.absolute()), path.name.removesuffix(".exr")
+        self.file.directory = _literal(str(path.parent.absolute()))
+        self.file.file_name = _literal(path.name.removesuffix(".exr"))
 
     def prefilter(self, way: str) -> None:
         """``TOGETHER`` or ``BEFORE``."""
         for node in self.denoisers:
             node.inputs["Prefilter"].default_value = way
+
+
+def _literal(text: str) -> str:
+    """A path for Blender to write to, which takes ``{…}`` for the name of a variable to fill in."""
+    return text.replace("{", "{{").replace("}", "}}")
 
 
 @contextmanager
@@ -53,6 +71,7 @@ def connected(stage: Stage, denoise: bool) -> Iterator[Outlet]:
     """
     scene, layer = stage.scene, stage.view_layer
     with ExitStack() as undo:
+        undo.enter_context(animation.muted(scene, animation.layer_paths(scene, layer, _OF_LAYER)))
         for owner, attribute, value in (
             (layer, "use_pass_z", True),
             (layer, "use_pass_normal", True),

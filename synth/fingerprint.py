@@ -17,11 +17,12 @@ import bpy
 import numpy as np
 
 from .blender import cycles, evaluated, mesh_of
+from .light_choice import Materials
 from .settings import users_own
 from .user_light import lights, materials, photographed
 
 #: What the name begins with: another one took in other things, and cannot be compared with.
-KIND = "b-"
+KIND = "c-"
 DIGITS = 4  # significant; drivers and constraints need not give the last bits twice
 #: Who sees an object, and what light meets it.
 _SEEN = (
@@ -33,6 +34,8 @@ _SEEN = (
     "visible_shadow",
     "is_shadow_catcher",
 )
+#: What of all there is a layer renders.
+_OF_LAYER = ("use_sky", "use_solid", "use_strand", "use_volumes")
 #: Properties that no picture shows, or that are looked at by themselves: of all data, of all nodes …
 _OF_DATA = {each.identifier for each in bpy.types.ID.bl_rna.properties}
 _OF_DATA |= {"animation_data", "node_tree", "use_nodes"}
@@ -52,11 +55,14 @@ def fingerprint(
     ``poses``: camera to world [4, 4]; ``lens``: their horizontal field of view in radians, and where they
     begin and cease to see, metres.
     """
-    world = layer.world_override or scene.world
+    world, override = layer.world_override or scene.world, layer.material_override
     state = [
         [[round(value, DIGITS) + 0.0 for value in pose.ravel().tolist()] for pose in poses],
         _rounded(lens),
         _objects(scene, layer),
+        _linked(scene, layer),
+        [getattr(layer, name) for name in _OF_LAYER],
+        _material(override) if override else None,
         [_light(light) for light in _sorted(lights(scene, layer))],
         [_material(material) for material in _sorted(materials(scene, layer))],
         [_values(cycles(world)), _values(world.cycles_visibility), _tree(world.node_tree)] if world else None,
@@ -76,12 +82,35 @@ def _rounded(values: Any) -> list[float]:
 
 
 def _objects(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[Any]:
-    depsgraph, found = evaluated(layer), photographed(scene, layer)
+    depsgraph, found, known = evaluated(layer), photographed(scene, layer), Materials(layer)
     rows = []
     for item in _sorted(found):
         shown_by = sorted([holder.name_full, count] for holder, count in found[item].items())
-        rows.append([*_object(item.evaluated_get(depsgraph), layer), shown_by])
+        names = sorted(material.name_full for material in known.of(item))
+        rows.append([*_object(item.evaluated_get(depsgraph), layer), names, shown_by])
     return rows
+
+
+def _linked(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[Any]:
+    """What is in the collections that light linking names: each once, however many objects name it."""
+    found = {
+        collection
+        for item in photographed(scene, layer)
+        for collection in (item.light_linking.receiver_collection, item.light_linking.blocker_collection)
+        if collection
+    }
+    return [[collection.name_full, _members(collection)] for collection in _sorted(found)]
+
+
+def _members(collection: bpy.types.Collection) -> list[Any]:
+    """The objects and collections in a collection, with whether the light is linked or kept from them."""
+    # How a member is linked does not tell whose it is: the members stand in the same order.
+    objects = zip(collection.objects, collection.collection_objects, strict=True)
+    children = zip(collection.children, collection.collection_children, strict=True)
+    return [
+        sorted([item.name_full, how.light_linking.link_state] for item, how in objects),
+        sorted([child.name_full, how.light_linking.link_state, _members(child)] for child, how in children),
+    ]
 
 
 def _object(item: Any, layer: bpy.types.ViewLayer) -> list[Any]:

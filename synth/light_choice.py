@@ -10,14 +10,23 @@ from dataclasses import dataclass
 from typing import Any
 
 import bpy
+import numpy as np
 
 from ..bridge.lights import AMBIENT
-from .blender import cycles, light_of
+from .blender import cycles, evaluated, light_of
 from .errors import SceneError, UnknownNameError
 from .in_render import rendered
 from .light_names import COLLECTION, GROUP, KINDS, LAMPS, LightChoice, layer_name
 
-STRENGTHS = ("Strength", "Emission Strength")
+#: What a node's light is linear in → the colour that tints this light alone, where the node has it.
+STRENGTHS = {
+    "Strength": "Color",
+    "Emission Strength": "Emission Color",
+    "Emission Coefficients": "",
+    "Blackbody Intensity": "Blackbody Tint",  # fire: it glows whatever its emission's colour
+}
+#: Inputs of geometry nodes that ask what a material is, and set none: kind of node → name of the input.
+_ASKED = {"GeometryNodeMaterialSelection": "Material", "GeometryNodeReplaceMaterial": "Old"}
 
 
 @dataclass(frozen=True)
@@ -114,10 +123,11 @@ def emitters(
     scene: bpy.types.Scene, layer: bpy.types.ViewLayer
 ) -> dict[bpy.types.Object, set[bpy.types.Object]]:
     """What shines of all that is rendered → the objects that show it: itself, and those that instance it."""
+    found, materials = rendered(scene, layer), Materials(layer)
     return {
         item: set(by)
-        for item, by in rendered(scene, layer).items()
-        if not item.hide_render and (is_lamp(item) or is_sun(item))
+        for item, by in found.items()
+        if not item.hide_render and (is_lamp(item, materials) or is_sun(item))
     }
 
 
@@ -126,14 +136,79 @@ def is_sun(item: bpy.types.Object) -> bool:
     return item.type == "LIGHT" and light_of(item).type == "SUN" and light_of(item).energy != 0.0
 
 
-def is_lamp(item: bpy.types.Object) -> bool:
+def is_lamp(item: bpy.types.Object, materials: "Materials") -> bool:
     """Whether an object shines and is no sun: a lamp that is on, or something of a material that glows."""
     if item.type == "LIGHT":
         return light_of(item).type != "SUN" and gives_light(light_of(item))
-    return any(
-        slot.material and slot.material.node_tree and shines(slot.material.node_tree)
-        for slot in item.material_slots
-    )
+    return any(materials.glows(material) for material in materials.of(item))
+
+
+class Materials:
+    """The materials of a layer's objects, and which of them glow.
+
+    It is for one look at many objects: a material and a tree of nodes are read once, however many have them.
+    """
+
+    def __init__(self, layer: bpy.types.ViewLayer) -> None:
+        self._depsgraph = evaluated(layer)
+        self._glow: dict[bpy.types.Material, bool] = {}
+        self._set_by: dict[bpy.types.NodeTree, list[bpy.types.Material]] = {}
+        self._asked_by: dict[bpy.types.NodeTree, list[str]] = {}
+
+    def of(self, item: bpy.types.Object) -> list[bpy.types.Material]:
+        """An object's materials, each once: those in its slots, and those that its geometry nodes set."""
+        found = [slot.material for slot in item.material_slots]
+        modifier: Any  # each kind has attributes of its own
+        for modifier in item.modifiers:
+            if modifier.type == "NODES" and modifier.show_render and modifier.node_group is not None:
+                # What views hide is not evaluated, and instances of mere geometry are in no slot: so the
+                # nodes are read, too. They in turn do not tell what comes from other objects' geometry.
+                slots = item.evaluated_get(self._depsgraph).material_slots
+                found += [slot.material.original for slot in slots if slot.material]
+                found += self._given(modifier) + self._set(modifier.node_group)
+        return list(dict.fromkeys(filter(None, found)))
+
+    def glows(self, material: bpy.types.Material) -> bool:
+        """Whether anything in the nodes of a material emits light."""
+        if material not in self._glow:
+            self._glow[material] = material.node_tree is not None and shines(material.node_tree)
+        return self._glow[material]
+
+    def _given(self, modifier: Any) -> list[bpy.types.Material | None]:
+        """The materials that a modifier gives its nodes."""
+        tree = modifier.node_group
+        if tree not in self._asked_by:
+            self._asked_by[tree] = [
+                each.identifier
+                for each in tree.interface.items_tree
+                if each.item_type == "SOCKET"
+                and each.in_out == "INPUT"
+                and each.socket_type == "NodeSocketMaterial"
+            ]
+        inputs = modifier.properties.inputs if self._asked_by[tree] else None
+        return [getattr(inputs, name).value for name in self._asked_by[tree]]
+
+    def _set(self, tree: bpy.types.NodeTree) -> list[bpy.types.Material]:
+        """The materials that a tree of geometry nodes and the groups in it name to set them."""
+        if tree not in self._set_by:
+            found: list[bpy.types.Material | None] = []
+            node: Any
+            for node in tree.nodes:
+                if node.mute or not any(socket.is_linked for socket in node.outputs):
+                    continue
+                if node.type == "GROUP" and node.node_tree is not None:
+                    found += self._set(node.node_tree)
+                if node.bl_idname == "GeometryNodeInputMaterial":
+                    found.append(node.material)
+                found += [
+                    socket.default_value
+                    for socket in node.inputs
+                    if socket.type == "MATERIAL"
+                    and not socket.is_linked
+                    and socket.identifier != _ASKED.get(node.bl_idname)
+                ]
+            self._set_by[tree] = list(dict.fromkeys(filter(None, found)))
+        return self._set_by[tree]
 
 
 def gives_light(light: Any) -> bool:
@@ -149,25 +224,17 @@ def shines(tree: bpy.types.NodeTree) -> bool:
             continue
         if node.type == "GROUP" and node.node_tree is not None and shines(node.node_tree):
             return True
-        strength = _strength(node)
-        colour = next(
-            (node.inputs[name] for name in ("Color", "Emission Color") if name in node.inputs), None
-        )
-        if strength is None or not (strength.is_linked or strength.default_value > 0.0):
-            continue
-        if node.type == "BSDF_PRINCIPLED":
-            colour = node.inputs["Emission Color"]
-        if (
-            colour is None
-            or colour.is_linked
-            or any(value > 0.0 for value in tuple(colour.default_value)[:3])
+        if any(socket.type == "SHADER" for socket in node.outputs) and any(
+            _above_zero(node.inputs.get(strength), False) and _above_zero(node.inputs.get(colour), True)
+            for strength, colour in STRENGTHS.items()
         ):
             return True
     return False
 
 
-def _strength(node: bpy.types.Node) -> Any:
-    """The input that the light of an emitting node is linear in; ``None`` of one that emits none."""
-    if not any(socket.type == "SHADER" for socket in node.outputs):
-        return None
-    return next((node.inputs[name] for name in STRENGTHS if name in node.inputs), None)
+def _above_zero(socket: Any, where_none: bool) -> bool:
+    """Whether a strength or a colour is not black, or may be, for it is linked."""
+    if socket is None:
+        return where_none
+    # The fourth number of a colour is its alpha.
+    return socket.is_linked or bool((np.ravel(socket.default_value)[:3] > 0.0).any())

@@ -13,7 +13,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-from . import compositor, exr, lens_shader, noise
+from . import animation, compositor, exr, lens_shader, noise
 from .blender import cycles
 from .errors import DamagedFileError, NotFiniteError, NotFiniteRenderError, RenderError
 from .interrupts import held
@@ -122,7 +122,8 @@ def renderer(stage: Stage, denoise: bool, lens: Lens | None = None) -> Iterator[
 
     ``lens``: at the size of the render; a pinhole with the stage's field of view if ``None``.
     """
-    with compositor.connected(stage, denoise) as outlet:
+    # Animated, the seed would be the same in every view, and so would the noise.
+    with animation.muted(stage.scene, {"cycles.seed"}), compositor.connected(stage, denoise) as outlet:
         yield Renderer(stage, denoise, outlet, lens)
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import bpy
 
+from . import animation
 from .blender import cycles
 from .errors import DeviceError
 from .progress import quiet
@@ -180,8 +181,18 @@ def applied(
 ) -> Iterator[dict[str, Any]]:
     """Set everything, yield the record {RNA path: value as Blender keeps it}; put all back, also on error.
 
+    Keyframes and drivers of the scene on these paths are muted meanwhile.
     ``working_space``: ``None`` leaves the file's, in which its colours are given.
     """
+    paths = {path for path, _ in settings}
+    with animation.muted(scene, paths), _set(scene, settings, working_space) as record:
+        yield record
+
+
+@contextmanager
+def _set(
+    scene: bpy.types.Scene, settings: list[tuple[str, Any]], working_space: str | None
+) -> Iterator[dict[str, Any]]:
     former_space = bpy.data.colorspace.working_space
     # All are read before the first is set: a file format changes the depth by itself.
     with quiet():  # asking for the denoiser makes Cycles look for GPUs and say so

@@ -18,7 +18,17 @@ from ..bridge.lights import AMBIENT
 from .blender import light_of
 from .in_render import rendered
 from .left_out import is_ours
-from .light_choice import LAMPS, LightChoice, gives_light, is_lamp, is_sun, layer_name, shares, shines
+from .light_choice import (
+    LAMPS,
+    LightChoice,
+    Materials,
+    gives_light,
+    is_lamp,
+    is_sun,
+    layer_name,
+    shares,
+    shines,
+)
 
 OURS = "physhdr"
 
@@ -100,7 +110,8 @@ def _linked(what: str) -> str:
 
 def _lit_groups(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, names: list[str]) -> list[str]:
     """Those light groups of the user's in which anything but the ambient light shines."""
-    lit = {item.lightgroup for item in photographed(scene, layer) if item.lightgroup and is_lamp(item)}
+    found, known = photographed(scene, layer), Materials(layer)
+    lit = {item.lightgroup for item in found if item.lightgroup and is_lamp(item, known)}
     return [name for name in names if name in lit]
 
 
@@ -134,6 +145,6 @@ def any_light(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bool:
 
 
 def materials(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.types.Material]:
-    """The materials of all objects that are rendered, each once."""
-    slots = [slot for item in photographed(scene, layer) for slot in item.material_slots]
-    return list(dict.fromkeys(slot.material for slot in slots if slot.material))
+    """The materials of all objects that are rendered, those that geometry nodes set included, each once."""
+    found, known = photographed(scene, layer), Materials(layer)
+    return list(dict.fromkeys(material for item in found for material in known.of(item)))

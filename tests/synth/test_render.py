@@ -7,7 +7,7 @@ import bpy
 import numpy as np
 import pytest
 
-from physhdr.synth import noise, objects, settings
+from physhdr.synth import animation, noise, objects, settings
 from physhdr.synth.built_in import built
 from physhdr.synth.png import quantise
 from physhdr.synth.progress import Report
@@ -252,6 +252,85 @@ def test_settings_come_back_after_an_error():
         assert {path: _get(scene, path) for path, _ in wanted} == before
     finally:
         bpy.data.scenes.remove(scene)
+
+
+def animated(scene):
+    """Keyframes, drivers and an NLA strip that would spoil every picture; returns all F-curves."""
+    scene.cycles.film_exposure = 4.0
+    scene.keyframe_insert("cycles.film_exposure", frame=1)
+    scene.keyframe_insert("cycles.max_bounces", frame=1)
+    data = scene.animation_data
+    strip = data.nla_tracks.new().strips.new("keys", 1, data.action)
+    below, slot = strip.action, data.action_slot
+    data.action = bpy.data.actions.new("above")
+    layer = scene.view_layers[0]
+    layer.samples, layer.cycles.pass_debug_sample_count = 1, False
+    for name in ("samples", "use_pass_z", "cycles.pass_debug_sample_count"):
+        scene.keyframe_insert(f"{layer.path_from_id()}.{name}", frame=1)
+    scene.cycles.sample_clamp_indirect = 0.01
+    scene.keyframe_insert("cycles.sample_clamp_indirect", frame=1)
+    scene.driver_add("cycles.seed").driver.expression = "frame"
+    scene.driver_add("cycles.samples").driver.expression = "2"
+    layer.samples = 0  # as open_scene sets it
+    bags = [
+        below.layers[0].strips[0].channelbag(slot),
+        data.action.layers[0].strips[0].channelbag(data.action_slot),
+    ]
+    return [*data.drivers, *(curve for bag in bags for curve in bag.fcurves)]
+
+
+def test_the_scenes_animation_does_not_win_over_our_settings(tmp_path):
+    """Every pass, bit for bit, is that of a scene without animation, which is as before afterwards."""
+    seeds = 1759223375, 1411851497  # more bits than a float has
+
+    def rendered(stage):
+        with (
+            settings.applied(stage.scene, settings.ground_truth((16, 12), 4)),
+            renderer(stage, denoise=False) as camera,
+        ):
+            return [camera.render(pose_of(stage), seed, tmp_path / "a.exr") for seed in seeds]
+
+    with built("ball") as stage:
+        expected = rendered(stage)
+        curves = animated(stage.scene)
+        next(curve for curve in curves if curve.data_path == "cycles.max_bounces").mute = True
+        before = [(curve.data_path, curve.mute, curve.is_valid) for curve in curves]
+        found = rendered(stage)
+        assert [(curve.data_path, curve.mute, curve.is_valid) for curve in curves] == before
+    assert len(curves) == 8 and (expected[0].raw != expected[1].raw).any()
+    for ours, theirs in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(ours.raw, theirs.raw)
+        np.testing.assert_array_equal(ours.depth, theirs.depth)
+        np.testing.assert_array_equal(ours.samples, theirs.samples)
+
+
+def test_only_what_is_set_is_muted_also_before_an_error():
+    scene = bpy.data.scenes.new("mine")
+    try:
+        curves = animated(scene)
+        before = [(curve.data_path, curve.mute) for curve in curves]
+        with (
+            pytest.raises(ZeroDivisionError),
+            animation.muted(scene, {"cycles.seed", "cycles.film_exposure"}),
+        ):
+            muted = {path for curve, (path, _) in zip(curves, before, strict=True) if curve.mute}
+            assert muted == {"cycles.seed", "cycles.film_exposure"}
+            raise ZeroDivisionError
+        assert [(curve.data_path, curve.mute) for curve in curves] == before
+    finally:
+        bpy.data.scenes.remove(scene)
+
+
+@pytest.mark.parametrize("name", ["a{b}c", "}{{"])
+def test_a_path_may_have_braces(tmp_path, name):
+    """Which Blender takes for the names of variables to fill in."""
+    with (
+        built("ball") as stage,
+        settings.applied(stage.scene, settings.ground_truth((16, 12), 1)),
+        renderer(stage, denoise=False) as camera,
+    ):
+        picture = camera.render(pose_of(stage), 5, tmp_path / name / f"{name}.exr")
+    assert picture.depth.shape == (12, 16)
 
 
 def test_settings_come_back_when_one_is_refused():
