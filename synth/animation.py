@@ -6,6 +6,7 @@ Blender evaluates keyframes and drivers once more for every render: they would w
 
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
+from typing import Any
 
 import bpy
 
@@ -61,6 +62,7 @@ def _of_strips(strips: Iterable[bpy.types.NlaStrip]) -> Iterator[bpy.types.FCurv
 
 def _of_action(action: bpy.types.Action | None, slot: int) -> Iterator[bpy.types.FCurve]:
     """The F-curves of one slot: other slots of the action animate other data."""
+    strip: Any  # strips of the one kind that there is have channelbags
     for layer in action.layers if action else ():
         for strip in layer.strips:
             for bag in strip.channelbags:
