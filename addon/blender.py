@@ -33,6 +33,11 @@ def takes_objects(collection: bpy.types.Collection) -> bool:
     return collection.is_editable and collection.override_library is None
 
 
+def collection_beside(item: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.Collection:
+    """Where what belongs to an object goes: into a collection of its own that takes it, else the scene's."""
+    return next(filter(takes_objects, item.users_collection), scene.collection)
+
+
 def curve_of(target: bpy.types.Object, path: str) -> Any:
     """The driver of an object's property, or its keyframes (not the NLA's); None where it has neither."""
     data = target.animation_data
@@ -66,7 +71,7 @@ def settings_of_cycles(of: bpy.types.Scene | bpy.types.Material) -> Any:
     return cast(Any, of).cycles
 
 
-def is_no_lamp(material: bpy.types.Material) -> None:
+def sample_as_no_lamp(material: bpy.types.Material) -> None:
     """Let Cycles not sample what glows in the material as lamps: it is many small things.
 
     Nothing where Cycles is switched off, or where Blender takes it away before it quits.

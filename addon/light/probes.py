@@ -16,7 +16,7 @@ import numpy as np
 
 from ...bridge.blend_file import PROBE
 from ...bridge.probe import Probe
-from ..blender import takes_objects
+from ..blender import collection_beside
 from ..capture.similarity import scale_of
 from ..model.look import is_model
 from ..rendering.render import to_matrix
@@ -97,8 +97,7 @@ def new_probe(scene: bpy.types.Scene, model: bpy.types.Object, place: Place) -> 
     """An empty at a place of the world; it hangs on the model, and moves with the capture."""
     probe = bpy.data.objects.new(NEW, None)
     probe.empty_display_type, probe.empty_display_size = "SPHERE", SIZE
-    collections = [each for each in model.users_collection if takes_objects(each)]
-    (collections[0] if collections else scene.collection).objects.link(probe)
+    collection_beside(model, scene).objects.link(probe)
     probe.parent = model
     scale = scale_of(np.array(model.matrix_world))
     probe.matrix_local = to_matrix(np.diag([1.0 / scale] * 3 + [1.0]))

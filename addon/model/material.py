@@ -11,7 +11,7 @@ from typing import Any, Literal
 import bpy
 
 from ...bridge.splatting import ALPHA_MAX, ALPHA_MIN
-from ..blender import is_no_lamp, marked_when_whole
+from ..blender import marked_when_whole, sample_as_no_lamp
 from .attributes import RADIANCE
 from .node_builder import Field, NodeBuilder
 
@@ -43,7 +43,7 @@ def splat_material(shape: Shape) -> bpy.types.Material:
         material.surface_render_method = _EEVEE[shape]
         material.use_transparency_overlap = True  # else EEVEE blends the nearest alone
         # Gaussians carry their light with them. Sampling each as a lamp would only cost time.
-        is_no_lamp(material)
+        sample_as_no_lamp(material)
         assert material.node_tree is not None  # every material has one since Blender 5
         _build(material.node_tree, shape)
     return material

@@ -18,7 +18,7 @@ import numpy as np
 from ...bridge import native_splats
 from ...bridge.errors import DataMismatchError
 from ...bridge.splatting import ALPHA_MIN
-from ..blender import cloud_of, is_no_lamp, marked_when_whole
+from ..blender import cloud_of, marked_when_whole, sample_as_no_lamp
 from .attributes import BASE, COLOR_SPACE, DISPLAY, LOG_SH, RADIANCE, SCALE, SHOWN_SH
 from .node_builder import Field, GeometryBuilder, NodeBuilder
 from .nodes import CAMERA_SPLATS, MARK, find_modifier
@@ -184,7 +184,7 @@ def native_material() -> bpy.types.Material:
             return material
     material = bpy.data.materials.new("PhysHDR Native Splats")
     with marked_when_whole(material, _MATERIAL_MARK, _MATERIAL_RECIPE):
-        is_no_lamp(material)
+        sample_as_no_lamp(material)
         assert material.node_tree is not None  # every material has one since Blender 5
         material.node_tree.nodes.clear()
         build = NodeBuilder(material.node_tree)

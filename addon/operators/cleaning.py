@@ -10,7 +10,7 @@ import mathutils
 import numpy as np
 
 from ...bridge.errors import BadValueError, DataMismatchError, FileMissingError, PhysHDRError
-from ..blender import add_entry, cloud_of, curves_of, layout_of, remove_entry, takes_objects
+from ..blender import add_entry, cloud_of, collection_beside, curves_of, layout_of, remove_entry
 from ..capture import placement, similarity
 from ..capture.captures import camera_places
 from ..model import nodes
@@ -217,8 +217,7 @@ class PHYSHDR_OT_cleaning_box(_OnModel):
         low, high = np.quantile(position, [OUTLIERS, 1.0 - OUTLIERS], axis=0)
         box = bpy.data.objects.new(f"{target.name} crop", None)
         box.empty_display_type, box.empty_display_size = "CUBE", 1.0
-        own = [each for each in target.users_collection if takes_objects(each)]
-        (own[0] if own else context.scene.collection).objects.link(box)
+        collection_beside(target, context.scene).objects.link(box)
         inside = mathutils.Matrix.Translation((low + high) / 2.0)
         inside @= mathutils.Matrix.Diagonal((*np.maximum((high - low) / 2.0, 1e-3), 1.0))
         box.matrix_world = target.matrix_world @ inside

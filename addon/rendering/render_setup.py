@@ -13,7 +13,7 @@ from typing import Any
 import bpy
 
 from ...synth.in_render import in_collection, in_layer, instanced_by
-from ..blender import curve_of, is_no_lamp, render_size, settings_of_cycles
+from ..blender import curve_of, render_size, sample_as_no_lamp, settings_of_cycles
 from ..model import nodes
 from ..model.look import file_has_model, is_model, models_among
 from ..model.material import materials_in
@@ -395,7 +395,7 @@ def _set_up_model(scene: bpy.types.Scene, target: bpy.types.Object, wishes: Wish
         follow_render_width(target)
     own = [each for each in _materials([target]) if each.library is None]
     for material in own:
-        is_no_lamp(material)  # it may have been made while Cycles was off
+        sample_as_no_lamp(material)  # it may have been made while Cycles was off
     if _input(target, nodes.CAMERA_SPLATS):
         for material in own:
             material.surface_render_method = BY_LOT if _has_depth_of_field(scene) else BLENDED

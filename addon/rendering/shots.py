@@ -34,7 +34,7 @@ def shots_of(
     scene's for the data set ``data``, and the look that of the live preview, whose model has ``lights``.
 
     Raises ``BadValueError`` where there is no perspective camera, or nothing moves; ``DataMismatchError``
-    where the model is sheared.
+    where the model is sheared, mirrored or flat.
     """
     scene = context.scene
     before = scene.frame_current, scene.frame_subframe

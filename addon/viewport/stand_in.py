@@ -14,7 +14,7 @@ import bpy
 import numpy as np
 
 from ...bridge.spherical_harmonics import C0
-from ..blender import cloud_of, is_no_lamp, marked_when_whole
+from ..blender import cloud_of, marked_when_whole, sample_as_no_lamp
 from ..model.attributes import BASE, KEPT_RADIUS, LOG_SH, RADIUS, SCALE
 from ..model.node_builder import NodeBuilder
 from ..model.nodes import find_modifier
@@ -48,7 +48,7 @@ def points_material() -> bpy.types.Material:
             return material
     material = bpy.data.materials.new("PhysHDR Points")
     with marked_when_whole(material, _MARK, _RECIPE):
-        is_no_lamp(material)
+        sample_as_no_lamp(material)
         assert material.node_tree is not None  # every material has one since Blender 5
         _build(material.node_tree)
     return material
