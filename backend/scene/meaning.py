@@ -6,7 +6,6 @@ is exposure × radiance of the exposure that the layout states, 1 s where it sta
 the whole data set. What ``physhdr prepare`` wrote of raw files is linear, as its prepare.json says.
 """
 
-import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,6 +15,7 @@ import numpy as np
 
 from ...bridge.data_set import CAPTURE_FILE, CAPTURE_FORMAT
 from ...bridge.errors import BadValueError, PhysHDRError
+from ...bridge.limits import RADIANCE_MAX
 from ...bridge.regular import read_json_object
 from .color_space import space_named
 from .encoding import CAMERA, SRGB, Encoding, LogEncoding
@@ -30,8 +30,8 @@ SUFFIXES = (".exr", ".hdr", ".pic", ".rgbe", ".tif", ".tiff")
 SCALE_QUANTILE, SCALE_PICTURES, SCALE_PIXELS = 0.99, 24, 1 << 16
 #: Layouts whose published convention is to take no notice of alpha, nor of ICC profiles: codes as stored.
 WITHOUT_ALPHA = ("PhysHDR", "HDR-NeRF-Syn", "HDR-NeRF-Real", "GaussHDR", "HDR-GS")
-#: Training clamps radiance to e⁹ (``model/gaussians.py``): beyond this the bright part would have no room.
-LARGEST_SCALE = math.exp(9.0) / 16.0
+#: Of radiance: training draws no more than ``RADIANCE_MAX``, and what is bright needs room above it.
+LARGEST_SCALE = RADIANCE_MAX / 16.0
 #: A share of values below 0 that is worth a word.
 WORTH_A_WORD = 1e-4
 
@@ -167,8 +167,8 @@ def _scale(scene: Scene, radiance: set[Path], color_space: str) -> tuple[Encodin
     longest = max(seconds for _, seconds in pictures)
     if scale / longest > LARGEST_SCALE:
         raise BadValueError(
-            f"the pictures hold radiance of {scale / longest:.3g} and more: training knows up to "
-            f"{math.exp(9.0):.0f}",
+            f"the pictures hold radiance of {scale / longest:.3g} and more: training draws no more than "
+            f"{RADIANCE_MAX:g}",
             f"Give each an exposure that many times as long as what it has, such as {scale:.3g} s "
             "('exposure_time' in transforms.json, or exposure.json): radiance then is in that unit.",
         )
