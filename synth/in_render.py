@@ -22,6 +22,7 @@ def rendered(
     """
     found: dict[bpy.types.Object, Counter[bpy.types.Object]]
     found = {item: Counter([item]) for item in in_layer(layer.layer_collection)}
+    holders = [item for item in found if instanced_by(item)]
     # The layer has what views show: of the scene's own objects only those above are rendered, too.
     hidden = set(scene.objects) - set(found)
     left_out: dict[bpy.types.Object, set[bpy.types.Object]] = {}
@@ -37,7 +38,22 @@ def rendered(
             left_out[holder] = _left_out(holder)
         if holder not in hidden and item not in left_out[holder]:
             found.setdefault(item, Counter())[holder] += 1
+    # What views hide is not evaluated, and renders show it all the same. Of instances of collections what they
+    # bring can be told; what nodes and particles would bring there cannot.
+    for holder in holders:
+        for item, times in Counter(_brought(holder)).items():
+            if not found.setdefault(item, Counter())[holder]:
+                found[item][holder] = times
     return found
+
+
+def _brought(holder: bpy.types.Object) -> Iterator[bpy.types.Object]:
+    """What is rendered of the collection that an object is an instance of, and of instances within it."""
+    collection = instanced_by(holder)
+    if collection is not None:
+        for item in in_collection(collection):
+            yield item
+            yield from _brought(item)
 
 
 def _left_out(holder: bpy.types.Object) -> set[bpy.types.Object]:

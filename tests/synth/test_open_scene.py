@@ -711,6 +711,20 @@ def test_a_material_that_gives_no_number_is_named(scene, tmp_path):
         assert np.isfinite(readers.read_exr(tmp_path / "test_hdr/hdr_000.exr")).all()
 
 
+def test_a_material_that_reads_the_index_is_rendered_as_the_user_sees_it(scene, tmp_path):
+    """A cube that shines as brightly as its number; the floor has none."""
+    nodes = bpy.data.materials["grey"].node_tree
+    glow, info = nodes.nodes.new("ShaderNodeEmission"), nodes.nodes.new("ShaderNodeObjectInfo")
+    nodes.links.new(info.outputs["Object Index"], glow.inputs["Strength"])
+    nodes.links.new(glow.outputs[0], nodes.nodes["Material Output"].inputs["Surface"])
+    bpy.data.objects["cube"].pass_index = 5
+    dataset.make(tmp_path, SMALL)
+    told = readers.read_json(tmp_path / "dataset.json")
+    assert told["objects"] == {"cube": 5}
+    assert any("keep the numbers" in warning for warning in told["source"]["warnings"])
+    assert readers.read_exr(tmp_path / "test_hdr/hdr_000.exr").max() == pytest.approx(5.0, rel=0.01)
+
+
 class TestCommandLine:
     @pytest.mark.parametrize(
         ("arguments", "message"),
@@ -945,11 +959,43 @@ def hide_within_what_is_instanced(away, within, holder):
     within.hide_render = True
 
 
-HIDINGS = (hide_item, hide_collection, exclude, hide_instance, hide_what_is_instanced)
-HIDINGS = (lambda *_: None, *HIDINGS, exclude_and_instance, hide_within_what_is_instanced)
+def show_instance_in_renders_alone(away, within, holder):
+    exclude_and_instance(away, within, holder)
+    holder.hide_viewport = True
 
 
-@pytest.mark.parametrize("hide", HIDINGS)
+def show_nested_instance_in_renders_alone(away, within, holder):
+    outer, nested = add("outer", None), bpy.data.collections.new("nested")
+    nested.objects.link(holder)
+    bpy.context.scene.collection.objects.unlink(holder)
+    exclude_and_instance(away, within, holder)
+    outer.instance_type, outer.instance_collection = "COLLECTION", nested
+    outer.hide_set(True)
+
+
+def show_in_renders_alone_within_what_is_instanced(away, within, holder):
+    exclude_and_instance(away, within, holder)
+    bpy.data.objects["lamp"].hide_viewport = True
+
+
+LIT = (
+    lambda *_: None,
+    exclude_and_instance,
+    show_instance_in_renders_alone,
+    show_nested_instance_in_renders_alone,
+    show_in_renders_alone_within_what_is_instanced,
+)
+DARK = (
+    hide_item,
+    hide_collection,
+    exclude,
+    hide_instance,
+    hide_what_is_instanced,
+    hide_within_what_is_instanced,
+)
+
+
+@pytest.mark.parametrize("hide", LIT + DARK)
 def test_a_lamp_is_offered_where_its_light_is_in_the_picture(scene, tmp_path, hide):
     """Against a render by Cycles in which nothing else shines."""
     background().inputs["Strength"].default_value = 0.0
@@ -968,6 +1014,7 @@ def test_a_lamp_is_offered_where_its_light_is_in_the_picture(scene, tmp_path, hi
     scene.render.filepath = str(tmp_path / "picture.exr")
     bpy.ops.render.render(write_still=True)
     is_lit = readers.read_exr(tmp_path / "picture.exr").max() > 0.0
+    assert is_lit == (hide in LIT)
     shining = [item.name for item in light_choice.emitters(scene, layer)]
     assert shining == (["lamp"] if is_lit else [])
     assert bool(light_choice.candidates(scene, layer)) == is_lit
