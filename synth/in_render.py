@@ -38,8 +38,8 @@ def rendered(
             left_out[holder] = _left_out(holder)
         if holder not in hidden and item not in left_out[holder]:
             found.setdefault(item, Counter())[holder] += 1
-    # What views hide is not evaluated, and renders show it all the same. Of instances of collections what they
-    # bring can be told; what nodes and particles would bring there cannot.
+    # What views hide is not evaluated, and renders show it all the same. Of instances of collections it can
+    # be told what they bring; of nodes and particles it cannot.
     for holder in holders:
         for item, times in Counter(_brought(holder)).items():
             if not found.setdefault(item, Counter())[holder]:

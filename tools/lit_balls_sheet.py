@@ -37,8 +37,6 @@ NAMES = {
 }
 #: Seconds, by level: what a photographer would choose.
 EXPOSURE = {0.25: 4.0, 1.0: 2.0, 4.0: 0.5}
-#: How much of a pixel the ball must cover to be compared.
-COVERED = 0.999
 
 
 def main() -> int:

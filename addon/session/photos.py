@@ -5,11 +5,11 @@ Its results are another program's, of another version perhaps: what is missing o
 over, and never fails.
 """
 
-import math
 import re
 from dataclasses import dataclass, replace
 from typing import Any
 
+from ...bridge.limits import is_number
 from .state import Photos, Prepared
 
 #: What options of the command are called in the panel: its errors and warnings name them as remedies.
@@ -84,7 +84,7 @@ def understood(photos: Photos, result: dict[str, Any]) -> Photos:
         photos,
         lines=_described(result) or _texts(result.get("lines")) or ("Photos were found",),
         warnings=(*_texts(result.get("warnings")), *_skipped(result.get("skipped"))),
-        seconds=float(seconds) if _is_number(seconds) else -1.0,
+        seconds=float(seconds) if is_number(seconds) else -1.0,
         problem=None,
     )
 
@@ -94,9 +94,9 @@ def prepared(result: dict[str, Any]) -> Prepared:
     folder = result.get("folder")
     placed, places, error = (result.get(name) for name in ("placed", "places", "reprojection_error"))
     told = []
-    if _is_number(placed) and _is_number(places):
+    if is_number(placed) and is_number(places):
         told.append(f"{placed} of {places} places found")
-    if _is_number(error):
+    if is_number(error):
         told.append(f"reprojection error {error:.2f} pixels")
     return Prepared(
         folder if isinstance(folder, str) else "", ", ".join(told), _texts(result.get("warnings"))
@@ -109,14 +109,14 @@ def _described(result: dict[str, Any]) -> tuple[str, ...]:
     photos, places, each = (found.get(name) for name in ("photos", "places", "per_place"))
     size, seconds, stops = (found.get(name) for name in ("size", "exposures", "stops"))
     told = []
-    if _is_number(photos):
+    if is_number(photos):
         is_size = isinstance(size, list) and len(size) == 2
         told.append(f"{photos} photos" + (f", {size[0]} × {size[1]}" if is_size else ""))
-    if _is_number(places):
-        told.append(f"{places} places" + (f", {each} photos each" if _is_number(each) and each > 1 else ""))
-    if isinstance(seconds, list) and seconds and all(_is_number(one) and one > 0 for one in seconds):
+    if is_number(places):
+        told.append(f"{places} places" + (f", {each} photos each" if is_number(each) and each > 1 else ""))
+    if isinstance(seconds, list) and seconds and all(is_number(one) and one > 0 for one in seconds):
         times = [_time(min(seconds)), _time(max(seconds))] if len(seconds) > 1 else [_time(seconds[0])]
-        over = f", {stops:.1f} stops" if _is_number(stops) and len(seconds) > 1 else ""
+        over = f", {stops:.1f} stops" if is_number(stops) and len(seconds) > 1 else ""
         told.append(f"{len(seconds)} exposure{'s' * (len(seconds) > 1)}: {' to '.join(times)}{over}")
     if told and isinstance(how := result.get("how"), str) and how:
         told.append(f"Found {how}")
@@ -140,7 +140,3 @@ def _skipped(listed: Any) -> tuple[str, ...]:
 def _texts(listed: Any) -> tuple[str, ...]:
     texts = [text for text in listed if isinstance(text, str)] if isinstance(listed, list) else []
     return tuple(map(in_panel_words, texts))
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

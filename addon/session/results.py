@@ -11,9 +11,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, TypeGuard
+from typing import Any
 
 from ...bridge.errors import PhysHDRError
+from ...bridge.limits import is_number
 from ...bridge.regular import read_json_object
 from ...bridge.run_folder import CHECKPOINT_FILE, EVALUATION_FILE, same_folder
 from .state import CHECK, INSTALL, State
@@ -158,7 +159,7 @@ def _read(path: Path, changed: int) -> tuple[tuple[Figure, ...], int, int] | Non
     iteration = conditions.get("iteration") if isinstance(conditions, dict) else 0
     views = content.get("views")
     count = len(views) if isinstance(views, list) else 0
-    return figures(content), count, int(iteration) if _is_number(iteration) else 0
+    return figures(content), count, int(iteration) if is_number(iteration) else 0
 
 
 def figures(content: dict[str, Any]) -> tuple[Figure, ...]:
@@ -167,15 +168,15 @@ def figures(content: dict[str, Any]) -> tuple[Figure, ...]:
     means = content.get("means")
     for name, what in ROWS:
         row = means.get(name) if isinstance(means, dict) else None
-        if isinstance(row, dict) and _is_number(row.get("psnr")):
+        if isinstance(row, dict) and is_number(row.get("psnr")):
             rows.append(Figure(what, in_words(row["psnr"]), _numbers(row)))
     relit = content.get("relit_means")
     everything = relit.get("all") if isinstance(relit, dict) else None
-    if isinstance(everything, dict) and _is_number(everything.get("ours")):
+    if isinstance(everything, dict) and is_number(everything.get("ours")):
         psnr = everything["ours"]
         rows.append(Figure("Other Light", in_words(psnr), f"PSNR {psnr:.1f} dB"))
     ratio = content.get("scale_ratio")
-    if _is_number(ratio) and ratio > 0.0:
+    if is_number(ratio) and ratio > 0.0:
         stops = math.log2(ratio)
         words = "as the true one" if abs(stops) < 0.05 else f"{stops:+.2f} stops from the true one"
         rows.append(Figure("Brightness", words, f"× {ratio:.3f}"))
@@ -189,14 +190,10 @@ def in_words(psnr: float) -> str:
 
 def _numbers(row: dict[str, Any]) -> str:
     told = [f"PSNR {row['psnr']:.1f} dB"]
-    told += [f"SSIM {row['ssim']:.3f}"] if _is_number(row.get("ssim")) else []
-    told += [f"LPIPS {row['lpips']:.3f}"] if _is_number(row.get("lpips")) else []
+    told += [f"SSIM {row['ssim']:.3f}"] if is_number(row.get("ssim")) else []
+    told += [f"LPIPS {row['lpips']:.3f}"] if is_number(row.get("lpips")) else []
     return ", ".join(told)
 
 
 def _data(data: str) -> list[str]:
     return ["--data", data] if data else []
-
-
-def _is_number(value: Any) -> TypeGuard[float]:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

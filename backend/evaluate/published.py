@@ -17,7 +17,7 @@ FIGURES_FILE = Path(__file__).with_name("published.csv")
 #: What the paper calls its own method.
 OURS = "Ours"
 METHOD = "PhysHDR-GS"
-MEAN, ABLATION = "mean", "ablation:"
+ABLATION = "ablation:"
 #: The file keeps the paper's LPIPS, which feeds 0…1 pictures.
 METRICS = {"psnr": "psnr", "ssim": "ssim", "lpips_01": "lpips"}
 

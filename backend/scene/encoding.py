@@ -10,7 +10,6 @@ such a picture says of exposure × radiance needs no learning, and the same curv
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
@@ -32,11 +31,6 @@ REACH = 2.0
 @dataclass(frozen=True)
 class Encoding(ABC):
     """One of ``CAMERA``, ``SRGB`` and ``LogEncoding(scale)``; equal ones compare equal."""
-
-    @property
-    @abstractmethod
-    def name(self) -> str:
-        """``camera``, ``srgb`` or ``log``: what files and reports call it."""
 
     @property
     def is_known(self) -> bool:
@@ -93,18 +87,10 @@ class Encoding(ABC):
         """Exposure × radiance, float64, of uint8 or uint16 codes."""
         return self.decode(codes / self.unit(codes.dtype))
 
-    def described(self) -> dict[str, Any]:
-        """As files have it; ``encoding_of`` is the way back."""
-        return {"name": self.name}
-
 
 @dataclass(frozen=True)
 class CameraEncoding(Encoding):
     """A response that nobody has told: it is learned."""
-
-    @property
-    def name(self) -> str:
-        return "camera"
 
     @property
     def is_known(self) -> bool:
@@ -130,10 +116,6 @@ class CameraEncoding(Encoding):
 @dataclass(frozen=True)
 class SrgbEncoding(Encoding):
     """Scene-linear pictures that clip at 1 (raw developments), encoded by the sRGB curve."""
-
-    @property
-    def name(self) -> str:
-        return "srgb"
 
     def encode(self, exposed: np.ndarray) -> np.ndarray:
         return srgb.to_srgb(np.asarray(exposed, np.float64).clip(0.0, 1.0))
@@ -171,10 +153,6 @@ class LogEncoding(Encoding):
             raise BadValueError(f"the scale of a logarithmic encoding must be above 0, got {self.scale:g}")
 
     @property
-    def name(self) -> str:
-        return "log"
-
-    @property
     def clips(self) -> bool:
         return False
 
@@ -198,9 +176,6 @@ class LogEncoding(Encoding):
     def __str__(self) -> str:
         return f"radiance, compared as ln(1 + {MU:g} x / {self.scale:.4g}) / ln({1.0 + MU:g})"
 
-    def described(self) -> dict[str, Any]:
-        return {"name": self.name, "scale": self.scale}
-
 
 def eight_bits(codes: np.ndarray) -> np.ndarray:
     """uint8 codes of uint8 or uint16 ones: the nearest."""
@@ -211,18 +186,3 @@ def eight_bits(codes: np.ndarray) -> np.ndarray:
 
 CAMERA = CameraEncoding()
 SRGB = SrgbEncoding()
-
-
-def encoding_of(described: Any) -> Encoding:
-    """The encoding that ``Encoding.described`` told of; raises ``BadValueError`` for anything else."""
-    match described:
-        case {"name": "camera"}:
-            return CAMERA
-        case {"name": "srgb"}:
-            return SRGB
-        case {"name": "log", "scale": int() | float() as scale} if not isinstance(scale, bool):
-            return LogEncoding(float(scale))
-    raise BadValueError(
-        f"{described!r:.80} is no encoding of pictures",
-        'Write {"name": "camera"}, {"name": "srgb"}, or {"name": "log", "scale": 1.0}.',
-    )

@@ -208,14 +208,10 @@ class Reduced:
         return self.reduction.mask(mask)
 
 
-def make_lenses(cameras: Mapping[Any, Any], scale: float) -> dict[Any, Lens]:
-    """A pinhole camera for each of pycolmap's, all with pictures of one size; raises as ``make_lens``."""
-    return _of_one_size({key: make_lens(camera, scale) for key, camera in cameras.items()})
-
-
 def lenses_by_size(cameras: Mapping[Any, Any], scale: float) -> dict[Any, Lens]:
-    """As ``make_lenses``, but of one size only where photos are and pictures differ by ``ALIKE`` at most.
+    """A pinhole camera for each of pycolmap's; raises as ``make_lens``.
 
+    Pictures are of one size where photos are, and pictures differ by ``ALIKE`` at most.
     So much do cameras differ that were found for each photo by itself.
     """
     lenses = {key: make_lens(camera, scale) for key, camera in cameras.items()}

@@ -215,6 +215,7 @@ def test_what_another_version_wrote_is_passed_over(tmp_path):
     assert results.figures({}) == ()
     assert results.figures({"means": [], "relit_means": 3, "scale_ratio": "x"}) == ()
     assert results.figures({"means": {"HDR": {"psnr": None}, "LDR-OE": {"psnr": float("nan")}}}) == ()
+    assert results.figures({"scale_ratio": 10**400}) == (), "no float holds it"
     (tmp_path / "checkpoint.safetensors").touch()
     (tmp_path / "evaluation.json").write_text("no json")
     assert results.evaluation_of(str(tmp_path)) is None

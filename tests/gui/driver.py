@@ -250,15 +250,6 @@ class Window:
             self._panels = sorted(known, key=lambda cls: cls.bl_parent_id != "PHYSHDR_PT_train")
         return self._panels
 
-    def scroll_panel(self, pixels: int = 2000) -> Iterator[float]:
-        """``yield from``: the lower end of the panel in sight."""
-        region = next(region for region in self.area.regions if region.type == "UI")
-        window = bpy.context.window_manager.windows[0]
-        with bpy.context.temp_override(window=window, area=self.area, region=region):
-            for _ in range(0, pixels, 120):
-                bpy.ops.view2d.scroll_down(deltay=120)
-        yield from self.redrawn()
-
     def clear_scene(self) -> None:
         for target in list(bpy.data.objects):
             bpy.data.objects.remove(target)

@@ -27,10 +27,6 @@ class Count:
     warp: int = 0
     bytes: int = 0
 
-    @property
-    def launches(self) -> int:
-        return self.torch + self.warp
-
 
 @contextmanager
 def counting() -> Iterator[Count]:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from physhdr.backend.scene.encoding import CAMERA, SRGB, LogEncoding, eight_bits, encoding_of
+from physhdr.backend.scene.encoding import CAMERA, SRGB, LogEncoding, eight_bits
 from physhdr.bridge.errors import BadValueError
 
 LOG = LogEncoding(3.0)
@@ -65,12 +65,7 @@ def test_linear_pictures_survive_their_16_bits():
     assert np.abs(SRGB.exposed(codes[:-1]) - linear).max() < 2e-5
 
 
-def test_files_name_an_encoding_and_it_is_found_again():
-    for encoding in (CAMERA, SRGB, LOG):
-        assert encoding_of(encoding.described()) == encoding
-    for wrong in (None, {"name": "log"}, {"name": "gamma"}, {"name": "log", "scale": True}, "srgb"):
-        with pytest.raises(BadValueError):
-            encoding_of(wrong)
+def test_a_scale_must_be_positive_and_a_camera_has_no_formula():
     with pytest.raises(BadValueError):
         LogEncoding(0.0)
     with pytest.raises(BadValueError):

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from physhdr.backend.scene.capture.data_set import quaternion
 from physhdr.backend.scene.capture.gravity import rotation_to_z, up_direction
-from physhdr.backend.scene.lens import make_lens, make_lenses
+from physhdr.backend.scene.lens import make_lens
 from physhdr.bridge.errors import BadValueError
 
 
@@ -62,14 +62,6 @@ def test_keypoints_go_where_the_lens_puts_them(room):
     in_photo = np.stack([room.FOCAL * x + room.CX, room.FOCAL * y + room.CY], axis=1)
     straight = rays * (lens.fx, lens.fy) + (lens.cx, lens.cy)
     np.testing.assert_allclose(lens.straightened(in_photo), straight, atol=1e-4)
-
-
-def test_several_cameras_give_pictures_of_one_size():
-    wide = pycolmap.Camera(model="PINHOLE", width=60, height=40, params=[50, 50, 30, 20])
-    lens = pycolmap.Camera(model="SIMPLE_RADIAL", width=60, height=40, params=[50, 30, 20, 0.2])
-    lenses = make_lenses({3: wide, 7: lens}, 1.0)
-    assert lenses[3].width == lenses[7].width < 60 and lenses[3].height == lenses[7].height
-    assert lenses[3].cx == pytest.approx(30 - (60 - lenses[3].width) / 2)
 
 
 def test_a_lens_beyond_belief_is_refused():
