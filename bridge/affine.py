@@ -72,3 +72,9 @@ def quaternions_of(rotations: np.ndarray) -> np.ndarray:
     best = np.argmax(np.einsum("nii->ni", outer), axis=1)
     quaternions = outer[np.arange(len(outer)), best]
     return quaternions / np.linalg.norm(quaternions, axis=1, keepdims=True)
+
+
+def quaternion_of(rotation: np.ndarray) -> np.ndarray:
+    """The unit quaternion wxyz, w ≥ 0, of a rotation ``[3, 3]``."""
+    quaternion = quaternions_of(np.asarray(rotation, np.float64)[None])[0]
+    return quaternion if quaternion[0] >= 0.0 else -quaternion

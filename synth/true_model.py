@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..bridge.affine import quaternion_of
 from . import folder
 from .capture import Place
 from .lens import COEFFICIENTS, Lens
@@ -53,7 +54,7 @@ def write(root: Path, lens: Lens, views: Sequence[tuple[str, Place, Seen]]) -> N
     for image, (name, place, points_seen) in enumerate(views, 1):
         turn = (place.pose[:3, :3] * AXES).T
         shift = -turn @ place.pose[:3, 3]
-        images.append(f"{image} {_spaced([*_quaternion(turn), *shift])} 1 {name}")
+        images.append(f"{image} {_spaced([*quaternion_of(turn), *shift])} 1 {name}")
         entries = []
         for k in range(len(points_seen.pixels)):
             number += 1
@@ -68,21 +69,3 @@ def write(root: Path, lens: Lens, views: Sequence[tuple[str, Place, Seen]]) -> N
 
 def _spaced(values: Sequence[float] | np.ndarray) -> str:
     return " ".join(repr(float(value)) for value in values)
-
-
-def _quaternion(turn: np.ndarray) -> list[float]:
-    """w, x, y, z of a rotation [3, 3], by the largest of the four, which is never near 0."""
-    xx, yy, zz = np.diag(turn)
-    squares = np.array([1 + xx + yy + zz, 1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz])
-    largest = int(squares.argmax())
-    differences = turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]
-    xy, xz, yz = turn[0, 1] + turn[1, 0], turn[0, 2] + turn[2, 0], turn[1, 2] + turn[2, 1]
-    rows = np.array(
-        [
-            [squares[0], *differences],
-            [differences[0], squares[1], xy, xz],
-            [differences[1], xy, squares[2], yz],
-            [differences[2], xz, yz, squares[3]],
-        ]
-    )
-    return (rows[largest] / np.linalg.norm(rows[largest])).tolist()

@@ -25,6 +25,7 @@ from PIL import Image
 
 from ...bridge import confidence, splatting
 from ...bridge import spherical_harmonics as sh
+from ...bridge.affine import quaternion_of
 from ...bridge.atomic import atomic_path
 from ...bridge.errors import BadValueError, OutputError
 from ...bridge.limits import EV_MAX
@@ -307,23 +308,9 @@ def _row(view: WebView) -> dict[str, Any]:
     return {
         "name": view.name,
         "eye": [float(f"{value:.8g}") for value in camera.position],
-        "turn": [round(float(value), 8) for value in _quaternion(camera.camera_to_world[:3, :3])],
+        "turn": [round(float(value), 8) for value in quaternion_of(camera.camera_to_world[:3, :3])],
         "lens": [camera.fx / w, camera.fy / h, camera.cx / w, camera.cy / h, w / h],
     }
-
-
-def _quaternion(rotation: np.ndarray) -> np.ndarray:
-    """wxyz of a rotation matrix: the eigenvector of Bar-Itzhack's matrix, which needs no cases."""
-    (a, b, c), (d, e, f), (g, h, i) = rotation
-    K = np.array(
-        [
-            [a + e + i, h - f, c - g, d - b],
-            [h - f, a - e - i, b + d, c + g],
-            [c - g, b + d, e - a - i, f + h],
-            [d - b, c + g, f + h, i - a - e],
-        ]
-    )
-    return np.linalg.eigh(K)[1][:, -1]
 
 
 def _up_of(cameras: Sequence[Camera]) -> np.ndarray:

@@ -23,6 +23,7 @@ import numpy as np
 from filelock import FileLock
 from PIL import Image
 
+from ....bridge.affine import quaternion_of
 from ....bridge.atomic import patiently
 from ....bridge.data_set import CAPTURE_FILE, EXPOSURE_FILE
 from ....bridge.errors import OutputError
@@ -281,27 +282,8 @@ def _write_sparse(
 
 
 def _write_image(file: BinaryIO, image_id: int, pose: RegisteredPose, name: str, lens: Lens) -> None:
-    file.write(struct.pack("<i7d", image_id, *quaternion(pose.rotation), *pose.translation))
+    file.write(struct.pack("<i7d", image_id, *quaternion_of(pose.rotation), *pose.translation))
     file.write(struct.pack("<i", pose.camera) + name.encode() + b"\0")
     entries = np.empty(len(pose.points), np.dtype([("xy", "<f8", 2), ("point", "<i8")]))
     entries["xy"], entries["point"] = lens.straightened(pose.keypoints), pose.points + 1
     file.write(struct.pack("<Q", len(entries)) + entries.tobytes())
-
-
-def quaternion(rotation: np.ndarray) -> np.ndarray:
-    """The unit quaternion wxyz, w ≥ 0, of ``[3, 3]``.
-
-    It is the eigenvector of the largest eigenvalue of Bar-Itzhack's symmetric matrix ("New method for
-    extracting the quaternion from a rotation matrix", 2000), which has no special cases.
-    """
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rotation
-    matrix = np.array(
-        [
-            [xx + yy + zz, zy - yz, xz - zx, yx - xy],
-            [zy - yz, xx - yy - zz, xy + yx, xz + zx],
-            [xz - zx, xy + yx, yy - xx - zz, yz + zy],
-            [yx - xy, xz + zx, yz + zy, zz - xx - yy],
-        ]
-    )
-    wxyz = np.linalg.eigh(matrix)[1][:, -1]
-    return wxyz if wxyz[0] >= 0.0 else -wxyz

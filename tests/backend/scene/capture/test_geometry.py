@@ -6,9 +6,9 @@ import pycolmap
 import pytest
 from scipy.spatial.transform import Rotation
 
-from physhdr.backend.scene.capture.data_set import quaternion
 from physhdr.backend.scene.capture.gravity import rotation_to_z, up_direction
 from physhdr.backend.scene.lens import make_lens
+from physhdr.bridge.affine import quaternion_of
 from physhdr.bridge.errors import BadValueError
 
 
@@ -97,6 +97,6 @@ def test_rotation_to_z(up):
 
 def test_quaternions_are_scipys():
     for rotation in (*Rotation.random(50, random_state=3), Rotation.from_euler("z", np.pi)):
-        wxyz = quaternion(rotation.as_matrix())
+        wxyz = quaternion_of(rotation.as_matrix())
         np.testing.assert_allclose(abs(wxyz @ np.roll(rotation.as_quat(), 1)), 1.0, atol=1e-12)
         assert wxyz[0] >= 0.0
