@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from typing import Any, Protocol, cast
 
 import bpy
+import mathutils
 
 
 class Drawn(Protocol):
@@ -36,6 +37,53 @@ def takes_objects(collection: bpy.types.Collection) -> bool:
 def collection_beside(item: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.Collection:
     """Where what belongs to an object goes: into a collection of its own that takes it, else the scene's."""
     return next(filter(takes_objects, item.users_collection), scene.collection)
+
+
+def world_of(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph | None = None) -> mathutils.Matrix:
+    """Where an object stands: its ``matrix_world``, or with ``depsgraph`` that of a frame being drawn.
+
+    Blender computes it for what views could show. Of an object whose monitor icon is off, or whose collection
+    is off or excluded, it keeps what was last, and after loading a file nothing: then it is taken from the
+    object's transform and its parents'. Keyframes, drivers and constraints of such an object are not known.
+    """
+    original: Any = item.original  # never None, whatever its type says
+    if depsgraph is not None and depsgraph.mode == "RENDER":
+        return _evaluated(item, depsgraph).matrix_world.copy()
+    layer = depsgraph.view_layer if depsgraph is not None else bpy.context.view_layer
+    if layer is not None and _is_computed(original, layer):
+        return (_evaluated(item, depsgraph) if depsgraph is not None else item).matrix_world.copy()
+    if original.parent is None:
+        return original.matrix_basis.copy()
+    if original.parent_type != "OBJECT":  # of bones and vertices nothing is known without the armature's pose
+        return original.matrix_world.copy()
+    return world_of(original.parent, depsgraph) @ original.matrix_parent_inverse @ original.matrix_basis
+
+
+def put_at(item: bpy.types.Object, matrix: mathutils.Matrix) -> None:
+    """Let an object stand at ``matrix``, below a parent that views do not show, too."""
+    if item.parent is None or item.parent_type != "OBJECT":
+        item.matrix_world = matrix
+    else:
+        item.matrix_basis = (world_of(item.parent) @ item.matrix_parent_inverse).inverted() @ matrix
+
+
+def _evaluated(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bpy.types.Object:
+    """What an evaluated modifier names is evaluated already."""
+    return item if item.is_evaluated else item.evaluated_get(depsgraph)
+
+
+def _is_computed(item: bpy.types.Object, layer: bpy.types.ViewLayer) -> bool:
+    """Whether Blender computes where an object stands; the eye hides it from sight alone."""
+    return not item.hide_viewport and not set(item.users_collection).isdisjoint(_on(layer.layer_collection))
+
+
+def _on(part: bpy.types.LayerCollection) -> Iterator[bpy.types.Collection]:
+    """The collections whose objects views could show."""
+    if not part.collection.hide_viewport:
+        if not part.exclude:
+            yield part.collection
+        for child in part.children:
+            yield from _on(child)
 
 
 def curve_of(target: bpy.types.Object, path: str) -> Any:

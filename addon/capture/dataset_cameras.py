@@ -21,7 +21,7 @@ from ...bridge.blend_file import SPLIT
 from ...bridge.camera_list import read_learned_poses
 from ...bridge.errors import DataMismatchError, FileMissingError
 from ...bridge.run_folder import CAMERAS_FILE
-from ..blender import cloud_of, render_size, takes_objects
+from ..blender import cloud_of, render_size, takes_objects, world_of
 from ..model.attributes import CAPTURE, FILE
 from ..rendering.render import CLIP_END, CLIP_START, to_matrix
 from . import placement, similarity
@@ -61,7 +61,7 @@ def import_cameras(scene: bpy.types.Scene, target: bpy.types.Object, folder: Pat
     found = read_frames(folder or _folder_of(target))
     learned = _learned(target)
     bpy.context.view_layer.update()
-    stands = np.array(target.matrix_world, np.float64)
+    stands = np.array(world_of(target), np.float64)
     scale = similarity.scale_of(stands)
     there = {camera[FRAME]: camera for camera in reversed([*placement.cameras_of(scene, capture)])}
     frames = [_placed(frame, learned) for frame in found.frames]

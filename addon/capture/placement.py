@@ -15,7 +15,7 @@ import bpy
 import numpy as np
 
 from ...bridge.run_folder import data_of as data_of_run
-from ..blender import cloud_of
+from ..blender import cloud_of, put_at, world_of
 from ..model.attributes import CAPTURE, FILE
 from ..model.look import models_among
 from ..rendering.render import to_matrix
@@ -94,10 +94,10 @@ def move(scene: bpy.types.Scene, target: bpy.types.Object, change: np.ndarray) -
     target's own matrix is no similarity, before anything is moved.
     """
     bpy.context.view_layer.update()  # what a script has just set is in no matrix yet
-    capture, now = capture_of(target), np.array(target.matrix_world, np.float64)
+    capture, now = capture_of(target), np.array(world_of(target), np.float64)
     similarity.scale_of(now)
     kept = remembered(scene, capture, now)
-    wanted = {each: change @ np.array(each.matrix_world) for each in models_of(scene, capture)}
+    wanted = {each: change @ np.array(world_of(each)) for each in models_of(scene, capture)}
     _put(wanted | _cameras_after(scene, capture, change))
     kept.matrix = (change @ now).reshape(-1)
     return kept
@@ -133,7 +133,7 @@ def _cameras_after(
 ) -> dict[bpy.types.Object, np.ndarray]:
     """``[4, 4]``: where the cameras of a capture are after ``change``."""
     cameras = cameras_of(scene, capture)
-    return {each: without_scale(change @ np.array(each.matrix_world, np.float64)) for each in cameras}
+    return {each: without_scale(change @ np.array(world_of(each), np.float64)) for each in cameras}
 
 
 def without_scale(matrix: np.ndarray) -> np.ndarray:
@@ -150,7 +150,7 @@ def _put(wanted: dict[bpy.types.Object, np.ndarray]) -> None:
         by_depth.setdefault(_depth(each), []).append(each)
     for depth in sorted(by_depth):
         for each in by_depth[depth]:
-            each.matrix_world = to_matrix(wanted[each])
+            put_at(each, to_matrix(wanted[each]))
         bpy.context.view_layer.update()
 
 

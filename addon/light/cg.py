@@ -25,7 +25,7 @@ from mathutils import Vector
 from ...bridge.affine import matrices_of
 from ...bridge.blend_file import CG
 from ...bridge.errors import DataMismatchError, FileMissingError
-from ..blender import cloud_of, takes_objects
+from ..blender import cloud_of, takes_objects, world_of
 from ..capture.picking import surface_along_ray
 from ..model.attributes import BASE, POSITION, ROTATION, SCALE
 from ..model.look import file_has_model, is_model
@@ -361,7 +361,7 @@ def floor_below(scene: bpy.types.Scene, place: Vector) -> float | None:
     for model in scene.objects:
         if not is_model(model) or not model.visible_get():
             continue
-        to_world = np.array(model.matrix_world, np.float64)
+        to_world = np.array(world_of(model), np.float64)
         to_model = np.linalg.inv(to_world)
         start = np.array([place.x, place.y, place.z + ABOVE, 1.0])
         down = to_model[:3, :3] @ np.array([0.0, 0.0, -1.0])
@@ -381,7 +381,7 @@ def floor_thickness(models: list[bpy.types.Object], place: Vector, radius: float
         if not is_model(model):
             continue
         position, rotation, deviations, opacity = _shape(model)
-        to_world = np.array(model.matrix_world, np.float64)
+        to_world = np.array(world_of(model), np.float64)
         offset = position @ to_world[:3, :3].T + to_world[:3, 3] - np.array(place)
         lying = np.abs(offset[:, 2]) <= THICKEST / 3.0
         chosen = lying & (np.hypot(offset[:, 0], offset[:, 1]) <= radius)

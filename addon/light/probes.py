@@ -16,7 +16,7 @@ import numpy as np
 
 from ...bridge.blend_file import PROBE
 from ...bridge.probe import Probe
-from ..blender import collection_beside
+from ..blender import collection_beside, world_of
 from ..capture.similarity import scale_of
 from ..model.look import is_model
 from ..rendering.render import to_matrix
@@ -58,7 +58,7 @@ def into_model(model: bpy.types.Object, place: Place) -> Place:
     Raises ``DataMismatchError`` where the model is sheared, mirrored or scaled differently along its axes:
     directions would not only turn.
     """
-    to_world = np.array(model.matrix_world, np.float64)
+    to_world = np.array(world_of(model), np.float64)
     scale_of(to_world)
     x, y, z = (np.linalg.inv(to_world) @ np.array([*place, 1.0]))[:3]
     return float(x), float(y), float(z)
@@ -66,7 +66,7 @@ def into_model(model: bpy.types.Object, place: Place) -> Place:
 
 def in_world(model: bpy.types.Object, there: Place) -> Place:
     """Where a place of the model's own space is in the world."""
-    x, y, z = (np.array(model.matrix_world, np.float64) @ np.array([*there, 1.0]))[:3]
+    x, y, z = (np.array(world_of(model), np.float64) @ np.array([*there, 1.0]))[:3]
     return x, y, z
 
 
@@ -81,10 +81,10 @@ def has_moved(probe: bpy.types.Object) -> bool:
     model = probe.get(MODEL)
     if not isinstance(model, bpy.types.Object) or not is_model(model):
         return False
-    to_world = np.array(model.matrix_world)
+    to_world = np.array(world_of(model))
     if not np.linalg.det(to_world):  # flat: a place of the world is at none of the model's
         return False
-    x, y, z = (np.linalg.inv(to_world) @ np.array([*probe.matrix_world.translation, 1.0]))[:3]
+    x, y, z = (np.linalg.inv(to_world) @ np.array([*world_of(probe).translation, 1.0]))[:3]
     return not is_at(probe, (x, y, z))
 
 
@@ -99,7 +99,7 @@ def new_probe(scene: bpy.types.Scene, model: bpy.types.Object, place: Place) -> 
     probe.empty_display_type, probe.empty_display_size = "SPHERE", SIZE
     collection_beside(model, scene).objects.link(probe)
     probe.parent = model
-    scale = scale_of(np.array(model.matrix_world))
+    scale = scale_of(np.array(world_of(model)))
     probe.matrix_local = to_matrix(np.diag([1.0 / scale] * 3 + [1.0]))
     probe.location = into_model(model, place)
     return probe

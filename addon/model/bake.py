@@ -18,7 +18,7 @@ from ...bridge.display import FITTED_COMMENT, Tone, display_colour_sh, look_comm
 from ...bridge.gaussian_ply import write_standard_ply
 from ...bridge.model_file import SPACE, WORLD, Model
 from ...bridge.spherical_harmonics import coefficient_count
-from ..blender import cloud_of
+from ..blender import cloud_of, world_of
 from .look import Look, kept_of
 from .point_cloud import model_of
 from .save_model import subset
@@ -48,7 +48,7 @@ def bake(target: bpy.types.Object, path: Path, look: Look, tone: Tone, apply_tra
     ``baked_model`` raises, and ``OutputError``.
     """
     model = baked_model(target, look)
-    to_world = np.array(target.matrix_world) if apply_transform else np.eye(4)
+    to_world = np.array(world_of(target)) if apply_transform else np.eye(4)
     shape = moved(model, to_world)  # refuses a map that flattens, before colours are looked at through it
     linear = None if np.array_equal(to_world, np.eye(4)) else to_world[:3, :3]
     colours = display_colour_sh(model, look.exposure, look.lighting_levels, tone, linear)

@@ -18,7 +18,7 @@ import numpy as np
 from ...bridge.errors import PhysHDRError
 from ...bridge.run_folder import same_folder
 from ...bridge.spherical_harmonics import MAX_DEGREE
-from ..blender import cloud_of
+from ..blender import cloud_of, world_of
 from . import nodes
 from .attributes import BASE, CAMERA_DISTANCE, CONFIDENCE, FILE, IDENTITY, POSITION, SCALE, Attribute
 from .cleaning import ALL, Cleaning, RenderCamera, kept
@@ -154,12 +154,7 @@ def _cleaning(
         other = values.get(label)
         if other is None:
             return None
-        this = target
-        if depsgraph is not None:
-            this = target.evaluated_get(depsgraph)
-            # What an evaluated modifier names is evaluated already.
-            other = other if other.is_evaluated else other.evaluated_get(depsgraph)
-        return this.matrix_world.inverted_safe() @ other.matrix_world
+        return world_of(target, depsgraph).inverted_safe() @ world_of(other, depsgraph)
 
     crop = None
     if value(nodes.CROP, False) and (box := relative(nodes.CROP_BOX)) and box.determinant() != 0.0:

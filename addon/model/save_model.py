@@ -16,7 +16,7 @@ from ...bridge.affine import transform_gaussians
 from ...bridge.errors import BadValueError, PhysHDRError
 from ...bridge.model_file import SPACE, SUFFIX, WORLD, Model, write_model
 from ...bridge.spherical_harmonics import rotated
-from ..blender import add_entry, cloud_of, layout_of, remove_entry
+from ..blender import add_entry, cloud_of, layout_of, remove_entry, world_of
 from ..capture.similarity import scale_of
 from .attributes import FILE
 from .cleaning import Cleaning
@@ -66,7 +66,7 @@ def edited_model(
         model = subset(model, keep)
         if hidden := len(keep) - int(keep.sum()):
             told.append(f"{hidden} of {len(keep)} Gaussians left out")
-    matrix = np.array(target.matrix_world, np.float64)
+    matrix = np.array(world_of(target), np.float64)
     metadata = dict(model.metadata)
     if apply_transform and not np.array_equal(matrix, np.eye(4)):
         model = transformed(model, matrix)

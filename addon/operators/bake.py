@@ -17,7 +17,7 @@ from ...bridge.errors import BadValueError, PhysHDRError
 from ...bridge.model_file import SUFFIX, Model, write_model
 from ...bridge.run_folder import VIEWS_FILE
 from ...bridge.splat_files import read_splat_file
-from ..blender import add_entry, cloud_of, layout_of, remove_entry
+from ..blender import add_entry, cloud_of, layout_of, remove_entry, world_of
 from ..capture.placement import data_of
 from ..model.attributes import FILE
 from ..model.bake import bake, baked_model, moved, write_fitted
@@ -152,7 +152,7 @@ class PHYSHDR_OT_model_bake(bpy.types.Operator, ExportHelper):
         model = baked_model(target, look)
         if tone == "LEARNED" and model.tone_curve is None:
             raise BadValueError("the model has no learned tone mapper", "Bake it with the sRGB curve.")
-        to_world = np.array(target.matrix_world) if self.apply_transform else np.eye(4)
+        to_world = np.array(world_of(target)) if self.apply_transform else np.eye(4)
         moved(model, to_world)  # refuses what cannot be written before half a minute is spent on it
         folder = Path(tempfile.mkdtemp(prefix="physhdr_bake_", dir=bpy.app.tempdir))
         baking = Baking(folder, model, look, tone, to_world, path)

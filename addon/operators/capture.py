@@ -15,7 +15,7 @@ from bpy_extras import view3d_utils
 from gpu_extras.batch import batch_for_shader
 
 from ...bridge.errors import BadValueError, FileMissingError, PhysHDRError
-from ..blender import cloud_of, layout_of
+from ..blender import cloud_of, layout_of, world_of
 from ..capture import placement, similarity
 from ..capture.captures import camera_places
 from ..capture.picking import surface_along_ray
@@ -152,7 +152,7 @@ def above_floor(target: bpy.types.Object) -> np.ndarray:
         places = None
     if places is None:
         places = read_arrays(cloud_of(target)).position.astype(np.float64)
-    return similarity.apply(np.array(target.matrix_world), np.median(places, axis=0)[None])[0]
+    return similarity.apply(np.array(world_of(target)), np.median(places, axis=0)[None])[0]
 
 
 class PHYSHDR_OT_capture_height(_OnCapture):
@@ -232,7 +232,7 @@ def camera_heights(context: bpy.types.Context, target: bpy.types.Object) -> np.n
             "Select a camera that stands where one of the photos was taken, with the model.",
         )
     context.view_layer.update()
-    return similarity.apply(np.array(target.matrix_world), camera_places(folder))[:, 2]
+    return similarity.apply(np.array(world_of(target)), camera_places(folder))[:, 2]
 
 
 class PHYSHDR_OT_capture_reset(_OnCapture):
@@ -280,7 +280,7 @@ class PHYSHDR_OT_points_pick(bpy.types.Operator):
             self.report({"ERROR"}, f"{target.name} has lost what it is drawn by: import it again")
             return {"CANCELLED"}
         try:
-            similarity.scale_of(np.array(target.matrix_world, np.float64))
+            similarity.scale_of(np.array(world_of(target), np.float64))
         except PhysHDRError as error:  # nothing could be done with the points
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
@@ -322,7 +322,7 @@ class PHYSHDR_OT_points_pick(bpy.types.Operator):
             return
         origin = np.array(view3d_utils.region_2d_to_origin_3d(region, view, at), np.float64)
         direction = np.array(view3d_utils.region_2d_to_vector_3d(region, view, at), np.float64)
-        point = surface_point(np.array(target.matrix_world, np.float64), self._arrays, origin, direction)
+        point = surface_point(np.array(world_of(target), np.float64), self._arrays, origin, direction)
         if point is None:
             self.report({"WARNING"}, "There is nothing of the model under the mouse")
         else:

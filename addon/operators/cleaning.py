@@ -10,7 +10,7 @@ import mathutils
 import numpy as np
 
 from ...bridge.errors import BadValueError, DataMismatchError, FileMissingError, PhysHDRError
-from ..blender import add_entry, cloud_of, collection_beside, curves_of, layout_of, remove_entry
+from ..blender import add_entry, cloud_of, collection_beside, curves_of, layout_of, remove_entry, world_of
 from ..capture import placement, similarity
 from ..capture.captures import camera_places
 from ..model import nodes
@@ -112,7 +112,7 @@ class PHYSHDR_OT_cleaning_select(_OnModel):
         if self.by == "ELONGATION":
             return elongation_of(read_attribute(cloud, SCALE.name)) > self.limit
         if self.by == "DISTANCE":
-            cursor = np.array(target.matrix_world.inverted_safe() @ context.scene.cursor.location)
+            cursor = np.array(world_of(target).inverted_safe() @ context.scene.cursor.location)
             offset = read_attribute(cloud, POSITION.name) - cursor
             return np.linalg.norm(offset, axis=1) > self.limit
         if self.by == "PHOTOS":
@@ -134,7 +134,7 @@ class PHYSHDR_OT_cleaning_select(_OnModel):
                 raise BadValueError(
                     "the model has no crop box", "Add one in Clean, or choose an object there."
                 )
-            to_box = box.matrix_world.inverted_safe() @ target.matrix_world
+            to_box = world_of(box).inverted_safe() @ world_of(target)
             flat = tuple(number for row in to_box for number in row)
             keep_outside = bool(nodes.get_input(modifier, nodes.KEEP_OUTSIDE))
             cleaning = replace(ALL, crop=flat, keep_outside=keep_outside)
@@ -220,7 +220,7 @@ class PHYSHDR_OT_cleaning_box(_OnModel):
         collection_beside(target, context.scene).objects.link(box)
         inside = mathutils.Matrix.Translation((low + high) / 2.0)
         inside @= mathutils.Matrix.Diagonal((*np.maximum((high - low) / 2.0, 1e-3), 1.0))
-        box.matrix_world = target.matrix_world @ inside
+        box.matrix_world = world_of(target) @ inside
         nodes.set_input(modifier, nodes.CROP_BOX, box)
         nodes.set_input(modifier, nodes.CROP, True)
         context.view_layer.update()
@@ -260,7 +260,7 @@ def measured(context: bpy.types.Context, target: bpy.types.Object) -> np.ndarray
     folder = placement.data_of(target)
     if selected:
         places = np.array([each.matrix_world.translation for each in selected], np.float64)
-        places = similarity.apply(np.linalg.inv(np.array(target.matrix_world, np.float64)), places)
+        places = similarity.apply(np.linalg.inv(np.array(world_of(target), np.float64)), places)
     elif folder is not None:
         places = camera_places(folder)
     else:

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...bridge.errors import BadValueError
 from ...bridge.shots import Shot, Shots
-from ..blender import render_size
+from ..blender import render_size, world_of
 from ..capture import placement, similarity
 from ..model.look import look_of
 from ..model.point_cloud import photographed_ev_of
@@ -92,7 +92,7 @@ def _shot(
         to_world = placement.matrix_of(scene, capture)
         ev, levels = settings.exposure_ev - settings.photographed_ev, preview_levels(settings, lights)
     else:
-        to_world = np.array(target.evaluated_get(depsgraph).matrix_world, np.float64)
+        to_world = np.array(world_of(target, depsgraph), np.float64)
         look = look_of(target, depsgraph)
         ev, levels = look.exposure_ev - photographed_ev_of(target), look.lighting_levels
     similarity.scale_of(to_world)  # in a mirrored or sheared capture no camera sees what this one sees
