@@ -28,6 +28,11 @@ class Renderer(Protocol):
         """Whether a lighting level does more than scale."""
         return True
 
+    @property
+    def learns_response(self) -> bool:
+        """Whether ``response_curve``, where it is known, was learned: given ones are not checked."""
+        return True
+
     def hdr(self, camera: Camera, lighting_level: Levels = 1.0) -> torch.Tensor:
         """``[3, H, W]`` scene-linear radiance at ``lighting_level``: the first light's, or one a light."""
         ...

@@ -23,6 +23,7 @@ from ..scene.encoding import eight_bits
 from ..scene.scene import Scene
 from . import truth
 from .metrics import resize_to
+from .renderer import Renderer
 from .results import VIEWS_OF, ResponseCheck
 
 #: Pixels are gathered in bins of this many stops between these ends; a bin counts with this many values.
@@ -43,16 +44,16 @@ class Curve:
     code: np.ndarray
 
 
-def learned_response(method: Any) -> Curve | None:
+def learned_response(method: Renderer) -> Curve | None:
     """The curve that ``method.response_curve()`` gives, (ln(exposure × radiance) ``[M]``, LDR ``[M, 3]``).
 
     None where the method has none, or did not learn it.
     Raises ``BadValueError`` for other shapes, NaN, or exposures that fall.
     """
-    given = method.response_curve() if getattr(method, "learns_response", True) else None
+    given = method.response_curve() if method.learns_response else None
     if given is None:
         return None
-    log_exposure, code = (np.asarray(_plain(part), np.float64) for part in given)
+    log_exposure, code = (part.detach().cpu().double().numpy() for part in given)
     sound = code.shape == (len(log_exposure), 3) and len(code) > 1 and (np.diff(log_exposure) > 0).all()
     if not sound or not (np.isfinite(code).all() and np.isfinite(log_exposure).all()):
         raise BadValueError(
@@ -62,17 +63,14 @@ def learned_response(method: Any) -> Curve | None:
     return Curve(np.exp(log_exposure), code)
 
 
-def _plain(part: Any) -> Any:
-    return part.detach().cpu().numpy() if hasattr(part, "detach") else part
-
-
 # ---- the true response -------------------------------------------------------------------------------
 
 
 def stated_response(info: dict[str, Any]) -> Callable[[np.ndarray], np.ndarray] | None:
     """The curve that ``dataset.json`` states by a formula or by its points; None where it does not.
 
-    A camera model with faults of its own (noise, white balance, local response) leaves it for what it is.
+    Noise, white balance, vignetting and exposures that are off leave it for what it is; of a camera with a
+    local response it is not all (``true_response``).
     Raises ``BadValueError`` for a curve that is not pairs of numbers whose first rises.
     """
     match info.get("response"):
@@ -145,8 +143,14 @@ def _medians(counts: np.ndarray) -> np.ndarray:
 
 
 def true_response(scene: Scene, learned: Curve, split: str = TEST) -> Curve | None:
-    """The stated response at the learned curve's exposures, else the one that ``split`` shows, else None."""
-    stated = None if scene.info.get("camera_model") else stated_response(scene.info)
+    """The stated response at the learned curve's exposures, else the one that ``split`` shows, else None.
+
+    A camera's local response depends on the pixels around: what one curve can be of it, its pictures show.
+    Other faults of a camera are no part of the response, but of its pictures, which would show both as one.
+    """
+    camera = scene.info.get("camera_model")
+    is_local = isinstance(camera, dict) and bool(camera.get("local_response"))
+    stated = None if is_local else stated_response(scene.info)
     if stated is None:
         return measured_response(scene, split)
     return Curve(learned.exposure, np.repeat(stated(learned.exposure)[:, None], 3, axis=1))

@@ -12,6 +12,7 @@ import pytest
 import torch
 from PIL import Image
 
+from physhdr.backend.evaluate.renderer import Renderer
 from physhdr.backend.evaluate.response import (
     Curve,
     check_response,
@@ -22,13 +23,26 @@ from physhdr.backend.evaluate.response import (
     write_response_figure,
 )
 from physhdr.backend.optional import PackageMissingError
-from physhdr.backend.scene import read_scene
+from physhdr.backend.scene import Camera, read_scene
 from physhdr.bridge.errors import BadValueError
+from physhdr.bridge.lights import Levels
 
 LOG_EXPOSURE = np.linspace(-8.0, 5.0, 400)
 
 
-class Learned:
+class Blind(Renderer):
+    """Shows nothing: its response alone is asked for."""
+
+    lights = ("ambient",)
+
+    def hdr(self, camera: Camera, lighting_level: Levels = 1.0) -> torch.Tensor:
+        raise AssertionError
+
+    def ldr(self, camera: Camera, exposure: float, lighting_level: Levels = 1.0) -> torch.Tensor:
+        raise AssertionError
+
+
+class Learned(Blind):
     """A method whose response is the small data set's, stretched by ``scale`` along its axis."""
 
     def __init__(self, small: ModuleType, scale: float = 1.0, ripple: float = 0.0) -> None:
@@ -95,13 +109,36 @@ def test_where_the_true_response_comes_from(small: ModuleType, data_set: Path) -
     assert stated is not None and stated.exposure is learned.exposure
     path = data_set / "dataset.json"
     info = json.loads(path.read_text())
-    path.write_text(json.dumps(info | {"camera_model": {"vignetting": 0.3}}))  # the formula is not all of it
+    path.write_text(
+        json.dumps(info | {"camera_model": {"local_response": 0.7}})
+    )  # one curve is not all of it
     measured = true_response(read_scene(data_set), learned)
     assert measured is not None and len(measured.exposure) < 130
     shutil.rmtree(data_set / "test_hdr")
     assert true_response(read_scene(data_set), learned) is None
     check = check_response(learned, None)
     assert check.scale is None and check.is_monotonic and "not known" in str(check)
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        {"vignetting": 1.0},
+        {"iso": 25600.0, "sensor": {"saturation": 4.0}, "held_out": "nothing drawn"},
+        {"white_balance_jitter": 0.1, "exposure_jitter": 0.1},
+    ],
+)
+def test_faults_before_the_response_are_no_error_of_it(camera, small: ModuleType, data_set: Path) -> None:
+    """The right curve, learned of pictures whose corners are three stops darker than their radiance."""
+    path = data_set / "dataset.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"camera_model": camera}))
+    for view in read_scene(data_set).test:
+        for k, exposure in enumerate(view.exposures):
+            light = small.radiance(view.index) * exposure
+            light[::2] *= 2.0**-3
+            Image.fromarray(small.to_8_bit(small.response(light))).save(view.sources[k].path)
+    check = check_of(Learned(small), data_set)
+    assert check.largest_error == pytest.approx(0.0, abs=1e-6)
 
 
 def test_stated_responses() -> None:
@@ -132,13 +169,13 @@ def test_stated_curves_that_are_none(points) -> None:
 @pytest.mark.parametrize(
     "curve",
     [
-        (np.zeros(3), np.zeros((3, 3))),
-        (np.arange(3.0), np.zeros((3, 1))),
-        (np.arange(3.0), np.full((3, 3), np.nan)),
+        (torch.zeros(3), torch.zeros(3, 3)),
+        (torch.arange(3.0), torch.zeros(3, 1)),
+        (torch.arange(3.0), torch.full((3, 3), torch.nan)),
     ],
 )
 def test_curves_that_are_none(curve) -> None:
-    class Wrong:
+    class Wrong(Blind):
         def response_curve(self):
             return curve
 
@@ -146,12 +183,11 @@ def test_curves_that_are_none(curve) -> None:
         learned_response(Wrong())
 
 
-def test_methods_without_a_response() -> None:
-    class Silent:
-        def response_curve(self) -> None:
-            return None
+def test_methods_that_learn_no_response(small: ModuleType) -> None:
+    class Given(Learned):
+        learns_response = False
 
-    assert learned_response(Silent()) is None
+    assert learned_response(Blind()) is None and learned_response(Given(small)) is None
 
 
 def test_the_figure_shows_curve_and_anchor(small: ModuleType, data_set: Path, tmp_path: Path) -> None:
