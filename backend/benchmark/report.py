@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ...bridge.atomic import atomic_path
-from ..evaluate.comparison import NONE, ComparedRun, column, comparison_table
+from ..evaluate.comparison import NONE, SCALE, ComparedRun, column, comparison_table
 from .facts import machine_lines, scene_facts, scene_line
 from .margins import CONFIDENCE, JUDGED, Margin, margin
 from .plan import CPU_SECONDS, ITERATIONS, TUNE, Budget, Ladder, Plan
@@ -22,7 +22,7 @@ REPORT_FILE = "report.md"
 #: Tables of the section Methods: by heading, their columns.
 QUALITY = (
     *(f"{part}.{name}" for part in ("LDR-OE", "LDR-NE", "HDR") for name in ("psnr", "ssim")),
-    *("HDR-aligned.psnr", "scale", "response"),
+    *("HDR-aligned.psnr", *SCALE, "response"),
 )
 PERCEIVED = tuple(f"{part}.{name}" for part in ("LDR-OE", "LDR-NE", "HDR") for name in ("lpips", "lpips_01"))
 RELIGHTING = ("relit.psnr", "relit.gain")
@@ -31,7 +31,7 @@ TABLES = {"": QUALITY, "LPIPS": PERCEIVED, "Relighting": RELIGHTING, "Cost": COS
 #: What is told again for each scene, and for each length of training where a plan has several.
 MOST = (
     *("LDR-OE.psnr", "LDR-NE.psnr", "HDR.psnr", "HDR-aligned.psnr", "LDR-OE.lpips"),
-    *("scale", "response", "relit.psnr"),
+    *(*SCALE, "response", "relit.psnr"),
 )
 SCENE_METRICS = (*MOST, "cost.cpu_seconds", "cost.iterations", "cost.gaussians")
 OF_LENGTH = (*MOST, "cost.cpu_seconds", "cost.gaussians")

@@ -7,6 +7,7 @@ deviation, over the seeds, of the mean over scenes: what another seed would have
 
 import csv
 import io
+import math
 import statistics
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -83,7 +84,7 @@ def load_evaluation(path: Path | str) -> dict[str, Any]:
 
 # ---- columns -----------------------------------------------------------------------------------------
 
-Better = Literal["higher", "lower", "one", "neither"]
+Better = Literal["higher", "lower", "neither"]
 
 #: Parts of an evaluation by the name that a column uses.
 PARTS = {"LDR-OE": "LDR-OE", "LDR-NE": "LDR-NE", "HDR": "HDR", "HDR-aligned": "HDR, scale aligned"}
@@ -94,18 +95,23 @@ METRICS: dict[str, tuple[str, int, Better]] = {
     "lpips": ("LPIPS", 4, "lower"),
     "lpips_01": ("LPIPS 01", 4, "lower"),
 }
+#: The absolute scale of the radiance: its mean, in which errors to either side cancel, and how far it is off.
+SCALE = ("scale", "scale_error")
 #: What a table shows unless asked otherwise: the paper's columns, and whether the scale is right.
 PAPER_METRICS = tuple(
     f"{part}.{metric}" for part in ("LDR-OE", "LDR-NE", "HDR") for metric in ("psnr", "ssim", "lpips_01")
 )
-DEFAULT_METRICS = (*PAPER_METRICS, "scale")
+DEFAULT_METRICS = (*PAPER_METRICS, *SCALE)
 #: What fits a terminal of 80 columns with spreads.
 SHORT_METRICS = ("LDR-OE.psnr", "LDR-NE.psnr", "HDR.psnr", "scale")
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column: ``LDR-OE.psnr``, ``scale``, ``response``, ``relit.psnr``, ``relit.gain`` or ``cost.NAME``."""
+    """A column: ``LDR-OE.psnr``, ``relit.psnr``, ``relit.gain``, ``cost.NAME``, ``response`` or of ``SCALE``.
+
+    ``scale_error``: 100 · |ln scale|, per cent.
+    """
 
     key: str
     heading: str
@@ -117,6 +123,8 @@ class Column:
         part, _, metric = self.key.partition(".")
         if self.key == "scale":
             value = entry.evaluation.get("scale_ratio")
+        elif self.key == "scale_error":
+            value = _percent_off(entry.evaluation.get("scale_ratio"))
         elif self.key == "response":
             value = (entry.evaluation.get("response") or {}).get("rms_error")
         elif part == "cost":
@@ -139,7 +147,12 @@ class Column:
     def merit(self, value: float) -> float:
         """Higher is better, equal where the printed numbers are equal."""
         shown = float(self.text(value).replace(",", ""))
-        return {"higher": shown, "lower": -shown, "one": -abs(shown - 1.0), "neither": 0.0}[self.better]
+        return {"higher": shown, "lower": -shown, "neither": 0.0}[self.better]
+
+
+def _percent_off(scale: object) -> float | None:
+    """Half as bright is as far off as twice; None of what is no scale, or black."""
+    return 100.0 * abs(math.log(scale)) if is_number(scale) and scale > 0.0 else None
 
 
 def column(key: str) -> Column:
@@ -149,7 +162,9 @@ def column(key: str) -> Column:
         heading, digits, better = METRICS[metric]
         return Column(key, f"{part} {heading}", digits, better)
     if key == "scale":
-        return Column(key, "HDR scale", 3, "one")
+        return Column(key, "HDR scale", 3, "neither")
+    if key == "scale_error":
+        return Column(key, "scale off by, %", 1, "lower")
     if key == "response":
         return Column(key, "response error, 1/255", 2, "lower")
     if key == "relit.psnr":
@@ -161,7 +176,7 @@ def column(key: str) -> Column:
     raise BadValueError(
         f"there is no column '{key}' in a comparison",
         f"PART.METRIC, of {', '.join(PARTS)} and {', '.join(METRICS)}; "
-        "scale, response, relit.psnr, relit.gain or cost.NAME.",
+        "scale, scale_error, response, relit.psnr, relit.gain or cost.NAME.",
     )
 
 

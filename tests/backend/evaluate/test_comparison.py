@@ -64,12 +64,12 @@ def test_best_and_second_are_marked_and_equal_printed_numbers_share_a_place() ->
     assert "\x1b[1m36.00" in console.export_text(styles=True)
 
 
-def test_less_is_better_for_lpips_and_nearest_to_one_for_the_scale() -> None:
+def test_less_is_better_for_lpips_and_for_how_far_the_scale_is_off() -> None:
     entries = [entry("bright", scale=1.05), entry("dark", scale=0.97), entry("right", scale=1.01)]
     for each, distance in zip(entries, (0.1, 0.3, 0.2), strict=True):
         each.evaluation["means"]["LDR-OE"]["lpips_01"] = distance
     table = comparison_table(entries)
-    assert {name: cell.rank for name, cell in cells(table, "scale").items()} == {
+    assert {name: cell.rank for name, cell in cells(table, "scale_error").items()} == {
         "bright": 0,
         "dark": 2,
         "right": 1,
@@ -79,6 +79,22 @@ def test_less_is_better_for_lpips_and_nearest_to_one_for_the_scale() -> None:
         "dark": 0,
         "right": 2,
     }
+
+
+def test_scales_that_are_off_to_either_side_do_not_make_a_right_one() -> None:
+    runs = [entry("steady", scene, scale=1.01) for scene in "abc"]
+    runs += [
+        entry("half and twice", scene, scale=scale) for scene, scale in {"a": 0.5, "b": 2.0, "c": 0.5}.items()
+    ]
+    table = comparison_table(runs, metrics=("scale", "scale_error"))
+    means = {name: cell.mean for name, cell in cells(table, "scale").items()}
+    assert means == {"steady": pytest.approx(1.01), "half and twice": pytest.approx(1.0)}
+    assert not any(cell.rank for cell in cells(table, "scale").values())
+    off = cells(table, "scale_error")
+    assert (off["steady"].rank, off["half and twice"].rank) == (1, 2)
+    assert off["half and twice"].mean == pytest.approx(100.0 * 0.6931472)
+    assert "| steady | 1.010 | **1.0** |" in table.markdown()
+    assert column("scale_error").value(entry("black", scale=0.0)) is None
 
 
 def test_a_method_that_lacks_a_scene_is_not_ranked() -> None:
