@@ -76,6 +76,8 @@ FURTHER_PART = Numbered("physhdr:light_", "FLOAT_COLOR")
 
 #: Custom property with the model's identity; survives undo, copies and appending, unlike a reference.
 IDENTITY = MODEL_IDENTITY
+#: Custom property of an object: the identity of the model that it shows (``parts``).
+SHOWS = "physhdr_shows"
 #: Custom property: the file that the model was imported from.
 FILE = "physhdr_file"
 #: Custom property: the data set's folder of the model's run, else the model's file (``placement``).

@@ -18,7 +18,7 @@ from ...bridge.splat_files import SUFFIXES
 from ..blender import add_entry, cloud_of, layout_of, remove_entry, takes_objects
 from ..capture.placement import capture_of_file, key_of, place
 from ..rendering.render_setup import render_problems, set_up_object
-from . import pose
+from . import parts, pose
 from .attributes import CAPTURE, COLOR_SPACE, DISPLAY, FILE, metadata_property
 from .nodes import EXPOSURE, set_input
 from .point_cloud import build_point_cloud
@@ -82,6 +82,7 @@ def import_file(
         modifier = add_modifier(target, source.model)
         set_input(modifier, EXPOSURE, ev)
         set_up_object(target)
+        parts.note(target)
         (collection or bpy.context.scene.collection).objects.link(target)
     except BaseException:
         bpy.data.batch_remove([target, cloud])

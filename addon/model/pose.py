@@ -12,6 +12,8 @@ each step of the undo, so that whichever of them comes back is set right by what
 """
 
 from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
 from typing import Any, cast
 
 import bpy
@@ -19,6 +21,7 @@ import mathutils
 import numpy as np
 
 from ..blender import layout_of
+from . import parts
 from .attributes import IDENTITY, POSITION, ROTATION, SCALE, TYPES, WITNESS
 from .point_cloud import read_attribute, write_attribute
 
@@ -26,43 +29,73 @@ from .point_cloud import read_attribute, write_attribute
 WITNESSES = 32
 #: Coordinates that were moved together in float32 agree to this, of the largest.
 ROUNDING = 1e-6
-#: What the user reads then.
-TOLD = (
-    "Its Gaussians stay in the space of their data set, and look the same.",
-    "To write them where the object stands: Save Edited Model, Apply Transform.",
-)
+#: Whether the points of a cloud in Edit Mode were moved together since they were remembered.
+_MOVED = "physhdr_moved"
+#: A matrix is sheared where what it does to axes is off by this share of its largest number.
+SHEAR = 1e-4
 #: Points are on a line, or in a plane, where they spread less than this beside it, of how far along.
 FLATTEST = 1e-4
+
+
+@dataclass(frozen=True)
+class Notice:
+    """What the user reads of a change that is not what Blender's own would have been."""
+
+    title: str
+    lines: tuple[str, ...]
+
+
+KEPT = Notice(
+    "The model keeps its transform",
+    (
+        "Its Gaussians stay in the space of their data set, and look the same.",
+        "To write them where the object stands: Save Edited Model, Apply Transform.",
+    ),
+)
+JOINED = Notice(
+    "Joined models are not turned into one",
+    (
+        "Join moves the points of the others and leaves their axes, sizes, lights and response as they were.",
+        "Undo it, and keep the models as objects of their own, in one collection or under one parent.",
+    ),
+)
 
 
 def remember(cloud: bpy.types.PointCloud) -> None:
     """Take the Gaussians as they are now for whole."""
     cloud[WITNESS] = _read(cloud).reshape(-1).tolist()
+    cloud.pop(_MOVED, None)
 
 
-def settle(cloud: bpy.types.PointCloud) -> bool:
+def settle(cloud: bpy.types.PointCloud) -> Notice | None:
     """Let the objects of a model's cloud take what all of its points have done together since, and its
-    Gaussians' axes and sizes have not; whether there was such. Other edits stay, and in Edit Mode nothing is
-    done yet."""
+    Gaussians' axes and sizes have not; what there is to tell of it. Other edits stay, and in Edit Mode
+    nothing is taken yet."""
     if IDENTITY not in cloud or not cloud.is_editable or not _is_whole(cloud):
-        return False
+        return None
     now, before = _read(cloud), np.array(cloud.get(WITNESS, ()), np.float64)
     if np.array_equal(now.reshape(-1), before):
-        return False
+        cloud.pop(_MOVED, None)  # it was undone
+        return None
     users = [each for each in bpy.data.objects if each.type == "POINTCLOUD" and each.data == cloud]
+    # The number of points is in the first column.
+    added = now[0, 0] - before[0] if before.size else 0.0
     if any(each.mode == "EDIT" for each in users):
-        return False
+        if not added:
+            cloud[_MOVED] = True
+        elif _MOVED not in cloud:  # what the rest does from here on can be told
+            remember(cloud)
+        return None
     change = None
     if before.size == now.size:
         then = before.reshape(now.shape)
         # Who has turned the Gaussians' axes, too, knew what they did; of another number of points nothing is
-        # known. The number is in the first column.
+        # known.
         if np.array_equal(then[:, [0, *range(4, 11)]], now[:, [0, *range(4, 11)]]):
             change = moved_by(then[:, 1:4], now[:, 1:4])
-    if change is not None:
-        _take(cloud, users, change)
+    took = change is not None and _take(cloud, users, change)
     remember(cloud)
-    return change is not None
+    return KEPT if took else JOINED if added > 0 else None
 
 
 def moved_by(before: np.ndarray, after: np.ndarray) -> np.ndarray | None:
@@ -93,17 +126,29 @@ def _fits(a: np.ndarray, b: np.ndarray) -> Iterator[np.ndarray]:
         yield np.linalg.lstsq(a, b)[0].T
 
 
-def _take(cloud: bpy.types.PointCloud, users: list[bpy.types.Object], change: np.ndarray) -> None:
-    """Give ``change`` ``[4, 4]`` from the points to the objects; what hangs on these stays where it is."""
+def _take(cloud: bpy.types.PointCloud, users: list[bpy.types.Object], change: np.ndarray) -> bool:
+    """Give ``change`` ``[4, 4]`` from the points to the objects; what hangs on these stays where it is.
+
+    False, and nothing is done, where an object's transform cannot hold it: it has no shear.
+    """
+    own = [each for each in users if each.library is None]
+    if any(_is_sheared(each.matrix_basis @ _matrix(change)) for each in own):
+        return False
     back = np.linalg.inv(change)
     position = read_attribute(cloud, POSITION.name).astype(np.float64)
     write_attribute(cloud, POSITION, position @ back[:3, :3].T + back[:3, 3])
-    for each in users:
-        if each.library is None:
-            each.matrix_basis = each.matrix_basis @ _matrix(change)
-            for child in each.children:
-                child.matrix_parent_inverse = _matrix(back) @ child.matrix_parent_inverse
+    for each in own:
+        each.matrix_basis = each.matrix_basis @ _matrix(change)
+        for child in each.children:
+            child.matrix_parent_inverse = _matrix(back) @ child.matrix_parent_inverse
     cloud.update_tag()
+    return True
+
+
+def _is_sheared(matrix: mathutils.Matrix) -> bool:
+    """Whether a place, a rotation and a scale are not all of a matrix."""
+    again = np.array(mathutils.Matrix.LocRotScale(*matrix.decompose()), np.float64)
+    return float(np.abs(again - np.array(matrix)).max()) > SHEAR * float(np.abs(again[:3, :3]).max())
 
 
 def _matrix(values: np.ndarray) -> mathutils.Matrix:
@@ -136,28 +181,39 @@ def _read(cloud: bpy.types.PointCloud) -> np.ndarray:
 @bpy.app.handlers.persistent
 def _settle_changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     clouds = [each.id.original for each in depsgraph.updates if isinstance(each.id, bpy.types.PointCloud)]
-    if any([settle(cast(bpy.types.PointCloud, each)) for each in clouds]) and not bpy.app.background:
-        bpy.app.timers.register(_tell)  # nothing opens while Blender tells of a change
+    notices = [_settled(cast(bpy.types.PointCloud, each)) for each in clouds]
+    for notice in dict.fromkeys(filter(None, notices)):
+        if not bpy.app.background:
+            bpy.app.timers.register(partial(_tell, notice))  # nothing opens while Blender tells of a change
 
 
-def _tell() -> None:
-    """Say why the numbers of the transform are not what was asked for."""
+def _settled(cloud: bpy.types.PointCloud) -> Notice | None:
+    if parts.adopt(cloud):
+        remember(cloud)
+    return settle(cloud)
+
+
+def _tell(notice: Notice) -> None:
+    """Say why the model is not as was asked for."""
+
+    def draw(menu: bpy.types.UIPopupMenu, context: bpy.types.Context) -> None:
+        for line in notice.lines:
+            layout_of(menu).label(text=line)
+
     manager = bpy.context.window_manager
     if manager is not None and manager.windows:
         override: Any = bpy.context.temp_override(window=manager.windows[0])
         with override:
-            manager.popup_menu(_draw_told, title="The model keeps its transform", icon="INFO")
-
-
-def _draw_told(menu: bpy.types.UIPopupMenu, context: bpy.types.Context) -> None:
-    for line in TOLD:
-        layout_of(menu).label(text=line)
+            manager.popup_menu(draw, title=notice.title, icon="INFO")
 
 
 @bpy.app.handlers.persistent
 def _settle_all(*_: Any) -> None:
-    for cloud in getattr(bpy.data, "pointclouds", ()):  # none yet while Blender starts
-        settle(cloud)
+    for target in getattr(bpy.data, "objects", ()):  # none yet while Blender starts
+        if target.type == "POINTCLOUD":
+            parts.note(target)
+    for cloud in getattr(bpy.data, "pointclouds", ()):
+        _settled(cloud)
 
 
 _HANDLERS = (

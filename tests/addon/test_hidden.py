@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What views do not show still stands where it stands, though Blender computes that no more, and after loading
-a file not at all."""
+"""What views do not show still stands where it stands, though Blender computes that no more, and after
+loading a file not at all."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def test_a_hidden_crop_box_crops_as_before(target, hide, tmp_path):
 
 
 def test_where_a_child_of_what_is_hidden_stands(registered, hide, tmp_path):
-    """Against what Blender itself says while all is shown; delta transforms and a mirrored parent included."""
+    """Against what Blender itself says while all is shown; delta transforms and a mirrored parent too."""
     parent, child = (bpy.data.objects.new(name, None) for name in ("parent", "child"))
     for each in (parent, child):
         registered.collection.objects.link(each)

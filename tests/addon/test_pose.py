@@ -8,9 +8,12 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
+import mathutils  # noqa: E402
+
 import physhdr  # noqa: E402
 from physhdr.addon.model import attributes, model_import, pose  # noqa: E402
 from physhdr.addon.model.point_cloud import read_attribute, write_attribute  # noqa: E402
+from physhdr.addon.model.point_removal import select_points  # noqa: E402
 
 #: float32 at a metre, once into the points and back.
 CLOSE = 1e-6
@@ -178,6 +181,50 @@ def test_all_points_turned_in_edit_mode_turn_the_model(target):
     world = was @ turn @ np.linalg.inv(was)
     middle = np.array(target.matrix_world.translation)
     is_shown_as(target, ((places - middle) @ world.T + middle, world @ gaussians @ world.T))
+
+
+def test_what_is_turned_after_some_were_deleted_turns_the_model(target):
+    """In one visit of Edit Mode: of the points that are left it is known what they do together."""
+    places, gaussians = shown(target)
+    bpy.ops.object.mode_set(mode="EDIT")
+    select_points(target.data, np.arange(50) < 10)
+    bpy.ops.pointcloud.delete()
+    settled()
+    bpy.ops.pointcloud.select_all(action="SELECT")
+    bpy.ops.transform.rotate(
+        value=0.5, orient_axis="X", orient_type="GLOBAL", center_override=(1.0, -2.0, 0.5)
+    )
+    bpy.ops.object.mode_set(mode="OBJECT")
+    settled()
+    turn = np.array(mathutils.Matrix.Rotation(0.5, 3, "X"))
+    middle = np.array([1.0, -2.0, 0.5])
+    is_shown_as(target, ((places[10:] - middle) @ turn.T + middle, turn @ gaussians[10:] @ turn.T))
+
+
+def test_a_shear_which_no_object_has_stays_in_the_points(target):
+    """A turned model whose points are stretched along an axis of the world."""
+    matrix, position = target.matrix_basis.copy(), read_attribute(target.data, "position")
+    linear = np.array(target.matrix_world)[:3, :3]
+    inside = np.linalg.inv(linear) @ np.diag([1.0, 1.0, 2.0]) @ linear
+    wanted = (position @ inside.T).astype(np.float32)
+    write_attribute(target.data, attributes.POSITION, wanted)
+    target.data.update_tag()
+    settled()
+    np.testing.assert_array_equal(read_attribute(target.data, "position"), wanted)
+    assert target.matrix_basis == matrix
+
+
+def test_who_joins_models_is_told_that_they_are_not_one(target, make_model, write):
+    other = model_import.import_model(write(make_model(count=30, seed=1)))
+    settled()
+    other.select_set(True)
+    with pytest.MonkeyPatch.context() as patch:
+        told = []
+        patch.setattr(pose, "settle", lambda cloud, real=pose.settle: told.append(real(cloud)))
+        assert bpy.ops.object.join() == {"FINISHED"}
+        settled()
+    assert len(target.data.points) == 80
+    assert pose.JOINED in told
 
 
 @pytest.mark.parametrize("edit", ["some", "deleted", "whole", "shuffled", "line"])
