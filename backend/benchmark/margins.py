@@ -3,7 +3,8 @@
 
 Scenes are what a claim is generalised over, seeds are what one run happens to be. So the differences of a
 scene are averaged over its seeds first, and the interval is Student's over the scenes: it holds both kinds of
-spread.
+spread. Scenes that are of one room, through several cameras, tell little more of the next room than one of
+them: they are averaged, too, and the interval is over the rooms.
 """
 
 import math
@@ -28,9 +29,10 @@ Standing = Literal["ahead", "behind", "not told apart", "one run"]
 class Margin:
     """Paired differences, one for each (scene, seed) that both methods have.
 
-    ``mean``: over scenes of the mean over seeds. ``interval``: of that mean, by the scenes where there are
-    two, else by the seeds of the one; None of one pair. ``spread``: the standard deviation over the seeds of
-    a scene, pooled over the scenes (that scenes differ is no noise); None where no scene has two seeds.
+    ``mean``: over rooms of the mean over their scenes of the mean over seeds. ``interval``: of that mean, by
+    the rooms where there are two, else by the scenes of the one, else by the seeds of the one; None of one
+    pair. ``spread``: the standard deviation over the seeds of a scene, pooled over the scenes (that scenes
+    differ is no noise); None where no scene has two seeds.
     """
 
     mean: float
@@ -38,6 +40,7 @@ class Margin:
     spread: float | None
     pairs: int
     scenes: int
+    rooms: int
     lower_is_better: bool = False
 
     @property
@@ -58,11 +61,22 @@ def margin(entries: Sequence[ComparedRun], method: str, other: str, key: str) ->
         of_scene.setdefault(run[0], []).append(ours[run] - theirs[run])
     if not of_scene:
         return None
-    means = [statistics.fmean(scene) for scene in of_scene.values()]
-    pairs = sum(len(scene) for scene in of_scene.values())
-    interval = _interval(means if len(means) > 1 else next(iter(of_scene.values())))
-    lower = each.better == "lower"
-    return Margin(statistics.fmean(means), interval, _spread(of_scene), pairs, len(means), lower)
+    room_of = {entry.scene: entry.room for entry in entries}
+    of_room: dict[str, list[float]] = {}
+    for scene, seeds in of_scene.items():
+        of_room.setdefault(room_of[scene], []).append(statistics.fmean(seeds))
+    rooms = [statistics.fmean(scenes) for scenes in of_room.values()]
+    levels = (rooms, *of_room.values(), *of_scene.values())  # of one room or scene the next tells
+    interval = _interval(next((values for values in levels if len(values) > 1), rooms))
+    return Margin(
+        mean=statistics.fmean(rooms),
+        interval=interval,
+        spread=_spread(of_scene),
+        pairs=sum(map(len, of_scene.values())),
+        scenes=len(of_scene),
+        rooms=len(rooms),
+        lower_is_better=each.better == "lower",
+    )
 
 
 def _interval(values: Sequence[float]) -> tuple[float, float] | None:

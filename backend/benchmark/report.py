@@ -288,8 +288,8 @@ def _what_margins_are(leaders: Sequence[str]) -> str:
         f"{' and '.join(f'`{name}`' for name in leaders)} minus each other method, of runs on the same scene "
         "with the same seed (dB; of LPIPS less is better): the mean over scenes of the mean over seeds, in "
         f"brackets Student's interval of it ({CONFIDENCE:.0%}) by the scenes (of one scene by its seeds), "
-        "and ± the standard deviation over the seeds of a scene. *Ahead* or *behind*: 0 is not in the "
-        "interval."
+        "and ± the standard deviation over the seeds of a scene. Several cameras in one room count as one "
+        "scene. *Ahead* or *behind*: 0 is not in the interval."
     )
 
 
@@ -315,7 +315,21 @@ def _margins_of(leader: str, schedule: Schedule, entries: list[ComparedRun]) -> 
         cells = [name, str(max(each.pairs if each else 0 for each in found.values()))]
         rows.append([*cells, *(cell for key, each in found.items() for cell in _margin_cells(key, each))])
     wanted = len(plan.scenes) * len(plan.seeds)
-    return "\n\n".join([_table(headings, rows), _listed([_verdict(key, rivals, wanted) for key in keys])])
+    lines = [*_of_which_rooms(entries), *(_verdict(key, rivals, wanted) for key in keys)]
+    return "\n\n".join([_table(headings, rows), _listed(lines)])
+
+
+def _of_which_rooms(entries: list[ComparedRun]) -> list[str]:
+    """What has to be said of intervals where several data sets are of one room."""
+    scenes = {entry.scene for entry in entries}
+    rooms = {entry.room for entry in entries}
+    if len(rooms) == len(scenes):
+        return []
+    if len(rooms) > 1:
+        return [f"{len(scenes)} data sets of {len(rooms)} rooms: means and intervals are over the rooms"]
+    return [
+        f"{len(scenes)} data sets of one room: the intervals are over these and tell nothing of another room"
+    ]
 
 
 def _part(key: str) -> str:

@@ -54,6 +54,11 @@ class ComparedRun:
         return str(self.evaluation.get("conditions", {}).get("data_set") or "")
 
     @property
+    def room(self) -> str:
+        """What its data set shows: several, such as a camera's with and without noise, may be of one room."""
+        return str(self.evaluation.get("conditions", {}).get("scene") or self.scene)
+
+    @property
     def saw_novel_exposures(self) -> bool:
         """Whether its training, as far as its evaluation says, saw exposures that LDR-NE is of."""
         match self.evaluation.get("conditions", {}):

@@ -46,6 +46,24 @@ def test_scenes_that_disagree_are_told_apart_by_no_number_of_seeds():
     assert found.standing == "not told apart"
 
 
+def test_cameras_in_one_room_are_no_further_rooms():
+    """Six data sets of two rooms that disagree: as six they would be ahead."""
+    difference = np.array([1.1, 1.0, 1.2, 0.9, 0.1, 0.2])
+    theirs = np.full((6, 1), 35.0)
+    runs = [*entries("a", theirs + difference[:, None]), *entries("b", theirs)]
+    for run in runs:
+        run.evaluation["conditions"] = {"scene": "dog" if run.scene < "scene 4" else "sofa"}
+    assert ttest_1samp(difference, 0.0).pvalue < 0.05
+    rooms = np.array([difference[:4].mean(), difference[4:].mean()])
+    found = margin(runs, "a", "b", KEY)
+    assert found.mean == pytest.approx(rooms.mean()) and (found.scenes, found.rooms) == (6, 2)
+    assert found.interval == pytest.approx(tuple(ttest_1samp(rooms, 0.0).confidence_interval(0.95)))
+    assert found.standing == "not told apart"
+    dog = margin([run for run in runs if run.room == "dog"], "a", "b", KEY)
+    of_cameras = ttest_1samp(difference[:4], 0.0).confidence_interval(0.95)
+    assert dog.interval == pytest.approx(tuple(of_cameras)) and (dog.scenes, dog.rooms) == (4, 1)
+
+
 def test_of_one_scene_the_seeds_decide_and_of_one_run_nothing():
     three = np.array([[0.21, 0.25, 0.19]])
     theirs = np.full((1, 3), 30.0)

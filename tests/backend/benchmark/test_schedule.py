@@ -459,6 +459,22 @@ def test_a_lead_is_told_by_name_with_the_pairs_that_are_missing(bench):
     assert "`quick`: there is no other method that it could be ahead of." in text
 
 
+def test_intervals_over_cameras_of_one_room_say_so(bench):
+    bench.content |= {"methods": ["quick", "other"]}
+    bench.content["scenes"].append(str(bench.root / "night"))
+    schedule = bench.run(jobs=4)
+    set_psnr(bench, schedule, lambda run: 30.0 + (run.scene.name == "night") * (run.method.name == "other"))
+    said = "2 data sets of one room: the intervals are over these and tell nothing of another room"
+    path = bench.root / "report.md"
+    assert said not in write_report(schedule, path, "physhdr benchmark")[0].read_text()
+    for run in schedule.runs:
+        file = bench.root / "out" / run.folder / "evaluation.json"
+        content = json.loads(file.read_text())
+        content["conditions"]["scene"] = "garden"
+        file.write_text(json.dumps(content))
+    assert f"\n- {said}\n- LDR-OE: " in write_report(schedule, path, "physhdr benchmark")[0].read_text()
+
+
 def test_three_budgets_of_a_kind_are_told_side_by_side(bench):
     bench.content |= {"methods": ["quick", "other"], "seeds": [0, 1]}
     bench.content["budgets"] = ["iterations=20", "iterations=10", "iterations=30"]
