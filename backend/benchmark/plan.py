@@ -261,7 +261,11 @@ class Plan:
 
 
 def option_words(assignment: str) -> tuple[str, ...]:
-    """``densify.budget=3`` → ``--densify.budget 3``; ``a.b=false`` → ``--a.no-b``; a list has spaces."""
+    """``densify.budget=3`` → ``--densify.budget 3``; ``a.b=false`` → ``--a.no-b``; a list has spaces, and
+    quotes keep a value with spaces together.
+
+    Raises ``BadValueError`` for what is no assignment, and for fields that the plan sets itself.
+    """
     name, equals, value = assignment.partition("=")
     name = name.strip().removeprefix("--").replace("_", "-")
     if not equals or not name or f"--{name}" in OURS:
@@ -274,7 +278,14 @@ def option_words(assignment: str) -> tuple[str, ...]:
     if value.strip().lower() == "false":
         group, dot, field = name.rpartition(".")
         return (f"--{group}{dot}no-{field}",)
-    return (f"--{name}", *value.split())
+    words = shlex.shlex(value, posix=True, punctuation_chars=False)
+    words.whitespace_split, words.commenters, words.escape = True, "", ""  # a path may have # and \
+    try:
+        return (f"--{name}", *words)
+    except ValueError as error:
+        raise BadValueError(
+            f"--set {assignment} cannot be read: {error}", "Close the quotes, or put others around them."
+        ) from error
 
 
 # ---- from flags and files ------------------------------------------------------------------------------

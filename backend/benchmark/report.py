@@ -97,6 +97,12 @@ def write_report(schedule: Schedule, path: Path, command: str) -> list[Path]:
     return [path, table]
 
 
+def holds_runs(path: Path) -> bool:
+    """Whether a report that is there, by the CSV beside it, tells of any run."""
+    table = path.with_suffix(".csv")
+    return path.is_file() and table.is_file() and len(table.read_bytes().splitlines()) > 1
+
+
 def to_csv(finished: Sequence[Finished]) -> str:
     """One line a run, in full precision; empty where something was not measured."""
     stream = io.StringIO()
@@ -231,6 +237,9 @@ def _conditions(schedule: Schedule, finished: Sequence[Finished]) -> list[str]:
         folder = schedule.store.data_folder(scene)
         facts = scene_facts(schedule.store.out, scene.name, folder, schedule.store.data[scene.name])
         lines.append(f"scene {scene_line(scene.name, facts)}")
+    wanted = schedule.store.evaluation_fingerprint
+    if others := sum(each.record.evaluation != wanted for each in finished):
+        lines.append(f"{others} of {len(finished)} runs were evaluated with other LPIPS weights, or without")
     return [*lines, *role_lines(plan), *_messages(finished)]
 
 

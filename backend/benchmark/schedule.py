@@ -48,8 +48,9 @@ class Status:
 class Schedule:
     """The runs of ``store.plan`` and the status of each.
 
-    ``tell``: is given lines for the user. ``retry``: what failed is tried again. ``program``: starts the
-    command ``physhdr``; another one in tests alone.
+    ``tell``: is given lines for the user. ``retry``: what failed is tried again. ``as_evaluated``: nothing
+    will be run, so that a run which was evaluated with other LPIPS weights, or without, counts as done.
+    ``program``: starts the command ``physhdr``; another one in tests alone.
     """
 
     def __init__(
@@ -59,6 +60,7 @@ class Schedule:
         tell: Callable[[str], None],
         retry: bool = False,
         evaluate_again: bool = False,
+        as_evaluated: bool = False,
         program: tuple[str, ...] = PROGRAM,
     ) -> None:
         self.store, self.tell, self.program = store, tell, program
@@ -67,6 +69,7 @@ class Schedule:
         self._work: dict[Run, Path] = {}
         self._retry = set(self.runs) if retry else set()
         self._evaluate_again = set(self.runs) if evaluate_again else set()
+        self._good = ("done", "evaluate") if as_evaluated else ("done",)
         self._by_claim = {run.claim: run for run in self.runs}
         for run in self.runs:
             self.status[run] = self._on_disk(run)
@@ -79,7 +82,7 @@ class Schedule:
         state = self.store.state(run)
         if state == "absent":
             return Status("absent", f"{run.pictures} is not there")
-        if state == "done" and run not in self._evaluate_again:
+        if state in self._good and run not in self._evaluate_again:
             evaluation = self.store.evaluation(run)
             if evaluation is not None:
                 return Status("done", psnr=(evaluation["means"].get("LDR-OE") or {}).get("psnr"))

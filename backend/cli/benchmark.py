@@ -19,7 +19,7 @@ from ...bridge.errors import BadValueError, FileMissingError, PhysHDRError
 from ..benchmark.job import PROGRAM
 from ..benchmark.live import progress_table
 from ..benchmark.plan import PLAN_FILE, Plan, make_plan, read_plan, write_plan
-from ..benchmark.report import REPORT_FILE, write_report
+from ..benchmark.report import REPORT_FILE, holds_runs, write_report
 from ..benchmark.roles import require_allowed
 from ..benchmark.runs import PER_RUN, Store, data_fingerprint, data_folder
 from ..benchmark.schedule import Schedule
@@ -74,7 +74,7 @@ class Benchmark:
     ray: str | None = None
     #: Write the report (and a .csv beside it) here as well.
     report: Path | None = None
-    #: Run nothing: report what is there; the plan in --out stays as it is.
+    #: Run nothing: report what is there, as it was evaluated; the plan in --out stays as it is.
     report_only: bool = False
     #: Try runs again that failed.
     retry: bool = False
@@ -96,8 +96,10 @@ class Benchmark:
             tell=lambda line: console.print(line, soft_wrap=True, markup=False),
             retry=self.retry,
             evaluate_again=self.evaluate_again,
+            as_evaluated=self.report_only,
             program=PROGRAM,
         )
+        is_written = False
         try:
             if not self.report_only:
                 self._work_off(schedule, plan)
@@ -105,14 +107,14 @@ class Benchmark:
             console.print("stopped: what is done is kept, and the same command goes on from there")
             raise
         finally:  # also after CTRL-C: what is done is reported
-            self._write_report(schedule)
+            is_written = self._write_report(schedule)
         if absent := [run for run in schedule.runs if schedule.status[run].kind == "absent"]:
             first = schedule.status[absent[0]].text
             console.print(f"{len(absent)} of {len(schedule.runs)} runs left out: {first}", soft_wrap=True)
         bad = [run for run in schedule.runs if schedule.status[run].kind in ("failed", "blocked")]
         if bad:
             console.print(f"{len(bad)} of {len(schedule.runs)} runs failed: the report lists them; --retry")
-        return 1 if bad else 0
+        return 0 if is_written and not bad else 1
 
     def _plan(self) -> Plan:
         """The plan file (given, or in ``out``) with the flags on top."""
@@ -136,7 +138,8 @@ class Benchmark:
             "device": self.device,
             "threads_per_job": self.threads_per_job,
         }
-        return make_plan(content | {key: value for key, value in flags.items() if value}, Path.cwd())
+        given = {key: value for key, value in flags.items() if value not in (None, [], "")}
+        return make_plan(content | given, Path.cwd())
 
     def _over_the_plan(self) -> list[str]:
         """The flags that were given instead of what the plan file says, as words."""
@@ -151,6 +154,8 @@ class Benchmark:
             "--set": self.set,
             "--margins-of": self.margins_of,
             "--lpips-weights": (self.lpips_weights.name,) if self.lpips_weights else (),
+            "--device": (self.device,) if self.device else (),
+            "--threads-per-job": (str(self.threads_per_job),) if self.threads_per_job else (),
         }
         return [word for flag, values in given.items() if values for word in (flag, *values)]
 
@@ -169,16 +174,27 @@ class Benchmark:
             with Live(console=console, auto_refresh=False, transient=True) as live:
                 schedule.work_off(pool, lambda: live.update(progress_table(schedule), refresh=True))
 
-    def _write_report(self, schedule: Schedule) -> None:
+    def _write_report(self, schedule: Schedule) -> bool:
+        """Whether it was written: a report that tells of runs is not replaced by one that tells of none."""
         given = [self.report] if self.report else []
+        places = [schedule.store.out / REPORT_FILE, *given]
+        is_any_done = any(status.kind == "done" for status in schedule.status.values())
+        if not is_any_done and (kept := [str(path) for path in places if holds_runs(path)]):
+            console.print(
+                f"no run of this plan is done: what is in {', '.join(kept)} is kept. Name another "
+                "folder for this plan, --out, or run it without --report-only.",
+                soft_wrap=True,
+            )
+            return False
         words = ["--plan", _shown(self.plan)] if self.plan else []
         words += self._over_the_plan()
         words += ["--out", str(self.out), *(word for path in given for word in ("--report", _shown(path)))]
         command = shlex.join(["physhdr", "benchmark", *words])
         paths = []
-        for path in [schedule.store.out / REPORT_FILE, *given]:
+        for path in places:
             paths += write_report(schedule, path, command)
         console.print("wrote " + ", ".join(str(path) for path in paths), soft_wrap=True)
+        return True
 
 
 def configurations(

@@ -301,3 +301,27 @@ def test_the_command_measures_pictures_as_evaluate_does(tiny_data, tmp_path, cap
     assert len(evaluation["views"]) == len(read_scene(tiny_data).test)
     assert main(["benchmark", "--out", str(tmp_path / "out")]) == 0  # by the plan that was kept
     assert "| theirs | 100.00 |" in (tmp_path / "out" / "report.md").read_text()
+
+
+def test_a_report_alone_loses_no_run_that_was_evaluated(tiny_data, tmp_path, capsys):
+    """Neither by weights of LPIPS that the plan names since, nor where nothing is done of a changed plan."""
+    theirs, out = tmp_path / "theirs", tmp_path / "out"
+    for name in ("test", "test_hdr"):
+        shutil.copytree(tiny_data / name, theirs / name)
+    words = ["--external", f"theirs={theirs}", "--scenes", f"tiny={tiny_data}", "--budget", "iterations=5"]
+    assert main(["benchmark", *words, "--out", str(out)]) == 0
+    weights = tmp_path / "weights.npz"
+    weights.write_bytes(b"other ones")
+    again = ["benchmark", "--out", str(out), "--report-only"]
+    assert main([*again, "--lpips-weights", str(weights)]) == 0
+    good = (out / "report.md").read_text(), (out / "report.csv").read_text()
+    assert "| theirs | 100.00 |" in good[0] and len(good[1].splitlines()) == 2
+    assert "- 1 of 1 runs were evaluated with other LPIPS weights, or without\n" in good[0]
+
+    (theirs / "cost.json").write_text('{"seconds": 3}')  # its run is another one now
+    capsys.readouterr()
+    assert main(again) == 1
+    assert "no run of this plan is done: what is in" in " ".join(capsys.readouterr().out.split())
+    assert ((out / "report.md").read_text(), (out / "report.csv").read_text()) == good
+    assert main([*again, "--report", str(tmp_path / "elsewhere.md")]) == 1
+    assert main(again[:-1]) == 0 and "| theirs | 3.00 |" in (out / "report.md").read_text()

@@ -49,6 +49,8 @@ def test_assignments_become_the_words_of_the_command():
     assert option_words("training_exposures=0 2 4") == ("--training-exposures", "0", "2", "4")
     assert option_words("method.tone_mapper.mix=false") == ("--method.tone-mapper.no-mix",)
     assert option_words("method.tone_mapper.mix=True") == ("--method.tone-mapper.mix",)
+    assert option_words("points_file='my points.ply'") == ("--points-file", "my points.ply")
+    assert option_words(r'points_file="C:\my points\#1.ply"') == ("--points-file", r"C:\my points\#1.ply")
 
 
 @pytest.mark.parametrize(
@@ -67,6 +69,7 @@ def test_assignments_become_the_words_of_the_command():
         ('"cpu-seconds=2.5"', '"cpu-seconds=nan"', "is no budget"),
         ('"iterations=1000"', '"iterations=2.5"', "whole numbers"),
         ("half_size_until=0.1", "seed=3", "--set seed=3 cannot be used"),
+        ("half_size_until=0.1", "points_file='a b", "--set points_file='a b cannot be read: No closing quot"),
         ('margins_of = ["bold"]', 'margins_of = ["shy"]', "no method 'shy'"),
         ('"default", "bold"]', '"default", "shy"]', "no method 'shy'"),
         ("settings =", "seetings =", "a plan has no 'seetings'"),
@@ -119,11 +122,21 @@ set = ["downscale=2"]
     assert "paper (1 of 1)" in text
     # What was given instead of the plan's stands in the command that makes the report again.
     assert "`physhdr benchmark --methods paper --out OUT`" in text
+    words = ["--report-only", "--device", "cpu", "--threads-per-job", "2"]
+    assert main(["benchmark", "--out", str(out), *words]) == 0
+    said = "`physhdr benchmark --device cpu --threads-per-job 2 --out OUT`"
+    assert said in (out / "report.md").read_text()
     monkeypatch.setattr(Benchmark, "_work_off", lambda *_: None)
     assert main(["benchmark", "--out", str(out)]) == 0
     assert (out / "plan.toml").read_text() == written
     assert main(["benchmark", "--out", str(out), "--methods", "paper"]) == 0  # another plan is kept
     assert 'methods = ["paper"]' in (out / "plan.toml").read_text()
+
+
+def test_no_threads_are_refused_by_the_flag_as_by_the_plan(tiny_data, tmp_path, capsys):
+    words = ["--methods", "paper", "--scenes", str(tiny_data), "--budget", "iterations=5"]
+    assert main(["benchmark", *words, "--threads-per-job", "0", "--out", str(tmp_path / "out")]) == 1
+    assert "--threads-per-job must be at least 1, got 0" in capsys.readouterr().err
 
 
 def test_what_the_disk_refuses_is_one_clear_message(tiny_data, tmp_path, monkeypatch, capsys):
