@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from rich.progress import Progress
 
-from ..kernels.ahead import Needs, compile_ahead
+from ..kernels.ahead import Needs, are_cached, compile_ahead
 from ..runs.terminal import console
 from ..train.presets import needed_by_presets
 
@@ -27,7 +27,8 @@ def compile_kernels(needs: Needs) -> float:
         )
     seconds = time.perf_counter() - begun
     if seconds > COMPILED_SECONDS:
-        console.print(f"kernels compiled in {seconds:.0f} s; later starts find them in the cache")
+        later = "; later starts find them in the cache" if are_cached() else ""
+        console.print(f"kernels compiled in {seconds:.0f} s{later}")
     return seconds
 
 

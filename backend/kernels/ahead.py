@@ -6,8 +6,7 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -15,6 +14,7 @@ import torch
 from ...bridge.cores import usable_cores
 from ..rasterize import rasterize
 from ..scene.camera import Camera
+from ..simd.compiling import kept_on_disk
 from . import curve_mlp, evaluate_sh, gaussian_blur, local_curves, small_mlp, ssim
 from .activations import lit_colours
 from .bracket import bracket_errors
@@ -60,11 +60,12 @@ def compile_ahead(needs: Needs, report: Callable[[str, int, int], None] | None =
     """Run what is needed once on a few numbers. ``report(what, done, total)`` is called after each.
 
     About 25 s on two cores where nothing is cached, else a second. The compiler works on one core, so
-    where nothing is cached several processes share the work and leave the results on disk.
+    where nothing is cached several processes share the work and leave the results on disk. Where none can be
+    left there, this process does all of it.
     """
     jobs = _jobs(needs)
     cores = usable_cores()
-    if not _are_cached() and cores > 1:
+    if kept_on_disk(_ssim_rows) == [] and cores > 1:
         context = multiprocessing.get_context("spawn")
         with ProcessPoolExecutor(min(cores, len(jobs)), context) as pool:
             names = {pool.submit(job): name for name, job in jobs.items()}
@@ -102,10 +103,9 @@ def _union(some: tuple[T, ...], others: tuple[T, ...]) -> tuple[T, ...]:
     return tuple(dict.fromkeys((*some, *others)))
 
 
-def _are_cached() -> bool:
-    """Whether Numba's cache has anything of ours, so that there is little or nothing to compile."""
-    kernel: Any = _ssim_rows
-    return any(Path(kernel.stats.cache_path).glob("ssim._ssim_rows-*.nbi"))
+def are_cached() -> bool:
+    """Whether the disk has anything of ours, so that there is little or nothing to compile."""
+    return bool(kept_on_disk(_ssim_rows))
 
 
 def _rasterise(channels: Iterable[int]) -> None:

@@ -4,6 +4,12 @@
 import json
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from physhdr.backend.kernels import ahead
 
 #: In a process of its own: in this one, other tests have compiled whatever they needed.
 FIRST_STEPS = """
@@ -39,3 +45,23 @@ def test_first_steps_compile_nothing(tiny_data):
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout.splitlines()[-1]) == {preset: [] for preset in presets}
+
+
+@pytest.mark.parametrize(
+    ("on_disk", "processes"),
+    [([], [1]), ([Path("kernel.nbc")], []), (None, [])],
+    ids=["nothing there", "something there", "nothing can be kept"],
+)
+def test_processes_share_what_they_can_leave_on_disk(on_disk, processes, monkeypatch):
+    started, done = [], []
+
+    def pool(count, context):
+        started.append(count)
+        return ThreadPoolExecutor(count)
+
+    monkeypatch.setattr(ahead, "kept_on_disk", lambda kernel: on_disk)
+    monkeypatch.setattr(ahead, "usable_cores", lambda: 2)
+    monkeypatch.setattr(ahead, "ProcessPoolExecutor", pool)
+    monkeypatch.setattr(ahead, "_jobs", lambda needs: {"a kernel": lambda: done.append("a kernel")})
+    ahead.compile_ahead(ahead.Needs())
+    assert started == processes and done == ["a kernel"] * (1 + len(processes))
