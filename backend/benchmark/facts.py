@@ -15,22 +15,28 @@ from .runs import Record
 FACTS_FOLDER = "facts"
 
 
-def scene_facts(out: Path, name: str, folder: Path, data: str) -> dict[str, Any]:
+def scene_facts(
+    out: Path, name: str, folder: Path, data: str, downscale: float | None, color_space: str | None
+) -> dict[str, Any]:
     """What ``physhdr inspect`` finds in the data set in ``folder``, which the plan calls ``name``.
 
-    Looked at once for each ``data`` fingerprint.
+    ``downscale``, ``color_space``: as the plan has it read. The truth's noise is that of whole pictures, and
+    left out of smaller ones. Looked at once for each ``data`` fingerprint and way of reading.
     """
     path = out / FACTS_FOLDER / f"{name}.json"
     wanted = {field.name for field in dataclasses.fields(Inspection)}
+    read = {"data": data, "downscale": downscale, "color_space": color_space}
     try:
         kept = json.loads(path.read_text(encoding="utf-8"))
-        if kept["data"] == data and kept["facts"].keys() >= wanted:  # else an earlier version looked
+        if read.items() <= kept.items() and kept["facts"].keys() >= wanted:  # else an earlier version looked
             return kept["facts"]
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         pass  # not looked at yet, or not readable: look again
-    facts = dataclasses.asdict(inspect(folder))
+    facts = dataclasses.asdict(inspect(folder, downscale, color_space))
+    if downscale not in (None, 1.0):
+        facts |= {"noise_floor": None, "reference_floor": None}
     with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps({"data": data, "facts": facts}, indent=1) + "\n", encoding="utf-8")
+        temporary.write_text(json.dumps(read | {"facts": facts}, indent=1) + "\n", encoding="utf-8")
     return facts
 
 

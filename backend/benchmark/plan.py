@@ -216,8 +216,7 @@ class Plan:
             raise BadValueError(f"there is no setting '{unknown[0]}'", "Choose from exp1, exp3.")
         if self.threads_per_job < 1:
             raise BadValueError(f"--threads-per-job must be at least 1, got {self.threads_per_job}")
-        for text in self.assignments:
-            option_words(text)  # raises where it cannot be used
+        _ = self.options, self.reading  # these raise where an assignment cannot be used
         steps = [step for ladder in self.ladders for step in ladder.steps]
         for name in [*self.margins_of, *steps]:
             if name not in names:
@@ -245,6 +244,20 @@ class Plan:
         """What ``physhdr evaluate --pictures`` is told so that it evaluates at the size of all runs."""
         each = [option_words(text) for text in self.assignments]
         return tuple(word for words in each if words[0] in ("--downscale", "--color-space") for word in words)
+
+    @property
+    def reading(self) -> tuple[float | None, str | None]:
+        """How every data set is read: ``downscale`` and ``color_space``; None: as its layout and files say.
+
+        Raises ``BadValueError`` where the first is no number.
+        """
+        told = {words[0]: " ".join(words[1:]) for words in map(option_words, self.assignments)}
+        downscale, color_space = (told.get(name, "None") for name in ("--downscale", "--color-space"))
+        try:
+            smaller = None if downscale == "None" else float(downscale)
+        except ValueError as error:
+            raise BadValueError(f"--set downscale={downscale}: that is no number", "downscale=2") from error
+        return smaller, None if color_space == "None" else color_space
 
     @property
     def split(self) -> str:

@@ -235,7 +235,8 @@ def _conditions(schedule: Schedule, finished: Sequence[Finished]) -> list[str]:
     ]
     for scene in plan.scenes:
         folder = schedule.store.data_folder(scene)
-        facts = scene_facts(schedule.store.out, scene.name, folder, schedule.store.data[scene.name])
+        data = schedule.store.data[scene.name]
+        facts = scene_facts(schedule.store.out, scene.name, folder, data, *plan.reading)
         lines.append(f"scene {scene_line(scene.name, facts)}")
     wanted = schedule.store.evaluation_fingerprint
     if others := sum(each.record.evaluation != wanted for each in finished):

@@ -303,6 +303,23 @@ def test_the_command_measures_pictures_as_evaluate_does(tiny_data, tmp_path, cap
     assert "| theirs | 100.00 |" in (tmp_path / "out" / "report.md").read_text()
 
 
+def test_a_report_states_the_size_that_was_compared_and_no_noise_of_another(tiny_data, tmp_path):
+    data = shutil.copytree(tiny_data, tmp_path / "tiny")
+    info = json.loads((data / "dataset.json").read_text())
+    floor = {"psnr": [42.0] * 5, "hdr_psnr": 41.0}
+    (data / "dataset.json").write_text(json.dumps(info | {"noise_floor": floor}))
+    words = ["--external", f"theirs={tmp_path}/theirs", "--scenes", f"tiny={data}"]
+    words += ["--budget", "iterations=5", "--out", str(tmp_path / "out"), "--report-only"]
+    lines = []
+    for more in ([], ["--set", "downscale=2"], ["--set", "downscale=1"]):
+        assert main(["benchmark", *words, *more]) == 0
+        text = (tmp_path / "out" / "report.md").read_text()
+        lines.append(next(line for line in text.splitlines() if line.startswith("- scene tiny")))
+    whole, half, stated = lines
+    assert whole == stated and "32×32" in whole and "agree to" in whole
+    assert "16×16" in half and "agree to" not in half
+
+
 def test_a_report_alone_loses_no_run_that_was_evaluated(tiny_data, tmp_path, capsys):
     """Neither by weights of LPIPS that the plan names since, nor where nothing is done of a changed plan."""
     theirs, out = tmp_path / "theirs", tmp_path / "out"
