@@ -258,14 +258,19 @@ class PhysHDRMethod(SplattingMethod, Generic[D]):
         at_once = self.config.traits.brackets_at_once
         pictures = []
         for part in [taken] if at_once else [[each] for each in taken]:
-            drawn = self.draw(camera, levels, part[0].exposure)
             effects = [each.effect for each in part]
             part = [
                 replace(each, effect=None if effect is None else effect.to(self.device))
                 for each, effect in zip(part, effects, strict=True)
             ]
-            pictures += [developed.ldr for developed in self.develop_bracket(drawn, part)]
+            pictures += [developed.ldr for developed in self.developed_at(camera, part, levels)]
         return pictures
+
+    def developed_at(
+        self, camera: Camera, taken: Sequence[Exposed], levels: tuple[float, ...]
+    ) -> list[Developed]:
+        """What some pictures of a view record under ``levels``, each by itself where it must be drawn anew."""
+        return self.develop_bracket(self.draw(camera, levels, taken[0].exposure), taken)
 
     def training_outcome(self, batch: Batch) -> Outcome:
         drawn = self.draw(batch.camera, batch.levels, batch.recordings[0].exposure, watch=True)

@@ -114,17 +114,26 @@ class PaperPhysHDR(PhysHDRMethod[DrawnBranches]):
     # -- use -------------------------------------------------------------------------------------------
 
     def ldr_at(self, camera: Camera, exposure: float, levels: tuple[float, ...]) -> torch.Tensor:
+        return self.developed_at(camera, [Exposed(exposure=exposure)], levels)[0].ldr
+
+    def developed_at(
+        self, camera: Camera, taken: Sequence[Exposed], levels: tuple[float, ...]
+    ) -> list[Developed]:
         """Where l = t, another level scales what the IE branch sees, and the GI branch sees level times t."""
         if not self.level_is_exposure or is_standard(levels):
-            return self.develop(self.draw(camera, levels, exposure), exposure).ldr
+            return super().developed_at(camera, taken, levels)
+        return [self._relit(camera, each, levels) for each in taken]
+
+    def _relit(self, camera: Camera, taken: Exposed, levels: tuple[float, ...]) -> Developed:
         splats = self.backbone.splats(camera, self.active_sh_degree)
-        colours = [self.radiance_of(splats, (levels[0] * t, *levels[1:])) for t in (1.0, exposure)]
+        colours = [self.radiance_of(splats, (levels[0] * t, *levels[1:])) for t in (1.0, taken.exposure)]
         if self.config.tone_mapper.local:
             assert splats.context is not None
             colours.append(splats.context)
         drawn = self.rasterize(splats, torch.cat(colours, dim=1), camera).image
         context = drawn[6:] if self.config.tone_mapper.local else None
-        return self._fused(drawn[:3] * exposure, drawn[3:6], context).ldr
+        relit = drawn[3:6] if taken.effect is None else drawn[3:6] * taken.effect
+        return self._fused(exposed_by(drawn[:3], taken), relit, context)
 
     def bracket_at(
         self, camera: Camera, exposures: Sequence[float], levels: tuple[float, ...]

@@ -237,6 +237,22 @@ def test_without_an_illumination_branch_a_level_only_scales(camera):
     assert torch.allclose(method.ldr(camera, 2.0, 3.0), method.ldr(camera, 6.0), atol=1e-5)
 
 
+@pytest.mark.parametrize("level", [1.0, 4.0])
+@pytest.mark.parametrize("preset", OURS)
+def test_a_photo_under_other_light_is_the_picture_with_the_cameras_effect_on_it(preset, level, camera):
+    method, exposures = make(preset), [0.5, 2.0]
+    nothing, half_of_it = torch.ones(3, 1, 1), torch.ones(1, 20, 24)
+    half_of_it[..., 12:] = 0.0
+    for exposure, photo in zip(
+        exposures, method.photographed(camera, exposures, [nothing, nothing], level), strict=True
+    ):
+        torch.testing.assert_close(photo, method.ldr(camera, exposure, level), rtol=0.0, atol=1e-6)
+    (vignetted,) = method.photographed(camera, [0.5], [half_of_it], level)
+    left, right = method.ldr(camera, 0.5, level).split(12, dim=2)
+    torch.testing.assert_close(vignetted[..., :12], left, rtol=0.0, atol=1e-6)
+    assert not torch.allclose(vignetted[..., 12:], right, atol=1e-2)
+
+
 def test_every_parameter_of_every_preset_receives_a_gradient(camera):
     for preset in OURS:
         method = make(preset)
