@@ -7,8 +7,9 @@ import bpy
 
 from ..blender import layout_of
 from ..runtime import session
+from ..session.advice import silence
 from ..session.pythons import is_ours
-from ..session.state import State
+from ..session.state import ENDING, State
 from .parts import ICON, Subpanel, button, reasons, shortened, write
 
 
@@ -41,8 +42,10 @@ class _Backend(Subpanel):
                 draw_extend(context, layout, state)
         if state.link.status == "off":
             if state.link.pid:
-                write(context, layout, f"Process {state.link.pid} does not answer", "UNLINKED")
-                layout.operator("physhdr.backend_shutdown", text="End It", icon="QUIT")
+                told = f"Process {state.link.pid} {silence(state.link)}"
+                write(context, layout, told, "UNLINKED")
+                text = "End Now" if state.link.barred == ENDING else "End It"
+                layout.operator("physhdr.backend_shutdown", text=text, icon="QUIT")
             return
         welcome = state.link.welcome
         row = layout.row(align=True)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from ...bridge.messages import JobStatus
 from ...bridge.run_folder import same_folder
-from .state import CHECK, DATASET, INSTALL, LOOK, PHOTOS, Problem, State
+from .state import CHECK, DATASET, ENDING, INSTALL, LOOK, PHOTOS, Link, Problem, State
 from .tasks import TASKS
 
 #: What the state of a job is called, for people.
@@ -57,6 +57,8 @@ def headline(state: State, choices: Choices | None = None) -> str:
             return words
     if not state.backend.ready:
         return "The backend failed its check" if state.backend.problem else "No backend yet"
+    if state.link.barred:
+        return ENDING.message if state.link.barred == ENDING else "Another version's backend is running"
     if state.link.problem:
         return "The backend is gone"
     if state.link.status in ("starting", "connecting"):
@@ -84,8 +86,10 @@ def next_step(state: State, choices: Choices) -> str:
         return "Check the backend: what this version needs was not looked for yet"
     job = state.job
     mine = is_of_file(job, choices)
-    if state.link.problem and job.failure and mine:
-        return "Resume the training" if job.saved_iteration else "Start the training again"
+    if state.link.barred:
+        return state.link.barred.hint
+    if state.link.problem and job.failure and mine and job.saved_iteration:
+        return "Resume the training"
     if not state.active and choices.photos and state.photos.folder:
         return "Choose another folder of photos" if state.photos.problem else "Prepare the photos"
     match job.state:
@@ -105,9 +109,16 @@ def next_step(state: State, choices: Choices) -> str:
             return "Import the result into the scene"
     if choices.unsaved:
         return unsaved(choices)
-    if not state.dataset.folder or state.dataset.problem:
+    if not choices.data or not state.dataset.folder or state.dataset.problem:
         return "Prepare photos, render a data set from this scene, or choose one"
     return "Open the run, or resume its training" if choices.out_has_run else "Start the training"
+
+
+def silence(link: Link) -> str:
+    """What to say, after its number, of a process that lives and has no connection."""
+    if link.barred is None:
+        return "does not answer"
+    return "is ending" if link.barred == ENDING else "is of another version"
 
 
 def unsaved(choices: Choices) -> str:
@@ -179,6 +190,8 @@ def why_not(state: State, action: str, choices: Choices | None = None) -> str:
                 return "Install the backend first"
             if state.active:
                 return "Stop the training first"
+            if state.link.barred:
+                return f"{state.link.barred.message}. {state.link.barred.hint}"
             if choices.unsaved:
                 return unsaved(choices)
             return "" if choices.out_has_run else "Choose the folder of a run that was trained"
@@ -191,7 +204,7 @@ def why_not(state: State, action: str, choices: Choices | None = None) -> str:
             if state.job.has_model and not is_of_file(state.job, choices):
                 return "The backend holds another run: open this file's"
             return "" if state.job.has_model else "There is no model yet: start a training or open a run"
-        case "shutdown":
+        case "shutdown":  # of one that is ending already: at once
             return "" if state.link.status == "off" and state.link.pid else _why_not_steer(state)
         case "take_control":
             if state.link.status != "connected":
@@ -262,6 +275,8 @@ def _why_not_train(state: State, action: str, choices: Choices, busy: str) -> st
         return "Install the backend, or use an existing Python, first"
     if state.active:
         return "A training is under way"
+    if state.link.barred:
+        return f"{state.link.barred.message}. {state.link.barred.hint}"
     if state.link.status == "connected" and not state.job.in_control:
         return _why_not_steer(state)
     if choices.unsaved:

@@ -53,6 +53,14 @@ class PreviewRefused:
     failure: Failure
 
 
+class HelloRefusedError(Exception):
+    """The backend takes no connection from this client: ``failure`` says why."""
+
+    def __init__(self, failure: Failure) -> None:
+        super().__init__(failure.message)
+        self.failure = failure
+
+
 ClientEvent = Connected | LinkLost | Received | Refused
 
 
@@ -129,6 +137,8 @@ class Client:
             clean = received is not None and received.code in (1000, 1001)
             told = received.reason if received and received.reason else "the connection broke"
             self._lost(told, clean)
+        except HelloRefusedError as error:
+            self._lost(error.failure.message, refusal=error.failure)
         except ProtocolError as error:
             self._lost(f"it does not keep to the protocol: {error.message}")
         except (OSError, WebSocketException) as error:
@@ -141,10 +151,10 @@ class Client:
             self._sort(data)
         self._lost("it said good-bye", clean=True)
 
-    def _lost(self, reason: str, clean: bool = False) -> None:
+    def _lost(self, reason: str, clean: bool = False, refusal: Failure | None = None) -> None:
         with suppress(queue.Full):
             self._outbox.put_nowait(None)
-        self._events.put(LinkLost(reason, clean or self._closing.is_set()))
+        self._events.put(LinkLost(reason, clean or self._closing.is_set(), refusal))
 
     def _transmit(self, socket: ClientConnection) -> None:
         with suppress(ConnectionClosed, OSError):
@@ -169,7 +179,7 @@ class Client:
             return
         if envelope.kind == "error":
             if isinstance(request, Hello):
-                raise ProtocolError(envelope.message.message, envelope.message.hint)
+                raise HelloRefusedError(envelope.message)
             self._refuse(request, envelope.message)
         elif isinstance(envelope.message, Welcome):
             self._events.put(Connected(envelope.message))

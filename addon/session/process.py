@@ -15,6 +15,8 @@ FOREIGN_VARIABLES = ("PYTHONPATH", "PYTHONHOME", "PYTHONSTARTUP", "PYTHONUSERBAS
 #: Of Windows' kernel32: the right to wait for a process, the error of one that is another user's, and what
 #: waiting says of one that runs.
 SYNCHRONIZE, ERROR_ACCESS_DENIED, WAIT_TIMEOUT = 0x00100000, 5, 0x102
+#: What Windows' taskkill ends with where there is no such process.
+NO_SUCH_PROCESS = 128
 
 
 def clean_environment(**extra: str) -> dict[str, str]:
@@ -74,13 +76,38 @@ def open_log(path: Path, mode: str) -> IO[str]:
 
 
 def kill(pid: int) -> None:
-    """End a program that ``spawn`` started, and its children, at once."""
-    with suppress(OSError):
-        if sys.platform == "win32":
-            command = ["taskkill", "/PID", str(pid), "/T", "/F"]
-            subprocess.run(command, capture_output=True, check=False, **unseen())
-        else:
+    """End a program at once, and its children where it leads a group of its own, as those of ``spawn`` do.
+
+    One that is gone already is no error. Raises ``OSError`` where the system refuses.
+    """
+    if sys.platform == "win32":
+        _kill_on_windows(pid)
+        return
+    with suppress(ProcessLookupError):
+        # What a user's shell started may be in the group of that shell, or of Blender.
+        if os.getpgid(pid) == pid:
             os.killpg(pid, signal.SIGKILL)
+        else:
+            os.kill(pid, signal.SIGKILL)
+
+
+def ask_to_end(pid: int) -> None:
+    """Let a program end in its own way, by SIGTERM: a backend saves. On Windows nothing asks: it is ended.
+
+    Errors as ``kill``.
+    """
+    if sys.platform == "win32":
+        _kill_on_windows(pid)
+        return
+    with suppress(ProcessLookupError):
+        os.kill(pid, signal.SIGTERM)
+
+
+def _kill_on_windows(pid: int) -> None:
+    command = ["taskkill", "/PID", str(pid), "/T", "/F"]
+    done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False, **unseen())
+    if done.returncode not in (0, NO_SUCH_PROCESS):
+        raise OSError(done.stderr.strip() or f"taskkill ended with status {done.returncode}")
 
 
 def is_alive(pid: int) -> bool:

@@ -16,27 +16,29 @@ from pathlib import Path
 from ...bridge.atomic import atomic_path
 from ...bridge.connection import is_of_another, live_connection, private_home
 from ...bridge.errors import FileDamagedError, FileMissingError, OutputError, PhysHDRError
-from ...bridge.messages import PreviewFrame, PreviewRequest, Request, WhenClosed
+from ...bridge.messages import JobStatus, PreviewFrame, PreviewRequest, Request, WhenClosed
 from .client import Client, PreviewRefused
 from .dataset_look import DatasetLook
 from .photos import look_command
-from .process import clean_environment, is_alive, kill, open_log, spawn
+from .process import ask_to_end, clean_environment, is_alive, kill, open_log, spawn
 from .state import (
     LOOK,
     Asked,
     Connect,
-    Connected,
     Dataset,
     DatasetChosen,
     Effect,
+    EndBackend,
     Event,
     Found,
     KeepReport,
     KillBackend,
     LinkLost,
+    NotEnded,
     PhotosChosen,
     ProcessEnded,
     PythonChosen,
+    Received,
     Send,
     StartBackend,
     Started,
@@ -61,6 +63,8 @@ LOOK_SECONDS = 2.0
 DATASET_SECONDS = 0.2
 #: How long a backend of ours whose connection is gone has to end before another one is started.
 ENDING_SECONDS = 0.5
+#: How long one that was asked to end without a connection has to save; then it is killed.
+SAVING_SECONDS = 60.0
 
 
 class Session:
@@ -83,6 +87,8 @@ class Session:
         self._process = None
         self._started = 0.0
         self._looked = 0.0
+        self._in_control = False  # as the backend said last
+        self._to_kill = (0, 0.0)  # the process that was asked to end, 0 for none, and when it is killed
         self.dispatch(read_choice(home / CHOICE_FILE))
 
     # -- what Blender asks ---------------------------------------------------------------------------------
@@ -122,7 +128,7 @@ class Session:
     def set_when_closed(self, when_closed: WhenClosed) -> None:
         """What becomes of a training when this Blender closes."""
         self.when_closed = when_closed
-        if self.state.link.status == "connected" and self.state.job.in_control:
+        if self._in_control:
             self._send(when_closed)
 
     def choose_dataset(self, folder: str) -> None:
@@ -169,8 +175,8 @@ class Session:
         if self._client:
             for event in self._client.take():
                 self.dispatch(event)
-                if isinstance(event, Connected):
-                    self._send(self.when_closed)
+                if isinstance(event, Received) and isinstance(event.message, JobStatus):
+                    self._follow_control(event.message.in_control)
                 if isinstance(event, LinkLost):
                     self._forget_client()
         self._pump_process()
@@ -209,12 +215,21 @@ class Session:
                 self._connect()
             case Send(request):
                 self._send(request)
+            case EndBackend(pid):
+                self._end(pid, ask_to_end)
+                self._to_kill = pid, time.monotonic() + SAVING_SECONDS
             case KillBackend(pid):
-                self._kill(pid)
+                self._end(pid, kill)
             case KeepReport():
                 write_choice(self.home / CHOICE_FILE, effect)
             case SummariseDataset(folder):
                 self.choose_dataset(folder)
+
+    def _follow_control(self, in_control: bool) -> None:
+        """Who comes into control says what becomes of a training: the backend forgets the former's word."""
+        if in_control and not self._in_control:
+            self._send(self.when_closed)
+        self._in_control = in_control
 
     def _send(self, request: Request) -> None:
         if self._client:
@@ -263,16 +278,20 @@ class Session:
             self._client.close()
         self._client = Client(connection, self.name, self.version)
 
-    def _kill(self, pid: int) -> None:
+    def _end(self, pid: int, how: Callable[[int], None]) -> None:
         """End the backend's process: only if it lives, and its connection file names it still."""
         with suppress(FileMissingError, FileDamagedError):
             if live_connection(self.home).pid == pid:
-                kill(pid)
+                try:
+                    how(pid)
+                except OSError as error:
+                    self.dispatch(NotEnded(pid, error.strerror or str(error)))
 
     def _forget_client(self) -> None:
         if self._client:
             self._client.close()
             self._client = None
+        self._in_control = False
         self._looked = time.monotonic()  # not again at once
 
     def _pump_tasks(self) -> None:
@@ -305,15 +324,21 @@ class Session:
                     self.dispatch(LinkLost(f"it did not start within {START_SECONDS:.0f} s"))
             case "off" if now > self._looked + LOOK_SECONDS:
                 self._looked = now
-                self._look()
-                if self.state.link.status == "off" and self.state.link.pid:
+                if not self._look() and self.state.link.pid:
                     self.dispatch(Vanished())
+        pid, at = self._to_kill
+        if pid and now > at:
+            self._to_kill = 0, 0.0
+            self._end(pid, kill)
 
-    def _look(self) -> None:
+    def _look(self) -> bool:
+        """Look for a backend; returns whether there is one that lives."""
         with suppress(FileMissingError, FileDamagedError):
             connection = live_connection(self.home)
             if is_alive(connection.pid):  # machines may share a home, and the backend be another one's
                 self.dispatch(Found(connection.log, connection.pid))
+                return True
+        return False
 
 
 def read_choice(path: Path) -> PythonChosen:

@@ -16,6 +16,7 @@ from ...bridge.messages import (
     TrainResume,
     TrainStart,
     Welcome,
+    WhenClosed,
 )
 from .task import TaskEnded, TaskProgress
 
@@ -80,7 +81,8 @@ class Link:
 
     ``starting``: the process was started and has not yet said where it listens. ``problem``: why the last
     connection ended, if nobody wanted that. ``pid``: of the backend's process, 0 where there is none; with
-    the status ``off`` it lives and does not answer.
+    the status ``off`` it lives and does not answer. ``barred``: why no connection to that process is tried
+    again, though it lives: it takes none from this version, or it is ending.
     """
 
     status: LinkStatus = "off"
@@ -88,6 +90,11 @@ class Link:
     log: str = ""
     pid: int = 0
     problem: Problem | None = None
+    barred: Problem | None = None
+
+
+#: Of a process that was asked to end without a connection, and may be saving.
+ENDING = Problem("The backend is ending", "Wait until it has saved, or end it at once")
 
 
 @dataclass(frozen=True)
@@ -232,10 +239,14 @@ class Connected:
 
 @dataclass(frozen=True)
 class LinkLost:
-    """The connection ended, or could not be made. ``clean``: the other side said good-bye."""
+    """The connection ended, or could not be made. ``clean``: the other side said good-bye.
+
+    ``refusal``: what the backend answered to hello, where it takes none of this Blender.
+    """
 
     reason: str
     clean: bool = False
+    refusal: Failure | None = None
 
 
 @dataclass(frozen=True)
@@ -249,6 +260,14 @@ class ProcessEnded:
 @dataclass(frozen=True)
 class Vanished:
     """The process that did not answer is no more."""
+
+
+@dataclass(frozen=True)
+class NotEnded:
+    """The system does not let this Blender end the process ``pid``, for ``reason``."""
+
+    pid: int
+    reason: str
 
 
 @dataclass(frozen=True)
@@ -312,6 +331,7 @@ Event = (
     | LinkLost
     | ProcessEnded
     | Vanished
+    | NotEnded
     | Received
     | Refused
     | DatasetChosen
@@ -341,6 +361,13 @@ class Send:
 
 
 @dataclass(frozen=True)
+class EndBackend:
+    """Let the process save and end, whoever started it; where it does not, it is killed after a while."""
+
+    pid: int
+
+
+@dataclass(frozen=True)
 class KillBackend:
     """End the process at once, whoever started it."""
 
@@ -362,7 +389,8 @@ class SummariseDataset:
     folder: str
 
 
-Effect = StartBackend | Connect | Send | KillBackend | KeepReport | SummariseDataset
+Effect = StartBackend | Connect | Send | EndBackend | KillBackend | KeepReport | SummariseDataset
 
-#: Previews are asked for all the time: their refusals are no news.
-QUIET_REQUESTS = (PreviewRequest,)
+#: Nobody pressed a button for them: their refusals are no news. Previews are asked for all the time, and what
+#: is to become of a training is said whenever this Blender comes into control.
+QUIET_REQUESTS = (PreviewRequest, WhenClosed)

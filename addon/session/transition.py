@@ -25,6 +25,7 @@ from .photos import in_panel_words, prepared, understood
 from .state import (
     CHECK,
     DATASET,
+    ENDING,
     INSTALL,
     LOOK,
     MISSING_MODULE,
@@ -39,6 +40,7 @@ from .state import (
     Dismissed,
     Effect,
     EndAsked,
+    EndBackend,
     Event,
     FileOpened,
     Found,
@@ -46,6 +48,7 @@ from .state import (
     KillBackend,
     Link,
     LinkLost,
+    NotEnded,
     NotTaken,
     Photos,
     PhotosChosen,
@@ -100,29 +103,39 @@ def transition(state: State, event: Event) -> Result:
         case EndAsked():
             return state, (KillBackend(state.link.pid),) if state.stopping and state.link.pid else ()
         case Found(log, pid):
-            if state.link.status in ("connecting", "connected"):
+            former = state.link
+            if former.status in ("connecting", "connected") or (former.barred and former.pid == pid):
                 return state, ()
-            link = Link("connecting", log=log, pid=pid, problem=state.link.problem)
+            link = Link("connecting", log=log, pid=pid, problem=None if former.barred else former.problem)
             return replace(state, link=link), (Connect(),)
         case Started(log):
             return replace(state, link=Link("starting", log=log), problem=None), ()
         case Connected(welcome):
             return _connected(state, welcome)
+        case LinkLost(_, _, Failure() as refusal):
+            return _not_taken(state, refusal), ()
         case LinkLost(reason, clean):
-            return _link_lost(state, reason, clean)
+            return _link_lost(state, reason, clean), ()
         case ProcessEnded(status, last_line):
             if state.link.status != "starting":
                 return state, ()  # then the connection tells
             what = f"the backend ended with status {status} before it could be reached"
-            return _link_lost(state, what + (f": {last_line}" if last_line else ""), clean=False)
+            return _link_lost(state, what + (f": {last_line}" if last_line else ""), clean=False), ()
         case Vanished():
-            return replace(state, link=replace(state.link, pid=0)), ()
+            link = state.link
+            problem = None if link.barred else link.problem
+            return replace(state, link=replace(link, pid=0, problem=problem, barred=None)), ()
+        case NotEnded(pid, reason):
+            remedy = "End it in the system's list of processes."
+            return replace(state, problem=Problem(f"Process {pid} cannot be ended: {reason}", remedy)), ()
         case Received(message, request):
             return _received(state, message, request)
         case Refused(request, failure):
             if isinstance(request, QUIET_REQUESTS):
                 return state, ()
             problem = Problem(failure.message, failure.hint)
+            if isinstance(request, TrainStop):  # it goes on, and can be asked again
+                state = replace(state, stopping=False)
             if request == state.beginning:
                 return replace(state, problem=problem, beginning=None), (Send(StatusGet()),)
             return replace(state, problem=problem), ()
@@ -208,6 +221,10 @@ def _task_ended(state: State, event: TaskEnded) -> Result:
 
 
 def _asked(before: State, request: Request) -> Result:
+    if isinstance(request, Shutdown) and before.link.status != "connected":
+        return _shut_down_unheard(before)
+    if before.link.barred:
+        return replace(before, problem=before.link.barred), ()
     state = replace(before, problem=None, exported=None)
     if isinstance(request, TrainStart | TrainResume | RunOpen):
         run = request.out if isinstance(request, TrainStart) else request.run
@@ -215,12 +232,18 @@ def _asked(before: State, request: Request) -> Result:
         state = replace(state, history=History(), job=job, beginning=request, read=None)
     if state.link.status == "connected":
         return state, (Send(request),)
-    if isinstance(request, Shutdown):
-        # One that does not answer can only be ended from outside.
-        state = _without_job(replace(state, link=Link()))
-        return state, (KillBackend(before.link.pid),) if before.link.pid else ()
     state = replace(state, waiting=(*state.waiting, request))
     return state, (StartBackend(),) if state.link.status == "off" else ()
+
+
+def _shut_down_unheard(before: State) -> Result:
+    """One that cannot be told can only be ended from outside: it is asked first, then ended at once."""
+    state, pid = _without_job(replace(before, link=Link(), problem=None)), before.link.pid
+    if not pid:
+        return state, ()
+    if before.link.barred == ENDING:
+        return state, (KillBackend(pid),)
+    return replace(state, link=Link(log=before.link.log, pid=pid, barred=ENDING)), (EndBackend(pid),)
 
 
 def _connected(state: State, welcome: Welcome) -> Result:
@@ -230,27 +253,52 @@ def _connected(state: State, welcome: Welcome) -> Result:
     return replace(state, link=link, waiting=()), (Send(HistoryGet()), *effects)
 
 
-def _link_lost(state: State, reason: str, clean: bool) -> Result:
-    log = state.link.log
-    hint = f"The log is {log}" if log else ""
-    problem = None if clean else Problem(f"The backend is gone: {reason}", hint, log)
-    job = state.job
-    if state.active and not clean:
-        rescue = (
-            f"Resume goes on from the checkpoint of iteration {job.saved_iteration}."
-            if job.saved_iteration
-            else "It had not saved a checkpoint yet: start again."
-        )
-        failure = Failure(code="backend_gone", message=f"The backend is gone: {reason}", hint=rescue)
-        job = replace(job, state="failed", failure=failure, has_model=False)
-    elif state.active:
+def _link_lost(state: State, reason: str, clean: bool) -> State:
+    log, job = state.link.log, state.job
+    gone = f"The backend is gone: {reason}"
+    problem = None if clean else Problem(gone, f"The log is {log}" if log else "", log)
+    if state.active and clean and _has_begun(state):
         job = replace(job, has_model=False, state="stopped", message="saved, and stopped")
+    elif state.active:
+        failure = Failure(code="backend_gone", message=gone, hint=_rescue(state))
+        job = replace(job, state="failed", failure=failure, has_model=False)
     elif job.state != "failed":
         # What it held is gone with it; a failure is told until it has been read.
         state = _without_job(state)
         job = state.job
     link = Link("off", log=log, pid=0 if clean else state.link.pid, problem=problem)
-    return replace(state, link=link, job=job, waiting=(), beginning=None, stopping=False), ()
+    return replace(state, link=link, job=job, waiting=(), beginning=None, stopping=False)
+
+
+def _not_taken(state: State, refusal: Failure) -> State:
+    """The backend lives, and takes no connection from this Blender: what it does is not known."""
+    log, pid = state.link.log, state.link.pid
+    message = f"A backend of another version is running: {refusal.message}"
+    saves = "Or shut it down: a training saves a checkpoint first; on Windows its last one stays."
+    problem = Problem(message, f"{refusal.hint} {saves}".strip(), log)
+    link = Link("off", log=log, pid=pid, problem=problem, barred=problem)
+    state = _without_job(state) if state.active else state
+    return replace(state, link=link, waiting=(), beginning=None, stopping=False)
+
+
+def _has_begun(state: State) -> bool:
+    """Whether a training was under way. While one is asked for, what is known is of the former one."""
+    return state.beginning is None and state.job.has_model and state.job.state != "preparing"
+
+
+def _rescue(state: State) -> str:
+    """What is left of a training whose backend is gone."""
+    if state.job.saved_iteration:
+        return f"Resume goes on from the checkpoint of iteration {state.job.saved_iteration}."
+    if _has_begun(state):
+        return "Nothing that it had learned was saved yet: start again."
+    return "Nothing that the run had saved is lost: start it, resume it or open it again."
+
+
+def _backend_failed(state: State, told: JobStatus) -> State:
+    """The backend itself has failed, whatever it did: a run that it worked at is told so."""
+    job = replace(told, run=state.job.run, saved_iteration=state.job.saved_iteration)
+    return replace(state, job=job, waiting=(), beginning=None, stopping=False)
 
 
 def _without_job(state: State) -> State:
@@ -260,6 +308,8 @@ def _without_job(state: State) -> State:
 
 def _received(state: State, message: Reply, request: Request | None) -> Result:
     match message:
+        case JobStatus(state="failed", run=""):
+            return _backend_failed(state, message), ()
         case JobStatus():
             return (state if state.beginning else _job_changed(state, message)), ()
         case Done() if state.beginning and request == state.beginning:

@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import Literal
 
 from ...bridge.connection import Connection, new_token
+from ...bridge.errors import BadValueError
 from ...bridge.messages import PROTOCOL_VERSION, JobStatus, Welcome
 from ...bridge.presets import PRESETS
 from ..project import version, version_of
 from ..serve.curves import Curves
-from ..serve.failures import failure_of
+from ..serve.failures import PackageMissingError, failure_of
 from ..serve.home import announced, own_home
 from ..serve.inbox import Ending, Inbox
 from ..serve.server import Server
@@ -41,6 +42,10 @@ class Serve:
     log: str = ""
 
     def run(self) -> int:
+        if not self.idle_timeout >= 0.0:
+            raise BadValueError(
+                f"--idle-timeout must be 0 or more seconds, got {self.idle_timeout}", "0 is for never."
+            )
         logging.basicConfig(
             stream=sys.stderr, level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s"
         )
@@ -50,25 +55,36 @@ class Serve:
             port = server.start()
             _end_on_signals(inbox)
             connection = Connection(PROTOCOL_VERSION, port, token, os.getpid(), version(), self.log)
-            reason = "the backend failed; see its log"
+            reason, failed = "the backend failed; see its log", True
             with announced(self.home, connection):
                 try:
                     log.info("process %d listens on port %d, home %s", os.getpid(), port, self.home)
-                    reason = self._engine(inbox, server, curves)
-                except ImportError as error:
-                    log.exception("a module cannot be imported")
+                    reason, failed = self._engine(inbox, server, curves), False
+                except Exception as error:
+                    log.exception("the backend failed")
                     failure = failure_of(error, self.log)
                     server.publish(JobStatus(state="failed", message=failure.message, failure=failure))
                     reason = failure.message
                     return 1
                 finally:
                     log.info("ending: %s", reason)
-                    server.close(reason)
+                    server.close(reason, failed=failed)
         return 0
 
     def _engine(self, inbox: Inbox, server: Server, curves: Curves) -> str:
-        from ..serve.engine import Engine, Options  # imports torch: seconds, in which clients are answered
-
+        try:
+            from ..serve.engine import (
+                Engine,
+                Options,
+            )  # imports torch: seconds, in which clients are answered
+        except (
+            ImportError,
+            OSError,
+        ) as error:  # Windows tells of a library that lacks another one as the latter
+            raise PackageMissingError(
+                f"the backend's packages cannot be loaded: {error}",
+                "Check the backend: that says what is missing, and how to mend it.",
+            ) from error
         options = Options(device=self.device, threads=self.threads, log=self.log)
         return Engine(inbox, server, curves, options).run()
 

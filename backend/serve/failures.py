@@ -40,6 +40,10 @@ class BusyError(PhysHDRError):
     """Something else is being done that the request would disturb."""
 
 
+class PackageMissingError(PhysHDRError):
+    """A package that the backend needs is not installed, or cannot be loaded."""
+
+
 class NoModelError(PhysHDRError):
     """There is no model to render or to export."""
 

@@ -91,7 +91,7 @@ class Server:
         self._status = JobStatus(state="preparing", message="starting: loading torch")
         self._clients: dict[int, Client] = {}  # the longest connected first
         self._numbers = itertools.count(1)
-        self._closing = ""
+        self._closing = (GOING_AWAY, "")  # with what connections end
         self._port: Future[int] = Future()
         self._thread = threading.Thread(target=self._run, name="physhdr server", daemon=True)
 
@@ -120,9 +120,12 @@ class Server:
         """The preview that was taken from the inbox, or why there is none."""
         self._post(self._show, wanted, frame)
 
-    def close(self, reason: str) -> None:
-        """Send what is left, tell every client why, and end the thread."""
-        self._closing = reason or "the backend ends"
+    def close(self, reason: str, *, failed: bool = False) -> None:
+        """Send what is left, tell every client why, and end the thread.
+
+        ``failed``: it is no good-bye, and nobody may take what was learned for saved.
+        """
+        self._closing = INTERNAL if failed else GOING_AWAY, reason or "the backend ends"
         self._post(self._ended.set)
         self._thread.join(timeout=4 * CLOSE_SECONDS + 1.0)
 
@@ -173,7 +176,7 @@ class Server:
             async with asyncio.timeout(CLOSE_SECONDS):
                 while not all(client.idle for client in self._clients.values()):
                     await asyncio.sleep(0.01)
-        closing = [close(client.socket, GOING_AWAY, self._closing) for client in self._clients.values()]
+        closing = [close(client.socket, *self._closing) for client in self._clients.values()]
         await asyncio.gather(*closing, return_exceptions=True)
         server.close()
         with suppress(TimeoutError):

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The connection itself, to a server that is not ours."""
 
+import json
 import threading
 import time
 
@@ -8,8 +9,9 @@ import pytest
 from websockets.sync.server import serve
 
 from physhdr.addon.session.client import Client
+from physhdr.addon.session.state import LinkLost
 from physhdr.bridge.connection import Connection, new_token
-from physhdr.bridge.messages import PROTOCOL_VERSION
+from physhdr.bridge.messages import PROTOCOL_VERSION, Failure
 
 
 class SlowBackend:
@@ -44,6 +46,26 @@ def slow():
     backend = SlowBackend()
     yield backend
     backend.end()
+
+
+def test_a_refused_hello_is_told_with_its_remedy():
+    """As a backend of an older version answers."""
+    answer = {"code": "wrong_protocol", "message": "this backend speaks version 2", "hint": "It is 0.0.9."}
+
+    def refuse(socket) -> None:
+        socket.send(json.dumps({"kind": "error", "id": json.loads(socket.recv())["id"], **answer}))
+        socket.close(1002, answer["message"])
+
+    with serve(refuse, "127.0.0.1", 0) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        port = server.socket.getsockname()[1]
+        client = Client(Connection(PROTOCOL_VERSION, port, new_token(), 1, "", ""), "Blender", "1")
+        deadline = time.monotonic() + 10.0
+        while not (events := client.take()):
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        server.shutdown()
+    assert events == [LinkLost(answer["message"], refusal=Failure(**answer))]
 
 
 def test_a_client_that_is_closed_while_it_connects_does_not_live_on(slow):

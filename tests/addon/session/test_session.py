@@ -1,17 +1,21 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The session with real files and processes, without Blender: what it writes, and what it does not trust."""
 
+import errno
 import os
+import signal
 import stat
 import subprocess
 import sys
+from contextlib import contextmanager
 from types import SimpleNamespace
 
 import pytest
 
 from physhdr.addon.session.advice import problem_of
+from physhdr.addon.session.process import kill
 from physhdr.addon.session.session import CHOICE_FILE, LOG_FILE, Session, read_choice, write_choice
-from physhdr.addon.session.state import KeepReport, PythonChosen
+from physhdr.addon.session.state import KeepReport, PythonChosen, Received
 from physhdr.bridge.connection import (
     LOCK_FILE,
     Connection,
@@ -21,7 +25,7 @@ from physhdr.bridge.connection import (
 )
 from physhdr.bridge.errors import OutputError
 from physhdr.bridge.lock import Lock
-from physhdr.bridge.messages import PROTOCOL_VERSION, Shutdown, StatusGet
+from physhdr.bridge.messages import PROTOCOL_VERSION, JobStatus, Shutdown, StatusGet, WhenClosed
 
 REPORT = {"versions": {"torch": "2.13.0"}}
 
@@ -106,14 +110,114 @@ def test_only_a_backend_that_lives_is_ended(tmp_path, launcher, bystander):
     assert session.state.link.pid == bystander.pid  # it does not answer
     lock.release()
     session.ask(Shutdown())
+    session.ask(Shutdown())  # at once
     with pytest.raises(subprocess.TimeoutExpired):
         bystander.wait(0.3)
     # As long as it holds the lock, and is the one that its file names, it is ended.
     assert lock.take()
-    session._kill(bystander.pid + 1)
-    session._kill(bystander.pid)
+    session._end(bystander.pid + 1, kill)
+    session._end(bystander.pid, kill)
     assert bystander.wait(10) == -9
     lock.release()
+
+
+#: Says when it can be asked to end, and what it does then.
+SAVES = """
+import signal, sys, time
+def end(*_):
+    print("saved", flush=True)
+    sys.exit(7)
+signal.signal(signal.SIGTERM, end)
+print("ready", flush=True)
+time.sleep(60)
+"""
+
+
+@contextmanager
+def unheard(home, launcher, backend):
+    """A session that has found a backend which holds the home's lock, and nobody listens."""
+    if backend.stdout:
+        assert backend.stdout.readline() == "ready\n"
+    session = left_behind(home, launcher, backend.pid)
+    lock = Lock(home / LOCK_FILE)
+    assert lock.take()
+    session._look()
+    assert session.wait(lambda state: state.link.status == "off", 30.0)
+    assert session.state.link.pid == backend.pid
+    yield session
+    lock.release()
+
+
+@pytest.fixture
+def saves():
+    """A program of this process's own group, as one that a user's shell has started."""
+    with subprocess.Popen([sys.executable, "-c", SAVES], stdout=subprocess.PIPE, text=True) as one:
+        yield one
+        one.kill()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGTERM")
+def test_a_backend_that_does_not_answer_may_save_before_it_ends(tmp_path, launcher, saves):
+    """Another version's does so."""
+    with unheard(tmp_path / "home", launcher, saves) as session:
+        session.ask(Shutdown())
+        assert saves.wait(10) == 7 and saves.stdout.read() == "saved\n"
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGSTOP")
+def test_a_backend_that_hangs_is_killed_when_its_time_is_over(tmp_path, launcher, saves):
+    """It alone, whatever group it is in: here that of this very test."""
+    with unheard(tmp_path / "home", launcher, saves) as session:
+        saves.send_signal(signal.SIGSTOP)
+        session.ask(Shutdown())
+        session.pump()
+        assert saves.poll() is None
+        session._to_kill = saves.pid, 0.0
+        session.pump()
+        assert saves.wait(10) == -signal.SIGKILL
+
+
+def test_what_the_system_does_not_let_us_end_is_told(tmp_path, launcher, bystander):
+    def refuse(pid):
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    with unheard(tmp_path / "home", launcher, bystander) as session:
+        session._end(bystander.pid, refuse)
+        assert f"{bystander.pid} cannot be ended: Operation not" in problem_of(session.state).message
+
+
+class Heard:
+    """Stands in for the connection: what has come, and what was sent."""
+
+    def __init__(self):
+        self.events, self.sent = [], []
+        self.send = self.sent.append
+
+    def take(self):
+        events, self.events = self.events, []
+        return events
+
+    def close(self):
+        pass
+
+
+def test_who_comes_into_control_says_what_becomes_of_a_training(tmp_path, launcher):
+    """At once, when another leaves, and when it is taken; one that only watches would be refused."""
+    session = Session(tmp_path, launcher)
+    session.when_closed = WhenClosed(training="stop")
+    session._client = client = Heard()
+
+    def told(*in_control):
+        client.sent.clear()
+        client.events += [Received(JobStatus(in_control=each)) for each in in_control]
+        session.pump()
+        return [each for each in client.sent if isinstance(each, WhenClosed)]
+
+    assert told(False, False) == []
+    assert told(True) == told(False, True) == [session.when_closed]
+    session.set_when_closed(WhenClosed(training="keep"))
+    assert client.sent[-1] == WhenClosed(training="keep")
+    assert told(True) == []
 
 
 def left_behind(home, launcher, pid):

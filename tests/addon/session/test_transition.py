@@ -12,13 +12,16 @@ from physhdr.addon.session.state import (
     Connect,
     Connected,
     Dataset,
+    DatasetChosen,
     Dismissed,
     EndAsked,
+    EndBackend,
     FileOpened,
     Found,
     KeepReport,
     KillBackend,
     LinkLost,
+    NotEnded,
     NotTaken,
     Photos,
     PhotosChosen,
@@ -51,9 +54,11 @@ from physhdr.bridge.messages import (
     Shutdown,
     StatusGet,
     TrainPause,
+    TrainResume,
     TrainStart,
     TrainStop,
     Welcome,
+    WhenClosed,
 )
 
 WELCOME = Welcome(
@@ -346,6 +351,81 @@ def test_a_stop_that_was_heeded_is_over():
     assert not state.stopping and headline(state) == "Stopped: can be resumed"
 
 
+def test_a_stop_that_was_refused_can_be_asked_again():
+    """Another Blender took control a moment before; the training goes on."""
+    refused = Failure(code="not_in_control", message="B steers this backend", hint="Take control.")
+    state, _ = after(training(), StopAsked(), Refused(TrainStop(), refused))
+    assert problem_of(state).message == "B steers this backend"
+    assert headline(state) == "Training" and why_not(state, "stop") == ""
+
+
+def test_a_backend_that_fails_while_it_starts_says_why():
+    """While it loads its packages nothing is known of the training that was asked for, but that is."""
+    failure = Failure(code="package_missing", message="No module named 'sympy'", hint="Check the backend.")
+    state, _ = after(connected(), Asked(START), Received(JobStatus(state="failed", failure=failure)))
+    for ended in (state, after(state, LinkLost("No module named", clean=False))[0]):
+        assert ended.job.state == "failed" and ended.job.run == "/run" and not ended.active
+        assert problem_of(ended).message == "No module named 'sympy'"
+        assert next_step(ended, HERE) == "Check the backend."
+
+
+@pytest.mark.parametrize("request_", [START, TrainResume(run="/run"), RunOpen(run="/run")])
+def test_what_was_asked_for_and_not_begun_is_neither_saved_nor_lost(request_):
+    """The process is killed while it loads, or somebody shuts it down before it has taken the request."""
+    loading = JobStatus(state="preparing", run="/run", in_control=True)
+    asked, _ = after(connected(), Asked(request_))
+    begun, _ = after(asked, Received(Done(), request_), Received(loading))
+    for state in (asked, begun):
+        for clean in (False, True):
+            lost, _ = after(state, LinkLost("it was ended by SIGTERM", clean))
+            assert lost.job.state == "failed" and "SIGTERM" in problem_of(lost).message
+            assert "Nothing that the run had saved is lost" in problem_of(lost).hint
+            assert next_step(lost, HERE) == problem_of(lost).hint
+
+
+def test_a_new_training_that_had_saved_nothing_has_to_start_again():
+    state, _ = after(training(has_model=True), LinkLost("the connection broke"))
+    assert "saved yet: start again" in problem_of(state).hint
+
+
+def test_a_backend_of_another_version_is_told_and_left_alone_until_it_is_shut_down():
+    """It may be training, for a Blender that was updated since."""
+    failure = Failure(
+        code="wrong_protocol", message="this backend speaks version 3", hint="It is PhysHDR 0.1.0."
+    )
+    found = after(READY, Asked(START), Found("/tmp/backend.log", 4242))[0]
+    state, _ = after(found, LinkLost(failure.message, refusal=failure))
+    assert headline(state, HERE) == "Another version's backend is running"
+    assert "speaks version 3" in problem_of(state).message and "PhysHDR 0.1.0" in problem_of(state).hint
+    assert "PhysHDR 0.1.0" in next_step(state, HERE) and not state.active
+    again, effects = after(state, Found("/tmp/backend.log", 4242), Dismissed(), Asked(START))
+    assert effects == [] and "speaks version 3" in problem_of(again).message
+    assert "speaks version 3" in why_not(state, "start", CHOICES)
+    assert after(state, Asked(Shutdown()))[1] == [EndBackend(4242)]
+    gone, _ = after(state, Vanished())
+    assert problem_of(gone) is None and after(gone, Asked(START))[1] == [StartBackend()]
+    assert after(state, Found("/tmp/backend.log", 4711))[1] == [Connect()]  # another one, perhaps ours
+
+
+def test_a_process_that_cannot_be_ended_is_named():
+    state, _ = after(training(), StopAsked(), NotEnded(4242, "Operation not permitted"))
+    assert "4242 cannot be ended: Operation not permitted" in problem_of(state).message
+
+
+def test_nobody_is_told_of_a_refusal_of_what_nobody_asked_for():
+    refused = Refused(WhenClosed(training="stop"), Failure(code="not_in_control", message="A steers"))
+    assert problem_of(after(connected(), refused)[0]) is None
+
+
+def test_a_data_set_of_the_former_file_is_nothing_to_train_on():
+    """Its photos were still being prepared when another file was opened, which has chosen none."""
+    made = TaskEnded("photos", True, result={"folder": "/former"})
+    state, _ = after(READY, TaskStarted("photos", "/log"), FileOpened(), made)
+    state, _ = after(state, DatasetChosen(Dataset("/former", ("10 views",))))
+    assert "choose one" in next_step(state, Choices(of_file=True))
+    assert next_step(state, Choices("/former", "/run", of_file=True)) == "Start the training"
+
+
 def test_a_backend_that_dies_fails_its_training_and_names_checkpoint_and_log():
     state, _ = after(training(saved_iteration=30), LinkLost("the connection broke"))
     problem = problem_of(state)
@@ -359,6 +439,8 @@ def test_a_backend_that_does_not_answer_can_be_ended_and_is_looked_for_again():
     state, _ = after(training(), LinkLost("it does not answer"))
     assert why_not(state, "shutdown") == ""
     ended, effects = after(state, Asked(Shutdown()))
+    assert effects == [EndBackend(4242)] and headline(ended) == "The backend is ending"  # it may be saving
+    ended, effects = after(ended, Found("/tmp/backend.log", 4242), Asked(Shutdown()))
     assert effects == [KillBackend(4242)] and why_not(ended, "shutdown") == "No backend is running"
     again, effects = after(state, Found("/tmp/backend.log", 4242))
     assert effects == [Connect()] and problem_of(again)  # it is told until there is a connection
@@ -404,7 +486,7 @@ def test_what_a_backend_held_is_gone_with_it(state, how):
         "shut down": [Asked(Shutdown()), LinkLost("shut down", clean=True)],
         "idle": [LinkLost("nobody was connected", clean=True)],
         "killed": [LinkLost("the connection broke")],
-        "ended from outside": [LinkLost("it does not answer"), Dismissed(), Asked(Shutdown())],
+        "ended from outside": [LinkLost("it does not answer"), Dismissed(), Asked(Shutdown()), Vanished()],
     }[how]
     gone, _ = after(held, *events)
     assert gone.job == JobStatus() and gone.history == History() and gone.exported is None

@@ -78,6 +78,40 @@ def test_a_signal_saves_the_training_and_says_good_bye(start, enter, tiny_data, 
 
 
 @pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("raise ModuleNotFoundError(\"No module named 'sympy'\")", "No module named 'sympy'"),
+        ("raise OSError('[WinError 126] Error loading c10.dll')", "Error loading c10.dll"),
+        ("raise AttributeError('half a torch')", "half a torch"),
+    ],
+)
+def test_a_backend_that_cannot_start_says_why(start, enter, tmp_path, monkeypatch, line, said):
+    """A torch that a client waits for, and that does not load in the end."""
+    (tmp_path / "broken").mkdir()
+    go = tmp_path / "go"
+    waits = f"import os, time\nwhile not os.path.exists({str(go)!r}): time.sleep(0.01)\n"
+    (tmp_path / "broken" / "torch.py").write_text(waits + line)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path / "broken"), prepend=os.pathsep)
+    backend = start()
+    peer = enter(backend)
+    go.touch()
+    code, reason = farewell(peer)
+    assert code == 1011 and backend.process.wait(30) == 1
+    failure = peer.status.failure
+    assert peer.status.state == "failed" and peer.status.run == "" and said in failure.message
+    assert failure.code == ("internal" if "half" in said else "package_missing") and failure.hint
+    assert failure.message.startswith(reason[:60])
+
+
+@pytest.mark.parametrize("seconds", ["nan", "-5"])
+def test_an_idle_time_that_is_none_is_refused(tmp_path, seconds, capsys):
+    from physhdr.backend.cli import main
+
+    assert main(["serve", "--home", str(tmp_path / "home"), "--idle-timeout", seconds]) == 1
+    assert "--idle-timeout must be 0 or more" in capsys.readouterr().err and not (tmp_path / "home").exists()
+
+
+@pytest.mark.parametrize(
     "error",
     [MemoryError(), RuntimeError("[enforce fail] DefaultCPUAllocator: can't allocate memory: you tried …")],
 )
