@@ -269,7 +269,7 @@ class PhysHDRMethod(SplattingMethod, Generic[D]):
     def developed_at(
         self, camera: Camera, taken: Sequence[Exposed], levels: tuple[float, ...]
     ) -> list[Developed]:
-        """What some pictures of a view record under ``levels``, each by itself where it must be drawn anew."""
+        """What pictures of a view record under ``levels``; several only of ``Traits.brackets_at_once``."""
         return self.develop_bracket(self.draw(camera, levels, taken[0].exposure), taken)
 
     def training_outcome(self, batch: Batch) -> Outcome:

@@ -42,6 +42,15 @@ class Rasterization:
     depth: torch.Tensor | None = None
 
 
+def refuse_too_many_pairs(gaussians: int, pairs: int, most: int) -> None:
+    """Raise ``BadValueError`` where more than ``most`` pairs of a Gaussian and a tile are drawn."""
+    if pairs > most:
+        raise BadValueError(
+            f"{gaussians} Gaussians touch {pairs} tiles of the picture, {pairs / gaussians:.0f} each",
+            "Training diverged (their scales grew), or the picture is too large: draw it in parts.",
+        )
+
+
 def refuse_what_is_not_finite(tensors: Mapping[str, torch.Tensor | None]) -> None:
     """Raise ``BadValueError`` with the name, row and value of the first NaN or infinity."""
     for name, tensor in tensors.items():

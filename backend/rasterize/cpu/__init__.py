@@ -14,12 +14,15 @@ from torch.nn import functional
 from ....bridge.errors import BadValueError
 from ...scene.camera import Camera
 from ...simd import LANES, ranges, run_parallel, run_ranges, set_threads, thread_count
-from ..contract import Rasterization, refuse_what_is_not_finite
+from ..contract import Rasterization, refuse_too_many_pairs, refuse_what_is_not_finite
 from .binning import fill_lists
 from .projection import RECORD_HEAD, TILE_HEIGHT, TILE_WIDTH, camera_array, project, project_backward
 from .tiles import BLOCK_HEIGHT, BLOCK_WIDTH, MOMENTS, draw, draw_backward
 
 __all__ = ["rasterize", "set_threads", "thread_count"]
+
+#: Pairs of a picture: what an int32 counts.
+MOST_PAIRS = (1 << 31) - 1
 
 #: What gradients are taken of, as ``_Rasterize`` takes them.
 NAMES = ("means", "quaternions", "scales", "opacities", "colours", "screen_offsets")
@@ -134,23 +137,27 @@ def _draw(camera: Camera, tensors: tuple[Any, ...], keep: bool):
             *(edges[part], edges[part + 1], *flat, channels, view, tiles_x, records, stride, keys),
             *(_flat(radii), slot_starts, slot_tiles, histogram, finite),
         )
-        return (
-            (slot_tiles[:pairs], histogram)
-            if pairs <= slot_tiles.size
-            else project_part(part, np.empty(pairs, np.int32))
-        )
+        return pairs, slot_tiles[:pairs], histogram
 
     # Most Gaussians touch one or two tiles; where that is too few, the part is done again.
     parts = run_parallel(lambda i: project_part(i, np.empty(2 * (edges[i + 1] - edges[i]) + 64, np.int32)))
+    needed = [pairs for pairs, _, _ in parts]
+    refuse_too_many_pairs(count, sum(needed), MOST_PAIRS)
+    whole = [tiles_of_part.size == pairs for pairs, tiles_of_part, _ in parts]
+    if not all(whole):
+        tried = parts
+        parts = run_parallel(
+            lambda i: tried[i] if whole[i] else project_part(i, np.empty(needed[i], np.int32))
+        )
     if not finite[0] or not _all_finite(colours):
         refuse_what_is_not_finite(dict(zip(NAMES, tensors, strict=True)))
-    slot_tiles = np.concatenate([tiles_of_part for tiles_of_part, _ in parts])
+    slot_tiles = np.concatenate([tiles_of_part for _, tiles_of_part, _ in parts])
     before = 0
-    for (tiles_of_part, _), first, last in zip(parts, edges, edges[1:], strict=False):
+    for pairs, first, last in zip(needed, edges, edges[1:], strict=False):
         slot_starts[first:last] += before
-        before += tiles_of_part.size
+        before += pairs
     slot_starts[count] = pairs = before
-    per_tile = np.sum([histogram for _, histogram in parts], axis=0)
+    per_tile = np.sum([histogram for _, _, histogram in parts], axis=0)
     tile_starts = np.zeros(tiles + 1, np.int64)
     np.cumsum(per_tile, out=tile_starts[1:])
 

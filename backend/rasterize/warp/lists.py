@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import torch
 
-from ....bridge.errors import BadValueError
+from ..contract import refuse_too_many_pairs
 from .arrays import array, launch, wp
 from .projection import View, emit
 
@@ -43,11 +43,7 @@ def make_lists(
     order = depths.sort(stable=True).indices
     ends = counts[order].cumsum(0)  # int64: N Gaussians that cover all tiles are more than an int32 holds
     pairs = int(ends[-1]) if len(ends) else 0
-    if pairs > MOST_PAIRS:
-        raise BadValueError(
-            f"{len(depths)} Gaussians touch {pairs} tiles of the picture, {pairs / len(depths):.0f} each",
-            "Training diverged (their scales grew), or the picture is too large: draw it in parts.",
-        )
+    refuse_too_many_pairs(len(depths), pairs, MOST_PAIRS)
     unsorted, by_depth = (torch.empty(pairs, dtype=torch.int32, device=device) for _ in range(2))
     launch(
         emit,

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from physhdr.backend.rasterize import cpu, rasterize
+from physhdr.backend.rasterize.cpu.projection import project
 from physhdr.backend.scene.camera import Camera
 from physhdr.bridge.errors import BadValueError
 
@@ -180,6 +181,25 @@ def test_same_bits_for_any_number_of_threads():
         cpu.set_threads(before)
     for other in results[1:]:
         assert all(torch.equal(a, b) for a, b in zip(results[0], other, strict=True))
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_too_many_pairs_are_refused_before_memory_is(threads, monkeypatch):
+    """2,000 that each cover a picture of 32 tiles; of a thread's share alone there may be few enough."""
+    view, count, before = camera(256, 64), 2000, cpu.thread_count()
+    tensors = random_gaussians(count, 3, view)
+    tensors[2][:] = 100.0
+    tensors[3][:] = 0.5
+    largest = []
+    monkeypatch.setattr(cpu, "MOST_PAIRS", 40_000)
+    monkeypatch.setattr(cpu, "project", lambda *a: largest.append(a[-3].size) or project(*a))
+    cpu.set_threads(threads)
+    try:
+        with pytest.raises(BadValueError, match=rf"{count} Gaussians touch 64000 tiles[\s\S]*in parts"):
+            rasterize(*tensors, view, implementation="cpu")
+    finally:
+        cpu.set_threads(before)
+    assert max(largest) <= 2 * count + 64
 
 
 def test_without_gradients_the_picture_is_the_same(implementation):
