@@ -16,6 +16,7 @@ from ...bridge.probe import check_width
 from ..evaluate import truth
 from ..evaluate.confidence import Calibration, calibration, log_error
 from ..evaluate.panorama import LitSplats, surroundings
+from ..evaluate.pictures import compared_everywhere
 from ..evaluate.results import VIEWS_OF
 from ..export.confidence import confidence_picture
 from ..methods.base import SplattingMethod
@@ -108,14 +109,18 @@ def write_calibration(run: Run, split: str, out: Path) -> Calibration:
     method, found = on_gaussians_and_sure(run)
     sure, drawn, true = [], [], []
     for view in views:
-        sure.append(confidence_picture(method, found, view.camera).image[0].numpy().reshape(-1))
-        drawn.append(method.hdr(view.camera).numpy())
-        true.append(truth.hdr_truth(run.scene.root, split, view.index).numpy())
-        if drawn[-1].shape != true[-1].shape:
+        confidence = confidence_picture(method, found, view.camera).image[0]
+        ours, theirs = method.hdr(view.camera), truth.hdr_truth(run.scene.root, split, view.index)
+        if ours.shape != theirs.shape:
             raise BadValueError(
                 f"the true radiance of {view.name} is not of the size that was trained",
                 "Train without --downscale to compare confidence with it.",
             )
+        mask = compared_everywhere(view)
+        mask = torch.ones_like(confidence, dtype=torch.bool) if mask is None else mask
+        sure.append(confidence[mask].numpy())
+        drawn.append(ours[:, mask].numpy())
+        true.append(theirs[:, mask].numpy())
     table = calibration(np.concatenate(sure), log_error(drawn, true))
     texts = (json.dumps({"split": split, **table.described()}, indent=1) + "\n", table.markdown())
     for name, text in zip(CALIBRATION_FILES, texts, strict=True):

@@ -2,7 +2,8 @@
 """Confidence against truth: are the pixels that a model is surest of those whose radiance is right?
 
 A pixel's error is the mean over the channels of |ln(radiance / truth)|, after one factor for all pixels (the
-median), since photographs tell no absolute scale. Pixels are sorted by confidence into ten equal parts.
+median), since photographs tell no absolute scale. Pixels that are compared are sorted by confidence into ten
+equal parts.
 """
 
 from collections.abc import Sequence
@@ -14,9 +15,10 @@ from rich import box
 from rich.table import Table
 
 from ...bridge.confidence import MEANING, STOPS, TOLERANCE
+from .metrics import SCALE_FLOOR
 
 FORMAT, VERSION = "physhdr-confidence", 1
-#: Added to both radiances, of the truth's median: where it is black logarithms mean nothing.
+#: Added to the truth and to what is drawn at its scale, of its median: of black, logarithms mean nothing.
 FLOOR = 1e-4
 PARTS = 10
 HEADINGS = ("pixels", "confidence", f"within {STOPS:g} stops", "median |ln error|")
@@ -101,14 +103,18 @@ class Calibration:
 
 
 def log_error(drawn: Sequence[np.ndarray], truth: Sequence[np.ndarray]) -> np.ndarray:
-    """``[P]`` of all pixels of some views, drawn and true radiance ``[3, H, W]`` each."""
-    floor = FLOOR * float(np.median(np.concatenate([each.reshape(-1) for each in truth])))
-    parts = [
-        np.log((np.maximum(a, 0.0) + floor) / (np.maximum(b, 0.0) + floor)).reshape(3, -1)
-        for a, b in zip(drawn, truth, strict=True)
-    ]
-    ratio = np.concatenate(parts, axis=1)
-    return np.abs(ratio - np.median(ratio)).mean(axis=0)
+    """``[P]`` of all pixels of some views, drawn and true radiance ``[3, …]`` each."""
+    a, b = (
+        np.maximum(np.concatenate([each.reshape(3, -1) for each in views], axis=1), 0.0)
+        for views in (drawn, truth)
+    )
+    middle = float(np.median(b))
+    lit = b > SCALE_FLOOR * middle
+    factor = float(np.median(a[lit] / b[lit])) if lit.any() else 1.0
+    # Before the floor, which is of the truth's scale: it would hide what is drawn at a much smaller one.
+    a = a / factor if factor > 0.0 else a
+    floor = FLOOR * middle
+    return np.abs(np.log((a + floor) / (b + floor))).mean(axis=0)
 
 
 def calibration(confidence: np.ndarray, error: np.ndarray) -> Calibration:

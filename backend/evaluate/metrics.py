@@ -143,13 +143,18 @@ def hdr_shown(truth: torch.Tensor, height: int, width: int) -> tuple[torch.Tenso
     return quantise(resize_to(display(truth, normaliser), height, width)), normaliser
 
 
-def scale_ratio(prediction: torch.Tensor, truth: torch.Tensor) -> float:
+def scale_ratio(prediction: torch.Tensor, truth: torch.Tensor, mask: torch.Tensor | None = None) -> float:
     """The median of prediction / truth: how far the absolute scale of the radiance is off (1: not).
 
     Over all pixels and all three channels whose truth is above ``SCALE_FLOOR`` × the truth's median: black
-    has no scale. The truth is resized to the prediction. NaN if no channel value qualifies.
+    has no scale. The truth is resized to the prediction. ``mask``: the pixels of the prediction that count,
+    ``[H, W]`` bool; None: all. NaN if no channel value qualifies.
     """
     truth = resize_to(truth.double(), prediction.shape[1], prediction.shape[2])
+    if mask is not None:
+        prediction, truth = prediction[:, mask], truth[:, mask]
+    if truth.numel() == 0:
+        return math.nan
     lit = truth > SCALE_FLOOR * truth.median().clamp(min=0.0)
     return (prediction.double()[lit] / truth[lit]).median().item() if bool(lit.any()) else math.nan
 

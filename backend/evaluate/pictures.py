@@ -14,7 +14,7 @@ import torch
 from ...bridge.errors import BadValueError
 from ..scene.scene import View
 from .lpips import Lpips
-from .metrics import psnr, quantise, ssim_map
+from .metrics import hdr_pair, psnr, quantise, ssim_map
 from .renderer import Renderer
 from .results import Metrics
 
@@ -96,6 +96,23 @@ def pairs(
         mask = view.mask(k)
         compared = None if mask is None else torch.from_numpy(mask.copy())
         yield Pair(picture, torch.from_numpy(view.values(k)).permute(2, 0, 1), compared)
+
+
+def radiance_pair(prediction: torch.Tensor, truth: torch.Tensor, mask: torch.Tensor | None) -> Pair:
+    """Radiance ``[3, h, w]`` and its truth ``[3, H, W]`` as the HDR protocol compares them (``hdr_pair``).
+
+    ``mask``: of ``compared_everywhere``.
+    """
+    pair = hdr_pair(prediction, truth)
+    return Pair(pair.prediction, pair.truth, mask)
+
+
+def compared_everywhere(view: View) -> torch.Tensor | None:
+    """Which pixels every picture of a view compares, ``[H, W]`` bool; None: all. So are its radiance and its
+    pictures under other light, of which there are no masks. Raises what reading the pictures raises.
+    """
+    masks = [mask for k in range(len(view.exposures)) if (mask := view.mask(k)) is not None]
+    return torch.from_numpy(np.logical_and.reduce(masks)) if masks else None
 
 
 def all_of_eight_bits(views: Sequence[View]) -> bool:

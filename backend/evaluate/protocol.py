@@ -5,7 +5,8 @@ The views are those of one split: the test views, or the validation views.
 LDR: every view at every exposure, through 8 bit, in PSNR, SSIM and LPIPS (``pictures.py``, which tells of
 radiance and masks, too); averaged for each exposure, then LDR-OE over exposure indices 0, 2, 4 (those that
 training saw) and LDR-NE over 1, 3 (those it did not), and so on in longer brackets.
-HDR: ``metrics.hdr_pair``, once as it is and once after dividing by the median scale ratio.
+HDR: ``metrics.hdr_pair``, once as it is and once after dividing by the median scale ratio; of pixels that all
+pictures of a view compare.
 Relit: the μ-law PSNR under other light, beside what scaling a picture would give (``results.RelitRow``).
 The PSNR of a picture is at most ``metrics.PSNR_CAP``, 100 dB; a message says where that was so.
 """
@@ -24,9 +25,9 @@ from ...bridge.errors import BadValueError, DataMismatchError
 from ..scene.scene import Scene, View
 from . import truth
 from .lpips import SMALLEST_SIDE, Lpips
-from .metrics import PSNR_CAP, display, hdr_pair, hdr_shown, psnr, quantise, resize_to, scale_ratio, ssim
+from .metrics import PSNR_CAP, display, hdr_normaliser, hdr_shown, quantise, resize_to, scale_ratio
 from .photos import Falloff, falloff_there, fitted_photos, no_falloff
-from .pictures import all_of_eight_bits, finite, in_words, pairs
+from .pictures import Pair, all_of_eight_bits, compared_everywhere, finite, in_words, pairs, radiance_pair
 from .published import data_set_of
 from .renderer import Renderer
 from .response import check_response, learned_response, true_response
@@ -38,7 +39,6 @@ from .results import (
     Evaluation,
     HdrRow,
     LdrRow,
-    Metrics,
     RelitRow,
     part_of,
 )
@@ -114,8 +114,13 @@ def evaluate(
         hdr_rows = _hdr_rows(standard, lpips)
         for item in relit:
             step(f"relit {item.condition} {item.path.stem}")
-            scene.find(TEST, item.index)  # says which poses there are
-            relit_rows.append(_relit_row(renderer, standard[item.index], item))
+            view = scene.find(TEST, item.index)  # says which poses there are
+            if item.index not in standard:
+                continue  # masked altogether
+            if row := _relit_row(renderer, standard[item.index], item):
+                relit_rows.append(row)
+            else:
+                messages.append(f"Relit {item.condition} of {view.name} left out: its truth is black.")
     step.end()
     messages += _what_is_capped(ldr, hdr_rows, relit_rows)
     return Evaluation(
@@ -244,11 +249,6 @@ def _what_is_capped(ldr: list[LdrRow], hdr: list[HdrRow], relit: list[RelitRow])
     ]
 
 
-def _compare(picture: torch.Tensor, reference: torch.Tensor, lpips: Lpips | None) -> Metrics:
-    distances = lpips.both(picture, reference) if lpips else (None, None)
-    return Metrics(psnr(picture, reference), ssim(picture, reference), *distances)
-
-
 def _ldr_rows(renderer: Renderer, view: View, lpips: Lpips | None, falloff: Falloff | None) -> list[LdrRow]:
     rows = []
     effect = None if falloff is None else falloff(view.camera)
@@ -261,46 +261,56 @@ def _ldr_rows(renderer: Renderer, view: View, lpips: Lpips | None, falloff: Fall
 
 @dataclass(frozen=True)
 class _StandardView:
-    """A view under the standard light: what the model shows, and the truth ``[3, H, W]``."""
+    """A view under the standard light: what the model shows, and the truth ``[3, H, W]``.
+
+    ``mask``: which pixels are compared, ``[H, W]`` bool; None: all.
+    """
 
     view: View
     prediction: torch.Tensor
     truth: torch.Tensor
+    mask: torch.Tensor | None
 
 
 def _standard_views(renderer: Renderer, scene: Scene, split: str, step: _Steps) -> dict[int, _StandardView]:
-    """By pose: rendered and read once, for the HDR rows and for every relit one."""
+    """By pose: rendered and read once, for the HDR rows and for every relit one; none that is all masked."""
     views = {}
     for view in scene.splits[split]:
         step(f"HDR {view.name}")
-        prediction = finite(renderer.hdr(view.camera), f"{view.name}, HDR")
-        views[view.index] = _StandardView(view, prediction, truth.hdr_truth(scene.root, split, view.index))
+        mask = compared_everywhere(view)
+        if mask is None or mask.any():
+            prediction = finite(renderer.hdr(view.camera), f"{view.name}, HDR")
+            true = truth.hdr_truth(scene.root, split, view.index)
+            views[view.index] = _StandardView(view, prediction, true, mask)
     return views
 
 
 def _hdr_rows(standard: dict[int, _StandardView], lpips: Lpips | None) -> list[HdrRow]:
     views = list(standard.values())
-    ratios = [scale_ratio(each.prediction, each.truth) for each in views]
+    ratios = [scale_ratio(each.prediction, each.truth, each.mask) for each in views]
     # One scale for all views: aligning each view by itself would hide that views disagree.
-    common = float(np.median(ratios))
+    common = float(np.median(ratios)) if ratios else math.nan
     rows = []
     for each, ratio in zip(views, ratios, strict=True):
-        pair = hdr_pair(each.prediction, each.truth)
-        metrics = _compare(pair.prediction, pair.truth, lpips)
+        metrics = radiance_pair(each.prediction, each.truth, each.mask).metrics(lpips)
         usable = math.isfinite(common) and common > 0.0
-        aligned = hdr_pair(each.prediction / common if usable else each.prediction, each.truth)
-        aligned_metrics = _compare(aligned.prediction, aligned.truth, lpips)
-        rows.append(HdrRow(each.view.name, each.view.index, pair.normaliser, ratio, metrics, aligned_metrics))
+        prediction = each.prediction / common if usable else each.prediction
+        aligned = radiance_pair(prediction, each.truth, each.mask).metrics(lpips)
+        normaliser = hdr_normaliser(each.truth)
+        rows.append(HdrRow(each.view.name, each.view.index, normaliser, ratio, metrics, aligned))
     return rows
 
 
-def _relit_row(renderer: Renderer, standard: _StandardView, item: truth.RelitTruth) -> RelitRow:
-    view, relit = standard.view, item.radiance()
+def _relit_row(renderer: Renderer, standard: _StandardView, item: truth.RelitTruth) -> RelitRow | None:
+    """None where the truth is black, as with every light switched off: nothing to normalise by."""
+    view, mask, relit = standard.view, standard.mask, item.radiance()
+    if not relit.max() > 0.0:
+        return None
     ours = renderer.hdr(view.camera, item.levels_of(renderer.lights))
     ours = finite(ours, f"{view.name} at {item.condition}")
     height, width = ours.shape[1:]
     truth_standard = resize_to(standard.truth, height, width)
-    best_factor = scale_ratio(resize_to(relit, height, width), truth_standard)
+    best_factor = scale_ratio(resize_to(relit, height, width), truth_standard, mask)
     changed = list(item.changed.values())
     # A picture times 0 is black: nobody would offer that for a light that is switched off.
     factor = changed[0] if len(changed) == 1 and changed[0] > 0.0 else best_factor
@@ -308,14 +318,14 @@ def _relit_row(renderer: Renderer, standard: _StandardView, item: truth.RelitTru
     shown, normaliser = hdr_shown(relit, height, width)
 
     def score(prediction: torch.Tensor) -> float:
-        return psnr(quantise(display(prediction, normaliser)), shown)
+        return Pair(quantise(display(prediction, normaliser)), shown, mask).psnr()
 
     return RelitRow(
         levels=item.levels,
         view=view.name,
         index=view.index,
         normaliser=normaliser,
-        scale_ratio=scale_ratio(ours, relit),
+        scale_ratio=scale_ratio(ours, relit, mask),
         ours=score(ours),
         scaled_truth=(scaled_truth := score(factor * truth_standard)),
         scaled_ours=score(factor * standard.prediction),

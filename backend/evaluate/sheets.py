@@ -15,8 +15,8 @@ from ...bridge.errors import BadValueError
 from ...bridge.lights import Levels
 from ..scene.scene import Scene, View
 from . import truth
-from .metrics import MU, display, hdr_pair, psnr, quantise, resize_to, ssim
-from .pictures import pairs
+from .metrics import MU, display, quantise, resize_to
+from .pictures import Pair, compared_everywhere, pairs, radiance_pair
 from .renderer import Renderer
 from .residuals import RESIDUAL_GAIN, legend, residual
 from .results import OBSERVED_EXPOSURES, VIEWS_OF, part_of
@@ -166,8 +166,8 @@ def comparison_sheet(
                 shown = _hdr(renderer, view, 1.0, reference, scale)
                 rows.append(_row(f"{view.name} HDR, scale aligned", f"{name} / {scale:.3g}", shown, gain))
         for item in relit:
-            if hdr and item.index == pose and can_show(item):
-                shown = _hdr(renderer, view, item.levels_of(renderer.lights), item.radiance())
+            if hdr and item.index == pose and can_show(item) and (lit := item.radiance()).max() > 0.0:
+                shown = _hdr(renderer, view, item.levels_of(renderer.lights), lit)
                 rows.append(_row(f"{view.name} {item.condition}", name, shown, gain))
     return labelled_grid(
         [*rows, [legend(SMALLEST_CELL, gain)]], f"{_title(scene, split)}: truth, {name}, residual", _note()
@@ -258,15 +258,12 @@ def _hdr(
 ) -> Shown:
     """Numbers as in the protocol; the pictures are brighter, see ``WHITE_QUANTILE``."""
     radiance = renderer.hdr(view.camera, level).detach().cpu() / divided_by
-    pair = hdr_pair(radiance, reference)
+    mask = compared_everywhere(view)
+    metrics = radiance_pair(radiance, reference, mask).metrics()
     white = display_white(reference)
     shown = resize_to(display(reference, white), radiance.shape[1], radiance.shape[2])
-    return Shown(
-        quantise(display(radiance, white)),
-        quantise(shown),
-        psnr(pair.prediction, pair.truth),
-        ssim(pair.prediction, pair.truth),
-    )
+    pictures = Pair(quantise(display(radiance, white)), quantise(shown), mask).shown()
+    return Shown(*pictures, metrics.psnr, metrics.ssim)
 
 
 def display_white(radiance: torch.Tensor) -> float:

@@ -4,6 +4,7 @@
 import json
 import math
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import OpenEXR
@@ -11,7 +12,7 @@ import pytest
 from PIL import Image
 
 from physhdr.backend.cli import main
-from physhdr.backend.cli.confidence import GAP, LEGEND, on_gaussians_and_sure
+from physhdr.backend.cli.confidence import GAP, LEGEND, on_gaussians_and_sure, write_calibration
 from physhdr.backend.export.confidence import confidence_picture
 from physhdr.backend.runs.run import open_run
 from physhdr.backend.scene.camera import Camera
@@ -105,6 +106,20 @@ def test_it_is_compared_with_truth(run, tmp_path, capsys):
     sure = [part["confidence"] for part in found["parts"]]
     assert sure == sorted(sure, reverse=True)
     assert "| surest tenth |" in (tmp_path / "confidence.md").read_text()
+
+
+def test_nothing_is_compared_where_pictures_are_masked(run, tmp_path):
+    opened = open_run(run)
+    camera = opened.scene.test[0].camera
+    mask = np.zeros((camera.height, camera.width), np.uint8)
+    mask[:, :10] = 255
+    Image.fromarray(mask).save(tmp_path / "mask.png")
+    views = [
+        replace(view, sources=tuple(replace(each, mask_path=tmp_path / "mask.png") for each in view.sources))
+        for view in opened.scene.test
+    ]
+    table = write_calibration(replace(opened, scene=replace(opened.scene, test=views)), "test", tmp_path)
+    assert table.pixels == len(views) * 10 * camera.height
 
 
 def test_the_lossless_ply_has_it(run):

@@ -31,3 +31,16 @@ def test_the_error_is_a_mean_of_logarithms_without_a_common_factor():
     assert error.shape == (16,)
     np.testing.assert_allclose(error, [2.0 / 3.0, *([0.0] * 15)], atol=1e-3)
     assert np.isfinite(log_error([np.zeros((3, 4, 4))], [truth])).all()
+
+
+@pytest.mark.parametrize("factor", [1e-4, 0.03, 1.0, 1000.0])
+def test_that_factor_may_be_any_and_black_stays_as_it_is(factor):
+    """Rates of a tenth of a stop, by hand, in a picture of five decades whose darkest part is black."""
+    truth = np.geomspace(1e-3, 1e2, 3 * 64).reshape(3, 8, 8)
+    truth[:, 0] = 0.0
+    np.testing.assert_allclose(log_error([factor * truth], [truth]), 0.0, atol=1e-9)
+    drawn = truth.copy()
+    drawn[:, -1] *= 2.0**0.1
+    error = log_error([factor * drawn], [truth]).reshape(8, 8)
+    np.testing.assert_allclose(error[-1], 0.1 * np.log(2.0), rtol=0.01)
+    np.testing.assert_allclose(error[:-1], 0.0, atol=1e-9)

@@ -13,16 +13,17 @@ from typing import cast
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 from rich.console import Console
 
-from physhdr.backend.evaluate import protocol
+from physhdr.backend.evaluate import protocol, sheets, truth
 from physhdr.backend.evaluate.lpips import SMALLEST_SIDE, Lpips
 from physhdr.backend.evaluate.protocol import evaluate, lpips_from
 from physhdr.backend.evaluate.renderer import Renderer
 from physhdr.backend.evaluate.report import to_dict, to_markdown, to_terminal, write_report
 from physhdr.backend.evaluate.results import Evaluation, HdrRow, LdrRow, Metrics
 from physhdr.backend.evaluate.sheets import comparison_sheet, labelled_grid
-from physhdr.backend.scene import Camera, read_scene
+from physhdr.backend.scene import Camera, Scene, read_scene
 from physhdr.bridge.errors import (
     BadValueError,
     DataMismatchError,
@@ -250,6 +251,64 @@ def test_several_lights(data_set: Path, small: ModuleType) -> None:
     json.dumps(content, allow_nan=False)
     assert "| ambient 4 + lamp 0.25 |" in to_markdown(result)
     assert comparison_sheet(oracle, read_scene(data_set)).shape[2] == 3
+
+
+def masked(scene: Scene, hidden: dict[int, np.ndarray], folder: Path) -> Scene:
+    """``scene`` whose test pictures have masks: by pose, the pixels that they hide."""
+    views = []
+    for view in scene.test:
+        path = folder / f"mask_{view.index}.png"
+        folder.mkdir(exist_ok=True)
+        Image.fromarray(np.where(hidden[view.index], 0, 255).astype(np.uint8)).save(path)
+        views.append(replace(view, sources=tuple(replace(each, mask_path=path) for each in view.sources)))
+    return replace(scene, test=views)
+
+
+def test_radiance_is_not_compared_where_the_views_pictures_are_masked(
+    data_set: Path, small: ModuleType, tmp_path: Path
+) -> None:
+    """A model that is right where anything is compared: no number knows what it shows elsewhere."""
+
+    class RightOnTheRight(Oracle):
+        def hdr(self, camera: Camera, lighting_level: Levels = 1.0) -> torch.Tensor:
+            picture = super().hdr(camera, lighting_level).clone()
+            picture[..., : 3 * camera.width // 4] *= 8.0
+            return picture
+
+    scene = read_scene(data_set)
+    whole = scene.test[0].camera
+    hidden = np.zeros((whole.height, whole.width), bool)
+    hidden[:, : 3 * whole.width // 4] = True
+    renderer = RightOnTheRight(small)
+    assert evaluate(renderer, scene).scale_ratio == pytest.approx(8.0)
+    of_all = masked(scene, {view.index: hidden for view in scene.test}, tmp_path / "all")
+    result = evaluate(renderer, of_all)
+    assert [row.metrics.psnr for row in result.hdr] == [row.aligned.psnr for row in result.hdr] == [100.0] * 2
+    assert result.scale_ratio == pytest.approx(1.0)
+    assert [(row.ours, row.scale_ratio) for row in result.relit] == [(100.0, pytest.approx(1.0))] * 2
+    shown = sheets._hdr(
+        renderer, of_all.test[0], 1.0, truth.hdr_truth(data_set, "test", of_all.test[0].index)
+    )
+    assert shown.psnr == 100.0 and not shown.reference[:, hidden].any()
+
+    first, second = (view.index for view in scene.test)
+    of_one = masked(scene, {first: np.ones_like(hidden), second: hidden}, tmp_path / "one")
+    result = evaluate(renderer, of_one)
+    assert [row.index for row in result.hdr] == [second], "a view that is masked altogether has no number"
+    everything = dict.fromkeys((first, second), np.ones_like(hidden))
+    none = evaluate(renderer, masked(scene, everything, tmp_path / "none"))
+    assert (none.hdr, none.relit, none.scale_ratio) == ([], [], None)
+
+
+def test_other_light_in_which_a_view_is_black_ends_no_evaluation(data_set: Path, small: ModuleType) -> None:
+    """Where every light is off nothing can be compared: the other pictures are."""
+    path = data_set / "relit" / f"level_{small.RELIT_LEVELS[0]:g}" / "hdr_003.exr"
+    small.write_exr(path, np.zeros_like(small.radiance(3)))
+    result = evaluate(Oracle(small), read_scene(data_set))
+    assert len(result.relit) == 1 and len(result.hdr) == 2
+    (said,) = (message for message in result.messages if message.startswith("Relit"))
+    assert said == f"Relit ambient {small.RELIT_LEVELS[0]:g} of test/r_3 left out: its truth is black."
+    assert comparison_sheet(Oracle(small), read_scene(data_set)).dtype == np.uint8
 
 
 def test_lights_that_the_model_does_not_know_are_left_out(data_set: Path, small: ModuleType) -> None:
