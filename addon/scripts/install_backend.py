@@ -4,9 +4,9 @@
     python install_backend.py --target FOLDER --launcher EXTENSION/backend/launch.py --torch cpu
 
 The environment is made under a name that says what is in it, and is complete or not used at all; others are
-removed when it is. Where another version's is there, of the same Python and the same build of torch, the new
-one begins as its copy, by hard links: only what it lacks is downloaded, and the old one serves until then.
-Says how far it is as one JSON object a line (addon/session/task.py).
+removed when it is, and has passed the backend's check. Where another version's is there, of the same Python
+and the same build of torch, the new one begins as its copy, by hard links: only what it lacks is downloaded,
+and the old one serves until then. Says how far it is as one JSON object a line (addon/session/task.py).
 
 What is installed is what the extension's locks name, file by file (EXTENSION/locks, tools/lock.py): pip
 refuses whatever has another SHA-256, and builds nothing. From where, is the user's own setting of pip, but
@@ -181,8 +181,11 @@ def main() -> int:
             torch, why_not_card = build_for(cards_here())
         if why_not_card:
             say(progress=0.0, message=why_not_card)
-        python = install(options.target, options.launcher, torch, options.fresh)
-        return check(python, options.launcher, [why_not_card] if why_not_card else [])
+        folder = install(options.target, options.launcher, torch, options.fresh)
+        status = check(interpreter_of(folder), options.launcher, [why_not_card] if why_not_card else [])
+        if status == 0:  # until then Blender uses the former one, and goes on with it
+            remove_others(folder)
+        return status
     except InstallError as error:
         say(error={"code": "install_failed", "message": error.message, "hint": error.hint})
         return 1
@@ -195,7 +198,7 @@ def main() -> int:
 
 
 def install(target: Path, launcher: Path, torch: str, fresh: bool) -> Path:
-    """The interpreter of a complete environment in ``target``, made where there is none."""
+    """The folder of a complete environment in ``target``, made where there is none."""
     if sys.version_info < MINIMUM:
         raise InstallError(
             f"Python {sys.version.split()[0]} is too old for the backend", "Choose Python 3.11 or newer."
@@ -207,10 +210,12 @@ def install(target: Path, launcher: Path, torch: str, fresh: bool) -> Path:
     named = target / (PREFIX + hashlib.sha256(identity.encode()).hexdigest()[:DIGITS])
     # What is made anew has the other of two names: the one that is there serves until then, and if it fails.
     other = named.with_name(named.name + OTHER)
-    there = next((folder for folder in (named, other) if (folder / STAMP).exists()), None)
+    # Of both the older one is in use: the newer has not passed its check, or the older would be gone.
+    both = [folder for folder in (named, other) if (folder / STAMP).exists()]
+    there = min(both, key=lambda folder: (folder / STAMP).stat().st_mtime, default=None)
     if there and not fresh:
         say(progress=COMPLETE, message="the environment is there already")
-        return interpreter_of(there)
+        return there
     folder = other if there == named else named
     python = interpreter_of(folder)
     target.mkdir(parents=True, exist_ok=True)
@@ -237,10 +242,7 @@ def install(target: Path, launcher: Path, torch: str, fresh: bool) -> Path:
     except BaseException:
         remove(folder)
         raise
-    for old in target.glob(PREFIX + "*"):
-        if old != folder:
-            remove(old)
-    return python
+    return folder
 
 
 def make_environment(folder: Path) -> None:
@@ -260,6 +262,13 @@ def remove(folder: Path) -> None:
     with contextlib.suppress(OSError):
         (folder / STAMP).unlink(missing_ok=True)
     shutil.rmtree(folder, ignore_errors=True)
+
+
+def remove_others(folder: Path) -> None:
+    """Remove all environments beside ``folder``."""
+    for old in folder.parent.glob(PREFIX + "*"):
+        if old != folder:
+            remove(old)
 
 
 def refuse_what_windows_cannot(folder: Path, base: str) -> None:

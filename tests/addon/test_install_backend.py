@@ -126,7 +126,9 @@ def place(tmp_path, empty):
                 f"module['TORCH_INDEX']['cuda12'] = {self.indexes['cu126'].url!r}\n"
                 "module['SPACE'].update(dict.fromkeys(module['SPACE'], 1))\n"
                 "import shutil, venv\n"
-                "copy = lambda self, folder: shutil.copytree(self.empty, folder, symlinks=True)\n"
+                "def copy(self, folder):\n"
+                "    shutil.rmtree(folder, ignore_errors=True)\n"
+                "    shutil.copytree(self.empty, folder, symlinks=True)\n"
                 f"venv.EnvBuilder.empty, venv.EnvBuilder.create = {str(empty)!r}, copy\n"
                 "sys.exit(module['main']())\n"
             )
@@ -255,6 +257,26 @@ def test_an_installation_anew_that_fails_leaves_the_former_environment_as_it_was
     [anew] = environments(place)
     assert anew != former and place.install()[0] == 0 and environments(place) == [anew]
     assert place.install("cpu", "--fresh")[0] == 0 and environments(place) == [former]
+
+
+def test_the_former_environment_serves_until_the_new_one_has_passed_its_check(place):
+    """Blender goes on with it, whatever the check of another version's, or of the same anew, ends with."""
+    assert place.install()[0] == 0
+    [former] = environments(place)
+    launcher = place.extension / "backend" / "launch.py"
+    launcher.write_text("raise SystemExit(3)")
+    for _ in range(2):
+        assert place.install("cpu", "--fresh")[0] == 3
+        assert former in environments(place) and (former / "physhdr-complete.json").exists()
+        assert len(environments(place)) == 2
+    with open(place.extension / "locks" / "backend.txt", "a") as file:
+        file.write("# renewed\n")
+    assert place.install()[0] == 3
+    assert former in environments(place) and (former / "physhdr-complete.json").exists()
+    launcher.write_text(LAUNCHER)
+    status, said, _ = place.install()
+    assert status == 0 and [Path(said[-1]["result"]["environment"]).parent.parent] == environments(place)
+    assert former not in environments(place)
 
 
 def test_a_disk_that_is_full_while_files_are_taken_over_is_named(tmp_path, monkeypatch):
