@@ -25,11 +25,9 @@ from mathutils import Vector
 from ...bridge.affine import matrices_of
 from ...bridge.blend_file import CG
 from ...bridge.errors import DataMismatchError, FileMissingError
-from ..blender import cloud_of, takes_objects, world_of
+from ..blender import takes_objects, world_of
 from ..capture.picking import surface_along_ray
-from ..model.attributes import BASE, POSITION, ROTATION, SCALE
-from ..model.look import file_has_model, is_model
-from ..model.point_cloud import read_attribute
+from ..model.look import file_has_model, is_model, shown_shape
 from . import cg_compositor
 
 #: Custom property of what is ours, and what it is.
@@ -362,10 +360,12 @@ def floor_below(scene: bpy.types.Scene, place: Vector) -> float | None:
         if not is_model(model) or not model.visible_get():
             continue
         to_world = np.array(world_of(model), np.float64)
+        if not np.linalg.det(to_world):  # flat: it has no surface
+            continue
         to_model = np.linalg.inv(to_world)
         start = np.array([place.x, place.y, place.z + ABOVE, 1.0])
         down = to_model[:3, :3] @ np.array([0.0, 0.0, -1.0])
-        distance = surface_along_ray((to_model @ start)[:3], down, *_shape(model))
+        distance = surface_along_ray((to_model @ start)[:3], down, *shown_shape(model))
         if distance is not None:
             found.append(place.z + ABOVE - distance)
     return max(found, default=None)
@@ -380,7 +380,7 @@ def floor_thickness(models: list[bpy.types.Object], place: Vector, radius: float
     for model in models:
         if not is_model(model):
             continue
-        position, rotation, deviations, opacity = _shape(model)
+        position, rotation, deviations, opacity = shown_shape(model)
         to_world = np.array(world_of(model), np.float64)
         offset = position @ to_world[:3, :3].T + to_world[:3, 3] - np.array(place)
         lying = np.abs(offset[:, 2]) <= THICKEST / 3.0
@@ -396,10 +396,3 @@ def floor_thickness(models: list[bpy.types.Object], place: Vector, radius: float
     order = np.argsort(size)
     share = np.cumsum(weight[order]) / weight.sum()
     return float(np.clip(size[order][np.searchsorted(share, WITHIN)], THINNEST, THICKEST))
-
-
-def _shape(model: bpy.types.Object) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Position, rotation, scale and opacity of a model's splats, in its own space."""
-    cloud = cloud_of(model)
-    position, rotation, scale = (read_attribute(cloud, each.name) for each in (POSITION, ROTATION, SCALE))
-    return position, rotation, scale, read_attribute(cloud, BASE.name)[:, 3]

@@ -88,7 +88,8 @@ def reset(scene: bpy.types.Scene) -> None:
         return
     former = world.get(FORMER)
     scene.world = former if isinstance(former, bpy.types.World) else None
-    show_to_rays(world)
+    if not any(each.world == world for each in bpy.data.scenes):  # a copy of the scene may be lit by it, too
+        show_to_rays(world)
     if not world.users:
         bpy.data.worlds.remove(world)
 

@@ -168,7 +168,7 @@ def _kept_by_camera(
     depth = -_along(offset, _array(camera.back))
     radius = scale.max(axis=1) * np.float32(REACH)
     widened = np.float32(cleaning.view_margin) + np.float32(1.0)
-    keep &= depth + radius >= np.float32(NEAR_PLANE)
+    keep &= depth + radius >= np.float32(NEAR_PLANE) * np.float32(camera.unit)
     for row, axis in enumerate((camera.right, camera.up)):
         slope, shift, move = projection[row, row], projection[row, 2], projection[row, 3]
         if camera.is_orthographic:

@@ -10,10 +10,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from ...bridge.splatting import JACOBIAN_MARGIN, NEAR_PLANE
+from ...bridge.splatting import JACOBIAN_MARGIN
 from . import nodes
 from .attributes import CAMERA_DISTANCE, CONFIDENCE, Attribute
-from .cleaning import ALL, EVEN, REACH
+from .cleaning import ALL, REACH
 from .node_builder import Field, GeometryBuilder
 from .splat_nodes import CameraFields
 
@@ -240,24 +240,13 @@ class _Limits:
         enough = self.compare("GREATER_EQUAL", make.output(node, "Attribute"), self.inputs[name])
         self.add(self.above_0(name), self.both("OR", enough, self.inverted(make.output(node, "Exists"))))
 
-    def is_even(self) -> Field:
-        """Whether the model has one scale: else its pictures' sides are elsewhere than reckoned here."""
-        make = self.make
-        this = make.node(
-            "GeometryNodeObjectInfo", make.field("GeometryNodeSelfObject"), transform_space="ORIGINAL"
-        )
-        x, y, z = (make.math("ABSOLUTE", part) for part in self.parts(make.output(this, "Scale")))
-        lowest = make.math("MINIMUM", make.math("MINIMUM", x, y), z)
-        highest = make.math("MAXIMUM", make.math("MAXIMUM", x, y), z)
-        return self.compare("LESS_EQUAL", highest, lowest * EVEN)
-
     def in_view(self, camera: CameraFields, radius: Field) -> None:
         """A ball's reach toward a slanted side is bounded by the triangle inequality: it errs by keeping."""
         make = self.make
         on = self.both("AND", self.inputs[nodes.ONLY_IN_VIEW], camera.exists)
-        on = self.both("AND", on, self.is_even())
+        on = self.both("AND", on, camera.is_even)
         widened = self.inputs[nodes.VIEW_MARGIN] + 1.0
-        keep = self.compare("GREATER_EQUAL", camera.depth + radius, NEAR_PLANE)
+        keep = self.compare("GREATER_EQUAL", camera.depth + radius, camera.near)
         sides = (
             (camera.right, camera.slope_x, camera.shift_x, camera.move_x),
             (camera.up, camera.slope_y, camera.shift_y, camera.move_y),

@@ -20,7 +20,17 @@ from ...bridge.run_folder import same_folder
 from ...bridge.spherical_harmonics import MAX_DEGREE
 from ..blender import cloud_of, world_of
 from . import nodes
-from .attributes import BASE, CAMERA_DISTANCE, CONFIDENCE, FILE, IDENTITY, POSITION, SCALE, Attribute
+from .attributes import (
+    BASE,
+    CAMERA_DISTANCE,
+    CONFIDENCE,
+    FILE,
+    IDENTITY,
+    POSITION,
+    ROTATION,
+    SCALE,
+    Attribute,
+)
 from .cleaning import ALL, Cleaning, RenderCamera, kept
 from .point_cloud import lights_of, read_attribute
 
@@ -123,6 +133,17 @@ def kept_of(
         camera,
         known(CONFIDENCE),
     )
+
+
+def shown_shape(target: bpy.types.Object) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Position ``[N, 3]``, rotation ``[N, 4]`` (wxyz), scale ``[N, 3]`` and opacity ``[N]`` of a model's
+    Gaussians that are not hidden from every side, in the model's own space."""
+    cloud = cloud_of(target)
+    keep = kept_of(cloud, cleaning_of(target).without_camera())
+    position, rotation, scale, base = (
+        read_attribute(cloud, each.name)[keep] for each in (POSITION, ROTATION, SCALE, BASE)
+    )
+    return position, rotation, scale, base[:, 3]
 
 
 def _values(

@@ -147,7 +147,8 @@ def _take(cloud: bpy.types.PointCloud, users: list[bpy.types.Object], change: np
 
 def _is_sheared(matrix: mathutils.Matrix) -> bool:
     """Whether a place, a rotation and a scale are not all of a matrix."""
-    again = np.array(mathutils.Matrix.LocRotScale(*matrix.decompose()), np.float64)
+    parts: Any = matrix.decompose()
+    again = np.array(mathutils.Matrix.LocRotScale(*parts), np.float64)
     return float(np.abs(again - np.array(matrix)).max()) > SHEAR * float(np.abs(again[:3, :3]).max())
 
 

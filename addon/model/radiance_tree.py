@@ -43,7 +43,7 @@ from .splat_nodes import camera_fields, draw
 from .tone_curve import ToneCurve
 
 #: The version of this recipe, part of what marks a tree.
-_RECIPE = 6
+_RECIPE = 7
 
 
 def add_modifier(target: bpy.types.Object, model: Model) -> bpy.types.NodesModifier:

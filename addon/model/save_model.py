@@ -18,6 +18,7 @@ from ...bridge.model_file import SPACE, SUFFIX, WORLD, Model, write_model
 from ...bridge.spherical_harmonics import rotated
 from ..blender import add_entry, cloud_of, layout_of, remove_entry, world_of
 from ..capture.similarity import scale_of
+from ..paths import whole
 from .attributes import FILE
 from .cleaning import Cleaning
 from .look import cleaning_of, is_model, kept_of
@@ -116,9 +117,10 @@ class PHYSHDR_OT_model_save(bpy.types.Operator, ExportHelper):
         return set(super().invoke(context, event))
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        target, path = context.object, Path(bpy.path.abspath(self.filepath))
+        target = context.object
         assert is_model(target)
         try:
+            path = Path(whole(self.filepath))
             cleaning = cleaning_of(target, context.evaluated_depsgraph_get())
             model = edited_model(target, cleaning, self.leave_out, self.apply_transform)
             write_model(path, model)

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 from ...bridge.splatting import ALPHA_MIN, JACOBIAN_MARGIN, LOW_PASS, NEAR_PLANE
 from .attributes import ROTATION, SCALE
+from .cleaning import EVEN
 from .material import splat_material
 from .node_builder import Field, GeometryBuilder
 from .nodes import CAMERA_SPLATS, IMAGE_WIDTH
@@ -48,6 +49,10 @@ class CameraFields:
     move_y: Field
     #: Length of a metre of the scene: 1 / the object's scale, whatever the camera's own scale is.
     unit: Field
+    #: Whether the object has one scale. Where not, the camera's axes are not at right angles in its space.
+    is_even: Field
+    #: Nearest depth that is drawn.
+    near: Field
 
 
 def camera_fields(make: GeometryBuilder, position: Field) -> CameraFields:
@@ -71,6 +76,7 @@ def camera_fields(make: GeometryBuilder, position: Field) -> CameraFields:
         unit_back = make.vector("NORMALIZE", back, label="back")
         direction = make.vector("NORMALIZE", offset)
         matrix = make.node("FunctionNodeSeparateMatrix", make.output(lens, "Projection Matrix"))
+        unit = make.vector("LENGTH", right) / make.vector("LENGTH", own_scale)
         return CameraFields(
             # A missing camera has a focal length of 0.
             exists=make.math("GREATER_THAN", make.output(lens, "Focal Length"), 0.0, label="exists"),
@@ -89,8 +95,23 @@ def camera_fields(make: GeometryBuilder, position: Field) -> CameraFields:
             shift_y=make.output(matrix, "Column 3 Row 2"),
             move_x=make.output(matrix, "Column 4 Row 1"),
             move_y=make.output(matrix, "Column 4 Row 2"),
-            unit=make.vector("LENGTH", right) / make.vector("LENGTH", own_scale),
+            unit=unit,
+            is_even=_is_even(make),
+            near=unit * NEAR_PLANE,
         )
+
+
+def _is_even(make: GeometryBuilder) -> Field:
+    this = make.node(
+        "GeometryNodeObjectInfo", make.field("GeometryNodeSelfObject"), transform_space="ORIGINAL"
+    )
+    parts = make.node("ShaderNodeSeparateXYZ", make.output(this, "Scale"))
+    x, y, z = (make.math("ABSOLUTE", make.output(parts, axis)) for axis in "XYZ")
+    lowest = make.math("MINIMUM", make.math("MINIMUM", x, y), z)
+    highest = make.math("MAXIMUM", make.math("MAXIMUM", x, y), z)
+    return make.field(
+        "FunctionNodeCompare", highest, lowest * EVEN, data_type="FLOAT", operation="LESS_EQUAL"
+    )
 
 
 def draw(
@@ -117,9 +138,11 @@ def draw(
         card_scale = card_scale * reach
         card = make.field("GeometryNodeMeshCircle", 8, 1.0823922, fill_type="NGON")
         card = make.field("GeometryNodeSetMaterial", card, None, splat_material("splat"))
-        in_front = make.math("GREATER_THAN", camera.depth, NEAR_PLANE)
+        in_front = make.math("GREATER_THAN", camera.depth, camera.near)
     with make.frame("Instances"):
         usable = make.field("FunctionNodeBooleanMath", splats, camera.exists, operation="AND")
+        # A card of a stretched object would be sheared with it.
+        usable = make.field("FunctionNodeBooleanMath", usable, camera.is_even, operation="AND")
         visible = visible * make.switch(usable, 1.0, in_front)
         instances = make.field(
             "GeometryNodeInstanceOnPoints",
@@ -149,7 +172,7 @@ def _card(
 
         def projected(axis: Field, half: Field) -> Field:
             limit = half * (1.0 + JACOBIAN_MARGIN)
-            tangent = make.dot(camera.offset, axis) / make.math("MAXIMUM", camera.depth, NEAR_PLANE)
+            tangent = make.dot(camera.offset, axis) / make.math("MAXIMUM", camera.depth, camera.near)
             tangent = make.math("MAXIMUM", make.math("MINIMUM", tangent, limit), limit * -1.0)
             column = axis + camera.back * (tangent * perspective)
             return make.field("FunctionNodeRotateVector", column, inverse_rotation) * scale

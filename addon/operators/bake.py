@@ -23,6 +23,7 @@ from ..model.attributes import FILE
 from ..model.bake import bake, baked_model, moved, write_fitted
 from ..model.look import Look, is_model, look_of
 from ..model.point_cloud import lights_of
+from ..paths import whole
 from ..runtime import session
 from ..session.results import BAKE, bake_command, why_not_on_run
 from ..session.state import NotTaken, Problem
@@ -123,9 +124,10 @@ class PHYSHDR_OT_model_bake(bpy.types.Operator, ExportHelper):
             column.label(text=f"Quick only: {reason}", icon="INFO")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
-        target, path = _active_model(context), Path(bpy.path.abspath(self.filepath))
+        target = _active_model(context)
         depsgraph = context.evaluated_depsgraph_get()  # drivers and keyframes, as of this frame
         try:
+            path = Path(whole(self.filepath))
             look = look_of(target, depsgraph)
             tone: Tone = self.tone
             if self.tone == "LOOK":

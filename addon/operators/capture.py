@@ -19,8 +19,8 @@ from ..blender import cloud_of, layout_of, world_of
 from ..capture import placement, similarity
 from ..capture.captures import camera_places
 from ..capture.picking import surface_along_ray
-from ..model.look import is_model
-from ..viewport.splat_data import is_splats, read_arrays
+from ..model.look import is_model, shown_shape
+from ..viewport.splat_data import is_splats
 from .base import LINKED, OnModel
 
 if TYPE_CHECKING:
@@ -151,7 +151,7 @@ def above_floor(target: bpy.types.Object) -> np.ndarray:
     except PhysHDRError:
         places = None
     if places is None:
-        places = read_arrays(cloud_of(target)).position.astype(np.float64)
+        places = shown_shape(target)[0].astype(np.float64)
     return similarity.apply(np.array(world_of(target)), np.median(places, axis=0)[None])[0]
 
 
@@ -285,7 +285,7 @@ class PHYSHDR_OT_points_pick(bpy.types.Operator):
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         self._points: list[np.ndarray] = []
-        self._target, self._arrays = target.name, read_arrays(cloud_of(target))
+        self._target, self._shape = target.name, shown_shape(target)
         add = bpy.types.SpaceView3D.draw_handler_add
         self._handler = add(draw_points, (self._points,), "WINDOW", "POST_VIEW")
         context.window_manager.modal_handler_add(self)
@@ -322,7 +322,7 @@ class PHYSHDR_OT_points_pick(bpy.types.Operator):
             return
         origin = np.array(view3d_utils.region_2d_to_origin_3d(region, view, at), np.float64)
         direction = np.array(view3d_utils.region_2d_to_vector_3d(region, view, at), np.float64)
-        point = surface_point(np.array(world_of(target), np.float64), self._arrays, origin, direction)
+        point = surface_point(np.array(world_of(target), np.float64), self._shape, origin, direction)
         if point is None:
             self.report({"WARNING"}, "There is nothing of the model under the mouse")
         else:
@@ -351,17 +351,17 @@ class PHYSHDR_OT_points_pick(bpy.types.Operator):
 
 
 def surface_point(
-    matrix_world: np.ndarray, arrays: Any, origin: np.ndarray, direction: np.ndarray
+    matrix_world: np.ndarray, shape: Sequence[np.ndarray], origin: np.ndarray, direction: np.ndarray
 ) -> np.ndarray | None:
-    """``[3]``, world: where a ray of the world meets a model's Gaussians; None where it meets nothing."""
+    """``[3]``, world: where a ray of the world meets a model's Gaussians; None where it meets nothing.
+
+    ``shape``: theirs, as ``shown_shape`` tells it.
+    """
     to_object = np.linalg.inv(matrix_world)
     along = surface_along_ray(
         similarity.apply(to_object, origin[None])[0],
         to_object[:3, :3] @ direction,  # not made of length 1: what is found along it holds in the world
-        arrays.position,
-        arrays.rotation,
-        arrays.scale,
-        arrays.opacity,
+        *shape,
     )
     return None if along is None else origin + along * direction
 

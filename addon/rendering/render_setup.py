@@ -11,10 +11,12 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import bpy
+import numpy as np
 
 from ...synth.in_render import in_collection, in_layer, instanced_by
-from ..blender import curve_of, render_size, sample_as_no_lamp, settings_of_cycles
+from ..blender import curve_of, render_size, sample_as_no_lamp, settings_of_cycles, world_of
 from ..model import nodes
+from ..model.cleaning import EVEN
 from ..model.look import file_has_model, is_model, models_among
 from ..model.material import materials_in
 from . import develop
@@ -29,6 +31,8 @@ BLENDED, BY_LOT = "BLENDED", "DITHERED"
 #: By lot each Gaussian is drawn in a share of the samples: with 256 the demo's room is 32 dB from our
 #: rasteriser, 29 with 16: grain. Ellipsoids are always drawn so.
 EEVEE_SAMPLES = 256
+#: An instance shows a model where it stands if its matrix is this near to the identity.
+IN_PLACE = 1e-5
 #: The driver's variables, from the scene that is rendered.
 WIDTH = {"width": "render.resolution_x", "percent": "render.resolution_percentage"}
 WIDTH_EXPRESSION = "width * percent / 100"
@@ -69,41 +73,79 @@ def settings_of_eevee(scene: bpy.types.Scene) -> bpy.types.SceneEEVEE:
 # ---- which models ------------------------------------------------------------------------------------------
 
 
+#: In their order, each once.
+_Models = dict[bpy.types.Object, None]
+
+
+@dataclass(frozen=True)
+class Shown:
+    """The models that a render shows, instances of collections included, each once; and those of them that an
+    instance shows elsewhere than where they stand."""
+
+    models: list[bpy.types.Object]
+    moved: list[bpy.types.Object]
+
+
+def shown_in_render(scene: bpy.types.Scene) -> Shown:
+    """The models that a render of the scene shows. Panels ask at every redraw."""
+    models: _Models = {}
+    moved: _Models = {}
+    known: dict[str, tuple[_Models, _Models]] = {}
+    if file_has_model():
+        for layer in scene.view_layers:
+            if layer.use:
+                items = list(in_layer(layer.layer_collection, MODEL_OR_INSTANCE))
+                further, moved_there = _by_instances(items, known)
+                models |= dict.fromkeys(models_among(items)) | further
+                moved |= moved_there
+    return Shown(list(models), list(moved))
+
+
 def models_in_render(scene: bpy.types.Scene) -> list[bpy.types.Object]:
     """The models that a render of the scene shows, instances of collections included, each once."""
-    found: dict[bpy.types.Object, None] = {}
-    seen: set[str] = set()
-    if not file_has_model():
-        return []
-    for layer in scene.view_layers:
-        if layer.use:
-            for each in in_layer(layer.layer_collection, MODEL_OR_INSTANCE):
-                found |= dict.fromkeys(_with_instances(each, seen))
-    return list(models_among(found))
-
-
-def _with_instances(each: bpy.types.Object, seen: set[str]) -> Iterator[bpy.types.Object]:
-    """The object, and what it is an instance of.
-
-    ``seen``: collections that somebody was an instance of already. Each is gone through once, however many
-    instances there are: panels ask.
-    """
-    yield each
-    collection = instanced_by(each)
-    if collection is not None and collection.name_full not in seen:
-        seen.add(collection.name_full)
-        for other in in_collection(collection, MODEL_OR_INSTANCE):
-            yield from _with_instances(other, seen)
+    return shown_in_render(scene).models
 
 
 def models_of(item: bpy.types.Object | None) -> list[bpy.types.Object]:
     """The model that an object is, or the models that it shows as an instance of a collection."""
-    return [] if item is None else [each for each in _with_instances(item, set()) if is_model(each)]
+    if item is None:
+        return []
+    return [item] if is_model(item) else list(_by_instances([item], {})[0])
 
 
 def has_model(scene: bpy.types.Scene) -> bool:
     """Whether there is any model in the scene, shown or not."""
     return file_has_model() and (any(models_among(scene.objects)) or bool(models_in_render(scene)))
+
+
+def _by_instances(
+    items: Iterable[bpy.types.Object], known: dict[str, tuple[_Models, _Models]]
+) -> tuple[_Models, _Models]:
+    """The models that instances among ``items`` show, and those of them that are moved by that.
+
+    ``known``: what was found of a collection, by its full name; each is gone through once.
+    """
+    shown: _Models = {}
+    moved: _Models = {}
+    for each in items:
+        collection = instanced_by(each)
+        if collection is None:
+            continue
+        if collection.name_full not in known:
+            inside = list(in_collection(collection, MODEL_OR_INSTANCE))
+            further, moved_inside = _by_instances(inside, known)
+            known[collection.name_full] = dict.fromkeys(filter(is_model, inside)) | further, moved_inside
+        models, moved_inside = known[collection.name_full]
+        shown |= models
+        moved |= models if models and _moves(each, collection) else moved_inside
+    return shown, moved
+
+
+def _moves(holder: bpy.types.Object, collection: bpy.types.Collection) -> bool:
+    """Whether an instance shows its collection elsewhere than where that is."""
+    matrix = np.array(world_of(holder), np.float64)
+    matrix[:3, 3] -= matrix[:3, :3] @ np.array(collection.instance_offset)
+    return bool(np.abs(matrix - np.eye(4)).max() > IN_PLACE)
 
 
 # ---- what belongs to an object -----------------------------------------------------------------------------
@@ -173,12 +215,12 @@ Models = Sequence[bpy.types.Object]
 
 def render_problems(scene: bpy.types.Scene) -> list[Problem]:
     """What a render of the scene would show wrong of its models, with the engine that is chosen now."""
-    models = models_in_render(scene)
-    if not models:
+    shown = shown_in_render(scene)
+    if not shown.models:
         return []
     found: list[Problem] = []
     for check in _CHECKS:
-        found += check(scene, models)
+        found += check(scene, shown)
     return found
 
 
@@ -191,18 +233,18 @@ def names_of(models: Iterable[bpy.types.Object]) -> str:
     return f"{', '.join(told[:-1])} and {told[-1]}" if len(told) > 1 else told[0]
 
 
-def _modifier(scene: bpy.types.Scene, models: Models) -> Iterator[Problem]:
-    gone = [each for each in models if nodes.find_modifier(each) is None]
+def _modifier(scene: bpy.types.Scene, shown: Shown) -> Iterator[Problem]:
+    gone = [each for each in shown.models if nodes.find_modifier(each) is None]
     if gone:
         told = f"{names_of(gone)}: no PhysHDR modifier, so nothing is rendered. Import again"
         yield Problem("MODIFIER", told, mended=False)
-    modifiers = ((each, nodes.find_modifier(each)) for each in models)
+    modifiers = ((each, nodes.find_modifier(each)) for each in shown.models)
     hidden = [each for each, modifier in modifiers if modifier is not None and not modifier.show_render]
     if hidden:
         yield Problem("MODIFIER", f"{names_of(hidden)}: the modifier is switched off for renders")
 
 
-def _bounces(scene: bpy.types.Scene, models: Models) -> Iterator[Problem]:
+def _bounces(scene: bpy.types.Scene, shown: Shown) -> Iterator[Problem]:
     if scene.render.engine != CYCLES:
         return
     cycles = settings_of_cycles(scene)
@@ -215,8 +257,8 @@ def _bounces(scene: bpy.types.Scene, models: Models) -> Iterator[Problem]:
         yield Problem("BOUNCES", f"{told} (Min Transparent Bounces {certain}, {CERTAIN_BOUNCES} are needed)")
 
 
-def _shadows(scene: bpy.types.Scene, models: Models) -> Iterator[Problem]:
-    casting = [each for each in models if each.visible_shadow]
+def _shadows(scene: bpy.types.Scene, shown: Shown) -> Iterator[Problem]:
+    casting = [each for each in shown.models if each.visible_shadow]
     if scene.render.engine == EEVEE and casting and _has_shadows(scene):
         told = f"{names_of(casting)}: every Gaussian casts a shadow, and EEVEE may never end"
         yield Problem("SHADOWS", told, mended=_editable(casting))
@@ -236,26 +278,52 @@ def _has_shadows(scene: bpy.types.Scene) -> bool:
     return any(node.type in ("TEX_ENVIRONMENT", "TEX_SKY") for node in world.node_tree.nodes)
 
 
-def _camera(scene: bpy.types.Scene, models: Models) -> Iterator[Problem]:
+def _camera(scene: bpy.types.Scene, shown: Shown) -> Iterator[Problem]:
     if scene.camera is None:
         told = "There is no camera to render through. Import Cameras brings those of the data set"
         yield Problem("CAMERA", told, mended=False)
 
 
-def _splats(scene: bpy.types.Scene, models: Models) -> Iterator[Problem]:
+def _splats(scene: bpy.types.Scene, shown: Shown) -> Iterator[Problem]:
     if scene.camera is None:
         return
-    drawn = {each: _input(each, nodes.CAMERA_SPLATS) for each in models}
+    drawn = {each: _input(each, nodes.CAMERA_SPLATS) for each in shown.models}
     if _is_panorama(scene):
         cards = [each for each, splats in drawn.items() if splats]
         if cards:
             told = f"{names_of(cards)}: camera splats are for flat pictures, and the camera takes a panorama"
             yield Problem("SPLATS", told, mended=_editable(cards))
         return
-    proxies = [each for each, splats in drawn.items() if splats is False and ELLIPSOIDS not in each]
+    proxies = [
+        each
+        for each, splats in drawn.items()
+        if splats is False and ELLIPSOIDS not in each and each not in shown.moved
+    ]
     if proxies:
         told = f"{names_of(proxies)}: drawn as ellipsoids, not as it was trained (Camera Splats is off)"
         yield Problem("SPLATS", told, mended=_editable(proxies))
+    stretched = [each for each, splats in drawn.items() if splats and not _is_even(each)]
+    if stretched:
+        told = f"{names_of(stretched)}: stretched, so drawn as ellipsoids, not as it was trained"
+        yield Problem("SPLATS", f"{told}. Give it one scale for all axes", mended=False)
+
+
+def _is_even(target: bpy.types.Object) -> bool:
+    """Whether a model has one scale, as the nodes ask (``splat_nodes``)."""
+    sides = [abs(side) for side in world_of(target).to_scale()]
+    return max(sides) <= min(sides) * EVEN
+
+
+def _instances(scene: bpy.types.Scene, shown: Shown) -> Iterator[Problem]:
+    """Geometry nodes are evaluated once, where the model itself stands."""
+    if not shown.moved:
+        return
+    told = f"{names_of(shown.moved)}: an instance shows it elsewhere, but as seen where it stands"
+    yield Problem("INSTANCES", f"{told}. Object > Apply > Make Instances Real", mended=False)
+    flat = [each for each in shown.moved if _input(each, nodes.CAMERA_SPLATS)]
+    if flat:
+        told = f"{names_of(flat)}: camera splats of an instance do not face the camera"
+        yield Problem("INSTANCES", told, mended=_editable(flat))
 
 
 def _is_panorama(scene: bpy.types.Scene) -> bool:
@@ -263,9 +331,9 @@ def _is_panorama(scene: bpy.types.Scene) -> bool:
     return isinstance(lens, bpy.types.Camera) and lens.type == "PANO"
 
 
-def _width(scene: bpy.types.Scene, models: Models) -> Iterator[Problem]:
+def _width(scene: bpy.types.Scene, shown: Shown) -> Iterator[Problem]:
     wide = render_size(scene)[0]
-    for each in models:
+    for each in shown.models:
         width = _input(each, nodes.IMAGE_WIDTH)
         if width in (None, wide) or follows_render_width(each):
             continue
@@ -278,20 +346,20 @@ def _width(scene: bpy.types.Scene, models: Models) -> Iterator[Problem]:
         yield Problem("WIDTH", told, mended=_editable([each]) and not own)
 
 
-def _samples(scene: bpy.types.Scene, models: Models) -> Iterator[Problem]:
+def _samples(scene: bpy.types.Scene, shown: Shown) -> Iterator[Problem]:
     samples = settings_of_eevee(scene).taa_render_samples
     if scene.render.engine != EEVEE or samples >= EEVEE_SAMPLES:
         return
-    grainy = [each for each in models if BY_LOT in _methods(each)]
+    grainy = [each for each in shown.models if BY_LOT in _methods(each)]
     if grainy:
         told = f"{names_of(grainy)}: grainy with {samples} samples: EEVEE draws each Gaussian in some of them"
         yield Problem("SAMPLES", f"{told} ({EEVEE_SAMPLES} are needed)")
 
 
-def _depth_of_field(scene: bpy.types.Scene, models: Models) -> Iterator[Problem]:
+def _depth_of_field(scene: bpy.types.Scene, shown: Shown) -> Iterator[Problem]:
     if scene.render.engine != EEVEE or not _has_depth_of_field(scene):
         return
-    blended = [each for each in models if BLENDED in _methods(each)]
+    blended = [each for each in shown.models if BLENDED in _methods(each)]
     if blended:
         told = f"{names_of(blended)}: EEVEE's depth of field takes it for what lies behind it"
         yield Problem("DEPTH", told, mended=_editable(_materials(blended)))
@@ -318,8 +386,8 @@ def _materials(models: Models) -> list[bpy.types.Material]:
     return found
 
 
-def _tones(scene: bpy.types.Scene, models: Models) -> Iterator[Problem]:
-    toned = develop.toned(models)
+def _tones(scene: bpy.types.Scene, shown: Shown) -> Iterator[Problem]:
+    toned = develop.toned(shown.models)
     if not toned:
         return
     if develop.node_of(scene) is None:
@@ -330,7 +398,7 @@ def _tones(scene: bpy.types.Scene, models: Models) -> Iterator[Problem]:
         yield Problem("TONES", told, mended=all(map(develop.can_switch, toned)))
 
 
-def _developed(scene: bpy.types.Scene, models: Models) -> Iterator[Problem]:
+def _developed(scene: bpy.types.Scene, shown: Shown) -> Iterator[Problem]:
     """What spoils a picture that the compositor develops."""
     if develop.node_of(scene) is None:
         return
@@ -348,8 +416,9 @@ def _editable(data: Sequence[bpy.types.ID]) -> bool:
     return all(each.library is None for each in data)
 
 
-_CHECKS: tuple[Callable[[bpy.types.Scene, Models], Iterator[Problem]], ...] = (
-    *(_camera, _modifier, _bounces, _samples, _depth_of_field, _shadows, _splats, _width, _tones, _developed),
+_CHECKS: tuple[Callable[[bpy.types.Scene, Shown], Iterator[Problem]], ...] = (
+    *(_camera, _modifier, _bounces, _samples, _depth_of_field, _shadows, _splats, _instances, _width, _tones),
+    _developed,
 )
 
 
@@ -370,23 +439,26 @@ def set_up(scene: bpy.types.Scene, wishes: Wishes | None = None) -> None:
         scene.render.film_transparent = True
     if wishes.exact:
         sample_centres(scene)
-    for target in models_in_render(scene):
+    shown = shown_in_render(scene)
+    for target in shown.models:
         if target.library is None:
-            _set_up_model(scene, target, wishes)
-    if any(BY_LOT in _methods(each) for each in models_in_render(scene)):
+            _set_up_model(scene, target, wishes, target in shown.moved)
+    if any(BY_LOT in _methods(each) for each in shown.models):
         eevee = settings_of_eevee(scene)
         eevee.taa_render_samples = max(eevee.taa_render_samples, EEVEE_SAMPLES)
-    develop.settle(scene, models_in_render(scene))
+    develop.settle(scene, shown.models)
 
 
-def _set_up_model(scene: bpy.types.Scene, target: bpy.types.Object, wishes: Wishes) -> None:
+def _set_up_model(
+    scene: bpy.types.Scene, target: bpy.types.Object, wishes: Wishes, is_instanced: bool
+) -> None:
     modifier = nodes.find_modifier(target)
     if modifier is not None:
         modifier.show_render = True
     set_up_object(target)
     if wishes.cast_shadows:
         target.visible_shadow = True
-    _set(target, nodes.CAMERA_SPLATS, wishes.camera_splats and not _is_panorama(scene))
+    _set(target, nodes.CAMERA_SPLATS, wishes.camera_splats and not (_is_panorama(scene) or is_instanced))
     if wishes.camera_splats:
         target.pop(ELLIPSOIDS, None)
     else:

@@ -292,3 +292,16 @@ def test_another_model_is_not_offered_the_last_ones_file(registered):
     for name in ("model_bake", "model_save"):
         path = getattr(bpy.ops.physhdr, name).get_rna_type().properties["filepath"]
         assert path.is_skip_save and path.subtype == "FILE_PATH"
+
+
+def test_beside_a_file_that_is_not_saved_nothing_is_written(
+    registered, make_model, write, tmp_path, monkeypatch
+):
+    """Blender takes ``//`` for the folder that it runs in, then."""
+    monkeypatch.chdir(tmp_path)
+    bpy.context.view_layer.objects.active = model_import.import_model(write(make_model(count=5)))
+    before = sorted(tmp_path.iterdir())
+    for save in (bpy.ops.physhdr.model_save, bpy.ops.physhdr.model_bake):
+        with pytest.raises(RuntimeError, match="not saved yet"):
+            save(filepath="//kitchen.out")
+    assert sorted(tmp_path.iterdir()) == before

@@ -19,6 +19,7 @@ bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, o
 import physhdr  # noqa: E402
 from physhdr.addon.capture import placement, similarity  # noqa: E402
 from physhdr.addon.model import model_import, nodes  # noqa: E402
+from physhdr.addon.model.look import shown_shape  # noqa: E402
 from physhdr.addon.model.point_cloud import read_attribute  # noqa: E402
 from physhdr.addon.operators import capture as operators  # noqa: E402
 from physhdr.addon.rendering import render  # noqa: E402
@@ -387,16 +388,10 @@ def test_cycles_draws_the_same_picture_of_it(registered, run, tmp_path, splats):
 
 def test_a_point_is_picked_on_the_model_wherever_it_stands(registered, run):
     """The ray of a pixel on a lone, opaque Gaussian meets it at its centre, in the world."""
-    from physhdr.addon.viewport.splat_data import read_arrays
-
     target = load(run[0])
     placement.move(registered, target, np.linalg.inv(LOST))
-    arrays = read_arrays(target.data)
-    alone = dataclasses.replace(
-        arrays,
-        **{name: getattr(arrays, name)[:1] for name in ("position", "rotation", "scale")},
-        opacity=np.array([0.95], np.float32),
-    )
+    *alone, _ = (each[:1] for each in shown_shape(target))
+    alone.append(np.array([0.95], np.float32))
     centre = where(target)[0]
     eye = np.array([5.0, -4.0, 3.0])
     direction = (centre - eye) / np.linalg.norm(centre - eye)

@@ -469,6 +469,32 @@ def test_a_ground_under_a_model_of_uneven_scale(extension, capture):
     assert cube.matrix_world.translation.z == pytest.approx(RADIUS, abs=1e-4)
 
 
+def test_the_floor_is_what_is_shown_of_the_model(extension, capture):
+    """Half of the Gaussians hang above the others, and are hidden by *Clean*."""
+    target = next(each for each in capture.objects if is_model(each))
+    cloud, places = target.data, np.random.default_rng(0).uniform(-1.0, 1.0, (400, 3))
+    places[:, 2] = np.repeat([0.0, 0.6], 200)
+    cloud.resize(400)
+    write_attribute(cloud, attributes.POSITION, places)
+    write_attribute(cloud, attributes.SCALE, np.tile([0.2, 0.2, 0.01], (400, 1)))
+    write_attribute(cloud, attributes.ROTATION, np.tile([1.0, 0.0, 0.0, 0.0], (400, 1)))
+    write_attribute(cloud, attributes.BASE, np.tile([0.0, 0.0, 0.0, 0.9], (400, 1)))
+    cloud.update_tag()
+    place = Vector((0.0, 0.0, 1.0))
+    assert cg.floor_below(capture, place) == pytest.approx(0.6, abs=0.05)
+    box = bpy.data.objects.new("box", None)
+    capture.collection.objects.link(box)
+    box.scale = (3.0, 3.0, 0.3)
+    modifier = nodes.find_modifier(target)
+    nodes.set_input(modifier, nodes.CROP_BOX, box)
+    nodes.set_input(modifier, nodes.CROP, True)
+    bpy.context.view_layer.update()
+    assert cg.floor_below(capture, place) == pytest.approx(0.0, abs=0.05)
+    target.scale.z = 0.0
+    bpy.context.view_layer.update()
+    assert cg.floor_below(capture, place) is None, "what is flat has no surface"
+
+
 def test_nothing_is_moved_where_no_ground_is_laid(extension, capture, monkeypatch):
     """Whatever the reason: what fails pushes no undo, so it must leave all where it was."""
     cube = add_ball(capture)

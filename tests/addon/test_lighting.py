@@ -200,6 +200,17 @@ def test_light_as_before_leaves_nothing_behind(scene, model, tmp_path):
     assert not bpy.ops.physhdr.light_reset.poll()
 
 
+def test_a_copy_of_the_scene_gives_back_no_light_that_another_has(scene, model, tmp_path):
+    """*Linked Copy*: both scenes have the world and the model."""
+    light(write_probe(tmp_path / "probe", (5.0,) * 3, (0,) * 3, (0,) * 3))
+    copy = scene.copy()
+    assert copy.world == scene.world
+    lighting.reset(copy)
+    assert copy.world != scene.world and not model.visible_diffuse
+    lighting.reset(scene)
+    assert model.visible_diffuse
+
+
 def test_a_scene_without_a_world_has_none_again(scene, model, tmp_path):
     scene.world = None
     light(write_probe(tmp_path / "probe", (5.0,) * 3, (0,) * 3, (0,) * 3))

@@ -13,6 +13,7 @@ from physhdr.addon.model import attributes, look, model_import, nodes, point_clo
 from physhdr.addon.model.radiance_tree import radiance_tree  # noqa: E402
 from physhdr.addon.rendering import render  # noqa: E402
 from physhdr.bridge.lights import Levels  # noqa: E402
+from physhdr.bridge.splatting import NEAR_PLANE  # noqa: E402
 
 LIGHTS = ("ambient", "pendant", "desk lamp, Küche")
 
@@ -215,6 +216,46 @@ def test_appended_or_linked_into_another_file_it_still_works(add, tmp_path, link
     )
     along_z = np.tile([0.0, 0.0, 1.0], (model.count, 1))
     np.testing.assert_allclose(constant.radiance(along_z, levels), before[:, :3], rtol=1e-5, atol=1e-7)
+
+
+def proxies(target) -> list[np.ndarray]:
+    """``[4, 4]``: the instances that are drawn."""
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    return [
+        np.array(each.matrix_world)
+        for each in depsgraph.object_instances
+        if each.is_instance and each.parent.original == target
+    ]
+
+
+def test_a_stretched_model_is_drawn_as_ellipsoids(add):
+    """A card would be sheared with the object, and lie in no camera's plane."""
+    _, target, modifier, _ = add()
+    drawn = {}
+    for scale in ((1.0, 1.0, 1.0), (2.0, 0.5, 1.0)):
+        target.scale = scale
+        for cards in (False, True):
+            nodes.set_input(modifier, nodes.CAMERA_SPLATS, cards)
+            bpy.context.view_layer.update()
+            drawn[scale[0], cards] = np.array(proxies(target))
+    assert not np.allclose(drawn[1.0, True], drawn[1.0, False])
+    np.testing.assert_array_equal(drawn[2.0, True], drawn[2.0, False])
+
+
+@pytest.mark.parametrize("scale", [0.1, 1.0, 10.0])
+def test_the_nearest_that_is_drawn_is_in_the_scenes_metres(add, scene, scale):
+    """As in the 3D view and in the trainer: whatever the object's scale is."""
+    _, target, modifier, camera = add(count=2)
+    nodes.set_input(modifier, nodes.CAMERA_SPLATS, True)
+    forward = -np.array(camera.matrix_world.col[2])[:3]
+    eye = np.array(camera.matrix_world.translation)
+    places = eye + forward * np.array([[0.9], [1.1]]) * NEAR_PLANE
+    point_cloud.write_attribute(target.data, attributes.POSITION, places / scale)
+    target.data.update_tag()
+    target.scale = (scale,) * 3
+    bpy.context.view_layer.update()
+    (drawn,) = proxies(target)
+    np.testing.assert_allclose(drawn[:3, 3], places[1], atol=1e-5)
 
 
 def test_every_node_has_a_frame_or_a_place_of_its_own(scene):

@@ -472,6 +472,49 @@ def test_hidden_models_are_no_problem_and_instances_are_one(room, registered):
     assert kinds(registered) == []
 
 
+@pytest.mark.parametrize("nested", [False, True])
+def test_models_that_an_instance_shows_elsewhere_are_told_and_get_no_cards(room, registered, nested):
+    """Nodes are evaluated where the model itself stands: its cards face the camera as seen from there."""
+    bpy.ops.physhdr.render_setup()
+    kept = bpy.data.collections.new("kept")
+    kept.objects.link(room)
+    registered.collection.objects.unlink(room)
+    if nested:
+        inner = bpy.data.objects.new("inner", None)
+        inner.instance_type, inner.instance_collection = "COLLECTION", kept
+        kept = bpy.data.collections.new("outer")
+        kept.objects.link(inner)
+    kept.instance_offset = (1.0, 2.0, 0.0)
+    holder = bpy.data.objects.new("holder", None)
+    holder.instance_type, holder.instance_collection = "COLLECTION", kept
+    registered.collection.objects.link(holder)
+    holder.rotation_euler.z = math.pi
+    holder.location = (-1.0, -2.0, 0.0)  # where the offset is turned to
+    bpy.context.view_layer.update()
+    first, second = render_setup.render_problems(registered)
+    assert "Make Instances Real" in first.text and not first.mended
+    assert "do not face the camera" in second.text and second.mended
+    bpy.ops.physhdr.render_setup()
+    assert not value(room, nodes.CAMERA_SPLATS)
+    (left,) = render_setup.render_problems(registered)
+    assert left == first
+    holder.rotation_euler.z, holder.location = 0.0, (1.0, 2.0, 0.0)  # where the model stands
+    bpy.context.view_layer.update()
+    bpy.ops.physhdr.render_setup()
+    assert kinds(registered) == [] and value(room, nodes.CAMERA_SPLATS)
+
+
+def test_a_stretched_model_is_told(room, registered):
+    bpy.ops.physhdr.render_setup()
+    room.scale = (1.0, -1.0, 1.0)
+    bpy.context.view_layer.update()
+    assert kinds(registered) == []
+    room.scale.z = 1.1
+    bpy.context.view_layer.update()
+    (problem,) = render_setup.render_problems(registered)
+    assert "stretched" in problem.text and not problem.mended
+
+
 def test_older_imports_cast_no_shadow_after_set_up_unless_it_is_wished(room, registered):
     room.visible_shadow = True
     bpy.ops.physhdr.render_setup(cast_shadows=True)
