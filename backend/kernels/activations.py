@@ -186,8 +186,8 @@ def _change(share, offsets, at, channel):
 
 @njit
 def _logarithm(x):
-    """ln x of x ≥ 2^−126."""
-    return log2_of_positive(x) * _LN2
+    """ln x of x ≥ 2^−126; NaN stays NaN."""
+    return select(x >= x, log2_of_positive(x) * _LN2, x)
 
 
 @kernel

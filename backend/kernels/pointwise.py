@@ -120,7 +120,8 @@ class _Blend(torch.autograd.Function):
 def _sigmoid(z):
     e = exp_of_negative(-absolute(z))
     inverse = 1.0 / (1.0 + e)
-    return select(z > 0.0, inverse, e * inverse)
+    # The exponential works on bits and would make a number of NaN, with which training would go on.
+    return select(z >= z, select(z > 0.0, inverse, e * inverse), z)
 
 
 @kernel
@@ -145,7 +146,7 @@ def _corrected(first, last, response, correction, y):
     for i in range(first, last, LANES):
         at = min(i, last - LANES)
         value = load(response, at) + _sigmoid(load(correction, at)) - 0.5
-        store(minimum(maximum(value, 0.0), 1.0), y, at)
+        store(minimum(1.0, maximum(value, 0.0)), y, at)  # in this order NaN stays NaN
 
 
 @kernel

@@ -59,24 +59,24 @@ def repeat_each(typing, channels, value):
 
 @intrinsic
 def positive_each(typing, values):
-    """max(values[k], 0) for every k."""
+    """max(values[k], 0) for every k; NaN stays NaN."""
 
     def generate(context, builder, sig, args):
         zero = constant(0.0)
         values = unpack(builder, args[0], sig.args[0].count)
-        return pack(builder, [builder.select(builder.fcmp_ordered(">", v, zero), v, zero) for v in values])
+        return pack(builder, [builder.select(builder.fcmp_ordered("<", v, zero), zero, v) for v in values])
 
     return values(values), generate
 
 
 @intrinsic
 def where_positive_each(typing, conditions, values):
-    """``values[k]`` where ``conditions[k]`` is positive, else 0, for every k."""
+    """``values[k]`` where ``conditions[k]`` is positive or NaN, else 0, for every k."""
 
     def generate(context, builder, sig, args):
         zero, count = constant(0.0), sig.args[0].count
         pairs = zip(unpack(builder, args[0], count), unpack(builder, args[1], count), strict=True)
-        return pack(builder, [builder.select(builder.fcmp_ordered(">", c, zero), v, zero) for c, v in pairs])
+        return pack(builder, [builder.select(builder.fcmp_ordered("<=", c, zero), zero, v) for c, v in pairs])
 
     return values(conditions, values), generate
 

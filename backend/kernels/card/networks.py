@@ -97,9 +97,9 @@ class _Networks(torch.autograd.Function):
 def activated(z: float, kind: int):
     """The activation and its slope at ``z``."""
     if kind == 0:
-        if z > 0.0:
-            return wp.vec2(z, 1.0)
-        return wp.vec2(0.0, 0.0)
+        if z <= 0.0:
+            return wp.vec2(0.0, 0.0)
+        return wp.vec2(z, 1.0)  # NaN, too, as torch has it
     e = wp.exp(-wp.abs(z))
     sigmoid = 1.0 / (1.0 + e)
     if z < 0.0:

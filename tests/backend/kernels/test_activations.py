@@ -84,10 +84,11 @@ def test_under_the_standard_light_shares_are_not_read_and_learn_nothing():
     assert torch.equal(colours, without)
 
 
-def test_not_a_number_stays_one():
+@pytest.mark.parametrize(("which", "place"), [(0, (17, 1)), (1, (17, 1)), (2, (17, 0, 1))])
+def test_not_a_number_stays_one(which, place):
     """The rasteriser refuses it and says where it is."""
-    tensors = gaussians(100, 1, 1)
-    tensors[0][17, 1] = float("nan")
+    tensors = gaussians(100, 1, 3)
+    tensors[which][place] = float("nan")
     colours, _ = lit_colours(*tensors, (3.0,))
     assert colours.isnan().nonzero().tolist() == [[17, 1]]
 

@@ -106,6 +106,14 @@ def test_local_curves(branches):
     compare(kernels.local_curves, kernels.local_curves_reference, tensors, kind="_Networks")
 
 
+@pytest.mark.parametrize("activation", ["relu", "softplus", "silu"])
+def test_nan_is_not_swallowed(activation):
+    """It must reach the loss, where training refuses it."""
+    inputs = [normal(3, 40), normal(3, 16, seed=1), normal(3, 16, seed=2), normal(3, 16, seed=3)]
+    inputs[0][1, 7] = float("nan")
+    assert mlp.curve_mlp(*inputs, normal(3, seed=4), activation).isnan().nonzero().tolist() == [[1, 7]]
+
+
 def test_softplus_where_its_exponential_is_lost_beside_one():
     """ln(1 + e^z) is e^z there, not 0."""
     z = torch.linspace(-30.0, 30.0, 601)[None]

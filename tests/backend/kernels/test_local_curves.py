@@ -33,6 +33,17 @@ def test_against_float64(branches, points, features):
         assert (a - b).norm() <= 1e-5 * b.norm()
 
 
+@pytest.mark.parametrize("which", range(6))
+def test_nan_is_not_swallowed(which):
+    """It must reach the loss, where training refuses it; max(NaN, 0) could make a 0 of it."""
+    tensors = inputs(2, 50, 4)
+    tensors[which].view(-1)[1] = float("nan")
+    ours, gradients = run(kernels.local_curves, tensors, torch.float32)
+    twins, true_gradients = run(kernels.local_curves_reference, tensors, torch.float64)
+    for a, b in zip((ours, *gradients), (twins, *true_gradients), strict=True):
+        assert torch.equal(a.isnan(), b.isnan())
+
+
 def test_is_one_network_a_channel_and_branch():
     x, context, w1, b1, w2, b2 = inputs(2, 50, 4)
     result = kernels.local_curves(x, context, w1, b1, w2, b2)
