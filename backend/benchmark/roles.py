@@ -10,7 +10,7 @@ from ...bridge.regular import read_json_object
 from ..scene import hdr_nerf_syn
 from .plan import TUNE, Plan, SceneFolder
 
-#: Choices are made on it · run when a choice is made, never used for one · opened once, at the end.
+#: Choices are made on it · run when a choice is made (see ``WHAT_REPORTED``) · opened once, at the end.
 TUNING, HELD_OUT, SEALED = "tuning", "held-out", "sealed"
 ROLES = {
     "interior": TUNING,
@@ -27,7 +27,9 @@ ROLES = {
 WHAT_REPORTED = {
     TUNING: "choices were made on their validation views, and before they had any on their test views: the "
     "figures are no proof of a choice",
-    HELD_OUT: "no choice was made on them",
+    HELD_OUT: "no rate, threshold or default was chosen on their standard data sets; reports on `bear`, "
+    "`dog` and `sofa` through other cameras led to how the learned response begins, so that `diningroom` "
+    "alone is untouched",
     SEALED: "opened by this plan (`open_sealed`)",
 }
 

@@ -152,5 +152,7 @@ def test_every_command_is_understood(monkeypatch):
     for tool, *words in tools:
         assert (ROOT / tool).is_file()
         assert tool != "tools/benchmark_data.py" or set(words) <= scenes.keys()
-    (plan,) = (words[words.index("--plan") + 1] for words in found if "--plan" in words)
-    assert (ROOT / plan).is_file()
+    (words,) = (words for words in found if "--plan" in words)
+    plan = tomllib.loads((ROOT / words[words.index("--plan") + 1]).read_text(encoding="utf-8"))
+    methods = words[words.index("--methods") + 1 : words.index("--external")]
+    assert len(methods) == 2 and set(methods) <= set(plan["methods"]), "peers train as in the plan"
