@@ -488,6 +488,17 @@ class SplattingMethod(Method):
         return self.tone_mapper.sampled()
 
 
+class UnlitMethod(SplattingMethod):
+    """A method whose splats have a radiance, and no light apart from it: ``log_illumination`` stays 0."""
+
+    def log_radiance(self, splats: Splats) -> torch.Tensor:
+        """ln e ``[M, 3]``."""
+        return splats.log_reflectance.clamp(*self.log_radiance_range)
+
+    def radiance_of(self, splats: Splats, levels: tuple[float, ...] | None) -> torch.Tensor:
+        return self.log_radiance(splats).exp()
+
+
 def exposed_by(radiance: torch.Tensor, taken: Exposed) -> torch.Tensor:
     """What a picture's response sees of radiance ``[3, H, W]``."""
     exposed = radiance * taken.exposure

@@ -27,7 +27,7 @@ from ..model.rates import Rate
 from ..model.tone_mapper import LOG_EPSILON, ToneMapper, ToneMapperConfig
 from ..rasterize import Rasterization
 from ..scene.camera import Camera
-from .base import Batch, Drawn, Facts, MethodConfig, Outcome, SplattingMethod, Traits
+from .base import Batch, Drawn, Facts, MethodConfig, Outcome, Traits, UnlitMethod
 from .losses import compared
 
 #: Of the tone mapper with its uncertainty.
@@ -151,7 +151,7 @@ class DrawnPicture(Drawn):
         return torch.lerp(self.in_2d.ldr, self.in_3d.ldr, self.weight)
 
 
-class GaussHDR(SplattingMethod):
+class GaussHDR(UnlitMethod):
     """The method: a backbone, a tone mapper and the network of its uncertainty."""
 
     def __init__(self, config: GaussHDRConfig, backbone: Backbone, facts: Facts) -> None:
@@ -174,13 +174,6 @@ class GaussHDR(SplattingMethod):
         self.uses_local = iteration >= self.config.global_until * iterations
 
     # -- the forward pass --------------------------------------------------------------------------------
-
-    def log_radiance(self, splats: Splats) -> torch.Tensor:
-        """ln e ``[M, 3]``. What light makes of it is not known apart: ``log_illumination`` stays 0."""
-        return splats.log_reflectance.clamp(*self.log_radiance_range)
-
-    def radiance_of(self, splats: Splats, levels: tuple[float, ...] | None) -> torch.Tensor:
-        return self.log_radiance(splats).exp()
 
     def respond(
         self, log_exposure: torch.Tensor, context: torch.Tensor

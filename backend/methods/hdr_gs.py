@@ -30,7 +30,7 @@ from ..model.tone_mapper import ToneMapper, ToneMapperConfig
 from ..rasterize import Rasterization
 from ..scene.camera import Camera
 from ..scene.pictures import read_exr
-from .base import Batch, Drawn, Facts, MethodConfig, Outcome, SplattingMethod, Traits, mean_terms
+from .base import Batch, Drawn, Facts, MethodConfig, Outcome, Traits, UnlitMethod, mean_terms
 from .losses import compared
 
 #: Their code makes a schedule for it that is never stepped.
@@ -91,7 +91,7 @@ class HDRGSConfig(MethodConfig):
         return Needs(channels=(3,), activations=(self.tone_mapper.activation,))
 
 
-class HDRGS(SplattingMethod):
+class HDRGS(UnlitMethod):
     """The method: a backbone and a global tone mapper."""
 
     def __init__(self, config: HDRGSConfig, backbone: Backbone, facts: Facts) -> None:
@@ -126,13 +126,6 @@ class HDRGS(SplattingMethod):
         return super().rates() | {"tone_mapper": TONE_MAPPER_RATE}
 
     # -- the forward pass --------------------------------------------------------------------------------
-
-    def log_radiance(self, splats: Splats) -> torch.Tensor:
-        """ln e ``[M, 3]``. What light makes of it is not known apart: ``log_illumination`` stays 0."""
-        return splats.log_reflectance.clamp(*self.log_radiance_range)
-
-    def radiance_of(self, splats: Splats, levels: tuple[float, ...] | None) -> torch.Tensor:
-        return self.log_radiance(splats).exp()
 
     def colours(self, splats: Splats, exposure: float) -> torch.Tensor:
         """LDR colours ``[M, 3]`` in (0, 1) at ``exposure`` seconds."""

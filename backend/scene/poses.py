@@ -16,12 +16,12 @@ import numpy as np
 from ...bridge.errors import BadValueError, DataMismatchError, FileMissingError, PhysHDRError
 from .camera import Camera
 from .exif import LYING, orientation_of, tags_of_file
+from .held_out_views import EVERY, FEWEST, held_out_places, same_places
 from .lens import Lens, RealCamera, Reduced, lenses_by_size
 from .pictures import picture_size
 from .resize import Reduction, is_shaped
 from .scene import PictureCache, View
 from .source import PictureSource
-from .test_choice import EVERY, FEWEST, same_places, test_places
 from .truth_folders import truth_there
 from .undistorted import store_for
 
@@ -344,7 +344,7 @@ def split_somehow(poses: Sequence[Pose]) -> tuple[list[Pose], list[Pose], str]:
         what = "place" if told else "pose"
         few = f"is one {what}" if len(places) == 1 else f"are two {what}s"
         return list(poses), [], f"no test views: there {few} only{told}"
-    chosen = set(test_places(positions, directions))
+    chosen = set(held_out_places(positions, directions))
     test = [pose for k, pose in enumerate(poses) if k in chosen]
     train = [pose for k, pose in enumerate(poses) if k not in chosen]
     rule = (

@@ -27,9 +27,9 @@ from ....bridge.affine import quaternion_of
 from ....bridge.atomic import patiently
 from ....bridge.data_set import CAPTURE_FILE, EXPOSURE_FILE
 from ....bridge.errors import OutputError
+from ..held_out_views import held_out_places
 from ..lens import Lens
 from ..pictures import deep_png
-from ..test_choice import test_places
 from .brackets import Brackets
 from .choice import NUMBERS
 from .exposures import some_names
@@ -165,7 +165,7 @@ class Written:
 def test_poses(
     brackets: Brackets, structure: Structure, every: int, borrowed: Collection[int] = ()
 ) -> set[int]:
-    """The numbers of the registered poses for the test: all of each place that ``test_places`` chooses.
+    """The numbers of the registered poses for the test: all of each place that ``held_out_places`` chooses.
 
     ``every``: about how many places there are to one for the test; 0: none. ``borrowed``: poses that nobody
     found by themselves: their places are not for the test.
@@ -180,7 +180,7 @@ def test_poses(
     positions = np.array([np.mean([pose.position for pose in group], axis=0) for group in poses])
     directions = np.array([group[0].rotation[2] for group in poses])
     groups = list(places.values())
-    return {number for k in test_places(positions, directions, every) for number in groups[k]}
+    return {number for k in held_out_places(positions, directions, every) for number in groups[k]}
 
 
 def write_data_set(

@@ -28,7 +28,7 @@ REACHES = (0.1, 0.03, 0.01, 0.003, 0.001)
 APART = 4.0
 
 
-def test_places(positions: np.ndarray, directions: np.ndarray, every: int = EVERY) -> list[int]:
+def held_out_places(positions: np.ndarray, directions: np.ndarray, every: int = EVERY) -> list[int]:
     """The indices of the views for testing, rising, of N views in the order in which they were taken.
 
     ``positions`` ``[N, 3]``, any unit; ``directions`` ``[N, 3]``: unit vectors, where each looks. Of each
@@ -61,8 +61,8 @@ def test_places(positions: np.ndarray, directions: np.ndarray, every: int = EVER
 def same_places(positions: np.ndarray, directions: np.ndarray) -> list[list[int]]:
     """N views by the place and direction that they were taken from, in the order of each place's first.
 
-    Arguments as ``test_places`` has them. Most are alone: only what is much nearer to each other than to all
-    else is one place, so that frames of a film are none, however near they are.
+    Arguments as ``held_out_places`` has them. Most are alone: only what is much nearer to each other than to
+    all else is one place, so that frames of a film are none, however near they are.
     """
     from scipy.spatial import KDTree  # here, because only this needs SciPy
 
