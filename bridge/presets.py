@@ -27,7 +27,7 @@ IN_PANEL = (
     Preset("baseline", "Baseline", "Plain Gaussian splatting in HDR, to compare with: no relighting"),
     Preset(
         "default-scaffold",
-        "Default, in Groups",
+        "Default on Anchors",
         "The default with its splats in groups that share what they learn (Scaffold-GS): twice the time",
     ),
     Preset("gausshdr-short", "GaussHDR", "Another published method, to compare with: no relighting"),
@@ -36,7 +36,7 @@ IN_PANEL = (
         "HDR-GS",
         "Another published method, to compare with: no relighting, brightness without scale",
     ),
-    Preset("high", "High", "Over night: four times the default's time, more splats"),
+    Preset("high", "High", "Overnight: four times the default's time, more splats"),
 )
 
 #: Those for comparisons, which take long or answer a question that few have: on the command line alone.

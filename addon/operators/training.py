@@ -130,7 +130,10 @@ class PHYSHDR_OT_train_start(_Training):
     out: bpy.props.StringProperty(name="Run", subtype="DIR_PATH", options=FOLDER)
     preset: bpy.props.EnumProperty(name="Method", items=settings.PRESETS, options={"SKIP_SAVE"})
     iterations: bpy.props.IntProperty(
-        name="Iterations", min=0, description="0: the preset's", options={"SKIP_SAVE"}
+        name="Iterations",
+        min=0,
+        description="Steps of the training; 0: as many as the method needs for data of this size",
+        options={"SKIP_SAVE"},
     )
     exposure_mode: bpy.props.EnumProperty(
         name="Exposures", items=settings.EXPOSURE_MODES, options={"SKIP_SAVE"}
