@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from ...bridge.errors import BadValueError, DataMismatchError, PhysHDRError
-from ...bridge.run_folder import CHECKPOINT_FILE
+from ...bridge.errors import BadValueError, DataMismatchError, OutputError, PhysHDRError
+from ...bridge.run_folder import CHECKPOINT_FILE, CONFIG_FILE
 from ..kernels.activations import LOG_RADIANCE_RANGE
 from ..methods.base import Batch, Facts, Method, Recording, Responses, SplattingMethod
 from ..methods.registry import name_of, new_method
@@ -363,8 +363,9 @@ class Trainer:
         And every ``checkpoint_seconds``, or less often where writing would take more than
         ``CHECKPOINT_SHARE`` of the time. ``between`` is called after every iteration, when the method is
         whole and may be looked at. It returns for how many seconds it held the training up (a pause), which
-        then count in no rate.
+        then count in no rate. Raises ``OutputError`` where the run's folder is not there any more.
         """
+        is_run = (folder / CONFIG_FILE).exists()
         total = self.config.iterations
         begun, begun_cpu = time.perf_counter() - self.seconds, time.process_time() - self.cpu_seconds
         message = ". ".join([f"started from {self.start_message}", *self.scene.messages])
@@ -398,7 +399,7 @@ class Trainer:
                     # A loss that is no number would be noticed at the next event only.
                     self._refuse_nan({name: float(value) for name, value in sums.items()})
                     saving = time.perf_counter()
-                    saved = self.save(folder)
+                    saved = self._save_in_place(folder, is_run)
                     now = time.perf_counter()
                     next_save = now + max(checkpoint_seconds, (now - saving) / CHECKPOINT_SHARE)
                     yield saved
@@ -407,7 +408,7 @@ class Trainer:
         finally:
             # A diverged state, or one caught in the middle of an update, is worth less than the last file.
             if self._sound:
-                self.save(folder)
+                self._save_in_place(folder, is_run)
         yield Saved(self.iteration, str(folder / CHECKPOINT_FILE))
         message = "" if self.poses is None else str(self.poses)
         stopped = self.iteration < total
@@ -425,6 +426,16 @@ class Trainer:
             "Lower the learning rates, or report this with the run's config.json. "
             "The last good checkpoint is untouched.",
         )
+
+    def _save_in_place(self, folder: Path, is_run: bool) -> Saved:
+        """Save where the run's configuration is: a checkpoint alone is no run that could go on."""
+        if is_run and not (folder / CONFIG_FILE).exists():
+            raise OutputError(
+                f"{folder} was moved or deleted while iteration {self.iteration} was trained",
+                "What was saved last is in that folder, wherever it is: resume the run there. If it is "
+                "deleted, train again.",
+            )
+        return self.save(folder)
 
     # -- checkpoints ---------------------------------------------------------------------------------------
 

@@ -15,8 +15,9 @@ from physhdr.backend.runs.run import open_run
 from physhdr.backend.serve.engine import CancelledError
 from physhdr.backend.train import duration, sizing
 from physhdr.backend.train.config import CONFIG_FILE, TrainConfig, read_config
+from physhdr.backend.train.events import Saved
 from physhdr.backend.train.trainer import CHECKPOINT_FILE
-from physhdr.bridge.errors import BadValueError, DataMismatchError
+from physhdr.bridge.errors import BadValueError, DataMismatchError, OutputError
 from physhdr.bridge.run_folder import VIEWS_FILE
 
 PRESET = TrainConfig(initial_points="random", random_points=150)
@@ -53,6 +54,22 @@ def test_what_is_found_is_told_and_written_and_is_what_a_resume_has(tiny_data, t
     with resume_run(tmp_path / "run", None, workshop) as (resumed, _):
         assert resumed.config == written
     assert not any("megapixels" in str(line) for line in told)  # nothing is found anew
+
+
+def test_a_run_whose_folder_is_moved_is_not_split_in_two(tiny_data, tmp_path, workshop):
+    """What was saved last goes with the folder, and the run goes on from there."""
+    out, moved = tmp_path / "run", tmp_path / "moved"
+    short = dataclasses.replace(PRESET, iterations=20)
+    with begin(tiny_data, out, workshop, short, ["iterations"]) as (trainer, run):
+        told = trainer.run(run.folder, checkpoint_seconds=0.0)
+        while not isinstance(saved := next(told), Saved):
+            pass
+        out.rename(moved)
+        with pytest.raises(OutputError, match=f"{out} was moved or deleted") as caught:
+            list(told)
+    assert "resume the run there" in caught.value.hint and not out.exists()
+    with resume_run(moved, None, workshop) as (resumed, _):
+        assert resumed.iteration == saved.iteration
 
 
 def test_what_is_stopped_before_it_can_begin_leaves_the_run_that_was_there(tiny_data, tmp_path, workshop):
