@@ -40,6 +40,7 @@ from ..scene.capture.structure import (
 )
 from ..scene.capture.understanding import Understanding, understand
 from ..scene.lens import Lens, lenses_by_size
+from ..shell import as_word
 from .told import answered, line
 
 #: Of each ISO so many raw files tell the noise, where they do not say it.
@@ -124,7 +125,7 @@ class Prepare:
         _catch_signals()  # again: glog, which comes with it, took SIGTERM for a crash
         with new_folder(folder, self.overwrite) as made, voice:
             result = self._make(understood, made, voice)
-        voice.say(f"next: physhdr inspect {folder}, then physhdr train {folder} --out RUN")
+        voice.say(f"next: physhdr inspect {as_word(folder)}, then physhdr train {as_word(folder)} --out RUN")
         return {"folder": str(folder), **result}
 
     def _check(self) -> Path | None:
@@ -427,7 +428,7 @@ class Terminal(Voice):
     def __init__(self) -> None:
         super().__init__()
         self._bar = Progress(
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(),
             TextColumn("{task.fields[left]}"),
             console=console,
@@ -439,11 +440,11 @@ class Terminal(Voice):
 
     def say(self, line: str) -> None:
         super().say(line)
-        console.print(line, soft_wrap=True)
+        console.print(line)
 
     def warn(self, line: str) -> None:
         super().warn(line)
-        console.print(f"[yellow]warning: {line}[/yellow]", soft_wrap=True)
+        console.print(f"warning: {line}", style="yellow")
 
     def progress(self, report: Report) -> None:
         left = "" if report.seconds_left is None else f"{report.seconds_left:.0f} s left"

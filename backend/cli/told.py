@@ -49,7 +49,7 @@ def _nothing(_: Any) -> None: ...
 
 
 def _show(what: Any) -> None:
-    console.print(what, soft_wrap=isinstance(what, str))  # a table keeps to the terminal's width
+    console.print(what)
 
 
 @contextmanager

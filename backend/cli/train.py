@@ -6,7 +6,6 @@ import signal
 from collections.abc import Callable
 from contextlib import AbstractContextManager, closing
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -21,8 +20,9 @@ from ..runs.begin import Workshop, resume_run, start_run
 from ..runs.log import EventLog
 from ..runs.monitor import view_monitor
 from ..runs.run import Run
-from ..runs.terminal import console
+from ..runs.terminal import aside
 from ..runs.tidy import Tidying
+from ..shell import as_word
 from ..train import events
 from ..train.config import CONFIG_FILE, TrainConfig
 from ..train.duration import Duration
@@ -102,13 +102,13 @@ class Train:
                     for event in told:
                         log.show(_with_time_left(event, expected))
         if trainer.iteration < run.config.iterations:
-            console.print(f"stopped; go on with: physhdr train --resume {run.folder}")
+            aside.print(f"stopped; go on with: physhdr train --resume {as_word(run.folder)}")
             return 130
         return 0
 
     def _begun(self, expect: Callable[[Duration], None]) -> AbstractContextManager[tuple[Trainer, Run]]:
         workshop = Workshop(
-            report=partial(console.print, soft_wrap=True),
+            report=aside.print,
             expect=expect,
             compile_kernels=compile_kernels,
             device=self.device,
@@ -181,4 +181,4 @@ class _StopOnRequest:
         if self.requested:
             raise KeyboardInterrupt
         self.requested = True
-        console.print("stopping after this iteration and saving; CTRL-C again to leave at once")
+        aside.print("stopping after this iteration and saving; CTRL-C again to leave at once")

@@ -13,6 +13,7 @@ from ..runs.terminal import console
 from ..scene import read_scene
 from ..scene.capture.structure import require_pycolmap
 from ..scene.capture.triangulate import Triangulated, is_ours, triangulate, write_points
+from ..shell import as_word
 from ..train.config import TrainConfig
 from ..train.sizing import extent_of, found_sizes
 from ..train.views import training_exposures
@@ -86,4 +87,4 @@ class Triangulate:
         )
         inside = out.resolve().is_relative_to(self.data.resolve())
         name = out.resolve().relative_to(self.data.resolve()) if inside else out.resolve()
-        console.print(f"next: physhdr train {self.data} --out RUN --points-file {name}", soft_wrap=True)
+        console.print(f"next: physhdr train {as_word(self.data)} --out RUN --points-file {as_word(name)}")

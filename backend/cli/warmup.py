@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from rich.progress import Progress
 
 from ..kernels.ahead import Needs, are_cached, compile_ahead
-from ..runs.terminal import console
+from ..runs.terminal import aside
 from ..train.presets import needed_by_presets
 
 #: Shorter than this nothing was compiled, and nothing is said.
@@ -17,7 +17,7 @@ COMPILED_SECONDS = 5.0
 def compile_kernels(needs: Needs) -> float:
     """Compile what is needed and not in the cache, with a bar; returns the seconds."""
     begun = time.perf_counter()
-    with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+    with Progress(console=aside, transient=True, disable=not aside.is_terminal) as bar:
         task = bar.add_task("compiling kernels", total=None)
         compile_ahead(
             needs,
@@ -28,7 +28,7 @@ def compile_kernels(needs: Needs) -> float:
     seconds = time.perf_counter() - begun
     if seconds > COMPILED_SECONDS:
         later = "; later starts find them in the cache" if are_cached() else ""
-        console.print(f"kernels compiled in {seconds:.0f} s{later}")
+        aside.print(f"kernels compiled in {seconds:.0f} s{later}")
     return seconds
 
 
@@ -37,5 +37,5 @@ class Warmup:
     """Compile the CPU kernels of every preset now; the first training then starts at once."""
 
     def run(self) -> int:
-        console.print(f"kernels ready after {compile_kernels(needed_by_presets()):.1f} s")
+        aside.print(f"kernels ready after {compile_kernels(needed_by_presets()):.1f} s")
         return 0

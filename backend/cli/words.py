@@ -12,6 +12,7 @@ from pathlib import Path
 from ...bridge.errors import PhysHDRError
 from ...bridge.run_folder import CHECKPOINT_FILE
 from ..memory import address_limit, gigabytes, is_out_of_memory
+from ..shell import as_word
 
 
 @dataclass(frozen=True)
@@ -85,4 +86,4 @@ def _resumption(run: Path | None) -> str:
     """How to go on with a run of which something was saved, as a further sentence."""
     if run is None or not (run / CHECKPOINT_FILE).is_file():
         return ""
-    return f" Go on with what was saved: physhdr train --resume {run}"
+    return f" Go on with what was saved: physhdr train --resume {as_word(run)}"

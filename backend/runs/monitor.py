@@ -2,7 +2,6 @@
 """A fixed held-out view, measured while training. What it sees is shown and logged, never learned from."""
 
 from collections.abc import Callable
-from functools import partial
 
 from ...bridge.data_set import TEST, VALIDATION
 from ...bridge.errors import PhysHDRError
@@ -12,13 +11,10 @@ from ..evaluate.truth import hdr_truth
 from ..methods.base import Method
 from ..scene import Scene
 from ..train.trainer import Monitor
-from .terminal import console
-
-#: Whole lines; what stands in brackets in a path is no markup.
-_REPORT = partial(console.print, soft_wrap=True, markup=False)
+from .terminal import aside
 
 
-def view_monitor(scene: Scene, report: Callable[[str], object] = _REPORT) -> Monitor | None:
+def view_monitor(scene: Scene, report: Callable[[str], object] = aside.print) -> Monitor | None:
     """PSNR of a middle view at its middle exposure and, where the truth is there, the HDR scale.
 
     It is a validation view where there are any, so that watching a training tells nothing of the test views,

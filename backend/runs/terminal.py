@@ -1,15 +1,76 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What people see of a training while it runs: a bar on a terminal, a line now and then in a file."""
 
+import io
+import os
+import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import IO, Any, cast
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
 from ..train import events
 
-#: Where every command says what it does.
-console = Console(highlight=False)
+#: Where rich keeps stdout while a bar of its own stands in for it.
+PROXIED = "rich_proxied_file"
+
+
+class Terminal(Console):
+    """Shows text as it is: what a path has in brackets is no markup, and what it has between colons no emoji.
+
+    A sentence is one line, however long, so that what it names can be found and copied whole. Tables keep to
+    the terminal's width.
+    """
+
+    def __init__(self, file: IO[str] | None = None) -> None:
+        super().__init__(file=file, highlight=False, markup=False, emoji=False)
+
+    def print(self, *objects: Any, soft_wrap: bool | None = None, **options: Any) -> None:
+        if soft_wrap is None:
+            soft_wrap = all(isinstance(each, str) for each in objects)
+        super().print(*objects, soft_wrap=soft_wrap, **options)
+
+
+class _WhileHeard:
+    """stdout as long as it takes what is written: after that nothing is shown, and nothing fails."""
+
+    def __getattr__(self, name: str) -> Any:
+        if name == PROXIED:  # this file itself is what a console is to write to
+            raise AttributeError(name)
+        return getattr(_stdout(), name)
+
+    def write(self, text: str) -> int:
+        with _unheard():
+            _stdout().write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with _unheard():
+            _stdout().flush()
+
+
+def _stdout() -> IO[str]:
+    """stdout itself, also while a bar of rich's stands in for it."""
+    return getattr(sys.stdout, PROXIED, sys.stdout)
+
+
+@contextmanager
+def _unheard() -> Iterator[None]:
+    """Where stdout's reader is gone or its disk is full, what waits there and what follows goes nowhere."""
+    try:
+        yield
+    except OSError:
+        with suppress(io.UnsupportedOperation), open(os.devnull, "w") as nowhere:
+            os.dup2(nowhere.fileno(), _stdout().fileno())
+
+
+#: Where every command says what it does; one whose output cannot be written fails.
+console = Terminal()
+#: Where it is said how far a training is, which goes on unheard: all of it is in the run's log as well.
+aside = Terminal(cast(IO[str], _WhileHeard()))
 
 #: Without a terminal a line is printed this often (seconds), so that logs stay short.
 SECONDS_BETWEEN_LINES = 10.0
@@ -27,8 +88,8 @@ class TrainingBar:
             TaskProgressColumn(),
             TextColumn("{task.fields[status]}"),
             TextColumn("{task.fields[left]}"),
-            console=console,
-            disable=not console.is_terminal,
+            console=aside,
+            disable=not aside.is_terminal,
         )
 
     def start(self) -> None:
@@ -43,16 +104,14 @@ class TrainingBar:
         if isinstance(event, events.Started):
             self._bar.update(self._task, total=event.iterations, completed=event.iteration)
             gaussians = f"{event.gaussians} Gaussians; " if event.gaussians else ""
-            console.print(
-                f"training from iteration {event.iteration}: {gaussians}{event.message}", soft_wrap=True
-            )
+            aside.print(f"training from iteration {event.iteration}: {gaussians}{event.message}")
         elif isinstance(event, events.Progress):
             self._show_progress(event)
         elif isinstance(event, events.Finished):
             state = "stopped" if event.stopped else "finished"
             used = f"{event.seconds:.0f} s ({event.cpu_seconds:.0f} CPU seconds)"
             message = f"; {event.message}" if event.message else ""
-            console.print(f"{state} at iteration {event.iteration} after {used}{message}", soft_wrap=True)
+            aside.print(f"{state} at iteration {event.iteration} after {used}{message}")
 
     def _show_progress(self, event: events.Progress) -> None:
         self._monitor |= event.monitor
@@ -65,6 +124,6 @@ class TrainingBar:
         self._bar.update(self._task, completed=step, status=status, left=left)
         now = time.monotonic()
         last = event.iteration == event.iterations
-        if not console.is_terminal and (last or now - self._last_line > SECONDS_BETWEEN_LINES):
+        if not aside.is_terminal and (last or now - self._last_line > SECONDS_BETWEEN_LINES):
             self._last_line = now
-            console.print(f"{step:6d}/{event.iterations}  {status}  {left}", soft_wrap=True)
+            aside.print(f"{step:6d}/{event.iterations}  {status}  {left}")

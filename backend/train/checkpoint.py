@@ -23,6 +23,7 @@ from ...bridge.lights import AMBIENT, check_lights
 from ...bridge.limits import LOG_RADIANCE_MAX
 from ..kernels.activations import LOG_RADIANCE_RANGE
 from ..methods.base import Responses
+from ..shell import as_word
 
 FORMAT = "physhdr-checkpoint"
 VERSION = 1
@@ -71,7 +72,7 @@ def save_checkpoint(
     else:
         metadata["lights"] = json.dumps(list(lights))
     metadata[DIGEST] = _digest(tensors)
-    go_on = f"Free some space, then go on: physhdr train --resume {path.parent}."
+    go_on = f"Free some space, then go on: physhdr train --resume {as_word(path.parent)}."
     try:
         with atomic_path(path, remedy=f"{go_on} What was saved before is untouched.") as temporary:
             try:

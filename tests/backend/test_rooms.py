@@ -51,7 +51,7 @@ BACKEND = (
     ("rasterize",),
     ("simd", "scene", "formats"),
     # Standard library alone (and the bridge's errors): asked before anything else is there.
-    ("memory", "project", "optional"),
+    ("memory", "project", "optional", "shell"),
 )
 
 
