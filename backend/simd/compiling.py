@@ -41,6 +41,8 @@ SOURCES = (
     _BRIDGE / "splatting.py",
     _BRIDGE / "spherical_harmonics.py",
 )
+#: Bytes of the check sum that a file begins with.
+_DIGEST = hashlib.sha256().digest_size
 
 
 def kernel(function: Callable[..., Any]) -> Any:
@@ -101,18 +103,22 @@ class _Files:
         return self._folder.glob(f"{self._base}.*.nbc")
 
     def load(self, key: object) -> Any:
-        """What was saved under the key; None if nothing was."""
+        """What was saved under the key; None if nothing was, or if it is damaged."""
         try:
             content = self._path(key).read_bytes()
         except OSError:
             return None
-        saved, data = pickle.loads(content)
+        told, packed = content[:_DIGEST], content[_DIGEST:]
+        if hashlib.sha256(packed).digest() != told:  # a computer that lost power may leave an empty file
+            return None
+        saved, data = pickle.loads(packed)
         return data if saved == key else None
 
     def save(self, key: object, data: object) -> None:
         """Raises ``OutputError``. What was compiled from other sources goes."""
         with atomic_path(self._path(key), sync_name=False) as temporary:
-            temporary.write_bytes(dumps((key, data)))
+            packed = dumps((key, data))
+            temporary.write_bytes(hashlib.sha256(packed).digest() + packed)
         for path in set(self._folder.glob(self._of_any_sources)) - set(self.ours()):
             with suppress(OSError):  # another process was faster, or has it open
                 path.unlink()

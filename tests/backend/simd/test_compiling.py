@@ -131,6 +131,17 @@ def test_of_two_processes_that_save_at_once_neither_finds_the_others_code(folder
     assert files.load("theirs") == "code of theirs" * 1000
 
 
+@pytest.mark.parametrize("length", [0, 20, 500, -1])
+def test_a_damaged_file_is_compiled_anew(folder, sources, length):
+    """A computer that lost power may leave any part of a file."""
+    started_anew()(1)
+    (path,) = folder.rglob("*.nbc")
+    path.write_bytes(path.read_bytes()[:length])
+    later = started_anew()
+    assert later(1) == 2 and hits(later) == 0
+    assert hits(later := started_anew()) == 0 and later(1) == 2 and hits(later) == 1
+
+
 def test_without_a_folder_kernels_work_and_one_warning_names_the_remedy(tmp_path, monkeypatch):
     (tmp_path / "file").touch()
     monkeypatch.setattr(numba.core.config, "CACHE_DIR", str(tmp_path / "file"))
