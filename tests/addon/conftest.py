@@ -92,3 +92,13 @@ def scene(factory_settings):
     """Blender's scene, empty; the preferences stay, which cost most of the time of making a file anew."""
     factory_settings.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     return factory_settings.context.scene
+
+
+@pytest.fixture
+def registered(scene):
+    """The same, with the extension switched on."""
+    import physhdr  # needs bpy, which not every Python has
+
+    physhdr.register()
+    yield scene
+    physhdr.unregister()

@@ -16,17 +16,9 @@ from physhdr.bridge.spherical_harmonics import basis
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
-import physhdr  # noqa: E402
 from physhdr.addon.model import look, model_import, nodes, point_cloud  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
-
-
-@pytest.fixture
-def registered(scene):
-    physhdr.register()
-    yield
-    physhdr.unregister()
 
 
 @pytest.fixture

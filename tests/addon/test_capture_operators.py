@@ -16,7 +16,6 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
-import physhdr  # noqa: E402
 from physhdr.addon.capture import placement, similarity  # noqa: E402
 from physhdr.addon.model import model_import, nodes  # noqa: E402
 from physhdr.addon.model.look import shown_shape  # noqa: E402
@@ -46,13 +45,6 @@ def turned(angle: float) -> np.ndarray:
 #: From the room to the capture's world: 0.37 as large, tilted by 23°, elsewhere.
 LOST = np.eye(4)
 LOST[:3, :3], LOST[:3, 3] = 0.37 * turned(0.4), [1.5, -0.7, 2.2]
-
-
-@pytest.fixture
-def registered(scene):
-    physhdr.register()
-    yield scene
-    physhdr.unregister()
 
 
 @pytest.fixture

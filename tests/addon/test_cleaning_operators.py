@@ -15,18 +15,10 @@ from physhdr.bridge.model_file import read_model
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
-import physhdr  # noqa: E402
 from physhdr.addon.model import attributes, floaters, look, nodes, point_cloud, point_removal, save_model  # noqa: E402
 from physhdr.addon.panels import cleaning as panel  # noqa: E402
 
 EARLIER = Path(__file__).parent.parent / "fixtures" / "e7440a3"
-
-
-@pytest.fixture
-def registered(scene):
-    physhdr.register()
-    yield scene
-    physhdr.unregister()
 
 
 @pytest.fixture

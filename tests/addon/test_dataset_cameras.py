@@ -14,7 +14,6 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
-import physhdr  # noqa: E402
 from physhdr.addon.capture import camera_file, dataset_cameras, placement, similarity  # noqa: E402
 from physhdr.bridge.camera_list import ListedCamera, write_camera_list  # noqa: E402
 from physhdr.bridge.errors import FileDamagedError, FileMissingError, PhysHDRError  # noqa: E402
@@ -23,13 +22,6 @@ from physhdr.bridge.model_file import write_model  # noqa: E402
 WIDTH, HEIGHT = 120, 90
 #: Pixels: Blender's matrices, lenses and shifts are float32.
 CLOSE = 2e-3
-
-
-@pytest.fixture
-def registered(scene):
-    physhdr.register()
-    yield scene
-    physhdr.unregister()
 
 
 @pytest.fixture

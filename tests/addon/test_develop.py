@@ -14,7 +14,6 @@ from physhdr.bridge.errors import BadValueError
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
-import physhdr  # noqa: E402
 from physhdr.addon.light import cg_compositor  # noqa: E402
 from physhdr.addon.model import model_import, nodes, response_nodes  # noqa: E402
 from physhdr.addon.rendering import develop, render, render_setup  # noqa: E402
@@ -38,13 +37,6 @@ def response(shift: float = 0.0) -> dict[str, np.ndarray]:
         "tone_curve_log_exposure": x,
         "tone_curve": code(np.exp(x.astype(float))[:, None], shift).astype(np.float32),
     }
-
-
-@pytest.fixture
-def registered(scene):
-    physhdr.register()
-    yield scene
-    physhdr.unregister()
 
 
 @pytest.fixture

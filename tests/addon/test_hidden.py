@@ -9,20 +9,12 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
-import physhdr  # noqa: E402
 from physhdr.addon.blender import put_at, world_of  # noqa: E402
 from physhdr.addon.capture import placement  # noqa: E402
 from physhdr.addon.model import model_import  # noqa: E402
 from physhdr.addon.model.attributes import CAPTURE  # noqa: E402
 from physhdr.addon.model.look import cleaning_of, kept_of  # noqa: E402
 from physhdr.bridge.model_file import read_model  # noqa: E402
-
-
-@pytest.fixture
-def registered(scene):
-    physhdr.register()
-    yield scene
-    physhdr.unregister()
 
 
 @pytest.fixture

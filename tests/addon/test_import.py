@@ -25,13 +25,6 @@ from physhdr.bridge.gaussian_ply import write_standard_ply  # noqa: E402
 from physhdr.bridge.splat_files import read_splat_file  # noqa: E402
 
 
-@pytest.fixture
-def registered(scene):
-    physhdr.register()
-    yield
-    physhdr.unregister()
-
-
 def test_registers_and_unregisters_cleanly_twice(scene):
     for _ in range(2):
         physhdr.register()

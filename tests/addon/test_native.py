@@ -275,15 +275,6 @@ def test_another_cloud_is_refused_before_anything_changes(scene, typed):
 # ---- by version ------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def registered(scene):
-    import physhdr
-
-    physhdr.register()
-    yield
-    physhdr.unregister()
-
-
 @pytest.mark.skipif(HAS_SPLATS, reason="this Blender draws splats itself")
 def test_before_5_3_the_button_says_why_and_draws_nothing(registered, make_model, tmp_path):
     target = model_in_the_scene(make_model(), tmp_path / "model.safetensors")

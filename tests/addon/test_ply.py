@@ -10,15 +10,7 @@ from physhdr.bridge.gaussian_ply import write_standard_ply
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
-import physhdr  # noqa: E402
 from physhdr.addon.model import model_import, nodes, point_cloud  # noqa: E402
-
-
-@pytest.fixture
-def registered(scene):
-    physhdr.register()
-    yield
-    physhdr.unregister()
 
 
 @pytest.fixture

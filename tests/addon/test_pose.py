@@ -10,20 +10,12 @@ bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, o
 
 import mathutils  # noqa: E402
 
-import physhdr  # noqa: E402
 from physhdr.addon.model import attributes, model_import, pose  # noqa: E402
 from physhdr.addon.model.point_cloud import read_attribute, write_attribute  # noqa: E402
 from physhdr.addon.model.point_removal import select_points  # noqa: E402
 
 #: float32 at a metre, once into the points and back.
 CLOSE = 1e-6
-
-
-@pytest.fixture
-def registered(scene):
-    physhdr.register()
-    yield scene
-    physhdr.unregister()
 
 
 @pytest.fixture

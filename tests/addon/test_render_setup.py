@@ -13,20 +13,12 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
-import physhdr  # noqa: E402
 from physhdr.addon.blender import render_size  # noqa: E402
 from physhdr.addon.light import cg  # noqa: E402
 from physhdr.addon.model import look, material, model_import, nodes  # noqa: E402
 from physhdr.addon.rendering import render, render_setup  # noqa: E402
 
 SIZE = 64
-
-
-@pytest.fixture
-def registered(scene):
-    physhdr.register()
-    yield scene
-    physhdr.unregister()
 
 
 @pytest.fixture

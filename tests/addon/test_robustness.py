@@ -14,13 +14,6 @@ from physhdr.addon.model.attributes import Attribute  # noqa: E402
 
 
 @pytest.fixture
-def registered(scene):
-    physhdr.register()
-    yield
-    physhdr.unregister()
-
-
-@pytest.fixture
 def response():
     """Fields of a model's learned response; ``shift`` makes another one of it."""
 
