@@ -73,14 +73,9 @@ class Serve:
 
     def _engine(self, inbox: Inbox, server: Server, curves: Curves) -> str:
         try:
-            from ..serve.engine import (
-                Engine,
-                Options,
-            )  # imports torch: seconds, in which clients are answered
-        except (
-            ImportError,
-            OSError,
-        ) as error:  # Windows tells of a library that lacks another one as the latter
+            # Imports torch: seconds, in which clients are answered.
+            from ..serve.engine import Engine, Options
+        except (ImportError, OSError) as error:  # the latter on Windows, of a library that lacks another one
             raise PackageMissingError(
                 f"the backend's packages cannot be loaded: {error}",
                 "Check the backend: that says what is missing, and how to mend it.",
