@@ -165,8 +165,8 @@ class Oracle(Flat):
 
 def test_the_protocol_on_validation_views_opens_no_test_view(small, with_validation: Path) -> None:
     path = with_validation / "dataset.json"
-    # A camera with faults of its own: what the response is measured by is truth, of the same views.
-    path.write_text(json.dumps(json.loads(path.read_text()) | {"camera_model": {"iso": 400}}))
+    # A camera with a local response: what the response is measured by is truth, of the same views.
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"camera_model": {"local_response": 0.5}}))
     scene = read_scene(with_validation)
     remove_test(with_validation)
     result = evaluate(Oracle(small), scene, split="val")
