@@ -81,7 +81,7 @@ def begin(folder: Path) -> None:
         foreign = [name for name in names if not _is_ours(name)]
         if foreign:
             raise OutputError(
-                f"{folder} holds {foreign[0]}, which is no light probe's",
+                f"{folder} holds {foreign[0]}, which is not a light probe's",
                 "Choose an empty folder, or that of a probe, which is made anew.",
             )
         (folder / PROBE_FILE).unlink(missing_ok=True)

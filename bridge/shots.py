@@ -104,9 +104,9 @@ def _shot(path: Path, index: int, row: Any) -> Shot:
         numbers = [row[name] for name in ("fl_x", "fl_y", "cx", "cy")]
         numbers += [row.get("exposure_ev", 0.0), *row.get("levels", [])]
     except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
-        raise BadValueError(f"{path}: frame {index} has no camera or is no frame at all", AGAIN) from None
+        raise BadValueError(f"{path}: frame {index} has no camera or is not a frame at all", AGAIN) from None
     if pose.shape != (4, 4) or not np.isfinite(pose).all() or not all(map(is_number, numbers)):
-        raise BadValueError(f"{path}: frame {index} holds something that is no number", AGAIN)
+        raise BadValueError(f"{path}: frame {index} holds something that is not a number", AGAIN)
     fx, fy, cx, cy, exposure_ev, *levels = map(float, numbers)
     for focal in (fx, fy):
         FOCAL_LENGTH.check(focal, f"{path}: the focal length of frame {index}")

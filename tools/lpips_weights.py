@@ -81,7 +81,7 @@ def converted(
 
 def _state_dict(path: Path) -> Mapping[str, torch.Tensor]:
     regular_file(path, REMEDY)
-    with damaged_where_it_fails(f"{path} is no file of weights", REMEDY):
+    with damaged_where_it_fails(f"{path} is not a file of weights", REMEDY):
         content = torch.load(path, map_location="cpu", weights_only=True)
         if not isinstance(content, dict):
             raise ValueError(f"it holds a {type(content).__name__}")

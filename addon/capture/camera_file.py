@@ -187,7 +187,7 @@ def _listed_in(root: Path, path: Path, content: dict[str, Any], splits: dict[str
             given |= {"w": size[0], "h": size[1]}
         if given.get("camera_model") == "EQUIRECTANGULAR":
             raise BadValueError(
-                f"{path}: '{name:.80}' is a panorama, which is no camera with a focal length",
+                f"{path}: '{name:.80}' is a panorama, which is not a camera with a focal length",
                 "Cut it into views of pinhole cameras.",
             )
         values = [given.get(key, 0.0) for key in _DISTORTION]
@@ -295,7 +295,9 @@ def _frame(path: Path, name: str, split: str, given: dict[str, Any]) -> Frame:
             raise ValueError("it is not finite")
     rotation = matrix[:3, :3]
     if not np.allclose(rotation.T @ rotation, np.eye(3), atol=_RIGID):
-        raise BadValueError(f"{where}: its pose is no rotation and place", "Remove scale and shear from it.")
+        raise BadValueError(
+            f"{where}: its pose is not a rotation and a place", "Remove scale and shear from it."
+        )
     check_position(matrix[:3, 3], where)
     width, height = (_number(where, given, key) for key in "wh")
     if not (1 <= width <= LARGEST_SIDE and 1 <= height <= LARGEST_SIDE):

@@ -224,7 +224,7 @@ def real_rows(root: Path) -> Iterator[tuple[Path, np.ndarray]]:
     with damaged_where_it_fails(f"{path} is not a readable array", COPY_AGAIN):
         rows = np.array(np.load(path, mmap_mode="r", allow_pickle=False), np.float64)
     if rows.ndim != 2 or rows.shape[1] != COLUMNS or not np.isfinite(rows).all():
-        raise FileDamagedError(f"{path} is no table of poses, bounds and exposures", COPY_AGAIN)
+        raise FileDamagedError(f"{path} is not a table of poses, bounds and exposures", COPY_AGAIN)
     folder = root / REAL_PICTURES
     files = sorted(file for file in folder.glob("*") if file.suffix.lower() in SUFFIXES)
     yield from zip(files, rows, strict=False)

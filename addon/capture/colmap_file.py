@@ -143,7 +143,7 @@ def _lens(path: Path, number: int | str, model: str, width: int, height: int, va
         raise ValueError(f"camera {number} is {width}×{height} with {len(values)} numbers")
     if not focal_lengths:
         raise BadValueError(
-            f"{path}: camera {number} is a panorama, which is no camera with a focal length",
+            f"{path}: camera {number} is a panorama, which is not a camera with a focal length",
             "Cut it into views of pinhole cameras.",
         )
     fx, fy = values[0], values[focal_lengths - 1]

@@ -184,7 +184,7 @@ def take_size(scene: bpy.types.Scene, camera: bpy.types.Object) -> None:
     """
     if not is_of_data_set(camera):
         raise DataMismatchError(
-            f"{camera.name!r} is no camera of a data set: it has no size", "Choose one of the data set's."
+            f"{camera.name!r} is not a camera of a data set: it has no size", "Choose one of the data set's."
         )
     render = scene.render
     render.resolution_x, render.resolution_y = size_of(camera)

@@ -171,7 +171,7 @@ def parse_evs(text: str) -> list[float]:
         raise BadValueError(f"the exposures {text!r} are not understood", remedy) from error
     rising = all(a < b for a, b in pairwise(evs))
     if not evs or len(evs) > MOST_EXPOSURES or not rising or not all(-19 < ev < 19 for ev in evs):
-        raise BadValueError(f"the exposures {text!r} are no rising list of EV within ±19", remedy)
+        raise BadValueError(f"the exposures {text!r} are not a rising list of EV within ±19", remedy)
     return evs
 
 

@@ -143,7 +143,7 @@ def summarise(folder: Path | str) -> DatasetSummary:
         capture = read_capture(folder)
         if capture is not None:
             return _of_capture(folder, capture)
-        raise FileMissingError(f"{folder} is no data set: it has no {TRAINING}, no {LOOKED_FOR}", CHOOSE)
+        raise FileMissingError(f"{folder} is not a data set: it has no {TRAINING}, no {LOOKED_FOR}", CHOOSE)
     info = data_set.read_info(folder, MAKE_AGAIN)
     warnings: list[str] = []
     if unfinished:
@@ -256,7 +256,7 @@ def _lit_levels(split: SplitContents, file: str, warnings: list[str]) -> set[flo
     right = [level for level in given if is_number(level) and (level == 0 or level in LEVEL)]
     if len(right) < len(given):
         wrong = next(level for level in given if level not in right)
-        warnings.append(f"{file}: the lighting level {wrong!r:.80} is no number of 0 or more.")
+        warnings.append(f"{file}: the lighting level {wrong!r:.80} is not a number of 0 or more.")
     return {float(level) for level in right}
 
 

@@ -134,7 +134,7 @@ def lights_of(cloud: bpy.types.PointCloud) -> tuple[str, ...]:
         return check_lights(json.loads(stated), f"the point cloud {cloud.name!r}")
     except (TypeError, ValueError, BadValueError) as error:
         raise DataMismatchError(
-            f"the point cloud {cloud.name!r} has {LIGHTS} = {stated!r}, which is no list of lights",
+            f"the point cloud {cloud.name!r} has {LIGHTS} = {stated!r}, which is not a list of lights",
             "Undo the edit, or import the model again.",
         ) from error
 

@@ -181,7 +181,7 @@ class PHYSHDR_OT_light_from_here(bpy.types.Operator):
     def _model(self, context: bpy.types.Context) -> bpy.types.Object:
         model = _object(context.scene, self.model) if self.model else model_in(context)
         if not is_model(model):
-            raise BadValueError(f"{self.model} is no model of ours", "Name an imported model.")
+            raise BadValueError(f"{self.model} is not a model of ours", "Name an imported model.")
         if model.library is not None:  # what its light needs of it would not be saved
             raise DataMismatchError(f"{model.name} is linked from another file", OVERRIDE)
         if nodes.find_modifier(model) is None:

@@ -45,7 +45,7 @@ class PHYSHDR_OT_render_setup(bpy.types.Operator):
     )
     cast_shadows: bpy.props.BoolProperty(
         name="Cast Shadows",
-        description="Let Gaussians cast shadows on other objects: slow in Cycles, and EEVEE may never end",
+        description="Let Gaussians cast shadows on other objects: slow in Cycles, and EEVEE may not finish",
         options={"SKIP_SAVE"},
     )
     film_transparent: bpy.props.BoolProperty(
@@ -112,7 +112,9 @@ class PHYSHDR_OT_render_setup(bpy.types.Operator):
             return scene.camera
         camera = scene.objects.get(self.camera)
         if camera is None or camera.type != "CAMERA":
-            raise BadValueError(f"{self.camera!r} is no camera of this scene", "Choose one of its cameras.")
+            raise BadValueError(
+                f"{self.camera!r} is not a camera of this scene", "Choose one of its cameras."
+            )
         return camera
 
 

@@ -260,7 +260,7 @@ def _bounces(scene: bpy.types.Scene, shown: Shown) -> Iterator[Problem]:
 def _shadows(scene: bpy.types.Scene, shown: Shown) -> Iterator[Problem]:
     casting = [each for each in shown.models if each.visible_shadow]
     if scene.render.engine == EEVEE and casting and _has_shadows(scene):
-        told = f"{names_of(casting)}: every Gaussian casts a shadow, and EEVEE may never end"
+        told = f"{names_of(casting)}: every Gaussian casts a shadow, and EEVEE may not finish"
         yield Problem("SHADOWS", told, mended=_editable(casting))
 
 

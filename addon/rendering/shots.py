@@ -52,7 +52,7 @@ def shots_of(
         scene.frame_set(before[0], subframe=before[1])
     if len(frames) < 2 or all(frame.is_like(frames[0]) for frame in frames[1:]):
         raise BadValueError(
-            f"nothing moves from frame {scene.frame_start} to {scene.frame_end}",
+            f"nothing is animated between frames {scene.frame_start} and {scene.frame_end}",
             "Give the camera, the exposure or a level keyframes, or choose another path.",
         )
     render = scene.render
@@ -72,7 +72,7 @@ def _shot(
         raise BadValueError("the scene has no camera", "Add one, or choose another path.")
     if camera.data.type != "PERSP":
         raise BadValueError(
-            f"the camera {camera.name!r} is no perspective one, and the backend draws no other",
+            f"the camera {camera.name!r} is not a perspective camera, and the backend draws no other",
             "Set its type to Perspective, or choose another path.",
         )
     evaluated = camera.evaluated_get(depsgraph)

@@ -158,7 +158,7 @@ class Budget:
         except ValueError:
             amount = math.nan
         if kind not in (ITERATIONS, CPU_SECONDS) or not (amount > 0 and math.isfinite(amount)):
-            raise BadValueError(f"'{text}' is no budget", remedy)
+            raise BadValueError(f"'{text}' is not a budget", remedy)
         if kind == ITERATIONS and amount != int(amount):
             raise BadValueError(f"'{text}': iterations are counted in whole numbers", remedy)
         return cls(kind, amount)
@@ -256,7 +256,9 @@ class Plan:
         try:
             smaller = None if downscale == "None" else float(downscale)
         except ValueError as error:
-            raise BadValueError(f"--set downscale={downscale}: that is no number", "downscale=2") from error
+            raise BadValueError(
+                f"--set downscale={downscale}: that is not a number", "downscale=2"
+            ) from error
         return smaller, None if color_space == "None" else color_space
 
     @property

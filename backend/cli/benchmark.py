@@ -282,7 +282,7 @@ def _number(word: str) -> int:
     try:
         return int(word)
     except ValueError as error:
-        raise BadValueError(f"'{word}' is no seed", "Give whole numbers: --seeds 0,1,2") from error
+        raise BadValueError(f"'{word}' is not a seed", "Give whole numbers: --seeds 0,1,2") from error
 
 
 if __name__ == "__main__":

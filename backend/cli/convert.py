@@ -338,7 +338,7 @@ def read_source(
         _refuse_color_space(path, color_space)
         return _of_run(path, data, say)
     if data is not None:
-        raise BadValueError("--data is of a run, and this is a file", "Leave it out.")
+        raise BadValueError("--data only applies to a run, and this is a file", "Leave it out.")
     if path.is_dir():
         if not (path / "meta.json").is_file():
             raise BadValueError(f"{path} is neither a run nor a SOG", "Name a file of Gaussians.")

@@ -121,7 +121,8 @@ class Evaluate:
             options = ("exposure_mode", "downscale", "color_space")
             if given := [name for name in options if getattr(self, name) is not None]:
                 raise BadValueError(
-                    f"--{given[0].replace('_', '-')} is of --pictures: a run knows its own", "Leave it out."
+                    f"--{given[0].replace('_', '-')} only works with --pictures: a run knows its own",
+                    "Leave it out.",
                 )
             return _of_run(self._open(self.folder, say))
         assert self.pictures is not None

@@ -101,7 +101,9 @@ class Panorama:
             ).method
             return _OfSplats(method.splatting) if method.splatting else _OfPictures(method)
         if given := given_of(self, "data", "device"):
-            raise BadValueError(f"--{given[0]} is of a run, and {self.source} is no folder", "Leave it out.")
+            raise BadValueError(
+                f"--{given[0]} only applies to a run, and {self.source} is not a folder", "Leave it out."
+            )
         is_ply = self.source.suffix.lower() == ".ply"
         model = read_ply_model(self.source).model if is_ply else read_model(self.source)
         return _OfModel(model, self.rasteriser)

@@ -132,7 +132,7 @@ class Prepare:
         """The folder to make; raises ``BadValueError`` and ``OutputError`` for what cannot be."""
         if not (math.isfinite(self.downscale) and self.downscale >= 1.0) or self.max_width < 0:
             raise BadValueError(
-                f"cannot make pictures smaller by {self.downscale} and no wider than {self.max_width}",
+                f"invalid size: --downscale {self.downscale}, --max-width {self.max_width}",
                 "Give a factor of 1 or more, and a width in pixels or 0.",
             )
         if self.test_every < 0 or self.test_every == 1:
@@ -145,9 +145,9 @@ class Prepare:
             return folder
         if folder is None or (self.data or folder) != folder:
             raise BadValueError(
-                "it is not said which folder the data set shall be"
+                "no folder was given for the data set"
                 if folder is None
-                else f"the data set shall be {self.data} and {self.out}",
+                else f"two folders were given for the data set: {self.data} and {self.out}",
                 "Give one folder: physhdr prepare PHOTOS DATA, or --out DATA.",
             )
         photos, out = self.photos.resolve(), folder.resolve()

@@ -149,7 +149,8 @@ class Render:
                 raise BadValueError(f"--{given[0]} changes nothing about --confidence", "Leave it out.")
         elif self.at is not None:
             raise BadValueError(
-                "--at is of --confidence", "The light of a place is drawn by physhdr panorama RUN --at X Y Z."
+                "--at only works with --confidence",
+                "The light of a place is drawn by physhdr panorama RUN --at X Y Z.",
             )
         if self.layers and (kind != ".exr" or self.exposure is not None):
             raise BadValueError(
@@ -164,7 +165,9 @@ class Render:
         if self.camera is None and (
             given := given_of(self, "camera_prim", "camera_space", "workers", "overwrite")
         ):
-            raise BadValueError(f"--{given[0]} is of --camera FILE", "Leave it out, or give a file.")
+            raise BadValueError(
+                f"--{given[0]} only works with --camera FILE", "Leave it out, or give a file."
+            )
         if self.camera is not None and self.view is not None:
             raise BadValueError("--view is one camera, --camera a file of them", "Leave one of them out.")
 

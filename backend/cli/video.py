@@ -132,7 +132,7 @@ class Video:
             )
         if self.shots is None and self._count < 2:
             raise BadValueError(
-                f"--seconds {self.seconds:g} at --fps {self.fps} is no video: it needs 2 frames or more",
+                f"--seconds {self.seconds:g} at --fps {self.fps} is too short: a video needs 2 frames",
                 "Raise one of them.",
             )
         if self.exposure is not None:

@@ -44,7 +44,7 @@ def _written(
         page = page_of(run)
     else:
         if data is not None:
-            raise BadValueError("--data is of a run, and this is a model file", "Leave it out.")
+            raise BadValueError("--data only applies to a run, and this is a model file", "Leave it out.")
         model = _read(source)
         method, iteration = (model.metadata.get(name, "") for name in ("method", "iteration"))
         notes = (f"{method}, iteration {iteration}.",) if method and iteration else ()

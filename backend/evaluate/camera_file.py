@@ -65,7 +65,7 @@ def read_camera_file(
             rigid_pose(path, shot.camera_to_world, str(index))
         return shots
     if "camera_path" not in content:
-        raise FileDamagedError(f"{path} is no path of cameras that is known", KINDS)
+        raise FileDamagedError(f"{path} is not a known kind of camera path", KINDS)
     return _require_count(path, _nerfstudio(path, content, _world_of(space)), fewest)
 
 
@@ -103,12 +103,12 @@ def _nerfstudio(path: Path, content: dict[str, Any], world: tuple[np.ndarray, fl
         raise BadValueError(f"{path}: 'fps' is {fps:g}", "It must be above 0 and at most 240.")
     rows = content["camera_path"]
     if not isinstance(rows, list):
-        raise FileDamagedError(f"{path}: 'camera_path' is no list of frames", KINDS)
+        raise FileDamagedError(f"{path}: 'camera_path' is not a list of frames", KINDS)
     linear, scale = world
     frames = []
     for index, row in enumerate(rows):
         if not isinstance(row, dict):
-            raise FileDamagedError(f"{path}: frame {index} is no object", KINDS)
+            raise FileDamagedError(f"{path}: frame {index} is not an object", KINDS)
         pose = rigid_pose(path, _square(row.get("camera_to_world")), str(index))
         # x' = scale · (linear x): poses of the file are in that space.
         with np.errstate(over="ignore", invalid="ignore"):
@@ -143,7 +143,7 @@ def _world_of(space: Path | None) -> tuple[np.ndarray, float]:
         matrix[:3] = np.asarray(content["transform"], np.float64).reshape(3, 4)
     if not (scale > 0.0 and np.isfinite(matrix).all() and is_rotation(matrix[:3, :3])):
         raise BadValueError(
-            f"{space}: 'transform' is no rotation and translation, or 'scale' is not above 0",
+            f"{space}: 'transform' is not a rotation and translation, or 'scale' is not above 0",
             SPACE,
         )
     return matrix, scale

@@ -219,7 +219,7 @@ class _Gltf:
         except (ValueError, RecursionError) as error:
             raise self.damaged(f"its JSON cannot be read ({error!s:.100})") from error
         if not isinstance(content, dict):
-            raise self.damaged("its JSON is no object")
+            raise self.damaged("its JSON is not an object")
         at = 20 + length
         if at + 8 > len(raw) or raw[at + 4 : at + 8] != BINARY_CHUNK:
             return content, b""
@@ -260,7 +260,7 @@ class _Gltf:
             try:
                 return base64.b64decode(data, validate=True) if head.endswith(";base64") else b""
             except binascii.Error as error:
-                raise self.damaged(f"buffers[{index}] is no base64 ({error})") from error
+                raise self.damaged(f"buffers[{index}] is not base64 ({error})") from error
         name = urllib.parse.unquote(uri)
         if PurePosixPath(name).name != name or "\\" in name or ":" in name or name in ("", ".", ".."):
             raise self.damaged(f"buffers[{index}].uri {uri!r:.80} is not a file beside it")
@@ -311,7 +311,7 @@ class _Gltf:
 
     def _gaussians(self, primitive: dict[str, Any], extension: Any) -> tuple[SplatCloud, Space]:
         if not isinstance(extension, dict):
-            raise self.damaged(f"{EXTENSION} is no object")
+            raise self.damaged(f"{EXTENSION} is not an object")
         space, kernel = extension.get("colorSpace", SPACES[0]), extension.get("kernel", "ellipse")
         if extension.get("extensions"):
             raise BadValueError(

@@ -134,7 +134,7 @@ class _Sog:
             if all(map(is_number, others)):
                 values = [others[0] + (others[0] - others[-1]) / (count - 1), *others]
         if not isinstance(values, list) or len(values) != count or not all(map(is_number, values)):
-            raise self.damaged(f"{part}.{key} is no list of {count} numbers")
+            raise self.damaged(f"{part}.{key} is not a list of {count} numbers")
         return np.array(values, np.float64)
 
     # -- planes ----------------------------------------------------------------------------------------------

@@ -65,4 +65,6 @@ def target_of(path: Path) -> Target:
             f"Write {_READ_ONLY[suffix]}, and convert that with splat-transform or SuperSplat.",
         )
     known = ", ".join(each for target in TARGETS for each in target.suffixes)
-    raise BadValueError(f"{path}: '{suffix}' is no format that is written", f"Its name must end in: {known}.")
+    raise BadValueError(
+        f"{path}: '{suffix}' is not a format that can be written", f"Its name must end in: {known}."
+    )

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from ...bridge.data_set import TEST, VALIDATION
 from ...bridge.errors import PhysHDRError
 from ..evaluate.metrics import scale_ratio
-from ..evaluate.pictures import pairs
+from ..evaluate.pictures import compared_everywhere, pairs
 from ..evaluate.truth import hdr_truth
 from ..methods.base import Method
 from ..scene import Scene
@@ -36,7 +36,8 @@ def view_monitor(scene: Scene, report: Callable[[str], object] = aside.print) ->
         (pair,) = pairs(method, view, [k], rounded=False)
         measured = {"PSNR": pair.psnr()}
         if truth is not None:
-            measured["HDR scale"] = scale_ratio(method.hdr(view.camera, view.lighting_level).cpu(), truth)
+            drawn = method.hdr(view.camera, view.lighting_level).cpu()
+            measured["HDR scale"] = scale_ratio(drawn, truth, compared_everywhere(view))
         return measured
 
     has_failed = False

@@ -201,7 +201,7 @@ class _Bytes:
         try:
             text = raw.decode("utf-8")
         except UnicodeDecodeError:
-            self.damaged("a name is no text")
+            self.damaged("a name is not text")
         self.at = end + 1
         return text
 

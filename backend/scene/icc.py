@@ -180,7 +180,7 @@ def read_profile(raw: bytes) -> Profile:
         if not np.isfinite(matrix).all() or np.abs(white - 1.0).max() > WHITE_TOLERANCE:
             raise ValueError("its colorants add up to no white")
         if abs(np.linalg.det(matrix)) < 1e-3:
-            raise ValueError("its colorants are no primaries")
+            raise ValueError("its colorants are not primaries")
     except (struct.error, KeyError, ValueError, IndexError, ZeroDivisionError) as error:
         why = f"it has no {error.args[0].decode('latin-1')}" if isinstance(error, KeyError) else str(error)
         raise BadValueError(

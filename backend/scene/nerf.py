@@ -71,7 +71,7 @@ def _as_one(root: Path) -> dict[str, Any]:
         of_all = read_json(path)
         entries = require(path, of_all, "frames")
         if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
-            raise FileDamagedError(f"{path}: 'frames' is no list of objects", MAKE_AGAIN)
+            raise FileDamagedError(f"{path}: 'frames' is not a list of objects", MAKE_AGAIN)
         shared = {name: value for name, value in of_all.items() if name != "frames"}
         names = []
         for order, entry in enumerate(entries):

@@ -340,7 +340,7 @@ def _split(
         if names is None:
             continue
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-            raise BadValueError(f"{path}: '{key}' is no list of file names", "Mend it, or remove it.")
+            raise BadValueError(f"{path}: '{key}' is not a list of file names", "Mend it, or remove it.")
         lists[key] = {_picture(root, path, plain_name(name)) for name in names}
     if "train_filenames" not in lists:
         train, test, rule = split_somehow(poses)

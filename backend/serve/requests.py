@@ -96,7 +96,7 @@ def model_path(request: ModelExport) -> Path:
     path = folder_of(request.path, "path")
     if path.suffix != SUFFIX:
         raise BadValueError(
-            f"path is {path}, which is no name of a model file", f"Choose a name that ends in {SUFFIX}."
+            f"path is {path}, which is not the name of a model file", f"Choose a name that ends in {SUFFIX}."
         )
     return path
 

@@ -110,7 +110,7 @@ def read_calibration(path: Path) -> Calibration:
         if response is not None:
             response = {str(name): torch.tensor(value).float() for name, value in response.items()}
             if not all(value.isfinite().all() for value in response.values()):
-                raise ValueError("its response has values that are no numbers")
+                raise ValueError("its response has values that are not numbers")
         vignetting, reach = content["vignetting"], content["reach"]
         if vignetting is not None:
             vignetting, reach = tuple(float(value) for value in vignetting), float(reach)
@@ -121,7 +121,7 @@ def read_calibration(path: Path) -> Calibration:
         return Calibration(response, (), vignetting, reach, str(content.get("origin", "")))
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError) as error:
         why = f"it has no {error}" if isinstance(error, KeyError) else str(error)
-        raise FileDamagedError(f"{path} is no calibration: {why}", remedy) from error
+        raise FileDamagedError(f"{path} is not a calibration: {why}", remedy) from error
 
 
 def use_response(method: SplattingMethod, calibration: Calibration, path: str) -> None:

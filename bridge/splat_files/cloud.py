@@ -76,7 +76,9 @@ def turned(cloud: SplatCloud, turn: np.ndarray) -> SplatCloud:
     if turn.shape != (3, 3) or not (
         np.abs(turn @ turn.T - np.eye(3)).max() < _ORTHONORMAL and np.linalg.det(turn) > 0.0
     ):
-        raise BadValueError("the turn is no rotation", "Its matrix must be orthonormal with determinant 1.")
+        raise BadValueError(
+            "the turn is not a rotation", "Its matrix must be orthonormal with determinant 1."
+        )
     rotation = multiply(quaternions_of(turn[None])[0], cloud.rotation)
     return replace(
         cloud,

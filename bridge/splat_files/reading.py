@@ -98,7 +98,9 @@ def format_of(path: Path) -> Format:
     for each in [*(both for both in begun if both in named), *begun, *named]:
         return each
     known = ", ".join(suffix for each in FORMATS for suffix in each.suffixes)
-    raise BadValueError(f"{path} is no file of Gaussians that is known", f"Known are: .safetensors, {known}.")
+    raise BadValueError(
+        f"{path} is not a known kind of file of Gaussians", f"Known are: .safetensors, {known}."
+    )
 
 
 def read_any(path: Path) -> SplatCloud:

@@ -36,7 +36,7 @@ def read_splat(path: Path) -> SplatCloud:
         fine = (np.abs(first["position"]) < 1e9).all(axis=1) & (first["scale"] >= 0.0).all(axis=1)
         fine &= (first["scale"] < 1e9).all(axis=1)
     if fine.mean() < _PLAUSIBLE:
-        raise FileDamagedError(f"{path} is not a .splat: most of its Gaussians are no numbers", _REMEDY)
+        raise FileDamagedError(f"{path} is not a .splat: most of its Gaussians are not numbers", _REMEDY)
     rgba = records["rgba"].astype(np.float32) / np.float32(255.0)
     colour = (rgba[:, :3] - np.float32(0.5)) / np.float32(SH_C0)
     rotation = (records["rotation"].astype(np.float32) - np.float32(128.0)) / np.float32(128.0)

@@ -233,7 +233,7 @@ def test_poses_of_llff(tmp_path):
     )
     assert summarise(tmp_path).points is not None
     np.save(tmp_path / "poses_bounds_exps.npy", rows[:, :4])
-    with pytest.raises(FileDamagedError, match="no table"):
+    with pytest.raises(FileDamagedError, match="not a table"):
         summarise(tmp_path)
 
 

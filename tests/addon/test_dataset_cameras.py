@@ -351,7 +351,7 @@ def test_what_a_camera_cannot_show_is_told(run):
 
 def test_set_up_render_names_a_camera_that_is_none(registered, run):
     load(run)
-    with pytest.raises(RuntimeError, match="no camera of this scene"):
+    with pytest.raises(RuntimeError, match="not a camera of this scene"):
         bpy.ops.physhdr.render_setup(camera="room")
     with pytest.raises(RuntimeError, match="there is no camera"):
         bpy.ops.physhdr.render_setup(use_size=True)

@@ -138,7 +138,7 @@ def test_textures_beside_the_file_are_found(room, tmp_path):
     ("change", "told"),
     [
         ({"exposures": "1 two"}, "'1 two' are not understood"),
-        ({"exposures": "3 1"}, "no rising list"),
+        ({"exposures": "3 1"}, "not a rising list"),
         ({"out": " "}, "no folder is chosen"),
         ({"out": "//data"}, "not saved yet"),
         ({"response": "file"}, "no file of the camera's response"),
@@ -190,7 +190,7 @@ def test_progress_cancel_and_resume_as_a_window_does(room, extension, tmp_path):
 
 
 def test_checking_a_folder_that_is_none(extension, tmp_path):
-    with pytest.raises(RuntimeError, match="is no data set"):
+    with pytest.raises(RuntimeError, match="is not a data set"):
         bpy.ops.physhdr.dataset_check(folder=str(tmp_path))
 
 
@@ -272,7 +272,7 @@ def test_what_was_typed_is_kept_in_the_scene_and_arguments_win(room, tmp_path):
     """Also after an error, and in the file; a script's arguments are not."""
     settings = dataset_settings.settings_of(room)
     fill(settings, {**SMALL, "out": str(tmp_path / "data"), "exposures": "3 1"})
-    with pytest.raises(RuntimeError, match="no rising list"):
+    with pytest.raises(RuntimeError, match="not a rising list"):
         bpy.ops.physhdr.dataset_render()
     assert settings.exposures == "3 1" and settings.out == str(tmp_path / "data")
     assert bpy.ops.physhdr.dataset_render(exposures="-2 2", samples=3) == {"FINISHED"}

@@ -190,7 +190,7 @@ def test_what_is_no_data_set_is_refused(folder, spoil, kind, told):
 
 def test_folders_that_are_none(tmp_path):
     (tmp_path / "file").write_text("")
-    for name, told in (("nowhere", "does not exist"), ("file", "is a file"), (".", "is no data set")):
+    for name, told in (("nowhere", "does not exist"), ("file", "is a file"), (".", "is not a data set")):
         with pytest.raises(FileMissingError, match=told):
             summarise(tmp_path / name)
     (tmp_path / "dataset.partial.json").write_text("{}")

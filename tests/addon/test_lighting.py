@@ -286,7 +286,7 @@ def test_pictures_are_packed_until_the_file_is_saved_and_relative_then(scene, mo
 
 
 def test_what_cannot_be_is_said(scene, model, tmp_path):
-    with pytest.raises(RuntimeError, match="is no model of ours"):
+    with pytest.raises(RuntimeError, match="is not a model of ours"):
         bpy.ops.object.empty_add()
         bpy.ops.physhdr.light_from_here(model=bpy.context.object.name)
     bpy.context.view_layer.objects.active = model

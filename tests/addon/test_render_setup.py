@@ -361,7 +361,7 @@ def panorama(scene, target):
         (few_certain_bounces, "BOUNCES", "noisy"),
         (by_lot, "SAMPLES", "with 16 samples"),
         (depth_of_field, "DEPTH", "lies behind it"),
-        (shadows, "SHADOWS", "may never end"),
+        (shadows, "SHADOWS", "may not finish"),
         (ellipsoids, "SPLATS", "drawn as ellipsoids"),
         (no_driver, "WIDTH", "for a picture 100 pixels wide, and this one has 1920"),
         (no_modifier_in_renders, "MODIFIER", "switched off"),

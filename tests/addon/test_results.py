@@ -384,8 +384,11 @@ def test_a_video_past_the_photographs_is_asked_of_the_trainer(extension, run, tm
     ("spoil", "message"),
     [
         (lambda camera: bpy.data.objects.remove(camera), "the scene has no camera"),
-        (lambda camera: setattr(camera.data, "type", "PANO"), "no perspective one"),
-        (lambda camera: (camera.animation_data_clear(), camera.data.animation_data_clear()), "nothing moves"),
+        (lambda camera: setattr(camera.data, "type", "PANO"), "not a perspective camera"),
+        (
+            lambda camera: (camera.animation_data_clear(), camera.data.animation_data_clear()),
+            "nothing is animated",
+        ),
     ],
 )
 def test_what_cannot_be_filmed(extension, run, spoil, message):

@@ -368,7 +368,7 @@ def test_lights_that_were_edited_to_nonsense(registered, renderer, make_model, w
     target.physhdr_viewport = "SPLATS"
     target.data[attributes.LIGHTS] = stated
     assert not groups()
-    with pytest.raises(DataMismatchError, match="no list of lights"):
+    with pytest.raises(DataMismatchError, match="not a list of lights"):
         point_cloud.model_of(target.data)
 
 

@@ -67,7 +67,7 @@ def load(folder: Path, file: str, _: bytes) -> None:
     from physhdr.backend.train.checkpoint import load_checkpoint
 
     tensors, metadata = load_checkpoint(folder / file)
-    _require(all(isinstance(value, str) for value in metadata.values()), "metadata that are no text")
+    _require(all(isinstance(value, str) for value in metadata.values()), "metadata that are not text")
     _require(all(isinstance(name, str) for name in tensors), "a tensor's name")
 
 

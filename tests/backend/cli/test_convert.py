@@ -311,7 +311,7 @@ def test_its_result_and_its_error_are_told_as_json(model: Path, capsys) -> None:
 @pytest.mark.parametrize(
     "out, options, told",
     [
-        ("a.xyz", [], "is no format that is written Its name must end in: .ply"),
+        ("a.xyz", [], "is not a format that can be written Its name must end in: .ply"),
         ("a.sog", [], "read, not written Write .spz"),
         ("a.compressed.ply", [], "compressed PLY is read, not written"),
         ("a.usdc", ["--up", "colmap"], "--up may be z or y"),
@@ -324,7 +324,7 @@ def test_its_result_and_its_error_are_told_as_json(model: Path, capsys) -> None:
         ("a.ply", ["--lighting-levels", "moon=1"], "ambient, lamp"),
         ("a.safetensors", ["--lighting-level", "2"], "keeps all of its light"),
         ("a.safetensors", ["--up", "y"], "--up may be z"),
-        ("a.ply", ["--data", "x"], "--data is of a run"),
+        ("a.ply", ["--data", "x"], "--data only applies to a run"),
         ("a.ply", ["--spz-version", "3"], "--spz-version is of SPZ"),
         ("a.ply", ["--color-space", "srgb"], "--color-space is of PLY and others"),
     ],

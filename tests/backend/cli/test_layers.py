@@ -193,7 +193,7 @@ def test_oiiotool_takes_a_light_out(tmp_path: Path) -> None:
         (["--out", "a.exr", "--exposure", "2"], "--exposure changes nothing about a.exr, which is radiance"),
         (["--out", "a_#.exr", "--camera", "x.json", "--exposure", "2"], "--exposure changes nothing"),
         (["--out", "a.png", "--exposure", "inf"], "--exposure is inf s: it must be from"),
-        (["--out", "a.exr", "--workers", "2"], "--workers is of --camera"),
+        (["--out", "a.exr", "--workers", "2"], "--workers only works with --camera"),
         (["--out", "a.exr", "--camera", "x.json", "--view", "test/0"], "--view is one camera"),
     ],
 )

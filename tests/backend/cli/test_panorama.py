@@ -114,7 +114,7 @@ def test_what_cannot_be_drawn_is_refused_before_anything_is_written(run, tmp_pat
 def test_what_is_of_a_run_is_refused_of_a_model_file(tmp_path, capsys, option):
     words = ["--at", "0", "0", "0", "--out", str(tmp_path / "probe"), *option]
     assert main(["panorama", "m.safetensors", *words]) == 1
-    assert f"{option[0]} is of a run, and m.safetensors is no folder" in capsys.readouterr().err
+    assert f"{option[0]} only applies to a run, and m.safetensors is not a folder" in capsys.readouterr().err
 
 
 def test_a_folder_of_other_things_stays_as_it_is(run, tmp_path, capsys):

@@ -226,8 +226,8 @@ NAN = [[math.nan] * 4] * 4
     ("changes", "error", "message"),
     [
         ({"camera_path": []}, BadValueError, "has 0 frames"),
-        ({"camera_path": 3}, FileDamagedError, "no list"),
-        ({"camera_path": [7]}, FileDamagedError, "frame 0 is no object"),
+        ({"camera_path": 3}, FileDamagedError, "not a list"),
+        ({"camera_path": [7]}, FileDamagedError, "frame 0 is not an object"),
         ({"camera_path": [{"camera_to_world": [1.0] * 15, "fov": 50}]}, BadValueError, "not a 4×4 matrix"),
         ({"camera_path": [{"camera_to_world": NAN, "fov": 50}]}, BadValueError, "NaN"),
         ({"camera_path": [{"camera_to_world": [2.0] * 16, "fov": 50}]}, BadValueError, "not a rotation"),

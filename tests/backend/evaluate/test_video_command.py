@@ -130,7 +130,10 @@ def test_a_method_that_cannot_relight(data_set: Path) -> None:
         ({"out": None}, "nowhere to write"),
         ({"out": Path("a.gif")}, r"must end in .*\.webp, got a\.gif\n.*--frames"),
         ({"fps": 0}, "--fps 0"),
-        ({"seconds": 0.01, "sweep": "exposure"}, "0.01 at --fps 30 is no video: it needs 2 frames"),
+        (
+            {"seconds": 0.01, "sweep": "exposure"},
+            "0.01 at --fps 30 is too short: a video needs 2 frames",
+        ),
         ({"seconds": 1.0, "fps": 1}, "needs 2 frames"),
         ({"exposure": -1.0}, "--exposure is -1 s: it must be from"),
         ({"exposure": float("inf")}, "--exposure is inf s: it must be from"),

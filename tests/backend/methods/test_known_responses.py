@@ -96,7 +96,7 @@ def test_a_known_response_has_nothing_to_learn_and_shows_srgb(camera):
     assert np.abs(back - codes.numpy()).max() < 1e-6
 
 
-@pytest.mark.parametrize("encoding", [LOG, SRGB], ids=lambda e: e.name)
+@pytest.mark.parametrize("encoding", [LOG, SRGB], ids=str)
 def test_radiance_is_compared_through_its_encoding(camera, encoding):
     """The loss by hand, in float64; its gradient by finite differences, of a Gaussian's radiance."""
     method = make(double=True)
@@ -264,7 +264,7 @@ def config_of(iterations):
     return dataclasses.replace(PRESETS["default"], iterations=iterations, training_exposures=(0,))
 
 
-@pytest.mark.parametrize("encoding", [LOG, SRGB], ids=lambda e: e.name)
+@pytest.mark.parametrize("encoding", [LOG, SRGB], ids=str)
 def test_training_on_radiance_finds_it(tiny_data, tmp_path, encoding):
     """First points start at the merged radiance; loss falls; test views are compared in their own domain."""
     scene = radiance_scene(tiny_data, encoding)

@@ -275,7 +275,7 @@ NERFSTUDIO: list[Case] = [
     ("bad exposure", edit("transforms.json", lambda c: [f.update(exposure_time=-1) for f in c["frames"]]),
      BadValueError, ("-1 s", "longer than 0 s")),
     ("list of names", edit("transforms.json", lambda c: c.update(train_filenames="x")), BadValueError,
-     ("'train_filenames' is no list",)),
+     ("'train_filenames' is not a list",)),
     ("nothing to train", edit("transforms.json", lambda c: c.update(train_filenames=["x.png"])),
      DataMismatchError, ("no frame is in 'train_filenames'",)),
     ("both", edit("transforms.json", lambda c: c.update(

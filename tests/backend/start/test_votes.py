@@ -46,7 +46,7 @@ def view_of(tmp_path, encoding, masks=(None, None), spoilt=False) -> View:
     return View("train/v_0", camera, EXPOSURES, sources, 0, cache=cache)
 
 
-@pytest.mark.parametrize("encoding", [LOG, SRGB], ids=lambda e: e.name)
+@pytest.mark.parametrize("encoding", [LOG, SRGB], ids=str)
 def test_known_encodings_tell_radiance_without_a_response(tmp_path, encoding):
     view = view_of(tmp_path, encoding)
     merged, known = log_radiance_picture(view, (0, 1), Votes(KnownResponse()))

@@ -108,5 +108,5 @@ def test_of_this_checkout_nothing_is_missing(dist, tmp_path):
     try:
         dist.tracked(ROOT)
     except dist.BuildError:
-        pytest.skip("this is no checkout")
+        pytest.skip("this is not a checkout")
     dist.build(ROOT, tmp_path / "out")

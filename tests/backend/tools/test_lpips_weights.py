@@ -142,7 +142,7 @@ def test_what_is_missing_or_no_such_file_is_told(tool, public, tmp_path, monkeyp
     assert "alex.pth is not here" in said("--alexnet", alexnet)
     assert "is missing" in said("--alexnet", tmp_path / "none", "--heads", heads)
     (tmp_path / "text.pth").write_text("weights")
-    assert "is no file of weights" in said("--alexnet", tmp_path / "text.pth", "--heads", heads)
+    assert "is not a file of weights" in said("--alexnet", tmp_path / "text.pth", "--heads", heads)
     assert "features.0.weight is nothing" in said("--alexnet", heads, "--heads", alexnet)
     wide = torch.load(heads) | {"lin2.model.1.weight": torch.zeros(1, 3, 1, 1)}
     torch.save(wide, tmp_path / "wide.pth")

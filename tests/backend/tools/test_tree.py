@@ -36,7 +36,7 @@ def tracked() -> dict[str, str]:
     """Every text file that git knows, by its name."""
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True)
     if listed.returncode:
-        pytest.skip("this is no checkout")
+        pytest.skip("this is not a checkout")
     found = {}
     for name in filter(None, listed.stdout.split("\0")):
         path = ROOT / name

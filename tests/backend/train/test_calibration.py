@@ -85,7 +85,7 @@ def test_what_is_no_calibration_of_this_camera_is_refused(calibrated, tiny_data,
         ({"format": "other"}, "not of the format"),
         ({"vignetting": [1.0, -2.0, 0.0]}, "vignetting is not 3 numbers"),
         ({"reach": 0.0}, "reach is not above 0"),
-        ({"response": 3}, "no calibration"),
+        ({"response": 3}, "not a calibration"),
     ):
         path.write_text(json.dumps(written | change))
         with pytest.raises(FileDamagedError, match=why):

@@ -125,7 +125,7 @@ def test_what_the_backend_does_not_read_either(tmp_path: Path, name: str, words:
 
 def test_what_nobody_knows(tmp_path: Path) -> None:
     (tmp_path / "a.txt").write_text("hello")
-    with pytest.raises(BadValueError, match=r"no file of Gaussians that is known\n.*\.spz"):
+    with pytest.raises(BadValueError, match=r"not a known kind of file of Gaussians\n.*\.spz"):
         read_splat_file(tmp_path / "a.txt")
     with pytest.raises(FileMissingError, match="is missing"):
         read_splat_file(tmp_path / "b.spz")
@@ -230,7 +230,7 @@ SUFFIX = {"PLY": ".ply", "compressed": ".ply", "splat": ".splat", "KSPLAT": ".ks
         ("PLY: 2^62 rows", "it claims"),
         ("compressed PLY: 2^62 rows", "it claims"),
         ("PLY: a million NaN", "every Gaussian has NaN"),
-        ("splat: a million NaN", "most of its Gaussians are no numbers"),
+        ("splat: a million NaN", "most of its Gaussians are not numbers"),
     ],
 )
 def test_what_claims_too_much_takes_little_memory(tmp_path: Path, what: str, words: str) -> None:

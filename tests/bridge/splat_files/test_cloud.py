@@ -65,7 +65,7 @@ def test_turning_back_is_where_it_was() -> None:
     "turn", [np.diag([1.0, 1.0, -1.0]), 2.0 * np.eye(3), np.eye(4), np.full((3, 3), np.nan)]
 )
 def test_only_rotations_turn(turn: np.ndarray) -> None:
-    with pytest.raises(BadValueError, match="no rotation"):
+    with pytest.raises(BadValueError, match="not a rotation"):
         turned(cloud(), turn)
 
 
