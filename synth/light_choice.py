@@ -13,6 +13,7 @@ import bpy
 import numpy as np
 
 from ..bridge.lights import AMBIENT
+from ..bridge.words import counted
 from .blender import cycles, evaluated, light_of
 from .errors import SceneError, UnknownNameError
 from .in_render import rendered
@@ -42,7 +43,7 @@ class Candidate:
     def in_words(self) -> str:
         """``2 lamps, 1 sun``."""
         counts = (self.lamps, "lamp"), (self.suns, "sun"), (self.glowing, "glowing object")
-        return ", ".join(f"{count} {name}{'s' * (count > 1)}" for count, name in counts if count)
+        return ", ".join(counted(count, name) for count, name in counts if count)
 
 
 def candidates(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[Candidate]:

@@ -18,6 +18,7 @@ from ...bridge.errors import FileDamagedError, FileMissingError, PhysHDRError
 from ...bridge.lights import AMBIENT
 from ...bridge.limits import LEVEL, is_number
 from ...bridge.regular import read_json_object, regular_file
+from ...bridge.words import counted
 from ..capture.captures import LOOKED_FOR, NERF, Capture, read_capture
 from ..capture.picture_size import PNG_SIGNATURE, picture_size
 
@@ -105,7 +106,7 @@ class DatasetSummary:
             if self.lit_lights:
                 parts.append(f"levels to learn from: {', '.join(self.lit_lights)}")
             if self.mixtures:
-                parts.append(f"truth for {self.mixtures} mixture{'s' if self.mixtures > 1 else ''}")
+                parts.append(f"truth for {counted(self.mixtures, 'mixture')}")
             told.append(f"Lights: {'; '.join(parts)}")
         return told
 

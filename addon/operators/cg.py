@@ -7,6 +7,7 @@ import bpy
 from mathutils import Vector
 
 from ...bridge.errors import PhysHDRError
+from ...bridge.words import counted
 from ..light import cg
 from ..rendering.render_setup import has_model
 
@@ -91,7 +92,7 @@ class PHYSHDR_OT_cg_here(bpy.types.Operator):
         moved = stood(context, place) if self.stand else 0
         told = f"Ground at z = {place.z:.3g} m"
         if moved:
-            told += f", {moved} object{'s' if moved > 1 else ''} put onto it"
+            told += f", {counted(moved, 'object')} put onto it"
         if scene.render.engine != "CYCLES":
             told += ". Its shadow is drawn by Cycles alone"
         self.report({"INFO"}, told)

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from ...bridge.limits import is_number
+from ...bridge.words import counted
 from .state import Photos, Prepared
 
 #: What options of the command are called in the panel: its errors and warnings name them as remedies.
@@ -117,7 +118,7 @@ def _described(result: dict[str, Any]) -> tuple[str, ...]:
     if isinstance(seconds, list) and seconds and all(is_number(one) and one > 0 for one in seconds):
         times = [_time(min(seconds)), _time(max(seconds))] if len(seconds) > 1 else [_time(seconds[0])]
         over = f", {stops:.1f} stops" if is_number(stops) and len(seconds) > 1 else ""
-        told.append(f"{len(seconds)} exposure{'s' * (len(seconds) > 1)}: {' to '.join(times)}{over}")
+        told.append(f"{counted(len(seconds), 'exposure')}: {' to '.join(times)}{over}")
     if told and isinstance(how := result.get("how"), str) and how:
         told.append(f"Found {how}")
     return tuple(told)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ...bridge.atomic import atomic_path
+from ...bridge.words import counted
 from ..inspect import inspect
 from ..inspect.findings import Inspection, floor_in_words, samples_in_words
 from .runs import Record
@@ -80,7 +81,7 @@ def machine_lines(records: Iterable[Record]) -> list[str]:
         on = machine.get("device", "cpu")
         device = "" if on == "cpu" else f", on {on}"
         kind = f"{machine.get('cpu')}, {machine.get('cores')} cores{memory}, {machine.get('system')}{device}"
-        kind += f"; {record.threads} thread{'s' if record.threads > 1 else ''} a run"
+        kind += f"; {counted(record.threads, 'thread')} a run"
         kinds[kind] = kinds.get(kind, 0) + 1
         version = ", ".join(f"{name} {value}" for name, value in machine.get("versions", {}).items())
         versions[version] = versions.get(version, 0) + 1

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ...bridge.atomic import atomic_path
+from ...bridge.words import counted
 from ..evaluate.comparison import NONE, SCALE, ComparedRun, column, comparison_table
 from .facts import machine_lines, scene_facts, scene_line
 from .margins import CONFIDENCE, JUDGED, Margin, margin
@@ -187,11 +188,11 @@ def _opening(schedule: Schedule, finished: Sequence[Finished], command: str, csv
         else f"All {total} runs are done."
     )
     factors = [
-        _count(plan.methods, "method"),
-        _count(plan.scenes, "scene"),
-        _count(plan.settings, "setting"),
-        _count(plan.seeds, "seed"),
-        _count(plan.budgets, "budget"),
+        counted(len(plan.methods), "method"),
+        counted(len(plan.scenes), "scene"),
+        counted(len(plan.settings), "setting"),
+        counted(len(plan.seeds), "seed"),
+        counted(len(plan.budgets), "budget"),
     ]
     note = f"{plan.note.strip()}\n\n" if plan.note.strip() else ""
     return (
@@ -493,10 +494,6 @@ def _failures(schedule: Schedule) -> str:
 
 def _in_words(budget: Budget) -> str:
     return f"{budget.amount:.15g} {'CPU seconds' if budget.kind == CPU_SECONDS else 'iterations'}"
-
-
-def _count(items: Sequence[object], name: str) -> str:
-    return f"{len(items)} {name}{'' if len(items) == 1 else 's'}"
 
 
 def _listed(lines: Sequence[str]) -> str:

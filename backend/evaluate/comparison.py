@@ -22,6 +22,7 @@ from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
 from ...bridge.limits import is_number
 from ...bridge.regular import read_json_object
 from ...bridge.run_folder import EVALUATION_FILE as EVALUATION_FILE
+from ...bridge.words import counted
 from .published import published_means
 from .results import NOVEL_EXPOSURES
 
@@ -438,9 +439,9 @@ def _ranked(columns: list[Column], rows: list[Row], comparable: bool) -> list[Ro
                 continue
             partial = ""
             if len(cell.scenes) < len(scenes):
-                partial = _count(len(cell.scenes), "scene")
+                partial = counted(len(cell.scenes), "scene")
             elif not row.published and cell.runs < most:
-                partial = _count(cell.runs, "run")
+                partial = counted(cell.runs, "run")
             cells[r][i] = replace(cell, partial=partial)
             if not partial and not row.published and each.better != "neither":
                 merits[r] = each.merit(cell.mean)
@@ -500,10 +501,6 @@ def _interrupted(entry: ComparedRun) -> str:
             seed = "" if entry.seed is None else f", seed {entry.seed}"
             return f"{entry.method} on {entry.scene}{seed}: {done} of {planned} iterations"
     return ""
-
-
-def _count(number: int, thing: str) -> str:
-    return f"{number} {thing}{'s' if number > 1 else ''}"
 
 
 def _range(numbers: Sequence[int]) -> str:
