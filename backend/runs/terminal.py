@@ -63,7 +63,7 @@ def _unheard() -> Iterator[None]:
     try:
         yield
     except OSError:
-        with suppress(io.UnsupportedOperation), open(os.devnull, "w") as nowhere:
+        with suppress(io.UnsupportedOperation), open(os.devnull, "wb") as nowhere:
             os.dup2(nowhere.fileno(), _stdout().fileno())
 
 

@@ -535,8 +535,8 @@ def test_errors_are_json_too(room, tmp_path, capsys):
     error = json.loads(capsys.readouterr().out.splitlines()[-1])["error"]
     assert error["code"] == "file_missing" and "nowhere" in error["message"] and error["hint"]
     photos = tiny(room, tmp_path / "photos")
-    assert "not said which folder" in refused(photos)
-    assert "shall be" in refused(photos, tmp_path / "a", "--out", tmp_path / "b")
+    assert "no folder was given" in refused(photos)
+    assert "two folders" in refused(photos, tmp_path / "a", "--out", tmp_path / "b")
 
 
 START = "import sys; from physhdr.backend.cli import main; sys.exit(main())"
