@@ -237,13 +237,15 @@ def _asked(before: State, request: Request) -> Result:
 
 
 def _shut_down_unheard(before: State) -> Result:
-    """One that cannot be told can only be ended from outside: it is asked first, then ended at once."""
+    """One that cannot be told can only be ended from outside.
+
+    One of another version is at work: it is asked first, and ended at the second time. One that does not
+    answer hangs: it is ended at once.
+    """
     state, pid = _without_job(replace(before, link=Link(), problem=None)), before.link.pid
-    if not pid:
-        return state, ()
-    if before.link.barred == ENDING:
-        return state, (KillBackend(pid),)
-    return replace(state, link=Link(log=before.link.log, pid=pid, barred=ENDING)), (EndBackend(pid),)
+    if before.link.barred and before.link.barred != ENDING:
+        return replace(state, link=Link(log=before.link.log, pid=pid, barred=ENDING)), (EndBackend(pid),)
+    return state, (KillBackend(pid),) if pid else ()
 
 
 def _connected(state: State, welcome: Welcome) -> Result:

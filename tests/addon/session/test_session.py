@@ -15,7 +15,7 @@ import pytest
 from physhdr.addon.session.advice import problem_of
 from physhdr.addon.session.process import kill
 from physhdr.addon.session.session import CHOICE_FILE, LOG_FILE, Session, read_choice, write_choice
-from physhdr.addon.session.state import KeepReport, PythonChosen, Received
+from physhdr.addon.session.state import KeepReport, LinkLost, PythonChosen, Received
 from physhdr.bridge.connection import (
     LOCK_FILE,
     Connection,
@@ -25,7 +25,7 @@ from physhdr.bridge.connection import (
 )
 from physhdr.bridge.errors import OutputError
 from physhdr.bridge.lock import Lock
-from physhdr.bridge.messages import PROTOCOL_VERSION, JobStatus, Shutdown, StatusGet, WhenClosed
+from physhdr.bridge.messages import PROTOCOL_VERSION, Failure, JobStatus, Shutdown, StatusGet, WhenClosed
 
 REPORT = {"versions": {"torch": "2.13.0"}}
 
@@ -121,6 +121,8 @@ def test_only_a_backend_that_lives_is_ended(tmp_path, launcher, bystander):
     lock.release()
 
 
+#: What a backend of another version answers to hello.
+NOT_TAKEN = LinkLost("it speaks another version", refusal=Failure(code="wrong_protocol", message="version 3"))
 #: Says when it can be asked to end, and what it does then.
 SAVES = """
 import signal, sys, time
@@ -157,22 +159,32 @@ def saves():
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGTERM")
-def test_a_backend_that_does_not_answer_may_save_before_it_ends(tmp_path, launcher, saves):
-    """Another version's does so."""
+def test_a_backend_of_another_version_may_save_before_it_ends(tmp_path, launcher, saves):
     with unheard(tmp_path / "home", launcher, saves) as session:
+        session.dispatch(NOT_TAKEN)
         session.ask(Shutdown())
         assert saves.wait(10) == 7 and saves.stdout.read() == "saved\n"
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGSTOP")
-def test_a_backend_that_hangs_is_killed_when_its_time_is_over(tmp_path, launcher, saves):
-    """It alone, whatever group it is in: here that of this very test."""
+def test_one_of_another_version_that_hangs_is_killed_when_its_time_is_over(tmp_path, launcher, saves):
     with unheard(tmp_path / "home", launcher, saves) as session:
+        session.dispatch(NOT_TAKEN)
         saves.send_signal(signal.SIGSTOP)
         session.ask(Shutdown())
         session.pump()
         assert saves.poll() is None
         session._to_kill = saves.pid, 0.0
+        session.pump()
+        assert saves.wait(10) == -signal.SIGKILL
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGSTOP")
+def test_a_backend_that_does_not_answer_is_ended_at_once(tmp_path, launcher, saves):
+    """It alone, whatever group it is in: here that of this very test."""
+    with unheard(tmp_path / "home", launcher, saves) as session:
+        saves.send_signal(signal.SIGSTOP)
+        session.ask(Shutdown())
         session.pump()
         assert saves.wait(10) == -signal.SIGKILL
 

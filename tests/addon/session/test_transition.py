@@ -401,7 +401,10 @@ def test_a_backend_of_another_version_is_told_and_left_alone_until_it_is_shut_do
     again, effects = after(state, Found("/tmp/backend.log", 4242), Dismissed(), Asked(START))
     assert effects == [] and "speaks version 3" in problem_of(again).message
     assert "speaks version 3" in why_not(state, "start", CHOICES)
-    assert after(state, Asked(Shutdown()))[1] == [EndBackend(4242)]
+    ended, effects = after(state, Asked(Shutdown()))
+    assert effects == [EndBackend(4242)] and headline(ended) == "The backend is ending"  # it may be saving
+    ended, effects = after(ended, Found("/tmp/backend.log", 4242), Asked(Shutdown()))
+    assert effects == [KillBackend(4242)] and why_not(ended, "shutdown") == "No backend is running"
     gone, _ = after(state, Vanished())
     assert problem_of(gone) is None and after(gone, Asked(START))[1] == [StartBackend()]
     assert after(state, Found("/tmp/backend.log", 4711))[1] == [Connect()]  # another one, perhaps ours
@@ -439,8 +442,6 @@ def test_a_backend_that_does_not_answer_can_be_ended_and_is_looked_for_again():
     state, _ = after(training(), LinkLost("it does not answer"))
     assert why_not(state, "shutdown") == ""
     ended, effects = after(state, Asked(Shutdown()))
-    assert effects == [EndBackend(4242)] and headline(ended) == "The backend is ending"  # it may be saving
-    ended, effects = after(ended, Found("/tmp/backend.log", 4242), Asked(Shutdown()))
     assert effects == [KillBackend(4242)] and why_not(ended, "shutdown") == "No backend is running"
     again, effects = after(state, Found("/tmp/backend.log", 4242))
     assert effects == [Connect()] and problem_of(again)  # it is told until there is a connection
