@@ -69,8 +69,13 @@ def _main(arguments):
         return _refuse_python(arguments)
     if arguments[:1] == ["requirements"]:
         from physhdr.backend.project import requirements  # pyright: ignore[reportMissingImports]
+        from physhdr.bridge.errors import PhysHDRError  # pyright: ignore[reportMissingImports]
 
-        sys.stdout.write("\n".join(requirements(*arguments[1:2])) + "\n")
+        try:
+            sys.stdout.write("\n".join(requirements(*arguments[1:2])) + "\n")
+        except PhysHDRError as error:
+            sys.stderr.write(f"error: {error.message}\n  {error.hint}\n")
+            return 1
         return 0
     from physhdr.backend.cli import main  # pyright: ignore[reportMissingImports]
 

@@ -11,7 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from ..bridge.errors import FileDamagedError
+from ..bridge.errors import BadValueError, FileDamagedError
 
 PYPROJECT = Path(__file__).resolve().parent.parent / "pyproject.toml"
 
@@ -40,6 +40,12 @@ def version_of(package: str) -> str:
 
 
 def requirements(extra: str = "backend") -> list[str]:
-    """What pip must install for ``extra``, as pip takes it; raises ``FileDamagedError``."""
+    """What pip must install for ``extra``, as pip takes it.
+
+    Raises ``FileDamagedError``, and ``BadValueError`` where there is no such extra.
+    """
     project = _project()
-    return [*project["dependencies"], *project["optional-dependencies"][extra]]
+    extras = project["optional-dependencies"]
+    if extra not in extras:
+        raise BadValueError(f"there is no extra '{extra}'", f"Choose one of {', '.join(extras)}.")
+    return [*project["dependencies"], *extras[extra]]

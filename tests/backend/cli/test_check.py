@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """``physhdr check``: what training needs is an error, what photos need is told and does not stop it."""
 
+import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -9,6 +11,8 @@ from physhdr.backend.cli import check as checks
 from physhdr.backend.cli import trial_step
 from physhdr.backend.cli.findings import MissingModuleError
 from physhdr.backend.project import requirements
+
+LAUNCHER = Path(checks.__file__).parents[1] / "launch.py"
 
 
 @pytest.fixture
@@ -45,3 +49,14 @@ def test_a_package_that_training_needs_is_an_error(quick, monkeypatch):
     with pytest.raises(MissingModuleError, match="plyfile") as error:
         checks.check(lambda fraction, message: None)
     assert error.value.code == "missing_module"
+
+
+@pytest.mark.parametrize(
+    ("extra", "status", "told"), [("prepare", 0, "pycolmap"), ("nope", 1, "no extra 'nope'")]
+)
+def test_what_pip_has_to_install_is_listed_before_anything_is_installed(extra, status, told):
+    done = subprocess.run(
+        [sys.executable, "-I", str(LAUNCHER), "requirements", extra], capture_output=True, text=True
+    )
+    assert done.returncode == status
+    assert told in (done.stderr if status else done.stdout) and "Traceback" not in done.stderr
