@@ -84,6 +84,8 @@ FILE = "physhdr_file"
 CAPTURE = "physhdr_capture"
 #: Custom property: some of the Gaussians, as they were when they were last known to be whole (``pose``).
 WITNESS = "physhdr_witness"
+#: Custom property, in Edit Mode alone: points were moved since ``WITNESS`` was taken.
+MOVED = "physhdr_moved"
 #: Custom property: what the colours of another program's PLY were taken for.
 COLOR_SPACE = "physhdr_color_space"
 #: Custom property: the names of the lights, as JSON (Blender has no lists of texts).

@@ -22,15 +22,13 @@ import numpy as np
 
 from ..blender import layout_of
 from . import parts
-from .attributes import IDENTITY, POSITION, ROTATION, SCALE, TYPES, WITNESS
+from .attributes import IDENTITY, MOVED, POSITION, ROTATION, SCALE, TYPES, WITNESS
 from .point_cloud import read_attribute, write_attribute
 
 #: So many Gaussians are remembered.
 WITNESSES = 32
 #: Coordinates that were moved together in float32 agree to this, of the largest.
 ROUNDING = 1e-6
-#: Whether the points of a cloud in Edit Mode were moved together since they were remembered.
-_MOVED = "physhdr_moved"
 #: A matrix is sheared where what it does to axes is off by this share of its largest number.
 SHEAR = 1e-4
 #: Points are on a line, or in a plane, where they spread less than this beside it, of how far along.
@@ -64,7 +62,7 @@ JOINED = Notice(
 def remember(cloud: bpy.types.PointCloud) -> None:
     """Take the Gaussians as they are now for whole."""
     cloud[WITNESS] = _read(cloud).reshape(-1).tolist()
-    cloud.pop(_MOVED, None)
+    cloud.pop(MOVED, None)
 
 
 def settle(cloud: bpy.types.PointCloud) -> Notice | None:
@@ -75,15 +73,15 @@ def settle(cloud: bpy.types.PointCloud) -> Notice | None:
         return None
     now, before = _read(cloud), np.array(cloud.get(WITNESS, ()), np.float64)
     if np.array_equal(now.reshape(-1), before):
-        cloud.pop(_MOVED, None)  # it was undone
+        cloud.pop(MOVED, None)  # it was undone
         return None
     users = [each for each in bpy.data.objects if each.type == "POINTCLOUD" and each.data == cloud]
     # The number of points is in the first column.
     added = now[0, 0] - before[0] if before.size else 0.0
     if any(each.mode == "EDIT" for each in users):
         if not added:
-            cloud[_MOVED] = True
-        elif _MOVED not in cloud:  # what the rest does from here on can be told
+            cloud[MOVED] = True
+        elif MOVED not in cloud:  # what the rest does from here on can be told
             remember(cloud)
         return None
     change = None
