@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ...bridge.errors import PhysHDRError
+from ...bridge.errors import OutputError, PhysHDRError
 from ...bridge.run_folder import CHECKPOINT_FILE
 from ..memory import address_limit, gigabytes, is_out_of_memory
 from ..shell import as_word
@@ -40,7 +40,8 @@ def words_of(error: Exception, argv: Sequence[str] = ()) -> Words | None:
             f"{_SMALLER if list(argv[:1]) == ['train'] else ''}.{_resumption(run)}",
         )
     if isinstance(error, PhysHDRError):
-        return Words(error.code, error.message, error.hint)
+        go_on = _resumption(run) if isinstance(error, OutputError) else ""
+        return Words(error.code, error.message, error.hint + go_on)
     if isinstance(error, ModuleNotFoundError):
         return Words(
             "package_missing", str(error), "Install what is missing; physhdr check says what that is."

@@ -13,7 +13,6 @@ from pathlib import Path
 from types import TracebackType
 
 from ...bridge.errors import OutputError
-from ..shell import as_word
 from ..train import events
 from .terminal import TrainingBar
 
@@ -73,7 +72,7 @@ class EventLog:
             remedy = "Free some space on its disk" if full else "Make it writable"
             raise OutputError(
                 f"cannot write {path}: {error.strerror or error}",
-                f"{remedy}, then go on: physhdr train --resume {as_word(self.folder)}",
+                f"{remedy}, then resume the training.",
             ) from error
 
     def _thread_failed(self, failed: threading.ExceptHookArgs) -> None:

@@ -23,7 +23,6 @@ from ...bridge.lights import AMBIENT, check_lights
 from ...bridge.limits import LOG_RADIANCE_MAX
 from ..kernels.activations import LOG_RADIANCE_RANGE
 from ..methods.base import Responses
-from ..shell import as_word
 
 FORMAT = "physhdr-checkpoint"
 VERSION = 1
@@ -72,9 +71,9 @@ def save_checkpoint(
     else:
         metadata["lights"] = json.dumps(list(lights))
     metadata[DIGEST] = _digest(tensors)
-    go_on = f"Free some space, then go on: physhdr train --resume {as_word(path.parent)}."
+    remedy = "Free some space, then resume the training. What was saved before is untouched."
     try:
-        with atomic_path(path, remedy=f"{go_on} What was saved before is untouched.") as temporary:
+        with atomic_path(path, remedy=remedy) as temporary:
             try:
                 save_file(tensors, temporary, metadata)
             except SafetensorError as error:  # how the library tells of a full disk

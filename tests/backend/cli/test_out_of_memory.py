@@ -11,7 +11,7 @@ import pytest
 
 from physhdr.backend import cli, memory
 from physhdr.backend.cli import main
-from physhdr.bridge.errors import FileDamagedError
+from physhdr.bridge.errors import FileDamagedError, OutputError
 
 resource = pytest.importorskip("resource", reason="limits of a process are POSIX's")
 
@@ -104,6 +104,14 @@ def test_a_full_disk_is_told_as_one_and_names_the_run(monkeypatch, capsys, tmp_p
     message = told(monkeypatch, capsys, full, "train", "--resume", str(tmp_path))
     assert "No space left on device" in message and "that path" not in message
     assert "Free some space" in message and f"physhdr train --resume {tmp_path}" in message
+
+
+def test_a_training_that_could_not_write_says_how_it_is_resumed(monkeypatch, capsys, tmp_path):
+    refused = OutputError("cannot write the checkpoint", "Free some space, then resume the training.")
+    (tmp_path / "checkpoint.safetensors").touch()
+    resume = f"resume the training. Go on with what was saved: physhdr train --resume {tmp_path}"
+    assert resume in told(monkeypatch, capsys, refused, "train", "data", "--out", str(tmp_path))
+    assert "--resume" not in told(monkeypatch, capsys, refused, "render", str(tmp_path))
 
 
 # -- what there is -------------------------------------------------------------------------------------------
