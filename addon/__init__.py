@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The user's hands in Blender: operators and panels. bpy and numpy; torch never.
 
-``panels`` show, ``operators`` do; what they show and do is in ``session`` (the trainer and child processes),
-``dataset`` (of the open scene), ``capture`` (where a model is from), ``model`` (a point cloud with nodes),
-``viewport`` (the 3D view), ``light`` and ``rendering``.
+``panels`` show, ``operators`` do; what they show and do is in ``dataset`` (of the open scene), ``light`` and
+``rendering``, ``viewport`` (the 3D view), ``capture`` (where a model stands, its cameras), ``model`` (a point
+cloud with nodes), ``session`` (the trainer and child processes) and ``layouts`` (of data sets' folders). Each
+imports from those below it, never from above (``tests/backend/test_rooms.py``).
 
 A module that has classes to register is named in ``_MODULES``, in the order in which they depend on
 each other, and has a ``register`` and an ``unregister`` of its own.
@@ -18,8 +19,7 @@ _MODULES = (
     "dataset.dataset_settings",
     "capture.originals",
     "model.pose",
-    "model.model_import",
-    "model.save_model",
+    "operators.model_files",
     "operators.backend",
     "operators.dataset",
     "operators.originals",

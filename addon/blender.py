@@ -7,6 +7,10 @@ from typing import Any, Protocol, cast
 
 import bpy
 import mathutils
+import numpy as np
+
+#: How near and how far the cameras see that are made here, metres.
+CLIP_START, CLIP_END = 0.01, 1000.0
 
 
 class Drawn(Protocol):
@@ -37,6 +41,11 @@ def takes_objects(collection: bpy.types.Collection) -> bool:
 def collection_beside(item: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.Collection:
     """Where what belongs to an object goes: into a collection of its own that takes it, else the scene's."""
     return next(filter(takes_objects, item.users_collection), scene.collection)
+
+
+def to_matrix(array: np.ndarray) -> mathutils.Matrix:
+    """Blender's matrix of a ``[4, 4]`` array."""
+    return mathutils.Matrix(np.asarray(array, float).tolist())
 
 
 def world_of(item: bpy.types.Object, depsgraph: bpy.types.Depsgraph | None = None) -> mathutils.Matrix:

@@ -21,11 +21,12 @@ from ...bridge.blend_file import SPLIT
 from ...bridge.camera_list import read_learned_poses
 from ...bridge.errors import DataMismatchError, FileMissingError
 from ...bridge.run_folder import CAMERAS_FILE
-from ..blender import cloud_of, render_size, takes_objects, world_of
+from .. import similarity
+from ..blender import CLIP_END, CLIP_START, cloud_of, render_size, takes_objects, to_matrix, world_of
+from ..layouts.camera_file import VIEWS, Frame, read_frames
+from ..model import origin
 from ..model.attributes import CAPTURE, FILE
-from ..rendering.render import CLIP_END, CLIP_START, to_matrix
-from . import placement, similarity
-from .camera_file import VIEWS, Frame, read_frames
+from . import placement
 from .placement import FRAME
 
 #: Custom properties of a camera: its picture's width and height, and its focal lengths, in pixels.
@@ -57,7 +58,7 @@ def import_cameras(scene: bpy.types.Scene, target: bpy.types.Object, folder: Pat
     ``FileMissingError`` where it is not there, ``DataMismatchError`` where the model is sheared or mirrored,
     and what ``read_frames`` and ``read_learned_poses`` raise, before anything is made.
     """
-    capture = placement.capture_of(target)
+    capture = origin.capture_of(target)
     found = read_frames(folder or _folder_of(target))
     learned = _learned(target)
     bpy.context.view_layer.update()
@@ -99,10 +100,10 @@ def _placed(frame: Frame, learned: dict[str, np.ndarray]) -> Frame:
 
 
 def _folder_of(target: bpy.types.Object) -> Path:
-    folder = placement.data_of(target)
+    folder = origin.data_of(target)
     if folder is None:
         raise FileMissingError(
-            f"the data set of {target.name!r} is not there: {placement.capture_of(target)}",
+            f"the data set of {target.name!r} is not there: {origin.capture_of(target)}",
             "Put it back there, or choose its folder.",
         )
     return folder
@@ -153,7 +154,7 @@ def is_of_data_set(camera: bpy.types.Object | None) -> bool:
 
 def cameras_of(scene: bpy.types.Scene, target: bpy.types.Object) -> list[bpy.types.Object]:
     """The scene's cameras of a model's data set."""
-    return list(placement.cameras_of(scene, placement.capture_of(target)))
+    return list(placement.cameras_of(scene, origin.capture_of(target)))
 
 
 def first_of(cameras: Iterator[bpy.types.Object] | tuple[bpy.types.Object, ...]) -> bpy.types.Object | None:

@@ -15,7 +15,8 @@ from ...synth.in_render import in_layer
 from ...synth.objects import SURFACES
 from ..blender import curve_of
 from ..model.look import is_model, models_among
-from .placement import capture_of, key_of, settings_of
+from ..model.origin import capture_of, key_of
+from .placement import settings_of
 
 #: The property of a scene that holds its ``PHYSHDR_Originals``.
 ORIGINALS = "physhdr_originals"

@@ -1,55 +1,28 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Where captures stand: what the scene remembers of each, and the models and cameras of it.
 
-A capture is known by its data set's folder, which a run's configuration names; a model file of which nobody
-knows the run is a capture of its own. What is remembered is where models of it are put when they are
-imported, and where the live preview shows it.
+What is remembered is where models of a capture (``model.origin``) are put when they are imported, and where
+the live preview shows it.
 """
 
-import os
 from collections.abc import Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import bpy
 import numpy as np
 
-from ...bridge.run_folder import data_of as data_of_run
-from ..blender import cloud_of, put_at, world_of
-from ..model.attributes import CAPTURE, FILE
+from .. import similarity
+from ..blender import put_at, to_matrix, world_of
+from ..model.attributes import CAPTURE
 from ..model.look import models_among
-from ..rendering.render import to_matrix
+from ..model.origin import capture_of
 from ..settings import SETTINGS
-from . import similarity
 
 if TYPE_CHECKING:
     from ..settings import PHYSHDR_Capture, PHYSHDR_Settings
 
 #: Custom property that marks a camera of a data set (``dataset_cameras``): its frame's name.
 FRAME = "physhdr_frame"
-
-
-def capture_of(target: bpy.types.Object) -> str:
-    """The capture that a model is of: its data set's folder, else the model's file."""
-    cloud = cloud_of(target)
-    # Those that older versions imported have the file alone.
-    return str(cloud.get(CAPTURE, "")) or capture_of_file(Path(str(cloud.get(FILE, ""))))
-
-
-def capture_of_file(path: Path) -> str:
-    """The capture of a model file: the data set of the run in whose folder it lies, else the file."""
-    return key_of(str(data_of_run(path.parent) or path))
-
-
-def data_of(target: bpy.types.Object) -> Path | None:
-    """The folder of a model's data set; None where it is not known, or not there any more."""
-    folder = Path(capture_of(target))
-    return folder if folder.is_dir() else None
-
-
-def key_of(data: str) -> str:
-    """A data set's folder as the scene remembers it."""
-    return os.path.realpath(data) if data else ""
 
 
 def settings_of(scene: bpy.types.Scene) -> "PHYSHDR_Settings":

@@ -28,7 +28,7 @@ from ...bridge.errors import DataMismatchError, FileMissingError
 from ..blender import takes_objects, world_of
 from ..capture.picking import surface_along_ray
 from ..model.look import file_has_model, is_model, shown_shape
-from . import cg_compositor
+from ..rendering import cg_compositor
 
 #: Custom property of what is ours, and what it is.
 MARK = CG

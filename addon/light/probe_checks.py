@@ -9,9 +9,9 @@ import numpy as np
 from ...bridge.errors import PhysHDRError
 from ...bridge.probe import MUCH_UNSEEN
 from ..blender import cloud_of
-from ..capture.camera_file import Frame, read_frames
-from ..capture.placement import data_of
+from ..layouts.camera_file import Frame, read_frames
 from ..model.look import cleaning_of
+from ..model.origin import data_of
 from .probes import Place, has_moved, known
 
 #: Custom properties of a probe: whether no camera saw its place, and what of the model was hidden then.

@@ -16,10 +16,9 @@ import numpy as np
 
 from ...bridge.blend_file import PROBE
 from ...bridge.probe import Probe
-from ..blender import collection_beside, world_of
-from ..capture.similarity import scale_of
+from ..blender import collection_beside, to_matrix, world_of
 from ..model.look import is_model
-from ..rendering.render import to_matrix
+from ..similarity import scale_of
 
 #: Metres.
 Place = tuple[float, float, float]

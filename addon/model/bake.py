@@ -19,9 +19,9 @@ from ...bridge.gaussian_ply import write_standard_ply
 from ...bridge.model_file import SPACE, WORLD, Model
 from ...bridge.spherical_harmonics import coefficient_count
 from ..blender import cloud_of, world_of
+from .edited_model import subset
 from .look import Look, kept_of
 from .point_cloud import model_of
-from .save_model import subset
 
 
 def baked_model(target: bpy.types.Object, look: Look) -> Model:

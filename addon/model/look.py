@@ -225,3 +225,12 @@ def draw_look(layout: bpy.types.UILayout, target: bpy.types.Object) -> None:
         if nodes.has_input(modifier, label):
             socket = getattr(nodes.inputs_of(modifier), nodes.input_identifier(modifier, label))
             column.prop(socket, "value", text=names.get(label, label))
+
+
+def cast_no_shadow(target: bpy.types.Object) -> None:
+    """Gaussians carry their light with them and cast no shadow.
+
+    Beside a sun EEVEE would draw the shadow of every one (60 thousand at 120×120: it had not ended after 15
+    minutes; without it takes 20 seconds).
+    """
+    target.visible_shadow = False

@@ -18,10 +18,10 @@ from ...bridge.model_file import SUFFIX, Model, write_model
 from ...bridge.run_folder import VIEWS_FILE
 from ...bridge.splat_files import read_splat_file
 from ..blender import add_entry, cloud_of, layout_of, remove_entry, world_of
-from ..capture.placement import data_of
 from ..model.attributes import FILE
 from ..model.bake import bake, baked_model, moved, write_fitted
 from ..model.look import Look, is_model, look_of
+from ..model.origin import data_of
 from ..model.point_cloud import lights_of
 from ..paths import whole
 from ..runtime import session

@@ -15,10 +15,12 @@ from bpy_extras import view3d_utils
 from gpu_extras.batch import batch_for_shader
 
 from ...bridge.errors import BadValueError, FileMissingError, PhysHDRError
+from .. import similarity
 from ..blender import cloud_of, layout_of, world_of
-from ..capture import placement, similarity
-from ..capture.captures import camera_places
+from ..capture import placement
 from ..capture.picking import surface_along_ray
+from ..layouts.captures import camera_places
+from ..model import origin
 from ..model.look import is_model, shown_shape
 from ..viewport.splat_data import is_splats
 from .base import LINKED, OnModel
@@ -145,7 +147,7 @@ class PHYSHDR_OT_capture_floor(_OnCapture):
 
 def above_floor(target: bpy.types.Object) -> np.ndarray:
     """``[3]``: a point of the world that is above the floor: the middle of the cameras, else of the model."""
-    folder = placement.data_of(target)
+    folder = origin.data_of(target)
     try:
         places = camera_places(folder) if folder else None
     except PhysHDRError:
@@ -186,7 +188,7 @@ class PHYSHDR_OT_capture_height(_OnCapture):
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         target = context.object
         assert is_model(target)
-        known = placement.settings_of(context.scene).captures.get(placement.capture_of(target))
+        known = placement.settings_of(context.scene).captures.get(origin.capture_of(target))
         if not (known and known.has_floor) and not self.properties.is_property_set("sets"):
             self.sets = "GROUND"
         return context.window_manager.invoke_props_dialog(self, confirm_text="Set Height")
@@ -225,7 +227,7 @@ def camera_heights(context: bpy.types.Context, target: bpy.types.Object) -> np.n
     selected = [each for each in context.selected_objects or () if each.type == "CAMERA"]
     if selected:
         return np.array([each.matrix_world.translation.z for each in selected])
-    folder = placement.data_of(target)
+    folder = origin.data_of(target)
     if folder is None:
         raise FileMissingError(
             "the data set of this model is not there, and with it the places of its cameras",

@@ -10,10 +10,10 @@ import mathutils
 import numpy as np
 
 from ...bridge.errors import BadValueError, DataMismatchError, FileMissingError, PhysHDRError
+from .. import similarity
 from ..blender import add_entry, cloud_of, collection_beside, curves_of, layout_of, remove_entry, world_of
-from ..capture import placement, similarity
-from ..capture.captures import camera_places
-from ..model import nodes
+from ..layouts.captures import camera_places
+from ..model import nodes, origin
 from ..model.attributes import BASE, CAMERA_DISTANCE, CONFIDENCE, POSITION, SCALE
 from ..model.cleaning import ALL, elongation_of
 from ..model.floaters import floaters
@@ -257,7 +257,7 @@ def measured(context: bpy.types.Context, target: bpy.types.Object) -> np.ndarray
     """``[N]`` float32: metres in the model's space to the nearest of the selected cameras, else of the data
     set's. Raises ``FileMissingError`` where there are neither."""
     selected = [each for each in context.selected_objects or () if each.type == "CAMERA"]
-    folder = placement.data_of(target)
+    folder = origin.data_of(target)
     if selected:
         places = np.array([each.matrix_world.translation for each in selected], np.float64)
         places = similarity.apply(np.linalg.inv(np.array(world_of(target), np.float64)), places)

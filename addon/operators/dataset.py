@@ -29,8 +29,8 @@ from ..dataset import (
     time_trial,
 )
 from ..dataset.dataset_settings import OPTIONS, RenderOptions, settings_of
-from ..dataset.dataset_summary import summarise
 from ..dataset.render_time import Started
+from ..layouts.summary import summarise
 from ..model.look import is_model
 from ..paths import ROOT
 from ..runtime import redraw, session

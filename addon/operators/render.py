@@ -8,8 +8,8 @@ import bpy
 
 from ...bridge.errors import BadValueError, FileMissingError, PhysHDRError
 from ..blender import layout_of
-from ..capture import placement
 from ..capture.dataset_cameras import first_of, import_cameras, take_size
+from ..model import origin
 from ..model.look import models_among
 from ..rendering import develop
 from ..rendering.render_setup import (
@@ -205,7 +205,7 @@ class PHYSHDR_OT_cameras_import(bpy.types.Operator):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         target = model_for(context)
-        if target is None or self.directory or placement.data_of(target) is not None:
+        if target is None or self.directory or origin.data_of(target) is not None:
             return self.execute(context)
         self.report({"WARNING"}, f"The data set of {target.name!r} has moved: choose its folder")
         context.window_manager.fileselect_add(cast(Any, self))
@@ -226,7 +226,7 @@ class PHYSHDR_OT_cameras_import(bpy.types.Operator):
         if self.look_through or scene.camera is None:
             scene.camera = first_of(done.cameras)
         kept = len(done.cameras) - done.added
-        told = f"{done.added} cameras of {placement.capture_of(target)}"
+        told = f"{done.added} cameras of {origin.capture_of(target)}"
         told += f", and {kept} put back." if kept else "."
         self.report({"INFO"}, " ".join([told, *done.notes]))
         return {"FINISHED"}

@@ -19,6 +19,7 @@ from ...bridge.run_folder import WEB_FILE, WEB_FOLDER, WEB_INDEX, data_of, same_
 from ...bridge.shots import write_shots
 from ..blender import layout_of
 from ..capture import placement
+from ..model import origin
 from ..model.look import is_of_run
 from ..paths import first_free, whole
 from ..rendering.shots import shots_of
@@ -358,7 +359,7 @@ def filmed(context: bpy.types.Context, run: str, data: str) -> bpy.types.Object 
         return context.object
     if of_run:
         return of_run[0]
-    return next(placement.models_of(context.scene, placement.key_of(data)), None) if data else None
+    return next(placement.models_of(context.scene, origin.key_of(data)), None) if data else None
 
 
 _encoders: dict[str, bool] = {}

@@ -4,7 +4,7 @@
 import bpy
 
 from ..blender import layout_of
-from ..capture import placement
+from ..model import origin
 from ..model.look import is_model
 from .parts import Subpanel, write
 
@@ -23,7 +23,7 @@ class PHYSHDR_PT_capture(Subpanel, bpy.types.Panel):
         column.operator("physhdr.capture_scale", text="Scale by Two Points…", icon="DRIVER_DISTANCE")
         column.operator("physhdr.capture_floor", text="Floor by Three Points…", icon="ORIENTATION_NORMAL")
         column.operator("physhdr.capture_height", text="By the Cameras' Height…", icon="VIEW_CAMERA")
-        known = context.scene.physhdr.captures.get(placement.capture_of(target))
+        known = context.scene.physhdr.captures.get(origin.capture_of(target))
         if known is None:
             write(context, layout, "Photos tell neither how large things are nor where the floor is", "INFO")
             return

@@ -15,12 +15,12 @@ import bpy
 
 from ...bridge.errors import BadValueError
 from ..blender import cloud_of, curve_of, curves_of
-from ..light import cg_compositor
 from ..model import nodes, response_nodes
 from ..model.look import is_model
 from ..model.point_cloud import read_tone_curve
 from ..model.response_nodes import response_mark
 from ..model.tone_curve import ToneCurve
+from . import cg_compositor
 
 #: Custom property of the nodes and trees that are ours, and what they are.
 MARK = "physhdr_develop"

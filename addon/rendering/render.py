@@ -9,11 +9,10 @@ from pathlib import Path
 from typing import Any, cast
 
 import bpy
-import mathutils
 import numpy as np
 
 from ...bridge.errors import OutputError
-from ..blender import settings_of_cycles
+from ..blender import CLIP_END, CLIP_START, settings_of_cycles, to_matrix
 
 #: Gaussians a ray may pass. Cycles' own limit is 1024; a ray through a trained room meets hundreds.
 TRANSPARENT_BOUNCES = 1024
@@ -23,8 +22,6 @@ TRANSPARENT_BOUNCES = 1024
 CERTAIN_BOUNCES = 256
 #: The narrowest pixel filter of Cycles: every ray goes through its pixel's centre. Pixels.
 POINT_SAMPLING = 0.01
-CLIP_START = 0.01
-CLIP_END = 1000.0
 
 
 def prepare_cycles(scene: bpy.types.Scene, samples: int = 1, filter_width: float = POINT_SAMPLING) -> None:
@@ -76,11 +73,6 @@ def set_resolution(scene: bpy.types.Scene, width: int, height: int) -> None:
     render.resolution_x, render.resolution_y, render.resolution_percentage = width, height, 100
     render.pixel_aspect_x = render.pixel_aspect_y = 1.0
     render.use_border = False
-
-
-def to_matrix(array: np.ndarray) -> mathutils.Matrix:
-    """Blender's matrix of a ``[4, 4]`` array."""
-    return mathutils.Matrix(np.asarray(array, float).tolist())
 
 
 def add_camera(

@@ -17,7 +17,7 @@ from ...synth.in_render import in_collection, in_layer, instanced_by
 from ..blender import curve_of, render_size, sample_as_no_lamp, settings_of_cycles, world_of
 from ..model import nodes
 from ..model.cleaning import EVEN
-from ..model.look import file_has_model, is_model, models_among
+from ..model.look import cast_no_shadow, file_has_model, is_model, models_among
 from ..model.material import materials_in
 from . import develop
 from .render import CERTAIN_BOUNCES, TRANSPARENT_BOUNCES, let_rays_pass, sample_centres
@@ -149,15 +149,6 @@ def _moves(holder: bpy.types.Object, collection: bpy.types.Collection) -> bool:
 
 
 # ---- what belongs to an object -----------------------------------------------------------------------------
-
-
-def set_up_object(target: bpy.types.Object) -> None:
-    """What belongs to a model and not to a scene; the import does it.
-
-    Gaussians carry their light with them and cast no shadow: beside a sun EEVEE would draw the shadow of
-    every one (60 thousand at 120×120: it had not ended after 15 minutes; without it takes 20 seconds).
-    """
-    target.visible_shadow = False
 
 
 def follow_render_width(target: bpy.types.Object) -> None:
@@ -455,7 +446,7 @@ def _set_up_model(
     modifier = nodes.find_modifier(target)
     if modifier is not None:
         modifier.show_render = True
-    set_up_object(target)
+    cast_no_shadow(target)
     if wishes.cast_shadows:
         target.visible_shadow = True
     _set(target, nodes.CAMERA_SPLATS, wishes.camera_splats and not (_is_panorama(scene) or is_instanced))

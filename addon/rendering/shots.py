@@ -12,8 +12,10 @@ import numpy as np
 
 from ...bridge.errors import BadValueError
 from ...bridge.shots import Shot, Shots
+from .. import similarity
 from ..blender import render_size, world_of
-from ..capture import placement, similarity
+from ..capture import placement
+from ..model import origin
 from ..model.look import look_of
 from ..model.point_cloud import photographed_ev_of
 from ..settings import preview_levels
@@ -41,7 +43,7 @@ def shots_of(
     frames: list[Shot] = []
     numbers = range(scene.frame_start, scene.frame_end + 1, scene.frame_step)
     size = render_size(scene, percentage)
-    capture = placement.key_of(data)
+    capture = origin.key_of(data)
     try:
         for done, number in enumerate(numbers, 1):
             scene.frame_set(number)

@@ -101,7 +101,7 @@ class Report:
 def run(options: argparse.Namespace) -> None:
     import bpy
 
-    from physhdr.addon.capture import camera_file
+    from physhdr.addon.layouts import camera_file
     from physhdr.addon.model import model_import, nodes, point_cloud
     from physhdr.addon.rendering import render, render_setup
     from physhdr.bridge.lights import in_words

@@ -8,7 +8,7 @@ import threading
 from pathlib import Path
 
 from ...bridge.errors import PhysHDRError
-from ..dataset.dataset_summary import summarise
+from ..layouts.summary import summarise
 from .state import Dataset, Problem
 
 

@@ -15,8 +15,10 @@ import bpy
 import numpy as np
 
 from ...bridge.messages import JobStatus, PreviewCamera, PreviewFrame, PreviewRequest
+from .. import similarity
 from ..blender import cloud_of
-from ..capture import placement, similarity
+from ..capture import placement
+from ..model import origin
 from ..model.look import is_of_run
 from ..model.preview_look import PreviewLook, preview_look
 from ..session.session import Session
@@ -174,7 +176,7 @@ def _regions(job: JobStatus) -> Iterator[_Region]:
         if not settings.preview:
             continue
         look = preview_look(window.scene, window.view_layer, job)
-        to_world = placement.matrix_of(window.scene, placement.key_of(job.data))
+        to_world = placement.matrix_of(window.scene, origin.key_of(job.data))
         for area in window.screen.areas:
             if area.type != "VIEW_3D":
                 continue

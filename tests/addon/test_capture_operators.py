@@ -16,8 +16,10 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
-from physhdr.addon.capture import placement, similarity  # noqa: E402
-from physhdr.addon.model import model_import, nodes  # noqa: E402
+from physhdr.addon import similarity  # noqa: E402
+from physhdr.addon.blender import to_matrix  # noqa: E402
+from physhdr.addon.capture import placement  # noqa: E402
+from physhdr.addon.model import model_import, nodes, origin  # noqa: E402
 from physhdr.addon.model.look import shown_shape  # noqa: E402
 from physhdr.addon.model.point_cloud import read_attribute  # noqa: E402
 from physhdr.addon.operators import capture as operators  # noqa: E402
@@ -105,10 +107,10 @@ def is_room(target, room) -> None:
     """Every Gaussian has its true height and all distances are true: up to a turn about z and a shift."""
     found = where(target)
     np.testing.assert_allclose(found[:, 2], room.position[:, 2], atol=CLOSE)
-    for origin in (0, 7):
-        lengths = np.linalg.norm(found - found[origin], axis=1)
+    for first in (0, 7):
+        lengths = np.linalg.norm(found - found[first], axis=1)
         np.testing.assert_allclose(
-            lengths, np.linalg.norm(room.position - room.position[origin], axis=1), atol=CLOSE
+            lengths, np.linalg.norm(room.position - room.position[first], axis=1), atol=CLOSE
         )
     # Not mirrored: the same handedness of three of them.
     a, b, c = found[1:4] - found[0]
@@ -158,7 +160,7 @@ def test_the_height_of_the_cameras_sets_the_scale_on_a_known_floor(registered, r
     assert bpy.ops.physhdr.capture_height(height=1.6) == {"FINISHED"}  # the median of CAMERAS, by hand
     is_room(target, room)
     # A selected camera counts instead of them.
-    target.matrix_world = render.to_matrix(np.diag([3.0, 3.0, 3.0, 1.0])) @ target.matrix_world
+    target.matrix_world = to_matrix(np.diag([3.0, 3.0, 3.0, 1.0])) @ target.matrix_world
     [place] = now(target, CAMERAS[:1])
     camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
     registered.collection.objects.link(camera)
@@ -173,7 +175,7 @@ def test_the_height_of_the_cameras_sets_the_ground_at_a_known_scale(registered, 
     folder, room = run
     target = load(folder)
     # Level and in metres, as from a phone's tracking, but with its own idea of where 0 is.
-    target.matrix_world = render.to_matrix(similarity.raised(-2.2) @ np.linalg.inv(LOST))
+    target.matrix_world = to_matrix(similarity.raised(-2.2) @ np.linalg.inv(LOST))
     with pytest.raises(RuntimeError, match=r"cameras are at -0\.6 m, not above the ground"):
         bpy.ops.physhdr.capture_height(height=1.6)
     assert bpy.ops.physhdr.capture_height(height=1.6, sets="GROUND") == {"FINISHED"}
@@ -333,7 +335,7 @@ def test_the_live_preview_is_drawn_where_the_model_is(registered, run):
     target = load(run[0])
     set_floor(target)
     set_scale(target)
-    to_world = placement.matrix_of(registered, placement.key_of(str(run[0].parent / "data")))
+    to_world = placement.matrix_of(registered, origin.key_of(str(run[0].parent / "data")))
     np.testing.assert_allclose(to_world, np.array(target.matrix_world), atol=CLOSE)
     view = np.eye(4)
     view[:3, :3], view[:3, 3] = turned(1.1), [2.0, -3.0, 1.0]
@@ -396,7 +398,7 @@ def test_a_point_is_picked_on_the_model_wherever_it_stands(registered, run):
 def test_older_imports_are_of_their_runs_data(registered, run):
     target = model_import.import_model(run[0] / "model.safetensors")
     del target.data["physhdr_capture"]
-    assert placement.capture_of(target) == placement.key_of(str(run[0].parent / "data"))
+    assert origin.capture_of(target) == origin.key_of(str(run[0].parent / "data"))
 
 
 def test_picking_that_blender_ends_leaves_nothing_drawn(registered, run, monkeypatch):

@@ -13,9 +13,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from physhdr.addon.capture.camera_file import read_frames
-from physhdr.addon.capture.captures import camera_places, read_capture
-from physhdr.addon.dataset.dataset_summary import summarise
+from physhdr.addon.layouts.camera_file import read_frames
+from physhdr.addon.layouts.captures import camera_places, read_capture
+from physhdr.addon.layouts.summary import summarise
 from physhdr.bridge.errors import FileDamagedError, FileMissingError, PhysHDRError
 
 #: Where cameras stand, metres; each is turned by its own angle about an axis of its own.

@@ -15,7 +15,7 @@ from physhdr.bridge.model_file import read_model
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
-from physhdr.addon.model import attributes, floaters, look, nodes, point_cloud, point_removal, save_model  # noqa: E402
+from physhdr.addon.model import attributes, edited_model, floaters, look, nodes, point_cloud, point_removal  # noqa: E402
 from physhdr.addon.panels import cleaning as panel  # noqa: E402
 
 EARLIER = Path(__file__).parent.parent / "fixtures" / "e7440a3"
@@ -299,7 +299,7 @@ def test_a_transform_moves_the_radiance_too(add, tmp_path):
     )  # in the data set's space it is itself
     np.testing.assert_array_equal(read_model(tmp_path / "b.safetensors").position, model.position)
     with pytest.raises(DataMismatchError, match="mirrored"):
-        save_model.transformed(model, np.diag([1.0, 1.0, -1.0, 1.0]))
+        edited_model.transformed(model, np.diag([1.0, 1.0, -1.0, 1.0]))
 
 
 def test_a_bake_has_what_is_shown(add, tmp_path):

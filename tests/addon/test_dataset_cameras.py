@@ -14,7 +14,10 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
-from physhdr.addon.capture import camera_file, dataset_cameras, placement, similarity  # noqa: E402
+from physhdr.addon import similarity  # noqa: E402
+from physhdr.addon.capture import dataset_cameras, placement  # noqa: E402
+from physhdr.addon.layouts import camera_file  # noqa: E402
+from physhdr.addon.model import origin  # noqa: E402
 from physhdr.bridge.camera_list import ListedCamera, write_camera_list  # noqa: E402
 from physhdr.bridge.errors import FileDamagedError, FileMissingError, PhysHDRError  # noqa: E402
 from physhdr.bridge.model_file import write_model  # noqa: E402
@@ -306,7 +309,7 @@ def test_a_data_set_that_is_gone_says_what_to_do_and_one_that_moved_is_chosen(re
         bpy.ops.physhdr.cameras_import()
     assert not any(each.type == "CAMERA" for each in registered.objects)
     assert bpy.ops.physhdr.cameras_import(directory=str(run.parent / "moved")) == {"FINISHED"}
-    assert len(list(placement.cameras_of(registered, placement.capture_of(target)))) == 5
+    assert len(list(placement.cameras_of(registered, origin.capture_of(target)))) == 5
 
 
 @pytest.mark.parametrize(

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from physhdr.addon.capture.camera_file import read_pose
-from physhdr.addon.dataset.dataset_summary import summarise
+from physhdr.addon.layouts.camera_file import read_pose
+from physhdr.addon.layouts.summary import summarise
 from physhdr.bridge.errors import BadValueError, FileDamagedError, FileMissingError, PhysHDRError
 
 SECONDS = (0.125, 0.5, 2.0)

@@ -14,9 +14,13 @@ from physhdr.bridge.errors import BadValueError
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
-from physhdr.addon.light import cg_compositor  # noqa: E402
 from physhdr.addon.model import model_import, nodes, response_nodes  # noqa: E402
-from physhdr.addon.rendering import develop, render, render_setup  # noqa: E402
+from physhdr.addon.rendering import (  # noqa: E402
+    cg_compositor,
+    develop,
+    render,
+    render_setup,
+)
 
 SIZE = 48
 #: ln(radiance) of the response's first and last entry.

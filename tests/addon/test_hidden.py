@@ -11,7 +11,7 @@ bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, o
 
 from physhdr.addon.blender import put_at, world_of  # noqa: E402
 from physhdr.addon.capture import placement  # noqa: E402
-from physhdr.addon.model import model_import  # noqa: E402
+from physhdr.addon.model import model_import, origin  # noqa: E402
 from physhdr.addon.model.attributes import CAPTURE  # noqa: E402
 from physhdr.addon.model.look import cleaning_of, kept_of  # noqa: E402
 from physhdr.bridge.model_file import read_model  # noqa: E402
@@ -115,7 +115,7 @@ def test_where_a_child_of_what_is_hidden_stands(registered, hide, tmp_path):
 def test_a_capture_moves_with_its_hidden_cameras(target, hide, tmp_path):
     cameras = [bpy.data.objects.new(f"camera {k}", bpy.data.cameras.new("camera")) for k in range(2)]
     for k, camera in enumerate(cameras):
-        camera[placement.FRAME], camera[CAPTURE] = str(k), placement.capture_of(target)
+        camera[placement.FRAME], camera[CAPTURE] = str(k), origin.capture_of(target)
         camera.location = (5.0 + k, -2.0 * k, 1.0)
         bpy.context.scene.collection.objects.link(camera)
     bpy.context.view_layer.update()

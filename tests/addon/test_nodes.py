@@ -9,6 +9,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
+from physhdr.addon.blender import to_matrix  # noqa: E402
 from physhdr.addon.model import attributes, look, model_import, nodes, point_cloud  # noqa: E402
 from physhdr.addon.model.radiance_tree import radiance_tree  # noqa: E402
 from physhdr.addon.rendering import render  # noqa: E402
@@ -129,7 +130,7 @@ def test_a_second_light_is_keyframed_and_a_third_driven(add, scene):
 def test_the_direction_follows_camera_and_object(add, look_at):
     """ω is in the object's space: moving, turning and scaling either must agree with the formula."""
     model, target, _, camera = add(degree=3)
-    camera.matrix_world = render.to_matrix(look_at(-1.0, 2.0, 0.4))
+    camera.matrix_world = to_matrix(look_at(-1.0, 2.0, 0.4))
     np.testing.assert_allclose(evaluated(target)[:, :3], expected_radiance(model, target, camera), rtol=1e-5)
     target.location = (0.5, -1.0, 2.0)
     target.rotation_euler = (0.4, -1.1, 2.5)

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from physhdr.addon.capture import similarity
+from physhdr.addon import similarity
 from physhdr.addon.capture.picking import surface_along_ray
 from physhdr.bridge.errors import BadValueError, DataMismatchError
 

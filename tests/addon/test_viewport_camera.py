@@ -8,7 +8,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
-from physhdr.addon.rendering import render  # noqa: E402
+from physhdr.addon.blender import to_matrix  # noqa: E402
 from physhdr.addon.viewport import camera as view_camera  # noqa: E402
 
 
@@ -25,7 +25,7 @@ def blender_camera(scene, look_at):
     target = bpy.data.objects.new("camera", data)
     scene.collection.objects.link(target)
     scene.camera = target
-    target.matrix_world = render.to_matrix(look_at(3.0, -4.0, 2.0))
+    target.matrix_world = to_matrix(look_at(3.0, -4.0, 2.0))
     return target
 
 

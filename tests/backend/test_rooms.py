@@ -28,9 +28,10 @@ OF_THE_BACKEND = {"torch", "numba", "scipy", "safetensors", "OpenEXR", "PIL", "t
 #: What the contracts may need: both sides must have it.
 OF_THE_BRIDGE = {*sys.stdlib_module_names, "numpy", "plyfile", "filelock"}
 
-#: The backend from top to bottom: a module imports from its own place and from lines below its own, never
-#: from above, nor from others on its line. A module that is named for itself has its own place.
-BACKEND = (
+#: A room from top to bottom: a module imports from its own place and from lines below its own, never from
+#: above, nor from others on its line. A module that is named for itself has its own place.
+Floors = tuple[tuple[str, ...], ...]
+BACKEND: Floors = (
     # Programs that are started by their names: nobody imports them.
     ("launch", "benchmark.child"),
     ("cli",),
@@ -53,6 +54,22 @@ BACKEND = (
     # Standard library alone (and the bridge's errors): asked before anything else is there.
     ("memory", "project", "optional", "shell"),
 )
+ADDON: Floors = (
+    # Programs that are started by their paths: nobody imports them.
+    ("scripts",),
+    ("panels",),
+    ("operators",),
+    ("dataset", "light"),
+    ("rendering", "runtime"),
+    ("viewport", "plot"),
+    ("capture",),
+    ("model",),
+    ("settings",),
+    ("session",),
+    # Without Blender (as is the session): folders of data sets, similarities · What Blender's types lack.
+    ("layouts", "similarity", "blender", "changes", "paths"),
+)
+FLOORS = {"backend": BACKEND, "addon": ADDON}
 
 
 @dataclass(frozen=True)
@@ -104,11 +121,11 @@ def room_of(name: str) -> str:
 
 
 def place_of(name: str) -> tuple[int, str] | None:
-    """The line of ``BACKEND`` in which a module of the backend stands, and as what; None: in none."""
-    rest = name.removeprefix("backend.")
+    """The line of its room's floors on which a module stands, and as what; None: on none."""
+    room, _, rest = name.partition(".")
     fitting = [
         (len(place), line, place)
-        for line, places in enumerate(BACKEND)
+        for line, places in enumerate(FLOORS[room])
         for place in places
         if rest == place or rest.startswith(f"{place}.")
     ]
@@ -133,18 +150,17 @@ def wrong_between_rooms(imports: list[Import]) -> list[str]:
     return wrong
 
 
-def wrong_in_backend(imports: list[Import]) -> list[str]:
-    """Imports inside the backend that lead up, or to a neighbour on the same line."""
+def wrong_between_floors(imports: list[Import]) -> list[str]:
+    """Imports inside a room that lead up, or to a neighbour on the same line."""
     wrong = []
     for each in imports:
-        if room_of(each.source) != "backend" or room_of(each.target) != "backend":
-            continue
+        room = room_of(each.source)
+        if room not in FLOORS or room_of(each.target) != room or room in (each.source, each.target):
+            continue  # or the package itself, which holds nothing that others need
         source, target = place_of(each.source), place_of(each.target)
-        if "backend" in (each.source, each.target):
-            continue  # the package itself, which holds nothing
         if source is None or target is None:
             unplaced = each.source if source is None else each.target
-            wrong.append(f"{each}: {unplaced} has no place in BACKEND")
+            wrong.append(f"{each}: {unplaced} has no place in {room.upper()}")
         elif target[0] < source[0]:
             wrong.append(f"{each}: {target[1]} is above {source[1]}; what both need belongs further down")
         elif target[0] == source[0] and target[1] != source[1]:
@@ -178,8 +194,8 @@ def test_rooms_import_only_what_they_may() -> None:
     assert not (wrong := wrong_between_rooms(IMPORTS)), "\n".join(wrong)
 
 
-def test_inside_the_backend_imports_go_down() -> None:
-    assert not (wrong := wrong_in_backend(IMPORTS)), "\n".join(wrong)
+def test_inside_a_room_imports_go_down() -> None:
+    assert not (wrong := wrong_between_floors(IMPORTS)), "\n".join(wrong)
 
 
 def test_no_modules_import_each_other_in_a_circle() -> None:
@@ -187,9 +203,9 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
 
 
 def test_every_place_of_the_picture_is_there() -> None:
-    modules = modules_in(ROOT)
-    missing = [place for line in BACKEND for place in line if f"backend.{place}" not in modules]
-    assert not missing, f"backend/ has no {', '.join(missing)}"
+    there = {place for name in modules_in(ROOT) for place in (name, name.rpartition(".")[0])}
+    places = {f"{room}.{place}" for room, floors in FLOORS.items() for line in floors for place in line}
+    assert not (missing := places - there), f"there is no {', '.join(sorted(missing))}"
 
 
 # -- the test itself: each kind of wrong import is found -----------------------------------------------------
@@ -205,7 +221,9 @@ def house(tmp_path: Path):
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text, encoding="utf-8")
         imports = all_imports(tmp_path)
-        return "\n".join([*wrong_between_rooms(imports), *wrong_in_backend(imports), *circles_in(imports)])
+        return "\n".join(
+            [*wrong_between_rooms(imports), *wrong_between_floors(imports), *circles_in(imports)]
+        )
 
     return build
 
@@ -224,7 +242,9 @@ def house(tmp_path: Path):
         ("backend__serve__a", "def f():\n    from ..cli import b", "serve.a:2 imports backend.cli: cli is"),
         ("backend__methods__a", "from ..train import b", "train is above methods"),
         ("backend__simd__a", "from ..scene import b", "scene is a neighbour of simd"),
-        ("backend__attic__a", "from ..scene import b", "backend.attic.a has no place"),
+        ("backend__attic__a", "from ..scene import b", "backend.attic.a has no place in BACKEND"),
+        ("addon__model__a", "from ..capture.b import c", "capture is above model"),
+        ("addon__light__a", "def f():\n    from ..dataset import b", "dataset is a neighbour of light"),
     ],
 )
 def test_a_wrong_import_is_told(house, where: str, line: str, told: str) -> None:
@@ -235,7 +255,8 @@ def test_right_imports_are_not_told(house) -> None:
     assert not house(
         bridge__a="import json\nimport numpy as np\nfrom plyfile import PlyData",
         synth__a="import bpy\nfrom ..bridge.a import b",
-        addon__a="from ..synth import a\nfrom ..bridge import a as b\nimport websockets",
+        addon__paths="from ..synth import a\nfrom ..bridge import a as b\nimport websockets",
+        addon__panels__a="from ..operators import b\nfrom .. import paths",
         backend__cli__a="def f():\n    from ..serve.b import c\n    import torch",
         backend__train__a="from . import b\nfrom ..methods.c import d\nfrom ...bridge import a",
         backend__train__b="from ..scene import Scene",

@@ -19,8 +19,8 @@ from ...bridge.lights import AMBIENT
 from ...bridge.limits import LEVEL, is_number
 from ...bridge.regular import read_json_object, regular_file
 from ...bridge.words import counted
-from ..capture.captures import LOOKED_FOR, NERF, Capture, read_capture
-from ..capture.picture_size import PNG_SIGNATURE, picture_size
+from .captures import LOOKED_FOR, NERF, Capture, read_capture
+from .picture_size import PNG_SIGNATURE, picture_size
 
 #: Of a number of points.
 MOST_DIGITS = 12

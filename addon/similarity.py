@@ -8,8 +8,8 @@ setting it once. All scale about the world's origin: the floor at z = 0 stays th
 
 import numpy as np
 
-from ...bridge.affine import SIMILARITY_TOLERANCE
-from ...bridge.errors import BadValueError, DataMismatchError
+from ..bridge.affine import SIMILARITY_TOLERANCE
+from ..bridge.errors import BadValueError, DataMismatchError
 
 #: Points that are nearer to each other than this share of their distance from the origin are one point.
 APART = 1e-6
