@@ -8,6 +8,9 @@ from typing import Literal
 
 from ...bridge.errors import BadValueError
 
+#: The power by which a rate falls (docs/notebook.md).
+FALL = 3
+
 
 @dataclass(frozen=True, kw_only=True)
 class Rate:
@@ -16,6 +19,8 @@ class Rate:
     start: float
     final: float = 0.0
     shape: Literal["constant", "exponential", "cosine"] = "constant"
+    #: Beyond this progress it falls, besides, by (falls_from / progress)³.
+    falls_from: float = 1.0
     #: Multiplied by the scene's extent (3DGS: positions).
     of_extent: bool = False
 
@@ -34,4 +39,6 @@ class Rate:
             rate *= (self.final / self.start) ** progress
         elif self.shape == "cosine":
             rate *= 0.5 * (1.0 + math.cos(math.pi * progress))
+        if progress > self.falls_from:
+            rate *= (self.falls_from / progress) ** FALL
         return rate * extent if self.of_extent else rate

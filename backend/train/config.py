@@ -35,7 +35,7 @@ LONGEST_NAME = 100
 MAY_BE_ZERO = frozenset(
     {
         *("seed", "start", "reset_every", "budget", "sh_degree", "warm_start_steps", "skip"),
-        *("position_octaves", "direction_octaves", "fine_samples", "schedule_for"),
+        *("position_octaves", "direction_octaves", "fine_samples", "schedule_for", "rates_for"),
     }
 )
 #: Sizes of networks and of what they make, and the most of each: ten times what any system has.
@@ -208,6 +208,7 @@ FORMERLY: dict[str, Any] = {
     "config.initial_size_limit": 0.0,
     "config.initial_thickness": 1.0,
     "config.poses": PoseConfig(mode="off"),
+    "config.optimiser.rates_for": 0,
 }
 #: Settings by names they had before → as they are called now.
 RENAMED = {"ambient_share_logits": "light_share_logits"}

@@ -40,26 +40,31 @@ class OptimiserConfig:
     #: All networks of the method learn so many times faster, for trainings much shorter than they were
     #: published for.
     networks_times: float = 1.0
+    #: The length of training, in iterations, that the Gaussians' rates are for. In a longer one they fall
+    #: from there on, by (rates_for / iteration)³: at full rates it would go on to learn the pictures' noise
+    #: (docs/notebook.md). 0: constant, however long it is (3DGS).
+    rates_for: int = 2500
     #: What is annealed by a cosine to zero: the networks, or the Gaussians' appearance and shape as well.
     cosine: Literal["networks", "all"] = "networks"
 
     def __post_init__(self) -> None:
         for each in dataclasses.fields(self):
             if each.type is float and each.name not in NO_RATES:
-                self.rate(each.name)  # refuses one that cannot be
+                self.rate(each.name, iterations=1)  # refuses one that cannot be
 
-    def rate(self, name: str) -> Rate:
-        """How the rate of a group goes."""
+    def rate(self, name: str, iterations: int) -> Rate:
+        """How the rate of a group goes in a training of so many iterations."""
         if name == "means":
             return Rate(start=self.means, final=self.means_final, shape="exponential", of_extent=True)
-        is_network = name in ("radiance_networks", "tone_mapper")
-        cosine = is_network or self.cosine == "all"
-        return Rate(start=getattr(self, name), shape="cosine" if cosine else "constant")
+        start = getattr(self, name)
+        if name in ("radiance_networks", "tone_mapper") or self.cosine == "all":
+            return Rate(start=start, shape="cosine")
+        return Rate(start=start, falls_from=self.rates_for / iterations if self.rates_for else 1.0)
 
 
 #: What 3DGS uses over 30,000 iterations.
 STOCK_3DGS = OptimiserConfig(
-    log_scales=5e-3, quaternions=1e-3, reflectance_dc=2.5e-3, reflectance_rest=1.25e-4
+    log_scales=5e-3, quaternions=1e-3, reflectance_dc=2.5e-3, reflectance_rest=1.25e-4, rates_for=0
 )
 
 
@@ -75,7 +80,7 @@ class Optimiser:
         self.extent = extent
         self.iterations = iterations
         groups = method.parameter_groups()
-        self.rates = {name: config.rate(name) for name in groups if name not in method.rates()}
+        self.rates = {name: config.rate(name, iterations) for name in groups if name not in method.rates()}
         self.rates |= {name: rate for name, rate in method.rates().items() if name in groups}
         if config.networks_times != 1.0:
             for name in method.network_groups().keys() & self.rates.keys():

@@ -94,10 +94,11 @@ def found_sizes(extent: Extent, config: TrainConfig, typed: Collection[str] = ()
         changes[name] = _budget(extent, config, budget)
         iterations = _iterations(extent, config)
         changes["iterations"] = iterations
+        longer = iterations / config.iterations
+        changes["optimiser.rates_for"] = round(config.optimiser.rates_for * longer)
         if config.half_size_until > 0.0:
             changes["half_size_until"] = _half_size_until(extent, config)
         if "iterations" not in typed and not config.schedule_for:
-            longer = iterations / config.iterations
             changes["sh_degree_every"] = round(config.sh_degree_every * longer)
         if extent.detail > 1.0:
             changes["random_points"] = _whole(config.random_points * changes[name] / budget, 1000)

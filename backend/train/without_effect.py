@@ -76,6 +76,8 @@ def _unread(trainer: Trainer) -> set[str]:
     rates = {each.name for each in dataclasses.fields(OptimiserConfig) if each.type is float}
     own = method.rates().keys()
     learning = {name for name in trainer.optimiser.rates if name not in own}
+    if learning <= {"means", "radiance_networks", "tone_mapper"}:
+        unread.add("optimiser.rates_for")
     if "means" in learning:
         learning.add("means_final")
     unread |= {f"optimiser.{name}" for name in rates - learning - {"networks_times"}}

@@ -60,6 +60,20 @@ def test_what_is_typed_stays_also_where_it_is_the_preset_s_own():
     assert found.half_size_until > preset.half_size_until  # nobody has said anything of it
 
 
+@pytest.mark.parametrize("preset", ["default", "high"])
+def test_rates_are_for_the_length_that_the_data_call_for(preset):
+    """They fall in a training that is longer than that: by as much on large pictures as on small ones."""
+    own = PRESETS[preset]
+    found = found_sizes(LARGE, own)
+    assert found.iterations > own.iterations
+    assert found.optimiser.rates_for / found.iterations == pytest.approx(
+        own.optimiser.rates_for / own.iterations, rel=1e-3
+    )
+    typed = found_sizes(LARGE, dataclasses.replace(own, iterations=90_000), ["iterations"])
+    assert typed.iterations == 90_000
+    assert typed.optimiser.rates_for == pytest.approx(found.optimiser.rates_for, rel=0.01)
+
+
 def test_options_are_found_as_they_may_be_written():
     words = [
         "--half-size-until",

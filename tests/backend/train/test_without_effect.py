@@ -32,6 +32,9 @@ CHANGES = {
     "--optimiser.means-final": lambda c: dataclasses.replace(
         c, optimiser=dataclasses.replace(c.optimiser, means_final=1e-3)
     ),
+    "--optimiser.rates-for": lambda c: dataclasses.replace(
+        c, optimiser=dataclasses.replace(c.optimiser, rates_for=2)
+    ),
     "--method.tone-mapper.initial-slope": lambda c: with_tone_mapper(c, initial_slope=0.9),
     "--method.tone-mapper.initial-curve": lambda c: with_tone_mapper(c, initial_curve="line"),
     "--supervision": lambda c: dataclasses.replace(
@@ -47,7 +50,7 @@ CASES = {
         ("--initial-scale", "--optimiser.tone-mapper", "--supervision"),
         (
             *("--initial-opacity", "--initial-thickness", "--densify.threshold", "--densify.budget"),
-            "--optimiser.means-final",
+            *("--optimiser.means-final", "--optimiser.rates-for"),
         ),
     ),
     "gausshdr-short": (

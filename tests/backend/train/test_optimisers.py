@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Rates over a training, by its length."""
+
+import json
+
+import pytest
+
+from physhdr.backend.train.config import read_config, write_config
+from physhdr.backend.train.optimisers import STOCK_3DGS, OptimiserConfig
+from physhdr.backend.train.presets import PRESETS
+
+GAUSSIANS = ("log_scales", "quaternions", "opacity_logits", "reflectance_dc", "reflectance_rest")
+
+
+@pytest.mark.parametrize("name", GAUSSIANS)
+def test_in_a_longer_training_rates_fall_with_the_third_power(name):
+    """From the length that they are for: the same at an iteration, however long the training is."""
+    config = OptimiserConfig(rates_for=2500)
+    start = getattr(config, name)
+    for iterations in (10_000, 40_000):
+        rate = config.rate(name, iterations)
+        course = [rate.at(done / iterations, 1.0) for done in (0, 2500, 5000, 10_000)]
+        assert course == pytest.approx([start, start, start / 8.0, start / 64.0])
+
+
+@pytest.mark.parametrize("name", GAUSSIANS)
+@pytest.mark.parametrize("iterations", [1, 1250, 2500])
+def test_in_one_as_long_or_shorter_they_stay(name, iterations):
+    config = OptimiserConfig(rates_for=2500)
+    assert config.rate(name, iterations).at(1.0, 1.0) == getattr(config, name)
+
+
+def test_positions_and_networks_go_as_in_any_training():
+    for name in ("means", "radiance_networks", "tone_mapper"):
+        assert OptimiserConfig().rate(name, 10_000) == OptimiserConfig().rate(name, 100)
+
+
+def test_3dgs_as_published_has_constant_rates():
+    assert STOCK_3DGS.rate("log_scales", 10**6).at(1.0, 1.0) == STOCK_3DGS.log_scales
+    assert PRESETS["paper"].optimiser.rates_for == PRESETS["gausshdr"].optimiser.rates_for == 0
+
+
+def test_a_run_of_before_goes_on_with_constant_rates(tmp_path):
+    path = tmp_path / "config.json"
+    write_config(path, PRESETS["high"], tmp_path, "high")
+    content = json.loads(path.read_text())
+    del content["config"]["optimiser"]["rates_for"]
+    path.write_text(json.dumps(content))
+    assert read_config(path).config.optimiser.rates_for == 0
