@@ -80,7 +80,7 @@ IDENTITY = MODEL_IDENTITY
 SHOWS = "physhdr_shows"
 #: Custom property: the file that the model was imported from.
 FILE = "physhdr_file"
-#: Custom property: the data set's folder of the model's run, else the model's file (``placement``).
+#: Custom property: the data set's folder of the model's run, else the model's file (``origin``).
 CAPTURE = "physhdr_capture"
 #: Custom property: some of the Gaussians, as they were when they were last known to be whole (``pose``).
 WITNESS = "physhdr_witness"

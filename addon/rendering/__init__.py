@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Renders of models: what they need of a scene, pictures, shots for the trainer."""
+"""Renders of models: what they need of a scene, the compositor's part, pictures, shots for the trainer."""
