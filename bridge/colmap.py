@@ -7,7 +7,7 @@ import struct
 from pathlib import Path
 from typing import NamedTuple
 
-from .errors import PhysHDRError
+from .errors import BadValueError, PhysHDRError
 from .regular import read_text, regular_file
 
 #: At the beginning of ``images.bin``: how many pictures; and what each takes at least.
@@ -52,6 +52,16 @@ MODELS = dict(
 )
 #: By the names that text files have.
 BY_NAME = {model.name: model for model in MODELS.values()}
+#: The model of panoramas.
+ALL_AROUND = "EQUIRECTANGULAR"
+
+
+def panorama(whose: str) -> BadValueError:
+    """The error for ``whose`` pictures that show everything around, which no pinhole camera does."""
+    return BadValueError(
+        f"{whose} takes 360° panoramas ({ALL_AROUND}), which no pinhole camera does",
+        "Cut them into views of 90° first, six to a cube, and find the cameras of those.",
+    )
 
 
 def find_model(root: Path) -> Path | None:

@@ -18,10 +18,12 @@ import numpy as np
 from ...bridge import data_set
 from ...bridge.axes import camera_to_world_from_llff
 from ...bridge.colmap import find_model
+from ...bridge.colmap_files import SparseImage, read_cameras, read_images
 from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError
 from ...bridge.limits import FOCAL_LENGTH, LARGEST_SIDE, PRINCIPAL_POINT, check_position, is_number
 from ...bridge.regular import damaged_where_it_fails, read_json_object
 from .captures import (
+    COPY_AGAIN,
     LOOKED_FOR,
     NERF_FILE,
     NERFSTUDIO_FILE,
@@ -29,10 +31,10 @@ from .captures import (
     SUFFIXES,
     frames_of,
     nerf_files,
+    pose_of,
     real_rows,
     split_of,
 )
-from .colmap_file import COPY_AGAIN, Placed, pose_of, read_lenses, read_placed
 from .picture_size import picture_size
 
 #: Where nothing says what a view is for: the trainer then chooses.
@@ -221,35 +223,23 @@ def _of_sizeless(count: int) -> tuple[str, ...]:
 
 
 def _of_colmap(root: Path, model: Path) -> Frames:
-    lenses = read_lenses(model)
+    cameras = read_cameras(model)
     bracketed = any((root / name).exists() for name in (data_set.EXPOSURE_FILE, REAL_FILE))
     # A bracket is one camera: as the trainer has it, that of the picture which shows the most points.
-    best: dict[str, Placed] = {}
-    for placed in sorted(read_placed(model), key=lambda placed: placed.name):
+    best: dict[str, SparseImage] = {}
+    for placed in sorted(read_images(model), key=lambda placed: placed.name):
         name = pose_of(placed.name) if bracketed else _without_suffix(placed.name)
         if name not in best or placed.observed > best[name].observed:
             best[name] = placed
     frames = []
     for name, placed in best.items():
-        lens = lenses.get(placed.camera)
-        if lens is None:
+        camera = cameras.get(placed.camera)
+        if camera is None:
             told = f"{model}: '{placed.name}' has camera {placed.camera}, which is not there"
             raise FileDamagedError(told, COPY_AGAIN)
-        check_position(placed.place, f"{model}: the camera of '{placed.name}'")
-        frames.append(
-            Frame(
-                name,
-                VIEWS,
-                placed.camera_to_world,
-                lens.width,
-                lens.height,
-                lens.fx,
-                lens.fy,
-                lens.cx,
-                lens.cy,
-            )
-        )
-    bent = sum(lenses[placed.camera].bends for placed in best.values())
+        intrinsics = camera.intrinsics(model, placed.camera)
+        frames.append(Frame(name, VIEWS, placed.camera_to_world, camera.width, camera.height, *intrinsics))
+    bent = sum(not cameras[placed.camera].is_pinhole for placed in best.values())
     return Frames(tuple(_split_by_name(frames)), _of_bent(bent, len(frames)))
 
 

@@ -17,11 +17,12 @@ import numpy as np
 
 from ...bridge import data_set
 from ...bridge.colmap import find_model
+from ...bridge.colmap_files import read_images
 from ...bridge.errors import FileDamagedError, FileMissingError, PhysHDRError
 from ...bridge.limits import EXPOSURE, is_number
 from ...bridge.regular import damaged_where_it_fails, read_json_object, read_text, regular_file
-from .colmap_file import COPY_AGAIN, pose_of, read_placed
 
+COPY_AGAIN = "Copy the data set again, or make it again."
 #: What gives each layout away, and what ``physhdr prepare`` leaves beside the second.
 REAL_FILE, NERFSTUDIO_FILE, PICTURES = "poses_bounds_exps.npy", "transforms.json", "images"
 LOOKED_FOR = f"{NERFSTUDIO_FILE}, no {REAL_FILE}, no {PICTURES}/ with COLMAP's sparse/0"
@@ -115,7 +116,7 @@ def _known(seconds: Any) -> float | None:
 
 
 def _of_colmap(root: Path, model: Path) -> Capture:
-    listed = {placed.name: placed.place for placed in read_placed(model)}
+    listed = {placed.name: placed.place for placed in read_images(model)}
     stated: dict[str, float | None] = {}
     if (root / data_set.EXPOSURE_FILE).exists():
         for name, seconds in read_json_object(root / data_set.EXPOSURE_FILE, COPY_AGAIN).items():
@@ -209,13 +210,18 @@ def _of_real(root: Path, model: Path | None) -> Capture:
     """LLFF's poses, or those of COLMAP's ``model`` beside them: the trainer takes that where it is there."""
     rows = list(real_rows(root))
     # LLFF: [down, right, backwards, place, size] of each picture; those of a bracket have one place.
-    poses = {re.sub(r"_\d+$", "", file.stem): row[:15].reshape(3, 5)[:, 3] for file, row in rows}
+    poses = {pose_of(file.name): row[:15].reshape(3, 5)[:, 3] for file, row in rows}
     seconds = {file: _known(float(row[17])) for file, row in rows}
     if model is None:
         return Capture("HDR-NeRF-Real", poses, seconds)
-    listed = sorted(read_placed(model), key=lambda placed: placed.name, reverse=True)
+    listed = sorted(read_images(model), key=lambda placed: placed.name, reverse=True)
     poses = {pose_of(placed.name): placed.place for placed in listed}
     return Capture("HDR-NeRF-Real", poses, seconds, points=_point_count(model))
+
+
+def pose_of(name: str) -> str:
+    """The pose of a bracket's picture: ``train_03_2.jpg`` → ``train_03``."""
+    return re.sub(r"_\d+$", "", Path(name).stem)
 
 
 def real_rows(root: Path) -> Iterator[tuple[Path, np.ndarray]]:

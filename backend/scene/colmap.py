@@ -17,7 +17,7 @@ from ...bridge.data_set import EXPOSURE_FILE, scene_name
 from ...bridge.errors import DataMismatchError
 from .checks import path_inside
 from .colmap_brackets import Group, alike, best_of, camera_of, grouped, placed, single, with_pictures
-from .colmap_files import other_models_in_words, read_model
+from .colmap_model import other_models_in_words, read_model
 from .exposures import MOST_UNKNOWN, SAY_EXPOSURES, exposures_from_exif, read_exposure_file
 from .info import read_anchor, read_info
 from .picture_files import picture_there, pictures_in, reduced_folder

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from .camera import Camera
-from .colmap_files import SparseImage, SparseModel
+from .colmap_model import SparseImage, SparseModel
 from .poses import SUFFIXES, bracket_name
 
 #: Pictures whose cameras are farther apart than this share of the cameras' spread are no bracket: a hand does

@@ -23,7 +23,7 @@ from PIL import Image
 from ...bridge import data_set
 from ...bridge.errors import BadValueError, DataMismatchError
 from .camera import Camera
-from .colmap_files import write_pinholes
+from .colmap_model import write_pinholes
 from .encoding import SRGB
 from .pictures import has_alpha, holds_radiance, is_rgb, kind_of, read_codes, write_png
 from .points import write_points

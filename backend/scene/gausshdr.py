@@ -13,7 +13,7 @@ from ...bridge.data_set import CAPTURE_FILE, EXPOSURE_FILE, scene_name
 from ...bridge.errors import DataMismatchError, PhysHDRError
 from ...bridge.regular import read_json_object
 from .checks import path_inside
-from .colmap_files import SparseImage, read_model
+from .colmap_model import SparseImage, read_model
 from .exposures import read_exposure_file
 from .info import ORIGINAL_ANCHOR, read_anchor, read_info
 from .poses import (

@@ -20,7 +20,7 @@ from ...bridge.limits import EXPOSURE, FOCAL_LENGTH, LARGEST_SIDE, check_positio
 from ...bridge.regular import damaged_where_it_fails, regular_file
 from .camera import Camera
 from .checks import is_rotation
-from .colmap_files import other_models_in_words, read_model
+from .colmap_model import other_models_in_words, read_model
 from .info import read_anchor, read_info
 from .poses import PictureFile, Pose, Views, bracket_name, check_numbers, fitted, missing_in_words, one_size
 from .resize import Reduction

@@ -16,6 +16,8 @@ import numpy as np
 import torch
 import torch.nn.functional as F  # noqa: N812
 
+from ...bridge.colmap import ALL_AROUND, panorama
+from ...bridge.colmap_files import SparseCamera
 from ...bridge.errors import BadValueError, FileMissingError
 from .resize import Reduction
 
@@ -42,22 +44,6 @@ NOT_CREDIBLE = (
     "Few photos, or photos of a plane, tell little of a lens: --camera SIMPLE_RADIAL asks less of them. "
     "Numbers from elsewhere may be of another camera."
 )
-#: How many of a model's parameters are focal lengths: one or two, then the principal point's two, and then
-#: distortions, which are a pinhole's where they are 0. Other models bend straight lines whatever they hold.
-PINHOLE_LIKE = {
-    "SIMPLE_PINHOLE": 1,
-    "PINHOLE": 2,
-    "SIMPLE_RADIAL": 1,
-    "RADIAL": 1,
-    "OPENCV": 2,
-    "FULL_OPENCV": 2,
-    "SIMPLE_DIVISION": 1,
-    "DIVISION": 2,
-}
-#: A distortion below this moves no pixel of a 10000-pixel picture by more than about a hundredth.
-NO_DISTORTION = 1e-6
-#: Its pictures hold all directions there are.
-ALL_AROUND = "EQUIRECTANGULAR"
 
 
 def require_pycolmap(wanted: str = "'physhdr prepare' finds the cameras") -> ModuleType:
@@ -73,21 +59,8 @@ def require_pycolmap(wanted: str = "'physhdr prepare' finds the cameras") -> Mod
 
 
 @dataclass(frozen=True)
-class RealCamera:
-    """A camera as COLMAP describes it: its model, the size of its photos and ``params``, pixels."""
-
-    model: str
-    width: int
-    height: int
-    params: tuple[float, ...]
-
-    @property
-    def is_pinhole(self) -> bool:
-        """Whether straight lines are straight in its photos."""
-        focal_lengths = PINHOLE_LIKE.get(self.model)
-        if focal_lengths is None:
-            return False
-        return all(abs(value) <= NO_DISTORTION for value in self.params[focal_lengths + 2 :])
+class RealCamera(SparseCamera):
+    """A camera as COLMAP describes it, with what pycolmap knows of it."""
 
     def resized(self, width: int, height: int) -> "RealCamera":
         """The same camera with photos of another size and the same shape. Needs pycolmap."""
@@ -270,14 +243,6 @@ def make_lens(camera: Any, scale: float) -> Lens:
     shown = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))  # the area within: the shoelace formula
     cut = max(0.0, 1.0 - shown / (camera.width * camera.height))
     return Lens(camera, width, height, fx, fy, cx, cy, over, cut)
-
-
-def panorama(whose: str) -> BadValueError:
-    """The error for ``whose`` pictures that show everything around, which no pinhole camera does."""
-    return BadValueError(
-        f"{whose} takes 360° panoramas ({ALL_AROUND}), which no pinhole camera does",
-        "Cut them into views of 90° first, six to a cube, and find the cameras of those.",
-    )
 
 
 def _not_credible(camera: Any) -> BadValueError:

@@ -18,6 +18,8 @@ from typing import Any
 
 import numpy as np
 
+from ...bridge.colmap import ALL_AROUND, panorama
+from ...bridge.colmap_files import NO_DISTORTION
 from ...bridge.data_set import plain_name, scene_name
 from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError
 from ...bridge.limits import FOCAL_LENGTH, LARGEST_SIDE, PRINCIPAL_POINT
@@ -26,7 +28,7 @@ from .camera import Camera
 from .checks import MAKE_AGAIN, exposure, number, path_inside, read_json, require, rigid_pose
 from .exposures import exposures_from_exif
 from .info import read_anchor, read_info
-from .lens import ALL_AROUND, NO_DISTORTION, RealCamera, panorama
+from .lens import RealCamera
 from .picture_files import picture_there, reduced_folder
 from .points import read_points
 from .poses import (

@@ -138,6 +138,22 @@ def test_a_folder_of_colmap(tmp_path, binary):
     np.testing.assert_allclose(camera_places(tmp_path), [by_name[name] for name in names], atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("camera", "is_told"),
+    [
+        ("PINHOLE 60 40 50 50 30 20", False),
+        ("OPENCV 60 40 50 50 30 20 0 0 0 0", False),
+        ("OPENCV 60 40 50 50 30 20 0.1 0 0 0", True),
+        ("SIMPLE_FISHEYE 60 40 50 30 20", True),  # it has no number of its own for what it bends
+    ],
+)
+def test_a_lens_that_bends_lines_is_told_of(tmp_path, camera, is_told):
+    sparse(tmp_path, ["view0.jpg"], binary=False)
+    (tmp_path / "sparse/0/cameras.txt").write_text(f"1 {camera}\n")
+    found = read_frames(tmp_path)
+    assert ["bends straight lines" in note for note in found.notes] == [True] * is_told
+
+
 def test_of_several_models_the_largest_counts_as_for_the_trainer(tmp_path):
     (tmp_path / "images").mkdir()
     for k in range(4):

@@ -13,7 +13,7 @@ from PIL import Image
 
 from physhdr.backend.inspect import inspect
 from physhdr.backend.scene import read_scene
-from physhdr.backend.scene.colmap_files import read_model
+from physhdr.backend.scene.colmap_model import read_model
 from physhdr.bridge.errors import (
     BadValueError,
     DataMismatchError,
