@@ -15,18 +15,16 @@ import bpy
 from mathutils import Vector
 
 from ..bridge.lights import AMBIENT
-from . import left_out, plan, rig, scripts, user_camera, user_light
+from . import left_out, plan, rig, scripts, simulations, user_camera, user_light
 from .blender import camera_of, cycles, evaluated
 from .errors import SceneError, SceneFileError
 from .fingerprint import fingerprint
-from .in_render import rendered
 from .options import CURRENT, Options
 from .progress import Report, quiet
 from .rays import Rays
 from .stage import CameraHints, Stage
 
 _OURS = ("objects", "cameras", "worlds", "lights", "node_groups")
-_SIMULATIONS = {"CLOTH", "SOFT_BODY", "FLUID", "DYNAMIC_PAINT", "PARTICLE_SYSTEM"}
 #: Share of a rig's cameras behind or within things from which on the user is told.
 CROWDED = 0.2
 
@@ -259,21 +257,8 @@ def _tell_what_is_missing(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, re
             "Python in this file was not run, for nobody allowed it (Trusted Source on opening it, -y, or "
             "Preferences > Save & Load > Auto Run Python Scripts): what its drivers steer may look otherwise"
         )
-    loose = [item.name for item in rendered(scene, layer) if _unbaked(item)]
-    if loose:
-        report.warn(f"simulations that are not baked may look otherwise: {', '.join(loose)}")
-
-
-def _unbaked(item: bpy.types.Object) -> bool:
-    modifier: Any  # each kind has settings of its own
-    for modifier in item.modifiers:
-        if modifier.type in _SIMULATIONS and modifier.show_render:
-            holder = modifier.particle_system if modifier.type == "PARTICLE_SYSTEM" else modifier
-            cache = getattr(holder, "point_cache", None)
-            hair = modifier.type == "PARTICLE_SYSTEM" and holder.settings.type == "HAIR"
-            if cache is not None and not cache.is_baked and not hair:
-                return True
-    return False
+    for told in simulations.warnings(scene, layer):
+        report.warn(told)
 
 
 def name_of_file() -> str:

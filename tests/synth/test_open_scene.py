@@ -696,6 +696,16 @@ def test_exposures_that_lose_the_picture_are_told(scene, tmp_path):
     assert "white even at the shortest exposure" in told and "shorter" in told
 
 
+def test_simulations_that_are_not_baked_are_told(scene):
+    bpy.context.view_layer.objects.active = bpy.data.objects["cube"]
+    bpy.ops.rigidbody.object_add()
+    scene.frame_set(5)
+    report = Report()
+    with open_scene.opened(SMALL, report):
+        pass
+    assert "simulations that are not baked may look otherwise: cube" in report.warnings
+
+
 def test_a_material_that_gives_no_number_is_named(scene, tmp_path):
     nodes = bpy.data.materials["grey"].node_tree
     glow, end = nodes.nodes.new("ShaderNodeEmission"), nodes.nodes["Material Output"]
