@@ -1,13 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a lossless PLY says of its ``phys_…`` columns: how they make radiance, which lights, which response.
+"""What a lossless PLY says of its ``phys_…`` columns: how they make radiance, which lights, exposures, response.
 
 It is said twice. As comment lines: ``phys_form COMPOSER MODULATOR``, ``phys_lights NAMES`` (a JSON list, only
-where there are others than the ambient light), ``phys_curve NAME SHAPE PART BASE64`` (the sampled response)
-and ``phys_network …`` of the same form (the networks, which need torch). And, because programs that rewrite a
-PLY keep its columns and drop its comments, as columns whose *names* say it:
+where there are others than the ambient light), ``phys_exposures SECONDS`` (a JSON list: those of the training
+pictures), ``phys_curve NAME SHAPE PART BASE64`` (the sampled response) and ``phys_network …`` of the same form
+(the networks, which need torch). And, because programs that rewrite a PLY keep its columns and drop its
+comments, as columns whose *names* say it:
 
-- ``phys_form__COMPOSER__MODULATOR`` and ``phys_lights__NAME__NAME…`` hold zeros. A name's letters and digits
-  stand for themselves, every other byte of its UTF-8 is ``_`` and two hexadecimal digits.
+- ``phys_form__COMPOSER__MODULATOR``, ``phys_lights__NAME__NAME…`` and ``phys_exposures__SECONDS__SECONDS…``
+  hold zeros. A word's letters and digits stand for themselves, every other byte of its UTF-8 is ``_`` and two
+  hexadecimal digits.
 - ``phys_curve__M__x``, ``__r``, ``__g``, ``__b``: every Gaussian carries one of the response's M samples, ln
   exposure and the three channels. Sorted by x they are it, whatever order the Gaussians are in; as long as
   each sample has one Gaussian left, none is lost.
@@ -24,7 +26,8 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 #: What the comment lines begin with, and with ``__`` the columns.
-FORM, LIGHTS, CURVE, NETWORK = "phys_form", "phys_lights", "phys_curve", "phys_network"
+FORM, LIGHTS, EXPOSURES = "phys_form", "phys_lights", "phys_exposures"
+CURVE, NETWORK = "phys_curve", "phys_network"
 #: Tensors of the response, as ``Model`` and the comment lines call them.
 CURVE_TENSORS = ("tone_curve_log_exposure", "tone_curve")
 #: Tensors are stored as base64 in comment lines of at most this many characters.
@@ -44,6 +47,9 @@ def form_columns(comments: Sequence[str], count: int) -> dict[str, np.ndarray]:
         columns[name_of(FORM, form)] = zeros
     if isinstance(lights, list) and all(isinstance(name, str) and name for name in lights):
         columns[name_of(LIGHTS, lights)] = zeros
+    exposures = exposures_of(comments, ())
+    if isinstance(exposures, list) and exposures:
+        columns[name_of(EXPOSURES, map(str, exposures))] = zeros
     curve = curve_of(comments, {})
     if curve and curve[CURVE_TENSORS[1]].shape == (len(curve[CURVE_TENSORS[0]]), 3):
         samples = np.column_stack([curve[name] for name in CURVE_TENSORS])
@@ -73,14 +79,23 @@ def lights_of(comments: Sequence[str], columns: Iterable[str]) -> object:
 
     ``None`` where nothing says it, the text itself where the line is no JSON.
     """
+    return _listed(LIGHTS, comments, columns)
+
+
+def exposures_of(comments: Sequence[str], columns: Iterable[str]) -> object:
+    """What stands for the exposures, in seconds, as ``lights_of``: numbers, or their digits as text."""
+    return _listed(EXPOSURES, comments, columns)
+
+
+def _listed(kind: str, comments: Sequence[str], columns: Iterable[str]) -> object:
     for line in comments:
-        if line.startswith(LIGHTS + " "):
-            text = line.removeprefix(LIGHTS + " ")
+        if line.startswith(kind + " "):
+            text = line.removeprefix(kind + " ")
             try:
                 return json.loads(text)
             except (ValueError, RecursionError):
                 return text
-    return words_of(LIGHTS, columns)
+    return words_of(kind, columns)
 
 
 def curve_of(comments: Sequence[str], columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -20,7 +20,7 @@ from .errors import BadValueError, DataMismatchError, FileDamagedError
 from .gaussian_ply import GaussianPly, gaussians_in, is_compressed, open_gaussians
 from .lights import AMBIENT, check_lights
 from .limits import LOG_RADIANCE_MAX
-from .lossless_form import LIGHTS, curve_of, form_of, lights_of, says_curve
+from .lossless_form import EXPOSURES, LIGHTS, curve_of, exposures_of, form_of, lights_of, says_curve
 from .model_file import ADDITIVE_LIGHTS, Model, largest_log_radiance
 from .spherical_harmonics import C0, rotated
 from .splat_files.cloud import SplatCloud
@@ -186,7 +186,8 @@ def _lossless_model(path: Path, ply: GaussianPly) -> PlyModel:
     arrays = {**shape, "log_radiance_sh": sh, "light_share": share}
     if CONFIDENCE in used:
         arrays["confidence"] = used[CONFIDENCE]
-    others = {"lights": lights, **curve, "metadata": _provenance(ply.comments)}
+    exposures = _exposures(path, exposures_of(ply.comments, columns))
+    others = {"lights": lights, **curve, "exposures": exposures, "metadata": _provenance(ply.comments)}
     return _model(path, arrays, others, _Facts(None, left_out, tuple(notes), "z"))
 
 
@@ -251,6 +252,20 @@ def _lights(
             "Export it again (physhdr export).",
         ) from error
     return lights, light_shares(np.stack(logits, axis=1).reshape(-1, len(lights), 3))
+
+
+def _exposures(path: Path, listed: object) -> tuple[float, ...]:
+    """The exposures of the training pictures in seconds, still to be checked; none where none are stated."""
+    if listed is None:
+        return ()
+    try:
+        if isinstance(listed, list):
+            return tuple(map(float, listed))
+    except (TypeError, ValueError, OverflowError):
+        pass  # null, a word, a whole number of four hundred digits
+    raise BadValueError(
+        f"{path}: its {EXPOSURES} line is not a list of numbers", "Export it again (physhdr export)."
+    )
 
 
 def light_shares(logits: np.ndarray) -> np.ndarray:

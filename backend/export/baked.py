@@ -13,7 +13,7 @@ import numpy as np
 
 from ...bridge.gaussian_ply import EXTRA_PREFIX
 from ...bridge.lights import AMBIENT
-from ...bridge.lossless_form import CURVE, FORM, LIGHTS, NETWORK, tensor_comments
+from ...bridge.lossless_form import CURVE, EXPOSURES, FORM, LIGHTS, NETWORK, tensor_comments
 from ...bridge.model_file import ADDITIVE_LIGHTS, Model
 from ...bridge.ply_model import AMBIENT_LOGITS, CONFIDENCE, LIGHT_LOGITS
 from ..methods.base import SplattingMethod
@@ -42,9 +42,9 @@ def confidence_column(model: Model) -> dict[str, np.ndarray]:
 
 
 def network_comments(method: SplattingMethod, model: Model) -> list[str]:
-    """The networks, the sampled response and what the radiance is made of, as comment lines.
+    """The networks, the sampled response, the exposures and what the radiance is made of, as comment lines.
 
-    ``write_lossless_ply`` says the latter two in the names of columns, too.
+    ``write_lossless_ply`` says all but the networks in the names of columns, too.
     """
     by_network = method.can_relight and not method.has_light_share
     form = "product" if method.composes_by_product else "learned", "learned" if by_network else "additive"
@@ -52,11 +52,13 @@ def network_comments(method: SplattingMethod, model: Model) -> list[str]:
     if method.lights != (AMBIENT,):
         lights = [f"{LIGHTS} {json.dumps(list(method.lights))}"]
         form = form[0], form[1] if form[1] != "additive" else ADDITIVE_LIGHTS
+    exposures = [f"{EXPOSURES} {json.dumps(model.exposures)}"] if model.exposures else []
     networks = {name: tensor.detach().numpy() for name, tensor in method.state_dict().items()}
     curve = {name: array for name, array in model.tensors().items() if name.startswith("tone_curve")}
     return [
         f"{FORM} {form[0]} {form[1]}",
         *lights,
+        *exposures,
         *tensor_comments(CURVE, curve),
         *tensor_comments(NETWORK, networks),
     ]

@@ -5,11 +5,19 @@ import numpy as np
 import torch
 
 from physhdr.backend.model.gaussians import Gaussians
-from physhdr.bridge.lossless_form import CURVE, FORM, LIGHTS, NETWORK, SEPARATOR, tensors_from_comments
+from physhdr.bridge.lossless_form import (
+    CURVE,
+    EXPOSURES,
+    FORM,
+    LIGHTS,
+    NETWORK,
+    SEPARATOR,
+    tensors_from_comments,
+)
 from physhdr.bridge.ply_model import AMBIENT_LOGITS, CONFIDENCE, LIGHT_LOGITS
 
 #: What the names of the columns that say something begin with; all other ``phys_`` columns are parameters.
-SAYING = tuple(f"{each}{SEPARATOR}" for each in (FORM, LIGHTS, CURVE))
+SAYING = tuple(f"{each}{SEPARATOR}" for each in (FORM, LIGHTS, EXPOSURES, CURVE))
 
 
 def parameters_from_columns(columns: dict[str, np.ndarray]) -> Gaussians:

@@ -196,6 +196,26 @@ def test_a_lossless_ply_of_several_lights(tmp_path: Path):
             read_ply_model(tmp_path / "b.ply")
 
 
+def test_a_lossless_ply_is_developed_at_the_exposure_of_its_model(tmp_path: Path):
+    """The middle one of 1/8, 1/3 and 2 s; files of before exposures were written have none."""
+    form, line = "phys_form product additive", f"phys_exposures {json.dumps((2.0, 1.0 / 3.0, 0.125))}"
+    lossless(tmp_path / "a.ply", [form, line])
+    for _ in range(2):
+        found = read_ply_model(tmp_path / "a.ply").model
+        assert found.exposures == (2.0, 1.0 / 3.0, 0.125)
+        assert found.developed_ev == pytest.approx(-1.58496, abs=1e-5)
+        without_comments(tmp_path / "a.ply")
+    lossless(tmp_path / "b.ply", [form])
+    assert read_ply_model(tmp_path / "b.ply").model.exposures == ()
+    for wrong in ("7", "[1.0, null]", '["half"]', "[", "[[1.0]]"):
+        lossless(tmp_path / "c.ply", [form, f"phys_exposures {wrong}"])
+        with pytest.raises(BadValueError, match=r"c\.ply: its phys_exposures line"):
+            read_ply_model(tmp_path / "c.ply")
+    lossless(tmp_path / "d.ply", [form, "phys_exposures [-1.0]"])
+    with pytest.raises(BadValueError, match=r"d\.ply: an exposure"):
+        read_ply_model(tmp_path / "d.ply")
+
+
 def test_shares_of_huge_logits_are_whole():
     """exp overflows float32 at 88.7: what must come out are 0, 1 and equal parts."""
     logits = np.array([[200.0, -200.0], [0.0, 0.0], [500.0, 500.0]], np.float32)[:, :, None].repeat(3, axis=2)

@@ -44,7 +44,7 @@ def write(path: Path, config: PhysHDRConfig, lights: tuple[str, ...] = ("ambient
     method = PhysHDR(config, gaussians, Facts((1.0, 0.73), lights=lights))
     for parameter in method.parameters():
         parameter.data += 0.05 * torch.randn_like(parameter)
-    model = to_model(method, np.zeros(3), (1.0,), {"scene": "test"})
+    model = to_model(method, np.zeros(3), (1.0, 1.0 / 3.0, 16.0), {"scene": "test"})
     columns = standard_columns(
         model.position, model.rotation, model.scale, model.opacity, display_colour_sh(model)
     )
@@ -71,6 +71,7 @@ def test_without_networks_in_the_radiance_it_is_the_model_file(
     method, expected = write(tmp_path / "a.ply", config, lights)
     found = read_ply_model(tmp_path / "a.ply")
     assert found.model.lights == expected.lights == lights
+    assert found.model.exposures == expected.exposures and found.model.developed_ev == 0.0
     ply = read_ply(tmp_path / "a.ply")
     for name, tensor in lossless.parameters_from_columns(ply.columns).parameters.items():
         assert torch.equal(tensor, method.gaussians.parameters[name]), name
@@ -109,7 +110,7 @@ def test_splat_transform_keeps_the_model(tmp_path: Path, splat_transform: Callab
     splat_transform(tmp_path / "a.ply", tmp_path / "b.ply")
     assert b"phys_form product" not in (tmp_path / "b.ply").read_bytes()
     found = read_ply_model(tmp_path / "b.ply").model
-    assert found.lights == lights
+    assert found.lights == lights and found.exposures == expected.exposures
     order = np.linalg.norm(found.position[:, None] - expected.position, axis=2).argmin(axis=0)
     directions = np.tile(np.float32([0.0, 0.6, 0.8]), (expected.count, 1))
     for levels in ((0.25, 4.0), (4.0, 0.25)):
