@@ -132,7 +132,9 @@ class Convert:
         source = replace(source, up=self.from_up or source.up)
         up, clipped = self.up or target.up, ()
         if target.holds == "model":
+            source, without = self._with_confidence(source)
             model, too_bright, told = _as_model(self.source, source)
+            told += without
             source = replace(source, left_out=source.left_out + too_bright)
             write_model(self.out, model)
             count = model.count
@@ -154,6 +156,17 @@ class Convert:
         axes = f", from {UP_WORDS[source.up]} to {UP_WORDS[up]}" if up != source.up else ""
         say(f"wrote {self.out}: {count} Gaussians, {told}{axes}{lost}")
         return {"out": str(self.out), "gaussians": count, "up": up, "told": told, "notes": notes}
+
+    def _with_confidence(self, source: Source) -> tuple[Source, str]:
+        """A run's model as ``physhdr export`` writes it, and what is said of it where nothing tells how likely
+        its radiance is right; anything else as it is."""
+        if source.run is None:
+            return source, ""
+        from .export import NO_CONFIDENCE
+
+        with progress("confidence", "view", self.json) as show:
+            model = source.run.model(show)
+        return replace(source, model=model), "" if model.confidence is not None else f", {NO_CONFIDENCE}"
 
     def _refuse_what_does_not_fit(self, target: Target) -> None:
         """Raises ``BadValueError`` before anything is read."""

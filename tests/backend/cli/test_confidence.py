@@ -37,13 +37,19 @@ def test_the_exported_model_has_it(run, capsys):
     assert 0.0 <= confidence.min() < confidence.max() <= 1.0
 
 
-def test_without_the_training_pictures_there_is_none(run, tiny_data, tmp_path, capsys):
+def without_its_pictures(run, tiny_data, tmp_path):
+    """A copy of the run whose data set is not where it was."""
     moved = tmp_path / "run"
     shutil.copytree(run, moved)
     written = json.loads((moved / "config.json").read_text())
     assert str(tiny_data) in json.dumps(written)
     text = json.dumps(written).replace(str(tiny_data), str(tmp_path / "gone"))
     (moved / "config.json").write_text(text)
+    return moved
+
+
+def test_without_the_training_pictures_there_is_none(run, tiny_data, tmp_path, capsys):
+    moved = without_its_pictures(run, tiny_data, tmp_path)
     assert main(["export", str(moved)]) == 0
     assert "without confidence" in " ".join(capsys.readouterr().out.split())
     assert read_model(moved / "model.safetensors").confidence is None
@@ -52,6 +58,23 @@ def test_without_the_training_pictures_there_is_none(run, tiny_data, tmp_path, c
     # Named where they are, they tell it.
     out = tmp_path / "c.png"
     assert main(["render", str(moved), "--out", str(out), "--confidence", "--data", str(tiny_data)]) == 0
+
+
+def test_a_run_is_converted_with_it(run, tiny_data, tmp_path, capsys):
+    """As it is exported; where the pictures have gone, its absence is told."""
+    assert main(["export", str(run), "--out", str(tmp_path), "--quick"]) == 0
+    exported = read_model(tmp_path / "model.safetensors").confidence
+    out = tmp_path / "converted.safetensors"
+    capsys.readouterr()
+    assert main(["convert", str(run), str(out)]) == 0
+    assert "without confidence" not in capsys.readouterr().out
+    converted = read_model(out).confidence
+    assert converted is not None
+    np.testing.assert_array_equal(converted, exported)
+    moved = without_its_pictures(run, tiny_data, tmp_path)
+    assert main(["convert", str(moved), str(out)]) == 0
+    assert "the model, without confidence" in " ".join(capsys.readouterr().out.split())
+    assert read_model(out).confidence is None
 
 
 def test_it_is_drawn_in_numbers_and_in_colours(run, tmp_path):
