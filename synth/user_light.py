@@ -31,6 +31,8 @@ from .light_choice import (
 )
 
 OURS = "physhdr"
+#: Bytes of a light group's name: more do not fit behind ``Combined_`` in the name of its pass.
+LONGEST = 54
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ def grouped(
     taken, notes = shares(scene, layer, chosen)
     with ExitStack() as undo:
         undo.callback(setattr, layer, "active_lightgroup_index", layer.active_lightgroup_index)
-        ambient = _added(layer, AMBIENT, undo)
+        ambient = _added(layer, undo)
         shining = False
         holder, attribute = (layer, "world_override") if layer.world_override else (scene, "world")
         world = getattr(holder, attribute)
@@ -76,21 +78,30 @@ def grouped(
             shining = True
         groups = {AMBIENT: ambient}
         for name, items in taken.items():
-            groups[name] = _added(layer, name, undo)
-            for item in items:
-                if not _put(item, groups[name], undo):
-                    notes.append(_linked(f"'{item.name}' of the light {name}"))
+            groups[name] = _added(layer, undo)
+            notes += _moved(items, name, groups[name], undo)
         for theirs_name in () if chosen else _lit_groups(scene, layer, theirs):
-            groups[layer_name(theirs_name, groups)] = theirs_name
+            name = layer_name(theirs_name, groups)
+            groups[name] = theirs_name
+            if len(theirs_name.encode()) > LONGEST:
+                groups[name] = _added(layer, undo)
+                items = [item for item in photographed(scene, layer) if item.lightgroup == theirs_name]
+                notes += _moved(items, name, groups[name], undo)
         groups[layer_name(LAMPS, groups)] = ""
         yield Grouped(groups, shining, notes)
 
 
-def _added(layer: bpy.types.ViewLayer, name: str, undo: ExitStack) -> str:
-    """The name of a new light group, which goes again when ``undo`` closes."""
-    made = layer.lightgroups.add(name=f"{OURS} {name}").name
+def _added(layer: bpy.types.ViewLayer, undo: ExitStack) -> str:
+    """The name of a new light group, which goes again when ``undo`` closes: short, whatever lights are called."""
+    made = layer.lightgroups.add(name=f"{OURS} {len(layer.lightgroups)}").name
     undo.callback(lambda: layer.lightgroups.remove(layer.lightgroups[made]))
     return made
+
+
+def _moved(items: list[bpy.types.Object], light: str, group: str, undo: ExitStack) -> list[str]:
+    """Put objects into the group of their light; notes of those that cannot be."""
+    left = [item for item in items if not _put(item, group, undo)]
+    return [_linked(f"'{item.name}' of the light {light}") for item in left]
 
 
 def _put(item: bpy.types.Object, group: str, undo: ExitStack) -> bool:

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from mathutils import Matrix
 
+from physhdr.bridge import data_set
 from physhdr.bridge.blend_file import MODEL_IDENTITY
 from physhdr.synth import dataset, light_choice, open_scene, passes, renderer, rig, user_camera, user_light
 from physhdr.synth.errors import ConflictError, OptionError, RenderError, SceneError
@@ -471,6 +472,17 @@ def test_the_users_light_groups_are_further_lights(scene, tmp_path):
     assert np.mean(np.abs(whole - rest - parts["key_light_001"])) < 0.05 * whole.mean()
 
 
+def test_a_light_group_called_level_leaves_the_ambient_lights_folders_alone(scene, tmp_path):
+    bpy.data.objects["lamp"].lightgroup = scene.view_layers[0].lightgroups.add(name="Level").name
+    options = replace(SMALL, views=2, lit_views=4, lit_lights=("ambient", "level_2"))
+    dataset.make(tmp_path, options)
+    told = readers.read_json(tmp_path / "dataset.json")
+    assert told["lights"] == ["ambient", "level_2", "lamps"]
+    relit = {entry["folder"]: entry["levels"] for entry in told["relit"]}
+    assert relit["relit/level_4"] == {"ambient": 4.0} and relit["relit/level_2_4"] == {"level_2": 4.0}
+    assert all(data_set.mixture_levels(folder) == levels for folder, levels in relit.items())
+
+
 def complicated(scene):
     """Whatever might be left behind: a second layer, markers, animation, another kind of output."""
     linked_strength(scene)
@@ -922,6 +934,27 @@ def test_collections_are_lights_of_their_own(scene, tmp_path):
     )
 
 
+@pytest.mark.parametrize("name", ["L" * 63, "客厅天花板筒灯暖光带开关组一层北侧"])
+@pytest.mark.parametrize("kind", ["group", "collection", ""])
+def test_lights_may_have_the_longest_names(scene, tmp_path, kind, name):
+    """Blender cuts names of passes off; what was chosen, and groups that nobody chose, have theirs whole."""
+    street = bpy.data.collections.new(name)
+    scene.collection.children.link(street)
+    key = light("key", "POINT", 40.0, (-2, -2, 2))
+    scene.collection.objects.unlink(key)
+    street.objects.link(key)
+    if kind != "collection":
+        bpy.data.objects["key"].lightgroup = scene.view_layers[0].lightgroups.add(name=name).name
+    before = state_of_light(scene)
+    chosen = (LightChoice(name.lower(), kind, name),) if kind else ()
+    options = replace(SMALL, views=2, lit_views=0, relit_views=0, light_choices=chosen)
+    names = ["ambient", name.lower(), "lamps"]
+    lit = lights_of(tmp_path / "d", options, name="test_000", lights=names)
+    assert min(each.mean() for each in lit) > 0.01
+    assert readers.read_json(tmp_path / "d/dataset.json")["lights"] == names
+    assert state_of_light(scene) == before
+
+
 def test_what_can_be_chosen(scene):
     glowing_street(scene)
     layer = scene.view_layers[0]
@@ -1055,6 +1088,7 @@ def test_a_chosen_sun_is_ambient_no_more(scene):
         ("Key Light=collection:Sign", "'Key Light' cannot be a light's name"),
         ("lamps=collection:Sign", "'lamps' cannot be a light's name"),
         ("depth=collection:Sign", "'depth' cannot be a light's name"),
+        ("level=collection:Sign", "'level' cannot be a light's name"),
         ("Sign", "write NAME=group:"),
     ],
 )
