@@ -46,8 +46,9 @@ HELD_OUT = (TEST, VALIDATION)
 #: The true radiance under other light, and the renders from which all else was derived: evaluation only.
 RELIT_FOLDER = "relit"
 PASSES_FOLDER = "passes"
-#: In the name of a mixture of the ambient light alone, which is the only one of older data sets.
-_LEVEL = "level"
+#: In the name of a mixture of the ambient light alone, which is the only one of older data sets: so no light
+#: may be called this.
+LEVEL = "level"
 #: The files of a folder of true radiance.
 TRUTH_FILES = "hdr_*.exr"
 
@@ -162,7 +163,7 @@ def mixture_folder(levels: Mapping[str, float]) -> str:
     ``levels``: of the lights that are not at 1.
     """
     if list(levels) == [AMBIENT]:
-        return f"{RELIT_FOLDER}/{_LEVEL}_{levels[AMBIENT]:g}"
+        return f"{RELIT_FOLDER}/{LEVEL}_{levels[AMBIENT]:g}"
     return f"{RELIT_FOLDER}/" + "+".join(f"{name}_{level:g}" for name, level in levels.items())
 
 
@@ -172,7 +173,7 @@ def mixture_levels(folder: str) -> dict[str, float]:
     for part in re.split(r"(?<!\de)\+", folder.removeprefix(f"{RELIT_FOLDER}/")):  # not at 1e+06's sign
         light, _, level = part.rpartition("_")
         try:
-            levels[AMBIENT if light == _LEVEL else light] = float(level)
+            levels[AMBIENT if light == LEVEL else light] = float(level)
         except ValueError:
             return {}
     return levels

@@ -14,14 +14,15 @@ from typing import Any
 
 import numpy as np
 
+from ..bridge import data_set
 from . import exr, folder
 from .errors import DamagedFileError
 
 #: The text of the file's header that holds ``Passes.facts``.
 FACTS = "physhdr"
 PLANES = ("depth", "index", "samples")
-#: Names of layers that no light may have.
-RESERVED = {*PLANES, "normal"}
+#: Names that no light may have: those of other layers, and that of the ambient light's levels in folders.
+RESERVED = {*PLANES, "normal", data_set.LEVEL}
 AXES = "XYZ"
 #: Where no surface is seen Cycles gives this depth.
 SKY = 1e10
