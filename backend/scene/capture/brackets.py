@@ -288,17 +288,23 @@ def _lengths(evs: list[float], relative: bool = True) -> list[int]:
 
 
 def _repeats(evs: list[float], length: int, relative: bool) -> bool:
-    """Whether all groups of ``length`` are alike; of NaN, a damaged photo, nothing is known."""
+    """Whether all groups of ``length`` are alike; of NaN, a damaged photo, nothing is known.
+
+    Not where half of the groups or more would have one: what little is known of them fits too much.
+    """
     groups = [evs[k : k + length] for k in range(0, len(evs), length)]
-    if relative:
-        groups = [[ev - group[0] for ev in group] for group in groups]
-    first = next((group for group in groups if not any(map(math.isnan, group))), None)
-    if first is None:
+    whole = [group for group in groups if not any(map(math.isnan, group))]
+    if not whole or (length > 1 and 2 * len(whole) <= len(groups)):
         return False
+    first = whole[0]
+
+    def is_alike(group: list[float]) -> bool:
+        changes = [ev - of_first for ev, of_first in zip(group, first, strict=True) if not math.isnan(ev)]
+        base = changes[0] if relative and changes else 0.0
+        return all(abs(change - base) < SAME_EV for change in changes)
+
     differ = all(abs(a - b) > SAME_EV for k, a in enumerate(first) for b in first[:k])
-    return differ and not any(
-        abs(ev - of_first) >= SAME_EV for group in groups for ev, of_first in zip(group, first, strict=True)
-    )
+    return differ and all(map(is_alike, groups))
 
 
 def _confusion(photos: Sequence[Photo], seconds: Mapping[str, float], evs: list[float]) -> str:

@@ -19,7 +19,7 @@ from ....bridge.regular import damaged_where_it_fails
 from ....bridge.srgb import to_srgb
 from ..exif import LYING, Exif, Tags, exposure_of, orientation_of, positive, tags_of, tags_of_file
 from ..icc import Profile, profile_of, profile_of_bytes
-from ..pictures import is_deep, picture_size, read_codes
+from ..pictures import holds_radiance, is_deep, picture_size, read_codes
 from ..source import is_white, turned
 from . import heif, raw
 from .noise import Noise
@@ -227,6 +227,10 @@ def _shown(linear: np.ndarray) -> np.ndarray:
     return np.rint(to_srgb(linear) * 255.0).astype(np.uint8)
 
 
+class UnreadKindError(FileDamagedError):
+    """A file is sound, but of a kind that no camera's photo is of: no bracket lacks it."""
+
+
 @dataclass(frozen=True)
 class Skipped:
     """A file in the folder that is not used, and why."""
@@ -239,7 +243,8 @@ class Skipped:
 class Found:
     """The photos of a folder in the order of names; what is ``skipped``; ``notes`` for people to read.
 
-    ``damaged``: those of the skipped that should have been photos, of which nothing but the name is known.
+    ``damaged``: those of the skipped that should have been photos, of which nothing but the name is known;
+    not files of another kind, which have no place in the order of photos.
     """
 
     photos: list[Photo]
@@ -278,13 +283,14 @@ def find_photos(folder: Path, done: Callable[[int, int], None] = lambda photos, 
     photos: list[Photo] = []
     skipped: list[Skipped] = []
     errors: list[FileDamagedError] = []
-    damaged: list[Photo] = []
+    damaged: list[Path] = []
     for number, path in enumerate(paths):
         try:
             photos.append(_read_header(path))
         except FileDamagedError as error:
             errors.append(error)
-            damaged.append(Photo(path, 0, 0))
+            if not isinstance(error, UnreadKindError):
+                damaged.append(path)
             skipped.append(Skipped(path.name, _why(error, path)))
         done(number + 1, len(paths))
     if not photos:
@@ -302,7 +308,8 @@ def find_photos(folder: Path, done: Callable[[int, int], None] = lambda photos, 
         f"{count} of {len(photos)} photos have the colour profile '{name}': converted to sRGB's primaries"
         for name, count in named.most_common()
     ]
-    return Found(photos, skipped, notes, damaged)
+    used = [path for path in damaged if (_family(path) == "raw") == photos[0].is_raw]
+    return Found(photos, skipped, notes, [Photo(path, 0, 0) for path in used])
 
 
 def _one_of_each(paths: list[Path], notes: list[str]) -> list[Path]:
@@ -450,11 +457,16 @@ def _read_header(path: Path) -> Photo:
     if kind is None and _is_deep(path):
         with _remedy_of_photos():
             return _read_deep_header(path)
+    if kind is None and _holds_radiance(path):
+        raise UnreadKindError(
+            f"{path} holds radiance (floats), as a picture that was merged from a bracket does",
+            "Give the photos that it was merged from: this picture is not needed.",
+        )
     profile = heif.avif_profile(path) if kind == "AVIF" else profile_of(path)
     unreadable = damaged_where_it_fails(f"{path} is not a readable photo", COPY_AGAIN)
     with unreadable, _not_too_large(path), Image.open(path, formats=PILLOW) as picture:
         if picture.mode not in EIGHT_BIT_MODES:
-            raise FileDamagedError(
+            raise UnreadKindError(
                 f"{path} is not an RGB picture of 8 or 16 bits (Pillow's mode {picture.mode})",
                 "Save it again as JPEG, PNG or TIFF with 8 or 16 bits a channel, RGB.",
             )
@@ -488,6 +500,13 @@ def _is_deep(path: Path) -> bool:
     try:
         return is_deep(path)
     except FileDamagedError:  # it is said of the photo, in a photo's words
+        return False
+
+
+def _holds_radiance(path: Path) -> bool:
+    try:
+        return holds_radiance(path)
+    except FileDamagedError:  # as above
         return False
 
 

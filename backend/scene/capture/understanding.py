@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ....bridge.errors import DataMismatchError
+from ....bridge.errors import BadValueError, DataMismatchError
 from .brackets import SAME_EV, Brackets, Grouping, find_brackets, time_in_words
 from .choice import thinned
 from .exposures import Exposures, exposures_from_exif, exposures_from_file, same_exposures, some_names
@@ -167,7 +167,11 @@ def understand(
         known = exposures_from_file(exposures, photos)
     else:
         known = same_exposures(photos) if same_exposure else exposures_from_exif(photos)
-    every = find_brackets([*photos, *found.damaged], known.seconds, group, bracket)
+    try:
+        every = find_brackets([*photos, *found.damaged], known.seconds, group, bracket)
+    except (BadValueError, DataMismatchError) as error:
+        told = "; ".join((error.message, *_left_out(found.skipped)))
+        raise type(error)(told, error.hint) from error
     brackets, steps = thinned(every)
     handheld = handheld and every.length > 1
     kind = "handheld" if handheld else "brackets" if every.length > 1 else "single"
@@ -254,9 +258,12 @@ def _warnings(brackets: Brackets, found: Found, same_exposure: bool) -> list[str
             at += f", zoomed digitally {zoom:g} times" if zoom != 1.0 else ""
             names = some_names([photo.name for photo in brackets.photos if photo.lens == lens])
             warnings.append(f"few photos are {width}×{height}{at}, which tells little of their lens: {names}")
-    if found.skipped:
-        by_reason: dict[str, list[str]] = {}
-        for each in found.skipped:
-            by_reason.setdefault(each.why, []).append(each.name)
-        warnings += [f"left out: {some_names(names)} {why}" for why, names in by_reason.items()]
-    return warnings
+    return warnings + _left_out(found.skipped)
+
+
+def _left_out(skipped: list[Skipped]) -> list[str]:
+    """A sentence for each reason for which files are left out."""
+    by_reason: dict[str, list[str]] = {}
+    for each in skipped:
+        by_reason.setdefault(each.why, []).append(each.name)
+    return [f"left out: {some_names(names)} {why}" for why, names in by_reason.items()]

@@ -14,6 +14,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
+import OpenImageIO
 import psutil
 import pycolmap
 import pytest
@@ -518,6 +519,31 @@ def test_a_look_names_the_few_photos_of_a_digital_zoom(room, tmp_path, capsys):
     few = [line for line in look(capsys, folder)["warnings"] if "little of their lens" in line]
     words = "few photos are 16×12 at 6.8 mm (48 mm on 35 mm film), zoomed digitally 2 times"
     assert len(few) == 1 and few[0].startswith(words) and few[0].endswith("4.jpg, 5.jpg")
+
+
+def merged(path):
+    """A TIFF of floats, as programs write what they merge from a bracket."""
+    spec = OpenImageIO.ImageSpec(16, 12, 3, "float")
+    writer = OpenImageIO.ImageOutput.create(str(path))
+    assert writer.open(str(path), spec) and writer.write_image(np.ones((12, 16, 3), np.float32))
+    writer.close()
+
+
+def test_what_is_not_of_the_photos_costs_no_bracket(room, tmp_path, capsys):
+    """A merged picture beside each bracket, a picture for printers, another program's .raw."""
+    photos = tiny(room, tmp_path / "photos", 12, (0, -4, 4))
+    for k in range(0, 12, 3):
+        merged(photos / f"IMG_{k}_HDR.tif")
+    Image.new("CMYK", (16, 12)).save(photos / "poster.jpg")
+    (photos / "notes.raw").write_bytes(b"mine")
+    found = look(capsys, photos)
+    assert (found["places"], found["per_place"]) == (4, 3)
+    why = {each["name"]: each["why"] for each in found["skipped"]}
+    assert "holds radiance" in why["IMG_0_HDR.tif"] and "CMYK" in why["poster.jpg"] and len(why) == 6
+    assert all(any(name in warning for warning in found["warnings"]) for name in ("IMG_9_HDR", "notes.raw"))
+    (photos / "IMG_7.jpg").unlink()
+    said = refused(photos, "--look")  # and says what may be behind it
+    assert "not plain which of the 11" in said and "left out: poster.jpg is not an RGB picture" in said
 
 
 def test_where_each_place_has_a_damaged_photo_they_are_named(room, tmp_path):

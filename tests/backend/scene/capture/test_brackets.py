@@ -137,6 +137,31 @@ def test_a_damaged_photo_keeps_its_place_and_costs_its_bracket():
     assert poses(find_brackets(photos, seconds)) == [["a_0", "a_1"], ["c_0", "c_1"]]
 
 
+def damaged(photos, seconds, *numbers):
+    """These photos have no exposure."""
+    return photos, {photo.name: seconds[photo.name] for k, photo in enumerate(photos) if k not in numbers}
+
+
+def test_damaged_photos_fit_no_shorter_bracket():
+    """One before each bracket of three: nothing says that each two photos are a bracket."""
+    photos, seconds = damaged(*shots([9, -4, 0, 4] * 4), 0, 4, 8, 12)
+    assert "not plain which of the 16" in refused(photos, seconds)
+    photos, seconds = damaged(*shots([9, -4, 0, 4] * 4), 4)
+    assert [len(pose) for pose in poses(find_brackets(photos, seconds))] == [4, 4, 4]
+
+
+def test_a_bracket_whose_first_photo_is_damaged_is_compared_by_the_others():
+    """Under automatic exposure each is compared with its own first photo."""
+    evs = [base + ev for base in (0, 0.7, -1.0, 0.3, 1.3) for ev in (0, -2, 2)]
+    found = find_brackets(*damaged(*shots(evs), 3))
+    assert [pose[1] for pose in poses(found)] == ["IMG_0000", "IMG_0006", "IMG_0009", "IMG_0012"]
+    evs[4] -= 1.0  # not of this bracket
+    photos, seconds = damaged(*shots(evs), 3)
+    assert "not plain which of the 15" in refused(
+        [replace(photo, auto_bracket=True) for photo in photos], seconds
+    )
+
+
 def test_where_each_bracket_has_a_damaged_photo_they_are_named():
     photos, seconds = shots([0, 2] * 3, [f"{pose}_{k}.png" for pose in "abc" for k in range(2)])
     for name in ("a_1.png", "b_0.png", "c_1.png"):
