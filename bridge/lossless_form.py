@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a lossless PLY says of its ``phys_…`` columns: how they make radiance, which lights, exposures, response.
+"""What a lossless PLY says of its ``phys_…`` columns: how they make radiance, lights, exposures, response.
 
 It is said twice. As comment lines: ``phys_form COMPOSER MODULATOR``, ``phys_lights NAMES`` (a JSON list, only
 where there are others than the ambient light), ``phys_exposures SECONDS`` (a JSON list: those of the training
-pictures), ``phys_curve NAME SHAPE PART BASE64`` (the sampled response) and ``phys_network …`` of the same form
-(the networks, which need torch). And, because programs that rewrite a PLY keep its columns and drop its
+pictures), ``phys_curve NAME SHAPE PART BASE64`` (the sampled response) and ``phys_network …`` of the same
+form (the networks, which need torch). And, because programs that rewrite a PLY keep its columns and drop its
 comments, as columns whose *names* say it:
 
 - ``phys_form__COMPOSER__MODULATOR``, ``phys_lights__NAME__NAME…`` and ``phys_exposures__SECONDS__SECONDS…``

@@ -158,8 +158,8 @@ class Convert:
         return {"out": str(self.out), "gaussians": count, "up": up, "told": told, "notes": notes}
 
     def _with_confidence(self, source: Source) -> tuple[Source, str]:
-        """A run's model as ``physhdr export`` writes it, and what is said of it where nothing tells how likely
-        its radiance is right; anything else as it is."""
+        """A run's model as ``physhdr export`` writes it, and what is said of it where nothing tells its
+        confidence; anything else as it is."""
         if source.run is None:
             return source, ""
         from .export import NO_CONFIDENCE

@@ -23,7 +23,7 @@ from ..rasterize import Implementation
 from ..runs.files import writable_folder
 from ..runs.run import Run, open_run
 from ..runs.terminal import console
-from ..scene import Camera, Scene
+from ..scene import Camera, Scene, nerfstudio
 from .confidence import on_gaussians_and_sure, write_confidence, write_confidence_around
 from .given import given_of
 from .layers import Sure
@@ -192,7 +192,9 @@ class Render:
         model = model_digest(self.folder)
         run = self._opened()
         require_model(self.folder, model)
-        shots = read_camera_file(file, camera_named(run.scene, None), self.camera_prim, self.camera_space)
+        like = camera_named(run.scene, None)
+        poses = run.scene.root / nerfstudio.LOOKS_FOR if run.scene.layout == nerfstudio.NAME else None
+        shots = read_camera_file(file, like, self.camera_prim, self.camera_space, poses=poses)
         frames = self._frames(run, shots)
         if len(frames) == 1 and "#" not in self.out.name:
             draw(run, frames[0], self._sure(run))

@@ -31,6 +31,7 @@ KINDS = (
 )
 #: What to do about a file that is not as it must be.
 SPACE = "nerfstudio writes dataparser_transforms.json beside config.yml of a training: take that file."
+POSES = "It says what ns-process-data did to the cameras: name the run's data set with --data."
 APERTURE = "Mend that camera's sensor (its film's size), and export it again."
 #: nerfstudio's camera paths without a word about it play so fast.
 NERFSTUDIO_FPS = 24.0
@@ -39,13 +40,19 @@ SHEAR = 1e-4
 
 
 def read_camera_file(
-    path: Path, like: Camera, prim: str | None = None, space: Path | None = None, fewest: int = 1
+    path: Path,
+    like: Camera,
+    prim: str | None = None,
+    space: Path | None = None,
+    fewest: int = 1,
+    poses: Path | None = None,
 ) -> Shots:
     """The frames of a file of any of the kinds. ``like``: its width is that of files that tell none.
 
     ``prim``: which of a stage's cameras, by its path or name. ``space``: nerfstudio's
     ``dataparser_transforms.json`` of the training whose viewer made the path: what it did to the world is
-    taken back. Raises ``FileMissingError``, ``FileDamagedError`` or ``BadValueError`` that names the file,
+    taken back. ``poses``: the ``transforms.json`` that our world is of, where it is of one. Raises
+    ``FileMissingError``, ``FileDamagedError`` or ``BadValueError`` that names the file,
     ``PackageMissingError`` where a USD stage needs usd-core.
     """
     path = regular_file(Path(path), KINDS)
@@ -66,7 +73,7 @@ def read_camera_file(
         return shots
     if "camera_path" not in content:
         raise FileDamagedError(f"{path} is not a known kind of camera path", KINDS)
-    return _require_count(path, _nerfstudio(path, content, _world_of(space)), fewest)
+    return _require_count(path, _nerfstudio(path, content, _world_of(space, poses)), fewest)
 
 
 def _require_count(path: Path, shots: Shots, fewest: int) -> Shots:
@@ -132,19 +139,36 @@ def _square(values: Any) -> Any:
     return values
 
 
-def _world_of(space: Path | None) -> tuple[np.ndarray, float]:
-    """``[4, 4]`` and a factor: x' = factor · (matrix x), from our world to that of a nerfstudio training."""
+def _world_of(space: Path | None, poses: Path | None) -> tuple[np.ndarray, float]:
+    """``[4, 4]`` and a factor: x' = factor · (matrix x), from our world to that of a nerfstudio training.
+
+    The training notes all that was done since the cameras were found. What ns-process-data has done of it,
+    ``applied_…``, is in the poses of ``transforms.json`` already: our world is the one after it.
+    """
     if space is None:
         return np.eye(4), 1.0
     content = read_json_object(Path(space), SPACE)
-    scale = number(space, content.get("scale"), "scale")
+    matrix, scale = _similarity(Path(space), content, "transform", "scale", SPACE)
+    if poses is None:
+        return matrix, scale
+    before = {"applied_transform": np.eye(4)[:3].tolist(), "applied_scale": 1.0}
+    before |= read_json_object(poses, POSES)
+    applied, applied_scale = _similarity(poses, before, "applied_transform", "applied_scale", POSES)
+    return matrix @ np.linalg.inv(applied), scale / applied_scale
+
+
+def _similarity(
+    path: Path, content: dict[str, Any], transform: str, factor: str, remedy: str
+) -> tuple[np.ndarray, float]:
+    """A rotation and translation ``[4, 4]`` and a scale of ``content``, by their names there."""
+    scale = number(path, content.get(factor), factor)
     matrix = np.eye(4)
-    with damaged_where_it_fails(f"{space} has no 'transform' of 3×4 numbers", SPACE):
-        matrix[:3] = np.asarray(content["transform"], np.float64).reshape(3, 4)
+    with damaged_where_it_fails(f"{path} has no '{transform}' of 3×4 numbers", remedy):
+        matrix[:3] = np.asarray(content[transform], np.float64).reshape(-1, 4)[:3]
     if not (scale > 0.0 and np.isfinite(matrix).all() and is_rotation(matrix[:3, :3])):
         raise BadValueError(
-            f"{space}: 'transform' is not a rotation and translation, or 'scale' is not above 0",
-            SPACE,
+            f"{path}: '{transform}' is not a rotation and translation, or '{factor}' is not above 0",
+            remedy,
         )
     return matrix, scale
 

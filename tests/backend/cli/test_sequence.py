@@ -2,6 +2,7 @@
 """``physhdr render --camera``: frames along a path, kept, drawn anew, and drawn by several processes."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from physhdr.backend.runs.run import Run, open_run
 from physhdr.backend.scene import Scene
 from physhdr.backend.scene.pictures import read_exr
 from physhdr.bridge.errors import BadValueError
+from physhdr.bridge.run_folder import VIEWS_FILE
 from physhdr.bridge.shots import Shot, Shots, write_shots
 
 
@@ -169,6 +171,23 @@ def test_one_frame_needs_no_number(run: Path, scene: Scene, tmp_path: Path) -> N
     assert render(run, tmp_path / "one.exr", "--camera", shots, "--width", "16") == 0
     assert read_exr(tmp_path / "one.exr").shape == (16, 16, 3)
     assert not list(tmp_path.glob("*.frames.json"))
+
+
+def test_a_space_of_nerfstudio_is_that_of_the_data_sets_poses(run: Path, tmp_path: Path, capsys) -> None:
+    """What ns-process-data did to them is in transforms.json; a run whose data set has moved asks for it."""
+    moved = tmp_path / "run"
+    shutil.copytree(run, moved)
+    config, views = (json.loads((moved / name).read_text()) for name in ("config.json", VIEWS_FILE))
+    (moved / "config.json").write_text(json.dumps(config | {"data": str(tmp_path / "gone")}))
+    (moved / VIEWS_FILE).write_text(json.dumps(views | {"layout": "nerfstudio"}))
+    frame = {"camera_to_world": np.eye(4).ravel().tolist(), "fov": 50.0}
+    path, space = tmp_path / "path.json", tmp_path / "dataparser_transforms.json"
+    path.write_text(json.dumps({"render_width": 8, "render_height": 6, "camera_path": [frame]}))
+    space.write_text(json.dumps({"transform": np.eye(4)[:3].tolist(), "scale": 1.0}))
+    assert render(moved, tmp_path / "one.exr", "--camera", path) == 0
+    assert render(moved, tmp_path / "one.exr", "--camera", path, "--camera-space", space) == 1
+    told = " ".join(capsys.readouterr().err.split())
+    assert "transforms.json" in told and "ns-process-data" in told and "--data" in told
 
 
 def test_two_who_say_the_light(run: Path, scene: Scene, tmp_path: Path, capsys) -> None:

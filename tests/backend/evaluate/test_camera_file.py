@@ -94,6 +94,37 @@ def test_what_training_did_to_the_world_is_taken_back(tmp_path: Path) -> None:
         np.testing.assert_allclose(shot.camera_to_world, pose(k), atol=1e-12)
 
 
+def test_what_ns_process_data_did_before_stays(tmp_path: Path) -> None:
+    """It writes poses that it has turned, and nerfstudio notes its own turn and that one as one.
+
+    Our world is that of the written poses: c → s·(A c), then in training → S·(O ·), noted as O A and S s.
+    """
+    orient, applied = np.eye(4), np.eye(4)
+    orient[:3] = np.column_stack([Rotation.from_euler("z", 0.7).as_matrix(), [-0.5, 0.0, 0.25]])
+    applied[:3] = [[1, 0, 0, 0.1], [0, 0, 1, 0.2], [0, -1, 0, 0.3]]
+    in_training = orient @ pose(1)
+    in_training[:3, 3] *= 0.4
+    frames = [{"camera_to_world": in_training.ravel().tolist(), "fov": 50.0}]
+    file = nerfstudio_path(tmp_path / "path.json", camera_path=frames)
+    space, poses = tmp_path / "dataparser_transforms.json", tmp_path / "transforms.json"
+    space.write_text(json.dumps({"transform": (orient @ applied)[:3].tolist(), "scale": 0.4 * 2.5}))
+    poses.write_text(json.dumps({"applied_transform": applied[:3].tolist(), "applied_scale": 2.5}))
+    shots = read_camera_file(file, LIKE, space=space, poses=poses)
+    np.testing.assert_allclose(shots.frames[0].camera_to_world, pose(1), atol=1e-12)
+    # One that says nothing of it, as ours do, was left as it was.
+    poses.write_text("{}")
+    space.write_text(json.dumps({"transform": orient[:3].tolist(), "scale": 0.4}))
+    shots = read_camera_file(file, LIKE, space=space, poses=poses)
+    np.testing.assert_allclose(shots.frames[0].camera_to_world, pose(1), atol=1e-12)
+    for wrong in ({"applied_transform": [[1, 2], [3, 4]]}, {"applied_scale": 0}, {"applied_scale": None}):
+        poses.write_text(json.dumps(wrong))
+        with pytest.raises(PhysHDRError, match=r"transforms\.json"):
+            read_camera_file(file, LIKE, space=space, poses=poses)
+    poses.unlink()
+    with pytest.raises(FileMissingError, match=r"transforms\.json[\s\S]*--data"):
+        read_camera_file(file, LIKE, space=space, poses=poses)
+
+
 def test_blenders_shots_may_be_one(tmp_path: Path) -> None:
     write_shots(
         tmp_path / "a.json", Shots(64, 48, 24.0, [Shot(pose(1), 60.0, 61.0, 32.0, 24.0, 1.0, (0.5,))])
