@@ -2,6 +2,8 @@
 """The user's own camera: its lens, what it looks at, and the rigs around it."""
 
 import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import bpy
 import numpy as np
@@ -172,26 +174,26 @@ def _three(values: np.ndarray) -> tuple[float, float, float]:
     return x, y, z
 
 
-def path(scene: bpy.types.Scene, camera: bpy.types.Object, options: Options) -> RigPoses:
+def path(
+    scene: bpy.types.Scene, camera: bpy.types.Object, options: Options, *, aside: bool = False
+) -> RigPoses:
     """The camera's own animation, whatever moves it: views evenly over the scene's frames.
 
-    Every second one is a test view; lit and validation views lie between, spread over the whole way. The
-    scene is put back to the frame where it was.
+    Every second one is a test view; lit and validation views lie between, spread over the whole way.
+
+    Setting the scene to a frame and back, as is done, gives it the cameras of markers and takes the places
+    that have no keyframe. ``aside`` leaves it as it is: of drivers, those that read the scene's own frame
+    (not ``frame``) and simulated bodies then stand still.
 
     Raises:
         OptionError: the camera stands still.
     """
     first, last = scene.frame_start, scene.frame_end
-    former = scene.frame_current, scene.frame_subframe
     shares = [k / (options.views - 1) for k in range(options.views)]
     lit = [(0.5 + (k + 1) * GOLDEN) % 1.0 for k in range(options.lit_views)]
     validation = [between((k + 1) * GOLDEN % 1.0, options.views - 1) for k in range(options.validation_views)]
-    try:
-        places = [
-            _at(scene, camera, first + share * (last - first)) for share in [*shares, *lit, *validation]
-        ]
-    finally:
-        scene.frame_set(former[0], subframe=former[1])
+    with (_poses_aside if aside else _poses)(scene, camera) as pose_at:
+        places = [pose_at(first + share * (last - first)) for share in [*shares, *lit, *validation]]
     views = places[: options.views]
     if max(np.abs(place - views[0]).max() for place in views) < STILL:
         raise OptionError(
@@ -201,9 +203,42 @@ def path(scene: bpy.types.Scene, camera: bpy.types.Object, options: Options) -> 
     return RigPoses(views[0::2], views[1::2], rest[: options.lit_views], rest[options.lit_views :])
 
 
-def _at(scene: bpy.types.Scene, camera: bpy.types.Object, frame: float) -> np.ndarray:
-    whole = math.floor(frame)
-    scene.frame_set(whole, subframe=frame - whole)
+@contextmanager
+def _poses(scene: bpy.types.Scene, camera: bpy.types.Object) -> Iterator[Callable[[float], np.ndarray]]:
+    """The camera's pose at a frame, to which the scene is set; in the end it is put back."""
     layer = bpy.context.view_layer if bpy.context.scene == scene else scene.view_layers[0]
     assert layer is not None
-    return pose(camera.evaluated_get(evaluated(layer)))
+
+    def pose_at(frame: float) -> np.ndarray:
+        whole = math.floor(frame)
+        scene.frame_set(whole, subframe=frame - whole)
+        return pose(camera.evaluated_get(evaluated(layer)))
+
+    former = scene.frame_current, scene.frame_subframe
+    try:
+        yield pose_at
+    finally:
+        scene.frame_set(former[0], subframe=former[1])
+
+
+@contextmanager
+def _poses_aside(scene: bpy.types.Scene, camera: bpy.types.Object) -> Iterator[Callable[[float], np.ndarray]]:
+    """The camera's pose at a frame of another scene, in which is nothing but the camera and what moves it."""
+    aside = bpy.data.scenes.new(camera.name)
+    try:
+        aside.camera, aside.active_clip = camera, scene.active_clip  # the clip: of constraints that track
+        for name in ("fps", "fps_base", "frame_map_old", "frame_map_new"):
+            setattr(aside.render, name, getattr(scene.render, name))
+        # ViewLayer.update() would make this the graph whose animation is written into the objects themselves,
+        # and frame_set() calls the handlers of the user's add-ons. To count what is there makes a graph, too.
+        aside.statistics(aside.view_layers[0])
+        graph = evaluated(aside.view_layers[0])
+
+        def pose_at(frame: float) -> np.ndarray:
+            aside.frame_float = frame
+            graph.update()
+            return pose(camera.evaluated_get(graph))
+
+        yield pose_at
+    finally:
+        bpy.data.scenes.remove(aside)

@@ -39,8 +39,8 @@ class RigCameras:
 
 
 def of(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, chosen: SimpleNamespace) -> RigCameras:
-    """The cameras that synth would take, by its own code. Of the camera's animation it sets the scene to each
-    frame and back: not from a draw handler.
+    """The cameras that synth would take, by its own code; the scene stays as it is. Not from a draw handler:
+    of the camera's animation another scene is made for a moment.
 
     Raises ``PhysHDRError`` where there can be none.
     """
@@ -52,7 +52,7 @@ def of(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, chosen: SimpleNamespa
         size = options.resolution
         distance, _ = user_camera.target_distance(camera, centre, Rays(scene, layer), size)
     if options.camera_rig == rig.PATH:
-        poses = user_camera.path(scene, camera, options)
+        poses = user_camera.path(scene, camera, options, aside=True)
     else:
         hints = user_camera.hints(camera, centre, distance, options)
         poses = rig.poses(options.camera_rig, hints, options.views, options.lit_views)

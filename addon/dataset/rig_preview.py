@@ -74,7 +74,7 @@ def refresh(context: bpy.types.Context | None = None) -> None:
         return
     values = chosen(scene)
     state = _state(scene, layer, values)
-    # Not again and again where there can be none: to look along the camera's animation changes the scene.
+    # Not again and again where there can be none: to look along the camera's animation calls the handlers.
     if state != _shown.state:
         _shown.state, _shown.scene = state, scene.name
         _shown.lines, _shown.batches = lines(scene, layer, values), {}

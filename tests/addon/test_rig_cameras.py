@@ -77,6 +77,70 @@ def test_they_are_those_of_the_data_set(room, tmp_path, rig):
     assert found.angle_x == pytest.approx(told["camera_angle_x"]) and found.aspect == 0.5
 
 
+@pytest.fixture
+def hung_up(room):
+    """The camera on an arm that turns, constrained and driven, and a marker that binds another camera."""
+    camera, arm = room.camera, bpy.data.objects.new("arm", None)
+    room.collection.objects.link(arm)
+    camera.parent = arm
+    for item, path, index, first, last in (
+        (arm, "rotation_euler", 2, 0.0, 2.0),
+        (camera, "location", 0, 0, 3),
+    ):
+        for frame, value in ((1, first), (20, last)):
+            getattr(item, path)[index] = value
+            item.keyframe_insert(path, index=index, frame=frame)
+    camera.driver_add("location", 2).driver.expression = "frame / 8"
+    track = camera.constraints.new("DAMPED_TRACK")
+    track.target, track.track_axis = bpy.data.objects["floor"], "TRACK_NEGATIVE_Z"
+    room.frame_end = 20
+    other = bpy.data.objects.new("other", bpy.data.cameras.new("other"))
+    room.collection.objects.link(other)
+    room.timeline_markers.new("cut", frame=1).camera = other
+    room.frame_set(7, subframe=0.5)
+    room.camera = camera  # the marker's, until the user takes another (Ctrl Numpad 0)
+    dataset_settings.settings_of(room).rig = "PATH"
+    return room
+
+
+def kept(scene):
+    """What a user would miss, and what would be found in the file."""
+    places = {item.name: [*item.location, *item.rotation_euler] for item in scene.objects}
+    counts = [len(getattr(bpy.data, name)) for name in ("scenes", "objects", "collections", "actions")]
+    markers = [(marker.frame, marker.camera) for marker in scene.timeline_markers]
+    frame = scene.frame_current, scene.frame_subframe
+    return places, counts, markers, frame, scene.camera, bpy.context.scene, bpy.data.is_dirty
+
+
+def test_to_show_them_changes_nothing(hung_up):
+    """Not the camera of the scene, nor what was moved and has no keyframe yet, nor what handlers hear."""
+    scene, lamp = hung_up, bpy.data.objects["sun"]
+    lamp.keyframe_insert("location", frame=1)
+    for item in (lamp, scene.camera, scene.camera.parent):
+        item.location.y, item.rotation_euler.z = 4.25, 0.75
+    bpy.context.view_layer.update()
+    before, told = kept(scene), []
+    for handlers in (bpy.app.handlers.frame_change_pre, bpy.app.handlers.frame_change_post):
+        handlers.append(lambda *_: told.append(1))
+    assert bpy.ops.physhdr.rig_show() == {"FINISHED"} and rig_preview._shown.lines
+    dataset_settings.settings_of(scene).views += 2
+    assert kept(scene) == before and not told
+    bpy.context.view_layer.update()
+    assert kept(scene) == before and scene.camera.name == "camera"
+
+
+def test_they_are_where_the_camera_is_at_these_frames(hung_up):
+    """Against the scene itself, set to these frames: parent, constraint, driver, and time stretched."""
+    scene, camera = hung_up, hung_up.camera
+    scene.render.frame_map_new = 50  # half as fast
+    settings = dataset_settings.settings_of(scene)
+    settings.views, settings.lit_views = 5, 0
+    found = rig_cameras.of(scene, bpy.context.view_layer, dataset_settings.chosen(scene))
+    for pose, frame in zip([*found.train, *found.test], (1, 10.5, 20, 5.75, 15.25), strict=True):
+        scene.frame_set(int(frame), subframe=frame % 1.0)
+        np.testing.assert_allclose(pose, np.array(camera.matrix_world), atol=1e-5)
+
+
 def test_lines_against_blenders_own_frame_of_a_camera(room):
     """The corners of the drawn picture are where Blender has those of a camera that stands there."""
     pose = Matrix.Translation((1, 2, 3)) @ Matrix.Rotation(0.7, 4, Vector((1, 2, 3)).normalized())
@@ -147,7 +211,7 @@ def test_with_the_dialog_they_come_and_go(room):
 
 
 def test_an_animation_that_stands_still_is_looked_at_once(room, monkeypatch):
-    """To look along it sets frames, which changes the scene, at which the cameras follow."""
+    """To look along it evaluates a scene of its own, of which handlers hear, at which the cameras follow."""
     assert bpy.ops.physhdr.rig_show() == {"FINISHED"}
     looked = []
     monkeypatch.setattr(rig_preview, "lines", lambda *given: looked.append(given) or {})
