@@ -15,7 +15,7 @@ import bpy
 
 from . import animation
 from .blender import cycles
-from .settings import WORKING_SPACE
+from .settings import called_here
 from .stage import Stage
 
 #: The layer of the whole picture before denoising: it tells the noise.
@@ -106,7 +106,8 @@ class _Wiring:
         picture.use_exr_interleave = True  # one part
         # Colours are converted as they are written, from whatever working space a user's file has.
         picture.color_management = "OVERRIDE"
-        picture.linear_colorspace_settings.name = WORKING_SPACE
+        space = picture.linear_colorspace_settings
+        space.name = called_here(space, "name")
 
     def connect(self, stage: Stage) -> Outlet:
         groups = {name: stage.groups.get(name, name) for name in stage.lights}

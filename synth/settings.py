@@ -9,10 +9,16 @@ import bpy
 
 from . import animation
 from .blender import cycles
-from .errors import DeviceError
+from .errors import DeviceError, SceneError
 from .progress import quiet
 
 WORKING_SPACE = "Linear Rec.709"
+#: What configurations of colours (OCIO) call it.
+_CALLED = (
+    WORKING_SPACE,
+    *("Linear Rec.709 (sRGB)", "lin_rec709", "lin_rec709_srgb"),
+    *("Utility - Linear - Rec.709", "Utility - Linear - sRGB"),
+)
 WORKING_SPACE_PATH = "bpy.data.colorspace.working_space"
 
 _STAMPS = ("date", "time", "render_time", "frame", "camera", "scene", "filename", "memory", "hostname")
@@ -156,6 +162,25 @@ def _owner(scene: bpy.types.Scene, path: str) -> tuple[Any, str]:
     return (scene.path_resolve(holder) if holder else scene), attribute
 
 
+def called_here(owner: Any, attribute: str) -> str:
+    """What ``WORKING_SPACE`` is called in the menu ``attribute``, which the configuration of colours fills.
+
+    Raises:
+        SceneError: there is no such space in it.
+    """
+    for name in _CALLED:
+        if bpy.types.UILayout.enum_item_name(owner, attribute, name):
+            return name
+    raise SceneError(
+        f"the configuration of colours (OCIO) has no space '{WORKING_SPACE}', in which radiance is written",
+        "start Blender with its own configuration: without the variable OCIO",
+    )
+
+
+def _here(value: Any, owner: Any, attribute: str) -> Any:
+    return called_here(owner, attribute) if value == WORKING_SPACE else value
+
+
 def _set_working_space(name: str) -> None:
     if bpy.data.colorspace.working_space != name:
         bpy.ops.wm.set_working_color_space(working_space=name, convert_colors=False)
@@ -200,10 +225,10 @@ def _set(
     try:
         with quiet():
             if working_space:
-                _set_working_space(working_space)
+                _set_working_space(_here(working_space, bpy.data.colorspace, "working_space"))
             for path, value in settings:
                 owner, attribute = _owner(scene, path)
-                setattr(owner, attribute, value)
+                setattr(owner, attribute, _here(value, owner, attribute))
         record: dict[str, Any] = {WORKING_SPACE_PATH: bpy.data.colorspace.working_space}
         for path, _ in settings:
             owner, attribute = _owner(scene, path)

@@ -92,7 +92,7 @@ def grouped(
 
 
 def _added(layer: bpy.types.ViewLayer, undo: ExitStack) -> str:
-    """The name of a new light group, which goes again when ``undo`` closes: short, whatever lights are called."""
+    """The name of a new light group, a short one whatever lights are called; it goes when ``undo`` closes."""
     made = layer.lightgroups.add(name=f"{OURS} {len(layer.lightgroups)}").name
     undo.callback(lambda: layer.lightgroups.remove(layer.lightgroups[made]))
     return made

@@ -612,6 +612,30 @@ def test_another_working_space_is_converted_on_the_way_out(scene, tmp_path):
     assert readers.read_json(tmp_path / "b/dataset.json")["working_space"] == "Linear Rec.709"
 
 
+@pytest.mark.parametrize("called", ["Linear Rec.709 (sRGB)", "Utility - Linear - sRGB", "Something Else"])
+def test_another_configuration_of_colours(scene, tmp_path, monkeypatch, called):
+    """Blender's own, in which Rec.709 has another name: the same radiance, or an error with a remedy."""
+    own = Path(bpy.utils.resource_path("LOCAL"), "datafiles/colormanagement")
+    text = (own / "config.ocio").read_text(encoding="utf-8").replace("Linear Rec.709", called)
+    text = text.replace("icc:luts:filmic", ":".join(str(own / part) for part in ("icc", "luts", "filmic")))
+    (tmp_path / "config.ocio").write_text(text, encoding="utf-8")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "room.blend"))
+    command = [sys.executable, ROOT / "synth/make_scene.py", "--", "--from-file", tmp_path / "room.blend"]
+    command += ["--out", tmp_path / "d", *ARGUMENTS, "--views", "2", "--lit-views", "0", "--relit-views", "0"]
+    monkeypatch.setenv("OCIO", str(tmp_path / "config.ocio"))
+    done = subprocess.run(list(map(str, command)), capture_output=True, text=True)
+    if called == "Something Else":
+        assert done.returncode == 1 and "Traceback" not in done.stderr
+        assert "error: the configuration of colours (OCIO) has no space 'Linear Rec.709'" in done.stderr
+        assert "without the variable OCIO" in done.stderr
+        return
+    assert done.returncode == 0, done.stderr
+    dataset.make(tmp_path / "own", replace(SMALL, views=2, lit_views=0, relit_views=0))
+    ours, own_ones = (readers.read_exr(tmp_path / name / "test_hdr/hdr_000.exr") for name in ("d", "own"))
+    np.testing.assert_allclose(ours, own_ones, rtol=1e-4)
+    assert readers.read_json(tmp_path / "d/dataset.json")["working_space"] == "Linear Rec.709"
+
+
 def test_the_users_light_paths_are_kept_and_told(scene, tmp_path):
     dataset.make(tmp_path, replace(SMALL, views=2, lit_views=0, relit_views=0))
     told = readers.read_json(tmp_path / "dataset.json")["render_settings"]
