@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from PIL import ExifTags, Image, TiffImagePlugin
 
-from ....bridge.errors import DataMismatchError, FileDamagedError, FileMissingError
-from ....bridge.regular import damaged_where_it_fails
+from ....bridge.errors import BadValueError, DataMismatchError, FileDamagedError, FileMissingError
+from ....bridge.regular import damaged_where_it_fails, require_text
 from ....bridge.srgb import to_srgb
 from ..exif import LYING, Exif, Tags, exposure_of, orientation_of, positive, tags_of, tags_of_file
 from ..icc import Profile, profile_of, profile_of_bytes
@@ -266,7 +266,8 @@ def find_photos(folder: Path, done: Callable[[int, int], None] = lambda photos, 
     videos, 360° pictures and other cameras' photos are skipped. ``done`` is told after every file.
 
     Raises ``FileMissingError`` (no folder, no photos in it, no library for raw files or HEIC),
-    ``FileDamagedError`` (no file can be read), ``DataMismatchError`` (all are 360° pictures).
+    ``FileDamagedError`` (no file can be read), ``DataMismatchError`` (all are 360° pictures),
+    ``BadValueError`` (a name that is not UTF-8).
     """
     if not folder.is_dir():
         raise FileMissingError(
@@ -277,6 +278,7 @@ def find_photos(folder: Path, done: Callable[[int, int], None] = lambda photos, 
     paths = [path for path in files if path.suffix.lower() in (*SUFFIXES, *raw.SUFFIXES)]
     if not paths:
         raise FileMissingError(f"{folder} holds no photos{_what_else(folder, files)}", _remedy(files))
+    _require_text_names([*paths, *(path for path in files if path.suffix.lower() in VIDEO_SUFFIXES)])
     notes: list[str] = []
     paths = _one_of_each(paths, notes)
     _require_libraries(paths)
@@ -310,6 +312,22 @@ def find_photos(folder: Path, done: Callable[[int, int], None] = lambda photos, 
     ]
     used = [path for path in damaged if (_family(path) == "raw") == photos[0].is_raw]
     return Found(photos, skipped, notes, [Photo(path, 0, 0) for path in used])
+
+
+def _require_text_names(paths: Sequence[Path]) -> None:
+    """Raises ``BadValueError`` for names that are not UTF-8: prepare.json could not be read again."""
+    bad = []
+    for path in paths:
+        try:
+            require_text(path.name)
+        except BadValueError:
+            bad.append(path.name)
+    if bad:
+        named = f"{bad[0]!a} has a name" if len(bad) == 1 else f"{len(bad)} files ({bad[0]!a} …) have names"
+        raise BadValueError(
+            f"{named} with bytes that are not UTF-8",
+            "Rename the files: old archives spell letters such as ü in another encoding.",
+        )
 
 
 def _one_of_each(paths: list[Path], notes: list[str]) -> list[Path]:

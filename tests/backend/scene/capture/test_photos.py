@@ -2,7 +2,9 @@
 """What EXIF says, exposures from it and from files, and one clear message for what is missing."""
 
 import json
+import os
 import struct
+import sys
 from datetime import datetime
 
 import numpy as np
@@ -246,6 +248,17 @@ def test_what_is_no_photo_is_skipped_and_named(room, tmp_path):
     for name in ("a", "b"):
         (tmp_path / f"{name}.jpg").unlink()
     assert "c.jpg is not a readable photo" in refused(find_photos, tmp_path)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have no such names")
+def test_names_that_are_not_utf_8_are_refused(room, tmp_path):
+    """As Latin-1 in an old archive spells them: JSON could not name them in the data set."""
+    room.write_photo(tmp_path / "a.jpg", GREY)
+    for k, name in enumerate((b"K\xfcche.jpg", b"T\xfcr.mp4")):
+        (tmp_path / os.fsdecode(name)).write_bytes((tmp_path / "a.jpg").read_bytes())
+        message = refused(find_photos, tmp_path)
+        assert ("K\\udcfcche.jpg" in message) and ("2 files" in message) == (k == 1)
+        assert "not UTF-8" in message and "Rename" in message and message.encode("utf-8")
 
 
 def test_a_photo_of_more_pixels_than_are_read_has_a_remedy(room, tmp_path, monkeypatch):
