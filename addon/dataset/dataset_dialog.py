@@ -13,7 +13,7 @@ from ...synth.light_names import GROUP
 from ..capture import originals
 from ..model.look import is_model
 from ..runtime import session
-from . import dataset_command, dataset_folder, denoiser, render_time, rig_preview, time_trial
+from . import dataset_command, dataset_folder, denoiser, render_time, rig_preview, time_trial, unsaved
 from .dataset_settings import PHYSHDR_DatasetSettings, chosen, settings_of
 
 if TYPE_CHECKING:
@@ -96,6 +96,7 @@ def _judged(values: SimpleNamespace, scene: bpy.types.Scene) -> tuple[PhysHDRErr
     """What is wrong, else what becomes of the folder."""
     try:
         dataset_command.of(values, scene)
+        unsaved.require_saved()
         return None, dataset_folder.check(Path(dataset_folder.chosen_folder(values.out)))
     except PhysHDRError as error:
         return error, ""

@@ -27,6 +27,7 @@ from ..dataset import (
     render_time,
     rig_preview,
     time_trial,
+    unsaved,
 )
 from ..dataset.dataset_settings import OPTIONS, RenderOptions, settings_of
 from ..dataset.render_time import Started
@@ -108,6 +109,7 @@ class PHYSHDR_OT_dataset_render(RenderOptions, PhysHDROperator):
         time_trial.trial().end()  # it reads the copy that is replaced now
         chosen = dataset_settings.chosen(scene, self, self.lights)
         arguments = dataset_command.of(chosen, scene)
+        unsaved.require_saved()
         out = dataset_folder.chosen_folder(chosen.out)
         current = session()
         with originals.shown(scene):

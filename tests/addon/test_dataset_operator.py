@@ -19,6 +19,7 @@ from physhdr.addon.dataset import (  # noqa: E402
     denoiser,
     render_time,
     time_trial,
+    unsaved,
 )
 from physhdr.addon.operators import afterwards, dataset  # noqa: E402
 from physhdr.addon.session.state import DATASET  # noqa: E402
@@ -132,6 +133,50 @@ def test_textures_beside_the_file_are_found(room, tmp_path):
     (warning,) = read(tmp_path / "without/dataset.json")["source"]["warnings"]
     assert "missing files" in warning and "paint" in warning
     assert image.filepath == "//paint.png"
+
+
+def paint(name):
+    """A picture in a material of the floor, with colours that are in memory only."""
+    image = bpy.data.images.new(name, 2, 2)
+    image.pixels = [1.0, 0.25, 0.0, 1.0] * 4
+    material = bpy.data.materials.new(name)
+    material.node_tree.nodes.new("ShaderNodeTexImage").image = image
+    bpy.data.meshes["floor"].materials.append(material)
+    return image
+
+
+def test_painted_pictures_are_to_be_saved_first(room, tmp_path):
+    """In the file, and so in its copy, they are black: the dialog says so, and the operator refuses."""
+    packed, file = paint("packed"), paint("file")
+    scene_values = dataset_settings.chosen(room)
+    scene_values.out = str(tmp_path / "data")
+    problem, _ = dataset_dialog._judged(scene_values, room)
+    assert problem and "'file', 'packed'" in problem.message and "Save All Images" in problem.hint
+    with pytest.raises(RuntimeError, match="'file', 'packed'"):
+        bpy.ops.physhdr.dataset_render(out=str(tmp_path / "data"), **SMALL)
+    assert not (tmp_path / "data").exists() and not dataset._copies().exists()
+    packed.pack()
+    assert unsaved.images() == [file]
+    file.filepath_raw, file.file_format = str(tmp_path / "file.png"), "PNG"
+    file.save()
+    assert dataset_dialog._judged(scene_values, room) == (None, "A new folder")
+    file.pixels[0] = 0.5
+    file.update()
+    assert unsaved.images() == [file]
+
+
+def test_pictures_that_no_render_shows_may_stay_unsaved(room):
+    image = bpy.data.images.new("sketch", 2, 2)
+    image.use_fake_user, image.pixels = True, [1.0] * 16
+    reference = bpy.data.objects.new("reference", None)
+    reference.empty_display_type, reference.data = "IMAGE", image
+    room.collection.objects.link(reference)
+    room.camera.data.background_images.new().image = image
+    room.tool_settings.image_paint.canvas = image
+    assert image.is_dirty and unsaved.images() == []
+    room.world = bpy.data.worlds.new("sky")
+    room.world.node_tree.nodes.new("ShaderNodeTexEnvironment").image = image
+    assert unsaved.images() == [image]
 
 
 @pytest.mark.parametrize(
