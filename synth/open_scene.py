@@ -15,7 +15,7 @@ import bpy
 from mathutils import Vector
 
 from ..bridge.lights import AMBIENT
-from . import left_out, plan, rig, scripts, simulations, user_camera, user_light
+from . import active_camera, left_out, plan, rig, scripts, simulations, user_camera, user_light
 from .blender import camera_of, cycles, evaluated
 from .errors import SceneError, SceneFileError
 from .fingerprint import fingerprint
@@ -83,6 +83,7 @@ def opened(options: Options, report: Report) -> Iterator[tuple[Stage, Options]]:
         # Adaptive subdivision would else follow our camera, and give every view another surface.
         dicing = cycles(scene).dicing_camera or camera
         _set(undo, [(cycles(scene), "dicing_camera", dicing)])
+        undo.enter_context(active_camera.kept(scene, layer, camera, report))
         yield (
             Stage(
                 scene=scene,
