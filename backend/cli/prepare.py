@@ -294,7 +294,10 @@ class Prepare:
 def _looked_at(
     understood: Understanding, stages: Stages, voice: "Voice"
 ) -> tuple[Understanding, dict[str, Quality]]:
-    """How well each photo is exposed, by name; photos that cannot be decoded are left out, with a warning."""
+    """How well each photo is exposed, by name; photos that cannot be decoded are left out, with a warning.
+
+    Raises ``FileDamagedError`` for a mask that cannot be decoded: COLMAP may take hours from here.
+    """
     qualities: dict[str, Quality] = {}
     damaged: list[Skipped] = []
     photos = understood.brackets.photos
@@ -305,6 +308,8 @@ def _looked_at(
             qualities[photo.name] = quality(photo)
         except FileDamagedError as error:
             damaged.append(Skipped(photo.name, error.message.removeprefix(f"{photo.path} ")))
+        else:
+            photo.keep()
     if damaged:
         understood = understood.without(damaged)
         for each in damaged:

@@ -17,6 +17,7 @@ from PIL import ExifTags, Image, TiffImagePlugin
 from ....bridge.errors import BadValueError, DataMismatchError, FileDamagedError, FileMissingError
 from ....bridge.regular import damaged_where_it_fails, require_text
 from ....bridge.srgb import to_srgb
+from ..encoding import LARGEST
 from ..exif import LYING, Exif, Tags, exposure_of, orientation_of, positive, tags_of, tags_of_file
 from ..icc import Profile, profile_of, profile_of_bytes
 from ..pictures import holds_radiance, is_deep, picture_size, read_codes
@@ -181,16 +182,38 @@ class Photo:
         """
         if self.mask is None:
             return None
-        unreadable = damaged_where_it_fails(f"{self.mask} is not a readable mask", COPY_AGAIN)
-        with unreadable, Image.open(self.mask, formats=PILLOW) as picture:
-            mask = is_white(_upright(picture, "L", orientation_of(tags_of(picture))), 255)
-        if mask.shape != (self.height, self.width):
+        if _is_deep(self.mask):  # Pillow's grey clips what is above 255
+            with _remedy_of_photos():
+                codes = read_codes(self.mask)[0]
+            shades = turned(codes, orientation_of(tags_of_file(self.mask))).max(axis=2)
+        else:
+            unreadable = damaged_where_it_fails(f"{self.mask} is not a readable mask", COPY_AGAIN)
+            with unreadable, Image.open(self.mask, formats=PILLOW) as picture:
+                shades = _upright(picture, "L", orientation_of(tags_of(picture)))
+        self._require_size(shades.shape[1], shades.shape[0])
+        return is_white(shades, LARGEST[shades.dtype])
+
+    def check_mask(self) -> None:
+        """Raises what ``keep`` does, as far as the mask's header shows it."""
+        if self.mask is None:
+            return
+        with damaged_where_it_fails(f"{self.mask} is not a readable mask", COPY_AGAIN):
+            if _is_deep(self.mask):
+                (width, height), tags = picture_size(self.mask), tags_of_file(self.mask)
+            else:
+                with Image.open(self.mask, formats=PILLOW) as picture:
+                    (width, height), tags = _stored_size(picture), tags_of(picture)
+        lies = orientation_of(tags) in LYING
+        self._require_size(*((height, width) if lies else (width, height)))
+
+    def _require_size(self, width: int, height: int) -> None:
+        """Of its mask, upright; raises ``DataMismatchError``."""
+        if (width, height) != (self.width, self.height):
             raise DataMismatchError(
-                f"the mask {self.mask} is {mask.shape[1]}×{mask.shape[0]}, its photo {self.name} is "
+                f"the mask {self.mask} is {width}×{height}, its photo {self.name} is "
                 f"{self.width}×{self.height}",
                 "Make it at the photo's size and the same way up, or remove it.",
             )
-        return mask
 
     def copy(self, side: int) -> Image.Image:
         """``decode`` for structure from motion: of a raw file at least ``side`` wide or high, if it is."""
@@ -266,7 +289,8 @@ def find_photos(folder: Path, done: Callable[[int, int], None] = lambda photos, 
     videos, 360° pictures and other cameras' photos are skipped. ``done`` is told after every file.
 
     Raises ``FileMissingError`` (no folder, no photos in it, no library for raw files or HEIC),
-    ``FileDamagedError`` (no file can be read), ``DataMismatchError`` (all are 360° pictures),
+    ``FileDamagedError`` (no file can be read, a mask cannot), ``DataMismatchError`` (all are 360° pictures, a
+    mask is of another size than its photo),
     ``BadValueError`` (a name that is not UTF-8).
     """
     if not folder.is_dir():
@@ -302,6 +326,8 @@ def find_photos(folder: Path, done: Callable[[int, int], None] = lambda photos, 
     photos = _of_one_kind(photos, skipped)
     photos = _of_one_camera(photos, skipped)
     photos = [replace(photo, mask=_mask_of(photo.path)) for photo in photos]
+    for photo in photos:
+        photo.check_mask()
     if photos[0].is_raw:
         photos, note = _one_white_balance(photos)
         notes.append(note)

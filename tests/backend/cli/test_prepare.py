@@ -546,6 +546,20 @@ def test_what_is_not_of_the_photos_costs_no_bracket(room, tmp_path, capsys):
     assert "not plain which of the 11" in said and "left out: poster.jpg is not an RGB picture" in said
 
 
+def test_a_mask_that_does_not_fit_or_is_damaged_costs_no_hours(room, tmp_path, monkeypatch):
+    """Of any photo of a bracket, and before COLMAP has begun; what a header shows a look tells."""
+    photos, mask = tiny(room, tmp_path / "photos"), tmp_path / "photos" / "masks" / "IMG_0.png"
+    monkeypatch.setattr("physhdr.backend.cli.prepare.recover", lambda *_: pytest.fail("COLMAP ran"))
+    mask.parent.mkdir()
+    random = np.random.default_rng(0).integers(0, 256, (12, 16), np.uint8)
+    Image.fromarray(random[:6]).save(mask)
+    assert "IMG_0.png is 16×6, its photo IMG_0.jpg is 16×12" in refused(photos, "--look")
+    Image.fromarray(random).save(mask)
+    mask.write_bytes(mask.read_bytes()[:150])
+    assert "IMG_0.png is not a readable mask" in refused(photos, "--out", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
 def test_where_each_place_has_a_damaged_photo_they_are_named(room, tmp_path):
     photos = tmp_path / "photos"
     photos.mkdir()

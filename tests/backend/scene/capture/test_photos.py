@@ -319,10 +319,34 @@ def test_masks_beside_or_in_the_folder(room, tmp_path):
     mask[:, :10] = 0
     Image.fromarray(mask).save(folder / "masks" / "a.png")
     Image.fromarray(mask[:10]).save(tmp_path / "masks" / "b.jpg.png")
+    message = refused(find_photos, folder)  # before anything else is done with the photos
+    assert "b.jpg.png is 30×10, its photo b.jpg is 30×20" in message
+    Image.fromarray(mask.T).save(tmp_path / "masks" / "b.jpg.png")
+    assert "b.jpg.png is 20×30" in refused(find_photos, folder)
+    Image.fromarray(mask[:, ::-1]).save(tmp_path / "masks" / "b.jpg.png")
     a, b, c = find_photos(folder).photos
     np.testing.assert_array_equal(a.keep(), mask > 0)
+    np.testing.assert_array_equal(b.keep(), mask[:, ::-1] > 0)
     assert c.keep() is None
-    assert "b.jpg.png is 30×10, its photo b.jpg is 30×20" in refused(b.keep)
+    (folder / "masks" / "a.png").write_bytes(b"no picture")
+    assert "a.png is not a readable mask" in refused(find_photos, folder)
+
+
+def test_masks_of_sixteen_bits_are_white_from_the_middle_on(room, tmp_path):
+    """As masks of eight are; and where there is nothing but 1 and 0, 1 is white."""
+    (tmp_path / "masks").mkdir()
+    room.write_photo(tmp_path / "a.jpg", GREY)
+    shades = np.random.default_rng(0).integers(0, 65536, (20, 30)).astype(np.uint16)
+    shades[0, :4] = 0, 3000, 32767, 32768
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = 6  # turn by 90° clockwise to show it
+    for codes in (shades, shades // 32768):
+        Image.fromarray(np.rot90(codes).copy()).save(tmp_path / "masks" / "a.png", exif=exif)
+        photo = find_photos(tmp_path).photos[0]
+        np.testing.assert_array_equal(photo.keep(), shades > 32767)
+    whole = photo.mask.read_bytes()
+    photo.mask.write_bytes(whole[: len(whole) // 2])
+    assert "a.png" in (message := refused(photo.keep)) and "Copy it again" in message
 
 
 # ---- exposures of phones and drones --------------------------------------------------------------------
