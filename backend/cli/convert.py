@@ -12,6 +12,7 @@ import tyro
 from ...bridge.axes import Up, turn_of_up
 from ...bridge.display import FITTED_COMMENT, TONE_WORDS, Tone, display_colour_sh, look_comment, look_words
 from ...bridge.errors import BadValueError
+from ...bridge.gaussian_import import upright
 from ...bridge.gaussian_ply import UP_WORDS, write_standard_ply
 from ...bridge.lights import Levels
 from ...bridge.limits import EV_MAX
@@ -414,19 +415,10 @@ def _of_cloud(path: Path, cloud: SplatCloud, is_linear: bool) -> Source:
 
 def _as_model(path: Path, source: Source) -> tuple[Model, int, str]:
     """The source as a model in Blender's world, how many Gaussians are too bright for one, and what it is."""
-    turn = turn_of_up(source.up, "z")
     if source.model is not None:
-        model = source.model
-        if source.up != "z":
-            whole = turned(_cloud_of(model, model.log_radiance_sh), turn)
-            model = replace(
-                model,
-                position=whole.position,
-                rotation=whole.rotation,
-                log_radiance_sh=whole.colour_sh,
-            )
-        return model, 0, "the model"
+        return upright(source.model, source.up), 0, "the model"
     assert source.cloud is not None
+    turn = turn_of_up(source.up, "z")
     read = model_of_cloud(path, turned(source.cloud, turn), "LINEAR" if source.is_linear else "SRGB")
     told = "its linear colours as radiance" if source.is_linear else "its colours linearised as sRGB"
     return read.model, read.left_out, f"{told}; nothing is known of its light"

@@ -11,6 +11,7 @@ import torch
 import tyro
 
 from ...bridge.errors import BadValueError
+from ...bridge.gaussian_ply import UP_WORDS
 from ...bridge.limits import check_position
 from ...bridge.model_file import Model, read_model
 from ...bridge.panorama import near_distance
@@ -31,6 +32,12 @@ from .told import answered, line, saying
 
 #: What is told of a model that cannot tell its lights apart.
 NO_LIGHTS = "its lights are not known apart: fixed.exr is all of its light, and levels do not change it"
+
+#: A place, and a panorama's rows, are in the file's own axes, as Blender has them when it imports the file.
+OTHER_AXES = (
+    "{} has {}: --at and the panorama are in these axes, not upright. To have +Z up, make a model of it "
+    "first: physhdr convert IN OUT.safetensors"
+)
 
 
 @dataclass(frozen=True)
@@ -104,9 +111,14 @@ class Panorama:
             raise BadValueError(
                 f"--{given[0]} only applies to a run, and {self.source} is not a folder", "Leave it out."
             )
-        is_ply = self.source.suffix.lower() == ".ply"
-        model = read_ply_model(self.source).model if is_ply else read_model(self.source)
-        return _OfModel(model, self.rasteriser)
+        if self.source.suffix.lower() != ".ply":
+            return _OfModel(read_model(self.source), self.rasteriser)
+        read, say = read_ply_model(self.source), saying(self.json)
+        for note in read.notes:
+            say(note)
+        if read.up != "z":
+            say(OTHER_AXES.format(self.source.name, UP_WORDS[read.up]))
+        return _OfModel(read.model, self.rasteriser)
 
     def _probe(
         self,

@@ -7,18 +7,23 @@ from typing import Any
 
 import torch
 
+from ...bridge.data_set import CAPTURE_FILE
 from ...bridge.errors import BadValueError
+from ...bridge.gaussian_import import upright
 from ...bridge.model_file import Model, read_model
 from ...bridge.ply_model import read_ply_model
 from ..evaluate.sheets import as_picture
 from ..export.web_page import WebPage, WebView, check_out, write_web_page
 from ..runs.run import Run, open_run
+from ..scene import Scene, hdr_nerf_syn, nerf
 from .told import Told, answered, progress, saying
 
 #: Pixels across of the picture that is seen while the page loads.
 POSTER_WIDTH = 960
 #: Percent of the work after which a run's model is known: its confidence takes long.
 OF_MODEL = 60
+#: Layouts whose cameras are Blender's own.
+OF_BLENDER = (hdr_nerf_syn.OURS, hdr_nerf_syn.NAME, nerf.NAME)
 
 
 def export_web(source: Path, out: Path, single_file: bool, data: Path | None, as_json: bool) -> int:
@@ -42,13 +47,14 @@ def _written(
         run = open_run(source, data, report=say, pictures=False)
         model = run.model(lambda done, views, name: show(OF_MODEL * done // max(views, 1), 100, name))
         page = page_of(run)
+        told = page.notes[1:]
     else:
         if data is not None:
             raise BadValueError("--data only applies to a run, and this is a model file", "Leave it out.")
-        model = _read(source)
+        model, told = _read(source)
         method, iteration = (model.metadata.get(name, "") for name in ("method", "iteration"))
         notes = (f"{method}, iteration {iteration}.",) if method and iteration else ()
-        page = WebPage(model.metadata.get("scene") or source.stem, notes=notes)
+        page = WebPage(model.metadata.get("scene") or source.stem, notes=(*notes, *told))
     show(OF_MODEL, 100, "")
 
     def report(done: float) -> None:
@@ -60,7 +66,7 @@ def _written(
         f"wrote {written.page}: {written.gaussians} Gaussians{hidden}, "
         f"{written.data_bytes / 1e6:.1f} MB of data, {written.page_bytes / 1e6:.1f} MB in all"
     )
-    for note in (page.response[1], *page.notes[1:]):
+    for note in (page.response[1], *told):
         if note:
             say(note)
     return {"out": str(written.page), "gaussians": written.gaussians, "bytes": written.page_bytes}
@@ -80,7 +86,16 @@ def page_of(run: Run) -> WebPage:
     with torch.no_grad():
         poster = as_picture(method.ldr(camera, exposure))
     notes = (f"{run.provenance['method']}, iteration {run.iteration}.", *method.remarks)
-    return WebPage(scene.name, views, notes, poster, response_words(run), exposure)
+    return WebPage(scene.name, views, notes, poster, response_words(run), exposure, is_upright(scene))
+
+
+def is_upright(scene: Scene) -> bool:
+    """Whether +Z is up in the data set's world, and not whatever structure from motion has made of it.
+
+    Cameras that all look down, as on an arc before a thing, do not tell it.
+    """
+    ours = bool(scene.info) or (scene.root / CAPTURE_FILE).is_file()
+    return ours or scene.layout in OF_BLENDER
 
 
 def response_words(run: Run) -> tuple[str, str]:
@@ -103,5 +118,9 @@ def response_words(run: Run) -> tuple[str, str]:
     return "Learned response", ""
 
 
-def _read(path: Path) -> Model:
-    return read_ply_model(path).model if path.suffix.lower() == ".ply" else read_model(path)
+def _read(path: Path) -> tuple[Model, tuple[str, ...]]:
+    """A model file or a PLY as a model in Blender's axes, and what could not be kept of it, in sentences."""
+    if path.suffix.lower() != ".ply":
+        return read_model(path), ()
+    read = read_ply_model(path)
+    return upright(read.model, read.up), read.notes

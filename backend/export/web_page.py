@@ -63,6 +63,8 @@ MOST_CAMERAS = 400
 CURVE_POINTS = 1024
 #: Stops that the exposure's slider goes beyond the data set's exposures, and from 1 s where there are none.
 STOPS_BEYOND, STOPS = 4.0, 8.0
+#: What is up in Blender's world.
+UPRIGHT = np.array([0.0, 0.0, 1.0])
 #: A mean up direction nearer to +Z than this cosine is +Z.
 IS_UPRIGHT = np.cos(np.radians(15.0))
 POSTER_QUALITY = 80
@@ -82,7 +84,7 @@ class WebPage:
 
     ``notes``: sentences about it. ``poster``: ``[H, W, 3]`` uint8, seen while the page loads. ``response``:
     title of the learned response, and a note on it or "". ``exposure``: seconds at first, None: the middle
-    one of the model's.
+    one of the model's. ``is_upright``: whether +Z is known to be up; else the cameras, if any, tell it.
     """
 
     title: str
@@ -91,6 +93,7 @@ class WebPage:
     poster: np.ndarray | None = None
     response: tuple[str, str] = ("Learned response", "")
     exposure: float | None = None
+    is_upright: bool = False
 
 
 @dataclass(frozen=True)
@@ -160,9 +163,10 @@ def viewer() -> str:
 def page_facts(model: Model, page: WebPage, packed: Quantised) -> dict[str, Any]:
     """What the page's script is told, as plain JSON, but for where the data are."""
     views = list(page.views) or [WebView("overview", overview(model))]
+    is_upright = page.is_upright or not page.views
     if len(views) > MOST_CAMERAS:
         views = [views[round(at)] for at in np.linspace(0, len(views) - 1, MOST_CAMERAS)]
-    up = _up_of([view.camera for view in views])
+    up = UPRIGHT if is_upright else _up_of([view.camera for view in views])
     count = f"{packed.header['count']:,} Gaussians."
     return {
         **packed.header,
@@ -315,11 +319,10 @@ def _row(view: WebView) -> dict[str, Any]:
 
 def _up_of(cameras: Sequence[Camera]) -> np.ndarray:
     """What is up: +Z, or where the cameras agree on something else, their mean up."""
-    z = np.array([0.0, 0.0, 1.0])
     mean = np.sum([camera.camera_to_world[:3, 1] for camera in cameras], axis=0)
     length = np.linalg.norm(mean)
-    if length < 0.3 * len(cameras) or mean @ z > IS_UPRIGHT * length:
-        return z
+    if length < 0.3 * len(cameras) or mean @ UPRIGHT > IS_UPRIGHT * length:
+        return UPRIGHT
     return mean / length
 
 

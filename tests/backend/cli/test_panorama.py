@@ -11,6 +11,7 @@ from physhdr.backend.cli import main
 from physhdr.backend.runs.run import open_run
 from physhdr.backend.scene.camera import Camera
 from physhdr.backend.scene.pictures import read_exr
+from physhdr.bridge.gaussian_ply import write_standard_ply
 from physhdr.bridge.panorama import directions
 from physhdr.bridge.probe import PROBE_FILE, read_probe
 
@@ -115,6 +116,19 @@ def test_what_is_of_a_run_is_refused_of_a_model_file(tmp_path, capsys, option):
     words = ["--at", "0", "0", "0", "--out", str(tmp_path / "probe"), *option]
     assert main(["panorama", "m.safetensors", *words]) == 1
     assert f"{option[0]} only applies to a run, and m.safetensors is not a folder" in capsys.readouterr().err
+
+
+def test_what_is_lost_of_another_programs_file_is_told_and_its_axes(tmp_path, capsys):
+    count, file = 20, tmp_path / "a.ply"
+    position = np.random.default_rng(0).normal(size=(count, 3))
+    rotation, scale = np.tile([1.0, 0.0, 0.0, 0.0], (count, 1)), np.full((count, 3), 0.1)
+    look = (np.full(count, 0.9), np.zeros((count, 1, 3)))
+    for up, has in (("colmap", "a.ply has Y down, Z forward (COLMAP's axes)"), ("z", "")):
+        write_standard_ply(file, position, rotation, scale, *look, up=up)
+        drawn(file, tmp_path / up, width=16)
+        told = " ".join(capsys.readouterr().out.split())
+        assert "linearised as sRGB" in told
+        assert ("not upright" in told) == bool(has) and has in told
 
 
 def test_a_folder_of_other_things_stays_as_it_is(run, tmp_path, capsys):

@@ -10,17 +10,20 @@ import re
 import shutil
 import subprocess
 import zlib
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from physhdr.backend.cli import main
+from physhdr.backend.cli import main, web
 from physhdr.backend.export import web_page
 from physhdr.backend.export.quantised import quantised
 from physhdr.backend.export.web_page import WebPage, WebView, write_web_page
+from physhdr.backend.scene import READERS, Scene
 from physhdr.backend.scene.camera import Camera
 from physhdr.bridge.errors import BadValueError, OutputError
+from physhdr.bridge.gaussian_ply import write_standard_ply
 from physhdr.bridge.model_file import Model, write_model
 
 _spec = importlib.util.spec_from_file_location("of_quantised", Path(__file__).parent / "test_quantised.py")
@@ -121,6 +124,54 @@ def test_up_is_z_unless_the_cameras_say_otherwise():
     assert up(level) == [0.0, 0.0, 1.0]
     assert up(y_up) == [0.0, 1.0, 0.0]
     assert up(y_up, upside) == [0.0, 0.0, 1.0]  # they agree on nothing
+
+
+def test_up_is_z_where_that_is_known():
+    """Cameras that all look down by 35°, on an arc before a thing, have a mean up that leans away from it."""
+    arc = []
+    for angle in np.radians(np.linspace(-60.0, 60.0, 9)):
+        down = np.radians(35.0)
+        backward = np.array([np.sin(angle) * np.cos(down), -np.cos(angle) * np.cos(down), np.sin(down)])
+        right = np.array([np.cos(angle), np.sin(angle), 0.0])
+        rotation = np.stack([right, np.cross(backward, right), backward], axis=1)
+        arc.append(WebView("", Camera.from_field_of_view(pose(rotation), 10, 10, 1.0)))
+    model, page, packed = facts_input(arc)
+    assert web_page.page_facts(model, page, packed)["up"][2] < np.cos(np.radians(20.0))
+    assert web_page.page_facts(model, replace(page, is_upright=True), packed)["up"] == [0.0, 0.0, 1.0]
+    # Without cameras the page has one of its own, in Blender's world.
+    assert web_page.page_facts(*facts_input([]))["up"] == [0.0, 0.0, 1.0]
+
+
+def test_worlds_of_structure_from_motion_stand_as_their_cameras_do(tmp_path):
+    scene = Scene(tmp_path, "x", [], [], [])
+    known = {layout: web.is_upright(replace(scene, layout=layout)) for layout in (r.name for r in READERS)}
+    assert [layout for layout, upright in known.items() if upright] == ["HDR-NeRF-Syn", "NeRF-Synthetic"]
+    ours = replace(scene, layout="COLMAP", info={"generator": {}})
+    assert web.is_upright(ours) and web.is_upright(replace(scene, layout="PhysHDR"))
+    (tmp_path / "prepare.json").write_text("{}")  # which turns its world so that +Z is up
+    assert web.is_upright(replace(scene, layout="COLMAP"))
+
+
+def test_another_programs_ply_stands_upright_and_its_notes_are_told(tmp_path, monkeypatch, capsys):
+    """A pole along COLMAP's up, −Y, which is Z on the page; one of its Gaussians is damaged."""
+    position = np.zeros((20, 3), np.float32)
+    position[:, 1] = np.linspace(-10.0, 0.0, 20)
+    rotation, scale = np.tile(np.float32([1, 0, 0, 0]), (20, 1)), np.full((20, 3), 0.1, np.float32)
+    colour_sh = np.zeros((20, 1, 3), np.float32)
+    opacity = np.full(20, 0.9, np.float32)
+    write_standard_ply(tmp_path / "a.ply", position, rotation, scale, opacity, colour_sh, up="colmap")
+    spoiled = (tmp_path / "a.ply").read_bytes()
+    (tmp_path / "a.ply").write_bytes(spoiled[:-4] + np.float32(np.nan).tobytes())
+    pages = []
+    monkeypatch.setattr(web, "write_web_page", lambda *given: pages.append(given) or write_web_page(*given))
+    assert main(["export", str(tmp_path / "a.ply"), "--web", str(tmp_path / "site")]) == 0
+    _, model, page, *_ = pages[0]
+    expected = np.zeros((19, 3))
+    expected[:, 2] = np.linspace(10.0, 0.0, 20)[:-1]
+    np.testing.assert_allclose(model.position, expected, atol=1e-5)
+    told = " ".join(capsys.readouterr().out.split())
+    for note in ("1 Gaussian", "linearised as sRGB"):
+        assert any(note in line for line in page.notes) and note in told
 
 
 def test_the_learned_response_is_told_as_it_is():
