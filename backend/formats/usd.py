@@ -14,6 +14,8 @@ damaged ones.
 """
 
 import tempfile
+import zipfile
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -85,14 +87,33 @@ def write_usd(path: Path, cloud: SplatCloud, up: Up = "z", comment: str = "", sp
     Usd.ColorSpaceAPI.Apply(prim).CreateColorSpaceNameAttr(space)
     with atomic_path(path) as temporary:
         if path.suffix.lower() != ".usdz":
-            stage.GetRootLayer().Export(str(temporary))
+            _made("the file", stage.GetRootLayer().Export, str(temporary))
             return
         with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
             layer = Path(folder) / f"{path.stem}.usdc"
-            stage.GetRootLayer().Export(str(layer))
+            _made("the file for the package", stage.GetRootLayer().Export, str(layer))
             packed = module("UsdUtils").CreateNewUsdzPackage
-            if not packed(module("Sdf").AssetPath(str(layer)), str(temporary)):
-                raise OSError("usd-core could not make the package")
+            _made("the package", packed, module("Sdf").AssetPath(str(layer)), str(temporary))
+            _made("the package", _is_whole, temporary)
+
+
+def _made(what: str, make: Callable[..., bool], *words: Any) -> None:
+    """Call what makes a file and says whether it did; raises ``OSError``, as Python's own writers do."""
+    try:
+        done = make(*words)
+    except module("Tf").ErrorException as error:  # a full disk; its words are lines of OpenUSD's source
+        raise OSError(f"OpenUSD could not write all of {what}") from error
+    if not done:
+        raise OSError(f"OpenUSD could not write {what}")
+
+
+def _is_whole(package: Path) -> bool:
+    """Whether all of a package is there: OpenUSD closes one that the disk had no room for without a word."""
+    try:
+        with zipfile.ZipFile(package) as archive:
+            return archive.testzip() is None
+    except zipfile.BadZipFile:
+        return False
 
 
 def extent_of(cloud: SplatCloud) -> np.ndarray:

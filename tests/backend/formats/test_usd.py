@@ -11,7 +11,7 @@ import pytest
 from physhdr.backend.formats.usd import extent_of, read_usd, write_usd
 from physhdr.backend.optional import PackageMissingError
 from physhdr.bridge.affine import matrices_of
-from physhdr.bridge.errors import BadValueError, FileDamagedError, PhysHDRError
+from physhdr.bridge.errors import BadValueError, FileDamagedError, OutputError, PhysHDRError
 from physhdr.bridge.splat_files import read_splat_file
 
 pytest.importorskip("pxr.UsdVol", reason="needs usd-core: pip install 'physhdr[usd]'")
@@ -169,6 +169,33 @@ def test_files_that_are_cut_off_are_refused(cloud, tmp_path: Path) -> None:
             with pytest.raises(PhysHDRError) as caught:
                 read_usd(tmp_path / f"b{name}")
             assert isinstance(caught.value, FileDamagedError | BadValueError) and caught.value.hint
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_full_disk_is_an_error_and_what_was_there_stays(cloud, tmp_path: Path, name: str) -> None:
+    """No file may grow beyond a limit: below the first page, in the middle, and a byte short."""
+    resource = pytest.importorskip("resource")
+    path = tmp_path / name
+    write_usd(path, cloud)
+    whole = path.read_bytes()
+    path.write_bytes(b"older")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    for limit in (100, len(whole) // 2, len(whole) - 1):
+        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, before[1]))
+        try:
+            with pytest.raises(OutputError, match=r"cannot write .*OpenUSD could not write[\s\S]*space"):
+                write_usd(path, cloud)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        assert path.read_bytes() == b"older" and list(tmp_path.iterdir()) == [path]
+
+
+def test_a_file_that_openusd_does_not_write_is_none(cloud, tmp_path: Path, monkeypatch) -> None:
+    """It may say so by what it returns alone."""
+    monkeypatch.setattr("pxr.UsdUtils.CreateNewUsdzPackage", lambda *given: False)
+    with pytest.raises(OutputError, match=r"OpenUSD could not write the package"):
+        write_usd(tmp_path / "a.usdz", cloud)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_stage_without_gaussians_and_an_unknown_colour_space_are_named(cloud, tmp_path: Path) -> None:
