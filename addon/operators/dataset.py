@@ -24,6 +24,7 @@ from ..dataset import (
     dataset_dialog,
     dataset_folder,
     dataset_settings,
+    disk_caches,
     render_time,
     rig_preview,
     time_trial,
@@ -215,6 +216,7 @@ def _copy_of_file() -> Iterator[Path]:
         bpy.ops.wm.save_as_mainfile(
             filepath=str(copy), copy=True, compress=False, check_existing=False, relative_remap=True
         )
+        disk_caches.bring(copy)
         yield copy
     except (OSError, RuntimeError) as error:
         _remove_copies()

@@ -17,6 +17,7 @@ from physhdr.addon.dataset import (  # noqa: E402
     dataset_folder,
     dataset_settings,
     denoiser,
+    disk_caches,
     render_time,
     time_trial,
     unsaved,
@@ -177,6 +178,87 @@ def test_pictures_that_no_render_shows_may_stay_unsaved(room):
     room.world = bpy.data.worlds.new("sky")
     room.world.node_tree.nodes.new("ShaderNodeTexEnvironment").image = image
     assert unsaved.images() == [image]
+
+
+@pytest.fixture
+def flag(room, tmp_path):
+    """A cloth that falls, baked to the disk beside the file, and another grid; the folder of the cache."""
+    room.frame_start, room.frame_end = 1, 6
+    for name in ("flag", "other"):
+        bpy.ops.mesh.primitive_grid_add(x_subdivisions=3, y_subdivisions=3, location=(0, 0, 2))
+        bpy.context.object.name = name
+    cache = bpy.data.objects["flag"].modifiers.new("cloth", "CLOTH").point_cache
+    cache.frame_start, cache.frame_end = 1, 6
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "mine.blend"))
+    cache.use_disk_cache = True
+    with bpy.context.temp_override(point_cache=cache):
+        bpy.ops.ptcache.bake(bake=True)
+    room.frame_set(6)
+    return tmp_path / "blendcache_mine"
+
+
+def height():
+    """Of the flag's lowest point."""
+    flag = bpy.data.objects["flag"].evaluated_get(bpy.context.evaluated_depsgraph_get())
+    return min((flag.matrix_world @ vertex.co).z for vertex in flag.data.vertices)
+
+
+#: How names of files begin that are of the object "other".
+OTHER = b"other".hex().upper()
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def refuse(*_):
+    raise OSError("this disk has no links")
+
+
+@pytest.mark.parametrize("without", [(), ("symlink",), ("symlink", "link")])
+def test_caches_on_disk_come_along_and_stay(flag, monkeypatch, without):
+    """The copy shows the cloth where the file does; to remove it takes nothing of the file's own cache."""
+    for name in without:
+        monkeypatch.setattr(disk_caches.os, name, refuse)
+    fallen, baked = height(), contents(flag)
+    assert fallen < 1.95 and len(baked) == 6
+    with dataset._copy_of_file() as copy:
+        assert contents(copy.parent / flag.name) == baked
+        kinds = {(path.is_symlink(), path.lstat().st_nlink) for path in (copy.parent / flag.name).iterdir()}
+        assert kinds == {(not without, 2 if without == ("symlink",) else 1)}
+        bpy.ops.wm.open_mainfile(filepath=str(copy))
+        bpy.context.scene.frame_set(6)
+        assert height() == pytest.approx(fallen, abs=1e-6)
+    dataset._remove_copies()
+    assert not copy.exists() and contents(flag) == baked
+
+
+def test_a_cache_that_is_not_baked_is_not_simulated_into_the_files_of_the_user(flag):
+    """Another cloth, played to its sixth frame and in the copy again, of another mesh."""
+    cache = bpy.data.objects["other"].modifiers.new("cloth", "CLOTH").point_cache
+    cache.use_disk_cache = True
+    for frame in range(1, 7):
+        bpy.context.scene.frame_set(frame)
+    played = contents(flag)
+    assert len(played) == 12
+    with dataset._copy_of_file() as copy:
+        folder = copy.parent / flag.name
+        assert contents(folder) == played
+        bpy.ops.wm.open_mainfile(filepath=str(copy))
+        bpy.data.objects["other"].data = bpy.data.meshes["floor"]
+        for frame in range(1, 7):
+            bpy.context.scene.frame_set(frame)
+        again = contents(folder)
+    assert contents(flag) == played
+    assert {name for name in played if again[name] != played[name]} == {
+        name for name in played if OTHER in name
+    }
+
+
+def test_of_caches_on_disk_nothing_is_told_to_be_missing(flag, tmp_path):
+    small = SMALL | {"views": 2, "lit_views": 0, "relit_views": 0}
+    assert bpy.ops.physhdr.dataset_render(out="//data", **small) == {"FINISHED"}
+    assert "simul" not in str(read(tmp_path / "data/dataset.json")["source"]["warnings"])
 
 
 @pytest.mark.parametrize(
