@@ -11,7 +11,7 @@ from ....bridge.errors import BadValueError, DataMismatchError, FileMissingError
 from ....bridge.limits import EXPOSURE
 from ....bridge.regular import damaged_where_it_fails, read_json_object, read_text
 from ..exif import comparable
-from .photos import Photo
+from .photos import Photo, alike
 
 #: Names that a message lists before it says how many more there are.
 FEW = 4
@@ -109,6 +109,8 @@ def _require(photos: Sequence[Photo], what: str, values: Sequence[float | None])
 def exposures_from_file(path: Path, photos: Sequence[Photo]) -> Exposures:
     """From JSON ``{"name": seconds}`` or CSV ``name,seconds``; a name is with or without its suffix.
 
+    Its case and the spelling of its accents do not count.
+
     Raises ``FileMissingError``, ``FileDamagedError`` (neither JSON nor CSV), ``BadValueError`` (no positive
     number), ``DataMismatchError`` (a photo without an exposure).
     """
@@ -119,9 +121,11 @@ def exposures_from_file(path: Path, photos: Sequence[Photo]) -> Exposures:
     else:
         with damaged_where_it_fails(f"{path} is not readable", GIVE_A_FILE):
             table = _csv(read_text(path, GIVE_A_FILE))
+    by_name = {**{alike(name): entry for name, entry in table.items()}, **table}
     seconds = {}
     for photo in photos:
-        entry = table.get(photo.name, table.get(photo.path.stem))
+        names = photo.name, photo.path.stem, alike(photo.name), alike(photo.path.stem)
+        entry = next((by_name[name] for name in names if by_name.get(name) is not None), None)
         if entry is not None:
             seconds[photo.name] = _seconds(entry, photo.name, path)
     without = [photo.name for photo in photos if photo.name not in seconds]

@@ -2,11 +2,13 @@
 """A user's photos: which there are, what their EXIF says, their pixels. Nothing here writes."""
 
 import math
+import os
 import re
+import unicodedata
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -41,6 +43,7 @@ LEAST_AROUND = 1000
 AUTO_BRACKET = 2
 #: Beside or in the folder of photos: NAME.png is black where NAME.jpg is not to be looked at.
 MASKS = "masks"
+MASK_SUFFIXES = (".png", *JPEG_SUFFIXES, ".tif", ".tiff")
 
 FRAMES_OF_A_VIDEO = (
     "Take single frames of it, two a second: ffmpeg -i {video} -vf fps=2 -qscale:v 2 FOLDER/%04d.jpg, then "
@@ -264,7 +267,8 @@ class Skipped:
 
 @dataclass(frozen=True)
 class Found:
-    """The photos of a folder in the order of names; what is ``skipped``; ``notes`` for people to read.
+    """The photos of a folder in the order of names; what is ``skipped``; ``notes`` for people to read, and
+    ``warnings``.
 
     ``damaged``: those of the skipped that should have been photos, of which nothing but the name is known;
     not files of another kind, which have no place in the order of photos.
@@ -274,12 +278,18 @@ class Found:
     skipped: list[Skipped]
     notes: list[str]
     damaged: list[Photo]
+    warnings: list[str] = field(default_factory=list)
 
 
 def natural_order(name: str) -> list[tuple[int, int, str]]:
     """A sort key under which ``img_9`` comes before ``img_10``."""
     parts = re.findall(r"\d+|\D+", name.lower())
     return [(0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts]
+
+
+def alike(name: str) -> str:
+    """Equal for names that differ only in case, or in how a system spells an accent (macOS: by two)."""
+    return unicodedata.normalize("NFC", name).casefold()
 
 
 def find_photos(folder: Path, done: Callable[[int, int], None] = lambda photos, of: None) -> Found:
@@ -325,7 +335,8 @@ def find_photos(folder: Path, done: Callable[[int, int], None] = lambda photos, 
     photos = _flat(photos, skipped)
     photos = _of_one_kind(photos, skipped)
     photos = _of_one_camera(photos, skipped)
-    photos = [replace(photo, mask=_mask_of(photo.path)) for photo in photos]
+    masks = _masks(folder)
+    photos = [replace(photo, mask=_mask_of(photo.path, masks)) for photo in photos]
     for photo in photos:
         photo.check_mask()
     if photos[0].is_raw:
@@ -337,7 +348,7 @@ def find_photos(folder: Path, done: Callable[[int, int], None] = lambda photos, 
         for name, count in named.most_common()
     ]
     used = [path for path in damaged if (_family(path) == "raw") == photos[0].is_raw]
-    return Found(photos, skipped, notes, [Photo(path, 0, 0) for path in used])
+    return Found(photos, skipped, notes, [Photo(path, 0, 0) for path in used], _without_photo(masks, paths))
 
 
 def _require_text_names(paths: Sequence[Path]) -> None:
@@ -483,13 +494,41 @@ def _one_white_balance(photos: list[Photo]) -> tuple[list[Photo], str]:
     return [replace(photo, white_balance=own[chosen]) for photo in photos], words
 
 
-def _mask_of(path: Path) -> Path | None:
-    """``masks/NAME.png`` or ``masks/NAME.jpg.png`` in the photos' folder or beside it."""
-    for folder in (path.parent / MASKS, path.parent.parent / MASKS):
-        for name in (f"{path.stem}.png", f"{path.name}.png"):
-            if (folder / name).is_file():
-                return folder / name
-    return None
+def _masks(folder: Path) -> dict[str, list[Path]]:
+    """The pictures in ``masks/`` in the photos' folder or beside it, by their names' stems as ``alike``."""
+    masks: dict[str, list[Path]] = {}
+    whole = Path(os.path.abspath(folder))  # "." has no parent
+    for place in (folder / MASKS, whole.parent / MASKS):
+        for path in sorted(place.iterdir()) if place.is_dir() and place != whole else ():
+            if path.suffix.lower() in MASK_SUFFIXES and not path.name.startswith(".") and path.is_file():
+                masks.setdefault(alike(path.stem), []).append(path)
+    return masks
+
+
+def _mask_of(path: Path, masks: Mapping[str, list[Path]]) -> Path | None:
+    """``NAME.png`` or ``NAME.jpg.png``; or else what is called so but for case, accents and its suffix.
+
+    One in the photos' folder goes before one beside it.
+    """
+    exact = f"{path.stem}.png", f"{path.name}.png"
+    fitting = [mask for name in (path.stem, path.name) for mask in masks.get(alike(name), ())]
+    return min(
+        fitting, key=lambda mask: (mask.name not in exact, mask.parent != path.parent / MASKS), default=None
+    )
+
+
+def _without_photo(masks: Mapping[str, list[Path]], paths: Sequence[Path]) -> list[str]:
+    """A sentence for each folder of masks with some that are called as no photo."""
+    names = {alike(name) for path in paths for name in (path.stem, path.name)}
+    stray: dict[Path, list[str]] = {}
+    for stem, files in masks.items():
+        for mask in files if stem not in names else ():
+            stray.setdefault(mask.parent, []).append(mask.name)
+    return [
+        f"{len(strays)} masks in {folder} are called as no photo is, and not used ({min(strays)}"
+        f"{' …' if len(strays) > 1 else ''}): NAME.png is the mask of NAME.jpg"
+        for folder, strays in stray.items()
+    ]
 
 
 def _read_header(path: Path) -> Photo:

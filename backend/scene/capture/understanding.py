@@ -258,7 +258,7 @@ def _warnings(brackets: Brackets, found: Found, same_exposure: bool) -> list[str
             at += f", zoomed digitally {zoom:g} times" if zoom != 1.0 else ""
             names = some_names([photo.name for photo in brackets.photos if photo.lens == lens])
             warnings.append(f"few photos are {width}×{height}{at}, which tells little of their lens: {names}")
-    return warnings + _left_out(found.skipped)
+    return warnings + found.warnings + _left_out(found.skipped)
 
 
 def _left_out(skipped: list[Skipped]) -> list[str]:

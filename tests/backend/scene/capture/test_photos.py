@@ -5,7 +5,9 @@ import json
 import os
 import struct
 import sys
+import unicodedata
 from datetime import datetime
+from pathlib import Path
 
 import numpy as np
 import OpenImageIO
@@ -187,6 +189,17 @@ def test_exposures_from_files(room, tmp_path):
         assert exposures_from_file(tmp_path / file, photos).seconds == {"a.jpg": 0.5, "b.jpg": 2.0}
 
 
+def test_names_in_files_of_exposures_may_be_spelled_in_another_way(room, tmp_path):
+    """By a system that tells no case, or that spells ü by two characters; what is the same goes before."""
+    nfd, nfc = (unicodedata.normalize(form, "Küche.jpg") for form in ("NFD", "NFC"))
+    for name in ("a.jpg", "B.jpg", nfd):
+        room.write_photo(tmp_path / name, GREY)
+    table = {"A.JPG": 9, "a.jpg": 0.5, "b": 2, nfc: 4}
+    (tmp_path / "e.json").write_text(json.dumps(table))
+    found = exposures_from_file(tmp_path / "e.json", find_photos(tmp_path).photos)
+    assert found.seconds == {"a.jpg": 0.5, "B.jpg": 2.0, nfd: 4.0}
+
+
 @pytest.mark.parametrize(
     ("name", "text", "words"),
     [
@@ -330,6 +343,42 @@ def test_masks_beside_or_in_the_folder(room, tmp_path):
     assert c.keep() is None
     (folder / "masks" / "a.png").write_bytes(b"no picture")
     assert "a.png is not a readable mask" in refused(find_photos, folder)
+
+
+def test_masks_of_names_that_are_as_good_as_the_photos(room, tmp_path):
+    """Another suffix or case; accents as macOS spells them; and one exactly so goes before."""
+    masks, mask = tmp_path / "masks", Image.fromarray(np.zeros((20, 30), np.uint8))
+    masks.mkdir()
+    photos = ["A_1.JPG", "A_2.jpg", "A_3.jpg", "A_4.jpg", unicodedata.normalize("NFD", "Küche.jpg"), "Z.jpg"]
+    for name in photos:
+        room.write_photo(tmp_path / name, GREY)
+    others = [
+        "A_1.PNG",
+        "A_2.jpg",
+        "a_3.png",
+        "A_4.png",
+        "a_4.jpg",
+        unicodedata.normalize("NFC", "Küche.png"),
+    ]
+    for name in (*others, "A_5.png", "A_6.png"):
+        mask.save(masks / name)
+    (masks / "notes.txt").write_text("mine")
+    found = find_photos(tmp_path)
+    named = {photo.name: photo.mask.name for photo in found.photos if photo.mask is not None}
+    assert named == dict(zip(photos, [*others[:4], others[5]], strict=False))
+    (warning,) = found.warnings
+    assert warning.startswith(f"2 masks in {masks}") and "A_5.png …" in warning
+
+
+def test_a_folder_of_photos_by_its_shortest_name_has_masks_beside_it(room, tmp_path, monkeypatch):
+    """And one that is called masks holds no masks of its own photos."""
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "masks").mkdir()
+    for name in ("photos/a.jpg", "masks/a.png"):
+        room.write_photo(tmp_path / name, GREY)
+    monkeypatch.chdir(tmp_path / "photos")
+    assert find_photos(Path(".")).photos[0].mask == tmp_path / "masks" / "a.png"
+    assert find_photos(tmp_path / "masks").photos[0].mask is None
 
 
 def test_masks_of_sixteen_bits_are_white_from_the_middle_on(room, tmp_path):
