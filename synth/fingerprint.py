@@ -2,27 +2,30 @@
 """A short name for the state of a user's scene, so that a resumed run does not mix two states in one folder.
 
 Of all that is rendered it takes in what one does between two runs: things moved, added, hidden, bent or
-scattered otherwise; lights, materials and the world with their nodes; the light paths and the other settings
-that are the user's own; the cameras. It is no proof of sameness: what is in texture files, and single
-vertices within an object's bounds, are not looked at.
+scattered otherwise; modifiers and hair; lights, materials and the world with their nodes; the light paths and
+the other settings that are the user's own; the cameras. All is looked at as renders show it, whatever views
+show. It is no proof of sameness: what is in texture files, how hair is combed, and single vertices within an
+object's bounds, are not looked at.
 """
 
 import hashlib
 import json
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from functools import cache
+from itertools import chain
 from typing import Any
 
 import bpy
 import numpy as np
 
-from .blender import cycles, evaluated, mesh_of
+from .blender import cycles, light_of, mesh_of
 from .light_choice import Materials
+from .render_state import look
 from .settings import users_own
-from .user_light import lights, materials, photographed
+from .user_light import photographed
 
 #: What the name begins with: another one took in other things, and cannot be compared with.
-KIND = "c-"
+KIND = "d-"
 DIGITS = 4  # significant; drivers and constraints need not give the last bits twice
 #: Who sees an object, and what light meets it.
 _SEEN = (
@@ -33,6 +36,7 @@ _SEEN = (
     "visible_volume_scatter",
     "visible_shadow",
     "is_shadow_catcher",
+    "show_instancer_for_render",
 )
 #: What of all there is a layer renders.
 _OF_LAYER = ("use_sky", "use_solid", "use_strand", "use_volumes")
@@ -40,6 +44,19 @@ _OF_LAYER = ("use_sky", "use_solid", "use_strand", "use_volumes")
 _OF_DATA = {each.identifier for each in bpy.types.ID.bl_rna.properties}
 _OF_DATA |= {"animation_data", "node_tree", "use_nodes"}
 _OF_NODES = {each.identifier for each in bpy.types.Node.bl_rna.properties} | {"image", "node_tree"}
+#: … of modifiers, which keep what they found among their properties …
+_OF_MODIFIERS = {each.identifier for each in bpy.types.Modifier.bl_rna.properties} - {"type"}
+_OF_MODIFIERS |= {"levels", "sculpt_levels", "bake_directory", "bake_target"}
+_OF_MODIFIERS |= {"hair_grid_min", "hair_grid_max", "hair_grid_resolution"}
+#: … of hair and particles …
+_OF_PARTICLES = _OF_DATA | {"display_method", "display_color", "display_size", "display_step"}
+_OF_PARTICLES |= {"display_percentage", "child_percent", "color_maximum"}
+_OF_PARTICLES |= {"active_texture", "active_texture_index", "active_instanceweight"}
+_OF_PARTICLES |= {"active_instanceweight_index"}
+_OF_SYSTEMS = {"dt_frac", "has_multiple_caches", "active_particle_target_index"}
+#: … of curves, texts and metaballs, which renders may give another resolution …
+_WITH_RESOLUTION = {"CURVE", "SURFACE", "FONT", "META"}
+_OF_CURVES = _OF_DATA | {"resolution", "update_method", "texspace_location", "texspace_size"}
 #: … and of anything.
 _OF_ALL = {"rna_type", "name", "select"}
 
@@ -55,22 +72,39 @@ def fingerprint(
     ``poses``: camera to world [4, 4]; ``lens``: their horizontal field of view in radians, and where they
     begin and cease to see, metres.
     """
-    world, override = layer.world_override or scene.world, layer.material_override
     state = [
         [[round(value, DIGITS) + 0.0 for value in pose.ravel().tolist()] for pose in poses],
         _rounded(lens),
-        _objects(scene, layer),
-        _linked(scene, layer),
+        *look(scene, layer, lambda depsgraph: _rendered(scene, layer, depsgraph)),
+    ]
+    return KIND + hashlib.sha256(json.dumps(state).encode()).hexdigest()[:16]
+
+
+def _rendered(
+    scene: bpy.types.Scene, layer: bpy.types.ViewLayer, depsgraph: bpy.types.Depsgraph
+) -> list[Any]:
+    """All but the cameras."""
+    world, override = layer.world_override or scene.world, layer.material_override
+    found, known = photographed(scene, layer, depsgraph), Materials(layer, depsgraph)
+    materials = {item: known.of(item) for item in found}
+    lights = {light_of(item) for item in found if item.type == "LIGHT"}
+    rows = []
+    for item in _sorted(found):
+        shown_by = sorted([holder.name_full, count] for holder, count in found[item].items())
+        names = sorted(material.name_full for material in materials[item])
+        rows.append([*_object(item.evaluated_get(depsgraph), layer), names, shown_by])
+    return [
+        rows,
+        _linked(found),
         [getattr(layer, name) for name in _OF_LAYER],
         _material(override) if override else None,
-        [_light(light) for light in _sorted(lights(scene, layer))],
-        [_material(material) for material in _sorted(materials(scene, layer))],
+        [_light(light) for light in _sorted(lights)],
+        [_material(material) for material in _sorted(set(chain.from_iterable(materials.values())))],
         [_values(cycles(world)), _values(world.cycles_visibility), _tree(world.node_tree)] if world else None,
         [group.name for group in layer.lightgroups],
         [_value(scene.path_resolve(path)) for path in users_own()],
         bpy.data.colorspace.working_space,
     ]
-    return KIND + hashlib.sha256(json.dumps(state).encode()).hexdigest()[:16]
 
 
 def _sorted(blocks: Any) -> list[Any]:
@@ -81,21 +115,11 @@ def _rounded(values: Any) -> list[float]:
     return [float(f"{value:.{DIGITS}g}") + 0.0 for value in values]
 
 
-def _objects(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[Any]:
-    depsgraph, found, known = evaluated(layer), photographed(scene, layer), Materials(layer)
-    rows = []
-    for item in _sorted(found):
-        shown_by = sorted([holder.name_full, count] for holder, count in found[item].items())
-        names = sorted(material.name_full for material in known.of(item))
-        rows.append([*_object(item.evaluated_get(depsgraph), layer), names, shown_by])
-    return rows
-
-
-def _linked(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[Any]:
+def _linked(items: Iterable[bpy.types.Object]) -> list[Any]:
     """What is in the collections that light linking names: each once, however many objects name it."""
     found = {
         collection
-        for item in photographed(scene, layer)
+        for item in items
         for collection in (item.light_linking.receiver_collection, item.light_linking.blocker_collection)
         if collection
     }
@@ -131,7 +155,49 @@ def _object(item: Any, layer: bpy.types.ViewLayer) -> list[Any]:
         [_value(linking.receiver_collection), _value(linking.blocker_collection)],
         _rounded(item.color),
         _values(cycles(item)),
+        [_modifier(modifier) for modifier in ours.modifiers if modifier.show_render],
+        _curve(ours.data) if item.type in _WITH_RESOLUTION else None,
     ]
+
+
+def _modifier(modifier: Any) -> list[Any]:
+    """Its numbers and menus; what it made is in the object's bounds and vertices."""
+    row = _plain(modifier, _OF_MODIFIERS)
+    if modifier.type == "PARTICLE_SYSTEM":
+        system = modifier.particle_system
+        row += [_plain(system, _OF_SYSTEMS), _values(system.settings, _OF_PARTICLES)]
+    return row
+
+
+def _curve(data: Any) -> list[Any]:
+    """What a curve, a text or a metaball says of itself; its points are in the object's bounds."""
+    # Where renders have a resolution of their own, that of views does not matter.
+    unused = {f"resolution_{axis}" for axis in "uv" if getattr(data, f"render_resolution_{axis}", 0)}
+    return _plain(data, _OF_CURVES | unused)
+
+
+def _plain(owner: Any, but: Collection[str]) -> list[Any]:
+    """Of the properties those that have no parts, and do not tell of a state (``is_bound``) or of panels."""
+    parts = _parts(type(owner))
+    return [
+        [name, _value(getattr(owner, name))]
+        for name, _ in _properties(type(owner))
+        if name not in but and name not in parts and not name.startswith(("is_", "open_"))
+    ]
+
+
+@cache
+def _parts(kind: Any) -> set[str]:
+    """The names of a type's properties that are parts of its data, and not data of their own (``ID``)."""
+    return {
+        each.identifier
+        for each in kind.bl_rna.properties
+        if each.type == "COLLECTION" or (each.type == "POINTER" and not _is_data(each.fixed_type))
+    }
+
+
+def _is_data(struct: Any) -> bool:
+    return struct is not None and (struct.identifier == "ID" or _is_data(struct.base))
 
 
 def _light(light: Any) -> list[Any]:
@@ -177,7 +243,7 @@ def _value(value: Any) -> Any:
     if isinstance(value, set):
         return sorted(value)
     if isinstance(value, bpy.types.bpy_prop_collection):
-        return [_values(each) for each in value]
+        return [_value(each) for each in value]
     if isinstance(value, bpy.types.bpy_struct):
         return _values(value)
     return _rounded(np.ravel(value).tolist())

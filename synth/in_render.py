@@ -14,9 +14,11 @@ Types = tuple[str, ...] | None
 
 
 def rendered(
-    scene: bpy.types.Scene, layer: bpy.types.ViewLayer
+    scene: bpy.types.Scene, layer: bpy.types.ViewLayer, depsgraph: bpy.types.Depsgraph | None = None
 ) -> dict[bpy.types.Object, Counter[bpy.types.Object]]:
     """All that a layer renders → what shows it, and how often: the object itself, and those that instance it.
+
+    ``depsgraph``: in which nodes and particles are asked what they instance; what views show if ``None``.
 
     What is hidden in renders is among them where nodes or particles instance it, which show it all the same.
     """
@@ -27,7 +29,7 @@ def rendered(
     hidden = set(scene.objects) - set(found)
     left_out: dict[bpy.types.Object, set[bpy.types.Object]] = {}
     each: Any  # an instance's object and what brings it are there while it is looked at
-    for each in evaluated(layer).object_instances:
+    for each in (depsgraph or evaluated(layer)).object_instances:
         item = each.object.original
         if not each.is_instance or each.parent is None:
             if item not in hidden:

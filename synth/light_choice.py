@@ -148,10 +148,11 @@ class Materials:
     """The materials of a layer's objects, and which of them glow.
 
     It is for one look at many objects: a material and a tree of nodes are read once, however many have them.
+    ``depsgraph``: in which they are looked at, as views show them if ``None``.
     """
 
-    def __init__(self, layer: bpy.types.ViewLayer) -> None:
-        self._depsgraph = evaluated(layer)
+    def __init__(self, layer: bpy.types.ViewLayer, depsgraph: bpy.types.Depsgraph | None = None) -> None:
+        self._depsgraph = depsgraph or evaluated(layer)
         self._glow: dict[bpy.types.Material, bool] = {}
         self._set_by: dict[bpy.types.NodeTree, list[bpy.types.Material]] = {}
         self._asked_by: dict[bpy.types.NodeTree, list[str]] = {}

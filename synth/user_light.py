@@ -131,10 +131,10 @@ def _suns(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.types.
 
 
 def photographed(
-    scene: bpy.types.Scene, layer: bpy.types.ViewLayer
+    scene: bpy.types.Scene, layer: bpy.types.ViewLayer, depsgraph: bpy.types.Depsgraph | None = None
 ) -> dict[bpy.types.Object, Counter[bpy.types.Object]]:
-    """What is rendered (``in_render.rendered``) and is not ours and put away."""
-    found = rendered(scene, layer)
+    """What is rendered (``in_render.rendered``, to which ``depsgraph`` goes) and is not ours and put away."""
+    found = rendered(scene, layer, depsgraph)
     return {item: by for item, by in found.items() if not (item.hide_render and is_ours(item))}
 
 

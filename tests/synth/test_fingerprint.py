@@ -30,7 +30,7 @@ def cube(name):
 
 @pytest.fixture
 def scene():
-    """A chair in a collection, a shelf that is an instance, a spot, an area light, a sky, a material."""
+    """A chair in a collection, a shelf that is an instance, a wire, lights, a sky, a material, a camera."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     chairs, books = bpy.data.collections.new("Chairs"), bpy.data.collections.new("Books")
@@ -46,6 +46,18 @@ def scene():
     add("book", cube("book"), books)
     shelf = add("shelf", None)
     shelf.instance_type, shelf.instance_collection = "COLLECTION", books
+    for name, kind in (("smooth", "SUBSURF"), ("array", "ARRAY"), ("hair", "PARTICLE_SYSTEM")):
+        chair.modifiers.new(name, kind)
+    chair.modifiers["array"].show_viewport = False
+    hair = chair.particle_systems[0].settings
+    hair.name, hair.type, hair.count = "hair", "HAIR", 50
+    hair.child_type = "SIMPLE"
+    wire = bpy.data.curves.new("wire", "CURVE")
+    wire.bevel_depth = 0.1
+    wire.splines.new("BEZIER").bezier_points.add(1)
+    wire.splines[0].bezier_points[1].co = (1, 1, 1)
+    add("wire", wire)
+    scene.camera = add("eye", bpy.data.cameras.new("eye"))
     for name, kind in (("spot", "SPOT"), ("area", "AREA")):
         data = bpy.data.lights.new(name, kind)
         data.energy = 100.0
@@ -101,11 +113,32 @@ SHOWN = (
     ("scenes['Scene'].cycles.caustics_reflective", False),
     ("scenes['Scene'].cycles.use_light_tree", False),
     ("scenes['Scene'].render.use_simplify", True),
+    ("objects['chair'].modifiers['smooth'].render_levels", 3),
+    ("objects['chair'].modifiers['smooth'].show_render", False),
+    ("objects['chair'].modifiers['smooth'].boundary_smooth", "PRESERVE_CORNERS"),
+    ("objects['chair'].modifiers['array'].count", 5),
+    ("objects['chair'].modifiers['array'].show_render", False),
+    ("objects['chair'].modifiers['hair'].show_render", False),
+    ("objects['chair'].particle_systems[0].seed", 7),
+    ("objects['chair'].show_instancer_for_render", False),
+    ("particles['hair'].count", 500),
+    ("particles['hair'].hair_length", 9.0),
+    ("particles['hair'].rendered_child_count", 7),
+    ("curves['wire'].render_resolution_u", 40),
+    ("curves['wire'].resolution_u", 40),
+    ("curves['wire'].bevel_resolution", 1),
 )
 #: Which only views show, or which the settings for ground truth replace.
 NOT_SHOWN = (
     ("objects['chair'].show_name", True),
     ("objects['chair'].display_type", "WIRE"),
+    ("objects['chair'].hide_viewport", True),
+    ("objects['chair'].show_instancer_for_viewport", False),
+    ("objects['chair'].modifiers['smooth'].levels", 3),
+    ("objects['chair'].modifiers['smooth'].show_viewport", False),
+    ("objects['chair'].modifiers['array'].show_viewport", True),
+    ("particles['hair'].display_percentage", 10),
+    ("particles['hair'].child_percent", 3),
     ("lights['spot'].show_cone", True),
     ("materials['wood'].diffuse_color", (1.0, 0.0, 0.0, 1.0)),
     ("materials['wood'].node_tree.nodes['paint'].location", (300.0, 300.0)),
@@ -140,6 +173,21 @@ def test_what_no_picture_shows_may_change(scene, path, value):
     before = state(scene)
     change(path, value)
     assert state(scene) == before
+
+
+def test_the_resolution_of_views_does_not_matter_where_renders_have_their_own(scene):
+    bpy.data.curves["wire"].render_resolution_u = 20
+    before = state(scene)
+    bpy.data.curves["wire"].resolution_u = 40
+    assert state(scene) == before
+
+
+def test_looking_leaves_the_scenes_settings(scene):
+    scene.render.engine, scene.render.use_compositing = "BLENDER_WORKBENCH", True
+    scene.render.resolution_percentage = 75
+    state(scene)
+    assert (scene.render.engine, scene.render.resolution_percentage) == ("BLENDER_WORKBENCH", 75)
+    assert scene.render.use_compositing and not hasattr(bpy.types, "PHYSHDR_LOOK")
 
 
 def test_what_is_scattered_is_counted(scene):
