@@ -135,10 +135,13 @@ class Profile:
 _ENCODED = np.rint(to_srgb(np.linspace(0.0, 1.0, STEPS)) * 255.0).astype(np.uint8)
 
 
-def profile_of(path: Path) -> Profile | None:
-    """The profile that a picture has to be converted by; None where it is sRGB, or cannot be converted."""
+def profile_of(path: Path) -> tuple[Profile | None, str]:
+    """The profile that a picture has to be converted by; None where it is sRGB, or cannot be converted.
+
+    And why it cannot be, with the remedy; "" where there is nothing to say.
+    """
     raw = profile_bytes(path)
-    return profile_by_exif(path) if raw is None else profile_of_bytes(raw)
+    return (profile_by_exif(path), "") if raw is None else profile_of_bytes(raw)
 
 
 def profile_by_exif(path: Path) -> Profile | None:
@@ -156,13 +159,15 @@ def _adobe_rgb() -> Profile:
     )
 
 
-def profile_of_bytes(raw: bytes) -> Profile | None:
-    """As ``profile_of``, of a profile's bytes."""
+def profile_of_bytes(raw: bytes) -> tuple[Profile | None, str]:
+    """As ``profile_of``, of a profile's bytes; one of grey says nothing of colours."""
+    if raw[16:20] == b"GRAY":
+        return None, ""
     try:
         profile = read_profile(raw)
-    except BadValueError:
-        return None
-    return None if profile.is_srgb else profile
+    except BadValueError as error:
+        return None, f"{error.message}. {error.hint}"
+    return None if profile.is_srgb else profile, ""
 
 
 def read_profile(raw: bytes) -> Profile:

@@ -76,7 +76,8 @@ def kind_of_heif(path: Path) -> Kind | None:
 class Header:
     """What a HEIC tells without its pixels. ``width, height``: upright. ``deep``: its codes need 16 bits.
 
-    ``xmp``: b"" without. ``profile``: from whose primaries it is converted; None where it is sRGB.
+    ``xmp``: b"" without. ``profile``: from whose primaries it is converted; None where it is sRGB, or cannot
+    be, and ``unconverted`` says why.
     """
 
     width: int
@@ -85,6 +86,7 @@ class Header:
     tags: Tags
     xmp: bytes
     profile: Profile | None
+    unconverted: str
 
 
 def read_header(path: Path) -> Header:
@@ -103,11 +105,11 @@ def read_header(path: Path) -> Header:
             "Take photos of 100 million pixels at most, or make them smaller, keeping EXIF.",
         )
     transfer = 0 if icc else told.get("transfer_characteristics", 0)
-    profile = profile_of_bytes(icc) if icc else None
+    profile, unconverted = profile_of_bytes(icc) if icc else (None, "")
     if not icc and told:
         profile = _profile(path, told["color_primaries"], transfer)
     deep = bits > 8 or (profile is not None and transfer in HDR_CURVES)
-    return Header(width, height, deep, tags, xmp, profile)
+    return Header(width, height, deep, tags, xmp, profile, unconverted)
 
 
 def read_codes(path: Path, width: int, height: int) -> np.ndarray:

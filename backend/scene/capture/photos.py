@@ -69,7 +69,7 @@ class Photo:
     picture. ``noise``: what a raw file tells of it. ``deep``: of a picture, that it has more than 8 bits a
     channel. ``orientation``: how the file stores it, 1 to 8 as in EXIF (1: upright; so is every HEIC).
     ``is_heic``: that libheif decodes it. ``profile``: of a picture, from whose primaries it is converted to
-    sRGB's; None: it has these, or says nothing.
+    sRGB's; None: it has these, or says nothing, or cannot be converted, and ``unconverted`` says why.
     """
 
     path: Path
@@ -94,6 +94,7 @@ class Photo:
     orientation: int = 1
     is_heic: bool = False
     profile: Profile | None = None
+    unconverted: str = ""
 
     @property
     def name(self) -> str:
@@ -336,19 +337,26 @@ def find_photos(folder: Path, done: Callable[[int, int], None] = lambda photos, 
     photos = _of_one_kind(photos, skipped)
     photos = _of_one_camera(photos, skipped)
     masks = _masks(folder)
-    photos = [replace(photo, mask=_mask_of(photo.path, masks)) for photo in photos]
-    for photo in photos:
-        photo.check_mask()
+    photos = [_with_mask(photo, masks) for photo in photos]
     if photos[0].is_raw:
         photos, note = _one_white_balance(photos)
         notes.append(note)
-    named = Counter(photo.profile.name for photo in photos if photo.profile is not None)
-    notes += [
-        f"{count} of {len(photos)} photos have the colour profile '{name}': converted to sRGB's primaries"
-        for name, count in named.most_common()
-    ]
+    told, warnings = _of_profiles(photos)
+    notes += told
+    warnings += _without_photo(masks, paths)
     used = [path for path in damaged if (_family(path) == "raw") == photos[0].is_raw]
-    return Found(photos, skipped, notes, [Photo(path, 0, 0) for path in used], _without_photo(masks, paths))
+    return Found(photos, skipped, notes, [Photo(path, 0, 0) for path in used], warnings)
+
+
+def _of_profiles(photos: Sequence[Photo]) -> tuple[list[str], list[str]]:
+    """What is converted, as notes; and as warnings what cannot be."""
+    named = Counter(photo.profile.name for photo in photos if photo.profile is not None)
+    reasons = Counter(photo.unconverted for photo in photos if photo.unconverted)
+    of = f"of {len(photos)} photos"
+    return [
+        f"{count} {of} have the colour profile '{name}': converted to sRGB's primaries"
+        for name, count in named.most_common()
+    ], [f"{count} {of} are taken as sRGB, for {why}" for why, count in reasons.most_common()]
 
 
 def _require_text_names(paths: Sequence[Path]) -> None:
@@ -517,6 +525,13 @@ def _mask_of(path: Path, masks: Mapping[str, list[Path]]) -> Path | None:
     )
 
 
+def _with_mask(photo: Photo, masks: Mapping[str, list[Path]]) -> Photo:
+    """Raises what ``Photo.check_mask`` does."""
+    photo = replace(photo, mask=_mask_of(photo.path, masks))
+    photo.check_mask()
+    return photo
+
+
 def _without_photo(masks: Mapping[str, list[Path]], paths: Sequence[Path]) -> list[str]:
     """A sentence for each folder of masks with some that are called as no photo."""
     names = {alike(name) for path in paths for name in (path.stem, path.name)}
@@ -545,7 +560,7 @@ def _read_header(path: Path) -> Photo:
             f"{path} holds radiance (floats), as a picture that was merged from a bracket does",
             "Give the photos that it was merged from: this picture is not needed.",
         )
-    profile = heif.avif_profile(path) if kind == "AVIF" else profile_of(path)
+    profile, unconverted = (heif.avif_profile(path), "") if kind == "AVIF" else profile_of(path)
     unreadable = damaged_where_it_fails(f"{path} is not a readable photo", COPY_AGAIN)
     with unreadable, _not_too_large(path), Image.open(path, formats=PILLOW) as picture:
         if picture.mode not in EIGHT_BIT_MODES:
@@ -557,18 +572,19 @@ def _read_header(path: Path) -> Photo:
         tags = tags_of(picture)
         xmp = picture.info.get("xmp", b"")
         if kind == "AVIF" and picture.info.get("icc_profile"):
-            profile = profile_of_bytes(picture.info["icc_profile"])
+            profile, unconverted = profile_of_bytes(picture.info["icc_profile"])
     orientation = orientation_of(tags)
     if orientation in LYING:
         width, height = height, width
-    photo = Photo(path, width, height, orientation=orientation, profile=profile)
+    photo = Photo(path, width, height, orientation=orientation, profile=profile, unconverted=unconverted)
     return _marked_around(_with_tags(photo, tags, exposure_of(tags)), xmp)
 
 
 def _read_heic_header(path: Path) -> Photo:
     """The way up is the file's own (ISO/IEC 23008-12), by libheif: EXIF's orientation counts for nothing."""
     header = heif.read_header(path)
-    photo = Photo(path, header.width, header.height, deep=header.deep, is_heic=True, profile=header.profile)
+    photo = Photo(path, header.width, header.height, deep=header.deep, is_heic=True)
+    photo = replace(photo, profile=header.profile, unconverted=header.unconverted)
     return _marked_around(_with_tags(photo, header.tags, exposure_of(header.tags)), header.xmp)
 
 
@@ -600,7 +616,9 @@ def _read_deep_header(path: Path) -> Photo:
     orientation = orientation_of(tags)
     if orientation in LYING:
         width, height = height, width
-    photo = Photo(path, width, height, deep=True, orientation=orientation, profile=profile_of(path))
+    photo = Photo(path, width, height, deep=True, orientation=orientation)
+    profile, unconverted = profile_of(path)
+    photo = replace(photo, profile=profile, unconverted=unconverted)
     return _with_tags(photo, tags, exposure_of(tags))
 
 

@@ -145,7 +145,7 @@ def test_srgbs_primaries_are_left_alone_whatever_the_curve(tmp_path, curve):
     assert read_profile(raw).is_srgb
     assert read_profile(ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()).is_srgb
     Image.fromarray(every_colour()).save(tmp_path / "a.png", icc_profile=raw)
-    assert profile_of(tmp_path / "a.png") is None
+    assert profile_of(tmp_path / "a.png") == (None, "")
 
 
 @pytest.mark.parametrize(
@@ -206,7 +206,7 @@ IN_SRGB = (213, 115, 95)
 def test_every_kind_of_file_tells_its_profile(tmp_path, name):
     deep = name.startswith("deep")
     write(tmp_path / name, FLAT.astype(np.uint16) * 257 if deep else FLAT, profile("Display P3"))
-    found = profile_of(tmp_path / name)
+    found, _ = profile_of(tmp_path / name)
     assert found is not None and found.name == "Display P3"
     read = PictureSource(tmp_path / name, profile=found).read().codes[5, 5]
     np.testing.assert_allclose(read / (257 if deep else 1), IN_SRGB, atol=1)
@@ -270,6 +270,20 @@ def test_photos_that_are_prepared_are_converted(tmp_path, name):
     assert any("'Display P3': converted" in note for note in found.notes)
 
 
+@pytest.mark.parametrize("name", ["b.jpg", "b.png", "b.avif", "deep.tif"])
+def test_a_photo_whose_profile_cannot_be_used_is_told(tmp_path, name):
+    """It is taken as sRGB; profiles of grey say nothing of colours."""
+    deep = name.startswith("deep")
+    write(tmp_path / "a.png", FLAT, profile("sRGB"))
+    write(tmp_path / name, FLAT.astype(np.uint16) * 257 if deep else FLAT, profile("look", space=b"Lab "))
+    Image.fromarray(FLAT[..., 0]).save(tmp_path / "c.avif", icc_profile=profile("grey", space=b"GRAY"))
+    found = find_photos(tmp_path)
+    (warning,) = found.warnings
+    assert warning.startswith("1 of 3 photos are taken as sRGB, for the ICC profile 'look' does not tell")
+    assert "Convert the pictures to sRGB" in warning
+    assert [photo.profile for photo in found.photos] == [None] * 3
+
+
 # ---- what EXIF alone says --------------------------------------------------------------------------
 
 SAVING = {".jpg": {"quality": 100, "subsampling": 0}, ".png": {}, ".tif": {}}
@@ -322,15 +336,15 @@ def test_adobe_rgb_without_a_profile_is_converted(tmp_path, suffix):
 )
 def test_only_what_says_adobe_rgb_is(tmp_path, space, index, is_adobe):
     Image.fromarray(FLAT).save(tmp_path / "a.png", exif=said_by_exif(space, index))
-    assert (profile_of(tmp_path / "a.png") is not None) == is_adobe
+    assert (profile_of(tmp_path / "a.png")[0] is not None) == is_adobe
 
 
 def test_a_profile_goes_before_exif(tmp_path):
     exif = said_by_exif(65535, "R03")
     Image.fromarray(FLAT).save(tmp_path / "a.png", exif=exif, icc_profile=profile("sRGB"))
-    assert profile_of(tmp_path / "a.png") is None
+    assert profile_of(tmp_path / "a.png") == (None, "")
     Image.fromarray(FLAT).save(tmp_path / "b.png", exif=exif, icc_profile=profile("Display P3"))
-    found = profile_of(tmp_path / "b.png")
+    found, _ = profile_of(tmp_path / "b.png")
     assert found is not None and found.name == "Display P3"
 
 

@@ -170,6 +170,10 @@ def test_an_icc_profile_does_what_it_does_to_a_png(heic, tmp_path):
     np.testing.assert_array_equal(ours.codes()[0], theirs.codes()[0])
     np.testing.assert_array_equal(np.asarray(ours.decode()), np.asarray(theirs.decode()))
     assert "1 of 1 photos have the colour profile" in find_photos(tmp_path / "heic").notes[-1]
+    odd = display_p3().replace(b"rXYZ", b"qXYZ")
+    heic.write_heic(tmp_path / "heic" / "a.heic", noise(), icc_profile=odd)
+    (warning,) = find_photos(tmp_path / "heic").warnings
+    assert "1 of 1 photos are taken as sRGB" in warning and "it has no rXYZ" in warning
 
 
 def test_code_points_say_the_same_as_the_profile(heic, tmp_path):
