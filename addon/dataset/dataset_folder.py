@@ -2,6 +2,8 @@
 """The folder that a data set of the open scene is rendered into: which is proposed, and what is in it."""
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import bpy
@@ -40,29 +42,42 @@ def _documents() -> Path:
 
 
 def chosen_folder(given: str) -> Path:
-    """The folder that was given, from the root on; raises ``BadValueError`` where there is none."""
+    """The folder that was given, from the root on; it need not be there yet.
+
+    Raises ``BadValueError`` where none is given, ``OutputError`` where the system refuses the path: it is too
+    long, or of a computer that does not answer.
+    """
     if not given.strip():
         raise BadValueError("no folder is chosen for the data set", "Choose a new or empty one.")
-    return Path(whole(given))
+    folder = Path(whole(given))
+    with _refusals_in_words(folder), suppress(FileNotFoundError, NotADirectoryError):
+        folder.stat()
+    return folder
 
 
-def _names(folder: Path) -> list[str]:
+@contextmanager
+def _refusals_in_words(folder: Path) -> Iterator[None]:
     try:
-        return os.listdir(folder)
+        yield
     except OSError as error:
         raise OutputError(
-            f"nobody may look into {folder}: {error.strerror or error}", "Choose another folder."
+            f"{folder} cannot be opened: {error.strerror or error}", "Choose another folder."
         ) from error
 
 
 def check(out: Path) -> str:
     """What becomes of a folder, in words; raises ``OutputError`` where nothing can be written there."""
+    with _refusals_in_words(out):
+        return _becomes(out)
+
+
+def _becomes(out: Path) -> str:
     if (out / INFO_FILE).is_file():
         return "It holds a data set: what has the same settings is kept, and nothing is overwritten"
     if (out / PARTIAL_FILE).is_file():
         return "It holds a part of a data set: with the same settings the rest is rendered"
     if out.is_dir():
-        if any(not name.startswith(".") for name in _names(out)):
+        if any(not name.startswith(".") for name in os.listdir(out)):
             raise OutputError(f"{out} holds files but no data set", "Choose a new or empty folder.")
         parent = out
     elif out.exists():

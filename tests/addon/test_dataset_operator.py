@@ -680,5 +680,23 @@ def test_a_folder_that_nobody_may_look_into_is_refused_in_words(extension, tmp_p
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(dataset_folder.os, "listdir", refuse)
-    with pytest.raises(OutputError, match="nobody may look into"):
+    with pytest.raises(OutputError, match="cannot be opened: Permission denied"):
         dataset_folder.check(tmp_path)
+
+
+def test_a_path_that_the_system_refuses_is_told_in_words(room, tmp_path):
+    """In the dialog, which is drawn as it is typed, and by both operators."""
+    long = str(tmp_path / ("x" * 300))
+    told = "cannot be opened: File name too long"
+    dataset_settings.settings_of(room).out = long
+    problem, _ = dataset_dialog._judged(dataset_settings.chosen(room), room)
+    assert isinstance(problem, OutputError) and told in problem.message
+    with pytest.raises(OutputError, match=told):
+        dataset_folder.check(Path(long))
+    for asked in (
+        lambda: bpy.ops.physhdr.dataset_render(out=long, **SMALL),
+        lambda: bpy.ops.physhdr.dataset_check(folder=long),
+    ):
+        with pytest.raises(RuntimeError, match=told) as error:
+            asked()
+        assert "Traceback" not in str(error.value)
