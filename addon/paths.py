@@ -66,12 +66,25 @@ def is_free(path: Path) -> bool:
 
 
 def first_free(path: Path, suffix: str = "", fits: Callable[[Path], bool] = is_free) -> Path:
-    """The path, or the same with a number before its ``suffix``: the first that ``fits``."""
+    """The path, or the same with a number before its ``suffix``: the first that ``fits``.
+
+    Where the system refuses the path, as one that is too long, no number helps: whoever opens it is told.
+    """
     candidate, number = path, 2
-    while not fits(candidate):
+    while not fits(candidate) and not _is_refused(candidate):
         candidate = path.with_name(f"{path.name.removesuffix(suffix)}_{number}{suffix}")
         number += 1
     return candidate
+
+
+def _is_refused(path: Path) -> bool:
+    try:
+        path.lstat()
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    except OSError:
+        return True
+    return False
 
 
 def version() -> str:

@@ -52,3 +52,14 @@ def test_the_backends_folder_has_a_short_path_on_windows(tmp_path, monkeypatch):
     assert backend_folder() == tmp_path / "physhdr" / "{}.{}".format(*bpy.app.version)
     windows.environ.clear()
     assert backend_folder() == user_folder() / "backend"
+
+
+def test_no_number_is_tried_where_the_system_refuses_the_name(tmp_path):
+    """Such as a folder named after a file whose own name is as long as may be; it is told once it is used."""
+    taken, long = tmp_path / "data", tmp_path / ("x" * 300)
+    taken.mkdir()
+    (taken / "file").touch()
+    assert paths.first_free(taken) == tmp_path / "data_2"
+    asked = []
+    assert paths.first_free(long, fits=lambda path: asked.append(path) or len(asked) > 9) == long
+    assert asked == [long] and paths.first_free(long) == long
