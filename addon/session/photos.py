@@ -13,8 +13,11 @@ from ...bridge.limits import is_number
 from ...bridge.words import counted
 from .state import Photos, Prepared
 
-#: What options of the command are called in the panel: its errors and warnings name them as remedies.
+#: What options of the command are called in the panel: its errors and warnings name them as remedies. Names
+#: <pose>_<k> need no option in it.
 LABELS = {
+    " (--group names)": "",
+    "--group none": "Photos a Place 1",
     "--handheld": "Hand-Held",
     "--bracket": "Photos a Place",
     "--same-exposure": "Same Exposure",
@@ -75,7 +78,8 @@ def prepare_command(photos: str, out: str, options: tuple[str, ...], overwrite: 
 
 def in_panel_words(text: str) -> str:
     """A sentence of the command with its options as the panel calls them."""
-    return re.sub(r"--[a-z][a-z-]*", lambda found: LABELS.get(found[0], found[0]), text)
+    options = r" \(--group names\)|--group none\b|--[a-z][a-z-]*"
+    return re.sub(options, lambda found: LABELS.get(found[0], found[0]), text)
 
 
 def understood(photos: Photos, result: dict[str, Any]) -> Photos:

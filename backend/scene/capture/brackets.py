@@ -123,7 +123,7 @@ def find_brackets(
         groups = _by_name(photos)
         if by == "names":
             _require_equal(groups)
-        if by == "names" or _is_plain(groups):
+        if by == "names" or _is_plain(groups, seconds):
             return _checked(list(groups.values()), seconds, "by name, <pose>_<k>")
     return _by_order(_in_order(photos, seconds), seconds, length, by == "auto")
 
@@ -179,10 +179,19 @@ def _steps(group: Sequence[Photo]) -> list[int]:
     return sorted(int(match[2]) for photo in group if (match := NAMED.fullmatch(photo.path.stem)))
 
 
-def _is_plain(groups: Mapping[str, list[Photo]]) -> bool:
-    """Several poses, each with the same two or more steps: what names that cameras give never look like."""
+def _is_plain(groups: Mapping[str, list[Photo]], seconds: Mapping[str, float]) -> bool:
+    """Several poses, each with the same two or more steps: what names that cameras give never look like.
+
+    Not series of single photos, numbered room by room: these are longer, or have an exposure twice.
+    """
     steps = [_steps(group) for group in groups.values()]
-    return len(groups) > 1 and len(steps[0]) > 1 and all(step == steps[0] for step in steps)
+    if len(groups) < 2 or not 1 < len(steps[0]) <= LONGEST_BRACKET or steps.count(steps[0]) < len(steps):
+        return False
+    for group in groups.values():
+        evs = sorted(math.log2(seconds[photo.name]) for photo in group if photo.name in seconds)
+        if any(longer - shorter < SAME_EV for shorter, longer in itertools.pairwise(evs)):
+            return False
+    return True
 
 
 def _require_equal(groups: Mapping[str, list[Photo]]) -> None:
@@ -233,7 +242,8 @@ def _by_order(
             )
         length = lengths[0]
     if length == 1:
-        return _without(photos, seconds, "one photo a place, all of one exposure")
+        why = "all of one exposure" if _repeats(evs, 1, relative=False) else "as asked"
+        return _without(photos, seconds, f"one photo a place, {why}")
     groups = [photos[k : k + length] for k in range(0, len(photos), length)]
     _check_pauses(groups)
     return _checked(groups, seconds, f"by order: each {length} photos repeat the same exposures")

@@ -166,6 +166,17 @@ def test_photos_are_looked_at_and_what_they_became_is_summarised():
     assert again.prepared == Prepared()
 
 
+def test_remedies_of_brackets_are_those_that_the_panel_has():
+    hint = "Say --bracket N, name them desk_0.jpg (--group names), or say that there are none (--group none)."
+    state, _ = transition(READY, PhotosChosen("/photos"))
+    state, _ = transition(state, TaskStarted("look", "/log"))
+    failed, _ = transition(state, TaskEnded("look", False, message="not plain", hint=hint))
+    assert failed.photos.problem is not None
+    assert failed.photos.problem.hint == (
+        "Say Photos a Place N, name them desk_0.jpg, or say that there are none (Photos a Place 1)."
+    )
+
+
 def test_what_photos_are_is_told_in_short_lines():
     told = {"photos": 27, "places": 9, "per_place": 3, "exposures": [0.125, 0.5, 2.0], "stops": 4.0}
     told |= {"size": [400, 300], "how": "by order: each 3 photos repeat", "lines": ["27 photos of 400×300 …"]}

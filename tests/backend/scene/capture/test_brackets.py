@@ -71,6 +71,34 @@ def test_names_of_pose_and_step():
     assert poses(found) == [[f"{pose}_{k}" for k in (0, 1, 2)] for pose in ("desk", "door 9", "door 10")]
 
 
+@pytest.mark.parametrize("count", [6, 12])
+def test_series_of_single_photos_are_no_brackets_by_name(count):
+    """Automatic exposure, room by room: more photos than brackets have, or one exposure twice."""
+    names = [f"{room}_{k:02d}.jpg" for room in ("bath", "kitchen") for k in range(count)]
+    random = np.random.default_rng(count)
+    evs = np.round(3 * np.cumsum(random.normal(0.0, 0.3, 2 * count))) / 3
+    if count == 12:
+        evs = evs + np.arange(2 * count) * 0.3  # no exposure comes again
+    found = find_brackets(*shots(list(evs), names))
+    assert found.length == 1 and len(found.poses) == 2 * count and "automatic" in found.how
+    same = find_brackets(*shots([1.0] * 2 * count, names))  # frames of two videos, of one exposure as asked
+    assert same.length == 1 and len(same.poses) == 2 * count
+    assert "of the same exposure" in refused(*shots([1.0] * 2 * count, names), by="names")
+
+
+def test_named_brackets_of_which_one_has_an_exposure_twice_are_refused():
+    """They do not pass for single photos: the shortest time of the camera was reached."""
+    names = [f"{place}_{k}.jpg" for place in "abcdefgh" for k in range(3)]
+    evs = [-2, 0, 2] * 8
+    evs[4] = -2
+    assert "not plain which of the 24" in refused(*shots(evs, names))
+
+
+def test_one_photo_a_place_says_why():
+    assert find_brackets(*shots([1.0] * 5)).how == "one photo a place, all of one exposure"
+    assert find_brackets(*shots([0, 2, 4, 6]), length=1).how == "one photo a place, as asked"
+
+
 def test_a_missing_photo_is_found_where_it_is_missing():
     evs = [0, -2, 2] * 5
     del evs[7]  # the third bracket's −2
