@@ -7,15 +7,19 @@ syntax: whatever Python a user has must come as far as a clear message.
 
     launch.py requirements [EXTRA]    what pip has to install, one requirement a line
     launch.py check [--json]          whether everything is there and works
+    launch.py module MODULE …         main of a module of ours, as one of our processes starts it (child.py)
     launch.py COMMAND …               as the command physhdr
 """
 
+import importlib
 import importlib.util
 import json
 import os
 import sys
 
 OLDEST = (3, 11)
+#: The word that is not the command line's.
+MODULE = "module"
 HERE = os.path.dirname(os.path.abspath(__file__))
 ROOT = os.path.dirname(HERE)
 
@@ -38,10 +42,13 @@ def _bootstrap():
     # Compiled kernels go where the caller says, else into the user's cache folder. Bytecode is not written
     # unless the caller says where: a prefix would also hide what pip compiled of torch (seconds), and ours is
     # compiled in a moment. In the environment, for processes that are started from here.
-    os.environ.setdefault("NUMBA_CACHE_DIR", os.path.join(_cache_folder(), "numba"))
-    if not sys.pycache_prefix:
-        os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
-        sys.dont_write_bytecode = True
+    # A module of ours in a process of its own has all that from whoever started it; nobody who has installed
+    # the package has set it.
+    if sys.argv[1:2] != [MODULE]:
+        os.environ.setdefault("NUMBA_CACHE_DIR", os.path.join(_cache_folder(), "numba"))
+        if not sys.pycache_prefix:
+            os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
+            sys.dont_write_bytecode = True
     # Python puts a script's own folder first: there, "export" or "train" would be ours for everybody.
     sys.path[:] = [path for path in sys.path if os.path.abspath(path or ".") != HERE]
     spec = importlib.util.spec_from_file_location(
@@ -77,6 +84,8 @@ def _main(arguments):
             sys.stderr.write(f"error: {error.message}\n  {error.hint}\n")
             return 1
         return 0
+    if arguments[:1] == [MODULE]:
+        return importlib.import_module(arguments[1]).main(arguments[2:])
     from physhdr.backend.cli import main  # pyright: ignore[reportMissingImports]
 
     return main(arguments)

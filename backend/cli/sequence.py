@@ -4,7 +4,7 @@
 Beside the frames stands ``NAME_####.exr.frames.json``: what each of them shows, as a digest of the model, the
 camera and the light. A frame that is there is whole (it is written by a rename), and is kept where that file
 says that it is the one; so an interrupted sequence goes on. It is drawn here, or by several processes, which
-get their frames in a file and open the run themselves (``python -m … sequence JOB.json``).
+get their frames in a file and open the run themselves (``child.py``).
 """
 
 import hashlib
@@ -26,6 +26,7 @@ from ...bridge.errors import BadValueError, DataMismatchError, OutputError, Phys
 from ...bridge.regular import read_json_object
 from ...bridge.run_folder import CHECKPOINT_FILE
 from ..benchmark.job import THREAD_VARIABLES
+from ..child import child_command
 from ..device import DeviceName
 from ..evaluate.pictures import finite
 from ..evaluate.sheets import as_picture
@@ -252,7 +253,7 @@ def draw_at_once(
 def _worked(job: Path, threads: int, should_stop: Callable[[], bool]) -> Outcome:
     """Run one process to its end, in a thread that watches it."""
     log = job.with_suffix(".log")
-    command = [sys.executable, "-m", __name__, str(job)]
+    command = child_command(__name__, str(job))
     variables = dict.fromkeys(THREAD_VARIABLES, str(threads)) | {"PYTHONUNBUFFERED": "1"}
     try:
         status = run_to_end(command, log, should_stop, variables)
@@ -301,7 +302,3 @@ def _drawn(argv: list[str]) -> int:
 def threads_each(workers: int, all_of_them: int) -> int:
     """The threads of each of ``workers``."""
     return max(1, all_of_them // workers)
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

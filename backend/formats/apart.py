@@ -24,6 +24,7 @@ import numpy as np
 import psutil
 
 from ...bridge.errors import BadValueError, FileDamagedError, PhysHDRError
+from ..child import child_command
 from ..memory import gigabytes, room
 from ..optional import PackageMissingError
 
@@ -43,12 +44,6 @@ REMEDY = "It is damaged, or not meant to be read: export it again."
 _TYPES = ("<f4", "<f8")
 #: Errors that the process may answer with.
 _ERRORS = {each.__name__: each for each in (BadValueError, FileDamagedError, PackageMissingError)}
-#: ``launch.py`` makes its folder the package, installed or not.
-_LAUNCHER = Path(__file__).resolve().parents[1] / "launch.py"
-_CHILD = (
-    "import runpy, sys; runpy.run_path(sys.argv.pop(1), run_name='physhdr_apart'); "
-    "from physhdr.backend.formats import apart; apart.main(sys.argv[1:])"
-)
 
 
 def apart(path: Path, function: Callable[..., Answer], *words: Any) -> Answer:
@@ -60,7 +55,7 @@ def apart(path: Path, function: Callable[..., Answer], *words: Any) -> Answer:
     seconds = PATIENCE + PATIENCE_A_MB * path.stat().st_size / 1e6
     most = _most()
     job = json.dumps([function.__module__, function.__qualname__, words, seconds])
-    command = [sys.executable, "-P", "-c", _CHILD, str(_LAUNCHER), job]
+    command = child_command(__name__, job)
     over: list[str] = []
     with (
         tempfile.TemporaryFile() as said,

@@ -2,7 +2,11 @@
 """``physhdr render --camera``: frames along a path, kept, drawn anew, and drawn by several processes."""
 
 import json
+import os
 import shutil
+import subprocess
+import sys
+import sysconfig
 from pathlib import Path
 
 import numpy as np
@@ -130,6 +134,25 @@ def test_several_processes_draw_the_same(run: Path, scene: Scene, tmp_path: Path
     for path in sorted((tmp_path / "one").iterdir()):
         assert (tmp_path / "two" / path.name).read_bytes() == path.read_bytes(), path.name
     assert len(list((tmp_path / "two").iterdir())) == 5, "frames and what they are"
+
+
+def test_workers_start_where_the_package_is_not_installed(run: Path, scene: Scene, tmp_path: Path) -> None:
+    """As in the environment that Blender makes: it has what the package needs, and launch.py finds that."""
+    other = getattr(sys, "_base_executable", sys.executable)  # reads no .pth files of this environment's
+    # The kernels that these tests have compiled are beside their sources, numba's own place.
+    environment = {**os.environ, "PYTHONPATH": sysconfig.get_paths()["purelib"], "NUMBA_CACHE_DIR": ""}
+    if not subprocess.run(
+        [other, "-P", "-c", "import physhdr"], env=environment, capture_output=True
+    ).returncode:
+        pytest.skip("the package is installed for every Python here")
+    shots = shots_of(scene, tmp_path / "shots.json", 2)
+    words = ["render", run, "--camera", shots, "--out", tmp_path / "a_#.exr", "--workers", "2"]
+    launcher = Path(__file__).resolve().parents[3] / "backend" / "launch.py"
+    done = subprocess.run(
+        [other, launcher, *words], env=environment, cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert len(list(tmp_path.glob("a_[01].exr"))) == 2
 
 
 def test_a_worker_that_fails_is_heard(scene: Scene, tmp_path: Path) -> None:
