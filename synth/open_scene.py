@@ -15,7 +15,7 @@ import bpy
 from mathutils import Vector
 
 from ..bridge.lights import AMBIENT
-from . import active_camera, left_out, plan, rig, scripts, simulations, user_camera, user_light
+from . import active_camera, in_views, left_out, plan, rig, scripts, simulations, user_camera, user_light
 from .blender import camera_of, cycles, evaluated
 from .errors import SceneError, SceneFileError
 from .fingerprint import fingerprint
@@ -53,6 +53,7 @@ def opened(options: Options, report: Report) -> Iterator[tuple[Stage, Options]]:
         undo.callback(scene.frame_set, former[0], subframe=former[1])
         scene.frame_set(former[0], subframe=former[1])
         models = undo.enter_context(left_out.hidden(scene, layer, report))
+        undo.enter_context(in_views.shown(scene, layer))
         layer.update()
         if not user_light.any_light(scene, layer):
             raise SceneError(

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a ray meets first of what is rendered."""
+"""What a ray meets first of what is rendered and of what 3D views show (``in_views.shown``: all of it)."""
+
+from typing import Any
 
 import bpy
 from mathutils import Vector
@@ -18,6 +20,7 @@ class Rays:
         layer.update()
         self.scene, self.depsgraph = scene, evaluated(layer)
         self.rendered = set(rendered(scene, layer))
+        self._seen: dict[bpy.types.Object, bool] = {}
 
     def first(
         self, origin: Vector, direction: Vector, distance: float = 1e30
@@ -30,7 +33,8 @@ class Rays:
             )
             if not hit:
                 return None
-            if item.original in self.rendered and _is_seen(item):
+            met: Any = item.original
+            if self._is_seen(met):
                 return place, normal
             step = (place - start).length
             step += PAST * max(1.0, step)
@@ -39,7 +43,22 @@ class Rays:
                 return None
         return None
 
+    def _is_seen(self, item: bpy.types.Object) -> bool:
+        if item not in self._seen:
+            self._seen[item] = item in self.rendered and item.visible_camera and _has_surface(item)
+        return self._seen[item]
 
-def _is_seen(item: bpy.types.Object) -> bool:
-    """Not what only helps to work: cutters, bounds of volumes, rigs' shapes."""
-    return item.visible_camera and item.display_type not in {"BOUNDS", "WIRE"}
+
+def _has_surface(item: bpy.types.Object) -> bool:
+    """Whether an object is more than the bounds of a volume."""
+    materials = [slot.material for slot in item.material_slots]
+    return not materials or not all(map(_is_volume, materials))
+
+
+def _is_volume(material: bpy.types.Material | None) -> bool:
+    if material is None or material.node_tree is None:
+        return False
+    output = material.node_tree.get_output_node("CYCLES")
+    if output is None:
+        return False
+    return bool(output.inputs["Volume"].is_linked and not output.inputs["Surface"].is_linked)

@@ -328,6 +328,8 @@ class TestTarget:
         assert self.distance(scene) == pytest.approx(4.0, rel=1e-4)
         blocker = add("cutter", bpy.data.meshes["cube"], (3, 3, 2))
         assert self.distance(scene) == pytest.approx(1.0, rel=1e-4)
+        blocker.hide_viewport = True  # and rendered all the same
+        assert self.distance(scene) == pytest.approx(1.0, rel=1e-4)
         blocker.hide_render = True
         assert self.distance(scene) == pytest.approx(4.0, rel=1e-4)
 
@@ -506,6 +508,7 @@ def complicated(scene):
     bpy.data.objects["lamp"].lightgroup = "warm"
     bpy.data.objects["sun"].lightgroup = "warm"
     bpy.data.objects["cube"].pass_index = 12
+    bpy.data.objects["cube"].hide_viewport = True
     scene.frame_set(6)
 
 

@@ -7,6 +7,7 @@ import bpy
 import pytest
 from mathutils import Vector
 
+from physhdr.synth import in_views
 from physhdr.synth.rays import Rays
 
 EYE, AHEAD = Vector((0.0, 0.0, 5.0)), Vector((0.0, 0.0, -1.0))
@@ -52,16 +53,73 @@ def hide_from_cameras(veil: bpy.types.Object, around: bpy.types.Collection) -> N
     veil.visible_camera = False
 
 
-def show_as_wire(veil: bpy.types.Object, around: bpy.types.Collection) -> None:
-    veil.display_type = "WIRE"
+def fill_with_smoke(veil: bpy.types.Object, around: bpy.types.Collection) -> None:
+    smoke = bpy.data.materials.new("smoke")
+    nodes, links = smoke.node_tree.nodes, smoke.node_tree.links
+    nodes.clear()
+    volume, output = nodes.new("ShaderNodeVolumePrincipled"), nodes.new("ShaderNodeOutputMaterial")
+    links.new(volume.outputs[0], output.inputs["Volume"])
+    veil.data.materials.append(smoke)
 
 
-@pytest.mark.parametrize("away", [hide, hide_collection, hide_from_cameras, show_as_wire])
+@pytest.mark.parametrize("away", [hide, hide_collection, hide_from_cameras, fill_with_smoke])
 def test_what_is_not_rendered_is_passed_through(veiled, away: Callable) -> None:
     scene, veil, around = veiled
     assert first(scene) == pytest.approx(1.0)
     away(veil, around)
     assert first(scene) == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("display", ["WIRE", "BOUNDS"])
+def test_what_views_display_otherwise_is_met(veiled, display: str) -> None:
+    scene, veil, _ = veiled
+    veil.display_type = display
+    assert first(scene) == pytest.approx(1.0)
+
+
+def disable(veil: bpy.types.Object, around: bpy.types.Collection) -> None:
+    veil.hide_viewport = True
+
+
+def close_the_eye(veil: bpy.types.Object, around: bpy.types.Collection) -> None:
+    veil.hide_set(True)
+
+
+def disable_collection(veil: bpy.types.Object, around: bpy.types.Collection) -> None:
+    around.children[0].hide_viewport = True
+
+
+def close_the_eye_of_the_collection(veil: bpy.types.Object, around: bpy.types.Collection) -> None:
+    bpy.context.view_layer.layer_collection.children["around"].hide_viewport = True
+
+
+def disable_in_an_instance(veil: bpy.types.Object, around: bpy.types.Collection) -> None:
+    veil.hide_viewport = around.hide_viewport = True
+    bpy.context.scene.collection.children.unlink(around)
+    holder = bpy.data.objects.new("holder", None)
+    holder.instance_type, holder.instance_collection = "COLLECTION", around
+    bpy.context.scene.collection.objects.link(holder)
+
+
+HIDDEN = [disable, close_the_eye, disable_collection, close_the_eye_of_the_collection, disable_in_an_instance]
+
+
+@pytest.mark.parametrize("away", HIDDEN)
+def test_what_views_alone_hide_is_met_while_it_is_shown(veiled, away: Callable) -> None:
+    scene, veil, around = veiled
+    away(veil, around)
+    scene.view_layers[0].update()
+    assert first(scene) == pytest.approx(0.0, abs=1e-6)
+    with in_views.shown(scene, scene.view_layers[0]):
+        assert first(scene) == pytest.approx(1.0)
+    assert first(scene) == pytest.approx(0.0, abs=1e-6)
+
+
+def test_what_is_not_rendered_stays_hidden_in_views(veiled) -> None:
+    scene, veil, _ = veiled
+    veil.hide_render = veil.hide_viewport = True
+    with in_views.shown(scene, scene.view_layers[0]):
+        assert veil.hide_viewport
 
 
 def test_an_instance_of_what_is_hidden_itself_is_met(veiled) -> None:
