@@ -139,9 +139,7 @@ def exposures_from_file(path: Path, photos: Sequence[Photo]) -> Exposures:
 
 def _csv(text: str) -> dict[str, str]:
     """``name → seconds`` as text; a first line whose second column is no number is a heading."""
-    separator = ";" if ";" in text and "," not in text else ","
-    rows = [[cell.strip() for cell in row] for row in csv.reader(text.splitlines(), delimiter=separator)]
-    rows = [row for row in rows if row and row[0]]
+    rows = [row for row in map(_columns, text.splitlines()) if row and row[0]]
     for number, row in enumerate(rows):
         if len(row) < 2:
             raise ValueError(f"line {number + 1} is not 'name,seconds': {row[0]!r}")
@@ -150,13 +148,34 @@ def _csv(text: str) -> dict[str, str]:
     return {row[0]: row[1] for row in rows}
 
 
+def _columns(line: str) -> list[str]:
+    """The cells of a line between tabs, semicolons or commas: the first by which the second is a number.
+
+    Between the former two decimals may have a comma.
+    """
+    found: list[list[str]] = []
+    for separator in "\t;,":
+        cells = [cell.strip() for row in csv.reader([line], delimiter=separator) for cell in row]
+        if separator != ",":
+            cells[1:] = [cell.replace(",", ".") for cell in cells[1:]]
+        if len(cells) > 1 and math.isfinite(_number(cells[1])):
+            return cells
+        found.append(cells)
+    return max(found, key=len)
+
+
+def _number(text: str) -> float:
+    """Of ``0.5`` or ``1/60``; NaN of what is none."""
+    top, _, bottom = text.partition("/")
+    try:
+        return float(top) / float(bottom or 1)
+    except (ValueError, ZeroDivisionError):
+        return math.nan
+
+
 def _seconds(entry: object, name: str, path: Path) -> float:
     """A number, or text such as ``1/60``."""
-    try:
-        top, _, bottom = str(entry).partition("/")
-        seconds = float(top) / float(bottom or 1)
-    except (ValueError, ZeroDivisionError):
-        seconds = math.nan
+    seconds = _number(str(entry))
     if isinstance(entry, bool) or not (math.isfinite(seconds) and seconds > 0.0):
         raise BadValueError(
             f"{path} gives {name} the exposure {entry!r:.80}", "Give seconds above 0: 0.5 or 1/60."

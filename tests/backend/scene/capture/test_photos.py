@@ -189,6 +189,26 @@ def test_exposures_from_files(room, tmp_path):
         assert exposures_from_file(tmp_path / file, photos).seconds == {"a.jpg": 0.5, "b.jpg": 2.0}
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Datei;Sekunden\na.jpg;0,5\nb.jpg;2\n",  # Excel's CSV where decimals have a comma
+        "Datei\tSekunden\r\na.jpg\t0,5\r\n\r\nb.jpg\t2,0\r\n",
+        "a.jpg\t1/2\nb.jpg\t2.0\n",
+        'name;seconds;note\n"a.jpg";"0,5";lamp, window\nb.jpg;2;\n',
+        '"a.jpg",0.5,"lamp; window"\nb.jpg, 2\n',
+        "a.jpg;0,5\nb.jpg;2\nmoon, stars.jpg;9,5\n",
+    ],
+)
+def test_tables_of_exposures_as_spreadsheets_write_them(room, tmp_path, text):
+    for name in ("a", "b", "moon, stars") if "moon" in text else ("a", "b"):
+        room.write_photo(tmp_path / f"{name}.jpg", GREY)
+    (tmp_path / "e.csv").write_bytes(text.encode())
+    found = exposures_from_file(tmp_path / "e.csv", find_photos(tmp_path).photos)
+    assert found.seconds.pop("moon, stars.jpg", 9.5) == 9.5
+    assert found.seconds == {"a.jpg": 0.5, "b.jpg": 2.0}
+
+
 def test_names_in_files_of_exposures_may_be_spelled_in_another_way(room, tmp_path):
     """By a system that tells no case, or that spells ü by two characters; what is the same goes before."""
     nfd, nfc = (unicodedata.normalize(form, "Küche.jpg") for form in ("NFD", "NFC"))
