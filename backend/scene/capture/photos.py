@@ -301,8 +301,7 @@ def find_photos(folder: Path, done: Callable[[int, int], None] = lambda photos, 
 
     Raises ``FileMissingError`` (no folder, no photos in it, no library for raw files or HEIC),
     ``FileDamagedError`` (no file can be read, a mask cannot), ``DataMismatchError`` (all are 360° pictures, a
-    mask is of another size than its photo),
-    ``BadValueError`` (a name that is not UTF-8).
+    mask is of another size than its photo), ``BadValueError`` (a name that is not UTF-8).
     """
     if not folder.is_dir():
         raise FileMissingError(
