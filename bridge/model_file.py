@@ -140,6 +140,14 @@ class Model:
         known = sorted(self.exposures)
         return math.log2(known[len(known) // 2]) if known else 0.0
 
+    def known_levels(self, level: Levels) -> tuple[float, ...]:
+        """What ``level`` is for each of ``lights``, limited to the range of a baked-levels model.
+
+        Raises ``BadValueError``.
+        """
+        levels = as_levels(level, self.lights)
+        return levels if not self.levels else (min(max(levels[0], self.levels[0]), self.levels[-1]),)
+
     def tensors(self) -> dict[str, np.ndarray]:
         """The arrays that are there, by the file's tensor names."""
         arrays = {name: getattr(self, name) for name in SHAPES}

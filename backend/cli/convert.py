@@ -147,7 +147,7 @@ class Convert:
             cloud = turned(cloud, turn_of_up(source.up, up)) if up != source.up else cloud
             cloud = replace(cloud, up=up)
             facts = [f"{PROVENANCE}{key}: {value}" for key, value in source.facts]
-            clipped = (*changed, *self._write(target, cloud, [*facts, told]))
+            clipped = (*changed, *self._limited(source, linear), *self._write(target, cloud, [*facts, told]))
             count = cloud.count
         left_out = [left_out_note(source.left_out)] if source.left_out else []
         notes = [*left_out, *source.notes, *clipped]
@@ -265,14 +265,36 @@ class Convert:
             f"screen they differ by {lost:.3f} (root mean square, white is 1). {instead} to keep them.",
         )
 
+    def _levels(self, source: Source, model: Model, linear: bool) -> tuple[float, ...]:
+        """The level of each light that is written: as far as the model knows it, but as it is asked for where
+        colours are fitted to the run's own pictures."""
+        asked = levels_asked(self.lighting_level, self.lighting_levels, model.lights)
+        of_pictures = source.run is not None and not (linear or self.quick) and self._tone(model) == "LEARNED"
+        return asked if of_pictures else model.known_levels(asked)
+
+    def _limited(self, source: Source, linear: bool) -> tuple[str, ...]:
+        """A sentence where a model does not know its light at the level that is asked for."""
+        model = source.model
+        if model is None or not model.levels:
+            return ()
+        asked = levels_asked(self.lighting_level, self.lighting_levels, model.lights)
+        levels = self._levels(source, model, linear)
+        if levels == asked:
+            return ()
+        known = f"{model.levels[0]:g} to {model.levels[-1]:g}"
+        return (f"Its lighting is known at levels {known}: written at {levels[0]:g}, not {asked[0]:g}.",)
+
+    def _tone(self, model: Model) -> Tone:
+        return "SRGB" if self.tone == "srgb" or model.tone_curve is None else "LEARNED"
+
     def _of_model(self, source: Source, model: Model, linear: bool, show: Told) -> tuple[SplatCloud, str]:
-        levels = levels_asked(self.lighting_level, self.lighting_levels, model.lights)
+        levels = self._levels(source, model, linear)
         ev = self.exposure_ev
         if linear:
             ev = (model.developed_ev if self.blend_linear else RADIANCE_EV) if ev is None else ev
             told = f"scene-linear radiance × 2^EV, {look_words(ev, levels, model.lights)}"
             return _cloud_of(model, radiance_sh(model, 2.0**ev, levels)), told
-        tone: Tone = "SRGB" if self.tone == "srgb" or model.tone_curve is None else "LEARNED"
+        tone = self._tone(model)
         look = Look(model.developed_ev if ev is None else ev, levels, tone)
         told = look_comment(look.exposure_ev, levels, tone, model.lights)
         colours = developed(model, look)

@@ -86,6 +86,8 @@ class Export:
         console.print(f"wrote {out / CAMERAS_FILE}: its cameras{learned}")
 
         ev = model.developed_ev if self.exposure_ev is None else self.exposure_ev
+        if self.quick:  # what is fitted to the method's pictures is at any level
+            levels = model.known_levels(levels)
         look, exposure = look_words(ev, levels, model.lights), 2.0**ev
         colours = display_colour_sh(model, exposure, levels)
         if not self.quick:

@@ -275,6 +275,17 @@ def test_baked_levels_interpolate_in_stops_and_hold_outside():
         )
 
 
+def test_levels_are_known_as_far_as_they_were_baked():
+    """Those outside look as those at the end, and are called so."""
+    baked = make_model(modulator="baked-levels")  # at 0.25, 1 and 2
+    direction = np.tile([0.0, 0.0, 1.0], (baked.count, 1))
+    for asked, known in ((0.0, 0.25), (0.5, 0.5), (5.0, 2.0)):
+        assert baked.known_levels(asked) == baked.known_levels((asked,)) == (known,)
+        np.testing.assert_array_equal(baked.radiance(direction, asked), baked.radiance(direction, known))
+    lamps = make_model(lights=("ambient", "lamp"))
+    assert lamps.known_levels(5.0) == (5.0, 1.0) and lamps.known_levels((0.0, 7.0)) == (0.0, 7.0)
+
+
 def test_radiance_depends_on_the_direction():
     """Only the z coefficient of degree 1: exp(C1 z), brightest seen from below (ω up)."""
     log_radiance_sh = np.zeros((2, 4, 3), np.float32)

@@ -175,6 +175,23 @@ def test_lights_whose_names_begin_with_a_dash_are_given_after_a_space(tmp_path: 
     np.testing.assert_array_equal(one.colour_sh, other.colour_sh)
 
 
+def test_a_level_that_was_not_baked_is_told_as_what_is_written(tmp_path: Path, capsys) -> None:
+    """Of baked levels the ends hold outside; message and header name the level that the colours have."""
+    arrays = {name: array for name, array in a_model(0).tensors().items() if name != "light_share"}
+    gain = np.linspace(-1.0, 1.0, 3, dtype=np.float32)[:, None, None] * np.ones((1, 40, 3), np.float32)
+    write_model(tmp_path / "m.safetensors", Model(**arrays, level_log_gain=gain, levels=(0.5, 1.0, 2.0)))
+    files = {}
+    for asked, known in ((0.0, 0.5), (0.5, 0.5), (2.0, 2.0), (5.0, 2.0)):
+        out = tmp_path / f"{asked}.ply"
+        convert(tmp_path / "m.safetensors", out, "--lighting-level", asked)
+        told = words(capsys)
+        assert f"lighting level {known:g}," in told and "lighting level 5" not in told
+        assert (f"written at {known:g}, not {asked:g}" in told) == (asked != known)
+        assert any(f"lighting level {known:g}," in line for line in read_ply(out).comments)
+        files[asked] = out.read_bytes()
+    assert files[0.0] == files[0.5] != files[2.0] == files[5.0]
+
+
 def test_another_programs_colours_pass_through(tmp_path: Path) -> None:
     """Not a bit of them is fitted anew: PLY → glTF → PLY → PLY, and the axes come back."""
     rng = np.random.default_rng(0)
