@@ -205,9 +205,10 @@ def read_ply(path: Path) -> GaussianPly:
 
     ASCII or binary of either byte order, columns of any number type, in any order, with or without normals
     and ``f_rest_*``; columns that we do not know are kept. Where a file has ``red green blue`` in place of
-    ``f_dc_*`` (nerfstudio without SH), those are made from them; where it has no ``scale_2`` (2DGS), that is
-    ln 0; of SH degree 4 the highest band is left out. Raises ``FileMissingError``;
-    ``FileDamagedError`` if it is no PLY, truncated, or holds no Gaussians.
+    ``f_dc_*`` (nerfstudio without SH), those are made from them: floats are colours of 0…1, whole numbers
+    codes of 8 or 16 bits; where it has no ``scale_2`` (2DGS), that is ln 0; of SH degree 4 the highest band
+    is left out. Raises ``FileMissingError``; ``FileDamagedError`` if it is no PLY, truncated, or holds no
+    Gaussians.
     """
     return gaussians_in(Path(path), open_gaussians(Path(path)))
 
@@ -243,7 +244,8 @@ def gaussians_in(path: Path, ply: plyfile.PlyData) -> GaussianPly:
         columns = _columns(vertex.data, names)
     if "f_dc_0" not in columns:
         for index, name in enumerate(("red", "green", "blue")):
-            columns[f"f_dc_{index}"] = ((columns[name] / 255.0 - 0.5) / SH_C0).astype(np.float32)
+            unit = _unit_of(vertex.data.dtype[name])
+            columns[f"f_dc_{index}"] = ((columns[name] / unit - 0.5) / SH_C0).astype(np.float32)
     if "scale_2" not in columns:
         columns["scale_2"] = np.full(len(columns["x"]), -np.inf, np.float32)
     return GaussianPly(_up_to_degree_3(columns), list(ply.comments))
@@ -329,6 +331,11 @@ def _check_names(path: Path, names: list[str]) -> None:
             f"{path} is not a PLY of Gaussians of SH degree 0 to 3: it has {len(rest)} f_rest_ columns",
             "Those degrees have 0, 9, 24 or 45, numbered from 0.",
         )
+
+
+def _unit_of(kind: np.dtype[Any]) -> float:
+    """What stands for 1 in a column of colours: floats are colours as they are, other types 8 or 16 bits."""
+    return 1.0 if kind.kind == "f" else 65535.0 if (kind.kind, kind.itemsize) == ("u", 2) else 255.0
 
 
 def _up_to_degree_3(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -11,6 +11,8 @@ from ..axes import Up
 from ..gaussian_ply import EXTRA_PREFIX, UP_WORDS, GaussianPly
 from .cloud import UP, SplatCloud
 
+#: Column of Mip-Splatting's 3D smoothing filter: a standard deviation.
+FILTER = "filter_3D"
 #: nerfstudio's comment line by which a PLY says that Z is up. (Brush writes "Vertical axis: y" of every
 #: scene, whichever way up it is.)
 _Z_UP = re.compile(r"vertical axis: z\b", re.IGNORECASE)
@@ -21,9 +23,14 @@ _Y_UP = re.compile(r"space: .*\bY up\b")
 def cloud_of_ply(ply: GaussianPly) -> SplatCloud:
     """The Gaussians of a PLY as they are, damaged ones too; quaternions of any length.
 
-    A logit of ±∞ is an opacity of 1 or 0, a logarithm of −∞ a scale of 0.
+    A logit of ±∞ is an opacity of 1 or 0, a logarithm of −∞ a scale of 0. Of Mip-Splatting, whose 3D filter
+    stands beside, they are as it draws them.
     """
-    return SplatCloud(**shape_of(ply.columns), colour_sh=_colour_sh(ply.columns), up=up_of(ply))
+    shape, notes = shape_of(ply.columns), ()
+    if FILTER in ply.columns:
+        shape |= _smoothed(shape["scale"], shape["opacity"], ply.columns[FILTER])
+        notes = (f"Its {FILTER} (Mip-Splatting's) is part of its scales and opacities here.",)
+    return SplatCloud(**shape, colour_sh=_colour_sh(ply.columns), notes=notes, up=up_of(ply))
 
 
 def shape_of(columns: Mapping[str, np.ndarray]) -> dict[str, Any]:
@@ -40,6 +47,17 @@ def shape_of(columns: Mapping[str, np.ndarray]) -> dict[str, Any]:
         "scale": scale,
         "opacity": sigmoid(columns["opacity"]),
     }
+
+
+def _smoothed(scale: np.ndarray, opacity: np.ndarray, wide: np.ndarray) -> dict[str, np.ndarray]:
+    """Mip-Splatting's 3D smoothing filter: each Gaussian convolved with a round one of deviation ``wide``.
+
+    The paper's equation 9: Σ + wide²·1 in place of Σ, and the opacity times √(|Σ| / |Σ + wide²·1|).
+    """
+    fused = np.hypot(scale, wide[:, None])
+    with np.errstate(invalid="ignore"):  # ∞ / ∞: left out for its scale
+        share = np.divide(scale, fused, out=np.ones_like(scale), where=fused > 0.0)
+    return {"scale": fused, "opacity": opacity * share.prod(axis=1)}
 
 
 def up_of(ply: GaussianPly) -> Up:

@@ -265,6 +265,20 @@ def test_plain_colours_in_place_of_f_dc(tmp_path: Path) -> None:
     np.testing.assert_allclose(colour, [1.0, 0.0, 0.2], atol=1e-6)
 
 
+@pytest.mark.parametrize(("kind", "codes"), [("<f4", (1.0, 0.0, 0.2)), (">u2", (65535, 0, 13107))])
+def test_plain_colours_are_as_wide_as_their_type(tmp_path: Path, kind: str, codes: tuple[float, ...]) -> None:
+    names = [n for n in standard_names(1) if not n.startswith("f_dc")]
+    channels = ("red", "green", "blue")
+    table = np.zeros(1, dtype=[*((n, ">f4") for n in names), *((channel, kind) for channel in channels)])
+    for channel, code in zip(channels, codes, strict=True):
+        table[channel] = code
+    element = plyfile.PlyElement.describe(table, "vertex")
+    plyfile.PlyData([element], byte_order=">").write(str(tmp_path / "a.ply"))
+    columns = read_ply(tmp_path / "a.ply").columns
+    colour = [0.5 + SH_C0 * columns[f"f_dc_{c}"][0] for c in range(3)]
+    np.testing.assert_allclose(colour, [1.0, 0.0, 0.2], atol=1e-6)
+
+
 def test_missing_ply(tmp_path: Path) -> None:
     with pytest.raises(FileMissingError, match=r"gone.ply is missing\n.*Check the path"):
         read_ply(tmp_path / "gone.ply")

@@ -384,6 +384,33 @@ def test_2dgs_is_read_flat_and_degree_4_without_its_highest_band(tmp_path: Path)
         np.testing.assert_array_equal(found.colour_sh[0, 1:, channel], 24 * channel + np.arange(15))
 
 
+def with_column(path: Path, name: str, values: np.ndarray) -> None:
+    """Rewrite a PLY with one more column, as others' trainers have them."""
+    table = plyfile.PlyData.read(str(path))["vertex"].data
+    wider = np.zeros(len(table), [*table.dtype.descr, (name, "<f4")])
+    for column in table.dtype.names:
+        wider[column] = table[column]
+    wider[name] = values
+    plyfile.PlyData([plyfile.PlyElement.describe(wider, "vertex")]).write(str(path))
+
+
+def test_the_filter_of_mip_splatting_is_part_of_the_gaussians(tmp_path: Path):
+    """Convolved with a round Gaussian, one keeps its integral: opacity × √|Σ| stays, and variances add up."""
+    given = gaussians(count=20, coefficients=1)
+    given["scales"][7, 2] = 0.0
+    wide = np.random.default_rng(2).uniform(0.0, 0.1, 20).astype(np.float32)
+    wide[3] = 0.0
+    write_standard_ply(tmp_path / "a.ply", **given)
+    with_column(tmp_path / "a.ply", "filter_3D", wide)
+    found = read_ply_model(tmp_path / "a.ply")
+    assert any("filter_3D" in note for note in found.notes)
+    variance = given["scales"].astype(np.float64) ** 2
+    scale = found.model.scale.astype(np.float64)
+    np.testing.assert_allclose(scale**2, variance + wide[:, None] ** 2, rtol=1e-4)
+    expected = given["opacities"] * np.prod(np.sqrt(variance), axis=1)
+    np.testing.assert_allclose(found.model.opacity * np.prod(scale, axis=1), expected, rtol=1e-4, atol=1e-30)
+
+
 @pytest.mark.parametrize(
     ("comment", "up"),
     [
