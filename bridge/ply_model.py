@@ -40,6 +40,8 @@ CONFIDENCE = "phys_confidence"
 TRAINED = "phys_means"
 #: Positions that differ by this share of the scene's size were moved.
 _MOVED = 1e-4
+#: Of all Gaussians so many, those nearest to their middle, tell whether they were turned.
+_NEAR_PERCENT = 99.0
 #: Columns of ln illumination: one, or one a channel.
 LOG_ILLUMINATION = "phys_log_illumination"
 #: Columns that say how a lossless PLY's radiance is made; without all of them it is a standard PLY.
@@ -194,6 +196,12 @@ def _lossless_model(path: Path, ply: GaussianPly) -> PlyModel:
 def _turn_since(before: np.ndarray, now: np.ndarray) -> np.ndarray | None:
     """The rotation ``[3, 3]`` by which a program has turned Gaussians ``[N, 3]``, whose own columns of ours
     stayed as they were; ``None`` where there is none, or Gaussians were not moved as one."""
+    if not np.isfinite(before).all():
+        return None
+    # A runaway is so far out that what is close beside it is any turn at all.
+    distance = np.abs(before - np.median(before, axis=0)).max(axis=1)
+    near = distance <= np.percentile(distance, _NEAR_PERCENT, method="lower")
+    before, now = before[near], now[near]
     with np.errstate(over="ignore", invalid="ignore"):
         before = before - before.mean(axis=0, dtype=np.float64)
         now = now - now.mean(axis=0, dtype=np.float64)

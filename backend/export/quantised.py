@@ -30,6 +30,8 @@ from ..model.morton import morton_order
 
 #: Gaussians that are neighbours in space share the range of their positions and scales.
 CHUNK = 256
+#: A Gaussian is a runaway that is more than so many times as far out as this percentage of all are.
+RUNAWAY, NEAR_PERCENT = 10.0, 99.9
 #: Steps of the SH coefficient of degree 0, in 16 bits: 655 in all, and ln radiance reaches ±74 / 0.28.
 BASE_STEP = 0.01
 #: The least step of all other coefficients: 127 of them reach ±3.8. A chunk that needs more has a step that
@@ -53,7 +55,7 @@ class Quantised:
     """``planes``: named arrays of bytes, in the order in which they stand in the file.
 
     ``header``: what a reader must know beside them; plain JSON. ``left_out``: Gaussians that are nowhere
-    drawn, and so are not in it.
+    drawn, and so are not in it. Its ``count`` is that of places, a few of which may be fillers of opacity 0.
     """
 
     header: dict[str, Any]
@@ -66,7 +68,7 @@ class Quantised:
 
 
 def quantised(model: Model) -> Quantised:
-    """The model in bytes, in Morton order.
+    """The model in bytes, in Morton order; runaways last, in chunks of their own.
 
     Raises ``BadValueError`` where no Gaussian could be seen, or where there are too many lights.
     """
@@ -78,7 +80,8 @@ def quantised(model: Model) -> Quantised:
     seen = np.flatnonzero(model.opacity >= ALPHA_MIN)
     if not len(seen):
         raise BadValueError("no Gaussian of the model is opaque enough to be seen", "Train longer.")
-    order = seen[morton_order(torch.from_numpy(np.ascontiguousarray(model.position[seen]))).numpy()]
+    places, is_drawn = _in_order(model.position[seen])
+    order = seen[places]
     chunks = -(-len(order) // CHUNK)
 
     position, bounds = _in_boxes(model.position[order], chunks, 65535)
@@ -94,7 +97,7 @@ def quantised(model: Model) -> Quantised:
         "position": _two_bytes(position.T),
         "scale": scale.T.astype(np.uint8),
         "rotation": _rotations(model.rotation[order]),
-        "opacity": np.rint(255.0 * model.opacity[order]).astype(np.uint8),
+        "opacity": np.rint(255.0 * model.opacity[order] * is_drawn).astype(np.uint8),
         "base": _two_bytes(base.T),
         "rest_steps": steps,
         "rest": rest.view(np.uint8),
@@ -119,7 +122,7 @@ def quantised(model: Model) -> Quantised:
         "step_codes": STEP_CODES,
         "planes": [[name, plane.size] for name, plane in planes.items()],
     }
-    return Quantised(header, planes, model.count - len(order))
+    return Quantised(header, planes, model.count - len(seen))
 
 
 def restored(packed: Quantised) -> Model:
@@ -151,6 +154,23 @@ def restored(packed: Quantised) -> Model:
         levels=tuple(header["levels"]),
         confidence=planes["confidence"] / np.float32(255.0) if "confidence" in planes else None,
     )
+
+
+def _in_order(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """``[M]``: the Gaussian of ``[N, 3]`` that stands at each place, and whether it is drawn there.
+
+    One that is far beyond all others would widen its chunk's box until its neighbours are displaced. So these
+    stand last, and what the chunk before them lacks is filled by a Gaussian that is not drawn.
+    """
+    distance = np.abs(position - np.median(position, axis=0)).max(axis=1)
+    far = distance > RUNAWAY * np.percentile(distance, NEAR_PERCENT, method="lower")
+    near, runaways = np.flatnonzero(~far), np.flatnonzero(far)
+    order = near[morton_order(torch.from_numpy(position[near])).numpy()]
+    runaways = runaways[np.argsort(distance[runaways], kind="stable")]
+    lacking = -len(order) % CHUNK if len(runaways) else 0
+    is_drawn = np.ones(len(position) + lacking, bool)
+    is_drawn[len(order) : len(order) + lacking] = False
+    return np.concatenate([order, np.repeat(order[-1:], lacking), runaways]), is_drawn
 
 
 def _padded(values: np.ndarray, chunks: int) -> np.ndarray:

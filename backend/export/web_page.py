@@ -151,7 +151,7 @@ def write_web_page(
         beside = dict(zip([*names, viewer_file], [*scripts, viewer()], strict=True))
         sizes = _write_folder(target, _html(page.title, [told], [viewer_file]), beside)
     report(1.0)
-    return Written(target, packed.header["count"], packed.left_out, len(data), sum(sizes))
+    return Written(target, model.count - packed.left_out, packed.left_out, len(data), sum(sizes))
 
 
 def viewer() -> str:
@@ -167,7 +167,7 @@ def page_facts(model: Model, page: WebPage, packed: Quantised) -> dict[str, Any]
     if len(views) > MOST_CAMERAS:
         views = [views[round(at)] for at in np.linspace(0, len(views) - 1, MOST_CAMERAS)]
     up = UPRIGHT if is_upright else _up_of([view.camera for view in views])
-    count = f"{packed.header['count']:,} Gaussians."
+    count = f"{model.count - packed.left_out:,} Gaussians."
     return {
         **packed.header,
         "title": page.title,

@@ -246,6 +246,27 @@ def test_a_lossless_ply_that_lost_its_comments_is_the_baked_look(tmp_path: Path)
     np.testing.assert_array_equal(found.colour_sh, gaussians(30)["colour_sh"])
 
 
+@pytest.mark.parametrize("farthest", [1.0, 1e5])
+def test_light_is_turned_with_gaussians_that_another_program_has_turned(tmp_path: Path, farthest: float):
+    """By 90° about Z; where one Gaussian is a runaway, the others show it."""
+    lossless(tmp_path / "a.ply", ["phys_form product additive"])
+    before = read_ply_model(tmp_path / "a.ply").model
+    position = before.position.copy()
+    position[0] *= farthest / np.abs(position[0]).max()
+    for axis in range(3):
+        with_column(tmp_path / "a.ply", f"phys_means_{axis}", position[:, axis])
+    turned = np.stack([-position[:, 1], position[:, 0], position[:, 2]], axis=1)
+    ply = plyfile.PlyData.read(str(tmp_path / "a.ply"), mmap=False)
+    for axis, name in enumerate("xyz"):
+        ply["vertex"].data[name] = turned[:, axis]
+    ply.write(str(tmp_path / "a.ply"))
+    found = read_ply_model(tmp_path / "a.ply")
+    assert any("turned" in note for note in found.notes)
+    directions = random_directions(before.count)
+    there = np.stack([-directions[:, 1], directions[:, 0], directions[:, 2]], axis=1)
+    np.testing.assert_allclose(found.model.radiance(there), before.radiance(directions), rtol=1e-4)
+
+
 # ---- programs that keep columns and drop comments --------------------------------------------------------
 
 

@@ -3,9 +3,11 @@
 
 import math
 import zlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from physhdr.backend.export.quantised import BASE_STEP, CHUNK, REST_STEP, Quantised, quantised, restored
 from physhdr.bridge.errors import BadValueError
@@ -169,6 +171,22 @@ def test_gaussians_of_no_size_and_at_one_place():
     kept = restored(quantised(Model(**{**vars(model), **flat})))
     assert np.isfinite(kept.scale).all() and kept.scale.max() < 1e-8
     np.testing.assert_allclose(kept.position, 1.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("far", [[1e4], [9e5], [1e3, 1e4, 1e5]])
+@pytest.mark.parametrize("count", [5000, 4096 + 3])
+def test_runaways_displace_nobody(far, count):
+    """Everything else is where it is without them, and they are off by no more than their distance asks."""
+    model = some_model(count)
+    position = model.position.copy()
+    position[: len(far)] = np.array(far)[:, None] * [1.0, -0.5, 0.25]
+    lost = replace(model, position=position.astype(np.float32))
+    kept = restored(quantised(lost))
+    kept = kept.position[kept.opacity > 0.0]
+    assert len(kept) == count
+    gaps, _ = cKDTree(kept).query(lost.position)
+    assert gaps[len(far) :].max() < 14.0 / 65535.0  # the scene has 14 m a side
+    assert (gaps[: len(far)] < 2e-5 * max(far)).all()
 
 
 def test_too_many_lights_are_refused():
