@@ -103,7 +103,7 @@ void main() {
   vec4 here = texelFetch(place, at, 0);
   vec3 p = to_camera * (here.xyz - eye);
   gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
-  if (p.z < NEAR_PLANE) return;
+  if (p.z < NEAR_PLANE || here.w < ALPHA_MIN) return; /* the latter fill chunks */
   vec2 focal = lens.xy, centre = lens.zw, slope = p.xy / p.z, margin = JACOBIAN_MARGIN * 0.5 * size / focal;
   vec2 limited = clamp(slope, -(centre / focal + margin), (size - centre) / focal + margin);
   vec3 row_x = vec3(focal.x, 0.0, -focal.x * limited.x) / p.z, row_y = vec3(0.0, focal.y, -focal.y * limited.y) / p.z;
