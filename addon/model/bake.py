@@ -96,4 +96,5 @@ def _write(
 def _comments(model: Model, look: Look, tone: Tone, to_world: np.ndarray) -> list[str]:
     space = {} if np.array_equal(to_world, np.eye(4)) else {SPACE: WORLD}
     facts = [f"PhysHDR {key}: {value}" for key, value in {**model.metadata, **space}.items()]
-    return [*facts, look_comment(look.exposure_ev, look.lighting_levels, tone, model.lights)]
+    levels = model.known_levels(look.lighting_levels)
+    return [*facts, look_comment(look.exposure_ev, levels, tone, model.lights)]
