@@ -36,7 +36,7 @@ IN_PANEL = (
         "HDR-GS",
         "Another published method, to compare with: no relighting, brightness without scale",
     ),
-    Preset("high", "High", "Overnight: four times the default's time, more splats"),
+    Preset("high", "High", "Overnight: four times the default's time"),
 )
 
 #: Those for comparisons, which take long or answer a question that few have: on the command line alone.
