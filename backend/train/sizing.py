@@ -94,11 +94,12 @@ def found_sizes(extent: Extent, config: TrainConfig, typed: Collection[str] = ()
         changes[name] = _budget(extent, config, budget)
         iterations = _iterations(extent, config)
         changes["iterations"] = iterations
-        longer = iterations / config.iterations
-        changes["optimiser.rates_for"] = round(config.optimiser.rates_for * longer)
+        # Whatever number of iterations is typed: by it one tells how long the training is.
+        changes["optimiser.rates_for"] = _whole(config.optimiser.rates_for * _times_longer(extent), 100)
         if config.half_size_until > 0.0:
             changes["half_size_until"] = _half_size_until(extent, config)
         if "iterations" not in typed and not config.schedule_for:
+            longer = iterations / config.iterations
             changes["sh_degree_every"] = round(config.sh_degree_every * longer)
         if extent.detail > 1.0:
             changes["random_points"] = _whole(config.random_points * changes[name] / budget, 1000)
@@ -144,11 +145,14 @@ def _budget(extent: Extent, config: TrainConfig, budget: int) -> int:
     return budget if found <= budget else _whole(found, 1000)
 
 
+def _times_longer(extent: Extent) -> float:
+    """How many times a preset's iterations, 1 at least. Of one twice as long a view has twice the turns."""
+    return max(1.0, extent.detail**ITERATIONS_POWER, TURNS * extent.views / TrainConfig.iterations)
+
+
 def _iterations(extent: Extent, config: TrainConfig) -> int:
-    # A preset that is twice as long gives a view twice as many turns.
-    turns = TURNS * extent.views * config.iterations / TrainConfig.iterations
-    found = max(config.iterations * extent.detail**ITERATIONS_POWER, turns)
-    return config.iterations if found <= config.iterations else _whole(found, 100)
+    longer = _times_longer(extent)
+    return config.iterations if longer == 1.0 else _whole(config.iterations * longer, 100)
 
 
 def _half_size_until(extent: Extent, config: TrainConfig) -> float:

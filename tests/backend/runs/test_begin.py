@@ -140,7 +140,7 @@ def take_from_elsewhere(data: Path) -> None:
 
 
 def test_what_is_typed_is_what_is_trained(tiny_data, tmp_path, workshop):
-    typed = ("iterations", "densify.budget", "half_size_until", "random_points")
+    typed = ("iterations", "densify.budget", "half_size_until", "random_points", "optimiser.rates_for")
     with begin(tiny_data, tmp_path / "run", workshop, typed=typed) as (trainer, _):
         assert trainer.config == PRESET
 
