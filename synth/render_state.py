@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A scene as Blender evaluates it for renders: other subdivisions, modifiers, particles than views show."""
 
+import math
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import bpy
 
@@ -14,9 +15,8 @@ T = TypeVar("T")
 
 _ENGINE = "PHYSHDR_LOOK"
 #: A render that hands over the scene and makes no picture: nothing of the user's comes behind it.
-_SETTINGS = [
+_SETTINGS: list[tuple[str, Any]] = [
     ("render.engine", _ENGINE),
-    ("render.resolution_percentage", 1),
     ("render.use_border", False),
     ("render.use_compositing", False),
     ("render.use_sequencer", False),
@@ -24,6 +24,8 @@ _SETTINGS = [
     ("render.use_multiview", False),
     ("render.use_persistent_data", False),
 ]
+#: Pixels of its shorter side: Blender refuses a few.
+_SIDE = 16
 
 
 def look(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, at: Callable[[bpy.types.Depsgraph], T]) -> T:
@@ -46,8 +48,10 @@ def look(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, at: Callable[[bpy.t
                 failed.append(error)
 
     bpy.utils.register_class(Look)
+    shorter = min(scene.render.resolution_x, scene.render.resolution_y)
+    size = ("render.resolution_percentage", math.ceil(100 * _SIDE / shorter))
     try:
-        with settings.applied(scene, _SETTINGS, None), quiet(), held():
+        with settings.applied(scene, [*_SETTINGS, size], None), quiet(), held():
             bpy.ops.render.render(write_still=False, scene=scene.name, layer=layer.name)
     finally:
         bpy.utils.unregister_class(Look)
