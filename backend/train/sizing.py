@@ -94,7 +94,7 @@ def found_sizes(extent: Extent, config: TrainConfig, typed: Collection[str] = ()
         changes[name] = _budget(extent, config, budget)
         iterations = _iterations(extent, config)
         changes["iterations"] = iterations
-        # Whatever number of iterations is typed: by it one tells how long the training is.
+        # Whatever number of iterations is typed: one that is larger is what rates fall in.
         changes["optimiser.rates_for"] = _whole(config.optimiser.rates_for * _times_longer(extent), 100)
         if config.half_size_until > 0.0:
             changes["half_size_until"] = _half_size_until(extent, config)
@@ -146,7 +146,10 @@ def _budget(extent: Extent, config: TrainConfig, budget: int) -> int:
 
 
 def _times_longer(extent: Extent) -> float:
-    """How many times a preset's iterations, 1 at least. Of one twice as long a view has twice the turns."""
+    """How many times a preset's own iterations the data call for, 1 at least.
+
+    A preset that is twice as long gives a view twice as many turns, so this is the same for each.
+    """
     return max(1.0, extent.detail**ITERATIONS_POWER, TURNS * extent.views / TrainConfig.iterations)
 
 
