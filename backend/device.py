@@ -7,7 +7,7 @@ from typing import Literal
 import torch
 
 from ..bridge.errors import BadValueError
-from .rasterize.card import INSTALL_WARP, unavailable_reason, way
+from .rasterize.card import INSTALL_WARP, unavailable_reason, warp_unavailable_reason, way
 from .rasterize.cuda import is_built
 
 DeviceName = Literal["auto", "cpu", "cuda"]
@@ -23,7 +23,7 @@ def choose_device(name: DeviceName, report: Callable[[str], None] | None = None)
     """
     if name == "cpu":
         return torch.device("cpu"), "on the CPU, as asked"
-    if report and torch.cuda.is_available() and not is_built():
+    if report and torch.cuda.is_available() and warp_unavailable_reason() is not None and not is_built():
         report(BUILDING)
     reason = unavailable_reason()
     if reason is None:

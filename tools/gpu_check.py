@@ -75,14 +75,15 @@ def main() -> int:
     parser.add_argument("--cubins", action="store_true", help="only print what Warp's CUBINs say; no card")
     arguments = parser.parse_args()
 
+    from card.loading import DISPENSABLE, find_physhdr, load_physhdr
+
+    find_physhdr()
     try:
         import torch
     except ImportError:
         return _skip(f"this Python has no torch ({sys.executable})")
     if not (arguments.rehearse or arguments.cubins) and not torch.cuda.is_available():
         return _skip("torch sees no CUDA device")
-
-    from card.loading import DISPENSABLE, load_physhdr
 
     absent = load_physhdr(without=DISPENSABLE if arguments.bare else ())
     if absent:

@@ -3,6 +3,8 @@
 
 import io
 import json
+import os
+import select
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -15,8 +17,9 @@ from .words import Words, words_of
 
 __all__ = ["main"]
 
-#: What an interrupted command ends with, as shells have it.
+#: What an interrupted command ends with, and one whose reader has gone, as shells have it.
 INTERRUPTED = 130
+UNREAD = 141
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -35,21 +38,33 @@ def main(argv: list[str] | None = None) -> int:
             from .check import main as check  # before any import that could fail: finding out is its task
 
             return check(argv[1:])
-        if argv == ["--version"]:
-            sys.stdout.write(f"physhdr {version()}\n")
-            return 0
-        return _command(argv).run()
+        status = _answered(argv)
+        sys.stdout.flush()  # at the end of the process it would be too late to say what failed
+        return status
     except KeyboardInterrupt:
         if not _tells_programs(argv, Words("cancelled", "interrupted", "")):
             sys.stderr.write("interrupted\n")
         return INTERRUPTED
     except Exception as error:
+        if isinstance(error, BrokenPipeError) and _nobody_reads():  # physhdr train --help | head
+            return UNREAD
         told = words_of(error, argv)
         if told is None:
             raise
         if not _tells_programs(argv, told):
             sys.stderr.write(f"error: {told}\n")
         return 1
+
+
+def _answered(argv: list[str]) -> int:
+    if argv == ["--version"]:
+        sys.stdout.write(f"physhdr {version()}\n")
+        return 0
+    try:
+        return _command(argv).run()
+    except SystemExit:  # the parser's, after --help, too
+        sys.stdout.flush()
+        raise
 
 
 def _speak_of_anything() -> None:
@@ -59,6 +74,22 @@ def _speak_of_anything() -> None:
     """
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
+
+
+def _nobody_reads() -> bool:
+    """Whether it is stdout that is broken; what is still to be written then is dropped."""
+    if not hasattr(select, "poll"):  # Windows, where such an error does not say which pipe it is
+        return False
+    try:
+        descriptor = sys.stdout.fileno()
+    except (AttributeError, OSError):  # something in place of stdout
+        return False
+    asked = select.poll()
+    asked.register(descriptor, 0)
+    if not asked.poll(0):  # errors are told unasked
+        return False
+    os.dup2(os.open(os.devnull, os.O_WRONLY), descriptor)
+    return True
 
 
 def _tells_programs(argv: Sequence[str], told: Words) -> bool:

@@ -11,7 +11,7 @@ from contextvars import ContextVar
 
 import torch
 
-from ..rasterize.card import forced, warp_takes
+from ..rasterize.card import cpu_computes_as_a_card, warp_takes
 
 # A context variable, so that a preview that renders in another thread stays fused.
 _plain: ContextVar[bool] = ContextVar("plain_torch", default=False)
@@ -33,8 +33,8 @@ def plain_torch() -> Iterator[None]:
 
 def can_fuse(*tensors: torch.Tensor) -> bool:
     """Whether the CPU's kernels may take these: all float32 on the CPU, and not inside ``plain_torch`` (nor
-    ``card.using("warp")``, where the CPU computes as a card would)."""
-    if _plain.get() or forced() == "warp":
+    where the CPU computes as a card would, ``card.using``)."""
+    if _plain.get() or cpu_computes_as_a_card():
         return False
     return all(t.dtype == torch.float32 and t.device.type == "cpu" for t in tensors)
 

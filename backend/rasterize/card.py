@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The two ways to compute on a CUDA card, and which of them works here.
 
-``cuda``: gsplat's kernels, and networks through ``torch.compile``; both need compilers on the machine.
-``warp``: NVIDIA Warp's; they need a driver and wheels. gsplat is taken where it works, because it has been
-measured by others; Warp where it does not. ``using`` overrides that, for comparisons and tests.
+``warp``: NVIDIA Warp's; they need a driver and wheels. ``cuda``: gsplat's kernels, and networks through
+``torch.compile``; both need compilers on the machine, and minutes there. Warp's are taken where they work,
+gsplat's where they do not. ``using`` overrides that, for comparisons and tests.
 """
 
 from collections.abc import Callable, Iterator
@@ -28,21 +28,26 @@ INSTALL_WARP = (
 
 # A context variable, so that a preview that renders in another thread goes on as it was.
 _forced: ContextVar[Way | None] = ContextVar("way_to_compute_on_a_card", default=None)
+_as_on_card: ContextVar[bool] = ContextVar("cpu_computes_as_a_card", default=False)
 
 
 @contextmanager
-def using(way: Way) -> Iterator[None]:
-    """Inside, this thread computes on a card in that way; by ``warp`` on the CPU, too, for tests."""
-    token = _forced.set(way)
+def using(way: Way, *, on_cpu: bool = False) -> Iterator[None]:
+    """Inside, this thread computes on a card in that way.
+
+    ``on_cpu``: on the CPU, too, which only ``warp`` can (tests). Otherwise the CPU has its own kernels.
+    """
+    tokens = _forced.set(way), _as_on_card.set(on_cpu)
     try:
         yield
     finally:
-        _forced.reset(token)
+        _forced.reset(tokens[0])
+        _as_on_card.reset(tokens[1])
 
 
-def forced() -> Way | None:
-    """What ``using`` says, or None."""
-    return _forced.get()
+def cpu_computes_as_a_card() -> bool:
+    """Whether ``using`` says that Warp's kernels compute on the CPU, too."""
+    return _as_on_card.get() and _forced.get() == "warp"
 
 
 def way() -> Way | None:
@@ -56,12 +61,10 @@ def unavailable_reason() -> str | None:
 
 
 def warp_takes(*tensors: torch.Tensor) -> bool:
-    """Whether Warp's kernels are to compute these: float32 on a card that has nothing better."""
+    """Whether Warp's kernels are to compute these: float32 on a card, by the way that is taken."""
     if any(tensor.dtype != torch.float32 for tensor in tensors):
         return False
-    if _forced.get() is not None:
-        return _forced.get() == "warp"
-    return all(tensor.is_cuda for tensor in tensors) and way() == "warp"
+    return cpu_computes_as_a_card() or (all(tensor.is_cuda for tensor in tensors) and way() == "warp")
 
 
 @cache
@@ -69,13 +72,13 @@ def _working() -> tuple[Way | None, str | None]:
     """The way that works, and why none does."""
     if not torch.cuda.is_available():
         return None, "torch sees no CUDA device"
+    of_warp = warp_unavailable_reason()
+    if of_warp is None:
+        return "warp", None
     from . import cuda
 
     of_gsplat = cuda.unavailable_reason()
-    if of_gsplat is None:
-        return "cuda", None
-    of_warp = warp_unavailable_reason()
-    return ("warp", None) if of_warp is None else (None, f"{of_gsplat}; {of_warp}")
+    return ("cuda", None) if of_gsplat is None else (None, f"{of_warp}; {of_gsplat}")
 
 
 @cache

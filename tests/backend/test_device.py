@@ -29,7 +29,9 @@ def card(monkeypatch):
 def forget(monkeypatch) -> None:
     """Find out anew what works at every call."""
     monkeypatch.setattr(cuda, "unavailable_reason", cuda.unavailable_reason.__wrapped__)
-    monkeypatch.setattr(cards, "warp_unavailable_reason", cards.warp_unavailable_reason.__wrapped__)
+    of_warp = cards.warp_unavailable_reason.__wrapped__
+    for module in (cards, devices):
+        monkeypatch.setattr(module, "warp_unavailable_reason", of_warp)
     monkeypatch.setattr(cards, "_working", cards._working.__wrapped__)
 
 
@@ -65,16 +67,18 @@ def test_without_gsplat(card, monkeypatch):
     assert device.type == "cpu" and "gsplat cannot be imported" in why and "warp-lang is not installed" in why
 
 
-def test_without_gsplat_warp_computes(card, monkeypatch):
-    monkeypatch.setitem(sys.modules, "gsplat", None)
+def test_warp_computes_and_gsplat_is_not_built(card, monkeypatch):
+    install_gsplat(monkeypatch, RuntimeError("this would compile for minutes"))
+    monkeypatch.setattr(devices, "is_built", lambda: False)
     monkeypatch.setattr(cards, "warp_rasterize", lambda: None)
     monkeypatch.setattr(cards, "try_out", lambda draw, device: 1e-6)
-    assert choose_device("auto") == (torch.device("cuda"), "on a card, by Warp's kernels")
-    assert cards.way() == "warp"
+    said: list[str] = []
+    assert choose_device("auto", said.append) == (torch.device("cuda"), "on a card, by Warp's kernels")
+    assert cards.way() == "warp" and said == []
     monkeypatch.setattr(cards, "try_out", lambda draw, device: 0.1)
     assert "Warp's kernels draw a Gaussian wrongly (by 0.1)" in choose_device("auto")[1]
     monkeypatch.setattr(cards, "try_out", lambda draw, device: 1 / 0)
-    assert choose_device("auto")[1].endswith("; Warp's kernels do not run: division by zero)")
+    assert choose_device("auto")[1].startswith("on the CPU (Warp's kernels do not run: division by zero; ")
 
 
 @pytest.mark.parametrize(

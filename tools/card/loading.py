@@ -61,14 +61,8 @@ class _AbsentFinder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         pass
 
 
-def load_physhdr(without: Sequence[str] = ()) -> list[str]:
-    """Make ``import physhdr.backend…`` work; returns the dispensable packages that are not here.
-
-    ``without``: treat these as not here, too (tests).
-    """
-    absent = [name for name in DISPENSABLE if name in without or not _imports(name)]
-    if absent:
-        sys.meta_path.insert(0, _AbsentFinder(absent))
+def find_physhdr() -> None:
+    """Make this checkout the package ``physhdr``; before torch is imported, for it says how threads wait."""
     spec = importlib.util.spec_from_file_location(
         "physhdr", ROOT / "__init__.py", submodule_search_locations=[str(ROOT)]
     )
@@ -76,6 +70,17 @@ def load_physhdr(without: Sequence[str] = ()) -> list[str]:
     package = importlib.util.module_from_spec(spec)
     sys.modules["physhdr"] = package
     spec.loader.exec_module(package)
+    importlib.import_module("physhdr.backend")
+
+
+def load_physhdr(without: Sequence[str] = ()) -> list[str]:
+    """After ``find_physhdr``: import the trainer; returns the dispensable packages that are not here.
+
+    ``without``: treat these as not here, too (tests).
+    """
+    absent = [name for name in DISPENSABLE if name in without or not _imports(name)]
+    if absent:
+        sys.meta_path.insert(0, _AbsentFinder(absent))
     Absent.loading = True
     importlib.import_module("physhdr.backend.train.trainer")
     importlib.import_module("physhdr.backend.rasterize.cpu")

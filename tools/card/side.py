@@ -29,7 +29,8 @@ class Side:
     @contextlib.contextmanager
     def computing(self) -> Iterator[None]:
         plain = plain_torch() if self.plain else contextlib.nullcontext()
-        with plain, using(self.way) if self.way else contextlib.nullcontext():
+        on_cpu = self.device.type == "cpu"
+        with plain, using(self.way, on_cpu=on_cpu) if self.way else contextlib.nullcontext():
             yield
 
     def wait(self) -> None:

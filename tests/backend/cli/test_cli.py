@@ -310,3 +310,19 @@ def test_render_and_export_refuse_bad_values(tiny_data, tmp_path, capsys):
 def test_the_version_is_said(capsys):
     assert main(["--version"]) == 0
     assert re.fullmatch(r"physhdr \d+\.\d+\.\d+\n", capsys.readouterr().out)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has another error for it")
+@pytest.mark.parametrize("words", [["train", "--help"], ["--version"]])
+def test_a_reader_that_has_enough_is_no_error(words):
+    """physhdr train --help | head"""
+    command = [sys.executable, "-c", "import sys; from physhdr.backend.cli import main; sys.exit(main())"]
+    ours, theirs = os.pipe()
+    os.close(ours)
+    try:
+        done = subprocess.run(
+            [*command, *words], stdout=theirs, stderr=subprocess.PIPE, text=True, check=False
+        )
+    finally:
+        os.close(theirs)
+    assert (done.stderr, done.returncode) == ("", 141)
