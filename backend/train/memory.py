@@ -31,7 +31,7 @@ FLOAT = 4
 
 #: The process with torch, Numba, SciPy, TensorBoard and the kernels loaded that has trained (490 to 550 MB).
 PROGRAM_BYTES = 550_000_000
-#: What a card's context takes beside torch's tensors (a guess, as all of a card's: none was at hand).
+#: What a card's context takes beside torch's tensors (a guess).
 CARD_BYTES = 500_000_000
 #: A parameter is there with its gradient and Adam's two moments; growth copies all of it, and the heap keeps
 #: what the smaller arrays of before have left.
@@ -87,10 +87,12 @@ class Estimate:
     pictures: int
     gaussians: int
     iteration: int
+    #: Of finding the first points, which is over when iterations begin.
+    start: int = 0
 
     @property
     def total(self) -> int:
-        return self.program + self.pictures + self.gaussians + self.iteration
+        return self.program + self.pictures + self.gaussians + max(self.start, self.iteration)
 
 
 def check_memory(
@@ -110,12 +112,11 @@ def check_memory(
     needed, there = estimate(sizes), room()
     on_card = device.type == "cuda"
     if on_card:
-        # What is decoded lies in the host's memory, all else on the card.
-        if needed.program + needed.pictures > there.bytes:
-            raise _too_much(
-                needed.program + needed.pictures, "", there, ["Take smaller pictures: --downscale."]
-            )
-        needed, there = _on_card(needed, device), _room_on_card(device)
+        # The host decodes pictures and finds the first points, all else is on the card.
+        of_host = needed.program + needed.pictures + needed.start
+        if of_host > there.bytes:
+            raise _too_much(of_host, "", there, ["Take smaller pictures: --downscale."])
+        needed, there = _on_card(sizes, device), _room_on_card(device)
     parts = _parts(needed, sizes, config)
     if needed.total > there.bytes:
         remedies = [] if resumed else _remedies(scene, config, sizes, there, device)
@@ -132,7 +133,7 @@ def _parts(needed: Estimate, sizes: Sizes, config: TrainConfig) -> str:
 
     guess = "" if _budget(config)[1] or sizes.most == sizes.first else "perhaps "
     of_gaussians = f"{short(needed.gaussians)} for {guess}{sizes.most:,} Gaussians, " if sizes.most else ""
-    rest = f"{short(needed.program + needed.iteration)} for the program and one iteration"
+    rest = f"{short(needed.total - needed.pictures - needed.gaussians)} for the program and one iteration"
     return f"{short(needed.pictures)} for pictures, {of_gaussians}{rest}"
 
 
@@ -191,7 +192,6 @@ def estimate(sizes: Sizes) -> Estimate:
     if sizes.seeks:
         volume = FLOAT * MOST_DEPTHS * min(sizes.pixels, WORK_WIDTH**2)
         start += cores() * COST_VOLUMES * volume
-    iteration = sizes.pixel_bytes * sizes.pixels
     # Of 8 bits a channel; what is kept of the pictures' statistics.
     kept = min(sizes.picture_bytes * TARGET_PIXEL_BYTES // 3, TARGET_BYTES)
     if sizes.merges:  # of 16 bits
@@ -200,7 +200,8 @@ def estimate(sizes: Sizes) -> Estimate:
         PROGRAM_BYTES,
         pictures + kept,
         round(sizes.most * (sizes.row_bytes + sizes.splat_bytes)),
-        max(start, iteration),
+        sizes.pixel_bytes * sizes.pixels,
+        start,
     )
 
 
@@ -272,9 +273,9 @@ def _remedies(
     """Options of which each would make the training fit, a sentence each."""
 
     def total(changed: Sizes) -> int:
-        needed = estimate(changed)
-        return (_on_card(needed, device) if device.type == "cuda" else needed).total
+        return (_on_card(changed, device) if on_card else estimate(changed)).total
 
+    on_card = device.type == "cuda"
     found = []
     for factor in SMALLER:
         area = factor**2
@@ -286,7 +287,7 @@ def _remedies(
             found.append(f"Train on smaller pictures: --downscale {downscale:g}.")
             break
     if sizes.most:
-        each = sizes.row_bytes + sizes.splat_bytes
+        each = sizes.row_bytes + (0 if on_card else sizes.splat_bytes)
         most = sizes.most + int((there.bytes - total(sizes)) / each)
         most -= most % 1000
         if most >= max(sizes.first, FEWEST_GAUSSIANS):
@@ -299,10 +300,20 @@ def _remedies(
 # -- cards ---------------------------------------------------------------------------------------------------
 
 
-def _on_card(needed: Estimate, device: torch.device) -> Estimate:
-    """The card's share: its context instead of the program, and the pictures that stay there."""
-    pictures = min(needed.pictures, picture_room_on(device))
-    return dataclasses.replace(needed, program=CARD_BYTES, pictures=pictures)
+def _on_card(sizes: Sizes, device: torch.device) -> Estimate:
+    """The card's share: its context instead of the program, and the pictures that stay there.
+
+    On an H200 an iteration takes what it does on the CPU for each pixel, but for each Gaussian its state
+    alone, four copies (1.1 kB in ``default``; docs/cuda.md); growth takes more.
+    """
+    needed = estimate(sizes)
+    return dataclasses.replace(
+        needed,
+        program=CARD_BYTES,
+        pictures=min(needed.pictures, picture_room_on(device)),
+        gaussians=round(sizes.most * sizes.row_bytes),
+        start=0,
+    )
 
 
 def _room_on_card(device: torch.device) -> Room:

@@ -92,7 +92,8 @@ def test_a_line_says_what_a_training_takes_and_what_is_free(monkeypatch, scene):
         r"0\.\d for the program and one iteration; 21 GB are free",
         told[0],
     )
-    assert needed.total == needed.program + needed.pictures + needed.gaussians + needed.iteration
+    larger = max(needed.start, needed.iteration)
+    assert needed.total == needed.program + needed.pictures + needed.gaussians + larger
 
 
 def options_of(error: NotEnoughMemoryError) -> list[list[str]]:
@@ -177,6 +178,29 @@ def test_on_a_card_its_own_memory_counts_beside_the_machine_s(monkeypatch, scene
     with pytest.raises(NotEnoughMemoryError, match=r"0\.3 GB are free on the card") as refused:
         check_memory(scene, PRESETS["default"], torch.device("cuda"), lambda _: None)
     assert "--device cpu" in refused.value.hint
+
+
+def test_threads_that_seek_the_first_points_take_the_machine_s_memory_and_no_card_s(monkeypatch, scene):
+    """Of a machine with many cores they take gigabytes, and a card of four has none for them."""
+    with_room(monkeypatch, 21_000)
+    monkeypatch.setattr(torch.cuda, "mem_get_info", lambda _: (8_000_000_000, 8_000_000_000))
+    monkeypatch.setattr(torch.cuda, "memory_reserved", lambda _: 0)
+
+    def told(cores: int) -> tuple[int, int]:
+        monkeypatch.setattr(memory, "cores", lambda: cores)
+        needed = [
+            check_memory(scene, PRESETS["default"], torch.device(kind), lambda _: None)
+            for kind in ("cuda", "cpu")
+        ]
+        return needed[0].total, needed[1].total
+
+    (few_on_card, few), (many_on_card, many) = told(2), told(128)
+    assert many_on_card == few_on_card < few
+    assert many > few
+    with_room(monkeypatch, 600)
+    monkeypatch.setattr(memory, "cores", lambda: 128)
+    with pytest.raises(NotEnoughMemoryError, match=r"about \d\.\d GB; 0\.6 GB are free\n"):
+        check_memory(scene, PRESETS["default"], torch.device("cuda"), lambda _: None)
 
 
 def test_developed_pictures_have_16_bits_and_a_mask_has_8_of_a_pixel(scene):
