@@ -40,9 +40,9 @@ def baked_model(target: bpy.types.Object, look: Look) -> Model:
     return model
 
 
-def bake(target: bpy.types.Object, path: Path, look: Look, tone: Tone, apply_transform: bool = True) -> int:
-    """Write the PLY with each Gaussian's colour converted by itself, as ``physhdr export --quick`` does; how
-    many Gaussians it holds: those not hidden.
+def bake(target: bpy.types.Object, path: Path, look: Look, tone: Tone, apply_transform: bool = True) -> Model:
+    """Write the PLY with each Gaussian's colour converted by itself, as ``physhdr export --quick`` does;
+    returns the model that it holds (``baked_model``).
 
     ``apply_transform``: in world space (any scale and shear is exact), else in the object's own. Raises what
     ``baked_model`` raises, and ``OutputError``.
@@ -53,7 +53,12 @@ def bake(target: bpy.types.Object, path: Path, look: Look, tone: Tone, apply_tra
     linear = None if np.array_equal(to_world, np.eye(4)) else to_world[:3, :3]
     colours = display_colour_sh(model, look.exposure, look.lighting_levels, tone, linear)
     _write(path, shape, model.opacity, colours, _comments(model, look, tone, to_world))
-    return model.count
+    return model
+
+
+def baked_look(model: Model, look: Look, tone: Tone) -> str:
+    """What the file says of its colours: at which levels, of those that the model has the nearest."""
+    return look_comment(look.exposure_ev, model.known_levels(look.lighting_levels), tone, model.lights)
 
 
 def write_fitted(
@@ -96,5 +101,4 @@ def _write(
 def _comments(model: Model, look: Look, tone: Tone, to_world: np.ndarray) -> list[str]:
     space = {} if np.array_equal(to_world, np.eye(4)) else {SPACE: WORLD}
     facts = [f"PhysHDR {key}: {value}" for key, value in {**model.metadata, **space}.items()]
-    levels = model.known_levels(look.lighting_levels)
-    return [*facts, look_comment(look.exposure_ev, levels, tone, model.lights)]
+    return [*facts, baked_look(model, look, tone)]

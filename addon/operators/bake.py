@@ -12,17 +12,16 @@ import bpy
 import numpy as np
 from bpy_extras.io_utils import ExportHelper
 
-from ...bridge.display import Tone, look_comment
+from ...bridge.display import Tone
 from ...bridge.errors import BadValueError, PhysHDRError
 from ...bridge.model_file import SUFFIX, Model, write_model
 from ...bridge.run_folder import VIEWS_FILE
 from ...bridge.splat_files import read_splat_file
 from ..blender import add_entry, cloud_of, layout_of, remove_entry, world_of
 from ..model.attributes import FILE
-from ..model.bake import bake, baked_model, moved, write_fitted
+from ..model.bake import bake, baked_look, baked_model, moved, write_fitted
 from ..model.look import Look, is_model, look_of
 from ..model.origin import data_of
-from ..model.point_cloud import lights_of
 from ..paths import whole
 from ..runtime import session
 from ..session.results import BAKE, bake_command, why_not_on_run
@@ -135,19 +134,14 @@ class PHYSHDR_OT_model_bake(bpy.types.Operator, ExportHelper):
             reason = "" if self.quick else why_not_fitted(target)
             if not self.quick and not reason:
                 return self._fit(target, path, look, tone)
-            count = bake(target, path, look, tone, self.apply_transform)
-            self._tell(count, path, look, target, tone, reason)
+            model = bake(target, path, look, tone, self.apply_transform)
+            alone = f". Each Gaussian's colour by itself: {reason}" if reason else ""
+            said = f"Wrote {model.count} Gaussians to {path}: {baked_look(model, look, tone)}{alone}"
+            self.report({"INFO"}, said)
         except PhysHDRError as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
         return {"FINISHED"}
-
-    def _tell(
-        self, count: int, path: Path, look: Look, target: bpy.types.Object, tone: Tone, reason: str
-    ) -> None:
-        words = look_comment(look.exposure_ev, look.lighting_levels, tone, lights_of(cloud_of(target)))
-        alone = f". Each Gaussian's colour by itself: {reason}" if reason else ""
-        self.report({"INFO"}, f"Wrote {count} Gaussians to {path}: {words}{alone}")
 
     def _fit(self, target: bpy.types.Object, path: Path, look: Look, tone: Tone) -> set[str]:
         current = session()

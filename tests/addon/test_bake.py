@@ -88,13 +88,15 @@ def test_the_operator_bakes_the_look_of_the_sliders(registered, make_toned, writ
 
 
 def test_beyond_the_levels_of_a_model_the_file_says_the_level_that_it_has(
-    registered, make_model, write, tmp_path
+    registered, make_model, write, tmp_path, capfd
 ):
     """A model of baked levels knows nothing beyond them; its colours are those of the nearest."""
     bpy.ops.physhdr.model_import(filepath=str(write(make_model(degree=0, modulator="baked-levels"))))
     nodes.set_input(nodes.find_modifier(bpy.context.object), nodes.LIGHTING_LEVEL, 7.0)
     bpy.ops.physhdr.model_bake(filepath=str(tmp_path / "baked.ply"))
     assert read_ply(tmp_path / "baked.ply").comments[-1].endswith("lighting level 4")
+    told = capfd.readouterr().out
+    assert "lighting level 4" in told and "level 7" not in told
 
 
 def test_a_bake_of_several_lights_is_the_models_radiance_at_their_levels(
