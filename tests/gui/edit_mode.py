@@ -82,8 +82,9 @@ def applied(window: Window, target: bpy.types.Object) -> Iterator[float]:
     window.key("ctrl+a")
     yield from window.closes(before)  # and the menu is there
     window.screenshot("apply_menu")
+    menu = window.grab()
     window.key("s")
-    yield from window.still()
+    yield from window.closes(menu)
     window.screenshot("applied")
 
     def is_whole(scale: float) -> bool:
@@ -100,7 +101,7 @@ def applied(window: Window, target: bpy.types.Object) -> Iterator[float]:
     for key, scale in (("ctrl+z", 1.5), ("ctrl+z", 1.0), ("ctrl+shift+z", 1.5), ("ctrl+shift+z", 1.5)):
         window.key(key)
         yield from window.still()
-        assert is_whole(scale), (key, scale, [tuple(each.scale) for each in bpy.data.objects])
+        yield from window.until(lambda scale=scale: is_whole(scale), 60, f"{key}: scale {scale}")
     window.screenshot("undone_and_redone")
     bpy.data.objects[name].scale = (1.0, 1.0, 1.0)
 
