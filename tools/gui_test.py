@@ -75,8 +75,6 @@ KEPT = {
     "results": "results/3_evaluated",
     "render_warns": "first_try/2_render_warns",
     "lit": "first_try/4_lit",
-    "cleaned": "first_try/6_cropped",
-    "without": "first_try/7_without",
     "selected": "edit_mode/box_selected",
 }
 GUIDE = ROOT / "docs" / "images" / "guide"
