@@ -39,7 +39,7 @@ def main(argv: list[str] | None = None) -> int:
 
             return check(argv[1:])
         status = _answered(argv)
-        sys.stdout.flush()  # at the end of the process it would be too late to say what failed
+        _flush()  # at the end of the process it would be too late to say what failed
         return status
     except KeyboardInterrupt:
         if not _tells_programs(argv, Words("cancelled", "interrupted", "")):
@@ -63,8 +63,13 @@ def _answered(argv: list[str]) -> int:
     try:
         return _command(argv).run()
     except SystemExit:  # the parser's, after --help, too
-        sys.stdout.flush()
+        _flush()
         raise
+
+
+def _flush() -> None:
+    if sys.stdout is not None:  # a program without a window on Windows has none
+        sys.stdout.flush()
 
 
 def _speak_of_anything() -> None:
@@ -82,7 +87,7 @@ def _nobody_reads() -> bool:
         return False
     try:
         descriptor = sys.stdout.fileno()
-    except (AttributeError, OSError):  # something in place of stdout
+    except (AttributeError, OSError, ValueError):  # something in place of stdout, or it is closed
         return False
     asked = select.poll()
     asked.register(descriptor, 0)
