@@ -29,8 +29,8 @@ WHAT_REPORTED = {
     "figures are no proof of a choice",
     HELD_OUT: "no rate, threshold or default was chosen on their standard data sets; reports on `bear`, "
     "`dog` and `sofa` through other cameras led to how the learned response begins, so that `diningroom` "
-    "alone is untouched; trainings of 300 CPU seconds that ended below those of 60 on all four led to rates "
-    "that fall beyond 2,500 iterations, so that in longer trainings none is",
+    "alone is untouched; trainings of 300 CPU seconds that ended below those of 60 on such scenes led to "
+    "rates that fall beyond 2,500 iterations, so that in longer trainings none is",
     SEALED: "opened by this plan (`open_sealed`)",
 }
 

@@ -2,7 +2,7 @@
 """The two ways to compute on a CUDA card, and which of them works here.
 
 ``warp``: NVIDIA Warp's; they need a driver and wheels. ``cuda``: gsplat's kernels, and networks through
-``torch.compile``; both need compilers on the machine, and minutes there. Warp's are taken where they work,
+``torch.compile``; both need compilers on the machine, and their time. Warp's are taken where they work,
 gsplat's where they do not. ``using`` overrides that, for comparisons and tests.
 """
 
