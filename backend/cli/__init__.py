@@ -83,7 +83,7 @@ def _speak_of_anything() -> None:
 
 def _nobody_reads() -> bool:
     """Whether it is stdout that is broken; what is still to be written then is dropped."""
-    if not hasattr(select, "poll"):  # Windows, where such an error does not say which pipe it is
+    if sys.platform == "win32":  # has no poll, and such an error does not say there which pipe it is
         return False
     try:
         descriptor = sys.stdout.fileno()
