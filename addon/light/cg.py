@@ -159,34 +159,53 @@ def models_to_set_apart(scene: bpy.types.Scene) -> list[bpy.types.Object]:
 
 
 def reset(scene: bpy.types.Scene) -> None:
-    """Take ground, layers, collections and compositor nodes of ours away; models stand where they stood."""
+    """Take ground, layers, collections and compositor nodes of ours away; models stand where they stood.
+
+    What another scene with a ground shows, too, it keeps.
+    """
     cg_compositor.disconnect(scene)
     for name in (SHADOW_LAYER, FRONT_LAYER):
         layer = scene.view_layers.get(name)
         if layer is not None and len(scene.view_layers) > 1:
             scene.view_layers.remove(layer)
-    for collection in list(scene.collection.children_recursive):
-        kind = collection.get(MARK)
-        if kind == CAPTURE:
-            parents = [
-                each
-                for each in (scene.collection, *scene.collection.children_recursive)
-                if collection in each.children.values()
-            ]
-            for item in list(collection.objects):
-                for parent in parents:
-                    if item not in parent.objects.values():  # a linked one may have the same name
-                        parent.objects.link(item)
-        elif kind in (GROUND, FRONT):
-            for item in [each for each in collection.objects if each.get(MARK) == kind]:
-                _remove(item)
-            for item in list(collection.objects):  # a user's, who put them there
-                scene.collection.objects.link(item)
-        else:
-            continue
-        bpy.data.collections.remove(collection)
+    for collection in [each for each in scene.collection.children_recursive if MARK in each]:
+        _dissolve(scene, collection)
     if BEAUTY in scene:
         del scene[BEAUTY]
+
+
+def _dissolve(scene: bpy.types.Scene, collection: bpy.types.Collection) -> None:
+    """Put what is in a collection of ours where the collection is, and take that away, planes and all.
+
+    A linked copy of a scene shares its collections: one that has its ground still keeps them.
+    """
+    others = {
+        each
+        for other in bpy.data.scenes
+        if other != scene and is_there(other)
+        for each in _collections_of(other)
+    }
+    planes = [each for each in collection.objects if MARK in each]
+    tops = {each.collection for each in bpy.data.scenes}
+    for parent in (tops | set(bpy.data.collections)) - others:
+        if collection not in parent.children.values():
+            continue
+        for item in collection.objects.values():
+            # By itself: a linked one may have the same name.
+            if item not in planes and item not in parent.objects.values():
+                parent.objects.link(item)
+        for child in collection.children.values():
+            if child not in parent.children.values():
+                parent.children.link(child)
+        parent.children.unlink(collection)
+    if collection not in others:
+        for each in planes:
+            _remove(each)
+        bpy.data.collections.remove(collection)
+
+
+def _collections_of(scene: bpy.types.Scene) -> set[bpy.types.Collection]:
+    return {scene.collection, *scene.collection.children_recursive}
 
 
 def _remove(plane: bpy.types.Object) -> None:
@@ -205,7 +224,7 @@ def _beauty(scene: bpy.types.Scene) -> bpy.types.ViewLayer:
 
 def _collections_in(scene: bpy.types.Scene, item: bpy.types.Object) -> list[bpy.types.Collection]:
     """The collections of this scene that an object is in."""
-    there = {scene.collection, *scene.collection.children_recursive}
+    there = _collections_of(scene)
     return [each for each in item.users_collection if each in there]
 
 

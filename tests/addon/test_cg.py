@@ -382,6 +382,38 @@ def test_reset_leaves_the_scene_as_it_was(extension, capture, composed):
     assert state_of(scene) == before
 
 
+@pytest.mark.parametrize("in_collection", [False, True])
+def test_a_linked_copy_of_the_scene_keeps_its_ground(extension, capture, in_collection):
+    """Scenes share collections then: removed from one, what is in them stands in both, and in the end where
+    it stood. An object of the user's that lies in the ground's collection goes along."""
+    first = capture
+    [model] = cg.models_of(first)
+    own = bpy.data.collections.new("Mine")
+    first.collection.children.link(own)
+    if in_collection:
+        own.objects.link(model)
+        first.collection.objects.unlink(model)
+    before = set(first.objects)
+    assert bpy.ops.physhdr.cg_here(location=(0, 0, 0), stand=False) == {"FINISHED"}
+    ball = add_ball(first)
+    first.collection.children["PhysHDR Ground"].objects.link(ball)
+    first.collection.objects.unlink(ball)
+    with_ground = set(first.objects)
+    bpy.ops.scene.new(type="LINK_COPY")
+    second = bpy.context.scene
+    assert set(second.objects) == with_ground and cg.hindrances(second) == cg.hindrances(first)
+    told = cg.hindrances(first)
+    assert bpy.ops.physhdr.cg_reset() == {"FINISHED"}
+    assert set(second.objects) == before | {ball} and not cg.is_there(second)
+    assert set(first.objects) == with_ground and cg.hindrances(first) == told
+    bpy.context.window.scene = first
+    assert bpy.ops.physhdr.cg_reset() == {"FINISHED"}
+    assert set(first.objects) == set(second.objects) == before | {ball}
+    stands_in = {own} if in_collection else {first.collection, second.collection}
+    assert set(model.users_collection) == stands_in
+    assert not [each for each in bpy.data.collections if cg.MARK in each]
+
+
 def test_what_would_hinder_the_shadow_is_told(extension, capture, write, make_model):
     scene = capture
     scene.render.engine = "CYCLES"
