@@ -16,8 +16,19 @@ from ...bridge.colmap import find_model
 from ...bridge.data_set import EXPOSURE_FILE, scene_name
 from ...bridge.errors import DataMismatchError
 from .checks import path_inside
-from .colmap_brackets import Group, alike, best_of, camera_of, grouped, placed, single, with_pictures
-from .colmap_model import other_models_in_words, read_model
+from .colmap_brackets import (
+    Group,
+    alike,
+    best_of,
+    camera_of,
+    grouped,
+    moved,
+    placed,
+    single,
+    turn,
+    with_pictures,
+)
+from .colmap_model import SparseModel, other_models_in_words, read_model
 from .exposures import MOST_UNKNOWN, SAY_EXPOSURES, exposures_from_exif, read_exposure_file
 from .info import read_anchor, read_info
 from .picture_files import picture_there, pictures_in, reduced_folder
@@ -46,6 +57,8 @@ PICTURES = "images"
 LOOKS_FOR = f"{PICTURES}/ and sparse/0"
 #: Cameras of one bracket that are farther apart than this share of the cameras' spread are worth a message.
 STEADY = 0.002
+#: Those that are turned by more than this, degrees, are as well: some five pixels of 1600.
+STEADY_TURN = 0.2
 
 
 def is_mine(root: Path) -> bool:
@@ -160,29 +173,35 @@ def read_poses(root: Path, pictures: Path, most_unknown: float = 0.0) -> FoundPo
         groups = with_pictures(single(model.images), usable)
         groups, _ = _of_known(groups, seconds, folder, most_lost)
     poses = []
-    apart = 0.0
     for order, group in enumerate(groups):
-        camera, distance = camera_of(model, group)
-        apart = max(apart, distance)
         bracket = {
             k: PictureFile(usable[name], seconds[name], mask_beside(root, name))
             for k, name in group.names.items()
         }
-        pose = Pose(group.name, order, camera, bracket, lens=model.lens(best_of(group)))
+        pose = Pose(group.name, order, camera_of(model, group), bracket, lens=model.lens(best_of(group)))
         poses.append(at_size_of_pictures(pose, sizes, folder))
     if all(len(pose.pictures) == 1 for pose in poses):
         messages.append("one exposure a view: 'physhdr prepare' groups photographs into brackets")
-    if apart > STEADY * spread:
-        messages.append(
-            f"cameras of one bracket are up to {apart:.2g} units apart ({apart / spread:.1%} of all cameras' "
-            "spread): each view takes that of the picture with the most points"
-        )
+    messages += _unsteady_in_words(model, groups, spread)
     skipped = {name for name in paths if name not in usable or name not in seconds}
     used = {name for group in groups for name in group.names.values()} | skipped
     messages += _unused_in_words(there, used, pictures)
     missing = missing_in_words([pose for pose in poses if pose.name not in alone])
     messages += masks_in_words(poses)
     return FoundPoses(root, numbered(root, poses), model.points, (*messages, *([missing] if missing else [])))
+
+
+def _unsteady_in_words(model: SparseModel, groups: Sequence[Group], spread: float) -> tuple[str, ...]:
+    """How far the cameras of one bracket are apart and turned, where that is worth a message."""
+    apart = max(moved(model, group) for group in groups)
+    turned = max(turn(model, group) for group in groups)
+    told = []
+    if apart > STEADY * spread:
+        told.append(f"up to {apart:.2g} units apart ({apart / spread:.1%} of all cameras' spread)")
+    if turned > STEADY_TURN:
+        told.append(f"turned by up to {turned:.2g}°")
+    takes = "each view takes that of the picture with the most points"
+    return (f"cameras of one bracket are {' and '.join(told)}: {takes}",) if told else ()
 
 
 def _unused_in_words(there: Sequence[str], used: Iterable[str], pictures: Path) -> tuple[str, ...]:

@@ -17,6 +17,8 @@ from .poses import SUFFIXES, bracket_name
 #: Pictures whose cameras are farther apart than this share of the cameras' spread are no bracket: a hand does
 #: not move so far.
 FAR = 0.1
+#: Nor does it turn so far, degrees: beyond, they are views around from one place.
+TURNED = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,13 +45,17 @@ def grouped(
             f"each is a view of its own (first: {strays[0].registered[0].name:.200})"
         )
     groups, alone = sorted([*groups, *strays], key=lambda group: group.name), list(strays)
-    far = [group for group in groups if camera_of(model, group)[1] > FAR * spread]
+    far = [group for group in groups if moved(model, group) > FAR * spread]
+    turned = [group for group in groups if group not in far and turn(model, group) > TURNED]
+    for some, are in ((far, "are far apart"), (turned, "look in different directions")):
+        if some:
+            names = ", ".join(f"'{group.name}_…'" for group in some)
+            messages.append(
+                f"names like brackets, but the cameras of {names} {are}: each of their pictures in the model "
+                "is a view of its own"
+            )
+    far += turned
     if far:
-        names = ", ".join(f"'{group.name}_…'" for group in far)
-        messages.append(
-            f"names like brackets, but the cameras of {names} are far apart: each of their pictures in the "
-            "model is a view of its own"
-        )
         groups = [one for group in groups for one in (single(group.registered) if group in far else [group])]
         alone += [one for group in far for one in single(group.registered)]
     return groups, {group.name for group in alone}, messages
@@ -136,12 +142,25 @@ def alike(groups: list[Group], seconds: dict[str, float]) -> tuple[str, str] | N
     return None
 
 
-def camera_of(model: SparseModel, group: Group) -> tuple[Camera, float]:
-    """The camera of the group's picture with the most points; how far the others are from it, units."""
-    best = best_of(group)
-    camera = model.camera(best)
-    others = (model.camera(image).position for image in group.registered if image is not best)
-    return camera, max((float(np.linalg.norm(other - camera.position)) for other in others), default=0.0)
+def camera_of(model: SparseModel, group: Group) -> Camera:
+    """The camera of the group's picture with the most points."""
+    return model.camera(best_of(group))
+
+
+def moved(model: SparseModel, group: Group) -> float:
+    """How far the group's other cameras are from that of ``camera_of`` at most, units."""
+    of = camera_of(model, group).position
+    return max(float(np.linalg.norm(model.camera(image).position - of)) for image in group.registered)
+
+
+def turn(model: SparseModel, group: Group) -> float:
+    """By how much the group's other cameras are turned against that of ``camera_of`` at most, degrees."""
+    of = camera_of(model, group).camera_to_world[:3, :3]
+    # The difference of two rotations has the norm √8 sin(angle / 2).
+    most = max(
+        float(np.linalg.norm(model.camera(image).camera_to_world[:3, :3] - of)) for image in group.registered
+    )
+    return math.degrees(2.0 * math.asin(min(1.0, most / math.sqrt(8.0))))
 
 
 def best_of(group: Group) -> SparseImage:

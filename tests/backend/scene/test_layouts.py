@@ -11,6 +11,7 @@ import re
 import shutil
 from collections.abc import Iterable
 from io import BytesIO
+from itertools import product
 from pathlib import Path
 from types import ModuleType
 
@@ -19,6 +20,7 @@ import OpenImageIO
 import pytest
 import torch
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from physhdr.backend.evaluate import truth
 from physhdr.backend.evaluate.protocol import evaluate
@@ -499,6 +501,41 @@ def test_nine_places_are_no_bracket(layouts: ModuleType, tmp_path: Path, exif: b
         views = {view.name: view.exposures for view in (*scene.train, *scene.test)}
         assert views == expected | {"hand": pytest.approx((0.1, 0.4, 1.6))}
     assert_points_are_on_their_spots(layouts, scene)
+
+
+def turned_on_tripods(layouts: ModuleType, root: Path, degrees: float) -> Scene:
+    """Six stands in a row, at each of which a camera takes four pictures and is turned between them."""
+    lines = []
+    for stand, k in product(range(6), range(4)):
+        name = f"stand{stand}_{k}.jpg"
+        exif = layouts.camera_exif(0.01 * (1 + (7 * stand + 5 * k) % 11))  # as an automatic camera has it
+        layouts.save(root / "images" / name, layouts.draw(stand, 0), exif=exif)
+        rotation = Rotation.from_euler("y", k * degrees, degrees=True)
+        x, y, z, w = rotation.as_quat().tolist()
+        place = " ".join(map(repr, (-rotation.apply([stand, 0.3, 0.0])).tolist()))
+        lines += [f"{len(lines) + 1} {w} {x} {y} {z} {place} 7 {name}", ""]
+    layouts.write_sparse(root / "sparse" / "0", {}, "txt")
+    (root / "sparse" / "0" / "images.txt").write_text("\n".join(lines) + "\n")
+    return read_scene(root)
+
+
+def test_views_around_from_one_place_are_no_bracket(layouts: ModuleType, tmp_path: Path) -> None:
+    """stand0_0 … stand0_3 look north, east, south and west: one camera would be wrong for three of them."""
+    scene = turned_on_tripods(layouts, tmp_path, 90.0)
+    views = [*scene.train, *scene.test]
+    assert len(views) == 24 and {view.bracket for view in views} == {(0,)}
+    looks = {tuple(np.rint(view.camera.camera_to_world[:3, 2]).tolist()) for view in views}
+    assert len(looks) == 4
+    assert any("'stand5_…' look in different directions: each of their" in told for told in scene.messages)
+
+
+def test_a_bracket_that_turned_a_little_is_one_and_says_so(layouts: ModuleType, tmp_path: Path) -> None:
+    scene = turned_on_tripods(layouts, tmp_path, 1.0)
+    assert {view.bracket for view in [*scene.train, *scene.test]} == {(0, 1, 2, 3)}
+    assert (
+        "cameras of one bracket are turned by up to 3°: each view takes that of the picture with the most "
+        "points"
+    ) in scene.messages
 
 
 def test_a_stray_picture_leaves_brackets_as_they_are(layouts: ModuleType, tmp_path: Path) -> None:
