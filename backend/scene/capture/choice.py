@@ -18,9 +18,8 @@ BLACK, WHITE = 5, 250
 #: Steps that clip so little more than the best are as good: the one nearest to a middling code is taken, for
 #: features in dark pictures are noise.
 AS_GOOD, MIDDLE = 0.01, 118.0
-#: The number k in the data set of each step of a bracket of so many. Training sees 0, 2 and 4, evaluation
-#: keeps 1 and 3 as exposures that training has not seen, so short brackets are trained on whole and the
-#: darkest and the brightest always are.
+#: The number k in the data set of each step of a bracket of so many. Where 1 and 3 are held out, as published
+#: comparisons do, short brackets still are trained on whole, and the darkest and the brightest always.
 NUMBERS = {1: (0,), 2: (0, 2), 3: (0, 2, 4), 4: (0, 1, 2, 4), 5: (0, 1, 2, 3, 4)}
 
 
