@@ -30,6 +30,8 @@ from .remedies import COPY_AGAIN
 
 JPEG_SUFFIXES = (".jpg", ".jpeg")
 SUFFIXES = (*JPEG_SUFFIXES, ".png", ".tif", ".tiff", *heif.SUFFIXES)
+#: Suffixes in the order in which equally many are preferred: what cameras write, then what programs export.
+BEFORE_EXPORTS = (*raw.SUFFIXES, *JPEG_SUFFIXES, ".heic", ".heif", ".hif", ".png", ".tif", ".tiff", ".avif")
 #: What Pillow opens for us, whatever a file is called.
 PILLOW = ("JPEG", "PNG", "TIFF", "AVIF")
 VIDEO_SUFFIXES = (".mp4", ".mov", ".avi", ".mkv", ".m4v", ".webm", ".mts", ".m2ts", ".insv", ".360", ".lrv")
@@ -296,8 +298,9 @@ def alike(name: str) -> str:
 def find_photos(folder: Path, done: Callable[[int, int], None] = lambda photos, of: None) -> Found:
     """Every photo in ``folder`` (not below it), in the order of names, with its EXIF. Headers only.
 
-    Of several files of the same stem one is taken: the raw file, or the HEIC before the JPEG. Damaged files,
-    videos, 360° pictures and other cameras' photos are skipped. ``done`` is told after every file.
+    Of several files of the same stem one is taken: the raw file, or the HEIC before the JPEG, or of the kind
+    of which there are more. Damaged files, videos, 360° pictures and other cameras' photos are skipped.
+    ``done`` is told after every file.
 
     Raises ``FileMissingError`` (no folder, no photos in it, no library for raw files or HEIC),
     ``FileDamagedError`` (no file can be read, a mask cannot), ``DataMismatchError`` (all are 360° pictures, a
@@ -393,8 +396,29 @@ def _one_of_each(paths: list[Path], notes: list[str]) -> list[Path]:
             copies["AVIF and as HEIC or JPEG: the latter are used"] += 1
         else:
             kept.append(path)
+    kept = _of_one_suffix(kept, copies)
     notes += [f"{count} photos are there as {what}" for what, count in copies.items()]
     return kept
+
+
+def _of_one_suffix(paths: list[Path], copies: Counter[str]) -> list[Path]:
+    """Of files that share a stem, photos and what a program exported of them, those of the commonest suffix.
+
+    Two kinds side by side would have two responses, and as photos of one time would be no brackets.
+    """
+    there = Counter(path.suffix.lower() for path in paths)
+
+    def rank(path: Path) -> tuple[int, int]:
+        suffix = path.suffix.lower()
+        return -there[suffix], BEFORE_EXPORTS.index(suffix)
+
+    best: dict[str, Path] = {}
+    for path in paths:
+        best[path.stem] = min(best.get(path.stem, path), path, key=rank)
+    for path in paths:
+        if (used := best[path.stem]) is not path:
+            copies[f"{used.suffix} and as {path.suffix}: the {used.suffix} files are used"] += 1
+    return [path for path in paths if best[path.stem] is path]
 
 
 def _family(path: Path) -> str:

@@ -334,14 +334,15 @@ def test_of_several_files_of_a_photo_one_is_used(room, heic, dng, tmp_path):
     heic.write_heic(tmp_path / "a.heic", smooth())
     Image.fromarray(smooth()).save(tmp_path / "b.avif")
     write_png(tmp_path / "d.png", smooth())
-    heic.write_heic(tmp_path / "d.heic", smooth())  # a PNG is not what a camera writes beside
+    heic.write_heic(tmp_path / "d.heic", smooth())
     (tmp_path / "a.MOV").write_bytes(b"live")
     found = find_photos(tmp_path)
-    assert [photo.name for photo in found.photos] == ["a.heic", "b.jpg", "c.jpg", "d.heic", "d.png"]
+    assert [photo.name for photo in found.photos] == ["a.heic", "b.jpg", "c.jpg", "d.heic"]
     assert not found.skipped
     assert found.notes == [
         "1 photos are there as HEIC and as JPEG: the HEIC files are used",
         "1 photos are there as AVIF and as HEIC or JPEG: the latter are used",
+        "1 photos are there as .heic and as .png: the .heic files are used",
         "1 videos have a photo's name (live photos): they are not looked at",
     ]
     raw = tmp_path / "raw"

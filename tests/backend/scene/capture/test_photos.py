@@ -154,6 +154,25 @@ def test_names_in_natural_order():
     assert sorted(["5²1", "5", "10"], key=natural_order) == ["5", "5²1", "10"]  # ² is a digit, but no number
 
 
+@pytest.mark.parametrize("export", [".png", ".tif", ".jpeg"])
+def test_what_a_program_exported_of_a_photo_is_no_second_photo(room, tmp_path, export):
+    """Of photos and as many exports, the photos; of many and a few, the many."""
+    camera, few = tmp_path / "camera", tmp_path / "few"
+    for folder in (camera, few):
+        folder.mkdir()
+        for number in range(3):
+            exposed = GREY, 1 / (60 << number), NOON
+            room.write_photo(folder / f"DSC_{number}{export}", *exposed)
+            if folder is camera or number == 1:
+                room.write_photo(folder / f"DSC_{number}.JPG", *exposed)
+    found = find_photos(camera)
+    assert [photo.name for photo in found.photos] == ["DSC_0.JPG", "DSC_1.JPG", "DSC_2.JPG"]
+    assert found.notes == [f"3 photos are there as .JPG and as {export}: the .JPG files are used"]
+    found = find_photos(few)
+    assert [photo.name for photo in found.photos] == [f"DSC_{number}{export}" for number in range(3)]
+    assert found.notes == [f"1 photos are there as {export} and as .JPG: the {export} files are used"]
+
+
 def test_a_fraction_of_a_second_that_is_no_number_is_left_aside(room, tmp_path):
     path = tmp_path / "a.jpg"
     room.write_photo(path, GREY, 1.0, NOON, SubsecTimeOriginal="@7")
