@@ -97,7 +97,9 @@ def reset(scene: bpy.types.Scene) -> None:
 def hide_from_rays(world: bpy.types.World, model: bpy.types.Object, mirrors: Mirrors) -> None:
     """Let CG get its light from the environment alone; ``mirrors`` see that, or the splats before it."""
     if VISIBILITY not in world and VISIBILITY not in model:
-        world[VISIBILITY] = json.dumps({name: getattr(model, name) for name in LIGHTING_RAYS + MIRROR_RAYS})
+        hidden = next((each for each in _others_lit_by(model, world) if VISIBILITY in each), None)
+        now = {name: getattr(model, name) for name in LIGHTING_RAYS + MIRROR_RAYS}
+        world[VISIBILITY] = hidden[VISIBILITY] if hidden is not None else json.dumps(now)
     for name in LIGHTING_RAYS:
         setattr(model, name, False)
     for name in MIRROR_RAYS:
@@ -105,14 +107,21 @@ def hide_from_rays(world: bpy.types.World, model: bpy.types.Object, mirrors: Mir
 
 
 def show_to_rays(world: bpy.types.World) -> None:
-    """Give the model that lights a world the visibility back that it had before."""
+    """Give the model that lights a world the visibility back that it had before, unless it lights another
+    scene's world, too."""
     model, before = world.get(MODEL), world.pop(VISIBILITY, None)
-    if not isinstance(model, bpy.types.Object):
+    if not isinstance(model, bpy.types.Object) or _others_lit_by(model, world):
         return
     before = model.pop(VISIBILITY, None) or before
     for name, value in json.loads(before or "{}").items():
         if name in LIGHTING_RAYS + MIRROR_RAYS:
             setattr(model, name, bool(value))
+
+
+def _others_lit_by(model: bpy.types.Object, world: bpy.types.World) -> list[bpy.types.World]:
+    """Worlds of scenes, other than ``world``, that a model lights."""
+    worlds = (scene.world for scene in bpy.data.scenes)
+    return [each for each in worlds if each is not None and each != world and each.get(MODEL) == model]
 
 
 # ---- pictures ----------------------------------------------------------------------------------------------
