@@ -39,8 +39,11 @@ def takes_objects(collection: bpy.types.Collection) -> bool:
 
 
 def collection_beside(item: bpy.types.Object, scene: bpy.types.Scene) -> bpy.types.Collection:
-    """Where what belongs to an object goes: into a collection of its own that takes it, else the scene's."""
-    return next(filter(takes_objects, item.users_collection), scene.collection)
+    """Where what belongs to an object goes: into one of its collections in the scene that takes it, else into
+    the scene's own."""
+    there = {scene.collection, *scene.collection.children_recursive}
+    beside = (each for each in item.users_collection if each in there and takes_objects(each))
+    return next(beside, scene.collection)
 
 
 def to_matrix(array: np.ndarray) -> mathutils.Matrix:

@@ -150,6 +150,18 @@ def test_a_crop_box_fits_the_model_and_selects_what_it_hides(add):
     np.testing.assert_array_equal(point_removal.selection_of(target.data), ~keep)
 
 
+def test_a_crop_box_is_added_to_the_scene_in_which_it_was_asked_for(add):
+    """A linked copy of the scene has the model in a collection of its own."""
+    _, target, _ = add()
+    first = bpy.context.scene
+    bpy.ops.scene.new(type="LINK_COPY")
+    second = bpy.context.scene
+    bpy.context.view_layer.objects.active = target
+    assert bpy.ops.physhdr.cleaning_box() == {"FINISHED"}
+    box = bpy.data.objects[f"{target.name} crop"]
+    assert box.name in second.objects and box.name not in first.objects
+
+
 def data_set(folder: Path, places: list) -> None:
     """Cameras in our own layout."""
     folder.mkdir()

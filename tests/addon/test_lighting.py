@@ -211,6 +211,25 @@ def test_a_copy_of_the_scene_gives_back_no_light_that_another_has(scene, model, 
     assert model.visible_diffuse
 
 
+@pytest.mark.parametrize("first", [0, 1])
+def test_a_model_that_lights_two_scenes_is_seen_by_rays_again_after_both(scene, model, tmp_path, first):
+    """The second scene has a world of its own, which is lit while the model is hidden from rays already."""
+    model.visible_glossy = False
+    before, folder = visibility(model), write_probe(tmp_path / "probe", (5.0,) * 3, (0,) * 3, (0,) * 3)
+    light(folder)
+    scenes = [scene, bpy.data.scenes.new("second")]
+    scenes[1].collection.objects.link(model)
+    bpy.context.window.scene = scenes[1]
+    bpy.context.view_layer.objects.active = model
+    light(folder)
+    hidden = visibility(model)
+    assert scenes[0].world != scenes[1].world and not any(hidden.values())
+    lighting.reset(scenes[first])
+    assert visibility(model) == hidden and lighting.is_lit(scenes[1 - first].world)
+    lighting.reset(scenes[1 - first])
+    assert visibility(model) == before
+
+
 def test_a_scene_without_a_world_has_none_again(scene, model, tmp_path):
     scene.world = None
     light(write_probe(tmp_path / "probe", (5.0,) * 3, (0,) * 3, (0,) * 3))
