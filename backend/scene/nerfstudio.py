@@ -334,24 +334,16 @@ def _split(
     """Training, validation and test as ``train_filenames``, ``val_filenames`` and ``test_filenames`` say.
 
     Validation views that are trained from or are test views, which nerfstudio allows, are no such split.
-    Without a list of test views those of validation are the test; without any list, by name or order.
+    Without a list of test views those of validation are the test. Without one of training views, which
+    nerfstudio refuses, all frames that no other list has are trained on; without any list, by name or order.
     """
-    lists = {}
-    for key in ("train_filenames", "val_filenames", "test_filenames"):
-        names = content.get(key)
-        if names is None:
-            continue
-        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-            raise BadValueError(f"{path}: '{key}' is not a list of file names", "Mend it, or remove it.")
-        lists[key] = {_picture(root, path, plain_name(name)) for name in names}
-    if "train_filenames" not in lists:
+    lists = _lists(root, path, content)
+    if "train_filenames" not in lists and not any(lists.values()):
         train, test, rule = split_somehow(poses)
         return train, [], test, rule
     other = "test_filenames" if lists.get("test_filenames") else "val_filenames"
-    train = [pose for pose in poses if _is_in(pose, lists["train_filenames"])]
     test = [pose for pose in poses if _is_in(pose, lists.get(other, set()))]
-    if not train:
-        raise DataMismatchError(f"{path}: no frame is in 'train_filenames'", "Mend that list, or remove it.")
+    train = _train(path, lists, poses)
     both = {pose.name for pose in train} & {pose.name for pose in test}
     if both:
         raise DataMismatchError(
@@ -362,11 +354,50 @@ def _split(
         validation = [pose for pose in poses if _is_in(pose, lists.get("val_filenames", set()))]
         if {pose.name for pose in validation} & {pose.name for pose in (*train, *test)}:
             validation = []
+    if "train_filenames" not in lists:
+        told = " and ".join(key for key, names in lists.items() if names)
+        rule = (
+            f"split as {told} say: the other {len(train)} frames are trained on, for no list says which are"
+        )
+        return train, validation, test, rule
     lists_told = f"train_filenames{', val_filenames' if validation else ''} and {other}"
     rest = len(poses) - len(train) - len(validation) - len(test)
     none_of_them = "none of them" if validation else "neither"
     rule = f"split as {lists_told} say" + (f"; {rest} frames are in {none_of_them}" if rest else "")
     return train, validation, test, rule
+
+
+def _lists(root: Path, path: Path, content: dict[str, Any]) -> dict[str, set[Path]]:
+    """The pictures that each list of a split has; only of lists that are there."""
+    lists = {}
+    for key in ("train_filenames", "val_filenames", "test_filenames"):
+        names = content.get(key)
+        if names is None:
+            continue
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise BadValueError(f"{path}: '{key}' is not a list of file names", "Mend it, or remove it.")
+        lists[key] = {_picture(root, path, plain_name(name)) for name in names}
+    return lists
+
+
+def _train(path: Path, lists: dict[str, set[Path]], poses: list[Pose]) -> list[Pose]:
+    """The training poses; raises ``DataMismatchError`` where there are none, or a lone list has no frame."""
+    if "train_filenames" in lists:
+        train = [pose for pose in poses if _is_in(pose, lists["train_filenames"])]
+        if train:
+            return train
+        raise DataMismatchError(f"{path}: no frame is in 'train_filenames'", "Mend that list, or remove it.")
+    for key, names in lists.items():
+        if names and not any(_is_in(pose, names) for pose in poses):
+            raise DataMismatchError(f"{path}: no frame is in '{key}'", "Mend that list, or remove it.")
+    train = [pose for pose in poses if not any(_is_in(pose, names) for names in lists.values())]
+    if not train:
+        told = " and ".join(f"'{key}'" for key, names in lists.items() if names)
+        raise DataMismatchError(
+            f"{path}: no frame is left for training: all are in {told}",
+            "Mend these lists, or remove them.",
+        )
+    return train
 
 
 def _is_in(pose: Pose, listed: set[Path]) -> bool:

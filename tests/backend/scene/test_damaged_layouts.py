@@ -278,6 +278,11 @@ NERFSTUDIO: list[Case] = [
      ("'train_filenames' is not a list",)),
     ("nothing to train", edit("transforms.json", lambda c: c.update(train_filenames=["x.png"])),
      DataMismatchError, ("no frame is in 'train_filenames'",)),
+    ("nothing to test", edit("transforms.json", lambda c: c.update(test_filenames=["x.png"])),
+     DataMismatchError, ("no frame is in 'test_filenames'",)),
+    ("all to test", edit("transforms.json", lambda c: c.update(
+        train_filenames=None, test_filenames=[f["file_path"] for f in c["frames"]])),
+     DataMismatchError, ("no frame is left for training: all are in 'test_filenames'",)),
     ("both", edit("transforms.json", lambda c: c.update(
         train_filenames=["images/frame_00001.png"], val_filenames=["images/frame_00001.png"])),
      DataMismatchError, ("'images/frame_00001' is in 'train_filenames' and in 'val_filenames'",)),

@@ -658,6 +658,23 @@ def test_nerfstudio_with_absolute_names_through_a_link(layouts: ModuleType, tmp_
         assert len(scene.train) + len(scene.test) == 9
 
 
+@pytest.mark.parametrize("lists", [("test",), ("val",), ("val", "test")])
+def test_nerfstudio_never_trains_on_frames_that_are_listed_for_something_else(
+    layouts: ModuleType, tmp_path: Path, lists: tuple[str, ...]
+) -> None:
+    """Without train_filenames: views that are held out would else be trained on and praise the result."""
+    listed = {f"{split}_filenames": [f"images/frame_0000{k}.png"] for k, split in enumerate(lists, start=2)}
+    scene = read_scene(layouts.write_nerfstudio(tmp_path, **listed))
+    held_out = list(range(2, 2 + len(lists)))
+    assert [view.index for view in scene.train] == [k for k in range(9) if k not in held_out]
+    assert [view.index for view in scene.test] == held_out[-1:]
+    assert [view.index for view in scene.validation] == held_out[:-1]
+    assert scene.messages[0] == (
+        f"split as {' and '.join(listed)} say: the other {9 - len(lists)} frames are trained on, for no list "
+        "says which are"
+    )
+
+
 def test_nerfstudio_with_fields_of_view_lists_and_points(layouts: ModuleType, tmp_path: Path) -> None:
     (tmp_path / "sparse_pc.ply").write_text(
         "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
