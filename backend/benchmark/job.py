@@ -11,9 +11,11 @@ import shutil
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from ...bridge.atomic import patiently
 from ...bridge.errors import PhysHDRError
 from ..jobs.pools import Outcome
 from ..jobs.process import StoppedError, run_to_end
@@ -30,7 +32,9 @@ from .runs import (
     Search,
     differences,
     has_gaussians,
+    holds_training,
     put_in_place,
+    remove_work,
     write_json,
 )
 from .search import Measurement, nearest, next_trial, note_on
@@ -53,6 +57,7 @@ class Job:
     ``train``: words for ``physhdr train`` but for folder and iterations; ``config`` what they must come to.
     ``iterations``: None where they are to be found for ``seconds`` of CPU time, from ``known`` if not None.
     ``record``: the run's record but for what training tells. ``only_evaluate``: ``final`` is trained.
+    ``trained``: ``work`` is, by a command that could not put it in place; ``record`` is the whole record.
     ``pictures``: what another program made is evaluated, and nothing trained.
     """
 
@@ -67,6 +72,7 @@ class Job:
     known: Measurement | None = None
     record: Record
     only_evaluate: bool = False
+    trained: bool = False
     pictures: Path | None = None
     program: tuple[str, ...] = PROGRAM
 
@@ -83,6 +89,7 @@ def execute(job: Job, should_stop: Callable[[], bool] = lambda: False) -> Outcom
     """Do the job; whatever happens, its processes have ended afterwards.
 
     Where results cannot be written (a full disk, a file in the way) it has failed without a ``failed.json``.
+    A training that has ended by then stays in ``work``.
     """
     try:
         job.work.mkdir(parents=True, exist_ok=True)
@@ -94,9 +101,20 @@ def execute(job: Job, should_stop: Callable[[], bool] = lambda: False) -> Outcom
         outcome = Outcome("stopped")
     except (OSError, PhysHDRError) as error:
         gone = isinstance(error, FileNotFoundError) and not job.work.exists()
-        outcome = Outcome("stopped") if gone else Outcome("failed", str(error).splitlines()[0])
-    shutil.rmtree(job.work, ignore_errors=True)
+        outcome = Outcome("stopped") if gone else Outcome("failed", _told(job, error))
+    remove_work(job.work)
     return outcome
+
+
+def _told(job: Job, error: OSError | PhysHDRError) -> str:
+    """Why the job failed, in one line, and where the training is if that is done."""
+    line = str(error).splitlines()[0]
+    if not holds_training(job.work):
+        return line
+    return (
+        f"{line}; its training is kept in {job.work}: close what uses the folder or make room, and give the "
+        "same command again, which only evaluates it"
+    )
 
 
 def _failed(job: Job, error: _FailedError) -> Outcome:
@@ -109,7 +127,7 @@ def _failed(job: Job, error: _FailedError) -> Outcome:
         evaluation=job.record.evaluation,
     )
     if job.only_evaluate:  # the training in its place is good
-        os.replace(job.work / RUN_LOG, job.final / RUN_LOG)
+        patiently(partial(os.replace, job.work / RUN_LOG, job.final / RUN_LOG))
         write_json(job.final / FAILED_FILE, failure)
         shutil.rmtree(job.work, ignore_errors=True)
     else:
@@ -127,16 +145,18 @@ def _done(job: Job, should_stop: Callable[[], bool]) -> Outcome:
     if job.only_evaluate:
         _physhdr(job, ["evaluate", job.final, "--out", job.work, *job.evaluate], should_stop)
         for path in [path for path in job.work.iterdir() if path.name != USAGE_FILE]:
-            os.replace(path, job.final / path.name)
+            patiently(partial(os.replace, path, job.final / path.name))
         write_json(job.final / RUN_FILE, job.record)
         (job.final / FAILED_FILE).unlink(missing_ok=True)
         shutil.rmtree(job.work, ignore_errors=True)
         return Outcome("done")
-    record, search = _trained(job, should_stop)
-    # Before the evaluation: where that fails, the training need not be repeated.
-    write_json(job.work / RUN_FILE, record)
+    record, search = (job.record, None) if job.trained else _trained(job, should_stop)
+    # Before the record, which only counts with the search that found its iterations.
     if search is not None:
         write_json(job.final.parent / SEARCH_FILE, search)
+    # Before the evaluation: where that fails, the training need not be repeated.
+    write_json(job.work / RUN_FILE, record)
+    (job.work / FAILED_FILE).unlink(missing_ok=True)  # of an evaluation that is repeated
     _physhdr(job, ["evaluate", job.work, *job.evaluate], should_stop)
     (job.work / USAGE_FILE).unlink(missing_ok=True)
     put_in_place(job.work, job.final)
@@ -175,9 +195,9 @@ def _trained(job: Job, should_stop: Callable[[], bool]) -> tuple[Record, Search 
     best = nearest(job.seconds, list(tried))
     folder, record = tried[best]
     for path in list(folder.iterdir()):
-        os.replace(path, job.work / path.name)
+        patiently(partial(os.replace, path, job.work / path.name))
     for folder in job.work.glob(f"{TRIAL}*"):
-        shutil.rmtree(folder)
+        patiently(partial(shutil.rmtree, folder))
     note = note_on(best.iterations)
     search = Search(
         iterations=best.iterations,

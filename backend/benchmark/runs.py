@@ -8,6 +8,7 @@ Runs of a plan that tunes are in ``OUT/tune/`` instead: none is ever taken for o
 """
 
 import dataclasses
+import errno
 import hashlib
 import json
 import os
@@ -20,7 +21,7 @@ from typing import Any, Literal
 
 from ...bridge import data_set
 from ...bridge.atomic import atomic_path, patiently
-from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError, PhysHDRError
+from ...bridge.errors import BadValueError, FileDamagedError, FileMissingError, OutputError, PhysHDRError
 from ..evaluate.comparison import load_evaluation
 from ..train.config import CONFIG_FILE, completed, method_of
 from .external import pictures_digest
@@ -29,6 +30,8 @@ from .without_test import link_without_test, names_without_test
 
 RUN_FILE, FAILED_FILE, SEARCH_FILE = "run.json", "failed.json", "search.json"
 RUN_LOG = "benchmark.log"
+#: Ends the name of a working folder's neighbour: the former result, while it is replaced.
+REPLACED = ".old"
 #: Fields of the configuration that the plan sets for each run.
 PER_RUN = ("iterations", "seed", "exposure_mode")
 #: The setting that names a file beside the data set's own.
@@ -221,9 +224,9 @@ class Store:
 
     # -- what is there -----------------------------------------------------------------------------------
 
-    def record(self, run: Run) -> Record | None:
-        """The record of a run that is done, whichever the plan it was done for."""
-        return _read(Record, self.out / run.folder / RUN_FILE)
+    def record(self, run: Run, folder: Path | None = None) -> Record | None:
+        """The record of a run that is done, whichever the plan it was done for; in ``folder`` if given."""
+        return _read(Record, (folder or self.out / run.folder) / RUN_FILE)
 
     def gaussians(self, run: Run) -> int | None:
         """Of a run that is done; None of a method without, and where nobody has told."""
@@ -263,9 +266,9 @@ class Store:
         search = self.search(run)
         return search.iterations if search else None
 
-    def is_trained(self, run: Run) -> bool:
-        """Whether its training is there as it would be done now."""
-        record = self.record(run)
+    def is_trained(self, run: Run, folder: Path | None = None) -> bool:
+        """Whether its training is there, or in ``folder`` if given, as it would be done now."""
+        record = self.record(run, folder)
         if record is None or not self._is_this_training(record.training, run):
             return False
         return run.pictures is not None or record.iterations == self.iterations(run)
@@ -323,12 +326,51 @@ def write_json(path: Path, content: Record | Search | Failure) -> None:
 
 
 def put_in_place(work: Path, final: Path) -> None:
-    """Let a finished working folder become ``final``; what was there is gone afterwards."""
-    old = work.with_name(f"{work.name}.old")
+    """Let a finished working folder become ``final``; what was there is gone afterwards.
+
+    Raises ``OutputError`` where it cannot, as on Windows while a console stands in ``final`` or a file in it
+    is open; ``work`` and what was at ``final`` are then where they were.
+    """
+    old = work.with_name(f"{work.name}{REPLACED}")
+    try:
+        try:
+            _replace(final, work, old)
+        except OSError as error:
+            if error.errno not in (errno.EEXIST, errno.ENOTEMPTY):
+                raise
+            _replace(final, work, old)  # with what another command has put there, where nothing can be locked
+    except OSError as error:
+        raise OutputError(
+            f"cannot put the result into {final}: {error.strerror or error}",
+            "Close every program and console that uses that folder, and give the command again.",
+        ) from error
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def _replace(final: Path, work: Path, old: Path) -> None:
+    """``work`` becomes ``final``, and what was there ``old``; back where that fails. Raises ``OSError``."""
     if final.exists():
         patiently(partial(os.rename, final, old))
-    patiently(partial(os.rename, work, final))
-    shutil.rmtree(old, ignore_errors=True)
+    try:
+        patiently(partial(os.rename, work, final))
+    except OSError:
+        if final.exists():
+            shutil.rmtree(old, ignore_errors=True)
+        elif old.exists():
+            patiently(partial(os.rename, old, final))
+        raise
+
+
+def holds_training(work: Path) -> bool:
+    """Whether a working folder is of a training that has ended: its record is written only then."""
+    whole = (work / RUN_FILE).is_file() and (work / CONFIG_FILE).is_file()
+    return whole and not work.name.endswith(REPLACED)
+
+
+def remove_work(work: Path) -> None:
+    """Remove a working folder, unless it holds a training: that only needs to be put in place."""
+    if not holds_training(work):
+        shutil.rmtree(work, ignore_errors=True)
 
 
 def _read(cls: type, path: Path) -> Any:

@@ -18,7 +18,7 @@ from ..jobs.pools import Outcome, Pool
 from ..runs.log import LOG_FILE
 from .job import PROGRAM, TRIAL, Job, execute
 from .plan import CPU_SECONDS, TUNE
-from .runs import Record, Run, Store, runs_of
+from .runs import Record, Run, Store, holds_training, remove_work, runs_of
 from .search import Measurement
 
 CLAIMS_FOLDER = ".claims"
@@ -116,7 +116,7 @@ class Schedule:
                     show()
             finally:
                 for work in self._work.values():
-                    shutil.rmtree(work, ignore_errors=True)
+                    remove_work(work)
 
     def _begin(self, pool: Pool, claims: Claims) -> None:
         free = pool.free()
@@ -171,7 +171,7 @@ class Schedule:
                 self.status[run] = Status("running", "", iteration, iterations)
 
     def _settle(self, run: Run, outcome: Outcome) -> None:
-        shutil.rmtree(self._work.pop(run), ignore_errors=True)  # there only if the job's machine died
+        remove_work(self._work.pop(run))  # there only if the job's machine died, or to be put in place yet
         if outcome.kind == "stopped":  # not by us, who settle nothing then: somebody removed its folder
             self.status[run] = self._on_disk(run)
             self.tell(f"{run.folder}: another command took it over")
@@ -195,14 +195,14 @@ class Schedule:
         """``alone``: nobody else can be at this run, so that what is there of it is a dead process's."""
         store, plan = self.store, self.store.plan
         final = store.out / run.folder
-        for left in final.parent.glob(f".{final.name}-*") if alone else ():
-            shutil.rmtree(left, ignore_errors=True)
+        kept = self._kept(run) if alone else None
         evaluate = (
             *("--device", plan.device),
             *(("--split", plan.split) if plan.kind == TUNE else ()),
             *(("--lpips-weights", str(plan.lpips_weights)) if plan.lpips_weights else ()),
         )
-        done = store.record(run) if store.is_trained(run) and not run.pictures else None
+        in_place = store.is_trained(run) and not run.pictures
+        done = store.record(run, kept) if kept or in_place else None
         search = None if run.pictures else store.search(run)
         blank = Record(
             iterations=None,
@@ -217,7 +217,8 @@ class Schedule:
             note=search.note if search and run.budget.kind == CPU_SECONDS else "",
         )
         record = replace(done, evaluation=store.evaluation_fingerprint) if done else blank
-        work, data = final.with_name(f".{final.name}-{secrets.token_hex(4)}"), store.data_folder(run.scene)
+        work = kept or final.with_name(f".{final.name}-{secrets.token_hex(4)}")
+        data = store.data_folder(run.scene)
         if run.pictures is not None:
             return Job(
                 final=final,
@@ -247,9 +248,24 @@ class Schedule:
             seconds=run.budget.amount if run.budget.kind == CPU_SECONDS else 0.0,
             known=None if iterations else self._known(run),
             record=record,
-            only_evaluate=done is not None,
+            only_evaluate=done is not None and kept is None,
+            trained=kept is not None,
             program=self.program,
         )
+
+    def _kept(self, run: Run) -> Path | None:
+        """Where the run's training lies if it ended and could not be put in place; None where it is to be
+        done, or done. Whatever else dead processes left of the run is removed.
+        """
+        final = self.store.out / run.folder
+        wanted = run.pictures is None and not self.store.is_trained(run)
+        kept = None
+        for left in sorted(final.parent.glob(f".{final.name}-*")):
+            if wanted and kept is None and holds_training(left) and self.store.is_trained(run, left):
+                kept = left
+            else:
+                shutil.rmtree(left, ignore_errors=True)
+        return kept
 
     def _known(self, run: Run) -> Measurement | None:
         """What a done run of the same method on the same scene cost, the one nearest to the budget."""

@@ -2,6 +2,7 @@
 """Which runs are done, repeated, kept and taken over. A fake program trains; the schedule is the real one."""
 
 import csv
+import errno
 import importlib.util
 import itertools
 import json
@@ -18,13 +19,14 @@ import numpy as np
 import pytest
 from scipy.stats import ttest_1samp
 
-from physhdr.backend.benchmark import report
+from physhdr.backend.benchmark import report, runs
 from physhdr.backend.benchmark.live import progress_table
 from physhdr.backend.benchmark.plan import make_plan
 from physhdr.backend.benchmark.report import write_report
-from physhdr.backend.benchmark.runs import Store, data_fingerprint, runs_of
+from physhdr.backend.benchmark.runs import Store, data_fingerprint, put_in_place, runs_of
 from physhdr.backend.benchmark.schedule import Schedule
 from physhdr.backend.jobs.pools import LocalPool
+from physhdr.bridge.errors import OutputError
 from physhdr.bridge.lock import Claims
 
 FAKE = Path(__file__).with_name("fake_physhdr.py")
@@ -358,6 +360,65 @@ def test_a_file_in_the_way_fails_what_needs_the_place_and_nothing_else(bench):
     assert any("failed: " in line and "Not a directory" in line for line in bench.told)
     text = write_report(schedule, bench.root / "report.md", "physhdr benchmark")[0].read_text()
     assert "Not a directory" in text
+
+
+def test_a_training_that_cannot_be_put_in_place_is_kept_and_not_repeated(bench, monkeypatch):
+    """As on Windows while a console stands in the folder of the former result."""
+    bench.content |= {"budgets": ["cpu-seconds=3"], "methods": ["convex"]}
+    run = bench.run().runs[0]
+    folder = bench.root / "out" / run.folder
+    former = (folder / "run.json").read_text()
+    (bench.root / "day" / "data.json").write_text("brighter")
+    rename = os.rename
+
+    def refuse(source, target):
+        if Path(source) == folder:
+            raise PermissionError(errno.EACCES, "The process cannot access the file", str(source))
+        rename(source, target)
+
+    with monkeypatch.context() as held:
+        held.setattr(os, "rename", refuse)
+        assert kinds(bench.run()) == ["failed"]
+    (kept,) = bench.left_over()
+    (told,) = [line for line in bench.told if "failed: " in line]
+    assert "cannot put the result into" in told and f"its training is kept in {kept}: close" in told
+    assert (folder / "run.json").read_text() == former
+    bench.calls()
+    assert kinds(bench.run()) == ["done"] and bench.calls() == [] and not bench.left_over()
+    assert (folder / "run.json").read_text() != former and (folder / "evaluation.json").exists()
+
+
+def test_a_kept_training_is_removed_once_it_would_be_done_otherwise(bench, monkeypatch):
+    refuse = OSError(errno.EACCES, "The process cannot access the file")
+    with monkeypatch.context() as held:
+        held.setattr(runs, "patiently", lambda move: (_ for _ in ()).throw(refuse))
+        assert kinds(bench.run()) == ["failed"]
+    assert len(bench.left_over()) == 1
+    (bench.root / "day" / "data.json").write_text("brighter")
+    bench.calls()
+    assert kinds(bench.run()) == ["done"] and len(bench.calls()) == 1 and not bench.left_over()
+
+
+def test_a_result_that_cannot_be_replaced_stays_in_its_place(tmp_path, monkeypatch):
+    work, final = tmp_path / ".seed_0-1", tmp_path / "seed_0"
+    for folder in (work, final):
+        folder.mkdir()
+        (folder / "whose").write_text(folder.name)
+    rename = os.rename
+
+    def refuse(source, target):
+        if Path(source) == work:
+            raise PermissionError(errno.EACCES, "The process cannot access the file", str(source))
+        rename(source, target)
+
+    with monkeypatch.context() as held:
+        held.setattr(os, "rename", refuse)
+        with pytest.raises(OutputError, match=r"cannot put the result into .*seed_0: The process"):
+            put_in_place(work, final)
+    assert sorted(tmp_path.iterdir()) == [work, final]
+    assert [(folder / "whose").read_text() for folder in (work, final)] == [work.name, final.name]
+    put_in_place(work, final)
+    assert sorted(tmp_path.iterdir()) == [final] and (final / "whose").read_text() == work.name
 
 
 def test_a_damaged_evaluation_is_done_again_alone(bench):
