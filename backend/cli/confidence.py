@@ -14,7 +14,7 @@ from ...bridge.limits import check_position
 from ...bridge.panorama import near_distance
 from ...bridge.probe import check_width
 from ..evaluate import truth
-from ..evaluate.confidence import Calibration, calibration, log_error
+from ..evaluate.confidence import PARTS, Calibration, calibration, log_error
 from ..evaluate.panorama import LitSplats, surroundings
 from ..evaluate.pictures import compared_everywhere
 from ..evaluate.results import VIEWS_OF
@@ -98,7 +98,7 @@ def with_legend(confidence: np.ndarray) -> np.ndarray:
 def write_calibration(run: Run, split: str, out: Path) -> Calibration:
     """Confidence against the true radiance of a split's views; writes ``CALIBRATION_FILES`` into ``out``.
 
-    Raises ``BadValueError`` where there are no such views, or no truth of them.
+    Raises ``BadValueError`` where there are no such views, no truth of them, or too little to compare.
     """
     views = run.scene.splits[split]
     if not views or not truth.has_hdr_truth(run.scene.root, split):
@@ -121,8 +121,14 @@ def write_calibration(run: Run, split: str, out: Path) -> Calibration:
         sure.append(confidence[mask].numpy())
         drawn.append(ours[:, mask].numpy())
         true.append(theirs[:, mask].numpy())
+    if (compared := sum(len(each) for each in sure)) < PARTS:
+        raise BadValueError(
+            f"only {compared} pixels of the {VIEWS_OF[split]} are not masked: confidence needs {PARTS}",
+            "Leave out --confidence, or mask less.",
+        )
     table = calibration(np.concatenate(sure), log_error(drawn, true))
-    texts = (json.dumps({"split": split, **table.described()}, indent=1) + "\n", table.markdown())
+    told = {"split": split, **table.described()}
+    texts = (json.dumps(told, indent=1, allow_nan=False) + "\n", table.markdown())
     for name, text in zip(CALIBRATION_FILES, texts, strict=True):
         with atomic_path(out / name) as temporary:
             temporary.write_text(text, encoding="utf-8")

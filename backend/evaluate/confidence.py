@@ -15,10 +15,12 @@ from rich import box
 from rich.table import Table
 
 from ...bridge.confidence import MEANING, STOPS, TOLERANCE
+from ...bridge.errors import BadValueError
 from .metrics import SCALE_FLOOR
 
 FORMAT, VERSION = "physhdr-confidence", 1
-#: Added to the truth and to what is drawn at its scale, of its median: of black, logarithms mean nothing.
+#: Added to the truth and to what is drawn at its scale, of the median of what is lit: of black, logarithms
+#: mean nothing.
 FLOOR = 1e-4
 PARTS = 10
 HEADINGS = ("pixels", "confidence", f"within {STOPS:g} stops", "median |ln error|")
@@ -41,9 +43,11 @@ class Calibration:
     pixels: int
 
     @property
-    def ratio(self) -> float:
-        """Median error of the surest tenth / that of the least sure."""
-        return self.parts[0].median_error / self.parts[-1].median_error
+    def ratio(self) -> float | None:
+        """Median error of the surest tenth / that of the least sure; None where the latter is 0, as of black
+        that is drawn black."""
+        last = self.parts[-1].median_error
+        return self.parts[0].median_error / last if last else None
 
     @property
     def deviation(self) -> float:
@@ -65,10 +69,10 @@ class Calibration:
     @property
     def summary(self) -> str:
         """The table in a sentence."""
-        return (
-            f"The surest tenth's median error is {self.ratio:.3f} of the least sure tenth's; confidence and "
-            f"share differ by {self.deviation:.3f} (root mean square)."
-        )
+        compared = "The least sure tenth's median error is 0, so the surest tenth's is not compared with it"
+        if self.ratio is not None:
+            compared = f"The surest tenth's median error is {self.ratio:.3f} of the least sure tenth's"
+        return f"{compared}; confidence and share differ by {self.deviation:.3f} (root mean square)."
 
     def rows(self) -> list[tuple[str, str, str, str]]:
         """The cells below ``HEADINGS``."""
@@ -103,14 +107,22 @@ class Calibration:
 
 
 def log_error(drawn: Sequence[np.ndarray], truth: Sequence[np.ndarray]) -> np.ndarray:
-    """``[P]`` of all pixels of some views, drawn and true radiance ``[3, …]`` each."""
+    """``[P]`` of all pixels of some views, drawn and true radiance ``[3, …]`` each.
+
+    Raises ``BadValueError`` where all of the truth is black.
+    """
     a, b = (
         np.maximum(np.concatenate([each.reshape(3, -1) for each in views], axis=1), 0.0)
         for views in (drawn, truth)
     )
-    middle = float(np.median(b))
+    if not (b > 0.0).any():
+        raise BadValueError(
+            "the true radiance is black wherever it is compared with confidence", "Leave out --confidence."
+        )
+    # Not of the black parts, which may be most of a picture: a floor of 0 would not be one.
+    middle = float(np.median(b[b > 0.0]))
     lit = b > SCALE_FLOOR * middle
-    factor = float(np.median(a[lit] / b[lit])) if lit.any() else 1.0
+    factor = float(np.median(a[lit] / b[lit]))
     # Before the floor, which is of the truth's scale: it would hide what is drawn at a much smaller one.
     a = a / factor if factor > 0.0 else a
     floor = FLOOR * middle

@@ -17,7 +17,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import torch
 
 from ...bridge.data_set import HELD_OUT, TEST, VALIDATION
@@ -40,6 +39,7 @@ from .results import (
     HdrRow,
     LdrRow,
     RelitRow,
+    middle_ratio,
     part_of,
 )
 
@@ -112,6 +112,7 @@ def evaluate(
     if hdr and truth.has_hdr_truth(scene.root, split):
         standard = _standard_views(renderer, scene, split, step)
         hdr_rows = _hdr_rows(standard, lpips)
+        messages += _what_has_no_scale(hdr_rows)
         for item in relit:
             step(f"relit {item.condition} {item.path.stem}")
             view = scene.find(TEST, item.index)  # says which poses there are
@@ -232,6 +233,16 @@ def _what_training_was(
     return messages
 
 
+def _what_has_no_scale(rows: list[HdrRow]) -> list[str]:
+    black = [row.view for row in rows if not math.isfinite(row.scale_ratio)]
+    if not black:
+        return []
+    return [
+        f"The HDR scale is that of the other views: the truth of {', '.join(black)} is black wherever it is "
+        "compared."
+    ]
+
+
 def _what_is_capped(ldr: list[LdrRow], hdr: list[HdrRow], relit: list[RelitRow]) -> list[str]:
     relit_numbers = [(row.ours, row.scaled_truth, row.scaled_ours, row.best_scaled_truth) for row in relit]
     parts = {
@@ -289,12 +300,11 @@ def _hdr_rows(standard: dict[int, _StandardView], lpips: Lpips | None) -> list[H
     views = list(standard.values())
     ratios = [scale_ratio(each.prediction, each.truth, each.mask) for each in views]
     # One scale for all views: aligning each view by itself would hide that views disagree.
-    common = float(np.median(ratios)) if ratios else math.nan
+    common = middle_ratio(ratios)
     rows = []
     for each, ratio in zip(views, ratios, strict=True):
         metrics = radiance_pair(each.prediction, each.truth, each.mask).metrics(lpips)
-        usable = math.isfinite(common) and common > 0.0
-        prediction = each.prediction / common if usable else each.prediction
+        prediction = each.prediction / common if common else each.prediction
         aligned = radiance_pair(prediction, each.truth, each.mask).metrics(lpips)
         normaliser = hdr_normaliser(each.truth)
         rows.append(HdrRow(each.view.name, each.view.index, normaliser, ratio, metrics, aligned))
@@ -311,6 +321,8 @@ def _relit_row(renderer: Renderer, standard: _StandardView, item: truth.RelitTru
     height, width = ours.shape[1:]
     truth_standard = resize_to(standard.truth, height, width)
     best_factor = scale_ratio(resize_to(relit, height, width), truth_standard, mask)
+    if math.isnan(best_factor):
+        best_factor = 1.0  # of what is compared the truth is black, and any factor leaves it so
     changed = list(item.changed.values())
     # A picture times 0 is black: nobody would offer that for a light that is switched off.
     factor = changed[0] if len(changed) == 1 and changed[0] > 0.0 else best_factor

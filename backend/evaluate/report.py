@@ -190,12 +190,13 @@ def conditions(evaluation: Evaluation) -> list[str]:
     ]
     normalisers = _normaliser_range(evaluation)
     ratio = evaluation.scale_ratio
-    if normalisers is not None and ratio is not None:
+    if normalisers is not None:
         lowest, highest = normalisers
         lines.append(
             f"HDR: μ-law, μ = {evaluation.mu:g}; normaliser: maximum of each full-resolution true picture "
             f"({lowest:.4g} … {highest:.4g}); scale not aligned"
         )
+    if ratio is not None:
         lines.append(f"HDR scale ratio (median of prediction / truth, median over views): {ratio:.4f}")
     if evaluation.response is not None:
         lines.append(str(evaluation.response))

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The numbers of an evaluation: one row for each comparison, and the means that the tables show."""
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -40,7 +42,10 @@ class LdrRow:
 
 @dataclass(frozen=True)
 class HdrRow:
-    """One view: M, its own median scale ratio, the metrics as they are and with the scale aligned."""
+    """One view: M, its own median scale ratio, the metrics as they are and with the scale aligned.
+
+    The ratio is NaN where all that is compared of the truth is black.
+    """
 
     view: str
     index: int
@@ -264,8 +269,8 @@ class Evaluation:
 
     @property
     def scale_ratio(self) -> float | None:
-        """The median over the views of their median prediction / truth; 1 is right."""
-        return float(np.median([row.scale_ratio for row in self.hdr])) if self.hdr else None
+        """The median over the views of their median prediction / truth; 1 is right. None: no view has one."""
+        return middle_ratio([row.scale_ratio for row in self.hdr])
 
     @property
     def relit_conditions(self) -> list[str]:
@@ -288,6 +293,12 @@ class Evaluation:
 def part_of(place: int) -> str:
     """To which of the two columns an exposure belongs: in brackets of more than five they go on in turn."""
     return NOVEL if place % 2 else OBSERVED
+
+
+def middle_ratio(ratios: Sequence[float]) -> float | None:
+    """The median of those scale ratios that are numbers (of black there is none); None where none is."""
+    numbers = [ratio for ratio in ratios if math.isfinite(ratio)]
+    return float(np.median(numbers)) if numbers else None
 
 
 def mean_metrics(rows: list[Metrics]) -> Metrics | None:

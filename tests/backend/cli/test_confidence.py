@@ -17,6 +17,7 @@ from physhdr.backend.export.confidence import confidence_picture
 from physhdr.backend.runs.run import open_run
 from physhdr.backend.scene.camera import Camera
 from physhdr.bridge.confidence import MEANING, RAMP
+from physhdr.bridge.errors import BadValueError
 from physhdr.bridge.model_file import read_model
 from physhdr.bridge.ply_model import read_ply_model
 
@@ -131,18 +132,25 @@ def test_it_is_compared_with_truth(run, tmp_path, capsys):
     assert "| surest tenth |" in (tmp_path / "confidence.md").read_text()
 
 
+def masked(opened, hidden, path):
+    """The opened run, the test pictures of which have a mask."""
+    Image.fromarray(np.where(hidden, 0, 255).astype(np.uint8)).save(path)
+    views = [
+        replace(view, sources=tuple(replace(each, mask_path=path) for each in view.sources))
+        for view in opened.scene.test
+    ]
+    return replace(opened, scene=replace(opened.scene, test=views))
+
+
 def test_nothing_is_compared_where_pictures_are_masked(run, tmp_path):
     opened = open_run(run)
     camera = opened.scene.test[0].camera
-    mask = np.zeros((camera.height, camera.width), np.uint8)
-    mask[:, :10] = 255
-    Image.fromarray(mask).save(tmp_path / "mask.png")
-    views = [
-        replace(view, sources=tuple(replace(each, mask_path=tmp_path / "mask.png") for each in view.sources))
-        for view in opened.scene.test
-    ]
-    table = write_calibration(replace(opened, scene=replace(opened.scene, test=views)), "test", tmp_path)
-    assert table.pixels == len(views) * 10 * camera.height
+    hidden = np.ones((camera.height, camera.width), bool)
+    with pytest.raises(BadValueError, match="only 0 pixels of the test views are not masked"):
+        write_calibration(masked(opened, hidden, tmp_path / "all.png"), "test", tmp_path)
+    hidden[:, :10] = False
+    table = write_calibration(masked(opened, hidden, tmp_path / "most.png"), "test", tmp_path)
+    assert table.pixels == len(opened.scene.test) * 10 * camera.height
 
 
 def test_the_lossless_ply_has_it(run):

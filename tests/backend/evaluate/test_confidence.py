@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The table of confidence against truth, on errors that are drawn from what the confidence says."""
 
+import json
+
 import numpy as np
 import pytest
 
 from physhdr.backend.evaluate.confidence import calibration, log_error
 from physhdr.bridge.confidence import TOLERANCE
+from physhdr.bridge.errors import BadValueError
 
 
 def test_errors_drawn_as_confidence_says_are_calibrated():
@@ -31,6 +34,27 @@ def test_the_error_is_a_mean_of_logarithms_without_a_common_factor():
     assert error.shape == (16,)
     np.testing.assert_allclose(error, [2.0 / 3.0, *([0.0] * 15)], atol=1e-3)
     assert np.isfinite(log_error([np.zeros((3, 4, 4))], [truth])).all()
+
+
+@pytest.mark.parametrize(("black", "ratio"), [(0.0, 1.0), (0.3, None), (0.6, None)])
+def test_truth_may_be_black_in_any_part_of_a_picture(black, ratio):
+    """A common factor is taken away, and what is black is drawn black."""
+    rng = np.random.default_rng(0)
+    truth = rng.uniform(0.5, 2.0, (3, 1000))
+    dark = np.arange(1000) < 1000 * black
+    truth[:, dark] = 0.0
+    error = log_error([1.02 * truth], [truth])
+    np.testing.assert_allclose(error, 0.0, atol=1e-9)
+    error[~dark] += 0.1
+    table = calibration(np.where(dark, 0.0, 0.5), error)
+    assert table.ratio == (None if ratio is None else pytest.approx(ratio))
+    assert json.loads(json.dumps(table.described(), allow_nan=False))["ratio"] == table.ratio
+    assert ("is not compared" in table.markdown()) == (ratio is None)
+
+
+def test_of_black_alone_there_is_no_confidence_to_compare():
+    with pytest.raises(BadValueError, match="black wherever it is compared"):
+        log_error([np.ones((3, 4, 4))], [np.zeros((3, 4, 4))])
 
 
 @pytest.mark.parametrize("factor", [1e-4, 0.03, 1.0, 1000.0])

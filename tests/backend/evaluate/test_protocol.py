@@ -300,6 +300,31 @@ def test_radiance_is_not_compared_where_the_views_pictures_are_masked(
     assert (none.hdr, none.relit, none.scale_ratio) == ([], [], None)
 
 
+def test_a_view_of_which_only_black_is_compared_leaves_the_scale_to_the_others(
+    data_set: Path, small: ModuleType, tmp_path: Path
+) -> None:
+    """It has no ratio: the others' is the common one, and its own numbers are of black beside black."""
+    scene = read_scene(data_set)
+    first, second = (view.index for view in scene.test)
+    alone = replace(scene, test=scene.test[1:])
+    expected = evaluate(Oracle(small, scale=1.5), alone)
+    path = truth.hdr_truth_path(data_set, "test", first)
+    radiance = small.radiance(first)
+    radiance[:, :8] = 0.0
+    small.write_exr(path, radiance)
+    hidden = np.ones(radiance.shape[:2], bool)
+    hidden[:, :8] = False
+    of_black = masked(scene, {first: hidden, second: np.zeros_like(hidden)}, tmp_path)
+    result = evaluate(Oracle(small, scale=1.5), of_black)
+    assert result.scale_ratio == pytest.approx(1.5) == expected.scale_ratio
+    assert np.isnan(result.hdr[0].scale_ratio) and result.hdr[1].aligned == expected.hdr[0].aligned
+    name = scene.test[0].name
+    assert any(f"the truth of {name} is black wherever it is compared" in said for said in result.messages)
+    assert "HDR scale ratio (median of prediction / truth, median over views): 1.5000" in to_markdown(result)
+    of_relit = [number for row in result.relit for number in (row.scaled_truth, row.best_scaled_truth)]
+    assert len(of_relit) == 4 and np.isfinite(of_relit).all() and max(of_relit) < 100.0
+
+
 def test_other_light_in_which_a_view_is_black_ends_no_evaluation(data_set: Path, small: ModuleType) -> None:
     """Where every light is off nothing can be compared: the other pictures are."""
     path = data_set / "relit" / f"level_{small.RELIT_LEVELS[0]:g}" / "hdr_003.exr"
