@@ -3,7 +3,7 @@
 measure how near the data set's cameras are, suggest floaters. All can be undone."""
 
 from dataclasses import replace
-from typing import ClassVar
+from typing import Any, ClassVar, cast
 
 import bpy
 import mathutils
@@ -25,6 +25,8 @@ from .base import OnModel
 
 #: What a crop box is fitted to: all but so much of the Gaussians at either end of each axis.
 OUTLIERS = 0.02
+#: Limits to begin with, where they do not depend on the model's size: opacity, times, metres, probability.
+FIRST_LIMITS = {"OPACITY": 0.1, "ELONGATION": 10.0, "PHOTOS": 0.1, "CONFIDENCE": 0.1}
 
 
 class _OnModel(OnModel):
@@ -41,6 +43,10 @@ class _OnModel(OnModel):
             return False
         if target.library is not None or (cls.edits_points and not cloud_of(target).is_editable):
             cls.poll_message_set("The model is linked from another file: clean it there")
+            return False
+        if cls.edits_points and cloud_of(target).override_library is not None:
+            told = "Blender does not save changes to the points of a library override"
+            cls.poll_message_set(f"{told}: clean the model in its own file")
             return False
         if not len(cloud_of(target).points):
             cls.poll_message_set("The model has no Gaussians: all were deleted")
@@ -68,7 +74,8 @@ class PHYSHDR_OT_cleaning_select(_OnModel):
             ("FLOATERS", "Floaters", "A suggestion: alone, and near a camera or large and faint"),
         ],
     )
-    limit: bpy.props.FloatProperty(name="Limit", min=0.0, default=0.1, precision=4)
+    # SKIP_SAVE: Blender would remember the limit for another criterion, and that it was subtracted.
+    limit: bpy.props.FloatProperty(name="Limit", min=0.0, default=0.1, precision=4, options={"SKIP_SAVE"})
     action: bpy.props.EnumProperty(
         name="Selection",
         items=[
@@ -76,6 +83,7 @@ class PHYSHDR_OT_cleaning_select(_OnModel):
             ("EXTEND", "Extend", "Select these as well"),
             ("SUBTRACT", "Subtract", "Deselect these"),
         ],
+        options={"SKIP_SAVE"},
     )
 
     def draw(self, context: bpy.types.Context) -> None:
@@ -86,15 +94,10 @@ class PHYSHDR_OT_cleaning_select(_OnModel):
             layout.prop(self, "limit")
         layout.prop(self, "action")
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        target = context.object
-        assert is_model(target)
-        if not self.properties.is_property_set("limit"):
-            self.limit = _likely_limit(target, self.by, self.limit)
-        return self.execute(context)
-
     def act(self, context: bpy.types.Context, target: bpy.types.Object) -> str:
         cloud = cloud_of(target)
+        if not self.properties.is_property_set("limit"):
+            self.limit = _likely_limit(target, self.by)
         found = self._found(context, target)
         if self.action == "EXTEND":
             found |= selection_of(cloud)
@@ -151,10 +154,15 @@ class PHYSHDR_OT_cleaning_floaters(_OnModel):
     def act(self, context: bpy.types.Context, target: bpy.types.Object) -> str:
         found = find_floaters(context, target)
         select_points(cloud_of(target), found)
-        if context.mode == "OBJECT" and target.name in context.view_layer.objects:
-            bpy.ops.object.mode_set(mode="EDIT")
-        share = f"{int(found.sum())} of {len(found)} Gaussians look like floaters"
-        return f"{share} and are selected: look, then X deletes them"
+        share = f"{int(found.sum())} of {len(found)} Gaussians look like floaters and are selected"
+        if context.mode == "OBJECT":
+            enter = cast(Any, bpy.ops).object.mode_set
+            if target.name not in context.view_layer.objects or not enter.poll():
+                return (
+                    f"{share}: to look at them, show the model (Outliner, monitor icon) and enter Edit Mode"
+                )
+            enter(mode="EDIT")
+        return f"{share}: look, then X deletes them"
 
 
 class PHYSHDR_OT_cleaning_apply(_OnModel):
@@ -295,17 +303,15 @@ def find_floaters(context: bpy.types.Context, target: bpy.types.Object) -> np.nd
     return floaters(position, scale, read_attribute(cloud, BASE.name)[:, 3], distance)
 
 
-def _likely_limit(target: bpy.types.Object, by: str, default: float) -> float:
-    """A limit with something beyond it, and not much."""
-    scale = read_attribute(cloud_of(target), SCALE.name)
+def _likely_limit(target: bpy.types.Object, by: str) -> float:
+    """A limit with something beyond it, and not much; 0 where there is no limit."""
     if by == "SIZE":
+        scale = read_attribute(cloud_of(target), SCALE.name)
         return float(np.quantile(scale.max(axis=1), 0.99))
-    if by == "ELONGATION":
-        return 10.0
     if by == "DISTANCE":
         position = read_attribute(cloud_of(target), POSITION.name)
         return float(np.quantile(np.linalg.norm(position - np.median(position, axis=0), axis=1), 0.99))
-    return default
+    return FIRST_LIMITS.get(by, 0.0)
 
 
 def _modifier(target: bpy.types.Object) -> bpy.types.NodesModifier:

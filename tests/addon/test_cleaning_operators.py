@@ -136,6 +136,26 @@ def test_selected_is_what_is_beyond_the_limit_and_delete_removes_it(add, scene, 
     np.testing.assert_array_equal(point_cloud.model_of(target.data).opacity, model.opacity[~(found & ~faint)])
 
 
+def test_each_criterion_begins_with_a_limit_of_its_own(add):
+    """Blender remembers what an operator was given, as it does from menus: with undo, not from a script."""
+    model, target, _ = add(count=300, confidence=True)
+
+    def select(by: str, **given) -> np.ndarray:
+        assert bpy.ops.physhdr.cleaning_select("EXEC_DEFAULT", True, by=by, **given) == {"FINISHED"}
+        return point_removal.selection_of(target.data)
+
+    unsure, faint = model.confidence < np.float32(0.1), model.opacity < np.float32(0.1)
+    assert 5 < unsure.sum() < 100 and 5 < faint.sum() < 100
+    for limit, action in ((10.0, "REPLACE"), (10.0, "SUBTRACT")):
+        select("ELONGATION", limit=limit, action=action)
+        np.testing.assert_array_equal(select("OPACITY"), faint)
+        np.testing.assert_array_equal(select("CONFIDENCE"), unsure)
+    middle, longest = np.sort(model.scale)[:, 1:].T
+    np.testing.assert_array_equal(select("ELONGATION"), longest > 10.0 * middle)
+    for by in ("SIZE", "DISTANCE"):
+        assert 1 <= select(by).sum() <= 100
+
+
 def test_a_crop_box_fits_the_model_and_selects_what_it_hides(add):
     _, target, modifier = add(count=400)
     with pytest.raises(RuntimeError, match="no crop box"):
@@ -229,6 +249,40 @@ def test_find_floaters_only_selects(add):
     _, target, _ = add(count=50)
     bpy.ops.physhdr.cleaning_floaters()
     assert bpy.context.mode == "EDIT_POINTCLOUD" and len(target.data.points) == 50
+
+
+def test_floaters_of_a_model_that_is_not_shown_are_selected_and_it_says_how_to_see_them(add, capfd):
+    _, target, _ = add(count=50)
+    target.hide_viewport = True
+    assert bpy.ops.physhdr.cleaning_floaters() == {"FINISHED"}
+    assert bpy.context.mode == "OBJECT" and "monitor icon" in capfd.readouterr().out
+    found = floaters.floaters(
+        *(point_cloud.read_attribute(target.data, name) for name in ("position", "scale")),
+        point_cloud.model_of(target.data).opacity,
+    )
+    np.testing.assert_array_equal(point_removal.selection_of(target.data), found)
+
+
+def test_overridden_points_are_not_cleaned(add, tmp_path):
+    """Blender saves an override's modifiers and transforms, and of its points nothing."""
+    _, target, _ = add(count=50)
+    name = target.name
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"))
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (_, wanted):
+        wanted.objects = [name]
+    bpy.context.scene.collection.objects.link(wanted.objects[0])
+    target = wanted.objects[0].override_create(remap_local_usages=True)
+    target.data.override_create(remap_local_usages=True)
+    assert target.data.override_library and target.data.is_editable
+    bpy.context.view_layer.objects.active = target
+    nodes.set_input(nodes.find_modifier(target), nodes.SMALLEST_OPACITY, 0.5)
+    for operator in (bpy.ops.physhdr.cleaning_apply, bpy.ops.physhdr.cleaning_floaters):
+        with pytest.raises(RuntimeError, match="does not save changes to the points of a library override"):
+            operator()
+    assert len(target.data.points) == 50
+    assert look.cleaning_of(target).smallest_opacity == 0.5
+    assert bpy.ops.physhdr.cleaning_box() == {"FINISHED"}  # the modifier's inputs are saved
 
 
 LIGHTS = ("ambient", "lamp, Küche")
