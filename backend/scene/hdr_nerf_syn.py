@@ -11,18 +11,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ...bridge import data_set
-from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError, PhysHDRError
+from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError
 from ...bridge.lights import AMBIENT, check_lights, in_words, named_levels
-from ...bridge.limits import FOCAL_LENGTH, check_level
+from ...bridge.limits import check_level
 from .camera import Camera
 from .checks import MAKE_AGAIN, exposure, number, path_inside, read_json, require, rigid_pose
 from .info import ORIGINAL_ANCHOR, read_anchor, read_info
+from .lens import RealCamera
+from .nerfstudio import stated_camera, stated_lens
 from .pictures import picture_size
 from .points import read_points
-from .poses import PictureFile, Pose, Views, wrong_size
+from .poses import PictureFile, Pose, Views, fitted, wrong_size
 from .resize import Reduction
 from .scene import Scene
 
@@ -84,11 +84,14 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
 
 @dataclass(frozen=True)
 class _Frame:
-    """A frame of a transforms file: ``stem`` is ``train/r_3``, without a leading ``./``."""
+    """A frame of a transforms file: ``stem`` is ``train/r_3``, without a leading ``./``.
+
+    ``given``: its entries over those of the file.
+    """
 
     stem: str
     index: int
-    pose: np.ndarray
+    given: dict[str, Any]
     lighting_levels: tuple[float, ...]
 
 
@@ -105,9 +108,7 @@ def _read_split(root: Path, split: str, lights: tuple[str, ...]) -> list[Pose]:
     transforms_path = root / data_set.transforms_file(split)
     exposure_path = root / data_set.exposure_file(split)
     transforms = read_json(transforms_path)
-    angle = number(
-        transforms_path, require(transforms_path, transforms, "camera_angle_x"), "'camera_angle_x'"
-    )
+    require(transforms_path, transforms, "camera_angle_x")
     frames = _read_frames(transforms_path, transforms, lights, is_lit=split == data_set.LIT)
     brackets = _read_exposures(exposure_path)
 
@@ -123,10 +124,10 @@ def _read_split(root: Path, split: str, lights: tuple[str, ...]) -> list[Pose]:
             )
         names = [data_set.picture_file(frame.stem, k) for k in range(len(bracket))]
         paths = tuple(path_inside(root, name, transforms_path) for name in names)
-        width, height = _check_bracket(paths, exposure_path)
-        camera = _camera(transforms_path, frame, width, height, angle)
+        size = _check_bracket(paths, exposure_path)
+        camera, lens = _camera(transforms_path, frame, paths[0], size)
         pictures = {k: PictureFile(path, bracket[k]) for k, path in enumerate(paths)}
-        poses.append(Pose(frame.stem, frame.index, camera, pictures, frame.lighting_levels))
+        poses.append(Pose(frame.stem, frame.index, camera, pictures, frame.lighting_levels, lens=lens))
 
     odd = next((pose for pose in poses if len(pose.pictures) != len(poses[0].pictures)), None)
     if odd is not None:
@@ -145,6 +146,7 @@ def _read_frames(
     if not isinstance(entries, list) or not entries:
         raise FileDamagedError(f"{path}: 'frames' must be a list with at least one frame", MAKE_AGAIN)
     frames = []
+    of_all = {key: value for key, value in transforms.items() if key != "frames"}
     for ordinal, entry in enumerate(entries):
         where = f": frame {ordinal}"
         if not isinstance(entry, dict):
@@ -155,9 +157,9 @@ def _read_frames(
         stem = data_set.stem_of(file_path)
         which = f"{ordinal} ('{stem:.80}')"
         levels = _levels(path, entry, f"frame {which}", lights, is_lit)
-        pose = rigid_pose(path, require(path, entry, "transform_matrix", f": frame {which}"), which)
+        rigid_pose(path, require(path, entry, "transform_matrix", f": frame {which}"), which)
         index = data_set.number_of(stem)
-        frames.append(_Frame(stem, ordinal if index is None else index, pose, levels))
+        frames.append(_Frame(stem, ordinal if index is None else index, of_all | entry, levels))
     if len({frame.index for frame in frames}) != len(frames):
         twice = next(f for f in frames if sum(f.index == g.index for g in frames) > 1)
         raise DataMismatchError(
@@ -207,16 +209,18 @@ def _levels(
     return named_levels(levels, lights, f"{path}: {which}")
 
 
-def _camera(path: Path, frame: _Frame, width: int, height: int, angle: float) -> Camera:
-    try:
-        camera = Camera.from_field_of_view(frame.pose, width, height, angle)
-        FOCAL_LENGTH.check(camera.fx, f"the focal length of 'camera_angle_x' = {angle:g}")
-        return camera
-    except PhysHDRError as error:
-        raise BadValueError(
-            f"{path}: frame '{frame.stem:.80}': {error.message}",
-            error.hint or f"Mend 'camera_angle_x' in {path.name}.",
-        ) from error
+def _camera(
+    path: Path, frame: _Frame, picture: Path, size: tuple[int, int]
+) -> tuple[Camera, RealCamera | None]:
+    """The camera at the ``size`` of its pictures, and its lens where that bends straight lines.
+
+    Where a file has more than ``camera_angle_x``, it is read as ``transforms.json``: what programs write
+    there of focal lengths, the middle and distortion holds whether exposures are beside it or not.
+    """
+    where = f"frame '{frame.stem:.80}'"
+    camera = stated_camera(path, where, frame.given, size)
+    lens = stated_lens(path, where, frame.given, camera)
+    return fitted(camera, size, path, picture), None if lens is None else lens.resized(*size)
 
 
 def _read_exposures(path: Path) -> dict[str, dict[int, float]]:

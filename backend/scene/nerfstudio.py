@@ -106,10 +106,10 @@ def scene_of(root: Path, path: Path, content: dict[str, Any], downscale: float |
         given = content | frame
         instead, factor = _reduced(root, path, frame["file_path"])
         reduced |= instead
-        camera = _camera(path, where, given, (factor * sizes[file][0], factor * sizes[file][1]))
+        camera = stated_camera(path, where, given, (factor * sizes[file][0], factor * sizes[file][1]))
         mask = _mask(root, path, where, frame)
         pictures = {0: PictureFile(file, time, mask)}
-        pose = Pose(name, order, camera, pictures, lens=_lens(path, where, given, camera))
+        pose = Pose(name, order, camera, pictures, lens=stated_lens(path, where, given, camera))
         poses.append(at_size_of_pictures(pose, sizes, path))
     if all("exposure_time" in frame for _, frame in frames.values()):
         poses = _bracketed(poses)
@@ -223,10 +223,11 @@ def _mask(root: Path, path: Path, where: str, frame: dict[str, Any]) -> Path | N
     return regular_file(_inside(root, path, name), remedy)
 
 
-def _camera(path: Path, where: str, given: dict[str, Any], stored: tuple[int, int]) -> Camera:
+def stated_camera(path: Path, where: str, given: dict[str, Any], stored: tuple[int, int]) -> Camera:
     """The camera of a frame at the size that is stated; ``given``: the frame's entries over the file's.
 
-    ``stored``: the picture's size as it was when the cameras were found, where none is stated.
+    ``stored``: the picture's size as it was when the cameras were found, where none is stated. Raises
+    ``FileDamagedError``, ``DataMismatchError`` and ``BadValueError`` with ``path``, ``where`` and the entry.
     """
     matrix = require(path, given, "transform_matrix", f": {where}")
     pose = rigid_pose(path, matrix, where.removeprefix("frame "))
@@ -254,7 +255,7 @@ def _camera(path: Path, where: str, given: dict[str, Any], stored: tuple[int, in
     return Camera(pose, width, height, fx, fy, cx, cy)
 
 
-def _lens(path: Path, where: str, given: dict[str, Any], camera: Camera) -> RealCamera | None:
+def stated_lens(path: Path, where: str, given: dict[str, Any], camera: Camera) -> RealCamera | None:
     """What bends straight lines in a frame's picture; None where nothing does.
 
     Raises ``BadValueError`` for a model that this format has no numbers for, and for a lone k4: OpenCV
@@ -296,7 +297,7 @@ def _focal(path: Path, where: str, given: dict[str, Any], axis: str, side: int) 
     if f"camera_angle_{axis}" not in given:
         return None
     angle = number(path, given[f"camera_angle_{axis}"], f"{where}: 'camera_angle_{axis}'")
-    if not 0.0 < angle < math.pi:
+    if not (0.0 < angle < math.pi and math.tan(0.5 * angle) > 0.0):  # the least numbers halve to 0
         raise BadValueError(
             f"{path}: {where}: 'camera_angle_{axis}' is {angle:g}", "Mend it: radians, between 0 and π."
         )

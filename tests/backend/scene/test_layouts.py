@@ -658,6 +658,25 @@ def test_nerfstudio_with_absolute_names_through_a_link(layouts: ModuleType, tmp_
         assert len(scene.train) + len(scene.test) == 9
 
 
+def test_intrinsics_beside_exposures_are_those_of_transforms_json(
+    layouts: ModuleType, tmp_path: Path
+) -> None:
+    """A camera that was measured, in HDR-NeRF-Syn's layout: two focal lengths, a middle beside, a lens."""
+    root = layouts.write_syn(tmp_path, exposures=(0.5, 2.0))
+    for path in root.glob("t*/r_*.png"):
+        _, index, k = path.stem.split("_")
+        layouts.save(path, layouts.draw(int(index), int(k)), alpha=True)
+    measured = {"fl_x": layouts.FX, "fl_y": layouts.FY, "cx": layouts.CX, "cy": layouts.CY, "k1": 0.0}
+    for k1 in (0.0, -0.1):
+        for path in root.glob("transforms_*.json"):
+            path.write_text(json.dumps(json.loads(path.read_text()) | measured | {"k1": k1}))
+        scene = read_scene(root)
+        assert scene.layout == "HDR-NeRF-Syn"
+        if k1 == 0.0:
+            assert_points_are_on_their_spots(layouts, scene)
+        assert any("the distortion of the lens" in told for told in scene.messages) == (k1 != 0.0)
+
+
 @pytest.mark.parametrize("lists", [("test",), ("val",), ("val", "test")])
 def test_nerfstudio_never_trains_on_frames_that_are_listed_for_something_else(
     layouts: ModuleType, tmp_path: Path, lists: tuple[str, ...]
