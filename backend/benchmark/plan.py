@@ -44,8 +44,9 @@ KINDS = (TUNE, REPORT)
 ITERATIONS, CPU_SECONDS = "iterations", "cpu-seconds"
 #: What stands for a run in the name of an external method's folder; a budget as its own folder is called.
 PLACEHOLDERS = ("scene", "setting", "seed", "budget")
-#: Names become folders.
-NAME = re.compile(r"[A-Za-z0-9†+_][A-Za-z0-9†+_.-]*")
+#: Names become folders, on any system: Windows drops a last dot, and has devices of these names.
+NAME = re.compile(r"[A-Za-z0-9†+_](?:[A-Za-z0-9†+_.-]*[A-Za-z0-9†+_-])?")
+DEVICE = re.compile(r"(?:con|prn|aux|nul|(?:com|lpt)[0-9])(?:\..*)?", re.IGNORECASE)
 #: Options that the benchmark itself sets for each run.
 OURS = ("--iterations", "--seed", "--exposure-mode", "--preset", "--out", "--data", "--resume", "--threads")
 
@@ -68,7 +69,7 @@ class Method:
         name, defines, rest = text.partition(":=")
         name = _name(name.strip(), "method")
         try:
-            preset, *options = shlex.split(rest) if defines else [name]
+            preset, *options = _words(rest) if defines else [name]
         except ValueError as error:
             raise BadValueError(
                 f"the method '{text}' cannot be read: {error}",
@@ -293,14 +294,22 @@ def option_words(assignment: str) -> tuple[str, ...]:
     if value.strip().lower() == "false":
         group, dot, field = name.rpartition(".")
         return (f"--{group}{dot}no-{field}",)
-    words = shlex.shlex(value, posix=True, punctuation_chars=False)
-    words.whitespace_split, words.commenters, words.escape = True, "", ""  # a path may have # and \
     try:
-        return (f"--{name}", *words)
+        return (f"--{name}", *_words(value))
     except ValueError as error:
         raise BadValueError(
             f"--set {assignment} cannot be read: {error}", "Close the quotes, or put others around them."
         ) from error
+
+
+def _words(text: str) -> list[str]:
+    """As a shell splits them, quotes and all, but for # and \\, which a path may have.
+
+    What ``shlex.join`` wrote is read back, since it only quotes. Raises ``ValueError`` for an open quote.
+    """
+    words = shlex.shlex(text, posix=True, punctuation_chars=False)
+    words.whitespace_split, words.commenters, words.escape = True, "", ""
+    return list(words)
 
 
 # ---- from flags and files ------------------------------------------------------------------------------
@@ -423,15 +432,26 @@ def _yes_or_no(value: Any) -> bool:
 def _name(text: str, what: str) -> str:
     if not NAME.fullmatch(text):
         raise BadValueError(
-            f"'{text}' cannot be the name of a {what}", "Use letters, digits and . _ + -: it names a folder."
+            f"'{text}' cannot be the name of a {what}",
+            "It names a folder: use letters, digits and . _ + -, with no dot at either end.",
+        )
+    if DEVICE.fullmatch(text):
+        raise BadValueError(
+            f"'{text}' cannot be the name of a {what}: it names a folder, and on Windows it is a device",
+            "Choose another name.",
         )
     return text
 
 
 def _require_unique(what: str, names: Iterable[object], remedy: str) -> None:
-    counts = Counter(names)
-    if not counts:
+    texts = [str(name) for name in names]
+    if not texts:
         raise BadValueError(f"the plan has no {what}", remedy)
-    name, count = counts.most_common(1)[0]
+    # Names become folders, and on Windows and macOS case makes no other one.
+    folder, count = Counter(text.casefold() for text in texts).most_common(1)[0]
+    alike = list(dict.fromkeys(text for text in texts if text.casefold() == folder))
+    if len(alike) > 1:
+        both = "' and '".join(alike)
+        raise BadValueError(f"the plan's {what}s '{both}' differ only in case, and names are folders", remedy)
     if count > 1:
-        raise BadValueError(f"the plan has {count} times the {what} '{name}'", remedy)
+        raise BadValueError(f"the plan has {count} times the {what} '{alike[0]}'", remedy)

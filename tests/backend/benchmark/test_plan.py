@@ -59,6 +59,11 @@ def test_assignments_become_the_words_of_the_command():
         ('"default", ', '"../x", ', "'../x' cannot be the name of a method"),
         ('"default", ', '"bold", ', "2 times the method 'bold'"),
         ('"default", ', '"x := default --seed 3", ', "the method 'x' sets --seed"),
+        ('"default", ', '"Bold", ', "methods 'Bold' and 'bold' differ only in case"),
+        ('"rooms/bath"', '"Night=rooms"', "scenes 'Night' and 'night' differ only in case"),
+        ('"default", ', '"x. := default", ', "'x.' cannot be the name of a method"),
+        ('"default", ', '"aux := default", ', "'aux' cannot be the name of a method: .* it is a device"),
+        ('"rooms/bath"', '"Com1.5=rooms"', "'Com1.5' cannot be the name of a scene: .* it is a device"),
         ('"rooms/bath"', '"rooms/nowhere"', "there is no data set"),
         ('"rooms/bath"', '"~nobody-of-this-name/bath"', "there is no data set"),
         ('"rooms/bath"', '"night=rooms"', "2 times the scene 'night'"),
@@ -97,6 +102,23 @@ def test_our_plans_can_be_run(name, tmp_path):
     configs = {method.name: configuration(plan, method.name) for method in plan.methods}
     alike = [(a, b) for a, b in itertools.combinations(configs, 2) if configs[a] == configs[b]]
     assert not alike  # every option of a variant changes something
+
+
+def test_a_method_keeps_paths_as_windows_writes_them():
+    words = (
+        "--calibration",
+        r"C:\data\night\cal.json",
+        "--points-file",
+        r"D:\my points\#1.ply",
+        "--x",
+        "it's",
+    )
+    calibration, points = r"--calibration C:\data\night\cal.json", r'--points-file "D:\my points\#1.ply"'
+    method = Method.parsed(f"""cal := default {calibration} {points} --x "it's" """)
+    assert method.options == words
+    assert Method.parsed(str(method)) == method
+    with pytest.raises(PhysHDRError, match="No closing quot"):
+        Method.parsed("x := default --points-file 'a b")
 
 
 def test_a_method_is_a_preset_under_its_own_name():
