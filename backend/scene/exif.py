@@ -2,6 +2,7 @@
 """What a camera wrote of a picture (EXIF): read here alone, for data sets and for photos to be prepared."""
 
 import math
+import os
 import statistics
 import struct
 from collections.abc import Mapping, Sequence
@@ -10,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from PIL import ExifTags, Image
+from PIL import ExifTags, Image, PngImagePlugin
 
 from ...bridge.errors import PhysHDRError
 from ...bridge.regular import damaged_where_it_fails
@@ -25,6 +26,12 @@ LARGEST_ISO = 65534
 #: No APEX value of a time or an aperture is beyond.
 LARGEST_APEX = 40.0
 
+#: Bytes of a PNG's signature, of a chunk's checksum, and of a text's keyword at most (PNG, 5.2, 5.3, 11.3.3).
+PNG_SIGNATURE, CHECKSUM, LONGEST_KEYWORD = 8, 4, 79
+#: Texts of a PNG in which there may be EXIF or an orientation.
+TELLING_TEXTS = (b"Raw profile type exif", b"XML:com.adobe.xmp")
+#: Chunks of a PNG that are looked at: writers make one of each 8 KB or more.
+MOST_CHUNKS = 1 << 18
 #: TIFF's tag of the places of the pictures inside.
 SUB_DIRECTORIES = 330
 #: What Pillow raises where a file's tags are damaged.
@@ -101,9 +108,43 @@ def tags_of_file(path: Path) -> Tags:
 def tags_of(picture: Image.Image) -> Tags:
     """The EXIF tags of an open picture; {} where they are damaged: whoever needs one names its lack."""
     try:
-        return _all_of(picture.getexif())
+        return _all_of(_exif_of(picture))
     except UNREADABLE:
         return {}
+
+
+def _exif_of(picture: Image.Image) -> Image.Exif:
+    """Pillow's EXIF; Pillow decodes a PNG that has none before its pixels, to look behind them."""
+    if (
+        isinstance(picture, PngImagePlugin.PngImageFile)
+        and "exif" not in picture.info
+        and picture.filename
+        and not _is_told_behind_pixels(picture.filename)
+    ):
+        return Image.Image.getexif(picture)
+    return picture.getexif()
+
+
+def _is_told_behind_pixels(path: str | bytes) -> bool:
+    """Whether a PNG has EXIF or XMP behind its pixels; of damaged chunks, what is before them."""
+    pixels = False
+    with open(path, "rb") as file:
+        file.seek(PNG_SIGNATURE)
+        for _ in range(MOST_CHUNKS):
+            length, kind = struct.unpack(">I4s", file.read(8).ljust(8, b"\0"))
+            if kind in (b"IEND", bytes(4)):
+                break
+            start = b""
+            if kind == b"IDAT":
+                pixels = True
+            elif pixels and kind == b"eXIf":
+                return True
+            elif pixels and kind in (b"tEXt", b"zTXt", b"iTXt"):
+                start = file.read(min(length, LONGEST_KEYWORD + 1))
+                if start.partition(b"\0")[0] in TELLING_TEXTS:
+                    return True
+            file.seek(length - len(start) + CHECKSUM, os.SEEK_CUR)
+    return False
 
 
 def tags_of_exif(block: bytes) -> Tags:
