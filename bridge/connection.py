@@ -53,11 +53,13 @@ def private_home(folder: Path) -> None:
 
     Raises ``OutputError`` where that cannot be, where the folder or something in it belongs to another user,
     and where it is open to others because it is not a backend's alone: one that all users write to, as
-    ``/tmp``, and the user's own folder and those around it. On Windows, whose folders have no modes, it is
-    only made.
+    ``/tmp``, and the user's own folder and those around it. On Windows it is only made: it is closed to
+    others where the folder around it is, as the user's own are.
     """
     try:
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        # On Windows 0700 is for the account that owns what this process makes: of one that runs as the
+        # administrator these are the administrators, and the user could not open the home later.
+        folder.mkdir(mode=0o777 if os.name == "nt" else 0o700, parents=True, exist_ok=True)
         found = folder.stat()
         if is_of_another(found):
             raise OutputError(

@@ -4,15 +4,16 @@
 import json
 import os
 import re
-import tempfile
 from contextlib import suppress
 from pathlib import Path
 
-from ...bridge.atomic import remove_leftovers
+from ...bridge.atomic import patiently, remove_leftovers, temporary_name
 from ...bridge.errors import DataMismatchError, OutputError
-from ...bridge.run_folder import VIEWS_FILE
+from ...bridge.run_folder import VIEWS_FILE, WEB_FOLDER
 from ..evaluate import report
+from ..evaluate.confidence import CALIBRATION_FILES
 from ..export import FILES as EXPORTED
+from ..export.web_page import remove_web_page
 from ..train.config import CONFIG_FILE
 from ..train.trainer import CHECKPOINT_FILE
 
@@ -56,7 +57,7 @@ def holds_a_run(folder: Path) -> bool:
 
 
 def remove_results(folder: Path) -> None:
-    """Remove what a run that is replaced has left: weights, figures, exports and unfinished files.
+    """Remove what a run that is replaced has left: weights, figures, exports, its page, unfinished files.
 
     They would be taken for the new run's. The caller holds the folder, which must hold a run: elsewhere
     files of these names are somebody's own. Raises ``OutputError``.
@@ -65,6 +66,7 @@ def remove_results(folder: Path) -> None:
         CHECKPOINT_FILE,
         VIEWS_FILE,
         *report.FILES,
+        *CALIBRATION_FILES,
         *EXPORTED,
     ):  # the weights first: all else comes of them
         try:
@@ -74,6 +76,7 @@ def remove_results(folder: Path) -> None:
                 f"cannot remove {folder / name}: {error.strerror or error}",
                 "Close the program that has it open, or choose another --out.",
             ) from error
+    remove_web_page(folder / WEB_FOLDER)
     remove_unfinished(folder)
 
 
@@ -92,10 +95,13 @@ def writable_folder(path: Path) -> Path:
     remedy = "Choose another --out, or make it writable."
     try:
         path.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=path):
-            pass
+        # Not by tempfile: on Windows it tries two billion names where permissions refuse every one
+        # (github.com/python/cpython/issues/66305).
+        probe = temporary_name(path / "write-probe")
+        probe.write_bytes(b"")
+        patiently(probe.unlink)
     except OSError as error:
-        raise OutputError(f"cannot write to {path}: {error.strerror}", remedy) from error
+        raise OutputError(f"cannot write to {path}: {error.strerror or error}", remedy) from error
     if not os.access(path, os.W_OK):  # root may write anywhere, whatever the permissions say
         raise OutputError(f"cannot write to {path}: it is read-only", remedy)
     return path

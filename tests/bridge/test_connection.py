@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from physhdr.bridge import connection as connection_module
 from physhdr.bridge.connection import (
     CONNECTION_FILE,
     LOCK_FILE,
@@ -132,6 +133,13 @@ def test_a_home_is_its_owners_alone_whether_made_or_found(tmp_path, open_umask):
         private_home(home)
         private_home(home)
         assert mode(home) == 0o700 and mode(home / "environment") == 0o755
+
+
+def test_on_windows_a_home_is_as_the_folder_around_it(tmp_path, monkeypatch, open_umask):
+    """0700 would close it to the user where an administrator's process made it."""
+    monkeypatch.setattr(connection_module, "os", SimpleNamespace(name="nt"))
+    private_home(tmp_path / "home")
+    assert mode(tmp_path / "home") == 0o777
 
 
 def test_folders_that_are_not_a_backends_alone_are_left_as_they_are(tmp_path, monkeypatch):

@@ -9,6 +9,7 @@ one image for each pose, named as its picture k = 0, and ``prepare.json``: where
 import json
 import os
 import re
+import secrets
 import struct
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -16,7 +17,6 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from shutil import rmtree
-from tempfile import mkdtemp
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -75,7 +75,10 @@ def new_folder(out: Path, overwrite: bool) -> Iterator[Path]:
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         _remove_leftovers(out)
-        temporary = Path(mkdtemp(prefix=f".{out.name}-", dir=out.parent))
+        # Not by tempfile: on Windows what lies in its folders stays closed to all but its maker, wherever it
+        # is moved, and it tries two billion names where permissions refuse every one.
+        temporary = out.with_name(f".{out.name}-{secrets.token_hex(4)}")
+        temporary.mkdir()
     except OSError as error:
         raise _cannot_write(out, error) from error
     in_use = FileLock(temporary / IN_USE_FILE, mode=0o600, fallback_to_soft=False)

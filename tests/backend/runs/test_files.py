@@ -1,21 +1,57 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A run that is replaced is gone as a whole, and what is not a run's is not touched."""
 
+import errno
+import io
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
 import pytest
 
 from physhdr.backend.cli import main
+from physhdr.backend.runs.files import remove_results
+from physhdr.backend.runs.files import writable_folder
 from physhdr.backend.train.checkpoint import load_checkpoint
+from physhdr.bridge.errors import OutputError
 
 SHORT = ["--iterations", "12", "--sh-degree-every", "5"]
 CHECKPOINT = "checkpoint.safetensors"
+
+
+class NamesOnWindows:
+    """``os`` as Windows' Python has it in ``tempfile``, which tries one name after the other there."""
+
+    name, O_TEMPORARY = "nt", 0
+
+    def __getattr__(self, name):
+        return getattr(os, name)
+
+
+def test_a_folder_that_may_not_be_written_is_told_after_one_try(tmp_path, monkeypatch):
+    tried = []
+
+    def refuse(path, *_, opener=None, **__):
+        if opener is not None:
+            return opener(path, os.O_RDWR)
+        tried.append(path)
+        raise PermissionError(errno.EACCES, "Access is denied", str(path))
+
+    with monkeypatch.context() as refusing:
+        for module in (os, io):
+            refusing.setattr(module, "open", refuse)
+        refusing.setattr(tempfile, "_os", NamesOnWindows())
+        refusing.setattr(tempfile, "TemporaryFile", tempfile.NamedTemporaryFile)
+        with pytest.raises(OutputError, match=r"cannot write to .*: Access is denied"):
+            writable_folder(tmp_path)
+    assert len(tried) == 1
+    assert writable_folder(tmp_path) == tmp_path and not list(tmp_path.iterdir())
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +59,8 @@ def trained(tiny_data, tmp_path_factory):
     """A run with everything that the commands leave in its folder."""
     run = tmp_path_factory.mktemp("runs") / "run"
     assert main(["train", str(tiny_data), "--out", str(run), *SHORT]) == 0
-    assert main(["evaluate", str(run)]) == 0 and main(["export", str(run)]) == 0
+    assert main(["evaluate", str(run), "--confidence"]) == 0 and main(["export", str(run)]) == 0
+    assert main(["export", str(run), "--web", str(run / "web")]) == 0
     return run
 
 
@@ -35,6 +72,7 @@ def run(trained, tmp_path):
     for path in trained.iterdir():
         if path.is_file():
             (folder / path.name).write_bytes(path.read_bytes())
+    shutil.copytree(trained / "web", folder / "web")
     return folder
 
 
@@ -67,6 +105,16 @@ def test_nothing_old_survives_a_kill_after_the_new_configuration(run, tiny_data,
     for command in (["train", "--resume"], ["evaluate"], ["export"]):
         assert main([*command, str(run)]) == 1
         assert "there is no checkpoint" in capsys.readouterr().err
+
+
+def test_of_a_folder_web_only_a_page_of_ours_goes_and_what_it_lists(run):
+    (run / "web" / "notes.txt").write_text("mine")
+    remove_results(run)
+    assert [path.name for path in (run / "web").iterdir()] == ["notes.txt"]
+    (run / "web" / "index.html").write_text("<title>mine</title>")
+    (run / "web" / "viewer.js").write_text("mine")
+    remove_results(run)
+    assert len(list((run / "web").iterdir())) == 3
 
 
 @pytest.mark.parametrize("command", [["train", "--resume"], ["evaluate"], ["export"]])

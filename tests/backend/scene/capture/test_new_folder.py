@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The folder of a prepared data set: where it may be, and what it replaces."""
 
+import errno
+import os
 import subprocess
 import sys
+import tempfile
 import textwrap
 from pathlib import Path
 
@@ -94,6 +97,43 @@ def test_what_a_desktop_leaves_is_no_ones_work(tmp_path: Path) -> None:
         (tmp_path / "data" / name).write_bytes(b"")
     make(tmp_path / "data", "newer", overwrite=True)
     assert (tmp_path / "data" / "prepare.json").read_text() == "newer"
+
+
+class NamesOnWindows:
+    """``os`` as Windows' Python has it in ``tempfile``, which tries one name after the other there."""
+
+    name = "nt"
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(os, name)
+
+
+def test_a_place_that_may_not_be_written_is_told_after_one_try(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried = []
+
+    def refuse(path: Path, mode: int = 0o777, **_: int) -> None:
+        tried.append(path)
+        raise PermissionError(errno.EACCES, "Access is denied", str(path))
+
+    monkeypatch.setattr(os, "mkdir", refuse)
+    monkeypatch.setattr(tempfile, "_os", NamesOnWindows())
+    assert "Access is denied" in refused(tmp_path / "data")
+    assert len([path for path in tried if path != tmp_path]) == 1
+
+
+def test_nothing_is_made_for_its_maker_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On Windows mode 0700 is a list of who may, which what lies in a folder keeps wherever it is moved."""
+    modes, mkdir = [], os.mkdir
+
+    def told(path: Path, mode: int = 0o777, **options: int) -> None:
+        modes.append(mode)
+        mkdir(path, mode, **options)
+
+    monkeypatch.setattr(os, "mkdir", told)
+    make(tmp_path / "data")
+    assert set(modes) == {0o777}
 
 
 KILLED = """
