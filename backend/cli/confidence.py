@@ -14,7 +14,7 @@ from ...bridge.limits import check_position
 from ...bridge.panorama import near_distance
 from ...bridge.probe import check_width
 from ..evaluate import truth
-from ..evaluate.confidence import PARTS, Calibration, calibration, log_error
+from ..evaluate.confidence import CALIBRATION_FILES, PARTS, Calibration, calibration, log_error
 from ..evaluate.panorama import LitSplats, surroundings
 from ..evaluate.pictures import compared_everywhere
 from ..evaluate.results import VIEWS_OF
@@ -25,8 +25,6 @@ from ..scene import Camera
 from ..scene.pictures import write_exr, write_png
 from .told import progress
 
-#: What ``physhdr evaluate --confidence`` writes.
-CALIBRATION_FILES = ("confidence.json", "confidence.md")
 #: Rows of the legend below a picture, and of black above it.
 LEGEND, GAP = 12, 4
 

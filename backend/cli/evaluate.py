@@ -12,6 +12,7 @@ from ...bridge.atomic import atomic_path
 from ...bridge.errors import BadValueError
 from ..device import DeviceName
 from ..evaluate.comparison import SHORT_METRICS, ComparedRun, comparison_table, load_evaluation
+from ..evaluate.confidence import CALIBRATION_FILES
 from ..evaluate.picture_folder import PictureFolder
 from ..evaluate.protocol import evaluate, lpips_from
 from ..evaluate.renderer import Renderer
@@ -25,7 +26,7 @@ from ..runs.files import writable_folder
 from ..runs.run import Run, open_run
 from ..scene import Scene, read_scene
 from ..scene.pictures import write_png
-from .confidence import CALIBRATION_FILES, write_calibration
+from .confidence import write_calibration
 from .told import Say, answered, progress, saying
 
 

@@ -23,6 +23,8 @@ FORMAT, VERSION = "physhdr-confidence", 1
 #: mean nothing.
 FLOOR = 1e-4
 PARTS = 10
+#: What ``physhdr evaluate --confidence`` writes.
+CALIBRATION_FILES = ("confidence.json", "confidence.md")
 HEADINGS = ("pixels", "confidence", f"within {STOPS:g} stops", "median |ln error|")
 
 

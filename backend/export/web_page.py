@@ -210,10 +210,7 @@ def refuse_what_is_not_ours(target: Path) -> None:
     Links, folders, pipes and devices are never such a page, and none of them is opened.
     """
     try:
-        is_ours = False
-        if stat.S_ISREG(os.lstat(target).st_mode):
-            with open(target, "rb", opener=without_waiting) as file:
-                is_ours = MARK.encode() in file.read(MARK_WITHIN)
+        is_ours = _is_ours(target)
     except (FileNotFoundError, NotADirectoryError):
         return
     except OSError as error:
@@ -224,6 +221,37 @@ def refuse_what_is_not_ours(target: Path) -> None:
         raise OutputError(
             f"{target} is there, and PhysHDR did not write it", "Choose another --web, or move it away."
         )
+
+
+def _is_ours(target: Path) -> bool:
+    """Whether the file is such a page; raises ``OSError`` where it is not there or cannot be looked at."""
+    if not stat.S_ISREG(os.lstat(target).st_mode):
+        return False
+    with open(target, "rb", opener=without_waiting) as file:
+        return MARK.encode() in file.read(MARK_WITHIN)
+
+
+def remove_web_page(folder: Path) -> None:
+    """Remove the page in ``folder``, the files that it lists, and the folder if nothing else lies in it.
+
+    What is no such page stays. Raises ``OutputError`` where one is there and cannot be removed.
+    """
+    target = folder / WEB_INDEX
+    try:
+        if not _is_ours(target):
+            return
+        beside = files_of(target.read_text("utf-8", errors="replace"))
+        target.unlink()
+    except (FileNotFoundError, NotADirectoryError):
+        return
+    except OSError as error:
+        raise OutputError(
+            f"cannot remove {target}: {error.strerror or error}",
+            "Close the program that has it open, or choose another --out.",
+        ) from error
+    _remove(folder / name for name in beside)
+    with contextlib.suppress(OSError):  # somebody's files are in it
+        folder.rmdir()
 
 
 def hash_of(text: str) -> str:

@@ -16,8 +16,7 @@ from pathlib import Path
 import pytest
 
 from physhdr.backend.cli import main
-from physhdr.backend.runs.files import remove_results
-from physhdr.backend.runs.files import writable_folder
+from physhdr.backend.runs.files import remove_results, writable_folder
 from physhdr.backend.train.checkpoint import load_checkpoint
 from physhdr.bridge.errors import OutputError
 
