@@ -2,8 +2,9 @@
 """First points from a PLY, as structure from motion or our own renders give them."""
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import plyfile
@@ -21,10 +22,14 @@ STRUCTURE_FROM_MOTION = "structure from motion"
 ORIGINS = {"surface points by ray casting": EXACT, STRUCTURE_FROM_MOTION: STRUCTURE_FROM_MOTION}
 #: Of so many points, a share, some may be beyond all bounds.
 STRAYS = 0.01
+#: Colours as floats are within 0…1, or a little beyond; where they reach this, they are bytes made floats.
+BYTES_AS_FLOATS = 2.0
 
 
 def read_points(path: Path) -> Points:
-    """The points of a PLY with ``x y z`` and ``red green blue`` (uchar, or float in 0…1), and their kind.
+    """The points of a PLY with ``x y z`` and ``red green blue``, and their kind.
+
+    Colours are of 8 or 16 bits, or floats in 0…1, or in 0…255 where they are beyond ``BYTES_AS_FLOATS``.
 
     Raises ``FileMissingError``, ``FileDamagedError`` (not a PLY, truncated, columns missing, no points, NaN),
     ``BadValueError`` (too many points too far away).
@@ -46,8 +51,7 @@ def read_points(path: Path) -> Points:
     vertex = columns["vertex"]
     with damaged_where_it_fails(f"{path} is not a readable point cloud", remedy), np.errstate(over="ignore"):
         positions = np.stack([np.asarray(vertex[axis], np.float64) for axis in "xyz"], axis=-1)
-        channels = [_unit_range(np.asarray(vertex[name])) for name in ("red", "green", "blue")]
-    colours = np.stack(channels, axis=-1)
+        colours = _unit_colours([np.asarray(vertex[name]) for name in ("red", "green", "blue")])
     if len(positions) == 0:
         raise FileDamagedError(f"{path} holds no points", remedy)
     if not (np.isfinite(positions).all() and np.isfinite(colours).all()):
@@ -129,7 +133,15 @@ def with_words_of_points(scene: Scene) -> Scene:
     return dataclasses.replace(scene, messages=(*scene.messages, told))
 
 
-def _unit_range(channel: np.ndarray) -> np.ndarray:
-    """A colour channel as float32 in 0…1: bytes are divided by 255, floats are taken as they are."""
-    scale = 255.0 if np.issubdtype(channel.dtype, np.integer) else 1.0
-    return (channel / scale).astype(np.float32)
+def _unit_colours(channels: Sequence[np.ndarray]) -> np.ndarray:
+    """``[P, 3]`` float32 of three channels of a PLY; 1 is the largest code of integers."""
+    units = [_largest_code(channel.dtype) for channel in channels]
+    colours = np.stack([channel / unit for channel, unit in zip(channels, units, strict=True)], axis=-1)
+    if set(units) == {1.0} and np.fmax.reduce(colours, axis=None, initial=0.0) >= BYTES_AS_FLOATS:
+        colours = colours / 255.0
+    return colours.astype(np.float32)
+
+
+def _largest_code(kind: np.dtype[Any]) -> float:
+    """What stands for 1 in a column of colours, as in PLYs of Gaussians: 1 itself in floats."""
+    return 1.0 if kind.kind == "f" else 65535.0 if (kind.kind, kind.itemsize) == ("u", 2) else 255.0

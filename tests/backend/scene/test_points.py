@@ -6,6 +6,7 @@ import re
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from physhdr.backend.benchmark.facts import scene_line
@@ -37,6 +38,22 @@ def test_the_kind_of_points_is_what_the_comments_say(comments, origin, tmp_path)
     points = read_points(path)
     assert points.origin == origin
     assert str(points) == "1 points of the data set" + (f" ({origin})" if origin else "")
+
+
+@pytest.mark.parametrize(
+    ("kind", "largest"),
+    [("uchar", 255), ("ushort", 65535), ("float", 1.0), ("float", 255.0), ("double", 255.0)],
+)
+def test_colours_of_points_are_of_bytes_of_sixteen_bits_or_of_floats(kind, largest, tmp_path):
+    """Some programs write 16 bits, or bytes as floats: taken for bytes or for 0…1 all would be white."""
+    path = tmp_path / "points.ply"
+    lines = ["ply", "format ascii 1.0", "element vertex 2", *(f"property float {axis}" for axis in "xyz")]
+    lines += [*(f"property {kind} {name}" for name in ("red", "green", "blue")), "end_header"]
+    shares = np.array([[1.0, 0.2, 0.0], [0.4, 0.6, 0.8]])
+    for share in (shares * largest).tolist():
+        lines.append("1 2 3 " + " ".join(f"{value:g}" for value in share))
+    path.write_text("\n".join(lines) + "\n")
+    np.testing.assert_allclose(read_points(path).colours, shares, atol=1e-6)
 
 
 def test_inspect_and_a_benchmarks_conditions_say_it(tiny_data, tmp_path, capsys):
