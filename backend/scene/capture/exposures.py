@@ -3,6 +3,7 @@
 
 import csv
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -138,14 +139,36 @@ def exposures_from_file(path: Path, photos: Sequence[Photo]) -> Exposures:
 
 
 def _csv(text: str) -> dict[str, str]:
-    """``name → seconds`` as text; a first line whose second column is no number is a heading."""
+    """``name → seconds`` as text; a first line whose second column has no digit is a heading.
+
+    Further columns may hold words. Where one holds numbers, which are the seconds is not plain (exiftool's
+    ``SourceFile,ISO,ExposureTime``; decimal commas between commas): raises ``ValueError``, as for seconds
+    that a heading calls 1/s, and for a name with two exposures.
+    """
     rows = [row for row in map(_columns, text.splitlines()) if row and row[0]]
     for number, row in enumerate(rows):
         if len(row) < 2:
             raise ValueError(f"line {number + 1} is not 'name,seconds': {row[0]!r}")
+    if rows and re.match(r"1\s*/\s*[^\W\d]", rows[0][1]):
+        raise ValueError(f"its second column is called '{rows[0][1]}', and seconds are wanted")
+    _require_one_of_numbers(rows)
     if rows and not any(character.isdigit() for character in rows[0][1]):
         rows = rows[1:]
-    return {row[0]: row[1] for row in rows}
+    table: dict[str, str] = {}
+    for name, seconds, *_ in rows:
+        if table.setdefault(name, seconds) != seconds:
+            raise ValueError(f"{name!r} has two exposures, {table[name]} and {seconds}")
+    return table
+
+
+def _require_one_of_numbers(rows: list[list[str]]) -> None:
+    below = [row for number, row in enumerate(rows) if number or math.isfinite(_number(row[1]))]
+    for place in range(2, max(map(len, below), default=0)):
+        cells = [row[place] for row in below if len(row) > place and row[place]]
+        if cells and all(math.isfinite(_number(cell)) for cell in cells):
+            raise ValueError(
+                f"two columns are wanted, name and seconds, but its column {place + 1} holds numbers, too"
+            )
 
 
 def _columns(line: str) -> list[str]:

@@ -249,6 +249,23 @@ def test_names_in_files_of_exposures_may_be_spelled_in_another_way(room, tmp_pat
         ("e.json", "[1, 2]", "holds a list, not an object"),
         ("e.json", "{", "not valid JSON"),
         ("e.csv", "a.jpg\nb.jpg\n", "line 1 is not 'name,seconds'"),
+        (
+            "e.csv",
+            "SourceFile,ISO,ExposureTime\na.jpg,100,1/60\nb.jpg,100,1/4\n",
+            "its column 3 holds numbers",
+        ),
+        (
+            "e.csv",
+            "name,EV100,seconds\na.jpg,3,1/60\nb.jpg,2,1/4\n",
+            "two columns are wanted, name and seconds",
+        ),
+        ("e.csv", "a.jpg,0,5\nb.jpg,1,5\n", "its column 3 holds numbers, too"),
+        (
+            "e.csv",
+            "name,1/s\na.jpg,60\nb.jpg,4\n",
+            "its second column is called '1/s', and seconds are wanted",
+        ),
+        ("e.csv", "a.jpg,1\nb.jpg,2\na.jpg,4\n", "'a.jpg' has two exposures, 1 and 4"),
     ],
 )
 def test_bad_files_of_exposures(room, tmp_path, name, text, words):
