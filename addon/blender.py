@@ -107,8 +107,18 @@ def curve_of(target: bpy.types.Object, path: str) -> Any:
     return next((curve for curve in curves if curve.data_path == path), None)
 
 
-def curves_of(animation: bpy.types.AnimData) -> list[bpy.types.FCurve]:
-    """The keyframes' curves of an object, of its slot of a layered action."""
+def animated_paths(target: bpy.types.Object) -> set[str]:
+    """The data paths of an object's that drivers, keyframes or the NLA's strips set."""
+    data = target.animation_data
+    if data is None:
+        return set()
+    strips = (strip for track in data.nla_tracks for strip in track.strips)
+    curves = (curve for each in (data, *strips) for curve in curves_of(each))
+    return {each.data_path for each in (*data.drivers, *curves)}
+
+
+def curves_of(animation: bpy.types.AnimData | bpy.types.NlaStrip) -> list[bpy.types.FCurve]:
+    """The keyframes' curves of an object or a strip, of its slot of a layered action."""
     action, slot = animation.action, animation.action_slot
     if action is None or slot is None:
         return []

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 import bpy
 import numpy as np
 
+from ...bridge.errors import DataMismatchError
 from .. import similarity
-from ..blender import put_at, to_matrix, world_of
+from ..blender import animated_paths, put_at, to_matrix, world_of
 from ..model.attributes import CAPTURE
 from ..model.look import models_among
 from ..model.origin import capture_of
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 
 #: Custom property that marks a camera of a data set (``dataset_cameras``): its frame's name.
 FRAME = "physhdr_frame"
+#: An object's transform, as animation names it.
+TRANSFORM = ("location", "rotation_euler", "rotation_quaternion", "rotation_axis_angle", "scale")
 
 
 def settings_of(scene: bpy.types.Scene) -> "PHYSHDR_Settings":
@@ -59,15 +62,29 @@ def place(scene: bpy.types.Scene, target: bpy.types.Object) -> None:
         target.matrix_world = to_matrix(matrix_of(scene, capture) @ np.array(target.matrix_basis, np.float64))
 
 
+def check_at_rest(scene: bpy.types.Scene, capture: str) -> None:
+    """Raise ``DataMismatchError`` where something animates the transform of a model or a camera of a capture:
+    the next frame would undo what is set of it."""
+    for each in (*models_of(scene, capture), *cameras_of(scene, capture)):
+        paths = animated_paths(each)
+        if animated := next((path for path in TRANSFORM if path in paths), None):
+            raise DataMismatchError(
+                f"the {animated.split('_')[0]} of {each.name} is animated, and would go back to that at the "
+                "next frame",
+                "Remove its keyframes and drivers, and animate an empty that is its parent instead.",
+            )
+
+
 def move(scene: bpy.types.Scene, target: bpy.types.Object, change: np.ndarray) -> "PHYSHDR_Capture":
     """Let ``change`` ``[4, 4]`` happen to all models and cameras of the target's capture, and remember where
     it is then.
 
     What hangs on them (a parent's children) goes along. Raises ``DataMismatchError`` where the
-    target's own matrix is no similarity, before anything is moved.
+    target's own matrix is no similarity, and as ``check_at_rest``, before anything is moved.
     """
     bpy.context.view_layer.update()  # what a script has just set is in no matrix yet
     capture, now = capture_of(target), np.array(world_of(target), np.float64)
+    check_at_rest(scene, capture)
     similarity.scale_of(now)
     kept = remembered(scene, capture, now)
     wanted = {each: change @ np.array(world_of(each)) for each in models_of(scene, capture)}
@@ -88,11 +105,15 @@ def remembered(scene: bpy.types.Scene, capture: str, now: np.ndarray) -> "PHYSHD
 
 
 def forget(scene: bpy.types.Scene, target: bpy.types.Object) -> None:
-    """Put the models of the target's capture back to where they were imported, and remember nothing."""
+    """Put the models of the target's capture back to where they were imported, and remember nothing.
+
+    Raises as ``check_at_rest``, with nothing changed.
+    """
     capture, captures = capture_of(target), settings_of(scene).captures
     index = captures.find(capture)
     if index < 0:
         return
+    check_at_rest(scene, capture)
     bpy.context.view_layer.update()
     original = np.array(captures[index].original, np.float64).reshape(4, 4)
     back = original @ np.linalg.inv(np.array(captures[index].matrix, np.float64).reshape(4, 4))

@@ -14,7 +14,7 @@ import numpy as np
 from bpy_extras import view3d_utils
 from gpu_extras.batch import batch_for_shader
 
-from ...bridge.errors import BadValueError, FileMissingError, PhysHDRError
+from ...bridge.errors import BadValueError, DataMismatchError, FileMissingError, PhysHDRError
 from .. import similarity
 from ..blender import cloud_of, layout_of, world_of
 from ..capture import placement
@@ -101,7 +101,7 @@ class PHYSHDR_OT_capture_scale(_OnCapture):
         try:
             first, second = self.points(context, ("first", "second"))
         except PhysHDRError:
-            return pick("SCALE")
+            return pick(self, context, "SCALE")
         self.first, self.second = first, second  # not those that are selected when the dialog ends
         if not self.properties.is_property_set("distance"):
             self.distance = float(np.linalg.norm(second - first))
@@ -133,9 +133,9 @@ class PHYSHDR_OT_capture_floor(_OnCapture):
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         names = ("first", "second", "third")
         given = all(self.properties.is_property_set(name) for name in names)
-        return (
-            self.execute(context) if given or len(selected_places(context)) == len(names) else pick("FLOOR")
-        )
+        if given or len(selected_places(context)) == len(names):
+            return self.execute(context)
+        return pick(self, context, "FLOOR")
 
     def act(self, context: bpy.types.Context, target: bpy.types.Object) -> str:
         points = self.points(context, ("first", "second", "third"))
@@ -251,11 +251,26 @@ class PHYSHDR_OT_capture_reset(_OnCapture):
 # ---- picking -----------------------------------------------------------------------------------------------
 
 
-def pick(purpose: str) -> set[str]:
-    """Let the points for a purpose be picked; the operator that asked is called again with them."""
+def pick(asking: bpy.types.Operator, context: bpy.types.Context, purpose: str) -> set[str]:
+    """Let the points for a purpose be picked on the active model; the operator that asks is called again with
+    them. It reports where nothing could be done with the points."""
+    target = context.object
+    assert is_model(target)
+    try:
+        _check_pickable(context.scene, target)
+    except PhysHDRError as error:
+        asking.report({"ERROR"}, str(error))
+        return {"CANCELLED"}
     operators = cast(Any, bpy.ops).physhdr
     operators.points_pick("INVOKE_DEFAULT", purpose=purpose)
     return {"CANCELLED"}
+
+
+def _check_pickable(scene: bpy.types.Scene, target: bpy.types.Object) -> None:
+    if not is_splats(cloud_of(target)):
+        raise DataMismatchError(f"{target.name} has lost what it is drawn by", "Import it again.")
+    similarity.scale_of(np.array(world_of(target), np.float64))
+    placement.check_at_rest(scene, origin.capture_of(target))
 
 
 class PHYSHDR_OT_points_pick(bpy.types.Operator):
@@ -278,14 +293,6 @@ class PHYSHDR_OT_points_pick(bpy.types.Operator):
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         target = context.object
         assert is_model(target)
-        if not is_splats(cloud_of(target)):
-            self.report({"ERROR"}, f"{target.name} has lost what it is drawn by: import it again")
-            return {"CANCELLED"}
-        try:
-            similarity.scale_of(np.array(world_of(target), np.float64))
-        except PhysHDRError as error:  # nothing could be done with the points
-            self.report({"ERROR"}, str(error))
-            return {"CANCELLED"}
         self._points: list[np.ndarray] = []
         self._target, self._shape = target.name, shown_shape(target)
         add = bpy.types.SpaceView3D.draw_handler_add
@@ -309,7 +316,7 @@ class PHYSHDR_OT_points_pick(bpy.types.Operator):
             self._pick(context, (event.mouse_region_x, event.mouse_region_y))
             if len(self._points) == len(POINTS[self.purpose]):
                 self._end(context)
-                return self._hand_on()
+                return self._hand_on(context)
             self._ask(context)
         return {"RUNNING_MODAL"}
 
@@ -318,7 +325,7 @@ class PHYSHDR_OT_points_pick(bpy.types.Operator):
         self._end(context)
 
     def _pick(self, context: bpy.types.Context, at: tuple[float, float]) -> None:
-        target = bpy.data.objects.get(self._target)
+        target = self._model()
         region, view = context.region, context.region_data
         if target is None or region is None or view is None:
             return
@@ -343,7 +350,20 @@ class PHYSHDR_OT_points_pick(bpy.types.Operator):
         if context.area:
             context.area.tag_redraw()
 
-    def _hand_on(self) -> set[str]:
+    def _model(self) -> bpy.types.Object | None:
+        """The model that points are picked on; None where it is gone."""
+        return bpy.data.objects.get((self._target, None))  # of another file there may be one of that name
+
+    def _hand_on(self, context: bpy.types.Context) -> set[str]:
+        """What is asked for by the points happens to the model that they were picked on: what passes through
+        (a click in the Outliner) may have made another object active."""
+        context.view_layer.update()  # what was taken out of it is still among its objects else
+        target = self._model()
+        if target is None or target not in context.view_layer.objects.values() or context.mode != "OBJECT":
+            told = f"{self._target} is no longer in this view layer, or Object Mode was left"
+            self.report({"ERROR"}, f"The points were not used: {told}. Select the model and pick them again.")
+            return {"CANCELLED"}
+        context.view_layer.objects.active = target
         names = ("first", "second", "third")
         points = {name: tuple(point) for name, point in zip(names, self._points, strict=False)}
         ops = cast(Any, bpy.ops).physhdr

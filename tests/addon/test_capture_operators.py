@@ -10,6 +10,8 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,7 +21,7 @@ bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, o
 from physhdr.addon import similarity  # noqa: E402
 from physhdr.addon.blender import to_matrix  # noqa: E402
 from physhdr.addon.capture import placement  # noqa: E402
-from physhdr.addon.model import model_import, nodes, origin  # noqa: E402
+from physhdr.addon.model import attributes, model_import, nodes, origin  # noqa: E402
 from physhdr.addon.model.look import shown_shape  # noqa: E402
 from physhdr.addon.model.point_cloud import read_attribute  # noqa: E402
 from physhdr.addon.operators import capture as operators  # noqa: E402
@@ -403,8 +405,6 @@ def test_older_imports_are_of_their_runs_data(registered, run):
 
 def test_picking_that_blender_ends_leaves_nothing_drawn(registered, run, monkeypatch):
     """As where another file is opened meanwhile: Blender calls ``cancel``."""
-    from types import SimpleNamespace
-
     removed = []
     space = SimpleNamespace(draw_handler_remove=lambda *each: removed.append(each))
     types = SimpleNamespace(SpaceView3D=space)
@@ -413,6 +413,68 @@ def test_picking_that_blender_ends_leaves_nothing_drawn(registered, run, monkeyp
     picking._end = lambda context: operators.PHYSHDR_OT_points_pick._end(picking, context)
     operators.PHYSHDR_OT_points_pick.cancel(picking, SimpleNamespace(workspace=None, area=None))
     assert removed == [("handler", "WINDOW")]
+
+
+@pytest.mark.parametrize("active", ["second", "lamp"])
+def test_points_are_for_the_model_on_which_they_were_picked(registered, run, active):
+    """A click in the Outliner meanwhile makes another object active."""
+    first, second = load(run[0], "first"), load(run[0], "second")
+    second.data[attributes.CAPTURE] = "elsewhere"
+    registered.collection.objects.link(bpy.data.objects.new("lamp", None))
+    points = [np.array(each) for each in now(first, FLOOR)]
+    bpy.context.view_layer.objects.active = bpy.data.objects[active]
+    reports: list[str] = []
+    picking = SimpleNamespace(purpose="FLOOR", _points=points, _target="first")
+    picking.report = lambda _, told: reports.append(told)
+    pick = operators.PHYSHDR_OT_points_pick
+    picking._model = lambda: pick._model(picking)
+    assert pick._hand_on(picking, bpy.context) == {"FINISHED"}
+    np.testing.assert_allclose(now(first, FLOOR)[1][2], 0.0, atol=CLOSE)
+    np.testing.assert_array_equal(np.array(second.matrix_world), np.eye(4))
+    registered.collection.objects.unlink(first)
+    assert pick._hand_on(picking, bpy.context) == {"CANCELLED"}
+    assert "first is no longer in this view layer" in reports[0]
+
+
+@pytest.mark.parametrize(("animated", "told"), [("location", "location"), ("rotation_euler", "rotation")])
+@pytest.mark.parametrize("by", ["keyframes", "strip", "driver", "camera"])
+def test_what_is_animated_is_not_moved(registered, run, animated, told, by):
+    """The next frame would undo it, and the scene remember a place where nothing stands."""
+    target = load(run[0])
+    item = target
+    if by == "camera":
+        item = bpy.data.objects.new("frame", bpy.data.cameras.new("frame"))
+        registered.collection.objects.link(item)
+        item[placement.FRAME], item[attributes.CAPTURE] = "0001", origin.capture_of(target)
+    if by == "driver":
+        item.driver_add(animated, 0)
+    else:
+        item.keyframe_insert(animated, frame=1)
+    if by == "strip":
+        data = item.animation_data
+        data.nla_tracks.new().strips.new("moves", 1, data.action)
+        data.action = None
+    given = {"first": (0, 0, 0), "second": (1, 0, 0), "distance": 2.0}
+    told = rf"the {told} of {item.name} is animated[\s\S]*an empty that is its parent"
+    with pytest.raises(RuntimeError, match=told):
+        bpy.ops.physhdr.capture_scale(**given)
+    reports: list[str] = []
+    asking = SimpleNamespace(report=lambda _, said: reports.append(said))
+    assert operators.pick(asking, bpy.context, "FLOOR") == {"CANCELLED"}  # before anything is picked
+    assert re.search(told, reports[0])
+    assert not len(registered.physhdr.captures) and tuple(target.scale) == (1.0, 1.0, 1.0)
+    # Below an empty that is animated instead, each frame keeps the scale.
+    item.animation_data_clear()
+    target.parent = empty = bpy.data.objects.new("moves", None)
+    registered.collection.objects.link(empty)
+    empty.keyframe_insert("location", frame=1)
+    assert bpy.ops.physhdr.capture_scale(**given) == {"FINISHED"}
+    item.keyframe_insert(animated, frame=1)
+    with pytest.raises(RuntimeError, match="is animated"):
+        bpy.ops.physhdr.capture_reset()
+    registered.frame_set(2)
+    assert tuple(target.matrix_world.to_scale()) == pytest.approx((2.0,) * 3)
+    assert len(registered.physhdr.captures) == 1
 
 
 def test_what_was_saved_in_the_world_is_not_moved_a_second_time(registered, run):
