@@ -33,9 +33,14 @@ def quantise(picture: torch.Tensor) -> torch.Tensor:
 
 
 def psnr(picture: torch.Tensor, truth: torch.Tensor) -> float:
-    """Peak signal-to-noise ratio in dB for a range of 1; at most ``PSNR_CAP``, also for equal pictures."""
+    """Peak signal-to-noise ratio in dB for a range of 1; at most ``PSNR_CAP``, also for equal pictures.
+
+    NaN of no pixels, and where a value is NaN.
+    """
     _require_same_shape(picture, truth)
     error = (picture.double() - truth.double()).square().mean().item()
+    if math.isnan(error):
+        return math.nan  # which min() may pass over
     return PSNR_CAP if error == 0.0 else min(PSNR_CAP, -10.0 * math.log10(error))
 
 

@@ -39,13 +39,16 @@ class Pair:
         return torch.where(self.mask, both[0], black), torch.where(self.mask, both[1], black)
 
     def psnr(self) -> float:
-        """In dB for a range of 1, over the compared pixels."""
+        """In dB for a range of 1, over the compared pixels; NaN where there are none."""
         if self.mask is None:
             return psnr(self.picture, self.reference)
         return psnr(self.picture[:, self.mask], self.reference[:, self.mask])
 
     def metrics(self, lpips: Lpips | None = None) -> Metrics:
-        """PSNR over compared pixels; SSIM at these, as if the others were black in both; LPIPS, too."""
+        """PSNR over compared pixels; SSIM at these, as if the others were black in both; LPIPS, too.
+
+        PSNR and SSIM are NaN where no pixel is compared.
+        """
         distances = lpips.both(*self.shown()) if lpips else (None, None)
         if self.mask is None:
             similarity = ssim_map(self.picture, self.reference).mean().item()

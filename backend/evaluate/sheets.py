@@ -145,7 +145,8 @@ def comparison_sheet(
 ) -> np.ndarray:
     """Truth | ours | residual for some views of ``split``: LDR rows, HDR rows (μ-law), relit rows; uint8.
 
-    ``poses``: pose numbers; None takes one that has relit truth, or the middle one. Exposures that a view
+    ``poses``: pose numbers; None takes one that has relit truth, or the middle one, of those that are not
+    masked altogether. Exposures that a view
     lacks and parts without truth have no rows; relit truth is of test views. ``hdr`` and ``shows`` as for
     ``evaluate``; ``name``: whose pictures they are; ``scale``: the evaluation's ``scale_ratio``: where that
     is off, HDR stands there once more, divided by it. Raises ``BadValueError`` for an unknown pose, and what
@@ -230,7 +231,16 @@ def _poses(scene: Scene, split: str, poses: list[int] | None, relit: list[truth.
     if poses is not None:
         return poses
     views = scene.splits[split]
-    return [relit[0].index if relit else views[len(views) // 2].index]
+    middle = views[len(views) // 2].index
+    nearest = sorted((view.index for view in views), key=lambda index: abs(index - middle))
+    wanted = [*(item.index for item in relit), *nearest]
+    return [next((pose for pose in wanted if _is_compared(scene.find(split, pose))), wanted[0])]
+
+
+def _is_compared(view: View) -> bool:
+    """Whether any pixel of all its pictures is."""
+    mask = compared_everywhere(view)
+    return mask is None or bool(mask.any())
 
 
 def _positions(view: View, exposure_indices: Sequence[int]) -> list[int]:
@@ -292,6 +302,8 @@ def _method_rows(label: str, shown: dict[str, Shown], gain: float) -> list[list[
 
 
 def _numbers(shown: Shown) -> str:
+    if math.isnan(shown.psnr):
+        return "masked, not compared"
     return f"{shown.psnr:.2f} dB, SSIM {shown.ssim:.4f}"
 
 

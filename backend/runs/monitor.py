@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A fixed held-out view, measured while training. What it sees is shown and logged, never learned from."""
 
+import math
 from collections.abc import Callable
 
 from ...bridge.data_set import TEST, VALIDATION
@@ -20,6 +21,7 @@ def view_monitor(scene: Scene, report: Callable[[str], object] = aside.print) ->
     It is a validation view where there are any, so that watching a training tells nothing of the test views,
     else a test view. ``None`` where the data set has neither. Where it cannot be measured, be its picture
     damaged, ``report`` is told so once, and nothing is measured from then on: training does not need it.
+    What is no number, as where all of the view is masked or black, is left out.
     """
     split = VALIDATION if scene.validation else TEST
     views = scene.splits[split]
@@ -38,7 +40,7 @@ def view_monitor(scene: Scene, report: Callable[[str], object] = aside.print) ->
         if truth is not None:
             drawn = method.hdr(view.camera, view.lighting_level).cpu()
             measured["HDR scale"] = scale_ratio(drawn, truth, compared_everywhere(view))
-        return measured
+        return {name: value for name, value in measured.items() if math.isfinite(value)}
 
     has_failed = False
 

@@ -55,6 +55,13 @@ def test_psnr_closed_form() -> None:
     assert psnr(zero, zero) == psnr(zero, zero + 1e-6) == PSNR_CAP
 
 
+def test_psnr_of_what_is_no_number_is_none() -> None:
+    zero = torch.zeros(3, 4, 4)
+    spoilt = zero.clone()
+    spoilt[1, 2, 3] = math.nan
+    assert math.isnan(psnr(spoilt, zero)) and math.isnan(psnr(zero[:, :0], zero[:, :0]))
+
+
 def test_psnr_agrees_with_another_program(pair) -> None:
     picture, other = (each.double().numpy() for each in pair)
     assert psnr(*pair) == pytest.approx(peak_signal_noise_ratio(other, picture, data_range=1.0), abs=1e-9)

@@ -101,6 +101,12 @@ def test_masked_pixels_do_not_count(tmp_path):
     assert all((part[:, ~torch.from_numpy(MASK)] == 0).all() for part in second.shown())
 
 
+def test_of_a_picture_that_is_masked_altogether_there_is_no_number(tmp_path):
+    view = view_of(tmp_path, (CAMERA, camera_codes(1.0, 8), np.zeros_like(MASK)))
+    (pair,) = pairs(Model(), view)
+    assert math.isnan(pair.psnr()) and math.isnan(pair.metrics().psnr) and math.isnan(pair.metrics().ssim)
+
+
 def test_a_report_says_in_which_domain_its_numbers_are(tmp_path):
     view = view_of(tmp_path, (LOG, LOG.codes(LIGHT), MASK), (CAMERA, camera_codes(0.5, 8), None))
     hidden = view_of(tmp_path, (LOG, LOG.codes(LIGHT), np.zeros_like(MASK)))

@@ -296,8 +296,16 @@ def test_radiance_is_not_compared_where_the_views_pictures_are_masked(
     result = evaluate(renderer, of_one)
     assert [row.index for row in result.hdr] == [second], "a view that is masked altogether has no number"
     everything = dict.fromkeys((first, second), np.ones_like(hidden))
-    none = evaluate(renderer, masked(scene, everything, tmp_path / "none"))
+    of_none = masked(scene, everything, tmp_path / "none")
+    none = evaluate(renderer, of_none)
     assert (none.hdr, none.relit, none.scale_ratio) == ([], [], None)
+    of_relit = truth.relit_truth(data_set)
+    assert of_relit[0].index == second
+    only_first = masked(scene, {first: hidden, second: everything[second]}, tmp_path / "first")
+    assert sheets._poses(only_first, "test", None, of_relit) == [first]
+    assert sheets._poses(of_none, "test", None, of_relit) == [second]
+    nothing = sheets._ldr(renderer, of_none.test[0], 0)
+    assert sheets._numbers(nothing) == "masked, not compared" and not nothing.reference.any()
 
 
 def test_a_view_of_which_only_black_is_compared_leaves_the_scale_to_the_others(

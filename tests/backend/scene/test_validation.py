@@ -132,6 +132,18 @@ def test_progress_is_watched_on_a_validation_view(with_validation: Path) -> None
     assert told["PSNR"] == pytest.approx(-10 * np.log10(np.mean(error**2)), abs=1e-4) and "HDR scale" in told
 
 
+def test_what_is_no_number_is_not_watched(with_validation: Path, tmp_path: Path) -> None:
+    """A view that is masked altogether has neither a PSNR nor a scale."""
+    scene = read_scene(with_validation)
+    Image.fromarray(np.zeros(scene.validation[0].image(0).shape[:2], np.uint8)).save(tmp_path / "mask.png")
+    hidden = [
+        replace(view, sources=tuple(replace(each, mask_path=tmp_path / "mask.png") for each in view.sources))
+        for view in scene.validation
+    ]
+    measure = view_monitor(replace(scene, validation=hidden))
+    assert measure is not None and measure(Flat()) == {}
+
+
 def test_a_view_that_cannot_be_watched_is_told_once_and_ends_no_training(with_validation: Path) -> None:
     scene, said = replace(read_scene(with_validation), validation=[]), []
     remove_test(with_validation)
