@@ -15,7 +15,7 @@ from PIL import ExifTags, Image, PngImagePlugin
 
 from ...bridge.errors import PhysHDRError
 from ...bridge.regular import damaged_where_it_fails
-from .pictures import READABLE, kind_of
+from .pictures import READABLE, kind_of, open_with_pillow
 
 #: How a picture is to be turned: values under which width and height change places.
 LYING = (5, 6, 7, 8)
@@ -98,7 +98,7 @@ def tags_of_file(path: Path) -> Tags:
             if kind == "TIFF":
                 return tags_of_tiff(path)
             if kind in READABLE:
-                with Image.open(path, formats=READABLE) as picture:
+                with open_with_pillow(path, READABLE) as picture:
                     return tags_of(picture)
     except PhysHDRError:
         pass  # the reader of pictures says what is wrong with the file

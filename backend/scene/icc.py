@@ -17,14 +17,13 @@ from functools import cache, cached_property
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from ...bridge.errors import BadValueError, PhysHDRError
 from ...bridge.regular import damaged_where_it_fails
 from ...bridge.srgb import to_srgb
 from .color_space import BRADFORD, D65, SPACES, Chromaticities
 from .exif import is_adobe_rgb, tags_of_file, tags_of_tiff
-from .pictures import READABLE, kind_of
+from .pictures import READABLE, kind_of, open_with_pillow
 
 #: TIFF's tag of a profile.
 TIFF_TAG = 34675
@@ -52,7 +51,7 @@ def profile_bytes(path: Path) -> bytes | None:
             if kind == "TIFF":
                 found = tags_of_tiff(path).get(TIFF_TAG)
             elif kind in READABLE:
-                with Image.open(path, formats=READABLE) as picture:
+                with open_with_pillow(path, READABLE) as picture:
                     found = picture.info.get("icc_profile")
             else:
                 return None

@@ -361,24 +361,35 @@ def _open_picture(path: Path, formats: tuple[str, ...], look: Callable[[Image.Im
     """What ``look`` sees in a picture whose header can be believed."""
     regular_file(path, _RESTORE)
     kinds = " or ".join(formats)
-    with damaged_where_it_fails(f"{path} is not a readable {kinds}", _DELETE), warnings.catch_warnings():
-        # Pillow's own limit, at 89 million pixels, only warns; ours is below.
+    unreadable = damaged_where_it_fails(f"{path} is not a readable {kinds}", _DELETE)
+    with unreadable, open_with_pillow(path, formats) as picture:
+        width, height = picture.size
+        if picture.mode not in EIGHT_BIT_MODES:
+            raise FileDamagedError(
+                f"{path} is not an 8-bit colour {kinds} (Pillow's mode {picture.mode})",
+                "Save it again as 8-bit RGB or RGBA.",
+            )
+        size = path.stat().st_size
+        if picture.format == "PNG" and width * height * PNG_BITS.get(picture.mode, 1) > (
+            8 * MAX_DEFLATE_RATIO * size
+        ):
+            raise ValueError(f"it claims {width}×{height} pixels in {size} bytes")
+        return look(picture)
+
+
+def open_with_pillow(path: Path, formats: tuple[str, ...]) -> Image.Image:
+    """An open picture of which the header is read; raises ``DecompressionBombError`` above ``MAX_PIXELS``.
+
+    Pillow's warning from 89 million pixels on is not shown: it means nothing to who took them.
+    """
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-        with Image.open(path, formats=formats) as picture:
-            width, height = picture.size
-            if width * height > MAX_PIXELS:
-                raise ValueError(f"it claims {width}×{height} pixels")
-            if picture.mode not in EIGHT_BIT_MODES:
-                raise FileDamagedError(
-                    f"{path} is not an 8-bit colour {kinds} (Pillow's mode {picture.mode})",
-                    "Save it again as 8-bit RGB or RGBA.",
-                )
-            size = path.stat().st_size
-            if picture.format == "PNG" and width * height * PNG_BITS.get(picture.mode, 1) > (
-                8 * MAX_DEFLATE_RATIO * size
-            ):
-                raise ValueError(f"it claims {width}×{height} pixels in {size} bytes")
-            return look(picture)
+        picture = Image.open(path, formats=formats)
+    width, height = picture.size
+    if width * height > MAX_PIXELS:
+        picture.close()
+        raise Image.DecompressionBombError(f"it claims {width}×{height} pixels")
+    return picture
 
 
 def write_png(path: Path, picture: np.ndarray) -> None:

@@ -22,7 +22,7 @@ from ....bridge.srgb import to_srgb
 from ..encoding import LARGEST
 from ..exif import LYING, Exif, Tags, exposure_of, orientation_of, positive, tags_of, tags_of_file
 from ..icc import Profile, profile_of, profile_of_bytes
-from ..pictures import holds_radiance, is_deep, picture_size, read_codes
+from ..pictures import holds_radiance, is_deep, open_with_pillow, picture_size, read_codes
 from ..source import is_white, turned
 from . import heif, raw
 from .noise import Noise
@@ -137,7 +137,7 @@ class Photo:
         if self.is_heic:
             return Image.fromarray(self._read_codes())
         unreadable = damaged_where_it_fails(f"{self.path} is not a readable photo", COPY_AGAIN)
-        with unreadable, Image.open(self.path, formats=PILLOW) as picture:
+        with unreadable, open_with_pillow(self.path, PILLOW) as picture:
             codes = _upright(picture, "RGB", self.orientation)
         return Image.fromarray(codes if self.profile is None else self.profile.to_srgb(codes))
 
@@ -194,7 +194,7 @@ class Photo:
             shades = turned(codes, orientation_of(tags_of_file(self.mask))).max(axis=2)
         else:
             unreadable = damaged_where_it_fails(f"{self.mask} is not a readable mask", COPY_AGAIN)
-            with unreadable, Image.open(self.mask, formats=PILLOW) as picture:
+            with unreadable, open_with_pillow(self.mask, PILLOW) as picture:
                 shades = _upright(picture, "L", orientation_of(tags_of(picture)))
         self._require_size(shades.shape[1], shades.shape[0])
         return is_white(shades, LARGEST[shades.dtype])
@@ -207,7 +207,7 @@ class Photo:
             if _is_deep(self.mask):
                 (width, height), tags = picture_size(self.mask), tags_of_file(self.mask)
             else:
-                with Image.open(self.mask, formats=PILLOW) as picture:
+                with open_with_pillow(self.mask, PILLOW) as picture:
                     (width, height), tags = _stored_size(picture), tags_of(picture)
         lies = orientation_of(tags) in LYING
         self._require_size(*((height, width) if lies else (width, height)))
@@ -585,7 +585,7 @@ def _read_header(path: Path) -> Photo:
         )
     profile, unconverted = (heif.avif_profile(path), "") if kind == "AVIF" else profile_of(path)
     unreadable = damaged_where_it_fails(f"{path} is not a readable photo", COPY_AGAIN)
-    with unreadable, _not_too_large(path), Image.open(path, formats=PILLOW) as picture:
+    with unreadable, _not_too_large(path), open_with_pillow(path, PILLOW) as picture:
         if picture.mode not in EIGHT_BIT_MODES:
             raise UnreadKindError(
                 f"{path} is not an RGB picture of 8 or 16 bits (Pillow's mode {picture.mode})",
@@ -647,7 +647,7 @@ def _read_deep_header(path: Path) -> Photo:
 
 @contextmanager
 def _not_too_large(path: Path) -> Iterator[None]:
-    """Say what is wrong where Pillow suspects an attack: some phones take 200 million pixels."""
+    """Say what is wrong with a photo beyond our limit, and Pillow's: some phones take 200 million pixels."""
     try:
         yield
     except Image.DecompressionBombError as error:

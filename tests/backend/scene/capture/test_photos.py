@@ -6,6 +6,7 @@ import os
 import struct
 import sys
 import unicodedata
+import warnings
 from datetime import datetime
 from pathlib import Path
 
@@ -14,6 +15,7 @@ import OpenImageIO
 import pytest
 from PIL import ExifTags, Image, ImageOps
 
+from physhdr.backend.scene import pictures
 from physhdr.backend.scene.capture.exposures import exposures_from_exif, exposures_from_file
 from physhdr.backend.scene.capture.photos import find_photos, natural_order
 from physhdr.bridge.errors import PhysHDRError
@@ -335,6 +337,21 @@ def test_a_photo_of_more_pixels_than_are_read_has_a_remedy(room, tmp_path, monke
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 200)  # Pillow refuses twice as many
     message = refused(find_photos, tmp_path)
     assert "a.jpg has more pixels than are read" in message and "make them smaller" in message
+
+
+def test_a_photo_of_many_pixels_is_no_suspect(room, tmp_path, monkeypatch):
+    """Pillow warns of an attack from 89 million pixels on, once for each time it opens one."""
+    (tmp_path / "masks").mkdir()
+    for path in (tmp_path / "a.jpg", tmp_path / "masks" / "a.png"):
+        room.write_photo(path, GREY)
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 400)  # of 600
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        photo = find_photos(tmp_path).photos[0]
+        photo.check_mask()
+        assert photo.codes()[0].shape == (20, 30, 3)
+    monkeypatch.setattr(pictures, "MAX_PIXELS", 500)
+    assert "a.jpg has more pixels than are read" in refused(find_photos, tmp_path)
 
 
 def test_a_photo_that_ends_too_early_is_found_when_it_is_decoded(room, tmp_path):
