@@ -156,7 +156,10 @@ class PHYSHDR_OT_develop_render(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         scene, models = context.scene, models_in_render(context.scene)
         if self.remove:
-            develop.remove(scene, models)
+            others = [each for each in bpy.data.scenes if each != scene and develop.node_of(each) is not None]
+            elsewhere = {model for each in others for model in models_in_render(each)}
+            elsewhere |= {model for each in others for model in models_among(each.objects)}
+            develop.remove(scene, models, elsewhere)
             self.report({"INFO"}, "Renders are scene-linear radiance again")
             return {"FINISHED"}
         target = model_to_develop_by(context)

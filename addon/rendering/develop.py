@@ -16,7 +16,7 @@ import bpy
 from ...bridge.errors import BadValueError
 from ..blender import cloud_of, curve_of, curves_of
 from ..model import nodes, response_nodes
-from ..model.look import is_model
+from ..model.look import is_model, models_among
 from ..model.point_cloud import read_tone_curve
 from ..model.response_nodes import response_mark
 from ..model.tone_curve import ToneCurve
@@ -124,14 +124,20 @@ def check_developed(scene: bpy.types.Scene) -> None:
         _check_view(scene)
 
 
-def remove(scene: bpy.types.Scene, models: Iterable[bpy.types.Object]) -> None:
-    """Take our node out of the scene's compositor, and give back what was set along with it."""
+def remove(
+    scene: bpy.types.Scene, models: Iterable[bpy.types.Object], elsewhere: Iterable[bpy.types.Object] = ()
+) -> None:
+    """Take our node out of the scene's compositor, and give back what was set along with it.
+
+    ``elsewhere``: models in the pictures of other scenes that are developed. Their own switches stay off, and
+    are turned on again when the last of those scenes is developed no more.
+    """
     tree: Any = scene.compositing_node_group
     node = node_of(scene)
     if node is None:
         return
     _give_back(scene, node)
-    for each in {*models, *(each for each in scene.objects if is_model(each))}:
+    for each in {*models, *models_among(scene.objects)} - set(elsewhere):
         if each.library is None and each.pop(SWITCHED_OFF, None) and nodes.find_modifier(each) is not None:
             _switch(each, True)
     _forget_animation(tree, node)

@@ -463,6 +463,22 @@ def test_learned_tones_are_told_and_by_whom_they_are_mended(room, registered):
     assert kinds(registered) == [] and not toned(room)
 
 
+@pytest.mark.parametrize("first", [0, 1])
+def test_a_linked_copy_of_the_scene_stays_developed_once(room, registered, first):
+    """It has a compositor of its own, and the same model: its switch comes back with the last of the two."""
+    nodes.set_input(nodes.find_modifier(room), nodes.TONE_MAPPER, True)
+    bpy.ops.physhdr.develop_render()
+    bpy.ops.scene.new(type="LINK_COPY")
+    scenes = [registered, bpy.context.scene]
+    assert scenes[0].compositing_node_group != scenes[1].compositing_node_group and not toned(room)
+    bpy.context.window.scene = scenes[first]
+    bpy.ops.physhdr.develop_render(remove=True)
+    assert not toned(room) and kinds(scenes[1 - first]) == [] and develop.node_of(scenes[1 - first])
+    bpy.context.window.scene = scenes[1 - first]
+    bpy.ops.physhdr.develop_render(remove=True)
+    assert toned(room)
+
+
 def test_keyframes_of_the_switch_stay_and_are_told(room, registered):
     modifier = nodes.find_modifier(room)
     nodes.set_input(modifier, nodes.TONE_MAPPER, True)
