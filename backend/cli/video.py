@@ -214,7 +214,23 @@ class Video:
             darkest, brightest = ends[2:] or LIGHT_RANGE
             turned = round_trip(levels[self._light(method)], darkest, brightest, count - half)
             lit[half:] = self._lit(method, levels, turned)
+        poses = {camera.camera_to_world.tobytes() for camera in cameras}
+        if len(poses) == len(set(times)) == len(set(lit)) == 1:
+            raise self._unchanging()
         return [Frame(*each) for each in zip(cameras, times, lit, strict=True)]
+
+    def _unchanging(self) -> BadValueError:
+        """Why every frame would be the same, and what to do about it."""
+        reasons, remedy = [], "Add --sweep exposure or lighting."
+        if self._path != "still":
+            reasons.append(f"the training cameras are all in one place, where --path {self._path} stays")
+        if self.sweep != "none":
+            why = (
+                "the ends of --sweep-range are equal" if self.sweep_range else "the data set has one exposure"
+            )
+            reasons.append(why)
+            remedy = "Give a --sweep-range whose ends differ."
+        return BadValueError(f"all frames would be the same: {', and '.join(reasons)}", remedy)
 
     def _lit(
         self, method: Renderer, levels: tuple[float, ...], swept: Sequence[float]

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What ``physhdr video`` would show, frame by frame."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -114,6 +115,27 @@ def test_frames_that_differ_in_light_are_not_one_bracket(data_set: Path) -> None
 def test_what_cannot_be_shown(data_set: Path, options, message) -> None:
     with pytest.raises(BadValueError, match=message):
         video(**options).plan(read_scene(data_set), Grey())
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({}, r"in one place, where --path spline stays\n.*--sweep exposure or lighting"),
+        ({"path": "orbit"}, "in one place, where --path orbit stays"),
+        ({"sweep": "exposure"}, r"would be the same: the data set has one exposure\n.*--sweep-range"),
+        ({"sweep": "exposure", "path": "orbit"}, "--path orbit stays, and the data set has one exposure"),
+        ({"sweep": "exposure", "sweep_range": (3.0, 3.0)}, "the ends of --sweep-range are equal"),
+        ({"sweep": "lighting", "sweep_range": (1.0, 1.0)}, "the ends of --sweep-range are equal"),
+    ],
+)
+def test_a_video_in_which_nothing_changes_is_refused(data_set: Path, options, message) -> None:
+    """Of one training view at one exposure, which may be a whole data set."""
+    scene = read_scene(data_set)
+    view = scene.train[0]
+    one = replace(view, exposures=view.exposures[:1], sources=view.sources[:1], bracket=view.bracket[:1])
+    with pytest.raises(BadValueError, match=message):
+        video(**options).plan(replace(scene, train=[one]), Grey())
+    assert video(sweep="lighting").plan(replace(scene, train=[one]), Grey())
 
 
 def test_a_method_that_cannot_relight(data_set: Path) -> None:
