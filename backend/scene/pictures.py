@@ -239,13 +239,30 @@ def _exposure_of_hdr(path: Path) -> float:
 
     OpenImageIO does not undo it. (Ward, "Real Pixels", Graphics Gems II, 1991; Radiance's filefmts.)
     """
-    with path.open("rb") as file:
-        header = file.read(HDR_HEADER).replace(b"\r\n", b"\n").partition(b"\n\n")[0]
+    header, _ = _header_of_hdr(path)
     with damaged_where_it_fails(f"{path} is not a readable HDR: its EXPOSURE", _DELETE):
         exposure = math.prod(float(each) for each in re.findall(rb"^EXPOSURE=(.*)$", header, re.MULTILINE))
         if not 1e-30 < exposure < 1e30:
             raise ValueError(f"it is {exposure:g}")
     return exposure
+
+
+def _header_of_hdr(path: Path) -> tuple[bytes, bytes]:
+    """The lines before the empty one, and the line behind it, which tells size and order of the pixels."""
+    with path.open("rb") as file:
+        header, _, rest = file.read(HDR_HEADER).replace(b"\r\n", b"\n").partition(b"\n\n")
+    return header, rest.partition(b"\n")[0]
+
+
+def _require_upright_hdr(path: Path) -> None:
+    """Raises ``FileDamagedError`` where pixels go up, to the left or by columns; OpenImageIO reads on."""
+    order = _header_of_hdr(path)[1]
+    axes = re.fullmatch(rb"([-+][XY])\s+\d+\s+([-+][XY])\s+\d+\s*", order)
+    if axes and axes.groups() != (b"-Y", b"+X"):
+        raise FileDamagedError(
+            f"{path} is stored upside down, mirrored or on its side ('{order.decode().strip():.40}')",
+            "Save it again from the top left, row by row ('-Y height +X width'), as nearly all programs do.",
+        )
 
 
 @dataclass(frozen=True)
@@ -283,6 +300,8 @@ def _opened(path: Path) -> Any:
 
 def _look(path: Path, kind: Kind) -> _Header:
     """The header of a PNG, TIFF or .hdr; raises ``FileDamagedError`` where it cannot be believed."""
+    if kind == "HDR":
+        _require_upright_hdr(path)
     reader = _opened(path)
     try:
         spec = reader.spec()

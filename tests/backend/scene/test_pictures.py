@@ -2,6 +2,7 @@
 """PNG and OpenEXR: what is written is what is read, and damage is named."""
 
 import os
+import re
 import struct
 import threading
 import zlib
@@ -148,6 +149,18 @@ def hdr(path: Path, header: bytes) -> None:
 def test_what_an_hdr_was_exposed_by_is_taken_back(tmp_path: Path, header, expected) -> None:
     hdr(tmp_path / "a.hdr", header)
     np.testing.assert_allclose(read_radiance(tmp_path / "a.hdr").pixels, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("order", ["+Y 2 +X 4", "-Y 2 -X 4", "+Y 2 -X 4", "+X 4 -Y 2", "-X 4 +Y 2"])
+def test_an_hdr_that_is_stored_another_way_up_is_refused(tmp_path: Path, order: str) -> None:
+    """Mirrored or turned pixels would be trained on with cameras that look another way."""
+    hdr(tmp_path / "a.hdr", b"")
+    whole = (tmp_path / "a.hdr").read_bytes()
+    (tmp_path / "a.hdr").write_bytes(whole.replace(b"-Y 2 +X 4", order.encode()))
+    for read in (read_radiance, picture_size):
+        with pytest.raises(FileDamagedError, match=re.escape(f"on its side ('{order}')")) as caught:
+            read(tmp_path / "a.hdr")
+        assert "'-Y height +X width'" in caught.value.hint
 
 
 @pytest.mark.parametrize("told", [b"0", b"nan", b"bright", b"1e99", b"-1"])
