@@ -444,6 +444,35 @@ def test_keys(small):
     assert float(page.input_value("#exposure")) == start and page.input_value("#move") == "orbit"
 
 
+@pytest.mark.parametrize("modifiers", [{"altKey": True, "ctrlKey": True}, {"altKey": True}])
+def test_brackets_that_need_alt_gr_or_option_choose_cameras(small, modifiers):
+    """As keyboards of most languages have them: on Windows and Linux, and on macOS."""
+    page = small.page
+    page.locator("#picture").focus()
+    for key, code, camera in (("]", "Digit9", "1"), ("[", "Digit8", "0")):
+        page.dispatch_event("#picture", "keydown", {"key": key, "code": code, **modifiers})
+        assert page.input_value("#camera") == camera
+    page.dispatch_event("#picture", "keydown", {"key": "]", "code": "BracketRight", "ctrlKey": True})
+    page.dispatch_event("#picture", "keydown", {"key": "]", "code": "BracketRight", "metaKey": True})
+    assert page.input_value("#camera") == "0", "these are the browser's"
+
+
+def test_a_key_that_walks_does_nothing_else_on_another_keyboard(small):
+    """Colemak has R where S walks backwards."""
+    page = small.page
+    page.locator("#move").select_option("walk")
+    page.locator("#picture").focus()
+    start = view_of(small)
+    page.keyboard.press("+")
+    exposure = page.input_value("#exposure")
+    for event in ("keydown", "keyup"):
+        page.dispatch_event("#picture", event, {"key": "r", "code": "KeyS"})
+    small.still()
+    assert page.input_value("#exposure") == exposure and page.input_value("#move") == "walk"
+    moved = view_of(small)["eye"] - start["eye"]
+    assert moved @ axes_of(start["turn"])[:, 2] > 0.0
+
+
 def test_fingers_turn_and_pinch(two_lights, visit):
     page = visit(390, 700, has_touch=True, is_mobile=True, device_scale_factor=2)
     assert page.open(two_lights[1].as_uri()) == "settled"

@@ -174,7 +174,10 @@ class Page {
   }
 
   key(event) {
-    if (event.ctrlKey || event.metaKey || event.altKey || /^(SELECT|TEXTAREA)$/.test(event.target.tagName)) return;
+    // Many keyboards have [ and ] on AltGr, which Windows tells as Ctrl and Alt, or on Option.
+    const isBracket = event.altKey && /^[[\]]$/.test(event.key);
+    if (event.metaKey || ((event.ctrlKey || event.altKey) && !isBracket) || /^(SELECT|TEXTAREA)$/.test(event.target.tagName)) return;
+    if (event.code in MOVES) return; // such a key walks, whatever letter a keyboard has there
     const step = (stops) => { const slider = element("exposure"); slider.value = String(Number(slider.value) + stops); this.told(); };
     const done = {
       "+": () => step(1 / 3), "=": () => step(1 / 3), "-": () => step(-1 / 3), "[": () => this.goTo(this.camera - 1, true),
