@@ -441,8 +441,8 @@ _HANDLERS = (
 def register() -> None:
     display = bpy.props.EnumProperty(
         name="Viewport display",
-        description="How the Gaussians of a PhysHDR model are drawn in the 3D view. Renders are not affected; "
-        "a playblast (View, Render Playblast) shows the model only with Geometry nodes",
+        description="How the Gaussians of a PhysHDR model are drawn in the 3D view. "
+        "Renders are not affected; a playblast (View, Render Playblast) needs Geometry nodes",
         items=[
             (SPLATS, "Splats", "As the trainer draws them: fast, exact, scene-linear"),
             (NODES, "Geometry nodes", "The instances that Cycles and EEVEE render: slow for many Gaussians"),
