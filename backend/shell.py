@@ -2,11 +2,25 @@
 """Commands that are told to people, who will copy them."""
 
 import os
+import re
 import shlex
-import subprocess
-from pathlib import Path
+from pathlib import PurePath
+
+#: What neither of Windows' shells takes for anything but a part of a word: cmd would do so with ``&^%;``,
+#: PowerShell with ``&;,'@()``.
+PLAIN_ON_WINDOWS = re.compile(r"[\w\\/:.+-]+")
 
 
-def as_word(path: Path) -> str:
-    """A path as one word of a command line, quoted where this system's shell would take it for more."""
-    return subprocess.list2cmdline([str(path)]) if os.name == "nt" else shlex.quote(str(path))
+def as_word(path: PurePath) -> str:
+    """A path as one word of a command line, quoted where this system's shell would take it for more.
+
+    On Windows it fits both cmd and PowerShell, but for what they replace in quotes, too: ``%NAME%`` of a
+    variable that there is, and ``$`` and a backtick.
+    """
+    text = str(path)
+    if os.name != "nt":
+        return shlex.quote(text)
+    if PLAIN_ON_WINDOWS.fullmatch(text):
+        return text
+    last = text[len(text.rstrip("\\")) :]  # a backslash before a quote would make it part of the word
+    return f'"{text}{last}"'

@@ -5,11 +5,13 @@ import os
 import shlex
 import subprocess
 import sys
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
+from types import SimpleNamespace
 
 import pytest
 from rich.table import Table
 
+from physhdr.backend import shell
 from physhdr.backend.runs.terminal import aside, console
 from physhdr.backend.shell import as_word
 
@@ -71,3 +73,21 @@ def test_a_path_in_a_command_can_be_copied_with_it():
     path = Path("/runs/the dog's room/[1] $HOME")
     assert shlex.split(f"physhdr train --resume {as_word(path)}")[-1] == str(path)
     assert as_word(Path("/runs/dog")) == "/runs/dog"
+
+
+@pytest.mark.parametrize(
+    ("path", "word"),
+    [
+        (r"D:\runs\größe_1.2-x", r"D:\runs\größe_1.2-x"),
+        (r"C:\R&D\run", r'"C:\R&D\run"'),  # cmd: another command
+        (r"C:\a^b\100%", r'"C:\a^b\100%"'),
+        (r"D:\a;b\run", r'"D:\a;b\run"'),  # PowerShell: another command
+        (r"D:\a,b\run", r'"D:\a,b\run"'),  # PowerShell: two words
+        (r"D:\Tom's\run", r'"D:\Tom' + "'" + r's\run"'),
+        (r"D:\my run (2)", r'"D:\my run (2)"'),
+        ("\\\\server\\my share\\", '"\\\\server\\my share\\\\"'),
+    ],
+)
+def test_a_path_is_one_word_in_both_of_windows_shells(path, word, monkeypatch):
+    monkeypatch.setattr(shell, "os", SimpleNamespace(name="nt"))
+    assert as_word(PureWindowsPath(path)) == word
