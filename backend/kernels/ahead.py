@@ -4,6 +4,8 @@
 import multiprocessing
 from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar
@@ -61,13 +63,14 @@ def compile_ahead(needs: Needs, report: Callable[[str, int, int], None] | None =
 
     About 25 s on two cores where nothing is cached, else a second. The compiler works on one core, so
     where nothing is cached several processes share the work and leave the results on disk. Where none can be
-    left there, this process does all of it.
+    left there, or where one of them dies, this process does all of it.
     """
     jobs = _jobs(needs)
     cores = usable_cores()
     if kept_on_disk(_ssim_rows) == [] and cores > 1:
         context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(min(cores, len(jobs)), context) as pool:
+        # One dies where memory is too little for all of them to load torch.
+        with suppress(BrokenProcessPool), ProcessPoolExecutor(min(cores, len(jobs)), context) as pool:
             names = {pool.submit(job): name for name, job in jobs.items()}
             for done, future in enumerate(as_completed(names), start=1):
                 future.result()

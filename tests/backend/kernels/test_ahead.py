@@ -4,7 +4,8 @@
 import json
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 import pytest
@@ -65,3 +66,23 @@ def test_processes_share_what_they_can_leave_on_disk(on_disk, processes, monkeyp
     monkeypatch.setattr(ahead, "_jobs", lambda needs: {"a kernel": lambda: done.append("a kernel")})
     ahead.compile_ahead(ahead.Needs())
     assert started == processes and done == ["a kernel"] * (1 + len(processes))
+
+
+def test_what_a_process_that_died_left_undone_is_done_here(monkeypatch):
+    class Died(ThreadPoolExecutor):
+        def __init__(self, count, context):
+            super().__init__(count)
+
+        def submit(self, job):
+            future = Future()
+            future.set_exception(BrokenProcessPool("A process in the process pool was terminated abruptly"))
+            return future
+
+    done = []
+    monkeypatch.setattr(ahead, "kept_on_disk", lambda kernel: [])
+    monkeypatch.setattr(ahead, "usable_cores", lambda: 2)
+    monkeypatch.setattr(ahead, "ProcessPoolExecutor", Died)
+    jobs = {name: lambda name=name: done.append(name) for name in ("a kernel", "another")}
+    monkeypatch.setattr(ahead, "_jobs", lambda needs: jobs)
+    ahead.compile_ahead(ahead.Needs())
+    assert done == ["a kernel", "another"]
