@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The command ``physhdr``: train, evaluate, benchmark, export, render, video, prepare, inspect, …"""
 
+import errno
 import io
 import json
 import os
 import select
+import stat
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -46,7 +48,7 @@ def main(argv: list[str] | None = None) -> int:
             sys.stderr.write("interrupted\n")
         return INTERRUPTED
     except Exception as error:
-        if isinstance(error, BrokenPipeError) and _nobody_reads():  # physhdr train --help | head
+        if isinstance(error, OSError) and _nobody_reads(error):  # physhdr train --help | head
             return UNREAD
         told = words_of(error, argv)
         if told is None:
@@ -81,20 +83,34 @@ def _speak_of_anything() -> None:
         sys.stdout.reconfigure(errors="backslashreplace")
 
 
-def _nobody_reads() -> bool:
+def _nobody_reads(error: OSError) -> bool:
     """Whether it is stdout that is broken; what is still to be written then is dropped."""
-    if sys.platform == "win32":  # has no poll, and such an error does not say there which pipe it is
-        return False
     try:
         descriptor = sys.stdout.fileno()
     except (AttributeError, OSError, ValueError):  # something in place of stdout, or it is closed
         return False
-    asked = select.poll()
-    asked.register(descriptor, 0)
-    if not asked.poll(0):  # errors are told unasked
+    if not _is_of_stdout(error, descriptor):
         return False
     os.dup2(os.open(os.devnull, os.O_WRONLY), descriptor)
     return True
+
+
+def _is_of_stdout(error: OSError, descriptor: int) -> bool:
+    """Whether the error says that nobody reads a pipe, and stdout, of this descriptor, is that pipe."""
+    if sys.platform == "win32":  # has no poll, and calls it an invalid argument (bugs.python.org/issue35754)
+        if error.errno not in (errno.EINVAL, errno.EPIPE) or error.filename is not None:
+            return False
+        try:
+            if stat.S_ISFIFO(os.fstat(descriptor).st_mode):
+                os.write(descriptor, b"\n")  # the only way to ask there
+        except OSError:
+            return True
+        return False
+    if not isinstance(error, BrokenPipeError):
+        return False
+    asked = select.poll()
+    asked.register(descriptor, 0)
+    return bool(asked.poll(0))  # errors are told unasked
 
 
 def _tells_programs(argv: Sequence[str], told: Words) -> bool:

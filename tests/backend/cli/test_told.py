@@ -5,9 +5,11 @@ import dataclasses
 import errno
 import importlib
 import json
+import os
 import pkgutil
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -196,6 +198,23 @@ def test_where_nobody_reads_a_failure_is_told_in_words(capsys, monkeypatch) -> N
         patch.setattr(sys, "stdout", Closed())
         assert main([*argv, "--json"]) == 1
     assert "there is no data" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("nobody_reads", [True, False])
+def test_on_windows_an_invalid_argument_is_that_nobody_reads_if_so(nobody_reads, capsys, monkeypatch) -> None:
+    """So its C library calls what POSIX calls a broken pipe (bugs.python.org/issue35754)."""
+    argv = failing(monkeypatch, "inspect", OSError(errno.EINVAL, "Invalid argument"))
+    reader, writer = os.pipe()
+    if nobody_reads:
+        os.close(reader)
+    with monkeypatch.context() as patch, open(writer, "w", encoding="utf-8") as stdout:
+        theirs = SimpleNamespace(platform="win32", stdout=stdout, stderr=sys.stderr)
+        patch.setattr(cli, "sys", theirs)  # not for all, which would import what only Windows has
+        status = main(argv)
+    if not nobody_reads:
+        os.close(reader)
+    told = "Invalid argument" in capsys.readouterr().err
+    assert (status, told) == ((141, False) if nobody_reads else (1, True))
 
 
 def test_what_another_program_is_told_is_not_for_us(capsys) -> None:
