@@ -127,7 +127,7 @@ def _failed(job: Job, error: _FailedError) -> Outcome:
         evaluation=job.record.evaluation,
     )
     if job.only_evaluate:  # the training in its place is good
-        patiently(partial(os.replace, job.work / RUN_LOG, job.final / RUN_LOG))
+        patiently(partial(_add_log, job.work, job.final))
         write_json(job.final / FAILED_FILE, failure)
         shutil.rmtree(job.work, ignore_errors=True)
     else:
@@ -144,7 +144,8 @@ def _done(job: Job, should_stop: Callable[[], bool]) -> Outcome:
         return Outcome("done")
     if job.only_evaluate:
         _physhdr(job, ["evaluate", job.final, "--out", job.work, *job.evaluate], should_stop)
-        for path in [path for path in job.work.iterdir() if path.name != USAGE_FILE]:
+        patiently(partial(_add_log, job.work, job.final))
+        for path in [path for path in job.work.iterdir() if path.name not in (USAGE_FILE, RUN_LOG)]:
             patiently(partial(os.replace, path, job.final / path.name))
         write_json(job.final / RUN_FILE, job.record)
         (job.final / FAILED_FILE).unlink(missing_ok=True)
@@ -161,6 +162,12 @@ def _done(job: Job, should_stop: Callable[[], bool]) -> Outcome:
     (job.work / USAGE_FILE).unlink(missing_ok=True)
     put_in_place(job.work, job.final)
     return Outcome("done")
+
+
+def _add_log(work: Path, final: Path) -> None:
+    """Put what an evaluation printed below what its training did."""
+    with open(final / RUN_LOG, "ab") as log:
+        log.write((work / RUN_LOG).read_bytes())
 
 
 def _measure(job: Job, pictures: Path, should_stop: Callable[[], bool]) -> None:

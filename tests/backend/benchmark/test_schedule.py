@@ -432,6 +432,25 @@ def test_a_damaged_evaluation_is_done_again_alone(bench):
     assert json.loads(path.read_text())["means"]
 
 
+def test_what_an_evaluation_prints_comes_below_its_training(bench):
+    """Also where it fails: why a training went as it did is asked long after."""
+    bench.run()
+    folder = bench.root / "out" / "iterations-50" / "exp3" / "day" / "quick" / "seed_0"
+
+    def commands():
+        lines = (folder / "benchmark.log").read_text().splitlines()
+        return [line.split()[2] for line in lines if line.startswith("$ physhdr ")]
+
+    assert commands() == ["train", "evaluate"]
+    assert kinds(bench.run(evaluate_again=True)) == ["done"]
+    assert commands() == ["train", "evaluate", "evaluate"]
+    (folder / "preset").unlink()  # without which the fake program cannot evaluate
+    assert kinds(bench.run(evaluate_again=True)) == ["failed"]
+    assert commands() == ["train", "evaluate", "evaluate", "evaluate"]
+    assert "FileNotFoundError" in (folder / "benchmark.log").read_text()
+    assert bench.left_over() == []
+
+
 def test_no_two_runs_share_a_claim(bench):
     """The names of folders may hold what stands between them in a claim's name."""
     names = ["a", "a_", "a__b", "a__b__c", "_b", "b", "b__c", "c", "_c", "__", "_"]
