@@ -156,7 +156,9 @@ def _of_nerfstudio(root: Path) -> Frames:
     path = root / NERFSTUDIO_FILE
     content = read_json_object(path, COPY_AGAIN)
     splits = _stated_splits(content)
-    found = _listed_in(root, path, content, splits)
+    # As the trainer has it: where only frames that are held out are listed, it trains on the others.
+    unlisted = data_set.TRAIN if splits and content.get("train_filenames") is None else VIEWS
+    found = _listed_in(root, path, content, splits, unlisted)
     return found if splits else Frames(tuple(_split_by_name(found.frames)), found.notes)
 
 
@@ -173,8 +175,10 @@ def _of_nerf(root: Path) -> Frames:
     )
 
 
-def _listed_in(root: Path, path: Path, content: dict[str, Any], splits: dict[str, str]) -> Frames:
-    """The cameras of one file. ``splits``: of pictures, by name; the others are for the trainer to split."""
+def _listed_in(
+    root: Path, path: Path, content: dict[str, Any], splits: dict[str, str], unlisted: str = VIEWS
+) -> Frames:
+    """The cameras of one file. ``splits``: of pictures, by name; ``unlisted``: that of the others."""
     entries = frames_of(path, content)
     frames, bent, sizeless = [], 0, 0
     for entry in entries:
@@ -194,7 +198,7 @@ def _listed_in(root: Path, path: Path, content: dict[str, Any], splits: dict[str
             )
         values = [given.get(key, 0.0) for key in _DISTORTION]
         bent += any(not is_number(value) or abs(value) > _NO_DISTORTION for value in values)
-        split = splits.get(name, VIEWS)
+        split = splits.get(name, unlisted)
         frames.append(_frame(path, _without_suffix(name), split, given))
     return Frames(tuple(frames), (*_of_bent(bent, len(entries)), *_of_sizeless(sizeless)))
 

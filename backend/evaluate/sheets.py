@@ -146,11 +146,10 @@ def comparison_sheet(
     """Truth | ours | residual for some views of ``split``: LDR rows, HDR rows (μ-law), relit rows; uint8.
 
     ``poses``: pose numbers; None takes one that has relit truth, or the middle one, of those that are not
-    masked altogether. Exposures that a view
-    lacks and parts without truth have no rows; relit truth is of test views. ``hdr`` and ``shows`` as for
-    ``evaluate``; ``name``: whose pictures they are; ``scale``: the evaluation's ``scale_ratio``: where that
-    is off, HDR stands there once more, divided by it. Raises ``BadValueError`` for an unknown pose, and what
-    readers raise.
+    masked altogether. Exposures that a view lacks and parts without truth have no rows; relit truth is of
+    test views. ``hdr`` and ``shows`` as for ``evaluate``; ``name``: whose pictures they are; ``scale``: the
+    evaluation's ``scale_ratio``: where that is off, HDR stands there once more, divided by it. Raises
+    ``BadValueError`` for an unknown pose, and what readers raise.
     """
     can_show = shows or (lambda item: item.can_be_shown(renderer.lights))
     relit = _relit(scene, split)

@@ -352,6 +352,14 @@ def test_what_a_camera_cannot_show_is_told(run):
     assert len(found.notes) == 1 and "bends" in found.notes[0]
 
 
+def test_without_a_list_of_training_views_frames_in_no_list_are_those(run):
+    frames = [{"file_path": f"{name}.png", "transform_matrix": np.eye(4).tolist()} for name in "ab"]
+    content = {"w": 8, "h": 8, "fl_x": 9.0, "frames": frames, "test_filenames": ["a.png"]}
+    path = run.parent / "data/transforms.json"
+    path.write_text(json.dumps(content))
+    assert [frame.split for frame in camera_file.read_frames(path.parent).frames] == ["test", "train"]
+
+
 def test_set_up_render_names_a_camera_that_is_none(registered, run):
     load(run)
     with pytest.raises(RuntimeError, match="not a camera of this scene"):
