@@ -368,7 +368,11 @@ class PHYSHDR_OT_points_pick(bpy.types.Operator):
         points = {name: tuple(point) for name, point in zip(names, self._points, strict=False)}
         ops = cast(Any, bpy.ops).physhdr
         operator = ops.capture_scale if self.purpose == "SCALE" else ops.capture_floor
-        operator("INVOKE_DEFAULT", True, **points)  # True: a step of undo of its own
+        try:
+            operator("INVOKE_DEFAULT", True, **points)  # True: a step of undo of its own
+        except RuntimeError as error:  # how its report comes here, as of points in one line
+            self.report({"ERROR"}, str(error).removeprefix("Error: ").strip())
+            return {"CANCELLED"}
         return {"FINISHED"}
 
 

@@ -431,6 +431,9 @@ def test_points_are_for_the_model_on_which_they_were_picked(registered, run, act
     assert pick._hand_on(picking, bpy.context) == {"FINISHED"}
     np.testing.assert_allclose(now(first, FLOOR)[1][2], 0.0, atol=CLOSE)
     np.testing.assert_array_equal(np.array(second.matrix_world), np.eye(4))
+    in_a_line = SimpleNamespace(**{**vars(picking), "_points": [np.full(3, float(i)) for i in range(3)]})
+    assert pick._hand_on(in_a_line, bpy.context) == {"CANCELLED"}
+    assert re.match("the three points .*line", reports.pop())
     registered.collection.objects.unlink(first)
     assert pick._hand_on(picking, bpy.context) == {"CANCELLED"}
     assert "first is no longer in this view layer" in reports[0]
