@@ -13,7 +13,7 @@ from ..blender import layout_of
 from ..paths import ROOT
 from ..runtime import session
 from ..session.pythons import base_of, find_pythons, is_ours, working_python
-from ..session.state import CHECK, INSTALL, Dismissed, PythonChosen
+from ..session.state import CHECK, INSTALL, Dismissed
 from ..session.tasks import TASKS
 from .base import PhysHDROperator, follow_task
 
@@ -127,8 +127,7 @@ class PHYSHDR_OT_backend_use(PhysHDROperator):
             self.report({"ERROR"}, f"there is no Python {path}: choose its executable, e.g. bin/python")
             return {"CANCELLED"}
         # Not resolved: an environment's python is a link, and following it leaves the environment.
-        session().dispatch(PythonChosen(str(path)))
-        return check(self, self.wait)
+        return check(self, self.wait, str(path))
 
 
 class PHYSHDR_OT_backend_check(PhysHDROperator):
@@ -145,11 +144,11 @@ class PHYSHDR_OT_backend_check(PhysHDROperator):
         return check(self, self.wait)
 
 
-def check(operator: PhysHDROperator, wait: bool) -> set[str]:
-    """Start the check of the chosen Python; with ``wait``, report how it ended."""
+def check(operator: PhysHDROperator, wait: bool, python: str = "") -> set[str]:
+    """Start the check of the chosen Python, or of another ``python``; with ``wait``, report how it ended."""
     current = session()
-    command = current.backend_command("check", "--json")
-    current.start_task(CHECK, command, current.home / "check.log", current.environment())
+    command = current.backend_command("check", "--json", python=python)
+    current.start_task(CHECK, command, current.home / "check.log", current.environment(), python)
     if not wait:
         return {"FINISHED"}
     return follow_task(operator, CHECK, CHECK_SECONDS, "The backend works")

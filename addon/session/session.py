@@ -107,14 +107,22 @@ class Session:
         self.dispatch(Asked(request))
 
     def start_task(
-        self, name: str, command: list[str], log: Path, environment: dict[str, str] | None = None
+        self,
+        name: str,
+        command: list[str],
+        log: Path,
+        environment: dict[str, str] | None = None,
+        python: str = "",
     ) -> None:
-        """Start a child process; one of a name at a time. Raises ``OutputError``."""
+        """Start a child process; one of a name at a time. Raises ``OutputError``.
+
+        ``python``: of a check, the one that is checked where it is not the chosen one.
+        """
         if name in self._tasks:
             raise OutputError(f"{name} is under way already", "Wait for it to end, or cancel it.")
         self._tasks[name] = ChildTask(name, command, log, environment)
         self._ended.pop(name, None)
-        self.dispatch(TaskStarted(name, str(log)))
+        self.dispatch(TaskStarted(name, str(log), python))
 
     def ended(self, name: str) -> TaskEnded | None:
         """How the task of a name ended that was started last; None while it goes on, or where none was."""
@@ -239,9 +247,9 @@ class Session:
         """Of every backend process: clean, and with the kernels' cache where it may be written."""
         return clean_environment(NUMBA_CACHE_DIR=str(self.home / "cache"))
 
-    def backend_command(self, *arguments: str) -> list[str]:
-        """The command of a backend process."""
-        return [self.state.backend.python, str(self.launcher), *arguments]
+    def backend_command(self, *arguments: str, python: str = "") -> list[str]:
+        """The command of a backend process: of the chosen Python, or another ``python``."""
+        return [python or self.state.backend.python, str(self.launcher), *arguments]
 
     def _start_backend(self) -> None:
         if self._process is not None:

@@ -36,7 +36,10 @@ class Problem:
 
 @dataclass(frozen=True)
 class Running:
-    """A child process at work: installing, checking, making a data set, looking at photos."""
+    """A child process at work: installing, checking, making a data set, looking at photos.
+
+    ``python``: the one that is checked, where it is to take the place of the chosen one if it passes.
+    """
 
     name: str
     log: str
@@ -44,6 +47,7 @@ class Running:
     message: str = ""
     seconds_left: float = -1.0
     cancelling: bool = False
+    python: str = ""
 
 
 @dataclass(frozen=True)
@@ -189,8 +193,11 @@ class PythonChosen:
 
 @dataclass(frozen=True)
 class TaskStarted:
+    """``python``: of a check, the one that is checked where it is not the chosen one."""
+
     name: str
     log: str
+    python: str = ""
 
 
 @dataclass(frozen=True)

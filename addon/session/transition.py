@@ -81,13 +81,15 @@ def transition(state: State, event: Event) -> Result:
     match event:
         case PythonChosen(python, report):
             return replace(state, backend=Backend(python, report)), ()
-        case TaskStarted(name, log):
-            tasks = (*_others(state, name), Running(name, log))
+        case TaskStarted(name, log, python):
+            tasks = (*_others(state, name), Running(name, log, python=python))
             made = Prepared() if name == PHOTOS else state.prepared
+            # One that works stays the chosen one until the other has passed.
+            backend = Backend(python) if python and not state.backend.ready else state.backend
             # An idle backend goes: the environment that it runs by is replaced.
             must_end = name == INSTALL and state.link.status == "connected"
             effects = (Send(Shutdown()),) if must_end else ()
-            return replace(state, tasks=tasks, prepared=made, problem=None), effects
+            return replace(state, backend=backend, tasks=tasks, prepared=made, problem=None), effects
         case TaskProgress(name, fraction, message, left):
             return _with_task(state, name, fraction=fraction, message=message, seconds_left=left), ()
         case TaskCancelled(name):
@@ -193,7 +195,10 @@ def _task_ended(state: State, event: TaskEnded) -> Result:
     problem = None if event.ok else Problem(message, hint, log)
     match event.task:
         case name if name in (INSTALL, CHECK):
-            python = str(event.result.get("environment") or state.backend.python)
+            checked = (task.python if task else "") or state.backend.python
+            if problem and state.backend.ready and (name == INSTALL or checked != state.backend.python):
+                return replace(state, problem=problem), ()  # what failed is not what works
+            python = str(event.result.get("environment") or checked)
             if problem:
                 incomplete = event.task == CHECK and event.code == MISSING_MODULE
                 backend = replace(state.backend, report={}, problem=problem, incomplete=incomplete)

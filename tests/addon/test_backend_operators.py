@@ -2,6 +2,8 @@
 """What is common to all child processes: each can be cancelled, and its log shown."""
 
 import ast
+import os
+import sys
 from importlib import import_module
 from pathlib import Path
 
@@ -10,7 +12,8 @@ import pytest
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
 import physhdr  # noqa: E402
-from physhdr.addon import settings  # noqa: E402
+from physhdr.addon import runtime, settings  # noqa: E402
+from physhdr.addon.session.state import Backend, PythonChosen  # noqa: E402
 from physhdr.addon.session.tasks import TASKS  # noqa: E402
 
 ADDON = Path(physhdr.__file__).parent / "addon"
@@ -53,6 +56,18 @@ def test_whatever_is_started_can_be_cancelled(registered):
     for name in names:
         assert bpy.ops.physhdr.task_cancel(name=name) == {"FINISHED"}
     assert names <= {name for name, _, _ in TASKS}
+
+
+@pytest.mark.skipif(os.name == "nt", reason="a program of one line that runs is POSIX's")
+def test_a_program_that_is_no_python_does_not_take_the_place_of_a_backend_that_works(registered, tmp_path):
+    works = Backend(sys.executable, {"versions": {"torch": "2.13.0"}, "missing": []})
+    runtime.session().dispatch(PythonChosen(works.python, works.report))
+    wrong = tmp_path / "gimp"
+    wrong.write_text('#!/bin/sh\necho "unknown option $1"\nexit 2\n')
+    wrong.chmod(0o755)
+    with pytest.raises(RuntimeError, match=r"ended with status 2: unknown option .*launch\.py"):
+        bpy.ops.physhdr.backend_use(filepath=str(wrong), wait=True)
+    assert runtime.session().state.backend == works
 
 
 def test_a_log_takes_no_text_of_the_users(registered, tmp_path):

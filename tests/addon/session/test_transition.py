@@ -117,6 +117,37 @@ def test_a_failed_check_says_why_and_where_the_log_is():
     assert headline(state) == "The backend failed its check"
 
 
+def test_a_backend_that_works_stays_where_another_one_could_not_be_installed():
+    """The installer leaves the former environment until the new one has passed its check."""
+    state, _ = after(READY, TaskStarted("install", "/tmp/install.log"))
+    state, effects = after(state, TaskEnded("install", False, message="pip cannot reach the index"))
+    assert state.backend == READY.backend and not effects
+    assert problem_of(state) == Problem("pip cannot reach the index", "", "/tmp/install.log")
+    assert why_not(state, "start", CHOICES) == ""
+    state, _ = after(state, Dismissed())
+    assert problem_of(state) is None and headline(state, CHOICES) == "Ready"
+
+
+def test_another_python_takes_the_place_of_one_that_works_once_it_has_passed():
+    asked, _ = after(READY, TaskStarted("check", "/tmp/check.log", "/other/python"))
+    failed, _ = after(asked, TaskEnded("check", False, message="no module torch", code="missing_module"))
+    assert failed.backend == READY.backend and problem_of(failed).message == "no module torch"
+    cancelled, _ = after(asked, TaskCancelled("check"), TaskEnded("check", False, cancelled=True))
+    assert cancelled.backend == READY.backend and problem_of(cancelled) is None
+    report = {"versions": {"torch": "2.14.0"}}
+    passed, effects = after(asked, TaskEnded("check", True, result=report))
+    assert passed.backend == Backend("/other/python", report)
+    assert effects == [KeepReport("/other/python", report)]
+    # Where none works it is the chosen one at once, and what is wrong with it stands beside it.
+    first, _ = after(State(), TaskStarted("check", "/tmp/check.log", "/other/python"))
+    assert first.backend == Backend("/other/python")
+    failed, _ = after(first, TaskEnded("check", False, message="no module torch"))
+    assert failed.backend.python == "/other/python" and failed.backend.problem
+    # The chosen one itself, checked again, works no more if it fails.
+    broken, _ = after(READY, TaskStarted("check", "/log"), TaskEnded("check", False, message="no torch"))
+    assert not broken.backend.ready
+
+
 def test_a_cancelled_task_is_no_problem():
     state, _ = after(State(), TaskStarted("install", "log"), TaskCancelled("install"))
     assert state.task("install").cancelling
