@@ -511,7 +511,8 @@ def run_pip(
     command = [str(python), "-m", "pip", "install", "--disable-pip-version-check", "--no-input"]
     command += ["--progress-bar", "off", *arguments]
     collected, told = 0, []
-    lines = Lines(command, environment)
+    # Where the user's settings say "user", pip would refuse to install into an environment.
+    lines = Lines(command, {"PIP_USER": "0", **(environment or {})})
     for line in lines:
         sys.stdout.write(line)
         told.append(line.strip())

@@ -234,6 +234,15 @@ def test_what_a_new_version_needs_is_added_and_torch_is_not_downloaded_again(pla
     assert place.install()[0] == 0 and environments(place) == [extended]
 
 
+def test_packages_go_into_the_environment_where_pips_settings_say_for_the_user(place):
+    settings = place.root / "pip.conf"
+    settings.write_text("[install]\nuser = true\n")
+    status, _, log = place.install(PIP_CONFIG_FILE=str(settings))
+    assert status == 0, log
+    [made] = environments(place)
+    assert list(made.rglob("first.py")) and list(made.rglob("torch.py"))
+
+
 def test_an_extension_that_fails_leaves_the_former_environment_as_it_was(place):
     assert place.install()[0] == 0
     [former] = environments(place)
