@@ -81,8 +81,16 @@ def build(root: Path, out: Path) -> tuple[Path, Path]:
 
 
 def tracked(root: Path) -> set[str]:
-    """The files that git knows in ``root`` and that are there; raises ``BuildError`` outside a checkout."""
-    listed = subprocess.run(["git", "-C", root, "ls-files", "-z"], capture_output=True, text=True)
+    """The files that git knows in ``root`` and that are there.
+
+    Raises ``BuildError`` outside a checkout, and where there is no git.
+    """
+    command = ["git", "-C", root, "ls-files", "-z"]
+    try:
+        listed = subprocess.run(command, capture_output=True, text=True)
+    except OSError as error:
+        what = f"git, which says what belongs to the project, cannot be run: {error.strerror or error}"
+        raise BuildError(f"{what}\n  Install it (Debian: apt install git).") from error
     if listed.returncode:
         raise BuildError(f"git lists no files in {root}: {listed.stderr.strip()}")
     return {name for name in listed.stdout.split("\0") if name and (root / name).is_file()}

@@ -146,8 +146,8 @@ def make_environment(name: str, python: str, locks: tuple[str, ...], torch: bool
     if stamp.exists() and stamp.read_text() == fingerprint(python):
         return 0
     print(f"[setup] {name}: installing {', '.join(locks)} with {python}; minutes, the first time", flush=True)
-    if not (folder / "bin" / "python").exists():
-        made = run([python, "-m", "venv", folder])
+    if not is_whole(folder):
+        made = run([python, "-m", "venv", "--clear", folder])
         if made.returncode:
             return fail(
                 f"{python} cannot make a virtual environment: {(made.stdout + made.stderr).strip()}",
@@ -166,6 +166,17 @@ def make_environment(name: str, python: str, locks: tuple[str, ...], torch: bool
             return fail_pip(done)
     stamp.write_text(fingerprint(python))
     return 0
+
+
+def is_whole(folder: Path) -> bool:
+    """Whether an environment is there that was made to its end, and for this place: its scripts name it."""
+    script = folder / "bin" / "activate"  # the last that is written
+    text = script.read_text() if script.exists() else ""
+    # As it was called when it was made: .venvs may be a link.
+    named = any(
+        re.search(rf"""[='" ]{re.escape(str(each))}["')\s]""", text) for each in (folder, folder.resolve())
+    )
+    return named and run([folder / "bin" / "python", "-m", "pip", "--version"]).returncode == 0
 
 
 def from_locks(*names: str) -> list:
@@ -207,10 +218,13 @@ def fail_pip(done: subprocess.CompletedProcess) -> int:
 
 
 def fingerprint(interpreter: str) -> str:
-    """Changes when the project's requirements or locks, how they are installed, or the interpreter do."""
+    """Changes when the project's requirements or locks, how they are installed, or the interpreter do.
+
+    So it does when the checkout is moved: what is installed of it names its place.
+    """
     files = [ROOT / "pyproject.toml", Path(__file__), *sorted(LOCKS.glob("*.txt"))]
     content = b"".join(path.read_bytes() for path in files)
-    return hashlib.sha256(content + interpreter.encode()).hexdigest()
+    return hashlib.sha256(content + interpreter.encode() + os.fsencode(ROOT)).hexdigest()
 
 
 def find_python(versions: tuple[str, ...]) -> str | None:
@@ -240,7 +254,8 @@ def works(python: str, version: str) -> bool:
 
 def run(command: list, more: dict[str, str] | None = None) -> subprocess.CompletedProcess:
     """What the command said and how it ended; ``more``: added to the environment."""
-    words, environment = [str(part) for part in command], {**os.environ, **(more or {})}
+    # Where pip's settings say "user", it would refuse to install into an environment.
+    words, environment = [str(part) for part in command], {**os.environ, "PIP_USER": "0", **(more or {})}
     try:
         return subprocess.run(words, cwd=ROOT, capture_output=True, text=True, env=environment)
     except OSError as error:

@@ -104,6 +104,12 @@ def test_outside_a_checkout_it_says_so(dist, tmp_path):
         dist.build(tmp_path, tmp_path / "out")
 
 
+def test_without_git_it_says_what_to_install(dist, tmp_path, monkeypatch):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(dist.BuildError, match=r"git, .* cannot be run: No such file.*\n  Install it"):
+        dist.build(tmp_path, tmp_path / "out")
+
+
 def test_of_this_checkout_nothing_is_missing(dist, tmp_path):
     try:
         dist.tracked(ROOT)

@@ -76,6 +76,49 @@ def test_a_lock_that_changes_sets_up_anew(setup):
     assert setup.fingerprint("python") != before
 
 
+def test_a_checkout_that_was_moved_sets_up_anew(setup, tmp_path, monkeypatch):
+    """What is installed of it names its former place."""
+    before = setup.fingerprint("python")
+    moved = tmp_path / "moved"
+    moved.mkdir()
+    shutil.copy2(tmp_path / "pyproject.toml", moved)
+    monkeypatch.setattr(setup, "ROOT", moved)
+    assert setup.fingerprint("python") != before
+
+
+def test_an_environment_of_another_place_or_one_half_made_is_made_anew(setup, environment, tmp_path):
+    assert setup.is_whole(environment)
+    link = tmp_path / "link"
+    link.symlink_to(environment)
+    assert setup.is_whole(link)  # as .venvs may be one
+    copy = tmp_path / "copy"
+    shutil.copytree(environment, copy, symlinks=True)
+    assert not setup.is_whole(copy)  # its scripts run the former's Python
+    # As ensurepip leaves it when it is interrupted.
+    half = tmp_path / ".venvs" / "backend"
+    venv.EnvBuilder(symlinks=True).create(half)
+    (half / "leftover").touch()
+    assert not setup.is_whole(half) and not setup.is_whole(tmp_path / "none")
+    lock(setup, "backend.txt")
+    setup.make_environment("backend", sys.executable, ("backend.txt",))
+    assert setup.is_whole(half) and not (half / "leftover").exists()
+
+
+def test_pip_installs_into_the_environment_where_its_settings_say_for_the_user(
+    setup, environment, tmp_path, monkeypatch
+):
+    files = tmp_path / "files"
+    digest = wheel(files, "mine")
+    lock(setup, "mine.txt", mine=digest)
+    settings = tmp_path / "pip.conf"
+    settings.write_text(f"[global]\nuser = true\nno-index = true\nfind-links = {files}\n")
+    monkeypatch.setenv("PIP_CONFIG_FILE", str(settings))
+    install = [environment / "bin" / "python", "-m", "pip", "install", *setup.LOCKED]
+    done = setup.run([*install, *setup.from_locks("mine.txt")])
+    assert done.returncode == 0, done.stderr
+    assert list(environment.glob("lib/python3*/site-packages/mine.py"))
+
+
 def test_a_hash_that_differs_stops_it_with_the_reason(setup, environment, tmp_path, monkeypatch, capsys):
     wheel(tmp_path / "files", "thing")
     lock(setup, "blender.txt", thing="0" * 64)
