@@ -83,18 +83,11 @@ def _levels(entry: dict[str, Any]) -> dict[str, Any]:
     return {AMBIENT: entry["lighting_level"]} if "lighting_level" in entry else {}
 
 
-def dynamic_range(luminance: np.ndarray) -> tuple[float, float, float | None]:
-    """The 1st percentile of the training views' luminance, its maximum, and the stops between them.
-
-    This is what ``dataset.json`` calls ``dynamic_range``. The stops are None where more than one pixel in a
-    hundred is black.
-    """
-    low, high = float(np.percentile(luminance, 1)), float(luminance.max())
-    return low, high, stops_between(low, high)
-
-
 def stops_between(low: float, high: float) -> float | None:
-    """From the 1st percentile to the maximum; None where the former is black."""
+    """The dynamic range of the training views: from the 1st percentile of their luminance to its maximum.
+
+    None where the former is black, as where more than one pixel in a hundred is.
+    """
     return round(math.log2(high / low), 2) if low > 0 else None
 
 

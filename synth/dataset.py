@@ -301,8 +301,8 @@ def _finish(
         report.finishing("measuring the noise")
         measured = _floors(job, camera)
         report.finishing("describing")
-        radiance = describe.training_radiance(job.out, job.shots)
-        describe.judge_exposures(radiance, job.derivation.response, job.options, report)
+        radiance = describe.training_radiance(job.out, job.shots, job.options, job.derivation.response)
+        describe.judge_exposures(radiance, report)
         content = describe.content(
             job.head,
             job.out,

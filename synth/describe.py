@@ -6,17 +6,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ..bridge import data_set
-from ..bridge.contents import LUMINANCE, dynamic_range, lost_at_the_ends
+from ..bridge.contents import lost_at_the_ends, stops_between
 from ..bridge.lights import AMBIENT
 from . import exr, folder, noise, passes, plan, settings
 from .options import Options, evs
 from .plan import Shot
-from .png import quantise
 from .progress import Report
 from .response import Response
+from .training_radiance import TrainingRadiance
 
 DENOISER = "OpenImageDenoise"
 
@@ -60,17 +58,19 @@ def json_files(shots: list[Shot]) -> list[str]:
     return [name(split) for split in splits for name in names]
 
 
-def training_radiance(out: Path, shots: list[Shot]) -> np.ndarray:
-    """[views, height, width, 3] of the training split."""
-    return np.stack([exr.read(out / shot.hdr) for shot in shots if shot.split == data_set.TRAIN])
+def training_radiance(out: Path, shots: list[Shot], options: Options, response: Response) -> TrainingRadiance:
+    """What the pixels of the training split come to."""
+    chosen = [shot for shot in shots if shot.split == data_set.TRAIN]
+    width, height = options.resolution
+    found = TrainingRadiance(len(chosen) * width * height, options.bracket, response)
+    for shot in chosen:
+        found.add(exr.read(out / shot.hdr))
+    return found
 
 
-def judge_exposures(radiance: np.ndarray, response: Response, options: Options, report: Report) -> None:
+def judge_exposures(radiance: TrainingRadiance, report: Report) -> None:
     """Warn where many training pixels are white even at the shortest exposure, or black at the longest."""
-    brightest = radiance.max(-1).astype(np.float64)
-    white = float((quantise(response(brightest * options.bracket[0])) == 255).mean())
-    black = float((quantise(response(brightest * options.bracket[-1])) == 0).mean())
-    for lost, other in lost_at_the_ends(white, black):
+    for lost, other in lost_at_the_ends(radiance.white, radiance.black):
         report.warn(f"{lost}: add {other} ones to --exposures")
 
 
@@ -82,17 +82,17 @@ def content(
     response: Response,
     record: dict[str, Any],
     lights: Sequence[str],
-    radiance: np.ndarray,
+    radiance: TrainingRadiance,
 ) -> dict[str, Any]:
     """The content of dataset.json, but for the noise floor, the objects and the source.
 
-    ``head``: format, version, generator, options. ``record``: what was set for rendering. ``radiance``: that
-    of the training views.
+    ``head``: format, version, generator, options. ``record``: what was set for rendering. ``radiance``: of
+    the training views.
     """
     counts = {split: sum(shot.split == split for shot in shots) for split in data_set.SPLITS}
     if not counts[data_set.VALIDATION]:  # the other three are told always
         del counts[data_set.VALIDATION]
-    low, high, stops = dynamic_range(radiance.astype(np.float64) @ LUMINANCE)
+    low, high = radiance.percentile_1, radiance.maximum
     relit = next((shot.relit for shot in shots if shot.relit), ())
     return {
         "format": head["format"],
@@ -122,7 +122,7 @@ def content(
         },
         "noise_estimate": noise.BY_DENOISER if options.denoise else noise.BY_LAPLACIAN,
         "frames": {f"{shot.split}/{shot.index}": _frame(out, shot, options, lights) for shot in shots},
-        "dynamic_range": {"percentile_1": low, "maximum": high, "stops": stops},
+        "dynamic_range": {"percentile_1": low, "maximum": high, "stops": stops_between(low, high)},
         "options": head["options"],
     }
 
