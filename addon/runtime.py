@@ -6,14 +6,13 @@ import traceback
 import bpy
 from bpy.app.handlers import persistent
 
-from ..bridge.run_folder import same_folder
 from . import changes, paths, plot, settings
 from .paths import absolute
 from .session.advice import why_not
 from .session.session import Session
 from .session.state import FileOpened
 from .settings import photo_options
-from .viewport.live import LivePreview
+from .viewport.live import LivePreview, is_of_job
 
 #: Seconds between looks at what has happened: while pictures come, while something is under way, else.
 PICTURES, BUSY, QUIET = 0.015, 0.1, 1.0
@@ -108,17 +107,12 @@ def _file_opened(*_: object) -> None:
     current = session()
     current.name = _name()
     current.dispatch(FileOpened())
+    job = current.state.job
     for scene in bpy.data.scenes:
         chosen = getattr(scene, settings.SETTINGS)
-        if chosen.preview and scene.is_editable and not _holds(current, chosen):
+        if chosen.preview and scene.is_editable and not (job.has_model and is_of_job(chosen, job)):
             chosen.preview = False  # it would show another file's model
     redraw()
-
-
-def _holds(current: Session, chosen: settings.PHYSHDR_Settings) -> bool:
-    """Whether the backend's model is of the run that a scene has chosen."""
-    out, job = absolute(chosen.out), current.state.job
-    return bool(out and job.has_model) and same_folder(job.run, out)
 
 
 def _name() -> str:

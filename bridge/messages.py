@@ -31,10 +31,13 @@ from .errors import PhysHDRError
 PROTOCOL_VERSION = 3
 #: Text frames larger than this are refused: requests are small.
 TEXT_BYTES_MAX = 1 << 20
-#: A picture of 4096 × 2160 with its depth, and its header.
-BINARY_BYTES_MAX = 4096 * 2160 * 12 + (1 << 16)
-#: Sides of a preview, pixels.
+#: Pixels of a preview along a side, and in all. A view may have more: it is asked for on fewer.
 PREVIEW_SIDE_MAX = 4096
+PREVIEW_PIXELS_MAX = 4096 * 2160
+#: Four halves and the depth, a float.
+PREVIEW_PIXEL_BYTES = 12
+#: The largest picture, and its header.
+BINARY_BYTES_MAX = PREVIEW_PIXELS_MAX * PREVIEW_PIXEL_BYTES + (1 << 16)
 #: Seconds between heartbeats, and how long one may stay unanswered: a dead peer is noticed within 5 s.
 HEARTBEAT_SECONDS = 1.0
 HEARTBEAT_TIMEOUT_SECONDS = 3.0
@@ -428,7 +431,7 @@ def decode_frame(data: bytes) -> PreviewFrame:
     if not (0 < width <= PREVIEW_SIDE_MAX and 0 < height <= PREVIEW_SIDE_MAX):
         raise ProtocolError(f"a picture's sides are {(width, height)!r:.80}, not 1 to {PREVIEW_SIDE_MAX}")
     pixels = width * height
-    if len(data) - start != pixels * 12:
+    if len(data) - start != pixels * PREVIEW_PIXEL_BYTES:
         raise ProtocolError(f"a picture of {width}×{height} cannot be {len(data) - start} bytes")
     depth = np.frombuffer(data[start : start + 4 * pixels], "<f4").reshape(height, width)
     rgba = np.frombuffer(data[start + 4 * pixels :], "<f2").reshape(height, width, 4)

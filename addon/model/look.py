@@ -82,7 +82,12 @@ def is_of_run(target: bpy.types.Object | None, run: str) -> TypeGuard[bpy.types.
     if not run or not is_model(target):
         return False
     file = bpy.path.abspath(str(cloud_of(target).get(FILE, "")))
-    return bool(file) and _same_folder(os.path.dirname(file), run, int(time.monotonic()))
+    return bool(file) and was_same_folder(os.path.dirname(file), run)
+
+
+def was_same_folder(one: str, other: str) -> bool:
+    """``same_folder`` as it was a second ago at most."""
+    return _same_folder(one, other, int(time.monotonic()))
 
 
 @lru_cache(maxsize=64)

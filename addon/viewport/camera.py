@@ -6,6 +6,7 @@ Blender gives two matrices for a region: ``view_matrix`` (world to camera, looks
 lens shift, the camera view's frame, zoom and offset. So nothing else has to be asked.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -73,6 +74,12 @@ class ViewCamera:
     def scaled(self, factor: float) -> "ViewCamera":
         """The same view with ``factor`` times as many pixels along each side."""
         return self.resized(round(self.width * factor), round(self.height * factor))
+
+    def within(self, side: int, pixels: int) -> "ViewCamera":
+        """The same view on so many pixels at most, ``side`` along each side and ``pixels`` in all."""
+        fits = min(side / max(self.width, self.height), math.sqrt(pixels / (self.width * self.height)))
+        # Rounded down: not one pixel more.
+        return self if fits >= 1.0 else self.resized(int(self.width * fits), int(self.height * fits))
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Pixels ``[N, 2]`` (x right, y down) and depths ``[N]`` in metres of world points ``[N, 3]``."""

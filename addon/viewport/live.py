@@ -19,9 +19,11 @@ from .. import similarity
 from ..blender import cloud_of
 from ..capture import placement
 from ..model import origin
-from ..model.look import is_of_run
+from ..model.look import is_of_run, was_same_folder
 from ..model.preview_look import PreviewLook, preview_look
+from ..paths import absolute
 from ..session.session import Session
+from ..settings import PHYSHDR_Settings
 from . import overlay, splats
 from .camera import ViewCamera, of_region
 from .schedule import TIMEOUT_SECONDS, PreviewSchedule, Request, View
@@ -53,6 +55,8 @@ class LivePreview:
     def __init__(self) -> None:
         self._schedules: dict[int, PreviewSchedule] = {}
         self._asked: _Asked | None = None
+        #: What takes long and may come yet, by its sequence.
+        self._late: dict[int, _Asked] = {}
         self._sequences = itertools.count(1)
         self._last_key = 0
         self._hidden: set[str] = set()
@@ -66,6 +70,7 @@ class LivePreview:
         regions = {region.key: region for region in _regions(job)} if job.has_model else {}
         for key in self._schedules.keys() - regions.keys():
             del self._schedules[key]
+            self._late = {sequence: late for sequence, late in self._late.items() if late.key != key}
             overlay.set_picture(key, None)
         for key in regions.keys() - self._schedules.keys():
             self._schedules[key] = PreviewSchedule(sharpness=SHARPNESS)
@@ -96,22 +101,27 @@ class LivePreview:
 
     def _take(self, session: Session, now: float) -> None:
         answer = session.take_preview()
-        asked = self._asked
-        if asked and (now - asked.at > TIMEOUT_SECONDS or session.state.link.status != "connected"):
+        if session.state.link.status != "connected":
             self._asked = None  # its schedule will give it up as well
+            self._late.clear()
             return
-        if answer is None or asked is None:
+        if self._asked and now - self._asked.at > TIMEOUT_SECONDS:
+            self._late[self._asked.sequence] = self._asked
+            self._asked = None  # other views have their turn; its schedule gives it up where it has changed
+        if answer is None:
             return
         frame = answer if isinstance(answer, PreviewFrame) else None
         request = answer.header.request if isinstance(answer, PreviewFrame) else answer.request
-        if request.sequence != asked.sequence:
+        asked = self._late.pop(request.sequence, None)
+        if self._asked and self._asked.sequence == request.sequence:
+            asked, self._asked = self._asked, None
+        if asked is None:
             return
-        self._asked = None
         schedule = self._schedules.get(asked.key)
         if schedule is None:
             return  # its view is gone, or does not show the preview any more
         if frame is None:
-            schedule.lost()
+            schedule.lost(asked.request.number)
         elif schedule.received(now, asked.request.number, 1e-3 * frame.header.milliseconds):
             overlay.set_picture(asked.key, in_world(frame, asked.request.camera, asked.to_world))
 
@@ -169,11 +179,19 @@ class _Region:
     to_world: np.ndarray
 
 
+def is_of_job(chosen: PHYSHDR_Settings, job: JobStatus) -> bool:
+    """Whether the job is of the run that a scene has chosen, or that is proposed for it."""
+    from ..operators.base import run_of  # operators import the session's timer, and that this module
+
+    out = absolute(run_of(chosen))
+    return bool(out) and was_same_folder(job.run, out)
+
+
 def _regions(job: JobStatus) -> Iterator[_Region]:
-    """The regions that want pictures of the job's model."""
+    """The regions that want pictures of the job's model: of scenes whose run it is."""
     for window in bpy.context.window_manager.windows:
         settings = window.scene.physhdr
-        if not settings.preview:
+        if not settings.preview or not is_of_job(settings, job):
             continue
         look = preview_look(window.scene, window.view_layer, job)
         to_world = placement.matrix_of(window.scene, origin.key_of(job.data))

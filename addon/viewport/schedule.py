@@ -10,14 +10,17 @@ import math
 from collections.abc import Hashable
 from dataclasses import dataclass
 
+from ...bridge.messages import PREVIEW_PIXELS_MAX, PREVIEW_SIDE_MAX
 from .camera import ViewCamera
 
 #: A picture must be there within this to give 15 a second, with a fifth to spare for drawing it.
 FRAME_SECONDS = 0.8 / 15
 #: A view that did not change for as long rests.
 REST_SECONDS = 0.2
-#: A reply that took longer is taken for lost.
+#: Where a reply takes longer, a view that has changed meanwhile is asked for without it.
 TIMEOUT_SECONDS = 5.0
+#: A view that holds waits for its picture as long: large ones take a processor many seconds.
+PATIENCE_SECONDS = 60.0
 #: After a lost reply or an error: how long until the next try.
 RETRY_SECONDS = 0.5
 #: Training goes on: how often a resting view asks for the newest model's picture.
@@ -30,7 +33,7 @@ LOWEST_STEP = 4
 
 
 class ResolutionLadder:
-    """How many pixels a moving view gets: down at once when too slow, up one step when clearly faster."""
+    """How many pixels a view gets: down at once when too slow, up one step when clearly faster."""
 
     def __init__(self, frame_seconds: float = FRAME_SECONDS, step: int = 2) -> None:
         self.frame_seconds = frame_seconds
@@ -39,7 +42,7 @@ class ResolutionLadder:
 
     @property
     def scale(self) -> float:
-        """Pixels of a moving picture along a side per pixel of a resting one, at most 1."""
+        """Pixels of a picture along a side per pixel of a full one, at most 1."""
         return STEP**self.step
 
     def measured(self, seconds: float, step: int) -> None:
@@ -104,11 +107,15 @@ class PreviewSchedule:
         self.timeout_seconds = timeout_seconds
         self.refresh_seconds = refresh_seconds
         self.ladder = ResolutionLadder(frame_seconds)
+        #: A resting view gets as many pixels as are rendered before its picture may be given up.
+        self.resting_ladder = ResolutionLadder(timeout_seconds, step=0)
         self._held: Hashable = None
         self._changed_at = -math.inf
         self._outstanding: tuple[Request, float] | None = None
         self._last: tuple[Request, float] | None = None
         self._last_held: Hashable = None
+        #: What was given up and may come yet: the request, when it was sent, and the view that it is of.
+        self._late: dict[int, tuple[Request, float, Hashable]] = {}
         self._number = 0
         self._failed = False
         self._retry_at = -math.inf
@@ -123,9 +130,12 @@ class PreviewSchedule:
             self._changed_at = now if self._held is not None else -math.inf
             self._held = view.held
         if self._outstanding is not None:
-            if now - self._outstanding[1] < self.timeout_seconds:
+            late, sent_at = self._outstanding
+            patience = PATIENCE_SECONDS if view.held == self._last_held else self.timeout_seconds
+            if now - sent_at < patience:
                 return None
             self.lost()
+            self._late[late.number] = late, sent_at, self._last_held
         if self._failed:
             self._failed, self._retry_at = False, now + RETRY_SECONDS
         if now < self._retry_at:
@@ -133,42 +143,58 @@ class PreviewSchedule:
         if view.camera.is_orthographic or not self._is_stale(now, view):
             return None
         resting = self._rests(now)
-        step = 0 if resting else self.ladder.step
-        request = Request(
-            self._number,
-            view.camera.scaled(self.sharpness * (1.0 if resting else self.ladder.scale)),
-            view.look,
-            view.revision,
-            resting,
-            step,
-        )
+        ladder = self.resting_ladder if resting else self.ladder
+        camera = view.camera.scaled(self.sharpness * ladder.scale)
+        camera = camera.within(PREVIEW_SIDE_MAX, PREVIEW_PIXELS_MAX)
+        request = Request(self._number, camera, view.look, view.revision, resting, ladder.step)
         self._number += 1
         self._outstanding = self._last = (request, now)
         self._last_held = view.held
         return request
 
     def received(self, now: float, number: int, rendering: float | None = None) -> bool:
-        """The reply to request ``number`` is here. ``False``: it had been given up; show it or do not.
+        """The reply to request ``number`` is here. ``False``: it is not to be shown, for it had been given up
+        and the view is another one by now, or has its picture.
 
         ``rendering``: seconds that the backend worked on it, where it says. The rest of the time is spent on
         waits, redraws and training, which fewer pixels do not shorten.
         """
-        if self._outstanding is None or self._outstanding[0].number != number:
+        late = self._late.pop(number, None)
+        if late is not None:
+            request, sent_at, held = late
+        elif self._outstanding is not None and self._outstanding[0].number == number:
+            request, sent_at = self._outstanding
+            held = self._last_held
+        else:
             return False
-        request, sent_at = self._outstanding
+        self._measured(now - sent_at if rendering is None else rendering, request)
+        if late is not None:
+            if held != self._held:
+                return False
+            self._last, self._last_held = (request, sent_at), held
         self._outstanding = None
-        self._retry_at = -math.inf
-        self.ladder.measured(now - sent_at if rendering is None else rendering, request.step)
+        self._late.clear()
+        self._failed, self._retry_at = False, -math.inf
         return True
 
-    def lost(self) -> None:
-        """The outstanding request was not or will not be answered (an error, a closed connection).
+    def lost(self, number: int | None = None) -> None:
+        """Request ``number``, or the outstanding one, was not or will not be answered (an error, a closed
+        connection).
 
         ``wants`` asks again ``RETRY_SECONDS`` after it is next called, so that a failing backend is not
         asked at every tick.
         """
+        if number is not None and (self._outstanding is None or self._outstanding[0].number != number):
+            self._late.pop(number, None)
+            return  # the view has asked for another one since
         self._outstanding = self._last = None
         self._failed = True
+
+    def _measured(self, seconds: float, request: Request) -> None:
+        if request.is_sharp:
+            self.resting_ladder.measured(seconds, request.step)
+        # However large a resting picture is, it is no small one.
+        self.ladder.measured(seconds, 0 if request.is_sharp else request.step)
 
     def _rests(self, now: float) -> bool:
         return now - self._changed_at >= self.rest_seconds

@@ -12,7 +12,7 @@ from ...bridge.errors import BadValueError
 from ...bridge.lights import as_levels
 from ...bridge.limits import EV_MAX
 from ...bridge.messages import (
-    BINARY_BYTES_MAX,
+    PREVIEW_PIXELS_MAX,
     PREVIEW_SIDE_MAX,
     PreviewCamera,
     PreviewFrame,
@@ -26,8 +26,6 @@ from ..scene.camera import Camera
 HALF_MAX = 65504.0
 #: How far the axes of a pose may be from unit length; more is no rounding but a scale.
 AXIS_TOLERANCE = 0.01
-BYTES_PER_PIXEL = 12
-HEADER_ROOM = 1 << 16
 
 
 def camera_of(asked: PreviewCamera) -> Camera:
@@ -35,7 +33,7 @@ def camera_of(asked: PreviewCamera) -> Camera:
     width, height = asked.width, asked.height
     if not (0 < width <= PREVIEW_SIDE_MAX and 0 < height <= PREVIEW_SIDE_MAX):
         raise BadValueError(f"a preview of {width}×{height}", f"Sides are 1 to {PREVIEW_SIDE_MAX} pixels.")
-    if width * height * BYTES_PER_PIXEL + HEADER_ROOM > BINARY_BYTES_MAX:
+    if width * height > PREVIEW_PIXELS_MAX:
         raise BadValueError(f"a preview of {width}×{height} does not fit a frame", "Ask for a smaller one.")
     if not (asked.fx > 0.0 and asked.fy > 0.0):
         raise BadValueError(f"focal lengths of {asked.fx} and {asked.fy} pixels", "They must be above 0.")

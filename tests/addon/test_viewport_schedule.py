@@ -7,12 +7,15 @@ import pytest
 from physhdr.addon.viewport.camera import ViewCamera
 from physhdr.addon.viewport.schedule import (
     LOWEST_STEP,
+    PATIENCE_SECONDS,
     REST_SECONDS,
     RETRY_SECONDS,
+    STEP,
     PreviewSchedule,
     ResolutionLadder,
     View,
 )
+from physhdr.bridge.messages import PREVIEW_PIXELS_MAX, PREVIEW_SIDE_MAX
 
 
 def view(angle: float = 0.0, look=None, revision=None, orthographic: bool = False) -> View:
@@ -102,15 +105,85 @@ def test_training_goes_on_under_a_resting_view():
     assert request.is_sharp and request.revision == 2
 
 
-def test_a_lost_reply_is_asked_for_again():
+@pytest.mark.parametrize(("moved", "seconds"), [(1.0, 5.0), (0.0, PATIENCE_SECONDS)])
+def test_a_lost_reply_is_asked_for_again(moved: float, seconds: float):
     schedule = PreviewSchedule(timeout_seconds=5.0)
     first = schedule.wants(0.0, view())
-    assert schedule.wants(4.9, view()) is None
-    assert schedule.wants(5.0, view()) is None, "the loss is noticed; first a pause"
-    second = schedule.wants(5.0 + RETRY_SECONDS, view())
+    assert schedule.wants(seconds - 0.1, view(moved)) is None
+    assert schedule.wants(seconds, view(moved)) is None, "the loss is noticed; first a pause"
+    second = schedule.wants(seconds + RETRY_SECONDS, view(moved))
     assert second is not None and second.number != first.number
-    assert not schedule.received(6.0, first.number), "too late"
-    assert schedule.received(6.0, second.number)
+    assert schedule.wants(seconds + 0.6, view(2.0)) is None
+    assert not schedule.received(seconds + 1.0, first.number), "too late: the view has moved"
+    assert schedule.received(seconds + 1.0, second.number)
+
+
+def test_a_late_picture_of_a_view_that_is_back_is_shown():
+    schedule = PreviewSchedule(timeout_seconds=5.0)
+    first = schedule.wants(0.0, view())
+    schedule.wants(5.0, view(1.0))
+    second = schedule.wants(5.0 + RETRY_SECONDS, view(1.0))
+    assert second is not None and schedule.wants(6.0, view()) is None
+    assert schedule.received(7.0, first.number) and schedule.wants(7.0, view()) is None
+    assert not schedule.received(8.0, second.number)
+
+
+def test_a_late_refusal_is_none_of_the_request_that_followed():
+    schedule = PreviewSchedule(timeout_seconds=5.0)
+    first = schedule.wants(0.0, view())
+    schedule.wants(5.0, view(1.0))
+    second = schedule.wants(5.0 + RETRY_SECONDS, view(1.0))
+    schedule.lost(first.number)
+    assert schedule.received(7.0, second.number)
+
+
+def simulated(schedule: PreviewSchedule, width: int, height: int, seconds: float, revision=None):
+    """A minute of a resting view whose full picture takes ``seconds``: when each picture came that was to be
+    shown, and its width. The backend renders one at a time."""
+    camera = ViewCamera(np.eye(4), width, height, 900.0, 900.0, width / 2, height / 2)
+    waiting, shown, free_at = [], [], 0.0
+    for tick in range(1200):
+        now = 0.05 * tick
+        while waiting and waiting[0][1] <= now:
+            request, _, took = waiting.pop(0)
+            if schedule.received(now, request.number, took):
+                shown.append((now, request.camera.width))
+        request = schedule.wants(now, View(camera, None, revision and revision(now)))
+        if request is not None:
+            took = seconds * request.camera.width * request.camera.height / (width * height)
+            free_at = max(now, free_at) + took
+            waiting.append((request, free_at, took))
+    return shown
+
+
+@pytest.mark.parametrize("seconds", [4.0, 6.0, 20.0])
+def test_a_picture_that_takes_long_is_shown_when_it_comes_and_asked_for_no_more(seconds: float):
+    shown = simulated(PreviewSchedule(), 800, 600, seconds)
+    assert [width for _, width in shown] == [800]
+    assert shown[0][0] == pytest.approx(seconds, abs=0.1)
+
+
+def test_while_training_goes_on_pictures_that_take_too_long_become_smaller():
+    shown = simulated(PreviewSchedule(), 800, 600, 6.0, revision=lambda now: 1 + int(now))
+    assert shown[0][1] == 800 and {width for _, width in shown[1:]} == {round(800 * STEP)}
+    assert len(shown) > 10
+
+
+@pytest.mark.parametrize("size", [(5120, 2100), (4100, 2500), (4480, 2400), (1000, 9000), (7680, 4320)])
+def test_a_view_of_more_pixels_than_a_preview_has_is_asked_for_on_fewer(size: tuple[int, int]):
+    """What the backend takes, as it checks it, and nearly all of that."""
+    camera = ViewCamera(np.eye(4), *size, 900.0, 900.0, size[0] / 2, size[1] / 2)
+    asked = PreviewSchedule().wants(0.0, View(camera)).camera
+    sides, pixels = max(asked.width, asked.height), asked.width * asked.height
+    assert sides <= PREVIEW_SIDE_MAX and pixels <= PREVIEW_PIXELS_MAX
+    assert sides > 0.999 * PREVIEW_SIDE_MAX or pixels > 0.999 * PREVIEW_PIXELS_MAX
+    assert asked.width / asked.height == pytest.approx(size[0] / size[1], rel=3e-3)
+    assert asked.cx == pytest.approx(asked.width / 2)
+
+
+def test_a_view_of_4k_is_asked_for_whole():
+    camera = ViewCamera(np.eye(4), 3840, 2160, 900.0, 900.0, 1920.0, 1080.0)
+    assert PreviewSchedule().wants(0.0, View(camera)).camera.width == 3840
 
 
 def test_a_failing_backend_is_not_asked_at_every_tick():
