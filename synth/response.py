@@ -14,6 +14,8 @@ from .errors import DamagedFileError, ResponseFileError, UnknownNameError
 
 #: Above this code value 1 is no good anchor: its slope no longer tells the scale.
 SATURATED = 0.95
+#: The least code value that 8 bits do not round to black; as far below 1 it is not rounded to white.
+BLACK = 0.5 / 255
 MIDDLE_GREY = 0.18
 
 
@@ -30,11 +32,21 @@ class Response:
         return np.clip(self.function(np.maximum(np.asarray(exposed, np.float64), 0.0)), 0.0, 1.0)
 
     def anchor(self) -> list[float]:
-        """One known point [exposure × radiance, code]: at 1, or at middle grey where 1 is (nearly) white."""
-        at_one = float(self(np.array(1.0)))
-        if at_one < SATURATED:
+        """One known point [exposure × radiance, code] that pictures show: neither black nor white.
+
+        At 1, or at middle grey where 1 is (nearly) white. A curve from a file may have x in another unit:
+        where both points are lost, the anchor is where its code is nearest to 0.5. A curve that never shows
+        anything between black and white has none: its code here is 0 or 1.
+        """
+        at_one, at_grey = (float(self(np.array(x))) for x in (1.0, MIDDLE_GREY))
+        if _is_shown(at_one) and at_one < SATURATED:
             return [1.0, at_one]
-        return [MIDDLE_GREY, float(self(np.array(MIDDLE_GREY)))]
+        if _is_shown(at_grey) or self.curve is None:
+            return [MIDDLE_GREY, at_grey]
+        x = np.unique([0.0, *(pair[0] for pair in self.curve)])
+        tried = np.unique([np.interp(0.5, self(x), x), *(x[1:] + x[:-1]) / 2, *x])[1:]  # but not 0
+        middle = tried[np.abs(self(tried) - 0.5).argmin()]
+        return [float(middle), float(self(middle))]
 
     def describe(self) -> dict[str, object]:
         """The ``response`` entry of dataset.json."""
@@ -42,6 +54,10 @@ class Response:
         if self.curve is not None:
             entry["curve"] = self.curve
         return entry
+
+
+def _is_shown(code: float) -> bool:
+    return BLACK <= code < 1.0 - BLACK
 
 
 def reinhard_gamma(exposed: np.ndarray) -> np.ndarray:
@@ -89,10 +105,10 @@ def from_file(path: Path) -> Response:
     to 0 at x = 0, above the last it stays.
 
     Raises:
-        ResponseFileError: unreadable, fewer than two points, negative, or not rising.
+        ResponseFileError: unreadable, fewer than two points, negative, not rising, or all black or white.
     """
     try:
-        text = folder.read(path).decode("utf-8")
+        text = folder.read(path).decode("utf-8-sig")  # Windows' editors begin with a mark
     except (DamagedFileError, UnicodeDecodeError) as error:
         raise ResponseFileError(f"cannot read the response file '{path}': {error}") from error
     try:
@@ -116,7 +132,10 @@ def from_file(path: Path) -> Response:
         )
     if x[0] > 0:
         x, code = np.insert(x, 0, 0.0), np.insert(code, 0, 0.0)
-    return Response("file", lambda exposed: np.interp(exposed, x, code), points.tolist())
+    found = Response("file", lambda exposed: np.interp(exposed, x, code), points.tolist())
+    if not _is_shown(found.anchor()[1]):
+        raise ResponseFileError(f"response file '{path}' has no code between black and white (0…1)")
+    return found
 
 
 def by_name(name: str) -> Response:

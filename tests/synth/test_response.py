@@ -94,6 +94,34 @@ def test_a_curve_from_a_file(tmp_path):
     assert response.by_name(str(tmp_path / "curve.json")).describe() == curve.describe()
 
 
+@pytest.mark.parametrize(
+    ("content", "anchor"),
+    [
+        ("0 0\n0.1 0.5\n1 0.94\n", [1.0, 0.94]),
+        ("0 0\n1 0.01\n9 1\n", [1.0, 0.01]),  # dark, and yet not black
+        ("0 0\n0.36 1\n", [0.18, 0.5]),
+        ("0 0\n64 0\n1024 1\n", [544.0, 0.5]),  # raw numbers of ten bits, whose black is 64
+        ("0 0\n0.05 0.7\n0.1 1\n", [0.05 * 5 / 7, 0.5]),
+        ("2 0\n4 0.3\n8 0.3\n", [4.0, 0.3]),
+        ("0 0.9\n0.1 1\n", [0.05, 0.95]),
+        ("0 0.5\n0.1 1\n", [0.05, 0.75]),
+    ],
+)
+def test_the_anchor_is_where_the_curve_shows_something(tmp_path, content, anchor):
+    """The trainer takes codes between 0 and 1 alone; x may be in any unit."""
+    path = tmp_path / "curve.txt"
+    path.write_text(content)
+    curve = response.by_name(str(path))
+    assert curve.anchor() == pytest.approx(anchor)
+    assert curve(np.array(curve.anchor()[0])) == pytest.approx(anchor[1])
+
+
+@pytest.mark.parametrize(("name", "text"), [("c.txt", "0 0\n1 0.5\n"), ("c.json", "[[0, 0], [1, 0.5]]")])
+def test_a_mark_of_the_byte_order_is_no_part_of_the_curve(tmp_path, name, text):
+    (tmp_path / name).write_text(text, encoding="utf-8-sig")
+    assert response.by_name(str(tmp_path / name)).anchor() == [1.0, 0.5]
+
+
 def test_the_measured_curve_is_the_one_that_was_published():
     """Through every knot, within a tenth of a code of 255; middle grey gets ISO 12232's code 118.
 
@@ -126,7 +154,11 @@ def test_the_measured_curve_is_none_of_the_built_in_ones(name):
 
 
 @pytest.mark.parametrize(
-    "content", ["", "1 2\n", "a b\n1 2\n", "0 0\n1 0.5\n1 0.6\n", "0 0\n1 0.5\n2 0.4\n", "0 0\n1 2\n"]
+    "content",
+    [
+        *("", "1 2\n", "a b\n1 2\n", "0 0\n1 0.5\n1 0.6\n", "0 0\n1 0.5\n2 0.4\n", "0 0\n1 2\n"),
+        *("0 0\n1 0\n", "0 1\n1 1\n"),  # black, white
+    ],
 )
 def test_a_bad_curve_is_refused(tmp_path, content):
     path = tmp_path / "curve.txt"
