@@ -80,8 +80,8 @@ class RayPool:
     """A Ray cluster: ``address`` as ``ray.init`` takes it, or ``local`` to start one here.
 
     Every machine needs PhysHDR in the same environment, and what jobs read and write at the same path (a
-    shared file system). A job takes ``threads`` CPUs. Raises ``BadValueError`` where Ray is not
-    installed or the cluster does not answer.
+    shared file system). A job takes ``threads`` CPUs of one machine. Raises ``BadValueError`` where Ray is
+    not installed, the cluster does not answer, or none of its machines has so many CPUs.
     """
 
     def __init__(self, address: str, threads: int) -> None:
@@ -110,6 +110,14 @@ class RayPool:
                     f"the Ray cluster at {self._address} does not answer: {error}",
                     "Start one by `ray start --head`, or give --ray local.",
                 ) from error
+        if not self._slots():
+            most = max(self._cpus(), default=0)
+            self._ray.shutdown()
+            raise BadValueError(
+                f"no machine of the Ray cluster at {self._address} has the {self._threads} CPUs that a job "
+                f"takes: the largest has {most}",
+                "Give fewer --threads-per-job, or add a machine to the cluster first.",
+            )
         self._work_off = self._ray.remote(num_cpus=self._threads, max_retries=0)(_work_off)
         return self
 
@@ -123,8 +131,15 @@ class RayPool:
 
     def free(self) -> int:
         """Of the cluster as it is now: machines may come and go."""
-        slots = int(self._ray.cluster_resources().get("CPU", 0) // self._threads)
-        return max(0, slots - len(self._running))
+        return max(0, self._slots() - len(self._running))
+
+    def _slots(self) -> int:
+        """How many jobs fit at the same time. None is shared by two machines."""
+        return sum(cpus // self._threads for cpus in self._cpus())
+
+    def _cpus(self) -> list[int]:
+        """Of each machine that is there."""
+        return [int(node["Resources"].get("CPU", 0)) for node in self._ray.nodes() if node["Alive"]]
 
     def submit(self, name: str, work: Work) -> None:
         self._running[name] = self._work_off.remote(work)
