@@ -21,6 +21,7 @@ from ...bridge.messages import (
     TrainStop,
     Welcome,
 )
+from . import job_words
 from .photos import in_panel_words, prepared, understood
 from .state import (
     CHECK,
@@ -122,7 +123,8 @@ def transition(state: State, event: Event) -> Result:
             if state.link.status != "starting":
                 return state, ()  # then the connection tells
             what = f"the backend ended with status {status} before it could be reached"
-            return _link_lost(state, what + (f": {last_line}" if last_line else ""), clean=False), ()
+            said = job_words.in_panel_words(last_line)
+            return _link_lost(state, what + (f": {said}" if said else ""), clean=False), ()
         case Vanished():
             link = state.link
             problem = None if link.barred else link.problem
@@ -135,6 +137,7 @@ def transition(state: State, event: Event) -> Result:
         case Refused(request, failure):
             if isinstance(request, QUIET_REQUESTS):
                 return state, ()
+            failure = job_words.for_panel(failure)
             problem = Problem(failure.message, failure.hint)
             if isinstance(request, TrainStop):  # it goes on, and can be asked again
                 state = replace(state, stopping=False)
@@ -314,6 +317,8 @@ def _without_job(state: State) -> State:
 
 
 def _received(state: State, message: Reply, request: Request | None) -> Result:
+    if isinstance(message, JobStatus) and message.failure:
+        message = replace(message, failure=job_words.for_panel(message.failure))
     match message:
         case JobStatus(state="failed", run=""):
             return _backend_failed(state, message), ()
