@@ -11,11 +11,15 @@ Interrupted and started again with the same options it renders only what is miss
 at once on one machine, the processes share the work. Over several machines ``physhdr synthesise`` spreads it.
 """
 
+import errno
 import importlib.util
 import signal
 import sys
 import traceback
 from pathlib import Path
+
+#: What the system says of a full disk, and of a user's share of it that is used up.
+FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 def _load_package() -> None:
@@ -60,8 +64,8 @@ def main(arguments: list[str]) -> int:
         report.fail(error.code, error.message, error.hint)
         return 1
     except OSError as error:
-        what = f"{error.strerror or error}: '{error.filename or given.out}'"
-        report.fail("file", f"{what}. Is the disk full?")
+        hint = "make room, and give the same command again" if error.errno in FULL else ""
+        report.fail("file", f"{error.strerror or error}: '{error.filename or given.out}'", hint)
         return 1
     except KeyboardInterrupt:
         sys.stderr.write("interrupted: the same command goes on where it stopped\n")

@@ -5,6 +5,7 @@ The file is never saved. What must be turned meanwhile (render settings are ``se
 back on the way out, also after an error or CTRL-C.
 """
 
+import os
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -249,8 +250,9 @@ def _tell_what_is_missing(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, re
     lost = [library.name for library in bpy.data.libraries if library.is_missing]
     for image in bpy.data.images:
         if image.source == "FILE" and image.users and not image.packed_file and image.filepath:
-            path = Path(bpy.path.abspath(image.filepath, library=image.library))
-            if "<" not in path.name and not path.exists():
+            path = bpy.path.abspath(image.filepath, library=image.library)
+            # Path.exists raises where the system refuses to look: in another user's home, at too long a name.
+            if "<" not in Path(path).name and not os.path.exists(path):
                 lost.append(image.name)
     if lost:
         report.warn(f"missing files (File > External Data): {', '.join(sorted(set(lost)))}")

@@ -4,6 +4,7 @@
 A second Blender that opens a file has only what was baked: all else stands as at its first frame.
 """
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -84,7 +85,12 @@ def _is_on_disk(modifier: Any, bake: Any) -> bool:
     if not folder:
         return False
     path = Path(bpy.path.abspath(folder, library=modifier.id_data.library))
-    return ((path if bake.use_custom_path else path / str(bake.bake_id)) / "meta").is_dir()
+    return _is_folder((path if bake.use_custom_path else path / str(bake.bake_id)) / "meta")
+
+
+def _is_folder(path: Path) -> bool:
+    """False, too, where the system refuses to look, as in another user's home: ``Path.is_dir`` raises."""
+    return os.path.isdir(path)
 
 
 def _rigid_bodies(scene: bpy.types.Scene, found: list[bpy.types.Object]) -> list[str]:
@@ -114,5 +120,5 @@ def _note_lost(cache: Any, owner: bpy.types.ID, name: str, lost: dict[Path, list
     beside = Path(file).with_name(f"blendcache_{Path(file).stem}")
     external = Path(bpy.path.abspath(cache.filepath, library=library))
     folder = external if cache.use_external else beside
-    if not folder.is_dir():
+    if not _is_folder(folder):
         lost.setdefault(folder, []).append(name)

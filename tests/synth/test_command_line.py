@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Bad input: one clear message on stderr, exit code 1 (2 for usage), no traceback, nothing written."""
 
+import errno
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -100,6 +102,24 @@ def test_a_full_disk_in_the_middle(tmp_path):
     assert not list(out.rglob("*.exr")) and not (out / "dataset.json").exists()
     done = subprocess.run(["bash", "-c", command.partition("; ")[2]], capture_output=True, text=True)
     assert done.returncode == 0 and (out / "dataset.json").exists(), done.stderr
+
+
+@pytest.mark.parametrize(
+    ("code", "remedy"),
+    [
+        (errno.ENOSPC, ": make room, and give the same command again"),
+        (errno.EDQUOT, ": make room, and give the same command again"),
+        (errno.EACCES, ""),
+        (errno.ENAMETOOLONG, ""),
+    ],
+)
+def test_only_a_full_disk_asks_for_room(tmp_path, monkeypatch, capsys, code, remedy):
+    def refuse(*_):
+        raise OSError(code, os.strerror(code), "bark.png")
+
+    monkeypatch.setattr("physhdr.synth.several.make_all", refuse)
+    assert main(["--out", str(tmp_path)]) == 1
+    assert capsys.readouterr().err == f"error: {os.strerror(code)}: 'bark.png'{remedy}\n"
 
 
 def test_the_script_in_a_process_of_its_own():

@@ -745,6 +745,19 @@ def test_simulations_that_are_not_baked_are_told(scene):
     assert "simulations that are not baked may look otherwise: cube" in report.warnings
 
 
+def test_a_picture_that_the_system_refuses_is_told_as_missing(scene, tmp_path):
+    """As Blender, which cannot read it either: a name that is too long is refused to everybody."""
+    there = tmp_path / "there.png"
+    there.write_bytes(b"")
+    for name, path in (("bark", there), ("leaves", tmp_path / "gone.png"), ("moss", tmp_path / ("m" * 300))):
+        image = bpy.data.images.new(name, 4, 4)
+        image.source, image.filepath, image.use_fake_user = "FILE", str(path), True
+    report = Report()
+    with open_scene.opened(SMALL, report):
+        pass
+    assert "missing files (File > External Data): leaves, moss" in report.warnings
+
+
 def test_a_material_that_gives_no_number_is_named(scene, tmp_path):
     nodes = bpy.data.materials["grey"].node_tree
     glow, end = nodes.nodes.new("ShaderNodeEmission"), nodes.nodes["Material Output"]

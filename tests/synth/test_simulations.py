@@ -103,6 +103,14 @@ def test_simulation_nodes_on_disk_are_told_unless_they_are_baked_there(scene, tm
     assert told(scene) == [f"{LOOSE}riser"]
 
 
+def test_a_folder_that_the_system_refuses_holds_no_simulation(scene, tmp_path):
+    """A name that is too long is refused to everybody, as another user's home is to most."""
+    item = riser()
+    modifier = item.modifiers["nodes"]
+    modifier.bake_target, modifier.bake_directory = "DISK", str(tmp_path / ("b" * 300))
+    assert told(scene) == [f"{LOOSE}riser"]
+
+
 def test_rigid_bodies_are_told_once_they_have_moved(scene):
     cube("faller")
     bpy.ops.rigidbody.object_add()
