@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What is rendered but hidden in 3D views is shown there meanwhile: rays meet only what views show."""
+"""What renders show is shown in 3D views meanwhile, and shaped as it is there: rays meet what views show."""
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -8,6 +8,8 @@ from typing import Any
 import bpy
 
 from .in_render import instanced_by, rendered
+
+_SUBDIVIDE = {"SUBSURF", "MULTIRES"}
 
 
 @contextmanager
@@ -26,6 +28,25 @@ def shown(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> Iterator[None]:
                 item.hide_set(False, view_layer=layer)
             if (collection := instanced_by(item)) is not None:
                 _show_collection(collection, undo)
+        yield
+
+
+@contextmanager
+def shaped(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> Iterator[None]:
+    """Let views have the modifiers and the subdivision of renders, too; put back on the way out.
+
+    What belongs to a linked library, and cannot be written to, stays as it is.
+    """
+    with ExitStack() as undo:
+        undo.callback(layer.update)
+        _set(scene.render, "simplify_subdivision", scene.render.simplify_subdivision_render, undo)
+        modifier: Any  # only some kinds have levels
+        for item in rendered(scene, layer):
+            for modifier in item.modifiers:
+                _set(modifier, "show_viewport", modifier.show_render, undo)
+                if modifier.type in _SUBDIVIDE:
+                    _set(modifier, "levels", modifier.render_levels, undo)
+        layer.update()
         yield
 
 
@@ -48,10 +69,15 @@ def _show_collection(collection: bpy.types.Collection, undo: ExitStack) -> None:
 
 
 def _show(owner: Any, undo: ExitStack) -> None:
-    if not owner.hide_viewport:
+    _set(owner, "hide_viewport", False, undo)
+
+
+def _set(owner: Any, name: str, value: Any, undo: ExitStack) -> None:
+    former = getattr(owner, name)
+    if former == value:
         return
     try:
-        owner.hide_viewport = False
+        setattr(owner, name, value)
     except (AttributeError, RuntimeError):
         return
-    undo.callback(setattr, owner, "hide_viewport", True)
+    undo.callback(setattr, owner, name, former)

@@ -235,7 +235,7 @@ def _tell_of_obstacles(hints: CameraHints, rays: Rays, options: Options, report:
     everywhere = [pose[:3, 3] for pose in [*places.train, *places.test]]
     for place in everywhere:
         way = Vector(place.tolist()) - centre
-        if way.length > 1e-6 and rays.first(centre, way.normalized(), way.length):
+        if way.length > 1e-6 and rays.first(centre, way.normalized(), hints.clip[0], way.length):
             hidden += 1
     if hidden > CROWDED * len(everywhere):
         smaller = "--rig-extent" if options.camera_rig == "grid" else "--rig-arc or --rig-distance"

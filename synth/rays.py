@@ -23,23 +23,29 @@ class Rays:
         self._seen: dict[bpy.types.Object, bool] = {}
 
     def first(
-        self, origin: Vector, direction: Vector, distance: float = 1e30
+        self, origin: Vector, direction: Vector, nearest: float = 0.0, farthest: float = 1e30
     ) -> tuple[Vector, Vector] | None:
-        """Place and normal of the first surface that pictures show; ``None`` where there is none."""
-        start, left = origin, distance
+        """Place and normal of the first surface that pictures show; ``None`` where there is none.
+
+        ``direction``: of length 1; ``nearest``, ``farthest``: metres between which the surface must be.
+        """
+        start, gone = origin, 0.0
         for _ in range(SKIPS):
             hit, place, normal, _, item, _ = self.scene.ray_cast(
-                self.depsgraph, start, direction, distance=left
+                self.depsgraph, start, direction, distance=farthest - gone
             )
             if not hit:
                 return None
             met: Any = item.original
-            if self._is_seen(met):
-                return place, normal
             step = (place - start).length
-            step += PAST * max(1.0, step)
-            start, left = start + direction * step, left - step
-            if left <= 0.0:
+            if self._is_seen(met):
+                if gone + step >= nearest:
+                    return place, normal
+                step = nearest - gone
+            else:
+                step += PAST * max(1.0, step)
+            start, gone = start + direction * step, gone + step
+            if gone >= farthest:
                 return None
         return None
 

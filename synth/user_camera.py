@@ -118,13 +118,16 @@ def target_distance(
 
 
 def _depths(camera: bpy.types.Object, centre: np.ndarray, rays: Rays, size: tuple[int, int]) -> list[float]:
-    half = math.tan(angle_x(camera_of(camera), size) / 2.0)
+    lens = camera_of(camera)
+    half = math.tan(angle_x(lens, size) / 2.0)
     at = (np.arange(RASTER) + 0.5) * 2.0 / RASTER - 1.0
     position, forward, found = Vector(centre[:3, 3].tolist()), -centre[:3, 2], []
     for y in at:
         for x in at:
             ray = centre[:3, :3] @ [x * half, y * half * size[1] / size[0], -1.0]
-            hit = rays.first(position, Vector((ray / np.linalg.norm(ray)).tolist()))
+            length = float(np.linalg.norm(ray))  # of what is 1 m along the axis
+            way = Vector((ray / length).tolist())
+            hit = rays.first(position, way, lens.clip_start * length, lens.clip_end * length)
             if hit:
                 found.append(float((np.array(hit[0]) - centre[:3, 3]) @ forward))
     return found

@@ -70,6 +70,18 @@ def test_what_is_not_rendered_is_passed_through(veiled, away: Callable) -> None:
     assert first(scene) == pytest.approx(0.0, abs=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("nearest", "farthest", "height"),
+    [(0.0, 10.0, 1.0), (3.9, 10.0, 1.0), (4.1, 10.0, 0.0), (4.1, 4.9, None), (4.1, 1e30, 0.0), (6, 4, None)],
+)
+def test_only_what_is_between_the_clipping_distances_is_met(veiled, nearest, farthest, height) -> None:
+    """Seen from 5 m above the floor: the veil is 4 m away, and what is not rendered 2 m."""
+    scene, _, around = veiled
+    plane("not rendered", 3.0, around).hide_render = True
+    met = Rays(scene, scene.view_layers[0]).first(EYE, AHEAD, nearest, farthest)
+    assert (met and met[0].z) == (height if height is None else pytest.approx(height, abs=1e-6))
+
+
 @pytest.mark.parametrize("display", ["WIRE", "BOUNDS"])
 def test_what_views_display_otherwise_is_met(veiled, display: str) -> None:
     scene, veil, _ = veiled
