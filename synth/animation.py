@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The animation of a scene's own settings, out of the way while they have values of ours.
+"""The animation of settings, out of the way while they have values of ours.
 
 Blender evaluates keyframes and drivers once more for every render: they would win over what was set.
 """
@@ -16,13 +16,13 @@ _NOWHERE = "physhdr_muted"
 
 
 @contextmanager
-def muted(scene: bpy.types.Scene, paths: Collection[str]) -> Iterator[None]:
-    """Mute what animates these RNA paths under the scene; on the way out all is as before, also on error.
+def muted(owner: bpy.types.Scene | bpy.types.Object, paths: Collection[str]) -> Iterator[None]:
+    """Mute what animates these RNA paths under the owner; on the way out all is as before, also on error.
 
-    F-curves of the scene's action and of the strips of its NLA tracks, and drivers. What was muted already
-    stays so. Put the former values back within: they are evaluated anew afterwards.
+    F-curves of its action and of the strips of its NLA tracks, and drivers. What was muted already stays so.
+    Put the former values back within: they are evaluated anew afterwards.
     """
-    found = scene.animation_data
+    found = owner.animation_data
     with ExitStack() as undo:
         for curve in _curves(found):
             if curve.data_path in paths and not curve.mute:

@@ -33,6 +33,7 @@ _OF_LAYER = (
     "use_pass_z",
     "use_pass_normal",
     "use_pass_object_index",
+    "use_grease_pencil",
     "cycles.use_denoising",
     "cycles.denoising_store_passes",
     "cycles.pass_debug_sample_count",
@@ -76,6 +77,7 @@ def connected(stage: Stage, denoise: bool) -> Iterator[Outlet]:
             (layer, "use_pass_z", True),
             (layer, "use_pass_normal", True),
             (layer, "use_pass_object_index", True),
+            (layer, "use_grease_pencil", False),  # drawn over the picture, it is in no light
             (cycles(layer), "denoising_store_passes", denoise),
             (cycles(layer), "pass_debug_sample_count", True),
             (scene, "compositing_node_group", scene.compositing_node_group),

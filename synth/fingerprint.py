@@ -19,10 +19,11 @@ import bpy
 import numpy as np
 
 from .blender import cycles, light_of, mesh_of
+from .composited import DRAWN
+from .left_out import photographed
 from .light_choice import Materials
 from .render_state import look
 from .settings import users_own
-from .user_light import photographed
 
 #: What the name begins with: another one took in other things, and cannot be compared with.
 KIND = "d-"
@@ -86,6 +87,7 @@ def _rendered(
     """All but the cameras."""
     world, override = layer.world_override or scene.world, layer.material_override
     found, known = photographed(scene, layer, depsgraph), Materials(layer, depsgraph)
+    found = {item: by for item, by in found.items() if item.type != DRAWN}
     materials = {item: known.of(item) for item in found}
     lights = {light_of(item) for item in found if item.type == "LIGHT"}
     rows = []

@@ -6,6 +6,7 @@ that take the shadow of CG. Probes and a data set's cameras, which no picture sh
 changed.
 """
 
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
@@ -13,6 +14,7 @@ import bpy
 
 from ..bridge.blend_file import CG, FORMER_WORLD, LIGHT_MODEL, MODEL_IDENTITY, PROBE, SPLIT
 from .blender import instanced
+from .in_render import rendered
 from .progress import Report
 
 
@@ -41,6 +43,14 @@ def hidden(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, report: Report) -
             if _give_back(owner, attribute, undo):
                 report.say("left out of what is photographed, the light of a capture: the world is as before")
         yield [*models, *planes]
+
+
+def photographed(
+    scene: bpy.types.Scene, layer: bpy.types.ViewLayer, depsgraph: bpy.types.Depsgraph | None = None
+) -> dict[bpy.types.Object, Counter[bpy.types.Object]]:
+    """What is rendered (``in_render.rendered``, to which ``depsgraph`` goes) and is not ours and put away."""
+    found = rendered(scene, layer, depsgraph)
+    return {item: by for item, by in found.items() if not (item.hide_render and is_ours(item))}
 
 
 def is_model(item: bpy.types.Object) -> bool:

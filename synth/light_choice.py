@@ -16,7 +16,7 @@ from ..bridge.lights import AMBIENT
 from ..bridge.words import counted
 from .blender import cycles, evaluated, light_of
 from .errors import SceneError, UnknownNameError
-from .in_render import rendered
+from .left_out import photographed
 from .light_names import COLLECTION, GROUP, KINDS, LAMPS, LightChoice, layer_name
 
 #: What a node's light is linear in → the colour that tints this light alone, where the node has it.
@@ -123,13 +123,9 @@ def _taken(
 def emitters(
     scene: bpy.types.Scene, layer: bpy.types.ViewLayer
 ) -> dict[bpy.types.Object, set[bpy.types.Object]]:
-    """What shines of all that is rendered → the objects that show it: itself, and those that instance it."""
-    found, materials = rendered(scene, layer), Materials(layer)
-    return {
-        item: set(by)
-        for item, by in found.items()
-        if not item.hide_render and (is_lamp(item, materials) or is_sun(item))
-    }
+    """What shines of all that is photographed → what shows it: itself, and those that instance it."""
+    found, materials = photographed(scene, layer), Materials(layer)
+    return {item: set(by) for item, by in found.items() if is_lamp(item, materials) or is_sun(item)}
 
 
 def is_sun(item: bpy.types.Object) -> bool:

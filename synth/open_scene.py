@@ -16,7 +16,18 @@ import bpy
 from mathutils import Vector
 
 from ..bridge.lights import AMBIENT
-from . import active_camera, in_views, left_out, plan, rig, scripts, simulations, user_camera, user_light
+from . import (
+    active_camera,
+    composited,
+    in_views,
+    left_out,
+    plan,
+    rig,
+    scripts,
+    simulations,
+    user_camera,
+    user_light,
+)
 from .blender import camera_of, cycles, evaluated
 from .errors import SceneError, SceneFileError
 from .fingerprint import fingerprint
@@ -56,6 +67,7 @@ def opened(options: Options, report: Report) -> Iterator[tuple[Stage, Options]]:
         models = undo.enter_context(left_out.hidden(scene, layer, report))
         undo.enter_context(in_views.shown(scene, layer))
         layer.update()
+        undo.enter_context(composited.taken_in(scene, layer, report))
         if not user_light.any_light(scene, layer):
             raise SceneError(
                 f"the scene '{scene.name}' has no light: the pictures would be black",

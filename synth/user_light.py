@@ -6,7 +6,6 @@ user chose (``light_choice``) is in groups of ours, too; where nothing was chose
 are further lights, as far as anything in them shines. What is in no group is what remains of the picture.
 """
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
@@ -16,8 +15,7 @@ import bpy
 
 from ..bridge.lights import AMBIENT
 from .blender import light_of
-from .in_render import rendered
-from .left_out import is_ours
+from .left_out import photographed
 from .light_choice import (
     LAMPS,
     LightChoice,
@@ -88,6 +86,7 @@ def grouped(
                 items = [item for item in photographed(scene, layer) if item.lightgroup == theirs_name]
                 notes += _moved(items, name, groups[name], undo)
         groups[layer_name(LAMPS, groups)] = ""
+        notes += _negative(scene, layer)
         yield Grouped(groups, shining, notes)
 
 
@@ -119,6 +118,18 @@ def _linked(what: str) -> str:
     return f"{what} belongs to a linked library and counts as a lamp (make it local to change that)"
 
 
+def _negative(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[str]:
+    """A note of the lights that take light away: ``Renderer`` gives no less than 0 of a light."""
+    found = [item for item in photographed(scene, layer) if item.type == "LIGHT"]
+    names = [item.name for item in found if light_of(item).energy < 0.0]
+    if not names:
+        return []
+    return [
+        "a data set cannot hold negative light, which becomes 0 (give these lights a positive strength, or "
+        f"hide them in renders): {', '.join(names)}"
+    ]
+
+
 def _lit_groups(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, names: list[str]) -> list[str]:
     """Those light groups of the user's in which anything but the ambient light shines."""
     found, known = photographed(scene, layer), Materials(layer)
@@ -128,14 +139,6 @@ def _lit_groups(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, names: list[
 
 def _suns(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
     return [item for item in photographed(scene, layer) if is_sun(item)]
-
-
-def photographed(
-    scene: bpy.types.Scene, layer: bpy.types.ViewLayer, depsgraph: bpy.types.Depsgraph | None = None
-) -> dict[bpy.types.Object, Counter[bpy.types.Object]]:
-    """What is rendered (``in_render.rendered``, to which ``depsgraph`` goes) and is not ours and put away."""
-    found = rendered(scene, layer, depsgraph)
-    return {item: by for item, by in found.items() if not (item.hide_render and is_ours(item))}
 
 
 def lights(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[Any]:

@@ -193,6 +193,45 @@ def test_what_views_hide_glows_all_the_same(scene):
     assert len(light_choice.emitters(scene, layer_of(scene))) == 2
 
 
+def scattered_by_nodes(holder, bulb):
+    tree, _, last = nodes_of(holder)
+    source, shape, points = (
+        tree.nodes.new(f"GeometryNode{kind}") for kind in ("ObjectInfo", "MeshCube", "InstanceOnPoints")
+    )
+    source.inputs["Object"].default_value, source.inputs["As Instance"].default_value = bulb, True
+    tree.links.new(shape.outputs[0], points.inputs["Points"])
+    tree.links.new(source.outputs["Geometry"], points.inputs["Instance"])
+    tree.links.new(points.outputs[0], last.inputs[0])
+
+
+def scattered_by_particles(holder, bulb):
+    holder.modifiers.new("particles", "PARTICLE_SYSTEM")
+    particles = holder.particle_systems[0].settings
+    particles.type, particles.count, particles.render_type = "HAIR", 9, "OBJECT"
+    particles.instance_object, particles.particle_size = bulb, 1.0
+
+
+@pytest.mark.parametrize("scatter", [scattered_by_nodes, scattered_by_particles])
+def test_what_is_hidden_and_scattered_is_a_light_that_can_be_chosen(scene, tmp_path, scatter):
+    """One hides the bulb itself, so that only its instances are in the picture."""
+    bulb = add("bulb", cube("bulb"))
+    bulb.hide_render = True
+    bulb.data.materials.append(material("glow", "ShaderNodeEmission", Strength=5.0))
+    garland = bpy.data.collections.new("Garland")
+    scene.collection.children.link(garland)
+    holder = add("holder", cube("holder"), garland)
+    layer = layer_of(scene)
+    assert not light_choice.candidates(scene, layer)
+    assert sum_of_light(scene, tmp_path / "picture.exr") == 0.0
+    scatter(holder, bulb)
+    layer = layer_of(scene)
+    assert sum_of_light(scene, tmp_path / "picture.exr") > 0.0
+    (found,) = light_choice.candidates(scene, layer)
+    assert (found.choice.what, found.in_words) == ("Garland", "1 glowing object")
+    with user_light.grouped(scene, layer, [found.choice]) as lights:
+        assert bulb.lightgroup == lights.groups["garland"]
+
+
 def test_nodes_that_set_nothing_give_no_light(scene):
     cube_, glow = bpy.data.objects["cube"], material("glow", "ShaderNodeEmission")
     tree, first, last = nodes_of(cube_)
