@@ -2,28 +2,22 @@
 """What the operators share: a greyed button says why, an error becomes a report."""
 
 import os
-import time
 from pathlib import Path
 from typing import ClassVar
 
 import bpy
 
 from ...bridge.errors import PhysHDRError
-from ...bridge.run_folder import CHECKPOINT_FILE, data_of, may_be_of, same_folder
+from ...bridge.run_folder import CHECKPOINT_FILE, data_of, may_be_of
+from ..chosen_run import run_of
 from ..model.look import is_model
-from ..paths import absolute, first_free, is_free, is_nowhere
+from ..paths import absolute, is_nowhere
 from ..runtime import session
 from ..session.advice import Choices, why_not
-from ..settings import RUN, PHYSHDR_Settings
-
-#: Seconds for which a proposal stands before the disk is looked at again: panels ask at every redraw.
-PROPOSAL_SECONDS = 1.0
 
 #: A model of another file is left alone where what is set of it would not be saved.
 OVERRIDE = "Make a library override of it: Object, Library Override."
 LINKED = f"The model is linked from another file. {OVERRIDE}"
-
-_proposals: dict[tuple[str, str], tuple[float, str]] = {}
 
 
 def choices(context: bpy.types.Context) -> Choices:
@@ -41,47 +35,6 @@ def choices(context: bpy.types.Context) -> Choices:
         of_file=True,
         unsaved=next((each for each in (settings.data, settings.out) if is_nowhere(each)), ""),
     )
-
-
-def run_of(settings: PHYSHDR_Settings) -> str:
-    """The run's folder that is chosen, else the one that is proposed; empty where there are neither."""
-    return settings.out or proposed_run(absolute(settings.data))
-
-
-def proposed_run(data: str) -> str:
-    """Where a training on ``data`` may go, so that nothing must be typed; empty where no data set is chosen.
-
-    Beside the .blend; before that is saved, beside the data set, or where one may not write there in the
-    user's own folder. One that holds a run of this data set is proposed again, one that holds anything else
-    never.
-    """
-    if not data:
-        return ""
-    key, now = (data, bpy.data.filepath), time.monotonic()
-    found = _proposals.get(key)
-    if found is None or now > found[0] + PROPOSAL_SECONDS:
-        _proposals[key] = found = now, _free_run(data)
-    return found[1]
-
-
-def _free_run(data: str) -> str:
-    name = f"{os.path.basename(data) or 'data'}{RUN}"
-    if bpy.data.filepath:
-        return f"//{_own_or_free(Path(absolute('//')) / name, data).name}"
-    beside = Path(data).parent
-    is_beside = beside != Path(data) and os.access(beside, os.W_OK)  # a whole card has nothing beside it
-    return str(_own_or_free((beside if is_beside else Path.home()) / name, data))
-
-
-def _own_or_free(folder: Path, data: str) -> Path:
-    """The folder, or the same with a number where it holds something that is no run of ``data``."""
-    return first_free(folder, fits=lambda each: is_free(each) or is_run_of(each, data))
-
-
-def is_run_of(folder: Path, data: str) -> bool:
-    """Whether ``folder`` holds a run that was trained on the data set in ``data``."""
-    trained_on = data_of(folder)
-    return trained_on is not None and same_folder(trained_on, data)
 
 
 def moved_data(run: str, chosen: str) -> str:

@@ -14,13 +14,14 @@ import bpy
 
 from ...bridge.data_set import CAPTURE_FILE
 from ...bridge.errors import BadValueError, FileMissingError, OutputError
+from ..chosen_run import is_run_of, proposed_run
 from ..paths import absolute, first_free, whole
 from ..runtime import session
 from ..session.photos import PhotoOptions, prepare_command, prepared
 from ..session.state import LOOK, PHOTOS, PhotosChosen, Prepared
 from ..settings import LENSES, SETTINGS, PHYSHDR_Settings, photo_options
 from .afterwards import scene_of, take_when_ended
-from .base import PhysHDROperator, has_run, is_run_of, proposed_run, report_task, wait_for_task
+from .base import PhysHDROperator, has_run, report_task, wait_for_task
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import PropertyFlagItems

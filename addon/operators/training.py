@@ -21,12 +21,13 @@ from ...bridge.messages import (
 )
 from ...bridge.run_folder import MODEL_FILE
 from .. import settings
+from ..chosen_run import proposed_run
 from ..paths import absolute, whole
 from ..runtime import session
 from ..session.advice import problem_of
 from ..session.state import EndAsked, Problem, State, StopAsked
 from .afterwards import is_modal
-from .base import PhysHDROperator, has_run, moved_data, proposed_run
+from .base import PhysHDROperator, has_run, moved_data
 
 if TYPE_CHECKING:
     from bpy.stub_internal.rna_enums import PropertyFlagItems

@@ -9,7 +9,8 @@ import bpy
 
 from .. import plot
 from ..blender import layout_of
-from ..operators.base import choices, proposed_run
+from ..chosen_run import proposed_run
+from ..operators.base import choices
 from ..paths import absolute
 from ..runtime import session
 from ..session.advice import is_of_file

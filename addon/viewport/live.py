@@ -18,6 +18,7 @@ from ...bridge.messages import JobStatus, PreviewCamera, PreviewFrame, PreviewRe
 from .. import similarity
 from ..blender import cloud_of
 from ..capture import placement
+from ..chosen_run import run_of
 from ..model import origin
 from ..model.look import is_of_run, was_same_folder
 from ..model.preview_look import PreviewLook, preview_look
@@ -181,8 +182,6 @@ class _Region:
 
 def is_of_job(chosen: PHYSHDR_Settings, job: JobStatus) -> bool:
     """Whether the job is of the run that a scene has chosen, or that is proposed for it."""
-    from ..operators.base import run_of  # operators import the session's timer, and that this module
-
     out = absolute(run_of(chosen))
     return bool(out) and was_same_folder(job.run, out)
 

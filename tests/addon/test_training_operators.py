@@ -11,9 +11,10 @@ import pytest
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
 import physhdr  # noqa: E402
-from physhdr.addon import runtime, settings  # noqa: E402
-from physhdr.addon.operators import afterwards, base  # noqa: E402
-from physhdr.addon.operators.base import choices, proposed_run  # noqa: E402
+from physhdr.addon import chosen_run, runtime, settings  # noqa: E402
+from physhdr.addon.chosen_run import proposed_run  # noqa: E402
+from physhdr.addon.operators import afterwards  # noqa: E402
+from physhdr.addon.operators.base import choices  # noqa: E402
 from physhdr.addon.session.advice import headline, next_step, why_not  # noqa: E402
 from physhdr.addon.session.state import Connected, Found, PythonChosen, Received  # noqa: E402
 from physhdr.bridge.messages import JobStatus, RunOpen, TrainResume, TrainStart, Welcome  # noqa: E402
@@ -27,7 +28,7 @@ def asked(scene, tmp_path, monkeypatch):
     """The requests that were sent; the backend is there and has nothing to do."""
     monkeypatch.setattr(settings, "home_folder", lambda: tmp_path / "home")
     monkeypatch.setattr("physhdr.addon.session.session.DATASET_SECONDS", 60.0)  # however busy the machine is
-    monkeypatch.setattr(base, "PROPOSAL_SECONDS", -1.0)  # the disk changes under the tests' hands
+    monkeypatch.setattr(chosen_run, "PROPOSAL_SECONDS", -1.0)  # the disk changes under the tests' hands
     physhdr.register()
     current = runtime.session()
     current.dispatch(PythonChosen("/usr/bin/python3", REPORT))
@@ -68,7 +69,7 @@ def test_a_run_goes_beside_the_data_set_until_the_file_is_saved_and_then_beside_
     chosen.data = str(data)
     assert choices(bpy.context).out == str(tmp_path / "data" / "kitchen_run")
     save(folder(tmp_path / "shot") / "shot.blend")
-    assert base.run_of(chosen) == "//kitchen_run"
+    assert chosen_run.run_of(chosen) == "//kitchen_run"
     assert choices(bpy.context).out == str(tmp_path / "shot" / "kitchen_run")
     assert why_not(runtime.session().state, "start", choices(bpy.context)).startswith(
         str(data)

@@ -64,6 +64,7 @@ ADDON: Floors = (
     ("viewport", "plot"),
     ("capture",),
     ("model",),
+    ("chosen_run",),
     ("settings",),
     ("session",),
     # Without Blender (as is the session): folders of data sets, similarities · What Blender's types lack.
