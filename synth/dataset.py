@@ -3,7 +3,7 @@
 
 import shutil
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -330,10 +330,23 @@ def _finish(
         claims.release(FINISH)
 
 
+@dataclass(frozen=True)
+class _Pictures(Sequence[np.ndarray]):
+    """[height, width, 3] uint8 each, read when it is asked for: all at once may be more than memory holds."""
+
+    paths: list[Path]
+
+    def __len__(self) -> int:
+        return len(self.paths)
+
+    def __getitem__(self, index: Any) -> Any:
+        return png.read(self.paths[index])
+
+
 def _write_points(job: _Job, report: Report) -> None:
     train = [shot for shot in job.shots if shot.split == data_set.TRAIN]
     middle = len(job.options.bracket) // 2
-    seen = [png.read(job.out / shot.bracket(middle)) for shot in train]
+    seen = _Pictures([job.out / shot.bracket(middle) for shot in train])
     cloud = points.cast(job.stage, [shot.pose for shot in train], seen, job.options.seed)
     folder.write(job.out / data_set.POINTS_FILE, points.encode(cloud))
     if len(cloud) < FEW_POINTS:

@@ -2,12 +2,13 @@
 """What the training views' pixels come to is that of all at once, in the memory of one view."""
 
 import tracemalloc
+import weakref
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from physhdr.synth import dataset
+from physhdr.synth import dataset, png
 from physhdr.synth.progress import Report
 from physhdr.synth.response import by_name
 from physhdr.synth.training_radiance import TrainingRadiance
@@ -69,3 +70,17 @@ def test_the_last_step_holds_one_view(tmp_path, small):
     dataset.make(tmp_path, options, Watching())
     pixels = 64 * 48 * len(list((tmp_path / "train_hdr").iterdir()))
     assert peaks[0] < 24 * pixels, f"{peaks[0] / pixels:.1f} bytes a pixel"
+
+
+def test_points_are_cast_with_one_picture_at_a_time(tmp_path, small, monkeypatch):
+    real, seen, held = png.read, [], []
+
+    def read(path):
+        picture = real(path)
+        seen.append(weakref.ref(picture))
+        held.append(sum(each() is not None for each in seen))
+        return picture
+
+    monkeypatch.setattr(png, "read", read)
+    dataset.make(tmp_path, replace(small, views=12, lit_views=0, samples=1))
+    assert len(held) >= 6 and max(held) <= 2  # one, and the one before it
