@@ -17,6 +17,7 @@ from types import ModuleType
 _MODULES = (
     "settings",
     "dataset.dataset_settings",
+    "blend_paths",
     "capture.originals",
     "model.pose",
     "operators.model_files",

@@ -2,7 +2,9 @@
 """What the user chooses: preferences of the extension, and settings of the scene (saved in the .blend)."""
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -117,9 +119,22 @@ class PHYSHDR_Preferences(bpy.types.AddonPreferences):
             layout.prop(self, name)
 
 
+_respelled = ContextVar("respelled", default=False)
+
+
+@contextmanager
+def respelling() -> Iterator[None]:
+    """Within it folders are only spelled otherwise, and are not chosen anew."""
+    token = _respelled.set(True)
+    try:
+        yield
+    finally:
+        _respelled.reset(token)
+
+
 def _folder_chosen(self: Any, context: bpy.types.Context) -> None:
     folder = absolute(self.data)
-    if folder:
+    if folder and not _respelled.get():
         changes.dataset.tell(folder)
         _leave_former_run(self, folder)
 
@@ -233,6 +248,8 @@ class PHYSHDR_Settings(bpy.types.PropertyGroup):
     captures: bpy.props.CollectionProperty(
         type=PHYSHDR_Capture, description="Where captures stand whose scale or ground was set"
     )
+    #: Which folder the paths beside the .blend are beside; see ``blend_paths``.
+    folder_index: bpy.props.IntProperty(default=-1, options={"HIDDEN"})
     preset: bpy.props.EnumProperty(name="Method", items=PRESETS)
     iterations: bpy.props.IntProperty(
         name="Iterations",

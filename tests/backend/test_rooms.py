@@ -59,6 +59,7 @@ ADDON: Floors = (
     ("scripts",),
     ("panels",),
     ("operators",),
+    ("blend_paths",),
     ("dataset", "light"),
     ("rendering", "runtime"),
     ("viewport", "plot"),

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Settings that lie beside the .blend (``//…``) lead where they led, in whatever folder it is saved.
+
+Blender sees to its own paths so, and leaves those of an extension's properties as they are. It is done before
+the file is written, so that they are right in it; and again after an undo, which brings back what they were.
+"""
+
+import os
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import bpy
+from bpy.app.handlers import persistent
+
+from .dataset.dataset_settings import DATASET
+from .settings import SETTINGS, respelling
+
+#: Folders that the open file has been in, one after another, "" before it was saved; a scene's settings keep
+#: the place in this list of the one that they are beside.
+_folders: list[str] = []
+#: What was rewritten for the file that is being written: settings, a property's name, its former value.
+_former: list[tuple[bpy.types.PropertyGroup, str, str]] = []
+
+
+def _settle(folder: str) -> None:
+    """Let the paths of all scenes be beside a .blend in ``folder``."""
+    if not _folders:
+        _forget()
+    for scene in _own_scenes():
+        chosen = getattr(scene, SETTINGS)
+        is_known = 0 <= chosen.folder_index < len(_folders)
+        former = _folders[chosen.folder_index] if is_known else folder
+        if former and folder and former != folder:
+            with respelling():
+                for group in (chosen, getattr(scene, DATASET)):
+                    _rewrite(group, former, folder)
+    _mark(folder)
+
+
+def _mark(folder: str) -> None:
+    """Note that the paths of all scenes are beside a .blend in ``folder``."""
+    if folder not in _folders:
+        _folders.append(folder)
+    index = _folders.index(folder)
+    for scene in _own_scenes():
+        chosen = getattr(scene, SETTINGS)
+        if chosen.folder_index != index:
+            chosen.folder_index = index
+
+
+def _forget() -> None:
+    """What scenes keep from another session says nothing in this one."""
+    _folders.clear()
+    for scene in _own_scenes():
+        getattr(scene, SETTINGS).folder_index = -1
+
+
+def _own_scenes() -> Iterator[bpy.types.Scene]:
+    """All but those that are linked, whose paths are their own file's."""
+    return (scene for scene in bpy.data.scenes if scene.is_editable)
+
+
+def _rewrite(group: bpy.types.PropertyGroup, former: str, folder: str) -> None:
+    for name, path in list(_beside(group)):
+        _former.append((group, name, path))
+        setattr(group, name, moved(path, former, folder))
+
+
+def _beside(group: bpy.types.PropertyGroup) -> Iterator[tuple[str, str]]:
+    """Names and values of the paths among some settings that are relative to the .blend."""
+    for name, rna in group.bl_rna.properties.items():
+        if isinstance(rna, bpy.types.StringProperty) and rna.is_path_supports_blend_relative:
+            path = getattr(group, name)
+            if path.startswith("//"):
+                yield name, path
+
+
+def moved(path: str, former: str, folder: str) -> str:
+    """A path beside a .blend in folder ``former``, for one in ``folder``: whole where that is on another
+    drive."""
+    whole = os.path.normpath(bpy.path.abspath(path, start=former))
+    with suppress(ValueError):  # Windows: no way leads from one drive to another
+        return f"//{os.path.relpath(whole, folder)}"
+    return whole
+
+
+def _folder_of(path: str) -> str:
+    return str(Path(path).absolute().parent) if path else ""
+
+
+@persistent
+def _file_opened(*_: object) -> None:
+    _forget()
+    _settle(_folder_of(bpy.data.filepath))
+
+
+@persistent
+def _before_saving(path: str, *_: object) -> None:
+    _settle(_folder_of(bpy.data.filepath))
+    _former.clear()
+    if path:  # not the file that Blender starts with
+        _settle(_folder_of(path))
+
+
+@persistent
+def _after_saving(path: str, *_: object) -> None:
+    """Where that was a copy, or failed, the open file is where it was, and so are its paths."""
+    folder = _folder_of(bpy.data.filepath)
+    if path and folder != _folder_of(path):
+        with respelling():
+            for group, name, value in _former:
+                setattr(group, name, value)
+        _mark(folder)
+    _former.clear()
+
+
+@persistent
+def _undone(*_: object) -> None:
+    _settle(_folder_of(bpy.data.filepath))
+    _former.clear()
+
+
+_HANDLERS = (
+    ("load_post", _file_opened),
+    ("save_pre", _before_saving),
+    ("save_post", _after_saving),
+    ("save_post_fail", _after_saving),
+    ("undo_post", _undone),
+    ("redo_post", _undone),
+)
+
+
+def register() -> None:
+    for event, handler in _HANDLERS:
+        getattr(bpy.app.handlers, event).append(handler)
+
+
+def unregister() -> None:
+    for event, handler in _HANDLERS:
+        getattr(bpy.app.handlers, event).remove(handler)
+    _folders.clear()
+    _former.clear()
