@@ -24,6 +24,9 @@ INSTALL, CHECK, DATASET, LOOK, PHOTOS = "install", "check", "dataset", "look", "
 #: Of the check's error where a package that training needs is not installed (backend/cli/findings.py).
 MISSING_MODULE = "missing_module"
 
+#: Of the backend's error where what it prepared was stopped (backend/serve/engine.py).
+CANCELLED = "cancelled"
+
 
 @dataclass(frozen=True)
 class Problem:

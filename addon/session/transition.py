@@ -21,9 +21,11 @@ from ...bridge.messages import (
     TrainStop,
     Welcome,
 )
+from ...bridge.run_folder import same_folder
 from . import job_words
 from .photos import in_panel_words, prepared, understood
 from .state import (
+    CANCELLED,
     CHECK,
     DATASET,
     ENDING,
@@ -142,7 +144,9 @@ def transition(state: State, event: Event) -> Result:
             if isinstance(request, TrainStop):  # it goes on, and can be asked again
                 state = replace(state, stopping=False)
             if request == state.beginning:
-                return replace(state, problem=problem, beginning=None), (Send(StatusGet()),)
+                wanted = state.stopping and failure.code == CANCELLED
+                told = replace(state, problem=None if wanted else problem, beginning=None)
+                return told, (Send(StatusGet()),)
             return replace(state, problem=problem), ()
         case DatasetChosen(dataset):
             return replace(state, dataset=dataset), ()
@@ -236,7 +240,8 @@ def _asked(before: State, request: Request) -> Result:
     state = replace(before, problem=None, exported=None)
     if isinstance(request, TrainStart | TrainResume | RunOpen):
         run = request.out if isinstance(request, TrainStart) else request.run
-        job = JobStatus(state="preparing", run=run, in_control=state.job.in_control)
+        job = JobStatus(state="preparing", run=run)
+        job = replace(job, in_control=state.job.in_control, controller=state.job.controller)
         state = replace(state, history=History(), job=job, beginning=request, read=None)
     if state.link.status == "connected":
         return state, (Send(request),)
@@ -259,8 +264,9 @@ def _shut_down_unheard(before: State) -> Result:
 def _connected(state: State, welcome: Welcome) -> Result:
     effects = tuple(Send(request) for request in state.waiting)
     link = Link("connected", welcome, welcome.log or state.link.log, welcome.pid)
+    job = replace(state.job, in_control=welcome.in_control)
     # A training that runs already has a past, which only the backend knows.
-    return replace(state, link=link, waiting=()), (Send(HistoryGet()), *effects)
+    return replace(state, link=link, job=job, waiting=()), (Send(HistoryGet()), *effects)
 
 
 def _link_lost(state: State, reason: str, clean: bool) -> State:
@@ -322,8 +328,10 @@ def _received(state: State, message: Reply, request: Request | None) -> Result:
     match message:
         case JobStatus(state="failed", run=""):
             return _backend_failed(state, message), ()
+        case JobStatus() if state.beginning:
+            return _before_the_answer(state, message), ()
         case JobStatus():
-            return (state if state.beginning else _job_changed(state, message)), ()
+            return _job_changed(state, message), ()
         case Done() if state.beginning and request == state.beginning:
             news = (Send(StatusGet()),)
             if not isinstance(request, TrainStart):  # it has a past, which only the backend knows
@@ -334,6 +342,17 @@ def _received(state: State, message: Reply, request: Request | None) -> Result:
         case Exported():
             return replace(state, exported=message), ()
     return state, ()
+
+
+def _before_the_answer(state: State, told: JobStatus) -> State:
+    """What is told of the former job says nothing of the one that is asked for, except who is in control.
+
+    How far its preparation is counts, and how far the backend itself is that has to start for it.
+    """
+    job = replace(state.job, in_control=told.in_control, controller=told.controller)
+    if told.state == "preparing" and (not told.run or same_folder(told.run, job.run)):
+        job = replace(job, message=told.message)
+    return replace(state, job=job)
 
 
 def _job_changed(state: State, job: JobStatus) -> State:

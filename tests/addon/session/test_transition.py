@@ -347,6 +347,41 @@ def test_what_the_backend_says_of_the_former_job_is_not_taken_for_the_new_one():
     assert state.job.state == "training"
 
 
+def test_who_starts_the_backend_is_in_control_and_sees_what_it_does_before_it_has_answered():
+    opened = RunOpen(run="/run")
+    state, _ = after(READY, Asked(opened), Started("log"), Found("log", 4242), Connected(WELCOME))
+    assert why_not(state, "stop") == why_not(state, "shutdown") == ""
+    assert why_not(state, "take_control") == "This Blender is in control already"
+    told = {"in_control": True, "controller": "Blender"}
+    for run, message in (("", "starting: loading torch"), ("/run/", "compiling kernels 3/12")):
+        status = JobStatus(state="preparing", run=run, message=message, has_model=True, **told)
+        state, _ = after(state, Received(status))
+        assert (state.job.state, state.job.run, state.job.message) == ("preparing", "/run", message)
+        assert state.job.controller == "Blender" and why_not(state, "stop") == ""
+        assert not state.job.has_model  # it is the former run's
+
+
+def test_a_run_whose_opening_was_stopped_is_no_problem():
+    opened = RunOpen(run="/run")
+    state, effects = after(connected(), Asked(opened), StopAsked())
+    assert Send(TrainStop()) in effects
+    stopped = Failure(code="cancelled", message="it was stopped before it was ready")
+    state, effects = after(state, Refused(opened, stopped))
+    assert problem_of(state) is None and state.beginning is None and effects == [Send(StatusGet())]
+    failed, _ = after(connected(), Asked(opened), Refused(opened, replace(stopped, code="file_damaged")))
+    assert problem_of(failed) is not None
+
+
+def test_what_is_told_before_the_answer_says_who_is_in_control():
+    watching = replace(WELCOME, in_control=False)
+    state, _ = after(READY, Asked(START), Started("log"), Found("log", 4242), Connected(watching))
+    assert why_not(state, "stop").startswith("another Blender is in control")
+    others = JobStatus(state="finished", run="/old", message="the end", controller="Blender on the left")
+    state, _ = after(state, Received(others))
+    assert why_not(state, "stop").startswith("Blender on the left is in control")
+    assert (state.job.state, state.job.run, state.job.message) == ("preparing", "/run", "")
+
+
 def test_an_opened_run_brings_its_curves():
     request = RunOpen(run="/run")
     state, effects = after(connected(), Asked(request), Received(Done(), request))
