@@ -25,7 +25,7 @@ from ..chosen_run import proposed_run
 from ..paths import absolute, whole
 from ..runtime import session
 from ..session.advice import problem_of
-from ..session.state import EndAsked, Problem, State, StopAsked
+from ..session.state import EndAsked, State, StopAsked
 from .afterwards import is_modal
 from .base import PhysHDROperator, has_run, moved_data
 
@@ -367,10 +367,10 @@ class PHYSHDR_OT_result_import(PhysHDROperator):
             self.report({"INFO"}, "Nothing is imported; the backend still writes the run's model file")
             return self._finish(context, {"CANCELLED"})
         state = session().state
-        if event.type != "TIMER" or not (state.exported or state.problem or self._is_late()):
+        if event.type != "TIMER" or not (_is_answered(state) or self._is_late()):
             return {"PASS_THROUGH"}
         if not state.exported:
-            self.report({"ERROR"}, _why(state.problem))
+            self.report({"ERROR"}, _why(state))
             return self._finish(context, {"CANCELLED"})
         return self._finish(context, self._import(context, Path(state.exported.path)))
 
@@ -378,9 +378,9 @@ class PHYSHDR_OT_result_import(PhysHDROperator):
         if not self._ask(context):
             return self._import(context, self._file(context))
         current = session()
-        current.wait(lambda state: bool(state.exported or state.problem), ANSWER_SECONDS)
+        current.wait(_is_answered, ANSWER_SECONDS)
         if not current.state.exported:
-            self.report({"ERROR"}, _why(current.state.problem))
+            self.report({"ERROR"}, _why(current.state))
             return {"CANCELLED"}
         return self._import(context, Path(current.state.exported.path))
 
@@ -420,10 +420,17 @@ class PHYSHDR_OT_result_import(PhysHDROperator):
         return result
 
 
-def _why(problem: Problem | None) -> str:
-    """The problem and its remedy, in words."""
+def _is_answered(state: State) -> bool:
+    """Whether the backend has written the model, has said why not, or is gone and will not answer."""
+    return bool(state.exported or state.problem) or state.link.status != "connected"
+
+
+def _why(state: State) -> str:
+    """Why there is no model, and the remedy, in words."""
+    problem = state.problem or state.link.problem
     if problem is None:
-        return "the backend does not answer"
+        is_there = state.link.status == "connected"
+        return "the backend does not answer" if is_there else "the backend has ended: open the run again"
     return " ".join(filter(None, (problem.message, problem.hint)))
 
 

@@ -13,10 +13,10 @@ bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, o
 import physhdr  # noqa: E402
 from physhdr.addon import chosen_run, runtime, settings  # noqa: E402
 from physhdr.addon.chosen_run import proposed_run  # noqa: E402
-from physhdr.addon.operators import afterwards  # noqa: E402
+from physhdr.addon.operators import afterwards, training  # noqa: E402
 from physhdr.addon.operators.base import choices  # noqa: E402
 from physhdr.addon.session.advice import headline, next_step, why_not  # noqa: E402
-from physhdr.addon.session.state import Connected, Found, PythonChosen, Received  # noqa: E402
+from physhdr.addon.session.state import Connected, Found, LinkLost, PythonChosen, Received  # noqa: E402
 from physhdr.bridge.messages import JobStatus, RunOpen, TrainResume, TrainStart, Welcome  # noqa: E402
 
 WELCOME = Welcome(protocol=2, version="", pid=1, log="", device="cpu", torch="2", presets=(), in_control=True)
@@ -194,6 +194,43 @@ def test_another_file_says_nothing_of_the_former_ones_run(asked, chosen, tmp_pat
     found = choices(bpy.context)
     assert headline(current.state, found) == "Ready" and "data set" in next_step(current.state, found)
     assert current.state.dataset.folder == ""
+
+
+@pytest.mark.parametrize(
+    ("lost", "told"),
+    [
+        (LinkLost("the connection broke"), "The backend is gone: the connection broke"),
+        (LinkLost("it said good-bye", clean=True), "the backend has ended: open the run again"),
+    ],
+)
+def test_an_import_ends_with_the_backend_that_was_to_write_the_model(asked, monkeypatch, lost, told):
+    current = runtime.session()
+    current._connect = lambda: None
+    job = JobStatus(state="open", run="/run", has_model=True, in_control=True)
+
+    def connect():
+        for event in (Found("log", 1), Connected(WELCOME), Received(job)):
+            current.dispatch(event)
+
+    # In a window: the timer of the operator, which is under way.
+    operator = training.PHYSHDR_OT_result_import
+    reports, timer = [], SimpleNamespace(type="TIMER")
+    self = SimpleNamespace(
+        report=lambda kind, text: reports.append(text),
+        _is_late=lambda: False,
+        _finish=lambda context, result: result,
+    )
+    connect()
+    assert operator.modal(self, bpy.context, timer) == {"PASS_THROUGH"}
+    current.dispatch(lost)
+    assert operator.modal(self, bpy.context, timer) == {"CANCELLED"} and reports[0].startswith(told)
+    # In a script, which waits.
+    connect()
+    monkeypatch.setattr(training, "ANSWER_SECONDS", 1.0)
+    monkeypatch.setattr(current, "pump", lambda: current.dispatch(lost))
+    with pytest.raises(RuntimeError, match=told):
+        bpy.ops.physhdr.result_import()
+    assert [type(request).__name__ for request in asked] == ["ModelExport"]
 
 
 def test_a_second_click_while_the_model_is_written_imports_nothing(asked, monkeypatch):
