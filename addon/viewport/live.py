@@ -118,6 +118,8 @@ class LivePreview:
             asked, self._asked = self._asked, None
         if asked is None:
             return
+        if frame is not None:
+            self._forget_before(request.sequence)
         schedule = self._schedules.get(asked.key)
         if schedule is None:
             return  # its view is gone, or does not show the preview any more
@@ -125,6 +127,13 @@ class LivePreview:
             schedule.lost(asked.request.number)
         elif schedule.received(now, asked.request.number, 1e-3 * frame.header.milliseconds):
             overlay.set_picture(asked.key, in_world(frame, asked.request.camera, asked.to_world))
+
+    def _forget_before(self, sequence: int) -> None:
+        """What was asked before a picture that is here will not come: a newer request has replaced it."""
+        for older in [each for each in self._late if each < sequence]:
+            late = self._late.pop(older)
+            if late.key in self._schedules:
+                self._schedules[late.key].lost(late.request.number)
 
     def _ask(self, session: Session, regions: "dict[int, _Region]", now: float) -> None:
         # The view after the one that was served last comes first.

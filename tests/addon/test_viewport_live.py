@@ -43,13 +43,13 @@ class Backend:
 @pytest.fixture
 def watched(scene, monkeypatch):
     """A backend, and a view of it whose camera, time and pictures are at hand."""
-    seen = SimpleNamespace(backend=Backend(), now=100.0, x=0.0, shown=[])
+    seen = SimpleNamespace(backend=Backend(), now=100.0, x=0.0, keys=[1], shown=[])
 
     def regions(job):
         pose = np.eye(4)
         pose[0, 3] = seen.x
         camera = ViewCamera(pose, 8, 6, 9.0, 9.0, 4.0, 3.0)
-        return iter([live._Region(1, View(camera, LOOK), np.eye(4))])
+        return iter([live._Region(key, View(camera, LOOK), np.eye(4)) for key in seen.keys])
 
     monkeypatch.setattr(live, "_regions", regions)
     monkeypatch.setattr(live.time, "perf_counter", lambda: seen.now)
@@ -96,6 +96,18 @@ def test_a_view_whose_picture_was_refused_late_is_asked_for_again(watched):
     for _ in range(3):
         watched.tick(RETRY_SECONDS)
     assert len(watched.backend.asked) == 2
+
+
+def test_a_view_whose_request_another_views_has_replaced_is_asked_for_again(watched):
+    """Where nobody told it: of what has come since the last look only the newest answer is taken."""
+    watched.keys = [1, 2]
+    watched.tick()
+    watched.tick(TIMEOUT_SECONDS + 0.1)
+    _, second = watched.backend.asked
+    watched.backend.renders(second)
+    for _ in range(3):
+        watched.tick(RETRY_SECONDS)
+    assert len(watched.shown) == 1 and len(watched.backend.asked) == 3
 
 
 def test_a_scene_shows_the_model_of_its_own_run_alone(registered, tmp_path):

@@ -94,7 +94,7 @@ class Window:
         live, module = self.module("addon.runtime")._live, self.module("addon.viewport.live")
 
         def is_sharp() -> bool:
-            if live._asked is not None:
+            if live._asked is not None or live._late:
                 return False
             for region in module._regions(self.session.state.job):
                 schedule = live._schedules.get(region.key)
