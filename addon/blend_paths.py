@@ -6,6 +6,7 @@ the file is written, so that they are right in it; and again after an undo, whic
 """
 
 import os
+import secrets
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -16,21 +17,21 @@ from bpy.app.handlers import persistent
 from .dataset.dataset_settings import DATASET
 from .settings import SETTINGS, respelling
 
-#: Folders that the open file has been in, one after another, "" before it was saved; a scene's settings keep
-#: the place in this list of the one that they are beside.
-_folders: list[str] = []
+#: Numbers of folders are below this: what an integer of Blender's holds.
+KEYS = 2**31
+#: Folders that the open file has been in, "" before it was saved, each by a number drawn for it. A scene's
+#: settings keep that of the folder which they are beside: one of another session, or of a file that a scene
+#: was appended from, is not here.
+_folders: dict[int, str] = {}
 #: What was rewritten for the file that is being written: settings, a property's name, its former value.
 _former: list[tuple[bpy.types.PropertyGroup, str, str]] = []
 
 
 def _settle(folder: str) -> None:
     """Let the paths of all scenes be beside a .blend in ``folder``."""
-    if not _folders:
-        _forget()
     for scene in _own_scenes():
         chosen = getattr(scene, SETTINGS)
-        is_known = 0 <= chosen.folder_index < len(_folders)
-        former = _folders[chosen.folder_index] if is_known else folder
+        former = _folders.get(chosen.folder_key, folder)
         if former and folder and former != folder:
             with respelling():
                 for group in (chosen, getattr(scene, DATASET)):
@@ -40,20 +41,14 @@ def _settle(folder: str) -> None:
 
 def _mark(folder: str) -> None:
     """Note that the paths of all scenes are beside a .blend in ``folder``."""
-    if folder not in _folders:
-        _folders.append(folder)
-    index = _folders.index(folder)
+    key = next((key for key, each in _folders.items() if each == folder), None)
+    if key is None:
+        key = secrets.randbelow(KEYS)
+        _folders[key] = folder
     for scene in _own_scenes():
         chosen = getattr(scene, SETTINGS)
-        if chosen.folder_index != index:
-            chosen.folder_index = index
-
-
-def _forget() -> None:
-    """What scenes keep from another session says nothing in this one."""
-    _folders.clear()
-    for scene in _own_scenes():
-        getattr(scene, SETTINGS).folder_index = -1
+        if chosen.folder_key != key:
+            chosen.folder_key = key
 
 
 def _own_scenes() -> Iterator[bpy.types.Scene]:
@@ -91,7 +86,7 @@ def _folder_of(path: str) -> str:
 
 @persistent
 def _file_opened(*_: object) -> None:
-    _forget()
+    _folders.clear()
     _settle(_folder_of(bpy.data.filepath))
 
 

@@ -108,13 +108,14 @@ def curve_of(target: bpy.types.Object, path: str) -> Any:
 
 
 def animated_paths(target: bpy.types.Object) -> set[str]:
-    """The data paths of an object's that drivers, keyframes or the NLA's strips set."""
+    """The data paths of an object's that drivers, keyframes or the NLA's strips set, but for muted ones."""
     data = target.animation_data
     if data is None:
         return set()
-    strips = (strip for track in data.nla_tracks for strip in track.strips)
+    tracks = [track for track in data.nla_tracks if data.use_nla and not track.mute]
+    strips = [strip for track in tracks for strip in track.strips if not strip.mute]
     curves = (curve for each in (data, *strips) for curve in curves_of(each))
-    return {each.data_path for each in (*data.drivers, *curves)}
+    return {each.data_path for each in (*data.drivers, *curves) if not each.mute}
 
 
 def curves_of(animation: bpy.types.AnimData | bpy.types.NlaStrip) -> list[bpy.types.FCurve]:

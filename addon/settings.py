@@ -249,7 +249,7 @@ class PHYSHDR_Settings(bpy.types.PropertyGroup):
         type=PHYSHDR_Capture, description="Where captures stand whose scale or ground was set"
     )
     #: Which folder the paths beside the .blend are beside; see ``blend_paths``.
-    folder_index: bpy.props.IntProperty(default=-1, options={"HIDDEN"})
+    folder_key: bpy.props.IntProperty(default=-1, options={"HIDDEN"})
     preset: bpy.props.EnumProperty(name="Method", items=PRESETS)
     iterations: bpy.props.IntProperty(
         name="Iterations",

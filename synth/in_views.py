@@ -37,6 +37,7 @@ def shaped(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> Iterator[None]
 
     What belongs to a linked library, and cannot be written to, stays as it is.
     """
+    layer.update()  # without it a layer that nothing has been rendered of has no collections yet
     with ExitStack() as undo:
         undo.callback(layer.update)
         _set(scene.render, "simplify_subdivision", scene.render.simplify_subdivision_render, undo)

@@ -178,7 +178,8 @@ class PHYSHDR_DatasetSettings(RenderOptions, bpy.types.PropertyGroup):
     """What the dialog of a scene shows."""
 
     #: The folder that was proposed, and for which file: where that is another now, another is proposed.
-    proposed: bpy.props.StringProperty(options={"HIDDEN"})
+    #: A path as ``out`` is one, so that both follow the file alike (``blend_paths``).
+    proposed: bpy.props.StringProperty(subtype="DIR_PATH", options={"HIDDEN", "PATH_SUPPORTS_BLEND_RELATIVE"})
     proposed_for: bpy.props.StringProperty(options={"HIDDEN"})
     show_cameras: bpy.props.BoolProperty(
         name="Show in the 3D View",

@@ -188,7 +188,7 @@ def _dissolve(scene: bpy.types.Scene, collection: bpy.types.Collection) -> None:
     planes = [each for each in collection.objects if MARK in each]
     tops = {each.collection for each in bpy.data.scenes}
     for parent in (tops | set(bpy.data.collections)) - others:
-        if collection not in parent.children.values():
+        if collection not in parent.children.values() or not takes_objects(parent):
             continue
         for item in collection.objects.values():
             # By itself: a linked one may have the same name.

@@ -71,6 +71,8 @@ class LivePreview:
         regions = {region.key: region for region in _regions(job)} if job.has_model else {}
         for key in self._schedules.keys() - regions.keys():
             del self._schedules[key]
+            if self._asked and self._asked.key == key:
+                self._asked = None  # the numbers of a schedule that comes later begin anew
             self._late = {sequence: late for sequence, late in self._late.items() if late.key != key}
             overlay.set_picture(key, None)
         for key in regions.keys() - self._schedules.keys():

@@ -10,6 +10,7 @@ bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, o
 
 import physhdr  # noqa: E402
 from physhdr.addon import blend_paths, runtime, settings  # noqa: E402
+from physhdr.addon.dataset import dataset_folder  # noqa: E402
 from physhdr.addon.paths import absolute  # noqa: E402
 
 
@@ -106,6 +107,31 @@ def test_a_scene_that_was_added_later_and_one_of_another_file(chosen, tmp_path):
     linked = next(scene for scene in bpy.data.scenes if scene.library)
     save(tmp_path / "b" / "shot.blend")
     assert leads_to(added.physhdr.out, "kitchen_run") and linked.physhdr.out == "//kitchen_run"
+
+
+def test_a_scene_that_was_appended_keeps_the_paths_that_it_came_with(chosen, tmp_path):
+    """Which folder they were beside, this session does not know."""
+    save(tmp_path / "b" / "other.blend")
+    save(tmp_path / "a" / "other.blend")
+    shown().out, bpy.context.scene.name = "//kitchen_run", "Other"
+    save(tmp_path / "a" / "other.blend")
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a" / "shot.blend"))
+    save(tmp_path / "b" / "shot.blend")
+    save(tmp_path / "a" / "shot.blend")
+    with bpy.data.libraries.load(str(tmp_path / "a" / "other.blend")) as (_, here):
+        here.scenes = ["Other"]
+    save(tmp_path / "a" / "shot.blend")
+    assert bpy.data.scenes["Other"].physhdr.out == "//kitchen_run"
+
+
+def test_a_folder_that_was_proposed_for_the_former_file_is_not_the_next_ones(chosen, tmp_path):
+    settings = bpy.context.scene.physhdr_dataset
+    settings.out = ""
+    dataset_folder.propose(settings)
+    assert settings.out == "//shot_dataset"
+    save(tmp_path / "b" / "next.blend")
+    dataset_folder.propose(settings)
+    assert settings.out == "//next_dataset"
 
 
 def test_what_is_beside_a_file_that_was_never_saved_is_beside_it_then(registered, tmp_path):

@@ -19,7 +19,7 @@ import pytest
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
 from physhdr.addon import similarity  # noqa: E402
-from physhdr.addon.blender import to_matrix  # noqa: E402
+from physhdr.addon.blender import curves_of, to_matrix  # noqa: E402
 from physhdr.addon.capture import placement  # noqa: E402
 from physhdr.addon.model import attributes, model_import, nodes, origin  # noqa: E402
 from physhdr.addon.model.look import shown_shape  # noqa: E402
@@ -478,6 +478,27 @@ def test_what_is_animated_is_not_moved(registered, run, animated, told, by):
     registered.frame_set(2)
     assert tuple(target.matrix_world.to_scale()) == pytest.approx((2.0,) * 3)
     assert len(registered.physhdr.captures) == 1
+
+
+@pytest.mark.parametrize("by", ["curve", "track", "strip", "driver"])
+def test_what_is_muted_animates_nothing(registered, run, by):
+    target = load(run[0])
+    if by == "driver":
+        target.driver_add("location", 0)
+    else:
+        target.keyframe_insert("location", frame=1)
+    data = target.animation_data
+    if by in ("track", "strip"):
+        track = data.nla_tracks.new()
+        strip = track.strips.new("moves", 1, data.action)
+        data.action = None
+    muted = {"curve": lambda: curves_of(data), "driver": lambda: data.drivers}
+    muted |= {"track": lambda: [track], "strip": lambda: [strip]}
+    for each in muted[by]():
+        each.mute = True
+    assert bpy.ops.physhdr.capture_scale(first=(0, 0, 0), second=(1, 0, 0), distance=2.0) == {"FINISHED"}
+    registered.frame_set(2)
+    assert tuple(target.scale) == pytest.approx((2.0,) * 3)
 
 
 def test_what_was_saved_in_the_world_is_not_moved_a_second_time(registered, run):

@@ -414,6 +414,26 @@ def test_a_linked_copy_of_the_scene_keeps_its_ground(extension, capture, in_coll
     assert not [each for each in bpy.data.collections if cg.MARK in each]
 
 
+def test_a_ground_in_a_collection_of_another_file_hinders_no_reset(extension, capture, tmp_path):
+    """What a linked collection holds cannot be taken out of it."""
+    theirs, ground = bpy.data.collections.new("Set"), bpy.data.collections.new("Theirs")
+    plane = bpy.data.objects.new("plane", bpy.data.meshes.new("plane"))
+    ground[cg.MARK] = plane[cg.MARK] = cg.GROUND
+    theirs.children.link(ground)
+    ground.objects.link(plane)
+    bpy.data.libraries.write(str(tmp_path / "set.blend"), {theirs})
+    for each in (theirs, ground):
+        bpy.data.collections.remove(each)
+    bpy.data.objects.remove(plane)
+    before = set(capture.objects)
+    assert bpy.ops.physhdr.cg_here(location=(0, 0, 0), stand=False) == {"FINISHED"}
+    with bpy.data.libraries.load(str(tmp_path / "set.blend"), link=True) as (_, here):
+        here.collections = ["Set"]
+    capture.collection.children.link(here.collections[0])
+    assert bpy.ops.physhdr.cg_reset() == {"FINISHED"}
+    assert before <= set(capture.objects) and not cg.is_there(capture)
+
+
 def test_what_would_hinder_the_shadow_is_told(extension, capture, write, make_model):
     scene = capture
     scene.render.engine = "CYCLES"

@@ -110,6 +110,20 @@ def test_a_view_whose_request_another_views_has_replaced_is_asked_for_again(watc
     assert len(watched.shown) == 1 and len(watched.backend.asked) == 3
 
 
+def test_a_picture_that_was_asked_for_before_the_preview_was_off_is_not_shown(watched):
+    watched.tick()
+    watched.keys = []
+    watched.tick(0.1)
+    watched.keys, watched.x = [1], 5.0
+    for seconds in (0.1, TIMEOUT_SECONDS + 0.1, 0.1):
+        watched.tick(seconds)
+    watched.shown.clear()
+    for request in (watched.backend.asked[0], watched.backend.asked[-1]):
+        watched.backend.renders(request)
+        watched.tick(0.1)
+    assert [picture.camera.camera_to_world[0, 3] for picture in watched.shown] == [5.0]
+
+
 def test_a_scene_shows_the_model_of_its_own_run_alone(registered, tmp_path):
     """The one that it has chosen, or that is proposed for its data set."""
     job = JobStatus(state="training", run=str(tmp_path / "kitchen_run"), has_model=True)
