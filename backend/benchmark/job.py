@@ -34,7 +34,6 @@ from .runs import (
     has_gaussians,
     holds_training,
     put_in_place,
-    remove_work,
     write_json,
 )
 from .search import Measurement, nearest, next_trial, note_on
@@ -59,6 +58,7 @@ class Job:
     ``record``: the run's record but for what training tells. ``only_evaluate``: ``final`` is trained.
     ``trained``: ``work`` is, by a command that could not put it in place; ``record`` is the whole record.
     ``pictures``: what another program made is evaluated, and nothing trained.
+    ``alone``: no other command can be at this run, so that the next takes up a training in ``work``.
     """
 
     final: Path
@@ -74,6 +74,7 @@ class Job:
     only_evaluate: bool = False
     trained: bool = False
     pictures: Path | None = None
+    alone: bool = False
     program: tuple[str, ...] = PROGRAM
 
 
@@ -89,7 +90,7 @@ def execute(job: Job, should_stop: Callable[[], bool] = lambda: False) -> Outcom
     """Do the job; whatever happens, its processes have ended afterwards.
 
     Where results cannot be written (a full disk, a file in the way) it has failed without a ``failed.json``.
-    A training that has ended by then stays in ``work``.
+    A training that has ended by then stays in ``work`` if the job is ``alone``.
     """
     try:
         job.work.mkdir(parents=True, exist_ok=True)
@@ -102,14 +103,25 @@ def execute(job: Job, should_stop: Callable[[], bool] = lambda: False) -> Outcom
     except (OSError, PhysHDRError) as error:
         gone = isinstance(error, FileNotFoundError) and not job.work.exists()
         outcome = Outcome("stopped") if gone else Outcome("failed", _told(job, error))
-    remove_work(job.work)
+    remove_work(job)
     return outcome
 
 
+def remove_work(job: Job) -> None:
+    """Remove its working folder, unless that holds a training that the next command takes up."""
+    if not _is_kept(job):
+        shutil.rmtree(job.work, ignore_errors=True)
+
+
+def _is_kept(job: Job) -> bool:
+    """Whether ``work`` holds a training that the next command takes up."""
+    return job.alone and holds_training(job.work)
+
+
 def _told(job: Job, error: OSError | PhysHDRError) -> str:
-    """Why the job failed, in one line, and where the training is if that is done."""
+    """Why the job failed, in one line, and where the training is if it is kept."""
     line = str(error).splitlines()[0]
-    if not holds_training(job.work):
+    if not _is_kept(job):
         return line
     return (
         f"{line}; its training is kept in {job.work}: close what uses the folder or make room, and give the "

@@ -367,12 +367,6 @@ def holds_training(work: Path) -> bool:
     return whole and not work.name.endswith(REPLACED)
 
 
-def remove_work(work: Path) -> None:
-    """Remove a working folder, unless it holds a training: that only needs to be put in place."""
-    if not holds_training(work):
-        shutil.rmtree(work, ignore_errors=True)
-
-
 def _read(cls: type, path: Path) -> Any:
     """What ``write_json`` wrote; None where there is nothing, or nothing of this version."""
     try:

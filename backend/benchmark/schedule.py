@@ -16,9 +16,9 @@ from typing import Literal
 from ...bridge.lock import Claims
 from ..jobs.pools import Outcome, Pool
 from ..runs.log import LOG_FILE
-from .job import PROGRAM, TRIAL, Job, execute
+from .job import PROGRAM, TRIAL, Job, execute, remove_work
 from .plan import CPU_SECONDS, TUNE
-from .runs import Record, Run, Store, holds_training, remove_work, runs_of
+from .runs import Record, Run, Store, holds_training, runs_of
 from .search import Measurement
 
 CLAIMS_FOLDER = ".claims"
@@ -66,7 +66,7 @@ class Schedule:
         self.store, self.tell, self.program = store, tell, program
         self.runs = runs_of(store.plan)
         self.status: dict[Run, Status] = {}
-        self._work: dict[Run, Path] = {}
+        self._jobs: dict[Run, Job] = {}
         self._retry = set(self.runs) if retry else set()
         self._evaluate_again = set(self.runs) if evaluate_again else set()
         self._good = ("done", "evaluate") if as_evaluated else ("done",)
@@ -115,8 +115,8 @@ class Schedule:
                         time.sleep(LOOK_EVERY)
                     show()
             finally:
-                for work in self._work.values():
-                    remove_work(work)
+                for job in self._jobs.values():
+                    remove_work(job)
 
     def _begin(self, pool: Pool, claims: Claims) -> None:
         free = pool.free()
@@ -131,7 +131,7 @@ class Schedule:
             self.status[run] = self._on_disk(run)  # another command may have done it meanwhile
             if self.status[run].kind == "waiting":
                 job = self._job(run, alone=claims.keep_others_out)
-                self._work[run] = job.work
+                self._jobs[run] = job
                 self.status[run] = Status("running")
                 pool.submit(run.claim, partial(execute, job))
                 free -= 1
@@ -164,14 +164,14 @@ class Schedule:
 
     def _watch(self) -> None:
         """How far running jobs are, from their logs."""
-        for run, work in self._work.items():
-            logs = _logs(work)
+        for run, job in self._jobs.items():
+            logs = _logs(job.work)
             iteration, iterations = _progress(max(logs, key=_changed)) if logs else (0, 0)
             if iterations:
                 self.status[run] = Status("running", "", iteration, iterations)
 
     def _settle(self, run: Run, outcome: Outcome) -> None:
-        remove_work(self._work.pop(run))  # there only if the job's machine died, or to be put in place yet
+        remove_work(self._jobs.pop(run))  # there only if the job's machine died, or to be put in place yet
         if outcome.kind == "stopped":  # not by us, who settle nothing then: somebody removed its folder
             self.status[run] = self._on_disk(run)
             self.tell(f"{run.folder}: another command took it over")
@@ -230,6 +230,7 @@ class Schedule:
                 iterations=None,
                 record=record,
                 pictures=run.pictures,
+                alone=alone,
                 program=self.program,
             )
         iterations = store.iterations(run)
@@ -250,6 +251,7 @@ class Schedule:
             record=record,
             only_evaluate=done is not None and kept is None,
             trained=kept is not None,
+            alone=alone,
             program=self.program,
         )
 

@@ -64,7 +64,10 @@ def evaluate(words: list[str]) -> int:
     if given.pictures:
         return evaluate_pictures(given)
     config = json.loads((given.folder / "config.json").read_text())["config"]
-    write_evaluation(given, 30.0 + len((given.folder / "preset").read_text()) + 0.1 * config["seed"])
+    preset = (given.folder / "preset").read_text()
+    if preset == "hangs_evaluated":
+        time.sleep(1000)
+    write_evaluation(given, 30.0 + len(preset) + 0.1 * config["seed"])
     return 0
 
 

@@ -12,6 +12,7 @@ import shutil
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -237,7 +238,7 @@ def test_a_job_may_move_its_folder_away_while_it_is_looked_at(bench, monkeypatch
     """A job's process does so when it is done, and its scheduler looks into the folder at any moment."""
     schedule = bench.schedule()
     work = bench.root / "work"
-    schedule._work[schedule.runs[0]] = work
+    schedule._jobs[schedule.runs[0]] = replace(schedule._job(schedule.runs[0], alone=True), work=work)
     for listing in ("scandir", "listdir"):
         listed = getattr(os, listing)
 
@@ -397,6 +398,36 @@ def test_a_kept_training_is_removed_once_it_would_be_done_otherwise(bench, monke
     (bench.root / "day" / "data.json").write_text("brighter")
     bench.calls()
     assert kinds(bench.run()) == ["done"] and len(bench.calls()) == 1 and not bench.left_over()
+
+
+def test_no_training_is_kept_or_promised_where_nothing_can_be_locked(bench, monkeypatch):
+    """The next command looks for none there, for another may be at it: each would leave one more."""
+    monkeypatch.setitem(sys.modules, "filelock", None)
+    refuse = OSError(errno.EACCES, "The process cannot access the file")
+    monkeypatch.setattr(runs, "patiently", lambda move: (_ for _ in ()).throw(refuse))
+    assert kinds(bench.run()) == ["failed"] and not bench.left_over()
+    (told,) = [line for line in bench.told if "failed: " in line]
+    assert "cannot put the result into" in told and "its training" not in told
+
+
+@pytest.mark.parametrize("locks", [True, False])
+def test_an_interrupted_evaluation_leaves_a_training_where_the_next_command_looks_for_it(
+    bench, monkeypatch, locks
+):
+    if not locks:
+        monkeypatch.setitem(sys.modules, "filelock", None)
+    bench.content["methods"] = ["hangs_evaluated"]
+    schedule = bench.schedule()
+    folder = bench.root / "out" / schedule.runs[0].folder
+
+    def interrupt_once_it_is_trained():
+        if list(folder.parent.glob(".seed_0-*/run.json")):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        schedule.work_off(LocalPool(1), interrupt_once_it_is_trained)
+    assert not fakes_running(bench.root)
+    assert len(bench.left_over()) == (1 if locks else 0)
 
 
 def test_a_result_that_cannot_be_replaced_stays_in_its_place(tmp_path, monkeypatch):
