@@ -14,7 +14,7 @@ from typing import Any
 from ...bridge import data_set
 from ...bridge.errors import BadValueError, DataMismatchError, FileDamagedError
 from ...bridge.lights import AMBIENT, check_lights, in_words, named_levels
-from ...bridge.limits import check_level
+from ...bridge.limits import check_level, is_number
 from .camera import Camera
 from .checks import MAKE_AGAIN, exposure, number, path_inside, read_json, require, rigid_pose
 from .info import ORIGINAL_ANCHOR, read_anchor, read_info
@@ -33,6 +33,9 @@ LOOKS_FOR = f"{data_set.transforms_file(data_set.TRAIN)} and {data_set.exposure_
 OURS = "PhysHDR"
 #: HDR-NeRF's pictures as they are downloaded, and its ``half_res``.
 ORIGINAL_SIZE, ORIGINAL_REDUCTION = (800, 800), 2.0
+#: Where a file states all of these, its intrinsics in pixels count. HDR-NeRF reads ``camera_angle_x`` alone:
+#: what stands beside it may be left from other pictures, and pixels mean nothing without the size they are of.
+IN_PIXELS = ("w", "h", "fl_x")
 
 
 def is_mine(root: Path) -> bool:
@@ -86,12 +89,12 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
 class _Frame:
     """A frame of a transforms file: ``stem`` is ``train/r_3``, without a leading ``./``.
 
-    ``given``: its entries over those of the file.
+    ``entry``: all that it has.
     """
 
     stem: str
     index: int
-    given: dict[str, Any]
+    entry: dict[str, Any]
     lighting_levels: tuple[float, ...]
 
 
@@ -125,7 +128,7 @@ def _read_split(root: Path, split: str, lights: tuple[str, ...]) -> list[Pose]:
         names = [data_set.picture_file(frame.stem, k) for k in range(len(bracket))]
         paths = tuple(path_inside(root, name, transforms_path) for name in names)
         size = _check_bracket(paths, exposure_path)
-        camera, lens = _camera(transforms_path, frame, paths[0], size)
+        camera, lens = _camera(transforms_path, transforms, frame, paths[0], size)
         pictures = {k: PictureFile(path, bracket[k]) for k, path in enumerate(paths)}
         poses.append(Pose(frame.stem, frame.index, camera, pictures, frame.lighting_levels, lens=lens))
 
@@ -146,7 +149,6 @@ def _read_frames(
     if not isinstance(entries, list) or not entries:
         raise FileDamagedError(f"{path}: 'frames' must be a list with at least one frame", MAKE_AGAIN)
     frames = []
-    of_all = {key: value for key, value in transforms.items() if key != "frames"}
     for ordinal, entry in enumerate(entries):
         where = f": frame {ordinal}"
         if not isinstance(entry, dict):
@@ -159,7 +161,7 @@ def _read_frames(
         levels = _levels(path, entry, f"frame {which}", lights, is_lit)
         rigid_pose(path, require(path, entry, "transform_matrix", f": frame {which}"), which)
         index = data_set.number_of(stem)
-        frames.append(_Frame(stem, ordinal if index is None else index, of_all | entry, levels))
+        frames.append(_Frame(stem, ordinal if index is None else index, entry, levels))
     if len({frame.index for frame in frames}) != len(frames):
         twice = next(f for f in frames if sum(f.index == g.index for g in frames) > 1)
         raise DataMismatchError(
@@ -210,17 +212,25 @@ def _levels(
 
 
 def _camera(
-    path: Path, frame: _Frame, picture: Path, size: tuple[int, int]
+    path: Path, transforms: dict[str, Any], frame: _Frame, picture: Path, size: tuple[int, int]
 ) -> tuple[Camera, RealCamera | None]:
     """The camera at the ``size`` of its pictures, and its lens where that bends straight lines.
 
-    Where a file has more than ``camera_angle_x``, it is read as ``transforms.json``: what programs write
-    there of focal lengths, the middle and distortion holds whether exposures are beside it or not.
+    With all of ``IN_PIXELS``, intrinsics are those of ``transforms.json``. Else ``camera_angle_x`` is the
+    width's, and the principal point is the middle, whatever else is stated.
     """
     where = f"frame '{frame.stem:.80}'"
-    camera = stated_camera(path, where, frame.given, size)
-    lens = stated_lens(path, where, frame.given, camera)
-    return fitted(camera, size, path, picture), None if lens is None else lens.resized(*size)
+    stated = {key: value for key, value in (transforms | frame.entry).items() if value is not None}
+    if not all(is_number(stated.get(key)) for key in IN_PIXELS):
+        angle, matrix = transforms["camera_angle_x"], frame.entry["transform_matrix"]
+        return stated_camera(path, where, {"camera_angle_x": angle, "transform_matrix": matrix}, size), None
+    camera = stated_camera(path, where, stated, size)
+    lens = stated_lens(path, where, stated, camera)
+    remedy = (
+        f"Mend 'w' and 'h' in {path.name}, the picture size that 'fl_x' is for; or remove them: then only "
+        "'camera_angle_x' counts."
+    )
+    return fitted(camera, size, path, picture, remedy), None if lens is None else lens.resized(*size)
 
 
 def _read_exposures(path: Path) -> dict[str, dict[int, float]]:

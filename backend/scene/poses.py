@@ -276,10 +276,16 @@ def at_size_of_pictures(pose: Pose, sizes: Mapping[Path, tuple[int, int]], told_
     return replace(pose, camera=fitted(camera, size, told_by, first), lens=lens)
 
 
-def fitted(camera: Camera, size: tuple[int, int], told_by: Path, picture: Path) -> Camera:
+def fitted(
+    camera: Camera,
+    size: tuple[int, int],
+    told_by: Path,
+    picture: Path,
+    remedy: str = "Use the pictures that the cameras were found with, neither cropped nor turned.",
+) -> Camera:
     """A camera that was measured at another size, at the size of the pictures.
 
-    Raises ``DataMismatchError`` where the two have not one shape, to a pixel's rounding.
+    Raises ``DataMismatchError``, with ``remedy``, where the two have not one shape, to a pixel's rounding.
     """
     width, height = size
     if (camera.width, camera.height) == size:
@@ -288,7 +294,7 @@ def fitted(camera: Camera, size: tuple[int, int], told_by: Path, picture: Path) 
         raise DataMismatchError(
             f"{told_by} was made from pictures of {camera.width}×{camera.height}, {picture} is "
             f"{width}×{height}: another shape",
-            "Use the pictures that the cameras were found with, neither cropped nor turned.",
+            remedy,
         )
     return camera.resized(width, height)
 

@@ -666,7 +666,8 @@ def test_intrinsics_beside_exposures_are_those_of_transforms_json(
     for path in root.glob("t*/r_*.png"):
         _, index, k = path.stem.split("_")
         layouts.save(path, layouts.draw(int(index), int(k)), alpha=True)
-    measured = {"fl_x": layouts.FX, "fl_y": layouts.FY, "cx": layouts.CX, "cy": layouts.CY, "k1": 0.0}
+    measured = {"w": layouts.WIDTH, "h": layouts.HEIGHT, "fl_x": layouts.FX, "fl_y": layouts.FY}
+    measured |= {"cx": layouts.CX, "cy": layouts.CY, "k2": None}
     for k1 in (0.0, -0.1):
         for path in root.glob("transforms_*.json"):
             path.write_text(json.dumps(json.loads(path.read_text()) | measured | {"k1": k1}))
@@ -675,6 +676,49 @@ def test_intrinsics_beside_exposures_are_those_of_transforms_json(
         if k1 == 0.0:
             assert_points_are_on_their_spots(layouts, scene)
         assert any("the distortion of the lens" in told for told in scene.messages) == (k1 != 0.0)
+
+
+@pytest.mark.parametrize(
+    "beside",
+    [
+        {"fl_x": 800.0, "fl_y": 800.0, "cx": 400.0, "cy": 400.0, "k1": -0.1},  # of a picture of any size
+        {"w": 1920, "h": 1080},
+        {"w": 1920},
+        {"w": "800", "h": "800", "fl_x": 800.0},
+        {"w": None, "h": None, "fl_x": None},
+        {"camera_angle_y": 0.3, "cx": 0.5, "cy": 0.5},
+        {"camera_model": "PERSP"},
+    ],
+)
+@pytest.mark.parametrize("in_frames", [False, True])
+def test_intrinsics_of_no_stated_size_are_ignored_beside_exposures(
+    layouts: ModuleType, tmp_path: Path, beside: dict[str, object], in_frames: bool
+) -> None:
+    """HDR-NeRF looks at camera_angle_x alone, so that what stands beside it may be of other pictures."""
+    root = layouts.write_syn(tmp_path, exposures=(0.5, 2.0))
+    for path in root.glob("transforms_*.json"):
+        content = json.loads(path.read_text())
+        for entry in content["frames"] if in_frames else [content]:
+            entry.update(beside)
+        path.write_text(json.dumps(content))
+    assert_points_are_on_their_spots(layouts, read_scene(root))
+
+
+def test_intrinsics_beside_exposures_are_of_the_size_that_is_stated(
+    layouts: ModuleType, tmp_path: Path
+) -> None:
+    """Pictures that were reduced after their cameras were found; another shape is refused."""
+    root = layouts.write_syn(tmp_path, exposures=(0.5, 2.0))
+    width, height = 2 * layouts.WIDTH, 2 * layouts.HEIGHT
+    for h, is_refused in ((height, False), (height // 2, True)):
+        for path in root.glob("transforms_*.json"):
+            stated = {"w": width, "h": h, "fl_x": 2 * layouts.FX, "cx": width / 2, "cy": height / 2}
+            path.write_text(json.dumps(json.loads(path.read_text()) | stated))
+        if is_refused:
+            with pytest.raises(DataMismatchError, match=r"another shape\n.*'w' and 'h'"):
+                read_scene(root)
+        else:
+            assert_points_are_on_their_spots(layouts, read_scene(root))
 
 
 @pytest.mark.parametrize("lists", [("test",), ("val",), ("val", "test")])
