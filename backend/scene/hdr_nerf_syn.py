@@ -25,6 +25,7 @@ from .points import read_points
 from .poses import PictureFile, Pose, Views, fitted, wrong_size
 from .resize import Reduction
 from .scene import Scene
+from .truth_folders import truth_there
 
 NAME = "HDR-NeRF-Syn"
 #: What a folder must hold to be taken for this layout.
@@ -34,7 +35,7 @@ OURS = "PhysHDR"
 #: HDR-NeRF's pictures as they are downloaded, and its ``half_res``.
 ORIGINAL_SIZE, ORIGINAL_REDUCTION = (800, 800), 2.0
 #: Where a file states all of these, its intrinsics in pixels count. HDR-NeRF reads ``camera_angle_x`` alone:
-#: what stands beside it may be left from other pictures, and pixels mean nothing without the size they are of.
+#: what stands beside it may be left from other pictures; pixels mean nothing without the size they are of.
 IN_PIXELS = ("w", "h", "fl_x")
 
 
@@ -55,10 +56,12 @@ def read_scene(root: Path, downscale: float | None = None) -> Scene:
     lights = _read_lights(root) if data_set.has_split(root, data_set.LIT) else (AMBIENT,)
     there = {data_set.TRAIN, *data_set.splits_there(root)}
     splits = {split: _read_split(root, split, lights) if split in there else [] for split in data_set.SPLITS}
-    size = _check_one_size([pose for poses in splits.values() for pose in poses])
+    every = [pose for poses in splits.values() for pose in poses]
+    size = _check_one_size(every)
+    _require_one_geometry(root, every)
     if downscale is None:
         downscale = ORIGINAL_REDUCTION if not info and size == ORIGINAL_SIZE else 1.0
-    made = Views(root, [pose for poses in splits.values() for pose in poses], Reduction(downscale))
+    made = Views(root, every, Reduction(downscale))
     views = {split: made.of(poses) for split, poses in splits.items()}
     points_path = root / data_set.POINTS_FILE
     messages = (
@@ -271,3 +274,19 @@ def _check_one_size(poses: list[Pose]) -> tuple[int, int]:
         if size != right:
             raise wrong_size(pose.pictures[0].path, size, first.pictures[0].path, right)
     return right
+
+
+def _require_one_geometry(root: Path, poses: list[Pose]) -> None:
+    """True radiance and pictures show the same; raises ``DataMismatchError`` where a lens is between them.
+
+    Pictures lose its distortion, true radiance is compared as it is.
+    """
+    truth = [*truth_there(root), *data_set.mixture_folders(root)]
+    lens = next((pose.lens for pose in poses if pose.lens is not None), None)
+    if truth and lens is not None:
+        raise DataMismatchError(
+            f"{root}: its lens bends straight lines ({lens.in_words()}), which is taken out of pictures, but "
+            f"not out of the true radiance in {truth[0]}/: they could not be compared",
+            f"Undistort pictures and radiance beforehand, and remove k1 and the like from transforms_*.json; "
+            f"or move {', '.join(folder + '/' for folder in truth)} away.",
+        )

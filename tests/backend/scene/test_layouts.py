@@ -668,6 +668,8 @@ def test_intrinsics_beside_exposures_are_those_of_transforms_json(
         layouts.save(path, layouts.draw(int(index), int(k)), alpha=True)
     measured = {"w": layouts.WIDTH, "h": layouts.HEIGHT, "fl_x": layouts.FX, "fl_y": layouts.FY}
     measured |= {"cx": layouts.CX, "cy": layouts.CY, "k2": None}
+    for split in ("train", "test"):
+        shutil.rmtree(root / f"{split}_hdr")
     for k1 in (0.0, -0.1):
         for path in root.glob("transforms_*.json"):
             path.write_text(json.dumps(json.loads(path.read_text()) | measured | {"k1": k1}))
@@ -676,6 +678,27 @@ def test_intrinsics_beside_exposures_are_those_of_transforms_json(
         if k1 == 0.0:
             assert_points_are_on_their_spots(layouts, scene)
         assert any("the distortion of the lens" in told for told in scene.messages) == (k1 != 0.0)
+
+
+@pytest.mark.parametrize("folder", ["test_hdr", "relit/level_0.25"])
+def test_true_radiance_behind_a_lens_is_refused_beside_exposures(
+    layouts: ModuleType, tmp_path: Path, folder: str
+) -> None:
+    """Pictures lose their distortion and radiance would not: HDR would compare two geometries."""
+    root = layouts.write_syn(tmp_path, exposures=(0.5, 2.0))
+    stated = {"w": layouts.WIDTH, "h": layouts.HEIGHT, "fl_x": layouts.FX}
+    for k1 in (0.0, -0.1):
+        for path in root.glob("transforms_*.json"):
+            path.write_text(json.dumps(json.loads(path.read_text()) | stated | {"k1": k1}))
+        if k1 == 0.0:
+            read_scene(root)
+    shutil.rmtree(root / "train_hdr")
+    (root / "test_hdr").rename(tmp_path / "moved")
+    assert read_scene(root).test
+    (root / folder).parent.mkdir(exist_ok=True)
+    (tmp_path / "moved").rename(root / folder)
+    with pytest.raises(DataMismatchError, match=rf"OPENCV.*{folder}/.*\n.*move {folder}/ away"):
+        read_scene(root)
 
 
 @pytest.mark.parametrize(
