@@ -102,7 +102,8 @@ def read_header(path: Path) -> Header:
     if width * height > MAX_PIXELS:
         raise FileDamagedError(
             f"{path} has more pixels than are read ({width}×{height})",
-            "Take photos of 100 million pixels at most, or make them smaller, keeping EXIF.",
+            f"Take photos of {MAX_PIXELS // 10**6} million pixels at most, or make them smaller, keeping "
+            "EXIF.",
         )
     transfer = 0 if icc else told.get("transfer_characteristics", 0)
     profile, unconverted = profile_of_bytes(icc) if icc else (None, "")

@@ -647,13 +647,14 @@ def _read_deep_header(path: Path) -> Photo:
 
 @contextmanager
 def _not_too_large(path: Path) -> Iterator[None]:
-    """Say what is wrong with a photo beyond our limit, and Pillow's: some phones take 200 million pixels."""
+    """Say what is wrong where Pillow suspects an attack: some phones take 200 million pixels."""
     try:
         yield
     except Image.DecompressionBombError as error:
+        most = 2 * (Image.MAX_IMAGE_PIXELS or 0)
         raise FileDamagedError(
             f"{path} has more pixels than are read ({error})",
-            "Take photos of 100 million pixels at most, or make them smaller, keeping EXIF.",
+            f"Take photos of {most // 10**6} million pixels at most, or make them smaller, keeping EXIF.",
         ) from error
 
 
