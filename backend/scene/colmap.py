@@ -194,7 +194,7 @@ def read_poses(root: Path, pictures: Path, most_unknown: float = 0.0) -> FoundPo
 def _unsteady_in_words(model: SparseModel, groups: Sequence[Group], spread: float) -> tuple[str, ...]:
     """How far the cameras of one bracket are apart and turned, where that is worth a message."""
     apart = max(moved(model, group) for group in groups)
-    turned = max(turn(model, group) for group in groups)
+    turned = max(turn(model, group, image) for group in groups for image in group.registered)
     told = []
     if apart > STEADY * spread:
         told.append(f"up to {apart:.2g} units apart ({apart / spread:.1%} of all cameras' spread)")

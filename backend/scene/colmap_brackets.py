@@ -46,7 +46,13 @@ def grouped(
         )
     groups, alone = sorted([*groups, *strays], key=lambda group: group.name), list(strays)
     far = [group for group in groups if moved(model, group) > FAR * spread]
-    turned = [group for group in groups if group not in far and turn(model, group) > TURNED]
+    away = {
+        group: [image for image in group.registered if turn(model, group, image) > TURNED]
+        for group in groups
+        if group not in far
+    }
+    # COLMAP may turn one picture of a bracket wrongly, as a dark one: the others tell where the camera was.
+    turned = [group for group, images in away.items() if 2 * len(images) >= len(group.registered)]
     for some, are in ((far, "are far apart"), (turned, "look in different directions")):
         if some:
             names = ", ".join(f"'{group.name}_…'" for group in some)
@@ -54,6 +60,13 @@ def grouped(
                 f"names like brackets, but the cameras of {names} {are}: each of their pictures in the model "
                 "is a view of its own"
             )
+    odd = [image.name for group, images in away.items() if group not in turned for image in images]
+    if odd:
+        messages.append(
+            f"{len(odd)} of {len(model.images)} pictures of the model are turned by more than {TURNED:g}° "
+            "against most of their bracket: they stay in it, under the camera of the picture with the most "
+            f"points (first: {odd[0]:.200})"
+        )
     far += turned
     if far:
         groups = [one for group in groups for one in (single(group.registered) if group in far else [group])]
@@ -153,14 +166,12 @@ def moved(model: SparseModel, group: Group) -> float:
     return max(float(np.linalg.norm(model.camera(image).position - of)) for image in group.registered)
 
 
-def turn(model: SparseModel, group: Group) -> float:
-    """By how much the group's other cameras are turned against that of ``camera_of`` at most, degrees."""
+def turn(model: SparseModel, group: Group, image: SparseImage) -> float:
+    """By how much the camera of one of the group's pictures is turned against ``camera_of``, degrees."""
     of = camera_of(model, group).camera_to_world[:3, :3]
     # The difference of two rotations has the norm √8 sin(angle / 2).
-    most = max(
-        float(np.linalg.norm(model.camera(image).camera_to_world[:3, :3] - of)) for image in group.registered
-    )
-    return math.degrees(2.0 * math.asin(min(1.0, most / math.sqrt(8.0))))
+    apart = float(np.linalg.norm(model.camera(image).camera_to_world[:3, :3] - of))
+    return math.degrees(2.0 * math.asin(min(1.0, apart / math.sqrt(8.0))))
 
 
 def best_of(group: Group) -> SparseImage:
