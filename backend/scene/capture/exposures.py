@@ -156,8 +156,9 @@ def _csv(text: str) -> dict[str, str]:
         rows = rows[1:]
     table: dict[str, str] = {}
     for name, seconds, *_ in rows:
-        if table.setdefault(name, seconds) != seconds:
-            raise ValueError(f"{name!r} has two exposures, {table[name]} and {seconds}")
+        first = table.setdefault(name, seconds)
+        if seconds != first and _number(seconds) != _number(first):
+            raise ValueError(f"{name!r} has two exposures, {first} and {seconds}")
     return table
 
 

@@ -241,6 +241,14 @@ def test_names_in_files_of_exposures_may_be_spelled_in_another_way(room, tmp_pat
     assert found.seconds == {"a.jpg": 0.5, "B.jpg": 2.0, nfd: 4.0}
 
 
+def test_an_exposure_may_be_told_twice_in_two_ways(room, tmp_path):
+    """As of two cards that hold the same photo; 1/2 is 0.5."""
+    room.write_photo(tmp_path / "a.jpg", GREY)
+    (tmp_path / "e.csv").write_text("a.jpg,0.5\na.jpg,1/2\na.jpg,0.50\n")
+    found = exposures_from_file(tmp_path / "e.csv", find_photos(tmp_path).photos)
+    assert found.seconds == {"a.jpg": 0.5}
+
+
 @pytest.mark.parametrize(
     ("name", "text", "words"),
     [
