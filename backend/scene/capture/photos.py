@@ -404,21 +404,46 @@ def _one_of_each(paths: list[Path], notes: list[str]) -> list[Path]:
 def _of_one_suffix(paths: list[Path], copies: Counter[str]) -> list[Path]:
     """Of files that share a stem, photos and what a program exported of them, those of the commonest suffix.
 
-    Two kinds side by side would have two responses, and as photos of one time would be no brackets.
+    Two kinds side by side would have two responses, and as photos of one time would be no brackets. One that
+    cannot be read gives way to its twin.
     """
-    there = Counter(path.suffix.lower() for path in paths)
+    twins: dict[str, list[Path]] = {}
+    for path in paths:
+        twins.setdefault(path.stem, []).append(path)
+    # What is named as none of the twins, a chart among photos, does not count.
+    named = {_without_numbers(stem) for stem, files in twins.items() if len(files) > 1}
+    there = Counter(path.suffix.lower() for path in paths if _without_numbers(path.stem) in named)
 
     def rank(path: Path) -> tuple[int, int]:
         suffix = path.suffix.lower()
         return -there[suffix], BEFORE_EXPORTS.index(suffix)
 
-    best: dict[str, Path] = {}
-    for path in paths:
-        best[path.stem] = min(best.get(path.stem, path), path, key=rank)
-    for path in paths:
-        if (used := best[path.stem]) is not path:
-            copies[f"{used.suffix} and as {path.suffix}: the {used.suffix} files are used"] += 1
-    return [path for path in paths if best[path.stem] is path]
+    used = set()
+    for files in twins.values():
+        best, *others = sorted(files, key=rank)
+        why = ""
+        if others and _is_damaged(best) and (sound := [path for path in others if not _is_damaged(path)]):
+            others = [path for path in (best, *others) if path is not sound[0]]
+            best, why = sound[0], f", for {best.name} cannot be read"
+        used.add(best)
+        for path in others:
+            copies[f"{best.suffix} and as {path.suffix}: the {best.suffix} files are used{why}"] += 1
+    return [path for path in paths if path in used]
+
+
+def _without_numbers(stem: str) -> str:
+    return re.sub(r"\d+", "", stem)
+
+
+def _is_damaged(path: Path) -> bool:
+    """Whether a header cannot be read; a library that is not there is not the file's fault."""
+    try:
+        _read_header(path)
+    except FileDamagedError:
+        return True
+    except FileMissingError:
+        return False
+    return False
 
 
 def _family(path: Path) -> str:

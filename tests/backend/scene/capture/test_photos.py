@@ -175,6 +175,30 @@ def test_what_a_program_exported_of_a_photo_is_no_second_photo(room, tmp_path, e
     assert found.notes == [f"1 photos are there as {export} and as .JPG: the {export} files are used"]
 
 
+def test_a_picture_that_is_no_export_does_not_outweigh_the_photos(room, tmp_path):
+    """IMG_0 … IMG_2 as JPG and PNG, and a chart: the PNGs tell no exposure."""
+    for number in range(3):
+        room.write_photo(tmp_path / f"IMG_{number}.JPG", GREY, 1 / (60 << number), NOON)
+        Image.fromarray(GREY).save(tmp_path / f"IMG_{number}.png")
+    Image.fromarray(GREY).save(tmp_path / "chart.png")
+    found = find_photos(tmp_path)
+    assert found.notes == ["3 photos are there as .JPG and as .png: the .JPG files are used"]
+    assert {f"IMG_{number}.JPG" for number in range(3)} <= {photo.name for photo in found.photos}
+
+
+def test_a_damaged_photo_gives_way_to_what_was_exported_of_it(room, tmp_path):
+    for number in range(3):
+        room.write_photo(tmp_path / f"IMG_{number}.jpg", GREY, 1 / (60 << number), NOON)
+    room.write_photo(tmp_path / "IMG_1.tif", GREY, 1 / 120, NOON)
+    (tmp_path / "IMG_1.jpg").write_bytes((tmp_path / "IMG_1.jpg").read_bytes()[:30])
+    found = find_photos(tmp_path)
+    assert [photo.name for photo in found.photos] == ["IMG_0.jpg", "IMG_1.tif", "IMG_2.jpg"]
+    assert found.notes == [
+        "1 photos are there as .tif and as .jpg: the .tif files are used, for IMG_1.jpg cannot be read"
+    ]
+    assert not found.skipped and not found.damaged
+
+
 def test_a_fraction_of_a_second_that_is_no_number_is_left_aside(room, tmp_path):
     path = tmp_path / "a.jpg"
     room.write_photo(path, GREY, 1.0, NOON, SubsecTimeOriginal="@7")
