@@ -2,6 +2,7 @@
 """Packages that only some commands need, which the user may not have installed."""
 
 import importlib
+import sys
 from types import ModuleType
 
 from ..bridge.errors import PhysHDRError
@@ -11,12 +12,12 @@ class PackageMissingError(PhysHDRError):
     """An optional package is not installed."""
 
 
-def needed(module: str, package: str, extra: str, what: str) -> ModuleType:
-    """Import ``module`` of PyPI's ``package``; raises ``PackageMissingError``: ``what`` needs ``extra``."""
+def needed(module: str, package: str, what: str) -> ModuleType:
+    """Import ``module`` of PyPI's ``package``; raises ``PackageMissingError``: ``what`` needs it."""
     try:
         return importlib.import_module(module)
     except ImportError as error:
         raise PackageMissingError(
             f"{what} needs {package}, which cannot be imported: {error}",
-            f"Install it: pip install {package} (or physhdr with its extra: pip install 'physhdr[{extra}]').",
+            f"Install it: {sys.executable} -m pip install {package}",
         ) from error

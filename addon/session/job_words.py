@@ -9,7 +9,10 @@ from ...bridge.messages import Failure
 #: What the trainer says, as an expression, and the same for who has the panel; whole remedies come first.
 PHRASES = (
     (r"physhdr train DATA --out RUN, or name another run", "press Start, or choose another Run"),
-    (r"; 'python synth/make_scene\.py -- --out FOLDER' makes one", ", or render one from this scene"),
+    (
+        r" \(docs/formats\.md\)\. Of photos, 'physhdr prepare .*' makes one; '.*' renders one",
+        ", or make one: Prepare Photos, or Render from This Scene",
+    ),
     (r", as given to physhdr train --out\b", ""),
     (r" \(CTRL-C saves\)", ""),
     (r"replace it by --overwrite\b", "replace it (Start, then Replace)"),

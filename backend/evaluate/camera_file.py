@@ -178,7 +178,7 @@ def _similarity(
 
 def _usd(path: Path, like: Camera, prim: str | None) -> Shots:
     """A stage's camera at each of its time codes; once where it says no range of them."""
-    needed("pxr", "usd-core", "usd", f"{path.name}: a USD camera")
+    needed("pxr", "usd-core", f"{path.name}: a USD camera")
     told, arrays = apart(path, camera_of, str(path), prim, MOST_FRAMES, KINDS)
     to_world = _blender_world(path, told["up"], told["metres"])
     for wide, high in arrays["lenses"][:, :2]:

@@ -193,7 +193,7 @@ def write_response_figure(path: Path, learned: Curve, scene: Scene, split: str =
     Returns the check. Raises ``PackageMissingError`` without matplotlib, ``OutputError``, and what reading
     the data set raises.
     """
-    figures = needed("matplotlib.figure", "matplotlib", "figures", "the figure of the response")
+    figures = needed("matplotlib.figure", "matplotlib", "the figure of the response")
     true = true_response(scene, learned, split)
     check = check_response(learned, true)
     measured = measured_response(scene, split)

@@ -73,7 +73,7 @@ def video_writer(path: Path, fps: int | Fraction) -> Iterator[FrameSink]:
 
 @contextmanager
 def _h264_writer(path: Path, fps: Fraction) -> Iterator[FrameSink]:
-    av = needed("av", "av", "video", "writing a video")
+    av = needed("av", "av", "writing a video")
     with atomic_path(path) as temporary:
         try:
             with av.open(str(temporary), "w", options={"movflags": "faststart"}) as container:

@@ -136,7 +136,7 @@ def read_usd(path: Path) -> UsdSplats:
     """
     path = Path(path)
     regular_file(path, "Check the path, or choose another file.")
-    needed("pxr", "usd-core", "usd", "a USD file")
+    needed("pxr", "usd-core", "a USD file")
     told, arrays = apart(path, gaussians_of, str(path))
     if not told["placed"]:
         raise BadValueError(

@@ -5,6 +5,7 @@ So it answers with numbers as they stand in the file; what they mean is worked o
 """
 
 import math
+import sys
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -19,20 +20,20 @@ from .placed import FREE, MOST_TIMES
 
 #: Prims of a stage that are looked at, those of instances too.
 MOST_PRIMS = 100_000
-NEEDS = "Install it into the backend's Python: pip install 'physhdr[usd]' (usd-core 26.3 or newer)."
+INSTALL_NEWER = f"Install a newer one (26.3 or later): {sys.executable} -m pip install --upgrade usd-core"
 REMEDY = "Export it again: it may be cut off."
 
 
 def module(name: str, what: str = "a USD file") -> ModuleType:
     """A module of usd-core; raises ``PackageMissingError``: ``what`` needs it."""
-    return needed(f"pxr.{name}", "usd-core", "usd", what)
+    return needed(f"pxr.{name}", "usd-core", what)
 
 
 def volumes() -> ModuleType:
     """``pxr.UsdVol``, in which Gaussians are; raises ``PackageMissingError`` where it has none."""
     found = module("UsdVol")
     if not hasattr(found, "ParticleField3DGaussianSplat"):
-        raise PackageMissingError("this usd-core is older than Gaussians in USD", NEEDS)
+        raise PackageMissingError("this usd-core is older than Gaussians in USD", INSTALL_NEWER)
     return found
 
 

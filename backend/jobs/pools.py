@@ -4,6 +4,7 @@
 import contextlib
 import logging
 import os
+import sys
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -89,7 +90,7 @@ class RayPool:
             import ray
         except ModuleNotFoundError as error:
             raise BadValueError(
-                "--ray needs Ray, which is not installed", 'Install it: pip install "physhdr[ray]"'
+                "--ray needs Ray, which is not installed", f"Install it: {sys.executable} -m pip install ray"
             ) from error
         self._ray, self._address, self._threads = ray, address, threads
         self._running: dict[str, Any] = {}

@@ -46,7 +46,10 @@ def read_scene(root: Path | str, downscale: float | None = None, color_space: st
     reader raises.
     """
     root = Path(root)
-    remedy = "Give the folder of a data set; 'python synth/make_scene.py -- --out FOLDER' makes one."
+    remedy = (
+        "Give the folder of a data set (docs/formats.md). Of photos, 'physhdr prepare PHOTOS FOLDER' makes "
+        "one; 'python synth/make_scene.py -- --out FOLDER' renders one."
+    )
     if not root.exists():
         raise FileMissingError(f"the data set folder {root} does not exist", remedy)
     if not root.is_dir():

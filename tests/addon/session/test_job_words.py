@@ -87,8 +87,9 @@ def test_a_folder_that_cannot_be_trained_in_is_called_as_in_the_panel(tmp_path, 
             "Give the data set a points3d.ply with more points.",
         ),
         (
-            "Give the folder of a data set; 'python synth/make_scene.py -- --out FOLDER' makes one.",
-            "Give the folder of a data set, or render one from this scene.",
+            "Give the folder of a data set (docs/formats.md). Of photos, 'physhdr prepare PHOTOS FOLDER' "
+            "makes one; 'python synth/make_scene.py -- --out FOLDER' renders one.",
+            "Give the folder of a data set, or make one: Prepare Photos, or Render from This Scene.",
         ),
         # What the panel has not stays, for it helps all the same, and says of what it is.
         (

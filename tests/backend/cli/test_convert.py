@@ -150,7 +150,7 @@ def test_a_model_is_developed_as_its_response_says(model: Path, suffix: str, ton
 @pytest.mark.parametrize("suffix, options", [(".usdc", []), (".usda", []), (".glb", ["--blend-linear"])])
 def test_usd_has_the_radiance_itself(model: Path, suffix: str, options) -> None:
     if suffix.startswith(".usd"):
-        pytest.importorskip("pxr.UsdVol", reason="needs usd-core: pip install 'physhdr[usd]'")
+        pytest.importorskip("pxr.UsdVol", reason="needs usd-core: pip install usd-core")
     out = model.with_name(f"out{suffix}")
     m = read_model(model)
     ahead = np.tile(np.float32([0, 0, 1]), (m.count, 1))
@@ -209,7 +209,7 @@ def test_another_programs_colours_pass_through(tmp_path: Path) -> None:
 
 def test_what_usds_radiance_changes_of_display_colours_is_told(tmp_path: Path, capsys) -> None:
     """As much as codes differ that are worked out here, direction by direction; not a bit where they stay."""
-    pytest.importorskip("pxr.UsdVol", reason="needs usd-core: pip install 'physhdr[usd]'")
+    pytest.importorskip("pxr.UsdVol", reason="needs usd-core: pip install usd-core")
     rng = np.random.default_rng(0)
     m = a_model(3)
     colours = (0.2 * rng.normal(size=(m.count, 16, 3))).astype(np.float32)
@@ -237,7 +237,7 @@ def test_what_usds_radiance_changes_of_display_colours_is_told(tmp_path: Path, c
 
 def test_display_colours_of_one_degree_come_back_from_usd(tmp_path: Path, capsys) -> None:
     """SH of degree 0 decode exactly: there is nothing to be told."""
-    pytest.importorskip("pxr.UsdVol", reason="needs usd-core: pip install 'physhdr[usd]'")
+    pytest.importorskip("pxr.UsdVol", reason="needs usd-core: pip install usd-core")
     m = a_model(0)
     colours = np.random.default_rng(0).uniform(-1.7, 1.7, (m.count, 1, 3)).astype(np.float32)
     write_standard_ply(tmp_path / "a.ply", m.position, m.rotation, m.scale, m.opacity, colours, up="z")
@@ -248,7 +248,7 @@ def test_display_colours_of_one_degree_come_back_from_usd(tmp_path: Path, capsys
 
 
 def test_radiance_of_usd_is_exposed_for_a_screen_and_back(model: Path) -> None:
-    pytest.importorskip("pxr.UsdVol", reason="needs usd-core: pip install 'physhdr[usd]'")
+    pytest.importorskip("pxr.UsdVol", reason="needs usd-core: pip install usd-core")
     convert(model, model.with_name("a.usdc"))
     convert(model.with_name("a.usdc"), model.with_name("a.ply"), "--exposure-ev", 1)
     m = read_model(model)

@@ -21,7 +21,7 @@ from physhdr.backend.formats.apart import apart
 from physhdr.backend.formats.usd import read_usd, write_usd
 from physhdr.bridge.errors import BadValueError, FileDamagedError
 
-pytest.importorskip("pxr.UsdVol", reason="needs usd-core: pip install 'physhdr[usd]'")
+pytest.importorskip("pxr.UsdVol", reason="needs usd-core: pip install usd-core")
 
 #: A damaged stage of 1.5 kB (two bytes of one of ours): OpenUSD 26.11 reads where nothing is.
 CRASH = Path(__file__).resolve().parents[2] / "fixtures" / "crash.usdc"
