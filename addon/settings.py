@@ -176,10 +176,13 @@ class PHYSHDR_Capture(bpy.types.PropertyGroup):
     """Where a capture stands in the scene, by its data set's folder (``placement``). Matrices row by row."""
 
     matrix: bpy.props.FloatVectorProperty(
-        name="Matrix", size=16, description="From the capture's world to the scene's"
+        name="Matrix", size=16, description="Where the model stands by which the capture was first set"
     )
     original: bpy.props.FloatVectorProperty(
-        name="As Imported", size=16, description="Where its model stood before anything was set"
+        name="As Imported", size=16, description="Where that model stood before anything was set"
+    )
+    turn: bpy.props.FloatProperty(
+        name="Turn", subtype="ANGLE", description="About X: what the axes of that model's file wanted"
     )
     has_floor: bpy.props.BoolProperty(name="Floor", description="The floor was set: it is at z = 0")
     has_scale: bpy.props.BoolProperty(name="Scale", description="The scale was set: it is in metres")

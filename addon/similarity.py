@@ -15,6 +15,9 @@ from ..bridge.errors import BadValueError, DataMismatchError
 APART = 1e-6
 #: Three points span a plane where the sine of the largest angle between their sides is above this.
 SLIMMEST = 1e-3
+#: A model is flat where its smallest scale is below this share of its largest: Blender keeps float32.
+FLATTEST = 1e-6
+MIRRORED_OR_FLAT = ("the model is mirrored or flat", "Undo that: give it one scale above 0.")
 
 
 def scale_of(matrix: np.ndarray) -> float:
@@ -26,13 +29,23 @@ def scale_of(matrix: np.ndarray) -> float:
     determinant = np.linalg.det(linear)
     scale = float(np.cbrt(determinant))
     if not np.isfinite(matrix).all() or determinant <= 0.0:
-        raise DataMismatchError("the model is mirrored or flat", "Undo that: give it one scale above 0.")
+        raise DataMismatchError(*MIRRORED_OR_FLAT)
     # Blender keeps angles and scales as float32: a few 1e-7.
     if np.abs(linear.T @ linear / scale**2 - np.eye(3)).max() > SIMILARITY_TOLERANCE:
         raise DataMismatchError(
             "the model is scaled differently along its axes", "Give it the same scale along X, Y and Z."
         )
     return scale
+
+
+def inverse_of(matrix: np.ndarray) -> np.ndarray:
+    """``[4, 4]``: from the world into a model that stands at ``matrix``, mirrored or scaled differently along
+    its axes too. Raises ``DataMismatchError`` where it is flat."""
+    if np.isfinite(matrix).all():
+        scales = np.linalg.svd(matrix[:3, :3], compute_uv=False)
+        if scales[2] > FLATTEST * scales[0]:
+            return np.linalg.inv(matrix)
+    raise DataMismatchError(*MIRRORED_OR_FLAT)
 
 
 def scaled_to(first: np.ndarray, second: np.ndarray, distance: float) -> np.ndarray:

@@ -5,18 +5,19 @@ What is remembered is where models of a capture (``model.origin``) are put when 
 the live preview shows it.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import bpy
+import mathutils
 import numpy as np
 
 from ...bridge.errors import DataMismatchError
 from .. import similarity
-from ..blender import animated_paths, put_at, to_matrix, world_of
-from ..model.attributes import CAPTURE
+from ..blender import animated_paths, cloud_of, put_at, to_matrix, world_of
+from ..model.attributes import CAPTURE, FILE, TURN
 from ..model.look import models_among
-from ..model.origin import capture_of
+from ..model.origin import capture_of, key_of
 from ..settings import SETTINGS
 
 if TYPE_CHECKING:
@@ -33,9 +34,10 @@ def settings_of(scene: bpy.types.Scene) -> "PHYSHDR_Settings":
 
 
 def matrix_of(scene: bpy.types.Scene, capture: str) -> np.ndarray:
-    """``[4, 4]`` float64: where the scene remembers a capture to stand; the identity where it does not."""
+    """``[4, 4]`` float64: where the scene remembers a capture's world to stand; the identity where it does
+    not."""
     found = settings_of(scene).captures.get(capture)
-    return np.array(found.matrix, np.float64).reshape(4, 4) if found else np.eye(4)
+    return _square(found.matrix) @ _about_x(-found.turn) if found else np.eye(4)
 
 
 def models_of(scene: bpy.types.Scene, capture: str) -> Iterator[bpy.types.Object]:
@@ -58,8 +60,8 @@ def place(scene: bpy.types.Scene, target: bpy.types.Object) -> None:
 
     The turn that its file's axes want comes first.
     """
-    if settings_of(scene).captures.get(capture := capture_of(target)):
-        target.matrix_world = to_matrix(matrix_of(scene, capture) @ np.array(target.matrix_basis, np.float64))
+    if known := settings_of(scene).captures.get(capture_of(target)):
+        target.matrix_world = to_matrix(_square(known.matrix) @ _turn_between(known, target))
 
 
 def check_at_rest(scene: bpy.types.Scene, capture: str) -> None:
@@ -86,22 +88,47 @@ def move(scene: bpy.types.Scene, target: bpy.types.Object, change: np.ndarray) -
     capture, now = capture_of(target), np.array(world_of(target), np.float64)
     check_at_rest(scene, capture)
     similarity.scale_of(now)
-    kept = remembered(scene, capture, now)
+    kept = remembered(scene, target, now)
     wanted = {each: change @ np.array(world_of(each)) for each in models_of(scene, capture)}
     _put(wanted | _cameras_after(scene, capture, change))
-    kept.matrix = (change @ now).reshape(-1)
+    kept.matrix = (change @ now @ np.linalg.inv(_turn_between(kept, target))).reshape(-1)
     return kept
 
 
-def remembered(scene: bpy.types.Scene, capture: str, now: np.ndarray) -> "PHYSHDR_Capture":
-    """The scene's entry of a capture, begun where there is none, with where it stood before all settings."""
-    captures = settings_of(scene).captures
+def remembered(scene: bpy.types.Scene, target: bpy.types.Object, now: np.ndarray) -> "PHYSHDR_Capture":
+    """The scene's entry of a model's capture, begun where there is none, with where the model stood before
+    all settings."""
+    capture, captures = capture_of(target), settings_of(scene).captures
     found = captures.get(capture)
     if found is None:
         found = captures.add()
         found.name = capture
         found.original = now.reshape(-1)
+        if TURN in cloud_of(target):
+            found.turn = cloud_of(target)[TURN]
     return found
+
+
+def _turn_between(known: "PHYSHDR_Capture", target: bpy.types.Object) -> np.ndarray:
+    """``[4, 4]``: from the axes of a model's file to those of the file by which its capture was first set.
+
+    What earlier versions imported says nothing of its turn, and stays as it is; what they remember of a
+    capture that is a file is of a model with that file's turn.
+    """
+    cloud = cloud_of(target)
+    is_own_file = known.name == key_of(str(cloud.get(FILE, "")))
+    if TURN not in cloud or (is_own_file and not known.is_property_set("turn")):
+        return np.eye(4)
+    return _about_x(cloud[TURN] - known.turn)
+
+
+def _about_x(angle: float) -> np.ndarray:
+    return np.array(mathutils.Matrix.Rotation(angle, 4, "X"), np.float64)
+
+
+def _square(numbers: Sequence[float]) -> np.ndarray:
+    """``[4, 4]`` float64 of 16 numbers, row by row."""
+    return np.array(numbers, np.float64).reshape(4, 4)
 
 
 def forget(scene: bpy.types.Scene, target: bpy.types.Object) -> None:
@@ -115,9 +142,10 @@ def forget(scene: bpy.types.Scene, target: bpy.types.Object) -> None:
         return
     check_at_rest(scene, capture)
     bpy.context.view_layer.update()
-    original = np.array(captures[index].original, np.float64).reshape(4, 4)
-    back = original @ np.linalg.inv(np.array(captures[index].matrix, np.float64).reshape(4, 4))
-    wanted = {each: original for each in models_of(scene, capture)}
+    known = captures[index]
+    original = _square(known.original)
+    back = original @ np.linalg.inv(_square(known.matrix))
+    wanted = {each: original @ _turn_between(known, each) for each in models_of(scene, capture)}
     _put(wanted | _cameras_after(scene, capture, back))
     captures.remove(index)
 

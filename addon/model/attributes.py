@@ -82,6 +82,8 @@ SHOWS = "physhdr_shows"
 FILE = "physhdr_file"
 #: Custom property: the data set's folder of the model's run, else the model's file (``origin``).
 CAPTURE = "physhdr_capture"
+#: Custom property: the turn about X, in radians, that the object was given for the axes of its file.
+TURN = "physhdr_turn"
 #: Custom property: some of the Gaussians, as they were when they were last known to be whole (``pose``).
 WITNESS = "physhdr_witness"
 #: Custom property, in Edit Mode alone: points were moved since ``WITNESS`` was taken.

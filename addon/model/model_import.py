@@ -13,7 +13,7 @@ from ...bridge.display import ColorSpace
 from ...bridge.gaussian_import import is_model_file, read_gaussians
 from ...bridge.model_file import PHOTOGRAPHED_EV, SPACE, WORLD, photographed_ev
 from . import parts, pose
-from .attributes import CAPTURE, COLOR_SPACE, FILE, metadata_property
+from .attributes import CAPTURE, COLOR_SPACE, FILE, TURN, metadata_property
 from .look import cast_no_shadow
 from .nodes import EXPOSURE, set_input
 from .origin import capture_of_file, key_of
@@ -62,6 +62,7 @@ def import_file(
     # What was written where it stood is of no data set any more: its cameras are not where they were.
     is_of_world = source.model.metadata.get(SPACE) == WORLD
     cloud[CAPTURE] = key_of(str(path)) if is_of_world else capture_of_file(path)
+    cloud[TURN] = 0.0 if is_model_file(path) else _turn(UPS.get(orientation, source.up))
     pose.remember(cloud)
     ev = photographed_ev(source.model.metadata)
     if source.colour_sh is not None:
@@ -70,8 +71,7 @@ def import_file(
         ev = 0.0
     target = bpy.data.objects.new(name, cloud)
     try:
-        if not is_model_file(path):
-            target.rotation_euler.x = _turn(UPS.get(orientation, source.up))
+        target.rotation_euler.x = cloud[TURN]
         modifier = add_modifier(target, source.model)
         set_input(modifier, EXPOSURE, ev)
         cast_no_shadow(target)

@@ -263,12 +263,13 @@ class PHYSHDR_OT_cleaning_update(_OnModel):
 
 def measured(context: bpy.types.Context, target: bpy.types.Object) -> np.ndarray:
     """``[N]`` float32: metres in the model's space to the nearest of the selected cameras, else of the data
-    set's. Raises ``FileMissingError`` where there are neither."""
+    set's. Raises ``FileMissingError`` where there are neither, ``DataMismatchError`` where cameras are
+    selected and the model is flat: they have no place in its space."""
     selected = [each for each in context.selected_objects or () if each.type == "CAMERA"]
     folder = origin.data_of(target)
     if selected:
         places = np.array([each.matrix_world.translation for each in selected], np.float64)
-        places = similarity.apply(np.linalg.inv(np.array(world_of(target), np.float64)), places)
+        places = similarity.apply(similarity.inverse_of(np.array(world_of(target), np.float64)), places)
     elif folder is not None:
         places = camera_places(folder)
     else:

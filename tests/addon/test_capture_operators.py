@@ -29,6 +29,7 @@ from physhdr.addon.rendering import render  # noqa: E402
 from physhdr.addon.viewport import live  # noqa: E402
 from physhdr.addon.viewport.camera import ViewCamera  # noqa: E402
 from physhdr.bridge.affine import transform_gaussians  # noqa: E402
+from physhdr.bridge.gaussian_ply import write_standard_ply  # noqa: E402
 from physhdr.bridge.model_file import write_model  # noqa: E402
 
 #: The corners of the room's floor, and where its cameras stood: metres, in the true room.
@@ -533,6 +534,82 @@ def test_the_axes_that_the_user_names_are_turned_before_the_capture_is_placed(re
     bpy.ops.physhdr.model_import(filepath=str(folder / "a.ply"), orientation="COLMAP")
     x, y, z = where(target).T
     np.testing.assert_allclose(where(bpy.context.active_object), np.stack([x, z, -y], 1), atol=CLOSE)
+
+
+@pytest.fixture
+def ply(tmp_path, make_model):
+    """Another program's file, which is a capture of its own: its axes are COLMAP's."""
+    model = make_model(count=60, seed=4)
+    gaussians = model.position, model.rotation, model.scale, model.opacity, model.log_radiance_sh
+    write_standard_ply(tmp_path / "plant.ply", *gaussians, up="colmap")
+    return tmp_path / "plant.ply", model.position.astype(float)
+
+
+def load_ply(path, name, orientation="AUTO"):
+    bpy.ops.physhdr.model_import(filepath=str(path), name=name, orientation=orientation)
+    return bpy.data.objects[name]
+
+
+def upright(points: np.ndarray) -> np.ndarray:
+    """Where COLMAP's axes are in Blender's."""
+    x, y, z = points.T
+    return np.stack([x, z, -y], axis=1)
+
+
+def all_lie(names, at: np.ndarray) -> None:
+    for name in names:
+        np.testing.assert_allclose(where(bpy.data.objects[name]), at, atol=CLOSE, err_msg=name)
+
+
+TWICE = {"first": (0, 0, 0), "second": (1, 0, 0), "distance": 2.0}
+
+
+def as_saved_earlier(scene, target) -> None:
+    """Commit 285052a remembered no turn, neither of models nor of captures."""
+    del target.data[attributes.TURN]
+    for known in scene.physhdr.captures:
+        known.property_unset("turn")
+
+
+@pytest.mark.parametrize("saved_earlier", [False, True])
+def test_another_programs_file_lies_on_itself_when_it_is_imported_again(registered, ply, saved_earlier):
+    path, position = ply
+    first = load_ply(path, "first")
+    bpy.ops.physhdr.capture_scale(**TWICE)
+    if saved_earlier:
+        as_saved_earlier(registered, first)
+    load_ply(path, "second")
+    all_lie(["first", "second"], 2.0 * upright(position))
+    # Set again by the second, then a third, and all of them back.
+    bpy.ops.physhdr.capture_scale(first=(0, 0, 0), second=(2, 0, 0), distance=6.0)
+    load_ply(path, "third")
+    all_lie(["first", "second", "third"], 6.0 * upright(position))
+    assert bpy.ops.physhdr.capture_reset() == {"FINISHED"}
+    all_lie(["first", "second", "third"], upright(position))
+
+
+def test_other_axes_of_the_same_file_are_still_the_users_to_name(registered, ply):
+    """Its scale is remembered, and the turn that was wrong is not."""
+    path, position = ply
+    load_ply(path, "wrong", "AS_IS")
+    bpy.ops.physhdr.capture_scale(**TWICE)
+    load_ply(path, "right", "COLMAP")
+    all_lie(["right"], 2.0 * upright(position))
+    assert bpy.ops.physhdr.capture_reset() == {"FINISHED"}
+    all_lie(["right"], upright(position))
+
+
+def test_the_preview_stands_where_a_turned_model_of_its_run_was_put(registered, run):
+    """The capture's world is the data set's, by whichever model of it the scale was set."""
+    folder, _ = run
+    load(folder)
+    bpy.ops.physhdr.model_bake(filepath=str(folder / "a.ply"), quick=True, apply_transform=False)
+    bpy.ops.physhdr.model_import(filepath=str(folder / "a.ply"), orientation="COLMAP")
+    bpy.ops.physhdr.capture_scale(**TWICE)
+    stands = placement.matrix_of(registered, str(folder.parent / "data"))
+    np.testing.assert_allclose(stands, np.diag([2.0, 2.0, 2.0, 1.0]), atol=CLOSE)
+    again = load(folder, "again")
+    np.testing.assert_allclose(again.matrix_world, np.diag([2.0, 2.0, 2.0, 1.0]), atol=CLOSE)
 
 
 def test_a_linked_model_of_the_same_name_is_not_moved(registered, run, tmp_path):

@@ -210,6 +210,22 @@ def test_distances_are_to_the_nearest_camera_of_the_data_set(add, tmp_path):
     np.testing.assert_array_equal(point_removal.selection_of(target.data), got < np.float32(0.3))
 
 
+@pytest.mark.parametrize("turned", [0.0, 0.7])
+def test_of_a_flat_model_no_camera_has_a_distance(registered, add, turned):
+    _, target, _ = add(count=20)
+    target.scale, target.rotation_euler = (1.0, 1.0, 0.0), (turned, turned, 0.0)
+    camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    registered.collection.objects.link(camera)
+    bpy.context.view_layer.update()
+    camera.select_set(True)
+    with pytest.raises(RuntimeError, match="mirrored or flat"):
+        bpy.ops.physhdr.cleaning_measure()
+    # Mirrored and uneven it has a place for them all the same.
+    target.scale = (1.0, -2.0, 1.0)
+    bpy.context.view_layer.update()
+    assert bpy.ops.physhdr.cleaning_measure() == {"FINISHED"}
+
+
 def room(rng) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Walls of a room 4 m wide, and 40 blobs that hang before its cameras."""
     wall = rng.uniform(-2.0, 2.0, (6000, 3))
