@@ -65,6 +65,19 @@ def _unhidden(at: np.ndarray, depth: np.ndarray, camera: Camera) -> np.ndarray:
     return depth < HIDDEN_FROM * np.min(around, axis=0)[row, column]
 
 
+def in_sight(
+    points: np.ndarray, chosen: np.ndarray, view: View, reach: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of the ``chosen`` points ``[P]`` bool those that the view sees, as ``projected`` gives them.
+
+    All points ``[P, 3]`` may hide others, whether they are chosen or not.
+    """
+    which, at, rho = projected(points, view, reach)
+    depth = points[which] @ view.camera.world_to_camera[2, :3] + view.camera.world_to_camera[2, 3]
+    used = chosen[which] & _unhidden(at, depth, view.camera)
+    return which[used], at[used], rho[used]
+
+
 def observations(
     points: np.ndarray,
     chosen: np.ndarray,
@@ -77,10 +90,7 @@ def observations(
     columns: tuple[list[tuple[np.ndarray, ...]], ...] = ([], [])
     photo = 0
     for place, (view, indices) in enumerate(zip(views, exposures, strict=True)):
-        which, at, rho = projected(points, view, reach[lens[place]])
-        depth = points[which] @ view.camera.world_to_camera[2, :3] + view.camera.world_to_camera[2, 3]
-        used = chosen[which] & _unhidden(at, depth, view.camera)
-        which, at, rho = which[used], at[used], rho[used]
+        which, at, rho = in_sight(points, chosen, view, reach[lens[place]])
         x, y = at.T
         left, top = np.floor(x).astype(int), np.floor(y).astype(int)
         right_share, bottom_share = (x - left)[:, None], (y - top)[:, None]
@@ -93,11 +103,10 @@ def observations(
             tells = code > TELLING[0]
             if encoding.clips:
                 tells &= code < TELLING[1]
-            if mask is not None:
-                tells &= mask[top, left][:, None]
             bright = (code >= TELLING[1]) & encoding.clips
             if mask is not None:
-                bright &= mask[top, left][:, None]
+                compared = np.all([mask[top + j, left + i] for j in (0, 1) for i in (0, 1)], axis=0)[:, None]
+                tells, bright = tells & compared, bright & compared
             for chosen_codes, column in zip((tells, bright), columns, strict=True):
                 row, channel = np.nonzero(chosen_codes)
                 values = code[row, channel]

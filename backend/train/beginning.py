@@ -21,7 +21,7 @@ from ..scene.scene import Scene, View
 from ..start.far_shell import far_points
 from ..start.initialise import initial_points, largest_sizes, merged_log_radiance
 from ..start.merged_brackets import MergedBrackets
-from ..start.photometry import NO_STOPS, Photometry
+from ..start.photometry import NO_STOPS, Photometry, Untold
 from ..start.response import bracket_response, display_response, point_response
 from .clearance import clearances
 from .config import TrainConfig
@@ -91,6 +91,9 @@ def begin(method: SplattingMethod, seen: Seen, config: TrainConfig) -> Begun:
         positions = np.concatenate([positions, far])
         message += f", {len(far):,} far away where these leave pictures uncovered"
     told = _told_by(positions, response, seen, config, asks_response=by == BY_SRGB)
+    if isinstance(told, Untold):
+        message += f", no photometric estimate from the points ({told.reason})"
+        told = None
     if by == BY_SRGB and seen.responses == "learned":
         by = _response_by_points(method.tone_mapper, told, seen)
     if by:
@@ -160,8 +163,8 @@ def _response_by_points(mapper: Response, told: Photometry | None, seen: Seen) -
 
 def _told_by(
     points: np.ndarray, response: Response, seen: Seen, config: TrainConfig, *, asks_response: bool
-) -> Photometry | None:
-    """What points ``[P, 3]`` (metres) tell of the photos, where anybody asks."""
+) -> Photometry | Untold | None:
+    """What points ``[P, 3]`` (metres) tell of the photos, or why nothing; None where nobody asks."""
     nuisances = seen.nuisances
     if nuisances is None and asks_response:
         # Where none are learned, none explain what photos disagree about.

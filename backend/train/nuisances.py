@@ -30,7 +30,7 @@ from ..model.camera_effects import COEFFICIENTS, falloff, lenses, squared_tangen
 from ..model.tone_mapper import Response
 from ..scene.camera import Camera
 from ..scene.scene import View
-from ..start.photometry import ONE_EXPOSURE, Photometry, photometry, point_effects
+from ..start.photometry import ONE_EXPOSURE, Photometry, Untold, photometry, point_effects
 
 #: Adam's, for values that are seen a few dozen times in a training.
 BETAS = (0.8, 0.95)
@@ -159,8 +159,8 @@ class Nuisances:
             self.reach.fill_(reach)
             self.lens_is_known.fill_(True)
 
-    def told_by(self, points: np.ndarray, response: Response) -> Photometry | None:
-        """What points ``[P, 3]`` (metres) tell of the photos under the standard light.
+    def told_by(self, points: np.ndarray, response: Response) -> Photometry | Untold:
+        """What points ``[P, 3]`` (metres) tell of the photos under the standard light, or why nothing.
 
         ``response``: as it is when training starts, for where they do not tell of it.
         """

@@ -16,7 +16,9 @@ from physhdr.backend.scene.camera import Camera
 from physhdr.backend.scene.encoding import CAMERA, SRGB
 from physhdr.backend.scene.scene import PictureCache, Points, Scene, View
 from physhdr.backend.scene.source import Decoded, PictureSource
-from physhdr.backend.start.photometry import photometry, point_effects
+from physhdr.backend.start import photometry as photometry_module
+from physhdr.backend.start.observations import observations
+from physhdr.backend.start.photometry import Untold, photometry, point_effects
 from physhdr.backend.start.response import point_response
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import Trainer
@@ -60,10 +62,18 @@ def seen_plane(camera):
     )
 
 
-def capture(exposures: Any, response, encoding, rng, views=14):
+def walk(count, rng):
+    """Along the plane, a quarter of a picture's width at a time."""
+    for along, camera in enumerate(cameras(count, rng)):
+        pose = camera.camera_to_world.copy()
+        pose[0, 3] += along
+        yield replace(camera, camera_to_world=pose)
+
+
+def capture(exposures: Any, response, encoding, rng, views=14, along=cameras):
     """Views of the plane by a faulty camera, with the truth: ln gains [P], ln balances [V, 2]."""
     gains, balances, made = [], [], []
-    for camera in cameras(views, rng):
+    for camera in along(views, rng):
         x, y, tangent = seen_plane(camera)
         v = (1.0 + CORNER * tangent / widest(camera)) ** -2
         red, blue = rng.normal(0.0, 0.1 * STOP, 2)
@@ -233,12 +243,8 @@ class Kept(PictureCache):
         return self.pictures[source.path]
 
 
-@pytest.mark.parametrize(("mode", "error_at_most"), [("off", 0.03), ("on", 0.02)])
-def test_a_training_of_photos_with_an_exposure_each_begins_with_it(mode, error_at_most):
-    """Its curve before the first iteration, and a line, against the camera's in closed form.
-
-    With nuisances off it takes the camera's faults, which are there, for none.
-    """
+def exposed_one_by_one():
+    """A scene of 30 photos of the plane, each with an exposure of its own, and 700 points."""
     rng = np.random.default_rng(3)
     made, _, _ = capture(lambda r: (float(2.0 ** r.uniform(-2.0, 2.0)),), eight_bit, CAMERA, rng, views=30)
     cache = Kept({Path(str(index)): Decoded(view.image(0), None) for index, view in enumerate(made)})
@@ -249,8 +255,16 @@ def test_a_training_of_photos_with_an_exposure_each_begins_with_it(mode, error_a
     positions = np.column_stack([rng.uniform(-2.0, 2.0, (700, 2)), np.zeros(700)]).astype(np.float32)
     points = Points(positions, np.full((700, 3), 0.5, np.float32))
     anchor = (0.3, float((0.3 / 1.3) ** (1.0 / 2.2)))
-    scene = Scene(Path(), "plane", views, [], [], points=points, response_anchor=anchor)
-    preset = PRESETS["default"]
+    return Scene(Path(), "plane", views, [], [], points=points, response_anchor=anchor)
+
+
+@pytest.mark.parametrize(("mode", "error_at_most"), [("off", 0.03), ("on", 0.02)])
+def test_a_training_of_photos_with_an_exposure_each_begins_with_it(mode, error_at_most):
+    """Its curve before the first iteration, and a line, against the camera's in closed form.
+
+    With nuisances off it takes the camera's faults, which are there, for none.
+    """
+    scene, preset = exposed_one_by_one(), PRESETS["default"]
     config = replace(preset, initial_points="file", nuisances=replace(preset.nuisances, mode=mode))
 
     def error(config):
@@ -267,6 +281,16 @@ def test_a_training_of_photos_with_an_exposure_each_begins_with_it(mode, error_a
     line = replace(config.method.tone_mapper, initial_curve="line")
     message, untold = error(replace(config, method=replace(config.method, tone_mapper=line)))
     assert message == "700 points of the data set" and untold > 1.25 * told
+
+
+def test_a_training_whose_points_tell_nothing_says_why(monkeypatch):
+    monkeypatch.setattr(photometry_module, "MOST_UNKNOWNS", 100)
+    preset = PRESETS["default"]
+    config = replace(preset, initial_points="file", nuisances=replace(preset.nuisances, mode="on"))
+    trainer = Trainer(exposed_one_by_one(), config)
+    why = "no photometric estimate from the points (30 photos in 30 views are too many to solve for at once)"
+    assert trainer.start_message == f"700 points of the data set, {why}, the response as sRGB has it"
+    assert not trainer.nuisances.values["log_gain"].any()
 
 
 def test_a_faultless_camera_stays_faultless():
@@ -303,6 +327,54 @@ def test_random_points_tell_nothing():
     rng = np.random.default_rng(8)
     nowhere = np.column_stack([rng.uniform(-1.0, 1.0, (700, 2)), rng.uniform(0.3, 2.8, 700)])
     found, _ = solve(views, ToneMapper(ToneMapperConfig(), None), nowhere)
-    assert found is None
+    assert found == Untold("photos disagree too much about how bright points are")
     few, _ = solve(views, ToneMapper(ToneMapperConfig(), None), nowhere[:5])
-    assert few is None
+    assert isinstance(few, Untold) and "42 photos show points with only" in few.reason
+
+
+def test_a_walk_in_which_each_point_is_in_few_photos_tells_of_all_of_them(monkeypatch):
+    """As many points are asked as are needed, not as many as if each photo saw them all."""
+    rng = np.random.default_rng(3)
+    count = 60
+    views, gains, _ = capture((1.0,), SRGB.codes, SRGB, rng, views=count, along=walk)
+    points = np.column_stack(
+        [rng.uniform(-2.0, count + 1.0, 4000), rng.uniform(-2.0, 2.0, 4000), np.zeros(4000)]
+    )
+    monkeypatch.setattr(photometry_module, "POINTS", 300)
+    monkeypatch.setattr(photometry_module, "OBSERVATIONS", 100 * count)
+    found, _ = solve(views, KnownResponse(), points)
+    assert np.std(found.gain - gains) < 0.03 * STOP < np.std(gains) / 5
+    monkeypatch.setattr(photometry_module, "MOST_UNKNOWNS", 200)
+    found, _ = solve(views, KnownResponse(), points)
+    assert found == Untold("60 photos in 60 views are too many to solve for at once")
+
+
+def test_a_value_that_any_masked_pixel_has_part_in_is_not_seen():
+    """It is interpolated from four pixels: one of them is masked, black in one picture, white in another."""
+    camera = next(cameras(1, np.random.default_rng(3)))
+    row, column = HEIGHT // 2, WIDTH // 2
+    mask = np.ones((HEIGHT, WIDTH), dtype=bool)
+    mask[row, column] = False
+    x, y, _ = seen_plane(camera)
+    ends = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
+    for masked_value, others in ((255, 128), (0, 255)):
+        picture = np.full((HEIGHT, WIDTH, 3), others, dtype=np.uint8)
+        picture[row, column] = masked_value
+        view: Any = SimpleNamespace(
+            camera=camera,
+            exposures=(1.0,),
+            encodings=(CAMERA,),
+            image=[picture].__getitem__,
+            mask=[mask].__getitem__,
+        )
+        # Half a pixel from the masked one's centre on every side, and two pixels.
+        for step, is_seen in ((1, False), (3, True)):
+            corners = [
+                (x[row + step * j, column + step * i], y[row + step * j, column + step * i]) for j, i in ends
+            ]
+            points = np.array(
+                [[0.5 * (px + x[row, column]), 0.5 * (py + y[row, column]), 0.0] for px, py in corners]
+            )
+            reach = [widest(camera)]
+            seen, bright = observations(points, np.ones(4, bool), [view], [(0,)], [0], reach)
+            assert len(seen.code) + len(bright.code) == (12 if is_seen else 0)
