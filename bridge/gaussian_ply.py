@@ -15,6 +15,7 @@ import io
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -260,20 +261,27 @@ def open_ply(path: Path, kind: str, remedy: str) -> plyfile.PlyData:
     regular_file(path, remedy)
     with damaged_where_it_fails(f"{path} is not a readable {kind}", remedy):
         _check_room(path)
-        return plyfile.PlyData.read(_with_ascii_header(path))
+        return plyfile.PlyData.read(_as_plyfile_reads(path))
 
 
-def _with_ascii_header(path: Path) -> str | io.BytesIO:
-    """The file's path; of one whose header has letters beyond ASCII, the file with these escaped.
+def _as_plyfile_reads(path: Path) -> str | io.BytesIO:
+    """The file's path; of one that plyfile refuses for its letters, the file in those that it takes.
 
-    plyfile refuses them. They stand in comments; as ``_write`` escapes them they mean the same.
+    Letters of the header beyond ASCII stand in comments; as ``_write`` escapes them they mean the same. Rows
+    of text may have NaN and infinity as Microsoft's C library writes them.
     """
     with open(path, "rb") as file:
         header = file.read(_LONGEST_HEADER).partition(b"end_header")[0]
-        if header.isascii():
+        file.seek(len(header))
+        is_text = _TEXT_FORMAT.search(header) is not None
+        blocks = iter(partial(file.read, _TEXT_BLOCK), b"") if is_text else ()
+        is_microsofts = any(b"#" in block or b"(" in block for block in blocks)
+        if header.isascii() and not is_microsofts:
             return str(path)
         file.seek(len(header))
         rest = file.read()
+    if is_microsofts:
+        rest = _MICROSOFTS_NAN.sub(b"nan", _MICROSOFTS_INFINITY.sub(rb"\1inf", rest))
     try:
         text = header.decode("utf-8")
     except UnicodeDecodeError:  # a code page of Windows
@@ -300,6 +308,16 @@ def _check_room(path: Path) -> None:
         raise ValueError(f"it claims {values} values in {size} bytes")
 
 
+#: A line of the header; comments begin with another word.
+_TEXT_FORMAT = re.compile(rb"^format\s+ascii\s", re.MULTILINE)
+#: 1.#INF, and of ``printf`` 1.#INF00 or 1.#INF00e+000; newer versions write inf as all do.
+_MICROSOFTS_INFINITY = re.compile(rb"([+-]?)1\.#INF0*(?:e[+-]\d+)?(?=\s)", re.IGNORECASE)
+#: 1.#QNAN, 1.#SNAN and −1.#IND likewise; of newer versions nan(ind) and nan(snan).
+_MICROSOFTS_NAN = re.compile(
+    rb"[+-]?(?:1\.#(?:QNAN|SNAN|IND)0*(?:e[+-]\d+)?|nan\((?:ind|snan)\))(?=\s)", re.IGNORECASE
+)
+#: Bytes at a time where rows of text are looked through.
+_TEXT_BLOCK = 1 << 20
 #: Bytes; the comments of a lossless PLY, with its networks, have a few hundred thousand.
 _LONGEST_HEADER = 1 << 24
 
@@ -313,8 +331,9 @@ _GAUSSIANS_HINT = (
 def _check_names(path: Path, names: list[str]) -> None:
     """Every column that a Gaussian needs is there."""
     have = set(names)
-    if {"red", "green", "blue"} <= have:
-        have |= {"f_dc_0", "f_dc_1", "f_dc_2"}
+    colours = {"f_dc_0", "f_dc_1", "f_dc_2"}
+    if {"red", "green", "blue"} <= have and not have & colours:
+        have |= colours
     if {"scale_0", "scale_1", "rot_3"} <= have:
         have |= {"scale_2"}
     lacking = [n for n in standard_names(1) if n not in have and n not in ("nx", "ny", "nz")]

@@ -210,12 +210,18 @@ def write_table(
     plyfile.PlyData([element], text=text, byte_order=order).write(str(path))
 
 
+def without(*names: str) -> list[str]:
+    return [name for name in standard_names(4) if name not in names]
+
+
 @pytest.mark.parametrize(
     ("names", "words"),
     [
         (["x", "y", "z"], r"no f_dc_0.*opacity.*is it a mesh or a plain point cloud\?"),
         (["x", "y", "z", "nx", "ny", "nz", "red", "green", "blue"], "mesh or a plain point cloud"),
         ([n for n in standard_names(4) if n != "rot_3"], r"it has no rot_3\."),
+        ([*without("f_dc_1", "f_dc_2"), "red", "green", "blue"], r"it has no f_dc_1, f_dc_2\."),
+        ([*without("f_dc_0"), "red", "green", "blue"], r"it has no f_dc_0\."),
         ([n for n in standard_names(4) if n != "f_rest_8"], "8 f_rest_ columns"),
         ([*standard_names(4), "f_rest_11"], "10 f_rest_ columns"),
         (["packed_position", "packed_scale"], "compressed PLY.*it has no columns"),
@@ -252,6 +258,53 @@ def test_every_container_and_number_type(
     for column in read.columns.values():
         assert column.dtype == np.float32 and column.flags.c_contiguous
         np.testing.assert_array_equal(column, 0.25)
+
+
+@pytest.mark.parametrize(
+    ("word", "value"),
+    [
+        ("nan", np.nan),
+        ("-nan(ind)", np.nan),
+        ("nan(snan)", np.nan),
+        ("-1.#IND", np.nan),
+        ("1.#QNAN00", np.nan),
+        ("1.#SNAN0e+000", np.nan),
+        ("-inf", -np.inf),
+        ("1.#INF", np.inf),
+        ("-1.#INF00", -np.inf),
+    ],
+)
+@pytest.mark.parametrize("end", [b"\n", b"\r\n"])
+@pytest.mark.parametrize("comment", ["#1 (of 2) 1.#INF", "Jürgen"])
+def test_text_has_nan_and_infinity_as_every_c_library_writes_them(
+    tmp_path: Path, word: str, value: float, end: bytes, comment: str
+) -> None:
+    write_table(tmp_path / "a.ply", standard_names(1), text=True)
+    head, end_header, rows = (tmp_path / "a.ply").read_bytes().partition(b"end_header\n")
+    first, rest = rows.split(b"\n", 1)
+    odd = b" ".join([word.encode(), *first.split()[1:-1], word.encode()])
+    head = head.replace(b"element", f"comment {comment}\nelement".encode())
+    raw = head + end_header + odd + b"\n" + rest
+    (tmp_path / "a.ply").write_bytes(raw.replace(b"\n", end))
+    read = read_ply(tmp_path / "a.ply")
+    for name, column in read.columns.items():
+        odd_one = value if name in ("x", "rot_3") else 0.25
+        np.testing.assert_array_equal(column, [odd_one, 0.25, 0.25], err_msg=name)
+    # In the header nothing but letters beyond ASCII is changed.
+    assert read.comments == [comment.encode("ascii", "backslashreplace").decode()]
+
+
+def test_bytes_of_a_binary_file_are_no_words(tmp_path: Path) -> None:
+    """Three floats can be the letters of a NaN."""
+    write_table(tmp_path / "a.ply", standard_names(1))
+    raw = (tmp_path / "a.ply").read_bytes()
+    head, end, rows = raw.partition(b"end_header\n")
+    letters = b"-nan(ind) 11"
+    (tmp_path / "a.ply").write_bytes(
+        head + b"comment format ascii 1.0\n" + end + letters + rows[len(letters) :]
+    )
+    read = read_ply(tmp_path / "a.ply")
+    assert np.stack([read.columns[axis][0] for axis in "xyz"]).tobytes() == letters
 
 
 def test_plain_colours_in_place_of_f_dc(tmp_path: Path) -> None:
