@@ -37,6 +37,8 @@ BETAS = (0.8, 0.95)
 ADAM_EPSILON = 1e-12
 #: Codes between these (of 0…1) tell how much light there was; others tell only that it was little or much.
 TELLING = (0.02, 0.98)
+#: What a photo tells that was not seen yet; checkpoints hold it.
+UNSEEN = -1.0
 #: Stops to natural logarithms.
 LN2 = math.log(2.0)
 
@@ -129,9 +131,9 @@ class Nuisances:
             name: (torch.zeros_like(value), torch.zeros_like(value)) for name, value in self.values.items()
         }
         self.steps = {name: torch.zeros(len(value), device=device) for name, value in self.values.items()}
-        #: How much each photo tells of its gain, ``[P]``: the share of its values within ``TELLING``; 0 until
-        #: it is seen.
-        self.telling = torch.zeros(len(photos), device=device)
+        #: How much each photo tells of its gain, ``[P]``: the share of its values within ``TELLING``;
+        #: ``UNSEEN`` until it is seen.
+        self.telling = torch.full((len(photos),), UNSEEN, device=device)
         self._seen: dict[str, torch.Tensor] = {}
         self._rows: dict[tuple[int, ...], torch.Tensor] = {}
         #: What a calibration tells does not move.
@@ -265,10 +267,17 @@ class Nuisances:
 
     @torch.no_grad()
     def project(self) -> None:
-        """Into the gauge (see the module's text), weighing each photo by what it tells."""
+        """Into the gauge (see the module's text), weighing each photo by what it tells.
+
+        Those that were not seen yet count as the mean of those that were: a slope over the few that are seen
+        first would be carried on to all exposures.
+        """
         gain, balance = self.values["log_gain"], self.values["log_balance"]
-        gain.copy_(_in_gauge(gain[:, None], self.log_exposure, self.telling)[:, 0])
-        balance.copy_(_in_gauge(balance, self._log_exposure_there, self._at_places(self.telling)))
+        is_seen = self.telling != UNSEEN
+        mean = (self.telling * is_seen).sum() / is_seen.sum().clamp_min(1)
+        telling = torch.where(is_seen, self.telling, mean)
+        gain.copy_(_in_gauge(gain[:, None], self.log_exposure, telling)[:, 0])
+        balance.copy_(_in_gauge(balance, self._log_exposure_there, self._at_places(telling)))
         self.values["vignetting"].clamp_(min=0.0)
 
     # -- checkpoints -----------------------------------------------------------------------------------

@@ -112,6 +112,23 @@ def test_balances_do_not_follow_the_exposure_where_places_differ(tiny_data):
     assert after.abs().max() > 0.01
 
 
+def test_gains_that_points_told_stay_while_few_photos_were_seen(tiny_data):
+    """They are in the gauge. Of the two photos seen first, 4 stops apart, they have a slope."""
+    scene = read_scene(tiny_data)
+    nuisances = fresh(scene)
+    time = nuisances.log_exposure
+    told = torch.randn(len(time), generator=torch.Generator().manual_seed(0)).double() * 0.2
+    basis = torch.stack([torch.ones_like(time), time], dim=1)
+    told -= basis @ torch.linalg.lstsq(basis, told[:, None]).solution[:, 0]
+    with torch.no_grad():
+        nuisances.values["log_gain"].copy_(told)
+    for view, k in ((scene.train[0], 0), (scene.train[1], 2)):
+        nuisances.applied(view, (k,), view.camera, [grey(view.camera)])
+        nuisances.step(0.0)
+        assert torch.allclose(nuisances.values["log_gain"].detach().double(), told, atol=1e-6)
+    assert told.abs().max() > 0.1
+
+
 def test_only_values_that_are_compared_and_neither_black_nor_white_tell_of_the_light():
     picture = torch.tensor([0.0, 0.5, 0.5, 1.0]).expand(3, 1, 4)
     assert telling_share(Recording(exposure=1.0, picture=picture)) == 0.5
