@@ -423,6 +423,22 @@ def test_walking_goes_where_one_looks(small):
     assert np.cross(ahead_before, ahead)[2] > 0.0  # to the left, seen from above
 
 
+def test_letters_walk_while_a_control_has_the_keyboard(small):
+    """A click on a slider or a box leaves it there; the arrows stay the slider's."""
+    page = small.page
+    for name, takes_arrows in (("exposure", True), ("light-0", True), ("light-0-on", False)):
+        control, start, value = page.locator(f"#{name}"), view_of(small), page.input_value(f"#{name}")
+        control.press("w")
+        small.still()
+        walked = view_of(small)
+        assert (walked["eye"] - start["eye"]) @ -axes_of(start["turn"])[:, 2] > 0.0, name
+        assert page.input_value(f"#{name}") == value
+        control.press("ArrowRight")
+        small.still()
+        assert np.array_equal(view_of(small)["turn"], walked["turn"]) == takes_arrows, name
+        assert (page.input_value(f"#{name}") != value) == takes_arrows, name
+
+
 def test_keys(small):
     page = small.page
     page.locator("#picture").focus()

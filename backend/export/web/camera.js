@@ -180,8 +180,9 @@ class Walker {
   }
 
   key(event) {
-    if (event.ctrlKey || event.metaKey || event.altKey || /^(INPUT|SELECT|TEXTAREA)$/.test(event.target.tagName)) return;
+    if (event.ctrlKey || event.metaKey || event.altKey || /^(SELECT|TEXTAREA)$/.test(event.target.tagName)) return;
     if (!(event.code in MOVES || event.code in TURNS)) return;
+    if (event.code in TURNS && event.target.type === "range") return; // arrows move a slider
     event.preventDefault();
     this.flight = null;
     this.keys.add(event.code);
