@@ -58,6 +58,8 @@ class Splats:
     ``means`` ``[M, 3]`` metres; ``quaternions`` ``[M, 4]`` wxyz; ``scales`` ``[M, 3]`` metres; ``opacities``
     ``[M]``; ``log_reflectance`` ``[M, 3]``: ln H_r toward the camera; ``log_illumination`` ``[M, 1 or 3]``;
     ``light_share`` ``[M, C, 3]`` and ``context`` ``[M, K]`` where ``Attributes`` asks for them.
+    ``seen_at`` ``[M, 3]``: ``means`` as ``log_reflectance`` read them, where means learn from it
+    (``Attributes.direction_gradient``); its gradient is the part that goes through the viewing direction.
     """
 
     means: torch.Tensor
@@ -68,6 +70,7 @@ class Splats:
     log_illumination: torch.Tensor
     light_share: torch.Tensor | None = None
     context: torch.Tensor | None = None
+    seen_at: torch.Tensor | None = None
 
 
 class Backbone(ABC):

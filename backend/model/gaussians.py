@@ -91,15 +91,17 @@ class Gaussians(Backbone):
 
     def splats(self, camera: Camera, sh_degree: int) -> Splats:
         viewpoint = camera_tensors(camera, self.means).position
+        seen_at = self.means.view_as(self.means) if self.attributes.direction_gradient else None
         return Splats(
             self.means,
             self.quaternions,
             self.scales,
             self.opacities,
-            self.log_reflectance(viewpoint, sh_degree),
+            self.log_reflectance(viewpoint, sh_degree, seen_at),
             self.log_illumination,
             self.light_share if "light_share_logits" in self.parameters else None,
             self.parameters.get("context"),
+            seen_at,
         )
 
     def fixed(self, cameras: Sequence[Camera]) -> "Gaussians":
@@ -127,9 +129,15 @@ class Gaussians(Backbone):
         with_fixed = torch.nn.functional.pad(self.light_share_logits, (0, 0, 0, 1))
         return with_fixed.softmax(dim=1)[:, :-1]
 
-    def log_reflectance(self, viewpoint: torch.Tensor, degree: int) -> torch.Tensor:
-        """ln H_r(ω_o) ``[N, 3]`` as seen from ``viewpoint`` (``[3]``, metres), SH up to ``degree``."""
-        arguments = self.reflectance_dc, self.reflectance_rest, self.means, viewpoint, degree
+    def log_reflectance(
+        self, viewpoint: torch.Tensor, degree: int, seen_at: torch.Tensor | None = None
+    ) -> torch.Tensor:
+        """ln H_r(ω_o) ``[N, 3]`` as seen from ``viewpoint`` (``[3]``, metres), SH up to ``degree``.
+
+        ``seen_at``: ``means`` under another name, to tell what gradient comes from here.
+        """
+        means = self.means if seen_at is None else seen_at
+        arguments = self.reflectance_dc, self.reflectance_rest, means, viewpoint, degree
         if self.attributes.direction_gradient:
             return evaluate_sh(*arguments, direction_gradient=True)
         if self.means.is_cuda and degree > 0 and len(self) > 0 and way() == "cuda":

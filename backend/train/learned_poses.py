@@ -9,7 +9,8 @@ own axes, it then sees at
 
 To turn all Gaussians that way and to turn the camera the other way is the same picture, so the gradient of
 ω and τ is a sum of those that the Gaussians get of the view anyway: Σ x × ∂L/∂x and Σ ∂L/∂x, and what turns
-their axes. (How a reflectance changes with the viewing direction has no part in it.) Numbers are in pixels:
+their axes. (How a reflectance changes with the viewing direction has no part in it, unless positions learn
+from it; then it has in τ alone, for a camera that turns sees all from the same place.) Numbers are in pixels:
 ω by the focal length, τ by that at the median depth of the first points.
 
 That all cameras move, turn or spread together is no information, for the scene can follow: such parts are
@@ -67,12 +68,14 @@ def moved(camera: Camera, twist: np.ndarray) -> Camera:
 
 @torch.no_grad()
 def twist_gradient(splats: Splats, camera: Camera) -> torch.Tensor:
-    """∂L/∂(ω, τ) at zero ``[6]``, of the gradients that ``means`` and ``quaternions`` of ``splats`` have."""
+    """∂L/∂(ω, τ) at zero ``[6]``, of the gradients that ``splats`` have (``LearnedPoses.watch``)."""
     means, quaternions = splats.means, splats.quaternions
     assert means.grad is not None and quaternions.grad is not None
     seen_by = camera_tensors(camera, means)
     to_camera, away = seen_by.view[:3, :3], means - seen_by.position
-    turned = _crossed(away.T @ means.grad)
+    # Also None where nothing depends on the direction: at SH degree 0.
+    by_direction = None if splats.seen_at is None else splats.seen_at.grad
+    turned = _crossed(away.T @ (means.grad if by_direction is None else means.grad - by_direction))
     # q turned by ω is (1, ω/2) q.
     pairs = quaternions.T @ quaternions.grad
     turned += 0.5 * (pairs[0, 1:] - pairs[1:, 0] + _crossed(pairs[1:, 1:]))
@@ -125,8 +128,8 @@ class LearnedPoses:
     @staticmethod
     def watch(splats: Splats) -> None:
         """Have gradients kept that ``observe`` reads; before the backward pass."""
-        for tensor in (splats.means, splats.quaternions):
-            if tensor.requires_grad:
+        for tensor in (splats.means, splats.quaternions, splats.seen_at):
+            if tensor is not None and tensor.requires_grad:
                 tensor.retain_grad()
 
     def observe(self, splats: Splats, camera: Camera, progress: float) -> None:

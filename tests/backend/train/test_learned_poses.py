@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from physhdr.backend.model.backbone import Splats
+from physhdr.backend.model.backbone import Attributes, Splats
+from physhdr.backend.model.gaussians import Gaussians
 from physhdr.backend.rasterize import rasterize
 from physhdr.backend.scene import read_scene
 from physhdr.backend.scene.camera import Camera
@@ -78,6 +79,45 @@ def test_the_gradient_is_that_of_moving_the_camera():
             ahead, behind = (loss(moved(camera, sign * twist), *tensors) for sign in (1.0, -1.0))
             wanted.append(((ahead - behind) / (2 * step)).item())
     assert np.abs(wanted).min() > 1e-3
+    assert twist_gradient(splats, camera).tolist() == pytest.approx(wanted, rel=1e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize("learns", [False, True], ids=["without", "with"])
+def test_colours_that_change_with_the_direction_tell_where_a_camera_is_if_positions_learn_of_them(learns):
+    """They do not change when it turns. Else the differences are of colours that stay as they are."""
+    camera = camera_at((5.0, -2.0, 3.0))
+    means, quaternions, scales, opacities, _ = before(camera)
+    generator = torch.Generator().manual_seed(2)
+    parameters = {
+        "means": means,
+        "quaternions": quaternions,
+        "log_scales": scales.log(),
+        "opacity_logits": opacities.logit(),
+        "reflectance_dc": 0.3 * torch.randn(len(means), 1, 3, generator=generator, dtype=torch.float64),
+        "reflectance_rest": 0.3 * torch.randn(len(means), 15, 3, generator=generator, dtype=torch.float64),
+        "log_illumination": torch.zeros(len(means), 1, dtype=torch.float64),
+    }
+    for parameter in parameters.values():
+        parameter.requires_grad_()
+    gaussians = Gaussians(parameters, Attributes(direction_gradient=learns))
+    weights = torch.randn(3, 20, 24, generator=generator, dtype=torch.float64)
+
+    def loss(camera, splats):
+        shape = splats.means, splats.quaternions, splats.scales, splats.opacities
+        colours = splats.log_reflectance.exp()
+        return (weights * rasterize(*shape, colours, camera, implementation="reference").image).sum()
+
+    splats = gaussians.splats(camera, 3)
+    LearnedPoses.watch(splats)
+    loss(camera, splats).backward()
+    step, wanted = 1e-6, []
+    with torch.no_grad():
+        for twist in np.eye(6) * step:
+            ahead, behind = (
+                loss(at, gaussians.splats(at, 3) if learns else splats)
+                for at in (moved(camera, twist), moved(camera, -twist))
+            )
+            wanted.append(((ahead - behind) / (2 * step)).item())
     assert twist_gradient(splats, camera).tolist() == pytest.approx(wanted, rel=1e-6, abs=1e-6)
 
 
