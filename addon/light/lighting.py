@@ -20,7 +20,7 @@ from ..blender import cloud_of
 from ..model import nodes
 from ..model.node_builder import Field, NodeBuilder
 from ..model.point_cloud import lights_of
-from .probes import FOLDER, KNOWN, known
+from .probes import FOLDER, KNOWN, is_probe, known
 
 #: What mirrors and glass see of the capture.
 Mirrors = Literal["ENVIRONMENT", "SPLATS"]
@@ -43,6 +43,18 @@ LEAST_SQUARE = 1e-9
 def is_lit(world: bpy.types.World | None) -> bool:
     """Whether a world is lit by a capture."""
     return world is not None and MODEL in world
+
+
+def lost_probes(scene: bpy.types.Scene) -> bool:
+    """Whether the scene's world shows panoramas that no probe of the scene has: one was deleted, or its light
+    was taken again for another scene."""
+    world = scene.world
+    if world is None or MODEL not in world or world.node_tree is None:
+        return False
+    shown = (node for node in world.node_tree.nodes if isinstance(node, bpy.types.ShaderNodeTexEnvironment))
+    paths = {str(node.image[KNOWN]) for node in shown if node.image is not None and KNOWN in node.image}
+    there = {str(each[FOLDER]).rstrip("/") for each in scene.objects if is_probe(each)}
+    return any(path.rpartition("/")[0] not in there for path in paths)
 
 
 def light(
@@ -79,6 +91,17 @@ def light(
     hide_from_rays(world, model, mirrors)
     _remove_unused()
     return world
+
+
+def choices_of(
+    world: bpy.types.World, model: bpy.types.Object
+) -> tuple[Mirrors, bpy.types.Object | None] | None:
+    """The ``mirrors`` and the ``subject`` that a model lights a world with; None where it does not."""
+    if world.get(MODEL) != model:
+        return None
+    subject = world.get(SUBJECT)
+    mirrors: Mirrors = "SPLATS" if all(getattr(model, name) for name in MIRROR_RAYS) else "ENVIRONMENT"
+    return mirrors, subject if isinstance(subject, bpy.types.Object) else None
 
 
 def reset(scene: bpy.types.Scene) -> None:
@@ -153,8 +176,9 @@ def load_images(probe: bpy.types.Object) -> list[bpy.types.Image]:
         ):
             raise FileMissingError(f"{on_disk} is missing", f"Take the light at {probe.name} again.")
         image.name = f"{probe.name} {name.removesuffix('.exr')}"
-        settings: Any = image.colorspace_settings  # which spaces there are says the configuration of colours
-        settings.name = "Non-Color"  # the model's numbers, as its splats show them
+        settings = image.colorspace_settings
+        assert settings is not None
+        settings.is_data = True  # the model's numbers, as its splats show them
         image.alpha_mode = "NONE"
         found.append(image)
     return found
@@ -284,30 +308,51 @@ class _Assembly:
         return Field(self.make, target)
 
     def _weights(self, probes: list[bpy.types.Object]) -> list[Field | None]:
-        """Of each probe: its inverse squared distance to the subject, over the sum of all; None of one."""
+        """Of each probe: its inverse squared distance to the subject, over the sum of all; None of one.
+
+        A probe that is deleted later weighs nothing.
+        """
         if len(probes) == 1:
             return [None]
         make, nearness = self.make, []
         subject = self.world.get(SUBJECT) or self.scene.camera
         if not isinstance(subject, bpy.types.Object):  # nothing to be near to: all alike
-            share = make.field("ShaderNodeValue")
-            setattr(share.socket, "default_value", 1.0 / len(probes))  # noqa: B010
-            return [share] * len(probes)
-        with make.frame(f"Weights: how near each probe is to {subject.name}"):
+            subject = None
+        told = f"how near each probe is to {subject.name}" if subject else "all probes alike"
+        with make.frame(f"Weights: {told}"):
             for probe in probes:
-                node = make.node("ShaderNodeValue", label=f"Distance to {probe.name}")
-                target: Any = node.outputs[0]
-                driver = target.driver_add("default_value").driver
-                driver.type = "SUM"
-                variable = driver.variables.new()
-                variable.type = "LOC_DIFF"
-                variable.targets[0].id, variable.targets[1].id = subject, probe
-                distance = Field(make, target)
-                nearness.append(1.0 / (distance * distance + LEAST_SQUARE))
+                near = self._presence(probe)
+                if subject is not None:
+                    distance = self._distance(subject, probe)
+                    near = near / (distance * distance + LEAST_SQUARE)
+                nearness.append(near)
             total = nearness[0]
             for each in nearness[1:]:
                 total = total + each
             return [each / total for each in nearness]
+
+    def _presence(self, probe: bpy.types.Object) -> Field:
+        """1 while there is the probe, else 0: a driver whose target was deleted gives 0, and the size that an
+        empty is drawn with is always more."""
+        node = self.make.node("ShaderNodeValue", label=f"{probe.name} is there")
+        target: Any = node.outputs[0]
+        driver = target.driver_add("default_value").driver
+        driver.type = "SUM"
+        variable = driver.variables.new()
+        variable.type = "SINGLE_PROP"
+        variable.targets[0].id, variable.targets[0].data_path = probe, "empty_display_size"
+        return self.make.math("GREATER_THAN", Field(self.make, target), 0.0)
+
+    def _distance(self, subject: bpy.types.Object, probe: bpy.types.Object) -> Field:
+        """Metres from one to the other, wherever they move."""
+        node = self.make.node("ShaderNodeValue", label=f"Distance to {probe.name}")
+        target: Any = node.outputs[0]
+        driver = target.driver_add("default_value").driver
+        driver.type = "SUM"
+        variable = driver.variables.new()
+        variable.type = "LOC_DIFF"
+        variable.targets[0].id, variable.targets[1].id = subject, probe
+        return Field(self.make, target)
 
     def _light(
         self, probe: Probe, pictures: list[bpy.types.Image], direction: Field, levels: list[Field]

@@ -2,26 +2,36 @@
 """What is to be said of a light probe: how much of it is a guess, and whether it is still of this model."""
 
 import json
+from typing import Any
 
 import bpy
 import numpy as np
+from bpy.app.handlers import persistent
 
 from ...bridge.errors import PhysHDRError
 from ...bridge.probe import MUCH_UNSEEN
 from ..blender import cloud_of
 from ..layouts.camera_file import Frame, read_frames
+from ..model.drawn import drawn_of
 from ..model.look import cleaning_of
 from ..model.origin import data_of
 from .probes import Place, has_moved, known
 
-#: Custom properties of a probe: whether no camera saw its place, and what of the model was hidden then.
-OUTSIDE, HIDDEN = "physhdr_probe_outside", "physhdr_probe_hidden"
+#: Custom properties of a probe: whether no camera saw its place, what of the model was hidden then, and what
+#: its Gaussians drew (``model.drawn``).
+OUTSIDE, HIDDEN, DRAWN = "physhdr_probe_outside", "physhdr_probe_hidden", "physhdr_probe_drawn"
+#: What point clouds draw, by ``session_uid``, until Blender tells of a change.
+_drawn: dict[int, str] = {}
 
 
-def note(probe: bpy.types.Object, model: bpy.types.Object) -> None:
-    """Remember of a probe whose light was just taken what cannot be found out later, or not while drawing."""
+def note(probe: bpy.types.Object, model: bpy.types.Object, drawn: str) -> None:
+    """Remember of a probe whose light was just taken what cannot be found out later, or not while drawing.
+
+    ``drawn``: what ``model.drawn`` says of the Gaussians that its light is of.
+    """
     probe[OUTSIDE] = _is_outside(model, known(probe).at)
     probe[HIDDEN] = _hidden(model)
+    probe[DRAWN] = drawn
 
 
 def warnings_of(probe: bpy.types.Object, model: bpy.types.Object) -> list[str]:
@@ -29,13 +39,26 @@ def warnings_of(probe: bpy.types.Object, model: bpy.types.Object) -> list[str]:
     found, told = known(probe), []
     if has_moved(probe):
         told.append("It was moved: take its light again")
-    if found.gaussians != len(cloud_of(model).points) or probe.get(HIDDEN, "") != _hidden(model):
+    if _is_edited(probe, model) or probe.get(HIDDEN, "") != _hidden(model):
         told.append("The model was edited since: take its light again")
     if probe.get(OUTSIDE):
         told.append("No camera saw this place: what is around it may be far from true")
     if found.unseen > MUCH_UNSEEN:
         told.append(f"{found.unseen:.0%} of what is around was never seen: a guess from its rim")
     return told
+
+
+def _is_edited(probe: bpy.types.Object, model: bpy.types.Object) -> bool:
+    """Whether the model draws something else than when the light was taken; in Edit Mode its number of
+    Gaussians alone tells, and for probes of older versions."""
+    cloud = cloud_of(model)
+    if known(probe).gaussians != len(cloud.points):
+        return True
+    if DRAWN not in probe or model.mode != "OBJECT":
+        return False
+    if cloud.session_uid not in _drawn:
+        _drawn[cloud.session_uid] = drawn_of(cloud)
+    return _drawn[cloud.session_uid] != probe[DRAWN]
 
 
 def _hidden(model: bpy.types.Object) -> str:
@@ -85,3 +108,38 @@ def _sees(frame: Frame, at: np.ndarray) -> bool:
         return False
     x, y = frame.cx - frame.fx * right / back, frame.cy + frame.fy * up / back
     return bool(0.0 <= x <= frame.width and 0.0 <= y <= frame.height)
+
+
+# ---- when --------------------------------------------------------------------------------------------------
+
+
+@persistent
+def _forget_changed(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
+    for each in depsgraph.updates if _drawn else ():
+        if isinstance(each.id, bpy.types.PointCloud):
+            original: Any = each.id.original  # never None, whatever its type says
+            _drawn.pop(original.session_uid, None)
+
+
+@persistent
+def _forget_all(*_: object) -> None:
+    _drawn.clear()
+
+
+_HANDLERS = (
+    ("depsgraph_update_post", _forget_changed),
+    ("undo_post", _forget_all),
+    ("redo_post", _forget_all),
+    ("load_post", _forget_all),
+)
+
+
+def register() -> None:
+    for event, handler in _HANDLERS:
+        getattr(bpy.app.handlers, event).append(handler)
+
+
+def unregister() -> None:
+    for event, handler in _HANDLERS:
+        getattr(bpy.app.handlers, event).remove(handler)
+    _drawn.clear()

@@ -24,7 +24,7 @@ from ..model import nodes
 from ..model.attributes import BASE, POSITION, ROTATION, SCALE
 from ..model.look import cleaning_of, kept_of
 from ..model.point_cloud import lights_of, read_attribute, read_levels, write_attribute
-from ..rendering.render import prepare_cycles, read_exr, render_exr, set_resolution
+from ..rendering.render import check_cycles, prepare_cycles, read_exr, render_exr, set_resolution
 
 #: Rays a pixel, spread over all of it: what is finer than a pixel is averaged.
 SAMPLES = 4
@@ -42,8 +42,10 @@ def render_probe(
     folder: Path,
     report: Report = lambda _: None,
 ) -> Probe:
-    """Write the panoramas of a model seen from ``at`` ``[3]``, in its own space; raises ``OutputError``."""
+    """Write the panoramas of a model seen from ``at`` ``[3]``, in its own space; raises ``OutputError``, and
+    ``DataMismatchError`` where Cycles is switched off."""
     check_width(width)
+    check_cycles(bpy.context.scene)
     cloud = cloud_of(target)
     lights = () if read_levels(cloud) else lights_of(cloud)
     begin(folder)

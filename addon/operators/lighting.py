@@ -6,7 +6,7 @@ from; where there is no backend, or the model was edited since, by Cycles in thi
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
@@ -21,11 +21,12 @@ from ..light.probe_checks import note
 from ..light.probe_render import render_probe
 from ..model import nodes
 from ..model.attributes import FILE
+from ..model.drawn import drawn_of, drawn_of_file
 from ..model.look import cleaning_of, is_model, models_among
 from ..runtime import session
 from ..session.light import LIGHT, panorama_command
 from ..session.state import CHECK, INSTALL, NotTaken, Problem
-from .afterwards import take_when_ended
+from .afterwards import scene_of, take_when_ended
 from .base import LINKED, OVERRIDE, wait_for_task
 
 if TYPE_CHECKING:
@@ -53,12 +54,14 @@ MIRRORS = [
 
 @dataclass(frozen=True)
 class Task:
-    """A probe to be made: the empty's name, "" for a new one at ``place``; ``at``: in the model's space."""
+    """A probe to be made: the empty's ``session_uid``, 0 for a new one at ``place``; ``at``: in the model's
+    space; ``width``: pixels."""
 
-    empty: str
+    empty: int
     place: probes.Place
     at: probes.Place
     folder: str
+    width: int
 
 
 class PHYSHDR_OT_light_from_here(bpy.types.Operator):
@@ -108,6 +111,8 @@ class PHYSHDR_OT_light_from_here(bpy.types.Operator):
         subtype="DIR_PATH",
         options=FOLDER,
     )
+    #: Each probe that is taken again has the width that it had.
+    same_width: bpy.props.BoolProperty(options={"HIDDEN", "SKIP_SAVE"})
     wait: bpy.props.BoolProperty(default=bpy.app.background, options={"HIDDEN", "SKIP_SAVE"})
 
     @classmethod
@@ -145,7 +150,14 @@ class PHYSHDR_OT_light_from_here(bpy.types.Operator):
         model = self._model(context)
         tasks = self._tasks(context, model)
         subject = _object(context.scene, self.subject) if self.subject else None
-        after = After(context.scene.name, model.name, self.mirrors, subject.name if subject else "")
+        after = After(
+            scene=context.scene.session_uid,
+            model=model.session_uid,
+            name=model.name,
+            mirrors=self.mirrors,
+            subject=subject.session_uid if subject else 0,
+            drawn=drawn_of(cloud_of(model)),
+        )
         if self.folder:
             return self._told(after.apply(tasks))
         if self._drawn_by(model) == "BLENDER":
@@ -157,25 +169,29 @@ class PHYSHDR_OT_light_from_here(bpy.types.Operator):
                     def report(done: float, number: int = number) -> None:
                         manager.progress_update((number + done) / len(tasks))
 
-                    render_probe(model, task.at, self.width, _absolute(task.folder), report)
+                    render_probe(model, task.at, task.width, _absolute(task.folder), report)
             finally:
                 manager.progress_end()
             return self._told(after.apply(tasks))
-        current = session()
-        current.pump()
-        places = [(task.at, str(_absolute(task.folder))) for task in tasks]
-        command = current.backend_command(*panorama_command(source_of(model), self.width, places))
-        current.start_task(LIGHT, command, current.home / "light.log", current.environment())
+        if not (source := source_of(model)):
+            raise DataMismatchError(
+                f"the file that {model.name} was imported from is not there",
+                "Let Blender draw, or import it again.",
+            )
+        if self.by == "BACKEND":  # Automatic has found that the two draw the same
+            after = replace(after, drawn=_drawn_of_file(source))
         if not self.wait:
-            _apply_when_done(after, tasks)
+            _draw_all(source, after, tasks, of_one_width(tasks))
             return {"FINISHED"}
-        if not wait_for_task(self, LIGHT, LONGEST):
-            return {"CANCELLED"}
-        if problem := current.state.problem:
-            raise DataMismatchError(problem.message, problem.hint)
-        if not all_there(tasks):
-            self.report({"ERROR"}, "taking the light was cancelled")
-            return {"CANCELLED"}
+        for each in of_one_width(tasks):
+            _start(source, each)
+            if not wait_for_task(self, LIGHT, LONGEST):
+                return {"CANCELLED"}
+            if problem := session().state.problem:
+                raise DataMismatchError(problem.message, problem.hint)
+            if not all_there(each):
+                self.report({"ERROR"}, "taking the light was cancelled")
+                return {"CANCELLED"}
         return self._told(after.apply(tasks))
 
     def _model(self, context: bpy.types.Context) -> bpy.types.Object:
@@ -201,11 +217,14 @@ class PHYSHDR_OT_light_from_here(bpy.types.Operator):
             place = _place(scene.cursor.location)
         if not empties:
             return [self._at(context, model, place)]
-        places = [(each.name, _place(each.matrix_world.translation)) for each in empties]
-        return [
-            Task(name, place, probes.into_model(model, place), probes.new_folder(name))
-            for name, place in places
-        ]
+        return [self._anew(each, model, _place(each.matrix_world.translation)) for each in empties]
+
+    def _anew(self, empty: bpy.types.Object, model: bpy.types.Object, place: probes.Place) -> Task:
+        """Light taken at an empty."""
+        keeps = self.same_width and probes.is_probe(empty)
+        width = probes.known(empty).width if keeps else self.width
+        folder = probes.new_folder(empty.name)
+        return Task(empty.session_uid, place, probes.into_model(model, place), folder, width)
 
     def _at(
         self, context: bpy.types.Context, model: bpy.types.Object, place: probes.Place, folder: str = ""
@@ -214,8 +233,9 @@ class PHYSHDR_OT_light_from_here(bpy.types.Operator):
         there = probes.into_model(model, place)
         for each in probes.probes_of(context.scene, model):
             if probes.is_at(each, there):
-                return Task(each.name, place, there, folder or probes.new_folder(each.name))
-        return Task("", place, there, folder or probes.new_folder(probes.NEW))
+                folder = folder or probes.new_folder(each.name)
+                return Task(each.session_uid, place, there, folder, self.width)
+        return Task(0, place, there, folder or probes.new_folder(probes.NEW), self.width)
 
     def _drawn_by(self, model: bpy.types.Object) -> Literal["BACKEND", "BLENDER"]:
         if self.by != "AUTO":
@@ -234,7 +254,8 @@ class PHYSHDR_OT_light_from_here(bpy.types.Operator):
 
 
 class PHYSHDR_OT_light_refresh(bpy.types.Operator):
-    """Take the light anew at all probes of the model, where they stand now"""
+    """Take the light anew at all probes of the model, where they stand now. Their widths, reflections and the
+    subject stay as they are"""
 
     bl_idname = "physhdr.light_refresh"
     bl_label = "Take Light Again"
@@ -255,8 +276,17 @@ class PHYSHDR_OT_light_refresh(bpy.types.Operator):
         chosen = {"object": model, "active_object": model, "selected_objects": found}
         override: Any = context.temp_override(**chosen)
         call: Any = getattr(bpy.ops, "physhdr").light_from_here  # noqa: B009
+        world = context.scene.world
+        given = lighting.choices_of(world, model) if world is not None else None
+        mirrors, subject = given or ("ENVIRONMENT", None)
+        is_here = subject is not None and subject.name in context.scene.objects
         with override:
-            return call(model=model.name, width=probes.known(found[0]).width)
+            return call(
+                model=model.name,
+                same_width=True,
+                mirrors=mirrors,
+                subject=subject.name if subject is not None and is_here else "",
+            )
 
 
 class PHYSHDR_OT_light_reset(bpy.types.Operator):
@@ -283,34 +313,41 @@ class PHYSHDR_OT_light_reset(bpy.types.Operator):
 
 @dataclass(frozen=True)
 class After:
-    """What is done with finished panoramas. Names, not data-blocks: an undo may come between."""
+    """What is done with finished panoramas.
 
-    scene: str
-    model: str
+    ``session_uid``s, not data-blocks nor names: an undo or a new name may come between. ``subject``: 0 for
+    the camera; ``name``: the model's at the start; ``drawn``: what its panoramas were drawn from
+    (``model.drawn``).
+    """
+
+    scene: int
+    model: int
+    name: str
     mirrors: lighting.Mirrors
-    subject: str
+    subject: int
+    drawn: str
 
     def apply(self, tasks: Sequence[Task]) -> list[Probe]:
         """Let the probes be in the scene, and light it; raises where something has gone meanwhile."""
-        scene = bpy.data.scenes.get(self.scene)
-        model = scene.objects.get(self.model) if scene else None
+        scene = scene_of(self.scene)
+        model = _of_uid(scene, self.model) if scene else None
         if scene is None or not is_model(model):
-            raise DataMismatchError(f"{self.model} is no longer in the scene", "Use Light From Here again.")
+            raise DataMismatchError(f"{self.name} is no longer in the scene", "Use Light From Here again.")
         made, new = [], []
         try:
             for task in tasks:
                 found = read_probe(_absolute(task.folder))
-                empty = scene.objects.get(task.empty) if task.empty else None
+                empty = _of_uid(scene, task.empty)
                 if empty is None:
                     empty = probes.new_probe(scene, model, task.place)
                     new.append(empty)
                 probes.mark(empty, model, task.folder, found)
-                note(empty, model)
+                note(empty, model, self.drawn)
                 made.append(found)
             bpy.context.view_layer.update()
-            subject = scene.objects.get(self.subject) if self.subject else None
+            subject = _of_uid(scene, self.subject)
             lighting.light(scene, model, probes.probes_of(scene, model), self.mirrors, subject)
-        except PhysHDRError:
+        except BaseException:
             bpy.data.batch_remove(new)
             raise
         return made
@@ -342,14 +379,24 @@ def why_not_backend(model: bpy.types.Object) -> str:
         return "the backend is being worked on"
     if not (source := source_of(model)):
         return "the file that it was imported from is not there"
+    if cleaning_of(model).by_itself:
+        return "some of the model is hidden"
     try:
-        if read_model(source).count != len(cloud_of(model).points):
+        if _drawn_of_file(source) != drawn_of(cloud_of(model)):
             return "the model was edited"
-        if cleaning_of(model).by_itself:
-            return "some of the model is hidden"
     except PhysHDRError:
         return "the file that it was imported from cannot be read"
     return ""
+
+
+def _drawn_of_file(source: str) -> str:
+    return drawn_of_file(read_model(source))
+
+
+def of_one_width(tasks: Sequence[Task]) -> list[list[Task]]:
+    """The probes by their panoramas' width: the backend draws one width at a time."""
+    widths = dict.fromkeys(task.width for task in tasks)
+    return [[task for task in tasks if task.width == width] for width in widths]
 
 
 def all_there(tasks: Sequence[Task]) -> bool:
@@ -360,13 +407,27 @@ def all_there(tasks: Sequence[Task]) -> bool:
         return False
 
 
-def _apply_when_done(after: After, tasks: Sequence[Task]) -> None:
-    """Light the scene once the panoramas are there, unless another file has been opened by then."""
+def _start(source: str, tasks: Sequence[Task]) -> None:
+    """Let the backend draw probes of one width; raises ``OutputError``."""
+    current = session()
+    current.pump()
+    places = [(task.at, str(_absolute(task.folder))) for task in tasks]
+    command = current.backend_command(*panorama_command(source, tasks[0].width, places))
+    current.start_task(LIGHT, command, current.home / "light.log", current.environment())
+
+
+def _draw_all(source: str, after: After, tasks: Sequence[Task], left: Sequence[Sequence[Task]]) -> None:
+    """Let the backend draw what is ``left`` of the probes, by width, and light the scene once all are there,
+    unless another file has been opened by then."""
+    _start(source, left[0])
 
     def take() -> bool:
-        if session().state.problem is not None or not all_there(tasks):
+        if session().state.problem is not None or not all_there(left[0]):
             return False
         try:
+            if left[1:]:
+                _draw_all(source, after, tasks, left[1:])
+                return False
             after.apply(tasks)
         except PhysHDRError as error:
             session().dispatch(NotTaken(Problem(error.message, error.hint)))
@@ -374,6 +435,11 @@ def _apply_when_done(after: After, tasks: Sequence[Task]) -> None:
         return True
 
     take_when_ended(LIGHT, take, PHYSHDR_OT_light_from_here.bl_label)
+
+
+def _of_uid(scene: bpy.types.Scene, uid: int) -> bpy.types.Object | None:
+    """The scene's object of a ``session_uid``, whatever its name is by now; None where it is gone."""
+    return next((each for each in scene.objects if each.session_uid == uid), None)
 
 
 def _object(scene: bpy.types.Scene, name: str) -> bpy.types.Object:

@@ -31,6 +31,9 @@ class PHYSHDR_PT_light(Subpanel, bpy.types.Panel):
         for probe in found:
             assert model is not None
             _draw_probe(context, layout, probe, model)
+        if lighting.lost_probes(context.scene):
+            remedy = "press Again, or As Before" if found else "press As Before, or Light From Here"
+            write(context, layout, f"A probe of this light is gone: {remedy}", "ERROR")
         row = layout.row(align=True)
         if found:
             row.operator("physhdr.light_refresh", text="Again", icon="FILE_REFRESH")

@@ -11,7 +11,7 @@ from typing import Any, cast
 import bpy
 import numpy as np
 
-from ...bridge.errors import OutputError
+from ...bridge.errors import DataMismatchError, OutputError
 from ..blender import CLIP_END, CLIP_START, settings_of_cycles, to_matrix
 
 #: Gaussians a ray may pass. Cycles' own limit is 1024; a ray through a trained room meets hundreds.
@@ -24,13 +24,20 @@ CERTAIN_BOUNCES = 256
 POINT_SAMPLING = 0.01
 
 
+def check_cycles(scene: bpy.types.Scene) -> None:
+    """Raise ``DataMismatchError`` where Cycles is switched off, as an extension can be."""
+    if not hasattr(scene, "cycles"):
+        raise DataMismatchError("the Cycles add-on is switched off", "Enable it in Preferences > Add-ons.")
+
+
 def prepare_cycles(scene: bpy.types.Scene, samples: int = 1, filter_width: float = POINT_SAMPLING) -> None:
     """Set Cycles so that Gaussians come out as their radiance: no bounces, no clamp, no denoiser.
 
     One ray through the centre of each pixel: nothing in the materials is random, so the picture is free
     of noise at 1 sample, and it is what the trainer's rasterisers draw. More samples help only with a
-    ``filter_width`` (in pixels) near 1, for other objects' edges.
+    ``filter_width`` (in pixels) near 1, for other objects' edges. Raises what ``check_cycles`` raises.
     """
+    check_cycles(scene)
     render: Any = scene.render  # engines register themselves: Blender's types know none but EEVEE
     render.engine = "CYCLES"
     scene.render.film_transparent = True
@@ -130,8 +137,9 @@ def read_exr(path: Path) -> np.ndarray:
     """``[H, W, 4]`` float32 scene-linear pixels of an EXR, top row first."""
     image = bpy.data.images.load(str(path), check_existing=False)
     try:
-        settings: Any = image.colorspace_settings  # which spaces there are says the configuration of colours
-        settings.name = "Non-Color"  # the numbers as they are
+        settings = image.colorspace_settings
+        assert settings is not None
+        settings.is_data = True  # the numbers as they are
         image.alpha_mode = "CHANNEL_PACKED"
         width, height = cast(Any, image.size)
         pixels = np.empty(width * height * 4, np.float32)

@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The world that a capture lights: what Cycles makes of it, against numbers known beforehand."""
 
+import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import bpy
@@ -9,9 +12,12 @@ import mathutils
 import numpy as np
 import pytest
 
-from physhdr.addon.light import lighting, probes
+from physhdr.addon.light import lighting, probe_checks, probes
 from physhdr.addon.model import nodes
+from physhdr.addon.model.attributes import BASE, LIGHT_SHARE, LOG_SH, POSITION, ROTATION, SCALE
+from physhdr.addon.model.drawn import drawn_of
 from physhdr.addon.model.model_import import import_model
+from physhdr.addon.model.point_cloud import read_attribute, write_attribute
 from physhdr.addon.operators import lighting as operators
 from physhdr.addon.rendering.render import add_camera, prepare_cycles, read_exr, render_exr, set_resolution
 from physhdr.addon.runtime import session
@@ -272,6 +278,41 @@ def test_several_probes_blend_by_how_near_they_are(scene, model, tmp_path):
         assert got.sum() == pytest.approx(1.0, rel=1e-4)
 
 
+@pytest.mark.parametrize("measured", [True, False])
+def test_a_deleted_probe_weighs_nothing(scene, model, tmp_path, measured):
+    """Whether there is something to measure distances from, or all count alike."""
+    dark = (0,) * 3
+    values = {"a": (1.0, 0.0, 0.0), "b": (0.0, 1.0, 0.0), "c": (0.0, 0.0, 1.0)}
+    subject = bpy.data.objects.new("subject", None)
+    scene.collection.objects.link(subject)
+    subject.location = (4.0, 0.0, 0.0)
+    for x, (name, value) in enumerate(values.items()):
+        folder = write_probe(tmp_path / name, value, dark, dark, at=(2.0 * x, 0.0, 500.0))
+        light(folder, subject="subject" if measured else "")
+    reflected(scene, tmp_path)
+    assert not lighting.lost_probes(scene)
+    gone = probes.probes_of(scene, model)[2]
+    for each in scene.objects:
+        each.select_set(each == gone)
+    bpy.ops.object.delete()
+    weights = np.array([1 / 16, 1 / 4, 0.0]) if measured else np.array([1.0, 1.0, 0.0])
+    assert reflected(scene, tmp_path) == pytest.approx(weights / weights.sum(), abs=1e-4)
+    assert lighting.lost_probes(scene)
+    bpy.context.view_layer.objects.active = model
+    light(tmp_path / "a", subject="subject" if measured else "")
+    assert not lighting.lost_probes(scene)
+    assert len([each for each in bpy.data.images if probes.KNOWN in each]) == 6
+
+
+def test_of_a_world_whose_only_probe_was_deleted_the_panel_knows(scene, model, tmp_path):
+    light(write_probe(tmp_path / "probe", (5.0,) * 3, (0,) * 3, (0,) * 3))
+    assert not lighting.lost_probes(scene)
+    bpy.data.objects.remove(probes.probes_of(scene, model)[0])
+    assert lighting.lost_probes(scene)
+    bpy.ops.physhdr.light_reset()
+    assert not lighting.lost_probes(scene)
+
+
 def test_a_probe_hangs_on_its_model_and_says_when_it_has_moved(scene, model, tmp_path):
     model.scale = (2.0,) * 3
     model.rotation_euler.z = 1.0
@@ -438,6 +479,168 @@ def test_a_training_does_not_keep_the_backend_from_drawing(scene, model, monkeyp
     assert state.backend.ready and state.active == ("job" in now)
     monkeypatch.setattr(session(), "state", state)
     assert operators.why_not_backend(model) == told
+
+
+@pytest.mark.parametrize("attribute", [POSITION, ROTATION, SCALE, BASE, LOG_SH[3], LIGHT_SHARE[1]])
+def test_an_edited_model_is_not_drawn_from_its_file(scene, model, monkeypatch, tmp_path, attribute):
+    """One number of one Gaussian is enough; a probe of before tells it, and is right again with an undo."""
+    state = State(backend=Backend(python="python", report={"versions": {}}))
+    monkeypatch.setattr(session(), "state", state)
+    light(write_probe(tmp_path / "probe", 1.0, 1.0, 1.0))
+    [probe] = probes.probes_of(scene, model)
+
+    def told() -> tuple[str, list[str]]:
+        model.data.update_tag()
+        bpy.context.view_layer.update()
+        return operators.why_not_backend(model), probe_checks.warnings_of(probe, model)
+
+    assert told() == ("", [])
+    before = read_attribute(model.data, attribute.name)
+    after = before.copy()
+    after[7, -1] *= 0.9
+    write_attribute(model.data, attribute, after)
+    assert told() == ("the model was edited", ["The model was edited since: take its light again"])
+    write_attribute(model.data, attribute, before)
+    assert told() == ("", [])
+
+
+def test_a_file_that_was_trained_on_is_not_the_model_here(scene, model, make_model, write, monkeypatch):
+    """A training writes its model where the last one was imported from."""
+    state = State(backend=Backend(python="python", report={"versions": {}}))
+    monkeypatch.setattr(session(), "state", state)
+    write(make_model(lights=LIGHTS, seed=1))
+    assert operators.why_not_backend(model) == "the model was edited"
+
+
+def test_taking_light_again_changes_nothing_else(scene, model):
+    """Reflections, the subject, and each probe's own width."""
+    subject = bpy.data.objects.new("subject", None)
+    scene.collection.objects.link(subject)
+    for width, z in ((16, -498.0), (32, -502.0)):
+        given = {"mirrors": "SPLATS", "subject": "subject", "by": "BLENDER"}
+        bpy.ops.physhdr.light_from_here(at=(0.0, 0.0, z), width=width, **given)
+    found = probes.probes_of(scene, model)
+    folders, rays = [each[probes.FOLDER] for each in found], visibility(model)
+    assert bpy.ops.physhdr.light_refresh() == {"FINISHED"}
+    assert not {each[probes.FOLDER] for each in found} & set(folders)
+    assert [probes.known(each).width for each in found] == [16, 32]
+    assert visibility(model) == rays and rays["visible_glossy"]
+    assert scene.world[lighting.SUBJECT] == subject
+
+
+def test_new_names_and_several_widths_while_the_backend_draws(scene, model, monkeypatch, tmp_path):
+    """The backend draws one width at a time; all of it lights the scene, whatever is called how by then."""
+    subject = bpy.data.objects.new("subject", None)
+    scene.collection.objects.link(subject)
+    light(write_probe(tmp_path / "first", 1.0, 1.0, 1.0))
+    [empty] = probes.probes_of(scene, model)
+    started = []
+
+    def draw(source: str, tasks) -> None:
+        started.append([task.width for task in tasks])
+        for task in tasks:
+            write_probe(Path(task.folder), 1.0, 1.0, 1.0, at=task.at)
+        scene.name, model.name = f"Scene {len(started)}", f"Model {len(started)}"
+        empty.name, subject.name = f"Probe {len(started)}", f"Subject {len(started)}"
+
+    taken = []
+    monkeypatch.setattr(operators, "_start", draw)
+    monkeypatch.setattr(operators, "take_when_ended", lambda task, take, message: taken.append(take()))
+    ids = {"scene": scene, "model": model, "subject": subject}
+    after = operators.After(
+        **{key: each.session_uid for key, each in ids.items()}, name="", mirrors="SPLATS", drawn=""
+    )
+    tasks = [
+        operators.Task(uid, (x, 0.0, 0.0), (x, 0.0, 500.0), str(tmp_path / f"at {x:g}"), width)
+        for x, uid, width in ((0.0, empty.session_uid, 64), (1.0, 0, 32), (2.0, 0, 64))
+    ]
+    operators._draw_all("model.safetensors", after, tasks, operators.of_one_width(tasks))
+    assert started == [[64, 64], [32]] and sorted(taken) == [False, True]
+    assert len(probes.probes_of(scene, model)) == 3 and empty[probes.FOLDER] == str(tmp_path / "at 0")
+    assert scene.world[lighting.SUBJECT] == subject and model.visible_glossy
+
+
+def test_a_model_that_was_edited_while_it_was_drawn(scene, model, tmp_path):
+    """The probe's light is of the file, and says so."""
+    folder = write_probe(tmp_path / "probe", 1.0, 1.0, 1.0)
+    after = operators.After(scene.session_uid, model.session_uid, "", "SPLATS", 0, drawn_of(model.data))
+    model.data.points[3].co.x += 0.5
+    after.apply([operators.Task(0, (0.0,) * 3, (0.0, 0.0, 500.0), str(folder), WIDTH)])
+    [probe] = probes.probes_of(scene, model)
+    assert "edited" in probe_checks.warnings_of(probe, model)[0]
+
+
+def test_whatever_keeps_the_light_out_of_the_scene_leaves_no_empty(scene, model, monkeypatch, tmp_path):
+    folder = write_probe(tmp_path / "probe", 1.0, 1.0, 1.0)
+    before = set(bpy.data.objects)
+    monkeypatch.setattr(lighting, "light", lambda *_: 1 / 0)
+    with pytest.raises(RuntimeError, match="ZeroDivisionError"):
+        light(folder)
+    assert set(bpy.data.objects) == before
+
+
+def test_without_cycles_the_remedy_is_told(scene, model):
+    import addon_utils  # known once bpy is
+
+    scenes = list(bpy.data.scenes)
+    addon_utils.disable("cycles")
+    try:
+        with pytest.raises(RuntimeError, match=r"Cycles add-on is switched off\s+Enable it in Preferences"):
+            bpy.ops.physhdr.light_from_here(width=16, by="BLENDER")
+    finally:
+        addon_utils.enable("cycles")
+    assert list(bpy.data.scenes) == scenes and not probes.probes_of(scene, model)
+
+
+#: Colours as a film studio has them: no space is named as in Blender's own configuration.
+STUDIO = """\
+ocio_profile_version: 1
+roles:
+  {scene_linear: Film, default: Film, data: Raw Numbers, color_picking: Screen, texture_paint: Film,
+   matte_paint: Film, default_byte: Screen, default_float: Film, aces_interchange: Interchange}
+displays:
+  Studio:
+    - !<View> {name: Film, colorspace: Screen}
+active_displays: [Studio]
+active_views: [Film]
+colorspaces:
+  - !<ColorSpace> {name: Film, isdata: false}
+  - !<ColorSpace>
+    name: Interchange
+    to_reference: !<MatrixTransform> {matrix: [1.45, -0.24, -0.21, 0, -0.08, 1.18, -0.1, 0, 0.01, -0.01, 1, 0,
+                                               0, 0, 0, 1]}
+  - !<ColorSpace>
+    name: Screen
+    from_reference: !<ExponentTransform> {value: [2.2, 2.2, 2.2, 1], direction: inverse}
+  - !<ColorSpace> {name: Raw Numbers, isdata: true}
+"""
+
+IN_A_STUDIO = """
+import sys
+from pathlib import Path
+import bpy
+import physhdr
+from physhdr.addon.model.model_import import import_model
+from physhdr.addon.rendering.render import read_exr
+bpy.ops.wm.read_factory_settings(use_empty=True)
+physhdr.register()
+model, folder = sys.argv[1:]
+bpy.context.view_layer.objects.active = import_model(model)
+assert bpy.ops.physhdr.light_from_here(folder=folder) == {"FINISHED"}
+images = [node.image for node in bpy.context.scene.world.node_tree.nodes if node.type == "TEX_ENVIRONMENT"]
+assert {image.colorspace_settings.name for image in images} == {"Raw Numbers"}, images
+print("numbers", *read_exr(Path(folder) / "fixed.exr")[0, 0, :3])
+"""
+
+
+def test_where_colours_have_other_names(make_model, write, tmp_path):
+    (tmp_path / "config.ocio").write_text(STUDIO)
+    folder = write_probe(tmp_path / "probe", (0.5, 2.0, 30.0), (1.0,) * 3, (1.0,) * 3)
+    arguments = [sys.executable, "-c", IN_A_STUDIO, str(write(make_model(lights=LIGHTS))), str(folder)]
+    environment = {**os.environ, "OCIO": str(tmp_path / "config.ocio")}
+    done = subprocess.run(arguments, capture_output=True, text=True, check=False, env=environment)
+    assert done.returncode == 0, done.stderr
+    assert "numbers 0.5 2.0 30.0" in done.stdout
 
 
 def test_a_second_probe_after_the_file_was_saved_elsewhere(model, tmp_path):

@@ -11,6 +11,7 @@ import pytest
 from physhdr.addon.layouts.camera_file import Frame
 from physhdr.addon.light import probe_checks, probe_render
 from physhdr.addon.model import nodes
+from physhdr.addon.model.drawn import drawn_of
 from physhdr.addon.model.model_import import import_model
 from physhdr.addon.rendering.render import read_exr
 from physhdr.bridge.errors import OutputError
@@ -166,7 +167,7 @@ def test_a_probe_says_when_its_model_is_another_by_now(scene, shell, tmp_path: P
     empty = probes.new_probe(scene, target, AT)
     found = Probe(AT, 64, LIGHTS, 0.1, 0.01, 0, 30, "test")
     probes.mark(empty, target, "", found)
-    probe_checks.note(empty, target)
+    probe_checks.note(empty, target, drawn_of(target.data))
     bpy.context.view_layer.update()
     assert probe_checks.warnings_of(empty, target) == []
     nodes.set_input(nodes.find_modifier(target), nodes.SMALLEST_OPACITY, 0.2)
