@@ -7,6 +7,7 @@ that keyframes of the model relight what stands in it. The former world stays as
 """
 
 import json
+import uuid
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -31,6 +32,9 @@ MODEL, FORMER, SUBJECT = LIGHT_MODEL, FORMER_WORLD, "physhdr_light_subject"
 #: And the visibility to rays that the model had before. Older versions kept it on the model: with a library
 #: override that is not saved.
 VISIBILITY = "physhdr_former_visibility"
+#: Of such a world and its model: a text of their own, by which copies of the model are known that were made
+#: while it is hidden from rays.
+HIDDEN = "physhdr_hidden_from_rays"
 #: Custom property of our nodes in it.
 OURS = "physhdr_light"
 #: The rays that would see the model beside the environment; mirrors and glass may be let see it.
@@ -120,9 +124,11 @@ def reset(scene: bpy.types.Scene) -> None:
 def hide_from_rays(world: bpy.types.World, model: bpy.types.Object, mirrors: Mirrors) -> None:
     """Let CG get its light from the environment alone; ``mirrors`` see that, or the splats before it."""
     if VISIBILITY not in world and VISIBILITY not in model:
-        hidden = next((each for each in _others_lit_by(model, world) if VISIBILITY in each), None)
+        lit = [*_others_lit_by(model, world), *_marked_worlds(model.get(HIDDEN))]
+        hidden = next((each for each in lit if VISIBILITY in each), None)
         now = {name: getattr(model, name) for name in LIGHTING_RAYS + MIRROR_RAYS}
         world[VISIBILITY] = hidden[VISIBILITY] if hidden is not None else json.dumps(now)
+    world[HIDDEN] = model[HIDDEN] = model.get(HIDDEN) or uuid.uuid4().hex
     for name in LIGHTING_RAYS:
         setattr(model, name, False)
     for name in MIRROR_RAYS:
@@ -130,21 +136,34 @@ def hide_from_rays(world: bpy.types.World, model: bpy.types.Object, mirrors: Mir
 
 
 def show_to_rays(world: bpy.types.World) -> None:
-    """Give the model that lights a world the visibility back that it had before, unless it lights another
-    scene's world, too."""
-    model, before = world.get(MODEL), world.pop(VISIBILITY, None)
-    if not isinstance(model, bpy.types.Object) or _others_lit_by(model, world):
-        return
-    before = model.pop(VISIBILITY, None) or before
-    for name, value in json.loads(before or "{}").items():
-        if name in LIGHTING_RAYS + MIRROR_RAYS:
-            setattr(model, name, bool(value))
+    """Give the model that lights a world, and copies made since, the visibility back that it had before;
+    not what lights another scene's world, too."""
+    model, before, mark = world.get(MODEL), world.pop(VISIBILITY, None), world.pop(HIDDEN, None)
+    hidden = [each for each in bpy.data.objects if mark and each.get(HIDDEN) == mark and each.library is None]
+    if isinstance(model, bpy.types.Object):
+        if _others_lit_by(model, world):
+            return
+        before = model.pop(VISIBILITY, None) or before
+        hidden = [model, *(each for each in hidden if each != model)]
+    for each in hidden:
+        if _others_lit_by(each, world):
+            continue
+        each.pop(HIDDEN, None)
+        for name, value in json.loads(before or "{}").items():
+            if name in LIGHTING_RAYS + MIRROR_RAYS:
+                setattr(each, name, bool(value))
 
 
 def _others_lit_by(model: bpy.types.Object, world: bpy.types.World) -> list[bpy.types.World]:
     """Worlds of scenes, other than ``world``, that a model lights."""
     worlds = (scene.world for scene in bpy.data.scenes)
     return [each for each in worlds if each is not None and each != world and each.get(MODEL) == model]
+
+
+def _marked_worlds(mark: str | None) -> list[bpy.types.World]:
+    """Worlds of scenes whose model is hidden under that mark."""
+    worlds = (scene.world for scene in bpy.data.scenes)
+    return [each for each in worlds if mark and each is not None and each.get(HIDDEN) == mark]
 
 
 # ---- pictures ----------------------------------------------------------------------------------------------

@@ -236,6 +236,34 @@ def test_a_model_that_lights_two_scenes_is_seen_by_rays_again_after_both(scene, 
     assert visibility(model) == before
 
 
+@pytest.mark.parametrize("kept", [True, False])
+def test_copies_of_a_hidden_model_are_seen_again_with_it(scene, model, tmp_path, kept):
+    """Shift D gives a copy the visibility that the model has then; the model may be gone by the end."""
+    model.visible_glossy = False
+    before, folder = visibility(model), write_probe(tmp_path / "probe", (5.0,) * 3, (0,) * 3, (0,) * 3)
+    light(folder)
+    other = bpy.data.scenes.new("other")
+    other.collection.objects.link(model)
+    for each in scene.objects:
+        each.select_set(each == model)
+    bpy.ops.object.duplicate()
+    copy = bpy.context.object
+    assert copy != model and not any(visibility(copy).values())
+    # The copy lights the other scene: it is hidden until that is as before.
+    other.collection.objects.link(copy)
+    lighting.light(other, copy, probes.probes_of(scene, model))
+    bpy.ops.object.duplicate()
+    second = bpy.context.object
+    if not kept:
+        bpy.data.objects.remove(model)
+    lighting.reset(scene)
+    assert visibility(second) == before and not any(visibility(copy).values())
+    lighting.reset(other)
+    assert visibility(copy) == before
+    left = [copy, second, *([model] if kept else [])]
+    assert all(visibility(each) == before and lighting.HIDDEN not in each for each in left)
+
+
 def test_a_scene_without_a_world_has_none_again(scene, model, tmp_path):
     scene.world = None
     light(write_probe(tmp_path / "probe", (5.0,) * 3, (0,) * 3, (0,) * 3))
