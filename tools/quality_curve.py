@@ -28,6 +28,7 @@ from quality_plot import plot
 from physhdr.backend.cli.warmup import compile_kernels
 from physhdr.backend.evaluate import truth
 from physhdr.backend.evaluate.metrics import hdr_pair, psnr, quantise
+from physhdr.backend.evaluate.published import data_set_of
 from physhdr.backend.methods.base import Method
 from physhdr.backend.rasterize.cpu import set_threads, thread_count
 from physhdr.backend.scene import Scene, read_scene
@@ -153,7 +154,8 @@ def quality(method: Method, scene: Scene, exposures: tuple[int, ...]) -> dict[st
             found[k].append(psnr(picture, reference))
         if has_truth:
             radiance = method.hdr(view.camera, view.lighting_levels).cpu()
-            pair = hdr_pair(radiance, truth.hdr_truth(scene.root, "test", view.index))
+            true = truth.hdr_truth(scene.root, "test", view.index)
+            pair = hdr_pair(radiance, true, published=bool(data_set_of(scene)))
             hdr.append(psnr(pair.prediction, pair.truth))
     means = {"LDR-OE": float(np.mean([np.mean(values) for values in found.values()]))}
     return means | ({"HDR": float(np.mean(hdr))} if hdr else {})

@@ -109,18 +109,50 @@ def display(radiance: torch.Tensor, normaliser: float) -> torch.Tensor:
     return mu_law((radiance.double() / normaliser).clamp(0.0, 1.0))
 
 
-def resize_to(picture: torch.Tensor, height: int, width: int) -> torch.Tensor:
-    """Bilinear with aligned corners (GaussHDR's choice); raises ``DataMismatchError`` on another aspect."""
-    if picture.shape[1:] == (height, width):
-        return picture
-    if abs(picture.shape[2] / picture.shape[1] * height / width - 1.0) > ASPECT_TOLERANCE:
+def averaged_to(radiance: torch.Tensor, height: int, width: int) -> torch.Tensor:
+    """True radiance ``[3, H, W]`` as a camera of ``height`` × ``width`` pixels sees it, float64.
+
+    Each pixel is the mean over its area, whatever the factor; radiance of that size is returned as it is.
+    Raises ``DataMismatchError`` on another aspect.
+    """
+    if radiance.shape[1:] == (height, width):
+        return radiance
+    _require_one_aspect(radiance, height, width)
+    return _averaged_along(2, _averaged_along(1, radiance.double(), height), width)
+
+
+def _averaged_along(dim: int, planes: torch.Tensor, size: int) -> torch.Tensor:
+    """``planes`` with ``size`` values along ``dim``, each the mean over its part of that side."""
+    side = planes.shape[dim]
+    scale = side / size
+    begin = torch.arange(size, dtype=torch.float64) * scale
+    shape = [-1 if each == dim else 1 for each in range(planes.ndim)]
+    total = torch.zeros((), dtype=torch.float64)
+    for k in range(math.ceil(scale) + 1):  # a part that begins within a pixel touches one more
+        at = begin.floor() + k
+        share = (torch.minimum(at + 1.0, begin + scale) - torch.maximum(at, begin)).clamp(min=0.0) / scale
+        total = total + share.reshape(shape) * planes.index_select(dim, at.long().clamp(max=side - 1))
+    return total
+
+
+def _resized_as_published(shown: torch.Tensor, height: int, width: int) -> torch.Tensor:
+    """What GaussHDR's code makes of the μ-law'd truth: bilinear with aligned corners, as it compares.
+
+    Single pixels are picked rather than averaged. Raises ``DataMismatchError`` on another aspect.
+    """
+    if shown.shape[1:] == (height, width):
+        return shown
+    _require_one_aspect(shown, height, width)
+    size = height, width
+    return torch.nn.functional.interpolate(shown[None], size, mode="bilinear", align_corners=True)[0]
+
+
+def _require_one_aspect(truth: torch.Tensor, height: int, width: int) -> None:
+    if abs(truth.shape[2] / truth.shape[1] * height / width - 1.0) > ASPECT_TOLERANCE:
         raise DataMismatchError(
-            f"the true picture is {picture.shape[2]}×{picture.shape[1]}, the render {width}×{height}",
+            f"the true picture is {truth.shape[2]}×{truth.shape[1]}, the render {width}×{height}",
             "Give truth and pictures of one aspect.",
         )
-    return torch.nn.functional.interpolate(
-        picture[None], (height, width), mode="bilinear", align_corners=True
-    )[0]
 
 
 @dataclass(frozen=True)
@@ -132,30 +164,36 @@ class HdrPair:
     normaliser: float
 
 
-def hdr_pair(prediction: torch.Tensor, truth: torch.Tensor) -> HdrPair:
+def hdr_pair(prediction: torch.Tensor, truth: torch.Tensor, *, published: bool = False) -> HdrPair:
     """The HDR protocol of GaussHDR (https://arxiv.org/abs/2503.10143) and the paper: no alignment of scale.
 
     ``prediction`` ``[3, h, w]`` and ``truth`` ``[3, H, W]`` are radiance. M is the maximum of the truth at
-    its full resolution; the truth is μ-law'd there and then resized to the prediction; both pass 8 bit.
+    its full resolution. A larger truth is averaged to the prediction's size and then μ-law'd: that is what a
+    perfect prediction shows. ``published``: it is μ-law'd at its full size and then resized, as GaussHDR's
+    code does and the figures of published benchmarks demand. Both pass 8 bit.
     """
-    shown, normaliser = hdr_shown(truth, prediction.shape[1], prediction.shape[2])
+    shown, normaliser = hdr_shown(truth, prediction.shape[1], prediction.shape[2], published=published)
     return HdrPair(quantise(display(prediction, normaliser)), shown, normaliser)
 
 
-def hdr_shown(truth: torch.Tensor, height: int, width: int) -> tuple[torch.Tensor, float]:
+def hdr_shown(
+    truth: torch.Tensor, height: int, width: int, *, published: bool = False
+) -> tuple[torch.Tensor, float]:
     """The truth of an ``HdrPair`` of that size, and M: for comparing several predictions with one truth."""
     normaliser = hdr_normaliser(truth)
-    return quantise(resize_to(display(truth, normaliser), height, width)), normaliser
+    if published:
+        return quantise(_resized_as_published(display(truth, normaliser), height, width)), normaliser
+    return quantise(display(averaged_to(truth, height, width), normaliser)), normaliser
 
 
 def scale_ratio(prediction: torch.Tensor, truth: torch.Tensor, mask: torch.Tensor | None = None) -> float:
     """The median of prediction / truth: how far the absolute scale of the radiance is off (1: not).
 
     Over all pixels and all three channels whose truth is above ``SCALE_FLOOR`` × the truth's median: black
-    has no scale. The truth is resized to the prediction. ``mask``: the pixels of the prediction that count,
-    ``[H, W]`` bool; None: all. NaN if no channel value qualifies.
+    has no scale. The truth is averaged to the prediction's size. ``mask``: the pixels of the prediction that
+    count, ``[H, W]`` bool; None: all. NaN if no channel value qualifies.
     """
-    truth = resize_to(truth.double(), prediction.shape[1], prediction.shape[2])
+    truth = averaged_to(truth.double(), prediction.shape[1], prediction.shape[2])
     if mask is not None:
         prediction, truth = prediction[:, mask], truth[:, mask]
     if truth.numel() == 0:

@@ -101,12 +101,14 @@ def pairs(
         yield Pair(picture, torch.from_numpy(view.values(k)).permute(2, 0, 1), compared)
 
 
-def radiance_pair(prediction: torch.Tensor, truth: torch.Tensor, mask: torch.Tensor | None) -> Pair:
+def radiance_pair(
+    prediction: torch.Tensor, truth: torch.Tensor, mask: torch.Tensor | None, *, published: bool = False
+) -> Pair:
     """Radiance ``[3, h, w]`` and its truth ``[3, H, W]`` as the HDR protocol compares them (``hdr_pair``).
 
-    ``mask``: of ``compared_everywhere``.
+    ``mask``: of ``compared_everywhere``. ``published``: whether the scene is one of a published benchmark.
     """
-    pair = hdr_pair(prediction, truth)
+    pair = hdr_pair(prediction, truth, published=published)
     return Pair(pair.prediction, pair.truth, mask)
 
 

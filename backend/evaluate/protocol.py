@@ -24,7 +24,7 @@ from ...bridge.errors import BadValueError, DataMismatchError
 from ..scene.scene import Scene, View
 from . import truth
 from .lpips import SMALLEST_SIDE, Lpips
-from .metrics import PSNR_CAP, display, hdr_normaliser, hdr_shown, quantise, resize_to, scale_ratio
+from .metrics import PSNR_CAP, averaged_to, display, hdr_normaliser, hdr_shown, quantise, scale_ratio
 from .photos import Falloff, falloff_there, fitted_photos, no_falloff
 from .pictures import Pair, all_of_eight_bits, compared_everywhere, finite, in_words, pairs, radiance_pair
 from .published import data_set_of
@@ -38,6 +38,7 @@ from .results import (
     Evaluation,
     HdrRow,
     LdrRow,
+    Metrics,
     RelitRow,
     middle_ratio,
     part_of,
@@ -111,7 +112,7 @@ def evaluate(
     relit_rows: list[RelitRow] = []
     if hdr and truth.has_hdr_truth(scene.root, split):
         standard = _standard_views(renderer, scene, split, step)
-        hdr_rows = _hdr_rows(standard, lpips)
+        hdr_rows = _hdr_rows(standard, lpips, published=bool(data_set_of(scene)))
         messages += _what_has_no_scale(hdr_rows)
         for item in relit:
             step(f"relit {item.condition} {item.path.stem}")
@@ -296,16 +297,18 @@ def _standard_views(renderer: Renderer, scene: Scene, split: str, step: _Steps) 
     return views
 
 
-def _hdr_rows(standard: dict[int, _StandardView], lpips: Lpips | None) -> list[HdrRow]:
+def _hdr_rows(standard: dict[int, _StandardView], lpips: Lpips | None, *, published: bool) -> list[HdrRow]:
+    def measured(each: _StandardView, prediction: torch.Tensor) -> Metrics:
+        return radiance_pair(prediction, each.truth, each.mask, published=published).metrics(lpips)
+
     views = list(standard.values())
     ratios = [scale_ratio(each.prediction, each.truth, each.mask) for each in views]
     # One scale for all views: aligning each view by itself would hide that views disagree.
     common = middle_ratio(ratios)
     rows = []
     for each, ratio in zip(views, ratios, strict=True):
-        metrics = radiance_pair(each.prediction, each.truth, each.mask).metrics(lpips)
-        prediction = each.prediction / common if common else each.prediction
-        aligned = radiance_pair(prediction, each.truth, each.mask).metrics(lpips)
+        metrics = measured(each, each.prediction)
+        aligned = measured(each, each.prediction / common if common else each.prediction)
         normaliser = hdr_normaliser(each.truth)
         rows.append(HdrRow(each.view.name, each.view.index, normaliser, ratio, metrics, aligned))
     return rows
@@ -319,8 +322,8 @@ def _relit_row(renderer: Renderer, standard: _StandardView, item: truth.RelitTru
     ours = renderer.hdr(view.camera, item.levels_of(renderer.lights))
     ours = finite(ours, f"{view.name} at {item.condition}")
     height, width = ours.shape[1:]
-    truth_standard = resize_to(standard.truth, height, width)
-    best_factor = scale_ratio(resize_to(relit, height, width), truth_standard, mask)
+    truth_standard = averaged_to(standard.truth, height, width)
+    best_factor = scale_ratio(averaged_to(relit, height, width), truth_standard, mask)
     if math.isnan(best_factor):
         best_factor = 1.0  # of what is compared the truth is black, and any factor leaves it so
     changed = list(item.changed.values())

@@ -22,7 +22,7 @@ from ..optional import needed
 from ..scene.encoding import eight_bits
 from ..scene.scene import Scene
 from . import truth
-from .metrics import resize_to
+from .metrics import averaged_to
 from .renderer import Renderer
 from .results import VIEWS_OF, ResponseCheck
 
@@ -116,7 +116,7 @@ def measured_response(scene: Scene, split: str = TEST) -> Curve | None:
     counts = np.zeros((3, bins * 256), np.int64)
     for view in views:
         radiance = truth.hdr_truth(scene.root, split, view.index)
-        radiance = resize_to(radiance, view.camera.height, view.camera.width).numpy().reshape(3, -1)
+        radiance = averaged_to(radiance, view.camera.height, view.camera.width).numpy().reshape(3, -1)
         stops = np.log2(np.maximum(radiance, 1e-12))
         for k, exposure in enumerate(view.exposures):
             if view.encodings[k].is_known:

@@ -15,8 +15,9 @@ from ...bridge.errors import BadValueError
 from ...bridge.lights import Levels
 from ..scene.scene import Scene, View
 from . import truth
-from .metrics import MU, display, quantise, resize_to
+from .metrics import MU, averaged_to, display, quantise
 from .pictures import Pair, compared_everywhere, pairs, radiance_pair
+from .published import data_set_of
 from .renderer import Renderer
 from .residuals import RESIDUAL_GAIN, legend, residual
 from .results import OBSERVED_EXPOSURES, VIEWS_OF, part_of
@@ -152,7 +153,7 @@ def comparison_sheet(
     ``BadValueError`` for an unknown pose, and what readers raise.
     """
     can_show = shows or (lambda item: item.can_be_shown(renderer.lights))
-    relit = _relit(scene, split)
+    relit, published = _relit(scene, split), bool(data_set_of(scene))
     rows: list[list[Cell]] = []
     for pose in _poses(scene, split, poses, relit):
         view = scene.find(split, pose)
@@ -161,9 +162,10 @@ def comparison_sheet(
             rows.append(_row(label, name, _ldr(renderer, view, k), gain))
         if hdr and truth.has_hdr_truth(scene.root, split):
             reference = truth.hdr_truth(scene.root, split, pose)
-            rows.append(_row(f"{view.name} HDR", name, _hdr(renderer, view, 1.0, reference), gain))
+            shown = _hdr(renderer, view, 1.0, reference, published=published)
+            rows.append(_row(f"{view.name} HDR", name, shown, gain))
             if _is_off(scale):
-                shown = _hdr(renderer, view, 1.0, reference, scale)
+                shown = _hdr(renderer, view, 1.0, reference, scale, published=published)
                 rows.append(_row(f"{view.name} HDR, scale aligned", f"{name} / {scale:.3g}", shown, gain))
         for item in relit:
             if hdr and item.index == pose and can_show(item) and (lit := item.radiance()).max() > 0.0:
@@ -195,6 +197,7 @@ def method_sheet(
     """
     if not renderers:
         raise BadValueError("a sheet of methods needs at least one method")
+    published = bool(data_set_of(scene))
     rows: list[list[Cell]] = []
     for pose in _poses(scene, split, poses, _relit(scene, split)):
         view = scene.find(split, pose)
@@ -204,13 +207,16 @@ def method_sheet(
         if truth.has_hdr_truth(scene.root, split) and renderers.keys() - set(without_hdr):
             reference = truth.hdr_truth(scene.root, split, pose)
             radiant = {name: each for name, each in renderers.items() if name not in without_hdr}
-            shown = {name: _hdr(renderer, view, 1.0, reference) for name, renderer in radiant.items()}
+            shown = {
+                name: _hdr(renderer, view, 1.0, reference, published=published)
+                for name, renderer in radiant.items()
+            }
             rows += _method_rows(f"{view.name}, HDR", shown, gain)
             off = {name: by for name, by in (scales or {}).items() if name in radiant and _is_off(by)}
             if off:
                 shown = {
                     f"{name} / {off[name]:.3g}" if name in off else name: _hdr(
-                        renderer, view, 1.0, reference, off.get(name, 1.0)
+                        renderer, view, 1.0, reference, off.get(name, 1.0), published=published
                     )
                     for name, renderer in radiant.items()
                 }
@@ -263,15 +269,21 @@ def _is_off(scale: float | None) -> TypeGuard[float]:
 
 
 def _hdr(
-    renderer: Renderer, view: View, level: Levels, reference: torch.Tensor, divided_by: float = 1.0
+    renderer: Renderer,
+    view: View,
+    level: Levels,
+    reference: torch.Tensor,
+    divided_by: float = 1.0,
+    *,
+    published: bool = False,
 ) -> Shown:
     """Numbers as in the protocol; the pictures are brighter, see ``WHITE_QUANTILE``."""
     radiance = renderer.hdr(view.camera, level).detach().cpu() / divided_by
     mask = compared_everywhere(view)
-    metrics = radiance_pair(radiance, reference, mask).metrics()
+    metrics = radiance_pair(radiance, reference, mask, published=published).metrics()
     white = display_white(reference)
-    shown = resize_to(display(reference, white), radiance.shape[1], radiance.shape[2])
-    pictures = Pair(quantise(display(radiance, white)), quantise(shown), mask).shown()
+    true = averaged_to(reference, radiance.shape[1], radiance.shape[2])
+    pictures = Pair(quantise(display(radiance, white)), quantise(display(true, white)), mask).shown()
     return Shown(*pictures, metrics.psnr, metrics.ssim)
 
 

@@ -15,6 +15,7 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from physhdr.backend.evaluate.lpips import Lpips
 from physhdr.backend.evaluate.metrics import (
     PSNR_CAP,
+    averaged_to,
     display,
     hdr_pair,
     mu_law,
@@ -159,6 +160,32 @@ def test_the_prediction_is_clipped_at_the_normaliser() -> None:
 def test_truth_of_another_aspect_is_refused() -> None:
     with pytest.raises(DataMismatchError, match="40×40, the render 30×20"):
         hdr_pair(torch.ones(3, 20, 30), torch.ones(3, 40, 40))
+
+
+def test_a_smaller_camera_sees_means_over_areas() -> None:
+    """Of whole blocks and of parts of pixels: 6 → 4 is 12 half pixels in threes, each axis by itself."""
+    generator = np.random.default_rng(0)
+    truth = generator.lognormal(0.0, 3.0, (3, 36, 48))
+    halves = truth.reshape(3, 18, 2, 24, 2).mean((2, 4))
+    np.testing.assert_allclose(averaged_to(torch.from_numpy(truth), 18, 24), halves, rtol=1e-12)
+    parts = truth.repeat(2, axis=1).repeat(2, axis=2).reshape(3, 24, 3, 32, 3).mean((2, 4))
+    np.testing.assert_allclose(averaged_to(torch.from_numpy(truth), 24, 32), parts, rtol=1e-12)
+    odd = averaged_to(torch.from_numpy(truth), 23, 31)
+    np.testing.assert_allclose(odd.mean(), truth.mean(), rtol=1e-12)
+    np.testing.assert_array_equal(averaged_to(torch.from_numpy(truth), 36, 48), truth)
+
+
+def test_what_a_perfect_camera_of_half_the_size_sees_is_perfect() -> None:
+    """Also on edges and lamps; GaussHDR's way keeps the corners' pixels and misses what lies between."""
+    generator = np.random.default_rng(1)
+    truth = torch.from_numpy(generator.lognormal(0.0, 2.0, (3, 40, 60)).astype(np.float32))
+    seen = torch.from_numpy(truth.numpy().reshape(3, 20, 2, 30, 2).mean((2, 4)))
+    pair = hdr_pair(seen, truth)
+    assert psnr(pair.prediction, pair.truth) > 80 and scale_ratio(seen, truth) == pytest.approx(1.0)
+    published = hdr_pair(seen, truth, published=True)
+    assert psnr(published.prediction, published.truth) < 30
+    corners = published.truth[:, ::19, ::29]
+    np.testing.assert_array_equal(corners, quantise(display(truth, pair.normaliser))[:, ::39, ::59])
 
 
 def test_black_truth_is_refused() -> None:
