@@ -30,6 +30,7 @@ _MODULES = (
     "operators.capture",
     "operators.cleaning",
     "operators.render",
+    "light.probes",
     "light.probe_checks",
     "operators.lighting",
     "operators.results",

@@ -13,6 +13,7 @@ from typing import TypeGuard
 
 import bpy
 import numpy as np
+from bpy.app.handlers import persistent
 
 from ...bridge.blend_file import PROBE
 from ...bridge.probe import Probe
@@ -32,6 +33,8 @@ NEW, SIZE = "Light Probe", 0.1
 #: So far may a probe be from where its light was taken: metres, or shares of its distance to the model's
 #: origin where that is more.
 MOVED = 1e-4
+#: Probes and their deleted models, while the file is written.
+_of_deleted: list[tuple[bpy.types.Object, bpy.types.Object]] = []
 
 
 def is_probe(target: bpy.types.Object | None) -> TypeGuard[bpy.types.Object]:
@@ -114,3 +117,49 @@ def new_folder(name: str) -> str:
     if bpy.data.filepath:
         return f"//{ROOT}/{bpy.path.clean_name(Path(bpy.data.filepath).stem)}/{own}"
     return str(Path(bpy.app.tempdir) / ROOT / own)
+
+
+# ---- what was deleted --------------------------------------------------------------------------------------
+
+
+@persistent
+def _forget_deleted(*_: object) -> None:
+    """A model that was deleted is not kept in the file for its probes alone; once that is opened, the point
+    cloud has no user, and the next save leaves it out.
+
+    One that lights a world is kept: what its light is multiplied by are its sliders.
+    """
+    probes = [each for each in bpy.data.objects if is_probe(each) and each.library is None]
+    pointing = [(probe, probe.get(MODEL)) for probe in probes]
+    pairs = [(probe, model) for probe, model in pointing if isinstance(model, bpy.types.Object)]
+    for model in {each[1] for each in pairs if not each[1].users_scene and each[1].library is None}:
+        own = [(probe, each) for probe, each in pairs if each == model]
+        if model.users == len(own):
+            _of_deleted.extend(own)
+    for each in _of_deleted:
+        del each[0][MODEL]
+
+
+@persistent
+def _remember_again(*_: object) -> None:
+    """An undo may bring back in the open file what was deleted."""
+    for probe, model in _of_deleted:
+        probe[MODEL] = model
+    _of_deleted.clear()
+
+
+_HANDLERS = (
+    ("save_pre", _forget_deleted),
+    ("save_post", _remember_again),
+    ("save_post_fail", _remember_again),
+)
+
+
+def register() -> None:
+    for event, handler in _HANDLERS:
+        getattr(bpy.app.handlers, event).append(handler)
+
+
+def unregister() -> None:
+    for event, handler in _HANDLERS:
+        getattr(bpy.app.handlers, event).remove(handler)

@@ -264,6 +264,28 @@ def test_copies_of_a_hidden_model_are_seen_again_with_it(scene, model, tmp_path,
     assert all(visibility(each) == before and lighting.HIDDEN not in each for each in left)
 
 
+@pytest.mark.parametrize("lit", [True, False])
+def test_a_deleted_model_is_saved_for_its_light_alone(scene, model, tmp_path, lit):
+    """Its sliders are what the light of a lit world follows; a probe alone keeps no million Gaussians."""
+    light(write_probe(tmp_path / "probe", (5.0,) * 3, (0,) * 3, (0,) * 3))
+    if not lit:
+        bpy.ops.physhdr.light_reset()
+    [probe] = probes.probes_of(scene, model)
+    for each in scene.objects:
+        each.select_set(each == model)
+    bpy.ops.object.delete()
+    blend = str(tmp_path / "scene.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=blend)
+    assert probe[probes.MODEL] == model, "an undo brings the model back, and it has its probe"
+    bpy.ops.wm.open_mainfile(filepath=blend)
+    assert any(each.type == "POINTCLOUD" for each in bpy.data.objects) == lit
+    assert [each.users for each in bpy.data.pointclouds] == [int(lit)]
+    bpy.ops.wm.save_mainfile()
+    bpy.ops.wm.open_mainfile(filepath=blend)
+    assert len(bpy.data.pointclouds) == lit
+    assert [probes.is_probe(each) for each in bpy.context.scene.objects] == [True]
+
+
 def test_a_scene_without_a_world_has_none_again(scene, model, tmp_path):
     scene.world = None
     light(write_probe(tmp_path / "probe", (5.0,) * 3, (0,) * 3, (0,) * 3))
