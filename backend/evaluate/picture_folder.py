@@ -20,7 +20,7 @@ from ...bridge.errors import BadValueError, DataMismatchError, FileMissingError,
 from ...bridge.lights import AMBIENT, Levels, as_levels
 from ..scene.camera import Camera
 from ..scene.encoding import LARGEST
-from ..scene.pictures import picture_size, read_codes, read_exr, write_exr, write_png
+from ..scene.pictures import picture_size, read_codes, write_exr, write_png
 from ..scene.scene import Scene, View
 from . import truth
 from .pictures import finite
@@ -134,7 +134,7 @@ class PictureFolder(Renderer):
         if path is None:
             raise BadValueError(f"{self.folder} has no HDR picture of {view.name} at the levels {levels}")
         with _of_a_picture():
-            return torch.from_numpy(read_exr(path)).permute(2, 0, 1).contiguous()
+            return truth.radiance_in(path)
 
     def ldr(self, camera: Camera, exposure: float, lighting_level: Levels = 1.0) -> torch.Tensor:
         return next(iter(self.ldr_bracket(camera, [exposure], lighting_level)))

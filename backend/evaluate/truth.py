@@ -17,7 +17,7 @@ from ...bridge.errors import BadValueError, FileMissingError
 from ...bridge.lights import AMBIENT, check_lights, in_words, named_levels
 from ...bridge.limits import check_level
 from ...bridge.regular import read_json_object
-from ..scene.pictures import read_exr
+from ..scene.source import exr_rec709
 from ..scene.truth_folders import GAUSSHDR, HDR_GS, holds_truth
 
 
@@ -59,8 +59,8 @@ def has_hdr_truth(root: Path, split: str) -> bool:
 
 
 def hdr_truth(root: Path, split: str, index: int) -> torch.Tensor:
-    """``[3, H, W]`` float32 scene-linear radiance; raises what ``read_exr`` raises."""
-    return _as_tensor(hdr_truth_path(root, split, index))
+    """``[3, H, W]`` float32 Linear Rec.709; raises what ``exr_rec709`` raises."""
+    return radiance_in(hdr_truth_path(root, split, index))
 
 
 @dataclass(frozen=True)
@@ -98,8 +98,8 @@ class RelitTruth:
         return named_levels(self.changed, lights, self.condition)
 
     def radiance(self) -> torch.Tensor:
-        """``[3, H, W]`` float32 scene-linear radiance; raises what ``read_exr`` raises."""
-        return _as_tensor(self.path)
+        """``[3, H, W]`` float32 Linear Rec.709; raises what ``exr_rec709`` raises."""
+        return radiance_in(self.path)
 
 
 def relit_truth(root: Path) -> list[RelitTruth]:
@@ -184,5 +184,6 @@ def _listed_conditions(root: Path) -> list[tuple[Path, dict[str, float]]] | None
 _LIST_FORM = 'It must be a list of {"folder": "relit/level_4", "levels": {"ambient": 4}} and so on.'
 
 
-def _as_tensor(path: Path) -> torch.Tensor:
-    return torch.from_numpy(read_exr(path)).permute(2, 0, 1).contiguous()
+def radiance_in(path: Path) -> torch.Tensor:
+    """``[3, H, W]`` float32 Linear Rec.709 of an OpenEXR; raises what ``exr_rec709`` raises."""
+    return torch.from_numpy(exr_rec709(path)).permute(2, 0, 1).contiguous()

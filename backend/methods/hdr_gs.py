@@ -29,7 +29,7 @@ from ..model.rates import Rate
 from ..model.tone_mapper import ToneMapper, ToneMapperConfig
 from ..rasterize import Rasterization
 from ..scene.camera import Camera
-from ..scene.pictures import read_exr
+from ..scene.source import exr_rec709
 from .base import Batch, Drawn, Facts, MethodConfig, Outcome, Traits, UnlitMethod, mean_terms
 from .losses import compared
 
@@ -193,6 +193,6 @@ def compressed_truth(folder: Path, index: int, height: int, width: int) -> torch
             f"there is no true HDR picture {path}",
             "Name the folder of train_hdr's EXR files by --method.hdr-truth, or leave HDR supervision off.",
         )
-    radiance = torch.from_numpy(read_exr(path).copy()).permute(2, 0, 1).float()
+    radiance = torch.from_numpy(exr_rec709(path).copy()).permute(2, 0, 1).float()
     reduced = functional.interpolate(radiance[None], (height, width), mode="area")[0]
     return (compressed(reduced) * STEPS).round() / STEPS

@@ -220,7 +220,7 @@ def read_radiance(path: Path) -> Radiance:
     if kind == "EXR":
         planes = read_exr_channels(path, _RESTORE, ("R", "G", "B"), optional=("A",))
         pixels = np.stack([planes[name] for name in "RGB"], axis=-1)
-        return Radiance(_sound(path, pixels), planes.get("A"), _exr_chromaticities(path))
+        return Radiance(_sound(path, pixels), planes.get("A"), exr_chromaticities(path))
     if kind not in ("HDR", "TIFF"):
         raise FileDamagedError(
             f"{path} holds no radiance: it is a {kind}", "Give OpenEXR, .hdr or float TIFF."
@@ -567,8 +567,11 @@ def _exr_size(path: Path) -> tuple[int, int]:
     return frame.width, frame.height
 
 
-def _exr_chromaticities(path: Path) -> Chromaticities | None:
-    """What the header's attribute says of the primaries; None where there is none."""
+def exr_chromaticities(path: Path) -> Chromaticities | None:
+    """What an OpenEXR's attribute says of the primaries; None where there is none.
+
+    Raises ``FileDamagedError`` where it is no eight numbers.
+    """
     told = _exr_parts(path, header_only=True)[0].header.get("chromaticities")
     if told is None:
         return None

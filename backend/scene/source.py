@@ -9,12 +9,12 @@ from typing import Protocol
 
 import numpy as np
 
-from ...bridge.errors import DataMismatchError
+from ...bridge.errors import BadValueError, DataMismatchError
 from .color_space import SPACES, Chromaticities, known, space_named
 from .encoding import CAMERA, LARGEST, Encoding
 from .exif import LYING
 from .icc import Profile
-from .pictures import Radiance, holds_radiance, read_codes, read_radiance
+from .pictures import Radiance, exr_chromaticities, holds_radiance, read_codes, read_exr, read_radiance
 from .resize import Reduction, is_shaped
 
 
@@ -195,6 +195,24 @@ def radiance_rec709(path: Path, color_space: str = "") -> tuple[np.ndarray, str]
     read = read_radiance(path)
     space, words = _space(read, color_space)
     return linear_rec709(read.pixels, space), words
+
+
+def exr_rec709(path: Path) -> np.ndarray:
+    """``[H, W, 3]`` float32 Linear Rec.709 of an OpenEXR, in whichever colour space its chromaticities are.
+
+    Values below 0 are colours outside of Rec.709. Raises what ``read_exr`` raises, and ``BadValueError`` for
+    chromaticities of no colour space.
+    """
+    pixels, told = read_exr(path), exr_chromaticities(path)
+    if told is None:
+        return pixels
+    try:
+        return linear_rec709(pixels, known(told)[0]).astype(np.float32)
+    except BadValueError as error:
+        raise BadValueError(
+            f"{path}: {error.message}",
+            "Write it again, or remove its attribute 'chromaticities' if it holds Linear Rec.709.",
+        ) from error
 
 
 def _space(read: Radiance, color_space: str) -> tuple[Chromaticities, str]:

@@ -9,10 +9,12 @@ from types import ModuleType
 
 import cv2
 import numpy as np
+import OpenEXR
 import pytest
 import torch
 from PIL import Image
 
+from physhdr.backend.evaluate import truth
 from physhdr.backend.evaluate.picture_folder import PictureFolder, write_pictures
 from physhdr.backend.evaluate.protocol import evaluate
 from physhdr.backend.evaluate.renderer import Renderer
@@ -20,7 +22,9 @@ from physhdr.backend.evaluate.report import to_dict
 from physhdr.backend.evaluate.results import Evaluation
 from physhdr.backend.evaluate.sheets import comparison_sheet, method_sheet
 from physhdr.backend.scene import Scene, read_scene
+from physhdr.backend.scene.color_space import SPACES, Chromaticities
 from physhdr.backend.scene.encoding import LogEncoding
+from physhdr.backend.scene.pictures import read_exr
 from physhdr.bridge.errors import BadValueError, DataMismatchError, FileDamagedError, FileMissingError
 from physhdr.bridge.lights import as_levels
 
@@ -101,6 +105,49 @@ def test_every_name_that_is_read_is_written_and_no_other(data_set, pictures) -> 
     wanted |= {"test_hdr/hdr_001.exr", "test_hdr/hdr_003.exr"}
     wanted |= {"relit/level_0.25/hdr_003.exr", "relit/level_4/hdr_003.exr"}
     assert files_in(pictures) == wanted <= files_in(data_set)
+
+
+def test_radiance_in_any_colour_space_is_the_same_radiance(small, data_set, scene, pictures) -> None:
+    """Theirs in ACEScg, then our truth, too: an EXR says so by its chromaticities. Rec.709 that says so is as
+    it was.
+    """
+    plain = figures(evaluated(pictures, scene))
+    rewrite(pictures, "rec709")
+    assert figures(evaluated(pictures, scene)) == plain
+    rewrite(pictures, "acescg")
+    assert figures(evaluated(pictures, scene)) == pytest.approx(plain, abs=2e-3)
+    before = truth.hdr_truth(data_set, "test", 1)
+    rewrite(data_set, "acescg")
+    assert figures(evaluated(pictures, scene)) == pytest.approx(plain, abs=2e-3)
+    assert torch.allclose(truth.hdr_truth(data_set, "test", 1), before, rtol=1e-5, atol=1e-6)
+    assert not np.allclose(read_exr(data_set / "test_hdr/hdr_001.exr"), before.permute(1, 2, 0), rtol=0.01)
+
+
+def test_colours_outside_of_rec709_are_not_clipped_and_impossible_ones_refused(data_set, scene) -> None:
+    green = np.zeros((36, 48, 3), np.float32)
+    green[..., 1] = 2.0
+    write_in(data_set / "test_hdr/hdr_001.exr", green, SPACES["acescg"])
+    found = truth.hdr_truth(data_set, "test", 1)[:, 0, 0]
+    assert found.tolist() == pytest.approx(2.0 * SPACES["acescg"].to_rec709()[:, 1], rel=1e-5)
+    assert found[0] < -1.0
+    none = Chromaticities(*[(0.3, 0.3)] * 4)
+    write_in(data_set / "test_hdr/hdr_001.exr", green, none)
+    with pytest.raises(BadValueError, match=r"hdr_001.exr: the chromaticities .*\n.*remove its attribute"):
+        truth.hdr_truth(data_set, "test", 1)
+
+
+def write_in(path: Path, pixels: np.ndarray, space: Chromaticities) -> None:
+    header = {"chromaticities": (*space.red, *space.green, *space.blue, *space.white)}
+    OpenEXR.File(header, {"RGB": np.ascontiguousarray(pixels, np.float32)}).write(str(path))
+
+
+def rewrite(folder: Path, space: str) -> None:
+    """Every EXR's light in the primaries of ``space``, which it says."""
+    for path in [*folder.glob("test_hdr/*.exr"), *folder.glob("relit/*/*.exr")]:
+        pixels = read_exr(path)
+        if space != "rec709":
+            pixels = pixels @ np.linalg.inv(SPACES[space].to_rec709()).T
+        write_in(path, pixels, SPACES[space])
 
 
 def test_figures_by_hand_of_files_that_other_programs_wrote(small, data_set, tmp_path) -> None:
