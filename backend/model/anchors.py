@@ -13,6 +13,7 @@ import torch
 from torch import nn
 
 from ...bridge.errors import BadValueError
+from ...bridge.spherical_harmonics import fibonacci_sphere
 from ...bridge.splatting import LOW_PASS, NEAR_PLANE
 from ..scene.camera import Camera
 from ..scene.resident import camera_tensors
@@ -31,6 +32,11 @@ REACH = 3.0
 #: ln of the largest size of an anchor's Gaussians (Scaffold-GS, in the units of its reconstructions; ours are
 #: metres, so that it is 1.05 m there). It is applied where anchors grow.
 LARGEST_LOG_SCALE = 0.05
+#: Directions from which new anchors must not be blank (3° apart), …
+DIRECTIONS_AROUND = 4096
+#: … and what tanh⁻¹ of the largest opacity of their Gaussians is raised to, from everywhere, where they would
+#: be: what it is at its least in a usual draw of the network.
+LEAST_OPACITY_LOGIT = 0.1
 #: Anchors that are fixed at once: the normal equations of k Gaussians each fit into memory.
 FIXED_AT_ONCE = 4096
 #: A Gaussian that a view has switched off says little of its colour there, but more than nothing.
@@ -220,7 +226,8 @@ class Anchors(Backbone):
     def place(self, positions: np.ndarray, log_radiance: np.ndarray, start: Start) -> None:
         """One anchor in every cell that has a point, as large as the distance to its neighbours.
 
-        ``start.scale_factor`` multiplies that; its other fields have no meaning here: opacity is a network's.
+        ``start.scale_factor`` multiplies that; its other fields have no meaning here: opacity is a network's,
+        whose bias is raised where a view would see nothing of the anchors.
         """
         spacing = _neighbour_distance(positions)
         self.voxel_size = self.config.voxel_size
@@ -246,6 +253,22 @@ class Anchors(Backbone):
         if self.config.base_radiance:
             parameters["base_log_radiance"] = torch.tensor(radiance, dtype=torch.float32)
         self.parameters = {name: tensor.requires_grad_() for name, tensor in parameters.items()}
+        self._show_from_everywhere()
+
+    @torch.no_grad()
+    def _show_from_everywhere(self) -> None:
+        """Raise the opacities of a draw of the network that shows nothing of new anchors from some direction.
+
+        New anchors' features are 0, so that the direction alone says which of their Gaussians are drawn. From
+        where none is, none has a gradient, and the anchors stay blank. One draw in eight with k = 5 is such.
+        """
+        head = self.networks["opacity"]
+        assert isinstance(head, Head)
+        directions = torch.from_numpy(fibonacci_sphere(DIRECTIONS_AROUND)).to(head.w1)
+        nothing = directions.new_zeros(DIRECTIONS_AROUND, self.config.feature_size)
+        faintest = head(torch.cat([nothing, directions], dim=1)).amax(1).min()
+        if faintest <= 0.0:
+            head.b2 += LEAST_OPACITY_LOGIT - faintest
 
     @torch.no_grad()
     def in_frustum(self, camera: Camera) -> torch.Tensor:

@@ -148,6 +148,31 @@ def test_anchors_are_cells_and_begin_as_bright_as_their_points():
     assert torch.equal(splats.means.detach(), anchors.positions.detach()[splats.seen[splats.drawn // K]])
 
 
+@pytest.mark.parametrize("seed", [81, 98, 286, 2])  # blank from everywhere but the last, which is from some
+def test_new_anchors_are_seen_from_everywhere(seed):
+    """Of Gaussians that are not drawn nothing has a gradient: blank anchors would remain blank for ever."""
+    config = AnchorsConfig(offsets=5)
+    torch.manual_seed(seed)
+    anchors = Anchors(config, Attributes())
+    drawn = {name: tensor.clone() for name, tensor in anchors.networks.state_dict().items()}
+    anchors.place(points(), np.zeros((40, 3)), Start())
+    around = np.random.default_rng(0).normal(size=(2000, 3))
+    around = torch.tensor(around / np.linalg.norm(around, axis=1, keepdims=True), dtype=torch.float32)
+    opacities = anchors.outputs(torch.zeros(2000, dtype=torch.int64), around)["opacity"]
+    assert opacities.reshape(2000, 5).amax(1).min() > 0.05
+    others = [name for name in drawn if name != "opacity.b2"]
+    assert all(torch.equal(drawn[name], anchors.networks.state_dict()[name]) for name in others)
+
+
+@pytest.mark.parametrize(("seed", "k"), [(0, 5), (1, 5), (0, 10), (2, 10)])
+def test_networks_whose_draw_shows_new_anchors_stay_as_they_are_drawn(seed, k):
+    torch.manual_seed(seed)
+    anchors = Anchors(AnchorsConfig(offsets=k), Attributes())
+    drawn = anchors.networks["opacity"].get_parameter("b2").clone()
+    anchors.place(points(), np.zeros((40, 3)), Start())
+    assert torch.equal(drawn, anchors.networks["opacity"].get_parameter("b2"))
+
+
 def test_without_a_base_the_network_alone_has_the_colour():
     anchors = placed(dataclasses.replace(CONFIG, base_radiance=False))
     assert "base_log_radiance" not in anchors.parameters
