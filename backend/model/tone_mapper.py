@@ -283,9 +283,11 @@ class ToneMapper(Response):
         if self.config.local:
             assert context is not None, "local curves need the rendered context feature"
             features = context.reshape(self.config.context_size, -1)
+            # Counted, as with no splats at all nothing says how many branches there are.
+            branches = math.prod(shape[1 : len(shape) - context.dim() + 1])
             curves = list(self.local_curves)
             correction = local_curves(
-                log_exposure.reshape(3, -1, features.shape[1]),
+                log_exposure.reshape(3, branches, features.shape[1]),
                 features,
                 *(torch.stack([curve.get_parameter(name) for curve in curves]) for name in ("w1", "b1")),
                 *(torch.cat([curve.get_parameter(name) for curve in curves]) for name in ("w2", "b2")),

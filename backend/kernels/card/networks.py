@@ -88,7 +88,7 @@ class _Networks(torch.autograd.Function):
             ],
             x.device,
         )
-        sums = rows.view(groups, blocks, units, -1).sum(1)
+        sums = rows.view(groups, blocks, units, inputs + 1 + outputs).sum(1)
         grad_w1, grad_b1, grad_w2 = sums.split([inputs, 1, outputs], dim=2)
         return grad_x, grad_w1, grad_b1[..., 0], grad_w2.transpose(1, 2), grad.sum(2), None
 

@@ -77,7 +77,7 @@ def test_spherical_harmonics_of_nothing():
 
 
 @pytest.mark.parametrize("activation", ["relu", "softplus", "silu"])
-@pytest.mark.parametrize("points", [1, 255, 1024, 2500])
+@pytest.mark.parametrize("points", [0, 1, 255, 1024, 2500])
 def test_curves(activation, points):
     inputs = [2.0 * normal(3, points), normal(3, 16, seed=1), normal(3, 16, seed=2), normal(3, 16, seed=3)]
 
@@ -88,9 +88,10 @@ def test_curves(activation, points):
     compare(call(mlp.curve_mlp), call(mlp.curve_mlp_reference), inputs, kind="_Networks")
 
 
+@pytest.mark.parametrize("points", [0, 1500])  # none: a view may see nothing of the scene
 @pytest.mark.parametrize(("inputs", "outputs"), [(6, 3), (1, 1), (9, 2)])
-def test_small_networks(inputs, outputs):
-    tensors = [normal(inputs, 1500), normal(64, inputs, seed=1), normal(64, seed=2)]
+def test_small_networks(inputs, outputs, points):
+    tensors = [normal(inputs, points), normal(64, inputs, seed=1), normal(64, seed=2)]
     tensors += [normal(outputs, 64, seed=3), normal(outputs, seed=4)]
 
     def call(function):
@@ -99,9 +100,9 @@ def test_small_networks(inputs, outputs):
     compare(call(mlp.small_mlp), call(mlp.small_mlp_reference), tensors, kind="_Networks")
 
 
-@pytest.mark.parametrize("branches", [1, 2])
-def test_local_curves(branches):
-    tensors = [normal(3, branches, 700), normal(4, 700, seed=1), normal(3, 16, 5, seed=2)]
+@pytest.mark.parametrize(("branches", "points"), [(1, 700), (2, 700), (1, 0)])
+def test_local_curves(branches, points):
+    tensors = [normal(3, branches, points), normal(4, points, seed=1), normal(3, 16, 5, seed=2)]
     tensors += [normal(3, 16, seed=3), normal(3, 16, seed=4), normal(3, seed=5)]
     compare(kernels.local_curves, kernels.local_curves_reference, tensors, kind="_Networks")
 

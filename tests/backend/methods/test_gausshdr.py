@@ -11,8 +11,10 @@ import torch
 
 from physhdr.backend.evaluate.protocol import evaluate
 from physhdr.backend.kernels import ssim_map_reference
-from physhdr.backend.methods.base import Facts
+from physhdr.backend.methods.base import Batch, Facts, Recording
 from physhdr.backend.methods.gausshdr import GaussHDR, GaussHDRConfig, Half
+from physhdr.backend.methods.registry import new_method
+from physhdr.backend.model.backbone import Start
 from physhdr.backend.model.gaussians import initial_gaussians
 from physhdr.backend.model.tone_mapper import ToneMapperConfig
 from physhdr.backend.rasterize.reference import rasterize
@@ -237,6 +239,23 @@ def test_a_level_scales_as_an_exposure(camera):
     behind[2, 3] = -3.0  # looks away: nothing is in the picture
     away = dataclasses.replace(camera, camera_to_world=behind)
     assert torch.allclose(method.ldr(away, 2.0), black.expand(3, 20, 24), atol=1e-6)
+
+
+def test_from_where_no_anchor_is_seen_nothing_is_developed(camera):
+    """All Gaussians of the backbone may be out of sight, in training too; each of their tensors is empty."""
+    config = PRESETS["gausshdr-scaffold"]
+    method = new_method(config.method, config.anchors, Facts(ANCHOR, "cpu"))
+    behind = np.random.default_rng(5).uniform(-0.6, 0.6, (30, 3)) + [0.0, 0.0, 9.0]
+    method.splatting.backbone.place(behind, np.zeros((30, 3)), Start())
+    assert method.hdr(camera).max() == 0.0
+    nothing = method.splatting.preview(camera)
+    at_nothing = method.splatting.preview_ldr(nothing, camera, EXPOSURE)[1]
+    assert torch.allclose(method.ldr(camera, EXPOSURE), at_nothing.expand(3, 20, 24), atol=1e-6)
+    recording = Recording(exposure=EXPOSURE, picture=torch.rand(3, 20, 24))
+    batch = Batch(camera=camera, recordings=(recording,), levels=(1.0,), iteration=0, pool=None)
+    terms = method.training_outcome(batch).terms.values()
+    torch.stack(list(terms)).sum().backward()
+    assert all(torch.isfinite(term) for term in terms)
 
 
 def test_global_curves_stand_in_for_local_ones_until(camera):
