@@ -29,8 +29,11 @@ UNTOUCHED_ADDRESSES = 900_000_000
 #: Bytes of pictures that are kept in any case: all of HDR-NeRF-Syn at 400×400 (84 MB) with room to spare.
 LEAST_OF_PICTURES = 1 << 30
 
+#: Windows' numbers for a lack of memory: too little, none, and a paging file that cannot grow, which is
+#: no ENOMEM. Their words are in the system's language.
+OUT_OF_MEMORY_ON_WINDOWS = (8, 14, 1455)
 #: How libraries say, in errors of no class of their own, that there is no memory: torch, CUDA's libraries,
-#: the dynamic linker, Python's threads, C++.
+#: the dynamic linker, Python's threads, C++, Windows' loader.
 OUT_OF_MEMORY_WORDS = (
     "can't allocate memory",
     "cannot allocate memory",
@@ -40,6 +43,7 @@ OUT_OF_MEMORY_WORDS = (
     "can't start new thread",
     "std::bad_alloc",
     "alloc_failed",
+    "paging file is too small",
 )
 
 
@@ -191,6 +195,8 @@ def is_out_of_memory(error: BaseException | None) -> bool:
     while error is not None and id(error) not in seen:
         seen.add(id(error))
         if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.errno == errno.ENOMEM):
+            return True
+        if getattr(error, "winerror", None) in OUT_OF_MEMORY_ON_WINDOWS:  # of Windows' OSError alone
             return True
         if isinstance(error, (RuntimeError, ImportError, OSError)):
             said = str(error).lower()

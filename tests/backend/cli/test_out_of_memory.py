@@ -58,6 +58,12 @@ def caused(error: BaseException, cause: BaseException) -> BaseException:
     return error
 
 
+class PagingFileError(OSError):
+    """As Windows numbers it, whose ``errno`` is that of a bad argument."""
+
+    winerror = 1455
+
+
 LINKER = "libtorch_cpu.so: failed to map segment from shared object"
 LACKS = [
     MemoryError(),
@@ -67,6 +73,10 @@ LACKS = [
     RuntimeError("can't start new thread"),
     ImportError(LINKER),
     caused(OSError("Could not find/load shared object file 'libllvmlite.so'"), OSError(LINKER)),
+    PagingFileError(errno.EINVAL, "Die Auslagerungsdatei ist zu klein, um diesen Vorgang durchzuführen"),
+    ImportError(
+        "DLL load failed while importing _C: The paging file is too small for this operation to complete."
+    ),
     caused(FileDamagedError("points3d.ply is not a point cloud", "Restore a copy."), MemoryError()),
 ]
 
