@@ -14,7 +14,7 @@ from ..evaluate.comparison import NONE, SCALE, ComparedRun, column, comparison_t
 from .facts import machine_lines, scene_facts, scene_line
 from .margins import CONFIDENCE, JUDGED, Margin, margin
 from .plan import CPU_SECONDS, ITERATIONS, TUNE, Budget, Ladder, Plan
-from .roles import role_lines
+from .roles import role_lines, room_of
 from .runs import Record, Run
 from .schedule import Schedule
 from .search import TOLERANCE
@@ -62,6 +62,7 @@ class Finished:
 def finished_runs(schedule: Schedule) -> list[Finished]:
     """Every run that is done, in the plan's order: methods, then scenes, then seeds."""
     plan = schedule.store.plan
+    rooms = {scene: room_of(scene.data) for scene in plan.scenes}
     found = []
     for run in schedule.runs:
         record = schedule.store.record(run)
@@ -78,7 +79,8 @@ def finished_runs(schedule: Schedule) -> list[Finished]:
         cost = {name: float(value) for name, value in told.items() if value is not None}
         if record.peak_memory:
             cost["memory_MB"] = record.peak_memory / 1e6
-        entry = ComparedRun(run.method.name, run.scene.name, run.setting, run.seed, evaluation, cost)
+        names = run.method.name, run.scene.name, run.setting, run.seed
+        entry = ComparedRun(*names, evaluation, cost, shows=rooms[run.scene])
         found.append(Finished(run, record, entry, gaussians))
     return sorted(
         found, key=lambda each: (plan.methods.index(each.run.method), plan.scenes.index(each.run.scene))

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What each built-in scene may be used for, and that a plan keeps to it (benchmarks/README.md)."""
+"""What data sets are of: what each built-in scene may be used for, and that a plan keeps to it
+(benchmarks/README.md); and which data sets show one room.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -46,6 +48,22 @@ def role_of(data: Path) -> str:
     if not isinstance(maker, dict) or maker.get("name") != data_set.MAKER or info.get("source"):
         return ""
     return ROLES.get(str(info.get("scene")), "")
+
+
+def room_of(data: Path) -> str:
+    """What a data set shows, in words that are equal for data sets of one room alone.
+
+    A built-in scene is known by its name. A user's own, of which folders and files are often called alike
+    (``scene.blend``), by its file's name, its scene's and all its objects' together. Any other data set is a
+    room by itself, known by where it lies. Raises what reading ``dataset.json`` raises.
+    """
+    info = _told(data)
+    if role_of(data):
+        return f"built-in: {info['scene']}"
+    match info:
+        case {"source": {"file": str(file), "scene": str(scene)}, "objects": {**objects}} if objects:
+            return f"{file}: {scene}: {', '.join(sorted(objects))}"
+    return str(data.resolve())
 
 
 def _told(data: Path) -> dict[str, Any]:

@@ -38,7 +38,8 @@ class ComparedRun:
     """One evaluated run. ``setting``: exp1, exp3. ``evaluation``: what ``load_evaluation`` returns.
 
     ``cost``: what it took, by any names (``cpu_seconds``, ``iterations``, ``gaussians``), for the columns
-    ``cost.NAME``. ``published``: a paper's number, shown in italics beside ours and never ranked.
+    ``cost.NAME``. ``published``: a paper's number, shown in italics beside ours and never ranked. ``shows``:
+    what the data set is of, equal for those of one room alone; empty: it is the only one of its room.
     """
 
     method: str
@@ -48,6 +49,7 @@ class ComparedRun:
     evaluation: dict[str, Any]
     cost: dict[str, float] = field(default_factory=dict)
     published: bool = False
+    shows: str = ""
 
     @property
     def data_set(self) -> str:
@@ -56,8 +58,13 @@ class ComparedRun:
 
     @property
     def room(self) -> str:
-        """What its data set shows: several, such as a camera's with and without noise, may be of one room."""
-        return str(self.evaluation.get("conditions", {}).get("scene") or self.scene)
+        """What its data set shows: several, such as a camera's with and without noise, may be of one room.
+
+        A published benchmark's scene by its name, however it is laid out.
+        """
+        if self.data_set:
+            return f"{self.data_set}: {str(self.evaluation['conditions'].get('scene') or self.scene).lower()}"
+        return self.shows or self.scene
 
     @property
     def saw_novel_exposures(self) -> bool:

@@ -16,6 +16,7 @@ from physhdr.backend.benchmark.roles import (
     require_allowed,
     role_lines,
     role_of,
+    room_of,
 )
 from physhdr.backend.cli import main
 from physhdr.bridge.data_set import MAKER
@@ -60,6 +61,29 @@ def test_a_role_is_known_by_what_rendered_the_data_not_by_the_folder(tmp_path: P
     assert role_of(folder(tmp_path / "none", "desk", generator=None)) == ""
     (tmp_path / "dog").mkdir()  # published data are called so, and have no dataset.json
     assert role_of(tmp_path / "dog") == ""
+
+
+def test_data_sets_of_one_room_are_known_by_what_they_show(tmp_path: Path) -> None:
+    """Not by what they are called: captures lie in folders ``data``, and scenes are saved as scene.blend."""
+
+    def own(place: str, file: str = "scene.blend", also: str = "Bed") -> Path:
+        objects = {"Floor": 1, "Lamp": 2, also: 3}
+        (tmp_path / place).mkdir()
+        source = {"file": file, "scene": "Scene", "camera": place}
+        return folder(tmp_path / place / "data", "scene", source=source, objects=objects)
+
+    assert room_of(folder(tmp_path / "a", "dog")) == room_of(folder(tmp_path / "b", "dog", camera_model={}))
+    assert room_of(folder(tmp_path / "c", "sofa")) != room_of(tmp_path / "a")
+    assert room_of(own("kitchen")) == room_of(own("from the door"))
+    others = [own("garden", also="Tree"), own("attic", also="Beam"), own("copy", file="kitchen.blend")]
+    assert len({room_of(data) for data in [*others, tmp_path / "kitchen" / "data"]}) == 4
+    captures = []
+    for name in ("one", "two"):
+        (tmp_path / name / "data").mkdir(parents=True)
+        captures.append(tmp_path / name / "data")
+    assert room_of(captures[0]) != room_of(captures[1])
+    laid_out = folder(tmp_path / "other", "data", generator={"name": "another"})
+    assert room_of(laid_out) == room_of(tmp_path / "one" / ".." / "other") != room_of(captures[0])
 
 
 def test_a_data_set_that_is_not_whole_yet_has_its_role(tmp_path: Path) -> None:
