@@ -26,6 +26,17 @@ import torch
 from ...bridge.errors import BadValueError
 
 
+class CannotBeDrawnError(BadValueError):
+    """Gaussians are not finite, or so large that they cannot be drawn: a training of them diverged.
+
+    To programs it is a bad value like others.
+    """
+
+    @property
+    def code(self) -> str:
+        return "bad_value"
+
+
 @dataclass(frozen=True)
 class Rasterization:
     """One rendered view.
@@ -43,22 +54,22 @@ class Rasterization:
 
 
 def refuse_too_many_pairs(gaussians: int, pairs: int, most: int) -> None:
-    """Raise ``BadValueError`` where more than ``most`` pairs of a Gaussian and a tile are drawn."""
+    """Raise ``CannotBeDrawnError`` where more than ``most`` pairs of a Gaussian and a tile are drawn."""
     if pairs > most:
-        raise BadValueError(
+        raise CannotBeDrawnError(
             f"{gaussians} Gaussians touch {pairs} tiles of the picture, {pairs / gaussians:.0f} each",
             "Training diverged (their scales grew), or the picture is too large: draw it in parts.",
         )
 
 
 def refuse_what_is_not_finite(tensors: Mapping[str, torch.Tensor | None]) -> None:
-    """Raise ``BadValueError`` with the name, row and value of the first NaN or infinity."""
+    """Raise ``CannotBeDrawnError`` with the name, row and value of the first NaN or infinity."""
     for name, tensor in tensors.items():
         # A sum of zeros unless something is NaN or infinite: one pass, no temporary of booleans.
         if tensor is None or torch.isfinite(tensor.detach().sum()) or torch.isfinite(tensor).all():
             continue
         row = int((~torch.isfinite(tensor)).nonzero()[0, 0])
-        raise BadValueError(
+        raise CannotBeDrawnError(
             f"{name}[{row}] of the Gaussians is not finite: {tensor[row].tolist()}",
             "Training diverged or a model file is damaged: lower the learning rates, or load another.",
         )

@@ -18,6 +18,7 @@ from ..methods.registry import name_of, new_method
 from ..model.anchors import Anchors
 from ..model.tone_mapper import MEASURED
 from ..rasterize import Implementation
+from ..rasterize.contract import CannotBeDrawnError
 from ..scene.points import with_points_file
 from ..scene.resident import Pictures
 from ..scene.scene import Scene, View
@@ -377,7 +378,7 @@ class Trainer:
             while self.iteration < total and not should_stop():
                 try:
                     terms = self.step()
-                except BadValueError as error:  # the rasteriser refuses NaN and says where
+                except CannotBeDrawnError as error:  # which says where they are NaN
                     raise self._diverged(str(error)) from error
                 for name, value in terms.items():
                     sums[name] = sums.get(name, 0.0) + value

@@ -519,6 +519,20 @@ def test_points_come_from_the_data_set_else_from_stereo(tiny_data):
     assert trainer.method.space.is_known
 
 
+def test_rays_that_the_cameras_forbid_are_told_as_what_they_are(tiny_data, tmp_path):
+    """Not as a training that diverged, which lower learning rates would mend."""
+    scene = read_scene(tiny_data)
+    train = []
+    for view, around in zip(scene.train, ring(len(scene.train)), strict=True):
+        camera = dataclasses.replace(view.camera, camera_to_world=around.camera_to_world)
+        train.append(dataclasses.replace(view, camera=camera))
+    config = TrainConfig(method=dataclasses.replace(TINY, rays="ndc"), iterations=4)
+    trainer = Trainer(dataclasses.replace(scene, train=train), config)
+    with pytest.raises(BadValueError, match="cannot be in NDC") as raised:
+        list(trainer.run(tmp_path))
+    assert raised.value.hint == "Set --method.rays metric."
+
+
 def test_nan_is_rejected(tiny_data, tmp_path):
     trainer = Trainer(read_scene(tiny_data), TrainConfig(method=TINY, iterations=30))
     with torch.no_grad():

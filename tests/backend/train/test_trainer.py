@@ -337,6 +337,14 @@ def test_a_diverged_run_says_so_and_keeps_the_last_good_checkpoint(tiny_data, tm
     assert load_checkpoint(tmp_path / CHECKPOINT_FILE)[1]["iteration"] == str(good.iteration)
 
 
+def test_gaussians_that_are_not_finite_are_told_as_a_divergence(tiny_data, tmp_path):
+    trainer = Trainer(read_scene(tiny_data), short("default"))
+    with torch.no_grad():
+        trainer.method.gaussians.parameters["means"][7] = math.nan
+    with pytest.raises(TrainingDivergedError, match=r"diverged at iteration 0: means\[7\] of the Gaussians"):
+        list(trainer.run(tmp_path))
+
+
 def test_where_all_gaussians_would_go_training_ends_and_keeps_the_last_good_checkpoint(tiny_data, tmp_path):
     """Of cameras that only turn 3DGS's pruning by size, a share of how far they stand apart, leaves none."""
     scene = read_scene(tiny_data)
