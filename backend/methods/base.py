@@ -161,7 +161,8 @@ class Batch:
     """What one iteration sees: a view at one exposure, or at all of its bracket's that training may see.
 
     ``recordings``: one for each exposure; ``levels``: one a light. ``pool`` and ``seed``: for methods that
-    sample pixels of all pictures themselves.
+    sample pixels of all pictures themselves. ``index``: the view's (``View.index``), whose ``camera`` may be
+    at half its size, or moved.
     """
 
     camera: Camera
@@ -170,6 +171,7 @@ class Batch:
     iteration: int
     pool: Pool
     seed: tuple[int, ...] = (0,)
+    index: int = 0
 
 
 @dataclass(frozen=True)

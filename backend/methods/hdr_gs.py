@@ -150,8 +150,7 @@ class HDRGS(UnlitMethod):
         terms = mean_terms(each) | self.backbone_terms(splats)
         if self.config.hdr_supervision:
             hdr = self.rasterize(splats, self.radiance_of(splats, None), batch.camera).image
-            index = next(view.index for view in batch.pool.views if view.camera is batch.camera)
-            truth = compressed_truth(Path(self.config.hdr_truth), index, *hdr.shape[1:])
+            truth = compressed_truth(Path(self.config.hdr_truth), batch.index, *hdr.shape[1:])
             terms["hdr"] = self.config.hdr_weight * self.difference(compressed(hdr), truth.to(hdr))
         return Outcome(terms, Drawn(splats, drawn, offsets))
 

@@ -314,6 +314,7 @@ class Trainer:
             iteration=iteration,
             pool=self,
             seed=(config.seed, STREAM_BATCH, iteration),
+            index=view.index,
         )
 
     def step(self) -> dict[str, torch.Tensor]:

@@ -21,8 +21,10 @@ from physhdr.backend.scene.camera import Camera
 from physhdr.backend.scene.pictures import write_exr
 from physhdr.backend.train.checkpoint import load_checkpoint
 from physhdr.backend.train.config import read_config, write_config
+from physhdr.backend.train.learned_poses import PoseConfig
 from physhdr.backend.train.presets import PRESETS
 from physhdr.backend.train.trainer import CHECKPOINT_FILE, Trainer
+from physhdr.bridge.data_set import truth_file
 from physhdr.bridge.errors import BadValueError, FileMissingError
 
 EXPOSURE = 2.0
@@ -59,24 +61,13 @@ def make(implementation="cpu", **changes) -> HDRGS:
     return method
 
 
-@dataclasses.dataclass
-class Pool:
-    views: list
-
-
-@dataclasses.dataclass
-class SeenView:
-    camera: Camera
-    index: int
-
-
 def batch_of(camera, exposures=(EXPOSURE,), index=0):
     pictures = tuple(torch.rand(3, 20, 24, generator=torch.Generator().manual_seed(1)) for _ in exposures)
     recordings = tuple(
         Recording(exposure=exposure, picture=picture)
         for exposure, picture in zip(exposures, pictures, strict=True)
     )
-    return Batch(camera, recordings, (1.0,), 0, pool=Pool([SeenView(camera, index)]))
+    return Batch(camera, recordings, (1.0,), 0, pool=None, index=index)
 
 
 def by_hand(method, camera):
@@ -229,6 +220,20 @@ def test_hdr_supervision_is_said_aloud_and_written_down(tiny_data, tmp_path):
     assert not torch.equal(*weights)
     write_config(tmp_path / "config.json", supervised, tiny_data, "hdr-gs")
     assert read_config(tmp_path / "config.json")[0] == supervised
+
+
+def test_a_view_whose_pose_is_learned_keeps_its_true_picture(tiny_data, tmp_path):
+    """The true picture is that of the view, though its camera is a moved one."""
+    scene, preset = read_scene(tiny_data), PRESETS["hdr-gs"]
+    view = scene.train[-1]
+    (tmp_path / truth_file(view.index)).write_bytes(
+        (tiny_data / "train_hdr" / truth_file(view.index)).read_bytes()
+    )
+    method = dataclasses.replace(preset.method, hdr_supervision=True, hdr_truth=str(tmp_path))
+    config = dataclasses.replace(preset, method=method, poses=PoseConfig(mode="on"), iterations=4)
+    with pytest.warns(UserWarning, match="Trained with HDR ground truth"):
+        trainer = Trainer(dataclasses.replace(scene, train=[view]), config)
+    assert all(math.isfinite(trainer.step()["hdr"].item()) for _ in range(2))
 
 
 def test_it_learns_the_tiny_scene(tiny_data, tmp_path):
