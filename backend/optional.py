@@ -2,10 +2,10 @@
 """Packages that only some commands need, which the user may not have installed."""
 
 import importlib
-import sys
 from types import ModuleType
 
 from ..bridge.errors import PhysHDRError
+from .shell import pip_install
 
 
 class PackageMissingError(PhysHDRError):
@@ -19,5 +19,5 @@ def needed(module: str, package: str, what: str) -> ModuleType:
     except ImportError as error:
         raise PackageMissingError(
             f"{what} needs {package}, which cannot be imported: {error}",
-            f"Install it: {sys.executable} -m pip install {package}",
+            f"Install it: {pip_install(package)}",
         ) from error

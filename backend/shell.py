@@ -4,6 +4,7 @@
 import os
 import re
 import shlex
+import sys
 from pathlib import PurePath
 
 #: What neither of Windows' shells takes for anything but a part of a word: cmd would do so with ``&^%;``,
@@ -24,3 +25,9 @@ def as_word(path: PurePath) -> str:
         return text
     last = text[len(text.rstrip("\\")) :]  # a backslash before a quote would make it part of the word
     return f'"{text}{last}"'
+
+
+def pip_install(package: str, *, upgrade: bool = False) -> str:
+    """The command that installs a package into the Python that runs this."""
+    words = ("-m", "pip", "install", *(["--upgrade"] if upgrade else []))
+    return " ".join([as_word(PurePath(sys.executable)), *words, as_word(PurePath(package))])

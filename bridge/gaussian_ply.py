@@ -311,10 +311,10 @@ def _check_room(path: Path) -> None:
 #: A line of the header; comments begin with another word.
 _TEXT_FORMAT = re.compile(rb"^format\s+ascii\s", re.MULTILINE)
 #: 1.#INF, and of ``printf`` 1.#INF00 or 1.#INF00e+000; newer versions write inf as all do.
-_MICROSOFTS_INFINITY = re.compile(rb"([+-]?)1\.#INF0*(?:e[+-]\d+)?(?=\s)", re.IGNORECASE)
+_MICROSOFTS_INFINITY = re.compile(rb"([+-]?)1\.#INF0*(?:e[+-]\d+)?(?=\s|\Z)", re.IGNORECASE)
 #: 1.#QNAN, 1.#SNAN and −1.#IND likewise; of newer versions nan(ind) and nan(snan).
 _MICROSOFTS_NAN = re.compile(
-    rb"[+-]?(?:1\.#(?:QNAN|SNAN|IND)0*(?:e[+-]\d+)?|nan\((?:ind|snan)\))(?=\s)", re.IGNORECASE
+    rb"[+-]?(?:1\.#(?:QNAN|SNAN|IND)0*(?:e[+-]\d+)?|nan\((?:ind|snan)\))(?=\s|\Z)", re.IGNORECASE
 )
 #: Bytes at a time where rows of text are looked through.
 _TEXT_BLOCK = 1 << 20

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from ..project import requirements, version, version_of
+from ..shell import pip_install
 from .findings import CheckFailedError, Findings, MissingModuleError
 
 #: What a requirement is imported as, where its name differs.
@@ -102,7 +103,7 @@ def _name_of(requirement: str) -> str:
 def _imported(name: str, requirement: str) -> str:
     """Import what ``requirement`` brings; returns its version."""
     module = MODULES.get(name, name)
-    hint = f"Install the backend again, or: {sys.executable} -m pip install '{requirement}'"
+    hint = f"Install the backend again, or: {pip_install(requirement)}"
     try:
         importlib.import_module(module)
     except ModuleNotFoundError as error:

@@ -5,7 +5,6 @@ So it answers with numbers as they stand in the file; what they mean is worked o
 """
 
 import math
-import sys
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -15,12 +14,13 @@ import numpy as np
 from ...bridge.errors import BadValueError, FileDamagedError
 from ...bridge.regular import damaged_where_it_fails
 from ..optional import PackageMissingError, needed
+from ..shell import pip_install
 from .apart import Answer
 from .placed import FREE, MOST_TIMES
 
 #: Prims of a stage that are looked at, those of instances too.
 MOST_PRIMS = 100_000
-INSTALL_NEWER = f"Install a newer one (26.3 or later): {sys.executable} -m pip install --upgrade usd-core"
+INSTALL_NEWER = f"Install a newer one (26.3 or later): {pip_install('usd-core', upgrade=True)}"
 REMEDY = "Export it again: it may be cut off."
 
 

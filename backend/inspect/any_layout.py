@@ -12,7 +12,7 @@ from ...bridge.errors import PhysHDRError
 from ..evaluate import truth
 from ..evaluate.published import keeps_exposures_for_testing
 from ..scene import Scene, View
-from ..scene.pictures import read_exr
+from ..scene.source import exr_rec709
 from .findings import Inspection, Split, tell_exposures, warn_of_exposures
 from .pixels import TrainingPixels
 
@@ -67,7 +67,7 @@ def _look_at_truth(scene: Scene, found: Inspection, pixels: TrainingPixels) -> N
     for name, split in found.splits.items():
         for view in scene.splits[name] if truth.has_hdr_truth(scene.root, name) else []:
             try:
-                radiance = read_exr(truth.hdr_truth_path(scene.root, name, view.index))
+                radiance = exr_rec709(truth.hdr_truth_path(scene.root, name, view.index))
             except PhysHDRError as error:
                 found.add_fault(error.message, error.hint)
                 continue

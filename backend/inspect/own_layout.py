@@ -15,7 +15,8 @@ from ...bridge.lights import AMBIENT
 from ...bridge.limits import is_number
 from ...bridge.regular import read_json_object
 from ..scene.hdr_nerf_syn import NAME, OURS
-from ..scene.pictures import read_exr, read_png
+from ..scene.pictures import read_png
+from ..scene.source import exr_rec709
 from .findings import Inspection, Split, tell_exposures, warn_of_exposures
 from .layers import read_layers
 from .pixels import TrainingPixels
@@ -138,7 +139,7 @@ class _Walk:
         for name, split in self.splits.items():
             folder = self.root / data_set.truth_folder(name)
             for frame in split.frames if folder.is_dir() else []:
-                radiance = self._picture(folder / data_set.truth_file(frame.index), read_exr)
+                radiance = self._picture(folder / data_set.truth_file(frame.index), exr_rec709)
                 if radiance is not None:
                     self.found.splits[name].hdr += 1
                     if name == data_set.TRAIN:
@@ -154,7 +155,7 @@ class _Walk:
         }
         for folder in dict.fromkeys([*told, *data_set.mixture_folders(self.root)]):
             paths = sorted((self.root / folder).glob(data_set.TRUTH_FILES))
-            whole = [path for path in paths if self._picture(path, read_exr) is not None]
+            whole = [path for path in paths if self._picture(path, exr_rec709) is not None]
             if not paths:
                 self._fault(
                     self.root / folder, f"{self.root / folder} holds no relit truth ({data_set.TRUTH_FILES})"

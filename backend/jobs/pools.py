@@ -4,7 +4,6 @@
 import contextlib
 import logging
 import os
-import sys
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -12,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
 from ...bridge.errors import BadValueError
+from ..shell import pip_install
 
 #: Ray gives a cluster that it starts half a minute, which a busy machine may need to read it from the disk.
 STARTS = 3
@@ -90,7 +90,7 @@ class RayPool:
             import ray
         except ModuleNotFoundError as error:
             raise BadValueError(
-                "--ray needs Ray, which is not installed", f"Install it: {sys.executable} -m pip install ray"
+                "--ray needs Ray, which is not installed", f"Install it: {pip_install('ray')}"
             ) from error
         self._ray, self._address, self._threads = ray, address, threads
         self._running: dict[str, Any] = {}

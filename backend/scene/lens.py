@@ -5,7 +5,6 @@ What a lens does to a ray is pycolmap's to say; the resampling is ours (docs/not
 """
 
 import math
-import sys
 from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -19,6 +18,7 @@ import torch.nn.functional as F  # noqa: N812
 from ...bridge.colmap import ALL_AROUND, panorama
 from ...bridge.colmap_files import SparseCamera
 from ...bridge.errors import BadValueError, FileMissingError
+from ..shell import pip_install
 from .resize import Reduction
 
 #: A pinhole's picture reaches so far from its axis at most, to each side: 55°, whose tangent this is. At 90°
@@ -53,7 +53,7 @@ def require_pycolmap(wanted: str = "'physhdr prepare' finds the cameras") -> Mod
     except ImportError as error:
         raise FileMissingError(
             f"{wanted} with pycolmap, which is not installed ({error})",
-            f"Install it: {sys.executable} -m pip install pycolmap",
+            f"Install it: {pip_install('pycolmap')}",
         ) from error
     return pycolmap
 

@@ -52,7 +52,8 @@ BACKEND: Floors = (
     ("rasterize",),
     ("simd", "scene", "formats"),
     # Standard library alone (and the bridge's errors): asked before anything else is there.
-    ("memory", "project", "optional", "shell", "child"),
+    ("memory", "project", "optional", "child"),
+    ("shell",),
 )
 ADDON: Floors = (
     # Programs that are started by their paths: nobody imports them.

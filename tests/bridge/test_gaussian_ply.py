@@ -294,6 +294,14 @@ def test_text_has_nan_and_infinity_as_every_c_library_writes_them(
     assert read.comments == [comment.encode("ascii", "backslashreplace").decode()]
 
 
+@pytest.mark.parametrize("word", ["nan", "-nan(ind)", "1.#INF"])
+def test_the_last_word_of_a_text_needs_no_end_of_line(tmp_path: Path, word: str) -> None:
+    write_table(tmp_path / "a.ply", standard_names(1), text=True)
+    raw = (tmp_path / "a.ply").read_bytes().rstrip()
+    (tmp_path / "a.ply").write_bytes(raw[: raw.rindex(b" ") + 1] + word.encode())
+    assert not np.isfinite(read_ply(tmp_path / "a.ply").columns["rot_3"][-1])
+
+
 def test_bytes_of_a_binary_file_are_no_words(tmp_path: Path) -> None:
     """Three floats can be the letters of a NaN."""
     write_table(tmp_path / "a.ply", standard_names(1))

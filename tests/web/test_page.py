@@ -439,6 +439,16 @@ def test_letters_walk_while_a_control_has_the_keyboard(small):
         assert (page.input_value(f"#{name}") != value) == takes_arrows, name
 
 
+def test_arrows_select_in_the_link_and_do_not_turn_the_view(small):
+    """It is shown where the clipboard is refused."""
+    page, before = small.page, view_of(small)
+    page.evaluate("document.querySelector('#link').hidden = false")
+    page.locator("#link").focus()
+    page.keyboard.press("Shift+ArrowRight")
+    small.still()
+    assert np.array_equal(view_of(small)["turn"], before["turn"])
+
+
 def test_keys(small):
     page = small.page
     page.locator("#picture").focus()

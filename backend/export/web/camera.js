@@ -182,6 +182,7 @@ class Walker {
   key(event) {
     if (event.ctrlKey || event.metaKey || event.altKey || /^(SELECT|TEXTAREA)$/.test(event.target.tagName)) return;
     if (!(event.code in MOVES || event.code in TURNS)) return;
+    if (event.target.type === "text") return; // where a link is selected by the keyboard
     if (event.code in TURNS && event.target.type === "range") return; // arrows move a slider
     event.preventDefault();
     this.flight = null;

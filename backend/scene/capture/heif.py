@@ -6,7 +6,6 @@ decoded by Pillow, at 8 bits. Of several pictures in a file the primary one is t
 and thumbnails beside it are not looked at.
 """
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -18,6 +17,7 @@ from PIL import features
 from ....bridge.errors import BadValueError, FileDamagedError, FileMissingError
 from ....bridge.limits import MAX_PIXELS
 from ....bridge.regular import damaged_where_it_fails, read_bytes
+from ...shell import pip_install
 from ..code_points import HDR_CURVES, profile_of_code_points
 from ..exif import Tags, tags_of_exif
 from ..icc import Profile, profile_of_bytes
@@ -42,7 +42,7 @@ def require_pillow_heif() -> ModuleType:
     except ImportError as error:
         raise FileMissingError(
             f"HEIC photos are read with pillow-heif, which is not installed ({error})",
-            f"Install it: {sys.executable} -m pip install pillow-heif",
+            f"Install it: {pip_install('pillow-heif')}",
         ) from error
     options = pillow_heif.options
     options.THUMBNAILS = options.DEPTH_IMAGES = options.AUX_IMAGES = False
@@ -54,7 +54,7 @@ def require_avif() -> None:
     if not features.check("avif"):
         raise FileMissingError(
             "AVIF photos are read with Pillow, and the one that is installed cannot",
-            f"Install a newer one: {sys.executable} -m pip install --upgrade pillow",
+            f"Install a newer one: {pip_install('pillow', upgrade=True)}",
         )
 
 

@@ -6,7 +6,6 @@ balance. rawpy is optional (the extra ``prepare``) and is imported only here.
 """
 
 import math
-import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from ....bridge.errors import FileDamagedError, FileMissingError, PhysHDRError
+from ...shell import pip_install
 from ..exif import LYING, Exif, Tags, exposure_of, tags_of_tiff
 from .noise import Noise, planes_of_mosaic
 from .remedies import COPY_AGAIN
@@ -43,7 +43,7 @@ def require_rawpy() -> ModuleType:
     except ImportError as error:
         raise FileMissingError(
             f"raw files are developed with rawpy, which is not installed ({error})",
-            f"Install it: {sys.executable} -m pip install rawpy",
+            f"Install it: {pip_install('rawpy')}",
         ) from error
     return rawpy
 

@@ -21,6 +21,7 @@ from physhdr.backend.evaluate.renderer import Renderer
 from physhdr.backend.evaluate.report import to_dict
 from physhdr.backend.evaluate.results import Evaluation
 from physhdr.backend.evaluate.sheets import comparison_sheet, method_sheet
+from physhdr.backend.inspect import inspect
 from physhdr.backend.scene import Scene, read_scene
 from physhdr.backend.scene.color_space import SPACES, Chromaticities
 from physhdr.backend.scene.encoding import LogEncoding
@@ -134,6 +135,8 @@ def test_colours_outside_of_rec709_are_not_clipped_and_impossible_ones_refused(d
     write_in(data_set / "test_hdr/hdr_001.exr", green, none)
     with pytest.raises(BadValueError, match=r"hdr_001.exr: the chromaticities .*\n.*remove its attribute"):
         truth.hdr_truth(data_set, "test", 1)
+    told = [*map(str, inspect(data_set).errors)]  # before anybody trains
+    assert any("hdr_001.exr: the chromaticities" in line for line in told)
 
 
 def write_in(path: Path, pixels: np.ndarray, space: Chromaticities) -> None:
