@@ -20,7 +20,8 @@ from .probes import Place, has_moved, known
 #: Custom properties of a probe: whether no camera saw its place, what of the model was hidden then, and what
 #: its Gaussians drew (``model.drawn``).
 OUTSIDE, HIDDEN, DRAWN = "physhdr_probe_outside", "physhdr_probe_hidden", "physhdr_probe_drawn"
-#: What point clouds draw, by ``session_uid``, until Blender tells of a change.
+#: What point clouds draw, by ``session_uid``, until Blender tells of a change. It tells of their modifiers',
+#: each step of a model's slider, as of their own; then the panel asks for the sum anew.
 _drawn: dict[int, str] = {}
 
 

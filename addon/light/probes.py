@@ -17,7 +17,7 @@ from bpy.app.handlers import persistent
 
 from ...bridge.blend_file import PROBE
 from ...bridge.probe import Probe
-from ..blender import collection_beside, to_matrix, world_of
+from ..blender import animated_paths, collection_beside, put_at, to_matrix, world_of
 from ..model.look import is_model
 from ..similarity import scale_of
 
@@ -33,8 +33,10 @@ NEW, SIZE = "Light Probe", 0.1
 #: So far may a probe be from where its light was taken: metres, or shares of its distance to the model's
 #: origin where that is more.
 MOVED = 1e-4
-#: Probes and their deleted models, while the file is written.
-_of_deleted: list[tuple[bpy.types.Object, bpy.types.Object]] = []
+#: Where an object stands in its parent; setting ``matrix_world`` changes one of the rotations.
+_TRANSFORM = ("location", "rotation_euler", "rotation_quaternion", "rotation_axis_angle", "scale")
+#: Probes and their deleted models, while the file is written, and how they hung on them (None: they did not).
+_of_deleted: list[tuple[bpy.types.Object, bpy.types.Object, dict[str, tuple[float, ...]] | None]] = []
 
 
 def is_probe(target: bpy.types.Object | None) -> TypeGuard[bpy.types.Object]:
@@ -125,26 +127,56 @@ def new_folder(name: str) -> str:
 @persistent
 def _forget_deleted(*_: object) -> None:
     """A model that was deleted is not kept in the file for its probes alone; once that is opened, the point
-    cloud has no user, and the next save leaves it out.
+    cloud has no user, and the next save leaves it out. The probes stay where they are.
 
-    One that lights a world is kept: what its light is multiplied by are its sliders.
+    One that lights a world is kept: what its light is multiplied by are its sliders. So is one that says
+    where something else stands, such as its children: without it, they would jump.
     """
     probes = [each for each in bpy.data.objects if is_probe(each) and each.library is None]
     pointing = [(probe, probe.get(MODEL)) for probe in probes]
     pairs = [(probe, model) for probe, model in pointing if isinstance(model, bpy.types.Object)]
     for model in {each[1] for each in pairs if not each[1].users_scene and each[1].library is None}:
-        own = [(probe, each) for probe, each in pairs if each == model]
-        if model.users == len(own):
-            _of_deleted.extend(own)
-    for each in _of_deleted:
-        del each[0][MODEL]
+        own = [probe for probe, each in pairs if each == model]
+        if _is_for(own, model):
+            _of_deleted.extend((probe, model, _take_off(probe, model)) for probe in own)
+
+
+def _is_for(own: list[bpy.types.Object], model: bpy.types.Object) -> bool:
+    """Whether a model is there for its ``own`` probes alone, and they stand still.
+
+    ``users`` counts no parents, targets of constraints or drivers, and the map of users says neither how
+    often nor for what something is used: both are asked. What views remember of an object moves nothing.
+    """
+    users = bpy.data.user_map(subset=[model])[model] - {model, *own}
+    if model.users != len(own) or not all(isinstance(user, bpy.types.Screen) for user in users):
+        return False
+    if any(probe.constraints or probe.animation_data for probe in own):
+        return False
+    moves = any(not path.startswith("modifiers[") for path in animated_paths(model))
+    return model.parent is None and not model.constraints and not moves
+
+
+def _take_off(probe: bpy.types.Object, model: bpy.types.Object) -> dict[str, tuple[float, ...]] | None:
+    """Let a probe know nothing of its model, and stand where it does; returns its transform of before."""
+    del probe[MODEL]
+    if probe.parent != model:
+        return None
+    before = {name: tuple(getattr(probe, name)) for name in _TRANSFORM}
+    there = world_of(probe)
+    probe.parent = None
+    put_at(probe, there)
+    return before
 
 
 @persistent
 def _remember_again(*_: object) -> None:
     """An undo may bring back in the open file what was deleted."""
-    for probe, model in _of_deleted:
+    for probe, model, before in _of_deleted:
         probe[MODEL] = model
+        if before is not None:
+            probe.parent = model
+            for name, value in before.items():
+                setattr(probe, name, value)
     _of_deleted.clear()
 
 

@@ -286,6 +286,58 @@ def test_a_deleted_model_is_saved_for_its_light_alone(scene, model, tmp_path, li
     assert [probes.is_probe(each) for each in bpy.context.scene.objects] == [True]
 
 
+def hang(item: bpy.types.Object, model: bpy.types.Object, how: str) -> None:
+    """Let an object stand by a model."""
+    if how == "parent":
+        item.parent = model
+    elif how == "constraint":
+        item.constraints.new("COPY_LOCATION").target = model
+    elif how == "driver":
+        variable = item.driver_add("location", 2).driver.variables.new()
+        variable.name, variable.type = "z", "TRANSFORMS"
+        variable.targets[0].id, variable.targets[0].transform_type = model, "LOC_Z"
+        item.animation_data.drivers[0].driver.expression = "z"
+
+
+@pytest.mark.parametrize(
+    "how", ["nothing", "parent", "constraint", "driver", "probe's constraint", "keyframes"]
+)
+def test_nothing_jumps_in_a_file_whose_model_was_deleted(scene, model, tmp_path, how):
+    """What stands by the model keeps it; its probes alone do not, and stay where they are."""
+    model.location, model.rotation_euler, model.scale = (3.0, 4.0, -500.0), (0.5, 0.0, 1.0), (2.0,) * 3
+    bpy.context.view_layer.update()
+    light(write_probe(tmp_path / "probe", (5.0,) * 3, (0,) * 3, (0,) * 3, at=(0.0, 0.5, 1.0)))
+    bpy.ops.physhdr.light_reset()
+    [probe] = probes.probes_of(scene, model)
+    probe.rotation_euler = (0.25, 7.0, 0.5)
+    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    scene.collection.objects.link(camera)
+    camera.location.x = 1.0
+    hang(probe if how.startswith("probe") else camera, model, how.removeprefix("probe's "))
+    if how == "keyframes":
+        model.keyframe_insert("location", frame=1)
+    for each in scene.objects:
+        each.select_set(each == model)
+    bpy.ops.object.delete()
+    bpy.context.view_layer.update()
+
+    def stands() -> dict[str, np.ndarray]:
+        return {each.name: np.array(each.matrix_world) for each in bpy.context.scene.objects}
+
+    before, own, turn = stands(), probe.matrix_basis.copy(), tuple(probe.rotation_euler)
+    blend = str(tmp_path / "scene.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=blend)
+    bpy.context.view_layer.update()
+    assert (probe.parent, probe.matrix_basis, tuple(probe.rotation_euler)) == (model, own, turn)
+    assert probe[probes.MODEL] == model and stands().keys() == before.keys()
+    assert all(np.array_equal(there, before[name]) for name, there in stands().items())
+    bpy.ops.wm.open_mainfile(filepath=blend)
+    bpy.context.view_layer.update()
+    assert any(each.type == "POINTCLOUD" for each in bpy.data.objects) == (how != "nothing")
+    for name, there in stands().items():
+        assert there == pytest.approx(before[name], abs=1e-4)
+
+
 def test_a_scene_without_a_world_has_none_again(scene, model, tmp_path):
     scene.world = None
     light(write_probe(tmp_path / "probe", (5.0,) * 3, (0,) * 3, (0,) * 3))
