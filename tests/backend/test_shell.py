@@ -15,13 +15,8 @@ from physhdr.backend.shell import pip_install
 def test_pip_is_the_one_of_this_python(monkeypatch) -> None:
     monkeypatch.setattr(sys, "executable", "/home/me/venv/bin/python")
     assert pip_install("usd-core") == "/home/me/venv/bin/python -m pip install usd-core"
-    assert shlex.split(pip_install("av>=13", upgrade=True))[1:] == [
-        "-m",
-        "pip",
-        "install",
-        "--upgrade",
-        "av>=13",
-    ]
+    words = shlex.split(pip_install("av>=13", upgrade=True))
+    assert words[1:] == ["-m", "pip", "install", "--upgrade", "av>=13"]
 
 
 @pytest.mark.skipif(os.name == "nt", reason="needs a POSIX shell")
