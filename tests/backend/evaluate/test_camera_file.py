@@ -244,7 +244,7 @@ def test_without_usd_core_it_says_what_to_install(tmp_path: Path, monkeypatch) -
     (tmp_path / "a.usda").write_text("#usda 1.0\n")
     for name in ("pxr", "pxr.Usd"):
         monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(PackageMissingError, match=r"physhdr\[usd\]"):
+    with pytest.raises(PackageMissingError, match=r"pip install usd-core"):
         read_camera_file(tmp_path / "a.usda", LIKE)
 
 
