@@ -14,6 +14,7 @@ from pathlib import Path
 import bpy
 from bpy.app.handlers import persistent
 
+from .blender import add_handlers, remove_handlers
 from .dataset.dataset_settings import DATASET
 from .settings import SETTINGS, respelling
 
@@ -127,12 +128,10 @@ _HANDLERS = (
 
 
 def register() -> None:
-    for event, handler in _HANDLERS:
-        getattr(bpy.app.handlers, event).append(handler)
+    add_handlers(_HANDLERS)
 
 
 def unregister() -> None:
-    for event, handler in _HANDLERS:
-        getattr(bpy.app.handlers, event).remove(handler)
+    remove_handlers(_HANDLERS)
     _folders.clear()
     _former.clear()

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Blender's things as what they are: what its types say may be missing, or do not know, is there."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any, Protocol, cast
 
@@ -177,3 +177,17 @@ def add_entry(menu: Any, draw: DrawEntry) -> None:
 def remove_entry(menu: Any, draw: DrawEntry) -> None:
     """Take away what ``add_entry`` added."""
     menu.remove(draw)
+
+
+#: What happens in Blender (bpy.app.handlers), and what is then done.
+Handlers = Iterable[tuple[str, Callable[..., None]]]
+
+
+def add_handlers(handlers: Handlers) -> None:
+    for event, handler in handlers:
+        getattr(bpy.app.handlers, event).append(handler)
+
+
+def remove_handlers(handlers: Handlers) -> None:
+    for event, handler in handlers:
+        getattr(bpy.app.handlers, event).remove(handler)

@@ -10,7 +10,7 @@ from bpy.app.handlers import persistent
 
 from ...bridge.errors import PhysHDRError
 from ...bridge.probe import MUCH_UNSEEN
-from ..blender import cloud_of
+from ..blender import add_handlers, cloud_of, remove_handlers
 from ..layouts.camera_file import Frame, read_frames
 from ..model.drawn import drawn_of
 from ..model.look import cleaning_of
@@ -136,11 +136,9 @@ _HANDLERS = (
 
 
 def register() -> None:
-    for event, handler in _HANDLERS:
-        getattr(bpy.app.handlers, event).append(handler)
+    add_handlers(_HANDLERS)
 
 
 def unregister() -> None:
-    for event, handler in _HANDLERS:
-        getattr(bpy.app.handlers, event).remove(handler)
+    remove_handlers(_HANDLERS)
     _drawn.clear()

@@ -17,7 +17,15 @@ from bpy.app.handlers import persistent
 
 from ...bridge.blend_file import PROBE
 from ...bridge.probe import Probe
-from ..blender import animated_paths, collection_beside, put_at, to_matrix, world_of
+from ..blender import (
+    add_handlers,
+    animated_paths,
+    collection_beside,
+    put_at,
+    remove_handlers,
+    to_matrix,
+    world_of,
+)
 from ..model.look import is_model
 from ..similarity import scale_of
 
@@ -188,10 +196,8 @@ _HANDLERS = (
 
 
 def register() -> None:
-    for event, handler in _HANDLERS:
-        getattr(bpy.app.handlers, event).append(handler)
+    add_handlers(_HANDLERS)
 
 
 def unregister() -> None:
-    for event, handler in _HANDLERS:
-        getattr(bpy.app.handlers, event).remove(handler)
+    remove_handlers(_HANDLERS)

@@ -20,7 +20,7 @@ import bpy
 import mathutils
 import numpy as np
 
-from ..blender import layout_of
+from ..blender import add_handlers, layout_of, remove_handlers
 from . import parts
 from .attributes import IDENTITY, MOVED, POSITION, ROTATION, SCALE, TYPES, WITNESS
 from .point_cloud import read_attribute, write_attribute
@@ -225,11 +225,9 @@ _HANDLERS = (
 
 
 def register() -> None:
-    for event, handler in _HANDLERS:
-        getattr(bpy.app.handlers, event).append(handler)
+    add_handlers(_HANDLERS)
     _settle_all()
 
 
 def unregister() -> None:
-    for event, handler in _HANDLERS:
-        getattr(bpy.app.handlers, event).remove(handler)
+    remove_handlers(_HANDLERS)

@@ -16,7 +16,7 @@ import bpy
 import numpy as np
 
 from ...bridge import srgb
-from ..blender import cloud_of
+from ..blender import add_handlers, cloud_of, remove_handlers
 from ..model.attributes import BY_SHADER, CONFIDENCE, CONFIDENCE_SPLATS, DISPLAY, NODES, SPLATS
 from ..model.cleaning import Cleaning
 from ..model.look import Look, is_model, kept_of, look_of
@@ -456,8 +456,7 @@ def register() -> None:
         update=_apply_display,
     )
     setattr(bpy.types.Object, DISPLAY, display)
-    for event, handler in _HANDLERS:
-        getattr(bpy.app.handlers, event).append(handler)
+    add_handlers(_HANDLERS)
     overlay.add_source(_layers, _draw_points)
     _hide_points()
 
@@ -465,8 +464,7 @@ def register() -> None:
 def unregister() -> None:
     _show_points()
     overlay.remove_source(_layers)
-    for event, handler in _HANDLERS:
-        getattr(bpy.app.handlers, event).remove(handler)
+    remove_handlers(_HANDLERS)
     for timer in (overlay.redraw_all, _hide_points):
         if bpy.app.timers.is_registered(timer):
             bpy.app.timers.unregister(timer)
