@@ -15,12 +15,13 @@ import torch
 
 from ..kernels.activations import lit_colours
 from ..kernels.bracket import can_compare_bracket
+from ..kernels.plain import can_fuse
 from ..model.backbone import Splats
 from ..model.tone_mapper import ToneMapper
 from ..rasterize import Rasterization
 from ..scene.camera import Camera
 from .base import Drawn, Exposed, Recording, exposed_by, is_standard
-from .losses import weighted
+from .losses import compared, reconstruction_loss, weighted
 from .physhdr_common import Developed, PhysHDRMethod
 
 
@@ -102,17 +103,23 @@ class PhysHDR(PhysHDRMethod[DrawnRadiance]):
     def bracket_terms(
         self, drawn: DrawnRadiance, recordings: Sequence[Recording]
     ) -> dict[str, torch.Tensor] | None:
-        """By one kernel (``kernels.bracket``), where a learned global response alone develops."""
+        """By one kernel (``kernels.bracket``), where a learned global response alone develops.
+
+        Where the CPU's kernels do not compute, in one pass over all pictures.
+        """
         loss, response = self.config.loss, self.tone_mapper
         if type(self).losses is not PhysHDRMethod.losses:
             return None  # a method that is made of this one, with terms of its own
+        if self.config.global_supervision or any(each.encoding.is_known for each in recordings):
+            return None
+        if not can_fuse(drawn.radiance):
+            return {"rec": self.difference(drawn, recordings)} | self.unit_term()
         if not isinstance(response, ToneMapper) or self.config.tone_mapper.local:
             return None
-        if self.config.global_supervision or not can_compare_bracket(drawn.radiance):
+        if not can_compare_bracket(drawn.radiance):
             return None
-        for each in recordings:
-            if each.encoding.is_known or each.effect is not None or each.mask is not None:
-                return None
+        if any(each.effect is not None or each.mask is not None for each in recordings):
+            return None
         targets = [each.ssim_target() for each in recordings]
         exposures = [each.exposure for each in recordings]
         errors = response.bracket_errors(drawn.radiance, exposures, targets, loss.pixel)
@@ -120,6 +127,20 @@ class PhysHDR(PhysHDRMethod[DrawnRadiance]):
             return None
         similarity, pixel = errors
         return {"rec": weighted(similarity, pixel, loss).mean()} | self.unit_term()
+
+    def difference(self, drawn: DrawnRadiance, recordings: Sequence[Recording]) -> torch.Tensor:
+        """The mean reconstruction loss of all recordings, by operations on all of them at once.
+
+        For a card, whose host needs as long to start an operation on one picture as on three.
+        """
+        exposed = torch.stack([exposed_by(drawn.radiance, each) for each in recordings], dim=1)
+        globals_, locals_ = self.tone_mapper.tone_map(exposed, drawn.context)
+        shown = globals_ if locals_ is None else locals_
+        if any(each.mask is not None for each in recordings):
+            parts = zip(shown.unbind(1), recordings, strict=True)
+            shown = torch.stack([compared(part, each.mask) for part, each in parts], dim=1)
+        pictures = torch.stack([compared(each.picture, each.mask) for each in recordings], dim=1)
+        return reconstruction_loss(shown.flatten(0, 1), pictures.flatten(0, 1), self.config.loss)
 
     # -- use -------------------------------------------------------------------------------------------
 

@@ -5,7 +5,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -120,6 +120,43 @@ class KnownResponse(Response):
         return x, SRGB.developed(x.exp())[:, None].expand(-1, 3).contiguous()
 
 
+class _Measured(torch.autograd.Function):
+    """``_measured_logits``, differentiable in the points: their slope is at hand, and autograd would need an
+    operation for each of those that made the value."""
+
+    @staticmethod
+    def forward(ctx: Any, log_exposure: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
+        logits, slopes = _measured_logits(log_exposure, values)
+        ctx.save_for_backward(slopes)
+        return logits
+
+    @staticmethod
+    def backward(ctx: Any, *grads: Any):
+        (slopes,) = ctx.saved_tensors
+        return grads[0] * slopes, None
+
+
+def _measured_logits(log_exposure: torch.Tensor, values: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """A measured response's logits at ``[3, P]`` and their slopes, ``[3, P]`` each, by its knots ``[3, N]``.
+
+    A cubic between two knots, whose slopes there are those between their neighbours; beyond the ends
+    straight on.
+    """
+    last = values.shape[1] - 1
+    place = (log_exposure - MEASURED_RANGE[0]) * MEASURED_PER_UNIT
+    left = place.floor().clamp(0, last - 1).long()
+    rises = values.diff(dim=1)
+    slopes = torch.cat([rises[:, :1], 0.5 * (rises[:, 1:] + rises[:, :-1]), rises[:, -1:]], dim=1)
+    before, after = values.gather(1, left), values.gather(1, left + 1)
+    here, there = slopes.gather(1, left), slopes.gather(1, left + 1)
+    s = (place - left).clamp(0.0, 1.0)
+    twice, thrice = 3.0 * (after - before) - 2.0 * here - there, 2.0 * (before - after) + here + there
+    within = before + s * (here + s * (twice + s * thrice))
+    slope = here + s * (2.0 * twice + 3.0 * s * thrice)
+    beyond = place - left - s
+    return within + beyond * slope, slope * MEASURED_PER_UNIT
+
+
 class ToneMapper(Response):
     """Global and local response curves per colour channel, and the fusion network.
 
@@ -157,41 +194,27 @@ class ToneMapper(Response):
 
     def curve_logits(self, log_exposure: torch.Tensor) -> torch.Tensor:
         """The global response before its sigmoid: ln(exposure × radiance) ``[3, P]`` → ``[3, P]``."""
-        logits = self._free_logits(log_exposure)
-        if self.config.anchored and self.anchor is not None:
-            # Shift each channel's curve so that it meets the anchor, whatever the network says.
-            exposure, value = self.anchor
-            at_anchor = log_exposure.new_full((3, 1), math.log(exposure))
-            logits = logits + (math.log(value / (1.0 - value)) - self._free_logits(at_anchor))
-        return logits
-
-    def _free_logits(self, log_exposure: torch.Tensor) -> torch.Tensor:
-        """``curve_logits`` wherever they pass the anchor."""
-        logits = curve_mlp(log_exposure, self.w1, self.b1, self.w2, self.b2, self.config.activation)
+        logits, count = self._learned_logits(log_exposure), log_exposure.shape[1]
+        if not (self.config.anchored and self.anchor is not None):
+            return logits if self.config.initial_slope is None else logits + self._first_logits(log_exposure)
+        # Shift each channel's curve so that it meets the anchor, whatever the network says.
+        exposure, value = self.anchor
+        at_anchor = log_exposure.new_full((3, 1), math.log(exposure))
+        logits = logits + (math.log(value / (1.0 - value)) - self._learned_logits(at_anchor))
         if self.config.initial_slope is None:
             return logits
-        return logits + self.slope * log_exposure + self._measured_logits(log_exposure)[0]
+        # At once, for on a card operations on one point cost as much as on all. Not so the network, whose b₂
+        # takes no part: of two equal sums its gradient is 0, of one sum what rounding leaves.
+        first = self._first_logits(torch.cat([log_exposure, at_anchor], dim=1))
+        first, at_anchor = first.split([count, 1], dim=1)
+        return logits + (first - at_anchor)
 
-    def _measured_logits(self, log_exposure: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """The measured response's logits at ``[3, P]`` and their slopes, ``[3, P]`` each.
+    def _learned_logits(self, log_exposure: torch.Tensor) -> torch.Tensor:
+        return curve_mlp(log_exposure, self.w1, self.b1, self.w2, self.b2, self.config.activation)
 
-        A cubic between two knots, whose slopes there are those between their neighbours; beyond the ends
-        straight on.
-        """
-        values = self.get_buffer(MEASURED)
-        last = values.shape[1] - 1
-        place = (log_exposure - MEASURED_RANGE[0]) * MEASURED_PER_UNIT
-        left = place.detach().floor().clamp(0, last - 1).long()
-        rises = values.diff(dim=1)
-        slopes = torch.cat([rises[:, :1], 0.5 * (rises[:, 1:] + rises[:, :-1]), rises[:, -1:]], dim=1)
-        before, after = values.gather(1, left), values.gather(1, left + 1)
-        here, there = slopes.gather(1, left), slopes.gather(1, left + 1)
-        s = (place - left).clamp(0.0, 1.0)
-        twice, thrice = 3.0 * (after - before) - 2.0 * here - there, 2.0 * (before - after) + here + there
-        within = before + s * (here + s * (twice + s * thrice))
-        slope = here + s * (2.0 * twice + 3.0 * s * thrice)
-        beyond = place - left - s
-        return within + beyond * slope.detach(), slope.detach() * MEASURED_PER_UNIT
+    def _first_logits(self, log_exposure: torch.Tensor) -> torch.Tensor:
+        """What the network adds to: the line and the measured response."""
+        return self.slope * log_exposure + _Measured.apply(log_exposure, self.get_buffer(MEASURED))
 
     @property
     def measures_response(self) -> bool:
@@ -237,7 +260,7 @@ class ToneMapper(Response):
         with torch.no_grad():
             slopes = curve_slopes(at_knots, self.w1, self.b1, self.w2, self.config.activation)
             if self.config.initial_slope is not None:
-                slopes = slopes + self.slope + self._measured_logits(at_knots)[1]
+                slopes = slopes + self.slope + _measured_logits(at_knots, self.get_buffer(MEASURED))[1]
             if not slopes.abs().max() <= STEEPEST:
                 return None
             return values, slopes * values * (1.0 - values)

@@ -39,7 +39,7 @@ def counting() -> Iterator[Count]:
 
     def launch(kernel: Any, threads: Any, arguments: Any, *rest: Any) -> None:
         count.warp += 1
-        count.bytes += sum(a._ref.nbytes for a in arguments if hasattr(a, "_ref"))
+        count.bytes += sum(a.tensor.nbytes for a in arguments if isinstance(a, arrays.Array))
         arrays.launch(kernel, threads, arguments, *rest)
 
     class Mode(TorchDispatchMode):

@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 
-from ...rasterize.warp.arrays import array, launch, wp
+from ...rasterize.warp.arrays import Array, launch, wp
 from ..constants import Y0, Y1, Y2, Y3
 
 #: Coefficients beside the constant one: degrees 1 to 3.
@@ -42,8 +42,8 @@ class _Evaluate(torch.autograd.Function):
         kept = (degree + 1) ** 2 - 1
         values = torch.empty_like(dc)
         arguments = [
-            *(array(dc, wp.vec3), array(rest, wp.vec3), array(means, wp.vec3), array(viewpoint, wp.float32)),
-            *(kept, array(values, wp.vec3)),
+            *(Array(dc, wp.vec3), Array(rest, wp.vec3), Array(means, wp.vec3), Array(viewpoint, wp.float32)),
+            *(kept, Array(values, wp.vec3)),
         ]
         launch(_evaluate, len(dc), arguments, dc.device)
         ctx.kept = kept
@@ -57,12 +57,12 @@ class _Evaluate(torch.autograd.Function):
         grad_rest, grad_means = torch.empty_like(rest), torch.empty_like(means)
         arguments = [
             *(
-                array(grad, wp.vec3),
-                array(rest, wp.vec3),
-                array(means, wp.vec3),
-                array(viewpoint, wp.float32),
+                Array(grad, wp.vec3),
+                Array(rest, wp.vec3),
+                Array(means, wp.vec3),
+                Array(viewpoint, wp.float32),
             ),
-            *(ctx.kept, int(ctx.needs_input_grad[2]), array(grad_rest, wp.vec3), array(grad_means, wp.vec3)),
+            *(ctx.kept, int(ctx.needs_input_grad[2]), Array(grad_rest, wp.vec3), Array(grad_means, wp.vec3)),
         ]
         launch(_evaluate_backward, len(means), arguments, grad.device)
         wanted = zip((Y0 * grad, grad_rest, grad_means), ctx.needs_input_grad, strict=False)

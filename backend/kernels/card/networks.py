@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import torch
 
-from ...rasterize.warp.arrays import BLOCK, array, launch, wp
+from ...rasterize.warp.arrays import BLOCK, Array, launch, wp
 
 # In kernels float(0.0) is a variable and 0.0 a constant, which no loop may change.
 # ruff: noqa: UP018
@@ -62,7 +62,7 @@ class _Networks(torch.autograd.Function):
         outputs = w2.shape[1]
         y = x.new_empty(groups, outputs, points)
         forward, _ = _kernels(inputs, outputs, _KIND[activation])
-        arguments = [array(t, wp.float32) for t in (x, w1, b1, w2, b2, y)]
+        arguments = [Array(t, wp.float32) for t in (x, w1, b1, w2, b2, y)]
         launch(forward, (groups, points), arguments, x.device)
         ctx.activation = activation
         ctx.save_for_backward(x, w1, b1, w2)
@@ -83,8 +83,8 @@ class _Networks(torch.autograd.Function):
             backward,
             groups * blocks * BLOCK,
             [
-                *(array(t, wp.float32) for t in (x, w1, b1, w2, grad)),
-                *(blocks, array(grad_x, wp.float32), array(rows, _row(inputs, outputs))),
+                *(Array(t, wp.float32) for t in (x, w1, b1, w2, grad)),
+                *(blocks, Array(grad_x, wp.float32), Array(rows, _row(inputs, outputs))),
             ],
             x.device,
         )

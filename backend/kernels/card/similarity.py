@@ -11,7 +11,7 @@ from typing import Any
 
 import torch
 
-from ...rasterize.warp.arrays import array, launch, wp
+from ...rasterize.warp.arrays import Array, launch, wp
 from ..constants import SSIM_C1 as C1
 from ..constants import SSIM_C2 as C2
 from ..constants import SSIM_TAPS as TAPS
@@ -40,15 +40,15 @@ class _Similarity(torch.autograd.Function):
         x, y = prediction.detach().contiguous(), target.contiguous()
         window = _window_on(x.device)
         along = x.new_empty(*x.shape, 5)
-        arguments = [array(t, wp.float32) for t in (x, y, window)]
-        launch(_along_rows, x.shape, [*arguments, array(along, Five)], x.device)
+        arguments = [Array(t, wp.float32) for t in (x, y, window)]
+        launch(_along_rows, x.shape, [*arguments, Array(along, Five)], x.device)
         similarity, slopes = torch.empty_like(x), x.new_empty(*x.shape, 3)
         launch(
             _down_columns,
             x.shape,
             [
-                *(array(along, Five), array(window, wp.float32)),
-                *(array(similarity, wp.float32), array(slopes, wp.vec3)),
+                *(Array(along, Five), Array(window, wp.float32)),
+                *(Array(similarity, wp.float32), Array(slopes, wp.vec3)),
             ],
             x.device,
         )
@@ -58,12 +58,12 @@ class _Similarity(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *grads: Any):
         x, y, slopes = ctx.saved_tensors
-        window = array(_window_on(x.device), wp.float32)
+        window = Array(_window_on(x.device), wp.float32)
         along, grad_x = torch.empty_like(slopes), torch.empty_like(x)
-        arguments = [array(slopes, wp.vec3), array(grads[0].contiguous(), wp.float32), window]
-        launch(_along_rows_backward, x.shape, [*arguments, array(along, wp.vec3)], x.device)
-        arguments = [array(along, wp.vec3), array(x, wp.float32), array(y, wp.float32), window]
-        launch(_down_columns_backward, x.shape, [*arguments, array(grad_x, wp.float32)], x.device)
+        arguments = [Array(slopes, wp.vec3), Array(grads[0].contiguous(), wp.float32), window]
+        launch(_along_rows_backward, x.shape, [*arguments, Array(along, wp.vec3)], x.device)
+        arguments = [Array(along, wp.vec3), Array(x, wp.float32), Array(y, wp.float32), window]
+        launch(_down_columns_backward, x.shape, [*arguments, Array(grad_x, wp.float32)], x.device)
         return grad_x, None
 
 

@@ -2,16 +2,17 @@
 # pyright: reportInvalidTypeForm=false
 """What all Warp kernels here are launched with: torch's tensors, torch's device, torch's current stream.
 
-Every buffer is allocated through torch, so there is one memory pool; Warp gets descriptors of tensors (3 µs
-each, where ``wp.array`` objects take 20). Descriptors keep their tensor alive, and what torch frees is used
-again in the order of the stream on which all of this runs.
+Every buffer is allocated through torch, so there is one memory pool, and what torch frees is used again in
+the order of the stream on which all of this runs. Each thread of ours records a kernel's launch once, and
+from then on writes into it what is new, as a rule the addresses of tensors: ``wp.launch`` packs all arguments
+anew, which takes seven times as long.
 """
 
 import threading
 from collections.abc import Sequence
 from functools import cache
 from importlib import import_module
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 
@@ -25,25 +26,82 @@ wp.init()  # looks for devices; device_from_torch does not do it
 #: Threads of a block where it does not matter.
 BLOCK = 256
 
-_ready: set[tuple[int, str, int]] = set()
 _loading = threading.Lock()
 
+Threads = int | tuple[int, ...]
 
-def array(tensor: torch.Tensor, dtype: Any) -> Any:
-    """A contiguous tensor for a kernel; of vector types the last dimension is the vector."""
-    return wp.from_torch(tensor, dtype, requires_grad=False, return_ctype=True)
+
+class Array(NamedTuple):
+    """A contiguous tensor as a kernel is to see it: of vector types its last dimension is the vector."""
+
+    tensor: torch.Tensor
+    dtype: Any
+
+
+class _Recorded:
+    """The launch of a kernel in blocks of one size on one device. It keeps no tensor alive."""
+
+    def __init__(self, kernel: Any, threads: Threads, arguments: Sequence[Any], device: Any, block: int):
+        #: What the launch has of each argument, addresses apart.
+        self._has = [_all_but_address(argument) for argument in arguments]
+        self._descriptors: list[Any] = [_descriptor(a) if isinstance(a, Array) else None for a in arguments]
+        self._threads = threads
+        packed = [d if isinstance(a, Array) else a for a, d in zip(arguments, self._descriptors, strict=True)]
+        self._launch = wp.launch(kernel, threads, packed, device=device, block_dim=block, record_cmd=True)
+
+    def run(self, threads: Threads, arguments: Sequence[Any], stream: Any) -> None:
+        if threads != self._threads:
+            self._launch.set_dim(threads)
+            self._threads = threads
+        for index, argument in enumerate(arguments):
+            rest = _all_but_address(argument)
+            if rest == self._has[index]:
+                if isinstance(argument, Array):
+                    self._descriptors[index].data = argument.tensor.data_ptr()
+                continue
+            if isinstance(argument, Array):
+                value = self._descriptors[index] = _descriptor(argument)
+            else:
+                value = argument.__ctype__() if hasattr(argument, "__ctype__") else argument
+            self._launch.set_param_at_index_from_ctype(index, value)
+            self._has[index] = rest
+        self._launch.launch(stream)
+
+
+def _all_but_address(argument: Any) -> Any:
+    if isinstance(argument, Array):
+        tensor, dtype = argument
+        return tensor.shape, tensor.stride(), tensor.dtype, dtype
+    return argument
+
+
+def _descriptor(array: Array) -> Any:
+    descriptor = wp.from_torch(array.tensor, array.dtype, requires_grad=False, return_ctype=True)
+    descriptor._ref = None  # the tensor, which whoever launches has
+    return descriptor
+
+
+class _Launches(threading.local):
+    """A thread's own: between what is written into a launch and its start, no other may write."""
+
+    def __init__(self) -> None:
+        self.recorded: dict[tuple[Any, str, int, bool], _Recorded] = {}
+
+
+_launches = _Launches()
 
 
 def launch(
     kernel: Any,
-    threads: int | tuple[int, ...],
+    threads: Threads,
     arguments: Sequence[Any],
     device: torch.device,
     block: int = BLOCK,
 ) -> None:
     """Run ``kernel`` in ``threads`` threads on torch's current stream; 0 threads do nothing.
 
-    The first launch compiles its module, or loads it from Warp's cache: one thread of ours at a time.
+    ``arguments``: ``Array``s, numbers, and what ``struct`` returns. The first launch compiles the kernel's
+    module, or loads it from Warp's cache: one thread of ours at a time.
     """
     if threads == 0 or (isinstance(threads, tuple) and 0 in threads):
         return
@@ -51,13 +109,14 @@ def launch(
     if device.type == "cuda":
         stream = _stream(torch.cuda.current_stream(device))
     target = _device(device)
-    key = (id(kernel), target.alias, block)
-    if key in _ready:
-        wp.launch(kernel, threads, arguments, device=target, stream=stream, block_dim=block)
-        return
-    with _loading:
-        wp.launch(kernel, threads, arguments, device=target, stream=stream, block_dim=block)
-        _ready.add(key)
+    # On the CPU a launch is recorded for blocks of threads, or for threads one after the other.
+    key = (kernel, target.alias, block, getattr(wp.config, "enable_cpu_blocks", False))
+    recorded = _launches.recorded.get(key)
+    if recorded is None:
+        with _loading:
+            recorded = _Recorded(kernel, threads, arguments, target, block)
+        _launches.recorded[key] = recorded
+    recorded.run(threads, arguments, stream)
 
 
 @cache

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import torch
 
 from ..contract import refuse_too_many_pairs
-from .arrays import array, launch, wp
+from .arrays import Array, launch, wp
 from .projection import View, emit
 
 #: Pairs of a picture: what an int32 indexes, with room for twelve floats each.
@@ -49,9 +49,9 @@ def make_lists(
         emit,
         len(depths) if pairs else 0,
         [
-            *(array(order, wp.int64), array(counts, wp.int32), array(ends, wp.int64)),
-            *(array(records, wp.float32), view, tiles_x, tiles),
-            *(array(unsorted, wp.int32), array(by_depth, wp.int32)),
+            *(Array(order, wp.int64), Array(counts, wp.int32), Array(ends, wp.int64)),
+            *(Array(records, wp.float32), view, tiles_x, tiles),
+            *(Array(unsorted, wp.int32), Array(by_depth, wp.int32)),
         ],
         device,
     )

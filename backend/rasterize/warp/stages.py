@@ -12,7 +12,7 @@ import torch
 
 from ...scene.camera import Camera
 from . import projection
-from .arrays import array, launch, wp
+from .arrays import Array, launch, wp
 from .lists import Lists, make_lists
 from .projection import RECORD_HEAD, TILE, view_of
 from .tiles import (
@@ -79,10 +79,10 @@ def project(
         projection.project,
         count,
         [
-            *(array(means, wp.vec3), array(quaternions, wp.vec4), array(scales, wp.vec3)),
-            *(array(opacities, wp.float32), array(offsets, wp.vec2), view_of(camera)),
-            *(array(records, wp.float32), array(depths, wp.float32)),
-            *(array(radii, wp.float32), array(counts, wp.int32)),
+            *(Array(means, wp.vec3), Array(quaternions, wp.vec4), Array(scales, wp.vec3)),
+            *(Array(opacities, wp.float32), Array(offsets, wp.vec2), view_of(camera)),
+            *(Array(records, wp.float32), Array(depths, wp.float32)),
+            *(Array(radii, wp.float32), Array(counts, wp.int32)),
         ],
         means.device,
     )
@@ -102,9 +102,9 @@ def draw(camera: Camera, seen: Projected, channels: int) -> Drawn:
         draw_kernel(channels),
         tiles * TILE_PIXELS,
         [
-            *(array(lists.tile_starts, wp.int32), array(lists.gaussians, wp.int32)),
-            *(array(records.view(-1, 4), wp.vec4), width, height, tiles_x),
-            *(array(image, wp.float32), array(alpha, wp.float32), array(ends, wp.int32)),
+            *(Array(lists.tile_starts, wp.int32), Array(lists.gaussians, wp.int32)),
+            *(Array(records.view(-1, 4), wp.vec4), width, height, tiles_x),
+            *(Array(image, wp.float32), Array(alpha, wp.float32), Array(ends, wp.int32)),
         ],
         device,
     )
@@ -125,12 +125,12 @@ def draw_backward(
         draw_backward_kernel(channels, absolute),
         (len(lists.tile_starts) - 1) * TILE_PIXELS if len(lists.gaussians) else 0,
         [
-            *(array(lists.tile_starts, wp.int32), array(lists.gaussians, wp.int32)),
-            array(lists.numbers if ordered else lists.gaussians, wp.int32),
-            *(array(records.view(-1, 4), wp.vec4), width, height, tiles_x),
-            *(array(image, wp.float32), array(alpha, wp.float32), array(ends, wp.int32)),
-            *(array(grad_image, wp.float32), array(grad_alpha, wp.float32)),
-            array(into, sums_type(channels, absolute)),
+            *(Array(lists.tile_starts, wp.int32), Array(lists.gaussians, wp.int32)),
+            Array(lists.numbers if ordered else lists.gaussians, wp.int32),
+            *(Array(records.view(-1, 4), wp.vec4), width, height, tiles_x),
+            *(Array(image, wp.float32), Array(alpha, wp.float32), Array(ends, wp.int32)),
+            *(Array(grad_image, wp.float32), Array(grad_alpha, wp.float32)),
+            Array(into, sums_type(channels, absolute)),
         ],
         records.device,
         # A tile's pixels in one block: each pair has one author.
@@ -141,8 +141,8 @@ def draw_backward(
             projection.add_pairs,
             (len(sums), size),
             [
-                *(array(lists.order, wp.int64), array(lists.counts, wp.int32), array(lists.ends, wp.int64)),
-                *(array(into, wp.float32), array(sums, wp.float32)),
+                *(Array(lists.order, wp.int64), Array(lists.counts, wp.int32), Array(lists.ends, wp.int64)),
+                *(Array(into, wp.float32), Array(sums, wp.float32)),
             ],
             sums.device,
         )
@@ -167,10 +167,10 @@ def project_backward(
         projection.project_backward,
         count,
         [
-            *(array(means, wp.vec3), array(quaternions, wp.vec4), array(scales, wp.vec3)),
-            *(array(opacities, wp.float32), array(radii, wp.float32), view_of(camera)),
-            array(sums, wp.float32),
-            *(array(gradient, dtype) for gradient, dtype in zip(made, types, strict=True)),
+            *(Array(means, wp.vec3), Array(quaternions, wp.vec4), Array(scales, wp.vec3)),
+            *(Array(opacities, wp.float32), Array(radii, wp.float32), view_of(camera)),
+            Array(sums, wp.float32),
+            *(Array(gradient, dtype) for gradient, dtype in zip(made, types, strict=True)),
         ],
         means.device,
     )

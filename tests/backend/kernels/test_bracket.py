@@ -144,6 +144,48 @@ def test_a_methods_terms_are_the_same_either_way():
     assert trained.bracket_terms(drawn, recordings) is None  # its own term would not be there
 
 
+@pytest.mark.parametrize("with_masks", [False, True])
+@pytest.mark.parametrize("local", [False, True])
+def test_where_no_kernel_computes_all_recordings_go_together(local, with_masks):
+    """What they lose is the mean of what each of them loses alone, and has its gradient."""
+    torch.manual_seed(0)
+    trained = PhysHDR.__new__(PhysHDR)
+    torch.nn.Module.__init__(trained)
+    config = PRESETS["default"].method
+    mapped = replace(config.tone_mapper, local=local)
+    trained.config = replace(config, tone_mapper=mapped)
+    trained.tone_mapper = ToneMapper(mapped, (0.5, 0.6)).double()
+    with torch.no_grad():
+        for parameter in trained.tone_mapper.parameters():
+            parameter += 0.1 * torch.randn_like(parameter)
+    radiance, targets = pictures(30, 40)
+    radiance = radiance.double().requires_grad_()
+    context = torch.randn(mapped.context_size, 30, 40, dtype=torch.float64) if local else None
+    recordings = [
+        Recording(
+            exposure=t,
+            picture=picture.double(),
+            effect=torch.rand(3, 1, 1, dtype=torch.float64) + 0.5,
+            mask=torch.rand(30, 40) > 0.3 if with_masks else None,
+        )
+        for t, picture in zip(EXPOSURES, targets, strict=True)
+    ]
+    drawn = DrawnRadiance(None, None, radiance=radiance, context=context)
+    together = trained.bracket_terms(drawn, recordings)
+    each = [
+        trained.losses(one, recording.picture, recording.mask)
+        for one, recording in zip(trained.develop_bracket(drawn, recordings), recordings, strict=True)
+    ]
+    assert together.keys() == each[0].keys()
+    alone = torch.stack([terms["rec"] for terms in each]).mean()
+    assert together["rec"].item() == pytest.approx(alone.item(), rel=1e-12)
+    leaves = [radiance, *(p for p in trained.tone_mapper.parameters() if p.requires_grad)]
+    ours, expected = (torch.autograd.grad(loss, leaves) for loss in (together["rec"], alone))
+    for a, b in zip(ours, expected, strict=True):
+        assert torch.allclose(a, b, rtol=1e-9, atol=1e-12)
+    assert trained.bracket_terms(drawn, [replace(recordings[0], encoding=SRGB), *recordings[1:]]) is None
+
+
 def test_quads_and_powers():
     @njit
     def run(table, places, result, sums):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from physhdr.backend.model import tone_mapper
 from physhdr.backend.model.gaussians import Gaussians, initial_gaussians
 from physhdr.backend.model.radiance import (
     AdditiveModulator,
@@ -251,9 +252,9 @@ def test_a_measured_response_has_the_slope_that_it_is_drawn_with():
     mapper = randomised(measured()[0]).double()
     x = torch.linspace(-13.0, 9.0, 300, dtype=torch.float64).expand(3, -1).contiguous() + 1e-4
     assert torch.autograd.gradcheck(mapper.curve_logits, x.clone().requires_grad_())
-    _, slopes = mapper._measured_logits(x)
-    step = 1e-6
-    ahead, behind = (mapper._measured_logits(x + each)[0] for each in (step, -step))
+    values, step = mapper.get_buffer(tone_mapper.MEASURED), 1e-6
+    _, slopes = tone_mapper._measured_logits(x, values)
+    ahead, behind = (tone_mapper._measured_logits(x + each, values)[0] for each in (step, -step))
     assert torch.allclose(slopes, (ahead - behind) / (2.0 * step), atol=1e-5)
     at_anchor = torch.full((3, 1), math.log(mapper.anchor[0]), dtype=torch.float64)
     assert torch.allclose(mapper.curve_logits(at_anchor).sigmoid(), torch.tensor(mapper.anchor[1]).double())

@@ -235,11 +235,11 @@ def test_with_sorted_accumulation_nothing_depends_on_the_order_of_blocks(warp, d
         if "draw_backward" not in kernel.key:
             launch(kernel, threads, arguments, device, block)
             return
-        starts = arguments[0]._ref
+        starts = arguments[0].tensor
         for tile in reversed(range(len(starts) - 1)):
             alone = torch.full_like(starts, 1 << 30)  # all other tiles' lists end before they begin
             alone[tile] = starts[tile]
-            launch(kernel, threads, [arrays.array(alone, arrays.wp.int32), *arguments[1:]], device, block)
+            launch(kernel, threads, [arrays.Array(alone, arrays.wp.int32), *arguments[1:]], device, block)
 
     forwards = bits()
     with monkeypatch.context() as patch:
@@ -289,6 +289,51 @@ def test_a_picture_that_nobody_holds_is_freed_at_once(warp):
         assert kept[0]() is None and kept[1]() is None
     finally:
         gc.enable()
+
+
+def test_what_is_launched_again_keeps_nothing_of_before(warp):
+    """Pictures, Gaussians, cameras and channels of other sizes between two equal ones; and other threads."""
+    import weakref
+    from concurrent.futures import ThreadPoolExecutor
+
+    from physhdr.backend.rasterize.warp import projection
+    from physhdr.backend.rasterize.warp.arrays import Array, launch, wp
+
+    scenes = [
+        (gaussians(200, 6, 0), CAMERA),
+        (gaussians(31, 6, 1), CAMERA),
+        (gaussians(31, 6, 2), Camera(np.eye(4), 90, 21, 33.0, 30.0, 44.0, 11.0)),
+        (gaussians(200, 3, 3), CAMERA),
+    ]
+
+    def drawn(number: int) -> list[torch.Tensor]:
+        tensors, camera = scenes[number]
+        picture, found = gradients("warp", tensors, camera=camera)
+        return [picture.image.detach(), *found]
+
+    alone = [drawn(number) for number in range(len(scenes))]
+    for number, (tensors, camera) in enumerate(scenes):
+        expected, _ = gradients("reference", tensors, camera=camera)
+        assert torch.allclose(alone[number][0], expected.image, atol=1e-5)
+    with ThreadPoolExecutor(4) as pool:
+        numbers = [0, 1, 2, 3, 2, 1, 0, 3] * 4
+        for number, found in zip(numbers, pool.map(drawn, numbers), strict=True):
+            assert all(torch.equal(a, b) for a, b in zip(found, alone[number], strict=True))
+
+    rows = torch.rand(5, 2)
+    order, counts, ends = torch.arange(5), torch.ones(5, dtype=torch.int32), torch.arange(1, 6)
+    sums = torch.zeros(5, 2)
+    arguments = [Array(order, wp.int64), Array(counts, wp.int32), Array(ends, wp.int64)]
+    launch(
+        projection.add_pairs,
+        (5, 2),
+        [*arguments, Array(rows, wp.float32), Array(sums, wp.float32)],
+        sums.device,
+    )
+    assert torch.equal(sums, rows)
+    kept = [weakref.ref(t) for t in (order, counts, ends, sums)]
+    del order, counts, ends, sums, arguments
+    assert all(reference() is None for reference in kept)
 
 
 # ---- between threads -------------------------------------------------------------------------------
