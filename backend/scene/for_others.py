@@ -320,8 +320,12 @@ def _info(scene: Scene, how: How) -> dict[str, Any]:
         "scene": scene.name,
         "laid_out": {"layout": how.layout, "from": scene.layout, "brackets": how.brackets},
     }
-    if isinstance(scene.info.get("generator"), dict):
-        info["generator"] = scene.info["generator"]
+    # What it was rendered from, by which `physhdr benchmark` knows built-in scenes and rooms.
+    info |= {
+        key: told
+        for key in ("generator", "source", "objects")
+        if isinstance(told := scene.info.get(key), dict)
+    }
     if scene.response_anchor is not None:
         info["response"] = {"anchor": list(scene.response_anchor)}
     return info

@@ -8,6 +8,7 @@ parsers import (docs/data-for-others.md).
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -18,10 +19,12 @@ import pycolmap
 import pytest
 from PIL import Image
 
+from physhdr.backend.benchmark.roles import SEALED, role_of, room_of
 from physhdr.backend.cli import main
 from physhdr.backend.scene import Scene, View, read_scene
 from physhdr.backend.scene.for_others import How, lay_out
 from physhdr.backend.scene.pictures import read_codes, write_exr
+from physhdr.bridge.data_set import MAKER
 from physhdr.bridge.errors import BadValueError
 
 #: In front of every camera of the tiny data set.
@@ -90,6 +93,21 @@ def test_every_layout_that_is_read_can_be_written(tmp_path: Path, layouts, sourc
             for k in range(len(view.exposures)):
                 np.testing.assert_array_equal(back.image(k), view.image(k))
     assert found.response_anchor == true.response_anchor and found.photographs == true.photographs
+
+
+@pytest.mark.parametrize("layout", ["nerfstudio", "colmap"])
+def test_what_it_was_rendered_from_stays_known(tiny_data: Path, tmp_path: Path, layout: str) -> None:
+    """A user's own desk.blend is no built-in scene in another layout either, and a room of its own."""
+    data = tmp_path / "data"
+    shutil.copytree(tiny_data, data)
+    info = json.loads((data / "dataset.json").read_text())
+    info |= {"scene": "desk", "generator": {"name": MAKER}, "objects": {"Lamp": 1, "Top": 2}}
+    own = info | {"source": {"file": "desk.blend", "scene": "Scene"}}
+    for number, told in enumerate((info, own)):
+        (data / "dataset.json").write_text(json.dumps(told))
+        out = run(data, tmp_path / f"out{number}", layout)
+        assert role_of(out) == role_of(data) == ("" if "source" in told else SEALED)
+        assert room_of(out) == room_of(data)
 
 
 def test_validation_views_are_nerfstudios(validation_data: Path, tmp_path: Path) -> None:
