@@ -100,7 +100,7 @@ def launch(
 ) -> None:
     """Run ``kernel`` in ``threads`` threads on torch's current stream; 0 threads do nothing.
 
-    ``arguments``: ``Array``s, numbers, and what ``struct`` returns. The first launch compiles the kernel's
+    ``arguments``: ``Array``s, numbers and Warp's structs. The first launch compiles the kernel's
     module, or loads it from Warp's cache: one thread of ours at a time.
     """
     if threads == 0 or (isinstance(threads, tuple) and 0 in threads):
