@@ -24,8 +24,9 @@ BLENDER = ROOT / ".venvs" / "run-blender"
 
 PYTEST = (BACKEND / "python", "-m", "pytest")
 IN_BLENDER = (BLENDER, "tests/run_in_blender.py", "--")
-#: The backend's suite in two processes: a third of its tests wait for processes that they started.
-BESIDE = ("-n", "2", "--dist", "loadfile")
+#: The backend's suite in two processes: a third of its tests wait for processes that they started. One that
+#: dies is not replaced: with another in its place, pytest-xdist waits for ever and names no test.
+BESIDE = ("-n", "2", "--dist", "loadfile", "--max-worker-restart", "0")
 
 #: What a suite finds in its environment, where nothing else is set there. Two processes keep the
 #: cores busy: threads of torch would wait for one another, a fifth of the time.
