@@ -291,56 +291,65 @@ def test_a_picture_that_nobody_holds_is_freed_at_once(warp):
         gc.enable()
 
 
+#: Pictures, cameras, numbers of Gaussians and of channels, so that launches find others than the last time.
+SCENES = [
+    (gaussians(200, 6, 0), CAMERA),
+    (gaussians(31, 6, 1), CAMERA),
+    (gaussians(31, 6, 2), Camera(np.eye(4), 90, 21, 33.0, 30.0, 44.0, 11.0)),
+    (gaussians(200, 3, 3), CAMERA),
+]
+
+
 def test_what_is_launched_again_keeps_nothing_of_before(warp):
-    """Pictures, Gaussians, cameras and channels of other sizes between two equal ones; and other threads."""
-    import weakref
+    def drawn(number: int) -> list[torch.Tensor]:
+        tensors, camera = SCENES[number]
+        picture, found = gradients("warp", tensors, camera=camera)
+        return [picture.image.detach(), *found]
+
+    first = [drawn(number) for number in range(len(SCENES))]
+    for found, (tensors, camera) in zip(first, SCENES, strict=True):
+        expected, _ = gradients("reference", tensors, camera=camera)
+        assert torch.allclose(found[0], expected.image, atol=1e-5)
+    for number in (2, 0, 3, 1, 0):
+        assert all(torch.equal(a, b) for a, b in zip(drawn(number), first[number], strict=True))
+
+
+def test_threads_draw_at_once(warp):
+    """Without the way back: on the CPU, Warp's tile operations bear one thread at a time."""
     from concurrent.futures import ThreadPoolExecutor
+
+    def drawn(number: int) -> torch.Tensor:
+        tensors, camera = SCENES[number]
+        return rasterize(*tensors[:5], camera, screen_offsets=tensors[5], implementation="warp").image
+
+    alone = [drawn(number) for number in range(len(SCENES))]
+    interval = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)  # also between what is written into a launch and its start
+    try:
+        with ThreadPoolExecutor(4) as pool:
+            numbers = [0, 1, 2, 3, 2, 1, 0, 3] * 8
+            for number, found in zip(numbers, pool.map(drawn, numbers), strict=True):
+                assert torch.equal(found, alone[number])
+    finally:
+        sys.setswitchinterval(interval)
+
+
+def test_a_launch_keeps_no_tensor(warp):
+    import weakref
 
     from physhdr.backend.rasterize.warp import projection
     from physhdr.backend.rasterize.warp.arrays import Array, launch, wp
 
-    scenes = [
-        (gaussians(200, 6, 0), CAMERA),
-        (gaussians(31, 6, 1), CAMERA),
-        (gaussians(31, 6, 2), Camera(np.eye(4), 90, 21, 33.0, 30.0, 44.0, 11.0)),
-        (gaussians(200, 3, 3), CAMERA),
-    ]
-
-    def drawn(number: int) -> list[torch.Tensor]:
-        tensors, camera = scenes[number]
-        picture, found = gradients("warp", tensors, camera=camera)
-        return [picture.image.detach(), *found]
-
-    alone = [drawn(number) for number in range(len(scenes))]
-    for number, (tensors, camera) in enumerate(scenes):
-        expected, _ = gradients("reference", tensors, camera=camera)
-        assert torch.allclose(alone[number][0], expected.image, atol=1e-5)
-    for number in (2, 0, 3, 1, 0):
-        assert all(torch.equal(a, b) for a, b in zip(drawn(number), alone[number], strict=True))
-
-    # The way there alone: on the CPU, Warp's tile operations bear one thread at a time.
-    def seen(number: int) -> torch.Tensor:
-        tensors, camera = scenes[number]
-        return rasterize(*tensors[:5], camera, screen_offsets=tensors[5], implementation="warp").image
-
-    with ThreadPoolExecutor(4) as pool:
-        numbers = [0, 1, 2, 3, 2, 1, 0, 3] * 4
-        for number, found in zip(numbers, pool.map(seen, numbers), strict=True):
-            assert torch.equal(found, alone[number][0])
-
-    rows = torch.rand(5, 2)
+    rows, sums = torch.rand(5, 2), torch.zeros(5, 2)
     order, counts, ends = torch.arange(5), torch.ones(5, dtype=torch.int32), torch.arange(1, 6)
-    sums = torch.zeros(5, 2)
-    arguments = [Array(order, wp.int64), Array(counts, wp.int32), Array(ends, wp.int64)]
-    launch(
-        projection.add_pairs,
-        (5, 2),
-        [*arguments, Array(rows, wp.float32), Array(sums, wp.float32)],
-        sums.device,
-    )
+    arguments = [
+        *(Array(order, wp.int64), Array(counts, wp.int32), Array(ends, wp.int64)),
+        *(Array(rows, wp.float32), Array(sums, wp.float32)),
+    ]
+    launch(projection.add_pairs, (5, 2), arguments, sums.device)
     assert torch.equal(sums, rows)
-    kept = [weakref.ref(t) for t in (order, counts, ends, sums)]
-    del order, counts, ends, sums, arguments
+    kept = [weakref.ref(tensor) for tensor in (order, counts, ends, rows, sums)]
+    del order, counts, ends, rows, sums, arguments
     assert all(reference() is None for reference in kept)
 
 
