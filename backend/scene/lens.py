@@ -19,6 +19,7 @@ from ...bridge.colmap import ALL_AROUND, panorama
 from ...bridge.colmap_files import SparseCamera
 from ...bridge.errors import BadValueError, FileMissingError
 from ..shell import pip_install
+from .encoding import Encoding
 from .resize import Reduction
 
 #: A pinhole's picture reaches so far from its axis at most, to each side: 55°, whose tangent this is. At 90°
@@ -105,10 +106,11 @@ class Lens:
         real = (self.source.model_name, self.source.width, self.source.height, *self.source.params.tolist())
         return (*real, self.width, self.height, self.fx, self.fy, self.cx, self.cy, self.over)
 
-    def picture(self, codes: np.ndarray) -> np.ndarray:
+    def picture(self, codes: np.ndarray, radiance: Encoding | None = None) -> np.ndarray:
         """``[h, w, 3]`` codes as this camera would have taken them: the mean code over each pixel's area.
 
-        ``codes``: the photo's, ``[H, W, 3]`` uint8 or uint16, which stays.
+        ``codes``: the photo's, ``[H, W, 3]`` uint8 or uint16, which stays. ``radiance``: how they stand for
+        radiance, of which the mean is taken then.
         """
         height, width, channels = codes.shape
         largest = float(np.iinfo(codes.dtype).max)
@@ -126,8 +128,13 @@ class Lens:
                 padding_mode="border",
                 align_corners=False,
             )
-            mean = F.avg_pool2d(taken.clamp_(0.0, largest), self.over)
-            out[rows] = mean[0].permute(1, 2, 0).round().numpy()
+            taken.clamp_(0.0, largest)
+            if radiance is None or self.over == 1:
+                mean = F.avg_pool2d(taken, self.over)[0].permute(1, 2, 0)
+                out[rows] = mean.round().numpy()
+                continue
+            exposed = torch.from_numpy(radiance.decode(taken.numpy() / radiance.unit(codes.dtype)))
+            out[rows] = radiance.codes(F.avg_pool2d(exposed, self.over)[0].permute(1, 2, 0).numpy())
         return out
 
     def mask(self, mask: np.ndarray) -> np.ndarray:
@@ -174,8 +181,8 @@ class Reduced:
     def key(self) -> Hashable:
         return self.reduction.factor, self.reduction.filter
 
-    def picture(self, codes: np.ndarray) -> np.ndarray:
-        return self.reduction.picture(codes)
+    def picture(self, codes: np.ndarray, radiance: Encoding | None = None) -> np.ndarray:
+        return self.reduction.picture(codes, radiance)
 
     def mask(self, mask: np.ndarray) -> np.ndarray:
         return self.reduction.mask(mask)

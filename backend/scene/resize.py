@@ -15,6 +15,7 @@ from PIL import Image
 
 from ...bridge.errors import BadValueError
 from .camera import Camera
+from .encoding import Encoding
 from .pictures import read_picture
 
 Filter = Literal["area", "bicubic"]
@@ -50,10 +51,16 @@ class Reduction:
         """``[h, w, 3]`` uint8: a picture from disk, reduced; raises what ``read_picture`` raises."""
         return self.picture(read_picture(path))
 
-    def picture(self, picture: np.ndarray) -> np.ndarray:
-        """``[H, W, 3]`` uint8 or uint16 → ``[h, w, 3]`` of the same type."""
+    def picture(self, picture: np.ndarray, radiance: Encoding | None = None) -> np.ndarray:
+        """``[H, W, 3]`` uint8 or uint16 → ``[h, w, 3]`` of the same type.
+
+        ``radiance``: how codes stand for radiance, of which the mean is taken then, and not that of its
+        logarithm: so would a smaller camera.
+        """
         if self.factor == 1.0 or self.done:
             return picture
+        if radiance is not None:
+            return radiance.codes(self.linear(radiance.exposed(picture)).clip(0.0))
         height, width = picture.shape[:2]
         if picture.dtype != np.uint8:  # Pillow has no colour of 16 bits
             largest = float(np.iinfo(picture.dtype).max)

@@ -26,8 +26,11 @@ class Undistortion(Protocol):
         """Equal where two of them do the same."""
         ...
 
-    def picture(self, codes: np.ndarray) -> np.ndarray:
-        """``[H, W, 3]`` uint8 or uint16 as the lens gave it → ``[h, w, 3]`` of the same type."""
+    def picture(self, codes: np.ndarray, radiance: Encoding | None = None) -> np.ndarray:
+        """``[H, W, 3]`` uint8 or uint16 as the lens gave it → ``[h, w, 3]`` of the same type.
+
+        ``radiance``: how codes stand for radiance, of which means are taken then.
+        """
         ...
 
     def mask(self, mask: np.ndarray) -> np.ndarray:
@@ -87,8 +90,10 @@ class PictureSource:
         lens = None if self.lens is None else self.lens.key
         key = (self.path, self.encoding, lens, self.mask_path, self.orientation)
         key = (*key, self.alpha, self.color_space)
-        # Pictures without distortion that were kept before there were profiles are still right.
-        return key if self.profile is None else (*key, self.profile.key)
+        # Pictures without distortion that were kept before there were profiles are still right; those of
+        # radiance are not, of whose logarithm the mean was taken.
+        key = key if self.profile is None else (*key, self.profile.key)
+        return key if self.lens is None or self._radiance is None else (*key, "mean of radiance")
 
     def read(self, reduction: Reduction | None = None) -> Decoded:
         """The picture, reduced; raises ``FileMissingError``, ``FileDamagedError``, ``DataMismatchError``.
@@ -100,17 +105,16 @@ class PictureSource:
         made = self._whole()
         if reduction is not None and not (reduction.factor == 1.0 or reduction.done):
             mask = None if made.mask is None else reduction.mask(made.mask)
-            made = Decoded(self._reduced(made.codes, reduction), mask)
+            made = Decoded(reduction.picture(made.codes, self._radiance), mask)
         if self.encoding.is_known and self.encoding.clips and not holds_radiance(self.path):
             linear = made.codes / float(LARGEST[made.codes.dtype])
             made = Decoded(self.encoding.codes(linear), made.mask)
         return made
 
-    def _reduced(self, codes: np.ndarray, reduction: Reduction) -> np.ndarray:
-        """Of radiance the mean is taken, not that of its logarithm: so would a smaller camera."""
-        if self.encoding.clips or not self.encoding.is_known:
-            return reduction.picture(codes)
-        return self.encoding.codes(reduction.linear(self.encoding.exposed(codes)).clip(0.0))
+    @property
+    def _radiance(self) -> Encoding | None:
+        """How codes stand for radiance; None where they are a camera's."""
+        return None if self.encoding.clips or not self.encoding.is_known else self.encoding
 
     def _whole(self) -> Decoded:
         """At full size."""
@@ -121,7 +125,7 @@ class PictureSource:
             return kept
         bent = self._upright()
         mask = None if bent.mask is None else self.lens.mask(bent.mask)
-        straight = Decoded(self.lens.picture(bent.codes), mask)
+        straight = Decoded(self.lens.picture(bent.codes, self._radiance), mask)
         if self.store is not None:
             self.store.save(self, straight)
         return straight

@@ -6,11 +6,13 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import pycolmap
 import pytest
 from PIL import Image, ImageOps
 
 from physhdr.backend.scene.camera import Camera
-from physhdr.backend.scene.encoding import SRGB, LogEncoding
+from physhdr.backend.scene.encoding import CAMERA, SRGB, LogEncoding
+from physhdr.backend.scene.lens import Lens, Reduced
 from physhdr.backend.scene.pictures import picture_size, read_radiance, write_exr
 from physhdr.backend.scene.resize import Reduction
 from physhdr.backend.scene.scene import PictureCache, View
@@ -66,11 +68,28 @@ def test_radiance_is_read_within_what_its_format_keeps(tmp_path, name, within):
     assert picture_size(tmp_path / name) == (16, 12)
 
 
-def test_radiance_is_averaged_and_not_its_logarithm(tmp_path):
+STRAIGHT = pycolmap.Camera(model="SIMPLE_RADIAL", width=16, height=12, params=[20.0, 8.0, 6.0, 0.0])
+
+
+@pytest.mark.parametrize(
+    "lens",
+    [None, Reduced(Reduction(2.0)), Lens(STRAIGHT, 8, 6, 10.0, 10.0, 4.0, 3.0, over=2)],
+    ids=["no lens", "others have one", "a lens"],
+)
+def test_radiance_is_averaged_and_not_its_logarithm(tmp_path, lens):
     opencv(tmp_path / "a.tif", LIGHT)
-    read = PictureSource(tmp_path / "a.tif", encoding=LOG).read(Reduction(2.0)).codes
+    source = PictureSource(tmp_path / "a.tif", encoding=LOG, lens=lens)
+    read = source.read(Reduction(2.0, done=lens is not None)).codes
     mean = LIGHT.reshape(6, 2, 8, 2, 3).mean(axis=(1, 3))
     assert np.abs(LOG.exposed(read) / mean - 1.0).max() < 3e-3
+
+
+def test_radiance_freed_of_a_lens_is_kept_by_another_name_than_its_logarithm_was(tmp_path):
+    """What was kept when means were those of codes must not be taken; of a camera's pictures it must."""
+    lens = Reduced(Reduction(2.0))
+    for encoding, is_kept in ((LOG, False), (SRGB, True), (CAMERA, True)):
+        before = (tmp_path / "a.exr", encoding, lens.key, None, 1, False, "")
+        assert (PictureSource(tmp_path / "a.exr", encoding=encoding, lens=lens).key == before) == is_kept
 
 
 def test_linear_integers_become_codes_of_the_srgb_curve(tmp_path):
@@ -180,7 +199,7 @@ class Mirror:
 
     key: str = "mirror"
 
-    def picture(self, codes):
+    def picture(self, codes, radiance=None):
         return codes[:, ::-1]
 
     def mask(self, mask):

@@ -34,7 +34,7 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     """One entry for each picture that was made, not read."""
     calls: list[int] = []
     make = Lens.picture
-    monkeypatch.setattr(Lens, "picture", lambda self, codes: [make(self, codes), calls.append(1)][0])
+    monkeypatch.setattr(Lens, "picture", lambda self, *codes: [make(self, *codes), calls.append(1)][0])
     return calls
 
 
