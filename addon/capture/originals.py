@@ -4,7 +4,7 @@ to be seen alone. What is pointed to keeps its identity through renaming, saving
 an old one's name is another.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -64,14 +64,19 @@ def photographed(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy
     ]
 
 
-def remember(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, out: Path) -> None:
-    """The data set in ``out`` is photographed from what is to be seen now."""
+def remember(scene: bpy.types.Scene, items: Iterable[bpy.types.Object], out: Path) -> None:
+    """The data set in ``out`` is photographed from these."""
     datasets, name = originals_of(scene).datasets, key_of(str(out))
     entry = datasets.get(name) or datasets.add()
     entry.name = name
     entry.objects.clear()
-    for item in photographed(scene, layer):
+    for item in items:
         entry.objects.add().target = item
+
+
+def is_remembered(scene: bpy.types.Scene, out: Path) -> bool:
+    """Whether it is known what the data set in ``out`` is photographed from."""
+    return key_of(str(out)) in originals_of(scene).datasets
 
 
 def of_models(scene: bpy.types.Scene) -> list[bpy.types.Object]:
@@ -115,18 +120,15 @@ def hide(scene: bpy.types.Scene, lights: bool = True) -> int:
 
     ``lights``: lights among them, too; what glows is hidden in any case.
     """
-    hidden = originals_of(scene).hidden
     for item in of_models(scene):
         if item.type == LIGHT and not lights:
             continue
-        entry = hidden.add()
-        entry.target = item
         before = item.hide_viewport, item.hide_render
         if item.library is not None:
             before = _linked.setdefault(_key(item), before)
-        entry.was_hidden_in_viewports, entry.was_hidden_in_renders = before
+        _remember_hidden(scene, item, before)
         _set(item, True, True)
-    return len(hidden)
+    return len(originals_of(scene).hidden)
 
 
 def show(scene: bpy.types.Scene) -> int:
@@ -154,20 +156,35 @@ def _is_animated(item: bpy.types.Object, path: str) -> bool:
 
 @contextmanager
 def shown(scene: bpy.types.Scene) -> Iterator[None]:
-    """The originals as they are photographed, for as long as a copy of the file is written."""
+    """The originals as they are photographed, for as long as a copy of the file is written.
+
+    The copy tells of nothing hidden: the extension that opens it would hide other files' objects again.
+    """
+    hidden = originals_of(scene).hidden
     former = [
-        (each.target, each.target.hide_viewport, each.target.hide_render)
-        for each in originals_of(scene).hidden
+        (
+            each.target,
+            (each.was_hidden_in_viewports, each.was_hidden_in_renders),
+            (each.target.hide_viewport, each.target.hide_render),
+        )
+        for each in hidden
         if each.target is not None
     ]
     try:
-        for entry in originals_of(scene).hidden:
-            if entry.target is not None:
-                _set(entry.target, entry.was_hidden_in_viewports, entry.was_hidden_in_renders)
+        hidden.clear()
+        for item, before, _ in former:
+            _set(item, *before)
         yield
     finally:
-        for item, in_viewports, in_renders in former:
-            _set(item, in_viewports, in_renders)
+        for item, before, now in former:
+            _remember_hidden(scene, item, before)
+            _set(item, *now)
+
+
+def _remember_hidden(scene: bpy.types.Scene, item: bpy.types.Object, before: tuple[bool, bool]) -> None:
+    entry = originals_of(scene).hidden.add()
+    entry.target = item
+    entry.was_hidden_in_viewports, entry.was_hidden_in_renders = before
 
 
 def _set(item: bpy.types.Object, in_viewports: bool, in_renders: bool) -> None:

@@ -2,7 +2,6 @@
 """The command line of synth/make_scene.py for a data set of the open scene, checked before it starts."""
 
 import math
-import re
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -16,34 +15,12 @@ from ...synth import arguments as command_line
 from ...synth import user_camera
 from ...synth.options import CURRENT, Options
 from ...synth.response import by_name
+from ..session.dataset_words import in_the_dialogs_words
 from . import dataset_folder
 from .dataset_settings import RenderOptions
 from .denoiser import require_denoiser
 
 MOST_EXPOSURES = 64
-
-#: The command line's options, as the dialog calls them.
-LABELS = {
-    "--out": "Folder",
-    "--camera-rig": "Cameras",
-    "--views": "Views",
-    "--rig-distance": "Distance",
-    "--rig-extent": "Grid Width and Height",
-    "--rig-arc": "Arc",
-    "--exposures": "Exposures",
-    "--crf": "Camera Response",
-    "--resolution": "Width and Height",
-    "--samples": "Samples",
-    "--seed": "Seed",
-    "--device": "Device",
-    "--lit-views": "Views Under Other Light",
-    "--lit-levels": "Their Levels",
-    "--train-ambient-levels": "Their Levels",
-    "--lit-lights": "Lights That Vary",
-    "--light": "Lights That Vary",
-    "--relit-views": "Relit Test Views",
-    "--ambient-levels": "At Levels",
-}
 
 
 def of(chosen: SimpleNamespace, scene: bpy.types.Scene) -> list[str]:
@@ -62,7 +39,7 @@ def of(chosen: SimpleNamespace, scene: bpy.types.Scene) -> list[str]:
         wanted.check()
         by_name(wanted.crf)
     except PhysHDRError as error:
-        raise BadValueError(in_the_dialogs_words(error.message), error.hint) from error
+        raise BadValueError(in_the_dialogs_words(error.message), in_the_dialogs_words(error.hint)) from error
     dataset_folder.check(out)
     return made
 
@@ -70,13 +47,6 @@ def of(chosen: SimpleNamespace, scene: bpy.types.Scene) -> list[str]:
 def options(arguments: list[str]) -> Options:
     """What a command line means; raises ``OptionError``."""
     return command_line.options(command_line.parser().parse_args(["--from-file", CURRENT, *arguments]))
-
-
-def in_the_dialogs_words(message: str) -> str:
-    """``--lit-levels: 0 is …`` → ``'Their Levels': 0 is …``."""
-    return re.sub(
-        r"--[a-z][a-z-]*", lambda found: f"'{LABELS[found[0]]}'" if found[0] in LABELS else found[0], message
-    )
 
 
 def _arguments(chosen: SimpleNamespace, scene: bpy.types.Scene, out: Path) -> list[str]:

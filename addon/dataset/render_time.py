@@ -5,6 +5,7 @@ this computer. Where there was none nothing is claimed.
 
 import json
 import time
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,11 +36,16 @@ class Started:
     #: Pictures that were there already.
     had: int
     began: float
+    #: What is photographed, by ``session_uid``: an undo or a new name may come before the end.
+    originals: frozenset[int]
 
 
-def begun(chosen: SimpleNamespace, scene: bpy.types.Scene, out: Path) -> Started:
-    """A data set begins to render now."""
-    return Started(out, _samples(chosen, scene), chosen.device, rendered(out), time.monotonic())
+def begun(
+    chosen: SimpleNamespace, scene: bpy.types.Scene, out: Path, originals: Iterable[bpy.types.Object]
+) -> Started:
+    """A data set of these ``originals`` begins to render now."""
+    uids = frozenset(item.session_uid for item in originals)
+    return Started(out, _samples(chosen, scene), chosen.device, rendered(out), time.monotonic(), uids)
 
 
 def ended(started: Started, scene: bpy.types.Scene | None, home: Path) -> None:

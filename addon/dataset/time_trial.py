@@ -12,6 +12,7 @@ from typing import Any
 import bpy
 
 from ...bridge.errors import BadValueError
+from ..session.dataset_words import in_the_dialogs_words
 from ..session.task import ChildTask, TaskEnded
 from . import dataset_command, render_time
 
@@ -97,7 +98,7 @@ class TimeTrial:
             case [*seconds] if ended.ok and seconds and scene is not None:
                 render_time.tried(self._chosen, scene, float(min(seconds)))
             case _:
-                self.problem = ended.message or "the pictures were not rendered"
+                self.problem = in_the_dialogs_words(ended.message) or "the pictures were not rendered"
 
 
 _trial = TimeTrial()

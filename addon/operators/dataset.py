@@ -36,6 +36,7 @@ from ..layouts.summary import summarise
 from ..model.look import is_model
 from ..paths import ROOT
 from ..runtime import redraw, session
+from ..session.dataset_words import in_the_dialogs_words
 from ..session.state import DATASET
 from ..session.task import TaskEnded
 from ..settings import RELATIVE
@@ -117,8 +118,11 @@ class PHYSHDR_OT_dataset_render(RenderOptions, PhysHDROperator):
             with _copy_of_file() as copy:
                 command = [*_blender(copy, bpy.app.binary_path), *arguments]
                 current.start_task(DATASET, command, current.home / "dataset.log")
-            originals.remember(scene, context.view_layer, out)
-        started = render_time.begun(chosen, scene, out)
+            items = originals.photographed(scene, context.view_layer)
+        # Of a folder that holds a data set this rendering may be refused: then that one's stay known.
+        if not originals.is_remembered(scene, out):
+            originals.remember(scene, items, out)
+        started = render_time.begun(chosen, scene, out, items)
         if not self.wait:
             _choose_when_done(scene.session_uid, started)
             push_undo(self.bl_label)
@@ -162,7 +166,8 @@ def _left_out(scene: bpy.types.Scene) -> list[str]:
 
 
 def _take(scene: bpy.types.Scene, started: Started) -> bool:
-    """Choose the data set for training, and remember its time, if it is this one that was completed.
+    """Choose the data set for training, and remember its time and originals, if it is this one that was
+    completed.
 
     That the folder holds a data set says nothing: it may be an older one, of which the new one was refused.
     """
@@ -170,6 +175,9 @@ def _take(scene: bpy.types.Scene, started: Started) -> bool:
     if ended is None or not ended.ok or ended.result.get("folder") != str(started.out):
         return False
     placement.settings_of(scene).data = str(started.out)
+    originals.remember(
+        scene, (item for item in scene.objects if item.session_uid in started.originals), started.out
+    )
     render_time.ended(started, scene, session().home)
     return True
 
@@ -177,7 +185,7 @@ def _take(scene: bpy.types.Scene, started: Started) -> bool:
 def _why_not_taken(ended: TaskEnded | None) -> str:
     if ended is None or ended.cancelled:
         return "the rendering was cancelled"
-    return ": ".join(filter(None, (ended.message, ended.hint)))
+    return in_the_dialogs_words(": ".join(filter(None, (ended.message, ended.hint))))
 
 
 def _choose_when_done(uid: int, started: Started) -> None:

@@ -15,6 +15,7 @@ import bpy
 from ...bridge.errors import BadValueError, DataMismatchError, PhysHDRError
 from ...bridge.model_file import SUFFIX, read_model
 from ...bridge.probe import MUCH_UNSEEN, WIDTH, Probe, read_probe
+from ..blend_paths import moved
 from ..blender import cloud_of, layout_of
 from ..light import lighting, probes
 from ..light.probe_checks import note
@@ -419,22 +420,39 @@ def _start(source: str, tasks: Sequence[Task]) -> None:
 def _draw_all(source: str, after: After, tasks: Sequence[Task], left: Sequence[Sequence[Task]]) -> None:
     """Let the backend draw what is ``left`` of the probes, by width, and light the scene once all are there,
     unless another file has been opened by then."""
+    beside = Path(bpy.data.filepath).parent
     _start(source, left[0])
 
     def take() -> bool:
-        if session().state.problem is not None or not all_there(left[0]):
+        if session().state.problem is not None:
+            return False
+        there = [_from_here(task, beside) for task in tasks]
+        drawn, *rest = [[_from_here(task, beside) for task in each] for each in left]
+        if not all_there(drawn):
+            ended = session().ended(LIGHT)
+            if ended is not None and ended.ok and not ended.cancelled:
+                lost = f"the light that was drawn is not in {_absolute(drawn[0].folder).parent} any more"
+                session().dispatch(NotTaken(Problem(lost, "Use Light From Here again.")))
             return False
         try:
-            if left[1:]:
-                _draw_all(source, after, tasks, left[1:])
+            if rest:
+                _draw_all(source, after, there, rest)
                 return False
-            after.apply(tasks)
+            after.apply(there)
         except PhysHDRError as error:
             session().dispatch(NotTaken(Problem(error.message, error.hint)))
             return False
         return True
 
     take_when_ended(LIGHT, take, PHYSHDR_OT_light_from_here.bl_label)
+
+
+def _from_here(task: Task, beside: Path) -> Task:
+    """A task that was begun while the .blend was in the folder ``beside``: its probe is still drawn there."""
+    here = Path(bpy.data.filepath).parent
+    if here == beside or not task.folder.startswith("//"):
+        return task
+    return replace(task, folder=moved(task.folder, str(beside), str(here)))
 
 
 def _of_uid(scene: bpy.types.Scene, uid: int) -> bpy.types.Object | None:

@@ -6,6 +6,7 @@ over, and never fails.
 """
 
 import re
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -94,8 +95,9 @@ def understood(photos: Photos, result: dict[str, Any]) -> Photos:
     )
 
 
-def prepared(result: dict[str, Any]) -> Prepared:
-    """What came of the long work: the folder, and how well the places were found."""
+def prepared(result: dict[str, Any], in_words: Callable[[str], str] = in_panel_words) -> Prepared:
+    """What came of the long work: the folder, and how well the places were found. ``in_words``: how the panel
+    puts a warning."""
     folder = result.get("folder")
     placed, places, error = (result.get(name) for name in ("placed", "places", "reprojection_error"))
     told = []
@@ -104,7 +106,7 @@ def prepared(result: dict[str, Any]) -> Prepared:
     if is_number(error):
         told.append(f"reprojection error {error:.2f} pixels")
     return Prepared(
-        folder if isinstance(folder, str) else "", ", ".join(told), _texts(result.get("warnings"))
+        folder if isinstance(folder, str) else "", ", ".join(told), _texts(result.get("warnings"), in_words)
     )
 
 
@@ -142,6 +144,6 @@ def _skipped(listed: Any) -> tuple[str, ...]:
     return tuple(told)
 
 
-def _texts(listed: Any) -> tuple[str, ...]:
+def _texts(listed: Any, in_words: Callable[[str], str] = in_panel_words) -> tuple[str, ...]:
     texts = [text for text in listed if isinstance(text, str)] if isinstance(listed, list) else []
-    return tuple(map(in_panel_words, texts))
+    return tuple(map(in_words, texts))

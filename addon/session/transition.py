@@ -23,6 +23,7 @@ from ...bridge.messages import (
 )
 from ...bridge.run_folder import same_folder
 from . import job_words
+from .dataset_words import in_the_dialogs_words
 from .photos import in_panel_words, prepared, understood
 from .state import (
     CANCELLED,
@@ -199,6 +200,8 @@ def _task_ended(state: State, event: TaskEnded) -> Result:
     message, hint = event.message, event.hint
     if event.task in (LOOK, PHOTOS):
         message, hint = in_panel_words(message), in_panel_words(hint)
+    elif event.task == DATASET:
+        message, hint = in_the_dialogs_words(message), in_the_dialogs_words(hint)
     problem = None if event.ok else Problem(message, hint, log)
     match event.task:
         case name if name in (INSTALL, CHECK):
@@ -214,7 +217,8 @@ def _task_ended(state: State, event: TaskEnded) -> Result:
             return state, (KeepReport(python, event.result),)
         case name if name == DATASET:
             folder = str(event.result.get("folder", ""))
-            made = prepared({"folder": folder, "warnings": event.result.get("warnings")})
+            told = {"folder": folder, "warnings": event.result.get("warnings")}
+            made = prepared(told, in_the_dialogs_words)
             state = replace(state, problem=problem, prepared=made if folder else state.prepared)
             return state, (SummariseDataset(folder),) if folder else ()
         case name if name == LOOK:

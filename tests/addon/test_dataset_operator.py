@@ -11,6 +11,7 @@ import pytest
 
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
+from physhdr.addon.capture import originals  # noqa: E402
 from physhdr.addon.dataset import (  # noqa: E402
     dataset_command,
     dataset_dialog,
@@ -284,6 +285,22 @@ def test_mistakes_are_reported(room, tmp_path, change, told):
     with pytest.raises(RuntimeError, match=told):
         bpy.ops.physhdr.dataset_render(**{"out": str(tmp_path / "data"), **SMALL, **change})
     assert not (tmp_path / "data").exists() and not dataset._copies().exists()
+
+
+def test_remedies_are_in_the_dialogs_words(room, monkeypatch, tmp_path):
+    """Of what is found before anything starts, and of a trial."""
+
+    def refuse(*_):
+        raise BadValueError("--views: too many", "give --rig-distance")
+
+    monkeypatch.setattr(dataset_command.user_camera, "checked", refuse)
+    chosen = dataset_settings.chosen(room)
+    chosen.out = str(tmp_path / "data")
+    problem, _ = dataset_dialog._judged(chosen, room)
+    assert problem and (problem.message, problem.hint) == ("'Views': too many", "give 'Distance'")
+    trial = time_trial.TimeTrial()
+    trial._finish(TaskEnded(time_trial.TRIAL, ok=False, message="--views: too many"))
+    assert trial.problem == "'Views': too many"
 
 
 def test_a_scene_without_a_camera_greys_the_button(room):
@@ -635,6 +652,24 @@ def test_blender_is_told_in_words_what_it_may_run(scripted):
         assert dataset._blender(copy, "blender")[:4] == ["blender", "-b", switch, "copy.blend"]
 
 
+def remembered(scene):
+    """What the scene's one data set shows, as the scene remembers it."""
+    (entry,) = originals.originals_of(scene).datasets
+    return {each.target.name for each in entry.objects}
+
+
+def test_a_rendering_that_is_refused_leaves_what_the_data_set_shows(room, tmp_path):
+    """A robot that came into the scene since is no original of the data set that is there."""
+    small = {**SMALL, "out": str(tmp_path / "data"), "views": 2, "lit_views": 0, "relit_views": 0}
+    assert bpy.ops.physhdr.dataset_render(**small) == {"FINISHED"}
+    shown = {"floor", "sun", "lamp"}
+    assert remembered(room) == shown
+    room.collection.objects.link(bpy.data.objects.new("robot", bpy.data.meshes["floor"]))
+    with pytest.raises(RuntimeError, match="have changed since: choose another folder, or delete"):
+        bpy.ops.physhdr.dataset_render(**small)
+    assert remembered(room) == shown
+
+
 def test_a_data_set_is_chosen_though_an_operator_never_ends(room, extension, tmp_path, monkeypatch):
     """Such as one that shows the keys that are pressed; dragging is waited for."""
     timers, pushed = [], []
@@ -643,12 +678,17 @@ def test_a_data_set_is_chosen_though_an_operator_never_ends(room, extension, tmp
     monkeypatch.setattr(afterwards, "push_undo", pushed.append)
     done = TaskEnded(DATASET, ok=True, result={"folder": str(tmp_path)})
     monkeypatch.setattr(extension, "ended", lambda name: done)
-    dataset._choose_when_done(room.session_uid, render_time.Started(tmp_path, 1, "CPU", 0, 0.0))
+    started = render_time.begun(dataset_settings.chosen(room), room, tmp_path, room.objects)
+    dataset._choose_when_done(room.session_uid, started)
+    room.collection.objects.link(bpy.data.objects.new("robot", bpy.data.meshes.new("robot")))
+    bpy.data.objects.remove(bpy.data.objects["lamp"])
+    bpy.data.objects["sun"].name = "moon"
     [look] = timers
     assert look() == afterwards.LOOK_SECONDS and not room.physhdr.data
     now = time.monotonic()
     monkeypatch.setattr(afterwards.time, "monotonic", lambda: now + afterwards.MODAL_SECONDS + 1.0)
     assert look() is None and room.physhdr.data == str(tmp_path) and not pushed
+    assert remembered(room) == {"floor", "moon", "camera"}
 
 
 def test_what_failed_or_was_cancelled_is_not_chosen_though_the_folder_holds_an_older_one(

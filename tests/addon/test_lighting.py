@@ -22,6 +22,7 @@ from physhdr.addon.operators import lighting as operators
 from physhdr.addon.rendering.render import add_camera, prepare_cycles, read_exr, render_exr, set_resolution
 from physhdr.addon.runtime import session
 from physhdr.addon.session.state import CHECK, INSTALL, Backend, Link, Running, State
+from physhdr.addon.session.task import TaskEnded
 from physhdr.bridge.messages import JobStatus
 from physhdr.bridge.panorama import PANORAMIC_CAMERA_TURN, directions
 from physhdr.bridge.probe import Probe, begin, finish
@@ -660,6 +661,61 @@ def test_new_names_and_several_widths_while_the_backend_draws(scene, model, monk
     assert started == [[64, 64], [32]] and sorted(taken) == [False, True]
     assert len(probes.probes_of(scene, model)) == 3 and empty[probes.FOLDER] == str(tmp_path / "at 0")
     assert scene.world[lighting.SUBJECT] == subject and model.visible_glossy
+
+
+@pytest.fixture
+def drawn_meanwhile(scene, model, monkeypatch, tmp_path):
+    """Light is asked for beside a saved file: two probes, of two widths. Returns what to call for it.
+
+    ``meanwhile`` is called while each of them is drawn, with what was drawn; the session's problem is told.
+    """
+    monkeypatch.setattr(session(), "state", State())
+    monkeypatch.setattr(session(), "ended", lambda name: TaskEnded(name, ok=True))
+    monkeypatch.setattr(operators, "take_when_ended", lambda task, take, message: take())
+    (tmp_path / "first").mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "first/mine.blend"))
+    after = operators.After(scene.session_uid, model.session_uid, "", "ENVIRONMENT", 0, "")
+    tasks = [
+        operators.Task(0, (x, 0.0, 0.0), (x, 0.0, 500.0), f"//PhysHDR_light/at {x:g}", width)
+        for x, width in ((0.0, 64), (1.0, 32))
+    ]
+
+    def take(meanwhile) -> str:
+        def draw(source: str, tasks) -> None:
+            meanwhile(
+                [write_probe(operators._absolute(task.folder), 1.0, 1.0, 1.0, at=task.at) for task in tasks]
+            )
+
+        monkeypatch.setattr(operators, "_start", draw)
+        operators._draw_all("model.safetensors", after, tasks, operators.of_one_width(tasks))
+        problem = session().state.problem
+        return problem.message if problem else ""
+
+    return take
+
+
+def test_the_file_may_be_saved_elsewhere_while_the_backend_draws(scene, model, drawn_meanwhile, tmp_path):
+    """What is drawn stays beside the file as it was, and is found from where that is now."""
+    folders = iter([tmp_path / "second", tmp_path / "third/deep"])
+
+    def save_as(drawn) -> None:
+        (folder := next(folders)).mkdir(parents=True)
+        bpy.ops.wm.save_as_mainfile(filepath=str(folder / "mine.blend"))
+
+    assert drawn_meanwhile(save_as) == ""
+    found = probes.probes_of(scene, model)
+    assert [each[probes.FOLDER] for each in found] == [
+        "//../../first/PhysHDR_light/at 0",
+        "//../../first/PhysHDR_light/at 1",
+    ]
+    assert lighting.is_lit(scene.world)
+    assert all(Path(bpy.path.abspath(each.filepath)).is_file() for each in bpy.data.images if each.filepath)
+
+
+def test_light_that_is_drawn_and_then_not_there_is_told(scene, drawn_meanwhile, tmp_path):
+    problem = drawn_meanwhile(lambda drawn: [shutil.rmtree(folder) for folder in drawn])
+    assert f"not in {tmp_path / 'first/PhysHDR_light'} any more" in problem
+    assert not lighting.is_lit(scene.world)
 
 
 def test_a_model_that_was_edited_while_it_was_drawn(scene, model, tmp_path):

@@ -10,6 +10,7 @@ import pytest
 bpy = pytest.importorskip("bpy", reason="needs Python 3.13 with the bpy wheel, or Blender's own Python")
 
 from physhdr.addon.capture import originals  # noqa: E402
+from physhdr.addon.operators import dataset  # noqa: E402
 from physhdr.addon.rendering import render  # noqa: E402
 from physhdr.bridge.blend_file import MODEL_IDENTITY  # noqa: E402
 
@@ -66,7 +67,7 @@ def room(registered):
     dark.hide_render = True
     link("within", bpy.data.meshes.new("within"), collection("Within", dark))
     link("shelf", bpy.data.meshes.new("shelf"), collection("Furniture"))
-    originals.remember(scene, bpy.context.view_layer, Path(DATA))
+    remember(scene, Path(DATA))
     scene.physhdr.data = DATA
     return scene
 
@@ -78,6 +79,11 @@ def add_model(capture=DATA):
 
 
 PHOTOGRAPHED = {"table", "ghost", "lamp", "holder", "shelf"}
+
+
+def remember(scene, data):
+    """As a data set that is rendered now."""
+    originals.remember(scene, originals.photographed(scene, bpy.context.view_layer), data)
 
 
 def hidden(where):
@@ -173,7 +179,7 @@ def test_it_is_offered_once_there_is_a_model_of_this_scene(room):
 def test_each_data_set_has_its_own(room):
     """A chair that came after the first data set is no original of the first's model, but of the second's."""
     chair = link("chair", bpy.data.meshes.new("chair"))
-    originals.remember(room, bpy.context.view_layer, Path("/data/second"))
+    remember(room, Path("/data/second"))
     first = add_model()
     bpy.ops.physhdr.originals_hide()
     assert not chair.hide_render
@@ -220,7 +226,7 @@ def test_what_is_linked_is_hidden_too(room, tmp_path):
     with bpy.data.libraries.load(str(library), link=True) as (_, target):
         target.objects = ["shelf"]
     room.collection.objects.link(bpy.data.objects["shelf"])
-    originals.remember(room, bpy.context.view_layer, Path(DATA))
+    remember(room, Path(DATA))
     add_model()
     bpy.ops.physhdr.originals_hide()
     assert bpy.data.objects["shelf"].library and hidden("hide_render") == PHOTOGRAPHED | {"cutter"}
@@ -243,7 +249,7 @@ def linked(registered, tmp_path):
         wanted.objects = ["chair"]
     scene = bpy.context.scene
     scene.collection.objects.link(bpy.data.objects["chair"])
-    originals.remember(scene, bpy.context.view_layer, Path(DATA))
+    remember(scene, Path(DATA))
     scene.physhdr.data, scene.physhdr.preview = DATA, True
     bpy.ops.ed.undo_push(message="before")
 
@@ -280,3 +286,27 @@ def test_what_is_linked_is_shown_as_it_was_in_another_session(linked, tmp_path):
     assert chair() == (True, True)
     bpy.ops.physhdr.originals_hide(action="SHOW")
     assert chair() == (True, False)
+
+
+def test_what_is_linked_is_shown_in_the_copy_that_is_photographed(linked, tmp_path):
+    """Another Blender with the extension opens the copy; in the open file all stays hidden."""
+    scene = bpy.context.scene
+    link("table", bpy.data.meshes.new("table")).hide_viewport = True
+    remember(scene, Path(DATA))
+    bpy.ops.physhdr.originals_hide(action="HIDE")
+    before = [
+        (each.target.name, each.was_hidden_in_viewports, each.was_hidden_in_renders)
+        for each in originals.originals_of(scene).hidden
+    ]
+    assert len(before) == 2
+    with originals.shown(scene), dataset._copy_of_file() as copy:
+        photographed = originals.photographed(scene, bpy.context.view_layer)
+    assert {each.name for each in photographed} == {"chair", "table"}
+    assert originals.are_hidden(scene) and hidden("hide_render") == {"chair", "table"}
+    assert before == [
+        (each.target.name, each.was_hidden_in_viewports, each.was_hidden_in_renders)
+        for each in originals.originals_of(scene).hidden
+    ]
+    bpy.ops.wm.open_mainfile(filepath=str(copy))
+    assert bpy.data.objects["chair"].library and not originals.are_hidden(bpy.context.scene)
+    assert hidden("hide_viewport") == {"chair", "table"} and not hidden("hide_render")

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The state in Blender is a pure function of what happened: no Blender, no process, no socket here."""
 
+import re
 from dataclasses import replace
 
 import pytest
 
 from physhdr.addon.session.advice import Choices, headline, next_step, problem_of, why_not
+from physhdr.addon.session.dataset_words import in_the_dialogs_words
 from physhdr.addon.session.state import (
     Asked,
     Backend,
@@ -635,6 +637,48 @@ def test_a_rendered_data_sets_warnings_are_told():
     result = {"folder": "/data", "warnings": ["a light is linked twice"]}
     state, _ = after(state, TaskEnded("dataset", True, result=result))
     assert state.prepared == Prepared("/data", "", ("a light is linked twice",))
+
+
+#: What synth/ says to who renders the open scene, as far as it names options of its command line.
+OF_DATA_SETS = (
+    "the exposures … are white: add shorter ones to --exposures",
+    "9 of 20 cameras stand behind things: if pictures show walls from within, use a smaller --rig-extent",
+    "use a smaller --rig-arc or --rig-distance",
+    "add objects, or give --rig-distance",
+    "--camera-rig path: the camera 'Camera' stands still over the frames 1 … 250",
+    "use the CPU (--device CPU), or choose the GPU in Preferences > System",
+    "render without denoising and with more samples (--no-denoise), or use blender.org's Blender",
+    "unknown response (--crf) 'x'",
+    "'/data/dataset.json' is damaged (no object): delete it, or choose another folder (--out)",
+    "cannot write to the output folder '/data': full. Choose another folder (--out)",
+    "choose another folder (--out; nothing was changed)",
+    "choose another folder (--out), or delete that one (nothing was changed)",
+    "--exposures (seconds: EV −3 is 0.125; --evs takes EV): 0 is not within 1e-06 … 1e+06",
+    "--lit-views: needs at least one of --train-ambient-levels (or --lit-views 0)",
+)
+
+
+@pytest.mark.parametrize("said", OF_DATA_SETS)
+def test_what_a_data_set_says_names_what_the_dialog_has(said):
+    running, _ = after(READY, TaskStarted("dataset", "log"))
+    failed, _ = after(running, TaskEnded("dataset", False, message=said, hint=said))
+    done, _ = after(running, TaskEnded("dataset", True, result={"folder": "/data", "warnings": [said]}))
+    for text in (failed.problem.message, failed.problem.hint, *done.prepared.warnings):
+        assert text and not re.search("--[a-z]", text)
+
+
+@pytest.mark.parametrize(
+    ("said", "told"),
+    [
+        ("choose another folder (--out), or delete that one", "choose another folder, or delete that one"),
+        ("choose another folder (--out; it stays)", "choose another folder (it stays)"),
+        ("use the CPU (--device CPU)", "use the CPU ('Device': Processor)"),
+        ("--camera-rig path: the camera stands still", "'Camera Animation': the camera stands still"),
+        ("'/home/me/a--out/data' is damaged", "'/home/me/a--out/data' is damaged"),
+    ],
+)
+def test_a_data_sets_options_in_the_dialogs_words(said, told):
+    assert in_the_dialogs_words(said) == told
 
 
 def test_a_training_that_is_prepared_can_be_paused():
